@@ -1,0 +1,1 @@
+"""The vocabulary: rotations, the Earth, measurements and estimates. No I/O, no statistics."""

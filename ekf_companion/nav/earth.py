@@ -1,0 +1,106 @@
+"""The Earth: WGS-84 ellipsoid, its gravity and rate, and the local frame.
+
+Source: NIMA TR8350.2, 3rd edition; Groves 2013, "Principles of GNSS, inertial, and multisensor
+integrated navigation systems", 2nd edition, chapters 2 and 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+SEMI_MAJOR_AXIS = 6378137.0
+"""m."""
+FLATTENING = 1.0 / 298.257223563
+ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
+ROTATION_RATE = 7.292115e-5
+"""rad/s."""
+GRAVITY_EQUATOR = 9.7803253359
+"""m/s^2."""
+SOMIGLIANA = 0.00193185265241
+"""Somigliana's constant of the normal gravity on the ellipsoid."""
+FREE_AIR = 3.0877e-6
+"""Loss of gravity with height at mid latitude, 1/s^2 (Groves 2.139, first order, 45 deg)."""
+STANDARD_GRAVITY = 9.80665
+"""m/s^2: the unit g of accelerometers."""
+
+
+def radii(lat: npt.ArrayLike) -> tuple[Array, Array]:
+    """Give the meridian and the transverse radius of curvature at a latitude (rad), m."""
+    sin2 = np.square(np.sin(np.asarray(lat, dtype=float)))
+    w2 = 1.0 - ECCENTRICITY_SQUARED * sin2
+    transverse = SEMI_MAJOR_AXIS / np.sqrt(w2)
+    meridian = SEMI_MAJOR_AXIS * (1.0 - ECCENTRICITY_SQUARED) / (w2 * np.sqrt(w2))
+    return np.asarray(meridian), np.asarray(transverse)
+
+
+def gravity(lat: npt.ArrayLike, alt: npt.ArrayLike) -> Array:
+    """Give the normal gravity, down, m/s^2, at a latitude (rad) and a height (m)."""
+    sin2 = np.square(np.sin(np.asarray(lat, dtype=float)))
+    surface = (
+        GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sin2) / np.sqrt(1.0 - ECCENTRICITY_SQUARED * sin2)
+    )
+    return np.asarray(surface - FREE_AIR * np.asarray(alt, dtype=float))
+
+
+def earth_rate_n(lat: npt.ArrayLike) -> Array:
+    """Give the Earth's rotation in n at a latitude (rad), rad/s, shape (..., 3)."""
+    lat = np.asarray(lat, dtype=float)
+    return ROTATION_RATE * np.stack([np.cos(lat), np.zeros_like(lat), -np.sin(lat)], axis=-1)
+
+
+def transport_rate_n(lat: npt.ArrayLike, alt: npt.ArrayLike, vel_n: Array) -> Array:
+    """Give the turn rate of n against the Earth that the motion causes, rad/s, shape (..., 3)."""
+    lat, alt = np.asarray(lat, dtype=float), np.asarray(alt, dtype=float)
+    meridian, transverse = radii(lat)
+    east = vel_n[..., 1] / (transverse + alt)
+    return np.stack([east, -vel_n[..., 0] / (meridian + alt), -east * np.tan(lat)], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class LocalFrame:
+    """Metres north, east and down of an origin, along the radii of curvature at the origin.
+
+    A curvilinear frame: equal down means equal altitude however far away, and equal north means
+    equal latitude. It agrees with the tangent plane to 8 cm at 1 km (the curvature of the Earth).
+    """
+
+    lat: float
+    """Latitude of the origin, rad."""
+    lon: float
+    """Longitude of the origin, rad."""
+    alt: float
+    """Altitude of the origin above mean sea level, m."""
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Give metres per radian of latitude and of longitude at the origin."""
+        meridian, transverse = radii(self.lat)
+        return (
+            float(meridian) + self.alt,
+            (float(transverse) + self.alt) * float(np.cos(self.lat)),
+        )
+
+    def to_ned(self, lat: npt.ArrayLike, lon: npt.ArrayLike, alt: npt.ArrayLike) -> Array:
+        """Give north, east, down, m, shape (..., 3), of latitude, longitude (rad), altitude (m)."""
+        north, east = self.scale
+        dlon = np.mod(np.asarray(lon, dtype=float) - self.lon + np.pi, 2.0 * np.pi) - np.pi
+        return np.stack(
+            np.broadcast_arrays(
+                (np.asarray(lat, dtype=float) - self.lat) * north,
+                dlon * east,
+                self.alt - np.asarray(alt, dtype=float),
+            ),
+            axis=-1,
+        )
+
+    def to_geodetic(self, pos_n: Array) -> tuple[Array, Array, Array]:
+        """Give latitude, longitude (rad, in [-pi, pi)) and altitude (m) of north, east, down."""
+        north, east = self.scale
+        pos_n = np.asarray(pos_n, dtype=float)
+        lon = np.mod(self.lon + pos_n[..., 1] / east + np.pi, 2.0 * np.pi) - np.pi
+        return self.lat + pos_n[..., 0] / north, np.asarray(lon), self.alt - pos_n[..., 2]

@@ -1,0 +1,273 @@
+"""What a sensor said, in SI, as objects (live) and as rows of one table (recorded).
+
+A stamp is what the sensor's message carries, on the autopilot's clock. The delay by which it is
+late is calibrated, not said: the pipeline takes it off in one place, so that a measurement counts
+at the time when it was true.
+
+One event is one row: stamp, kind and ``WIDTH`` numbers. The objects below and the rows say the
+same; ``row()`` is the only way from one to the other. In a row NaN means "not known".
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+import numpy as np
+import numpy.typing as npt
+
+WIDTH = 12
+"""Numbers in a row."""
+
+Row = tuple[int, int, tuple[float, ...]]
+"""Stamp (ns), kind, ``WIDTH`` values."""
+
+
+class Kind(IntEnum):
+    """What an event is. At one time they are taken in this order, the inertial sample last."""
+
+    RESTART = 0
+    """The autopilot's clock began anew: nothing before it can be compared. No values."""
+    GNSS = 1
+    HEADING = 2
+    MAG = 3
+    BARO = 4
+    VEHICLE = 5
+    IMU = 6
+
+
+class HeadingSource(IntEnum):
+    """Where a heading came from; of several that speak, the lower number is used."""
+
+    GNSS = 0
+    """Dual-antenna receiver."""
+    MAGNETOMETER = 1
+    """Compass of its own, already turned into a heading by its maker (not ``Kind.MAG``)."""
+    AUTOPILOT = 2
+    """The autopilot's own estimate: not independent of the sensors that we also use."""
+
+
+class GnssFlag(IntFlag):
+    """What a receiver, or the decoder, says of a fix beside its numbers."""
+
+    NONE = 0
+    DERIVED = 1
+    """From the autopilot's fused output (GLOBAL_POSITION_INT): not an independent measurement."""
+    SUSPECT = 2
+    """The receiver reports jamming or spoofing."""
+
+
+def _row(t_ns: int, kind: Kind, *values: float | None) -> Row:
+    filled = tuple(math.nan if value is None else float(value) for value in values)
+    return t_ns, int(kind), filled + (0.0,) * (WIDTH - len(filled))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Restart:
+    """The autopilot rebooted or its clock jumped: all stamps from here on are of a new time."""
+
+    t_ns: int = 0
+    """Not used."""
+
+    def row(self) -> Row:
+        """Give the event as a row without values."""
+        return _row(self.t_ns, Kind.RESTART)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuSample:
+    """Angular rate and specific force in the body frame. Row: the fields in this order."""
+
+    t_ns: int
+    gyro_x: float
+    """rad/s, forward."""
+    gyro_y: float
+    """rad/s, right."""
+    gyro_z: float
+    """rad/s, down."""
+    accel_x: float
+    """m/s^2, forward."""
+    accel_y: float
+    """m/s^2, right."""
+    accel_z: float
+    """m/s^2, down: about -9.81 at rest and level."""
+
+    def row(self) -> Row:
+        """Give [gyro x y z, accel x y z]."""
+        return _row(
+            self.t_ns,
+            Kind.IMU,
+            self.gyro_x,
+            self.gyro_y,
+            self.gyro_z,
+            self.accel_x,
+            self.accel_y,
+            self.accel_z,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GnssFix:
+    """Position and, where the receiver gives it, velocity of the antenna."""
+
+    t_ns: int
+    lat: float
+    """WGS-84 latitude, rad."""
+    lon: float
+    """WGS-84 longitude, rad, in [-pi, pi)."""
+    alt: float
+    """Above mean sea level, m."""
+    vel_north: float | None = None
+    """m/s; None: not known (east then too)."""
+    vel_east: float | None = None
+    """m/s."""
+    vel_down: float | None = None
+    """m/s; None: the source has no vertical velocity."""
+    std_h: float
+    """One sigma of the position per horizontal axis, m, > 0."""
+    std_v: float
+    """One sigma of the altitude, m, > 0."""
+    std_vel: float | None = None
+    """One sigma of the velocity per axis, m/s, > 0; None: not known."""
+    declination: float | None = None
+    """Magnetic declination here, rad, east positive; None: not known."""
+    flags: GnssFlag = GnssFlag.NONE
+
+    def row(self) -> Row:
+        """Give [lat, lon, alt, vel n e d, std h, std v, std vel, declination, flags]."""
+        return _row(
+            self.t_ns,
+            Kind.GNSS,
+            self.lat,
+            self.lon,
+            self.alt,
+            self.vel_north,
+            self.vel_east,
+            self.vel_down,
+            self.std_h,
+            self.std_v,
+            self.std_vel,
+            self.declination,
+            float(self.flags),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeadingSample:
+    """Heading of the body's forward axis."""
+
+    t_ns: int
+    heading: float
+    """From true north, clockwise, rad, in [-pi, pi)."""
+    std: float
+    """One sigma, rad, > 0."""
+    source: HeadingSource
+
+    def row(self) -> Row:
+        """Give [heading, std, source]."""
+        return _row(self.t_ns, Kind.HEADING, self.heading, self.std, float(self.source))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MagSample:
+    """Magnetic field in the body frame, as the autopilot calibrated it."""
+
+    t_ns: int
+    mag_x: float
+    """gauss, forward."""
+    mag_y: float
+    """gauss, right."""
+    mag_z: float
+    """gauss, down."""
+
+    def row(self) -> Row:
+        """Give [mag x y z]."""
+        return _row(self.t_ns, Kind.MAG, self.mag_x, self.mag_y, self.mag_z)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaroSample:
+    """Pressure altitude: differences count, the zero is unknown."""
+
+    t_ns: int
+    alt: float
+    """Altitude of the standard atmosphere at this pressure, m, up."""
+
+    def row(self) -> Row:
+        """Give [alt]."""
+        return _row(self.t_ns, Kind.BARO, self.alt)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleState:
+    """What the autopilot says of itself, as a veto for what only holds at rest."""
+
+    t_ns: int
+    is_armed: bool
+    is_landed: bool | None = None
+    """None: not known."""
+
+    def row(self) -> Row:
+        """Give [armed, landed]; landed is NaN where not known."""
+        return _row(
+            self.t_ns,
+            Kind.VEHICLE,
+            float(self.is_armed),
+            None if self.is_landed is None else float(self.is_landed),
+        )
+
+
+Measurement = Restart | ImuSample | GnssFix | HeadingSample | MagSample | BaroSample | VehicleState
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Events:
+    """A table of events in the order of their arrival."""
+
+    t_ns: npt.NDArray[np.int64]
+    """Stamps, shape (n,)."""
+    kind: npt.NDArray[np.int64]
+    """``Kind``, shape (n,)."""
+    values: npt.NDArray[np.float64]
+    """Rows as the measurements' ``row()`` lays them, shape (n, WIDTH)."""
+
+    def __len__(self) -> int:
+        """Give the number of events."""
+        return len(self.t_ns)
+
+    @classmethod
+    def from_rows(cls, rows: list[Row]) -> Events:
+        """Collect rows, in their order."""
+        return cls(
+            t_ns=np.array([row[0] for row in rows], dtype=np.int64),
+            kind=np.array([row[1] for row in rows], dtype=np.int64),
+            values=np.array([row[2] for row in rows], dtype=np.float64).reshape(-1, WIDTH),
+        )
+
+    @classmethod
+    def from_columns(cls, t_ns: npt.NDArray[np.int64], kind: Kind, *columns: npt.ArrayLike) -> Events:
+        """Lay the columns of one kind side by side, in the order that its ``row()`` has."""
+        values = np.zeros((len(t_ns), WIDTH))
+        for index, column in enumerate(columns):
+            values[:, index] = column
+        return cls(
+            t_ns=np.asarray(t_ns, dtype=np.int64),
+            kind=np.full(len(t_ns), int(kind), dtype=np.int64),
+            values=values,
+        )
+
+    def take(self, index: npt.NDArray[np.integer] | npt.NDArray[np.bool_]) -> Events:
+        """Give the events of an index or a mask, in its order."""
+        return Events(t_ns=self.t_ns[index], kind=self.kind[index], values=self.values[index])
+
+
+def merge(*tables: Events, arrival_ns: list[npt.NDArray[np.int64]] | None = None) -> Events:
+    """Merge tables into one by arrival; without arrival times, by stamp. Ties keep their order."""
+    joined = Events(
+        t_ns=np.concatenate([table.t_ns for table in tables]),
+        kind=np.concatenate([table.kind for table in tables]),
+        values=np.concatenate([table.values for table in tables]),
+    )
+    key = joined.t_ns if arrival_ns is None else np.concatenate(arrival_ns)
+    return joined.take(np.argsort(key, kind="stable"))

@@ -1,0 +1,139 @@
+"""Rotations as unit quaternions, ``(w, x, y, z)``, Hamilton, over any leading shape.
+
+Source: Sola 2017, "Quaternion kinematics for the error-state Kalman filter", arXiv 1711.02508.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+_SMALL = 1e-8
+"""Angle below which a series replaces sin(x)/x, rad: the next term is 1e-17."""
+
+
+def multiply(p: Array, q: Array) -> Array:
+    """Give the product p q, shape (..., 4): first q's rotation, then p's."""
+    pw, px, py, pz = np.moveaxis(np.asarray(p, dtype=float), -1, 0)
+    qw, qx, qy, qz = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
+    return np.stack(
+        [
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: Array) -> Array:
+    """Give the inverse rotation, shape (..., 4)."""
+    return np.asarray(q, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def normalise(q: Array) -> Array:
+    """Give q with unit norm and w >= 0, shape (..., 4)."""
+    q = np.asarray(q, dtype=float)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., :1] < 0.0, -q, q)
+
+
+def exp(phi: Array) -> Array:
+    """Give the quaternion of a rotation vector.
+
+    Args:
+        phi: Rotation vector, rad, shape (..., 3).
+    """
+    phi = np.asarray(phi, dtype=float)
+    angle = np.linalg.norm(phi, axis=-1, keepdims=True)
+    half = 0.5 * angle
+    scale = np.where(angle < _SMALL, 0.5, np.sin(half) / np.where(angle < _SMALL, 1.0, angle))
+    return np.concatenate([np.cos(half), scale * phi], axis=-1)
+
+
+def log(q: Array) -> Array:
+    """Give the rotation vector of the shorter way, rad, shape (..., 3)."""
+    q = np.asarray(q, dtype=float)
+    q = np.where(q[..., :1] < 0.0, -q, q)
+    norm = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(norm, q[..., :1])
+    scale = np.where(norm < _SMALL, 2.0, angle / np.where(norm < _SMALL, 1.0, norm))
+    return np.asarray(scale * q[..., 1:])
+
+
+def to_matrix(q: Array) -> Array:
+    """Give the direction cosine matrix, shape (..., 3, 3)."""
+    w, x, y, z = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
+    rows = [
+        [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def from_matrix(C: Array) -> Array:
+    """Give the quaternion of a direction cosine matrix, shape (3, 3), by its largest component."""
+    C = np.asarray(C, dtype=float)
+    squares = np.array(
+        [
+            1.0 + C[0, 0] + C[1, 1] + C[2, 2],
+            1.0 + C[0, 0] - C[1, 1] - C[2, 2],
+            1.0 - C[0, 0] + C[1, 1] - C[2, 2],
+            1.0 - C[0, 0] - C[1, 1] + C[2, 2],
+        ]
+    )
+    products = np.array(
+        [
+            [squares[0], C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]],
+            [C[2, 1] - C[1, 2], squares[1], C[0, 1] + C[1, 0], C[0, 2] + C[2, 0]],
+            [C[0, 2] - C[2, 0], C[0, 1] + C[1, 0], squares[2], C[1, 2] + C[2, 1]],
+            [C[1, 0] - C[0, 1], C[0, 2] + C[2, 0], C[1, 2] + C[2, 1], squares[3]],
+        ]
+    )
+    return normalise(products[int(np.argmax(squares))])
+
+
+def rotate(q: Array, v: Array) -> Array:
+    """Turn v by q: ``v_n = rotate(q_nb, v_b)``, shape (..., 3)."""
+    return np.einsum("...ij,...j->...i", to_matrix(q), np.asarray(v, dtype=float))
+
+
+def from_euler(roll: npt.ArrayLike, pitch: npt.ArrayLike, yaw: npt.ArrayLike) -> Array:
+    """Give q_nb of yaw, then pitch, then roll (z-y-x), rad."""
+    roll, pitch, yaw = np.broadcast_arrays(
+        np.asarray(roll, dtype=float), np.asarray(pitch, dtype=float), np.asarray(yaw, dtype=float)
+    )
+    cr, sr = np.cos(0.5 * roll), np.sin(0.5 * roll)
+    cp, sp = np.cos(0.5 * pitch), np.sin(0.5 * pitch)
+    cy, sy = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
+    return np.stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ],
+        axis=-1,
+    )
+
+
+def to_euler(q: Array) -> Array:
+    """Give roll, pitch, yaw (z-y-x), rad, shape (..., 3); roll and yaw in [-pi, pi]."""
+    C = to_matrix(q)
+    return np.stack(
+        [
+            np.arctan2(C[..., 2, 1], C[..., 2, 2]),
+            -np.arcsin(np.clip(C[..., 2, 0], -1.0, 1.0)),
+            np.arctan2(C[..., 1, 0], C[..., 0, 0]),
+        ],
+        axis=-1,
+    )
+
+
+def wrap(angle: npt.ArrayLike) -> Array:
+    """Bring an angle into [-pi, pi)."""
+    return np.asarray(np.mod(np.asarray(angle, dtype=float) + np.pi, 2.0 * np.pi) - np.pi)

@@ -1,0 +1,58 @@
+"""What is estimated: one row per inertial sample, and its parts as an object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+class Status(IntEnum):
+    """How far the estimate can be trusted."""
+
+    INIT = 0
+    """Waiting for the first inertial samples."""
+    ALIGNING = 1
+    """Finding down and north."""
+    ATTITUDE = 2
+    """Roll and pitch are estimated; no position has been known yet."""
+    OK = 3
+    """Everything is estimated and aided."""
+    DEGRADED = 4
+    """Estimated, but one of position, velocity, height or heading goes without its aid."""
+    DEAD_RECKONING = 5
+    """No position or velocity aid for a second or more: the error grows."""
+    INVALID = 6
+    """The error has passed its limit: not to be used."""
+
+
+COLUMNS = (
+    "time_us lat_deg lon_deg alt_m pos_n pos_e pos_d vel_n vel_e vel_d q_w q_x q_y q_z roll pitch yaw "
+    "gyro_bias_x gyro_bias_y gyro_bias_z accel_bias_x accel_bias_y accel_bias_z "
+    "sd_pos_n sd_pos_e sd_pos_d sd_vel_n sd_vel_e sd_vel_d sd_roll sd_pitch sd_yaw status reset_count"
+).split()
+"""Names of an estimate's numbers, in the order of a CSV row."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Trajectory:
+    """A motion sampled in time: a truth, or another estimator's answer. NaN: not known there."""
+
+    t_ns: npt.NDArray[np.int64]
+    """Autopilot clock, shape (n,), ascending."""
+    lat: Array
+    """rad, shape (n,)."""
+    lon: Array
+    """rad, shape (n,)."""
+    alt: Array
+    """Above mean sea level, m, shape (n,)."""
+    vel_n: Array
+    """North, east, down, m/s, shape (n, 3)."""
+    q_nb: Array
+    """Shape (n, 4)."""
+    name: str
+    """Where it is from, in words: "EKF2 (vehicle_local_position)"."""
