@@ -1,1 +1,1 @@
-"""."""
+"""Recorded flights, one file per format: columns first, objects never in the loop."""

@@ -40,19 +40,27 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Trajectory:
-    """A motion sampled in time: a truth, or another estimator's answer. NaN: not known there."""
+    """A motion sampled in time: a truth, or another estimator's answer.
 
-    t_ns: npt.NDArray[np.int64]
-    """Autopilot clock, shape (n,), ascending."""
+    Position, velocity and attitude have stamps of their own, ascending, on the autopilot's clock;
+    a series that the source lacks is empty.
+    """
+
+    name: str
+    """Where it is from, in words: ``EKF2 (vehicle_local_position)``."""
+    pos_t_ns: npt.NDArray[np.int64]
+    """Shape (n,)."""
     lat: Array
     """rad, shape (n,)."""
     lon: Array
     """rad, shape (n,)."""
     alt: Array
-    """Above mean sea level, m, shape (n,)."""
+    """Above mean sea level, m, shape (n,); NaN where not known."""
+    vel_t_ns: npt.NDArray[np.int64]
+    """Shape (m,)."""
     vel_n: Array
-    """North, east, down, m/s, shape (n, 3)."""
+    """North, east, down, m/s, shape (m, 3); NaN where not known."""
+    att_t_ns: npt.NDArray[np.int64]
+    """Shape (k,)."""
     q_nb: Array
-    """Shape (n, 4)."""
-    name: str
-    """Where it is from, in words: "EKF2 (vehicle_local_position)"."""
+    """Shape (k, 4)."""
