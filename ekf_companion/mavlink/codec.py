@@ -1,0 +1,95 @@
+"""Payloads to named fields and back, one message or columns of them."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.mavlink.frame import Frame, encode_frame
+from ekf_companion.mavlink.layout import IDS, LAYOUTS, Layout, by_name
+
+
+def unpack(frame: Frame) -> Any:
+    """Give the message's fields as a named tuple in wire order, named as the message.
+
+    What the payload lacks at its end reads as zero, and what is beyond the known fields is left.
+    Arrays are tuples, text is bytes up to the first zero. KeyError for an unknown id.
+    """
+    layout = LAYOUTS[frame.message_id]
+    values = unpack_values(layout, frame.payload)
+    if layout.spans is not None:
+        values = tuple(
+            values[start] if end == start + 1 else values[start:end]
+            for _, start, end in layout.spans
+        )
+    if layout.has_text:
+        values = tuple(v.split(b"\0", 1)[0] if isinstance(v, bytes) else v for v in values)
+    return layout.record._make(values)
+
+
+def unpack_values(layout: Layout, payload: bytes) -> tuple[Any, ...]:
+    """Give the payload's numbers in wire order, arrays laid out flat."""
+    return layout.struct.unpack(payload.ljust(layout.size, b"\0")[: layout.size])
+
+
+def columns(message_id: int, payloads: Sequence[bytes]) -> npt.NDArray[np.void]:
+    """Give many payloads of one message as one array of records, shape (n,), a view of a copy."""
+    layout = LAYOUTS[message_id]
+    size = layout.size
+    whole = b"".join([payload.ljust(size, b"\0")[:size] for payload in payloads])
+    return np.frombuffer(whole, dtype=layout.dtype)
+
+
+def pack(name: str, **fields: Any) -> bytes:
+    """Give the payload of a message, full size; fields that are not named are zero.
+
+    Raises:
+        KeyError: No such message.
+        TypeError: The message has no such field, or an array has another length.
+    """
+    layout = by_name(name)
+    values: list[Any] = []
+    for field in layout.fields:
+        value = fields.pop(field.name, None)
+        if field.code == "s":
+            values.append(value or b"")
+        elif field.length:
+            values.extend((0,) * field.length if value is None else value)
+        else:
+            values.append(0 if value is None else value)
+    if fields:
+        raise TypeError(f"{name} has no field {', '.join(sorted(fields))}")
+    try:
+        return layout.struct.pack(*values)
+    except struct.error as error:
+        raise TypeError(f"{name}: {error}") from None
+
+
+class Sender:
+    """The one owner of a component's sequence number."""
+
+    def __init__(self, system_id: int, component_id: int) -> None:
+        self.system_id = system_id
+        self.component_id = component_id
+        self.sequence = 0
+        """Of the next frame."""
+
+    def frame(self, name: str, payload: bytes) -> bytes:
+        """Give the next frame: a message by its name, and its payload."""
+        data = encode_frame(
+            IDS[name],
+            payload,
+            system_id=self.system_id,
+            component_id=self.component_id,
+            sequence=self.sequence,
+        )
+        self.sequence = (self.sequence + 1) & 0xFF
+        return data
+
+    def message(self, name: str, **fields: Any) -> bytes:
+        """Give the next frame of a message, from its fields."""
+        return self.frame(name, pack(name, **fields))

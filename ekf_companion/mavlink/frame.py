@@ -1,0 +1,174 @@
+"""Bytes to frames and back, MAVLink 1 and 2.
+
+Only a right checksum makes a frame. From a wrong one the search goes on at the byte after the
+start byte, so that a false start or a damaged frame costs nothing but itself: every good frame
+that does not begin inside another good frame is found, however the bytes were cut into pieces.
+
+A frame of an unknown id has no checksum that could be tested. Its bytes are searched like any
+others; if the search meets its end without having found a frame, and a start byte stands there,
+it is counted as one unknown frame, else its bytes were junk. Either way they are handed on as junk.
+"""
+
+from __future__ import annotations
+
+import re
+from struct import Struct
+from typing import NamedTuple
+
+from fastcrc import crc16
+
+from ekf_companion.mavlink.layout import CRC_EXTRAS
+
+STX_1 = 0xFE
+STX_2 = 0xFD
+JUNK = -1
+"""The message id of a run of bytes that is no frame."""
+SIGNED = 0x01
+"""The one incompatibility flag that is known: 13 bytes of signature follow."""
+SIGNATURE_SIZE = 13
+LARGEST_FRAME = 12 + 255 + SIGNATURE_SIZE
+"""Bytes; so many, less one, may wait for their rest at most."""
+
+_STARTS = (STX_1, STX_2)
+_START = re.compile(rb"[\xfd\xfe]")
+_HEADER_2 = Struct("<xBBxBBBHB")
+_HEADER_2_OUT = Struct("<BBBBBBHB")
+_CRC = Struct("<H")
+_crc = crc16.mcrf4xx
+
+
+class Frame(NamedTuple):
+    """One message as it was on the wire, or (id ``JUNK``) bytes that were none."""
+
+    message_id: int
+    system_id: int
+    component_id: int
+    sequence: int
+    payload: bytes
+    """As sent: MAVLink 2 leaves out zeros at the end."""
+    raw: bytes
+    """The whole frame."""
+    version: int
+    """1 or 2."""
+
+
+class Splitter:
+    """Cuts a stream of bytes into frames; one for each stream."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.bad_crc = 0
+        """Starts with a known id whose checksum was wrong: damaged frames and false starts."""
+        self.incompatible = 0
+        """Frames, rightly summed, with an incompatibility flag that nobody here knows."""
+        self.unknown_id = 0
+        self.junk_bytes = 0
+        """Bytes that belonged to no known frame."""
+        self._rest = b""
+        self._unknown_end = -1  # where the frame of unknown id, being searched, would end in _rest
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Give what the bytes complete, junk included, in order; every byte comes out once.
+
+        At most ``LARGEST_FRAME - 1`` bytes wait for more.
+        """
+        buffer = self._rest + data if self._rest else bytes(data)
+        end = len(buffer)
+        found: list[Frame] = []
+        start = junk = 0  # junk: first byte not handed out yet
+        while start < end:
+            stx = buffer[start]
+            if self._unknown_end >= 0:
+                self._settle_unknown(start, is_start=stx in _STARTS)
+            if stx == STX_2:
+                if end - start < 10:
+                    break
+                size, flags, sequence, system, component, low, high = _HEADER_2.unpack_from(
+                    buffer, start
+                )
+                message_id = low | high << 16
+                header = 10
+                total = size + 25 if flags & SIGNED else size + 12
+            elif stx == STX_1:
+                if end - start < 6:
+                    break
+                size, sequence, system, component, message_id = buffer[start + 1 : start + 6]
+                flags, header, total = 0, 6, size + 8
+            else:
+                match = _START.search(buffer, start)
+                start = match.start() if match else end
+                continue
+
+            extra = CRC_EXTRAS.get(message_id)
+            if extra is None:
+                if self._unknown_end < 0:
+                    self._unknown_end = start + total
+                start += 1
+                continue
+            if end - start < total:
+                break
+            tail = start + header + size
+            if _crc(buffer[start + 1 : tail] + extra) != buffer[tail] | buffer[tail + 1] << 8:
+                self.bad_crc += 1
+                start += 1
+                continue
+            if flags > SIGNED:
+                self.incompatible += 1
+                start += total
+                continue
+
+            if junk < start:
+                found.append(self._junk(buffer, junk, start))
+            raw = buffer[start : start + total]
+            found.append(
+                Frame(
+                    message_id,
+                    system,
+                    component,
+                    sequence,
+                    raw[header : header + size],
+                    raw,
+                    2 if stx == STX_2 else 1,
+                )
+            )
+            self.frames += 1
+            start += total
+            junk = start
+            self._unknown_end = -1
+
+        if junk < start:
+            found.append(self._junk(buffer, junk, start))
+        self._rest = buffer[start:]
+        self._unknown_end = max(self._unknown_end - start, -1)
+        return found
+
+    def _settle_unknown(self, position: int, *, is_start: bool) -> None:
+        if position == self._unknown_end and is_start:
+            self.unknown_id += 1
+        if position >= self._unknown_end:
+            self._unknown_end = -1
+
+    def _junk(self, buffer: bytes, start: int, end: int) -> Frame:
+        self.junk_bytes += end - start
+        return Frame(JUNK, 0, 0, 0, b"", buffer[start:end], 0)
+
+
+def encode_frame(
+    message_id: int, payload: bytes, *, system_id: int, component_id: int, sequence: int
+) -> bytes:
+    """Give the MAVLink 2 frame, unsigned, zeros at the payload's end left out."""
+    payload = payload.rstrip(b"\0") or b"\0"
+    body = (
+        _HEADER_2_OUT.pack(
+            len(payload),
+            0,
+            0,
+            sequence,
+            system_id,
+            component_id,
+            message_id & 0xFFFF,
+            message_id >> 16,
+        )
+        + payload
+    )
+    return b"\xfd" + body + _CRC.pack(_crc(body + CRC_EXTRAS[message_id]))
