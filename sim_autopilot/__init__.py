@@ -1,0 +1,16 @@
+"""A fake autopilot: flies a known motion, speaks MAVLink, and scores the estimate that comes back.
+
+An independent witness: it shares the vocabulary (``nav``) and the wire (``mavlink``, ``link``) with
+what it tests, and none of the estimator.
+
+Rooms
+    truth      a motion as a function of time, with exact derivatives
+    scenarios  the motions that can be flown
+    config     every number that can be turned
+    sensors    what the sensors say of the motion, from one seed
+    flight     all of it laid out in order of time
+    autopilot  the MAVLink peer: bytes and times in, bytes out
+    score      the estimate against the truth
+    recording  files: truth as CSV, frames as .tlog
+    fly, replay, demo, __main__   the shells, which alone open, await, sleep and print
+"""

@@ -1,0 +1,200 @@
+"""What the sensors say of a motion: whole flights as columns, repeatable from a seed.
+
+Each sensor draws from a generator of its own, so that turning a number of one leaves the noise of
+the others as it was. Times are seconds since the start of the flight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from pygeomag import GeoMag
+from scipy.signal import butter, lfilter, lfilter_zi
+
+from ekf_companion.nav import so3
+from sim_autopilot.config import BaroConfig, CompassConfig, GnssConfig, ImuConfig
+from sim_autopilot.truth import Trajectory
+
+Array = npt.NDArray[np.float64]
+
+GAUSS_LEGENDRE = 4
+"""Points per inertial interval: exact for polynomials up to degree 7."""
+_CHUNK = 4096
+"""Inertial samples evaluated at once: bounds the memory, changes no bit."""
+_NANOTESLA = 1e-5
+"""Gauss."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ImuData:
+    """Means over the intervals that end at ``t``."""
+
+    t: Array
+    gyro_b: Array
+    """rad/s, shape (n, 3)."""
+    accel_b: Array
+    """m/s^2, shape (n, 3)."""
+    gyro_bias_b: Array
+    """The part of ``gyro_b`` that is slow error, rad/s."""
+    accel_bias_b: Array
+    """m/s^2."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class GnssData:
+    """Fixes of the antenna."""
+
+    t: Array
+    """Stamps, which are also when the fixes arrive; they were true ``delay`` before."""
+    lat: Array
+    """rad."""
+    lon: Array
+    """rad."""
+    alt: Array
+    """m."""
+    vel_n: Array
+    """m/s."""
+    yaw: Array
+    """rad; NaN without two antennas."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class MagData:
+    """Samples of the magnetic field."""
+
+    t: Array
+    mag_b: Array
+    """gauss, shape (n, 3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class BaroData:
+    """Samples of the static pressure."""
+
+    t: Array
+    alt: Array
+    """In the standard atmosphere, m."""
+    pressure: Array
+    """hPa."""
+
+
+def generators(seed: int) -> dict[str, np.random.Generator]:
+    """Give one generator for each source of noise; new ones are added at the end."""
+    names = ("imu", "gnss", "compass", "baro", "estimate")
+    sequences = np.random.SeedSequence(seed).spawn(len(names))
+    return {
+        name: np.random.default_rng(sequence)
+        for name, sequence in zip(names, sequences, strict=True)
+    }
+
+
+def mean_imu(trajectory: Trajectory, t: Array, period: float) -> tuple[Array, Array]:
+    """Give the means of body rate and specific force over the intervals that end at ``t``."""
+    nodes, weights = np.polynomial.legendre.leggauss(GAUSS_LEGENDRE)
+    gyro_b, accel_b = np.empty((len(t), 3)), np.empty((len(t), 3))
+    for start in range(0, len(t), _CHUNK):
+        ends = t[start : start + _CHUNK, None]
+        truth = trajectory.at((ends + 0.5 * period * (nodes - 1.0)).ravel())
+        for mean, values in ((gyro_b, truth.gyro_b), (accel_b, truth.accel_b)):
+            values = values.reshape(-1, GAUSS_LEGENDRE, 3)
+            mean[start : start + _CHUNK] = 0.5 * np.einsum("g,ngi->ni", weights, values)
+    return gyro_b, accel_b
+
+
+def imu(
+    trajectory: Trajectory, config: ImuConfig, rng: np.random.Generator, t: Array, period: float
+) -> ImuData:
+    """Give the inertial samples of the intervals that end at ``t``, each ``period`` long (s)."""
+    gyro_b, accel_b = mean_imu(trajectory, t, period)
+    start = rng.standard_normal((2, 3))
+    white = rng.standard_normal((len(t), 6)) / np.sqrt(period)
+    slow = rng.standard_normal((len(t), 6))
+    gyro_bias_b = config.gyro_bias_start * start[0] + config.gyro_bias_instability * gauss_markov(
+        slow[:, :3], period, config.gyro_bias_time
+    )
+    accel_bias_b = config.accel_bias_start * start[
+        1
+    ] + config.accel_bias_instability * gauss_markov(slow[:, 3:], period, config.accel_bias_time)
+    gyro_b += gyro_bias_b + config.gyro_noise * white[:, :3]
+    accel_b += accel_bias_b + config.accel_noise * white[:, 3:]
+    if config.lowpass > 0.0:
+        gyro_b, accel_b = (_lowpass(x, config.lowpass * period) for x in (gyro_b, accel_b))
+    return ImuData(
+        t=t, gyro_b=gyro_b, accel_b=accel_b, gyro_bias_b=gyro_bias_b, accel_bias_b=accel_bias_b
+    )
+
+
+def gnss(
+    trajectory: Trajectory, config: GnssConfig, rng: np.random.Generator, t: Array
+) -> GnssData:
+    """Give the fixes that arrive at ``t``."""
+    truth = trajectory.at(t - config.delay)
+    lever_b = np.array(config.lever_arm)
+    lever_n = so3.rotate(truth.q_nb, np.broadcast_to(lever_b, truth.vel_n.shape))
+    swing_n = so3.rotate(truth.q_nb, np.cross(truth.rate_nb_b, lever_b))
+
+    white = rng.standard_normal((len(t), 7))
+    slow = gauss_markov(rng.standard_normal((len(t), 3)), 1.0 / config.rate, config.slow_time)
+    error_n = white[:, :3] * [config.noise_h, config.noise_h, config.noise_v]
+    error_n += slow * [config.slow_h, config.slow_h, config.slow_v]
+    lat, lon, alt = trajectory.frame.to_geodetic(truth.pos_n + lever_n + error_n)
+    yaw = so3.to_euler(truth.q_nb)[:, 2] + config.noise_yaw * white[:, 6]
+    return GnssData(
+        t=t,
+        lat=lat,
+        lon=lon,
+        alt=alt,
+        vel_n=truth.vel_n + swing_n + config.noise_vel * white[:, 3:6],
+        yaw=so3.wrap(yaw) if config.yaw else np.full(len(t), np.nan),
+    )
+
+
+def compass(
+    trajectory: Trajectory, config: CompassConfig, rng: np.random.Generator, t: Array
+) -> MagData:
+    """Give the field at ``t`` in the body, with hard iron and noise."""
+    field_n = magnetic_field(trajectory, config)
+    truth = trajectory.at(t)
+    mag_b = so3.rotate(so3.conjugate(truth.q_nb), np.broadcast_to(field_n, (len(t), 3)))
+    noise = config.noise_heading * float(np.hypot(field_n[0], field_n[1]))
+    return MagData(
+        t=t,
+        mag_b=mag_b + np.array(config.hard_iron) + noise * rng.standard_normal((len(t), 3)),
+    )
+
+
+def magnetic_field(trajectory: Trajectory, config: CompassConfig) -> Array:
+    """Give the Earth's field at the start, north, east, down, gauss (World Magnetic Model)."""
+    frame = trajectory.frame
+    field = GeoMag().calculate(
+        np.degrees(frame.lat), np.degrees(frame.lon), frame.alt * 1e-3, config.year
+    )
+    return np.array([field.x, field.y, field.z]) * _NANOTESLA
+
+
+def baro(
+    trajectory: Trajectory, config: BaroConfig, rng: np.random.Generator, t: Array
+) -> BaroData:
+    """Give the pressure at ``t``; the drift begins anywhere, as the weather does."""
+    drift = gauss_markov(rng.standard_normal((len(t), 1)), 1.0 / config.rate, config.drift_time)
+    alt = trajectory.at(t).alt + config.drift * drift[:, 0]
+    alt += config.noise * rng.standard_normal(len(t))
+    return BaroData(t=t, alt=alt, pressure=1013.25 * (1.0 - alt / 44330.769) ** 5.25588)
+
+
+def gauss_markov(white: Array, period: float, correlation: float) -> Array:
+    """Colour unit white noise, shape (n, m), into a stationary process of unit variance."""
+    keep = np.exp(-period / correlation)
+    drive = np.sqrt(1.0 - keep * keep) * white
+    if len(drive):
+        drive[0] = white[0]
+    return np.asarray(lfilter([1.0], [1.0, -keep], drive, axis=0))
+
+
+def _lowpass(samples: Array, corner: float) -> Array:
+    """Filter as the autopilot does; the corner as a part of the sampling rate."""
+    b, a = butter(2, 2.0 * corner)
+    state = lfilter_zi(b, a)[:, None] * samples[0]
+    return np.asarray(lfilter(b, a, samples, axis=0, zi=state)[0])
