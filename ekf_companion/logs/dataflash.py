@@ -1,0 +1,309 @@
+"""ArduPilot's DataFlash logs (.bin), read into a recording.
+
+Both generations are read: stamps in ``TimeMS`` (boot, ms; in GPS rows the GPS time of week, boot
+time being ``T`` there) and in ``TimeUS`` (boot, us); sensors told apart by name (IMU, IMU2) and by
+an instance column (``I``, for the estimators ``C``). The first instance is used.
+
+GPYW (raw moving-baseline yaw) is not used: its angle is the baseline's, and how the antennas are
+mounted is not in the row. GPS.Yaw is the vehicle's.
+
+Source: ArduPilot libraries/AP_Logger/LogStructure.h and the LogStructure.h of AP_GPS,
+AP_InertialSensor, AP_Compass, AP_Baro, AP_AHRS, AP_NavEKF3 and SITL (fields, units).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.errors import LogError
+from ekf_companion.logs import series
+from ekf_companion.logs.dataflash_records import (
+    OFFSET,
+    Column,
+    Columns,
+    boot_ns,
+    columns,
+    names_of,
+    read_columns,
+    rows_of,
+)
+from ekf_companion.logs.dataflash_trajectory import reference, truth
+from ekf_companion.logs.recording import Recording
+from ekf_companion.nav import so3
+from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
+
+__all__ = ["columns", "read"]
+
+Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
+Arrivals = list[tuple[Events, Stamps]]
+"""Events and where in the file they stand."""
+
+GNSS_STD_MIN = 0.5
+"""m; ArduPilot's own default for a receiver that gives no accuracy (EK3_POSNE_M_NSE)."""
+GNSS_STD_PER_DOP = 1.0
+"""m of horizontal error per HDop: the range error of a receiver in the open, 1 m."""
+GNSS_STD_RATIO = 1.5
+"""Vertical by horizontal error of such a receiver."""
+GNSS_STD_VEL = 0.3
+"""m/s; ArduPilot's default for a receiver that gives no accuracy (EK3_VELNE_M_NSE)."""
+GNSS_YAW_STD = float(np.deg2rad(5.0))
+"""rad, where the receiver gives a heading and no accuracy of it."""
+HEADING_STD = float(np.deg2rad(5.0))
+"""rad, of the autopilot's own heading: what a calibrated compass gives in flight."""
+HEADING_RATE = 10.0
+"""Hz at most, of the autopilot's own heading: its errors last, so more rows say no more."""
+SAMPLE_TIME_NS = 1_000_000_000
+"""GPA.SMS further than this from the row's own stamp is damaged or of another clock."""
+FIX_3D = 3
+_ARMED, _DISARMED, _LANDED, _NOT_LANDED = 10, 11, 18, 28
+"""EV.Id (AP_Logger.h, LogEvent)."""
+
+
+def read(path: Path) -> Recording:
+    """Read a log into events, the autopilot's own estimate and, from a simulator, the truth.
+
+    A log without IMU or GNSS rows is read all the same: what it lacks, its events lack.
+
+    Raises:
+        LogError: Not a DataFlash log, or none of its messages is known here.
+    """
+    tables, notes = read_columns(path)
+    tables = {name: _first_instance(name, table, notes) for name, table in tables.items()}
+    tables = _on_course(tables, notes)
+    notes += _other_sensors(tables)
+    gnss = _gnss(tables)
+    arrivals: Arrivals = [*gnss, *_vehicle(tables)]
+    for take in (_imu, _gnss_heading, _attitude_heading, _magnetometer, _barometer):
+        arrivals += take(tables)
+    if not arrivals:
+        raise LogError(
+            f"{path}: a DataFlash log without IMU, GPS, MAG, BARO or ATT rows; "
+            "record with LOG_BITMASK bits IMU, GPS and ATTITUDE set"
+        )
+    fixes = gnss[0][0] if gnss else None
+    refused = len(tables.get("GPS", ())) - (len(fixes) if fixes else 0)
+    if refused:
+        notes.append(f"{refused} GPS rows without a 3-D fix were left out")
+    return Recording(
+        family="ardupilot",
+        events=merge(*(e for e, _ in arrivals), arrival_ns=[place for _, place in arrivals]),
+        reference=reference(tables, fixes, notes),
+        truth=truth(tables),
+        gnss_delay=_gnss_delay(tables),
+        notes=tuple(notes),
+    )
+
+
+def _first_instance(name: str, table: Column, notes: list[str]) -> Column:
+    """Keep the rows of the lowest instance, and say which others there are."""
+    for column in ("I", "C"):
+        # SIM's and others' C is something else; estimators' C is the core.
+        if column in names_of(table) and table[column].dtype == np.uint8:
+            instances = np.unique(table[column])
+            if len(instances) > 1 and name in ("IMU", "GPS", "MAG", "BARO", "XKF1", "NKF1"):
+                used, others = instances[0], ", ".join(map(str, instances[1:]))
+                notes.append(f"{name}: instance {used} is used; the log also holds {others}")
+            return np.asarray(table[table[column] == instances[0]])
+    return table
+
+
+def _other_sensors(tables: Columns) -> list[str]:
+    """Say which further sensors stand in messages of their own."""
+    others = [name for name in ("IMU2", "IMU3", "GPS2", "MAG2", "MAG3", "BAR2") if name in tables]
+    return (
+        [f"only the first sensor of each kind is used, not {', '.join(others)}"] if others else []
+    )
+
+
+def _on_course(tables: Columns, notes: list[str]) -> Columns:
+    """Drop rows whose stamps leave the one course of time: damage, or another boot."""
+    kept: Columns = {}
+    spans: series.Spans = []
+    if "IMU" in tables and (t_ns := boot_ns(tables["IMU"])) is not None:
+        spans = series.course(t_ns)[1]
+    wild = 0
+    for name, table in tables.items():
+        t_ns = boot_ns(table)
+        if t_ns is None:
+            kept[name] = table
+            continue
+        mask = series.course(t_ns)[0]
+        if spans and name not in ("PARM", "ORGN"):
+            mask &= series.inside(t_ns, spans)
+        wild += len(mask) - int(mask.sum()) if name in ("IMU", "GPS", "MAG", "BARO", "ATT") else 0
+        kept[name] = table[mask] if name != "PARM" else table
+    if wild:
+        notes.append(f"{wild} rows whose time stamps leave the log's course were dropped")
+    return {name: table for name, table in kept.items() if len(table)}
+
+
+def _imu(tables: Columns) -> Arrivals:
+    if (rows := rows_of(tables, "IMU")) is None:
+        return []
+    table, t_ns = rows
+    axes = [table[name] for name in ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")]
+    return [(Events.from_columns(t_ns, Kind.IMU, *axes), table[OFFSET])]
+
+
+def _accuracies(tables: Columns, t_ns: Stamps) -> tuple[Column, npt.NDArray[np.bool_]] | None:
+    """Give the GPA row of each GPS row, and where there is one; the two are written together."""
+    if (rows := rows_of(tables, "GPA")) is None:
+        return None
+    table, at_ns = rows
+    order = np.argsort(at_ns, kind="stable")
+    index = order[series.nearest(t_ns, at_ns[order])]
+    return table[index], np.abs(at_ns[index] - t_ns) < 50_000_000  # 50 ms: a quarter of 5 Hz
+
+
+def _gnss(tables: Columns) -> Arrivals:
+    if (rows := rows_of(tables, "GPS")) is None:
+        return []
+    table, t_ns = rows
+    names = names_of(table)
+    n = len(table)
+    is_fix = (table["Status"] >= FIX_3D) & ((table["Lat"] != 0) | (table["Lng"] != 0))
+    is_fix &= (np.abs(table["Lat"]) <= 90) & (np.abs(table["Lng"]) <= 180)
+    dop = table["HDop"] if "HDop" in names else np.full(n, 1.0)
+    std_h = np.maximum(GNSS_STD_MIN, dop * GNSS_STD_PER_DOP)
+    std_v, std_vel = GNSS_STD_RATIO * std_h, np.full(n, GNSS_STD_VEL)
+    down = np.asarray(table["VZ"], dtype=float) if "VZ" in names else np.full(n, np.nan)
+    if (found := _accuracies(tables, t_ns)) is not None:
+        gpa, is_there = found
+        std_h = _where_known(gpa, "HAcc", is_there, std_h)
+        std_v = _where_known(gpa, "VAcc", is_there, std_v)
+        std_vel = _where_known(gpa, "SAcc", is_there, std_vel)
+        if "VV" in names_of(gpa):
+            down = np.where(is_there & (gpa["VV"] == 0), np.nan, down)
+        if "SMS" in names_of(gpa):
+            sample_ns = np.asarray(gpa["SMS"], dtype=np.int64) * 1_000_000
+            is_there = is_there & (np.abs(sample_ns - t_ns) < SAMPLE_TIME_NS) & (sample_ns > 0)
+            t_ns = np.where(is_there, sample_ns, t_ns)
+    course = np.deg2rad(np.asarray(table["GCrs"], dtype=float))
+    speed = np.asarray(table["Spd"], dtype=float)
+    events = Events.from_columns(
+        t_ns,
+        Kind.GNSS,
+        np.deg2rad(table["Lat"]),
+        so3.wrap(np.deg2rad(table["Lng"])),
+        table["Alt"],
+        speed * np.cos(course),
+        speed * np.sin(course),
+        down,
+        std_h,
+        std_v,
+        std_vel,
+        np.nan,
+        float(GnssFlag.NONE),
+    )
+    return [(events.take(is_fix), table[OFFSET][is_fix])] if is_fix.any() else []
+
+
+def _where_known(
+    gpa: Column, name: str, is_there: npt.NDArray[np.bool_], otherwise: Array
+) -> Array:
+    """Take an accuracy where the receiver gave one: 0 and the largest number are none."""
+    value = np.asarray(gpa[name], dtype=float) if name in names_of(gpa) else np.zeros(len(gpa))
+    return np.where(is_there & (value > 0.0) & (value < 655.0), value, otherwise)
+
+
+def _gnss_heading(tables: Columns) -> Arrivals:
+    if (rows := rows_of(tables, "GPS")) is None or "Yaw" not in names_of(rows[0]):
+        return []
+    table, t_ns = rows
+    # 0 is "no yaw"; a receiver that means north says 360.
+    valid = (table["Status"] >= FIX_3D) & (table["Yaw"] != 0.0)
+    std = np.full(len(table), GNSS_YAW_STD)
+    if (found := _accuracies(tables, t_ns)) is not None:
+        std = np.deg2rad(_where_known(found[0], "YAcc", found[1], np.rad2deg(std)))
+    return _heading(t_ns[valid], table[valid], std[valid], HeadingSource.GNSS)
+
+
+def _attitude_heading(tables: Columns) -> Arrivals:
+    if (rows := rows_of(tables, "ATT")) is None:
+        return []
+    stride = series.thinned(rows[1], HEADING_RATE)
+    table, t_ns = rows[0][stride], rows[1][stride]
+    std = np.full(len(table), HEADING_STD)
+    return _heading(t_ns, table, std, HeadingSource.AUTOPILOT)
+
+
+def _heading(t_ns: Stamps, table: Column, std: Array, source: HeadingSource) -> Arrivals:
+    if len(table) == 0:
+        return []
+    heading = so3.wrap(np.deg2rad(np.asarray(table["Yaw"], dtype=float)))
+    events = Events.from_columns(t_ns, Kind.HEADING, heading, std, float(source))
+    return [(events, table[OFFSET])]
+
+
+def _magnetometer(tables: Columns) -> Arrivals:
+    if (rows := rows_of(tables, "MAG")) is None:
+        return []
+    table, t_ns = rows
+    field = np.stack([table[name] for name in ("MagX", "MagY", "MagZ")], axis=1) * 1e-3  # mGauss
+    healthy = np.any(field != 0.0, axis=1)
+    if "Health" in names_of(table):
+        healthy &= table["Health"] != 0
+    events = Events.from_columns(t_ns, Kind.MAG, *field.T)
+    return [(events.take(healthy), table[OFFSET][healthy])] if healthy.any() else []
+
+
+def _barometer(tables: Columns) -> Arrivals:
+    if (rows := rows_of(tables, "BARO")) is None:
+        return []
+    table, t_ns = rows
+    return [(Events.from_columns(t_ns, Kind.BARO, table["Alt"]), table[OFFSET])]
+
+
+def _vehicle(tables: Columns) -> Arrivals:
+    """Give armed and landed as events, one at each change, from ARM and EV rows."""
+    changes: list[tuple[int, int, str, bool]] = []  # place, stamp, what, value
+    if "ARM" in tables and (t_ns := boot_ns(tables["ARM"])) is not None:
+        for row, stamp in zip(tables["ARM"], t_ns, strict=True):
+            changes.append((int(row[OFFSET]), int(stamp), "armed", bool(row["ArmState"])))
+    if "EV" in tables:
+        meaning = {_ARMED: ("armed", True), _DISARMED: ("armed", False)}
+        meaning |= {_LANDED: ("landed", True), _NOT_LANDED: ("landed", False)}
+        table = tables["EV"]
+        for row, stamp in zip(table, _stamps_by_place(tables, table), strict=True):
+            if int(row["Id"]) in meaning:
+                changes.append((int(row[OFFSET]), int(stamp), *meaning[int(row["Id"])]))
+    armed: bool | None = None
+    landed: bool | None = None
+    places, rows = [], []
+    for place, stamp, what, value in sorted(changes):
+        before = (armed, landed)
+        armed, landed = (value, landed) if what == "armed" else (armed, value)
+        if armed is not None and (armed, landed) != before:
+            places.append(place)
+            rows.append((stamp, float(armed), np.nan if landed is None else float(landed)))
+    if not rows:
+        return []
+    stamps = np.array([row[0] for row in rows], dtype=np.int64)
+    flags = np.array([row[1:] for row in rows])
+    return [(Events.from_columns(stamps, Kind.VEHICLE, *flags.T), np.array(places))]
+
+
+def _stamps_by_place(tables: Columns, table: Column) -> Stamps:
+    """Give a row's own stamp or, for old rows that have none, that of the IMU row before it."""
+    if (own := boot_ns(table)) is not None:
+        return own
+    if (rows := rows_of(tables, "IMU")) is None:
+        return np.zeros(len(table), dtype=np.int64)
+    before = np.searchsorted(rows[0][OFFSET], table[OFFSET]) - 1
+    return rows[1][np.clip(before, 0, None)]
+
+
+def _gnss_delay(tables: Columns) -> float | None:
+    """Give the receiver's delay where a parameter sets one; 0 leaves it to the driver."""
+    if "PARM" not in tables:
+        return None
+    names, values = tables["PARM"]["Name"], tables["PARM"]["Value"]
+    for name in (b"GPS1_DELAY_MS", b"GPS_DELAY_MS"):
+        found = values[names == name]
+        if len(found) and np.isfinite(found[-1]) and found[-1] > 0:
+            return float(found[-1]) * 1e-3
+    return None

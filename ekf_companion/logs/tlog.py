@@ -1,0 +1,251 @@
+"""Telemetry logs (.tlog): stamped MAVLink frames, found also in damaged files.
+
+A record is 8 bytes of microseconds, big-endian, by the recorder's clock (the low two bits are the
+link's number; they are kept), and one frame, MAVLink 1 or 2. A frame counts where its checksum is
+right. Where none is, the search goes on byte by byte for a stamp near the last good one and a
+rightly summed frame behind it. A frame of an unknown id has no checksum that could be tested: it
+counts where another record follows at its end.
+
+The events of a .tlog are made by :mod:`ekf_companion.mavlink`, as live ones are. Here are the
+frames and columns of their fields.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from struct import Struct
+
+import numpy as np
+import numpy.typing as npt
+from fastcrc import crc16
+
+from ekf_companion.errors import LogError
+from ekf_companion.logs.source import read_bytes
+from ekf_companion.mavlink.layout import CRC_EXTRAS, IDS, LAYOUTS
+
+Stamps = npt.NDArray[np.int64]
+Column = npt.NDArray[np.void]
+
+KIND = "telemetry log (.tlog)"
+STAMP, ORDER, COMPONENT = "@stamp_us", "@order", "@component"
+"""Columns before a message's own: the recorder's stamp, the record's number, the source."""
+DAY_US = 86_400_000_000
+PLAUSIBLE_US = 3 * DAY_US
+"""A stamp further than this from the last good one is no stamp."""
+_FAMILIES = {3: "ardupilot", 12: "px4"}
+"""MAV_AUTOPILOT."""
+_NO_AUTOPILOT = 8
+_STAMP = Struct(">Q")
+_START = re.compile(rb"[\xfd\xfe]")
+_crc = crc16.mcrf4xx
+
+
+@dataclass(frozen=True, slots=True)
+class Autopilot:
+    """Whose telemetry it is: the first heartbeat from an autopilot says."""
+
+    system_id: int
+    component_id: int
+    family: str
+    """``px4``, ``ardupilot`` or ``unknown``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Tlog:
+    """A log whose records are found; each array has one element a record, in file order."""
+
+    data: bytes
+    """The whole file."""
+    stamp_us: Stamps
+    """The recorder's clock, as recorded."""
+    place: Stamps
+    """Where the frame begins in the file."""
+    size: Stamps
+    """Bytes of the frame."""
+    message_id: Stamps
+    damaged: int
+    """Runs of bytes that were no record."""
+    autopilot: Autopilot | None
+    notes: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        """Give the number of records."""
+        return len(self.place)
+
+    def frames(self) -> Iterator[tuple[int, bytes]]:
+        """Give each record's stamp (us, the recorder's clock) and raw frame, in file order."""
+        data = self.data
+        for stamp, place, size in zip(
+            self.stamp_us.tolist(), self.place.tolist(), self.size.tolist(), strict=True
+        ):
+            yield stamp, data[place : place + size]
+
+    def columns(
+        self, names: Sequence[str], system_id: int, component_id: int | None = None
+    ) -> dict[str, Column]:
+        """Give the fields of messages as one table each, in file order; absent ones are left out.
+
+        Args:
+            names: Messages by name, in capitals.
+            system_id: Whose messages.
+            component_id: And of which component; None: all of them.
+
+        Returns:
+            Tables by name: ``STAMP``, ``ORDER``, ``COMPONENT`` and the message's own fields in
+            wire order and wire units. What a short MAVLink payload leaves out is 0.
+        """
+        raw = np.frombuffer(self.data, dtype=np.uint8)
+        tables: dict[str, Column] = {}
+        for name in names:
+            order = np.flatnonzero(self.message_id == IDS[name])
+            place = self.place[order]
+            second = raw[place] == 0xFD  # MAVLink 2
+            system, component = (
+                raw[place + np.where(second, later, sooner)] for later, sooner in ((5, 3), (6, 4))
+            )
+            ours = system == system_id
+            if component_id is not None:
+                ours &= component == component_id
+            if ours.any():
+                order, place, second = order[ours], place[ours], second[ours]
+                payload = place + np.where(second, 10, 6)
+                table = _payloads(raw, payload, raw[place + 1], IDS[name])
+                table[STAMP], table[ORDER] = self.stamp_us[order], order
+                table[COMPONENT] = component[ours]
+                tables[name] = table
+        return tables
+
+
+def _payloads(
+    raw: npt.NDArray[np.uint8], place: Stamps, size: npt.NDArray[np.uint8], message_id: int
+) -> Column:
+    """View payloads as records of one message, zeros where they were cut short."""
+    dtype = LAYOUTS[message_id].dtype
+    rows = np.zeros((len(place), dtype.itemsize), dtype=np.uint8)
+    for length in np.unique(size):
+        same = np.flatnonzero(size == length)
+        used = min(int(length), dtype.itemsize)  # newer definitions add fields at the end
+        if used:
+            windows = np.lib.stride_tricks.sliding_window_view(raw, used)
+            rows[same, :used] = windows[place[same]]
+    wire = rows.view(dtype)[:, 0]
+    head = [(STAMP, "<i8"), (ORDER, "<i8"), (COMPONENT, "u1")]
+    table = np.zeros(len(place), dtype=np.dtype([*head, *dtype.descr]))
+    for name in dtype.names or ():
+        table[name] = wire[name]
+    return table
+
+
+def read(path: Path) -> Tlog:
+    """Find the records of a log.
+
+    Raises:
+        LogError: The file is missing, empty, or holds no MAVLink frame.
+    """
+    data = read_bytes(path, KIND)
+    records, damaged = _find_records(data)
+    if not records:
+        raise LogError(
+            f"{path}: holds no stamped MAVLink frame, so it is not a {KIND}; "
+            "a raw stream of MAVLink without stamps cannot be read"
+        )
+    stamp_us, place, size, message_id = np.array(records, dtype=np.int64).T
+    notes = [f"{damaged} runs of damaged bytes"] if damaged else []
+    return Tlog(
+        data=data,
+        stamp_us=stamp_us,
+        place=place,
+        size=size,
+        message_id=message_id,
+        damaged=damaged,
+        autopilot=_find_autopilot(data, place[message_id == IDS["HEARTBEAT"]]),
+        notes=tuple(notes),
+    )
+
+
+def _find_records(data: bytes) -> tuple[list[tuple[int, int, int, int]], int]:
+    """Give stamp, place, size and message id of each record, and the number of bad runs."""
+    records: list[tuple[int, int, int, int]] = []
+    damaged = 0
+    end = len(data)
+    extras = CRC_EXTRAS.get
+    start = 0  # of the record: its stamp
+    while start + 16 <= end:  # the shortest frame has 8 bytes
+        place = start + 8
+        stx = data[place]
+        if stx == 0xFD and place + 12 <= end:
+            header, size = 10, data[place + 1]
+            message_id = data[place + 7] | data[place + 8] << 8 | data[place + 9] << 16
+            total = size + 25 if data[place + 2] & 1 else size + 12
+        elif stx == 0xFE:
+            header, size, message_id = 6, data[place + 1], data[place + 5]
+            total = size + 8
+        else:
+            damaged += 1
+            start = _resume(data, start + 1, records[-1][0] if records else None)
+            continue
+        (stamp,) = _STAMP.unpack_from(data, start)
+        tail = place + header + size
+        after = place + total
+        extra = extras(message_id)
+        if after > end:
+            good = False
+        elif extra is not None:
+            good = _crc(data[place + 1 : tail] + extra) == data[tail] | data[tail + 1] << 8
+        else:
+            good = _continues(data, after, stamp)
+        if good:
+            records.append((stamp & 0x7FFF_FFFF_FFFF_FFFF, place, total, message_id))
+            start = after
+        else:
+            damaged += 1
+            start = _resume(data, start + 1, records[-1][0] if records else None)
+    return records, damaged
+
+
+def _continues(data: bytes, start: int, stamp: int) -> bool:
+    """Say whether a record with a stamp near this one begins here, or the file ends."""
+    if start == len(data):
+        return True
+    if start + 16 > len(data) or data[start + 8] not in (0xFD, 0xFE):
+        return False
+    return abs(int(_STAMP.unpack_from(data, start)[0]) - stamp) < PLAUSIBLE_US
+
+
+def _resume(data: bytes, start: int, last_stamp: int | None) -> int:
+    """Give the next place where a plausible stamp and a rightly summed frame stand."""
+    end = len(data)
+    for match in _START.finditer(data, start + 8):
+        place = match.start()
+        if place + 8 > end:
+            break
+        (stamp,) = _STAMP.unpack_from(data, place - 8)
+        if last_stamp is not None and abs(stamp - last_stamp) >= PLAUSIBLE_US:
+            continue
+        first = data[place] == 0xFE
+        if not first and place + 12 > end:
+            continue
+        tail = place + data[place + 1] + (6 if first else 10)
+        message_id = (
+            data[place + 5] if first else int.from_bytes(data[place + 7 : place + 10], "little")
+        )
+        extra = CRC_EXTRAS.get(message_id)
+        if extra is None or tail + 2 > end:
+            continue
+        if _crc(data[place + 1 : tail] + extra) == data[tail] | data[tail + 1] << 8:
+            return place - 8
+    return end
+
+
+def _find_autopilot(data: bytes, heartbeats: Stamps) -> Autopilot | None:
+    for place in heartbeats.tolist():
+        second = data[place] == 0xFD
+        ids, header = (place + 5, 10) if second else (place + 3, 6)
+        payload = data[place + header : place + header + data[place + 1]].ljust(9, b"\0")
+        autopilot = payload[5]  # behind custom_mode and type
+        if autopilot != _NO_AUTOPILOT:
+            return Autopilot(data[ids], data[ids + 1], _FAMILIES.get(autopilot, "unknown"))
+    return None

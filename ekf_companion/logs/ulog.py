@@ -1,0 +1,232 @@
+"""PX4's logs (.ulg), read into a recording.
+
+pyulog finds the topics, also in damaged files. Both generations of names are read: position as
+``lat, lon`` (1e-7 deg), ``alt`` (mm) and as ``latitude_deg, longitude_deg, altitude_msl_m``.
+The first instance of each topic is used. A log has no order of arrival beyond its stamps: what
+was published (``timestamp``) first, arrived first.
+
+Source: PX4-Autopilot msg/*.msg (fields, units, states).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.errors import LogError
+from ekf_companion.logs import series
+from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.ulog_topics import (
+    Topic,
+    Topics,
+    first_instances,
+    load,
+    on_course,
+    rotations,
+    sample_ns,
+    vectors,
+)
+from ekf_companion.logs.ulog_trajectory import trajectory
+from ekf_companion.nav import so3
+from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
+
+Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
+Arrivals = list[tuple[Events, Stamps]]
+"""Events and when they were published, ns."""
+
+GNSS_STD_UNKNOWN = (2.0, 3.0, 0.5)
+"""m, m, m/s where the receiver gives no accuracy: a receiver in the open, on the safe side."""
+HEADING_STD = float(np.deg2rad(5.0))
+"""rad, of the autopilot's own heading: what a calibrated compass gives in flight."""
+HEADING_RATE = 10.0
+"""Hz at most, of the autopilot's own heading: its errors last, so more rows say no more."""
+GNSS_HEADING_STD = float(np.deg2rad(5.0))
+"""rad, where the receiver gives a heading and no accuracy of it."""
+FIX_3D = 3
+JAMMING_CRITICAL = 3
+"""sensor_gps.jamming_state: 0 unknown, 1 ok, 2 warning (fix still good), 3 critical."""
+SPOOFING_INDICATED = 2
+"""sensor_gps.spoofing_state: 0 unknown, 1 none, 2 indicated, 3 multiple indications."""
+ARMED = 2
+"""vehicle_status.arming_state: 1 disarmed (standby), 2 armed."""
+
+
+def read(path: Path) -> Recording:
+    """Read a log into events, EKF2's estimate and, from a simulator, the truth.
+
+    A log without inertial or GNSS topics is read all the same: what it lacks, its events lack.
+
+    Raises:
+        LogError: Not a ULog, or none of the topics that count is in it.
+    """
+    log = load(path)
+    notes = ["the file is damaged: what could not be read is lost"] if log.file_corruption else []
+    lost = sum(dropout.duration for dropout in log.dropouts) * 1e-3
+    if lost > 0.0:
+        notes.append(
+            f"{len(log.dropouts)} dropouts, {lost:.1f} s in all, while the log was written"
+        )
+    topics = on_course(first_instances(log), notes)
+    arrivals: Arrivals = []
+    for take in (_imu, _gnss_heading, _attitude_heading, _magnetometer, _barometer, _vehicle):
+        arrivals += take(topics)
+    arrivals += _gnss(topics, notes)
+    if not arrivals:
+        raise LogError(
+            f"{path}: a ULog without sensor_combined, GPS, magnetometer, barometer and attitude "
+            "topics; log with the default or estimator replay profile (SDLOG_PROFILE)"
+        )
+    delay = log.initial_parameters.get("EKF2_GPS_DELAY")
+    is_delay = isinstance(delay, (int, float)) and 0.0 <= delay <= 1000.0
+    return Recording(
+        family="px4",
+        events=merge(*(e for e, _ in arrivals), arrival_ns=[at_ns for _, at_ns in arrivals]),
+        reference=trajectory(topics, "", "EKF2"),
+        truth=trajectory(topics, "_groundtruth", "simulator"),
+        gnss_delay=float(delay) * 1e-3 if is_delay else None,
+        notes=tuple(notes),
+    )
+
+
+def _events(topic: Topic, kind: Kind, mask: npt.NDArray[np.bool_], *columns: Any) -> Arrivals:
+    """Lay columns as events stamped by the topic's sample time where it has one."""
+    if not mask.any():
+        return []
+    events = Events.from_columns(sample_ns(topic), kind, *columns)
+    return [(events.take(mask), topic["t_ns"][mask])]
+
+
+def _imu(topics: Topics) -> Arrivals:
+    topic = topics.get("sensor_combined", {})
+    gyro, accel = vectors(topic, "gyro_rad"), vectors(topic, "accelerometer_m_s2")
+    if gyro is None or accel is None:
+        return []
+    values = np.hstack([gyro, accel])
+    # Its own stamp is the sample's.
+    return _events(topic, Kind.IMU, np.asarray(np.isfinite(values).all(axis=1)), *values.T)
+
+
+def _receiver(topics: Topics) -> Topic:
+    """Give the topic that EKF2 listens to, or the receiver's own."""
+    return topics.get("vehicle_gps_position") or topics.get("sensor_gps") or {}
+
+
+def _gnss(topics: Topics, notes: list[str]) -> Arrivals:
+    topic = _receiver(topics)
+    if "latitude_deg" in topic:
+        lat_deg, lon_deg = topic["latitude_deg"], topic["longitude_deg"]
+        alt = np.asarray(topic["altitude_msl_m"], dtype=float)
+    elif "lat" in topic:
+        lat_deg, lon_deg = topic["lat"] * 1e-7, topic["lon"] * 1e-7
+        alt = topic["alt"] * 1e-3
+    else:
+        return []
+    n = len(alt)
+    is_fix = (topic["fix_type"] >= FIX_3D) & ((lat_deg != 0.0) | (lon_deg != 0.0))
+    is_fix &= (np.abs(lat_deg) <= 90.0) & (np.abs(lon_deg) <= 180.0) & np.isfinite(alt)
+    velocity = [np.asarray(topic[f"vel_{axis}_m_s"], dtype=float) for axis in "ned"]
+    has_vel = np.isfinite(velocity).all(axis=0)
+    if "vel_ned_valid" in topic:
+        has_vel &= topic["vel_ned_valid"] != 0
+    suspect = np.zeros(n, dtype=bool)
+    for field, least in (
+        ("jamming_state", JAMMING_CRITICAL),
+        ("spoofing_state", SPOOFING_INDICATED),
+    ):
+        if field in topic:
+            suspect |= topic[field] >= least
+    if not is_fix.all():
+        notes.append(f"{n - int(is_fix.sum())} GPS rows without a 3-D fix were left out")
+    if (is_fix & suspect).any():
+        notes.append(
+            f"the receiver reports jamming or spoofing in {int((is_fix & suspect).sum())} fixes"
+        )
+    std_h, std_v, std_vel = (
+        _known(topic, field, otherwise)
+        for field, otherwise in zip(("eph", "epv", "s_variance_m_s"), GNSS_STD_UNKNOWN, strict=True)
+    )
+    return _events(
+        topic,
+        Kind.GNSS,
+        is_fix,
+        np.deg2rad(np.where(is_fix, lat_deg, 0.0)),
+        so3.wrap(np.deg2rad(np.where(is_fix, lon_deg, 0.0))),
+        alt,
+        *(np.where(has_vel, axis, np.nan) for axis in velocity),
+        std_h,
+        std_v,
+        np.where(has_vel, std_vel, np.nan),
+        np.nan,
+        np.where(suspect, float(GnssFlag.SUSPECT), float(GnssFlag.NONE)),
+    )
+
+
+def _known(topic: Topic, field: str, otherwise: float) -> Array:
+    """Take an accuracy where the receiver gave one (finite, positive)."""
+    value = np.asarray(topic.get(field, np.zeros(len(topic["t_ns"]))), dtype=float)
+    return np.where(np.isfinite(value) & (value > 0.0), value, otherwise)
+
+
+def _gnss_heading(topics: Topics) -> Arrivals:
+    topic = _receiver(topics)
+    if "heading" not in topic:
+        return []
+    heading = np.asarray(topic["heading"], dtype=float)
+    valid = np.isfinite(heading) & (topic["fix_type"] >= FIX_3D)
+    std = _known(topic, "heading_accuracy", GNSS_HEADING_STD)
+    heading = so3.wrap(np.where(valid, heading, 0.0))
+    return _events(topic, Kind.HEADING, valid, heading, std, float(HeadingSource.GNSS))
+
+
+def _attitude_heading(topics: Topics) -> Arrivals:
+    topic = topics.get("vehicle_attitude", {})
+    if vectors(topic, "q", 4) is None:
+        return []
+    stride = series.thinned(topic["t_ns"], HEADING_RATE)
+    topic = {field: column[stride] for field, column in topic.items()}
+    valid, q_nb = rotations(topic)
+    yaw = so3.to_euler(q_nb)[:, 2]
+    return _events(
+        topic, Kind.HEADING, valid, so3.wrap(yaw), HEADING_STD, float(HeadingSource.AUTOPILOT)
+    )
+
+
+def _magnetometer(topics: Topics) -> Arrivals:
+    topic = topics.get("vehicle_magnetometer", {})
+    field = vectors(topic, "magnetometer_ga")
+    if field is None and "x" in (topic := topics.get("sensor_mag", {})):
+        field = np.stack([topic[axis] for axis in "xyz"], axis=1).astype(float)
+    if field is None:
+        return []
+    valid = np.isfinite(field).all(axis=1) & (field != 0.0).any(axis=1)
+    return _events(topic, Kind.MAG, valid, *field.T)
+
+
+def _barometer(topics: Topics) -> Arrivals:
+    topic = topics.get("vehicle_air_data", {})
+    if "baro_alt_meter" not in topic:
+        return []
+    alt = np.asarray(topic["baro_alt_meter"], dtype=float)
+    return _events(topic, Kind.BARO, np.asarray(np.isfinite(alt)), alt)
+
+
+def _vehicle(topics: Topics) -> Arrivals:
+    """Give armed and landed at each change of either."""
+    topic = topics.get("vehicle_status", {})
+    if "arming_state" not in topic:
+        return []
+    t_ns, armed = topic["t_ns"], topic["arming_state"] == ARMED
+    landed = np.full(len(t_ns), np.nan)
+    if "landed" in (other := topics.get("vehicle_land_detected", {})):
+        union = np.unique(np.concatenate([t_ns, other["t_ns"]]))
+        armed = armed[np.clip(np.searchsorted(t_ns, union, side="right") - 1, 0, None)]
+        before = np.searchsorted(other["t_ns"], union, side="right") - 1
+        landed = np.where(before < 0, np.nan, other["landed"][np.clip(before, 0, None)] != 0)
+        t_ns = union
+    news = series.changed(armed, landed)
+    events = Events.from_columns(t_ns, Kind.VEHICLE, armed, landed)
+    return [(events.take(news), t_ns[news])]

@@ -1,0 +1,128 @@
+"""The topics of a PX4 log (.ulg), by pyulog, which copes with damaged files."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from pyulog import ULog
+from pyulog.exceptions import ULogException
+
+from ekf_companion.errors import LogError
+from ekf_companion.logs import series
+from ekf_companion.logs.source import read_bytes
+from ekf_companion.nav import so3
+
+Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
+Topic = dict[str, npt.NDArray[Any]]
+"""Columns of one topic by field name, and ``t_ns``: when each row was published."""
+Topics = dict[str, Topic]
+
+KIND = "ULog (.ulg) of PX4"
+
+_TOPICS = [
+    "sensor_combined",
+    "vehicle_gps_position",
+    "sensor_gps",
+    "vehicle_magnetometer",
+    "sensor_mag",
+    "vehicle_air_data",
+    "vehicle_status",
+    "vehicle_land_detected",
+    "vehicle_attitude",
+    "vehicle_local_position",
+    "vehicle_global_position",
+    "vehicle_attitude_groundtruth",
+    "vehicle_local_position_groundtruth",
+    "vehicle_global_position_groundtruth",
+]
+
+
+def load(path: Path) -> ULog:
+    """Read the topics that count.
+
+    Raises:
+        LogError: The file is missing, empty, no ULog, or too damaged for pyulog.
+    """
+    data = read_bytes(path, KIND)
+    if data[:7] != ULog.HEADER_BYTES:
+        raise LogError(f"{path}: does not begin as a {KIND}; check the file or its name")
+    try:
+        # pyulog prints what it finds damaged; the notes say so in our words.
+        with contextlib.redirect_stdout(io.StringIO()):
+            return ULog(io.BytesIO(data), _TOPICS)
+    except (
+        ULogException,
+        RecursionError,
+        MemoryError,
+        LookupError,
+        ValueError,
+        TypeError,
+    ) as error:
+        raise LogError(f"{path}: too damaged to be read as a {KIND} ({error!r})") from None
+
+
+def first_instances(log: ULog) -> Topics:
+    """Give each topic's first instance."""
+    topics: Topics = {}
+    for data in sorted(log.data_list, key=lambda found: found.multi_id):
+        if "timestamp" in data.data and data.name not in topics:
+            topics[data.name] = {**data.data, "t_ns": nanoseconds(data.data["timestamp"])}
+    return topics
+
+
+def nanoseconds(stamps_us: npt.NDArray[Any]) -> Stamps:
+    """Bring unsigned microseconds to ns; what would overflow is damaged, and just stays huge."""
+    return np.asarray(np.minimum(stamps_us, 2**62 // 1000), dtype=np.int64) * 1000
+
+
+def on_course(topics: Topics, notes: list[str]) -> Topics:
+    """Drop rows whose stamps leave the one course of time: damage, or another boot."""
+    spans: series.Spans = []
+    if "sensor_combined" in topics:
+        spans = series.course(topics["sensor_combined"]["t_ns"])[1]
+    wild, kept = 0, {}
+    for name, topic in topics.items():
+        mask = series.course(topic["t_ns"])[0]
+        if spans:
+            mask &= series.inside(topic["t_ns"], spans)
+        wild += len(mask) - int(mask.sum())
+        if mask.any():
+            kept[name] = {field: column[mask] for field, column in topic.items()}
+    if wild:
+        notes.append(f"{wild} rows whose time stamps leave the log's course were dropped")
+    return kept
+
+
+def vectors(topic: Topic, field: str, size: int = 3) -> Array | None:
+    """Give an array field as rows, shape (n, size); None: the topic lacks it."""
+    names = [f"{field}[{index}]" for index in range(size)]
+    if any(name not in topic for name in names):
+        return None
+    return np.stack([topic[name] for name in names], axis=1).astype(float)
+
+
+def sample_ns(topic: Topic) -> Stamps:
+    """Give when the sensor sampled, or where it is not said, when it was published, ns."""
+    if "timestamp_sample" not in topic:
+        return topic["t_ns"]
+    sample_ns = nanoseconds(topic["timestamp_sample"])
+    # A sample is older than its message, by less than a second, or its stamp is damaged.
+    said = (sample_ns > 0) & (np.abs(sample_ns - topic["t_ns"]) < 1_000_000_000)
+    return np.where(said, sample_ns, topic["t_ns"])
+
+
+def rotations(topic: Topic) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Say where ``q`` is a rotation, and give it (elsewhere none)."""
+    q = vectors(topic, "q", 4)
+    if q is None:
+        return np.zeros(len(topic["t_ns"]), dtype=bool), np.zeros((len(topic["t_ns"]), 4))
+    # Clipped first: damaged numbers overflow when squared.
+    norm = np.linalg.norm(np.clip(np.nan_to_num(q), -2.0, 2.0), axis=1)
+    valid = np.isfinite(q).all(axis=1) & (np.abs(norm - 1.0) < 0.01)
+    return valid, so3.normalise(np.where(valid[:, None], q, [1.0, 0.0, 0.0, 0.0]))
