@@ -1,0 +1,239 @@
+"""Estimates to payloads, in wire units, as the two autopilots take them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.mavlink.codec import pack
+from ekf_companion.mavlink.decode import Family
+from ekf_companion.nav import so3
+from ekf_companion.nav.odometry import Odometry, euler_jacobian
+from ekf_companion.nav.state import Status
+
+Array = npt.NDArray[np.float64]
+
+
+class Frame(IntEnum):
+    """MAV_FRAME: frames of the pose, and of the velocity."""
+
+    LOCAL_NED = 1
+    """North, east, down: for listeners that are no autopilot."""
+    BODY_FRD = 12
+    """Forward, right, down: the one frame of the velocity that every listener takes."""
+    LOCAL_FRD = 20
+    """Here with forward to the north: the one frame of the pose that both autopilots take."""
+
+
+class EstimatorType(IntEnum):
+    """MAV_ESTIMATOR_TYPE."""
+
+    VIO = 3
+    GPS_INS = 5
+
+
+class SystemStatus(IntEnum):
+    """MAV_STATE: what our heartbeat says of us."""
+
+    BOOT = 1
+    CALIBRATING = 2
+    ACTIVE = 4
+    CRITICAL = 5
+    POWEROFF = 7
+
+
+SYSTEM_STATUS = {
+    Status.INIT: SystemStatus.BOOT,
+    Status.ALIGNING: SystemStatus.CALIBRATING,
+    Status.ATTITUDE: SystemStatus.CALIBRATING,
+    Status.OK: SystemStatus.ACTIVE,
+    Status.DEGRADED: SystemStatus.ACTIVE,
+    Status.DEAD_RECKONING: SystemStatus.CRITICAL,
+    Status.INVALID: SystemStatus.CRITICAL,
+}
+"""What our heartbeat says of an estimate's status."""
+
+_UPPER = np.triu_indices(6)
+_VARIANCE_FLOOR = 1e-6
+"""A variance of zero claims perfection."""
+_VARIANCE_LARGEST = 1e12
+"""What overflows or is not finite is sent as this: a million metres."""
+
+
+def estimator_type(family: Family) -> EstimatorType:
+    """Give the honest type, or for PX4, which refuses that with a critical text, the nearest."""
+    return EstimatorType.VIO if family is Family.PX4 else EstimatorType.GPS_INS
+
+
+def reset_counter(count: int) -> int:
+    """Give a count of resets as 1 to 255, from 1: 0 would say that none is kept."""
+    return count % 255 + 1
+
+
+def odometry(
+    estimate: Odometry,
+    *,
+    frame: Frame = Frame.LOCAL_FRD,
+    estimator: EstimatorType = EstimatorType.GPS_INS,
+) -> bytes:
+    """Give the payload of ODOMETRY; velocity and its covariance are turned into the body frame."""
+    C_bn = so3.to_matrix(estimate.q_nb).T
+    vel_b = C_bn @ estimate.vel_n
+    q = _unit_float32(estimate.q_nb)
+    return pack(
+        "ODOMETRY",
+        time_usec=estimate.t_ns // 1000,
+        frame_id=frame,
+        child_frame_id=Frame.BODY_FRD,
+        x=estimate.pos_n[0],
+        y=estimate.pos_n[1],
+        z=estimate.pos_n[2],
+        q=q,
+        vx=vel_b[0],
+        vy=vel_b[1],
+        vz=vel_b[2],
+        rollspeed=estimate.rates_b[0],
+        pitchspeed=estimate.rates_b[1],
+        yawspeed=estimate.rates_b[2],
+        pose_covariance=_pose_covariance(estimate),
+        velocity_covariance=_velocity_covariance(estimate, C_bn),
+        reset_counter=reset_counter(estimate.reset_count),
+        estimator_type=estimator,
+        quality=max(-1, min(100, estimate.quality)),
+    )
+
+
+def _unit_float32(q: Array) -> npt.NDArray[np.float32]:
+    """Give q in float32 with a norm within 1e-5 of one, which PX4 tests, and w >= 0."""
+    q = q / math.sqrt(float(q @ q))
+    return (-q if q[0] < 0.0 else q).astype(np.float32)
+
+
+def _pose_covariance(estimate: Odometry) -> list[float]:
+    if estimate.pose_covariance is None:
+        return _unknown()
+    J = np.eye(6)
+    J[3:, 3:] = euler_jacobian(estimate.q_nb)
+    return _triangle(J @ estimate.pose_covariance @ J.T)
+
+
+def _velocity_covariance(estimate: Odometry, C_bn: Array) -> list[float]:
+    """Give the covariance of the body velocity; of the rates nothing is known but the floor."""
+    if estimate.velocity_covariance is None:
+        return _unknown()
+    P = np.zeros((6, 6))
+    P[:3, :3] = C_bn @ estimate.velocity_covariance @ C_bn.T
+    return _triangle(P)
+
+
+def _unknown() -> list[float]:
+    return [math.nan] + [0.0] * 20
+
+
+def _triangle(P: Array) -> list[float]:
+    """Give the upper right triangle row by row, variances floored, all finite."""
+    if not np.isfinite(P).all():
+        return _unknown()
+    P = np.clip(P, -_VARIANCE_LARGEST, _VARIANCE_LARGEST)
+    diagonal = np.diagonal(P)
+    P = P + np.diag(np.maximum(_VARIANCE_FLOOR - diagonal, 0.0))
+    values: list[float] = P[_UPPER].tolist()
+    return values
+
+
+class StatusFlag(IntFlag):
+    """ESTIMATOR_STATUS_FLAGS."""
+
+    NONE = 0
+    ATTITUDE = 1
+    VELOCITY_HORIZ = 2
+    VELOCITY_VERT = 4
+    POS_HORIZ_REL = 8
+    POS_HORIZ_ABS = 16
+    POS_VERT_ABS = 32
+    CONST_POS_MODE = 128
+    PRED_POS_HORIZ_REL = 256
+    PRED_POS_HORIZ_ABS = 512
+    GPS_GLITCH = 1024
+    ACCEL_ERROR = 2048
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstimatorHealth:
+    """How the filter judges itself; a ratio is innovation over gate, above 1 refused."""
+
+    t_ns: int
+    flags: StatusFlag
+    vel_ratio: float
+    pos_horiz_ratio: float
+    pos_vert_ratio: float
+    heading_ratio: float
+    std_horiz: float
+    """One sigma of the horizontal position, m."""
+    std_vert: float
+    """One sigma of the height, m."""
+
+
+def estimator_status(health: EstimatorHealth) -> bytes:
+    """Give the payload of ESTIMATOR_STATUS; a ratio that is not known (NaN) stays NaN."""
+    return pack(
+        "ESTIMATOR_STATUS",
+        time_usec=health.t_ns // 1000,
+        flags=int(health.flags),
+        vel_ratio=health.vel_ratio,
+        pos_horiz_ratio=health.pos_horiz_ratio,
+        pos_vert_ratio=health.pos_vert_ratio,
+        mag_ratio=health.heading_ratio,
+        hagl_ratio=math.nan,
+        tas_ratio=math.nan,
+        pos_horiz_accuracy=health.std_horiz,
+        pos_vert_accuracy=health.std_vert,
+    )
+
+
+_ONBOARD_CONTROLLER = 18
+_NO_AUTOPILOT = 8
+_VERSION = 3
+SET_MESSAGE_INTERVAL = 511
+"""MAV_CMD."""
+
+
+def heartbeat(status: SystemStatus) -> bytes:
+    """Give the payload of our HEARTBEAT: an onboard controller that is no autopilot."""
+    return pack(
+        "HEARTBEAT",
+        type=_ONBOARD_CONTROLLER,
+        autopilot=_NO_AUTOPILOT,
+        system_status=status,
+        mavlink_version=_VERSION,
+    )
+
+
+def set_message_interval(
+    message_id: int, rate: float, *, target_system: int, target_component: int, confirmation: int
+) -> bytes:
+    """Give the payload of the COMMAND_LONG that asks for a message at a rate, Hz; 0: none."""
+    return pack(
+        "COMMAND_LONG",
+        target_system=target_system,
+        target_component=target_component,
+        command=SET_MESSAGE_INTERVAL,
+        confirmation=confirmation,
+        param1=float(message_id),
+        param2=round(1e6 / rate) if rate > 0.0 else -1.0,
+    )
+
+
+def timesync(tc1: int, ts1: int, *, target_system: int, target_component: int) -> bytes:
+    """Give the payload of TIMESYNC with its targets, 18 bytes; ``tc1 == 0`` asks."""
+    return pack(
+        "TIMESYNC",
+        tc1=tc1,
+        ts1=ts1,
+        target_system=target_system,
+        target_component=target_component,
+    )
