@@ -1,0 +1,12 @@
+cdef void restart(double[::1] x, double t) noexcept nogil
+cdef void gather(double[::1] x, double t, double gx, double gy, double gz, double ax, double ay, double az) noexcept nogil
+cdef void carry(
+    double[::1] x, double[::1] w, double dt, double gx, double gy, double gz, double ax, double ay, double az
+) noexcept nogil
+cdef bint is_rest(double[::1] x, double[::1] k) noexcept nogil
+cdef void level_at_rest(double[::1] x, double[::1] k, double[::1] w) noexcept nogil
+cdef void level_roughly(double[::1] x, double[::1] k, double[::1] w) noexcept nogil
+cdef bint level_in_motion(
+    double[::1] x, double[::1] k, double[::1] w, double t, double vn, double ve, double vd, double std
+) noexcept nogil
+cdef void begin_motion(double[::1] x, double t, double vn, double ve, double vd, double std) noexcept nogil

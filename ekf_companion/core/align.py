@@ -1,0 +1,398 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+# cython: initializedcheck=False
+"""Down and north before there is a filter.
+
+At rest the mean specific force points up and the mean rate is the gyro's bias. In motion the
+specific force, summed in a frame that the gyro holds still, must equal the change of the GNSS
+velocity less gravity: that gives down without standing still. North comes from a reference: a
+heading, or the magnetic field.
+
+Source: Groves 2013, section 5.6 (levelling); the velocity form is that of in-motion coarse alignment,
+Silson 2011, "Coarse alignment of a ship's strapdown inertial attitude reference system".
+"""
+
+from __future__ import annotations
+
+import cython
+
+if cython.compiled:
+    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core.correct import forget
+    from cython.cimports.ekf_companion.core.observe import wrap
+    from cython.cimports.ekf_companion.core.propagate import matrix, turn, turn_body, unit
+    from cython.cimports.libc.math import atan2, isnan, sqrt
+else:
+    from math import atan2, isnan, sqrt
+
+    from ekf_companion.core import layout as at
+    from ekf_companion.core.correct import forget
+    from ekf_companion.core.observe import wrap
+    from ekf_companion.core.propagate import matrix, turn, turn_body, unit
+
+REFERENCE_AGE = cython.declare(cython.double, 1.5e9)
+"""Oldest heading reference to start from, ns."""
+LONGEST_MOTION = cython.declare(cython.double, 5e9)
+"""Longest stretch to level over in motion, ns: the gyro's bias turns the frame meanwhile."""
+UNKNOWN_YAW = cython.declare(cython.double, 3.29)
+"""Variance of an angle of which nothing is known: pi^2 / 3, rad^2."""
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def restart(x: cython.double[::1], t: cython.double) -> cython.void:
+    """Begin a window of rest statistics at t."""
+    i: cython.Py_ssize_t
+    for i in range(at.X_LEVEL, at.X_LEVEL + at.L_Q):
+        x[i] = 0.0
+    x[at.X_LEVEL + at.L_T0] = t
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def gather(
+    x: cython.double[::1],
+    t: cython.double,
+    gx: cython.double,
+    gy: cython.double,
+    gz: cython.double,
+    ax: cython.double,
+    ay: cython.double,
+    az: cython.double,
+) -> cython.void:
+    """Add a sample to the rest statistics; squares about the present state keep their digits."""
+    i: cython.Py_ssize_t
+    d: cython.double
+    x[at.X_LEVEL + at.L_N] += 1.0
+    x[at.X_LEVEL + at.L_GYRO] += gx
+    x[at.X_LEVEL + at.L_GYRO + 1] += gy
+    x[at.X_LEVEL + at.L_GYRO + 2] += gz
+    x[at.X_LEVEL + at.L_ACCEL] += ax
+    x[at.X_LEVEL + at.L_ACCEL + 1] += ay
+    x[at.X_LEVEL + at.L_ACCEL + 2] += az
+    x[at.X_LEVEL + at.L_GYRO2] += gx * gx
+    x[at.X_LEVEL + at.L_GYRO2 + 1] += gy * gy
+    x[at.X_LEVEL + at.L_GYRO2 + 2] += gz * gz
+    x[at.X_LEVEL + at.L_ACCEL2] += ax * ax
+    x[at.X_LEVEL + at.L_ACCEL2 + 1] += ay * ay
+    x[at.X_LEVEL + at.L_ACCEL2 + 2] += az * az
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def is_rest(x: cython.double[::1], k: cython.double[::1]) -> cython.bint:
+    """Say whether the window saw the vehicle stand still: quiet, not turning, one g."""
+    i: cython.Py_ssize_t
+    n: cython.double = x[at.X_LEVEL + at.L_N]
+    mean: cython.double
+    size: cython.double = 0.0
+    spread_g: cython.double = 0.0
+    spread_a: cython.double = 0.0
+    rate: cython.double = 0.0
+    if n < 5.0:
+        return False
+    for i in range(3):
+        mean = x[at.X_LEVEL + at.L_GYRO + i] / n
+        rate += mean * mean
+        spread_g += x[at.X_LEVEL + at.L_GYRO2 + i] / n - mean * mean
+        mean = x[at.X_LEVEL + at.L_ACCEL + i] / n
+        size += mean * mean
+        spread_a += x[at.X_LEVEL + at.L_ACCEL2 + i] / n - mean * mean
+    size = sqrt(size)
+    if spread_g > k[at.K_REST_GYRO] * k[at.K_REST_GYRO]:
+        return False
+    if spread_a > k[at.K_REST_ACCEL] * k[at.K_REST_ACCEL]:
+        return False
+    if rate > 0.01:  # 0.1 rad/s: no gyro of today has such a bias
+        return False
+    if size < 0.9 * k[at.K_GRAVITY] or size > 1.1 * k[at.K_GRAVITY]:
+        return False
+    if x[at.X_LEVEL + at.L_HAS_FIX] != 0.0:
+        # a receiver that says we move is believed
+        mean = 0.5 + 3.0 * x[at.X_LEVEL + at.L_FIX_STD]
+        rate = 0.0
+        for i in range(2):
+            rate += x[at.X_LEVEL + at.L_FIX_V + i] * x[at.X_LEVEL + at.L_FIX_V + i]
+        return rate < mean * mean
+    return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def orient(
+    x: cython.double[::1],
+    w: cython.double[::1],
+    ux: cython.double,
+    uy: cython.double,
+    uz: cython.double,
+    dn: cython.double,
+    de: cython.double,
+    dd: cython.double,
+) -> cython.void:
+    """Set the attitude so that body direction u points along d in n and the reference to its azimuth.
+
+    Without a reference the body's forward axis points north.
+    """
+    i: cython.Py_ssize_t
+    nu: cython.double = sqrt(ux * ux + uy * uy + uz * uz)
+    nd: cython.double = sqrt(dn * dn + de * de + dd * dd)
+    ux = ux / nu
+    uy = uy / nu
+    uz = uz / nu
+    dn = dn / nd
+    de = de / nd
+    dd = dd / nd
+    # The shortest turn of u into d; opposite directions leave the axis open: take forward
+    dot: cython.double = ux * dn + uy * de + uz * dd
+    if dot > -0.999999:
+        x[at.X_Q] = 1.0 + dot
+        x[at.X_Q + 1] = uy * dd - uz * de
+        x[at.X_Q + 2] = uz * dn - ux * dd
+        x[at.X_Q + 3] = ux * de - uy * dn
+    else:
+        x[at.X_Q] = 0.0
+        x[at.X_Q + 1] = 1.0
+        x[at.X_Q + 2] = 0.0
+        x[at.X_Q + 3] = 0.0
+    unit(x, at.X_Q)
+    # Then about d until the reference's azimuth is right; d is not quite vertical, so iterate
+    bx: cython.double = 1.0
+    by: cython.double = 0.0
+    bz: cython.double = 0.0
+    target: cython.double = 0.0
+    if x[at.X_LEVEL + at.L_REF_KIND] == at.REF_FIELD:
+        bx = x[at.X_LEVEL + at.L_REF_V]
+        by = x[at.X_LEVEL + at.L_REF_V + 1]
+        bz = x[at.X_LEVEL + at.L_REF_V + 2]
+        target = x[at.X_DECLINATION]
+    elif x[at.X_LEVEL + at.L_REF_KIND] == at.REF_HEADING:
+        target = x[at.X_LEVEL + at.L_REF_V]
+    for i in range(4):
+        matrix(x, at.X_Q, w)
+        dot = wrap(
+            target
+            - atan2(
+                w[at.W_C_NB + 3] * bx + w[at.W_C_NB + 4] * by + w[at.W_C_NB + 5] * bz,
+                w[at.W_C_NB] * bx + w[at.W_C_NB + 1] * by + w[at.W_C_NB + 2] * bz,
+            )
+        )
+        turn(x, at.X_Q, -dn * dot, -de * dot, -dd * dot)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def begin_filter(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    t: cython.double,
+    tilt: cython.double,
+    gyro_bias: cython.double,
+) -> cython.void:
+    """Set the covariance of an attitude just found: tilt and gyro bias by their standard deviations.
+
+    A levelled attitude is wrong by the accelerometer's bias, so the two are correlated from the start:
+    ``theta_N = (C ba)_E / g``, ``theta_E = -(C ba)_N / g``.
+    """
+    i: cython.Py_ssize_t
+    variance: cython.double = k[at.K_ACCEL_BIAS] * k[at.K_ACCEL_BIAS]
+    g: cython.double = k[at.K_GRAVITY]
+    for i in range(at.N * at.N):
+        x[at.X_COV + i] = 0.0
+    forget(x, at.E_ATT, 2, tilt * tilt + variance / (g * g))
+    forget(x, at.E_BA, 3, variance)
+    forget(x, at.E_BG, 3, gyro_bias * gyro_bias)
+    matrix(x, at.X_Q, w)
+    for i in range(3):
+        x[at.X_COV + at.E_BA + i] = variance * w[at.W_C_NB + 3 + i] / g
+        x[at.X_COV + at.N + at.E_BA + i] = -variance * w[at.W_C_NB + i] / g
+        x[at.X_COV + (at.E_BA + i) * at.N] = x[at.X_COV + at.E_BA + i]
+        x[at.X_COV + (at.E_BA + i) * at.N + 1] = x[at.X_COV + at.N + at.E_BA + i]
+    forget(x, at.E_VEL, 3, 0.01)
+    forget(x, at.E_POS, 3, 1.0)
+    forget(x, at.E_DELAY, 1, k[at.K_DELAY_STD] * k[at.K_DELAY_STD])
+    x[at.X_HAS_YAW] = 0.0
+    x[at.X_COV + 2 * (at.N + 1)] = UNKNOWN_YAW
+    if (
+        x[at.X_LEVEL + at.L_REF_KIND] != at.REF_NONE
+        and t - x[at.X_LEVEL + at.L_REF_T] <= REFERENCE_AGE
+    ):
+        x[at.X_HAS_YAW] = 1.0
+        x[at.X_COV + 2 * (at.N + 1)] = (
+            x[at.X_LEVEL + at.L_REF_STD] * x[at.X_LEVEL + at.L_REF_STD] + tilt * tilt
+        )
+    for i in range(3):
+        x[at.X_VEL + i] = 0.0
+        x[at.X_POS + i] = 0.0
+        x[at.X_BA + i] = 0.0
+    x[at.X_MODE] = at.MODE_ATTITUDE
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def level_at_rest(
+    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]
+) -> cython.void:
+    """Take attitude and gyro bias from a window in which the vehicle stood still."""
+    i: cython.Py_ssize_t
+    n: cython.double = x[at.X_LEVEL + at.L_N]
+    mean: cython.double
+    noise_g: cython.double = 0.0
+    noise_a: cython.double = 0.0
+    for i in range(3):
+        mean = x[at.X_LEVEL + at.L_GYRO + i] / n
+        noise_g += x[at.X_LEVEL + at.L_GYRO2 + i] / n - mean * mean
+        x[at.X_BG + i] = mean
+        mean = x[at.X_LEVEL + at.L_ACCEL + i] / n
+        noise_a += x[at.X_LEVEL + at.L_ACCEL2 + i] / n - mean * mean
+    orient(
+        x,
+        w,
+        x[at.X_LEVEL + at.L_ACCEL],
+        x[at.X_LEVEL + at.L_ACCEL + 1],
+        x[at.X_LEVEL + at.L_ACCEL + 2],
+        0.0,
+        0.0,
+        -1.0,
+    )
+    # of the mean; the gyro also sees the Earth turn, whose direction is not known yet
+    noise_g = sqrt(noise_g / n + 1e-8)
+    noise_a = sqrt(noise_a / n) / k[at.K_GRAVITY] + 1e-3
+    begin_filter(x, k, w, x[at.X_T], noise_a, noise_g + 2e-4)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def level_roughly(
+    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]
+) -> cython.void:
+    """Take the attitude from the mean specific force of a window that was not quiet."""
+    orient(
+        x,
+        w,
+        x[at.X_LEVEL + at.L_ACCEL],
+        x[at.X_LEVEL + at.L_ACCEL + 1],
+        x[at.X_LEVEL + at.L_ACCEL + 2],
+        0.0,
+        0.0,
+        -1.0,
+    )
+    begin_filter(x, k, w, x[at.X_T], 0.15, k[at.K_GYRO_BIAS])
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def begin_motion(
+    x: cython.double[::1],
+    t: cython.double,
+    vn: cython.double,
+    ve: cython.double,
+    vd: cython.double,
+    std: cython.double,
+) -> cython.void:
+    """Begin to sum the specific force at a fix that has a velocity."""
+    i: cython.Py_ssize_t
+    x[at.X_LEVEL + at.L_HAS_FIX] = 1.0
+    x[at.X_LEVEL + at.L_FIX_T] = t
+    x[at.X_LEVEL + at.L_FIX_V] = vn
+    x[at.X_LEVEL + at.L_FIX_V + 1] = ve
+    x[at.X_LEVEL + at.L_FIX_V + 2] = vd
+    x[at.X_LEVEL + at.L_FIX_STD] = std
+    x[at.X_LEVEL + at.L_Q] = 1.0
+    for i in range(3):
+        x[at.X_LEVEL + at.L_Q + 1 + i] = 0.0
+        x[at.X_LEVEL + at.L_U + i] = 0.0
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def carry(
+    x: cython.double[::1],
+    w: cython.double[::1],
+    dt: cython.double,
+    gx: cython.double,
+    gy: cython.double,
+    gz: cython.double,
+    ax: cython.double,
+    ay: cython.double,
+    az: cython.double,
+) -> cython.void:
+    """Carry the frame that the gyro holds still, and the sum of the specific force in it, over dt."""
+    i: cython.Py_ssize_t
+    if x[at.X_LEVEL + at.L_HAS_FIX] == 0.0:
+        return
+    turn_body(x, at.X_LEVEL + at.L_Q, 0.5 * gx * dt, 0.5 * gy * dt, 0.5 * gz * dt)
+    matrix(x, at.X_LEVEL + at.L_Q, w)
+    for i in range(3):
+        x[at.X_LEVEL + at.L_U + i] += dt * (
+            w[at.W_C_NB + 3 * i] * ax + w[at.W_C_NB + 3 * i + 1] * ay + w[at.W_C_NB + 3 * i + 2] * az
+        )
+    turn_body(x, at.X_LEVEL + at.L_Q, 0.5 * gx * dt, 0.5 * gy * dt, 0.5 * gz * dt)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def level_in_motion(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    t: cython.double,
+    vn: cython.double,
+    ve: cython.double,
+    vd: cython.double,
+    std: cython.double,
+) -> cython.bint:
+    """Level at a fix, from the velocity gained since the first one; False: not yet.
+
+    Turns the summed force u into the body frame of now, so that attitude is of time t.
+    """
+    i: cython.Py_ssize_t
+    span: cython.double = (t - x[at.X_LEVEL + at.L_FIX_T]) * 1e-9
+    if x[at.X_LEVEL + at.L_HAS_FIX] == 0.0 or t - x[at.X_LEVEL + at.L_FIX_T] > LONGEST_MOTION:
+        begin_motion(x, t, vn, ve, vd, std)
+        return False
+    if span < k[at.K_ALIGN_TIME]:
+        return False
+    if (
+        x[at.X_LEVEL + at.L_REF_KIND] == at.REF_NONE
+        or t - x[at.X_LEVEL + at.L_REF_T] > REFERENCE_AGE
+    ):
+        return False
+    down: cython.double = 0.0
+    doubt: cython.double = 2.0 * std
+    if isnan(vd) or isnan(x[at.X_LEVEL + at.L_FIX_V + 2]):
+        doubt = doubt + 1.0  # a climb that began meanwhile; it hardly tilts
+    else:
+        down = vd - x[at.X_LEVEL + at.L_FIX_V + 2]
+    matrix(x, at.X_LEVEL + at.L_Q, w)
+    orient(
+        x,
+        w,
+        w[at.W_C_NB] * x[at.X_LEVEL + at.L_U]
+        + w[at.W_C_NB + 3] * x[at.X_LEVEL + at.L_U + 1]
+        + w[at.W_C_NB + 6] * x[at.X_LEVEL + at.L_U + 2],
+        w[at.W_C_NB + 1] * x[at.X_LEVEL + at.L_U]
+        + w[at.W_C_NB + 4] * x[at.X_LEVEL + at.L_U + 1]
+        + w[at.W_C_NB + 7] * x[at.X_LEVEL + at.L_U + 2],
+        w[at.W_C_NB + 2] * x[at.X_LEVEL + at.L_U]
+        + w[at.W_C_NB + 5] * x[at.X_LEVEL + at.L_U + 1]
+        + w[at.W_C_NB + 8] * x[at.X_LEVEL + at.L_U + 2],
+        vn - x[at.X_LEVEL + at.L_FIX_V],
+        ve - x[at.X_LEVEL + at.L_FIX_V + 1],
+        down - k[at.K_GRAVITY] * span,
+    )
+    for i in range(3):
+        x[at.X_BG + i] = 0.0
+    begin_filter(
+        x, k, w, t, doubt / (k[at.K_GRAVITY] * span) + k[at.K_GYRO_BIAS] * span + 0.02, k[at.K_GYRO_BIAS]
+    )
+    return True

@@ -1,0 +1,173 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+# cython: initializedcheck=False
+"""Probability: judge an innovation by its covariance, and absorb it.
+
+A block of m <= 3 rows is whitened by the Cholesky factor of its innovation covariance; what is
+absorbed is then m scalars, each a rank-one step ``P -= K K'`` on one triangle, so that P stays
+symmetric to the bit.
+
+Source: Maybeck 1979, vol. 1, chapters 5 and 7; reset of the attitude error: Sola 2017, section 6.3.
+"""
+
+from __future__ import annotations
+
+import cython
+
+if cython.compiled:
+    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core.propagate import turn
+    from cython.cimports.libc.math import sqrt
+else:
+    from math import sqrt
+
+    from ekf_companion.core import layout as at
+    from ekf_companion.core.propagate import turn
+
+REFUSED = cython.declare(cython.double, 1e30)
+FLOOR = cython.declare(cython.double, 1e-16)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def innovate(x: cython.double[::1], w: cython.double[::1], m: cython.Py_ssize_t) -> cython.double:
+    """Give the normalised innovation squared of m rows; chi-square of m degrees if all is well.
+
+    Reads H (w[W_H], m rows of N), the innovation (w[W_Z]) and R (w[W_R], rows of 3). Leaves P H',
+    the Cholesky factor of S and the whitened innovation for :func:`absorb`. An S that is not
+    positive definite gives 1e30, which no gate lets through.
+    """
+    r: cython.Py_ssize_t
+    c: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    h: cython.double
+    s: cython.double
+    nis: cython.double = 0.0
+
+    # P H'
+    for r in range(m):
+        for i in range(at.N):
+            w[at.W_C + r * at.N + i] = 0.0
+        for j in range(at.N):
+            h = w[at.W_H + r * at.N + j]
+            if h != 0.0:
+                for i in range(at.N):
+                    w[at.W_C + r * at.N + i] += h * x[at.X_COV + j * at.N + i]
+
+    # S = H P H' + R, its factor, the innovation whitened by it
+    for r in range(m):
+        for c in range(r + 1):
+            s = w[at.W_R + 3 * r + c]
+            for j in range(at.N):
+                s += w[at.W_H + r * at.N + j] * w[at.W_C + c * at.N + j]
+            for j in range(c):
+                s -= w[at.W_L + 3 * r + j] * w[at.W_L + 3 * c + j]
+            if r == c:
+                if not s > 0.0:
+                    return REFUSED
+                w[at.W_L + 3 * r + r] = sqrt(s)
+            else:
+                w[at.W_L + 3 * r + c] = s / w[at.W_L + 3 * c + c]
+        s = w[at.W_Z + r]
+        for c in range(r):
+            s -= w[at.W_L + 3 * r + c] * w[at.W_Y + c]
+        w[at.W_Y + r] = s / w[at.W_L + 3 * r + r]
+        nis += w[at.W_Y + r] * w[at.W_Y + r]
+    return nis
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def absorb(x: cython.double[::1], w: cython.double[::1], m: cython.Py_ssize_t) -> cython.void:
+    """Absorb what :func:`innovate` has judged, and move the error into the nominal state."""
+    r: cython.Py_ssize_t
+    c: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    s: cython.double
+    for i in range(at.N):
+        w[at.W_DX + i] = 0.0
+    for r in range(m):
+        # the gain of one whitened scalar is a column of P H' L^-T
+        for c in range(r):
+            s = w[at.W_L + 3 * r + c]
+            for i in range(at.N):
+                w[at.W_C + r * at.N + i] -= s * w[at.W_C + c * at.N + i]
+        s = 1.0 / w[at.W_L + 3 * r + r]
+        for i in range(at.N):
+            w[at.W_C + r * at.N + i] *= s
+            w[at.W_DX + i] += w[at.W_C + r * at.N + i] * w[at.W_Y + r]
+        for i in range(at.N):
+            s = w[at.W_C + r * at.N + i]
+            for j in range(i, at.N):
+                x[at.X_COV + i * at.N + j] -= s * w[at.W_C + r * at.N + j]
+    for i in range(at.N):
+        if x[at.X_COV + i * (at.N + 1)] < 0.0:
+            x[at.X_COV + i * (at.N + 1)] = FLOOR
+        for j in range(i):
+            x[at.X_COV + i * at.N + j] = x[at.X_COV + j * at.N + i]
+    inject(x, w)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def inject(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Move the error state into the nominal one, and P with it: J = I + [d x]/2 on attitude."""
+    i: cython.Py_ssize_t
+    dx: cython.double = 0.5 * w[at.W_DX]
+    dy: cython.double = 0.5 * w[at.W_DX + 1]
+    dz: cython.double = 0.5 * w[at.W_DX + 2]
+    p0: cython.double
+    p1: cython.double
+    p2: cython.double
+    turn(x, at.X_Q, w[at.W_DX], w[at.W_DX + 1], w[at.W_DX + 2])
+    for i in range(3):
+        x[at.X_VEL + i] += w[at.W_DX + at.E_VEL + i]
+        x[at.X_POS + i] += w[at.W_DX + at.E_POS + i]
+        x[at.X_BG + i] += w[at.W_DX + at.E_BG + i]
+        x[at.X_BA + i] += w[at.W_DX + at.E_BA + i]
+    x[at.X_BARO] += w[at.W_DX + at.E_BARO]
+    x[at.X_DELAY] += w[at.W_DX + at.E_DELAY]
+    for i in range(at.N):
+        p0 = x[at.X_COV + i]
+        p1 = x[at.X_COV + at.N + i]
+        p2 = x[at.X_COV + 2 * at.N + i]
+        x[at.X_COV + i] = p0 + dy * p2 - dz * p1
+        x[at.X_COV + at.N + i] = p1 + dz * p0 - dx * p2
+        x[at.X_COV + 2 * at.N + i] = p2 + dx * p1 - dy * p0
+    for i in range(3):
+        p0 = x[at.X_COV + i * at.N]
+        p1 = x[at.X_COV + i * at.N + 1]
+        p2 = x[at.X_COV + i * at.N + 2]
+        x[at.X_COV + i * at.N] = p0 + dy * p2 - dz * p1
+        x[at.X_COV + i * at.N + 1] = p1 + dz * p0 - dx * p2
+        x[at.X_COV + i * at.N + 2] = p2 + dx * p1 - dy * p0
+    x[at.X_COV + at.N] = x[at.X_COV + 1]
+    x[at.X_COV + 2 * at.N] = x[at.X_COV + 2]
+    x[at.X_COV + 2 * at.N + 1] = x[at.X_COV + at.N + 2]
+    for i in range(3, at.N):
+        x[at.X_COV + i * at.N] = x[at.X_COV + i]
+        x[at.X_COV + i * at.N + 1] = x[at.X_COV + at.N + i]
+        x[at.X_COV + i * at.N + 2] = x[at.X_COV + 2 * at.N + i]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def forget(
+    x: cython.double[::1],
+    first: cython.Py_ssize_t,
+    count: cython.Py_ssize_t,
+    variance: cython.double,
+) -> cython.void:
+    """Make some error states uncorrelated with all others, each of this variance."""
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for i in range(first, first + count):
+        for j in range(at.N):
+            x[at.X_COV + i * at.N + j] = 0.0
+            x[at.X_COV + j * at.N + i] = 0.0
+        x[at.X_COV + i * (at.N + 1)] = variance

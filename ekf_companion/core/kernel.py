@@ -1,0 +1,810 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+# cython: initializedcheck=False
+"""The step: one inertial sample, and the events that were true since the one before.
+
+Everything that decides is here and lives in the state block: which aid is used, gated or timed out,
+what is reset and why. So a block and the events after it always give the same bits, live, replayed
+or in another order of arrival.
+
+x is the state block, k the parameters, w scratch, rows the events (layout.py says what lies where).
+"""
+
+from __future__ import annotations
+
+import cython
+
+if cython.compiled:
+    from cython.cimports.ekf_companion.core import align, correct, observe, propagate
+    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.libc.math import asin, atan2, cos, fabs, isnan, sin, sqrt
+else:
+    from math import asin, atan2, cos, fabs, isnan, sin, sqrt
+
+    from ekf_companion.core import align, correct, observe, propagate
+    from ekf_companion.core import layout as at
+
+# Kinds of events, as in nav.measurements.Kind
+GNSS = cython.declare(cython.double, 1.0)
+HEADING = cython.declare(cython.double, 2.0)
+MAG = cython.declare(cython.double, 3.0)
+BARO = cython.declare(cython.double, 4.0)
+VEHICLE = cython.declare(cython.double, 5.0)
+
+# States of health, as in nav.state.Status
+INIT = cython.declare(cython.int, 0)
+ALIGNING = cython.declare(cython.int, 1)
+ATTITUDE = cython.declare(cython.int, 2)
+OK = cython.declare(cython.int, 3)
+DEGRADED = cython.declare(cython.int, 4)
+DEAD_RECKONING = cython.declare(cython.int, 5)
+INVALID = cython.declare(cython.int, 6)
+
+NAN = cython.declare(cython.double, float("nan"))
+NEVER = cython.declare(cython.double, -1e18)
+DEG = cython.declare(cython.double, 57.29577951308232)
+PREFERRED_AGE = cython.declare(cython.double, 5e9)
+"""How long a better source keeps the worse ones out after its last word, ns."""
+ROUGH_AFTER = cython.declare(cython.double, 6e9)
+"""Without rest and without GNSS the attitude is taken roughly after this long, ns."""
+FAKE_INTERVAL = cython.declare(cython.double, 2e8)
+"""Between two assumptions that the vehicle is not going anywhere, while it has no GNSS, ns."""
+NOISE_MEMORY = cython.declare(cython.double, 2.0)
+"""Time constant of the noise learnt from the samples, s."""
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def step(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    rows: cython.double[:, ::1],
+    first: cython.Py_ssize_t,
+    last: cython.Py_ssize_t,
+) -> cython.void:
+    """Take the sample rows[last]; rows[first:last] are the events true since the sample before."""
+    r: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    dt: cython.double
+    t: cython.double = rows[last, at.ROW_T]
+    span: cython.double = (t - x[at.X_T]) * 1e-9
+    gx: cython.double = rows[last, at.ROW_V]
+    gy: cython.double = rows[last, at.ROW_V + 1]
+    gz: cython.double = rows[last, at.ROW_V + 2]
+    ax: cython.double = rows[last, at.ROW_V + 3]
+    ay: cython.double = rows[last, at.ROW_V + 4]
+    az: cython.double = rows[last, at.ROW_V + 5]
+
+    # The first sample only says what time it is
+    if x[at.X_MODE] == at.MODE_INIT:
+        begin(x, t)
+        remember(x, rows, last)
+        return
+    if span <= 0.0:
+        return
+
+    # A sample stands for the interval before it, if it is a mean and none is missing
+    if span > k[at.K_GAP_RESET]:
+        hold(x, k, w)
+        gx = x[at.X_GYRO]
+        gy = x[at.X_GYRO + 1]
+        gz = x[at.X_GYRO + 2]
+        ax = x[at.X_ACCEL]
+        ay = x[at.X_ACCEL + 1]
+        az = x[at.X_ACCEL + 2]
+    elif k[at.K_MEAN_SAMPLES] == 0.0 or span > 1.5 * x[at.X_DT]:
+        gx = 0.5 * (gx + x[at.X_GYRO])
+        gy = 0.5 * (gy + x[at.X_GYRO + 1])
+        gz = 0.5 * (gz + x[at.X_GYRO + 2])
+        ax = 0.5 * (ax + x[at.X_ACCEL])
+        ay = 0.5 * (ay + x[at.X_ACCEL + 1])
+        az = 0.5 * (az + x[at.X_ACCEL + 2])
+
+    # Go to each event in turn, then to the sample's own time
+    for r in range(first, last + 1):
+        dt = (rows[r, at.ROW_T] - x[at.X_T]) * 1e-9
+        if dt > 0.0:
+            if x[at.X_MODE] == at.MODE_LEVEL:
+                align.carry(x, w, dt, gx, gy, gz, ax, ay, az)
+            else:
+                propagate.move(x, k, w, dt, gx, gy, gz, ax, ay, az)
+                propagate.spread(x, k, w, dt)
+            x[at.X_T] = rows[r, at.ROW_T]
+        if r < last:
+            take(x, k, w, rows, r)
+    if span > k[at.K_GAP]:
+        doubt(x, k, span)
+
+    # What the sample itself tells: noise, rest, whether all aids still speak
+    learn(x, rows, last, span)
+    remember(x, rows, last)
+    settle(x, k, w, t, span)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def begin(x: cython.double[::1], t: cython.double) -> cython.void:
+    """Start with nothing known but the time; what was counted before stays counted."""
+    i: cython.Py_ssize_t
+    x[at.X_T] = t
+    x[at.X_MODE] = at.MODE_LEVEL
+    x[at.X_Q] = 1.0
+    x[at.X_ARMED] = NAN
+    x[at.X_LANDED] = NAN
+    x[at.X_T_FIX] = NEVER
+    x[at.X_T_RAW_FIX] = NEVER
+    x[at.X_T_MAG] = NEVER
+    x[at.X_T_FAKE] = t
+    for i in range(3):
+        x[at.X_T_HEADING + i] = NEVER
+    for i in range(at.AIDS):
+        x[at.X_T_USED + i] = NEVER
+    x[at.X_LEVEL + at.L_START] = t
+    align.restart(x, t)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def remember(
+    x: cython.double[::1], rows: cython.double[:, ::1], r: cython.Py_ssize_t
+) -> cython.void:
+    """Keep the sample, and the one before it, for the next step."""
+    i: cython.Py_ssize_t
+    x[at.X_SAMPLES] += 1.0
+    for i in range(3):
+        x[at.X_PREV_G + i] = x[at.X_GYRO + i]
+        x[at.X_PREV_A + i] = x[at.X_ACCEL + i]
+        x[at.X_GYRO + i] = rows[r, at.ROW_V + i]
+        x[at.X_ACCEL + i] = rows[r, at.ROW_V + 3 + i]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def hold(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Over a long gap assume neither rotation nor acceleration: what the last sample said is past."""
+    i: cython.Py_ssize_t
+    propagate.matrix(x, at.X_Q, w)
+    for i in range(3):
+        x[at.X_GYRO + i] = x[at.X_BG + i]
+        x[at.X_ACCEL + i] = x[at.X_BA + i] - k[at.K_GRAVITY] * w[at.W_C_NB + 6 + i]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def doubt(x: cython.double[::1], k: cython.double[::1], span: cython.double) -> cython.void:
+    """Count in what may have happened while no sample came; after a long gap begin velocity anew.
+
+    A multicopter turns by some 0.2 rad/s and accelerates by some 2 m/s^2 (one sigma) while nobody
+    looks; a fixed wing less.
+    """
+    i: cython.Py_ssize_t
+    turned: cython.double = 0.2 * span
+    gained: cython.double = 2.0 * span
+    x[at.X_GAPS] += 1.0
+    if x[at.X_MODE] == at.MODE_LEVEL:
+        x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
+        align.restart(x, x[at.X_T])
+        return
+    if turned > 0.5:
+        turned = 0.5
+    if gained > 20.0:
+        gained = 20.0
+    for i in range(3):
+        x[at.X_COV + (at.E_ATT + i) * (at.N + 1)] += turned * turned
+        x[at.X_COV + (at.E_VEL + i) * (at.N + 1)] += gained * gained
+        x[at.X_COV + (at.E_POS + i) * (at.N + 1)] += 0.25 * gained * gained * span * span
+    if span > k[at.K_GAP_RESET] and x[at.X_MODE] == at.MODE_NAVIGATE:
+        x[at.X_NEEDS_RESET] = 1.0
+        x[at.X_RESET_REASON] = at.RESET_GAP
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def learn(
+    x: cython.double[::1],
+    rows: cython.double[:, ::1],
+    r: cython.Py_ssize_t,
+    span: cython.double,
+) -> cython.void:
+    """Learn the white noise of each axis from second differences, which smooth motion leaves small.
+
+    White noise of variance s^2 gives second differences of variance 6 s^2; x keeps s^2 dt.
+    """
+    i: cython.Py_ssize_t
+    d: cython.double
+    gain: cython.double = span / NOISE_MEMORY
+    if x[at.X_DT] == 0.0:
+        x[at.X_DT] = span
+    x[at.X_DT] += 0.05 * ((span if span < 2.0 * x[at.X_DT] else 2.0 * x[at.X_DT]) - x[at.X_DT])
+    if x[at.X_SAMPLES] < 3.0 or span > 1.5 * x[at.X_DT] or gain > 0.5:
+        return
+    for i in range(3):
+        d = rows[r, at.ROW_V + i] - 2.0 * x[at.X_GYRO + i] + x[at.X_PREV_G + i]
+        x[at.X_NOISE_G + i] += gain * (d * d * span / 6.0 - x[at.X_NOISE_G + i])
+        d = rows[r, at.ROW_V + 3 + i] - 2.0 * x[at.X_ACCEL + i] + x[at.X_PREV_A + i]
+        x[at.X_NOISE_A + i] += gain * (d * d * span / 6.0 - x[at.X_NOISE_A + i])
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def settle(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    t: cython.double,
+    span: cython.double,
+) -> cython.void:
+    """Level when a window of rest is full; keep an attitude without GNSS from drifting off."""
+    i: cython.Py_ssize_t
+    align.gather(
+        x,
+        t,
+        x[at.X_GYRO],
+        x[at.X_GYRO + 1],
+        x[at.X_GYRO + 2],
+        x[at.X_ACCEL],
+        x[at.X_ACCEL + 1],
+        x[at.X_ACCEL + 2],
+    )
+    if t - x[at.X_LEVEL + at.L_T0] >= k[at.K_ALIGN_TIME] * 1e9:
+        x[at.X_AT_REST] = 1.0 if align.is_rest(x, k) else 0.0
+        if x[at.X_MODE] == at.MODE_LEVEL:
+            if x[at.X_AT_REST] != 0.0:
+                align.level_at_rest(x, k, w)
+            elif t - x[at.X_LEVEL + at.L_START] > ROUGH_AFTER and t - x[at.X_T_FIX] > ROUGH_AFTER:
+                align.level_roughly(x, k, w)
+        align.restart(x, t)
+    if x[at.X_MODE] == at.MODE_ATTITUDE and t - x[at.X_T_FAKE] >= FAKE_INTERVAL:
+        # It goes nowhere, by a lot or by nothing: that bounds the tilt, as gravity does
+        x[at.X_T_FAKE] = t
+        observe.zero_velocity(x, w, 0.1 if x[at.X_AT_REST] != 0.0 else 3.0)
+        if correct.innovate(x, w, 3) < k[at.K_GATE3]:
+            correct.absorb(x, w, 3)
+        correct.forget(x, at.E_POS, 2, 1.0)
+        for i in range(2):
+            x[at.X_POS + i] = 0.0
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def take(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    rows: cython.double[:, ::1],
+    r: cython.Py_ssize_t,
+) -> cython.void:
+    """Take one event, at its own time."""
+    kind: cython.double = rows[r, at.ROW_KIND]
+    if kind == GNSS:
+        take_fix(x, k, w, rows, r)
+    elif kind == HEADING:
+        if is_heading_used(x, k, x[at.X_T], rows[r, at.ROW_V + 2]):
+            take_azimuth(x, k, w, 1.0, 0.0, 0.0, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], 0.0, True)
+        else:
+            x[at.X_COUNT + at.AID_YAW * at.WHYS + at.WHY_UNUSED] += 1.0
+    elif kind == MAG:
+        if is_field_used(x, k, x[at.X_T]):
+            take_azimuth(
+                x,
+                k,
+                w,
+                rows[r, at.ROW_V],
+                rows[r, at.ROW_V + 1],
+                rows[r, at.ROW_V + 2],
+                x[at.X_DECLINATION],
+                k[at.K_MAG_STD],
+                k[at.K_MAG_NOISE],
+                False,
+            )
+        else:
+            x[at.X_COUNT + at.AID_YAW * at.WHYS + at.WHY_UNUSED] += 1.0
+    elif kind == BARO:
+        take_baro(x, k, w, rows[r, at.ROW_V])
+    elif kind == VEHICLE:
+        x[at.X_ARMED] = rows[r, at.ROW_V]
+        x[at.X_LANDED] = rows[r, at.ROW_V + 1]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def count(x: cython.double[::1], aid: cython.Py_ssize_t, why: cython.Py_ssize_t) -> cython.void:
+    """Count what became of one measurement."""
+    x[at.X_COUNT + aid * at.WHYS + why] += 1.0
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def fuse(
+    x: cython.double[::1],
+    w: cython.double[::1],
+    aid: cython.Py_ssize_t,
+    m: cython.Py_ssize_t,
+    gate: cython.double,
+) -> cython.bint:
+    """Absorb m rows if they pass the gate, and keep the account; False: they did not."""
+    nis: cython.double = correct.innovate(x, w, m)
+    x[at.X_RATIO + aid] = nis / gate
+    if nis > gate:
+        count(x, aid, at.WHY_GATED)
+        return False
+    correct.absorb(x, w, m)
+    x[at.X_T_USED + aid] = x[at.X_T]
+    count(x, aid, at.WHY_FUSED)
+    return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def reset(x: cython.double[::1], aid: cython.Py_ssize_t, reason: cython.double) -> cython.void:
+    """Keep the account of a reset."""
+    x[at.X_RESETS] += 1.0
+    x[at.X_RESET_REASON] = reason
+    x[at.X_T_USED + aid] = x[at.X_T]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def is_timed_out(
+    x: cython.double[::1], aid: cython.Py_ssize_t, limit: cython.double
+) -> cython.bint:
+    """Say whether an aid has been refused for longer than its limit, s."""
+    return x[at.X_T] - x[at.X_T_USED + aid] > limit * 1e9
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def take_fix(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    rows: cython.double[:, ::1],
+    r: cython.Py_ssize_t,
+) -> cython.void:
+    """Take a GNSS fix: start with it, or correct position, height and velocity by it."""
+    m: cython.Py_ssize_t
+    t: cython.double = x[at.X_T]
+    lat: cython.double = rows[r, at.ROW_V]
+    lon: cython.double = rows[r, at.ROW_V + 1]
+    alt: cython.double = rows[r, at.ROW_V + 2]
+    vn: cython.double = rows[r, at.ROW_V + 3]
+    ve: cython.double = rows[r, at.ROW_V + 4]
+    vd: cython.double = rows[r, at.ROW_V + 5]
+    std_h: cython.double = rows[r, at.ROW_V + 6]
+    std_v: cython.double = rows[r, at.ROW_V + 7]
+    std_vel: cython.double = rows[r, at.ROW_V + 8]
+    flags: cython.int = cython.cast(cython.int, rows[r, at.ROW_V + 10])
+    has_vel: cython.bint = k[at.K_USE_VEL] != 0.0 and not isnan(vn)
+
+    # Which source, and can it be believed
+    if flags & 1:
+        if k[at.K_USE_DERIVED] == 0.0 or (
+            k[at.K_USE_DERIVED] == 1.0 and t - x[at.X_T_RAW_FIX] < PREFERRED_AGE
+        ):
+            count(x, at.AID_POS, at.WHY_UNUSED)
+            return
+    else:
+        x[at.X_T_RAW_FIX] = t
+        if k[at.K_USE_DERIVED] == 2.0:
+            count(x, at.AID_POS, at.WHY_UNUSED)
+            return
+    if flags & 2:
+        count(x, at.AID_POS, at.WHY_UNUSED)
+        return
+    if std_h < k[at.K_POS_FLOOR]:
+        std_h = k[at.K_POS_FLOOR]
+    if std_v < k[at.K_HGT_FLOOR]:
+        std_v = k[at.K_HGT_FLOOR]
+    if isnan(std_vel):
+        std_vel = k[at.K_VEL_DEFAULT]
+    if std_vel < k[at.K_VEL_FLOOR]:
+        std_vel = k[at.K_VEL_FLOOR]
+    if not isnan(k[at.K_DECLINATION]):
+        x[at.X_DECLINATION] = k[at.K_DECLINATION]
+    elif not isnan(rows[r, at.ROW_V + 9]):
+        x[at.X_DECLINATION] = rows[r, at.ROW_V + 9]
+    if x[at.X_T_FIX] > NEVER and t > x[at.X_T_FIX]:
+        x[at.X_FIX_DT] = (t - x[at.X_T_FIX]) * 1e-9
+    x[at.X_T_FIX] = t
+
+    # Before navigation a fix helps to level, or begins it
+    if x[at.X_MODE] == at.MODE_LEVEL:
+        if has_vel and align.level_in_motion(x, k, w, t, vn, ve, vd, std_vel):
+            navigate(x, k, w, lat, lon, alt, vn, ve, vd, std_h, std_v, std_vel, has_vel)
+        else:
+            count(x, at.AID_POS, at.WHY_UNALIGNED)
+        return
+    if x[at.X_MODE] == at.MODE_ATTITUDE:
+        if x[at.X_HAS_YAW] != 0.0:
+            navigate(x, k, w, lat, lon, alt, vn, ve, vd, std_h, std_v, std_vel, has_vel)
+        else:
+            count(x, at.AID_POS, at.WHY_UNALIGNED)
+        return
+    if x[at.X_NEEDS_RESET] != 0.0:
+        x[at.X_NEEDS_RESET] = 0.0
+        x[at.X_RESETS] += 1.0
+        place(x, k, w, lat, lon, std_h)
+        lift(x, k, w, alt, std_v)
+        if has_vel:
+            launch(x, k, w, vn, ve, vd, std_vel)
+        return
+
+    # Velocity first: it is the surer of the two
+    if has_vel:
+        m = observe.velocity(x, k, w, vn, ve, vd, std_vel)
+        if not fuse(x, w, at.AID_VEL, m, k[at.K_GATE3] if m == 3 else k[at.K_GATE2]):
+            if is_timed_out(x, at.AID_VEL, k[at.K_TIMEOUT_VEL]):
+                launch(x, k, w, vn, ve, vd, std_vel)
+                reset(x, at.AID_VEL, at.RESET_VELOCITY)
+    observe.position(x, k, w, lat, lon, std_h)
+    if not fuse(x, w, at.AID_POS, 2, k[at.K_GATE2]) and is_timed_out(
+        x, at.AID_POS, k[at.K_TIMEOUT_POS]
+    ):
+        place(x, k, w, lat, lon, std_h)
+        reset(x, at.AID_POS, at.RESET_POSITION)
+    observe.height(x, k, w, alt, std_v)
+    if not fuse(x, w, at.AID_HGT, 1, k[at.K_GATE1]) and is_timed_out(
+        x, at.AID_HGT, k[at.K_TIMEOUT_HGT]
+    ):
+        lift(x, k, w, alt, std_v)
+        reset(x, at.AID_HGT, at.RESET_HEIGHT)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def navigate(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    lat: cython.double,
+    lon: cython.double,
+    alt: cython.double,
+    vn: cython.double,
+    ve: cython.double,
+    vd: cython.double,
+    std_h: cython.double,
+    std_v: cython.double,
+    std_vel: cython.double,
+    has_vel: cython.bint,
+) -> cython.void:
+    """Begin to navigate at a fix; the first one ever is the origin of the local frame."""
+    i: cython.Py_ssize_t
+    if x[at.X_HAS_ORIGIN] == 0.0:
+        propagate.originate(x, lat, lon, alt)
+    x[at.X_MODE] = at.MODE_NAVIGATE
+    x[at.X_HAS_BARO] = 0.0
+    place(x, k, w, lat, lon, std_h)
+    lift(x, k, w, alt, std_v)
+    count(x, at.AID_POS, at.WHY_FUSED)
+    count(x, at.AID_HGT, at.WHY_FUSED)
+    if has_vel:
+        launch(x, k, w, vn, ve, vd, std_vel)
+        count(x, at.AID_VEL, at.WHY_FUSED)
+    else:
+        for i in range(3):
+            x[at.X_VEL + i] = 0.0
+        correct.forget(x, at.E_VEL, 3, 0.04 if x[at.X_AT_REST] != 0.0 else 100.0)
+    for i in range(at.AIDS):
+        if i != at.AID_YAW:
+            x[at.X_T_USED + i] = x[at.X_T]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def place(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    lat: cython.double,
+    lon: cython.double,
+    std: cython.double,
+) -> cython.void:
+    """Set the horizontal position from a fix."""
+    observe.position(x, k, w, lat, lon, std)
+    x[at.X_POS] += w[at.W_Z]
+    x[at.X_POS + 1] += w[at.W_Z + 1]
+    correct.forget(x, at.E_POS, 2, std * std)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def lift(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    alt: cython.double,
+    std: cython.double,
+) -> cython.void:
+    """Set the height from a fix."""
+    observe.height(x, k, w, alt, std)
+    x[at.X_POS + 2] += w[at.W_Z]
+    correct.forget(x, at.E_POS + 2, 1, std * std)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def launch(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    vn: cython.double,
+    ve: cython.double,
+    vd: cython.double,
+    std: cython.double,
+) -> cython.void:
+    """Set the velocity from a fix; an unknown vertical one is taken for none, give or take 2 m/s."""
+    i: cython.Py_ssize_t
+    m: cython.Py_ssize_t = observe.velocity(x, k, w, vn, ve, vd, std)
+    for i in range(m):
+        x[at.X_VEL + i] += w[at.W_Z + i]
+    correct.forget(x, at.E_VEL, 3, std * std)
+    if m == 2:
+        x[at.X_VEL + 2] = 0.0
+        correct.forget(x, at.E_VEL + 2, 1, 0.04 if x[at.X_AT_REST] != 0.0 else 4.0)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def is_heading_used(
+    x: cython.double[::1], k: cython.double[::1], t: cython.double, source: cython.double
+) -> cython.bint:
+    """Say whether a heading is to be used: by order of the user, or the best that still speaks."""
+    i: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, source)
+    j: cython.Py_ssize_t
+    x[at.X_T_HEADING + i] = t
+    if k[at.K_HEADING] == at.HEADING_GNSS:
+        return i == 0
+    if k[at.K_HEADING] == at.HEADING_MAG:
+        return i == 1
+    if k[at.K_HEADING] == at.HEADING_AUTOPILOT:
+        return i == 2
+    if i > 0 and t - x[at.X_T_MAG] < PREFERRED_AGE:
+        return False
+    for j in range(i):
+        if t - x[at.X_T_HEADING + j] < PREFERRED_AGE:
+            return False
+    return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def is_field_used(
+    x: cython.double[::1], k: cython.double[::1], t: cython.double
+) -> cython.bint:
+    """Say whether the magnetic field is to be used for heading; a dual antenna is better."""
+    x[at.X_T_MAG] = t
+    if k[at.K_HEADING] == at.HEADING_AUTO:
+        return t - x[at.X_T_HEADING] >= PREFERRED_AGE
+    return k[at.K_HEADING] == at.HEADING_MAG
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def take_azimuth(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    bx: cython.double,
+    by: cython.double,
+    bz: cython.double,
+    target: cython.double,
+    std: cython.double,
+    noise: cython.double,
+    is_heading: cython.bint,
+) -> cython.void:
+    """Take a heading or a compass reading: keep it while levelling, begin or correct yaw by it."""
+    if is_heading and std < k[at.K_HEADING_FLOOR]:
+        std = k[at.K_HEADING_FLOOR]
+    if x[at.X_MODE] == at.MODE_LEVEL:
+        x[at.X_LEVEL + at.L_REF_T] = x[at.X_T]
+        if is_heading:
+            x[at.X_LEVEL + at.L_REF_KIND] = at.REF_HEADING
+            x[at.X_LEVEL + at.L_REF_V] = target
+            x[at.X_LEVEL + at.L_REF_STD] = std
+        else:
+            x[at.X_LEVEL + at.L_REF_KIND] = at.REF_FIELD
+            x[at.X_LEVEL + at.L_REF_V] = bx
+            x[at.X_LEVEL + at.L_REF_V + 1] = by
+            x[at.X_LEVEL + at.L_REF_V + 2] = bz
+            x[at.X_LEVEL + at.L_REF_STD] = std + 0.05
+        count(x, at.AID_YAW, at.WHY_UNALIGNED)
+        return
+    if not observe.azimuth(x, w, bx, by, bz, target, std, noise):
+        count(x, at.AID_YAW, at.WHY_UNUSED)
+        return
+    if x[at.X_HAS_YAW] == 0.0:
+        face(x, w)
+        x[at.X_HAS_YAW] = 1.0
+        x[at.X_T_USED + at.AID_YAW] = x[at.X_T]
+        count(x, at.AID_YAW, at.WHY_FUSED)
+    elif not fuse(x, w, at.AID_YAW, 1, k[at.K_GATE1]) and is_timed_out(
+        x, at.AID_YAW, k[at.K_TIMEOUT_YAW]
+    ):
+        observe.azimuth(x, w, bx, by, bz, target, std, noise)
+        face(x, w)
+        reset(x, at.AID_YAW, at.RESET_YAW)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def face(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Set the yaw from the innovation of :func:`observe.azimuth`."""
+    variance: cython.double = w[at.W_R] + x[at.X_COV] + x[at.X_COV + at.N + 1]
+    propagate.turn(x, at.X_Q, 0.0, 0.0, w[at.W_Z])
+    correct.forget(x, at.E_ATT + 2, 1, variance)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def take_baro(
+    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1], alt: cython.double
+) -> cython.void:
+    """Take a pressure altitude; the first one gives the offset, and its error that of the height."""
+    j: cython.Py_ssize_t
+    down: cython.Py_ssize_t = at.X_COV + (at.E_POS + 2) * at.N
+    own: cython.Py_ssize_t = at.X_COV + at.E_BARO * at.N
+    if k[at.K_USE_BARO] == 0.0 or x[at.X_MODE] == at.MODE_LEVEL:
+        count(x, at.AID_BARO, at.WHY_UNUSED)
+        return
+    if x[at.X_HAS_BARO] != 0.0:
+        observe.pressure_altitude(x, w, alt, k[at.K_BARO_STD])
+        if fuse(x, w, at.AID_BARO, 1, k[at.K_GATE1]):
+            return
+        if not is_timed_out(x, at.AID_BARO, k[at.K_TIMEOUT_HGT]):
+            return
+    x[at.X_BARO] = alt - (x[at.X_ALT0] - x[at.X_POS + 2])
+    for j in range(at.N):
+        x[own + j] = x[down + j]
+        x[at.X_COV + j * at.N + at.E_BARO] = x[down + j]
+    x[own + at.E_BARO] = x[down + at.E_POS + 2] + k[at.K_BARO_STD] * k[at.K_BARO_STD]
+    x[at.X_HAS_BARO] = 1.0
+    x[at.X_T_USED + at.AID_BARO] = x[at.X_T]
+    count(x, at.AID_BARO, at.WHY_FUSED)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def status(x: cython.double[::1], k: cython.double[::1]) -> cython.int:
+    """Say how far the state can be trusted now."""
+    late: cython.double
+    if x[at.X_MODE] == at.MODE_INIT:
+        return INIT
+    if x[at.X_MODE] == at.MODE_LEVEL:
+        return ALIGNING
+    if x[at.X_MODE] == at.MODE_ATTITUDE:
+        return ATTITUDE if x[at.X_HAS_YAW] != 0.0 else ALIGNING
+    if (
+        x[at.X_COV + at.E_POS * (at.N + 1)] + x[at.X_COV + (at.E_POS + 1) * (at.N + 1)]
+        > k[at.K_LIMIT_POS] * k[at.K_LIMIT_POS]
+    ):
+        return INVALID
+    # one second beyond the interval at which the receiver speaks, and its delay
+    late = 1.0 + (x[at.X_FIX_DT] if x[at.X_FIX_DT] < 2.0 else 2.0)
+    if is_timed_out(x, at.AID_POS, late) and is_timed_out(x, at.AID_VEL, late):
+        return DEAD_RECKONING
+    if is_timed_out(x, at.AID_POS, late + 1.0) or is_timed_out(x, at.AID_YAW, 5.0):
+        return DEGRADED
+    if is_timed_out(x, at.AID_HGT, late + 1.0) and is_timed_out(x, at.AID_BARO, 2.0):
+        return DEGRADED
+    return OK
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def describe(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    y: cython.double[::1],
+    w: cython.double[::1],
+    out: cython.double[::1],
+) -> cython.int:
+    """Write the estimate of now to out, in the order of nav.state.COLUMNS but for the time.
+
+    Now is the sample's stamp: the state is carried on, in y, by the lag of the inertial sensor.
+    Gives the status; what is not known yet is NaN.
+    """
+    i: cython.Py_ssize_t
+    state: cython.int = status(x, k)
+    for i in range(at.X_COV):
+        y[i] = x[i]
+    if k[at.K_LAG] > 0.0 and x[at.X_MODE] >= at.MODE_ATTITUDE:
+        propagate.move(
+            y,
+            k,
+            w,
+            k[at.K_LAG],
+            x[at.X_GYRO],
+            x[at.X_GYRO + 1],
+            x[at.X_GYRO + 2],
+            x[at.X_ACCEL],
+            x[at.X_ACCEL + 1],
+            x[at.X_ACCEL + 2],
+        )
+    for i in range(at.OUT):
+        out[i] = NAN
+    out[at.OUT_STATUS] = state
+    out[at.OUT_RESETS] = x[at.X_RESETS]
+    if x[at.X_MODE] < at.MODE_ATTITUDE:
+        return state
+
+    # Attitude, biases
+    propagate.matrix(y, at.X_Q, w)
+    sp: cython.double = -w[at.W_C_NB + 6]
+    if sp > 1.0:
+        sp = 1.0
+    if sp < -1.0:
+        sp = -1.0
+    yaw: cython.double = atan2(w[at.W_C_NB + 3], w[at.W_C_NB])
+    sign: cython.double = -1.0 if y[at.X_Q] < 0.0 else 1.0
+    for i in range(4):
+        out[at.OUT_Q + i] = sign * y[at.X_Q + i]
+    out[at.OUT_EULER] = atan2(w[at.W_C_NB + 7], w[at.W_C_NB + 8])
+    out[at.OUT_EULER + 1] = asin(sp)
+    out[at.OUT_EULER + 2] = yaw
+    for i in range(3):
+        out[at.OUT_BG + i] = x[at.X_BG + i]
+        out[at.OUT_BA + i] = x[at.X_BA + i]
+
+    # Attitude error in n as errors of the Euler angles
+    cp: cython.double = sqrt(1.0 - sp * sp)
+    if cp < 1e-3:
+        cp = 1e-3
+    c: cython.double = cos(yaw)
+    s: cython.double = sin(yaw)
+    p00: cython.double = x[at.X_COV]
+    p01: cython.double = x[at.X_COV + 1]
+    p02: cython.double = x[at.X_COV + 2]
+    p11: cython.double = x[at.X_COV + at.N + 1]
+    p12: cython.double = x[at.X_COV + at.N + 2]
+    p22: cython.double = x[at.X_COV + 2 * at.N + 2]
+    along: cython.double = c * c * p00 + 2.0 * c * s * p01 + s * s * p11
+    out[at.OUT_SD + 6] = sqrt(along) / cp
+    out[at.OUT_SD + 7] = sqrt(s * s * p00 - 2.0 * c * s * p01 + c * c * p11)
+    out[at.OUT_SD + 8] = sqrt(
+        fabs(p22 + sp * sp / (cp * cp) * along + 2.0 * sp / cp * (c * p02 + s * p12))
+    )
+    if x[at.X_HAS_YAW] == 0.0:
+        out[at.OUT_EULER + 2] = NAN
+        out[at.OUT_SD + 8] = NAN
+
+    # Height without GNSS is over the start, by the barometer
+    if x[at.X_MODE] < at.MODE_NAVIGATE:
+        if x[at.X_HAS_BARO] != 0.0:
+            out[at.OUT_POS + 2] = y[at.X_POS + 2]
+            out[at.OUT_VEL + 2] = y[at.X_VEL + 2]
+            out[at.OUT_SD + 2] = sqrt(x[at.X_COV + (at.E_POS + 2) * (at.N + 1)])
+            out[at.OUT_SD + 5] = sqrt(x[at.X_COV + (at.E_VEL + 2) * (at.N + 1)])
+        return state
+    for i in range(3):
+        out[at.OUT_POS + i] = y[at.X_POS + i]
+        out[at.OUT_VEL + i] = y[at.X_VEL + i]
+        out[at.OUT_SD + i] = sqrt(x[at.X_COV + (at.E_POS + i) * (at.N + 1)])
+        out[at.OUT_SD + 3 + i] = sqrt(x[at.X_COV + (at.E_VEL + i) * (at.N + 1)])
+    out[at.OUT_LLA] = (x[at.X_LAT0] + y[at.X_POS] / x[at.X_SCALE_N]) * DEG
+    out[at.OUT_LLA + 1] = observe.wrap(x[at.X_LON0] + y[at.X_POS + 1] / x[at.X_SCALE_E]) * DEG
+    out[at.OUT_LLA + 2] = x[at.X_ALT0] - y[at.X_POS + 2]
+    return state

@@ -1,0 +1,413 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+# cython: initializedcheck=False
+"""The order of time: events take the place where they were true, whenever they arrive.
+
+A window of the last seconds is kept as sorted rows, with snapshots of the state block between them.
+A late event goes back to the snapshot before it and all that came after is run again; so the state
+depends on what was measured, never on the order in which it arrived.
+
+An event between two inertial samples waits for the second one, whose interval it splits: no guess
+about the rate is ever made and corrected later.
+"""
+
+from __future__ import annotations
+
+import cython
+import numpy as np
+
+if cython.compiled:
+    from cython.cimports.ekf_companion.core import kernel
+    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.libc.math import fabs, isfinite, isnan
+else:
+    from math import fabs, isfinite, isnan
+
+    from ekf_companion.core import kernel
+    from ekf_companion.core import layout as at
+
+IMU = cython.declare(cython.double, 6.0)
+RESTART = cython.declare(cython.int, 0)
+
+# What became of an event on its arrival, as in nav.state.Arrival
+TAKEN = cython.declare(cython.int, 0)
+STALE = cython.declare(cython.int, 1)
+DUPLICATE = cython.declare(cython.int, 2)
+MALFORMED = cython.declare(cython.int, 3)
+RESTARTED = cython.declare(cython.int, 4)
+ESTIMATED = cython.declare(cython.int, 5)
+
+SNAPSHOT_EVERY = cython.declare(cython.Py_ssize_t, 16)
+"""Inertial samples between two snapshots: at 250 Hz a late event re-runs 32 ms more at the most."""
+LOST_AFTER = cython.declare(cython.Py_ssize_t, 250)
+"""So many inertial samples in a row too old for the window mean that the clock itself went back."""
+LARGEST_RATE = cython.declare(cython.double, 200.0)
+"""rad/s; no gyro of a vehicle reaches it."""
+LARGEST_FORCE = cython.declare(cython.double, 2000.0)
+"""m/s^2."""
+
+
+@cython.cclass
+class Timeline:
+    """The estimator over time: put events in, as they come, and read the state of now."""
+
+    rows: cython.double[:, ::1]
+    snapshots: cython.double[:, ::1]
+    snapshot_row: cython.Py_ssize_t[::1]
+    x: cython.double[::1]
+    y: cython.double[::1]
+    k: cython.double[::1]
+    w: cython.double[::1]
+    out: cython.double[::1]
+    delay: cython.longlong[::1]
+    counters: cython.longlong[:, ::1]
+    size: cython.Py_ssize_t
+    capacity: cython.Py_ssize_t
+    cursor: cython.Py_ssize_t
+    snaps: cython.Py_ssize_t
+    since_snap: cython.Py_ssize_t
+    window: cython.double
+    epoch: cython.longlong
+    has_epoch: cython.bint
+    newest: cython.double
+    stamp: cython.longlong
+    lost: cython.Py_ssize_t
+    reruns: cython.longlong
+
+    def __init__(
+        self,
+        parameters: np.ndarray,
+        delay_ns: np.ndarray,
+        window_ns: int,
+        capacity: int = 8192,
+        snapshots: int = 512,
+    ) -> None:
+        """Begin with an empty timeline.
+
+        Args:
+            parameters: The filter's numbers, shape (PARAMETERS,), as layout.K_* says.
+            delay_ns: How late the stamps of each kind are, ns, shape (kinds,).
+            window_ns: How far back a late event is still taken, ns.
+            capacity: Rows to hold; twice what the window can hold is enough.
+            snapshots: States to hold.
+        """
+        self.k = np.ascontiguousarray(parameters, dtype=np.float64).copy()
+        self.delay = np.ascontiguousarray(delay_ns, dtype=np.int64).copy()
+        self.window = float(window_ns)
+        self.capacity = capacity
+        self.rows = np.zeros((capacity, at.ROW))
+        self.snapshots = np.zeros((snapshots, at.BLOCK))
+        self.snapshot_row = np.zeros(snapshots, dtype=np.intp)
+        self.x = np.zeros(at.BLOCK)
+        self.y = np.zeros(at.BLOCK)
+        self.w = np.zeros(at.SCRATCH)
+        self.out = np.zeros(at.OUT)
+        self.counters = np.zeros((len(self.delay), 6), dtype=np.int64)
+        self.has_epoch = False
+        self.epoch = 0
+        self.lost = 0
+        self.reruns = 0
+        self.clear()
+
+    @cython.cfunc
+    def clear(self) -> cython.void:
+        """Forget all events; the state that remains is the one to begin from."""
+        self.size = 0
+        self.cursor = 0
+        self.snaps = 1
+        self.since_snap = 0
+        self.snapshot_row[0] = -1
+        self.snapshots[0, :] = self.x
+        self.newest = -1.0
+        self.stamp = 0
+
+    def restart(self) -> None:
+        """Begin anew on a clock that began anew: only the count of resets lives on."""
+        resets: cython.double = self.x[at.X_RESETS]
+        samples: cython.double = self.x[at.X_SAMPLES]
+        i: cython.Py_ssize_t
+        started: cython.bint = self.x[at.X_MODE] != at.MODE_INIT
+        for i in range(at.BLOCK):
+            self.x[i] = 0.0
+        self.x[at.X_RESETS] = resets + 1.0 if started else resets
+        self.x[at.X_SAMPLES] = samples
+        self.x[at.X_RESET_REASON] = at.RESET_CLOCK
+        self.has_epoch = False
+        self.lost = 0
+        self.clear()
+
+    def insert(self, t_ns: cython.longlong, kind: cython.int, values: cython.double[::1]) -> int:
+        """Take one event on its arrival and run the filter as far as it now can.
+
+        Returns:
+            What became of it: TAKEN, STALE, DUPLICATE, MALFORMED, RESTARTED, or ESTIMATED for an
+            inertial sample that is the newest, so that there is an estimate for its stamp.
+        """
+        return self.put(t_ns, kind, values)
+
+    @cython.cfunc
+    def put(
+        self, t_ns: cython.longlong, kind: cython.int, values: cython.double[::1]
+    ) -> cython.int:
+        """Do the work of insert, and count the result by kind."""
+        result: cython.int = MALFORMED
+        if kind == RESTART:
+            self.restart()
+            result = RESTARTED
+        elif kind < self.delay.shape[0] and is_sane(kind, values):
+            result = self.place(t_ns, kind, values)
+        if 0 <= kind < self.delay.shape[0]:
+            self.counters[kind, result] += 1
+        return result
+
+    @cython.cfunc
+    def place(
+        self, t_ns: cython.longlong, kind: cython.int, values: cython.double[::1]
+    ) -> cython.int:
+        """Put a sane event in its place in time, and redo what came after it."""
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        order: cython.int
+        t: cython.double
+        if not self.has_epoch:
+            # everything true before the epoch has a negative time, which is as good as any
+            self.epoch = t_ns
+            self.has_epoch = True
+        t = cython.cast(cython.double, t_ns - self.delay[kind] - self.epoch)
+
+        # Too old to go back to?
+        if self.newest >= 0.0 and t < self.newest - self.window:
+            if kind == IMU:
+                self.lost += 1
+                if self.lost >= LOST_AFTER:
+                    self.restart()
+            return STALE
+
+        # Find the place: after all that is earlier, in an order that arrival has no part in
+        i = self.size
+        while i > 0:
+            order = compare(self.rows, i - 1, t, kind, values)
+            if order == 0:
+                return DUPLICATE
+            if order < 0:
+                break
+            i -= 1
+        if self.size == self.capacity:
+            j = self.trim()
+            i -= j
+            if i < 0 or self.size == self.capacity:
+                return STALE
+        for j in range(self.size, i, -1):
+            self.rows[j, :] = self.rows[j - 1, :]
+        self.rows[i, at.ROW_T] = t
+        self.rows[i, at.ROW_KIND] = kind
+        for j in range(at.ROW - at.ROW_V):
+            self.rows[i, at.ROW_V + j] = values[j]
+        self.size += 1
+
+        # Late: back to the last snapshot before it
+        if i < self.cursor:
+            while self.snapshot_row[self.snaps - 1] >= i:
+                self.snaps -= 1
+            self.x[:] = self.snapshots[self.snaps - 1, :]
+            self.cursor = self.snapshot_row[self.snaps - 1] + 1
+            self.since_snap = 0
+            self.reruns += 1
+            self.run()
+            return TAKEN
+        if kind != IMU:
+            return TAKEN
+        self.run()
+        self.lost = 0
+        self.newest = t
+        self.stamp = t_ns
+        return ESTIMATED
+
+    @cython.cfunc
+    def run(self) -> cython.void:
+        """Step through all rows up to the last inertial sample, leaving snapshots behind."""
+        i: cython.Py_ssize_t
+        first: cython.Py_ssize_t = self.cursor
+        for i in range(self.cursor, self.size):
+            if self.rows[i, at.ROW_KIND] != IMU:
+                continue
+            kernel.step(self.x, self.k, self.w, self.rows, first, i)
+            first = i + 1
+            self.cursor = first
+            self.since_snap += 1
+            if self.since_snap >= SNAPSHOT_EVERY:
+                if self.snaps == self.snapshots.shape[0]:
+                    self.thin()
+                self.snapshots[self.snaps, :] = self.x
+                self.snapshot_row[self.snaps] = i
+                self.snaps += 1
+                self.since_snap = 0
+
+    @cython.cfunc
+    def thin(self) -> cython.void:
+        """Make room for snapshots: of each two but the oldest keep the later."""
+        i: cython.Py_ssize_t
+        kept: cython.Py_ssize_t = 1
+        for i in range(2, self.snaps, 2):
+            self.snapshots[kept, :] = self.snapshots[i, :]
+            self.snapshot_row[kept] = self.snapshot_row[i]
+            kept += 1
+        self.snaps = kept
+
+    @cython.cfunc
+    def trim(self) -> cython.Py_ssize_t:
+        """Drop the rows before the last snapshot that no event in the window can go behind.
+
+        Gives the number of rows dropped.
+        """
+        i: cython.Py_ssize_t
+        base: cython.Py_ssize_t = 0
+        gone: cython.Py_ssize_t
+        for i in range(self.snaps):
+            if (
+                self.snapshot_row[i] >= 0
+                and self.rows[self.snapshot_row[i], at.ROW_T] < self.newest - self.window
+            ):
+                base = i
+        gone = self.snapshot_row[base] + 1
+        if gone == 0:
+            # waiting for an inertial sample that does not come: the oldest half has waited enough
+            if self.cursor > 0:
+                return 0
+            gone = self.size // 2
+        for i in range(gone, self.size):
+            self.rows[i - gone, :] = self.rows[i, :]
+        self.size -= gone
+        self.cursor = self.cursor - gone if self.cursor > gone else 0
+        for i in range(base, self.snaps):
+            self.snapshots[i - base, :] = self.snapshots[i, :]
+            self.snapshot_row[i - base] = self.snapshot_row[i] - gone
+        self.snaps -= base
+        self.snapshot_row[0] = -1
+        return gone
+
+    def run_log(
+        self,
+        t_ns: cython.longlong[::1],
+        kind: cython.longlong[::1],
+        values: cython.double[:, ::1],
+        stamps: cython.longlong[::1],
+        out: cython.double[:, ::1],
+    ) -> int:
+        """Take a table of events in the order of arrival, and write an estimate per newest sample.
+
+        Args:
+            t_ns: Stamps, shape (n,).
+            kind: Kinds, shape (n,).
+            values: Values, shape (n, WIDTH).
+            stamps: Receives the stamps of the estimates, shape at least (inertial samples,).
+            out: Receives the estimates, shape as stamps, by OUT.
+
+        Returns:
+            The number of estimates written.
+        """
+        i: cython.Py_ssize_t
+        n: cython.Py_ssize_t = 0
+        for i in range(t_ns.shape[0]):
+            if self.put(t_ns[i], cython.cast(cython.int, kind[i]), values[i]) == ESTIMATED:
+                kernel.describe(self.x, self.k, self.y, self.w, out[n])
+                stamps[n] = t_ns[i]
+                n += 1
+        return n
+
+    def describe(self) -> np.ndarray:
+        """Give the estimate at the newest sample's stamp, shape (OUT,), as layout.OUT_* says."""
+        kernel.describe(self.x, self.k, self.y, self.w, self.out)
+        return np.array(self.out)
+
+    def block(self) -> np.ndarray:
+        """Give a copy of the state block, shape (BLOCK,)."""
+        return np.array(self.x)
+
+    def set_parameters(self, parameters: np.ndarray) -> None:
+        """Change the filter's numbers; they hold from the next step on."""
+        self.k[:] = np.ascontiguousarray(parameters, dtype=np.float64)
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the newest inertial sample, ns."""
+        return self.stamp
+
+    @property
+    def rerun_count(self) -> int:
+        """How often a late event made the filter go back."""
+        return self.reruns
+
+    @property
+    def arrivals(self) -> np.ndarray:
+        """How many events of each kind (rows) met each result (columns)."""
+        return np.array(self.counters)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def compare(
+    rows: cython.double[:, ::1],
+    i: cython.Py_ssize_t,
+    t: cython.double,
+    kind: cython.int,
+    values: cython.double[::1],
+) -> cython.int:
+    """Give -1, 0, 1 as row i is before, the same as, or after the event: by time, kind, values."""
+    j: cython.Py_ssize_t
+    a: cython.double
+    b: cython.double
+    if rows[i, at.ROW_T] != t:
+        return -1 if rows[i, at.ROW_T] < t else 1
+    if rows[i, at.ROW_KIND] != kind:
+        return -1 if rows[i, at.ROW_KIND] < kind else 1
+    for j in range(at.ROW - at.ROW_V):
+        a = rows[i, at.ROW_V + j]
+        b = values[j]
+        if isnan(a) or isnan(b):
+            if isnan(a) and isnan(b):
+                continue
+            return -1 if isnan(a) else 1
+        if a != b:
+            return -1 if a < b else 1
+    return 0
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def is_sane(kind: cython.int, values: cython.double[::1]) -> cython.bint:
+    """Refuse what no sensor can say: not finite where a number must be, or beyond all bounds."""
+    j: cython.Py_ssize_t
+    if kind == 6:
+        for j in range(3):
+            if not isfinite(values[j]) or fabs(values[j]) > LARGEST_RATE:
+                return False
+            if not isfinite(values[3 + j]) or fabs(values[3 + j]) > LARGEST_FORCE:
+                return False
+        return True
+    if kind == 1:
+        for j in range(3, 9):
+            if not (isfinite(values[j]) or isnan(values[j])) or fabs(values[j]) > 1e5:
+                return False
+        if isnan(values[3]) != isnan(values[4]) or isnan(values[6]) or isnan(values[7]):
+            return False
+        if not (values[6] > 0.0 and values[7] > 0.0) or values[8] <= 0.0:
+            return False
+        if not (isnan(values[9]) or fabs(values[9]) <= 3.2) or not 0.0 <= values[10] < 256.0:
+            return False
+        return fabs(values[0]) < 1.57 and fabs(values[1]) < 3.15 and fabs(values[2]) < 1e5
+    if kind == 2:
+        return (
+            fabs(values[0]) < 7.0 and 0.0 < values[1] < 10.0 and values[2] in (0.0, 1.0, 2.0)
+        )
+    if kind == 3:
+        return (
+            fabs(values[0]) < 10.0
+            and fabs(values[1]) < 10.0
+            and fabs(values[2]) < 10.0
+            and values[0] * values[0] + values[1] * values[1] + values[2] * values[2] > 1e-6
+        )
+    if kind == 4:
+        return fabs(values[0]) < 1e5
+    return kind == 5 and not isnan(values[0])
