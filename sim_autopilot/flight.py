@@ -1,0 +1,285 @@
+"""A flight laid out in order of time: one cycle of the autopilot's loop per inertial sample.
+
+``generate`` and ``fly`` walk through the same cycles; only the clock differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.nav import so3
+from ekf_companion.nav.earth import LocalFrame
+from sim_autopilot import sensors
+from sim_autopilot.config import SimConfig
+from sim_autopilot.scenarios import SCENARIOS, Scenario
+from sim_autopilot.truth import Trajectory, Truth
+
+Array = npt.NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+_CHUNK = 256
+"""Cycles laid out at once: a millisecond of work, so that a live flight does not stutter."""
+_ARMS_BEFORE = 1.0
+"""The vehicle is armed so long before it moves, s."""
+
+
+class Motion(NamedTuple):
+    """Where the vehicle is, or where the autopilot believes that it is."""
+
+    lat: float
+    """rad."""
+    lon: float
+    """rad."""
+    alt: float
+    """m."""
+    pos_n: Vector
+    """North, east, down of home, m."""
+    vel_n: Vector
+    """m/s."""
+    q_nb: tuple[float, float, float, float]
+    euler: Vector
+    """Roll, pitch, yaw, rad."""
+    rate_b: Vector
+    """rad/s."""
+    accel_b: Vector
+    """Specific force, m/s^2."""
+
+
+class Fix(NamedTuple):
+    """What the receiver says."""
+
+    t_ns: int
+    """Its stamp."""
+    lat: float
+    """rad."""
+    lon: float
+    """rad."""
+    alt: float
+    """m."""
+    vel_n: Vector
+    """m/s."""
+    yaw: float
+    """rad; NaN: none."""
+
+
+class Cycle(NamedTuple):
+    """What is new in one turn of the autopilot's loop."""
+
+    number: int
+    t_ns: int
+    """Of the end of the inertial sample, on the autopilot's clock."""
+    gyro_b: Vector
+    accel_b: Vector
+    mag_b: Vector | None
+    """gauss; None: nothing new."""
+    baro: tuple[float, float] | None
+    """Pressure, hPa, and altitude, m; None: nothing new."""
+    fix: Fix | None
+    """None: nothing new."""
+    truth: Motion
+    estimate: Motion
+    """The autopilot's own."""
+    is_armed: bool
+    is_landed: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Flight:
+    """A scenario with everything that chance decides already drawn."""
+
+    scenario: Scenario
+    config: SimConfig
+    seed: int
+    trajectory: Trajectory
+    zero_ns: int
+    """Time 0 of the trajectory on the autopilot's clock."""
+    period_ns: int
+    """Between inertial samples."""
+    imu: sensors.ImuData
+    gnss: sensors.GnssData
+    mag: sensors.MagData
+    baro: sensors.BaroData
+    estimate_error: Array
+    """Of position, velocity, roll, pitch and yaw, shape (n, 9)."""
+
+    @classmethod
+    def plan(
+        cls,
+        name: str,
+        config: SimConfig,
+        *,
+        seed: int = 1,
+        duration: float | None = None,
+        skip: float = 0.0,
+    ) -> Flight:
+        """Draw a flight.
+
+        Args:
+            name: Of the scenario.
+            config: Every number.
+            seed: The same gives the same bits.
+            duration: s; None: as long as the scenario is.
+            skip: The flight begins so far into the scenario, s: a start in motion.
+        """
+        scenario = SCENARIOS[name]
+        duration = scenario.duration if duration is None else duration
+        home = config.home
+        frame = LocalFrame(float(np.radians(home.lat)), float(np.radians(home.lon)), home.alt)
+        trajectory = scenario.build(frame, skip + duration)
+        rng = sensors.generators(seed)
+
+        # Whole microseconds, as the messages' stamps are
+        period_ns = round(1e6 / config.imu.rate) * 1000
+        period = period_ns * 1e-9
+        count = int(duration / period + 1e-9)
+        t: Array = np.asarray(skip + period * np.arange(1, count + 1), dtype=np.float64)
+        fix_count = int(duration * config.gnss.rate + 1e-9)
+        fix_t = skip + np.arange(1, fix_count + 1) / config.gnss.rate
+        noise = rng["estimate"].standard_normal((count, 9))
+        e = config.estimate
+        sigmas = [e.position] * 3 + [e.velocity] * 3 + [e.tilt] * 2 + [e.yaw]
+        return cls(
+            scenario=scenario,
+            config=config,
+            seed=seed,
+            trajectory=trajectory,
+            zero_ns=round((home.boot - skip) * 1e9),
+            period_ns=period_ns,
+            imu=sensors.imu(trajectory, config.imu, rng["imu"], t, period),
+            gnss=sensors.gnss(trajectory, config.gnss, rng["gnss"], fix_t),
+            mag=sensors.compass(
+                trajectory, config.compass, rng["compass"], _every(t, period, config.compass.rate)
+            ),
+            baro=sensors.baro(
+                trajectory, config.baro, rng["baro"], _every(t, period, config.baro.rate)
+            ),
+            estimate_error=sensors.gauss_markov(noise, period, e.time) * sigmas,
+        )
+
+    def __len__(self) -> int:
+        """Give the number of cycles."""
+        return len(self.imu.t)
+
+    @property
+    def duration(self) -> float:
+        """Give the length of the flight, s."""
+        return len(self) * self.period_ns * 1e-9
+
+    @property
+    def first_ns(self) -> int:
+        """Give the time of the first cycle on the autopilot's clock."""
+        return self.to_ns(float(self.imu.t[0]))
+
+    def to_ns(self, t: float) -> int:
+        """Give a time of the trajectory on the autopilot's clock, in whole microseconds."""
+        return self.zero_ns + round(t * 1e6) * 1000
+
+    def truth_at(self, t_ns: npt.NDArray[np.int64]) -> Truth:
+        """Give the motion at times on the autopilot's clock."""
+        return self.trajectory.at(np.asarray((t_ns - self.zero_ns) * 1e-9, dtype=np.float64))
+
+    def cycles(self) -> Iterator[Cycle]:
+        """Give the cycles in order of time."""
+        t = self.imu.t
+        mag = _arrivals(t, self.mag.t, zip(*self.mag.mag_b.T.tolist(), strict=True))
+        baro = _arrivals(
+            t, self.baro.t, zip(self.baro.pressure.tolist(), self.baro.alt.tolist(), strict=True)
+        )
+        fixes = _arrivals(t, self.gnss.t, self._fixes())
+        for start in range(0, len(t), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            truth = self.trajectory.at(t[part])
+            is_landed, is_armed = self._ground_contact(truth)
+            rows = zip(
+                t[part].tolist(),
+                self.imu.gyro_b[part].tolist(),
+                self.imu.accel_b[part].tolist(),
+                _motions(truth),
+                _motions(self._estimate(truth, self.estimate_error[part])),
+                is_armed,
+                is_landed,
+                strict=True,
+            )
+            for number, (now, gyro, accel, true, believed, armed, landed) in enumerate(rows, start):
+                yield Cycle(
+                    number,
+                    self.to_ns(now),
+                    tuple(gyro),
+                    tuple(accel),
+                    mag.get(number),
+                    baro.get(number),
+                    fixes.get(number),
+                    true,
+                    believed,
+                    armed,
+                    landed,
+                )
+
+    def _fixes(self) -> Iterator[Fix]:
+        data = self.gnss
+        columns = (data.t, data.lat, data.lon, data.alt, data.vel_n, data.yaw)
+        for t, lat, lon, alt, vel_n, yaw in zip(*(c.tolist() for c in columns), strict=True):
+            yield Fix(self.to_ns(t), lat, lon, alt, tuple(vel_n), yaw)
+
+    def _ground_contact(self, truth: Truth) -> tuple[list[bool], list[bool]]:
+        """Give whether it stands on the ground, and whether it is armed."""
+        if not self.scenario.is_airborne:
+            return [True] * len(truth.t), [False] * len(truth.t)
+        soon = self.trajectory.at(truth.t + _ARMS_BEFORE)
+        return _is_at_rest(truth).tolist(), (~_is_at_rest(soon)).tolist()
+
+    def _estimate(self, truth: Truth, error: Array) -> Truth:
+        pos_n, euler = truth.pos_n + error[:, :3], truth.euler + error[:, 6:]
+        lat, lon, alt = self.trajectory.frame.to_geodetic(pos_n)
+        return Truth(
+            t=truth.t,
+            pos_n=pos_n,
+            lat=lat,
+            lon=lon,
+            alt=alt,
+            vel_n=truth.vel_n + error[:, 3:6],
+            q_nb=so3.from_euler(euler[:, 0], euler[:, 1], euler[:, 2]),
+            euler=euler,
+            rate_nb_b=truth.rate_nb_b,
+            gyro_b=truth.gyro_b,
+            accel_b=truth.accel_b,
+        )
+
+
+def _every(t: Array, period: float, rate: float) -> Array:
+    """Give the inertial sampling times at which a slower sensor of the same board is read."""
+    step = max(1, round(1.0 / (rate * period)))
+    return t[step - 1 :: step]
+
+
+def _arrivals(cycles: Array, t: Array, samples: Iterator[Any]) -> dict[int, Any]:
+    """Give samples by the index of the first cycle that can see them."""
+    index = np.searchsorted(cycles, t - 1e-9)  # a nanosecond for the rounding of equal times
+    return dict(zip(index.tolist(), samples, strict=True))
+
+
+def _is_at_rest(truth: Truth) -> npt.NDArray[np.bool_]:
+    speed = np.linalg.norm(truth.vel_n, axis=1)
+    return np.asarray((speed < 0.02) & (np.abs(truth.pos_n[:, 2]) < 0.02))
+
+
+def _motions(truth: Truth) -> Iterator[Motion]:
+    euler = so3.wrap(truth.euler)
+    columns = (
+        truth.lat,
+        truth.lon,
+        truth.alt,
+        truth.pos_n,
+        truth.vel_n,
+        truth.q_nb,
+        euler,
+        truth.rate_nb_b,
+        truth.accel_b,
+    )
+    for row in zip(*(column.tolist() for column in columns), strict=True):
+        yield Motion(*row)

@@ -1,0 +1,168 @@
+"""What each of the autopilot's messages says of a cycle: SI to the fields on the wire."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from sim_autopilot.config import SimConfig
+from sim_autopilot.flight import Cycle, Fix, Motion
+
+Fields = dict[str, Any]
+Builder = Callable[[SimConfig, Cycle], Fields]
+
+MAGNETOMETER = 64 | 128 | 256
+BAROMETER = 512 | 2048
+INERTIAL_AND_TEMPERATURE = 0x3F | 4096
+"""Bits of HIGHRES_IMU.fields_updated."""
+GEOID = 47.0
+"""Height of the sea level above the ellipsoid that the receiver reports, m."""
+
+
+def highres_imu(
+    cycle: Cycle,
+    config: SimConfig,
+    mag_b: tuple[float, float, float],
+    baro: tuple[float, float],
+    fields_updated: int,
+) -> Fields:
+    """Give HIGHRES_IMU with the latest magnetometer and barometer samples, new or not."""
+    return {
+        "time_usec": cycle.t_ns // 1000,
+        "xacc": cycle.accel_b[0],
+        "yacc": cycle.accel_b[1],
+        "zacc": cycle.accel_b[2],
+        "xgyro": cycle.gyro_b[0],
+        "ygyro": cycle.gyro_b[1],
+        "zgyro": cycle.gyro_b[2],
+        "xmag": mag_b[0],
+        "ymag": mag_b[1],
+        "zmag": mag_b[2],
+        "abs_pressure": baro[0],
+        "pressure_alt": baro[1],
+        "temperature": config.baro.temperature,
+        "fields_updated": fields_updated,
+    }
+
+
+def gps_raw_int(config: SimConfig, fix: Fix) -> Fields:
+    """Give GPS_RAW_INT with the accuracies that are true."""
+    gnss = config.gnss
+    north, east, _ = fix.vel_n
+    return {
+        "time_usec": fix.t_ns // 1000,
+        "fix_type": 3,
+        "lat": _degE7(fix.lat),
+        "lon": _degE7(fix.lon),
+        "alt": round(fix.alt * 1e3),
+        "eph": 70,
+        "epv": 110,
+        "vel": round(math.hypot(north, east) * 1e2),
+        "cog": _centidegrees(math.atan2(east, north)),
+        "satellites_visible": 17,
+        "alt_ellipsoid": round((fix.alt + GEOID) * 1e3),
+        "h_acc": round(math.hypot(gnss.noise_h, gnss.slow_h) * 1e3),
+        "v_acc": round(math.hypot(gnss.noise_v, gnss.slow_v) * 1e3),
+        "vel_acc": round(gnss.noise_vel * 1e3),
+        "hdg_acc": round(math.degrees(gnss.noise_yaw) * 1e5) if gnss.yaw else 0,
+        # 0 means that there is none, so north is 36000
+        "yaw": (_centidegrees(fix.yaw) or 36000) if gnss.yaw else 0,
+    }
+
+
+def _attitude(config: SimConfig, cycle: Cycle) -> Fields:
+    believed = cycle.estimate
+    return {
+        "time_boot_ms": _boot_ms(cycle),
+        **dict(zip(("roll", "pitch", "yaw"), believed.euler, strict=True)),
+        **dict(zip(("rollspeed", "pitchspeed", "yawspeed"), believed.rate_b, strict=True)),
+    }
+
+
+def _global_position_int(config: SimConfig, cycle: Cycle) -> Fields:
+    believed = cycle.estimate
+    return {
+        "time_boot_ms": _boot_ms(cycle),
+        "lat": _degE7(believed.lat),
+        "lon": _degE7(believed.lon),
+        "alt": round(believed.alt * 1e3),
+        "relative_alt": round(-believed.pos_n[2] * 1e3),
+        "vx": round(believed.vel_n[0] * 1e2),
+        "vy": round(believed.vel_n[1] * 1e2),
+        "vz": round(believed.vel_n[2] * 1e2),
+        "hdg": _centidegrees(believed.euler[2]),
+    }
+
+
+def _local_position_ned(config: SimConfig, cycle: Cycle) -> Fields:
+    believed = cycle.estimate
+    return {
+        "time_boot_ms": _boot_ms(cycle),
+        **dict(zip("xyz", believed.pos_n, strict=True)),
+        **dict(zip(("vx", "vy", "vz"), believed.vel_n, strict=True)),
+    }
+
+
+def _sim_state(config: SimConfig, cycle: Cycle) -> Fields:
+    truth: Motion = cycle.truth
+    return {
+        **dict(zip(("q1", "q2", "q3", "q4"), truth.q_nb, strict=True)),
+        **dict(zip(("roll", "pitch", "yaw"), truth.euler, strict=True)),
+        **dict(zip(("xacc", "yacc", "zacc"), truth.accel_b, strict=True)),
+        **dict(zip(("xgyro", "ygyro", "zgyro"), truth.rate_b, strict=True)),
+        "lat": math.degrees(truth.lat),
+        "lon": math.degrees(truth.lon),
+        "alt": truth.alt,
+        "std_dev_horz": 0.0,
+        "std_dev_vert": 0.0,
+        **dict(zip(("vn", "ve", "vd"), truth.vel_n, strict=True)),
+        "lat_int": _degE7(truth.lat),
+        "lon_int": _degE7(truth.lon),
+    }
+
+
+def _system_time(config: SimConfig, cycle: Cycle) -> Fields:
+    return {
+        "time_unix_usec": round(config.home.unix * 1e6) + cycle.t_ns // 1000,
+        "time_boot_ms": _boot_ms(cycle),
+    }
+
+
+def _extended_sys_state(config: SimConfig, cycle: Cycle) -> Fields:
+    return {"landed_state": 1 if cycle.is_landed else 2}
+
+
+def _gps_global_origin(config: SimConfig, cycle: Cycle) -> Fields:
+    home = config.home
+    return {
+        "latitude": round(home.lat * 1e7),
+        "longitude": round(home.lon * 1e7),
+        "altitude": round(home.alt * 1e3),
+        "time_usec": cycle.t_ns // 1000,
+    }
+
+
+def _degE7(angle: float) -> int:  # noqa: N802  # the unit's own spelling
+    return round(math.degrees(angle) * 1e7)
+
+
+def _centidegrees(angle: float) -> int:
+    """Give an angle as 0 to 35999 hundredths of a degree."""
+    return round(math.degrees(angle) * 1e2) % 36000
+
+
+def _boot_ms(cycle: Cycle) -> int:
+    return cycle.t_ns // 1_000_000 & 0xFFFFFFFF
+
+
+BUILDERS: dict[str, Builder] = {
+    "ATTITUDE": _attitude,
+    "GLOBAL_POSITION_INT": _global_position_int,
+    "LOCAL_POSITION_NED": _local_position_ned,
+    "SIM_STATE": _sim_state,
+    "SYSTEM_TIME": _system_time,
+    "EXTENDED_SYS_STATE": _extended_sys_state,
+    "GPS_GLOBAL_ORIGIN": _gps_global_origin,
+}
+"""Messages that a cycle alone decides."""
