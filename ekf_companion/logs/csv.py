@@ -1,0 +1,298 @@
+"""Logs as comma-separated text: every column and every unit is declared, nothing is guessed.
+
+Native files say it in the header. A column is a quantity and its unit::
+
+    time_us | time_ms | time_s                      needed; the sample's stamp
+    gyro_x_rps | gyro_x_dps   (and y, z)            body frame: forward, right, down
+    accel_x_mps2 | accel_x_g  (and y, z)            specific force: -9.8 down at rest
+    mag_x_gauss | mag_x_uT | mag_x_mG  (and y, z)
+    baro_alt_m | baro_press_hPa | baro_press_Pa
+    gps_lat_deg, gps_lon_deg, gps_alt_m             altitude above mean sea level
+    gps_vn_mps, gps_ve_mps, gps_vd_mps              or gps_speed_mps | gps_speed_kmph
+                                                    with gps_course_deg
+    gps_std_h_m, gps_std_v_m, gps_std_vel_mps       one sigma per axis
+    heading_deg | heading_rad, heading_std_deg      from true north, clockwise
+
+An empty or NaN cell is no measurement in that row. Other columns are ignored, and named in a note.
+
+Foreign files have a map beside them, ``LOG.csv.columns.yaml``, or one handed in::
+
+    time: {column: millis, unit: ms}
+    gyro_x: {column: rollrate, unit: deg/s}
+    accel_z: {column: az, unit: g, sign: -1}        # this sensor's z is up
+    gps_std_h: {value: 3.5, unit: m}                # the same in every row
+    gps_north: {column: N, unit: m}                 # with gps_east, gps_h: needs the origin
+    origin: {lat_deg: 47.4, lon_deg: 8.5, alt_m: 0} # alt_m: where gps_h is 0; 0 if left out
+    hold: [gps]                   # values are repeated until new ones come: only changes count
+    heading_source: magnetometer  # or gnss, autopilot
+    delimiter: ";"
+
+A map without quantities adds its options to a native file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.errors import LogError
+from ekf_companion.logs import series
+from ekf_companion.logs.csv_columns import (
+    DEGREE,
+    GROUPS,
+    OPTIONS,
+    QUANTITIES,
+    Source,
+    check_groups,
+    find_map,
+    from_header,
+    from_map,
+)
+from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.table import Table
+from ekf_companion.nav import so3
+from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
+
+Array = npt.NDArray[np.float64]
+Columns = dict[str, Array]
+"""Quantities in SI and radians, NaN where a row has none."""
+
+GNSS_STD = {"gps_std_h": 2.0, "gps_std_v": 3.0, "gps_std_vel": 0.5}
+"""m, m, m/s where the file gives no accuracy: a receiver in the open, on the safe side."""
+HEADING_STD = float(np.deg2rad(5.0))
+"""rad, where the file gives no accuracy."""
+SEA_LEVEL_PRESSURE = 101325.0
+"""Pa; ICAO standard atmosphere, as the next two."""
+SCALE_HEIGHT = 288.15 / 0.0065
+"""m: temperature at sea level by its lapse rate."""
+PRESSURE_EXPONENT = 0.190263
+_HOLDABLE = ("gps", "mag", "baro", "heading")
+
+
+def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
+    """Read a file into events.
+
+    Args:
+        path: The file.
+        columns: The map, as the module's docstring lays it; None: the map beside the file or,
+            where there is none, the header.
+
+    Raises:
+        LogError: A unit is unknown, a needed column is missing, a cell is no number, or the map
+            holds something that cannot be meant.
+    """
+    where, columns = find_map(path, columns)
+    options = {key: columns[key] for key in columns if key in OPTIONS}
+    table = Table(path, _delimiter(where, options))
+    entries = {key: columns[key] for key in columns if key not in OPTIONS}
+    notes: list[str] = []
+    if entries:
+        sources = {name: from_map(where, name, entry) for name, entry in entries.items()}
+    else:
+        sources = from_header(path, table.names, notes)
+    check_groups(path, sources)
+    hold = _hold(where, options)
+    values = _values(table, sources)
+    t_ns, row, values = _in_time(path, table, sources, values, notes)
+    events: list[tuple[Events, npt.NDArray[np.bool_]]] = []
+    events += _gnss(where, t_ns, values, hold, options.get("origin"), notes)
+    events += _heading(where, t_ns, values, hold, options.get("heading_source", "magnetometer"))
+    events += _magnetometer(t_ns, values, hold)
+    events += _barometer(t_ns, values, hold)
+    events += _imu(t_ns, values)
+    if not events:
+        known = ", ".join(QUANTITIES)
+        raise LogError(
+            f"{path}: no measurement found; declare its columns in {path.name}.columns.yaml "
+            f"(quantities: {known})"
+        )
+    taken = [(found.take(mask), row[mask]) for found, mask in events]
+    return Recording(
+        family="unknown",
+        events=merge(*(kept for kept, _ in taken), arrival_ns=[at for _, at in taken]),
+        notes=tuple(notes),
+    )
+
+
+def _delimiter(where: str, options: Mapping[str, Any]) -> str:
+    delimiter = options.get("delimiter", ",")
+    if not isinstance(delimiter, str) or len(delimiter) != 1 or not delimiter.isascii():
+        raise LogError(f'{where}: delimiter: {delimiter!r} is not one character, such as ";"')
+    return delimiter
+
+
+def _hold(where: str, options: Mapping[str, Any]) -> list[str]:
+    hold = options.get("hold", [])
+    if not isinstance(hold, list) or any(name not in _HOLDABLE for name in hold):
+        raise LogError(f"{where}: hold: {hold!r} is not a list of {', '.join(_HOLDABLE)}")
+    return hold
+
+
+def _values(table: Table, sources: Mapping[str, Source]) -> Columns:
+    """Give all quantities but time in SI; a number that is not finite is none."""
+    names = sorted({source.column for source in sources.values() if source.column is not None})
+    raw = table.read(names)
+    n = len(raw[names[0]]) if names else 0
+    values: Columns = {}
+    for name, source in sources.items():
+        column = np.full(n, source.value) if source.column is None else raw[source.column]
+        if name == "time":
+            values[name] = column
+            continue
+        # What overflows when scaled was no measurement: no sensor says 1e30.
+        values[name] = np.where(np.abs(column) < 1e30, column, np.nan) * source.scale
+    return values
+
+
+def _in_time(
+    path: Path, table: Table, sources: Mapping[str, Source], values: Columns, notes: list[str]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Columns]:
+    """Give stamps, ns, and row numbers of the rows on the one course of time, and their values."""
+    time = values["time"]
+    per_unit = round(abs(sources["time"].scale) * 1e9)
+    good = np.abs(time) < 9e18 / per_unit
+    row = np.flatnonzero(good)
+    time = time[good]
+    # Whole units apart: microseconds since 1970 in ns are more digits than a float has.
+    whole = np.floor(time)
+    t_ns = whole.astype(np.int64) * per_unit
+    # Where the float's last digit is coarser than 1 ns, what was written were microseconds.
+    step = 1000 if np.spacing(np.abs(time).max(initial=0.0)) * per_unit > 1.0 else 1
+    t_ns += np.rint((time - whole) * (per_unit / step)).astype(np.int64) * step
+    kept = series.course(t_ns)[0]
+    if len(kept) == 0:
+        raise LogError(f"{path}: no row with a time; the file ends after its header")
+    if lost := len(values["time"]) - int(kept.sum()):
+        notes.append(f"{lost} rows without a time, or with one off the file's course, were dropped")
+    row, t_ns = row[kept], t_ns[kept]
+    return t_ns, row, {name: column[row] for name, column in values.items()}
+
+
+Found = list[tuple[Events, npt.NDArray[np.bool_]]]
+"""Events of every row, and in which rows there is one."""
+
+
+def _found(events: Events, needed: list[Array], is_new: npt.NDArray[np.bool_]) -> Found:
+    mask = np.isfinite(needed).all(axis=0) & is_new
+    return [(events, mask)] if mask.any() else []
+
+
+def _news(group: str, hold: list[str], columns: list[Array]) -> npt.NDArray[np.bool_]:
+    """Say in which rows a value is new: all, or where values are held, the changes."""
+    return series.changed(*columns) if group in hold else np.ones(len(columns[0]), dtype=bool)
+
+
+def _imu(t_ns: npt.NDArray[np.int64], values: Columns) -> Found:
+    if "gyro_x" not in values:
+        return []
+    axes = [values[name] for name in GROUPS["imu"]]
+    return _found(Events.from_columns(t_ns, Kind.IMU, *axes), axes, np.ones(len(t_ns), dtype=bool))
+
+
+def _magnetometer(t_ns: npt.NDArray[np.int64], values: Columns, hold: list[str]) -> Found:
+    if "mag_x" not in values:
+        return []
+    axes = [values[name] for name in GROUPS["mag"]]
+    return _found(Events.from_columns(t_ns, Kind.MAG, *axes), axes, _news("mag", hold, axes))
+
+
+def _barometer(t_ns: npt.NDArray[np.int64], values: Columns, hold: list[str]) -> Found:
+    if "baro_alt" in values:
+        alt = values["baro_alt"]
+    elif "baro_press" in values:
+        pressure = values["baro_press"]
+        ratio = np.where(pressure > 0.0, pressure, np.nan) / SEA_LEVEL_PRESSURE
+        alt = SCALE_HEIGHT * (1.0 - ratio**PRESSURE_EXPONENT)
+    else:
+        return []
+    return _found(Events.from_columns(t_ns, Kind.BARO, alt), [alt], _news("baro", hold, [alt]))
+
+
+def _heading(
+    where: str, t_ns: npt.NDArray[np.int64], values: Columns, hold: list[str], source: Any
+) -> Found:
+    known = {member.name.lower(): member for member in HeadingSource}
+    if source not in known:
+        raise LogError(f"{where}: heading_source: {source!r}; known are {', '.join(known)}")
+    if "heading" not in values:
+        return []
+    heading = values["heading"]
+    std = _positive(values, "heading_std", HEADING_STD, len(t_ns))
+    events = Events.from_columns(t_ns, Kind.HEADING, so3.wrap(heading), std, float(known[source]))
+    return _found(events, [heading], _news("heading", hold, [heading]))
+
+
+def _positive(values: Columns, name: str, otherwise: float, n: int) -> Array:
+    """Take an accuracy where the file gives one (positive)."""
+    value = values.get(name, np.full(n, np.nan))
+    return np.where(value > 0.0, value, otherwise)
+
+
+def _gnss(
+    where: str,
+    t_ns: npt.NDArray[np.int64],
+    values: Columns,
+    hold: list[str],
+    origin: Any,
+    notes: list[str],
+) -> Found:
+    n = len(t_ns)
+    if "gps_north" in values:
+        ned = np.stack([values["gps_north"], values["gps_east"], -values["gps_h"]], axis=1)
+        lat, lon, alt = _origin(where, origin).to_geodetic(ned)
+    elif "gps_lat" in values:
+        lat, lon, alt = values["gps_lat"], values["gps_lon"], values["gps_alt"]
+        lat = np.where(np.abs(lat) <= np.pi / 2.0, lat, np.nan)
+    else:
+        return []
+    unknown = np.full(n, np.nan)
+    if "gps_vn" in values:
+        velocity = [values["gps_vn"], values["gps_ve"], values.get("gps_vd", unknown)]
+    elif "gps_speed" in values:
+        speed, course = values["gps_speed"], values["gps_course"]
+        velocity = [speed * np.cos(course), speed * np.sin(course), values.get("gps_vd", unknown)]
+    else:
+        velocity = [unknown, unknown, unknown]
+    if missing := [name for name in GNSS_STD if name not in values]:
+        said = ", ".join(f"{name} {GNSS_STD[name]:g}" for name in missing)
+        notes.append(f"accuracy not declared, so assumed (m, m/s): {said}")
+    std = [_positive(values, name, otherwise, n) for name, otherwise in GNSS_STD.items()]
+    events = Events.from_columns(
+        t_ns,
+        Kind.GNSS,
+        lat,
+        so3.wrap(lon),
+        alt,
+        *velocity,
+        *std,
+        np.nan,
+        float(GnssFlag.NONE),
+    )
+    # A new fix moves; loggers let altitude, speed and course follow some rows later.
+    held = [lat, lon]
+    repeated = int((np.isfinite(lat[1:]) & ~series.changed(*held)[1:]).sum())
+    if "gps" not in hold and repeated > n / 2:
+        notes.append(
+            f"{repeated} of {n} rows repeat the GPS values of the row before: if the file holds "
+            "them until new ones come, declare hold: [gps]"
+        )
+    return _found(events, [lat, lon, alt], _news("gps", hold, held))
+
+
+def _origin(where: str, origin: Any) -> LocalFrame:
+    numbers = {"alt_m": 0.0, **origin} if isinstance(origin, Mapping) else {}
+    if set(numbers) != {"lat_deg", "lon_deg", "alt_m"} or any(
+        not isinstance(number, (int, float)) or isinstance(number, bool)
+        for number in numbers.values()
+    ):
+        raise LogError(
+            f"{where}: gps_north, gps_east, gps_h need an origin; "
+            "declare origin: {lat_deg: ..., lon_deg: ...}"
+        )
+    lat_deg, lon_deg, alt = (float(numbers[key]) for key in ("lat_deg", "lon_deg", "alt_m"))
+    return LocalFrame(lat_deg * DEGREE, lon_deg * DEGREE, alt)

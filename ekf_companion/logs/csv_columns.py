@@ -1,0 +1,179 @@
+"""Which column holds which quantity, in which unit: from a map or from the header's names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ekf_companion.errors import LogError
+from ekf_companion.nav.earth import STANDARD_GRAVITY
+
+DEGREE = float(np.pi / 180.0)
+_UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "gyro": {"rad/s": 1.0, "deg/s": DEGREE},
+    "accel": {"m/s2": 1.0, "g": STANDARD_GRAVITY},
+    "mag": {"gauss": 1.0, "uT": 1e-2, "mG": 1e-3, "nT": 1e-5},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "pressure": {"Pa": 1.0, "hPa": 100.0},
+    "angle": {"rad": 1.0, "deg": DEGREE},
+    "speed": {"m/s": 1.0, "km/h": 1.0 / 3.6, "cm/s": 1e-2, "kn": 1852.0 / 3600.0},
+}
+"""Units by dimension, and their size in SI and radians."""
+
+_SUFFIXES = {
+    "rps": "rad/s",
+    "dps": "deg/s",
+    "mps2": "m/s2",
+    "mps": "m/s",
+    "kmph": "km/h",
+}
+"""How header names spell units that hold a stroke; other units stand as they are."""
+
+QUANTITIES = {
+    "time": "time",
+    **{f"gyro_{axis}": "gyro" for axis in "xyz"},
+    **{f"accel_{axis}": "accel" for axis in "xyz"},
+    **{f"mag_{axis}": "mag" for axis in "xyz"},
+    "baro_alt": "length",
+    "baro_press": "pressure",
+    **dict.fromkeys(["gps_lat", "gps_lon", "gps_course", "heading", "heading_std"], "angle"),
+    **dict.fromkeys(["gps_alt", "gps_north", "gps_east", "gps_h"], "length"),
+    **dict.fromkeys(["gps_std_h", "gps_std_v"], "length"),
+    **dict.fromkeys(["gps_vn", "gps_ve", "gps_vd", "gps_speed", "gps_std_vel"], "speed"),
+}
+"""Dimension of each quantity."""
+
+GROUPS = {
+    "imu": [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"],
+    "mag": [f"mag_{axis}" for axis in "xyz"],
+}
+"""Quantities that say something only together."""
+
+OPTIONS = ("hold", "origin", "heading_source", "delimiter")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
+    """Where one quantity comes from."""
+
+    column: str | None
+    """None: a constant."""
+    value: float
+    scale: float
+    """To SI, sign included."""
+
+
+def find_map(path: Path, columns: Mapping[str, Any] | None) -> tuple[str, Mapping[str, Any]]:
+    """Give what to call the map in messages, and the map."""
+    if columns is not None:
+        return f"{path} (columns)", columns
+    beside = path.with_name(path.name + ".columns.yaml")
+    if not beside.is_file():
+        return str(path), {}
+    try:
+        found = yaml.safe_load(beside.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise LogError(f"{beside}: not YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(found, dict):
+        raise LogError(f"{beside}: must be a map from quantity to {{column: NAME, unit: UNIT}}")
+    return str(beside), found
+
+
+def from_map(where: str, name: str, entry: Any) -> Source:
+    """Read one entry of a map.
+
+    Raises:
+        LogError: Unknown quantity, key or unit, or a sign or value that cannot be meant.
+    """
+    if name not in QUANTITIES:
+        raise LogError(
+            f"{where}: {name}: unknown quantity; known are {', '.join([*QUANTITIES, *OPTIONS])}"
+        )
+    if not isinstance(entry, Mapping) or not {"column", "value"} & set(entry):
+        raise LogError(f"{where}: {name}: must be {{column: NAME, unit: UNIT}}, not {entry!r}")
+    if unknown := set(entry) - {"column", "value", "unit", "sign"}:
+        raise LogError(
+            f"{where}: {name}: unknown key {sorted(map(str, unknown))[0]!r}; "
+            "known are column, value, unit, sign"
+        )
+    units = _UNITS[QUANTITIES[name]]
+    unit, sign, value = entry.get("unit"), entry.get("sign", 1), entry.get("value", np.nan)
+    if unit not in units:
+        said = "no unit" if unit is None else f"unknown unit {unit!r}"
+        raise LogError(f"{where}: {name}: {said}; known are {', '.join(units)}")
+    if sign not in (1, -1) or isinstance(sign, bool):
+        raise LogError(f"{where}: {name}: sign {sign!r}: must be 1 or -1")
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        raise LogError(f"{where}: {name}: value {value!r}: must be a number")
+    column = str(entry["column"]) if "column" in entry else None
+    return Source(column=column, value=float(value), scale=sign * units[unit])
+
+
+def from_header(path: Path, names: list[str], notes: list[str]) -> dict[str, Source]:
+    """Take what the header's names declare; what is not ours is named in the notes.
+
+    Raises:
+        LogError: A name of ours has no known unit, stands twice, or none is there.
+    """
+    sources: dict[str, Source] = {}
+    ignored = []
+    for name in names:
+        # The longest quantity that the name begins with: heading_std before heading.
+        fits = [known for known in QUANTITIES if name == known or name.startswith(known + "_")]
+        if not fits:
+            ignored.append(name)
+            continue
+        quantity = max(fits, key=len)
+        suffix = name[len(quantity) + 1 :]
+        units = _UNITS[QUANTITIES[quantity]]
+        unit = _SUFFIXES.get(suffix, suffix)
+        if unit not in units:
+            spelled = {known: suffix for suffix, known in _SUFFIXES.items()}
+            known_names = ", ".join(
+                f"{quantity}_{spelled.get(unit, unit)}"
+                for unit in units
+                if "/" not in unit or unit in spelled
+            )
+            raise LogError(f"{path}: column {name!r}: no known unit at its end; use {known_names}")
+        if quantity in sources:
+            raise LogError(f"{path}: {quantity} stands in two columns; keep one of them")
+        sources[quantity] = Source(column=name, value=np.nan, scale=units[unit])
+    if not sources:
+        raise LogError(
+            f"{path}: no column name of ours in the header ({', '.join(names[:8])} ...); declare "
+            f"them in {path.name}.columns.yaml: gyro_x: {{column: NAME, unit: deg/s}} and so on"
+        )
+    if ignored:
+        notes.append(f"columns that are not ours were ignored: {', '.join(ignored)}")
+    return sources
+
+
+def check_groups(path: Path, sources: Mapping[str, Source]) -> None:
+    """Refuse what says something only together with what is missing."""
+    if "time" not in sources:
+        raise LogError(f"{path}: no time column; name one time_us, time_ms or time_s, or map time")
+    groups = list(GROUPS.values())
+    if any(name.startswith("gps_") for name in sources):
+        local = ["gps_north", "gps_east", "gps_h"]
+        groups.append(local if set(local) & set(sources) else ["gps_lat", "gps_lon", "gps_alt"])
+    if {"gps_speed", "gps_course"} & set(sources):
+        groups.append(["gps_speed", "gps_course"])
+    if {"gps_vn", "gps_ve", "gps_vd"} & set(sources):
+        groups.append(["gps_vn", "gps_ve"])
+    for group in groups:
+        missing = [name for name in group if name not in sources]
+        is_needed = len(missing) < len(group) or group[0] in ("gps_lat", "gps_vn")
+        if missing and is_needed:
+            dimension = _UNITS[QUANTITIES[missing[0]]]
+            raise LogError(
+                f"{path}: {', '.join(missing)} missing beside {', '.join(set(group) - {*missing})}"
+                f"; declare a column for each (units: {', '.join(dimension)})"
+            )
+    if "heading_std" in sources and "heading" not in sources:
+        raise LogError(f"{path}: heading_std without heading; declare a column for heading")
