@@ -1,0 +1,413 @@
+"""How far an estimate is from a reference: errors where both exist, and their statistics.
+
+Where both exist, the denser of the two is interpolated at the other's stamps; never over a gap.
+Two altitudes may differ by a constant because each has its own datum (EGM96, a barometer's zero,
+the home position), so the vertical error is given as it is and with its mean taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.errors import LogError
+from ekf_companion.logs import series
+from ekf_companion.logs.table import Table
+from ekf_companion.nav import so3
+from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.state import COLUMNS, Trajectory
+
+Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
+
+GAP = 0.5
+"""s; over a longer one nothing is interpolated (or over three steps of a slower series)."""
+LAG_SPAN = 1.0
+"""s; time lags are looked for up to this, either way."""
+LAG_STEP = 0.02
+"""s; of the search that finds where the parabola is laid."""
+LAG_POINTS = 4000
+"""Stamps that the search for the lag looks at, at most."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """How large an error was, without its sign."""
+
+    count: int
+    rms: float
+    p95: float
+    """95 % of the errors are smaller."""
+    largest: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score:
+    """An estimate against a reference; None: one of the two lacks it. SI and radians."""
+
+    estimate: str
+    reference: str
+    start_ns: int
+    """First stamp that was looked at."""
+    end_ns: int
+    horizontal: Spread | None
+    """m."""
+    vertical: Spread | None
+    """m, as it is."""
+    vertical_about_mean: Spread | None
+    """m, without the constant difference."""
+    vertical_mean: float | None
+    """m, estimate above reference: a matter of the datum as much as of the estimate."""
+    velocity: Spread | None
+    """m/s, of the vector; horizontal where the reference has no vertical velocity."""
+    velocity_horizontal: Spread | None
+    """m/s."""
+    tilt: Spread | None
+    """rad, between the two directions of down."""
+    roll: Spread | None
+    """rad."""
+    pitch: Spread | None
+    """rad."""
+    yaw: Spread | None
+    """rad."""
+    lag: float | None
+    """s; the estimate fits best when it is taken to be this late. None: no motion to tell by."""
+    horizontal_without_lag: float | None
+    """m, RMS at the best lag."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give everything for JSON: metres, m/s, degrees and seconds, the unit in the name."""
+        flat: dict[str, Any] = {
+            "estimate": self.estimate,
+            "reference": self.reference,
+            "start_s": self.start_ns * 1e-9,
+            "end_s": self.end_ns * 1e-9,
+            "vertical_mean_m": self.vertical_mean,
+            "lag_s": self.lag,
+            "horizontal_without_lag_m": self.horizontal_without_lag,
+        }
+        for name, unit, scale in _ROWS:
+            spread: Spread | None = getattr(self, name)
+            flat[f"{name}_{unit}"] = spread and {
+                "count": spread.count,
+                "rms": spread.rms * scale,
+                "p95": spread.p95 * scale,
+                "max": spread.largest * scale,
+            }
+        return flat
+
+
+_DEGREES = float(np.rad2deg(1.0))
+_ROWS = (
+    ("horizontal", "m", 1.0),
+    ("vertical", "m", 1.0),
+    ("vertical_about_mean", "m", 1.0),
+    ("velocity", "mps", 1.0),
+    ("velocity_horizontal", "mps", 1.0),
+    ("tilt", "deg", _DEGREES),
+    ("roll", "deg", _DEGREES),
+    ("pitch", "deg", _DEGREES),
+    ("yaw", "deg", _DEGREES),
+)
+
+
+def to_trajectory(columns: Mapping[str, npt.NDArray[Any]], name: str = "estimate") -> Trajectory:
+    """Give our estimate's columns (names of ``nav.state.COLUMNS``) as a trajectory.
+
+    Rows before the alignment (not finite) are left out; where time begins anew, the longest
+    stretch is given.
+    """
+    t_ns = np.asarray(columns["time_us"]).astype(np.int64) * 1000
+    kept = series.course(t_ns)[0]
+    kept[kept] = series.ascending(t_ns[kept])
+
+    def part(names: str) -> tuple[Stamps, Array]:
+        values = np.stack([np.asarray(columns[one], dtype=float) for one in names.split()], axis=1)
+        known = kept & np.isfinite(values).all(axis=1)
+        return t_ns[known], values[known]
+
+    pos_t_ns, position = part("lat_deg lon_deg alt_m")
+    vel_t_ns, vel_n = part("vel_n vel_e vel_d")
+    att_t_ns, q_nb = part("q_w q_x q_y q_z")
+    turned = np.linalg.norm(q_nb, axis=1) > 0.5  # all zeros: not aligned yet
+    return Trajectory(
+        name=name,
+        pos_t_ns=pos_t_ns,
+        lat=np.deg2rad(position[:, 0]),
+        lon=so3.wrap(np.deg2rad(position[:, 1])),
+        alt=position[:, 2],
+        vel_t_ns=vel_t_ns,
+        vel_n=vel_n,
+        att_t_ns=att_t_ns[turned],
+        q_nb=so3.normalise(q_nb[turned]),
+    )
+
+
+def read_estimate(path: Path) -> Trajectory:
+    """Read our estimate from a CSV file with the columns of ``nav.state.COLUMNS``.
+
+    Raises:
+        LogError: The file is missing, lacks a column, or holds what is no number.
+    """
+    table = Table(path)
+    needed = [name for name in COLUMNS[: COLUMNS.index("roll")] if not name.startswith("pos_")]
+    return to_trajectory(_read(path, table, needed), path.name)
+
+
+def read_truth(path: Path) -> Trajectory:
+    """Read a truth from a CSV file: position, velocity and attitude by these names.
+
+    ``time_us, lat_deg, lon_deg, alt_m, vn_mps, ve_mps, vd_mps`` and ``q_w, q_x, q_y, q_z``, other
+    columns as may be. An estimate of ours is read too, as someone's truth.
+
+    Raises:
+        LogError: The file is missing, lacks a column, or holds what is no number.
+    """
+    table = Table(path)
+    own = {"vel_n": "vn_mps", "vel_e": "ve_mps", "vel_d": "vd_mps"}
+    needed = [
+        "time_us",
+        "lat_deg",
+        "lon_deg",
+        "alt_m",
+        "vel_n",
+        "vel_e",
+        "vel_d",
+        "q_w",
+        "q_x",
+        "q_y",
+        "q_z",
+    ]
+    names = {name: own.get(name, name) if name not in table.names else name for name in needed}
+    columns = _read(path, table, list(names.values()))
+    return to_trajectory({ours: columns[name] for ours, name in names.items()}, path.name)
+
+
+def _read(path: Path, table: Table, names: list[str]) -> dict[str, npt.NDArray[Any]]:
+    columns: dict[str, npt.NDArray[Any]] = dict(table.read(names))
+    time_us = columns["time_us"]
+    timed = np.abs(time_us) < 2**62 / 1000
+    if not timed.any():
+        raise LogError(f"{path}: no row with a time; the file ends after its header")
+    return {name: column[timed] for name, column in columns.items()}
+
+
+def score(
+    estimate: Trajectory | Mapping[str, npt.NDArray[Any]],
+    reference: Trajectory,
+    skip_s: float = 0.0,
+    *,
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+) -> Score:
+    """Measure an estimate against a reference where both exist.
+
+    Args:
+        estimate: Ours by column names (``nav.state.COLUMNS``), or any trajectory.
+        reference: What it should be.
+        skip_s: Leave out so many seconds from the estimate's first stamp on.
+        start_ns: Leave out what is earlier, besides; None: nothing. The armed time, for one.
+        end_ns: Leave out what is later; None: nothing.
+    """
+    first_ns = 0
+    if isinstance(estimate, Trajectory):
+        stamps = [t[0] for t in (estimate.pos_t_ns, estimate.vel_t_ns, estimate.att_t_ns) if len(t)]
+        first_ns = int(min(stamps, default=0))
+    else:
+        t_ns = np.asarray(estimate["time_us"]).astype(np.int64) * 1000
+        spans = series.course(t_ns)[1]
+        first_ns = spans[0][0] if spans else 0
+        estimate = to_trajectory(estimate)
+    begin = max(first_ns + round(skip_s * 1e9), first_ns if start_ns is None else start_ns)
+    end = np.iinfo(np.int64).max if end_ns is None else end_ns
+    seen: list[Stamps] = []
+
+    offset = vertical = velocity = None
+    if pair := _pair(estimate.pos_t_ns, reference.pos_t_ns, begin, end):
+        frame = LocalFrame(float(reference.lat[0]), float(reference.lon[0]), 0.0)
+        mine, theirs = (frame.to_ned(one.lat, one.lon, one.alt) for one in (estimate, reference))
+        offset = pair.difference(mine, theirs)
+        vertical = -offset[np.isfinite(offset[:, 2]), 2]
+        seen.append(pair.at_ns)
+    lag, best = _find_lag(estimate, reference, begin, end)
+    if pair := _pair(estimate.vel_t_ns, reference.vel_t_ns, begin, end):
+        velocity = pair.difference(estimate.vel_n, reference.vel_n)
+        velocity = velocity[np.isfinite(velocity[:, :2]).all(axis=1)]
+        seen.append(pair.at_ns)
+    tilt = angles = None
+    if pair := _pair(estimate.att_t_ns, reference.att_t_ns, begin, end):
+        mine, theirs = pair.rotations(estimate.q_nb, reference.q_nb)
+        angles = so3.wrap(so3.to_euler(mine) - so3.to_euler(theirs))
+        down = [so3.to_matrix(q)[:, 2, :] for q in (mine, theirs)]
+        tilt = np.arccos(np.clip(np.sum(down[0] * down[1], axis=1), -1.0, 1.0))
+        seen.append(pair.at_ns)
+
+    mean = float(np.mean(vertical)) if vertical is not None and len(vertical) else None
+    return Score(
+        estimate=estimate.name,
+        reference=reference.name,
+        start_ns=int(min((t[0] for t in seen), default=begin)),
+        end_ns=int(max((t[-1] for t in seen), default=begin)),
+        horizontal=_spread(None if offset is None else np.hypot(offset[:, 0], offset[:, 1])),
+        vertical=_spread(vertical),
+        vertical_about_mean=_spread(None if vertical is None or mean is None else vertical - mean),
+        vertical_mean=mean,
+        velocity=_spread(
+            None if velocity is None else np.linalg.norm(np.nan_to_num(velocity), axis=1)
+        ),
+        velocity_horizontal=_spread(
+            None if velocity is None else np.hypot(velocity[:, 0], velocity[:, 1])
+        ),
+        tilt=_spread(tilt),
+        roll=_spread(None if angles is None else angles[:, 0]),
+        pitch=_spread(None if angles is None else angles[:, 1]),
+        yaw=_spread(None if angles is None else angles[:, 2]),
+        lag=lag,
+        horizontal_without_lag=best,
+    )
+
+
+def _spread(errors: Array | None) -> Spread | None:
+    if errors is None or len(errors) == 0:
+        return None
+    size = np.abs(errors)
+    return Spread(
+        count=len(size),
+        rms=float(np.sqrt(np.mean(np.square(size)))),
+        p95=float(np.percentile(size, 95.0)),
+        largest=float(size.max()),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pair:
+    """Two series brought to the stamps of the sparser one."""
+
+    at_ns: Stamps
+    of_sparse: npt.NDArray[np.int64]
+    """Rows of the sparser series."""
+    before: npt.NDArray[np.int64]
+    """Rows of the denser series at or just before each stamp; the next one follows."""
+    share: Array
+    """How far each stamp is from there to the next, 0 to 1."""
+    is_swapped: bool
+    """The denser one is the second."""
+
+    def difference(self, first: Array, second: Array) -> Array:
+        """Give first minus second, shape (n, 3)."""
+        dense, sparse = (second, first) if self.is_swapped else (first, second)
+        share = self.share[:, None]
+        between = dense[self.before] * (1.0 - share) + dense[self.before + 1] * share
+        return (between - sparse[self.of_sparse]) * (-1.0 if self.is_swapped else 1.0)
+
+    def rotations(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Give both at the stamps, the denser one turned evenly from row to row."""
+        dense, sparse = (second, first) if self.is_swapped else (first, second)
+        start, end = dense[self.before], dense[self.before + 1]
+        turn = so3.log(so3.multiply(so3.conjugate(start), end)) * self.share[:, None]
+        between, there = so3.multiply(start, so3.exp(turn)), sparse[self.of_sparse]
+        return (there, between) if self.is_swapped else (between, there)
+
+
+def _pair(first_ns: Stamps, second_ns: Stamps, begin: int, end: int) -> _Pair | None:
+    """Match two ascending series between two stamps; None: they have no time in common."""
+    if len(first_ns) < 2 or len(second_ns) < 2:
+        return None
+    periods = [float(np.median(np.diff(t_ns))) for t_ns in (first_ns, second_ns)]
+    is_swapped = periods[0] > periods[1]
+    dense, sparse = (second_ns, first_ns) if is_swapped else (first_ns, second_ns)
+    wanted = (sparse >= max(begin, int(dense[0]))) & (sparse <= min(end, int(dense[-1])))
+    rows = np.flatnonzero(wanted)
+    before = np.clip(np.searchsorted(dense, sparse[rows], side="right") - 1, 0, len(dense) - 2)
+    step = dense[before + 1] - dense[before]
+    near = step <= max(GAP * 1e9, 3.0 * min(periods))
+    rows, before, step = rows[near], before[near], step[near]
+    if len(rows) == 0:
+        return None
+    return _Pair(sparse[rows], rows, before, (sparse[rows] - dense[before]) / step, is_swapped)
+
+
+def _find_lag(
+    estimate: Trajectory, reference: Trajectory, begin: int, end: int
+) -> tuple[float | None, float | None]:
+    """Give the lag with the smallest horizontal RMS, and that RMS; by a parabola at the least."""
+    # The window keeps clear of its ends, so that every shift sees the same rows.
+    margin = round(LAG_SPAN * 1e9)
+    if not len(estimate.pos_t_ns) or not len(reference.pos_t_ns):
+        return None, None
+    low = max(begin, int(estimate.pos_t_ns[0]), int(reference.pos_t_ns[0])) + margin
+    high = min(end, int(estimate.pos_t_ns[-1]), int(reference.pos_t_ns[-1])) - margin
+    frame = LocalFrame(float(reference.lat[0]), float(reference.lon[0]), 0.0)
+    mine, theirs = (frame.to_ned(one.lat, one.lon, one.alt) for one in (estimate, reference))
+    mine_s, theirs_s = ((one.pos_t_ns - low) * 1e-9 for one in (estimate, reference))
+    fixed, moved, at, slide = theirs, mine, theirs_s, mine_s
+    sign = 1.0
+    if len(mine) < len(theirs):
+        fixed, moved, at, slide, sign = mine, theirs, mine_s, theirs_s, -1.0
+    rows = np.flatnonzero((at >= 0.0) & (at <= (high - low) * 1e-9))
+    rows = rows[:: max(1, len(rows) // LAG_POINTS)]
+    if len(rows) < 3 or np.ptp(fixed[rows, :2], axis=0).max() < 1.0:  # m: nothing moved
+        return None, None
+
+    def mean_square(lag: float) -> float:
+        shifted = at[rows] + sign * lag
+        errors = [np.interp(shifted, slide, moved[:, axis]) - fixed[rows, axis] for axis in (0, 1)]
+        return float(np.mean(np.square(errors[0]) + np.square(errors[1])))
+
+    lags = np.arange(-LAG_SPAN, LAG_SPAN + LAG_STEP / 2.0, LAG_STEP)
+    costs = np.array([mean_square(lag) for lag in lags])
+    least = int(np.argmin(costs))
+    if least in (0, len(lags) - 1):
+        return None, None
+    left, middle, right = costs[least - 1 : least + 2]
+    curvature = left - 2.0 * middle + right
+    shift = 0.5 * (left - right) / curvature if curvature > 0.0 else 0.0
+    lag = float(lags[least] + shift * LAG_STEP)
+    return lag, float(np.sqrt(min(mean_square(lag), middle)))
+
+
+def table(scores: Sequence[Score]) -> list[str]:
+    """Give scores as lines of text, beside each other: RMS, 95 % and largest error of each."""
+    units = {"mps": "m/s"}
+    lines = [
+        f"[{number}] {one.estimate} against {one.reference}" for number, one in _numbered(scores)
+    ]
+    for number, one in _numbered(scores):
+        span = (one.end_ns - one.start_ns) * 1e-9
+        lines.append(
+            f"[{number}] {one.start_ns * 1e-9:.1f} to {one.end_ns * 1e-9:.1f} s ({span:.1f} s)"
+        )
+    head = "".join(
+        f" | {f'[{number}] RMS':>10} {'95 %':>8} {'max':>8}" for number, _ in _numbered(scores)
+    )
+    lines += ["", f"{'':<26}{head}", "-" * (26 + len(head))]
+    for name, unit, scale in _ROWS:
+        cells = ""
+        for one in scores:
+            spread: Spread | None = getattr(one, name)
+            numbers = (spread.rms, spread.p95, spread.largest) if spread else ()
+            texts = [f"{number * scale:.3f}" for number in numbers] or ["-", "-", "-"]
+            cells += f" | {texts[0]:>10} {texts[1]:>8} {texts[2]:>8}"
+        label = f"{name.replace('_', ' ')}, {units.get(unit, unit)}"
+        lines.append(f"{label:<26}{cells}")
+    for label, attribute, scale in (
+        ("mean height difference, m", "vertical_mean", 1.0),
+        ("best lag, ms", "lag", 1e3),
+        ("horizontal at it, m", "horizontal_without_lag", 1.0),
+    ):
+        values = [getattr(one, attribute) for one in scores]
+        cells = "".join(
+            f" | {'-' if value is None else f'{value * scale:.3f}':>10} {'':>8} {'':>8}"
+            for value in values
+        )
+        lines.append(f"{label:<26}{cells}".rstrip())
+    return lines
+
+
+def _numbered(scores: Sequence[Score]) -> list[tuple[int, Score]]:
+    return list(enumerate(scores, start=1))
