@@ -167,7 +167,7 @@ def orient(
         bx = x[at.X_LEVEL + at.L_REF_V]
         by = x[at.X_LEVEL + at.L_REF_V + 1]
         bz = x[at.X_LEVEL + at.L_REF_V + 2]
-        target = x[at.X_DECLINATION]
+        target = 0.0 if isnan(x[at.X_DECLINATION]) else x[at.X_DECLINATION]
     elif x[at.X_LEVEL + at.L_REF_KIND] == at.REF_HEADING:
         target = x[at.X_LEVEL + at.L_REF_V]
     for i in range(4):

@@ -48,6 +48,8 @@ ROUGH_AFTER = cython.declare(cython.double, 6e9)
 """Without rest and without GNSS the attitude is taken roughly after this long, ns."""
 FAKE_INTERVAL = cython.declare(cython.double, 2e8)
 """Between two assumptions that the vehicle is not going anywhere, while it has no GNSS, ns."""
+UNKNOWN_DECLINATION = cython.declare(cython.double, 0.2)
+"""One sigma of the declination before the first fix, rad: most people live within it."""
 NOISE_MEMORY = cython.declare(cython.double, 2.0)
 """Time constant of the noise learnt from the samples, s."""
 
@@ -131,6 +133,7 @@ def begin(x: cython.double[::1], t: cython.double) -> cython.void:
     x[at.X_T] = t
     x[at.X_MODE] = at.MODE_LEVEL
     x[at.X_Q] = 1.0
+    x[at.X_DECLINATION] = NAN
     x[at.X_ARMED] = NAN
     x[at.X_LANDED] = NAN
     x[at.X_T_FIX] = NEVER
@@ -265,8 +268,8 @@ def settle(
         # It goes nowhere, by a lot or by nothing: that bounds the tilt, as gravity does
         x[at.X_T_FAKE] = t
         observe.zero_velocity(x, w, 0.1 if x[at.X_AT_REST] != 0.0 else 3.0)
-        if correct.innovate(x, w, 3) < k[at.K_GATE3]:
-            correct.absorb(x, w, 3)
+        correct.innovate(x, w, 3)
+        correct.absorb(x, w, 3)
         correct.forget(x, at.E_POS, 2, 1.0)
         for i in range(2):
             x[at.X_POS + i] = 0.0
@@ -300,8 +303,8 @@ def take(
                 rows[r, at.ROW_V],
                 rows[r, at.ROW_V + 1],
                 rows[r, at.ROW_V + 2],
-                x[at.X_DECLINATION],
-                k[at.K_MAG_STD],
+                0.0 if isnan(x[at.X_DECLINATION]) else x[at.X_DECLINATION],
+                UNKNOWN_DECLINATION if isnan(x[at.X_DECLINATION]) else k[at.K_MAG_STD],
                 k[at.K_MAG_NOISE],
                 False,
             )
@@ -412,9 +415,10 @@ def take_fix(
         std_vel = k[at.K_VEL_DEFAULT]
     if std_vel < k[at.K_VEL_FLOOR]:
         std_vel = k[at.K_VEL_FLOOR]
-    if not isnan(k[at.K_DECLINATION]):
-        x[at.X_DECLINATION] = k[at.K_DECLINATION]
-    elif not isnan(rows[r, at.ROW_V + 9]):
+    if not isnan(rows[r, at.ROW_V + 9]):
+        if isnan(x[at.X_DECLINATION]) and x[at.X_T_MAG] > NEVER and x[at.X_MODE] < at.MODE_NAVIGATE:
+            # a compass without declination gave magnetic north: take true north from the next
+            x[at.X_HAS_YAW] = 0.0
         x[at.X_DECLINATION] = rows[r, at.ROW_V + 9]
     if x[at.X_T_FIX] > NEVER and t > x[at.X_T_FIX]:
         x[at.X_FIX_DT] = (t - x[at.X_T_FIX]) * 1e-9
@@ -629,7 +633,7 @@ def take_azimuth(
             x[at.X_LEVEL + at.L_REF_STD] = std + 0.05
         count(x, at.AID_YAW, at.WHY_UNALIGNED)
         return
-    if not observe.azimuth(x, w, bx, by, bz, target, std, noise):
+    if not observe.azimuth(x, w, bx, by, bz, target, std, noise, is_heading):
         count(x, at.AID_YAW, at.WHY_UNUSED)
         return
     if x[at.X_HAS_YAW] == 0.0:
@@ -640,7 +644,7 @@ def take_azimuth(
     elif not fuse(x, w, at.AID_YAW, 1, k[at.K_GATE1]) and is_timed_out(
         x, at.AID_YAW, k[at.K_TIMEOUT_YAW]
     ):
-        observe.azimuth(x, w, bx, by, bz, target, std, noise)
+        observe.azimuth(x, w, bx, by, bz, target, std, noise, is_heading)
         face(x, w)
         reset(x, at.AID_YAW, at.RESET_YAW)
 

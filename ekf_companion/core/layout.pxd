@@ -132,11 +132,10 @@ cdef enum:
     K_GAP = 34
     K_GAP_RESET = 35
     K_LIMIT_POS = 36
-    K_DECLINATION = 37
-    K_REST_GYRO = 38
-    K_REST_ACCEL = 39
-    K_GRAVITY = 40
-    PARAMETERS = 41
+    K_REST_GYRO = 37
+    K_REST_ACCEL = 38
+    K_GRAVITY = 39
+    PARAMETERS = 40
     HEADING_AUTO = 0
     HEADING_GNSS = 1
     HEADING_MAG = 2

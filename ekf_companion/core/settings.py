@@ -1,0 +1,272 @@
+"""The numbers that a user may turn, and their place in the kernel's parameters."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from statistics import NormalDist
+from typing import Annotated, Literal
+
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+from ekf_companion.core import layout as at
+from ekf_companion.nav.earth import STANDARD_GRAVITY
+from ekf_companion.nav.measurements import Kind
+
+Array = npt.NDArray[np.float64]
+Auto = Literal["auto"]
+Seconds = Annotated[float, Meta(ge=-1.0, le=1.0)]
+Positive = Annotated[float, Meta(gt=0.0, le=1e6)]
+NotNegative = Annotated[float, Meta(ge=0.0, le=1e6)]
+Probability = Annotated[float, Meta(gt=0.5, lt=1.0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Habit:
+    """How late, and how sampled, the stamps of an autopilot's family are."""
+
+    gnss_delay: float
+    """A fix is older than its stamp by this, s."""
+    gnss_delay_std: float
+    """One sigma of that, s: the filter estimates the rest."""
+    imu_lag: float
+    """An inertial sample says what was true this long before its stamp, s."""
+    imu_samples: Literal["mean", "instant"]
+    """What a sample is: the mean since the one before, or a reading at its time."""
+
+
+HABITS = {
+    # ArduPilot sends the IMU behind a 20 Hz low-pass of second order, read at the time of sending, and
+    # stamps a fix on its arrival from the receiver: both measured against its simulator's truth.
+    "ardupilot": Habit(gnss_delay=0.085, gnss_delay_std=0.04, imu_lag=0.0115, imu_samples="instant"),
+    # PX4 sends means and stamps a fix on arrival: none in its simulator, 0.06 to 0.11 s with receivers.
+    "px4": Habit(gnss_delay=0.04, gnss_delay_std=0.04, imu_lag=0.002, imu_samples="mean"),
+    "unknown": Habit(gnss_delay=0.0, gnss_delay_std=0.05, imu_lag=0.0, imu_samples="mean"),
+}
+"""What ``auto`` means, by the autopilot's family."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuSettings:
+    """The inertial sensor."""
+
+    gyro_noise: Positive = 2e-3
+    """White noise of the rate, rad/s per square root of Hz. Vibration counts in: PX4's EKF2 takes
+    0.015 rad/s at 100 Hz, which is 1.5e-3."""
+    accel_noise: Positive = 3e-2
+    """White noise of the specific force, m/s^2 per square root of Hz (EKF2: 0.35 at 100 Hz)."""
+    gyro_bias_walk: NotNegative = 5e-5
+    """Random walk of the gyro bias, rad/s per square root of s."""
+    accel_bias_walk: NotNegative = 5e-4
+    """Random walk of the accelerometer bias, m/s^2 per square root of s."""
+    gyro_bias: Positive = 0.02
+    """One sigma of the gyro bias where no rest has shown it, rad/s."""
+    accel_bias: Positive = 0.2
+    """One sigma of the accelerometer bias at the start, m/s^2 (0.02 g: a MEMS over temperature)."""
+    learn_noise: bool = True
+    """Raise the white noise to what the differences between samples show."""
+    lag: Seconds | Auto = "auto"
+    """A sample says what was true this long before its stamp, s."""
+    samples: Literal["auto", "mean", "instant"] = "auto"
+    """What a sample is: the mean since the one before, or a reading at its time."""
+    gap: Positive = 0.2
+    """Longest silence to bridge as if nothing had been missed, s."""
+    gap_reset: Positive = 1.0
+    """Silence after which velocity and position begin anew at the next fix, s."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GnssSettings:
+    """The satellite receiver."""
+
+    source: Literal["auto", "raw", "global"] = "auto"
+    """``raw``: GPS_RAW_INT; ``global``: GLOBAL_POSITION_INT, the autopilot's own estimate, which is
+    no independent measurement; ``auto``: the second only while the first is silent for 5 s."""
+    delay: Seconds | Auto = "auto"
+    """A fix is older than its stamp by this, s."""
+    delay_std: Annotated[float, Meta(ge=0.0, le=0.5)] | Auto = "auto"
+    """One sigma of the delay, s: the filter estimates the rest. 0: the delay is known."""
+    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Antenna from the inertial sensor: forward, right, down, m."""
+    use_velocity: bool = True
+    """Use the receiver's velocity beside its position."""
+    position_std: NotNegative = 0.1
+    """Least one sigma of a horizontal axis, whatever the receiver claims, m."""
+    height_std: NotNegative = 0.2
+    """Least one sigma of the height, m."""
+    velocity_std: NotNegative = 0.1
+    """Least one sigma of the velocity per axis, m/s."""
+    velocity_std_unknown: Positive = 0.3
+    """One sigma of the velocity where the receiver does not say, m/s."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeadingSettings:
+    """Where north comes from."""
+
+    source: Literal["auto", "gnss", "magnetometer", "autopilot"] = "auto"
+    """``auto``: the best that speaks: dual-antenna GNSS, magnetometer, autopilot's own."""
+    declination: Annotated[float, Meta(ge=-3.2, le=3.2)] | Auto = "auto"
+    """Of the magnetic field, rad, east positive; auto: World Magnetic Model at the fix."""
+    year: Annotated[float, Meta(ge=2025.0, le=2030.0)] = 2026.0
+    """For the World Magnetic Model, decimal year."""
+    magnetometer_std: Positive = 0.05
+    """One sigma of a compass heading however strong the field, rad: what calibration leaves."""
+    magnetometer_noise: NotNegative = 0.01
+    """White noise of the field, gauss; counts by the strength of its horizontal part."""
+    heading_std: NotNegative = 0.02
+    """Least one sigma of a heading from elsewhere, rad."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaroSettings:
+    """The barometer: its height less ours is an offset that walks."""
+
+    use: bool = True
+    """Use the barometer at all."""
+    std: Positive = 0.5
+    """White noise of the pressure altitude, m."""
+    walk: NotNegative = 0.05
+    """Random walk of the offset, m per square root of s: weather, wind, temperature."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlignSettings:
+    """The start."""
+
+    time: Annotated[float, Meta(ge=0.2, le=30.0)] = 1.0
+    """Length of a window of rest, or least stretch of motion, to level from, s."""
+    rest_gyro: Positive = 0.05
+    """Largest spread of the rate at rest, all axes together, rad/s."""
+    rest_accel: Positive = 0.6
+    """Largest spread of the specific force at rest, all axes together, m/s^2."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GateSettings:
+    """Whom to believe, and for how long not to."""
+
+    probability: Probability = 0.999999
+    """Share of good measurements that a gate lets through."""
+    timeout_position: Positive = 7.0
+    """After so long without an accepted position the next one resets ours, s."""
+    timeout_velocity: Positive = 7.0
+    """Likewise for the velocity, s."""
+    timeout_height: Positive = 5.0
+    """Likewise for the height, s."""
+    timeout_heading: Positive = 10.0
+    """Likewise for the heading, s."""
+    limit_position: Positive = 100.0
+    """One sigma of the horizontal position beyond which the estimate is called invalid, m."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilterSettings:
+    """Everything that the estimator may be told."""
+
+    imu: ImuSettings = field(default_factory=ImuSettings)
+    gnss: GnssSettings = field(default_factory=GnssSettings)
+    heading: HeadingSettings = field(default_factory=HeadingSettings)
+    baro: BaroSettings = field(default_factory=BaroSettings)
+    align: AlignSettings = field(default_factory=AlignSettings)
+    gate: GateSettings = field(default_factory=GateSettings)
+    window: Annotated[float, Meta(ge=0.1, le=10.0)] = 2.0
+    """How late a measurement may come and still take its place in time, s."""
+
+
+def chi_square_quantile(probability: float, dof: int) -> float:
+    """Give the chi-square value that a share of the probability stays below, dof 1, 2 or 3.
+
+    Source: the closed forms of the distribution function, e.g. Abramowitz and Stegun 26.4.
+    """
+    if dof == 1:
+        return NormalDist().inv_cdf(0.5 + 0.5 * probability) ** 2
+    if dof == 2:
+        return -2.0 * math.log1p(-probability)
+    low, high = 0.0, 200.0
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        below = math.erf(math.sqrt(0.5 * middle)) - math.sqrt(2.0 * middle / math.pi) * math.exp(
+            -0.5 * middle
+        )
+        low, high = (middle, high) if below < probability else (low, middle)
+    return 0.5 * (low + high)
+
+
+def parameters(settings: FilterSettings, family: str, gnss_delay: float | None = None) -> Array:
+    """Lay the settings out for the kernel, shape (PARAMETERS,).
+
+    Args:
+        settings: What the user told.
+        family: ``px4``, ``ardupilot`` or ``unknown``: what ``auto`` means.
+        gnss_delay: Delay that the log itself declares, s; settles only how sure ``auto`` is.
+    """
+    habit = HABITS[family]
+    imu, gnss, heading, gate = settings.imu, settings.gnss, settings.heading, settings.gate
+    k = np.zeros(at.PARAMETERS)
+    k[at.K_GYRO_NOISE] = imu.gyro_noise
+    k[at.K_ACCEL_NOISE] = imu.accel_noise
+    k[at.K_GYRO_WALK] = imu.gyro_bias_walk
+    k[at.K_ACCEL_WALK] = imu.accel_bias_walk
+    k[at.K_GYRO_BIAS] = imu.gyro_bias
+    k[at.K_ACCEL_BIAS] = imu.accel_bias
+    k[at.K_LEARN_NOISE] = imu.learn_noise
+    samples = habit.imu_samples if imu.samples == "auto" else imu.samples
+    k[at.K_MEAN_SAMPLES] = samples == "mean"
+    k[at.K_LAG] = imu_lag(settings, family)
+    k[at.K_GAP] = imu.gap
+    k[at.K_GAP_RESET] = imu.gap_reset
+    k[at.K_LEVER : at.K_LEVER + 3] = gnss.lever_arm
+    k[at.K_DELAY_STD] = habit.gnss_delay_std if gnss.delay_std == "auto" else gnss.delay_std
+    k[at.K_USE_VEL] = gnss.use_velocity
+    k[at.K_USE_DERIVED] = ("raw", "auto", "global").index(gnss.source)
+    k[at.K_POS_FLOOR] = gnss.position_std
+    k[at.K_HGT_FLOOR] = gnss.height_std
+    k[at.K_VEL_FLOOR] = gnss.velocity_std
+    k[at.K_VEL_DEFAULT] = gnss.velocity_std_unknown
+    k[at.K_HEADING] = ("auto", "gnss", "magnetometer", "autopilot").index(heading.source)
+    k[at.K_MAG_STD] = heading.magnetometer_std
+    k[at.K_MAG_NOISE] = heading.magnetometer_noise
+    k[at.K_HEADING_FLOOR] = heading.heading_std
+    k[at.K_USE_BARO] = settings.baro.use
+    k[at.K_BARO_STD] = settings.baro.std
+    k[at.K_BARO_WALK] = settings.baro.walk
+    k[at.K_ALIGN_TIME] = settings.align.time
+    k[at.K_REST_GYRO] = settings.align.rest_gyro
+    k[at.K_REST_ACCEL] = settings.align.rest_accel
+    for dof in (1, 2, 3):
+        k[at.K_GATE1 + dof - 1] = chi_square_quantile(gate.probability, dof)
+    k[at.K_TIMEOUT_POS] = gate.timeout_position
+    k[at.K_TIMEOUT_VEL] = gate.timeout_velocity
+    k[at.K_TIMEOUT_HGT] = gate.timeout_height
+    k[at.K_TIMEOUT_YAW] = gate.timeout_heading
+    k[at.K_LIMIT_POS] = gate.limit_position
+    k[at.K_GRAVITY] = STANDARD_GRAVITY
+    return k
+
+
+def imu_lag(settings: FilterSettings, family: str) -> float:
+    """Give how long before its stamp an inertial sample was true, s."""
+    lag = settings.imu.lag
+    return HABITS[family].imu_lag if lag == "auto" else lag
+
+
+def delays_ns(
+    settings: FilterSettings, family: str, gnss_delay: float | None = None
+) -> npt.NDArray[np.int64]:
+    """Give how late the stamps of each kind are, ns, shape (kinds,).
+
+    Args:
+        settings: What the user told.
+        family: What ``auto`` means.
+        gnss_delay: Delay of the receiver that the log itself declares, s; beats ``auto``.
+    """
+    delay = settings.gnss.delay
+    if delay == "auto":
+        delay = HABITS[family].gnss_delay if gnss_delay is None else gnss_delay
+    late = np.zeros(len(Kind), dtype=np.int64)
+    late[Kind.GNSS] = round(delay * 1e9)
+    late[Kind.IMU] = round(imu_lag(settings, family) * 1e9)
+    return late

@@ -1,0 +1,37 @@
+"""The Earth's magnetic field by the World Magnetic Model 2025."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+from pygeomag import GeoMag
+
+CELL = 0.01
+"""Side of the squares of latitude and longitude that share one declination, deg: some 1 km."""
+
+
+@lru_cache(maxsize=1)
+def _model() -> GeoMag:
+    return GeoMag(coefficients_file="wmm/WMM_2025.COF")
+
+
+def declination(lat: float, lon: float, year: float) -> float:
+    """Give the declination at sea level, rad, east positive, constant over a square of 0.01 deg.
+
+    Args:
+        lat: Latitude, rad.
+        lon: Longitude, rad.
+        year: Decimal year, 2025.0 to 2030.0.
+
+    Source: NOAA NCEI, The US/UK World Magnetic Model for 2025-2030.
+    """
+    return _cell(round(math.degrees(lat) / CELL), round(math.degrees(lon) / CELL), year)
+
+
+@lru_cache(maxsize=4096)
+def _cell(row: int, column: int, year: float) -> float:
+    field = _model().calculate(
+        glat=max(-90.0, min(90.0, row * CELL)), glon=column * CELL, alt=0.0, time=year
+    )
+    return math.radians(field.d)

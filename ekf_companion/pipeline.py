@@ -1,0 +1,200 @@
+"""The heart: a measurement in, what became of it and the estimate of now out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.core import layout as at
+from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
+from ekf_companion.core.timeline import Timeline
+from ekf_companion.nav.magnetic import declination
+from ekf_companion.nav.measurements import Events, Kind, Measurement, Row
+from ekf_companion.nav.odometry import Odometry
+from ekf_companion.nav.state import COLUMNS, Status
+
+Array = npt.NDArray[np.float64]
+
+LAT, LON, DECLINATION = 0, 1, 9
+"""Where a GNSS row holds them (nav.measurements.GnssFix.row)."""
+
+
+class Arrival(IntEnum):
+    """What became of a measurement on its arrival."""
+
+    TAKEN = 0
+    STALE = 1
+    """Older than the window: nothing can be redone that far back."""
+    DUPLICATE = 2
+    MALFORMED = 3
+    """What no sensor can say."""
+    RESTARTED = 4
+    ESTIMATED = 5
+    """The newest inertial sample: there is an estimate for its stamp."""
+
+
+class Verdict(IntEnum):
+    """What became of an aid when the filter came to it."""
+
+    FUSED = 0
+    GATED = 1
+    UNALIGNED = 2
+    UNUSED = 3
+    """A better source speaks, or the user, or the receiver itself, said no."""
+
+
+class Aid(IntEnum):
+    """What corrects the inertial solution."""
+
+    POSITION = 0
+    HEIGHT = 1
+    VELOCITY = 2
+    HEADING = 3
+    BARO = 4
+
+
+RESET_REASONS = ("none", "position", "velocity", "height", "heading", "inertial gap", "clock")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Table:
+    """Estimates, one per inertial sample."""
+
+    stamp_ns: npt.NDArray[np.int64]
+    """The samples' own stamps, shape (n,)."""
+    values: Array
+    """``nav.state.COLUMNS`` without the time, shape (n, 33); NaN: not known."""
+
+    def __len__(self) -> int:
+        """Give the number of estimates."""
+        return len(self.stamp_ns)
+
+    def column(self, name: str) -> Array:
+        """Give one column by its name in ``nav.state.COLUMNS``."""
+        return self.values[:, COLUMNS.index(name) - 1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Health:
+    """The filter's own account of itself."""
+
+    status: Status
+    resets: int
+    reset_reason: str
+    samples: int
+    gaps: int
+    ratios: Mapping[Aid, float]
+    """Last normalised innovation squared of each aid over its gate: above 1 it was refused."""
+    verdicts: Mapping[Aid, Mapping[Verdict, int]]
+    arrivals: Mapping[Kind, Mapping[Arrival, int]]
+    reruns: int
+    gnss_delay: float
+    """What the filter adds to the configured delay, s."""
+    gyro_noise: float
+    """Learnt white noise, largest axis, rad/s per square root of Hz."""
+    accel_noise: float
+    """m/s^2 per square root of Hz."""
+
+
+class Pipeline:
+    """Estimator of one vehicle. Not a thread's business: call it from one loop."""
+
+    def __init__(
+        self, settings: FilterSettings, family: str = "unknown", gnss_delay: float | None = None
+    ) -> None:
+        """Begin with nothing known.
+
+        Args:
+            settings: The estimator's settings.
+            family: ``px4``, ``ardupilot`` or ``unknown``: settles what is ``auto``.
+            gnss_delay: Delay that the log itself declares, s; beats ``auto``.
+        """
+        self._settings = settings
+        self._timeline = Timeline(
+            parameters(settings, family),
+            delays_ns(settings, family, gnss_delay),
+            round(settings.window * 1e9),
+        )
+
+    def process(self, measurement: Measurement) -> Arrival:
+        """Take one measurement; ESTIMATED says that :meth:`estimate` is that of its stamp."""
+        # Say in numbers what it says, with what the place adds
+        t_ns, kind, values = self._locate(measurement.row())
+
+        # Put it in its place in time, and redo what came after it
+        return Arrival(self._timeline.insert(t_ns, kind, np.array(values)))
+
+    def run(self, events: Events) -> Table:
+        """Take a whole recording by the same steps, and give an estimate per inertial sample."""
+        samples = int(np.count_nonzero(events.kind == Kind.IMU))
+        stamps = np.zeros(samples, dtype=np.int64)
+        out = np.empty((samples, at.OUT))
+        values = self._locate_all(events)
+        n = self._timeline.run_log(events.t_ns, events.kind, values, stamps, out)
+        return Table(stamp_ns=stamps[:n], values=out[:n])
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the estimate: that of the newest inertial sample, ns."""
+        return int(self._timeline.stamp_ns)
+
+    def estimate(self) -> Array:
+        """Give the estimate of now: ``nav.state.COLUMNS`` without the time, shape (33,)."""
+        return np.asarray(self._timeline.describe())
+
+    def health(self) -> Health:
+        """Give the filter's own account of itself."""
+        x = self._timeline.block()
+        arrivals = self._timeline.arrivals
+        counts = x[at.X_COUNT : at.X_COUNT + at.AIDS * at.WHYS].reshape(at.AIDS, at.WHYS)
+        return Health(
+            status=Status(int(self.estimate()[at.OUT_STATUS])),
+            resets=int(x[at.X_RESETS]),
+            reset_reason=RESET_REASONS[int(x[at.X_RESET_REASON])],
+            samples=int(x[at.X_SAMPLES]),
+            gaps=int(x[at.X_GAPS]),
+            ratios={aid: float(x[at.X_RATIO + aid]) for aid in Aid},
+            verdicts={aid: {why: int(counts[aid, why]) for why in Verdict} for aid in Aid},
+            arrivals={
+                kind: {arrival: int(arrivals[kind, arrival]) for arrival in Arrival}
+                for kind in Kind
+            },
+            reruns=int(self._timeline.rerun_count),
+            gnss_delay=float(x[at.X_DELAY]),
+            gyro_noise=float(np.sqrt(x[at.X_NOISE_G : at.X_NOISE_G + 3].max())),
+            accel_noise=float(np.sqrt(x[at.X_NOISE_A : at.X_NOISE_A + 3].max())),
+        )
+
+    @property
+    def origin(self) -> tuple[float, float, float] | None:
+        """Latitude, longitude (rad) and altitude (m) of the local frame; None before the first fix."""
+        x = self._timeline.block()
+        if x[at.X_HAS_ORIGIN] == 0.0:
+            return None
+        return float(x[at.X_LAT0]), float(x[at.X_LON0]), float(x[at.X_ALT0])
+
+    def _locate(self, row: Row) -> Row:
+        """Give a fix its magnetic declination."""
+        t_ns, kind, values = row
+        if kind != Kind.GNSS or not math.isnan(values[DECLINATION]):
+            return row
+        lat, lon = values[LAT], values[LON]
+        if not (abs(lat) < math.pi / 2 and abs(lon) <= math.pi):
+            return row
+        told = self._settings.heading.declination
+        year = self._settings.heading.year
+        here = declination(lat, lon, year) if told == "auto" else told
+        return t_ns, kind, (*values[:DECLINATION], here, *values[DECLINATION + 1 :])
+
+    def _locate_all(self, events: Events) -> Array:
+        """Do the same for a table; the given one stays as it is."""
+        values = np.array(events.values, dtype=np.float64, order="C")
+        for i in np.flatnonzero(events.kind == Kind.GNSS):
+            row = (int(events.t_ns[i]), int(Kind.GNSS), tuple(values[i].tolist()))
+            values[i] = self._locate(row)[2]
+        return values
