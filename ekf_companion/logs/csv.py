@@ -74,6 +74,7 @@ PRESSURE_EXPONENT = 0.190263
 _HOLDABLE = ("gps", "mag", "baro", "heading")
 
 
+@np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     """Read a file into events.
 

@@ -63,6 +63,7 @@ _ARMED, _DISARMED, _LANDED, _NOT_LANDED = 10, 11, 18, 28
 """EV.Id (AP_Logger.h, LogEvent)."""
 
 
+@np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def read(path: Path) -> Recording:
     """Read a log into events, the autopilot's own estimate and, from a simulator, the truth.
 

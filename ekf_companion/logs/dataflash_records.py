@@ -172,6 +172,7 @@ def columns(path: Path) -> Columns:
     return read_columns(path)[0]
 
 
+@np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def read_columns(path: Path) -> tuple[Columns, list[str]]:
     """Give the tables, and a sentence for each thing that was wrong with the file."""
     formats, places, damaged = _find_records(data := read_bytes(path, KIND))

@@ -38,7 +38,7 @@ def course(t_ns: Stamps) -> tuple[Mask, Spans]:
     first, last = edges[:-1], edges[1:]
     enough = (last - first) >= FEW * len(t_ns)
     if not enough.any():
-        enough = (last - first) == (last - first).max()
+        enough[np.argmax(last - first)] = True
     first, last = first[enough], last[enough]
     low, high = t_ns[first], t_ns[last - 1]
     chain = _heaviest_chain(low, high, last - first)

@@ -170,6 +170,7 @@ def _find_records(data: bytes) -> tuple[list[tuple[int, int, int, int]], int]:
     """Give stamp, place, size and message id of each record, and the number of bad runs."""
     records: list[tuple[int, int, int, int]] = []
     damaged = 0
+    last: int | None = None
     end = len(data)
     extras = CRC_EXTRAS.get
     start = 0  # of the record: its stamp
@@ -185,7 +186,7 @@ def _find_records(data: bytes) -> tuple[list[tuple[int, int, int, int]], int]:
             total = size + 8
         else:
             damaged += 1
-            start = _resume(data, start + 1, records[-1][0] if records else None)
+            start = _resume(data, start + 1, last)
             continue
         (stamp,) = _STAMP.unpack_from(data, start)
         tail = place + header + size
@@ -195,14 +196,16 @@ def _find_records(data: bytes) -> tuple[list[tuple[int, int, int, int]], int]:
             good = False
         elif extra is not None:
             good = _crc(data[place + 1 : tail] + extra) == data[tail] | data[tail + 1] << 8
+            good = good and _is_plausible(data, stamp, after, last)
         else:
             good = _continues(data, after, stamp)
         if good:
-            records.append((stamp & 0x7FFF_FFFF_FFFF_FFFF, place, total, message_id))
+            last = stamp & 0x7FFF_FFFF_FFFF_FFFF
+            records.append((last, place, total, message_id))
             start = after
         else:
             damaged += 1
-            start = _resume(data, start + 1, records[-1][0] if records else None)
+            start = _resume(data, start + 1, last)
     return records, damaged
 
 
@@ -215,16 +218,20 @@ def _continues(data: bytes, start: int, stamp: int) -> bool:
     return abs(int(_STAMP.unpack_from(data, start)[0]) - stamp) < PLAUSIBLE_US
 
 
-def _resume(data: bytes, start: int, last_stamp: int | None) -> int:
+def _is_plausible(data: bytes, stamp: int, after: int, last: int | None) -> bool:
+    """Say whether a stamp follows the last one, or begins a new time that the next one shares."""
+    if last is None or abs(stamp - last) < PLAUSIBLE_US:
+        return True
+    return _continues(data, after, stamp)
+
+
+def _resume(data: bytes, start: int, last: int | None) -> int:
     """Give the next place where a plausible stamp and a rightly summed frame stand."""
     end = len(data)
     for match in _START.finditer(data, start + 8):
         place = match.start()
         if place + 8 > end:
             break
-        (stamp,) = _STAMP.unpack_from(data, place - 8)
-        if last_stamp is not None and abs(stamp - last_stamp) >= PLAUSIBLE_US:
-            continue
         first = data[place] == 0xFE
         if not first and place + 12 > end:
             continue
@@ -235,7 +242,11 @@ def _resume(data: bytes, start: int, last_stamp: int | None) -> int:
         extra = CRC_EXTRAS.get(message_id)
         if extra is None or tail + 2 > end:
             continue
-        if _crc(data[place + 1 : tail] + extra) == data[tail] | data[tail + 1] << 8:
+        (stamp,) = _STAMP.unpack_from(data, place - 8)
+        after = tail + (15 if not first and data[place + 2] & 1 else 2)
+        if _crc(data[place + 1 : tail] + extra) != data[tail] | data[tail + 1] << 8:
+            continue
+        if _is_plausible(data, stamp, after, last):
             return place - 8
     return end
 

@@ -63,6 +63,7 @@ def _tables(log: Tlog, names: Sequence[str]) -> dict[str, Column]:
     return {name: table for name, table in tables.items() if len(table)}
 
 
+@np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def reference(log: Tlog) -> Trajectory | None:
     """Give the autopilot's own estimate, on its boot clock; None: it sends none.
 
@@ -117,6 +118,7 @@ def reference(log: Tlog) -> Trajectory | None:
     )
 
 
+@np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def truth(log: Tlog) -> Trajectory | None:
     """Give the simulator's truth on the autopilot's boot clock; None: the log holds none.
 

@@ -55,6 +55,7 @@ ARMED = 2
 """vehicle_status.arming_state: 1 disarmed (standby), 2 armed."""
 
 
+@np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def read(path: Path) -> Recording:
     """Read a log into events, EKF2's estimate and, from a simulator, the truth.
 

@@ -1,0 +1,204 @@
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v10 import ardupilotmega as first
+from pymavlink.dialects.v20 import ardupilotmega as second
+
+from ekf_companion.errors import LogError
+from ekf_companion.logs import tlog, tlog_trajectory
+
+START_US = 1_700_000_000_000_000
+
+
+def record(stamp_us, frame):
+    return struct.pack(">Q", stamp_us) + frame
+
+
+def small_log(version=second, n=40, boot_ms=1000):
+    """Give records as bytes: a heartbeat, then attitude, position and raw samples in turn."""
+    mav = version.MAVLink(None, srcSystem=1, srcComponent=1)
+    gcs = version.MAVLink(None, srcSystem=255, srcComponent=190)
+    records = []
+    for index in range(n):
+        ms = boot_ms + 20 * index
+        for sender, message in (
+            (gcs, gcs.heartbeat_encode(6, 8, 0, 0, 4)),
+            (mav, mav.heartbeat_encode(2, 12, 0, 0, 4)),
+            (mav, mav.attitude_encode(ms, 0.01 * index, -0.1, 1.0, 0, 0, 0)),
+            (
+                mav,
+                mav.global_position_int_encode(
+                    ms, 473977000 + index, 85455000, 489000, 0, 100, 0, -50, 0
+                ),
+            ),
+            (mav, mav.raw_imu_encode(ms * 1000, 1, 2, -1000, 0, 0, 0, 0, 0, 0)),
+        ):
+            records.append(record(START_US + ms * 1000, message.pack(sender)))
+            sender.seq = (sender.seq + 1) % 256
+    return records
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(data):
+        path = tmp_path / "flight.tlog"
+        path.write_bytes(data)
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("version", [first, second])
+def test_every_frame_comes_back_with_its_stamp(written, version):
+    records = small_log(version)
+    log = tlog.read(written(b"".join(records)))
+    assert [record(*one) for one in log.frames()] == records
+    assert log.damaged == 0
+
+
+def test_the_autopilot_is_who_says_so_first(written):
+    assert tlog.read(written(b"".join(small_log()))).autopilot == tlog.Autopilot(1, 1, "px4")
+
+
+def test_a_frame_of_unknown_id_is_kept_where_a_record_follows(written):
+    records = small_log()
+    unknown = record(START_US, bytes([0xFD, 3, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0x7F]) + b"abc" + b"xx")
+    log = tlog.read(written(b"".join([*records[:7], unknown, *records[7:]])))
+    assert [record(*one) for one in log.frames()] == [*records[:7], unknown, *records[7:]]
+
+
+def test_a_clock_that_is_set_while_recording_loses_nothing(written):
+    before, after = small_log(n=5), small_log(n=5)
+    before = [struct.pack(">Q", 1000 + index) + one[8:] for index, one in enumerate(before)]
+    log = tlog.read(written(b"".join(before + after)))
+    assert len(log) == len(before) + len(after)
+
+
+def test_a_damaged_stamp_costs_its_record_alone(written):
+    records = small_log()
+    wild = [*records[:50], b"\x77" * 8 + records[50][8:], *records[51:]]
+    log = tlog.read(written(b"".join(wild)))
+    assert [record(*one) for one in log.frames()] == records[:50] + records[51:]
+
+
+SMALL = small_log()
+WHOLE = b"".join(SMALL)
+EDGES = np.cumsum([0, *map(len, SMALL)])
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    place=st.integers(0, len(WHOLE) - 1),
+    junk=st.binary(min_size=1, max_size=40),
+    cut=st.integers(0, 40),
+)
+def test_damage_costs_only_the_records_that_it_touches(tmp_path_factory, place, junk, cut):
+    path = tmp_path_factory.getbasetemp() / "damaged.tlog"
+    path.write_bytes(WHOLE[:place] + junk + WHOLE[place + cut :])
+    found = {record(*one) for one in tlog.read(path).frames()}
+    whole = {
+        one
+        for one, low, high in zip(SMALL, EDGES[:-1], EDGES[1:], strict=True)
+        if high <= place or low >= place + cut
+    }
+    assert len(whole - found) == 0
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.binary(max_size=300))
+def test_any_bytes_are_read_or_refused_by_a_sentence(tmp_path_factory, data):
+    path = tmp_path_factory.getbasetemp() / "any.tlog"
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=r"any\.tlog: "):
+        tlog.read(path)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(LogError, match=r"none\.tlog: no such file; check the path"):
+        tlog.read(tmp_path / "none.tlog")
+
+
+def test_columns_agree_with_pymavlink(flight):
+    path = flight("tlog-copter-canberra/flight.tlog")
+    log = tlog.read(path)
+    mav = first.MAVLink(None)
+    mav.robust_parsing = True
+    expected = {"ATTITUDE": [], "GPS_RAW_INT": [], "HEARTBEAT": []}
+    for _, frame in log.frames():
+        message = mav.decode(bytearray(frame))
+        if message.get_type() in expected and message.get_srcSystem() == 1:
+            expected[message.get_type()].append(message)
+    tables = log.columns(list(expected), system_id=1)
+    for name, messages in expected.items():
+        assert len(messages) == len(tables[name]) > 0
+        for field in messages[0].get_fieldnames():
+            theirs = np.array([getattr(message, field) for message in messages])
+            np.testing.assert_array_equal(
+                tables[name][field], theirs.astype(tables[name][field].dtype)
+            )
+
+
+def test_short_payloads_read_as_zeros(written):
+    mav = second.MAVLink(None, srcSystem=1, srcComponent=1)
+    frame = mav.gps_raw_int_encode(5, 0, 0, 0, 0, 0, 0, 0, 0, 0).pack(mav)
+    table = tlog.read(written(record(1, frame))).columns(["GPS_RAW_INT"], 1)["GPS_RAW_INT"]
+    assert frame[1] < 30
+    assert table["time_usec"].tolist() == [5]
+    assert table["h_acc"].tolist() == [0]
+
+
+def test_the_autopilots_estimate_is_in_radians_and_on_its_boot_clock(written):
+    reference = tlog_trajectory.reference(tlog.read(written(b"".join(small_log()))))
+    assert reference.att_t_ns[:2].tolist() == [1_000_000_000, 1_020_000_000]
+    assert reference.lat[0] == pytest.approx(np.deg2rad(47.3977), abs=1e-12)
+    assert reference.alt[0] == 489.0
+    np.testing.assert_allclose(reference.vel_n[0], [1.0, 0.0, -0.5])
+
+
+def test_after_a_reboot_the_longest_boot_is_the_reference(written):
+    data = b"".join(small_log(n=20, boot_ms=90_000) + small_log(n=40, boot_ms=1_000))
+    reference = tlog_trajectory.reference(tlog.read(written(data)))
+    assert reference.att_t_ns[0] == 1_000_000_000
+    assert len(reference.att_t_ns) == 40
+
+
+def test_the_boot_clock_is_unwrapped(written):
+    near = 2**32 - 400
+    heartbeats = small_log(n=1)[:2]
+    mav = second.MAVLink(None, srcSystem=1, srcComponent=1)
+    attitudes = [
+        record(START_US, mav.attitude_encode((near + 20 * i) % 2**32, 0, 0, 0, 0, 0, 0).pack(mav))
+        for i in range(40)
+    ]
+    log = tlog.read(written(b"".join(heartbeats + attitudes)))
+    t_ns = tlog_trajectory.reference(log).att_t_ns
+    assert len(t_ns) == 40
+    assert np.all(np.diff(t_ns) == 20_000_000)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("sitl-arducopter-square", "SIM_STATE"), ("sitl-px4-square", "HIL_STATE_QUATERNION")],
+)
+def test_the_simulators_truth_gets_the_stamp_of_the_sample_before_it(flight, name, message):
+    from ekf_companion import compare
+
+    log = tlog.read(flight(f"{name}/flight.tlog"))
+    truth = tlog_trajectory.truth(log)
+    assert message in truth.name
+    score = compare.score(truth, compare.read_truth(flight(f"{name}/truth.csv")))
+    assert abs(score.lag) <= 0.004 + 1e-4  # good to one inertial period of PX4's
+    assert score.horizontal.rms < 0.02
+    assert score.tilt.rms < np.deg2rad(0.1)
+
+
+def test_damaged_and_rebooted_telemetry_gives_what_it_has(flight):
+    log = tlog.read(flight("tlog-copter-canberra/flight.tlog"))
+    assert log.autopilot == tlog.Autopilot(1, 1, "ardupilot")
+    assert log.damaged > 1000
+    reference = tlog_trajectory.reference(log)
+    assert np.all(np.diff(reference.att_t_ns) > 0)
+    assert (reference.att_t_ns[-1] - reference.att_t_ns[0]) * 1e-9 > 700.0
