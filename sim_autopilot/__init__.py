@@ -8,9 +8,12 @@ Rooms
     scenarios  the motions that can be flown
     config     every number that can be turned
     sensors    what the sensors say of the motion, from one seed
-    flight     all of it laid out in order of time
+    flight     all of it laid out in order of time, one cycle of the autopilot's loop at a time
+    telemetry  what each message says of a cycle
     autopilot  the MAVLink peer: bytes and times in, bytes out
     score      the estimate against the truth
     recording  files: truth as CSV, frames as .tlog
-    fly, replay, demo, __main__   the shells, which alone open, await, sleep and print
+    replay     a recorded flight as frames at their times
+    figure     the picture of a flight
+    pace, fly, demo, __main__   the shells, which alone open, await, sleep and print
 """

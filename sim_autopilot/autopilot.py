@@ -86,6 +86,8 @@ class Received(NamedTuple):
     component_id: int
     name: str
     fields: Any
+    frame: bytes
+    """As it was on the wire."""
 
 
 class Autopilot:
@@ -151,10 +153,22 @@ class Autopilot:
                 continue
             fields = unpack(frame)
             name = LAYOUTS[frame.message_id].name
-            self._received.append(Received(now_ns, frame.component_id, name, fields))
+            self._received.append(Received(now_ns, frame.component_id, name, fields, frame.raw))
             handler = self._handlers.get(name)
             if handler is not None and self._is_for_us(fields):
                 handler(frame, fields, now_ns)
+
+    def heartbeat(self, *, is_armed: bool = False) -> None:
+        """Send a heartbeat out of turn: somebody may be waiting for the first one."""
+        self._send(
+            "HEARTBEAT",
+            type=self._type,
+            autopilot=self._habits.autopilot,
+            base_mode=_CUSTOM_MODE | (_ARMED if is_armed else 0),
+            custom_mode=self._habits.custom_mode,
+            system_status=_ACTIVE if is_armed else _STANDBY,
+            mavlink_version=3,
+        )
 
     def data_to_send(self) -> list[bytes]:
         """Give the frames that wait to be sent, in order, once."""
@@ -181,7 +195,7 @@ class Autopilot:
 
     def _stream(self, name: str, cycle: Cycle) -> None:
         if name == "HEARTBEAT":
-            self._heartbeat(cycle)
+            self.heartbeat(is_armed=cycle.is_armed)
         elif name == "HIGHRES_IMU":
             updated, self._fields_updated = self._fields_updated, INERTIAL_AND_TEMPERATURE
             fields = highres_imu(cycle, self._config, self._mag_b, self._baro, updated)
@@ -196,17 +210,6 @@ class Autopilot:
             )
         else:
             self._send(name, **BUILDERS[name](self._config, cycle))
-
-    def _heartbeat(self, cycle: Cycle) -> None:
-        self._send(
-            "HEARTBEAT",
-            type=self._type,
-            autopilot=self._habits.autopilot,
-            base_mode=_CUSTOM_MODE | (_ARMED if cycle.is_armed else 0),
-            custom_mode=self._habits.custom_mode,
-            system_status=_ACTIVE if cycle.is_armed else _STANDBY,
-            mavlink_version=3,
-        )
 
     def _command(self, frame: Frame, command: Any, now_ns: int) -> None:
         message = LAYOUTS[int(command.param1)].name if int(command.param1) in LAYOUTS else ""

@@ -37,6 +37,8 @@ class Scenario:
     """Of one flight, where nothing else is asked for, s."""
     is_airborne: bool
     """It takes off and is armed then."""
+    is_wing: bool
+    """A fixed wing; else a multicopter, or nothing that flies."""
     build: Callable[[LocalFrame, float], Trajectory]
     """Of the frame, whose origin is where it starts, and the duration, s."""
 
@@ -257,23 +259,30 @@ def _ramp(t: Array, rise: float) -> Array:
 SCENARIOS = {
     scenario.name: scenario
     for scenario in (
-        Scenario("static", "lies still", 60.0, False, _static),
-        Scenario("hover", "multicopter: wanders by decimetres, 5 m up", 60.0, True, _hover),
+        Scenario("static", "lies still", 60.0, False, False, _static),
+        Scenario("hover", "multicopter: wanders by decimetres, 5 m up", 60.0, True, False, _hover),
         Scenario(
             "figure-eight",
             "aggressive multicopter: 9 m/s, tilts to 40 degrees, turning nose",
             60.0,
             True,
+            False,
             _figure_eight,
         ),
-        Scenario("loiter", "fixed wing: circles of 80 m at 16 m/s, climbing", 120.0, True, _loiter),
+        Scenario(
+            "loiter", "fixed wing: circles of 80 m at 16 m/s, climbing", 120.0, True, True, _loiter
+        ),
         Scenario(
             "square-spiral",
             "fixed wing: a shrinking square of 1.1 km, 13 to 23 m/s, 110 to 210 m up",
             400.0,
             True,
+            True,
             _square_spiral,
         ),
-        Scenario("walk", "on a foot: 0.5 s still, 0.7 s swinging, in a circle", 90.0, False, _walk),
+        Scenario(
+            "walk", "on a foot: 0.5 s still, 0.7 s swinging, in a circle", 90.0, False, False, _walk
+        ),
     )
 }
+"""By name."""

@@ -1,0 +1,195 @@
+"""The commands of ``sim-autopilot``; the only place here that prints or exits."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from ekf_companion.errors import CompanionError
+from sim_autopilot import demo as demonstration
+from sim_autopilot import replay as replaying
+from sim_autopilot.autopilot import Autopilot, Kind
+from sim_autopilot.config import load
+from sim_autopilot.flight import Flight
+from sim_autopilot.fly import fly as fly_over
+from sim_autopilot.fly import over, play
+from sim_autopilot.pace import run
+from sim_autopilot.recording import TlogWriter, write_truth
+from sim_autopilot.report import sentences, table
+from sim_autopilot.scenarios import SCENARIOS
+
+app = typer.Typer(
+    help="A fake autopilot: flies, speaks MAVLink, and scores the estimate that comes back.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+_console = Console()
+_errors = Console(stderr=True)
+
+SCENARIO = typer.Option("figure-eight", help="Which motion; `scenarios` lists them.")
+LINK = typer.Option(..., help="Where to: udpout:127.0.0.1:14540, udpin:, tcp:, tcpin:, serial:")
+SEED = typer.Option(1, help="The same seed gives the same flight, bit by bit.")
+DURATION = typer.Option(None, help="Seconds; as long as the scenario is, if not given.", min=0.1)
+SKIP = typer.Option(0.0, help="Begin so many seconds into the scenario.", min=0.0)
+IMU_RATE = typer.Option(None, help="Inertial samples, Hz.", min=1.0)
+SPEED = typer.Option(1.0, help="How many times as fast as real time.", min=0.01)
+TRUTH = typer.Option(None, help="Write the true motion to this CSV file.")
+CONFIG = typer.Option(None, help="YAML that says what differs from the defaults.")
+AUTOPILOT = typer.Option(Kind.PX4, help="Which autopilot to pass for.")
+
+
+@app.command()
+def fly(
+    scenario: str = SCENARIO,
+    link: str = LINK,
+    seed: int = SEED,
+    duration: float | None = DURATION,
+    skip: float = SKIP,
+    imu_rate: float | None = IMU_RATE,
+    speed: float = SPEED,
+    truth: Path | None = TRUTH,
+    log: Path | None = typer.Option(None, help="Record every frame out and in to this .tlog."),
+    score: Path | None = typer.Option(None, help="Write the score to this JSON file."),
+    score_after: float = typer.Option(10.0, help="Score from so many seconds on.", min=0.0),
+    wait: float = typer.Option(0.0, help="Call so many seconds for an answer first.", min=0.0),
+    config: Path | None = CONFIG,
+    autopilot: Kind = AUTOPILOT,
+) -> None:
+    """Fly a scenario over a link, in real time, and score the ODOMETRY that comes back."""
+    with _spoken(), ExitStack() as stack:
+        flight = _plan(scenario, config, imu_rate, seed, duration, skip)
+        if truth is not None:
+            write_truth(truth, flight)
+        writer = None
+        if log is not None:
+            writer = stack.enter_context(TlogWriter(log, flight.config.home.unix))
+        flown = run(
+            over(
+                link,
+                lambda opened: fly_over(
+                    flight, opened, kind=autopilot, speed=speed, log=writer, wait=wait
+                ),
+            )
+        )
+        result = flown.witness.score(score_after)
+        if score is not None:
+            score.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    _report(result, {})
+
+
+@app.command()
+def generate(
+    scenario: str = SCENARIO,
+    output: Path = typer.Option(..., "--output", "-o", help="The .tlog to write."),
+    truth: Path | None = TRUTH,
+    seed: int = SEED,
+    duration: float | None = DURATION,
+    skip: float = SKIP,
+    imu_rate: float | None = IMU_RATE,
+    config: Path | None = CONFIG,
+    autopilot: Kind = AUTOPILOT,
+) -> None:
+    """Write a scenario to a .tlog at once, without a link: the same frames that `fly` sends."""
+    with _spoken():
+        flight = _plan(scenario, config, imu_rate, seed, duration, skip)
+        if truth is not None:
+            write_truth(truth, flight)
+        peer = Autopilot(flight.config, autopilot, is_wing=flight.scenario.is_wing)
+        count = 0
+        with TlogWriter(output, flight.config.home.unix) as writer:
+            for cycle in flight.cycles():
+                peer.cycle(cycle)
+                for frame in peer.data_to_send():
+                    writer.write(cycle.t_ns, frame)
+                    count += 1
+    _console.print(f"{output}: {count} messages, {flight.duration:.1f} s of {scenario}")
+
+
+@app.command()
+def replay(
+    log: Path = typer.Argument(..., help="A .tlog, .bin, .ulg or .csv."),
+    link: str = LINK,
+    speed: float = SPEED,
+) -> None:
+    """Send a recorded flight as a live stream."""
+    with _spoken():
+        count = run(over(link, lambda opened: play(replaying.frames(log), opened, speed)))
+    _console.print(f"{log}: {count} messages sent")
+
+
+@app.command()
+def scenarios() -> None:
+    """List the motions that can be flown."""
+    listing = Table(box=None, pad_edge=False)
+    for title in ("scenario", "seconds", "what"):
+        listing.add_column(title, justify="right" if title == "seconds" else "left")
+    for scenario in SCENARIOS.values():
+        listing.add_row(scenario.name, f"{scenario.duration:.0f}", scenario.summary)
+    _console.print(listing)
+
+
+@app.command()
+def demo(
+    out: Path = typer.Option(Path("demo"), help="Folder for demo.png, score.json and truth.csv."),
+    duration: float = typer.Option(60.0, help="Seconds.", min=12.0),
+    seed: int = SEED,
+    daemon_config: Path | None = typer.Option(None, help="The daemon's; config/sitl.yaml."),
+) -> None:
+    """Fly figure-eight against the real daemon over UDP, and hold it to its limits."""
+    with _spoken():
+        verdict = demonstration.fly(out, duration=duration, seed=seed, daemon_config=daemon_config)
+    _report(verdict.score, demonstration.LIMITS)
+    for line in verdict.files:
+        _console.print(line)
+    for complaint in verdict.complaints:
+        _errors.print(f"[bold red]{complaint}[/]")
+    if verdict.complaints:
+        raise typer.Exit(1)
+
+
+def _plan(
+    scenario: str,
+    config: Path | None,
+    imu_rate: float | None,
+    seed: int,
+    duration: float | None,
+    skip: float,
+) -> Flight:
+    if scenario not in SCENARIOS:
+        known = ", ".join(SCENARIOS)
+        raise typer.BadParameter(f"{scenario!r}: no such scenario; there are {known}")
+    numbers = load(config)
+    if imu_rate is not None:
+        imu = dataclasses.replace(numbers.imu, rate=imu_rate)
+        numbers = dataclasses.replace(numbers, imu=imu)
+    return Flight.plan(scenario, numbers, seed=seed, duration=duration, skip=skip)
+
+
+def _report(score: dict[str, Any], limits: dict[str, float]) -> None:
+    if score["odometry"]["scored"]:
+        _console.print(table(score, limits))
+    for sentence in sentences(score):
+        _console.print(sentence, highlight=False)
+
+
+@contextmanager
+def _spoken() -> Iterator[None]:
+    """Say what was wrong in a sentence, and exit with 2."""
+    try:
+        yield
+    except (CompanionError, OSError) as error:
+        _errors.print(f"[bold red]{error}[/]", highlight=False)
+        raise typer.Exit(2) from error
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,112 @@
+"""The whole project in one minute: the real daemon, a fake flight, real UDP, a verdict."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ekf_companion.errors import CompanionError
+from sim_autopilot import figure
+from sim_autopilot.config import SimConfig
+from sim_autopilot.flight import Flight
+from sim_autopilot.fly import fly as fly_over
+from sim_autopilot.fly import over
+from sim_autopilot.pace import run
+from sim_autopilot.recording import write_truth
+from sim_autopilot.report import TITLES
+
+LIMITS = {
+    "horizontal_m": 0.6,
+    "vertical_m": 0.9,
+    "velocity_mps": 0.15,
+    "roll_deg": 0.5,
+    "pitch_deg": 0.5,
+    "yaw_deg": 1.5,
+}
+"""Of the RMS error after ten seconds."""
+_CONFIG = Path(__file__).resolve().parent.parent / "config" / "sitl.yaml"
+_START = 15.0
+"""The daemon answers within this, s."""
+_STOP = 5.0
+"""And ends within this, s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """What came of it."""
+
+    score: dict[str, Any]
+    files: list[str]
+    """What was written, one sentence each."""
+    complaints: list[str]
+    """Empty: passed."""
+
+
+def fly(out: Path, *, duration: float, seed: int, daemon_config: Path | None = None) -> Verdict:
+    """Fly figure-eight against the daemon and judge what it answered.
+
+    Raises:
+        CompanionError: The daemon did not start or never answered.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    config = SimConfig()
+    flight = Flight.plan("figure-eight", config, seed=seed, duration=duration)
+    write_truth(out / "truth.csv", flight)
+    port = _free_port()
+    with _daemon(daemon_config or _CONFIG, port, out / "daemon.log"):
+        flown = run(
+            over(f"udpout:127.0.0.1:{port}", lambda link: fly_over(flight, link, wait=_START))
+        )
+    score = flown.witness.score()
+    score["pacing_late_ms"] = flown.pace.lateness()
+    (out / "score.json").write_text(json.dumps(score, indent=2) + "\n", encoding="utf-8")
+    files = [f"{out / name}" for name in ("score.json", "truth.csv", "daemon.log")]
+    with contextlib.suppress(ImportError):
+        figure.draw(out / "demo.png", flight, flown.witness, score)
+        files.insert(0, f"{out / 'demo.png'}")
+    return Verdict(score, files, complaints(score, out / "daemon.log"))
+
+
+def complaints(score: dict[str, Any], log: Path) -> list[str]:
+    """Say what is not as it should be."""
+    if not score["odometry"]["scored"]:
+        return [f"no ODOMETRY came that could be scored; {log} says what the daemon saw"]
+    return [
+        f"{TITLES[key]}: RMS {score[key]['rms']:.3f} is above {limit}"
+        for key, limit in LIMITS.items()
+        if not score[key]["rms"] <= limit
+    ]
+
+
+@contextlib.contextmanager
+def _daemon(config: Path, port: int, log: Path) -> Iterator[None]:
+    """Run the daemon while the body runs; its words go to a file."""
+    command = [sys.executable, "-m", "ekf_companion", "run", "--link", f"udpin:127.0.0.1:{port}"]
+    command += ["--config", str(config)]
+    with log.open("wb") as words:
+        process = subprocess.Popen(command, stdout=words, stderr=subprocess.STDOUT)
+        try:
+            yield
+        finally:
+            code = process.poll()
+            process.terminate()
+            try:
+                process.wait(_STOP)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            if code is not None:
+                raise CompanionError(f"the daemon ended by itself with exit code {code}; see {log}")
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

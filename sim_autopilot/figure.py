@@ -1,0 +1,100 @@
+"""The picture of a flight: what the estimator said, over what was true."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.nav import so3
+from sim_autopilot.flight import Flight
+from sim_autopilot.score import Witness
+
+Array = npt.NDArray[np.float64]
+
+_TRUTH = {"color": "#9aa5b1", "linewidth": 4.0, "solid_capstyle": "round", "label": "truth"}
+_ESTIMATE = {"color": "#d1495b", "linewidth": 1.3, "label": "ODOMETRY received"}
+_FIXES = {"color": "#2e86ab", "marker": ".", "markersize": 3.5, "linestyle": "", "alpha": 0.55}
+
+
+def draw(path: Path, flight: Flight, witness: Witness, score: dict[str, Any]) -> None:
+    """Draw track, altitude, speed, roll, pitch and yaw to a file.
+
+    Raises:
+        ImportError: matplotlib is not installed (the extra ``plot``).
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    truth = flight.trajectory.at(flight.imu.t[::5])
+    t = truth.t - flight.imu.t[0]
+    estimate = witness.estimate()
+    home = flight.trajectory.frame
+    fixes = home.to_ned(flight.gnss.lat, flight.gnss.lon, flight.gnss.alt)
+    angles = so3.to_euler(estimate.q_nb)
+
+    figure = Figure(figsize=(13.0, 7.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 3)
+    for axis in axes.flat:
+        axis.grid(color="#e4e7eb", linewidth=0.8)
+        axis.set_axisbelow(True)
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.tick_params(color="#9aa5b1", labelcolor="#3e4c59")
+
+    track = axes[0, 0]
+    track.plot(fixes[:, 1], fixes[:, 0], **_FIXES, label="GNSS fixes")
+    track.plot(truth.pos_n[:, 1], truth.pos_n[:, 0], **_TRUTH)
+    track.plot(estimate.pos_n[:, 1], estimate.pos_n[:, 0], **_ESTIMATE)
+    track.set_aspect("equal", adjustable="datalim")
+    track.set_title(_title("Track", score, "horizontal_m", "m"), loc="left", fontsize=11)
+    track.set_xlabel("east, m")
+    track.set_ylabel("north, m")
+
+    panels: list[tuple[Any, str, str, str, Array, Array]] = [
+        (axes[0, 1], "Altitude", "vertical_m", "m", truth.alt, home.alt - estimate.pos_n[:, 2]),
+        (
+            axes[0, 2],
+            "Speed",
+            "velocity_mps",
+            "m/s",
+            np.linalg.norm(truth.vel_n, axis=1),
+            np.linalg.norm(estimate.vel_n, axis=1),
+        ),
+    ]
+    for index, name in enumerate(("roll", "pitch", "yaw")):
+        true, seen = np.degrees(so3.wrap(truth.euler[:, index])), np.degrees(angles[:, index])
+        panels.append((axes[1, index], name.capitalize(), f"{name}_deg", "deg", true, seen))
+    for axis, name, key, unit, true, seen in panels:
+        axis.plot(t, _broken(true, unit), **_TRUTH)
+        axis.plot(estimate.t, _broken(seen, unit), **_ESTIMATE)
+        axis.set_title(_title(name, score, key, unit), loc="left", fontsize=11)
+        axis.set_xlabel("time, s")
+        axis.set_ylabel(unit)
+        axis.set_xlim(0.0, float(t[-1]))
+
+    handles, labels = track.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=3, frameon=False)
+    figure.suptitle(
+        f"{flight.scenario.name}: {flight.duration:.0f} s over UDP, "
+        f"IMU {flight.config.imu.rate:.0f} Hz, GNSS {flight.config.gnss.rate:.0f} Hz",
+        x=0.01,
+        ha="left",
+        fontsize=13,
+        fontweight="bold",
+    )
+    figure.savefig(path, dpi=110)
+
+
+def _title(name: str, score: dict[str, Any], key: str, unit: str) -> str:
+    return f"{name}   RMS error {score[key]['rms']:.2f} {unit}" if key in score else name
+
+
+def _broken(values: Array, unit: str) -> Array:
+    """Leave a gap where an angle wraps, so that no line crosses the picture."""
+    values = values.copy()
+    if unit == "deg" and len(values) > 1:
+        values[np.flatnonzero(np.abs(np.diff(values)) > 180.0) + 1] = np.nan
+    return values

@@ -1,0 +1,150 @@
+"""A flight over a link in real time, or faster; and a recorded one."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from ekf_companion.errors import CompanionError
+from ekf_companion.link import Link, open_link
+from sim_autopilot.autopilot import Autopilot, Kind
+from sim_autopilot.flight import Flight
+from sim_autopilot.pace import Pace
+from sim_autopilot.recording import TlogWriter
+from sim_autopilot.score import Witness
+
+T = TypeVar("T")
+
+_LAST_WORDS = 0.3
+"""After the last sample, what is still under way is waited for so long, s."""
+_CALL_PERIOD = 0.1
+"""Between heartbeats before anybody has answered, s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flown:
+    """What is left of a flight over a link."""
+
+    flight: Flight
+    autopilot: Autopilot
+    witness: Witness
+    pace: Pace
+
+
+async def fly(
+    flight: Flight,
+    link: Link,
+    *,
+    kind: Kind = Kind.PX4,
+    speed: float = 1.0,
+    log: TlogWriter | None = None,
+    wait: float = 0.0,
+) -> Flown:
+    """Fly over a link, and hear what comes back.
+
+    Args:
+        flight: What is flown.
+        link: Where to.
+        kind: Which autopilot it passes itself off as.
+        speed: Of the autopilot's clock against ours.
+        log: Takes every frame out and in.
+        wait: Call so long for somebody to answer before the flight begins, s.
+
+    Raises:
+        CompanionError: Nobody answered.
+    """
+    autopilot = Autopilot(flight.config, kind, is_wing=flight.scenario.is_wing)
+    witness = Witness(flight)
+    if wait > 0.0:
+        await _call(autopilot, link, wait)
+    pace = Pace(flight.first_ns, speed)
+
+    def send() -> None:
+        for frame in autopilot.data_to_send():
+            link.send(frame)
+            if log is not None:
+                log.write(pace.now_ns(), frame)
+
+    async def listen() -> None:
+        while True:
+            data, read_ns = await link.receive()
+            now_ns = pace.shown_ns(read_ns)
+            autopilot.receive(data, now_ns)
+            send()
+            for message in autopilot.received():
+                witness.hear(message)
+                if log is not None:
+                    log.write(now_ns, message.frame)
+
+    async with _beside(listen()):
+        for cycle in flight.cycles():
+            await pace.until(cycle.t_ns)
+            witness.sent(pace.now_ns())
+            autopilot.cycle(cycle)
+            send()
+        await asyncio.sleep(_LAST_WORDS)
+    return Flown(flight, autopilot, witness, pace)
+
+
+async def _call(autopilot: Autopilot, link: Link, wait: float) -> None:
+    """Send heartbeats until bytes come back."""
+    loop = asyncio.get_running_loop()
+    end = loop.time() + wait
+    while loop.time() < end:
+        autopilot.heartbeat()
+        for frame in autopilot.data_to_send():
+            link.send(frame)
+        with contextlib.suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(link.receive(), _CALL_PERIOD)
+            return
+    raise CompanionError(
+        f"{link.address}: nobody answered within {wait:g} s; start the daemon first"
+    )
+
+
+async def play(frames: Iterable[tuple[int, bytes]], link: Link, speed: float = 1.0) -> int:
+    """Send recorded frames at their times; give how many."""
+    count = 0
+    pace: Pace | None = None
+
+    async def listen() -> None:
+        while True:
+            await link.receive()
+
+    async with _beside(listen()):
+        for t_ns, frame in frames:
+            if pace is None:
+                pace = Pace(t_ns, speed)
+            if t_ns > pace.now_ns():
+                await pace.until(t_ns)
+            link.send(frame)
+            count += 1
+    return count
+
+
+async def over(url: str, body: Callable[[Link], Awaitable[T]]) -> T:
+    """Open a link, and run something over it once it is open.
+
+    Raises:
+        LinkError: The URL names no link.
+    """
+    is_open = asyncio.Event()
+    link = open_link(url, on_state=lambda now_open: is_open.set() if now_open else None)
+    async with _beside(link.run()):
+        await is_open.wait()
+        return await body(link)
+
+
+@contextlib.asynccontextmanager
+async def _beside(work: Coroutine[None, None, None]) -> AsyncIterator[None]:
+    """Run something beside the body; what goes wrong in it is raised at the end."""
+    task = asyncio.create_task(work)
+    try:
+        yield
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task

@@ -1,0 +1,174 @@
+"""A recorded flight as frames at their times, whatever format it was recorded in.
+
+A .tlog gives back the autopilot's own frames. The other formats hold no frames: their sensors are
+put into the messages that the autopilot would have sent (GPS_RAW_INT has no vertical velocity).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ekf_companion.errors import LogError
+from ekf_companion.logs import csv, dataflash, tlog, ulog
+from ekf_companion.logs.recording import Recording
+from ekf_companion.mavlink.codec import Sender
+from ekf_companion.nav import so3
+from ekf_companion.nav.measurements import HeadingSource, Kind
+
+Timed = tuple[int, bytes]
+"""Time, ns, and the frame that is sent then."""
+
+_READERS = {".bin": dataflash.read, ".ulg": ulog.read, ".csv": csv.read}
+_AUTOPILOTS = {"px4": 12, "ardupilot": 3}
+_GENERIC = 0
+_INERTIAL, _MAGNETOMETER, _BAROMETER = 0x3F, 64 | 128 | 256, 512 | 2048
+_SECOND_NS = 1_000_000_000
+
+
+def frames(path: Path) -> Iterator[Timed]:
+    """Give a log's frames in the order in which they are sent, from its own start.
+
+    Raises:
+        LogError: The file cannot be read, or is of no format that is known.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".tlog":
+        return _of_tlog(path)
+    if suffix not in _READERS:
+        known = ", ".join([".tlog", *_READERS])
+        raise LogError(f"{path}: cannot be replayed; known are {known}")
+    return of_recording(_READERS[suffix](path))
+
+
+def _of_tlog(path: Path) -> Iterator[Timed]:
+    log = tlog.read(path)
+    latest_us = 0
+    for stamp_us, frame in log.frames():
+        system, component = (frame[5], frame[6]) if frame[0] == 0xFD else (frame[3], frame[4])
+        theirs = log.autopilot
+        if theirs is None or (system, component) == (theirs.system_id, theirs.component_id):
+            latest_us = max(latest_us, stamp_us)
+            yield latest_us * 1000, frame
+
+
+def of_recording(recording: Recording) -> Iterator[Timed]:
+    """Give the messages that an autopilot with these sensors would send."""
+    events = recording.events
+    autopilot = _AUTOPILOTS.get(recording.family, _GENERIC)
+    sender = Sender(1, 1)
+    arrival = np.maximum.accumulate(events.t_ns).tolist() if len(events) else []
+    attitudes = _Attitudes(recording)
+    mag, baro, updated = (0.0, 0.0, 0.0), 0.0, _INERTIAL
+    armed, landed, yaw_cdeg, next_beat_ns = False, 0, 0, 0
+    rows = zip(
+        arrival, events.t_ns.tolist(), events.kind.tolist(), events.values.tolist(), strict=True
+    )
+    for now_ns, t_ns, kind, values in rows:
+        if now_ns >= next_beat_ns:
+            next_beat_ns = now_ns + _SECOND_NS
+            for name, fields in _beat(autopilot, now_ns, armed, landed):
+                yield now_ns, sender.message(name, **fields)
+        for fields in attitudes.until(now_ns):
+            yield now_ns, sender.message("ATTITUDE", **fields)
+
+        if kind == Kind.IMU:
+            yield (
+                now_ns,
+                sender.message(
+                    "HIGHRES_IMU", **_imu(t_ns, values, mag, baro), fields_updated=updated
+                ),
+            )
+            updated = _INERTIAL
+        elif kind == Kind.MAG:
+            mag, updated = (values[0], values[1], values[2]), updated | _MAGNETOMETER
+        elif kind == Kind.BARO:
+            baro, updated = values[0], updated | _BAROMETER
+        elif kind == Kind.GNSS:
+            yield now_ns, sender.message("GPS_RAW_INT", **_fix(t_ns, values), yaw=yaw_cdeg)
+        elif kind == Kind.HEADING and values[2] == HeadingSource.GNSS:
+            # It goes out with the next fix; 0 means that there is none, so north is 36000
+            yaw_cdeg = _centidegrees(values[0]) or 36000
+        elif kind == Kind.VEHICLE:
+            armed = bool(values[0])
+            landed = 0 if math.isnan(values[1]) else 1 if values[1] else 2
+
+
+class _Attitudes:
+    """The recorded autopilot's own attitude, handed out as its time comes."""
+
+    def __init__(self, recording: Recording) -> None:
+        reference = recording.reference
+        self._rows: list[tuple[int, list[float]]] = []
+        self._next = 0
+        if reference is not None:
+            euler = so3.to_euler(reference.q_nb).tolist()
+            self._rows = list(zip(reference.att_t_ns.tolist(), euler, strict=True))
+
+    def until(self, now_ns: int) -> Iterator[dict[str, float]]:
+        while self._next < len(self._rows) and self._rows[self._next][0] <= now_ns:
+            t_ns, (roll, pitch, yaw) = self._rows[self._next]
+            self._next += 1
+            yield {
+                "time_boot_ms": t_ns // 1_000_000 & 0xFFFFFFFF,
+                "roll": roll,
+                "pitch": pitch,
+                "yaw": yaw,
+            }
+
+
+def _beat(
+    autopilot: int, now_ns: int, armed: bool, landed: int
+) -> Iterator[tuple[str, dict[str, float]]]:
+    yield (
+        "HEARTBEAT",
+        {
+            "type": 2,
+            "autopilot": autopilot,
+            "base_mode": 128 if armed else 0,
+            "system_status": 4 if armed else 3,
+            "mavlink_version": 3,
+        },
+    )
+    yield "SYSTEM_TIME", {"time_boot_ms": now_ns // 1_000_000 & 0xFFFFFFFF}
+    yield "EXTENDED_SYS_STATE", {"landed_state": landed}
+
+
+def _imu(
+    t_ns: int, values: list[float], mag: tuple[float, float, float], baro: float
+) -> dict[str, float]:
+    names = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
+    return {
+        "time_usec": t_ns // 1000,
+        **dict(zip(names, values[:6], strict=True)),
+        **dict(zip(("xmag", "ymag", "zmag"), mag, strict=True)),
+        "abs_pressure": 1013.25 * (1.0 - baro / 44330.769) ** 5.25588,
+        "pressure_alt": baro,
+    }
+
+
+def _fix(t_ns: int, values: list[float]) -> dict[str, float]:
+    lat, lon, alt, north, east, _, std_h, std_v, std_vel = values[:9]
+    has_velocity = math.isfinite(north) and math.isfinite(east)
+    return {
+        "time_usec": t_ns // 1000,
+        "fix_type": 3,
+        "lat": round(math.degrees(lat) * 1e7),
+        "lon": round(math.degrees(lon) * 1e7),
+        "alt": round(alt * 1e3),
+        "eph": 65535,
+        "epv": 65535,
+        "vel": round(math.hypot(north, east) * 1e2) if has_velocity else 65535,
+        "cog": _centidegrees(math.atan2(east, north)) if has_velocity else 65535,
+        "satellites_visible": 255,
+        "h_acc": round(std_h * 1e3),
+        "v_acc": round(std_v * 1e3),
+        "vel_acc": round(std_vel * 1e3) if math.isfinite(std_vel) else 0,
+    }
+
+
+def _centidegrees(angle: float) -> int:
+    return round(math.degrees(angle) * 1e2) % 36000

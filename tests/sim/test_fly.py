@@ -1,0 +1,140 @@
+import asyncio
+import socket
+
+import numpy as np
+import pytest
+
+from ekf_companion.errors import CompanionError
+from ekf_companion.link import open_link
+from ekf_companion.logs import tlog
+from ekf_companion.mavlink.codec import Sender, unpack
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.mavlink.layout import IDS
+from ekf_companion.nav import so3
+from sim_autopilot.config import SimConfig
+from sim_autopilot.flight import Flight
+from sim_autopilot.fly import fly, over, play
+from sim_autopilot.pace import run
+from sim_autopilot.recording import TlogWriter
+
+CONFIG = SimConfig()
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Oracle:
+    """Answers inertial samples with the truth, as an estimator without error would."""
+
+    def __init__(self, flight, url):
+        self.link = open_link(url)
+        self.counts = {}
+        self._flight = flight
+
+    async def run(self):
+        pump = asyncio.create_task(self.link.run())
+        splitter, us = Splitter(), Sender(1, 194)
+        try:
+            while True:
+                data, _ = await self.link.receive()
+                for frame in splitter.feed(data):
+                    self.counts[frame.message_id] = self.counts.get(frame.message_id, 0) + 1
+                    if frame.message_id == IDS["HEARTBEAT"]:
+                        self.link.send(us.message("HEARTBEAT", type=18, autopilot=8))
+                        self.link.send(us.message("TIMESYNC", tc1=0, ts1=1))
+                        self.link.send(self._origin(us))
+                    elif frame.message_id == IDS["HIGHRES_IMU"]:
+                        self.link.send(self._odometry(us, unpack(frame).time_usec))
+        finally:
+            pump.cancel()
+            await asyncio.gather(pump, return_exceptions=True)
+
+    def _origin(self, us):
+        home = CONFIG.home
+        return us.message(
+            "GPS_GLOBAL_ORIGIN",
+            latitude=round(home.lat * 1e7),
+            longitude=round(home.lon * 1e7),
+            altitude=round(home.alt * 1e3),
+        )
+
+    def _odometry(self, us, time_usec):
+        truth = self._flight.truth_at(np.array([time_usec * 1000]))
+        x, y, z = truth.pos_n[0]
+        vx, vy, vz = so3.rotate(so3.conjugate(truth.q_nb), truth.vel_n)[0]
+        return us.message(
+            "ODOMETRY",
+            time_usec=time_usec,
+            frame_id=20,
+            child_frame_id=12,
+            **{"x": x, "y": y, "z": z, "vx": vx, "vy": vy, "vz": vz},
+            q=tuple(truth.q_nb[0]),
+            reset_counter=1,
+        )
+
+
+def test_a_flight_over_a_socket_is_scored(tmp_path):
+    flight = Flight.plan("figure-eight", CONFIG, duration=2.0, skip=14.0)
+    port = free_port()
+    oracle = Oracle(flight, f"udpin:127.0.0.1:{port}")
+
+    async def both():
+        answering = asyncio.create_task(oracle.run())
+        try:
+            with TlogWriter(tmp_path / "flight.tlog", CONFIG.home.unix) as log:
+                return await over(
+                    f"udpout:127.0.0.1:{port}", lambda link: fly(flight, link, log=log, wait=5.0)
+                )
+        finally:
+            answering.cancel()
+            await asyncio.gather(answering, return_exceptions=True)
+
+    flown = run(both())
+    assert oracle.counts[IDS["HIGHRES_IMU"]] == 500
+    assert oracle.counts[IDS["TIMESYNC"]] >= 20  # its own, and its answers
+    score = flown.witness.score(after=0.0)
+    assert score["odometry"]["scored"] == 500
+    assert score["origin"] == "GPS_GLOBAL_ORIGIN"
+    assert score["horizontal_m"]["max"] < 1e-4  # float32, and the origin's rounding
+    assert score["velocity_mps"]["max"] < 1e-4
+    assert score["latency_ms"]["p50"] < 20.0
+    # A busy machine may be late now and then, but must not lag behind
+    assert flown.pace.lateness()["p50"] < 2.0
+
+    recorded = tlog.read(tmp_path / "flight.tlog")
+    ids = recorded.message_id.tolist()
+    assert ids.count(IDS["HIGHRES_IMU"]) == ids.count(IDS["ODOMETRY"]) == 500
+
+
+def test_nobody_answering_is_said_in_a_sentence():
+    flight = Flight.plan("static", CONFIG, duration=1.0)
+    url = f"udpout:127.0.0.1:{free_port()}"
+    with pytest.raises(CompanionError, match="nobody answered"):
+        run(over(url, lambda link: fly(flight, link, wait=0.3)))
+
+
+def test_recorded_frames_are_played_at_their_spacing():
+    port = free_port()
+    sent = Sender(1, 1)
+    frames = [(k * 10_000_000, sent.message("HEARTBEAT", autopilot=12)) for k in range(21)]
+
+    async def both():
+        theirs = open_link(f"udpin:127.0.0.1:{port}")
+        pump = asyncio.create_task(theirs.run())
+        try:
+            await asyncio.sleep(0)
+            count = await over(
+                f"udpout:127.0.0.1:{port}", lambda link: play(iter(frames), link, speed=2.0)
+            )
+            return count, [await theirs.receive() for _ in range(count)]
+        finally:
+            pump.cancel()
+            await asyncio.gather(pump, return_exceptions=True)
+
+    count, received = run(both())
+    assert count == 21
+    # 200 ms at twice the speed; later only where the machine is busy
+    assert 0.09e9 < received[-1].now_ns - received[0].now_ns < 0.5e9

@@ -1,0 +1,151 @@
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from ekf_companion.errors import LogError
+from ekf_companion.logs import tlog
+from ekf_companion.logs.recording import Recording
+from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.mavlink.layout import IDS
+from ekf_companion.nav.measurements import (
+    BaroSample,
+    Events,
+    GnssFix,
+    HeadingSample,
+    HeadingSource,
+    ImuSample,
+    MagSample,
+    VehicleState,
+)
+from sim_autopilot import replay
+from sim_autopilot.__main__ import app
+from sim_autopilot.recording import TRUTH_HEADER
+
+
+def command(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def generated(folder, *options):
+    result = command(
+        "generate", "--scenario", "hover", "-o", folder / "a.tlog", "--truth", folder / "a.csv",
+        "--duration", 8, *options,
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    return folder / "a.tlog", folder / "a.csv"
+
+
+def messages(frames, name):
+    for _, raw in frames:
+        for frame in Splitter().feed(raw):
+            if frame.message_id == IDS[name]:
+                yield unpack(frame)
+
+
+def test_a_generated_log_reads_back_with_its_times(tmp_path):
+    path, _ = generated(tmp_path)
+    frames = list(replay.frames(path))
+    stamps = [message.time_usec for message in messages(frames, "HIGHRES_IMU")]
+    assert stamps == [20_004_000 + 4000 * k for k in range(2000)]
+    sent = [t for t, raw in frames if Splitter().feed(raw)[0].message_id == IDS["HIGHRES_IMU"]]
+    assert sent == [1_780_000_000_000_000_000 + stamp * 1000 for stamp in stamps]
+    assert tlog.read(path).damaged == 0
+
+
+def test_the_truth_file_agrees_with_the_truth_on_the_wire(tmp_path):
+    path, truth = generated(tmp_path)
+    with truth.open() as file:
+        rows = list(csv.DictReader(file))
+    assert ",".join(rows[0]) == TRUTH_HEADER
+    assert len(rows) == 2000
+    states = list(messages(replay.frames(path), "SIM_STATE"))
+    for state, row in zip(states, rows[::10], strict=True):
+        assert state.lat_int == pytest.approx(float(row["lat_deg"]) * 1e7, abs=1)
+        assert state.yaw == pytest.approx(float(row["yaw_rad"]), abs=1e-6)
+        assert state.vn == pytest.approx(float(row["vn_mps"]), abs=1e-5)
+        assert state.alt == pytest.approx(float(row["alt_m"]), abs=1e-4)
+
+
+def test_generating_twice_gives_the_same_file_and_another_seed_another(tmp_path):
+    files = []
+    for name, seed in (("one", 3), ("again", 3), ("other", 4)):
+        (tmp_path / name).mkdir()
+        files.append(generated(tmp_path / name, "--seed", seed)[0].read_bytes())
+    assert files[0] == files[1]
+    assert files[0] != files[2]
+
+
+def test_numbers_come_from_the_configuration_and_wrong_ones_are_refused(tmp_path):
+    good, bad, worse = (tmp_path / name for name in ("good.yaml", "bad.yaml", "worse.yaml"))
+    good.write_text("imu: {rate: 100}\ngnss: {rate: 10, noise_h: 2.5}\n")
+    bad.write_text("gnss: {raet: 10}\n")
+    worse.write_text("gnss: {rate: fast}\n")
+    path, _ = generated(tmp_path, "--config", good)
+    frames = list(replay.frames(path))
+    assert sum(1 for _ in messages(frames, "HIGHRES_IMU")) == 800
+    fixes = list(messages(frames, "GPS_RAW_INT"))
+    assert (len(fixes), fixes[0].h_acc) == (80, 2500)
+    for file, word in ((bad, "gnss.raet"), (worse, "gnss.rate")):
+        result = command("generate", "-o", tmp_path / "b.tlog", "--config", file)
+        assert result.exit_code == 2
+        assert word in result.output.replace("\n", "")
+
+
+def test_an_unknown_scenario_is_refused_with_those_that_there_are(tmp_path):
+    result = command("generate", "--scenario", "loop", "-o", tmp_path / "b.tlog")
+    assert result.exit_code == 2
+    assert "figure-eight" in result.output
+
+
+def test_scenarios_are_listed():
+    assert "square-spiral" in command("scenarios").output
+
+
+def test_a_log_without_frames_becomes_the_messages_of_its_autopilot():
+    imu = {"gyro_x": 0.1, "gyro_y": 0.2, "gyro_z": 0.3}
+    imu |= {"accel_x": 1.0, "accel_y": 2.0, "accel_z": -9.0}
+    rows = [
+        VehicleState(t_ns=0, is_armed=True, is_landed=False),
+        MagSample(t_ns=1_000_000, mag_x=0.2, mag_y=0.0, mag_z=0.4),
+        BaroSample(t_ns=1_000_000, alt=100.0),
+        ImuSample(t_ns=4_000_000, **imu),
+        ImuSample(t_ns=8_000_000, **imu),
+        HeadingSample(t_ns=8_000_000, heading=0.0, std=0.03, source=HeadingSource.GNSS),
+        GnssFix(
+            t_ns=9_000_000,
+            lat=math.radians(47.0),
+            lon=math.radians(8.0),
+            alt=500.0,
+            vel_north=0.0,
+            vel_east=-3.0,
+            std_h=1.5,
+            std_v=2.5,
+            std_vel=0.2,
+        ),
+    ]
+    recording = Recording(family="px4", events=Events.from_rows([row.row() for row in rows]))
+    frames = list(replay.of_recording(recording))
+    first, second = messages(frames, "HIGHRES_IMU")
+    assert (first.time_usec, second.time_usec) == (4000, 8000)
+    assert first.fields_updated & 64
+    assert first.fields_updated & 512
+    assert second.fields_updated == 0x3F
+    assert (first.xgyro, first.zacc) == (pytest.approx(0.1), pytest.approx(-9.0))
+    (fix,) = messages(frames, "GPS_RAW_INT")
+    assert (fix.lat, fix.lon, fix.alt) == (470_000_000, 80_000_000, 500_000)
+    assert (fix.vel, fix.cog, fix.yaw) == (300, 27000, 36000)
+    assert (fix.h_acc, fix.v_acc, fix.vel_acc) == (1500, 2500, 200)
+    assert next(messages(frames, "HEARTBEAT")).autopilot == 12
+    times = [t for t, _ in frames]
+    assert times == sorted(times)
+    assert np.all(np.diff(times) >= 0)
+
+
+def test_what_cannot_be_replayed_is_refused_with_what_can():
+    with pytest.raises(LogError, match=r"\.tlog, \.bin, \.ulg, \.csv"):
+        replay.frames(Path("flight.mcap"))
