@@ -9,6 +9,7 @@ Rooms
     config     every number that can be turned
     sensors    what the sensors say of the motion, from one seed
     flight     all of it laid out in order of time, one cycle of the autopilot's loop at a time
+    events     the same as the estimator's events, without the wire
     telemetry  what each message says of a cycle
     autopilot  the MAVLink peer: bytes and times in, bytes out
     score      the estimate against the truth

@@ -5,65 +5,72 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import yaml
 
 from ekf_companion.errors import ConfigError
 
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
+
+_DEGREE = math.pi / 180.0
+"""rad."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuConfig:
     """A good MEMS unit of an autopilot, as calibrated by it (ICM-42688 class, vibration added)."""
 
-    rate: float = 250.0
+    rate: Positive = 250.0
     """Samples, Hz; the period is rounded to whole microseconds."""
-    gyro_noise: float = 3.0e-4
+    gyro_noise: NotNegative = 3.0e-4
     """White noise density, rad/s/sqrt(Hz)."""
-    gyro_bias_instability: float = 5.0e-5
+    gyro_bias_instability: NotNegative = 5.0e-5
     """One sigma of the bias that wanders, rad/s."""
-    gyro_bias_time: float = 300.0
+    gyro_bias_time: Positive = 300.0
     """Correlation time of it, s."""
-    gyro_bias_start: float = 5.0e-3
+    gyro_bias_start: NotNegative = 5.0e-3
     """One sigma of the constant bias per axis, rad/s."""
-    accel_noise: float = 3.0e-3
+    accel_noise: NotNegative = 3.0e-3
     """White noise density, m/s^2/sqrt(Hz)."""
-    accel_bias_instability: float = 2.0e-3
+    accel_bias_instability: NotNegative = 2.0e-3
     """One sigma of the bias that wanders, m/s^2."""
-    accel_bias_time: float = 300.0
+    accel_bias_time: Positive = 300.0
     """Correlation time of it, s."""
-    accel_bias_start: float = 3.0e-2
+    accel_bias_start: NotNegative = 3.0e-2
     """One sigma of the constant bias per axis, m/s^2."""
-    lowpass: float = 0.0
-    """Corner of the second-order low-pass that the autopilot applies, Hz; 0: none."""
+    lowpass: NotNegative = 0.0
+    """Corner of the second-order low-pass that the autopilot applies, Hz; 0, or half
+    the rate and above: none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GnssConfig:
     """A single-frequency receiver."""
 
-    rate: float = 5.0
+    rate: Positive = 5.0
     """Fixes, Hz."""
-    noise_h: float = 1.0
+    noise_h: NotNegative = 1.0
     """One sigma of the white error per horizontal axis, m."""
-    noise_v: float = 1.5
+    noise_v: NotNegative = 1.5
     """One sigma of the white error of the altitude, m."""
-    slow_h: float = 0.0
+    slow_h: NotNegative = 0.0
     """One sigma of the slow error per horizontal axis, m."""
-    slow_v: float = 0.0
+    slow_v: NotNegative = 0.0
     """One sigma of the slow error of the altitude, m."""
-    slow_time: float = 100.0
+    slow_time: Positive = 100.0
     """Correlation time of the slow errors, s."""
-    noise_vel: float = 0.1
+    noise_vel: NotNegative = 0.1
     """One sigma of the velocity per axis, m/s."""
-    delay: float = 0.12
+    delay: NotNegative = 0.12
     """The fix is so much older than its stamp, s; it is sent at its stamp."""
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Antenna from the inertial unit, forward, right, down, m."""
     yaw: bool = False
     """The receiver has two antennas and reports the heading of the nose."""
-    noise_yaw: float = math.radians(2.0)
+    noise_yaw: NotNegative = 2.0 * _DEGREE
     """One sigma of it, rad."""
 
 
@@ -71,27 +78,27 @@ class GnssConfig:
 class CompassConfig:
     """A magnetometer in the field of the World Magnetic Model."""
 
-    rate: float = 50.0
+    rate: Positive = 50.0
     """Samples, Hz."""
-    noise_heading: float = math.radians(2.0)
+    noise_heading: NotNegative = 2.0 * _DEGREE
     """One sigma of the heading that one level sample gives, rad: sets the noise of each axis."""
     hard_iron: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """What the vehicle adds, forward, right, down, gauss."""
-    year: float = 2026.0
-    """Epoch of the model."""
+    year: Annotated[float, msgspec.Meta(ge=2025.0, lt=2030.0)] = 2026.0
+    """Date, for the model of 2025 to 2030."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaroConfig:
     """A barometer in the standard atmosphere."""
 
-    rate: float = 25.0
+    rate: Positive = 25.0
     """Samples, Hz."""
-    noise: float = 0.1
+    noise: NotNegative = 0.1
     """One sigma of the white error, m of altitude."""
-    drift: float = 0.5
+    drift: NotNegative = 0.5
     """One sigma of the slow error, m of altitude."""
-    drift_time: float = 300.0
+    drift_time: Positive = 300.0
     """Correlation time of it, s."""
     temperature: float = 38.0
     """Of the board, degrees Celsius."""
@@ -101,15 +108,15 @@ class BaroConfig:
 class EstimateConfig:
     """How far the autopilot's own estimate is from the truth: slow errors, one sigma."""
 
-    tilt: float = math.radians(0.3)
+    tilt: NotNegative = 0.3 * _DEGREE
     """Roll and pitch, rad."""
-    yaw: float = math.radians(1.0)
+    yaw: NotNegative = 1.0 * _DEGREE
     """rad."""
-    position: float = 0.3
+    position: NotNegative = 0.3
     """Per axis, m."""
-    velocity: float = 0.05
+    velocity: NotNegative = 0.05
     """Per axis, m/s."""
-    time: float = 20.0
+    time: Positive = 20.0
     """Correlation time of all of them, s."""
 
 
@@ -117,33 +124,33 @@ class EstimateConfig:
 class StreamConfig:
     """Rates of the messages until somebody asks for another, Hz; 0: not sent."""
 
-    HIGHRES_IMU: float = 1000.0
+    HIGHRES_IMU: NotNegative = 1000.0
     """At most the inertial unit's rate."""
-    GPS_RAW_INT: float = 1000.0
+    GPS_RAW_INT: NotNegative = 1000.0
     """At most the receiver's rate."""
-    ATTITUDE: float = 50.0
-    GLOBAL_POSITION_INT: float = 10.0
-    LOCAL_POSITION_NED: float = 10.0
-    SIM_STATE: float = 25.0
-    SYSTEM_TIME: float = 1.0
-    EXTENDED_SYS_STATE: float = 2.0
-    GPS_GLOBAL_ORIGIN: float = 1.0
-    HEARTBEAT: float = 1.0
+    ATTITUDE: NotNegative = 50.0
+    GLOBAL_POSITION_INT: NotNegative = 10.0
+    LOCAL_POSITION_NED: NotNegative = 10.0
+    SIM_STATE: NotNegative = 25.0
+    SYSTEM_TIME: NotNegative = 1.0
+    EXTENDED_SYS_STATE: NotNegative = 2.0
+    GPS_GLOBAL_ORIGIN: NotNegative = 1.0
+    HEARTBEAT: NotNegative = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HomeConfig:
     """Where and when the flight starts."""
 
-    lat: float = 47.397742
+    lat: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] = 47.397742
     """degrees."""
-    lon: float = 8.545594
+    lon: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 8.545594
     """degrees."""
     alt: float = 488.0
     """Above mean sea level, m."""
-    boot: float = 20.0
+    boot: NotNegative = 20.0
     """Time since the autopilot's start, s."""
-    unix: float = 1780000000.0
+    unix: NotNegative = 1780000000.0
     """Time since 1970 at the autopilot's start, s: what a .tlog counts in."""
 
 
@@ -151,7 +158,7 @@ class HomeConfig:
 class SimConfig:
     """All of it."""
 
-    system_id: int = 1
+    system_id: Annotated[int, msgspec.Meta(ge=1, le=255)] = 1
     home: HomeConfig = field(default_factory=HomeConfig)
     imu: ImuConfig = field(default_factory=ImuConfig)
     gnss: GnssConfig = field(default_factory=GnssConfig)

@@ -119,7 +119,7 @@ def imu(
     ] + config.accel_bias_instability * gauss_markov(slow[:, 3:], period, config.accel_bias_time)
     gyro_b += gyro_bias_b + config.gyro_noise * white[:, :3]
     accel_b += accel_bias_b + config.accel_noise * white[:, 3:]
-    if config.lowpass > 0.0:
+    if 0.0 < config.lowpass * period < 0.5:
         gyro_b, accel_b = (_lowpass(x, config.lowpass * period) for x in (gyro_b, accel_b))
     return ImuData(
         t=t, gyro_b=gyro_b, accel_b=accel_b, gyro_bias_b=gyro_bias_b, accel_bias_b=accel_bias_b
