@@ -58,6 +58,8 @@ class Aid(IntEnum):
     BARO = 4
 
 
+QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Status.INVALID: -1}
+"""Per cent, as ODOMETRY tells it."""
 RESET_REASONS = ("none", "position", "velocity", "height", "heading", "inertial gap", "clock")
 
 
@@ -99,6 +101,10 @@ class Health:
     """Learnt white noise, largest axis, rad/s per square root of Hz."""
     accel_noise: float
     """m/s^2 per square root of Hz."""
+    std_horizontal: float
+    """One sigma of the horizontal position, m; NaN: no position yet."""
+    std_vertical: float
+    """One sigma of the height, m."""
 
 
 class Pipeline:
@@ -123,10 +129,14 @@ class Pipeline:
 
     def process(self, measurement: Measurement) -> Arrival:
         """Take one measurement; ESTIMATED says that :meth:`estimate` is that of its stamp."""
-        # Say in numbers what it says, with what the place adds
-        t_ns, kind, values = self._locate(measurement.row())
+        return self.insert(measurement.row())
 
-        # Put it in its place in time, and redo what came after it
+    def insert(self, row: Row) -> Arrival:
+        """Take one measurement as a row; :meth:`process` says what comes of it."""
+        # Add what the place knows: the magnetic declination
+        t_ns, kind, values = self._locate(row)
+
+        # Refuse what no sensor can say, put the rest in its place in time, redo what came after
         return Arrival(self._timeline.insert(t_ns, kind, np.array(values)))
 
     def run(self, events: Events) -> Table:
@@ -147,13 +157,35 @@ class Pipeline:
         """Give the estimate of now: ``nav.state.COLUMNS`` without the time, shape (33,)."""
         return np.asarray(self._timeline.describe())
 
+    def odometry(self) -> Odometry | None:
+        """Give what is to be told of the estimate of now; None while there is no position."""
+        values = self.estimate()
+        status = Status(int(values[at.OUT_STATUS]))
+        if status < Status.OK:
+            return None
+        x = self._timeline.block()
+        P = x[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
+        pose = [*range(at.E_POS, at.E_POS + 3), *range(at.E_ATT, at.E_ATT + 3)]
+        return Odometry(
+            t_ns=self.stamp_ns,
+            pos_n=values[at.OUT_POS : at.OUT_POS + 3],
+            vel_n=values[at.OUT_VEL : at.OUT_VEL + 3],
+            q_nb=values[at.OUT_Q : at.OUT_Q + 4],
+            rates_b=x[at.X_GYRO : at.X_GYRO + 3] - x[at.X_BG : at.X_BG + 3],
+            pose_covariance=P[np.ix_(pose, pose)],
+            velocity_covariance=P[at.E_VEL : at.E_VEL + 3, at.E_VEL : at.E_VEL + 3],
+            reset_count=int(x[at.X_RESETS]),
+            quality=QUALITY[status],
+        )
+
     def health(self) -> Health:
         """Give the filter's own account of itself."""
         x = self._timeline.block()
+        values = self.estimate()
         arrivals = self._timeline.arrivals
         counts = x[at.X_COUNT : at.X_COUNT + at.AIDS * at.WHYS].reshape(at.AIDS, at.WHYS)
         return Health(
-            status=Status(int(self.estimate()[at.OUT_STATUS])),
+            status=Status(int(values[at.OUT_STATUS])),
             resets=int(x[at.X_RESETS]),
             reset_reason=RESET_REASONS[int(x[at.X_RESET_REASON])],
             samples=int(x[at.X_SAMPLES]),
@@ -168,6 +200,8 @@ class Pipeline:
             gnss_delay=float(x[at.X_DELAY]),
             gyro_noise=float(np.sqrt(x[at.X_NOISE_G : at.X_NOISE_G + 3].max())),
             accel_noise=float(np.sqrt(x[at.X_NOISE_A : at.X_NOISE_A + 3].max())),
+            std_horizontal=float(np.hypot(values[at.OUT_SD], values[at.OUT_SD + 1])),
+            std_vertical=float(values[at.OUT_SD + 2]),
         )
 
     @property

@@ -88,3 +88,14 @@ def _read(path: Path, table: Table, names: list[str]) -> dict[str, npt.NDArray[A
     if not timed.any():
         raise LogError(f"{path}: no row with a time; the file ends after its header")
     return {name: column[timed] for name, column in columns.items()}
+
+
+def is_estimate(path: Path) -> bool:
+    """Whether a file is an estimate that we wrote, by its header."""
+    if path.suffix.lower() != ".csv":
+        return False
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return file.readline().strip().split(",") == COLUMNS
+    except OSError:
+        return False

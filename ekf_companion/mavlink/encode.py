@@ -237,3 +237,14 @@ def timesync(tc1: int, ts1: int, *, target_system: int, target_component: int) -
         target_system=target_system,
         target_component=target_component,
     )
+
+
+def gps_global_origin(lat: float, lon: float, alt: float, *, t_ns: int) -> bytes:
+    """Give the payload of GPS_GLOBAL_ORIGIN: where our positions count from (rad, rad, m)."""
+    return pack(
+        "GPS_GLOBAL_ORIGIN",
+        latitude=round(math.degrees(lat) * 1e7),
+        longitude=round(math.degrees(lon) * 1e7),
+        altitude=round(alt * 1e3),
+        time_usec=t_ns // 1000,
+    )

@@ -1,0 +1,212 @@
+"""The commands; the only place that prints or exits.
+
+Exit codes: 0 done, 1 the link cannot be used or a bug, 2 the command line or the configuration is
+wrong, 3 the log cannot be read or holds nothing to estimate from.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+import yaml
+
+from ekf_companion import __version__
+from ekf_companion.config import Config, describe_config, load_config
+from ekf_companion.errors import CompanionError, ConfigError, LogError
+
+app = typer.Typer(
+    help="State estimation on a drone's companion computer: MAVLink in, ODOMETRY out.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+ConfigOption = Annotated[
+    Optional[Path], typer.Option("--config", "-c", help="YAML file; config/ holds commented ones.")
+]
+JsonOption = Annotated[Optional[Path], typer.Option("--json", help="Write the same as JSON.")]
+
+
+@contextmanager
+def _sentences() -> Iterator[None]:
+    """Turn what is raised on purpose into a sentence and an exit code."""
+    try:
+        yield
+    except CompanionError as error:
+        typer.echo(f"ekf-companion: {error}", err=True)
+        code = 2 if isinstance(error, ConfigError) else 3 if isinstance(error, LogError) else 1
+        raise typer.Exit(code) from error
+
+
+def _load(path: Path | None) -> Config:
+    return Config() if path is None else load_config(path)
+
+
+@contextmanager
+def _bar(title: str) -> Iterator[object]:
+    """Show a progress bar on a terminal, and nothing elsewhere."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+    ) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _write_json(path: Path | None, data: object) -> None:
+    if path is not None:
+        try:
+            path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show it.")
+    ] = False,
+) -> None:
+    """Hold what is common to all commands."""
+
+
+@app.command()
+def run(
+    config: ConfigOption = None,
+    link: Annotated[
+        Optional[str],
+        typer.Option("--link", "--master", help="udpin:HOST:PORT, tcp:…, serial:/dev/ttyX:BAUD."),
+    ] = None,
+    record: Annotated[
+        Optional[str], typer.Option(help="Record every byte in and out to this .tlog.")
+    ] = None,
+    log_level: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
+) -> None:
+    """Run the daemon until SIGTERM."""
+    from dataclasses import replace
+
+    from ekf_companion import service
+
+    level = logging.getLevelNamesMapping().get(log_level.upper()) if sys.version_info >= (
+        3,
+        11,
+    ) else getattr(logging, log_level.upper(), None)
+    with _sentences():
+        if not isinstance(level, int):
+            raise ConfigError(f"--log-level: {log_level!r}: use DEBUG, INFO, WARNING or ERROR")
+        logging.basicConfig(level=level, format="%(levelname)s %(name)s: %(message)s")
+        settings = _load(config)
+        if record is not None:
+            settings = replace(settings, record=replace(settings.record, path=record))
+        service.run(settings, link)
+
+
+@app.command()
+def convert(
+    log: Annotated[Path, typer.Argument(help=".tlog, .bin, .ulg or .csv.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help=".csv or .tlog, by its suffix.")],
+    config: ConfigOption = None,
+    rate: Annotated[
+        Optional[float], typer.Option(min=0.001, help="At most so many rows per second.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Re-run the estimator over a recorded flight."""
+    from ekf_companion import convert as converter
+
+    with _sentences(), _bar(log.name) as progress:
+        report = converter.convert(log, out, _load(config), rate, progress)  # type: ignore[arg-type]
+        _write_json(json_file, report.to_dict())
+    for line in converter.summary(report):
+        typer.echo(line)
+
+
+@app.command()
+def compare(
+    log: Annotated[Path, typer.Argument(help="A log, or an estimate that convert wrote (.csv).")],
+    reference: Annotated[
+        Optional[Path],
+        typer.Option(help="Truth as .csv; else the log's own truth and the autopilot's estimate."),
+    ] = None,
+    config: ConfigOption = None,
+    skip: Annotated[
+        Optional[float],
+        typer.Option(help="Leave out the first seconds; by default 30 against truth, else 20."),
+    ] = None,
+    plot: Annotated[Optional[Path], typer.Option(help="Draw both into a .png.")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Measure our estimate against a truth, or against the autopilot's own."""
+    from ekf_companion import compare as comparer
+    from ekf_companion import convert as converter
+    from ekf_companion import figure
+    from ekf_companion.logs.estimate import is_estimate, read_estimate, read_truth, to_trajectory
+    from ekf_companion.nav.state import COLUMNS
+
+    with _sentences():
+        own = truth = None
+        if is_estimate(log):
+            ours = read_estimate(log)
+        else:
+            with _bar(log.name) as progress:
+                table, report, own, truth = converter.estimate(log, _load(config), progress)  # type: ignore[arg-type]
+            columns = {"time_us": table.stamp_ns // 1000}
+            columns |= {name: table.column(name) for name in COLUMNS[1:]}
+            ours = to_trajectory(columns, "ekf-companion")
+            for line in converter.summary(report):
+                typer.echo(line)
+            typer.echo()
+        if reference is not None:
+            truth = read_truth(reference)
+        against = truth if truth is not None else own
+        if against is None:
+            raise LogError(
+                f"{log}: holds neither a truth nor the autopilot's own estimate; "
+                "name a truth with --reference TRUTH.csv"
+            )
+        seconds = skip if skip is not None else 30.0 if truth is not None else 20.0
+        scores = [comparer.score(ours, against, seconds)]
+        others = [against]
+        if truth is not None and own is not None:
+            start = scores[0].start_ns
+            scores.append(comparer.score(own, truth, 0.0, start_ns=start))
+            others.append(own)
+        for line in comparer.table(scores):
+            typer.echo(line)
+        if plot is not None:
+            figure.plot(plot, [ours, *others], log.name)
+        _write_json(json_file, [score.to_dict() for score in scores])
+
+
+@app.command("check-config")
+def check_config(
+    config: Annotated[Path, typer.Argument(help="YAML file.")],
+) -> None:
+    """Check a configuration and print it with all its defaults."""
+    with _sentences():
+        effective = describe_config(load_config(config))
+    typer.echo(yaml.safe_dump(dict(effective), sort_keys=False), nl=False)
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,165 @@
+"""YAML in, frozen dataclasses out; every complaint names file, key, value and remedy.
+
+What a number means stands beside the code that reads it: ``core/settings.py`` for the estimator,
+here for who we are, what we send and what we keep.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_type_hints
+
+import msgspec
+import yaml
+from msgspec import Meta
+
+from ekf_companion.core.settings import FilterSettings, Seconds
+from ekf_companion.errors import ConfigError
+
+Identifier = Annotated[int, Meta(ge=1, le=255)]
+Rate = Annotated[float, Meta(gt=0.0, le=1000.0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkConfig:
+    """How to reach the autopilot, and who we are on that link."""
+
+    url: str = "udpin:0.0.0.0:14540"
+    """``udpin:HOST:PORT``, ``udpout:``, ``tcp:``, ``tcpin:``, ``serial:/dev/ttyX:BAUD``."""
+    component_id: Identifier = 194
+    """Ours: MAV_COMP_ID_ONBOARD_COMPUTER4."""
+    system_id: Identifier | None = None
+    """Ours; null: the autopilot's."""
+    autopilot: Identifier | None = None
+    """System id of the one autopilot to listen to; null: the first that is heard."""
+    imu_rate: Rate = 250.0
+    """Inertial samples to ask for, Hz."""
+    gnss_rate: Rate = 10.0
+    """GNSS messages to ask for, Hz: twice the receiver's rate halves their wait for a turn."""
+    heading_rate: Rate = 10.0
+    """ATTITUDE messages to ask for, Hz."""
+    baro_rate: Rate = 10.0
+    """SCALED_PRESSURE messages to ask for, Hz."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputConfig:
+    """What is streamed back."""
+
+    odometry_rate: Rate = 30.0
+    """ODOMETRY, Hz; never more than one per inertial sample."""
+    frame: Literal["LOCAL_FRD", "LOCAL_NED"] = "LOCAL_FRD"
+    """Frame of the pose. The only one that ArduPilot takes is LOCAL_FRD; the numbers are the same."""
+    estimator_type: Literal["auto", "GPS_INS", "VIO"] = "auto"
+    """auto: GPS_INS, which is true, but VIO towards PX4, which refuses the true one aloud."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordConfig:
+    """What is kept."""
+
+    path: str | None = None
+    """A .tlog of every byte in and out; ``%s`` in the name becomes the time of start. null: none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Config(FilterSettings):
+    """The whole configuration: the estimator's settings and the service's."""
+
+    link: LinkConfig = field(default_factory=LinkConfig)
+    output: OutputConfig = field(default_factory=OutputConfig)
+    record: RecordConfig = field(default_factory=RecordConfig)
+
+
+def load_config(path: Path) -> Config:
+    """Read a YAML file.
+
+    Raises:
+        ConfigError: The file cannot be read, or a key, a type or a value cannot be meant.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a YAML file") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    return parse_config({} if data is None else data, str(path))
+
+
+def parse_config(data: object, name: str) -> Config:
+    """Turn parsed YAML into a configuration; ``name`` says where it is from in complaints.
+
+    Raises:
+        ConfigError: As :func:`load_config`.
+    """
+    _check_keys(data, Config, name, ())
+    try:
+        return msgspec.convert(data, Config)
+    except msgspec.ValidationError as error:
+        raise ConfigError(_explain(error, data, name)) from error
+
+
+def _check_keys(data: object, kind: type, name: str, path: tuple[str, ...]) -> None:
+    """Refuse keys that nobody reads, and numbers that are none."""
+    if not isinstance(data, dict):
+        where = ".".join(path) or "the file"
+        raise ConfigError(f"{name}: {where}: {data!r} is not a table of keys and values")
+    known = {entry.name for entry in fields(kind)}
+    hints = get_type_hints(kind)
+    for key, value in data.items():
+        where = ".".join((*path, str(key)))
+        if key not in known:
+            close = difflib.get_close_matches(str(key), known, n=1)
+            advice = f"did you mean {close[0]}?" if close else f"known are {', '.join(sorted(known))}"
+            raise ConfigError(f"{name}: {where}: unknown key; {advice}")
+        if is_dataclass(hints[key]):
+            _check_keys(value, hints[key], name, (*path, key))
+        elif isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(f"{name}: {where}: {value} is not a number to work with; give a finite one")
+
+
+def _explain(error: msgspec.ValidationError, data: object, name: str) -> str:
+    """Say which key and value are wrong, and what would do."""
+    message, _, place = str(error).partition(" - at ")
+    keys = re.findall(r"[A-Za-z_]+|\d+", place.replace("`", "").lstrip("$"))
+    value: Any = data
+    for key in keys:
+        value = value[int(key)] if isinstance(value, list) else value[key]
+    message = message.replace("`", "")
+    if message.startswith("Invalid enum value"):
+        message = f"expected one of {', '.join(_choices(keys))}"
+    return f"{name}: {'.'.join(keys)}: {value!r}: {message[0].lower() + message[1:]}"
+
+
+def _choices(keys: list[str]) -> list[str]:
+    """Give the words that a key may have."""
+    kind: Any = Config
+    for key in keys:
+        kind = get_type_hints(kind)[key]
+    literals = [kind, *getattr(kind, "__args__", ())]
+    return [word for part in literals for word in getattr(part, "__args__", ()) if isinstance(word, str)] or [
+        word for word in getattr(kind, "__args__", ()) if isinstance(word, str)
+    ]
+
+
+def describe_config(config: object) -> Mapping[str, Any]:
+    """Give the effective configuration as plain tables, ready for YAML."""
+    built: dict[str, Any] = msgspec.to_builtins(config)
+    return built
+
+
+__all__ = [
+    "Config",
+    "LinkConfig",
+    "OutputConfig",
+    "RecordConfig",
+    "Seconds",
+    "describe_config",
+    "load_config",
+    "parse_config",
+]

@@ -1,0 +1,374 @@
+"""Recorded flights in, estimates out: the daemon's own pipeline over a log."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ekf_companion.companion import Publisher, session_options
+from ekf_companion.config import Config
+from ekf_companion.errors import LogError
+from ekf_companion.logs import csv, dataflash, tlog, tlog_trajectory, ulog
+from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.writer import CsvWriter, create
+from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.session import PeerFound, Session
+from ekf_companion.nav.measurements import Events, Kind, Row
+from ekf_companion.nav.state import Status, Trajectory
+from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline, Table, Verdict
+
+Progress = Callable[[int, int], None]
+"""Told how much is done, of how much."""
+
+CHUNK = 20_000
+"""Events between two words on progress."""
+SLOW = 25.0
+"""Inertial samples per second below which the motion between them is guesswork, Hz."""
+READERS = {".bin": dataflash.read, ".ulg": ulog.read, ".csv": csv.read}
+FORMATS = ".tlog, .bin, .ulg, .csv"
+
+
+@dataclass(slots=True, kw_only=True)
+class Report:
+    """What a conversion found and did."""
+
+    log: str
+    family: str = "unknown"
+    notes: list[str] = field(default_factory=list)
+    counts: Counter[Kind] = field(default_factory=Counter)
+    rates: dict[Kind, float] = field(default_factory=dict)
+    seconds: dict[Status, float] = field(default_factory=dict)
+    estimates: int = 0
+    health: Health | None = None
+    refused: dict[str, int] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give everything for JSON, names in lower case."""
+        health = self.health
+        return {
+            "log": self.log,
+            "family": self.family,
+            "notes": list(self.notes),
+            "rates_hz": {kind.name.lower(): rate for kind, rate in self.rates.items()},
+            "events": {kind.name.lower(): count for kind, count in self.counts.items()},
+            "estimates": self.estimates,
+            "seconds": {status.name.lower(): spent for status, spent in self.seconds.items()},
+            "resets": health.resets if health else 0,
+            "gaps": health.gaps if health else 0,
+            "late": health.reruns if health else 0,
+            "aids": _names(health.verdicts) if health else {},
+            "arrivals": _names(health.arrivals) if health else {},
+            "refused_by_decoder": self.refused,
+        }
+
+
+def _names(table: Mapping[Any, Mapping[Any, int]]) -> dict[str, dict[str, int]]:
+    return {
+        key.name.lower(): {why.name.lower(): count for why, count in row.items() if count}
+        for key, row in table.items()
+    }
+
+
+def convert(
+    path: Path, out: Path, config: Config, rate: float | None = None, progress: Progress | None = None
+) -> Report:
+    """Re-run the estimator over a log and write what it says.
+
+    Args:
+        path: The log; its suffix says what it is: .tlog, .bin, .ulg, .csv.
+        out: Where to; .csv gives a row per inertial sample, .tlog the messages that the daemon sends
+            (beside the original ones, where the log is a .tlog too).
+        config: The estimator's configuration.
+        rate: Rows per second at most, Hz; None: all.
+        progress: Told how far it is.
+
+    Raises:
+        LogError: The log cannot be read, or nothing can be estimated from it.
+    """
+    if out.suffix not in (".csv", ".tlog"):
+        raise LogError(f"{out}: unknown kind of output; name it .csv or .tlog")
+    if out.resolve() == path.resolve():
+        raise LogError(f"{out}: is the log itself; name another file")
+    report = Report(log=str(path))
+    source = _open(path, config, report)
+    if out.suffix == ".csv":
+        with CsvWriter(out) as writer:
+            for table in _estimates(source, config, report, progress):
+                kept = _thin(table, rate)
+                writer.write(kept.stamp_ns, kept.values)
+    else:
+        with closing(create(out)) as file:
+            for stamp_us, frame in _messages(source, config, report, progress):
+                file.write(stamp_us.to_bytes(8, "big") + frame)
+    _conclude(report, path)
+    return report
+
+
+def estimate(
+    path: Path, config: Config, progress: Progress | None = None
+) -> tuple[Table, Report, Trajectory | None, Trajectory | None]:
+    """Re-run the estimator and give all estimates, the report, the log's reference and truth.
+
+    Raises:
+        LogError: As :func:`convert`.
+    """
+    report = Report(log=str(path))
+    source = _open(path, config, report)
+    tables = list(_estimates(source, config, report, progress))
+    _conclude(report, path)
+    table = Table(
+        stamp_ns=np.concatenate([part.stamp_ns for part in tables]),
+        values=np.concatenate([part.values for part in tables]),
+    )
+    return table, report, source.reference, source.truth
+
+
+class _Telemetry:
+    """A .tlog as a source of events: the daemon's own session over its frames."""
+
+    def __init__(self, log: tlog.Tlog, config: Config, report: Report) -> None:
+        self._log = log
+        self._session = Session(session_options(config.link, is_recording=False))
+        self._report = report
+        self.size = len(log)
+        self.delay: float | None = None
+        report.notes += log.notes
+
+    @property
+    def reference(self) -> Trajectory | None:
+        return tlog_trajectory.reference(self._log)
+
+    @property
+    def truth(self) -> Trajectory | None:
+        return tlog_trajectory.truth(self._log)
+
+    def records(self) -> Iterator[tuple[int, bytes, list[Row]]]:
+        """Give stamp, frame and what it measured, in the order of the file."""
+        session = self._session
+        for stamp_us, raw in self._log.frames():
+            measured = session.receive(raw, stamp_us * 1000)
+            for event in session.events():
+                if isinstance(event, PeerFound):
+                    self._report.family = event.family.value
+            yield stamp_us, raw, [measurement.row() for measurement in measured]
+        session.data_to_send()
+        self._report.refused = {
+            name: count for name, count in session.counters().items() if count and name != "frames"
+        }
+
+
+class _Columns:
+    """A log of columns as a source of events."""
+
+    def __init__(self, recording: Recording, report: Report) -> None:
+        self.events = recording.events
+        self.reference = recording.reference
+        self.truth = recording.truth
+        self.delay = recording.gnss_delay
+        self.size = len(recording.events)
+        report.family = recording.family
+        report.notes += recording.notes
+
+    def records(self) -> Iterator[tuple[int, bytes, list[Row]]]:
+        """Give each event with its stamp; there is no frame."""
+        events = self.events
+        for t_ns, kind, values in zip(
+            events.t_ns.tolist(), events.kind.tolist(), events.values.tolist(), strict=True
+        ):
+            yield t_ns // 1000, b"", [(t_ns, kind, tuple(values))]
+
+
+def _open(path: Path, config: Config, report: Report) -> _Telemetry | _Columns:
+    suffix = path.suffix.lower()
+    if suffix == ".tlog":
+        return _Telemetry(tlog.read(path), config, report)
+    if suffix not in READERS:
+        raise LogError(f"{path}: unknown kind of log; known are {FORMATS}")
+    return _Columns(READERS[suffix](path), report)
+
+
+def _tables(source: _Telemetry | _Columns) -> Iterator[tuple[int, Events]]:
+    """Give the events in chunks, and how many records are done."""
+    if isinstance(source, _Columns):
+        for start in range(0, source.size, CHUNK):
+            chosen = np.arange(start, min(start + CHUNK, source.size))
+            yield int(chosen[-1]) + 1, source.events.take(chosen)
+        return
+    rows: list[Row] = []
+    for done, (_, _, measured) in enumerate(source.records(), 1):
+        rows += measured
+        if len(rows) >= CHUNK:
+            yield done, Events.from_rows(rows)
+            rows = []
+    yield source.size, Events.from_rows(rows)
+
+
+def _estimates(
+    source: _Telemetry | _Columns, config: Config, report: Report, progress: Progress | None
+) -> Iterator[Table]:
+    pipeline: Pipeline | None = None
+    for done, events in _tables(source):
+        if pipeline is None:
+            pipeline = Pipeline(config, report.family, source.delay)
+        table = pipeline.run(events)
+        _account(report, events, table)
+        if progress is not None:
+            progress(done, source.size)
+        yield table
+    if pipeline is not None:
+        report.health = pipeline.health()
+
+
+def _messages(
+    source: _Telemetry | _Columns, config: Config, report: Report, progress: Progress | None
+) -> Iterator[tuple[int, bytes]]:
+    """Give the original frames and, behind the sample that makes them due, our messages."""
+    pipeline: Pipeline | None = None
+    publisher: Publisher | None = None
+    sender = Sender(config.link.system_id or 1, config.link.component_id)
+    ours: list[bytes] = []
+    taken: list[Row] = []
+    tables: list[tuple[int, np.ndarray]] = []
+    for done, (stamp_us, frame, rows) in enumerate(source.records(), 1):
+        if frame and not _is_from(frame, sender.component_id):
+            yield stamp_us, frame
+        for row in rows:
+            if pipeline is None or publisher is None:
+                family = Family(report.family)
+                pipeline = Pipeline(config, report.family, source.delay)
+                publisher = Publisher(config, pipeline, family)
+            if pipeline.insert(row) is Arrival.ESTIMATED:
+                publisher.publish(lambda name, payload: ours.append(sender.frame(name, payload)))
+                tables.append((pipeline.stamp_ns, pipeline.estimate()))
+            taken.append(row)
+        for message in ours:
+            yield stamp_us, message
+        ours.clear()
+        if len(taken) >= CHUNK or done == source.size:
+            _account(report, Events.from_rows(taken), _stack(tables))
+            taken, tables = [], []
+            if progress is not None:
+                progress(done, source.size)
+    if pipeline is not None:
+        report.health = pipeline.health()
+
+
+def _is_from(frame: bytes, component_id: int) -> bool:
+    """Whether a frame is of the component whose messages we are about to add."""
+    return frame[6 if frame[0] == 0xFD else 4] == component_id
+
+
+def _stack(estimates: list[tuple[int, np.ndarray]]) -> Table:
+    return Table(
+        stamp_ns=np.array([stamp for stamp, _ in estimates], dtype=np.int64),
+        values=np.array([values for _, values in estimates]).reshape(len(estimates), -1),
+    )
+
+
+def _thin(table: Table, rate: float | None) -> Table:
+    """Keep the first estimate of each period."""
+    if rate is None or len(table) == 0:
+        return table
+    period = np.int64(round(1e9 / rate))
+    slot = table.stamp_ns // period
+    first = np.concatenate(([True], slot[1:] != slot[:-1]))
+    return Table(stamp_ns=table.stamp_ns[first], values=table.values[first])
+
+
+def _account(report: Report, events: Events, table: Table) -> None:
+    """Add a chunk to the report."""
+    for kind in Kind:
+        chosen = events.kind == kind
+        count = int(np.count_nonzero(chosen))
+        report.counts[kind] += count
+        if count > 1 and kind not in report.rates:
+            steps = np.diff(np.unique(events.t_ns[chosen]))
+            if len(steps):
+                report.rates[kind] = 1e9 / float(np.median(steps))
+    report.estimates += len(table)
+    if len(table) > 1:
+        status = table.column("status")[1:]
+        spans = np.diff(table.stamp_ns) * 1e-9
+        spans[(spans < 0.0) | (spans > 5.0)] = 0.0
+        for each in Status:
+            spent = float(spans[status == each].sum())
+            if spent > 0.0:
+                report.seconds[each] = report.seconds.get(each, 0.0) + spent
+
+
+def _conclude(report: Report, path: Path) -> None:
+    """Say in sentences what was lacking, and what that leaves.
+
+    Raises:
+        LogError: Nothing could be estimated.
+    """
+    counts = report.counts
+    if counts[Kind.IMU] == 0:
+        raise LogError(
+            f"{path}: holds no inertial samples (HIGHRES_IMU, RAW_IMU, SCALED_IMU, IMU or "
+            "sensor_combined), so nothing can be estimated; ask the autopilot to log or stream them"
+        )
+    rate = report.rates.get(Kind.IMU, 0.0)
+    if rate < SLOW:
+        report.notes.append(
+            f"inertial samples come at {rate:.1f} Hz, below the {SLOW:.0f} Hz that motion can be "
+            "integrated from: position and velocity follow GNSS, attitude is a guess; "
+            "ask for a faster stream"
+        )
+    if counts[Kind.GNSS] == 0:
+        report.notes.append(
+            "no GNSS fix: attitude is estimated, and height over the start where there is a "
+            "barometer; no position and no velocity"
+        )
+    if counts[Kind.HEADING] + counts[Kind.MAG] == 0:
+        report.notes.append(
+            "no heading (magnetometer, GNSS yaw or the autopilot's): roll and pitch are estimated; "
+            "position and velocity would need one"
+        )
+    if report.estimates == 0 or set(report.seconds) <= {Status.INIT, Status.ALIGNING}:
+        what = "; ".join(report.notes) or "the log is too short to find down and north in it"
+        raise LogError(f"{path}: nothing could be estimated: {what}")
+
+
+def summary(report: Report) -> list[str]:
+    """Give the report as lines to read."""
+    lines = [f"{report.log}: {report.family} autopilot, {report.estimates} estimates"]
+    rates = ", ".join(
+        f"{kind.name.lower()} {rate:.4g} Hz ({report.counts[kind]})"
+        for kind, rate in report.rates.items()
+    )
+    lines.append(f"  found: {rates}")
+    if report.health is not None:
+        for aid in Aid:
+            verdicts = report.health.verdicts[aid]
+            if any(verdicts.values()):
+                words = ", ".join(
+                    f"{count} {why.name.lower()}" for why, count in verdicts.items() if count
+                )
+                lines.append(f"  {aid.name.lower()}: {words}")
+        late = report.health.reruns
+        lines.append(
+            f"  resets: {report.health.resets}"
+            + (f" (last: {report.health.reset_reason})" if report.health.resets else "")
+            + f"; gaps: {report.health.gaps}; late measurements: {late}"
+        )
+    spent = ", ".join(f"{each.name.lower()} {s:.1f} s" for each, s in report.seconds.items())
+    lines.append(f"  status: {spent}")
+    if report.refused:
+        lines.append(
+            "  frames left out: "
+            + ", ".join(f"{count} {re.sub('^(ignored|refused): ', '', why)}" for why, count in report.refused.items())
+        )
+    lines += [f"  note: {note}" for note in report.notes]
+    return lines
+
+
+__all__ = ["Report", "Verdict", "convert", "estimate", "summary"]
