@@ -60,7 +60,7 @@ def fly(out: Path, *, duration: float, seed: int, daemon_config: Path | None = N
     flight = Flight.plan("figure-eight", config, seed=seed, duration=duration)
     write_truth(out / "truth.csv", flight)
     port = _free_port()
-    with _daemon(daemon_config or _CONFIG, port, out / "daemon.log"):
+    with _daemon(daemon_config or _default_config(), port, out / "daemon.log"):
         flown = run(
             over(f"udpout:127.0.0.1:{port}", lambda link: fly_over(flight, link, wait=_START))
         )
@@ -86,10 +86,11 @@ def complaints(score: dict[str, Any], log: Path) -> list[str]:
 
 
 @contextlib.contextmanager
-def _daemon(config: Path, port: int, log: Path) -> Iterator[None]:
+def _daemon(config: Path | None, port: int, log: Path) -> Iterator[None]:
     """Run the daemon while the body runs; its words go to a file."""
     command = [sys.executable, "-m", "ekf_companion", "run", "--link", f"udpin:127.0.0.1:{port}"]
-    command += ["--config", str(config)]
+    if config is not None:
+        command += ["--config", str(config)]
     with log.open("wb") as words:
         process = subprocess.Popen(command, stdout=words, stderr=subprocess.STDOUT)
         try:
@@ -104,6 +105,11 @@ def _daemon(config: Path, port: int, log: Path) -> Iterator[None]:
                 process.wait()
             if code is not None:
                 raise CompanionError(f"the daemon ended by itself with exit code {code}; see {log}")
+
+
+def _default_config() -> Path | None:
+    """Give the project's own configuration; None where only the packages are installed."""
+    return _CONFIG if _CONFIG.is_file() else None
 
 
 def _free_port() -> int:
