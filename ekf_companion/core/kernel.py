@@ -48,6 +48,11 @@ ROUGH_AFTER = cython.declare(cython.double, 6e9)
 """Without rest and without GNSS the attitude is taken roughly after this long, ns."""
 FAKE_INTERVAL = cython.declare(cython.double, 2e8)
 """Between two assumptions that the vehicle is not going anywhere, while it has no GNSS, ns."""
+VELOCITY_MEMORY = cython.declare(cython.double, 40.0)
+"""Fixes over which the receiver's true velocity noise is learnt."""
+LEAST_RATIO = cython.declare(cython.double, 0.01)
+"""A receiver overstates its velocity error ten times at the most: what is learnt beyond is luck."""
+LARGEST_RATIO = cython.declare(cython.double, 9.0)
 UNKNOWN_DECLINATION = cython.declare(cython.double, 0.2)
 """One sigma of the declination before the first fix, rad: most people live within it."""
 NOISE_MEMORY = cython.declare(cython.double, 2.0)
@@ -134,6 +139,8 @@ def begin(x: cython.double[::1], t: cython.double) -> cython.void:
     x[at.X_MODE] = at.MODE_LEVEL
     x[at.X_Q] = 1.0
     x[at.X_DECLINATION] = NAN
+    x[at.X_VEL_LEARNT] = 1.0
+    x[at.X_VEL_RATIO] = 1.0
     x[at.X_ARMED] = NAN
     x[at.X_LANDED] = NAN
     x[at.X_T_FIX] = NEVER
@@ -338,6 +345,8 @@ def fuse(
     """Absorb m rows if they pass the gate, and keep the account; False: they did not."""
     nis: cython.double = correct.innovate(x, w, m)
     x[at.X_RATIO + aid] = nis / gate
+    if aid == at.AID_VEL:
+        learn_velocity(x, w, m)
     if nis > gate:
         count(x, aid, at.WHY_GATED)
         return False
@@ -345,6 +354,39 @@ def fuse(
     x[at.X_T_USED + aid] = x[at.X_T]
     count(x, aid, at.WHY_FUSED)
     return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def learn_velocity(
+    x: cython.double[::1], w: cython.double[::1], m: cython.Py_ssize_t
+) -> cython.void:
+    """Learn by how much the receiver over- or understates its velocity error, as a ratio of variances.
+
+    What the innovation has beyond the filter's own doubt is the receiver's: receivers state metres
+    per second and differ from fix to fix by centimetres. Slow, and bounded where it is used.
+    """
+    r: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    s: cython.double
+    ratio: cython.double = 0.0
+    for r in range(m):
+        s = w[at.W_Z + r] * w[at.W_Z + r]
+        for j in range(at.N):
+            s -= w[at.W_H + r * at.N + j] * w[at.W_C + r * at.N + j]
+        ratio += s / (w[at.W_R + 4 * r] * m)
+    ratio *= x[at.X_VEL_RATIO]  # R was scaled by what had been learnt
+    if ratio > 9.0:
+        ratio = 9.0
+    if ratio < -9.0:
+        ratio = -9.0
+    x[at.X_VEL_LEARNT] += (ratio - x[at.X_VEL_LEARNT]) / VELOCITY_MEMORY
+    x[at.X_VEL_RATIO] = x[at.X_VEL_LEARNT]
+    if x[at.X_VEL_RATIO] < LEAST_RATIO:
+        x[at.X_VEL_RATIO] = LEAST_RATIO
+    if x[at.X_VEL_RATIO] > LARGEST_RATIO:
+        x[at.X_VEL_RATIO] = LARGEST_RATIO
 
 
 @cython.cfunc
@@ -413,6 +455,7 @@ def take_fix(
         std_v = k[at.K_HGT_FLOOR]
     if isnan(std_vel):
         std_vel = k[at.K_VEL_DEFAULT]
+    std_vel = std_vel * sqrt(x[at.X_VEL_RATIO])
     if std_vel < k[at.K_VEL_FLOOR]:
         std_vel = k[at.K_VEL_FLOOR]
     if not isnan(rows[r, at.ROW_V + 9]):

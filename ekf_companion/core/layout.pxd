@@ -74,8 +74,10 @@ cdef enum:
     X_PREV2_G = 100
     X_PREV2_A = 103
     X_LEVEL = 106
-    X_COV = 140
-    BLOCK = 429
+    X_VEL_RATIO = 140
+    X_VEL_LEARNT = 141
+    X_COV = 142
+    BLOCK = 431
     L_T0 = 0
     L_N = 1
     L_GYRO = 2

@@ -89,8 +89,10 @@ X_PREV_A = 97
 X_PREV2_G = 100
 X_PREV2_A = 103
 X_LEVEL = 106
-X_COV = 140
-BLOCK = 429
+X_VEL_RATIO = 140
+X_VEL_LEARNT = 141
+X_COV = 142
+BLOCK = 431
 
 # What levelling remembers, from X_LEVEL: sums over a window, and the motion since a first fix
 L_T0 = 0

@@ -102,11 +102,9 @@ def _events(topic: Topic, kind: Kind, mask: npt.NDArray[np.bool_], *columns: Any
 
 
 def _imu(topics: Topics) -> Arrivals:
-    topic = topics.get("sensor_combined", {})
-    gyro, accel = vectors(topic, "gyro_rad"), vectors(topic, "accelerometer_m_s2")
-    if gyro is None or accel is None:
+    if (topic := topics.get("sensor_combined")) is None:
         return []
-    values = np.hstack([gyro, accel])
+    values = np.hstack([vectors(topic, "gyro_rad"), vectors(topic, "accelerometer_m_s2")])
     # Its own stamp is the sample's.
     return _events(topic, Kind.IMU, np.asarray(np.isfinite(values).all(axis=1)), *values.T)
 
@@ -118,10 +116,10 @@ def _receiver(topics: Topics) -> Topic:
 
 def _gnss(topics: Topics, notes: list[str]) -> Arrivals:
     topic = _receiver(topics)
-    if "latitude_deg" in topic:
+    if {"latitude_deg", "longitude_deg", "altitude_msl_m"} <= topic.keys():
         lat_deg, lon_deg = topic["latitude_deg"], topic["longitude_deg"]
         alt = np.asarray(topic["altitude_msl_m"], dtype=float)
-    elif "lat" in topic:
+    elif {"lat", "lon", "alt"} <= topic.keys():
         lat_deg, lon_deg = topic["lat"] * 1e-7, topic["lon"] * 1e-7
         alt = topic["alt"] * 1e-3
     else:
@@ -184,8 +182,7 @@ def _gnss_heading(topics: Topics) -> Arrivals:
 
 
 def _attitude_heading(topics: Topics) -> Arrivals:
-    topic = topics.get("vehicle_attitude", {})
-    if vectors(topic, "q", 4) is None:
+    if (topic := topics.get("vehicle_attitude")) is None:
         return []
     stride = series.thinned(topic["t_ns"], HEADING_RATE)
     topic = {field: column[stride] for field, column in topic.items()}
@@ -197,19 +194,18 @@ def _attitude_heading(topics: Topics) -> Arrivals:
 
 
 def _magnetometer(topics: Topics) -> Arrivals:
-    topic = topics.get("vehicle_magnetometer", {})
-    field = vectors(topic, "magnetometer_ga")
-    if field is None and "x" in (topic := topics.get("sensor_mag", {})):
+    if (topic := topics.get("vehicle_magnetometer")) is not None:
+        field = vectors(topic, "magnetometer_ga")
+    elif (topic := topics.get("sensor_mag")) is not None:
         field = np.stack([topic[axis] for axis in "xyz"], axis=1).astype(float)
-    if field is None:
+    else:
         return []
     valid = np.isfinite(field).all(axis=1) & (field != 0.0).any(axis=1)
     return _events(topic, Kind.MAG, valid, *field.T)
 
 
 def _barometer(topics: Topics) -> Arrivals:
-    topic = topics.get("vehicle_air_data", {})
-    if "baro_alt_meter" not in topic:
+    if (topic := topics.get("vehicle_air_data")) is None:
         return []
     alt = np.asarray(topic["baro_alt_meter"], dtype=float)
     return _events(topic, Kind.BARO, np.asarray(np.isfinite(alt)), alt)
@@ -217,12 +213,11 @@ def _barometer(topics: Topics) -> Arrivals:
 
 def _vehicle(topics: Topics) -> Arrivals:
     """Give armed and landed at each change of either."""
-    topic = topics.get("vehicle_status", {})
-    if "arming_state" not in topic:
+    if (topic := topics.get("vehicle_status")) is None:
         return []
     t_ns, armed = topic["t_ns"], topic["arming_state"] == ARMED
     landed = np.full(len(t_ns), np.nan)
-    if "landed" in (other := topics.get("vehicle_land_detected", {})):
+    if (other := topics.get("vehicle_land_detected")) is not None:
         union = np.unique(np.concatenate([t_ns, other["t_ns"]]))
         armed = armed[np.clip(np.searchsorted(t_ns, union, side="right") - 1, 0, None)]
         before = np.searchsorted(other["t_ns"], union, side="right") - 1

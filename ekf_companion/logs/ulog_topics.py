@@ -25,29 +25,37 @@ Topics = dict[str, Topic]
 
 KIND = "ULog (.ulg) of PX4"
 
-_TOPICS = [
-    "sensor_combined",
-    "vehicle_gps_position",
-    "sensor_gps",
-    "vehicle_magnetometer",
-    "sensor_mag",
-    "vehicle_air_data",
-    "vehicle_status",
-    "vehicle_land_detected",
-    "vehicle_attitude",
-    "vehicle_local_position",
-    "vehicle_global_position",
-    "vehicle_attitude_groundtruth",
-    "vehicle_local_position_groundtruth",
-    "vehicle_global_position_groundtruth",
-]
+_ROTATION = ("q[0]", "q[1]", "q[2]", "q[3]")
+_LOCAL = ("x", "y", "z", "vx", "vy", "vz", "ref_lat", "ref_lon", "ref_alt")
+_GLOBAL = ("lat", "lon", "alt")
+_RECEIVER = ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s", "fix_type")
+_TOPICS: dict[str, tuple[str, ...]] = {
+    "sensor_combined": tuple(
+        f"{field}[{axis}]" for field in ("gyro_rad", "accelerometer_m_s2") for axis in range(3)
+    ),
+    "vehicle_gps_position": _RECEIVER,
+    "sensor_gps": _RECEIVER,
+    "vehicle_magnetometer": tuple(f"magnetometer_ga[{axis}]" for axis in range(3)),
+    "sensor_mag": ("x", "y", "z"),
+    "vehicle_air_data": ("baro_alt_meter",),
+    "vehicle_status": ("arming_state",),
+    "vehicle_land_detected": ("landed",),
+    "vehicle_attitude": _ROTATION,
+    "vehicle_local_position": _LOCAL,
+    "vehicle_global_position": _GLOBAL,
+    "vehicle_attitude_groundtruth": _ROTATION,
+    "vehicle_local_position_groundtruth": _LOCAL,
+    "vehicle_global_position_groundtruth": _GLOBAL,
+}
+"""The topics that count, and the fields without which they are of no use."""
 
 
 class _Watched(io.BytesIO):
-    """A file that notices when pyulog, misled by damage, reads in circles for ever."""
+    """A file in which pyulog, misled by damaged sizes, does not go in circles for ever."""
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
+        self._missing = 0  # bytes that the last read was short of
         self._visits: dict[int, int] = {}
 
     def read(self, size: int | None = -1, /) -> bytes:
@@ -56,8 +64,16 @@ class _Watched(io.BytesIO):
             place = self.tell()
             self._visits[place] = self._visits.get(place, 0) + 1
             if self._visits[place] > 4:
-                raise ULogException("the message sizes lead back to where they came from")
-        return super().read(size)
+                raise ULogException("its message sizes lead in circles")
+        data = super().read(size)
+        self._missing = max(0, (size or 0) - len(data))
+        return data
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        """Go to a place; back over a message, over as much of it as there is before the end."""
+        if whence == 1 and offset < 0:
+            offset = min(0, offset + self._missing)
+        return super().seek(offset, whence)
 
 
 def load(path: Path) -> ULog:
@@ -72,7 +88,7 @@ def load(path: Path) -> ULog:
     try:
         # pyulog prints what it finds damaged; the notes say so in our words.
         with contextlib.redirect_stdout(io.StringIO()):
-            return ULog(_Watched(data), _TOPICS)
+            return ULog(_Watched(data), list(_TOPICS))
     except (
         ULogException,
         RecursionError,
@@ -81,14 +97,15 @@ def load(path: Path) -> ULog:
         ValueError,
         TypeError,
     ) as error:
-        raise LogError(f"{path}: too damaged to be read as a {KIND} ({error!r})") from None
+        raise LogError(f"{path}: too damaged to be read as a {KIND}: {error}") from None
 
 
 def first_instances(log: ULog) -> Topics:
-    """Give each topic's first instance."""
+    """Give each topic's first instance, if it has the fields that it needs."""
     topics: Topics = {}
     for data in sorted(log.data_list, key=lambda found: found.multi_id):
-        if "timestamp" in data.data and data.name not in topics:
+        needed = {"timestamp", *_TOPICS[data.name]}
+        if needed <= data.data.keys() and data.name not in topics:
             topics[data.name] = {**data.data, "t_ns": nanoseconds(data.data["timestamp"])}
     return topics
 
@@ -116,11 +133,9 @@ def on_course(topics: Topics, notes: list[str]) -> Topics:
     return kept
 
 
-def vectors(topic: Topic, field: str, size: int = 3) -> Array | None:
-    """Give an array field as rows, shape (n, size); None: the topic lacks it."""
+def vectors(topic: Topic, field: str, size: int = 3) -> Array:
+    """Give an array field as rows, shape (n, size)."""
     names = [f"{field}[{index}]" for index in range(size)]
-    if any(name not in topic for name in names):
-        return None
     return np.stack([topic[name] for name in names], axis=1).astype(float)
 
 
@@ -137,8 +152,6 @@ def sample_ns(topic: Topic) -> Stamps:
 def rotations(topic: Topic) -> tuple[npt.NDArray[np.bool_], Array]:
     """Say where ``q`` is a rotation, and give it (elsewhere none)."""
     q = vectors(topic, "q", 4)
-    if q is None:
-        return np.zeros(len(topic["t_ns"]), dtype=bool), np.zeros((len(topic["t_ns"]), 4))
     # Clipped first: damaged numbers overflow when squared.
     norm = np.linalg.norm(np.clip(np.nan_to_num(q), -2.0, 2.0), axis=1)
     valid = np.isfinite(q).all(axis=1) & (np.abs(norm - 1.0) < 0.01)
