@@ -1,0 +1,250 @@
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pyulog import ULog
+
+from ekf_companion import compare
+from ekf_companion.errors import LogError
+from ekf_companion.logs import ulog, ulog_trajectory
+from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
+
+CODES = {"uint64_t": "Q", "float": "f", "double": "d", "int32_t": "i", "uint8_t": "B", "bool": "?"}
+
+
+class Writer:
+    """Writes a ULog: formats, then parameters, then rows."""
+
+    def __init__(self, topics, parameters=()):
+        self.data = ULog.HEADER_BYTES + b"\x01" + struct.pack("<Q", 0)
+        self.layouts = []
+        for name, fields in topics:
+            text = ";".join(f"{kind} {field}" for kind, field in fields)
+            self.message("F", f"{name}:{text};".encode())
+            codes = []
+            for kind, _ in fields:
+                base, _, size = kind.partition("[")
+                codes.append(CODES[base] * int(size.rstrip("]") or 1))
+            self.layouts.append(struct.Struct("<" + "".join(codes)))
+        for name, value in parameters:
+            key = f"float {name}".encode()
+            self.message("P", bytes([len(key)]) + key + struct.pack("<f", value))
+        for index, (name, _) in enumerate(topics):
+            self.message("A", struct.pack("<BH", 0, index) + name.encode())
+
+    def message(self, kind, payload):
+        self.data += struct.pack("<HB", len(payload), ord(kind)) + payload
+
+    def row(self, index, *values):
+        self.message("D", struct.pack("<H", index) + self.layouts[index].pack(*values))
+
+
+COMBINED = (
+    "sensor_combined",
+    [("uint64_t", "timestamp"), ("float[3]", "gyro_rad"), ("float[3]", "accelerometer_m_s2")],
+)
+VELOCITY = [(kind, f"vel_{axis}_m_s") for kind, axis in zip(["float"] * 3, "ned", strict=True)]
+OLD_GPS = (
+    "vehicle_gps_position",
+    [
+        ("uint64_t", "timestamp"),
+        ("int32_t", "lat"),
+        ("int32_t", "lon"),
+        ("int32_t", "alt"),
+        *VELOCITY,
+        ("float", "eph"),
+        ("float", "epv"),
+        ("float", "s_variance_m_s"),
+        ("float", "heading"),
+        ("uint8_t", "fix_type"),
+    ],
+)
+NEW_GPS = (
+    "sensor_gps",
+    [
+        ("uint64_t", "timestamp"),
+        ("uint64_t", "timestamp_sample"),
+        ("double", "latitude_deg"),
+        ("double", "longitude_deg"),
+        ("double", "altitude_msl_m"),
+        *VELOCITY,
+        ("uint8_t", "fix_type"),
+        ("uint8_t", "jamming_state"),
+        ("uint8_t", "spoofing_state"),
+    ],
+)
+STATUS = ("vehicle_status", [("uint64_t", "timestamp"), ("uint8_t", "arming_state")])
+LANDED = ("vehicle_land_detected", [("uint64_t", "timestamp"), ("bool", "landed")])
+
+
+def small_log(gps=OLD_GPS, n=40):
+    log = Writer([COMBINED, gps, STATUS, LANDED], [("EKF2_GPS_DELAY", 110.0)])
+    for index in range(n):
+        us = 1_000_000 + 5000 * index
+        log.row(0, us, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8)
+        if index % 10 == 5:
+            velocity = (1.0, 2.0, 3.0)
+            if gps is OLD_GPS:
+                position = (473977000, 85455000, 489000)
+                log.row(1, us, *position, *velocity, 0.5, 0.75, 0.25, float("nan"), 3)
+            else:
+                log.row(1, us, us - 1000, 47.3977, 8.5455, 489.0, *velocity, 3, 3, 1)
+        if index == 10:
+            log.row(2, us, 2)
+        if index == 20:
+            log.row(3, us, False)
+    return log.data
+
+
+@pytest.fixture
+def read(tmp_path):
+    def write_and_read(data):
+        path = tmp_path / "flight.ulg"
+        path.write_bytes(data)
+        return ulog.read(path)
+
+    return write_and_read
+
+
+def of_kind(recording, kind):
+    return recording.events.take(recording.events.kind == kind)
+
+
+@pytest.mark.parametrize("gps", [OLD_GPS, NEW_GPS])
+def test_both_ways_to_name_a_position_are_read(read, gps):
+    fixes = of_kind(read(small_log(gps)), Kind.GNSS)
+    assert len(fixes) == 4
+    assert np.rad2deg(fixes.values[0, :2]) == pytest.approx([47.3977, 8.5455], abs=1e-12)
+    assert fixes.values[0, 2:6].tolist() == [489.0, 1.0, 2.0, 3.0]
+
+
+def test_a_fix_counts_when_the_receiver_sampled_it_where_that_is_said(read):
+    assert of_kind(read(small_log(NEW_GPS)), Kind.GNSS).t_ns[0] == 1_024_000_000
+    assert of_kind(read(small_log(OLD_GPS)), Kind.GNSS).t_ns[0] == 1_025_000_000
+
+
+def test_accuracies_are_the_receivers_or_on_the_safe_side(read):
+    assert of_kind(read(small_log(OLD_GPS)), Kind.GNSS).values[0, 6:9].tolist() == [0.5, 0.75, 0.25]
+    assert of_kind(read(small_log(NEW_GPS)), Kind.GNSS).values[0, 6:9].tolist() == [2.0, 3.0, 0.5]
+
+
+def test_a_jammed_receiver_is_flagged(read):
+    recording = read(small_log(NEW_GPS))
+    assert set(of_kind(recording, Kind.GNSS).values[:, 10]) == {float(GnssFlag.SUSPECT)}
+    assert "the receiver reports jamming or spoofing in 4 fixes" in recording.notes
+
+
+def test_the_declared_delay_is_given_in_seconds(read):
+    assert read(small_log()).gnss_delay == pytest.approx(0.11)
+
+
+def test_armed_and_landed_are_told_when_they_change(read):
+    vehicle = of_kind(read(small_log()), Kind.VEHICLE)
+    assert vehicle.t_ns.tolist() == [1_050_000_000, 1_100_000_000]
+    np.testing.assert_array_equal(vehicle.values[:, :2], [[1.0, np.nan], [1.0, 0.0]])
+
+
+def test_no_position_and_no_fix_are_refused(read):
+    log = Writer([COMBINED, NEW_GPS])
+    log.row(0, 1_000_000, 0, 0, 0, 0, 0, -9.8)
+    for place, fix in (((0.0, 0.0), 3), ((float("nan"), 8.0), 3), ((47.0, 8.0), 2)):
+        log.row(1, 1_000_000, 0, *place, 489.0, 0, 0, 0, fix, 0, 0)
+    recording = read(log.data)
+    assert len(of_kind(recording, Kind.GNSS)) == 0
+    assert "3 GPS rows without a 3-D fix were left out" in recording.notes
+
+
+def test_the_projection_agrees_with_px4s_own_at_a_kilometre():
+    # North 1000 m and east 1000 m of 47.4 N, 8.5 E on PX4's sphere, by its forward formula.
+    lat0, lon0 = np.deg2rad(47.4), np.deg2rad(8.5)
+    x, y = np.array([1000.0]), np.array([1000.0])
+    lat, lon = ulog_trajectory._unproject(x, y, lat0, lon0)
+    c = np.arccos(np.sin(lat0) * np.sin(lat) + np.cos(lat0) * np.cos(lat) * np.cos(lon - lon0))
+    k = c / np.sin(c) * ulog_trajectory.EARTH_RADIUS
+    north = k * (np.cos(lat0) * np.sin(lat) - np.sin(lat0) * np.cos(lat) * np.cos(lon - lon0))
+    east = k * np.cos(lat) * np.sin(lon - lon0)
+    assert (north[0], east[0]) == pytest.approx((1000.0, 1000.0), abs=1e-3)  # arccos near 0
+
+
+def test_the_projections_origin_is_itself():
+    lat, lon = ulog_trajectory._unproject(
+        np.zeros(1), np.zeros(1), np.array([0.8]), np.array([0.1])
+    )
+    assert (lat[0], lon[0]) == pytest.approx((0.8, 0.1), abs=1e-15)
+
+
+WHOLE = small_log()
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    place=st.integers(0, len(WHOLE)),
+    junk=st.binary(max_size=30),
+    cut=st.integers(0, 200),
+)
+def test_damage_anywhere_leaves_a_recording_or_a_sentence(tmp_path_factory, place, junk, cut):
+    path = tmp_path_factory.getbasetemp() / "damaged.ulg"
+    path.write_bytes(WHOLE[:place] + junk + WHOLE[place + cut :])
+    try:
+        recording = ulog.read(path)
+    except LogError as error:
+        assert str(error).startswith(str(path))  # noqa: PT017
+    else:
+        assert np.isfinite(recording.events.values[:, 0]).all()
+
+
+@settings(max_examples=30, deadline=None)
+@given(data=st.binary(max_size=300))
+def test_what_is_no_ulog_is_refused_by_a_sentence(tmp_path_factory, data):
+    path = tmp_path_factory.getbasetemp() / "any.ulg"
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=r"any\.ulg: "):
+        ulog.read(path)
+
+
+def test_nothing_is_printed(read, capsys):
+    read(WHOLE[:-500] + b"\0" * 50 + WHOLE[-500:])
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "fixes", "samples"),
+    [
+        ("px4-ulg-x500-mission/x500_mission_2023.ulg", 125, 13911),
+        ("px4-ulg-x500-hover/x500_hover_2023-06-21.ulg", 121, 13465),
+        ("px4-ulg-x500-no-gps/x500_no_gps_2023-06-21.ulg", 0, 12762),
+        ("px4-ulg-fixedwing-ground/fw_ground_v6c.ulg", 13, 1297),
+        ("sitl-px4-ulg/flight.ulg", 1187, 37053),
+    ],
+)
+def test_recorded_flights_give_their_events_and_ekf2s_estimate(flight, name, fixes, samples):
+    recording = ulog.read(flight(name))
+    assert recording.family == "px4"
+    assert len(of_kind(recording, Kind.GNSS)) == fixes
+    assert len(of_kind(recording, Kind.IMU)) == samples
+    heading = of_kind(recording, Kind.HEADING)
+    assert set(heading.values[:, 2]) == {float(HeadingSource.AUTOPILOT)}
+    assert len(heading) <= 10.5 * (heading.t_ns[-1] - heading.t_ns[0]) * 1e-9 + 1
+    assert len(recording.reference.att_t_ns) > 100
+    assert np.all(np.diff(recording.reference.att_t_ns) > 0)
+
+
+def test_a_damaged_flight_keeps_its_longest_course_of_time(flight):
+    recording = ulog.read(flight("px4-ulg-damaged-fixedwing/damaged_format_not_utf8.ulg"))
+    t_ns = of_kind(recording, Kind.IMU).t_ns
+    assert len(t_ns) == 13944
+    assert np.all(np.diff(t_ns) > 0)
+    span_ns = recording.events.t_ns.max() - recording.events.t_ns.min()
+    assert span_ns < 80_000_000_000
+    assert any("time stamps leave the log's course" in note for note in recording.notes)
+
+
+def test_the_simulators_truth_agrees_with_what_was_recorded_beside_it(flight):
+    truth = compare.read_truth(flight("sitl-px4-ulg/truth.csv"))
+    score = compare.score(ulog.read(flight("sitl-px4-ulg/flight.ulg")).truth, truth)
+    assert score.horizontal.rms < 0.01
+    assert score.velocity.rms < 0.01
+    assert score.tilt.rms < np.deg2rad(0.01)
+    assert abs(score.lag) < 1e-3
