@@ -148,7 +148,7 @@ def score(
 
     offset = vertical = velocity = None
     if pair := _pair(estimate.pos_t_ns, reference.pos_t_ns, begin, end):
-        frame = LocalFrame(float(reference.lat[0]), float(reference.lon[0]), 0.0)
+        frame = _frame(reference)
         mine, theirs = (frame.to_ned(one.lat, one.lon, one.alt) for one in (estimate, reference))
         offset = pair.difference(mine, theirs)
         vertical = -offset[np.isfinite(offset[:, 2]), 2]
@@ -189,6 +189,13 @@ def score(
         lag=lag,
         horizontal_without_lag=best,
     )
+
+
+def _frame(reference: Trajectory) -> LocalFrame:
+    """Give metres about the reference's first position."""
+    alt = float(reference.alt[0])
+    lat, lon = float(reference.lat[0]), float(reference.lon[0])
+    return LocalFrame(lat, lon, alt if np.isfinite(alt) else 0.0)
 
 
 def _spread(errors: Array | None) -> Spread | None:
@@ -261,7 +268,7 @@ def _find_lag(
         return None, None
     low = max(begin, int(estimate.pos_t_ns[0]), int(reference.pos_t_ns[0])) + margin
     high = min(end, int(estimate.pos_t_ns[-1]), int(reference.pos_t_ns[-1])) - margin
-    frame = LocalFrame(float(reference.lat[0]), float(reference.lon[0]), 0.0)
+    frame = _frame(reference)
     mine, theirs = (frame.to_ned(one.lat, one.lon, one.alt) for one in (estimate, reference))
     mine_s, theirs_s = ((one.pos_t_ns - low) * 1e-9 for one in (estimate, reference))
     fixed, moved, at, slide = theirs, mine, theirs_s, mine_s

@@ -33,11 +33,12 @@ class Table:
         head, _, self._body = data.partition(b"\n")
         try:
             line = head.decode("utf-8-sig")
-        except UnicodeDecodeError:
+            cells = next(csv.reader([line], delimiter=delimiter), [])
+        except (UnicodeDecodeError, csv.Error):
             raise LogError(f"{path}: not text, so no {KIND}; check the file or its name") from None
         if "\0" in line:
             raise LogError(f"{path}: not text, so no {KIND}; check the file or its name")
-        self.names = [name.strip() for name in next(csv.reader([line], delimiter=delimiter), [])]
+        self.names = [cell.strip() for cell in cells]
         """Column names in their order."""
 
     def read(self, names: Sequence[str]) -> dict[str, Array]:
