@@ -13,14 +13,14 @@ import numpy.typing as npt
 from ekf_companion.core import layout as at
 from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
 from ekf_companion.core.timeline import Timeline
-from ekf_companion.nav.magnetic import declination
+from ekf_companion.nav.magnetic import magnetic_field
 from ekf_companion.nav.measurements import Events, Kind, Measurement, Row
 from ekf_companion.nav.odometry import Odometry
 from ekf_companion.nav.state import COLUMNS, Status
 
 Array = npt.NDArray[np.float64]
 
-LAT, LON, DECLINATION = 0, 1, 9
+LAT, LON, DECLINATION, FLAGS, FIELD = 0, 1, 9, 10, 11
 """Where a GNSS row holds them (nav.measurements.GnssFix.row)."""
 
 
@@ -133,7 +133,7 @@ class Pipeline:
 
     def insert(self, row: Row) -> Arrival:
         """Take one measurement as a row; :meth:`process` says what comes of it."""
-        # Add what the place knows: the magnetic declination
+        # Add what the place knows: its magnetic field
         t_ns, kind, values = self._locate(row)
 
         # Refuse what no sensor can say, put the rest in its place in time, redo what came after
@@ -213,17 +213,18 @@ class Pipeline:
         return float(x[at.X_LAT0]), float(x[at.X_LON0]), float(x[at.X_ALT0])
 
     def _locate(self, row: Row) -> Row:
-        """Give a fix its magnetic declination."""
+        """Give a fix the magnetic field of its place."""
         t_ns, kind, values = row
         if kind != Kind.GNSS or not math.isnan(values[DECLINATION]):
             return row
         lat, lon = values[LAT], values[LON]
         if not (abs(lat) < math.pi / 2 and abs(lon) <= math.pi):
             return row
-        told = self._settings.heading.declination
-        year = self._settings.heading.year
-        here = declination(lat, lon, year) if told == "auto" else told
-        return t_ns, kind, (*values[:DECLINATION], here, *values[DECLINATION + 1 :])
+        heading = self._settings.heading
+        here, *field = magnetic_field(lat, lon, heading.year)
+        if heading.declination != "auto":
+            here = heading.declination
+        return t_ns, kind, (*values[:DECLINATION], here, values[FLAGS], *field)
 
     def _locate_all(self, events: Events) -> Array:
         """Do the same for a table; the given one stays as it is."""

@@ -302,7 +302,9 @@ def take(
         else:
             x[at.X_COUNT + at.AID_YAW * at.WHYS + at.WHY_UNUSED] += 1.0
     elif kind == MAG:
-        if is_field_used(x, k, x[at.X_T]):
+        if is_field_used(
+            x, k, w, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], rows[r, at.ROW_V + 2]
+        ):
             take_azimuth(
                 x,
                 k,
@@ -460,9 +462,12 @@ def take_fix(
         std_vel = k[at.K_VEL_FLOOR]
     if not isnan(rows[r, at.ROW_V + 9]):
         if isnan(x[at.X_DECLINATION]) and x[at.X_T_MAG] > NEVER and x[at.X_MODE] < at.MODE_NAVIGATE:
-            # a compass without declination gave magnetic north: take true north from the next
+            # a compass without declination gave magnetic north: take true north from whoever is next
             x[at.X_HAS_YAW] = 0.0
+            x[at.X_T_MAG] = NEVER
         x[at.X_DECLINATION] = rows[r, at.ROW_V + 9]
+        x[at.X_INCLINATION] = rows[r, at.ROW_V + 11]
+        x[at.X_FIELD] = rows[r, at.ROW_V + 12]
     if x[at.X_T_FIX] > NEVER and t > x[at.X_T_FIX]:
         x[at.X_FIX_DT] = (t - x[at.X_T_FIX]) * 1e-9
     x[at.X_T_FIX] = t
@@ -635,13 +640,35 @@ def is_heading_used(
 @cython.nogil
 @cython.exceptval(check=False)
 def is_field_used(
-    x: cython.double[::1], k: cython.double[::1], t: cython.double
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    mx: cython.double,
+    my: cython.double,
+    mz: cython.double,
 ) -> cython.bint:
-    """Say whether the magnetic field is to be used for heading; a dual antenna is better."""
-    x[at.X_T_MAG] = t
+    """Say whether the magnetic field (b, gauss) is to be used for heading.
+
+    Not while a dual antenna speaks, and not where it is not the Earth's: by its strength, and by its
+    dip once the tilt is known.
+    """
+    d: cython.double
+    size: cython.double = sqrt(mx * mx + my * my + mz * mz)
     if k[at.K_HEADING] == at.HEADING_AUTO:
-        return t - x[at.X_T_HEADING] >= PREFERRED_AGE
-    return k[at.K_HEADING] == at.HEADING_MAG
+        if x[at.X_T] - x[at.X_T_HEADING] < PREFERRED_AGE:
+            return False
+    elif k[at.K_HEADING] != at.HEADING_MAG:
+        return False
+    if x[at.X_FIELD] > 0.0:
+        if fabs(size - x[at.X_FIELD]) > k[at.K_FIELD_STRENGTH] * x[at.X_FIELD]:
+            return False
+        if x[at.X_MODE] >= at.MODE_ATTITUDE:
+            propagate.matrix(x, at.X_Q, w)
+            d = w[at.W_C_NB + 6] * mx + w[at.W_C_NB + 7] * my + w[at.W_C_NB + 8] * mz
+            if fabs(asin(d / size) - x[at.X_INCLINATION]) > k[at.K_FIELD_DIP]:
+                return False
+    x[at.X_T_MAG] = x[at.X_T]
+    return True
 
 
 @cython.cfunc

@@ -3,7 +3,7 @@ cdef enum:
     ROW_T = 0
     ROW_KIND = 1
     ROW_V = 2
-    ROW = 14
+    ROW = 15
     E_ATT = 0
     E_VEL = 3
     E_POS = 6
@@ -76,8 +76,10 @@ cdef enum:
     X_LEVEL = 106
     X_VEL_RATIO = 140
     X_VEL_LEARNT = 141
-    X_COV = 142
-    BLOCK = 431
+    X_INCLINATION = 142
+    X_FIELD = 143
+    X_COV = 144
+    BLOCK = 433
     L_T0 = 0
     L_N = 1
     L_GYRO = 2
@@ -137,7 +139,9 @@ cdef enum:
     K_REST_GYRO = 37
     K_REST_ACCEL = 38
     K_GRAVITY = 39
-    PARAMETERS = 40
+    K_FIELD_STRENGTH = 40
+    K_FIELD_DIP = 41
+    PARAMETERS = 42
     HEADING_AUTO = 0
     HEADING_GNSS = 1
     HEADING_MAG = 2

@@ -8,7 +8,7 @@ nanoseconds since the timeline's epoch, whole numbers, exact in a double for 104
 ROW_T = 0
 ROW_KIND = 1
 ROW_V = 2
-ROW = 14
+ROW = 15
 
 # Error states: attitude (in n), velocity, position, gyro bias, accel bias, baro offset, GNSS delay
 E_ATT = 0
@@ -91,8 +91,10 @@ X_PREV2_A = 103
 X_LEVEL = 106
 X_VEL_RATIO = 140
 X_VEL_LEARNT = 141
-X_COV = 142
-BLOCK = 431
+X_INCLINATION = 142
+X_FIELD = 143
+X_COV = 144
+BLOCK = 433
 
 # What levelling remembers, from X_LEVEL: sums over a window, and the motion since a first fix
 L_T0 = 0
@@ -158,7 +160,9 @@ K_LIMIT_POS = 36
 K_REST_GYRO = 37
 K_REST_ACCEL = 38
 K_GRAVITY = 39
-PARAMETERS = 40
+K_FIELD_STRENGTH = 40
+K_FIELD_DIP = 41
+PARAMETERS = 42
 
 # Headings that the filter may use (K_HEADING)
 HEADING_AUTO = 0

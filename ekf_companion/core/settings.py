@@ -40,9 +40,9 @@ class Habit:
 HABITS = {
     # ArduPilot sends the IMU behind a 20 Hz low-pass of second order, read at the time of sending, and
     # stamps a fix on its arrival from the receiver: both measured against its simulator's truth.
-    "ardupilot": Habit(gnss_delay=0.085, gnss_delay_std=0.04, imu_lag=0.0115, imu_samples="instant"),
+    "ardupilot": Habit(gnss_delay=0.085, gnss_delay_std=0.1, imu_lag=0.0115, imu_samples="instant"),
     # PX4 sends means and stamps a fix on arrival: none in its simulator, 0.06 to 0.11 s with receivers.
-    "px4": Habit(gnss_delay=0.04, gnss_delay_std=0.04, imu_lag=0.002, imu_samples="mean"),
+    "px4": Habit(gnss_delay=0.05, gnss_delay_std=0.06, imu_lag=0.002, imu_samples="mean"),
     "unknown": Habit(gnss_delay=0.0, gnss_delay_std=0.05, imu_lag=0.0, imu_samples="mean"),
 }
 """What ``auto`` means, by the autopilot's family."""
@@ -116,6 +116,11 @@ class HeadingSettings:
     """One sigma of a compass heading however strong the field, rad: what calibration leaves."""
     magnetometer_noise: NotNegative = 0.01
     """White noise of the field, gauss; counts by the strength of its horizontal part."""
+    field_strength: Positive = 0.25
+    """Largest share by which the field may differ from the World Magnetic Model's strength; beyond,
+    the magnetometer is disturbed or not calibrated, and no heading is taken from it."""
+    field_dip: Positive = 0.26
+    """Largest difference of its dip from the model's, rad."""
     heading_std: NotNegative = 0.02
     """Least one sigma of a heading from elsewhere, rad."""
 
@@ -229,6 +234,8 @@ def parameters(settings: FilterSettings, family: str, gnss_delay: float | None =
     k[at.K_HEADING] = ("auto", "gnss", "magnetometer", "autopilot").index(heading.source)
     k[at.K_MAG_STD] = heading.magnetometer_std
     k[at.K_MAG_NOISE] = heading.magnetometer_noise
+    k[at.K_FIELD_STRENGTH] = heading.field_strength
+    k[at.K_FIELD_DIP] = heading.field_dip
     k[at.K_HEADING_FLOOR] = heading.heading_std
     k[at.K_USE_BARO] = settings.baro.use
     k[at.K_BARO_STD] = settings.baro.std

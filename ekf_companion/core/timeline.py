@@ -396,6 +396,10 @@ def is_sane(kind: cython.int, values: cython.double[::1]) -> cython.bint:
             return False
         if not (isnan(values[9]) or fabs(values[9]) <= 3.2) or not 0.0 <= values[10] < 256.0:
             return False
+        if not (isnan(values[11]) or fabs(values[11]) <= 1.6):
+            return False
+        if not (isnan(values[12]) or 0.0 <= values[12] < 10.0):
+            return False
         return fabs(values[0]) < 1.57 and fabs(values[1]) < 3.15 and fabs(values[2]) < 1e5
     if kind == 2:
         return (

@@ -62,6 +62,27 @@ FIX_3D = 3
 _ARMED, _DISARMED, _LANDED, _NOT_LANDED = 10, 11, 18, 28
 """EV.Id (AP_Logger.h, LogEvent)."""
 
+_ANGLES, _PLACE = ("Roll", "Pitch", "Yaw"), ("Lat", "Lng", "Alt")
+_MOTION = ("VN", "VE", "VD", "PN", "PE", "PD")
+_NEEDED: dict[str, tuple[str, ...]] = {
+    "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
+    "GPS": ("Status", *_PLACE, "Spd", "GCrs"),
+    "GPA": (),
+    "MAG": ("MagX", "MagY", "MagZ"),
+    "BARO": ("Alt",),
+    "ATT": _ANGLES,
+    "AHR2": (*_ANGLES, *_PLACE),
+    "POS": _PLACE,
+    "ORGN": ("Type", *_PLACE),
+    "SIM": (*_ANGLES, *_PLACE),
+    "SIM2": ("VN", "VE", "VD"),
+    **dict.fromkeys(("XKF1", "NKF1", "EKF1"), (*_ANGLES, *_MOTION)),
+    "ARM": ("ArmState",),
+    "EV": ("Id",),
+    "PARM": ("Value",),
+}
+"""The messages that count, and the columns without which they are of no use."""
+
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def read(path: Path) -> Recording:
@@ -73,9 +94,13 @@ def read(path: Path) -> Recording:
         LogError: Not a DataFlash log, or none of its messages is known here.
     """
     tables, notes = read_columns(path)
-    tables = {name: _first_instance(name, table, notes) for name, table in tables.items()}
-    tables = _on_course(tables, notes)
     notes += _other_sensors(tables)
+    tables = {
+        name: _first_instance(name, table, notes)
+        for name, table in tables.items()
+        if name in _NEEDED and _is_usable(table, _NEEDED[name])
+    }
+    tables = _on_course(tables, notes)
     gnss = _gnss(tables)
     arrivals: Arrivals = [*gnss, *_vehicle(tables)]
     for take in (_imu, _gnss_heading, _attitude_heading, _magnetometer, _barometer):
@@ -97,6 +122,12 @@ def read(path: Path) -> Recording:
         gnss_delay=_gnss_delay(tables),
         notes=tuple(notes),
     )
+
+
+def _is_usable(table: Column, needed: tuple[str, ...]) -> bool:
+    """Say whether the columns are there and hold numbers: a damaged FMT may say otherwise."""
+    kinds = {name: table.dtype[name].kind for name in names_of(table)}
+    return all(kinds.get(name, "") in ("i", "u", "f") for name in needed)
 
 
 def _first_instance(name: str, table: Column, notes: list[str]) -> Column:
@@ -300,7 +331,7 @@ def _stamps_by_place(tables: Columns, table: Column) -> Stamps:
 
 def _gnss_delay(tables: Columns) -> float | None:
     """Give the receiver's delay where a parameter sets one; 0 leaves it to the driver."""
-    if "PARM" not in tables:
+    if "PARM" not in tables or "Name" not in names_of(tables["PARM"]):
         return None
     names, values = tables["PARM"]["Name"], tables["PARM"]["Value"]
     for name in (b"GPS1_DELAY_MS", b"GPS_DELAY_MS"):

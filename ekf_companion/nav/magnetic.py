@@ -8,7 +8,7 @@ from functools import lru_cache
 from pygeomag import GeoMag
 
 CELL = 0.01
-"""Side of the squares of latitude and longitude that share one declination, deg: some 1 km."""
+"""Side of the squares of latitude and longitude that share one field, deg: some 1 km."""
 
 
 @lru_cache(maxsize=1)
@@ -16,8 +16,10 @@ def _model() -> GeoMag:
     return GeoMag(coefficients_file="wmm/WMM_2025.COF")
 
 
-def declination(lat: float, lon: float, year: float) -> float:
-    """Give the declination at sea level, rad, east positive, constant over a square of 0.01 deg.
+def magnetic_field(lat: float, lon: float, year: float) -> tuple[float, float, float]:
+    """Give declination (rad, east positive), inclination (rad, down positive) and strength (gauss).
+
+    At sea level, and constant over a square of 0.01 deg.
 
     Args:
         lat: Latitude, rad.
@@ -30,8 +32,8 @@ def declination(lat: float, lon: float, year: float) -> float:
 
 
 @lru_cache(maxsize=4096)
-def _cell(row: int, column: int, year: float) -> float:
+def _cell(row: int, column: int, year: float) -> tuple[float, float, float]:
     field = _model().calculate(
         glat=max(-90.0, min(90.0, row * CELL)), glon=column * CELL, alt=0.0, time=year
     )
-    return math.radians(field.d)
+    return math.radians(field.d), math.radians(field.i), field.f * 1e-5

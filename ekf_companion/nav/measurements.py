@@ -17,7 +17,7 @@ from enum import IntEnum, IntFlag
 import numpy as np
 import numpy.typing as npt
 
-WIDTH = 12
+WIDTH = 13
 """Numbers in a row."""
 
 Row = tuple[int, int, tuple[float, ...]]
@@ -133,9 +133,13 @@ class GnssFix:
     declination: float | None = None
     """Magnetic declination here, rad, east positive; None: not known."""
     flags: GnssFlag = GnssFlag.NONE
+    inclination: float | None = None
+    """Dip of the magnetic field here, rad, down positive; None: not known."""
+    field: float | None = None
+    """Strength of the magnetic field here, gauss; None: not known."""
 
     def row(self) -> Row:
-        """Give [lat, lon, alt, vel n e d, std h, std v, std vel, declination, flags]."""
+        """Give [lat, lon, alt, vel n e d, std h, std v, std vel, declination, flags, inclination, field]."""
         return _row(
             self.t_ns,
             Kind.GNSS,
@@ -150,6 +154,8 @@ class GnssFix:
             self.std_vel,
             self.declination,
             float(self.flags),
+            self.inclination,
+            self.field,
         )
 
 
