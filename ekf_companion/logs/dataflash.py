@@ -1,9 +1,5 @@
 """ArduPilot's DataFlash logs (.bin), read into a recording.
 
-Both generations are read: stamps in ``TimeMS`` (boot, ms; in GPS rows the GPS time of week, boot
-time being ``T`` there) and in ``TimeUS`` (boot, us); sensors told apart by name (IMU, IMU2) and by
-an instance column (``I``, for the estimators ``C``). The first instance is used.
-
 GPYW (raw moving-baseline yaw) is not used: its angle is the baseline's, and how the antennas are
 mounted is not in the row. GPS.Yaw is the vehicle's.
 
@@ -20,16 +16,8 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
-from ekf_companion.logs.dataflash_records import (
-    OFFSET,
-    Column,
-    Columns,
-    boot_ns,
-    columns,
-    names_of,
-    read_columns,
-    rows_of,
-)
+from ekf_companion.logs.dataflash_records import OFFSET, Column, Columns, columns, read_columns
+from ekf_companion.logs.dataflash_tables import boot_ns, choose, names_of, rows_of
 from ekf_companion.logs.dataflash_trajectory import reference, truth
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
@@ -62,27 +50,6 @@ FIX_3D = 3
 _ARMED, _DISARMED, _LANDED, _NOT_LANDED = 10, 11, 18, 28
 """EV.Id (AP_Logger.h, LogEvent)."""
 
-_ANGLES, _PLACE = ("Roll", "Pitch", "Yaw"), ("Lat", "Lng", "Alt")
-_MOTION = ("VN", "VE", "VD", "PN", "PE", "PD")
-_NEEDED: dict[str, tuple[str, ...]] = {
-    "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
-    "GPS": ("Status", *_PLACE, "Spd", "GCrs"),
-    "GPA": (),
-    "MAG": ("MagX", "MagY", "MagZ"),
-    "BARO": ("Alt",),
-    "ATT": _ANGLES,
-    "AHR2": (*_ANGLES, *_PLACE),
-    "POS": _PLACE,
-    "ORGN": ("Type", *_PLACE),
-    "SIM": (*_ANGLES, *_PLACE),
-    "SIM2": ("VN", "VE", "VD"),
-    **dict.fromkeys(("XKF1", "NKF1", "EKF1"), (*_ANGLES, *_MOTION)),
-    "ARM": ("ArmState",),
-    "EV": ("Id",),
-    "PARM": ("Value",),
-}
-"""The messages that count, and the columns without which they are of no use."""
-
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def read(path: Path) -> Recording:
@@ -94,13 +61,7 @@ def read(path: Path) -> Recording:
         LogError: Not a DataFlash log, or none of its messages is known here.
     """
     tables, notes = read_columns(path)
-    notes += _other_sensors(tables)
-    tables = {
-        name: _first_instance(name, table, notes)
-        for name, table in tables.items()
-        if name in _NEEDED and _is_usable(table, _NEEDED[name])
-    }
-    tables = _on_course(tables, notes)
+    tables = choose(tables, notes)
     gnss = _gnss(tables)
     arrivals: Arrivals = [*gnss, *_vehicle(tables)]
     for take in (_imu, _gnss_heading, _attitude_heading, _magnetometer, _barometer):
@@ -122,55 +83,6 @@ def read(path: Path) -> Recording:
         gnss_delay=_gnss_delay(tables),
         notes=tuple(notes),
     )
-
-
-def _is_usable(table: Column, needed: tuple[str, ...]) -> bool:
-    """Say whether the columns are there and hold numbers: a damaged FMT may say otherwise."""
-    kinds = {name: table.dtype[name].kind for name in names_of(table)}
-    return all(kinds.get(name, "") in ("i", "u", "f") for name in needed)
-
-
-def _first_instance(name: str, table: Column, notes: list[str]) -> Column:
-    """Keep the rows of the lowest instance, and say which others there are."""
-    for column in ("I", "C"):
-        # SIM's and others' C is something else; estimators' C is the core.
-        if column in names_of(table) and table[column].dtype == np.uint8:
-            instances = np.unique(table[column])
-            if len(instances) > 1 and name in ("IMU", "GPS", "MAG", "BARO", "XKF1", "NKF1"):
-                used, others = instances[0], ", ".join(map(str, instances[1:]))
-                notes.append(f"{name}: instance {used} is used; the log also holds {others}")
-            return np.asarray(table[table[column] == instances[0]])
-    return table
-
-
-def _other_sensors(tables: Columns) -> list[str]:
-    """Say which further sensors stand in messages of their own."""
-    others = [name for name in ("IMU2", "IMU3", "GPS2", "MAG2", "MAG3", "BAR2") if name in tables]
-    return (
-        [f"only the first sensor of each kind is used, not {', '.join(others)}"] if others else []
-    )
-
-
-def _on_course(tables: Columns, notes: list[str]) -> Columns:
-    """Drop rows whose stamps leave the one course of time: damage, or another boot."""
-    kept: Columns = {}
-    spans: series.Spans = []
-    if "IMU" in tables and (t_ns := boot_ns(tables["IMU"])) is not None:
-        spans = series.course(t_ns)[1]
-    wild = 0
-    for name, table in tables.items():
-        t_ns = boot_ns(table)
-        if t_ns is None:
-            kept[name] = table
-            continue
-        mask = series.course(t_ns)[0]
-        if spans and name not in ("PARM", "ORGN"):
-            mask &= series.inside(t_ns, spans)
-        wild += len(mask) - int(mask.sum()) if name in ("IMU", "GPS", "MAG", "BARO", "ATT") else 0
-        kept[name] = table[mask] if name != "PARM" else table
-    if wild:
-        notes.append(f"{wild} rows whose time stamps leave the log's course were dropped")
-    return {name: table for name, table in kept.items() if len(table)}
 
 
 def _imu(tables: Columns) -> Arrivals:

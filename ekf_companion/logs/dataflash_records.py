@@ -21,7 +21,6 @@ from ekf_companion.logs.source import read_bytes
 
 Column = npt.NDArray[np.void]
 Columns = dict[str, Column]
-Stamps = npt.NDArray[np.int64]
 
 OFFSET = "@"
 """Name of the column, first in every table, that holds the record's byte in the file."""
@@ -187,32 +186,3 @@ def read_columns(path: Path) -> tuple[Columns, list[str]]:
             tables[name] = table
     notes = [f"{damaged} damaged places in the file: the records there are lost"] if damaged else []
     return tables, notes
-
-
-def names_of(table: Column) -> tuple[str, ...]:
-    """Give the names of a table's columns."""
-    return table.dtype.names or ()
-
-
-def boot_ns(table: Column) -> Stamps | None:
-    """Give the boot time of each row, ns; None: the rows carry none."""
-    names = names_of(table)
-    if "TimeUS" in names:
-        return np.asarray(np.minimum(table["TimeUS"], 2**62 // 1000), dtype=np.int64) * 1000
-    for column in ("T", "TimeMS"):
-        # GPS rows of the old layout: TimeMS is the GPS time of week, T the boot time.
-        if column in names and table[column].dtype.kind in "iu":
-            return np.asarray(table[column], dtype=np.int64) * 1_000_000
-    return None
-
-
-def rows_of(tables: Columns, name: str) -> tuple[Column, Stamps] | None:
-    """Give a message's rows in which the numbers are finite, and their stamps; None: no rows."""
-    table = tables.get(name)
-    if table is None or (t_ns := boot_ns(table)) is None:
-        return None
-    finite = np.ones(len(table), dtype=bool)
-    for column in names_of(table):
-        if table[column].dtype.kind == "f":
-            finite &= np.isfinite(table[column].reshape(len(table), -1)).all(axis=1)
-    return (table[finite], t_ns[finite]) if finite.any() else None
