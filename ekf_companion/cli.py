@@ -149,6 +149,9 @@ def compare(
         typer.Option(help="Truth as .csv; else the log's own truth and the autopilot's estimate."),
     ] = None,
     config: ConfigOption = None,
+    until: Annotated[
+        Optional[float], typer.Option(help="Leave out what is later, seconds from the first estimate.")
+    ] = None,
     skip: Annotated[
         Optional[float],
         typer.Option(help="Leave out the first seconds; by default 30 against truth, else 20."),
@@ -185,11 +188,13 @@ def compare(
                 "name a truth with --reference TRUTH.csv"
             )
         seconds = skip if skip is not None else 30.0 if truth is not None else 20.0
-        scores = [comparer.score(ours, against, seconds)]
+        begin = int(ours.att_t_ns[0]) if len(ours.att_t_ns) else 0
+        end = None if until is None else begin + round(until * 1e9)
+        scores = [comparer.score(ours, against, seconds, end_ns=end)]
         others = [against]
         if truth is not None and own is not None:
             start = scores[0].start_ns
-            scores.append(comparer.score(own, truth, 0.0, start_ns=start))
+            scores.append(comparer.score(own, truth, 0.0, start_ns=start, end_ns=end))
             others.append(own)
         for line in comparer.table(scores):
             typer.echo(line)
