@@ -151,6 +151,21 @@ def test_the_old_layout_takes_boot_time_from_the_column_t_of_a_fix(read):
     assert any("fitted to the GNSS fixes" in note for note in recording.notes)
 
 
+def test_a_row_whose_type_was_damaged_is_not_taken_for_a_shorter_one(tmp_path):
+    log = Writer()
+    log.define(1, "IMU", "Qffffff", "TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    log.define(2, "BARO", "Qf", "TimeUS,Alt")
+    for index in range(20):
+        log.row("IMU", 10_000 * index, 0, 0, 0, 0, 0, -9.8)
+    data = bytearray(log.data)
+    data[-10 * 35 + 2] = 2
+    path = tmp_path / "flight.bin"
+    path.write_bytes(bytes(data))
+    tables = dataflash.columns(path)
+    assert "BARO" not in tables
+    assert len(tables["IMU"]) == 19
+
+
 def test_rows_of_a_damaged_clock_are_dropped_and_counted(read):
     log = Writer()
     log.define(1, "IMU", "Qffffff", "TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
