@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 KERNEL := $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test lint types contracts check demo bench wheel clean
+.PHONY: setup test lint types contracts check demo bench accuracy wheel clean
 
 setup: $(STAMP)
 
@@ -35,7 +35,10 @@ demo: $(STAMP)
 	$(BIN)/python -m sim_autopilot demo --out demo
 
 bench: $(STAMP)
-	$(BIN)/python benchmarks/run.py
+	$(BIN)/python -m benchmarks.run
+
+accuracy: $(STAMP)
+	$(BIN)/python -m benchmarks.accuracy
 
 wheel: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check build

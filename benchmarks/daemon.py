@@ -1,0 +1,180 @@
+"""The real daemon in a process of its own, over loopback UDP."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from benchmarks.result import Result
+from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.frame import Frame, Splitter
+from ekf_companion.mavlink.layout import IDS
+from sim_autopilot.autopilot import Autopilot
+from sim_autopilot.config import ImuConfig, SimConfig
+from sim_autopilot.flight import Flight
+
+RATE = 250.0
+CONFIG = f"link: {{imu_rate: {RATE}}}\noutput: {{odometry_rate: {RATE}}}\n"
+WARM_UP = 5.0
+"""s of flight before the measurement: the daemon asks, aligns and finds its position."""
+PATIENCE = 20.0
+"""s; a daemon that has not spoken by then never will."""
+STARTS = 5
+
+
+def measure(duration: float = 20.0, starts: int = STARTS) -> Iterator[Result]:
+    """Time the way through the daemon, its load and its start."""
+    with TemporaryDirectory() as folder:
+        config = Path(folder) / "bench.yaml"
+        config.write_text(CONFIG, encoding="ascii")
+        yield from _start(config, starts)
+        yield from _loopback(config, duration)
+
+
+def _start(config: Path, starts: int) -> Iterator[Result]:
+    """Time from the process's start to its first HEARTBEAT."""
+    spent = []
+    for _ in range(starts):
+        with _socket() as ours, _daemon(config, ours) as process:
+            began = time.monotonic()
+            _hear(ours, process)
+            spent.append(time.monotonic() - began)
+    yield Result(name="start to first HEARTBEAT, median", value=float(np.median(spent)), unit="s")
+
+
+def _loopback(config: Path, duration: float) -> Iterator[Result]:
+    """Time from a HIGHRES_IMU datagram to the ODOMETRY datagram of its stamp."""
+    flight = Flight.plan(
+        "figure-eight", SimConfig(imu=ImuConfig(rate=RATE)), duration=WARM_UP + duration
+    )
+    with _socket() as ours, _daemon(config, ours) as process:
+        ours.connect(_hear(ours, process))
+        sent, heard, load = _fly(flight, ours, process.pid)
+        memory = _memory(process.pid)
+
+    begin = flight.first_ns // 1000 + round(WARM_UP * 1e6)
+    wanted = [stamp for stamp in sent if stamp >= begin]
+    delays = np.array([heard[stamp] - sent[stamp] for stamp in wanted if stamp in heard]) * 1e-6
+    assert len(delays), "no ODOMETRY came back"
+    for share, aim in ((50.0, None), (99.0, 2.0), (99.9, None)):
+        yield Result(
+            name=f"HIGHRES_IMU in to ODOMETRY out at {RATE:g} Hz, p{share:g}",
+            value=float(np.percentile(delays, share)),
+            unit="ms",
+            aim=aim,
+        )
+    answered = 100.0 * len(delays) / len(wanted)
+    yield Result(name="samples answered by an ODOMETRY", value=answered, unit="%")
+    yield Result(name="daemon's share of one processor", value=100.0 * load, unit="%")
+    yield Result(name="daemon's resident memory, largest", value=memory, unit="MB")
+
+
+def _fly(
+    flight: Flight, ours: socket.socket, pid: int
+) -> tuple[dict[int, int], dict[int, int], float]:
+    """Play the autopilot in real time.
+
+    Returns:
+        When HIGHRES_IMU left and when ODOMETRY came, ns by stamp (us), and the processor's share.
+    """
+    autopilot = Autopilot(flight.config)
+    splitter, inbox = Splitter(), Splitter()
+    sent: dict[int, int] = {}
+    heard: dict[int, int] = {}
+    autopilot.heartbeat()
+    began, spent = time.monotonic_ns(), 0.0
+    for cycle in flight.cycles():
+        due = began + cycle.t_ns - flight.first_ns
+        _listen(ours, due, inbox, heard, autopilot, cycle.t_ns)
+        autopilot.cycle(cycle)
+        for data in autopilot.data_to_send():
+            (frame,) = splitter.feed(data)
+            if frame.message_id == IDS["HIGHRES_IMU"]:
+                sent[unpack(frame).time_usec] = time.monotonic_ns()
+            ours.send(data)
+        if cycle.number == round(WARM_UP * RATE):
+            spent, measured_from = _seconds(pid), time.monotonic_ns()
+    _listen(ours, time.monotonic_ns() + 100_000_000, inbox, heard, autopilot, cycle.t_ns)
+    return sent, heard, (_seconds(pid) - spent) / ((time.monotonic_ns() - measured_from) * 1e-9)
+
+
+def _listen(
+    ours: socket.socket,
+    until_ns: int,
+    inbox: Splitter,
+    heard: dict[int, int],
+    autopilot: Autopilot,
+    now_ns: int,
+) -> None:
+    """Take what comes until a time of ours, and answer it."""
+    while (left := until_ns - time.monotonic_ns()) > 0:
+        if not select.select([ours], [], [], left * 1e-9)[0]:
+            return
+        data = ours.recv(2048)
+        came_ns = time.monotonic_ns()
+        for frame in inbox.feed(data):
+            _note(frame, came_ns, heard)
+        autopilot.receive(data, now_ns)
+        for answer in autopilot.data_to_send():
+            ours.send(answer)
+
+
+def _note(frame: Frame, came_ns: int, heard: dict[int, int]) -> None:
+    if frame.message_id == IDS["ODOMETRY"]:
+        heard[unpack(frame).time_usec] = came_ns
+
+
+def _socket() -> socket.socket:
+    ours = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    ours.bind(("127.0.0.1", 0))
+    return ours
+
+
+@contextmanager
+def _daemon(config: Path, ours: socket.socket) -> Iterator[subprocess.Popen[bytes]]:
+    """Run the daemon towards our socket while the body runs."""
+    url = f"udpout:127.0.0.1:{ours.getsockname()[1]}"
+    command = [sys.executable, "-m", "ekf_companion", "run", "--config", str(config), "--link", url]
+    process = subprocess.Popen(
+        [*command, "--log-level", "ERROR"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    )
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=PATIENCE)
+
+
+def _hear(ours: socket.socket, process: subprocess.Popen[bytes]) -> tuple[str, int]:
+    """Wait for the daemon's first word; give where it is."""
+    if not select.select([ours], [], [], PATIENCE)[0]:
+        raise SystemExit(
+            f"the daemon said nothing within {PATIENCE:g} s (exit code {process.poll()})"
+        )
+    address: tuple[str, int] = ours.recvfrom(2048)[1]
+    return address
+
+
+def _seconds(pid: int) -> float:
+    """Give the processor time that a process has used."""
+    words = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _memory(pid: int) -> float:
+    """Give the largest resident memory of a process, MB."""
+    for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines():
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) / 1024.0
+    return float("nan")

@@ -1,0 +1,132 @@
+"""Microseconds per inertial sample: a whole recording, one event at a time, late ones."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks import flights
+from benchmarks.reference import Reference
+from benchmarks.result import Result
+from ekf_companion.nav.measurements import Events, Kind, Measurement
+from ekf_companion.pipeline import Pipeline
+from sim_autopilot.flight import Flight
+
+Array = npt.NDArray[np.float64]
+
+REPEATS = 5
+"""Of which the fastest counts: the others were disturbed."""
+SETTLED = 10.0
+"""s; errors are looked at, and calls timed, from here on."""
+LATE_NS = 250_000_000
+REFERENCE_DURATION = 20.0
+"""s; enough for a filter that takes a tenth of a millisecond per sample."""
+
+
+def measure(duration: float = 120.0) -> Iterator[Result]:
+    """Time the compiled filter and the NumPy one on the same flight."""
+    flight = flights.plan(duration)
+    events = flights.events(flight)
+
+    yield Result(
+        name="in: inertial, GNSS, heading events per second of flight",
+        value=len(events) / duration,
+        unit="1/s",
+    )
+    compiled, error = _recording(flight, events)
+    yield Result(
+        name="compiled loop over a recording, per sample", value=compiled, unit="us", aim=2.5
+    )
+    dense, dense_error = _numpy(flight, events, min(duration, REFERENCE_DURATION))
+    yield Result(name="plain NumPy, 15 dense states, per sample", value=dense, unit="us")
+    yield Result(name="plain NumPy over compiled loop", value=dense / compiled, unit="times")
+    yield Result(name="real time over compiled loop", value=4000.0 / compiled, unit="times")
+    yield Result(name="horizontal RMS error, compiled", value=error, unit="m")
+    yield Result(name="horizontal RMS error, NumPy", value=dense_error, unit="m")
+    yield from _live(events)
+    yield from _late(events)
+
+
+def _recording(flight: Flight, events: Events) -> tuple[float, float]:
+    """Give microseconds per sample of Pipeline.run, and the horizontal RMS error."""
+    count = int(np.count_nonzero(events.kind == Kind.IMU))
+    best = np.inf
+    for _ in range(REPEATS):
+        pipeline = Pipeline(flights.SETTINGS)
+        began = time.perf_counter_ns()
+        table = pipeline.run(events)
+        best = min(best, (time.perf_counter_ns() - began) * 1e-3 / count)
+    pos_n = np.column_stack([table.column(name) for name in ("pos_n", "pos_e")])
+    truth = flight.truth_at(table.stamp_ns).pos_n[:, :2]
+    origin = pipeline.origin
+    assert origin is not None, "the flight was too short to find a position in"
+    start = flight.trajectory.frame.to_ned(*origin)[:2]
+    return best, _rms(pos_n + start - truth, flight, table.stamp_ns)
+
+
+def _numpy(flight: Flight, events: Events, duration: float) -> tuple[float, float]:
+    """Give the same of the reference, over the flight's beginning."""
+    part = events.take(events.t_ns <= flight.first_ns + round(duration * 1e9))
+    stamps = part.t_ns[part.kind == Kind.IMU]
+    start = flight.truth_at(stamps[:1])
+    reference = Reference(
+        flight.trajectory.frame, int(stamps[0]), start.pos_n[0], start.vel_n[0], start.q_nb[0]
+    )
+    began = time.perf_counter_ns()
+    track = reference.run(part)
+    spent = (time.perf_counter_ns() - began) * 1e-3 / len(stamps)
+    return spent, _rms(track[:, :2] - flight.truth_at(stamps).pos_n[:, :2], flight, stamps)
+
+
+def _rms(offset: Array, flight: Flight, stamps: npt.NDArray[np.int64]) -> float:
+    settled = stamps > flight.first_ns + min(SETTLED, flight.duration / 2.0) * 1e9
+    return float(np.sqrt(np.nanmean(np.sum(offset[settled] ** 2, axis=1))))
+
+
+def _live(events: Events) -> Iterator[Result]:
+    """Time Pipeline.process, one event at a time, as the daemon calls it."""
+    measurements = flights.measurements(events)
+    pipeline = Pipeline(flights.SETTINGS)
+    spent = _calls(pipeline.process, measurements)
+    samples = events.kind == Kind.IMU
+    mean = float(spent.sum()) / int(np.count_nonzero(samples))
+    yield Result(name="live, all events over samples, per sample", value=mean, unit="us", aim=25.0)
+    for share in (50.0, 99.0, 99.9):
+        value = float(np.percentile(spent[samples], share))
+        yield Result(name=f"live, one inertial sample, p{share:g}", value=value, unit="us")
+    value = float(np.median(spent[events.kind == Kind.GNSS]))
+    yield Result(name="live, one fix on its arrival, p50", value=value, unit="us")
+    calls = _calls(lambda _: pipeline.odometry(), measurements[:2000])
+    yield Result(name="live, one estimate with covariances, p50", value=_median(calls), unit="us")
+
+
+def _late(events: Events) -> Iterator[Result]:
+    """Time fixes that arrive 250 ms after they were true: what came after them is run again."""
+    fixes = events.kind == Kind.GNSS
+    order = np.argsort(events.t_ns + fixes * LATE_NS, kind="stable")
+    late = flights.measurements(events.take(order))
+    pipeline = Pipeline(flights.SETTINGS)
+    spent = _calls(pipeline.process, late)[fixes[order]]
+    settled = spent[len(spent) // 4 :]
+    yield Result(name="late by 250 ms, one fix, p50", value=float(np.median(settled)), unit="us")
+    value = float(np.percentile(settled, 99.0))
+    yield Result(name="late by 250 ms, one fix, p99", value=value, unit="us")
+    assert pipeline.health().reruns > 0, "no fix was late"
+
+
+def _calls(function: Callable[[Measurement], object], items: list[Measurement]) -> Array:
+    """Give microseconds of each call."""
+    clock = time.perf_counter_ns
+    stamps = np.empty((len(items), 2))
+    for index, item in enumerate(items):
+        began = clock()
+        function(item)
+        stamps[index] = began, clock()
+    return np.asarray((stamps[:, 1] - stamps[:, 0]) * 1e-3)
+
+
+def _median(values: Array) -> float:
+    return float(np.median(values))
