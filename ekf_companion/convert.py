@@ -78,14 +78,18 @@ def _names(table: Mapping[Any, Mapping[Any, int]]) -> dict[str, dict[str, int]]:
 
 
 def convert(
-    path: Path, out: Path, config: Config, rate: float | None = None, progress: Progress | None = None
+    path: Path,
+    out: Path,
+    config: Config,
+    rate: float | None = None,
+    progress: Progress | None = None,
 ) -> Report:
     """Re-run the estimator over a log and write what it says.
 
     Args:
         path: The log; its suffix says what it is: .tlog, .bin, .ulg, .csv.
-        out: Where to; .csv gives a row per inertial sample, .tlog the messages that the daemon sends
-            (beside the original ones, where the log is a .tlog too).
+        out: Where to; .csv gives a row per inertial sample, .tlog the messages that the daemon
+            sends (beside the original ones, where the log is a .tlog too).
         config: The estimator's configuration.
         rate: Rows per second at most, Hz; None: all.
         progress: Told how far it is.
@@ -365,7 +369,10 @@ def summary(report: Report) -> list[str]:
     if report.refused:
         lines.append(
             "  frames left out: "
-            + ", ".join(f"{count} {re.sub('^(ignored|refused): ', '', why)}" for why, count in report.refused.items())
+            + ", ".join(
+                f"{count} {re.sub('^(ignored|refused): ', '', why)}"
+                for why, count in report.refused.items()
+            )
         )
     lines += [f"  note: {note}" for note in report.notes]
     return lines

@@ -206,7 +206,7 @@ class Pipeline:
 
     @property
     def origin(self) -> tuple[float, float, float] | None:
-        """Latitude, longitude (rad) and altitude (m) of the local frame; None before the first fix."""
+        """Latitude, longitude (rad), altitude (m) of the local frame; None before a fix."""
         x = self._timeline.block()
         if x[at.X_HAS_ORIGIN] == 0.0:
             return None

@@ -1,5 +1,4 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-# cython: initializedcheck=False
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Down and north before there is a filter.
 
 At rest the mean specific force points up and the mean rate is the gyro's bias. In motion the
@@ -7,8 +6,8 @@ specific force, summed in a frame that the gyro holds still, must equal the chan
 velocity less gravity: that gives down without standing still. North comes from a reference: a
 heading, or the magnetic field.
 
-Source: Groves 2013, section 5.6 (levelling); the velocity form is that of in-motion coarse alignment,
-Silson 2011, "Coarse alignment of a ship's strapdown inertial attitude reference system".
+Source: Groves 2013, section 5.6 (levelling); in motion: Silson 2011, "Coarse alignment of a ship's
+strapdown inertial attitude reference system using velocity loci".
 """
 
 from __future__ import annotations
@@ -61,9 +60,7 @@ def gather(
     ay: cython.double,
     az: cython.double,
 ) -> cython.void:
-    """Add a sample to the rest statistics; squares about the present state keep their digits."""
-    i: cython.Py_ssize_t
-    d: cython.double
+    """Add a sample to the rest statistics."""
     x[at.X_LEVEL + at.L_N] += 1.0
     x[at.X_LEVEL + at.L_GYRO] += gx
     x[at.X_LEVEL + at.L_GYRO + 1] += gy
@@ -132,11 +129,10 @@ def orient(
     de: cython.double,
     dd: cython.double,
 ) -> cython.void:
-    """Set the attitude so that body direction u points along d in n and the reference to its azimuth.
+    """Set the attitude: body direction u along d in n, the reference at its azimuth.
 
     Without a reference the body's forward axis points north.
     """
-    i: cython.Py_ssize_t
     nu: cython.double = sqrt(ux * ux + uy * uy + uz * uz)
     nd: cython.double = sqrt(dn * dn + de * de + dd * dd)
     ux = ux / nu
@@ -170,7 +166,7 @@ def orient(
         target = 0.0 if isnan(x[at.X_DECLINATION]) else x[at.X_DECLINATION]
     elif x[at.X_LEVEL + at.L_REF_KIND] == at.REF_HEADING:
         target = x[at.X_LEVEL + at.L_REF_V]
-    for i in range(4):
+    for _ in range(4):
         matrix(x, at.X_Q, w)
         dot = wrap(
             target
@@ -193,9 +189,9 @@ def begin_filter(
     tilt: cython.double,
     gyro_bias: cython.double,
 ) -> cython.void:
-    """Set the covariance of an attitude just found: tilt and gyro bias by their standard deviations.
+    """Set the covariance of an attitude just found, by the sigmas of tilt and gyro bias.
 
-    A levelled attitude is wrong by the accelerometer's bias, so the two are correlated from the start:
+    A levelled attitude is wrong by the accelerometer's bias, so the two are correlated:
     ``theta_N = (C ba)_E / g``, ``theta_E = -(C ba)_N / g``.
     """
     i: cython.Py_ssize_t
@@ -325,7 +321,7 @@ def carry(
     ay: cython.double,
     az: cython.double,
 ) -> cython.void:
-    """Carry the frame that the gyro holds still, and the sum of the specific force in it, over dt."""
+    """Carry the frame that the gyro holds still, and the force summed in it, over dt."""
     i: cython.Py_ssize_t
     if x[at.X_LEVEL + at.L_HAS_FIX] == 0.0:
         return
@@ -333,7 +329,9 @@ def carry(
     matrix(x, at.X_LEVEL + at.L_Q, w)
     for i in range(3):
         x[at.X_LEVEL + at.L_U + i] += dt * (
-            w[at.W_C_NB + 3 * i] * ax + w[at.W_C_NB + 3 * i + 1] * ay + w[at.W_C_NB + 3 * i + 2] * az
+            w[at.W_C_NB + 3 * i] * ax
+            + w[at.W_C_NB + 3 * i + 1] * ay
+            + w[at.W_C_NB + 3 * i + 2] * az
         )
     turn_body(x, at.X_LEVEL + at.L_Q, 0.5 * gx * dt, 0.5 * gy * dt, 0.5 * gz * dt)
 
@@ -393,6 +391,11 @@ def level_in_motion(
     for i in range(3):
         x[at.X_BG + i] = 0.0
     begin_filter(
-        x, k, w, t, doubt / (k[at.K_GRAVITY] * span) + k[at.K_GYRO_BIAS] * span + 0.02, k[at.K_GYRO_BIAS]
+        x,
+        k,
+        w,
+        t,
+        doubt / (k[at.K_GRAVITY] * span) + k[at.K_GYRO_BIAS] * span + 0.02,
+        k[at.K_GYRO_BIAS],
     )
     return True

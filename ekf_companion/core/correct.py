@@ -1,5 +1,4 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-# cython: initializedcheck=False
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Probability: judge an innovation by its covariance, and absorb it.
 
 A block of m <= 3 rows is whitened by the Cholesky factor of its innovation covariance; what is

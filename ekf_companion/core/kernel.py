@@ -1,5 +1,4 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-# cython: initializedcheck=False
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """The step: one inertial sample, and the events that were true since the one before.
 
 Everything that decides is here and lives in the state block: which aid is used, gated or timed out,
@@ -72,7 +71,6 @@ def step(
 ) -> cython.void:
     """Take the sample rows[last]; rows[first:last] are the events true since the sample before."""
     r: cython.Py_ssize_t
-    i: cython.Py_ssize_t
     dt: cython.double
     t: cython.double = rows[last, at.ROW_T]
     span: cython.double = (t - x[at.X_T]) * 1e-9
@@ -175,7 +173,7 @@ def remember(
 @cython.nogil
 @cython.exceptval(check=False)
 def hold(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
-    """Over a long gap assume neither rotation nor acceleration: what the last sample said is past."""
+    """Over a long gap assume no turn and no acceleration: the last sample is past."""
     i: cython.Py_ssize_t
     propagate.matrix(x, at.X_Q, w)
     for i in range(3):
@@ -298,13 +296,13 @@ def take(
         take_fix(x, k, w, rows, r)
     elif kind == HEADING:
         if is_heading_used(x, k, x[at.X_T], rows[r, at.ROW_V + 2]):
-            take_azimuth(x, k, w, 1.0, 0.0, 0.0, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], 0.0, True)
+            take_azimuth(
+                x, k, w, 1.0, 0.0, 0.0, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], 0.0, True
+            )
         else:
             x[at.X_COUNT + at.AID_YAW * at.WHYS + at.WHY_UNUSED] += 1.0
     elif kind == MAG:
-        if is_field_used(
-            x, k, w, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], rows[r, at.ROW_V + 2]
-        ):
+        if is_field_used(x, k, w, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], rows[r, at.ROW_V + 2]):
             take_azimuth(
                 x,
                 k,
@@ -364,7 +362,7 @@ def fuse(
 def learn_velocity(
     x: cython.double[::1], w: cython.double[::1], m: cython.Py_ssize_t
 ) -> cython.void:
-    """Learn by how much the receiver over- or understates its velocity error, as a ratio of variances.
+    """Learn how far the receiver misstates its velocity error, as a ratio of variances.
 
     What the innovation has beyond the filter's own doubt is the receiver's: receivers state metres
     per second and differ from fix to fix by centimetres. Slow, and bounded where it is used.
@@ -462,7 +460,7 @@ def take_fix(
         std_vel = k[at.K_VEL_FLOOR]
     if not isnan(rows[r, at.ROW_V + 9]):
         if isnan(x[at.X_DECLINATION]) and x[at.X_T_MAG] > NEVER and x[at.X_MODE] < at.MODE_NAVIGATE:
-            # a compass without declination gave magnetic north: take true north from whoever is next
+            # a compass gave magnetic north: take true north from whoever is next
             x[at.X_HAS_YAW] = 0.0
             x[at.X_T_MAG] = NEVER
         x[at.X_DECLINATION] = rows[r, at.ROW_V + 9]
@@ -601,7 +599,7 @@ def launch(
     vd: cython.double,
     std: cython.double,
 ) -> cython.void:
-    """Set the velocity from a fix; an unknown vertical one is taken for none, give or take 2 m/s."""
+    """Set the velocity from a fix; an unknown vertical one is none, give or take 2 m/s."""
     i: cython.Py_ssize_t
     m: cython.Py_ssize_t = observe.velocity(x, k, w, vn, ve, vd, std)
     for i in range(m):
@@ -649,8 +647,8 @@ def is_field_used(
 ) -> cython.bint:
     """Say whether the magnetic field (b, gauss) is to be used for heading.
 
-    Not while a dual antenna speaks, and not where it is not the Earth's: by its strength, and by its
-    dip once the tilt is known.
+    Not while a dual antenna speaks, and not where it is not the Earth's: by its strength, and
+    by its dip once the tilt is known.
     """
     d: cython.double
     size: cython.double = sqrt(mx * mx + my * my + mz * mz)
@@ -735,7 +733,7 @@ def face(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
 def take_baro(
     x: cython.double[::1], k: cython.double[::1], w: cython.double[::1], alt: cython.double
 ) -> cython.void:
-    """Take a pressure altitude; the first one gives the offset, and its error that of the height."""
+    """Take a pressure altitude; the first one gives the offset, with the height's error."""
     j: cython.Py_ssize_t
     down: cython.Py_ssize_t = at.X_COV + (at.E_POS + 2) * at.N
     own: cython.Py_ssize_t = at.X_COV + at.E_BARO * at.N

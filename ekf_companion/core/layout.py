@@ -180,7 +180,7 @@ RESET_GAP = 5
 RESET_CLOCK = 6
 
 # Scratch numbers of one step: rows of H, P H', innovation, R, Cholesky factor, error state,
-# direction cosines, velocity increment, two rows, S and S G / 2, noise, nominal state to extrapolate
+# direction cosines, velocity increment, two rows, S and S G / 2, noise
 W_H = 0
 W_C = 51
 W_Z = 102

@@ -1,5 +1,4 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-# cython: initializedcheck=False
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """What each sensor should read, and how that depends on the error: innovation, H and R.
 
 Each function fills w[W_Z], w[W_H] and w[W_R] for :func:`ekf_companion.core.correct.innovate`.
@@ -14,9 +13,9 @@ import cython
 if cython.compiled:
     from cython.cimports.ekf_companion.core import layout as at
     from cython.cimports.ekf_companion.core.propagate import matrix
-    from cython.cimports.libc.math import atan2, floor, isnan, sqrt
+    from cython.cimports.libc.math import atan2, floor, isnan
 else:
-    from math import atan2, floor, isnan, sqrt
+    from math import atan2, floor, isnan
 
     from ekf_companion.core import layout as at
     from ekf_companion.core.propagate import matrix
@@ -50,9 +49,7 @@ def blank(w: cython.double[::1], m: cython.Py_ssize_t, variance: cython.double) 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def antenna(
-    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]
-) -> cython.void:
+def antenna(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
     """Write the lever arm in n to w[W_ROW:+3] and the antenna's extra velocity to w[W_ROW+3:+3]."""
     i: cython.Py_ssize_t
     lx: cython.double = k[at.K_LEVER]
@@ -67,10 +64,14 @@ def antenna(
     matrix(x, at.X_Q, w)
     for i in range(3):
         w[at.W_ROW + i] = (
-            w[at.W_C_NB + 3 * i] * lx + w[at.W_C_NB + 3 * i + 1] * ly + w[at.W_C_NB + 3 * i + 2] * lz
+            w[at.W_C_NB + 3 * i] * lx
+            + w[at.W_C_NB + 3 * i + 1] * ly
+            + w[at.W_C_NB + 3 * i + 2] * lz
         )
         w[at.W_ROW + 3 + i] = (
-            w[at.W_C_NB + 3 * i] * vx + w[at.W_C_NB + 3 * i + 1] * vy + w[at.W_C_NB + 3 * i + 2] * vz
+            w[at.W_C_NB + 3 * i] * vx
+            + w[at.W_C_NB + 3 * i + 1] * vy
+            + w[at.W_C_NB + 3 * i + 2] * vz
         )
 
 
@@ -161,10 +162,15 @@ def velocity(
         # the gyro bias turns the lever arm: C (l x bg)
         j = at.W_H + i * at.N + at.E_BG
         w[j] = (
-            w[at.W_C_NB + 3 * i + 1] * k[at.K_LEVER + 2] - w[at.W_C_NB + 3 * i + 2] * k[at.K_LEVER + 1]
+            w[at.W_C_NB + 3 * i + 1] * k[at.K_LEVER + 2]
+            - w[at.W_C_NB + 3 * i + 2] * k[at.K_LEVER + 1]
         )
-        w[j + 1] = w[at.W_C_NB + 3 * i + 2] * k[at.K_LEVER] - w[at.W_C_NB + 3 * i] * k[at.K_LEVER + 2]
-        w[j + 2] = w[at.W_C_NB + 3 * i] * k[at.K_LEVER + 1] - w[at.W_C_NB + 3 * i + 1] * k[at.K_LEVER]
+        w[j + 1] = (
+            w[at.W_C_NB + 3 * i + 2] * k[at.K_LEVER] - w[at.W_C_NB + 3 * i] * k[at.K_LEVER + 2]
+        )
+        w[j + 2] = (
+            w[at.W_C_NB + 3 * i] * k[at.K_LEVER + 1] - w[at.W_C_NB + 3 * i + 1] * k[at.K_LEVER]
+        )
     # theta turns the antenna's extra velocity u: theta x u
     w[at.W_H + at.E_ATT + 1] = w[at.W_ROW + 5]
     w[at.W_H + at.E_ATT + 2] = -w[at.W_ROW + 4]
@@ -204,9 +210,9 @@ def azimuth(
 ) -> cython.bint:
     """One row: a direction of the body, (bx, by, bz), points to an azimuth in n (rad).
 
-    The forward axis gives a heading; the magnetic field gives a compass, levelled by the filter's own
-    tilt. ``std`` is in rad; ``noise`` is in the direction's own units, and counts the more the steeper
-    the direction is. A steep field would turn its own slow error into tilt: without
+    The forward axis gives a heading; the magnetic field gives a compass, levelled by the filter's
+    own tilt. ``std`` is in rad; ``noise`` is in the direction's own units, and counts the more the
+    steeper the direction is. A steep field would turn its own slow error into tilt: without
     ``corrects_tilt`` the tilt's variance goes into R instead, and only yaw is corrected by it.
     False: the direction is too near the vertical.
     """

@@ -1,5 +1,4 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-# cython: initializedcheck=False
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Motion: the strapdown equations and the covariance of their error, one inertial interval.
 
 The attitude error is a rotation vector in n: ``C_true = exp(theta) C``. The transition is of second
@@ -266,7 +265,7 @@ def spread(
 ) -> cython.void:
     """Carry the covariance over the interval that :func:`move` has just gone: Phi P Phi' + Q.
 
-    With ``G = -C dt`` (bias to attitude, and to velocity) and ``S = -[dv x]`` (attitude to velocity):
+    With ``G = -C dt`` (from a bias) and ``S = -[dv x]`` (from attitude to velocity):
 
     ``theta += G bg``; ``v += S theta + S G/2 bg + G ba``;
     ``p += dt v + S dt/2 theta + S G dt/6 bg + G dt/2 ba``.
@@ -336,7 +335,9 @@ def spread(
         g1 = -dt * w[at.W_C_NB + 3 * i + 1]
         g2 = -dt * w[at.W_C_NB + 3 * i + 2]
         for j in range(at.N):
-            x[att + i * at.N + j] += g0 * x[bg + j] + g1 * x[bg + at.N + j] + g2 * x[bg + 2 * at.N + j]
+            x[att + i * at.N + j] += (
+                g0 * x[bg + j] + g1 * x[bg + at.N + j] + g2 * x[bg + 2 * at.N + j]
+            )
 
     # Columns of the nine rows that moved: the same on the right
     for r in range(9):

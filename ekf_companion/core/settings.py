@@ -38,10 +38,12 @@ class Habit:
 
 
 HABITS = {
-    # ArduPilot sends the IMU behind a 20 Hz low-pass of second order, read at the time of sending, and
-    # stamps a fix on its arrival from the receiver: both measured against its simulator's truth.
+    # ArduPilot sends the IMU behind a 20 Hz low-pass of second order, read at the time of sending,
+    # and stamps a fix on its arrival: both measured against its simulator's truth. With receivers
+    # of its earlier years the delay was 0.2 s and more.
     "ardupilot": Habit(gnss_delay=0.085, gnss_delay_std=0.1, imu_lag=0.0115, imu_samples="instant"),
-    # PX4 sends means and stamps a fix on arrival: none in its simulator, 0.06 to 0.11 s with receivers.
+    # PX4 sends means and stamps a fix on arrival: no delay in its simulator, 0.06 to 0.11 s with
+    # receivers.
     "px4": Habit(gnss_delay=0.05, gnss_delay_std=0.06, imu_lag=0.002, imu_samples="mean"),
     "unknown": Habit(gnss_delay=0.0, gnss_delay_std=0.05, imu_lag=0.0, imu_samples="mean"),
 }

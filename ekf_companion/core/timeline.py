@@ -1,5 +1,4 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-# cython: initializedcheck=False
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """The order of time: events take the place where they were true, whenever they arrive.
 
 A window of the last seconds is kept as sorted rows, with snapshots of the state block between them.
@@ -36,6 +35,8 @@ MALFORMED = cython.declare(cython.int, 3)
 RESTARTED = cython.declare(cython.int, 4)
 ESTIMATED = cython.declare(cython.int, 5)
 
+EPOCH_STEP = cython.declare(cython.longlong, 1 << 52)
+"""Epochs are whole multiples of 52 days: times since one are exact in a double."""
 SNAPSHOT_EVERY = cython.declare(cython.Py_ssize_t, 16)
 """Inertial samples between two snapshots: at 250 Hz a late event re-runs 32 ms more at the most."""
 LOST_AFTER = cython.declare(cython.Py_ssize_t, 250)
@@ -69,6 +70,7 @@ class Timeline:
     epoch: cython.longlong
     has_epoch: cython.bint
     newest: cython.double
+    oldest: cython.double
     stamp: cython.longlong
     lost: cython.Py_ssize_t
     reruns: cython.longlong
@@ -79,7 +81,6 @@ class Timeline:
         delay_ns: np.ndarray,
         window_ns: int,
         capacity: int = 8192,
-        snapshots: int = 512,
     ) -> None:
         """Begin with an empty timeline.
 
@@ -87,16 +88,17 @@ class Timeline:
             parameters: The filter's numbers, shape (PARAMETERS,), as layout.K_* says.
             delay_ns: How late the stamps of each kind are, ns, shape (kinds,).
             window_ns: How far back a late event is still taken, ns.
-            capacity: Rows to hold; twice what the window can hold is enough.
-            snapshots: States to hold.
+            capacity: Rows to hold, at least 64; with fewer than come in twice the window, the
+                window shrinks.
         """
         self.k = np.ascontiguousarray(parameters, dtype=np.float64).copy()
         self.delay = np.ascontiguousarray(delay_ns, dtype=np.int64).copy()
         self.window = float(window_ns)
         self.capacity = capacity
         self.rows = np.zeros((capacity, at.ROW))
-        self.snapshots = np.zeros((snapshots, at.BLOCK))
-        self.snapshot_row = np.zeros(snapshots, dtype=np.intp)
+        # between two snapshots there are always so many inertial rows
+        self.snapshots = np.zeros((capacity // SNAPSHOT_EVERY + 2, at.BLOCK))
+        self.snapshot_row = np.zeros(capacity // SNAPSHOT_EVERY + 2, dtype=np.intp)
         self.x = np.zeros(at.BLOCK)
         self.y = np.zeros(at.BLOCK)
         self.w = np.zeros(at.SCRATCH)
@@ -118,18 +120,17 @@ class Timeline:
         self.snapshot_row[0] = -1
         self.snapshots[0, :] = self.x
         self.newest = -1.0
+        self.oldest = -1.0
         self.stamp = 0
 
     def restart(self) -> None:
         """Begin anew on a clock that began anew: only the count of resets lives on."""
         resets: cython.double = self.x[at.X_RESETS]
-        samples: cython.double = self.x[at.X_SAMPLES]
         i: cython.Py_ssize_t
         started: cython.bint = self.x[at.X_MODE] != at.MODE_INIT
         for i in range(at.BLOCK):
             self.x[i] = 0.0
         self.x[at.X_RESETS] = resets + 1.0 if started else resets
-        self.x[at.X_SAMPLES] = samples
         self.x[at.X_RESET_REASON] = at.RESET_CLOCK
         self.has_epoch = False
         self.lost = 0
@@ -169,13 +170,15 @@ class Timeline:
         order: cython.int
         t: cython.double
         if not self.has_epoch:
-            # everything true before the epoch has a negative time, which is as good as any
-            self.epoch = t_ns
+            # the same whichever event comes first, and near enough for exact doubles
+            self.epoch = t_ns // EPOCH_STEP * EPOCH_STEP
             self.has_epoch = True
         t = cython.cast(cython.double, t_ns - self.delay[kind] - self.epoch)
 
         # Too old to go back to?
-        if self.newest >= 0.0 and t < self.newest - self.window:
+        if self.size == self.capacity:
+            self.trim()
+        if self.newest >= 0.0 and (t < self.newest - self.window or t <= self.oldest):
             if kind == IMU:
                 self.lost += 1
                 if self.lost >= LOST_AFTER:
@@ -191,11 +194,6 @@ class Timeline:
             if order < 0:
                 break
             i -= 1
-        if self.size == self.capacity:
-            j = self.trim()
-            i -= j
-            if i < 0 or self.size == self.capacity:
-                return STALE
         for j in range(self.size, i, -1):
             self.rows[j, :] = self.rows[j - 1, :]
         self.rows[i, at.ROW_T] = t
@@ -235,55 +233,45 @@ class Timeline:
             self.cursor = first
             self.since_snap += 1
             if self.since_snap >= SNAPSHOT_EVERY:
-                if self.snaps == self.snapshots.shape[0]:
-                    self.thin()
                 self.snapshots[self.snaps, :] = self.x
                 self.snapshot_row[self.snaps] = i
                 self.snaps += 1
                 self.since_snap = 0
 
     @cython.cfunc
-    def thin(self) -> cython.void:
-        """Make room for snapshots: of each two but the oldest keep the later."""
-        i: cython.Py_ssize_t
-        kept: cython.Py_ssize_t = 1
-        for i in range(2, self.snaps, 2):
-            self.snapshots[kept, :] = self.snapshots[i, :]
-            self.snapshot_row[kept] = self.snapshot_row[i]
-            kept += 1
-        self.snaps = kept
-
-    @cython.cfunc
-    def trim(self) -> cython.Py_ssize_t:
-        """Drop the rows before the last snapshot that no event in the window can go behind.
-
-        Gives the number of rows dropped.
-        """
+    def trim(self) -> cython.void:
+        """Drop the rows that no event in the window can go behind, or else what hurts least."""
         i: cython.Py_ssize_t
         base: cython.Py_ssize_t = 0
+        first: cython.Py_ssize_t = 0
         gone: cython.Py_ssize_t
-        for i in range(self.snaps):
-            if (
-                self.snapshot_row[i] >= 0
-                and self.rows[self.snapshot_row[i], at.ROW_T] < self.newest - self.window
-            ):
+        for i in range(1, self.snaps):
+            if self.rows[self.snapshot_row[i], at.ROW_T] < self.newest - self.window:
                 base = i
-        gone = self.snapshot_row[base] + 1
-        if gone == 0:
-            # waiting for an inertial sample that does not come: the oldest half has waited enough
-            if self.cursor > 0:
-                return 0
-            gone = self.size // 2
-        for i in range(gone, self.size):
+        if base == 0 and self.size - self.cursor > self.size // 2:
+            # half waits for a sample that does not come: the older ones have waited enough
+            first = self.cursor
+            gone = (self.size - self.cursor + 1) // 2
+        else:
+            if base == 0:
+                base = self.snaps // 2
+            if base == 0:
+                # hardly an inertial sample among all these rows: begin from now
+                base = 1
+                self.snapshots[1, :] = self.x
+                self.snapshot_row[1] = self.cursor - 1
+                self.snaps = 2
+            gone = self.snapshot_row[base] + 1
+            self.oldest = self.snapshots[base, at.X_T]
+            for i in range(base, self.snaps):
+                self.snapshots[i - base, :] = self.snapshots[i, :]
+                self.snapshot_row[i - base] = self.snapshot_row[i] - gone
+            self.snaps -= base
+            self.snapshot_row[0] = -1
+            self.cursor -= gone
+        for i in range(first + gone, self.size):
             self.rows[i - gone, :] = self.rows[i, :]
         self.size -= gone
-        self.cursor = self.cursor - gone if self.cursor > gone else 0
-        for i in range(base, self.snaps):
-            self.snapshots[i - base, :] = self.snapshots[i, :]
-            self.snapshot_row[i - base] = self.snapshot_row[i] - gone
-        self.snaps -= base
-        self.snapshot_row[0] = -1
-        return gone
 
     def run_log(
         self,
@@ -402,9 +390,7 @@ def is_sane(kind: cython.int, values: cython.double[::1]) -> cython.bint:
             return False
         return fabs(values[0]) < 1.57 and fabs(values[1]) < 3.15 and fabs(values[2]) < 1e5
     if kind == 2:
-        return (
-            fabs(values[0]) < 7.0 and 0.0 < values[1] < 10.0 and values[2] in (0.0, 1.0, 2.0)
-        )
+        return fabs(values[0]) < 7.0 and 0.0 < values[1] < 10.0 and values[2] in (0.0, 1.0, 2.0)
     if kind == 3:
         return (
             fabs(values[0]) < 10.0

@@ -139,7 +139,7 @@ class GnssFix:
     """Strength of the magnetic field here, gauss; None: not known."""
 
     def row(self) -> Row:
-        """Give [lat, lon, alt, vel n e d, std h, std v, std vel, declination, flags, inclination, field]."""
+        """Give [lat, lon, alt, vel n e d, std h v vel, declination, flags, inclination, field]."""
         return _row(
             self.t_ns,
             Kind.GNSS,
@@ -252,7 +252,9 @@ class Events:
         )
 
     @classmethod
-    def from_columns(cls, t_ns: npt.NDArray[np.int64], kind: Kind, *columns: npt.ArrayLike) -> Events:
+    def from_columns(
+        cls, t_ns: npt.NDArray[np.int64], kind: Kind, *columns: npt.ArrayLike
+    ) -> Events:
         """Lay the columns of one kind side by side, in the order that its ``row()`` has."""
         values = np.zeros((len(t_ns), WIDTH))
         for index, column in enumerate(columns):

@@ -31,7 +31,7 @@ def multiply(p: Array, q: Array) -> Array:
 
 def conjugate(q: Array) -> Array:
     """Give the inverse rotation, shape (..., 4)."""
-    return np.asarray(q, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0])
+    return np.asarray(np.asarray(q, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def normalise(q: Array) -> Array:
@@ -98,8 +98,8 @@ def from_matrix(C: Array) -> Array:
 
 
 def rotate(q: Array, v: Array) -> Array:
-    """Turn v by q: ``v_n = rotate(q_nb, v_b)``, shape (..., 3)."""
-    return np.einsum("...ij,...j->...i", to_matrix(q), np.asarray(v, dtype=float))
+    """Turn v by q, as ``v_n`` is ``v_b`` turned by ``q_nb``, shape (..., 3)."""
+    return np.asarray(np.einsum("...ij,...j->...i", to_matrix(q), np.asarray(v, dtype=float)))
 
 
 def from_euler(roll: npt.ArrayLike, pitch: npt.ArrayLike, yaw: npt.ArrayLike) -> Array:

@@ -30,11 +30,15 @@ class Status(IntEnum):
     """The error has passed its limit: not to be used."""
 
 
-COLUMNS = (
-    "time_us lat_deg lon_deg alt_m pos_n pos_e pos_d vel_n vel_e vel_d q_w q_x q_y q_z roll pitch yaw "
-    "gyro_bias_x gyro_bias_y gyro_bias_z accel_bias_x accel_bias_y accel_bias_z "
-    "sd_pos_n sd_pos_e sd_pos_d sd_vel_n sd_vel_e sd_vel_d sd_roll sd_pitch sd_yaw status reset_count"
-).split()
+COLUMNS = [
+    *("time_us", "lat_deg", "lon_deg", "alt_m"),
+    *("pos_n", "pos_e", "pos_d", "vel_n", "vel_e", "vel_d"),
+    *("q_w", "q_x", "q_y", "q_z", "roll", "pitch", "yaw"),
+    *("gyro_bias_x", "gyro_bias_y", "gyro_bias_z"),
+    *("accel_bias_x", "accel_bias_y", "accel_bias_z"),
+    *("sd_pos_n", "sd_pos_e", "sd_pos_d", "sd_vel_n", "sd_vel_e", "sd_vel_d"),
+    *("sd_roll", "sd_pitch", "sd_yaw", "status", "reset_count"),
+]
 """Names of an estimate's numbers, in the order of a CSV row."""
 
 

@@ -1,0 +1,60 @@
+import numpy as np
+
+from ekf_companion.core import layout as at
+from tests.core.interpreted import load
+from tests.core.test_observe import a_state
+
+
+def a_problem(seed: int, m: int):
+    rng = np.random.default_rng(seed)
+    x, w = a_state(seed), np.zeros(at.SCRATCH)
+    root = rng.normal(0.0, 0.1, (at.N, at.N))
+    P = root @ root.T
+    H = rng.normal(0.0, 1.0, (m, at.N))
+    z = rng.normal(0.0, 0.01, m)
+    root = rng.normal(0.0, 0.5, (m, m))
+    R = root @ root.T + 0.1 * np.eye(m)
+    x[at.X_COV :] = P.ravel()
+    w[at.W_H : at.W_H + m * at.N] = H.ravel()
+    w[at.W_Z : at.W_Z + m] = z
+    for i in range(m):
+        w[at.W_R + 3 * i : at.W_R + 3 * i + m] = R[i]
+    return x, w, P, H, z, R
+
+
+def test_a_block_is_absorbed_as_the_joseph_form_says():
+    for m in (1, 2, 3):
+        x, w, P, H, z, R = a_problem(m, m)
+        S = H @ P @ H.T + R
+        K = P @ H.T @ np.linalg.inv(S)
+        I_KH = np.eye(at.N) - K @ H
+        dx = K @ z
+        expected = I_KH @ P @ I_KH.T + K @ R @ K.T
+        d = 0.5 * dx[:3]
+        J = np.eye(at.N)
+        J[:3, :3] += [[0, -d[2], d[1]], [d[2], 0, -d[0]], [-d[1], d[0], 0]]
+        expected = J @ expected @ J.T
+
+        nis = load().correct.innovate(x, w, m)
+        load().correct.absorb(x, w, m)
+        assert np.isclose(nis, z @ np.linalg.inv(S) @ z, rtol=1e-12)
+        np.testing.assert_allclose(w[at.W_DX : at.W_DX + at.N], dx, rtol=1e-10, atol=1e-15)
+        after = x[at.X_COV :].reshape(at.N, at.N)
+        np.testing.assert_allclose(after, expected, rtol=1e-9, atol=1e-13)
+        assert np.array_equal(after, after.T)
+        assert np.linalg.eigvalsh(after).min() > 0.0
+
+
+def test_an_innovation_covariance_that_is_none_passes_no_gate():
+    x, w, *_ = a_problem(4, 2)
+    w[at.W_R : at.W_R + 9] = -100.0
+    assert load().correct.innovate(x, w, 2) > 1e20
+
+
+def test_forgetting_leaves_no_correlation():
+    x, *_ = a_problem(5, 1)
+    load().correct.forget(x, at.E_VEL, 3, 4.0)
+    P = x[at.X_COV :].reshape(at.N, at.N)
+    assert np.array_equal(P[at.E_VEL : at.E_VEL + 3, at.E_VEL : at.E_VEL + 3], 4.0 * np.eye(3))
+    assert not P[at.E_VEL, : at.E_VEL].any()
+    assert not P[at.E_POS :, at.E_VEL].any()

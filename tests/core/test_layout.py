@@ -1,0 +1,47 @@
+import re
+
+from ekf_companion.core import layout
+from ekf_companion.nav.measurements import WIDTH
+from ekf_companion.nav.state import COLUMNS
+from tests.core.interpreted import FOLDER
+
+
+def numbers() -> dict[str, int]:
+    return {name: value for name, value in vars(layout).items() if name.isupper()}
+
+
+def test_the_compiler_is_told_the_same_numbers():
+    text = (FOLDER / "layout.pxd").read_text()
+    told = {name: int(value) for name, value in re.findall(r"^    (\w+) = (\d+)$", text, re.M)}
+    assert told == numbers()
+
+
+def test_a_row_holds_a_measurement_and_an_estimate_its_columns():
+    assert layout.ROW == layout.ROW_V + WIDTH
+    assert len(COLUMNS) - 1 == layout.OUT
+    assert COLUMNS[1 + layout.OUT_STATUS] == "status"
+    assert COLUMNS[1 + layout.OUT_SD] == "sd_pos_n"
+
+
+def test_nothing_in_a_block_overlaps():
+    sizes = {
+        "X_Q": 4, "X_VEL": 3, "X_POS": 3, "X_BG": 3, "X_BA": 3, "X_GYRO": 3, "X_ACCEL": 3,
+        "X_ACC_N": 3, "X_T_HEADING": 3, "X_T_USED": layout.AIDS, "X_RATIO": layout.AIDS,
+        "X_COUNT": layout.AIDS * layout.WHYS, "X_NOISE_G": 3, "X_NOISE_A": 3, "X_PREV_G": 3,
+        "X_PREV_A": 3, "X_LEVEL": layout.L_SIZE, "X_COV": layout.N * layout.N,
+    }  # fmt: skip
+    places = sorted((value, name) for name, value in numbers().items() if name.startswith("X_"))
+    ends = [value + sizes.get(name, 1) for value, name in places]
+    assert all(end <= start for end, (start, _) in zip(ends, places[1:], strict=False))
+    assert ends[-1] == layout.BLOCK
+
+
+def test_nothing_in_the_scratch_overlaps():
+    n = layout.N
+    sizes = {
+        "W_H": 3 * n, "W_C": 3 * n, "W_Z": 3, "W_R": 9, "W_L": 9, "W_Y": 3, "W_DX": n, "W_C_NB": 9,
+        "W_DV": 3, "W_ROW": n, "W_ROW2": n, "W_S9": 18, "W_Q": 6,
+    }  # fmt: skip
+    places = sorted((value, name) for name, value in numbers().items() if name.startswith("W_"))
+    ends = [value + sizes[name] for value, name in places]
+    assert ends == [start for start, _ in places[1:]] + [layout.SCRATCH]

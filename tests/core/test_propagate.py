@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from ekf_companion.core import layout as at
+from ekf_companion.nav import earth, so3
+from tests.core.interpreted import load
+from tests.core.test_observe import a_state, parameters, plus
+
+
+def errors_between(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Give the error that turns x into y."""
+    error = np.zeros(at.N)
+    q = so3.multiply(y[at.X_Q : at.X_Q + 4], so3.conjugate(x[at.X_Q : at.X_Q + 4]))
+    error[at.E_ATT : at.E_ATT + 3] = so3.log(q)
+    for first, place in ((at.E_VEL, at.X_VEL), (at.E_POS, at.X_POS), (at.E_BG, at.X_BG)):
+        error[first : first + 3] = y[place : place + 3] - x[place : place + 3]
+    error[at.E_BA : at.E_BA + 3] = y[at.X_BA : at.X_BA + 3] - x[at.X_BA : at.X_BA + 3]
+    error[at.E_BARO] = y[at.X_BARO] - x[at.X_BARO]
+    error[at.E_DELAY] = y[at.X_DELAY] - x[at.X_DELAY]
+    return error
+
+
+SAMPLE = (0.4, -0.8, 0.3, 1.5, -2.0, -9.0)
+
+
+@pytest.mark.parametrize("dt", [0.004, 0.02, 0.1])
+def test_covariance_follows_the_slope_of_the_motion(dt):
+    propagate = load().propagate
+    x, k, w = a_state(5), parameters(), np.zeros(at.SCRATCH)
+    Phi = np.zeros((at.N, at.N))
+    step = 1e-5
+    for i in range(at.N):
+        error = np.zeros(at.N)
+        error[i] = step
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = plus(x, sign * error)
+            propagate.move(moved, k, w, dt, *SAMPLE)
+            ends.append(moved)
+        Phi[:, i] = errors_between(ends[1], ends[0]) / (2.0 * step)
+
+    rng = np.random.default_rng(6)
+    root = (
+        rng.normal(0.0, 1.0, (at.N, at.N))
+        * np.repeat([0.1, 1.0, 5.0, 0.01, 0.2, 1.0], [3, 3, 3, 3, 3, 2])[:, None]
+    )
+    P = root @ root.T
+    x[at.X_COV :] = P.ravel()
+    propagate.move(x, k, w, dt, *SAMPLE)
+    propagate.spread(x, k, w, dt)
+    after = x[at.X_COV :].reshape(at.N, at.N)
+
+    assert np.array_equal(after, after.T)
+    expected = Phi @ P @ Phi.T
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    # the mean direction of the turning body is taken at the start: half of 1 rad/s dt of a bias
+    assert np.abs((after - expected) / scale).max() < 5e-4 + 0.5 * dt * dt
+
+
+def test_noise_is_what_van_loan_gives():
+    propagate = load().propagate
+    x, k, w = a_state(7), parameters(), np.zeros(at.SCRATCH)
+    k[at.K_GYRO_NOISE], k[at.K_ACCEL_NOISE] = 2e-3, 3e-2
+    k[at.K_GYRO_WALK], k[at.K_ACCEL_WALK], k[at.K_BARO_WALK] = 1e-4, 1e-3, 0.05
+    dt = 0.01
+    x[at.X_COV :] = 0.0
+    propagate.move(x, k, w, dt, *SAMPLE)
+    C = w[at.W_C_NB : at.W_C_NB + 9].reshape(3, 3).copy()
+    force = w[at.W_DV : at.W_DV + 3] / dt
+    propagate.spread(x, k, w, dt)
+
+    F = np.zeros((at.N, at.N))
+    F[0:3, 9:12] = -C
+    F[3:6, 0:3] = -np.array(
+        [[0, -force[2], force[1]], [force[2], 0, -force[0]], [-force[1], force[0], 0]]
+    )
+    F[3:6, 12:15] = -C
+    F[6:9, 3:6] = np.eye(3)
+    Q = np.diag(
+        np.repeat([2e-3**2, 3e-2**2, 0.0, 1e-4**2, 1e-3**2, 0.05**2, 0.0], [3, 3, 3, 3, 3, 1, 1])
+    )
+    block = expm(np.block([[-F, Q], [np.zeros_like(F), F.T]]) * dt)
+    expected = block[at.N :, at.N :].T @ block[: at.N, at.N :]
+    after = x[at.X_COV :].reshape(at.N, at.N)
+    for part in (slice(0, 3), slice(3, 6), slice(9, 12), slice(12, 15), slice(15, 16)):
+        # to first order in dt: what the noise of attitude adds to velocity in 10 ms is left out
+        largest = np.abs(expected[part, part]).max()
+        np.testing.assert_allclose(after[part, part], expected[part, part], atol=1e-4 * largest)
+
+
+def test_gravity_and_earth_rate_agree_with_the_vocabulary():
+    propagate = load().propagate
+    lat, alt, dt = 0.7, 1000.0, 0.01
+    x, k, w = np.zeros(at.BLOCK), parameters(), np.zeros(at.SCRATCH)
+    x[at.X_Q] = 1.0
+    propagate.originate(x, lat, 0.2, alt)
+    north, east = earth.LocalFrame(lat, 0.2, alt).scale
+    assert (x[at.X_SCALE_N], x[at.X_SCALE_E]) == pytest.approx((north, east), rel=1e-14)
+    propagate.move(x, k, w, dt, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert x[at.X_VEL + 2] / dt == pytest.approx(float(earth.gravity(lat, alt)), rel=1e-12)
+    # a body that does not turn in inertial space turns against the Earth
+    turned = so3.log(x[at.X_Q : at.X_Q + 4]) / dt
+    np.testing.assert_allclose(turned, -earth.earth_rate_n(lat), atol=1e-12)

@@ -1,0 +1,38 @@
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from ekf_companion.core import layout as at
+from ekf_companion.core.settings import (
+    HABITS,
+    FilterSettings,
+    GnssSettings,
+    chi_square_quantile,
+    delays_ns,
+    parameters,
+)
+from ekf_companion.nav.measurements import Kind
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3])
+@pytest.mark.parametrize("probability", [0.5, 0.9, 0.99, 0.9999, 0.999999])
+def test_gates_are_chi_square_quantiles(dof, probability):
+    assert chi_square_quantile(probability, dof) == pytest.approx(
+        chi2.ppf(probability, dof), rel=1e-9
+    )
+
+
+def test_every_parameter_is_given():
+    k = parameters(FilterSettings(), "unknown")
+    names = [name for name in vars(at) if name.startswith("K_")]
+    may_be_zero = {"K_LAG", "K_LEVER", "K_HEADING"}
+    assert np.isfinite(k).all()
+    assert [name for name in names if k[getattr(at, name)] == 0.0 and name not in may_be_zero] == []
+
+
+def test_auto_follows_the_family_unless_told_otherwise():
+    auto = FilterSettings()
+    told = FilterSettings(gnss=GnssSettings(delay=0.2))
+    assert delays_ns(auto, "ardupilot")[Kind.GNSS] == round(HABITS["ardupilot"].gnss_delay * 1e9)
+    assert delays_ns(auto, "px4", gnss_delay=0.11)[Kind.GNSS] == 110_000_000
+    assert delays_ns(told, "px4", gnss_delay=0.11)[Kind.GNSS] == 200_000_000

@@ -1,0 +1,188 @@
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ekf_companion.core import layout as at
+from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
+from ekf_companion.core.timeline import Timeline
+from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.pipeline import Arrival
+from tests.core.flights import flight
+from tests.core.interpreted import load
+
+WINDOW_NS = 2_000_000_000
+
+
+def a_timeline(kind=Timeline, **options) -> Timeline:
+    told = FilterSettings()
+    late = delays_ns(told, "unknown", 0.12)
+    return kind(parameters(told, "unknown", 0.12), late, WINDOW_NS, **options)
+
+
+def put(timeline, events: Events) -> list[Arrival]:
+    return [
+        Arrival(timeline.insert(t, kind, values))
+        for t, kind, values in zip(
+            events.t_ns.tolist(), events.kind.tolist(), events.values, strict=True
+        )
+    ]
+
+
+def some_events(seconds: float = 6.0) -> Events:
+    events, _ = flight("figure-eight", duration=12.0, rate=100.0)
+    t = (events.t_ns - events.t_ns[0]) * 1e-9
+    return events.take(t < seconds)
+
+
+def settled(timeline, events: Events) -> bytes:
+    """Put events in, then one more sample so that all have been stepped through."""
+    put(timeline, events)
+    last = int(events.t_ns.max()) + 10_000_000
+    timeline.insert(last, Kind.IMU, np.array([0.0] * 5 + [-9.8] + [0.0] * 7))
+    return timeline.block().tobytes()
+
+
+IN_ORDER = settled(a_timeline(), some_events())
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), reach=st.floats(0.0, 1.9))
+def test_any_order_of_arrival_inside_the_window_gives_the_same_bits(seed, reach):
+    events = some_events()
+    delay = np.random.default_rng(seed).uniform(0.0, reach * 1e9, len(events))
+    shuffled = events.take(np.argsort(events.t_ns + delay, kind="stable"))
+    assert settled(a_timeline(), shuffled) == IN_ORDER
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_duplicates_change_nothing(seed):
+    rng = np.random.default_rng(seed)
+    events = some_events()
+    again = rng.choice(len(events), 200)
+    index = np.concatenate([np.arange(len(events)), again])
+    arrival = np.concatenate([events.t_ns, events.t_ns[again] + rng.uniform(0.0, 1.5e9, 200)])
+    assert settled(a_timeline(), events.take(index[np.argsort(arrival, kind="stable")])) == IN_ORDER
+
+
+def test_small_memory_gives_the_same_bits():
+    events = some_events()
+    rng = np.random.default_rng(3)
+    late = events.take(np.argsort(events.t_ns + rng.uniform(0.0, 1e9, len(events)), kind="stable"))
+    assert settled(a_timeline(capacity=1024), late) == IN_ORDER
+
+
+def test_interpreted_and_compiled_agree_to_the_last_bit():
+    events = some_events(3.5)
+    rng = np.random.default_rng(4)
+    late = events.take(np.argsort(events.t_ns + rng.uniform(0.0, 2e8, len(events)), kind="stable"))
+    ends = []
+    for kind in (Timeline, load().timeline.Timeline):
+        timeline = a_timeline(kind)
+        arrivals = put(timeline, late)
+        ends.append((arrivals, timeline.block().tobytes(), timeline.describe().tobytes()))
+    assert np.frombuffer(ends[0][1])[at.X_MODE] == at.MODE_NAVIGATE
+    assert ends[0] == ends[1]
+
+
+def test_a_table_and_one_event_at_a_time_give_the_same_estimates():
+    events = some_events()
+    whole, single = a_timeline(), a_timeline()
+    samples = np.count_nonzero(events.kind == Kind.IMU)
+    stamps, out = np.zeros(samples, dtype=np.int64), np.zeros((samples, at.OUT))
+    assert whole.run_log(events.t_ns, events.kind, events.values, stamps, out) == samples
+    rows = []
+    for t, kind, values in zip(
+        events.t_ns.tolist(), events.kind.tolist(), events.values, strict=True
+    ):
+        if single.insert(t, kind, values) == Arrival.ESTIMATED:
+            rows.append(single.describe())
+    assert np.array(rows).tobytes() == out.tobytes()
+
+
+def test_too_small_a_memory_shortens_the_window_and_nothing_else():
+    events = some_events()
+    assert settled(a_timeline(capacity=128), events) == IN_ORDER
+
+
+def test_what_is_older_than_the_window_is_stale_and_changes_nothing():
+    events = some_events()
+    timeline = a_timeline()
+    put(timeline, events)
+    before = timeline.block().tobytes()
+    fix = events.take(events.kind == Kind.GNSS)
+    assert timeline.insert(int(fix.t_ns[0]), Kind.GNSS, fix.values[0] + 1e-9) == Arrival.STALE
+    assert timeline.block().tobytes() == before
+
+
+def test_what_no_sensor_can_say_is_refused_and_changes_nothing():
+    events = some_events()
+    timeline = a_timeline()
+    put(timeline, events)
+    before = timeline.block().tobytes()
+    now = int(events.t_ns[-1])
+    for kind in Kind:
+        if kind == Kind.RESTART:
+            continue
+        good = events.values[events.kind == kind]
+        row = good[-1] if len(good) else np.array([1.0] + [0.0] * 12)
+        for column in range(3 if kind in (Kind.MAG, Kind.GNSS) else 1):
+            for bad in (np.nan, np.inf, -np.inf, 1e30):
+                values = row.copy()
+                values[column] = bad
+                if kind == Kind.VEHICLE and bad is not np.nan:
+                    continue
+                assert timeline.insert(now, kind, values) == Arrival.MALFORMED, (kind, column, bad)
+    assert timeline.insert(now, 99, events.values[-1]) == Arrival.MALFORMED
+    assert timeline.insert(now, -1, events.values[-1]) == Arrival.MALFORMED
+    assert timeline.block().tobytes() == before
+
+
+def test_a_clock_that_went_back_is_found_out_by_the_samples_themselves():
+    events = some_events()
+    timeline = a_timeline()
+    put(timeline, events)
+    back = Events(t_ns=events.t_ns - 3_600_000_000_000, kind=events.kind, values=events.values)
+    arrivals = put(timeline, back)
+    assert Arrival.STALE in arrivals
+    assert arrivals[-1] is not Arrival.STALE
+    assert timeline.block()[at.X_RESETS] >= 1
+
+
+def test_a_restart_forgets_all_but_the_count_of_resets():
+    events = some_events()
+    timeline = a_timeline()
+    put(timeline, events)
+    assert timeline.insert(0, Kind.RESTART, np.zeros(13)) == Arrival.RESTARTED
+    fresh = a_timeline()
+    assert settled(timeline, events) != settled(fresh, events)
+    a, b = timeline.block(), fresh.block()
+    told = [at.X_RESETS, at.X_RESET_REASON]
+    a[told] = b[told] = 0.0
+    assert a.tobytes() == b.tobytes()
+
+
+def test_events_that_wait_for_a_sample_do_not_fill_the_memory():
+    events = some_events()
+    timeline = a_timeline(capacity=512)
+    put(timeline, events.take(events.kind == Kind.IMU).take(np.arange(300)))
+    row = events.values[events.kind == Kind.BARO][0]
+    start = int(events.t_ns[0]) + 3_000_000_000
+    for i in range(5000):
+        timeline.insert(start + i * 20_000_000, Kind.BARO, row + i * 1e-6)
+    later = start + 5000 * 20_000_000
+    sample = events.values[events.kind == Kind.IMU][-1]
+    timeline.insert(later, Kind.IMU, sample)
+    assert timeline.insert(later + 10_000_000, Kind.IMU, sample) == Arrival.ESTIMATED
+
+
+def test_a_flood_of_one_kind_between_few_samples_does_not_fill_the_memory():
+    events = some_events()
+    timeline = a_timeline(capacity=64)
+    sample = events.values[events.kind == Kind.IMU][-1]
+    row = events.values[events.kind == Kind.BARO][0]
+    start = int(events.t_ns[0])
+    for i in range(1000):
+        timeline.insert(start + i * 1_000_000, Kind.BARO, row + i * 1e-6)
+        if i % 40 == 0:
+            assert timeline.insert(start + i * 1_000_000, Kind.IMU, sample) == Arrival.ESTIMATED
