@@ -9,11 +9,12 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, Any
 
+import numpy.typing as npt
 import typer
 import yaml
 
@@ -28,9 +29,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 ConfigOption = Annotated[
-    Optional[Path], typer.Option("--config", "-c", help="YAML file; config/ holds commented ones.")
+    Path | None, typer.Option("--config", "-c", help="YAML file; config/ holds commented ones.")
 ]
-JsonOption = Annotated[Optional[Path], typer.Option("--json", help="Write the same as JSON.")]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the same as JSON.")]
 
 
 @contextmanager
@@ -49,10 +50,16 @@ def _load(path: Path | None) -> Config:
 
 
 @contextmanager
-def _bar(title: str) -> Iterator[object]:
+def _bar(title: str) -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar on a terminal, and nothing elsewhere."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
     with Progress(
         TextColumn("{task.description}"),
@@ -94,11 +101,11 @@ def main(
 def run(
     config: ConfigOption = None,
     link: Annotated[
-        Optional[str],
+        str | None,
         typer.Option("--link", "--master", help="udpin:HOST:PORT, tcp:…, serial:/dev/ttyX:BAUD."),
     ] = None,
     record: Annotated[
-        Optional[str], typer.Option(help="Record every byte in and out to this .tlog.")
+        str | None, typer.Option(help="Record every byte in and out to this .tlog.")
     ] = None,
     log_level: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
 ) -> None:
@@ -107,10 +114,7 @@ def run(
 
     from ekf_companion import service
 
-    level = logging.getLevelNamesMapping().get(log_level.upper()) if sys.version_info >= (
-        3,
-        11,
-    ) else getattr(logging, log_level.upper(), None)
+    level = logging.getLevelName(log_level.upper())
     with _sentences():
         if not isinstance(level, int):
             raise ConfigError(f"--log-level: {log_level!r}: use DEBUG, INFO, WARNING or ERROR")
@@ -127,7 +131,7 @@ def convert(
     out: Annotated[Path, typer.Option("--out", "-o", help=".csv or .tlog, by its suffix.")],
     config: ConfigOption = None,
     rate: Annotated[
-        Optional[float], typer.Option(min=0.001, help="At most so many rows per second.")
+        float | None, typer.Option(min=0.001, help="At most so many rows per second.")
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
@@ -135,7 +139,7 @@ def convert(
     from ekf_companion import convert as converter
 
     with _sentences(), _bar(log.name) as progress:
-        report = converter.convert(log, out, _load(config), rate, progress)  # type: ignore[arg-type]
+        report = converter.convert(log, out, _load(config), rate, progress)
         _write_json(json_file, report.to_dict())
     for line in converter.summary(report):
         typer.echo(line)
@@ -145,18 +149,19 @@ def convert(
 def compare(
     log: Annotated[Path, typer.Argument(help="A log, or an estimate that convert wrote (.csv).")],
     reference: Annotated[
-        Optional[Path],
+        Path | None,
         typer.Option(help="Truth as .csv; else the log's own truth and the autopilot's estimate."),
     ] = None,
     config: ConfigOption = None,
     until: Annotated[
-        Optional[float], typer.Option(help="Leave out what is later, seconds from the first estimate.")
+        float | None,
+        typer.Option(help="Leave out what is later than so many seconds after the first."),
     ] = None,
     skip: Annotated[
-        Optional[float],
+        float | None,
         typer.Option(help="Leave out the first seconds; by default 30 against truth, else 20."),
     ] = None,
-    plot: Annotated[Optional[Path], typer.Option(help="Draw both into a .png.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw both into a .png.")] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Measure our estimate against a truth, or against the autopilot's own."""
@@ -172,8 +177,8 @@ def compare(
             ours = read_estimate(log)
         else:
             with _bar(log.name) as progress:
-                table, report, own, truth = converter.estimate(log, _load(config), progress)  # type: ignore[arg-type]
-            columns = {"time_us": table.stamp_ns // 1000}
+                table, report, own, truth = converter.estimate(log, _load(config), progress)
+            columns: dict[str, npt.NDArray[Any]] = {"time_us": table.stamp_ns // 1000}
             columns |= {name: table.column(name) for name in COLUMNS[1:]}
             ours = to_trajectory(columns, "ekf-companion")
             for line in converter.summary(report):

@@ -57,9 +57,7 @@ class Publisher:
         self._status = Due(1.0)
         self._frame = encode.Frame[config.output.frame]
         chosen = config.output.estimator_type
-        self._type = (
-            encode.estimator_type(family) if chosen == "auto" else EstimatorType[chosen]
-        )
+        self._type = encode.estimator_type(family) if chosen == "auto" else EstimatorType[chosen]
         self._was_invalid = False
         self._last = Status.INIT
         self._resets = 0

@@ -9,17 +9,19 @@ from __future__ import annotations
 import difflib
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 import yaml
 from msgspec import Meta
 
-from ekf_companion.core.settings import FilterSettings, Seconds
-from ekf_companion.errors import ConfigError
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.errors import ConfigError, LinkError
+from ekf_companion.link import parse_url
 
 Identifier = Annotated[int, Meta(ge=1, le=255)]
 Rate = Annotated[float, Meta(gt=0.0, le=1000.0)]
@@ -54,7 +56,7 @@ class OutputConfig:
     odometry_rate: Rate = 30.0
     """ODOMETRY, Hz; never more than one per inertial sample."""
     frame: Literal["LOCAL_FRD", "LOCAL_NED"] = "LOCAL_FRD"
-    """Frame of the pose. The only one that ArduPilot takes is LOCAL_FRD; the numbers are the same."""
+    """Frame of the pose. ArduPilot takes LOCAL_FRD only; the numbers are the same in both."""
     estimator_type: Literal["auto", "GPS_INS", "VIO"] = "auto"
     """auto: GPS_INS, which is true, but VIO towards PX4, which refuses the true one aloud."""
 
@@ -64,7 +66,8 @@ class RecordConfig:
     """What is kept."""
 
     path: str | None = None
-    """A .tlog of every byte in and out; ``%s`` in the name becomes the time of start. null: none."""
+    """A .tlog of every byte in and out; null: none. ``%s`` in the name becomes the time of start.
+    A file that is there stays as it is: the new one gets a number behind its name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +79,24 @@ class Config(FilterSettings):
     record: RecordConfig = field(default_factory=RecordConfig)
 
 
+class _Loader(yaml.SafeLoader):
+    """YAML as PyYAML reads it, but 1e-3 is a number, and a key stands once."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        for name, count in Counter(names).items():
+            if count > 1:
+                raise yaml.constructor.ConstructorError(
+                    problem=f"{name} stands {count} times; keep one", problem_mark=node.start_mark
+                )
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?\d+[eE][-+]?\d+\Z"), list("-+0123456789")
+)
+
+
 def load_config(path: Path) -> Config:
     """Read a YAML file.
 
@@ -83,7 +104,7 @@ def load_config(path: Path) -> Config:
         ConfigError: The file cannot be read, or a key, a type or a value cannot be meant.
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a YAML file") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -97,30 +118,49 @@ def parse_config(data: object, name: str) -> Config:
     Raises:
         ConfigError: As :func:`load_config`.
     """
-    _check_keys(data, Config, name, ())
+    table = _check_keys(data, Config, name, ())
     try:
-        return msgspec.convert(data, Config)
+        config = msgspec.convert(table, Config)
     except msgspec.ValidationError as error:
-        raise ConfigError(_explain(error, data, name)) from error
+        raise ConfigError(_explain(error, table, name)) from error
+    try:
+        parse_url(config.link.url)
+    except LinkError as error:
+        raise ConfigError(f"{name}: link.url: {error}") from error
+    return config
 
 
-def _check_keys(data: object, kind: type, name: str, path: tuple[str, ...]) -> None:
-    """Refuse keys that nobody reads, and numbers that are none."""
+def _check_keys(data: object, kind: type, name: str, path: tuple[str, ...]) -> dict[str, Any]:
+    """Refuse keys that nobody reads, and numbers that are none; give the rest.
+
+    A section whose keys are all commented out is empty.
+    """
+    if data is None:
+        return {}
     if not isinstance(data, dict):
         where = ".".join(path) or "the file"
-        raise ConfigError(f"{name}: {where}: {data!r} is not a table of keys and values")
+        raise ConfigError(
+            f"{name}: {where}: {data!r} is not a table; write keys and values, as in key: value"
+        )
     known = {entry.name for entry in fields(kind)}
     hints = get_type_hints(kind)
+    table = {}
     for key, value in data.items():
         where = ".".join((*path, str(key)))
         if key not in known:
             close = difflib.get_close_matches(str(key), known, n=1)
-            advice = f"did you mean {close[0]}?" if close else f"known are {', '.join(sorted(known))}"
+            advice = f"did you mean {close[0]}?" if close else f"known: {', '.join(sorted(known))}"
             raise ConfigError(f"{name}: {where}: unknown key; {advice}")
         if is_dataclass(hints[key]):
-            _check_keys(value, hints[key], name, (*path, key))
-        elif isinstance(value, float) and not math.isfinite(value):
-            raise ConfigError(f"{name}: {where}: {value} is not a number to work with; give a finite one")
+            value = _check_keys(value, hints[key], name, (*path, key))
+        elif not all(map(_is_finite, value if isinstance(value, list) else [value])):
+            raise ConfigError(f"{name}: {where}: {value} is no number to work with; give another")
+        table[key] = value
+    return table
+
+
+def _is_finite(value: object) -> bool:
+    return not isinstance(value, float) or math.isfinite(value)
 
 
 def _explain(error: msgspec.ValidationError, data: object, name: str) -> str:
@@ -131,20 +171,20 @@ def _explain(error: msgspec.ValidationError, data: object, name: str) -> str:
     for key in keys:
         value = value[int(key)] if isinstance(value, list) else value[key]
     message = message.replace("`", "")
-    if message.startswith("Invalid enum value"):
-        message = f"expected one of {', '.join(_choices(keys))}"
+    if keys and not keys[-1].isdigit() and message.startswith(("Invalid", "Expected float | str")):
+        message = f"expected {_choices(keys)}"
     return f"{name}: {'.'.join(keys)}: {value!r}: {message[0].lower() + message[1:]}"
 
 
-def _choices(keys: list[str]) -> list[str]:
-    """Give the words that a key may have."""
-    kind: Any = Config
+def _choices(keys: list[str]) -> str:
+    """Say which words a key may have, and whether a number would do too."""
+    hint: Any = Config
     for key in keys:
-        kind = get_type_hints(kind)[key]
-    literals = [kind, *getattr(kind, "__args__", ())]
-    return [word for part in literals for word in getattr(part, "__args__", ()) if isinstance(word, str)] or [
-        word for word in getattr(kind, "__args__", ()) if isinstance(word, str)
-    ]
+        hint = get_type_hints(hint)[key]
+    parts = [hint] if get_origin(hint) is Literal else get_args(hint)
+    words = [word for part in parts if get_origin(part) is Literal for word in get_args(part)]
+    others = ["a number"] if any(get_origin(part) is not Literal for part in parts) else []
+    return " or ".join(words + others)
 
 
 def describe_config(config: object) -> Mapping[str, Any]:
@@ -158,7 +198,6 @@ __all__ = [
     "LinkConfig",
     "OutputConfig",
     "RecordConfig",
-    "Seconds",
     "describe_config",
     "load_config",
     "parse_config",

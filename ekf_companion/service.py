@@ -1,13 +1,15 @@
-"""The daemon: one link, one session, one pipeline, one loop."""
+"""The daemon: one link, one session, one pipeline, one loop; beside it a thread that records."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import os
+import queue
 import signal
 import socket
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -15,12 +17,13 @@ from typing import BinaryIO
 
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
-from ekf_companion.errors import ConfigError
+from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.link import Link, open_link
 
 if sys.version_info >= (3, 11):
     from asyncio import TaskGroup
 else:
+    from exceptiongroup import BaseExceptionGroup
     from taskgroup import TaskGroup
 
 _log = logging.getLogger(__name__)
@@ -28,61 +31,38 @@ _log = logging.getLogger(__name__)
 TICK = 0.1
 """Seconds between two looks at what time brings."""
 FLUSH = 0.5
-"""Seconds between two flushes of the recording."""
+"""Seconds between two writes to the recording."""
+BATCHES = 120
+"""Writes that wait for a slow disk: a minute; what comes then is lost to the recording."""
+LAST_WORDS = 0.1
+"""Seconds for the last message to leave a serial port, whose closing throws away what waits."""
+PATIENCE = 1.0
+"""Seconds that a slow disk may take for the end of the recording."""
 
 
-class Recorder:
-    """Appends what went in and out to a .tlog."""
+def run(config: Config, url: str | None = None) -> None:
+    """Serve with this configuration, on another link where one is named.
 
-    def __init__(self, path: Path) -> None:
-        """Open the file.
-
-        Raises:
-            ConfigError: It cannot be written.
-        """
-        try:
-            self._file: BinaryIO = path.open("ab")
-        except OSError as error:
-            raise ConfigError(f"record.path: {path}: cannot be written: {error.strerror}") from error
-        self._flushed = time.monotonic()
-
-    def write(self, record: list[tuple[int, bytes]]) -> None:
-        """Append stamps (us) and bytes; twice a second they reach the kernel."""
-        if record:
-            self._file.write(
-                b"".join(stamp.to_bytes(8, "big") + data for stamp, data in record)
-            )
-        now = time.monotonic()
-        if now - self._flushed >= FLUSH:
-            self._flushed = now
-            self._file.flush()
-
-    def close(self) -> None:
-        """Write what is left."""
-        self._file.close()
-
-
-def unix_clock() -> int:
-    """Give unix time, ns, that never steps: the monotonic clock, set once."""
-    return time.monotonic_ns() + _BOOT_NS
-
-
-_BOOT_NS = time.time_ns() - time.monotonic_ns()
-
-
-def notify(state: str) -> None:
-    """Tell systemd, where it listens (sd_notify)."""
-    address = os.environ.get("NOTIFY_SOCKET")
-    if not address:
-        return
-    if address.startswith("@"):
-        address = "\0" + address[1:]
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as peer:
-        try:
-            peer.connect(address)
-            peer.send(state.encode())
-        except OSError as error:
-            _log.warning("systemd does not listen on NOTIFY_SOCKET: %s", error.strerror)
+    Raises:
+        LinkError: The URL names no link.
+        ConfigError: The recording cannot be begun.
+        CompanionError: A bug; its traceback is in the log.
+    """
+    if url is not None:
+        config = replace(config, link=replace(config.link, url=url))
+    try:
+        asyncio.run(serve(config))
+    except Exception as error:  # noqa: BLE001  # the one place; systemd starts us again
+        cause: BaseException = error
+        # A task group wraps what its tasks raise
+        while isinstance(cause, BaseExceptionGroup):
+            cause = cause.exceptions[0]
+        if isinstance(cause, CompanionError):
+            raise cause from None
+        _log.exception("Ended by a bug")
+        raise CompanionError(
+            f"ended by a bug ({type(cause).__name__}); the traceback is above: please report it"
+        ) from None
 
 
 async def serve(config: Config) -> None:
@@ -90,32 +70,31 @@ async def serve(config: Config) -> None:
 
     Raises:
         LinkError: The link's URL names no link.
-        ConfigError: The recording cannot be written.
+        ConfigError: The recording cannot be begun.
     """
     stop = asyncio.Event()
-    loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, stop.set)
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
     link = open_link(config.link.url, clock=unix_clock)
-    recorder = None
-    if config.record.path is not None:
-        started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-        recorder = Recorder(Path(config.record.path.replace("%s", started)))
+    recorder = open_recorder(config.record.path)
     companion = Companion(config, is_recording=recorder is not None)
-    notify("READY=1")
+    systemd = Systemd()
+    systemd.tell("READY=1")
     try:
         async with TaskGroup() as group:
-            tasks = [
-                group.create_task(link.run()),
-                group.create_task(_wake(link)),
-                group.create_task(_work(link, companion, recorder)),
-            ]
+            pump = group.create_task(link.run())
+            wake = group.create_task(_wake(link))
+            work = group.create_task(_work(link, companion, recorder, systemd))
             await stop.wait()
-            notify("STOPPING=1")
+
+            # Say goodbye when nothing else can be said any more
+            work.cancel()
+            systemd.tell("STOPPING=1")
             companion.close(unix_clock())
             _send(link, companion, recorder)
-            for task in tasks:
-                task.cancel()
+            await asyncio.sleep(LAST_WORDS)
+            wake.cancel()
+            pump.cancel()
     finally:
         if recorder is not None:
             recorder.close()
@@ -129,19 +108,17 @@ async def _wake(link: Link) -> None:
         link.wake()
 
 
-async def _work(link: Link, companion: Companion, recorder: Recorder | None) -> None:
-    """Take what comes, do what is due; heartbeat and watchdog beat with the filter or not at all."""
-    watched = "WATCHDOG_USEC" in os.environ
-    beaten = 0
+async def _work(
+    link: Link, companion: Companion, recorder: Recorder | None, systemd: Systemd
+) -> None:
+    """Take what comes, do what is due; heart and watchdog beat with the filter or not at all."""
     while True:
         data, now_ns = await link.receive()
         if data:
             companion.receive(data, now_ns)
         companion.tick(now_ns)
         _send(link, companion, recorder)
-        if watched and now_ns - beaten > 1_000_000_000:
-            beaten = now_ns
-            notify("WATCHDOG=1")
+        systemd.beat(now_ns)
 
 
 def _send(link: Link, companion: Companion, recorder: Recorder | None) -> None:
@@ -151,13 +128,138 @@ def _send(link: Link, companion: Companion, recorder: Recorder | None) -> None:
         recorder.write(companion.session.take_record())
 
 
-def run(config: Config, url: str | None = None) -> None:
-    """Serve with this configuration, on another link where one is named.
+def unix_clock() -> int:
+    """Give unix time, ns, that never steps: the monotonic clock, set once."""
+    return time.monotonic_ns() + _BOOT_NS
+
+
+_BOOT_NS = time.time_ns() - time.monotonic_ns()
+
+
+class Systemd:
+    """The service manager, where there is one (sd_notify)."""
+
+    def __init__(self) -> None:
+        address = os.environ.get("NOTIFY_SOCKET", "")
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._period_ns = int(os.environ.get("WATCHDOG_USEC") or 0) * 1000 // 2
+        self._next_ns = 0
+        self._is_deaf = not address
+
+    def tell(self, state: str) -> None:
+        """Tell it, if it listens; that it does not is said once."""
+        if self._is_deaf:
+            return
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as ours:
+            try:
+                ours.sendto(state.encode(), self._address)
+            except OSError as error:
+                self._is_deaf = True
+                _log.warning("NOTIFY_SOCKET: %s", error.strerror)
+
+    def beat(self, now_ns: int) -> None:
+        """Say twice in the watchdog's time that we live."""
+        if self._period_ns and now_ns >= self._next_ns:
+            self._next_ns = now_ns + self._period_ns
+            self.tell("WATCHDOG=1")
+
+
+def open_recorder(path: str | None) -> Recorder | None:
+    """Begin a recording; None: none is wanted, or the disk is out of order, which stops no flight.
 
     Raises:
-        LinkError: The URL names no link.
-        ConfigError: The recording cannot be written.
+        ConfigError: The name cannot be meant.
     """
-    if url is not None:
-        config = replace(config, link=replace(config.link, url=url))
-    asyncio.run(serve(config))
+    if path is None:
+        return None
+    name = path.replace("%s", time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()))
+    try:
+        recorder = Recorder(Path(name))
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError) as error:
+        raise ConfigError(
+            f"record.path: {name}: {error.strerror}; name a file in a folder that can be written to"
+        ) from error
+    except OSError as error:
+        _log.warning("%s: %s; flying without a recording", name, error.strerror)
+        return None
+    _log.info("Recording to %s", recorder.path)
+    return recorder
+
+
+class Recorder:
+    """Keeps what went in and out in a .tlog; a disk that is slow or full holds up nobody."""
+
+    def __init__(self, path: Path) -> None:
+        """Open a new file and start its thread.
+
+        Raises:
+            OSError: It cannot be opened.
+        """
+        self.path, self._file = _create(path)
+        self._waiting: list[bytes] = []
+        self._batches: queue.Queue[bytes] = queue.Queue(BATCHES)
+        self._next = 0.0
+        self._lost = 0
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def write(self, record: list[tuple[int, bytes]]) -> None:
+        """Append stamps (us) and bytes; twice a second they go to the disk."""
+        for stamp, data in record:
+            self._waiting += stamp.to_bytes(8, "big"), data
+        now = time.monotonic()
+        if now >= self._next:
+            self._next = now + FLUSH
+            self._hand_over()
+
+    def close(self) -> None:
+        """Write what is left, if the disk lets us."""
+        self._hand_over()
+        try:
+            self._batches.put_nowait(b"")
+        except queue.Full:
+            pass
+        else:
+            self._thread.join(PATIENCE)
+        if self._thread.is_alive():
+            _log.warning("%s: the disk is too slow; the end is not recorded", self.path)
+        elif self._lost:
+            _log.warning("%s: %d bytes are missing", self.path, self._lost)
+
+    def _hand_over(self) -> None:
+        batch = b"".join(self._waiting)
+        self._waiting.clear()
+        if not batch:
+            return
+        try:
+            self._batches.put_nowait(batch)
+        except queue.Full:
+            self._lose(len(batch), "the disk is too slow")
+
+    def _run(self) -> None:
+        """Write batch by batch, until an empty one."""
+        while batch := self._batches.get():
+            rest = memoryview(batch)
+            try:
+                while rest:
+                    rest = rest[self._file.write(rest) :]
+            except OSError as error:
+                self._lose(len(rest), error.strerror or str(error))
+        self._file.close()
+
+    def _lose(self, size: int, reason: str) -> None:
+        """Count what is not recorded; say so once."""
+        if not self._lost:
+            _log.warning("%s: %s; not all is recorded", self.path, reason)
+        self._lost += size
+
+
+def _create(path: Path) -> tuple[Path, BinaryIO]:
+    """Open a new file without a buffer; where there is one of that name, put a number behind it."""
+    number, free = 1, path
+    while True:
+        try:
+            return free, free.open("xb", buffering=0)
+        except FileExistsError:
+            number += 1
+            free = path.with_name(f"{path.stem}-{number}{path.suffix}")
