@@ -1,0 +1,80 @@
+"""The recorded flights, and what each is compared over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from ekf_companion import convert
+from ekf_companion.config import Config
+from ekf_companion.core.settings import HeadingSettings
+from ekf_companion.nav.state import Trajectory
+from ekf_companion.pipeline import Table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """One log and the part of it that counts."""
+
+    log: str
+    """Folder and file below the recorded flights."""
+    title: str
+    skip: float | None = None
+    """Seconds left out at the start; None: what ``compare`` leaves out by itself."""
+    until: float | None = None
+    """Seconds after the first estimate; None: to the end."""
+
+    @property
+    def command(self) -> str:
+        """Give the command line that prints the same."""
+        options = f" --skip {self.skip:g}" if self.skip is not None else ""
+        options += f" --until {self.until:g}" if self.until is not None else ""
+        return f"ekf-companion compare {self.log}{options}"
+
+
+MISSION = "px4-ulg-x500-mission/x500_mission_2023.ulg"
+HOVER = "px4-ulg-x500-hover/x500_hover_2023-06-21.ulg"
+COPTER = "ardupilot-bin-copter-50hz/log171.bin"
+NETHERLANDS = "ardupilot-bin-copter-netherlands/spark404_log.bin"
+NO_GNSS = "ardupilot-bin-no-gps/dataflash-sample-1.bin"
+
+AUTOPILOT = (
+    Case(log=MISSION, title="x500 mission (.ulg)"),
+    Case(log=HOVER, title="x500 hover (.ulg)"),
+    Case(
+        log="tlog-transcoded-x500-mission/x500_mission_highres.tlog", title="x500 mission (.tlog)"
+    ),
+    Case(log=COPTER, title="copter, from 20 s (.bin)", until=205.0),
+    Case(log=COPTER, title="copter, in flight (.bin)", skip=61.0, until=205.0),
+)
+"""Real flights: the only reference is the autopilot's own estimate."""
+
+TRUTH = (
+    Case(log="sitl-arducopter-square/flight.tlog", title="ArduCopter square (.tlog)"),
+    Case(log="sitl-px4-square/flight.tlog", title="PX4 square (.tlog)"),
+    Case(log="sitl-arducopter-bin/flight.bin", title="ArduCopter circle (.bin)"),
+    Case(log="sitl-px4-ulg/flight.ulg", title="PX4 spiral (.ulg)"),
+)
+"""The autopilots' own code in their simulators, with the truth in the log."""
+
+POOR = (
+    "px4-ulg-damaged-fixedwing/damaged_format_not_utf8.ulg",
+    "tlog-copter-canberra/flight.tlog",
+    "tlog-apm-2013-nebraska/2013-10-13_18-50-10.tlog",
+    "tlog-copter-vancouver/mission2_2018-09-25.tlog",
+    NETHERLANDS,
+    "px4-ulg-x500-no-gps/x500_no_gps_2023-06-21.ulg",
+    NO_GNSS,
+    "px4-ulg-fixedwing-ground/fw_ground_v6c.ulg",
+)
+"""Damaged, slow, short, or without GNSS."""
+
+Estimated = tuple[Table, convert.Report, Trajectory | None, Trajectory | None]
+
+
+@cache
+def estimate(path: Path, heading: str = "auto") -> Estimated:
+    """Re-run the estimator over a log, once: its estimates, report, reference and truth."""
+    config = Config(heading=HeadingSettings(source=heading))  # type: ignore[arg-type]
+    return convert.estimate(path, config)
