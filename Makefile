@@ -12,7 +12,9 @@ setup: $(STAMP)
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
+# All of the kernel is compiled anew: its modules share layout.pxd, whose changes the compiler misses
 $(STAMP): $(VENV)/bin/python pyproject.toml $(KERNEL)
+	rm -rf build ekf_companion/core/*.c ekf_companion/core/*.so
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@
 

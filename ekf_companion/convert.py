@@ -30,7 +30,7 @@ Progress = Callable[[int, int], None]
 
 CHUNK = 20_000
 """Events between two words on progress."""
-SLOW = 25.0
+SLOW = 20.0
 """Inertial samples per second below which the motion between them is guesswork, Hz."""
 READERS = {".bin": dataflash.read, ".ulg": ulog.read, ".csv": csv.read}
 FORMATS = ".tlog, .bin, .ulg, .csv"

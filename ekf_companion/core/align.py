@@ -88,8 +88,6 @@ def is_rest(x: cython.double[::1], k: cython.double[::1]) -> cython.bint:
     spread_g: cython.double = 0.0
     spread_a: cython.double = 0.0
     rate: cython.double = 0.0
-    if n < 5.0:
-        return False
     for i in range(3):
         mean = x[at.X_LEVEL + at.L_GYRO + i] / n
         rate += mean * mean
@@ -159,13 +157,13 @@ def orient(
     by: cython.double = 0.0
     bz: cython.double = 0.0
     target: cython.double = 0.0
-    if x[at.X_LEVEL + at.L_REF_KIND] == at.REF_FIELD:
+    if x[at.X_LEVEL + at.L_HAS_REF] != 0.0:
         bx = x[at.X_LEVEL + at.L_REF_V]
         by = x[at.X_LEVEL + at.L_REF_V + 1]
         bz = x[at.X_LEVEL + at.L_REF_V + 2]
-        target = 0.0 if isnan(x[at.X_DECLINATION]) else x[at.X_DECLINATION]
-    elif x[at.X_LEVEL + at.L_REF_KIND] == at.REF_HEADING:
-        target = x[at.X_LEVEL + at.L_REF_V]
+        target = x[at.X_LEVEL + at.L_REF_TARGET]
+        if isnan(target):
+            target = 0.0 if isnan(x[at.X_DECLINATION]) else x[at.X_DECLINATION]
     for _ in range(4):
         matrix(x, at.X_Q, w)
         dot = wrap(
@@ -214,10 +212,11 @@ def begin_filter(
     x[at.X_HAS_YAW] = 0.0
     x[at.X_COV + 2 * (at.N + 1)] = UNKNOWN_YAW
     if (
-        x[at.X_LEVEL + at.L_REF_KIND] != at.REF_NONE
+        x[at.X_LEVEL + at.L_HAS_REF] != 0.0
         and t - x[at.X_LEVEL + at.L_REF_T] <= REFERENCE_AGE
     ):
         x[at.X_HAS_YAW] = 1.0
+        x[at.X_T_USED + at.AID_YAW] = t
         x[at.X_COV + 2 * (at.N + 1)] = (
             x[at.X_LEVEL + at.L_REF_STD] * x[at.X_LEVEL + at.L_REF_STD] + tilt * tilt
         )
@@ -321,8 +320,23 @@ def carry(
     ay: cython.double,
     az: cython.double,
 ) -> cython.void:
-    """Carry the frame that the gyro holds still, and the force summed in it, over dt."""
+    """Carry the reference along with the turning body, and the force summed in a still frame."""
     i: cython.Py_ssize_t
+    b: cython.Py_ssize_t = at.X_LEVEL + at.L_REF_V
+    px: cython.double = gx * dt
+    py: cython.double = gy * dt
+    pz: cython.double = gz * dt
+    cx: cython.double
+    cy: cython.double
+    cz: cython.double
+    if x[at.X_LEVEL + at.L_HAS_REF] != 0.0:
+        # what stands still turns against the body: b - p x b + p x (p x b) / 2
+        cx = py * x[b + 2] - pz * x[b + 1]
+        cy = pz * x[b] - px * x[b + 2]
+        cz = px * x[b + 1] - py * x[b]
+        x[b] += 0.5 * (py * cz - pz * cy) - cx
+        x[b + 1] += 0.5 * (pz * cx - px * cz) - cy
+        x[b + 2] += 0.5 * (px * cy - py * cx) - cz
     if x[at.X_LEVEL + at.L_HAS_FIX] == 0.0:
         return
     turn_body(x, at.X_LEVEL + at.L_Q, 0.5 * gx * dt, 0.5 * gy * dt, 0.5 * gz * dt)
@@ -361,7 +375,7 @@ def level_in_motion(
     if span < k[at.K_ALIGN_TIME]:
         return False
     if (
-        x[at.X_LEVEL + at.L_REF_KIND] == at.REF_NONE
+        x[at.X_LEVEL + at.L_HAS_REF] == 0.0
         or t - x[at.X_LEVEL + at.L_REF_T] > REFERENCE_AGE
     ):
         return False

@@ -43,6 +43,14 @@ NEVER = cython.declare(cython.double, -1e18)
 DEG = cython.declare(cython.double, 57.29577951308232)
 PREFERRED_AGE = cython.declare(cython.double, 5e9)
 """How long a better source keeps the worse ones out after its last word, ns."""
+BLIND = cython.declare(cython.double, 0.5)
+"""Between samples further apart than this any motion may have begun and ended, s."""
+SLOW_STREAM = cython.declare(cython.double, 0.15)
+"""Usual interval beyond which a vehicle's attitude is a guess, s."""
+SLOW_GAP = cython.declare(cython.double, 3.0)
+"""Silence of so many usual intervals is a gap, however slow the stream."""
+FEWEST = cython.declare(cython.double, 5.0)
+"""Samples to judge rest by."""
 ROUGH_AFTER = cython.declare(cython.double, 6e9)
 """Without rest and without GNSS the attitude is taken roughly after this long, ns."""
 FAKE_INTERVAL = cython.declare(cython.double, 2e8)
@@ -90,7 +98,7 @@ def step(
         return
 
     # A sample stands for the interval before it, if it is a mean and none is missing
-    if span > k[at.K_GAP_RESET]:
+    if span > BLIND:
         hold(x, k, w)
         gx = x[at.X_GYRO]
         gy = x[at.X_GYRO + 1]
@@ -119,7 +127,7 @@ def step(
         if r < last:
             take(x, k, w, rows, r)
     if span > k[at.K_GAP]:
-        doubt(x, k, span)
+        doubt(x, k, span, span > SLOW_GAP * x[at.X_DT])
 
     # What the sample itself tells: noise, rest, whether all aids still speak
     learn(x, rows, last, span)
@@ -173,7 +181,7 @@ def remember(
 @cython.nogil
 @cython.exceptval(check=False)
 def hold(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
-    """Over a long gap assume no turn and no acceleration: the last sample is past."""
+    """Over a long time assume no turn and no acceleration: one sample says nothing of it."""
     i: cython.Py_ssize_t
     propagate.matrix(x, at.X_Q, w)
     for i in range(3):
@@ -184,19 +192,23 @@ def hold(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) ->
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def doubt(x: cython.double[::1], k: cython.double[::1], span: cython.double) -> cython.void:
+def doubt(
+    x: cython.double[::1], k: cython.double[::1], span: cython.double, is_gap: cython.bint
+) -> cython.void:
     """Count in what may have happened while no sample came; after a long gap begin velocity anew.
 
     A multicopter turns by some 0.2 rad/s and accelerates by some 2 m/s^2 (one sigma) while nobody
-    looks; a fixed wing less.
+    looks; a fixed wing less. A stream that is always as slow has no gap, only doubt.
     """
     i: cython.Py_ssize_t
     turned: cython.double = 0.2 * span
     gained: cython.double = 2.0 * span
-    x[at.X_GAPS] += 1.0
+    if is_gap:
+        x[at.X_GAPS] += 1.0
     if x[at.X_MODE] == at.MODE_LEVEL:
-        x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
-        align.restart(x, x[at.X_T])
+        if is_gap:
+            x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
+            align.restart(x, x[at.X_T])
         return
     if turned > 0.5:
         turned = 0.5
@@ -206,7 +218,7 @@ def doubt(x: cython.double[::1], k: cython.double[::1], span: cython.double) -> 
         x[at.X_COV + (at.E_ATT + i) * (at.N + 1)] += turned * turned
         x[at.X_COV + (at.E_VEL + i) * (at.N + 1)] += gained * gained
         x[at.X_COV + (at.E_POS + i) * (at.N + 1)] += 0.25 * gained * gained * span * span
-    if span > k[at.K_GAP_RESET] and x[at.X_MODE] == at.MODE_NAVIGATE:
+    if is_gap and span > k[at.K_GAP_RESET] and x[at.X_MODE] == at.MODE_NAVIGATE:
         x[at.X_NEEDS_RESET] = 1.0
         x[at.X_RESET_REASON] = at.RESET_GAP
 
@@ -261,7 +273,9 @@ def settle(
         x[at.X_ACCEL + 1],
         x[at.X_ACCEL + 2],
     )
-    if t - x[at.X_LEVEL + at.L_T0] >= k[at.K_ALIGN_TIME] * 1e9:
+    if t - x[at.X_LEVEL + at.L_T0] >= k[at.K_ALIGN_TIME] * 1e9 and (
+        x[at.X_LEVEL + at.L_N] >= FEWEST
+    ):
         x[at.X_AT_REST] = 1.0 if align.is_rest(x, k) else 0.0
         if x[at.X_MODE] == at.MODE_LEVEL:
             if x[at.X_AT_REST] != 0.0:
@@ -463,6 +477,7 @@ def take_fix(
             # a compass gave magnetic north: take true north from whoever is next
             x[at.X_HAS_YAW] = 0.0
             x[at.X_T_MAG] = NEVER
+            x[at.X_LEVEL + at.L_HAS_REF] = 0.0
         x[at.X_DECLINATION] = rows[r, at.ROW_V + 9]
         x[at.X_INCLINATION] = rows[r, at.ROW_V + 11]
         x[at.X_FIELD] = rows[r, at.ROW_V + 12]
@@ -504,12 +519,16 @@ def take_fix(
         x, at.AID_POS, k[at.K_TIMEOUT_POS]
     ):
         place(x, k, w, lat, lon, std_h)
+        if is_timed_out(x, at.AID_VEL, k[at.K_TIMEOUT_POS]):
+            halt(x, at.E_VEL, 2)
         reset(x, at.AID_POS, at.RESET_POSITION)
     observe.height(x, k, w, alt, std_v)
     if not fuse(x, w, at.AID_HGT, 1, k[at.K_GATE1]) and is_timed_out(
         x, at.AID_HGT, k[at.K_TIMEOUT_HGT]
     ):
         lift(x, k, w, alt, std_v)
+        if isnan(vd) or is_timed_out(x, at.AID_VEL, k[at.K_TIMEOUT_HGT]):
+            halt(x, at.E_VEL + 2, 1)
         reset(x, at.AID_HGT, at.RESET_HEIGHT)
 
 
@@ -569,6 +588,19 @@ def place(
     x[at.X_POS] += w[at.W_Z]
     x[at.X_POS + 1] += w[at.W_Z + 1]
     correct.forget(x, at.E_POS, 2, std * std)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def halt(
+    x: cython.double[::1], first: cython.Py_ssize_t, size: cython.Py_ssize_t
+) -> cython.void:
+    """Begin a velocity anew that carried the position astray: none, give or take 5 m/s."""
+    i: cython.Py_ssize_t
+    for i in range(first, first + size):
+        x[at.X_VEL + i - at.E_VEL] = 0.0
+    correct.forget(x, first, size, 25.0)
 
 
 @cython.cfunc
@@ -690,15 +722,16 @@ def take_azimuth(
     if x[at.X_MODE] == at.MODE_LEVEL:
         x[at.X_LEVEL + at.L_REF_T] = x[at.X_T]
         if is_heading:
-            x[at.X_LEVEL + at.L_REF_KIND] = at.REF_HEADING
-            x[at.X_LEVEL + at.L_REF_V] = target
+            x[at.X_LEVEL + at.L_REF_TARGET] = target
             x[at.X_LEVEL + at.L_REF_STD] = std
         else:
-            x[at.X_LEVEL + at.L_REF_KIND] = at.REF_FIELD
-            x[at.X_LEVEL + at.L_REF_V] = bx
-            x[at.X_LEVEL + at.L_REF_V + 1] = by
-            x[at.X_LEVEL + at.L_REF_V + 2] = bz
+            # its azimuth is the declination, known or not when it is used; 0.05 rad for the tilt
+            x[at.X_LEVEL + at.L_REF_TARGET] = NAN
             x[at.X_LEVEL + at.L_REF_STD] = std + 0.05
+        x[at.X_LEVEL + at.L_HAS_REF] = 1.0
+        x[at.X_LEVEL + at.L_REF_V] = bx
+        x[at.X_LEVEL + at.L_REF_V + 1] = by
+        x[at.X_LEVEL + at.L_REF_V + 2] = bz
         count(x, at.AID_YAW, at.WHY_UNALIGNED)
         return
     if not observe.azimuth(x, w, bx, by, bz, target, std, noise, is_heading):
@@ -777,6 +810,8 @@ def status(x: cython.double[::1], k: cython.double[::1]) -> cython.int:
     late = 1.0 + (x[at.X_FIX_DT] if x[at.X_FIX_DT] < 2.0 else 2.0)
     if is_timed_out(x, at.AID_POS, late) and is_timed_out(x, at.AID_VEL, late):
         return DEAD_RECKONING
+    if x[at.X_DT] > SLOW_STREAM:
+        return DEGRADED
     if is_timed_out(x, at.AID_POS, late + 1.0) or is_timed_out(x, at.AID_YAW, 5.0):
         return DEGRADED
     if is_timed_out(x, at.AID_HGT, late + 1.0) and is_timed_out(x, at.AID_BARO, 2.0):

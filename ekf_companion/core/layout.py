@@ -89,14 +89,15 @@ X_PREV_A = 97
 X_PREV2_G = 100
 X_PREV2_A = 103
 X_LEVEL = 106
-X_VEL_RATIO = 140
-X_VEL_LEARNT = 141
-X_INCLINATION = 142
-X_FIELD = 143
-X_COV = 144
-BLOCK = 433
+X_VEL_RATIO = 141
+X_VEL_LEARNT = 142
+X_INCLINATION = 143
+X_FIELD = 144
+X_COV = 145
+BLOCK = 434
 
-# What levelling remembers, from X_LEVEL: sums over a window, and the motion since a first fix
+# What levelling remembers, from X_LEVEL: sums over a window, the motion since a first fix, and a
+# reference: a direction of the body and its azimuth (NaN: that of the magnetic field)
 L_T0 = 0
 L_N = 1
 L_GYRO = 2
@@ -109,17 +110,13 @@ L_HAS_FIX = 21
 L_FIX_T = 22
 L_FIX_V = 23
 L_FIX_STD = 26
-L_REF_KIND = 27
+L_HAS_REF = 27
 L_REF_T = 28
 L_REF_V = 29
 L_REF_STD = 32
-L_START = 33
-L_SIZE = 34
-
-# What a heading reference seen while levelling is
-REF_NONE = 0
-REF_HEADING = 1
-REF_FIELD = 2
+L_REF_TARGET = 33
+L_START = 34
+L_SIZE = 35
 
 # Parameters
 K_GYRO_NOISE = 0
