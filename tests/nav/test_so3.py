@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from ekf_companion.nav import so3
+
+vectors = st.lists(st.floats(-1.8, 1.8), min_size=3, max_size=3).map(np.array)
+"""Rotation vectors shorter than half a turn."""
+
+
+def scipy_of(q: np.ndarray) -> Rotation:
+    return Rotation.from_quat(np.roll(q, -1))
+
+
+@given(vectors)
+def test_log_undoes_exp(phi):
+    np.testing.assert_allclose(so3.log(so3.exp(phi)), phi, atol=1e-12)
+
+
+@given(vectors, vectors)
+def test_products_turn_as_matrices_do(a, b):
+    p, q = so3.exp(a), so3.exp(b)
+    product = so3.to_matrix(so3.multiply(p, q))
+    np.testing.assert_allclose(product, so3.to_matrix(p) @ so3.to_matrix(q), atol=1e-12)
+    np.testing.assert_allclose(so3.to_matrix(q), scipy_of(q).as_matrix(), atol=1e-12)
+
+
+@given(vectors)
+def test_a_matrix_gives_its_quaternion_back(phi):
+    q = so3.normalise(so3.exp(phi))
+    np.testing.assert_allclose(so3.from_matrix(so3.to_matrix(q)), q, atol=1e-7)
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))
+def test_euler_angles_come_back_and_mean_yaw_then_pitch_then_roll(roll, pitch, yaw):
+    q = so3.from_euler(roll, pitch, yaw)
+    np.testing.assert_allclose(so3.to_euler(q), [roll, pitch, yaw], atol=1e-9)
+    oracle = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    np.testing.assert_allclose(so3.to_matrix(q), oracle, atol=1e-12)
+
+
+def test_all_of_it_works_over_any_leading_shape():
+    phi = np.random.default_rng(1).normal(0.0, 1.0, (4, 5, 3))
+    q = so3.exp(phi)
+    assert so3.to_matrix(q).shape == (4, 5, 3, 3)
+    turned = so3.rotate(q, phi)
+    np.testing.assert_allclose(turned, phi, atol=1e-12)  # a rotation keeps its own axis
+    np.testing.assert_allclose(so3.multiply(q, so3.conjugate(q))[..., 0], 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [-10.0, -np.pi, 0.0, np.pi, 7.0])
+def test_wrapped_angles_are_the_same_angle_within_half_a_turn(angle):
+    wrapped = float(so3.wrap(angle))
+    assert -np.pi <= wrapped < np.pi
+    assert np.isclose(np.cos(wrapped - angle), 1.0)
+
+
+def test_the_smallest_rotations_lose_nothing():
+    tiny = np.array([1e-12, -2e-12, 3e-13])
+    np.testing.assert_allclose(so3.log(so3.exp(tiny)), tiny, rtol=1e-12)
