@@ -6,6 +6,7 @@ import os
 import select
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -31,6 +32,8 @@ WARM_UP = 5.0
 PATIENCE = 20.0
 """s; a daemon that has not spoken by then never will."""
 STARTS = 5
+SO_TIMESTAMPNS = 35
+"""Linux: the kernel says when a datagram came; Python has no name for it."""
 
 
 def measure(duration: float = 20.0, starts: int = STARTS) -> Iterator[Result]:
@@ -39,6 +42,7 @@ def measure(duration: float = 20.0, starts: int = STARTS) -> Iterator[Result]:
         config = Path(folder) / "bench.yaml"
         config.write_text(CONFIG, encoding="ascii")
         yield from _start(config, starts)
+        yield from _bare(round(duration * RATE / 2.0))
         yield from _loopback(config, duration)
 
 
@@ -80,6 +84,36 @@ def _loopback(config: Path, duration: float) -> Iterator[Result]:
     yield Result(name="daemon's resident memory, largest", value=memory, unit="MB")
 
 
+def _bare(count: int) -> Iterator[Result]:
+    """Time the same way through a process that only sends back: what this machine adds now."""
+    code = (
+        "import socket as s; u = s.socket(s.AF_INET, s.SOCK_DGRAM); u.bind(('127.0.0.1', 0))\n"
+        "print(u.getsockname()[1], flush=True)\n"
+        "while True:\n    d, a = u.recvfrom(2048); u.sendto(d, a)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    try:
+        with _socket() as ours:
+            assert process.stdout is not None, "it was asked for"
+            ours.connect(("127.0.0.1", int(process.stdout.readline())))
+            ours.settimeout(PATIENCE)
+            delays = []
+            for _ in range(count):
+                time.sleep(1.0 / RATE)
+                began = time.monotonic_ns()
+                ours.send(b"?")
+                ours.recv(16)
+                delays.append((time.monotonic_ns() - began) * 1e-6)
+    finally:
+        process.kill()
+        process.communicate()
+    for share in (50.0, 99.0):
+        value = float(np.percentile(delays, share))
+        yield Result(
+            name=f"a bare echo through another process, p{share:g}", value=value, unit="ms"
+        )
+
+
 def _fly(
     flight: Flight, ours: socket.socket, pid: int
 ) -> tuple[dict[int, int], dict[int, int], float]:
@@ -101,7 +135,7 @@ def _fly(
         for data in autopilot.data_to_send():
             (frame,) = splitter.feed(data)
             if frame.message_id == IDS["HIGHRES_IMU"]:
-                sent[unpack(frame).time_usec] = time.monotonic_ns()
+                sent[unpack(frame).time_usec] = time.time_ns()
             ours.send(data)
         if cycle.number == round(WARM_UP * RATE):
             spent, measured_from = _seconds(pid), time.monotonic_ns()
@@ -121,8 +155,10 @@ def _listen(
     while (left := until_ns - time.monotonic_ns()) > 0:
         if not select.select([ours], [], [], left * 1e-9)[0]:
             return
-        data = ours.recv(2048)
-        came_ns = time.monotonic_ns()
+        data, ancillary, _, _ = ours.recvmsg(2048, 64)
+        # When the kernel had it: our own waking up is no part of the daemon's time
+        seconds, nanoseconds = struct.unpack("@ll", ancillary[0][2])
+        came_ns = seconds * 1_000_000_000 + nanoseconds
         for frame in inbox.feed(data):
             _note(frame, came_ns, heard)
         autopilot.receive(data, now_ns)
@@ -137,6 +173,7 @@ def _note(frame: Frame, came_ns: int, heard: dict[int, int]) -> None:
 
 def _socket() -> socket.socket:
     ours = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    ours.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
     ours.bind(("127.0.0.1", 0))
     return ours
 

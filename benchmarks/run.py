@@ -15,6 +15,7 @@ import numpy as np
 from benchmarks import daemon, logs, steps
 from benchmarks.result import Result, table
 from ekf_companion import __version__
+from ekf_companion.core import kernel
 
 PARTS = {"steps": steps.measure, "logs": logs.measure, "daemon": daemon.measure}
 TITLES = {
@@ -59,6 +60,7 @@ def machine() -> dict[str, str]:
     ]
     return {
         "ekf-companion": __version__,
+        "kernel": "compiled" if is_compiled() else "NOT COMPILED",
         "Python": platform.python_version(),
         "NumPy": np.__version__,
         "processor": models[0] if models else platform.machine(),
@@ -66,6 +68,11 @@ def machine() -> dict[str, str]:
         "load": f"{os.getloadavg()[0]:.2f}",
         "date": time.strftime("%Y-%m-%d", time.gmtime()),
     }
+
+
+def is_compiled() -> bool:
+    """Say whether the step is machine code, or Python where nobody has built it."""
+    return not (kernel.__file__ or "").endswith(".py")
 
 
 if __name__ == "__main__":
