@@ -113,6 +113,41 @@ def absorb(x: cython.double[::1], w: cython.double[::1], m: cython.Py_ssize_t) -
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+def absorb_yaw(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Absorb one row that :func:`innovate` has judged into yaw and gyro bias only.
+
+    An azimuth depends on tilt as much as on yaw, the more the steeper its direction; but its slow
+    errors (a disturbed field, another filter's habits) must not become tilt. So the gain of all
+    else is zero, and the covariance is that of this gain: yaw stays correlated with the tilt that
+    it was found with, and follows when GNSS corrects that.
+
+    Source: Schmidt 1966 (consider states); Joseph form for any gain, Maybeck 1979, ch. 5.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    s: cython.double = w[at.W_L] * w[at.W_L]
+    for i in range(at.N):
+        w[at.W_ROW + i] = 0.0
+    w[at.W_ROW + at.E_ATT + 2] = w[at.W_C + at.E_ATT + 2] / s
+    for i in range(at.E_BG, at.E_BG + 3):
+        w[at.W_ROW + i] = w[at.W_C + i] / s
+    for i in range(at.N):
+        w[at.W_DX + i] = w[at.W_ROW + i] * w[at.W_Z]
+        for j in range(i, at.N):
+            x[at.X_COV + i * at.N + j] += (
+                w[at.W_ROW + i] * s * w[at.W_ROW + j]
+                - w[at.W_ROW + i] * w[at.W_C + j]
+                - w[at.W_C + i] * w[at.W_ROW + j]
+            )
+    for i in range(at.N):
+        for j in range(i):
+            x[at.X_COV + i * at.N + j] = x[at.X_COV + j * at.N + i]
+    inject(x, w)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
 def inject(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
     """Move the error state into the nominal one, and P with it: J = I + [d x]/2 on attitude."""
     i: cython.Py_ssize_t

@@ -364,7 +364,10 @@ def fuse(
     if nis > gate:
         count(x, aid, at.WHY_GATED)
         return False
-    correct.absorb(x, w, m)
+    if aid == at.AID_YAW:
+        correct.absorb_yaw(x, w)
+    else:
+        correct.absorb(x, w, m)
     x[at.X_T_USED + aid] = x[at.X_T]
     count(x, aid, at.WHY_FUSED)
     return True
@@ -734,7 +737,7 @@ def take_azimuth(
         x[at.X_LEVEL + at.L_REF_V + 2] = bz
         count(x, at.AID_YAW, at.WHY_UNALIGNED)
         return
-    if not observe.azimuth(x, w, bx, by, bz, target, std, noise, is_heading):
+    if not observe.azimuth(x, w, bx, by, bz, target, std, noise):
         count(x, at.AID_YAW, at.WHY_UNUSED)
         return
     if x[at.X_HAS_YAW] == 0.0:
@@ -745,7 +748,7 @@ def take_azimuth(
     elif not fuse(x, w, at.AID_YAW, 1, k[at.K_GATE1]) and is_timed_out(
         x, at.AID_YAW, k[at.K_TIMEOUT_YAW]
     ):
-        observe.azimuth(x, w, bx, by, bz, target, std, noise, is_heading)
+        observe.azimuth(x, w, bx, by, bz, target, std, noise)
         face(x, w)
         reset(x, at.AID_YAW, at.RESET_YAW)
 

@@ -5,8 +5,7 @@ cdef Py_ssize_t velocity(
 ) noexcept nogil
 cdef void zero_velocity(double[::1] x, double[::1] w, double std) noexcept nogil
 cdef bint azimuth(
-    double[::1] x, double[::1] w, double bx, double by, double bz, double target, double std, double noise,
-    bint corrects_tilt
+    double[::1] x, double[::1] w, double bx, double by, double bz, double target, double std, double noise
 ) noexcept nogil
 cdef void pressure_altitude(double[::1] x, double[::1] w, double alt, double std) noexcept nogil
 cdef double wrap(double angle) noexcept nogil

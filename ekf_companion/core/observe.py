@@ -206,15 +206,12 @@ def azimuth(
     target: cython.double,
     std: cython.double,
     noise: cython.double,
-    corrects_tilt: cython.bint,
 ) -> cython.bint:
     """One row: a direction of the body, (bx, by, bz), points to an azimuth in n (rad).
 
     The forward axis gives a heading; the magnetic field gives a compass, levelled by the filter's
     own tilt. ``std`` is in rad; ``noise`` is in the direction's own units, and counts the more the
-    steeper the direction is. A steep field would turn its own slow error into tilt: without
-    ``corrects_tilt`` the tilt's variance goes into R instead, and only yaw is corrected by it.
-    False: the direction is too near the vertical.
+    steeper the direction is. False: the direction is too near the vertical.
     """
     blank(w, 1, 0.0)
     matrix(x, at.X_Q, w)
@@ -225,17 +222,10 @@ def azimuth(
     if h2 <= 0.01 * (h2 + d * d):
         return False
     w[at.W_Z] = wrap(target - atan2(e, n))
+    w[at.W_H + at.E_ATT] = -n * d / h2
+    w[at.W_H + at.E_ATT + 1] = -e * d / h2
     w[at.W_H + at.E_ATT + 2] = 1.0
     w[at.W_R] = std * std + noise * noise / h2
-    n = -n * d / h2
-    e = -e * d / h2
-    if corrects_tilt:
-        w[at.W_H + at.E_ATT] = n
-        w[at.W_H + at.E_ATT + 1] = e
-    else:
-        w[at.W_R] += (
-            n * n * x[at.X_COV] + 2.0 * n * e * x[at.X_COV + 1] + e * e * x[at.X_COV + at.N + 1]
-        )
     return True
 
 

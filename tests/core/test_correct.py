@@ -45,6 +45,27 @@ def test_a_block_is_absorbed_as_the_joseph_form_says():
         assert np.linalg.eigvalsh(after).min() > 0.0
 
 
+def test_an_azimuth_moves_yaw_and_gyro_bias_only_and_says_so_in_its_covariance():
+    x, w, P, H, z, R = a_problem(6, 1)
+    before = x.copy()
+    S = H @ P @ H.T + R
+    K = P @ H.T / S
+    free = [at.E_ATT + 2, at.E_BG, at.E_BG + 1, at.E_BG + 2]
+    K[[i for i in range(at.N) if i not in free]] = 0.0
+    I_KH = np.eye(at.N) - K @ H
+    expected = I_KH @ P @ I_KH.T + K @ R @ K.T
+    dx = (K @ z).ravel()
+    J = np.eye(at.N)
+    J[:3, :3] += 0.5 * np.array([[0, -dx[2], 0], [dx[2], 0, 0], [0, 0, 0]])
+    load().correct.innovate(x, w, 1)
+    load().correct.absorb_yaw(x, w)
+    after = x[at.X_COV :].reshape(at.N, at.N)
+    np.testing.assert_allclose(after, J @ expected @ J.T, rtol=1e-9, atol=1e-13)
+    assert np.array_equal(after, after.T)
+    same = slice(at.X_VEL, at.X_BG)
+    assert x[same].tolist() == before[same].tolist()
+
+
 def test_an_innovation_covariance_that_is_none_passes_no_gate():
     x, w, *_ = a_problem(4, 2)
     w[at.W_R : at.W_R + 9] = -100.0

@@ -53,8 +53,8 @@ MODELS = {
     "velocity 2-D": (2, lambda o, x, k, w: o.velocity(x, k, w, 1.0, 2.0, np.nan, 0.1)),
     "velocity 3-D": (3, lambda o, x, k, w: o.velocity(x, k, w, 1.0, 2.0, 3.0, 0.1)),
     "zero velocity": (3, lambda o, x, k, w: o.zero_velocity(x, w, 0.1)),
-    "heading": (1, lambda o, x, k, w: o.azimuth(x, w, 1.0, 0.0, 0.0, 0.5, 0.1, 0.0, True)),
-    "direction": (1, lambda o, x, k, w: o.azimuth(x, w, 0.2, 0.1, 0.4, 0.5, 0.1, 0.0, True)),
+    "heading": (1, lambda o, x, k, w: o.azimuth(x, w, 1.0, 0.0, 0.0, 0.5, 0.1, 0.0)),
+    "direction": (1, lambda o, x, k, w: o.azimuth(x, w, 0.2, 0.1, 0.4, 0.5, 0.1, 0.0)),
     "pressure": (1, lambda o, x, k, w: o.pressure_altitude(x, w, 500.0, 1.0)),
 }
 
@@ -84,18 +84,7 @@ def test_jacobian_is_the_slope_of_the_prediction(name, seed):
     np.testing.assert_allclose(H[:, rest], slope[:, rest], rtol=1e-5, atol=1e-4)  # metres at 1e6
 
 
-def test_a_compass_without_a_say_on_tilt_doubts_itself_by_the_tilt():
-    x, w = a_state(4), np.zeros(at.SCRATCH)
-    P = x[at.X_COV :].reshape(at.N, at.N)
-    P[0, 0] = P[1, 1] = 0.01
-    load().observe.azimuth(x, w, 0.2, 0.0, 0.4, 0.0, 0.1, 0.0, False)
-    assert w[at.W_H : at.W_H + 2].tolist() == [0.0, 0.0]
-    assert w[at.W_R] > 0.1**2
-    load().observe.azimuth(x, w, 0.2, 0.0, 0.4, 0.0, 0.1, 0.0, True)
-    assert w[at.W_R] == 0.1**2
-
-
 def test_a_vertical_direction_gives_no_azimuth():
     x, w = np.zeros(at.BLOCK), np.zeros(at.SCRATCH)
     x[at.X_Q] = 1.0
-    assert not load().observe.azimuth(x, w, 0.05, 0.0, 1.0, 0.0, 0.1, 0.0, True)
+    assert not load().observe.azimuth(x, w, 0.05, 0.0, 1.0, 0.0, 0.1, 0.0)
