@@ -19,7 +19,7 @@ $(STAMP): $(VENV)/bin/python pyproject.toml $(KERNEL)
 	@touch $@
 
 test: $(STAMP)
-	$(BIN)/python -W error -m pytest -n 2
+	$(BIN)/python -W error -m pytest -n 2 --dist loadfile
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .

@@ -144,18 +144,19 @@ class Systemd:
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._period_ns = int(os.environ.get("WATCHDOG_USEC") or 0) * 1000 // 2
         self._next_ns = 0
-        self._is_deaf = not address
+        self._has_complained = False
 
     def tell(self, state: str) -> None:
-        """Tell it, if it listens; that it does not is said once."""
-        if self._is_deaf:
+        """Tell it, if there is one; that it does not listen is said once."""
+        if not self._address:
             return
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as ours:
             try:
                 ours.sendto(state.encode(), self._address)
             except OSError as error:
-                self._is_deaf = True
-                _log.warning("NOTIFY_SOCKET: %s", error.strerror)
+                if not self._has_complained:
+                    _log.warning("NOTIFY_SOCKET: %s", error.strerror)
+                self._has_complained = True
 
     def beat(self, now_ns: int) -> None:
         """Say twice in the watchdog's time that we live."""
