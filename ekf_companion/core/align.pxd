@@ -10,3 +10,4 @@ cdef bint level_in_motion(
     double[::1] x, double[::1] k, double[::1] w, double t, double vn, double ve, double vd, double std
 ) noexcept nogil
 cdef void begin_motion(double[::1] x, double t, double vn, double ve, double vd, double std) noexcept nogil
+cdef void share(double[::1] x, double slow, double white) noexcept nogil

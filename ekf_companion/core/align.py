@@ -162,8 +162,6 @@ def orient(
         by = x[at.X_LEVEL + at.L_REF_V + 1]
         bz = x[at.X_LEVEL + at.L_REF_V + 2]
         target = x[at.X_LEVEL + at.L_REF_TARGET]
-        if isnan(target):
-            target = 0.0 if isnan(x[at.X_DECLINATION]) else x[at.X_DECLINATION]
     for _ in range(4):
         matrix(x, at.X_Q, w)
         dot = wrap(
@@ -174,6 +172,18 @@ def orient(
             )
         )
         turn(x, at.X_Q, -dn * dot, -de * dot, -dd * dot)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def share(x: cython.double[::1], slow: cython.double, white: cython.double) -> cython.void:
+    """Set the covariance of a yaw just taken from a heading: wrong by its offset, and more."""
+    yaw: cython.Py_ssize_t = at.E_ATT + 2
+    forget(x, yaw, 1, slow + white)
+    forget(x, at.E_HEADING, 1, slow)
+    x[at.X_COV + yaw * at.N + at.E_HEADING] = -slow
+    x[at.X_COV + at.E_HEADING * at.N + yaw] = -slow
 
 
 @cython.cfunc
@@ -209,16 +219,16 @@ def begin_filter(
     forget(x, at.E_VEL, 3, 0.01)
     forget(x, at.E_POS, 3, 1.0)
     forget(x, at.E_DELAY, 1, k[at.K_DELAY_STD] * k[at.K_DELAY_STD])
+    x[at.X_HEADING] = 0.0
     x[at.X_HAS_YAW] = 0.0
     x[at.X_COV + 2 * (at.N + 1)] = UNKNOWN_YAW
-    if (
-        x[at.X_LEVEL + at.L_HAS_REF] != 0.0
-        and t - x[at.X_LEVEL + at.L_REF_T] <= REFERENCE_AGE
-    ):
+    if x[at.X_LEVEL + at.L_HAS_REF] != 0.0 and t - x[at.X_LEVEL + at.L_REF_T] <= REFERENCE_AGE:
         x[at.X_HAS_YAW] = 1.0
         x[at.X_T_USED + at.AID_YAW] = t
-        x[at.X_COV + 2 * (at.N + 1)] = (
-            x[at.X_LEVEL + at.L_REF_STD] * x[at.X_LEVEL + at.L_REF_STD] + tilt * tilt
+        share(
+            x,
+            x[at.X_HEADING_STD] * x[at.X_HEADING_STD],
+            x[at.X_LEVEL + at.L_REF_STD] * x[at.X_LEVEL + at.L_REF_STD] + tilt * tilt,
         )
     for i in range(3):
         x[at.X_VEL + i] = 0.0
@@ -374,10 +384,7 @@ def level_in_motion(
         return False
     if span < k[at.K_ALIGN_TIME]:
         return False
-    if (
-        x[at.X_LEVEL + at.L_HAS_REF] == 0.0
-        or t - x[at.X_LEVEL + at.L_REF_T] > REFERENCE_AGE
-    ):
+    if x[at.X_LEVEL + at.L_HAS_REF] == 0.0 or t - x[at.X_LEVEL + at.L_REF_T] > REFERENCE_AGE:
         return False
     down: cython.double = 0.0
     doubt: cython.double = 2.0 * std

@@ -114,7 +114,7 @@ def absorb(x: cython.double[::1], w: cython.double[::1], m: cython.Py_ssize_t) -
 @cython.nogil
 @cython.exceptval(check=False)
 def absorb_yaw(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
-    """Absorb one row that :func:`innovate` has judged into yaw and gyro bias only.
+    """Absorb one row that :func:`innovate` has judged into yaw, gyro bias and heading offset only.
 
     An azimuth depends on tilt as much as on yaw, the more the steeper its direction; but its slow
     errors (a disturbed field, another filter's habits) must not become tilt. So the gain of all
@@ -129,6 +129,7 @@ def absorb_yaw(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
     for i in range(at.N):
         w[at.W_ROW + i] = 0.0
     w[at.W_ROW + at.E_ATT + 2] = w[at.W_C + at.E_ATT + 2] / s
+    w[at.W_ROW + at.E_HEADING] = w[at.W_C + at.E_HEADING] / s
     for i in range(at.E_BG, at.E_BG + 3):
         w[at.W_ROW + i] = w[at.W_C + i] / s
     for i in range(at.N):
@@ -165,6 +166,7 @@ def inject(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
         x[at.X_BA + i] += w[at.W_DX + at.E_BA + i]
     x[at.X_BARO] += w[at.W_DX + at.E_BARO]
     x[at.X_DELAY] += w[at.W_DX + at.E_DELAY]
+    x[at.X_HEADING] += w[at.W_DX + at.E_HEADING]
     for i in range(at.N):
         p0 = x[at.X_COV + i]
         p1 = x[at.X_COV + at.N + i]

@@ -60,6 +60,12 @@ VELOCITY_MEMORY = cython.declare(cython.double, 40.0)
 LEAST_RATIO = cython.declare(cython.double, 0.01)
 """A receiver overstates its velocity error ten times at the most: what is learnt beyond is luck."""
 LARGEST_RATIO = cython.declare(cython.double, 9.0)
+MOUNTING = cython.declare(cython.double, 0.005)
+"""Slow error of a dual antenna: how well its baseline is mounted, rad."""
+TRUSTED = cython.declare(cython.double, 0.02)
+"""Slow error up to which a heading that has jumped is believed, rad."""
+REFERENCE_TILT = cython.declare(cython.double, 0.05)
+"""What the tilt, not known yet, may do to a heading while levelling, rad."""
 UNKNOWN_DECLINATION = cython.declare(cython.double, 0.2)
 """One sigma of the declination before the first fix, rad: most people live within it."""
 NOISE_MEMORY = cython.declare(cython.double, 2.0)
@@ -310,25 +316,14 @@ def take(
         take_fix(x, k, w, rows, r)
     elif kind == HEADING:
         if is_heading_used(x, k, x[at.X_T], rows[r, at.ROW_V + 2]):
-            take_azimuth(
-                x, k, w, 1.0, 0.0, 0.0, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], 0.0, True
+            take_heading(
+                x, k, w, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], rows[r, at.ROW_V + 2] == 0.0
             )
         else:
             x[at.X_COUNT + at.AID_YAW * at.WHYS + at.WHY_UNUSED] += 1.0
     elif kind == MAG:
         if is_field_used(x, k, w, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], rows[r, at.ROW_V + 2]):
-            take_azimuth(
-                x,
-                k,
-                w,
-                rows[r, at.ROW_V],
-                rows[r, at.ROW_V + 1],
-                rows[r, at.ROW_V + 2],
-                0.0 if isnan(x[at.X_DECLINATION]) else x[at.X_DECLINATION],
-                UNKNOWN_DECLINATION if isnan(x[at.X_DECLINATION]) else k[at.K_MAG_STD],
-                k[at.K_MAG_NOISE],
-                False,
-            )
+            take_field(x, k, w, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], rows[r, at.ROW_V + 2])
         else:
             x[at.X_COUNT + at.AID_YAW * at.WHYS + at.WHY_UNUSED] += 1.0
     elif kind == BARO:
@@ -596,9 +591,7 @@ def place(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def halt(
-    x: cython.double[::1], first: cython.Py_ssize_t, size: cython.Py_ssize_t
-) -> cython.void:
+def halt(x: cython.double[::1], first: cython.Py_ssize_t, size: cython.Py_ssize_t) -> cython.void:
     """Begin a velocity anew that carried the position astray: none, give or take 5 m/s."""
     i: cython.Py_ssize_t
     for i in range(first, first + size):
@@ -707,6 +700,46 @@ def is_field_used(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+def take_heading(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    heading: cython.double,
+    std: cython.double,
+    is_antenna: cython.bint,
+) -> cython.void:
+    """Take a heading: white from a dual antenna, slowly wrong from another compass or filter."""
+    if std < k[at.K_HEADING_FLOOR]:
+        std = k[at.K_HEADING_FLOOR]
+    if is_antenna:
+        take_azimuth(x, k, w, 1.0, 0.0, 0.0, heading, MOUNTING, std, 0.0)
+    else:
+        take_azimuth(x, k, w, 1.0, 0.0, 0.0, heading, std, k[at.K_HEADING_FLOOR], 0.0)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def take_field(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    mx: cython.double,
+    my: cython.double,
+    mz: cython.double,
+) -> cython.void:
+    """Take the magnetic field: it points to the declination, as far as that is known."""
+    if isnan(x[at.X_DECLINATION]):
+        take_azimuth(x, k, w, mx, my, mz, 0.0, UNKNOWN_DECLINATION, 0.01, k[at.K_MAG_NOISE])
+    else:
+        take_azimuth(
+            x, k, w, mx, my, mz, x[at.X_DECLINATION], k[at.K_MAG_STD], 0.01, k[at.K_MAG_NOISE]
+        )
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
 def take_azimuth(
     x: cython.double[::1],
     k: cython.double[::1],
@@ -715,29 +748,31 @@ def take_azimuth(
     by: cython.double,
     bz: cython.double,
     target: cython.double,
-    std: cython.double,
+    slow: cython.double,
+    white: cython.double,
     noise: cython.double,
-    is_heading: cython.bint,
 ) -> cython.void:
-    """Take a heading or a compass reading: keep it while levelling, begin or correct yaw by it."""
-    if is_heading and std < k[at.K_HEADING_FLOOR]:
-        std = k[at.K_HEADING_FLOOR]
+    """Take a direction's azimuth: keep it while levelling, begin or correct yaw by it.
+
+    Its error is a slow part and a white one (one sigma each, rad) and the direction's own noise.
+    """
     if x[at.X_MODE] == at.MODE_LEVEL:
-        x[at.X_LEVEL + at.L_REF_T] = x[at.X_T]
-        if is_heading:
-            x[at.X_LEVEL + at.L_REF_TARGET] = target
-            x[at.X_LEVEL + at.L_REF_STD] = std
-        else:
-            # its azimuth is the declination, known or not when it is used; 0.05 rad for the tilt
-            x[at.X_LEVEL + at.L_REF_TARGET] = NAN
-            x[at.X_LEVEL + at.L_REF_STD] = std + 0.05
+        x[at.X_HEADING_STD] = slow
         x[at.X_LEVEL + at.L_HAS_REF] = 1.0
+        x[at.X_LEVEL + at.L_REF_T] = x[at.X_T]
+        x[at.X_LEVEL + at.L_REF_TARGET] = target
+        x[at.X_LEVEL + at.L_REF_STD] = white + REFERENCE_TILT
         x[at.X_LEVEL + at.L_REF_V] = bx
         x[at.X_LEVEL + at.L_REF_V + 1] = by
         x[at.X_LEVEL + at.L_REF_V + 2] = bz
         count(x, at.AID_YAW, at.WHY_UNALIGNED)
         return
-    if not observe.azimuth(x, w, bx, by, bz, target, std, noise):
+    if slow != x[at.X_HEADING_STD]:
+        # another source, another offset
+        x[at.X_HEADING_STD] = slow
+        x[at.X_HEADING] = 0.0
+        correct.forget(x, at.E_HEADING, 1, slow * slow)
+    if not observe.azimuth(x, w, bx, by, bz, target, white, noise):
         count(x, at.AID_YAW, at.WHY_UNUSED)
         return
     if x[at.X_HAS_YAW] == 0.0:
@@ -748,8 +783,13 @@ def take_azimuth(
     elif not fuse(x, w, at.AID_YAW, 1, k[at.K_GATE1]) and is_timed_out(
         x, at.AID_YAW, k[at.K_TIMEOUT_YAW]
     ):
-        observe.azimuth(x, w, bx, by, bz, target, std, noise)
-        face(x, w)
+        if slow > TRUSTED:
+            # a compass that has jumped: what flying has taught of yaw counts more
+            correct.forget(x, at.E_HEADING, 1, 1.0)
+            correct.innovate(x, w, 1)
+            correct.absorb_yaw(x, w)
+        else:
+            face(x, w)
         reset(x, at.AID_YAW, at.RESET_YAW)
 
 
@@ -757,10 +797,12 @@ def take_azimuth(
 @cython.nogil
 @cython.exceptval(check=False)
 def face(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
-    """Set the yaw from the innovation of :func:`observe.azimuth`."""
-    variance: cython.double = w[at.W_R] + x[at.X_COV] + x[at.X_COV + at.N + 1]
-    propagate.turn(x, at.X_Q, 0.0, 0.0, w[at.W_Z])
-    correct.forget(x, at.E_ATT + 2, 1, variance)
+    """Set the yaw from the innovation of :func:`observe.azimuth`; it shares the slow error."""
+    slow: cython.double = x[at.X_HEADING_STD] * x[at.X_HEADING_STD]
+    white: cython.double = w[at.W_R] + x[at.X_COV] + x[at.X_COV + at.N + 1]
+    propagate.turn(x, at.X_Q, 0.0, 0.0, w[at.W_Z] + x[at.X_HEADING])
+    x[at.X_HEADING] = 0.0
+    align.share(x, slow, white)
 
 
 @cython.cfunc

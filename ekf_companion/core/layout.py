@@ -10,7 +10,8 @@ ROW_KIND = 1
 ROW_V = 2
 ROW = 15
 
-# Error states: attitude (in n), velocity, position, gyro bias, accel bias, baro offset, GNSS delay
+# Error states: attitude (in n), velocity, position, gyro bias, accel bias, baro offset, GNSS delay,
+# heading offset
 E_ATT = 0
 E_VEL = 3
 E_POS = 6
@@ -18,7 +19,8 @@ E_BG = 9
 E_BA = 12
 E_BARO = 15
 E_DELAY = 16
-N = 17
+E_HEADING = 17
+N = 18
 
 # What the filter is doing
 MODE_INIT = 0
@@ -93,8 +95,10 @@ X_VEL_RATIO = 141
 X_VEL_LEARNT = 142
 X_INCLINATION = 143
 X_FIELD = 144
-X_COV = 145
-BLOCK = 434
+X_HEADING = 145
+X_HEADING_STD = 146
+X_COV = 147
+BLOCK = 471
 
 # What levelling remembers, from X_LEVEL: sums over a window, the motion since a first fix, and a
 # reference: a direction of the body and its azimuth (NaN: that of the magnetic field)
@@ -159,7 +163,8 @@ K_REST_ACCEL = 38
 K_GRAVITY = 39
 K_FIELD_STRENGTH = 40
 K_FIELD_DIP = 41
-PARAMETERS = 42
+K_HEADING_TIME = 42
+PARAMETERS = 43
 
 # Headings that the filter may use (K_HEADING)
 HEADING_AUTO = 0
@@ -179,19 +184,19 @@ RESET_CLOCK = 6
 # Scratch numbers of one step: rows of H, P H', innovation, R, Cholesky factor, error state,
 # direction cosines, velocity increment, two rows, S and S G / 2, noise
 W_H = 0
-W_C = 51
-W_Z = 102
-W_R = 105
-W_L = 114
-W_Y = 123
-W_DX = 126
-W_C_NB = 143
-W_DV = 152
-W_ROW = 155
-W_ROW2 = 172
-W_S9 = 189
-W_Q = 207
-SCRATCH = 213
+W_C = 54
+W_Z = 108
+W_R = 111
+W_L = 120
+W_Y = 129
+W_DX = 132
+W_C_NB = 150
+W_DV = 159
+W_ROW = 162
+W_ROW2 = 180
+W_S9 = 198
+W_Q = 216
+SCRATCH = 222
 
 # An estimate: nav.state.COLUMNS without the time
 OUT_LLA = 0

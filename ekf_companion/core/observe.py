@@ -210,8 +210,9 @@ def azimuth(
     """One row: a direction of the body, (bx, by, bz), points to an azimuth in n (rad).
 
     The forward axis gives a heading; the magnetic field gives a compass, levelled by the filter's
-    own tilt. ``std`` is in rad; ``noise`` is in the direction's own units, and counts the more the
-    steeper the direction is. False: the direction is too near the vertical.
+    own tilt. Its slow error is a state; ``std`` is the white rest, rad, and ``noise`` that of the
+    direction itself, in its units, which counts the more the steeper it is. False: the direction
+    is too near the vertical.
     """
     blank(w, 1, 0.0)
     matrix(x, at.X_Q, w)
@@ -221,10 +222,11 @@ def azimuth(
     h2: cython.double = n * n + e * e
     if h2 <= 0.01 * (h2 + d * d):
         return False
-    w[at.W_Z] = wrap(target - atan2(e, n))
+    w[at.W_Z] = wrap(target - atan2(e, n) - x[at.X_HEADING])
     w[at.W_H + at.E_ATT] = -n * d / h2
     w[at.W_H + at.E_ATT + 1] = -e * d / h2
     w[at.W_H + at.E_ATT + 2] = 1.0
+    w[at.W_H + at.E_HEADING] = 1.0
     w[at.W_R] = std * std + noise * noise / h2
     return True
 

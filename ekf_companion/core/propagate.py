@@ -246,6 +246,7 @@ def move(
     x[at.X_VEL + 2] = vd + ud + cd * dt
     turn_body(x, at.X_Q, px, py, pz)
     turn(x, at.X_Q, -wn * dt, -we * dt, -wd * dt)
+    x[at.X_HEADING] -= dt / (dt + k[at.K_HEADING_TIME]) * x[at.X_HEADING]
 
     # What the covariance and the aids need of it
     w[at.W_DV] = un
@@ -393,6 +394,16 @@ def spread(
         x[bg + j * at.N + at.E_BG + j] += k[at.K_GYRO_WALK] * k[at.K_GYRO_WALK] * dt
         x[ba + j * at.N + at.E_BA + j] += k[at.K_ACCEL_WALK] * k[at.K_ACCEL_WALK] * dt
     x[at.X_COV + at.E_BARO * (at.N + 1)] += k[at.K_BARO_WALK] * k[at.K_BARO_WALK] * dt
+
+    # The heading's slow error forgets itself
+    g0 = dt / (dt + k[at.K_HEADING_TIME])
+    for j in range(at.N):
+        x[at.X_COV + j * at.N + at.E_HEADING] -= g0 * x[at.X_COV + j * at.N + at.E_HEADING]
+    for j in range(9, at.N):
+        x[at.X_COV + at.E_HEADING * at.N + j] -= g0 * x[at.X_COV + at.E_HEADING * at.N + j]
+    x[at.X_COV + at.E_HEADING * (at.N + 1)] += (
+        g0 * (2.0 - g0) * x[at.X_HEADING_STD] * x[at.X_HEADING_STD]
+    )
 
     # Both halves the same: within the nine rows the lower triangle follows the upper,
     # but for velocity by position, which was made as position by velocity; then the rows below

@@ -115,7 +115,7 @@ class HeadingSettings:
     year: Annotated[float, Meta(ge=2025.0, le=2030.0)] = 2026.0
     """For the World Magnetic Model, decimal year."""
     magnetometer_std: Positive = 0.05
-    """One sigma of a compass heading however strong the field, rad: what calibration leaves."""
+    """One sigma of the slow error of a compass heading, rad: what calibration leaves."""
     magnetometer_noise: NotNegative = 0.01
     """White noise of the field, gauss; counts by the strength of its horizontal part."""
     field_strength: Positive = 0.25
@@ -125,6 +125,8 @@ class HeadingSettings:
     """Largest difference of its dip from the model's, rad."""
     heading_std: NotNegative = 0.02
     """Least one sigma of a heading from elsewhere, rad."""
+    slow_time: Positive = 100.0
+    """Time constant of the slow error of a compass or of the autopilot's heading, s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -238,6 +240,7 @@ def parameters(settings: FilterSettings, family: str, gnss_delay: float | None =
     k[at.K_MAG_NOISE] = heading.magnetometer_noise
     k[at.K_FIELD_STRENGTH] = heading.field_strength
     k[at.K_FIELD_DIP] = heading.field_dip
+    k[at.K_HEADING_TIME] = heading.slow_time
     k[at.K_HEADING_FLOOR] = heading.heading_std
     k[at.K_USE_BARO] = settings.baro.use
     k[at.K_BARO_STD] = settings.baro.std

@@ -50,7 +50,7 @@ def test_an_azimuth_moves_yaw_and_gyro_bias_only_and_says_so_in_its_covariance()
     before = x.copy()
     S = H @ P @ H.T + R
     K = P @ H.T / S
-    free = [at.E_ATT + 2, at.E_BG, at.E_BG + 1, at.E_BG + 2]
+    free = [at.E_ATT + 2, at.E_BG, at.E_BG + 1, at.E_BG + 2, at.E_HEADING]
     K[[i for i in range(at.N) if i not in free]] = 0.0
     I_KH = np.eye(at.N) - K @ H
     expected = I_KH @ P @ I_KH.T + K @ R @ K.T

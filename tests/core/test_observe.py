@@ -19,6 +19,7 @@ def a_state(seed: int) -> np.ndarray:
     x[at.X_BG : at.X_BG + 3] = rng.normal(0.0, 0.02, 3)
     x[at.X_BA : at.X_BA + 3] = rng.normal(0.0, 0.2, 3)
     x[at.X_BARO] = 12.0
+    x[at.X_HEADING] = 0.05
     x[at.X_DELAY] = 0.03
     x[at.X_GYRO : at.X_GYRO + 3] = rng.normal(0.0, 1.0, 3)
     x[at.X_ACC_N : at.X_ACC_N + 3] = rng.normal(0.0, 3.0, 3)
@@ -30,6 +31,7 @@ def parameters() -> np.ndarray:
     k = np.zeros(at.PARAMETERS)
     k[at.K_LEVER : at.K_LEVER + 3] = [0.4, -0.3, -0.2]
     k[at.K_GRAVITY] = 9.8
+    k[at.K_HEADING_TIME] = 50.0
     return k
 
 
@@ -44,6 +46,7 @@ def plus(x: np.ndarray, error: np.ndarray) -> np.ndarray:
     x[at.X_BA : at.X_BA + 3] += error[at.E_BA : at.E_BA + 3]
     x[at.X_BARO] += error[at.E_BARO]
     x[at.X_DELAY] += error[at.E_DELAY]
+    x[at.X_HEADING] += error[at.E_HEADING]
     return x
 
 

@@ -18,6 +18,7 @@ def errors_between(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     error[at.E_BA : at.E_BA + 3] = y[at.X_BA : at.X_BA + 3] - x[at.X_BA : at.X_BA + 3]
     error[at.E_BARO] = y[at.X_BARO] - x[at.X_BARO]
     error[at.E_DELAY] = y[at.X_DELAY] - x[at.X_DELAY]
+    error[at.E_HEADING] = y[at.X_HEADING] - x[at.X_HEADING]
     return error
 
 
@@ -43,7 +44,7 @@ def test_covariance_follows_the_slope_of_the_motion(dt):
     rng = np.random.default_rng(6)
     root = (
         rng.normal(0.0, 1.0, (at.N, at.N))
-        * np.repeat([0.1, 1.0, 5.0, 0.01, 0.2, 1.0], [3, 3, 3, 3, 3, 2])[:, None]
+        * np.repeat([0.1, 1.0, 5.0, 0.01, 0.2, 1.0], [3, 3, 3, 3, 3, 3])[:, None]
     )
     P = root @ root.T
     x[at.X_COV :] = P.ravel()
@@ -78,7 +79,7 @@ def test_noise_is_what_van_loan_gives():
     F[3:6, 12:15] = -C
     F[6:9, 3:6] = np.eye(3)
     Q = np.diag(
-        np.repeat([2e-3**2, 3e-2**2, 0.0, 1e-4**2, 1e-3**2, 0.05**2, 0.0], [3, 3, 3, 3, 3, 1, 1])
+        np.repeat([2e-3**2, 3e-2**2, 0.0, 1e-4**2, 1e-3**2, 0.05**2, 0.0], [3, 3, 3, 3, 3, 1, 2])
     )
     block = expm(np.block([[-F, Q], [np.zeros_like(F), F.T]]) * dt)
     expected = block[at.N :, at.N :].T @ block[: at.N, at.N :]
