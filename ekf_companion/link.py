@@ -21,12 +21,13 @@ import os
 import re
 import socket
 import termios
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import serial
 
@@ -537,9 +538,35 @@ def _listen(family: int, where: tuple[str, int]) -> socket.socket:
 
 
 async def _resolve(host: str, port: int, kind: int) -> tuple[int, tuple[str, int]]:
+    """Look a name up in a thread that nobody waits for at the end: it may hang for half a minute.
+
+    Raises:
+        OSError: There is no such name.
+    """
     loop = asyncio.get_running_loop()
-    found = await loop.getaddrinfo(host, port, type=socket.SocketKind(kind))
-    family, _, _, _, where = found[0]
+    found: asyncio.Future[list[Any]] = loop.create_future()
+
+    def settle(answer: list[Any] | OSError) -> None:
+        if found.done():
+            return
+        if isinstance(answer, OSError):
+            found.set_exception(answer)
+        else:
+            found.set_result(answer)
+
+    def look_up() -> None:
+        answer: list[Any] | OSError
+        try:
+            answer = socket.getaddrinfo(host, port, type=socket.SocketKind(kind))
+        except OSError as error:
+            answer = error
+        except UnicodeError:
+            answer = OSError(errno.EINVAL, f"{host} is no name of a host")
+        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+            loop.call_soon_threadsafe(settle, answer)
+
+    threading.Thread(target=look_up, name="resolver", daemon=True).start()
+    family, _, _, _, where = (await found)[0]
     return family, (str(where[0]), int(where[1]))
 
 

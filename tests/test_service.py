@@ -571,6 +571,27 @@ def test_it_stops_while_it_still_tries_to_connect(tmp_path):
         assert (code, seconds < 2.0) == (0, True)
 
 
+def test_it_stops_while_a_name_is_looked_up_in_vain():
+    code = (
+        "import socket, time\n"
+        "socket.getaddrinfo = lambda *_, **__: print('asked', flush=True) or time.sleep(60)\n"
+        "from ekf_companion.cli import app\n"
+        "app(['run', '--link', 'udpout:autopilot.local:14550'])\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"asked\n"
+        begin = time.monotonic()
+        process.terminate()
+        assert process.wait(20.0) == 0
+        assert time.monotonic() - begin < 2.0
+
+
+def test_a_name_of_no_host_is_said_once(tmp_path):
+    with Daemon(tmp_path, "--link", "udpout:a..b:14550") as daemon:
+        daemon.wait_for("a..b is no name of a host; trying again until it opens")
+        assert daemon.stop()[0] == 0
+
+
 def test_a_tcp_peer_that_restarts_is_found_again(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(10.0)
