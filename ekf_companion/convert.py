@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
@@ -21,7 +20,7 @@ from ekf_companion.logs.writer import CsvWriter, create
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.session import PeerFound, Session
-from ekf_companion.nav.measurements import Events, Kind, Row
+from ekf_companion.nav.measurements import Events, GnssFlag, Kind, Row
 from ekf_companion.nav.state import Status, Trajectory
 from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline, Table, Verdict
 
@@ -33,6 +32,9 @@ CHUNK = 20_000
 SLOW = 20.0
 """Inertial samples per second below which the motion between them is guesswork, Hz."""
 READERS = {".bin": dataflash.read, ".ulg": ulog.read, ".csv": csv.read}
+WITHOUT_NORTH = {Status.INIT, Status.ALIGNING}
+FLAGS = 10
+"""Where a GNSS row holds its flags (nav.measurements.GnssFix.row)."""
 FORMATS = ".tlog, .bin, .ulg, .csv"
 
 
@@ -44,6 +46,8 @@ class Report:
     family: str = "unknown"
     notes: list[str] = field(default_factory=list)
     counts: Counter[Kind] = field(default_factory=Counter)
+    derived: int = 0
+    """Positions of the autopilot's own, which stand in while GNSS is silent."""
     rates: dict[Kind, float] = field(default_factory=dict)
     seconds: dict[Status, float] = field(default_factory=dict)
     estimates: int = 0
@@ -59,6 +63,7 @@ class Report:
             "notes": list(self.notes),
             "rates_hz": {kind.name.lower(): rate for kind, rate in self.rates.items()},
             "events": {kind.name.lower(): count for kind, count in self.counts.items()},
+            "derived_positions": self.derived,
             "estimates": self.estimates,
             "seconds": {status.name.lower(): spent for status, spent in self.seconds.items()},
             "resets": health.resets if health else 0,
@@ -289,8 +294,10 @@ def _thin(table: Table, rate: float | None) -> Table:
 
 def _account(report: Report, events: Events, table: Table) -> None:
     """Add a chunk to the report."""
+    derived = (events.kind == Kind.GNSS) & (events.values[:, FLAGS] == GnssFlag.DERIVED)
+    report.derived += int(np.count_nonzero(derived))
     for kind in Kind:
-        chosen = events.kind == kind
+        chosen = (events.kind == kind) & ~derived
         count = int(np.count_nonzero(chosen))
         report.counts[kind] += count
         if count > 1 and kind not in report.rates:
@@ -327,7 +334,7 @@ def _conclude(report: Report, path: Path) -> None:
             "integrated from: position and velocity follow GNSS, attitude is a guess; "
             "ask for a faster stream"
         )
-    if counts[Kind.GNSS] == 0:
+    if counts[Kind.GNSS] + report.derived == 0:
         report.notes.append(
             "no GNSS fix: attitude is estimated, and height over the start where there is a "
             "barometer; no position and no velocity"
@@ -337,7 +344,13 @@ def _conclude(report: Report, path: Path) -> None:
             "no heading (magnetometer, GNSS yaw or the autopilot's): roll and pitch are estimated; "
             "position and velocity would need one"
         )
-    if report.estimates == 0 or set(report.seconds) <= {Status.INIT, Status.ALIGNING}:
+    elif counts[Kind.GNSS] and set(report.seconds) <= {*WITHOUT_NORTH, Status.ATTITUDE}:
+        report.notes.append(
+            "no heading was accepted, so GNSS could not be used: roll and pitch are estimated. "
+            "A magnetic field that is not the Earth's is refused (heading.field_strength, "
+            "heading.field_dip); heading.source says who is asked"
+        )
+    if report.estimates == 0 or set(report.seconds) <= WITHOUT_NORTH:
         what = "; ".join(report.notes) or "the log is too short to find down and north in it"
         raise LogError(f"{path}: nothing could be estimated: {what}")
 
@@ -349,6 +362,8 @@ def summary(report: Report) -> list[str]:
         f"{kind.name.lower()} {rate:.4g} Hz ({report.counts[kind]})"
         for kind, rate in report.rates.items()
     )
+    if report.derived:
+        rates += f", {report.derived} positions of the autopilot's own"
     lines.append(f"  found: {rates}")
     if report.health is not None:
         for aid in Aid:
@@ -366,14 +381,12 @@ def summary(report: Report) -> list[str]:
         )
     spent = ", ".join(f"{each.name.lower()} {s:.1f} s" for each, s in report.seconds.items())
     lines.append(f"  status: {spent}")
-    if report.refused:
-        lines.append(
-            "  frames left out: "
-            + ", ".join(
-                f"{count} {re.sub('^(ignored|refused): ', '', why)}"
-                for why, count in report.refused.items()
-            )
-        )
+    link = {why: count for why, count in report.refused.items() if ": " not in why}
+    left = {why.split(": ", 1)[1]: n for why, n in report.refused.items() if ": " in why}
+    for title, table in (("link", link), ("left out or mended", left)):
+        if table:
+            words = ", ".join(f"{count} {why}" for why, count in table.items())
+            lines.append(f"  {title}: {words}")
     lines += [f"  note: {note}" for note in report.notes]
     return lines
 

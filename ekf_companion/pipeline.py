@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ekf_companion.core import layout as at
 from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
-from ekf_companion.core.timeline import Timeline
+from ekf_companion.core.timeline import COMPILED_BLOCK, Timeline
 from ekf_companion.nav.magnetic import magnetic_field
 from ekf_companion.nav.measurements import Events, Kind, Measurement, Row
 from ekf_companion.nav.odometry import Odometry
@@ -60,6 +60,9 @@ class Aid(IntEnum):
 
 QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Status.INVALID: -1}
 """Per cent, as ODOMETRY tells it."""
+if COMPILED_BLOCK != at.BLOCK:
+    raise ImportError("the compiled kernel is older than its source; build it anew: make setup")
+
 RESET_REASONS = ("none", "position", "velocity", "height", "heading", "inertial gap", "clock")
 
 

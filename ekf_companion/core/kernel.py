@@ -845,7 +845,7 @@ def status(x: cython.double[::1], k: cython.double[::1]) -> cython.int:
     if x[at.X_MODE] == at.MODE_LEVEL:
         return ALIGNING
     if x[at.X_MODE] == at.MODE_ATTITUDE:
-        return ATTITUDE if x[at.X_HAS_YAW] != 0.0 else ALIGNING
+        return ATTITUDE
     if (
         x[at.X_COV + at.E_POS * (at.N + 1)] + x[at.X_COV + (at.E_POS + 1) * (at.N + 1)]
         > k[at.K_LIMIT_POS] * k[at.K_LIMIT_POS]

@@ -47,6 +47,10 @@ LARGEST_FORCE = cython.declare(cython.double, 2000.0)
 """m/s^2."""
 
 
+COMPILED_BLOCK = at.BLOCK
+"""Size of the state block that this module was compiled for."""
+
+
 @cython.cclass
 class Timeline:
     """The estimator over time: put events in, as they come, and read the state of now."""

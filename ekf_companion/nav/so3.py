@@ -66,12 +66,16 @@ def log(q: Array) -> Array:
 
 def to_matrix(q: Array) -> Array:
     """Give the direction cosine matrix, shape (..., 3, 3)."""
-    w, x, y, z = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
+    q = np.asarray(q, dtype=float)
+    # one quaternion is the daemon's case: in plain floats it takes a tenth of the time
+    w, x, y, z = q.tolist() if q.ndim == 1 else np.moveaxis(q, -1, 0)
     rows = [
         [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
         [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
         [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
     ]
+    if q.ndim == 1:
+        return np.array(rows)
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
@@ -124,14 +128,11 @@ def from_euler(roll: npt.ArrayLike, pitch: npt.ArrayLike, yaw: npt.ArrayLike) ->
 def to_euler(q: Array) -> Array:
     """Give roll, pitch, yaw (z-y-x), rad, shape (..., 3); roll and yaw in [-pi, pi]."""
     C = to_matrix(q)
-    return np.stack(
-        [
-            np.arctan2(C[..., 2, 1], C[..., 2, 2]),
-            -np.arcsin(np.clip(C[..., 2, 0], -1.0, 1.0)),
-            np.arctan2(C[..., 1, 0], C[..., 0, 0]),
-        ],
-        axis=-1,
-    )
+    angles = np.empty(C.shape[:-1])
+    angles[..., 0] = np.arctan2(C[..., 2, 1], C[..., 2, 2])
+    angles[..., 1] = -np.arcsin(np.clip(C[..., 2, 0], -1.0, 1.0))
+    angles[..., 2] = np.arctan2(C[..., 1, 0], C[..., 0, 0])
+    return angles
 
 
 def wrap(angle: npt.ArrayLike) -> Array:
