@@ -369,9 +369,7 @@ class Decoder:
                 HeadingSample(
                     t_ns=t_ns,
                     heading=_wrap(math.radians(m.yaw * 1e-2)),
-                    std=max(math.radians(m.hdg_acc * 1e-5), _STD_YAW_FLOOR)
-                    if m.hdg_acc
-                    else _STD_YAW,
+                    std=_yaw_std(m.hdg_acc),
                     source=HeadingSource.GNSS,
                 )
             )
@@ -508,6 +506,13 @@ def _dilution(dop_100: int) -> float:
     if dop_100 in (0, 9999, _UNKNOWN_16):
         return 0.0
     return max(_RANGE_ERROR * dop_100 * 1e-2, _STD_FLOOR)
+
+
+def _yaw_std(hdg_acc_degE5: int) -> float:
+    """Give the one sigma, rad, of a dual-antenna heading."""
+    if hdg_acc_degE5 == 0:
+        return _STD_YAW
+    return min(max(math.radians(hdg_acc_degE5 * 1e-5), _STD_YAW_FLOOR), math.pi)
 
 
 def _wrap(angle: float) -> float:

@@ -61,7 +61,7 @@ _UPPER = np.triu_indices(6)
 _VARIANCE_FLOOR = 1e-6
 """A variance of zero claims perfection."""
 _VARIANCE_LARGEST = 1e12
-"""What overflows or is not finite is sent as this: a million metres."""
+"""More is sent as this: a million metres, and far from what float32 can hold."""
 
 
 def estimator_type(family: Family) -> EstimatorType:
@@ -114,19 +114,21 @@ def _unit_float32(q: Array) -> npt.NDArray[np.float32]:
 
 
 def _pose_covariance(estimate: Odometry) -> list[float]:
-    if estimate.pose_covariance is None:
+    P = estimate.pose_covariance
+    if P is None or not np.isfinite(P).all():
         return _unknown()
     J = np.eye(6)
     J[3:, 3:] = euler_jacobian(estimate.q_nb)
-    return _triangle(J @ estimate.pose_covariance @ J.T)
+    return _triangle(J @ _bounded(P) @ J.T)
 
 
 def _velocity_covariance(estimate: Odometry, C_bn: Array) -> list[float]:
     """Give the covariance of the body velocity; of the rates nothing is known but the floor."""
-    if estimate.velocity_covariance is None:
+    V = estimate.velocity_covariance
+    if V is None or not np.isfinite(V).all():
         return _unknown()
     P = np.zeros((6, 6))
-    P[:3, :3] = C_bn @ estimate.velocity_covariance @ C_bn.T
+    P[:3, :3] = C_bn @ _bounded(V) @ C_bn.T
     return _triangle(P)
 
 
@@ -134,13 +136,13 @@ def _unknown() -> list[float]:
     return [math.nan] + [0.0] * 20
 
 
+def _bounded(P: Array) -> Array:
+    return np.clip(P, -_VARIANCE_LARGEST, _VARIANCE_LARGEST)
+
+
 def _triangle(P: Array) -> list[float]:
-    """Give the upper right triangle row by row, variances floored, all finite."""
-    if not np.isfinite(P).all():
-        return _unknown()
-    P = np.clip(P, -_VARIANCE_LARGEST, _VARIANCE_LARGEST)
-    diagonal = np.diagonal(P)
-    P = P + np.diag(np.maximum(_VARIANCE_FLOOR - diagonal, 0.0))
+    """Give the upper right triangle row by row, variances floored."""
+    P = P + np.diag(np.maximum(_VARIANCE_FLOOR - np.diagonal(P), 0.0))
     values: list[float] = P[_UPPER].tolist()
     return values
 

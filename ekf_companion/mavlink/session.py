@@ -31,6 +31,9 @@ _PEER_TIMEOUT_NS = 5 * _SECOND_NS
 _COMMAND_TIMEOUT_NS = _SECOND_NS
 _TRIES = 3
 
+_OVERTAKEN = 16
+"""A number so little behind is a frame that came late; further behind, the numbers went round."""
+
 _HEARTBEAT_ID = IDS["HEARTBEAT"]
 _TIMESYNC_ID = IDS["TIMESYNC"]
 _COMMAND_ACK_ID = IDS["COMMAND_ACK"]
@@ -201,6 +204,7 @@ class Session:
                 self._sender.system_id = frame.system_id
         if self._peer != frame[1:3]:
             return
+        self._notice_silence(now_ns)
         self._heard_ns = quantise(now_ns)
         self.decoder.family = _FAMILIES.get(heartbeat.autopilot, Family.UNKNOWN)
         if self._is_lost:
@@ -218,7 +222,7 @@ class Session:
     def _count_lost(self, sequence: int) -> None:
         if self._sequence is not None:
             gap = (sequence - self._sequence - 1) & 0xFF
-            if gap >= 128:
+            if gap > 0xFF - _OVERTAKEN:
                 self.late += 1
                 return
             self.lost += gap
@@ -266,15 +270,19 @@ class Session:
             self.send("HEARTBEAT", encode.heartbeat(self._status), now_ns)
         if self._peer is None or self._is_lost:
             return
-        if quantise(now_ns) - self._heard_ns > _PEER_TIMEOUT_NS:
-            self._is_lost = True
-            self._wanted.clear()
-            self._events.append(PeerLost(self._heard_ns))
+        self._notice_silence(now_ns)
+        if self._is_lost:
             return
         self._ask(now_ns)
         ts1 = self.timesync.request(now_ns)
         if ts1 is not None:
             self._send_timesync(0, ts1, now_ns)
+
+    def _notice_silence(self, now_ns: int) -> None:
+        if not self._is_lost and quantise(now_ns) - self._heard_ns > _PEER_TIMEOUT_NS:
+            self._is_lost = True
+            self._wanted.clear()
+            self._events.append(PeerLost(self._heard_ns))
 
     def _ask(self, now_ns: int) -> None:
         """Send the request that is first in line, again where its time is over."""

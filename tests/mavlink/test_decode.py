@@ -1,0 +1,517 @@
+"""Each trap of the two autopilots' messages, one by one; the frames are packed by pymavlink."""
+
+import math
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from ekf_companion.mavlink.decode import Decoder, Family, Pace, Preference
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.nav.measurements import (
+    BaroSample,
+    GnssFix,
+    GnssFlag,
+    HeadingSample,
+    HeadingSource,
+    ImuSample,
+    MagSample,
+    Restart,
+    VehicleState,
+)
+
+ACCEL_GYRO, MAG, BARO = 0x3F, 0x1C0, 0x1A00
+FIELD = (0.21, 0.03, 0.42)
+
+
+def frame(message):
+    (one,) = Splitter().feed(bytes(message.pack(dialect.MAVLink(None, 1, 1))))
+    return one
+
+
+class Peer:
+    """A decoder, and the messages of an autopilot by name and field."""
+
+    def __init__(self, family=Family.PX4):
+        self.decoder = Decoder(family)
+
+    def say(self, name, **fields):
+        definition = getattr(dialect, f"MAVLink_{name}_message")
+        values = dict.fromkeys(definition.fieldnames, 0) | fields
+        return self.decoder.decode(frame(definition(**values)))
+
+    def highres(self, t_us, **fields):
+        values = {"zacc": -9.81, "fields_updated": ACCEL_GYRO, "time_usec": t_us} | fields
+        return self.say("highres_imu", **values)
+
+    def gps(self, t_us, **fields):
+        fix = {"fix_type": 3, "lat": 473977635, "lon": 85455780, "alt": 489307}
+        unknown = {"eph": 65535, "epv": 65535, "vel": 65535, "cog": 65535}
+        return self.say("gps_raw_int", **({"time_usec": t_us} | fix | unknown | fields))
+
+    @property
+    def refused(self):
+        return dict(self.decoder.refused)
+
+
+def only(kind, measurements):
+    return [measurement for measurement in measurements if type(measurement) is kind]
+
+
+def with_fix(family=Family.PX4, **fields):
+    """Give a peer whose next fix passes: it has had one before."""
+    peer = Peer(family)
+    peer.highres(1_000_000)
+    assert peer.gps(900_000) == []
+    return peer
+
+
+# Inertial
+
+
+def test_highres_imu_is_taken_as_it_is():
+    (sample,) = Peer().highres(5_000_000, xacc=1.0, yacc=2.0, xgyro=0.5, ygyro=-0.25, zgyro=4.0)
+    assert sample == ImuSample(
+        t_ns=5_000_000_000,
+        gyro_x=0.5,
+        gyro_y=-0.25,
+        gyro_z=4.0,
+        accel_x=1.0,
+        accel_y=2.0,
+        accel_z=pytest.approx(-9.81, abs=1e-6),  # float32
+    )
+
+
+@pytest.mark.parametrize("missing", [1, 2, 4, 8, 16, 32])
+def test_an_inertial_group_that_is_not_whole_is_refused(missing):
+    peer = Peer()
+    assert peer.highres(1_000, fields_updated=ACCEL_GYRO & ~missing) == []
+    assert peer.refused == {"HIGHRES_IMU: accel or gyro not updated": 1}
+
+
+def test_another_instance_is_left():
+    peer = Peer()
+    assert peer.highres(1_000, id=1) == []
+    assert peer.refused == {"HIGHRES_IMU: another instance": 1}
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_is_refused(value):
+    peer = Peer()
+    assert peer.highres(1_000, ygyro=value) == []
+    assert peer.refused == {"IMU: not a number": 1}
+
+
+def test_a_repeated_stamp_is_refused():
+    peer = Peer()
+    assert len(peer.highres(4_000)) == 1
+    assert peer.highres(4_000) == []
+    assert peer.refused == {"IMU: stamp repeated": 1}
+
+
+def test_a_stamp_that_is_no_time_is_refused():
+    peer = Peer()
+    assert peer.highres(2**63) == []
+    assert peer.refused == {"HIGHRES_IMU: no time": 1}
+
+
+RAW = {"zacc": -1001, "xgyro": 2, "ygyro": -3, "zgyro": 4, "xmag": 182, "ymag": -152, "zmag": -528}
+
+
+def test_ardupilots_raw_imu_is_in_milli_units():
+    peer = Peer(Family.ARDUPILOT)
+    peer.say("raw_imu", time_usec=1_000_000, **RAW)
+    measured = peer.say("raw_imu", time_usec=5_000_000, **RAW)
+    (imu,) = only(ImuSample, measured)
+    assert imu.accel_z == pytest.approx(-1.001 * 9.80665)
+    assert (imu.gyro_x, imu.gyro_y, imu.gyro_z) == pytest.approx((0.002, -0.003, 0.004))
+
+
+@pytest.mark.parametrize("family", [Family.PX4, Family.UNKNOWN])
+def test_raw_imu_has_no_unit_but_on_ardupilot(family):
+    peer = Peer(family)
+    assert peer.say("raw_imu", time_usec=1_000_000, **RAW) == []
+    assert peer.say("raw_imu", time_usec=9_000_000, **RAW) == []
+    assert peer.refused == {"RAW_IMU: not ArduPilot": 2}
+
+
+def test_the_better_source_is_kept_while_both_stream():
+    # ArduPilot sends RAW_IMU at 200 Hz beside HIGHRES_IMU at 100 Hz
+    peer = Peer(Family.ARDUPILOT)
+    for step in range(2000):
+        t_us = 5_000_000 + 5000 * step
+        assert only(ImuSample, peer.say("raw_imu", time_usec=t_us, **RAW)) == []
+        if step % 2 == 0:
+            (imu,) = only(ImuSample, peer.highres(t_us))
+            assert imu.accel_z == pytest.approx(-9.81, abs=1e-6)
+    assert peer.decoder.imu_source == "HIGHRES_IMU"
+
+
+def test_the_next_source_comes_in_after_three_seconds_and_goes_when_the_better_returns():
+    peer = Peer(Family.ARDUPILOT)
+    peer.highres(10_000_000)
+    taken = [
+        t_ms
+        for t_ms in range(10_020, 20_000, 20)
+        if only(ImuSample, peer.say("raw_imu", time_usec=t_ms * 1000, **RAW))
+    ]
+    assert taken == list(range(13_020, 20_000, 20))
+    assert only(ImuSample, peer.highres(20_001_000))
+    assert only(ImuSample, peer.say("raw_imu", time_usec=20_005_000, **RAW)) == []
+
+
+@pytest.mark.parametrize("name", ["scaled_imu", "scaled_imu2", "scaled_imu3"])
+def test_scaled_imu_alone_is_used_after_three_seconds(name):
+    peer = Peer()
+    for t_ms in range(1000, 9000, 20):
+        imu = only(ImuSample, peer.say(name, time_boot_ms=t_ms, **RAW))
+        assert bool(imu) == (t_ms > 4000)
+    assert imu[0].t_ns == t_ms * 1_000_000
+
+
+def test_an_instance_without_a_sensor_is_refused():
+    peer = Peer(Family.ARDUPILOT)
+    assert peer.say("scaled_imu3", time_boot_ms=1000, xmag=182, ymag=-152, zmag=-528) == []
+    assert peer.refused == {"SCALED_IMU: no sensor behind it": 1}
+
+
+# Magnetometer and pressure
+
+
+def mag(peer, t_us, field, bits=ACCEL_GYRO | MAG):
+    x, y, z = field
+    return only(MagSample, peer.highres(t_us, xmag=x, ymag=y, zmag=z, fields_updated=bits))
+
+
+def test_a_magnetometer_counts_when_its_bits_are_set_and_it_changed():
+    peer = Peer()
+    assert mag(peer, 4_000, FIELD, bits=ACCEL_GYRO) == []
+    assert mag(peer, 8_000, FIELD, bits=ACCEL_GYRO | 0x40) == []
+    assert len(mag(peer, 12_000, FIELD)) == 1
+    assert mag(peer, 16_000, FIELD) == []
+    assert len(mag(peer, 20_000, (0.22, 0.03, 0.42))) == 1
+
+
+def test_a_field_a_million_times_too_large_is_corrected_and_counted():
+    peer = Peer(Family.ARDUPILOT)
+    (sample,) = mag(peer, 4_000, (182826.6, -152511.0, -528000.0))
+    assert (sample.mag_x, sample.mag_y, sample.mag_z) == pytest.approx(
+        (0.1828266, -0.152511, -0.528)
+    )
+    assert peer.refused == {"mag: unit corrected by 1e6": 1}
+
+
+@pytest.mark.parametrize("size", [0.05, 0.9, 500.0, 1e5, 9e5, math.nan, math.inf])
+def test_what_is_no_field_of_the_earth_is_refused(size):
+    peer = Peer()
+    assert mag(peer, 4_000, (size, 0.0, 0.0)) == []
+    assert peer.refused == {"mag: no field of the Earth": 1}
+
+
+def test_raw_imu_brings_the_magnetometer_where_highres_has_none():
+    peer = Peer(Family.ARDUPILOT)
+    found = []
+    for t_ms in range(1000, 6000, 100):
+        peer.highres(t_ms * 1000)
+        found += only(
+            MagSample, peer.say("raw_imu", time_usec=t_ms * 1000, **RAW | {"xmag": t_ms % 99})
+        )
+    assert found[0].t_ns > 4_000_000_000
+    assert found[0].mag_z == pytest.approx(-0.528)
+
+
+@pytest.mark.parametrize("pressure", [898.746, 89874.6])
+def test_pressure_is_hectopascal_or_pascal_by_what_air_can_have(pressure):
+    measured = Peer().highres(4_000, abs_pressure=pressure, fields_updated=ACCEL_GYRO | BARO)
+    (baro,) = only(BaroSample, measured)
+    assert baro.alt == pytest.approx(1000.0, abs=0.05)  # the standard's table, to 0.1 Pa
+
+
+@pytest.mark.parametrize("pressure", [1.0, 5000.0, 2e5, -900.0, math.nan, math.inf])
+def test_a_pressure_that_air_cannot_have_is_refused(pressure):
+    peer = Peer()
+    measured = peer.highres(4_000, abs_pressure=pressure, fields_updated=ACCEL_GYRO | BARO)
+    assert only(BaroSample, measured) == []
+    assert peer.refused == {"baro: no pressure of the air": 1}
+
+
+def test_a_repeated_pressure_counts_once():
+    peer = Peer()
+    bits = ACCEL_GYRO | BARO
+    counts = [
+        len(only(BaroSample, peer.highres(t_us, abs_pressure=950.0, fields_updated=bits)))
+        for t_us in (4_000, 8_000)
+    ]
+    assert counts == [1, 0]
+
+
+def test_scaled_pressure_steps_in_where_highres_has_none():
+    peer = Peer()
+    found = []
+    for t_ms in range(1000, 6000, 100):
+        peer.highres(t_ms * 1000)
+        found += only(
+            BaroSample,
+            peer.say("scaled_pressure", time_boot_ms=t_ms, press_abs=950.0 + t_ms * 1e-4),
+        )
+    assert [baro.t_ns // 1_000_000 for baro in found] == list(range(4100, 6000, 100))
+
+
+# GNSS
+
+
+def test_a_fix_in_si():
+    peer = with_fix()
+    (fix,) = peer.gps(
+        1_000_000, fix_type=6, vel=500, cog=9000, h_acc=300, v_acc=450, vel_acc=120, yaw=0
+    )
+    assert fix.t_ns == 1_000_000_000
+    assert math.degrees(fix.lat) == pytest.approx(47.3977635, abs=1e-12)
+    assert math.degrees(fix.lon) == pytest.approx(8.5455780, abs=1e-12)
+    assert fix.alt == 489.307
+    assert (fix.vel_north, fix.vel_east) == pytest.approx((0.0, 5.0))
+    assert fix.vel_down is None
+    assert (fix.std_h, fix.std_v, fix.std_vel) == pytest.approx((0.3, 0.45, 0.12))
+    assert fix.flags == GnssFlag.NONE
+
+
+@pytest.mark.parametrize("fix_type", [0, 1, 2])
+def test_less_than_a_3d_fix_is_refused_even_with_true_coordinates(fix_type):
+    peer = with_fix()
+    assert peer.gps(1_000_000, fix_type=fix_type) == []
+    assert peer.refused["GPS_RAW_INT: no 3-D fix"] == 1
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon"), [(0, 0), (900_000_001, 5), (-900_000_001, 5), (5, 1_800_000_001)]
+)
+def test_what_is_no_place_is_refused(lat, lon):
+    peer = with_fix()
+    assert peer.gps(1_000_000, lat=lat, lon=lon) == []
+    assert peer.refused["GPS_RAW_INT: no position"] == 1
+
+
+def test_a_fix_that_is_sent_again_counts_once():
+    peer = with_fix()
+    assert len(peer.gps(1_000_000)) == 1
+    for _ in range(3):
+        assert peer.gps(1_000_000, vel=3) == []
+    assert peer.refused["GPS_RAW_INT: repeated"] == 3
+
+
+def test_a_fix_without_time_is_placed_at_the_newest_inertial_sample():
+    peer = with_fix()
+    peer.highres(1_500_000)
+    (fix,) = peer.gps(0)
+    assert fix.t_ns == 1_500_000_000
+    assert peer.gps(0) == []
+    assert len(peer.gps(0, lat=473977636)) == 1
+
+
+def test_the_first_fix_after_none_is_not_believed():
+    peer = Peer()
+    peer.highres(1_000_000)
+    for t_us, fix_type, expected in [
+        (1_000_000, 1, 0),
+        (1_200_000, 3, 0),
+        (1_400_000, 3, 1),
+        (1_600_000, 1, 0),
+        (1_800_000, 3, 0),
+        (2_000_000, 3, 1),
+    ]:
+        assert len(peer.gps(t_us, fix_type=fix_type)) == expected
+
+
+@pytest.mark.parametrize(
+    ("eph", "std_h"), [(121, 1.815), (20, 0.5), (65535, 5.0), (9999, 5.0), (0, 5.0)]
+)
+def test_without_an_accuracy_the_dilution_says_it(eph, std_h):
+    (fix,) = with_fix().gps(1_000_000, eph=eph)
+    assert fix.std_h == pytest.approx(std_h)
+    assert fix.std_v == pytest.approx(1.5 * std_h)
+
+
+@pytest.mark.parametrize("unknown", [{"vel": 65535, "cog": 100}, {"vel": 100, "cog": 65535}])
+def test_speed_without_course_is_no_velocity(unknown):
+    (fix,) = with_fix().gps(1_000_000, **unknown)
+    assert fix.vel_north is fix.vel_east is fix.std_vel is None
+
+
+def test_a_velocity_without_accuracy_gets_a_receivers_usual_one():
+    (fix,) = with_fix().gps(1_000_000, vel=100, cog=0)
+    assert fix.std_vel == 0.3
+
+
+@pytest.mark.parametrize(("yaw", "degrees"), [(36000, 0.0), (9000, 90.0), (27000, -90.0)])
+def test_a_dual_antenna_gives_heading_and_north_is_36000(yaw, degrees):
+    _, heading = with_fix().gps(1_000_000, yaw=yaw, hdg_acc=50_000)
+    assert heading.source is HeadingSource.GNSS
+    assert math.degrees(heading.heading) == pytest.approx(degrees, abs=1e-9)
+    assert math.degrees(heading.std) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("yaw", [0, 65535])
+def test_no_yaw_and_yaw_that_is_not_available_are_no_heading(yaw):
+    assert only(HeadingSample, with_fix().gps(1_000_000, yaw=yaw)) == []
+
+
+def test_a_fix_in_unix_time_moves_to_the_inertial_clock():
+    unix_us = 1_700_000_000_000_000
+    peer = Peer()
+    peer.highres(60_000_000)
+    assert peer.gps(unix_us) == []
+    assert peer.refused["GPS_RAW_INT: time base unknown"] == 1
+    peer.say("system_time", time_unix_usec=unix_us, time_boot_ms=60_000)
+    peer.gps(unix_us + 100_000)
+    (fix,) = peer.gps(unix_us + 200_000)
+    assert fix.t_ns == 60_200_000_000
+
+
+def test_a_fix_stamped_on_no_clock_of_the_vehicle_is_refused():
+    peer = with_fix()
+    assert peer.gps(500_000_000) == []
+    assert peer.refused["GPS_RAW_INT: stamp far from the inertial samples"] == 1
+
+
+def test_the_autopilots_own_position_is_marked_thinned_and_weighed_down():
+    peer = with_fix()
+    peer.gps(1_000_000, h_acc=2000, v_acc=1000, vel=0, cog=0, vel_acc=500)
+    fixes = []
+    for t_ms in range(1000, 3000, 20):
+        fixes += only(
+            GnssFix,
+            peer.say(
+                "global_position_int",
+                time_boot_ms=t_ms,
+                lat=473977638,
+                lon=85455799,
+                alt=489416,
+                vx=-150,
+                vy=20,
+                vz=-7,
+                hdg=65535,
+            ),
+        )
+    assert len(fixes) == 10
+    fix = fixes[0]
+    assert fix.flags == GnssFlag.DERIVED
+    assert (fix.vel_north, fix.vel_east, fix.vel_down) == pytest.approx((-1.5, 0.2, -0.07))
+    assert (fix.std_h, fix.std_v, fix.std_vel) == pytest.approx((6.0, 4.5, 1.5))
+
+
+def test_a_position_of_zero_is_none():
+    peer = with_fix()
+    assert peer.say("global_position_int", time_boot_ms=1000, alt=990, hdg=65535) == []
+    assert peer.refused["GLOBAL_POSITION_INT: no position"] == 1
+
+
+# Heading
+
+
+def test_attitude_is_the_best_heading_of_the_autopilot_at_ten_a_second():
+    peer = Peer()
+    headings = []
+    for t_ms in range(1000, 3000, 20):
+        headings += peer.say("attitude", time_boot_ms=t_ms, yaw=-0.5)
+        headings += peer.say("global_position_int", time_boot_ms=t_ms, hdg=9000)
+        headings += peer.say("vfr_hud", heading=90)
+    assert len(headings) == 20
+    assert {round(one.heading, 6) for one in headings} == {-0.5}
+    assert headings[0].source is HeadingSource.AUTOPILOT
+    assert math.degrees(headings[0].std) == pytest.approx(5.0)
+
+
+def test_the_heading_of_the_position_then_of_the_display_step_in():
+    peer = Peer()
+    for t_ms in range(1000, 5000, 100):
+        by_position = peer.say("global_position_int", time_boot_ms=t_ms, hdg=9000)
+    assert [math.degrees(one.heading) for one in by_position] == pytest.approx([90.0])
+
+    peer = Peer()
+    for t_ms in range(1000, 5000, 100):
+        peer.highres(t_ms * 1000)
+        by_display = peer.say("vfr_hud", heading=270)
+    assert [math.degrees(one.heading) for one in by_display] == pytest.approx([-90.0])
+    assert by_display[0].t_ns == 4_900_000_000
+
+
+def test_an_unknown_heading_is_none():
+    peer = Peer()
+    for t_ms in range(1000, 6000, 100):
+        assert peer.say("global_position_int", time_boot_ms=t_ms, hdg=65535) == []
+        assert peer.say("attitude", time_boot_ms=t_ms, yaw=math.nan) == []
+        assert peer.say("vfr_hud", heading=-1) == []
+
+
+# The vehicle and its clock
+
+
+def test_armed_and_landed_are_told():
+    peer = Peer()
+    heartbeat = {"type": 2, "autopilot": 12}
+    assert peer.say("heartbeat", **heartbeat) == []
+    peer.highres(4_000)
+    assert peer.say("heartbeat", base_mode=128, **heartbeat) == [
+        VehicleState(t_ns=4_000_000, is_armed=True)
+    ]
+    for landed_state, is_landed in [(1, True), (2, False), (3, None), (0, None), (4, False)]:
+        states = peer.say("extended_sys_state", landed_state=landed_state)
+        if landed_state == 3:
+            assert states == []  # still in the air
+        else:
+            assert states == [VehicleState(t_ns=4_000_000, is_armed=True, is_landed=is_landed)]
+
+
+@pytest.mark.parametrize("first", ["highres", "attitude", "system_time"])
+def test_a_reboot_is_told_once_by_whichever_message_comes_first(first):
+    peer = with_fix()
+    peer.highres(279_000_000)
+    measured = {
+        "highres": lambda: peer.highres(18_950_000),
+        "attitude": lambda: peer.say("attitude", time_boot_ms=18_950),
+        "system_time": lambda: peer.say("system_time", time_boot_ms=18_950),
+    }[first]()
+    assert measured[0] == Restart()
+    after = peer.highres(18_960_000) + peer.say("attitude", time_boot_ms=18_970)
+    after += peer.say("system_time", time_boot_ms=18_980)
+    assert only(Restart, after) == []
+    assert peer.gps(18_900_000) == []  # the first fix after it is not believed again
+
+
+def test_a_wrap_of_the_milliseconds_is_no_reboot():
+    peer = Peer()
+    wrap = 1 << 32
+    measured = peer.say("attitude", time_boot_ms=wrap - 500)
+    measured += peer.say("attitude", time_boot_ms=500)
+    assert [type(one) for one in measured] == [HeadingSample, HeadingSample]
+    assert measured[1].t_ns - measured[0].t_ns == 1_000_000_000
+
+
+def test_messages_that_say_nothing_of_motion_give_nothing():
+    assert Peer().say("param_value", param_id=b"X") == []
+
+
+# Choosing and thinning
+
+
+def test_the_best_source_is_waited_for_and_the_choice_is_by_rank():
+    choice = Preference()
+    second = 1_000_000_000
+    assert not choice.admit(2, 0)
+    assert not choice.admit(1, 3 * second)
+    assert choice.admit(2, 3 * second + 1)
+    assert choice.admit(1, 3 * second + 2)
+    assert not choice.admit(2, 3 * second + 3)
+    assert choice.admit(0, 4 * second)
+
+
+def test_a_pace_starts_anew_when_stamps_go_back():
+    pace = Pace(10.0)
+    assert [pace.admit(t_ms * 1_000_000) for t_ms in (0, 50, 99, 100, 199, 20, 60)] == [
+        True,
+        False,
+        True,
+        False,
+        True,
+        True,
+        False,
+    ]
