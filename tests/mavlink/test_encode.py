@@ -220,5 +220,5 @@ def test_estimator_status_says_ratios_and_accuracies():
     assert (m.time_usec, m.flags) == (5_000, 17)
     assert (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio) == (0.25, 0.5, 0.75, 1.5)
     assert (m.pos_horiz_accuracy, m.pos_vert_accuracy) == (2.0, 3.0)
-    for flag in encode.StatusFlag:
+    for flag in set(encode.StatusFlag) - {encode.StatusFlag.NONE}:  # Python 3.10 lists it too
         assert flag.value == getattr(dialect, f"ESTIMATOR_{flag.name}")
