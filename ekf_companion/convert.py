@@ -149,6 +149,8 @@ class _Telemetry:
         self._report = report
         self.size = len(log)
         self.delay: float | None = None
+        self.system_id = 0
+        """Of the autopilot; 0: not heard yet."""
         report.notes += log.notes
 
     @property
@@ -165,7 +167,8 @@ class _Telemetry:
         for stamp_us, raw in self._log.frames():
             measured = session.receive(raw, stamp_us * 1000)
             for event in session.events():
-                if isinstance(event, PeerFound):
+                if isinstance(event, PeerFound) and not self.system_id:
+                    self.system_id = event.system_id
                     self._report.family = event.family.value
             yield stamp_us, raw, [measurement.row() for measurement in measured]
         session.data_to_send()
@@ -182,6 +185,7 @@ class _Columns:
         self.reference = recording.reference
         self.truth = recording.truth
         self.delay = recording.gnss_delay
+        self.system_id = 1
         self.size = len(recording.events)
         report.family = recording.family
         report.notes += recording.notes
@@ -242,7 +246,7 @@ def _messages(
     """Give the original frames and, behind the sample that makes them due, our messages."""
     pipeline: Pipeline | None = None
     publisher: Publisher | None = None
-    sender = Sender(config.link.system_id or 1, config.link.component_id)
+    sender = Sender(1, config.link.component_id)
     ours: list[bytes] = []
     taken: list[Row] = []
     tables: list[tuple[int, np.ndarray]] = []
@@ -252,6 +256,7 @@ def _messages(
         for row in rows:
             if pipeline is None or publisher is None:
                 family = Family(report.family)
+                sender.system_id = config.link.system_id or source.system_id
                 pipeline = Pipeline(config, report.family, source.delay)
                 publisher = Publisher(config, pipeline, family)
             if pipeline.insert(row) is Arrival.ESTIMATED:
