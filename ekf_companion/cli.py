@@ -196,6 +196,11 @@ def compare(
         begin = int(ours.att_t_ns[0]) if len(ours.att_t_ns) else 0
         end = None if until is None else begin + round(until * 1e9)
         scores = [comparer.score(ours, against, seconds, end_ns=end)]
+        if scores[0].horizontal is None and scores[0].tilt is None:
+            raise LogError(
+                f"{log}: {ours.name} and {against.name} have no time in common after the first "
+                f"{seconds:g} s; leave out fewer with --skip"
+            )
         others = [against]
         if truth is not None and own is not None:
             start = scores[0].start_ns
