@@ -115,6 +115,15 @@ def test_two_clocks_that_drift_are_compared_to_the_delay_of_the_link():
     assert abs(ours.peer_ns(at_ns) - at_ns - offset_at(at_ns)) < 150_000  # the jitter of the way
 
 
+def test_answers_that_waited_on_one_way_do_not_move_the_offset():
+    rng = np.random.default_rng(6)
+    ours = Timesync()
+    for at_ns in range(0, 60_000 * MS, 50 * MS):
+        waited = 8 * MS if rng.random() < 0.3 else 0
+        exchange(ours, lambda _: 77 * MS, at_ns, MS // 2, MS // 2 + waited)
+    assert ours.peer_ns(at_ns) == at_ns + 77 * MS
+
+
 def test_it_asks_ten_times_a_second_until_locked_then_once():
     ours = Timesync()
     asked = [

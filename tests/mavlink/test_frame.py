@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import hypothesis.strategies as st
+import pytest
 from hypothesis import given, settings
 from pymavlink.dialects.v10 import ardupilotmega as dialect_1
 from pymavlink.dialects.v20 import ardupilotmega as dialect_2
@@ -103,11 +104,12 @@ def test_noise_never_raises_and_never_piles_up(noise, places):
     assert len(noise) - sum(len(frame.raw) for frame in found) < LARGEST_FRAME
 
 
-def test_a_damaged_frame_costs_only_itself():
+@pytest.mark.parametrize("flipped", [0x10, 0x40])
+def test_a_damaged_frame_costs_only_itself(flipped):
     good = [pymavlink_frame(30, bytes([n] * 28), n, version=2) for n in range(1, 6)]
     for place in range(len(good[2])):
         damaged = bytearray(good[2])
-        damaged[place] ^= 0x10
+        damaged[place] ^= flipped  # the length too, shorter and longer
         data = b"".join([*good[:2], bytes(damaged), *good[3:], bytes(LARGEST_FRAME)])
         _, found = feed_all([data])
         assert raws(found) == [*good[:2], *good[3:]]
@@ -123,6 +125,13 @@ def test_an_unknown_id_is_counted_and_passed_over():
     assert raws(found) == [good, good]
     assert splitter.unknown_id == 2
     assert splitter.bad_crc == 0
+
+
+def test_what_looks_like_an_unknown_frame_counts_only_if_a_start_byte_follows():
+    # The last byte is a start byte, so that the search meets the very end of it
+    splitter, _ = feed_all([unknown_frame(20)[:-1] + b"\xfd", bytes(LARGEST_FRAME)])
+    assert splitter.unknown_id == 0
+    assert splitter.junk_bytes == 32 + LARGEST_FRAME
 
 
 def test_a_false_start_with_an_unknown_id_hides_no_frame_behind_it():
