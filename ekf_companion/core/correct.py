@@ -114,24 +114,28 @@ def absorb(x: cython.double[::1], w: cython.double[::1], m: cython.Py_ssize_t) -
 @cython.nogil
 @cython.exceptval(check=False)
 def absorb_yaw(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
-    """Absorb one row that :func:`innovate` has judged into yaw, gyro bias and heading offset only.
+    """Absorb one row that :func:`innovate` has judged into yaw, its drift and its offset only.
 
     An azimuth depends on tilt as much as on yaw, the more the steeper its direction; but its slow
     errors (a disturbed field, another filter's habits) must not become tilt. So the gain of all
-    else is zero, and the covariance is that of this gain: yaw stays correlated with the tilt that
-    it was found with, and follows when GNSS corrects that.
+    but yaw, heading offset and the gyro bias about the vertical is zero, and the covariance is
+    that of this gain: yaw stays correlated with the tilt that it was found with, and follows when
+    GNSS corrects that. The vertical in b is the last row of w[W_C_NB].
 
     Source: Schmidt 1966 (consider states); Joseph form for any gain, Maybeck 1979, ch. 5.
     """
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
+    down: cython.double = 0.0
     s: cython.double = w[at.W_L] * w[at.W_L]
     for i in range(at.N):
         w[at.W_ROW + i] = 0.0
     w[at.W_ROW + at.E_ATT + 2] = w[at.W_C + at.E_ATT + 2] / s
     w[at.W_ROW + at.E_HEADING] = w[at.W_C + at.E_HEADING] / s
-    for i in range(at.E_BG, at.E_BG + 3):
-        w[at.W_ROW + i] = w[at.W_C + i] / s
+    for i in range(3):
+        down += w[at.W_C_NB + 6 + i] * w[at.W_C + at.E_BG + i]
+    for i in range(3):
+        w[at.W_ROW + at.E_BG + i] = down * w[at.W_C_NB + 6 + i] / s
     for i in range(at.N):
         w[at.W_DX + i] = w[at.W_ROW + i] * w[at.W_Z]
         for j in range(i, at.N):

@@ -50,6 +50,9 @@ def test_an_azimuth_moves_yaw_and_gyro_bias_only_and_says_so_in_its_covariance()
     before = x.copy()
     S = H @ P @ H.T + R
     K = P @ H.T / S
+    down = np.array([0.36, -0.48, 0.8])
+    w[at.W_C_NB + 6 : at.W_C_NB + 9] = down
+    K[at.E_BG : at.E_BG + 3, 0] = down * (down @ K[at.E_BG : at.E_BG + 3, 0])
     free = [at.E_ATT + 2, at.E_BG, at.E_BG + 1, at.E_BG + 2, at.E_HEADING]
     K[[i for i in range(at.N) if i not in free]] = 0.0
     I_KH = np.eye(at.N) - K @ H
