@@ -63,7 +63,10 @@ QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Statu
 if COMPILED_BLOCK != at.BLOCK:
     raise ImportError("the compiled kernel is older than its source; build it anew: make setup")
 
-RESET_REASONS = ("none", "position", "velocity", "height", "heading", "inertial gap", "clock")
+RESET_REASONS = (
+    *("none", "position", "velocity", "height", "heading", "inertial gap", "clock"),
+    "state out of bounds",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

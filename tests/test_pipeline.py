@@ -230,6 +230,19 @@ def test_a_lasting_wrong_heading_is_taken_over_with_a_reset():
     assert pipeline.health().resets >= 1
 
 
+def test_a_state_that_cannot_be_is_left_for_a_new_start():
+    events, truth = flight("static", duration=40.0)
+    mad = changed(events, between(events, 10.0, 13.0) & (events.kind == Kind.IMU), 3, 1900.0)
+    table, pipeline = run(mad)
+    health = pipeline.health()
+    assert np.nanmax(np.abs(table.column("vel_n"))) <= 1000.0
+    assert health.resets >= 1
+    assert statuses(table)[-1] is Status.OK
+    late = errors(table, truth, 35.0)
+    assert rms(late["vel"]) < 0.5
+    assert np.isfinite(table.values[-1]).all()
+
+
 def test_covariance_stays_symmetric_and_positive():
     events, _ = flight("figure-eight", duration=40.0)
     _, pipeline = run(events)

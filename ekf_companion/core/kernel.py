@@ -139,6 +139,8 @@ def step(
     learn(x, rows, last, span)
     remember(x, rows, last)
     settle(x, k, w, t, span)
+    if not is_sound(x):
+        start_over(x, t)
 
 
 @cython.cfunc
@@ -165,6 +167,50 @@ def begin(x: cython.double[::1], t: cython.double) -> cython.void:
         x[at.X_T_USED + i] = NEVER
     x[at.X_LEVEL + at.L_START] = t
     align.restart(x, t)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def is_sound(x: cython.double[::1]) -> cython.bint:
+    """Say whether the state is one that a vehicle can be in; one NaN anywhere makes it none."""
+    i: cython.Py_ssize_t
+    speed: cython.double = 0.0
+    bias: cython.double = 0.0
+    largest: cython.double = x[at.X_Q] * x[at.X_Q]
+    for i in range(3):
+        speed += x[at.X_VEL + i] * x[at.X_VEL + i]
+        bias += x[at.X_BG + i] * x[at.X_BG + i] * 100.0 + x[at.X_BA + i] * x[at.X_BA + i]
+        largest += x[at.X_Q + 1 + i] * x[at.X_Q + 1 + i] + fabs(x[at.X_POS + i])
+    for i in range(at.N):
+        if not x[at.X_COV + i * (at.N + 1)] >= 0.0:
+            return False
+        largest += x[at.X_COV + i * (at.N + 1)]
+    # 1 km/s, 1 rad/s or 10 m/s^2 of bias; a sigma of 1000 km
+    return speed < 1e6 and bias < 100.0 and largest < 1e12
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def start_over(x: cython.double[::1], t: cython.double) -> cython.void:
+    """Forget a state that cannot be, and level again; origin and accounts live on."""
+    i: cython.Py_ssize_t
+    for i in range(at.X_Q, at.X_LAT0):
+        x[i] = 0.0
+    for i in range(at.X_COV, at.BLOCK):
+        x[i] = 0.0
+    x[at.X_HEADING] = 0.0
+    x[at.X_HAS_YAW] = 0.0
+    x[at.X_HAS_BARO] = 0.0
+    x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
+    x[at.X_LEVEL + at.L_HAS_REF] = 0.0
+    for i in range(3):
+        x[at.X_NOISE_G + i] = 0.0
+        x[at.X_NOISE_A + i] = 0.0
+    x[at.X_RESETS] += 1.0
+    x[at.X_RESET_REASON] = at.RESET_BOUNDS
+    begin(x, t)
 
 
 @cython.cfunc

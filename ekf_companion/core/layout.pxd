@@ -155,6 +155,7 @@ cdef enum:
     RESET_YAW = 4
     RESET_GAP = 5
     RESET_CLOCK = 6
+    RESET_BOUNDS = 7
     W_H = 0
     W_C = 54
     W_Z = 108
