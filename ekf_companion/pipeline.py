@@ -171,6 +171,7 @@ class Pipeline:
             return None
         x = self._timeline.block()
         P = x[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
+        slow = np.maximum(x[[at.X_SLOW_POS, at.X_SLOW_POS, at.X_SLOW_HGT]], 0.0)
         pose = [*range(at.E_POS, at.E_POS + 3), *range(at.E_ATT, at.E_ATT + 3)]
         return Odometry(
             t_ns=self.stamp_ns,
@@ -178,7 +179,7 @@ class Pipeline:
             vel_n=values[at.OUT_VEL : at.OUT_VEL + 3],
             q_nb=values[at.OUT_Q : at.OUT_Q + 4],
             rates_b=x[at.X_GYRO : at.X_GYRO + 3] - x[at.X_BG : at.X_BG + 3],
-            pose_covariance=P[np.ix_(pose, pose)],
+            pose_covariance=P[np.ix_(pose, pose)] + np.diag([*slow, 0.0, 0.0, 0.0]),
             velocity_covariance=P[at.E_VEL : at.E_VEL + 3, at.E_VEL : at.E_VEL + 3],
             reset_count=int(x[at.X_RESETS]),
             quality=QUALITY[status],

@@ -87,6 +87,17 @@ def test_sigma_is_true_over_seeded_flights(name):
         assert 0.3 < math.sqrt(np.mean(squares)) < 1.6, block
 
 
+def test_sigma_counts_in_what_of_a_receivers_error_is_slow():
+    squares = []
+    for seed in range(1, 9):
+        events, truth = flight("figure-eight", 60.0, seed, rate=50.0, noise=(0.05, 2.0))
+        table, _ = run(events)
+        late = errors(table, truth, 30.0)
+        squares.append(float(np.mean(np.square(late["pos"] / late["sd_pos"]))))
+    # a slow error of 100 s gives one independent draw an axis: 24 in all
+    assert 0.5 < math.sqrt(np.mean(squares)) < 1.5
+
+
 def test_live_and_table_give_the_same_bits():
     events, _ = flight("figure-eight", duration=12.0)
     table, _ = run(events)

@@ -55,10 +55,10 @@ ROUGH_AFTER = cython.declare(cython.double, 6e9)
 """Without rest and without GNSS the attitude is taken roughly after this long, ns."""
 FAKE_INTERVAL = cython.declare(cython.double, 2e8)
 """Between two assumptions that the vehicle is not going anywhere, while it has no GNSS, ns."""
-VELOCITY_MEMORY = cython.declare(cython.double, 40.0)
-"""Fixes over which the receiver's true velocity noise is learnt."""
+WHITE_MEMORY = cython.declare(cython.double, 40.0)
+"""Fixes over which a receiver's white noise is learnt."""
 LEAST_RATIO = cython.declare(cython.double, 0.01)
-"""A receiver overstates its velocity error ten times at the most: what is learnt beyond is luck."""
+"""A receiver overstates its white error ten times at the most: what is learnt beyond is luck."""
 LARGEST_RATIO = cython.declare(cython.double, 9.0)
 MOUNTING = cython.declare(cython.double, 0.005)
 """Slow error of a dual antenna: how well its baseline is mounted, rad."""
@@ -153,8 +153,8 @@ def begin(x: cython.double[::1], t: cython.double) -> cython.void:
     x[at.X_MODE] = at.MODE_LEVEL
     x[at.X_Q] = 1.0
     x[at.X_DECLINATION] = NAN
-    x[at.X_VEL_LEARNT] = 1.0
-    x[at.X_VEL_RATIO] = 1.0
+    for i in range(3):
+        x[at.X_WHITE + i] = 1.0
     x[at.X_ARMED] = NAN
     x[at.X_LANDED] = NAN
     x[at.X_T_FIX] = NEVER
@@ -399,9 +399,39 @@ def fuse(
 ) -> cython.bint:
     """Absorb m rows if they pass the gate, and keep the account; False: they did not."""
     nis: cython.double = correct.innovate(x, w, m)
+    return settle_rows(x, w, aid, m, nis, gate)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def fuse_gnss(
+    x: cython.double[::1],
+    w: cython.double[::1],
+    aid: cython.Py_ssize_t,
+    m: cython.Py_ssize_t,
+    gate: cython.double,
+    stated: cython.double,
+) -> cython.bint:
+    """Do the same for a receiver's rows, and learn how white its stated error (variance) is."""
+    nis: cython.double = correct.innovate(x, w, m)
+    learn_white(x, w, aid, m, stated)
+    return settle_rows(x, w, aid, m, nis, gate)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def settle_rows(
+    x: cython.double[::1],
+    w: cython.double[::1],
+    aid: cython.Py_ssize_t,
+    m: cython.Py_ssize_t,
+    nis: cython.double,
+    gate: cython.double,
+) -> cython.bint:
+    """Absorb m rows that have been judged, or refuse them, and keep the account."""
     x[at.X_RATIO + aid] = nis / gate
-    if aid == at.AID_VEL:
-        learn_velocity(x, w, m)
     if nis > gate:
         count(x, aid, at.WHY_GATED)
         return False
@@ -417,34 +447,42 @@ def fuse(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def learn_velocity(
-    x: cython.double[::1], w: cython.double[::1], m: cython.Py_ssize_t
+def learn_white(
+    x: cython.double[::1],
+    w: cython.double[::1],
+    aid: cython.Py_ssize_t,
+    m: cython.Py_ssize_t,
+    stated: cython.double,
 ) -> cython.void:
-    """Learn how far the receiver misstates its velocity error, as a ratio of variances.
+    """Learn what share of the error that a receiver states is white, as a ratio of variances.
 
-    What the innovation has beyond the filter's own doubt is the receiver's: receivers state metres
-    per second and differ from fix to fix by centimetres. Slow, and bounded where it is used.
+    What the innovations have beyond the filter's own doubt is white. Receivers state metres, and
+    differ from fix to fix by centimetres: the rest of the stated error is slow, the filter cannot
+    see it, and its position is as wrong.
     """
     r: cython.Py_ssize_t
     j: cython.Py_ssize_t
-    s: cython.double
     ratio: cython.double = 0.0
     for r in range(m):
-        s = w[at.W_Z + r] * w[at.W_Z + r]
+        ratio += w[at.W_Z + r] * w[at.W_Z + r]
         for j in range(at.N):
-            s -= w[at.W_H + r * at.N + j] * w[at.W_C + r * at.N + j]
-        ratio += s / (w[at.W_R + 4 * r] * m)
-    ratio *= x[at.X_VEL_RATIO]  # R was scaled by what had been learnt
-    if ratio > 9.0:
-        ratio = 9.0
-    if ratio < -9.0:
-        ratio = -9.0
-    x[at.X_VEL_LEARNT] += (ratio - x[at.X_VEL_LEARNT]) / VELOCITY_MEMORY
-    x[at.X_VEL_RATIO] = x[at.X_VEL_LEARNT]
-    if x[at.X_VEL_RATIO] < LEAST_RATIO:
-        x[at.X_VEL_RATIO] = LEAST_RATIO
-    if x[at.X_VEL_RATIO] > LARGEST_RATIO:
-        x[at.X_VEL_RATIO] = LARGEST_RATIO
+            ratio -= w[at.W_H + r * at.N + j] * w[at.W_C + r * at.N + j]
+    ratio = ratio / (m * stated)
+    if ratio > LARGEST_RATIO:
+        ratio = LARGEST_RATIO
+    if ratio < -LARGEST_RATIO:
+        ratio = -LARGEST_RATIO
+    x[at.X_WHITE + aid] += (ratio - x[at.X_WHITE + aid]) / WHITE_MEMORY
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def white_of(x: cython.double[::1], aid: cython.Py_ssize_t) -> cython.double:
+    """Give the share learnt, within what is possible."""
+    if x[at.X_WHITE + aid] < LEAST_RATIO:
+        return LEAST_RATIO
+    return x[at.X_WHITE + aid]
 
 
 @cython.cfunc
@@ -513,7 +551,8 @@ def take_fix(
         std_v = k[at.K_HGT_FLOOR]
     if isnan(std_vel):
         std_vel = k[at.K_VEL_DEFAULT]
-    std_vel = std_vel * sqrt(x[at.X_VEL_RATIO])
+    stated: cython.double = std_vel * std_vel
+    std_vel = std_vel * sqrt(white_of(x, at.AID_VEL))
     if std_vel < k[at.K_VEL_FLOOR]:
         std_vel = k[at.K_VEL_FLOOR]
     if not isnan(rows[r, at.ROW_V + 9]):
@@ -551,15 +590,19 @@ def take_fix(
             launch(x, k, w, vn, ve, vd, std_vel)
         return
 
+    # What of the stated error is not white is slow, and ours as well
+    x[at.X_SLOW_POS] = std_h * std_h * (1.0 - white_of(x, at.AID_POS))
+    x[at.X_SLOW_HGT] = std_v * std_v * (1.0 - white_of(x, at.AID_HGT))
+
     # Velocity first: it is the surer of the two
     if has_vel:
         m = observe.velocity(x, k, w, vn, ve, vd, std_vel)
-        if not fuse(x, w, at.AID_VEL, m, k[at.K_GATE3] if m == 3 else k[at.K_GATE2]):
+        if not fuse_gnss(x, w, at.AID_VEL, m, k[at.K_GATE3] if m == 3 else k[at.K_GATE2], stated):
             if is_timed_out(x, at.AID_VEL, k[at.K_TIMEOUT_VEL]):
                 launch(x, k, w, vn, ve, vd, std_vel)
                 reset(x, at.AID_VEL, at.RESET_VELOCITY)
     observe.position(x, k, w, lat, lon, std_h)
-    if not fuse(x, w, at.AID_POS, 2, k[at.K_GATE2]) and is_timed_out(
+    if not fuse_gnss(x, w, at.AID_POS, 2, k[at.K_GATE2], std_h * std_h) and is_timed_out(
         x, at.AID_POS, k[at.K_TIMEOUT_POS]
     ):
         place(x, k, w, lat, lon, std_h)
@@ -567,7 +610,7 @@ def take_fix(
             halt(x, at.E_VEL, 2)
         reset(x, at.AID_POS, at.RESET_POSITION)
     observe.height(x, k, w, alt, std_v)
-    if not fuse(x, w, at.AID_HGT, 1, k[at.K_GATE1]) and is_timed_out(
+    if not fuse_gnss(x, w, at.AID_HGT, 1, k[at.K_GATE1], std_v * std_v) and is_timed_out(
         x, at.AID_HGT, k[at.K_TIMEOUT_HGT]
     ):
         lift(x, k, w, alt, std_v)
@@ -926,6 +969,7 @@ def describe(
     Gives the status; what is not known yet is NaN.
     """
     i: cython.Py_ssize_t
+    slow: cython.double
     state: cython.int = status(x, k)
     for i in range(at.X_COV):
         y[i] = x[i]
@@ -1000,7 +1044,10 @@ def describe(
     for i in range(3):
         out[at.OUT_POS + i] = y[at.X_POS + i]
         out[at.OUT_VEL + i] = y[at.X_VEL + i]
-        out[at.OUT_SD + i] = sqrt(x[at.X_COV + (at.E_POS + i) * (at.N + 1)])
+        slow = x[at.X_SLOW_HGT] if i == 2 else x[at.X_SLOW_POS]
+        out[at.OUT_SD + i] = sqrt(
+            x[at.X_COV + (at.E_POS + i) * (at.N + 1)] + (slow if slow > 0.0 else 0.0)
+        )
         out[at.OUT_SD + 3 + i] = sqrt(x[at.X_COV + (at.E_VEL + i) * (at.N + 1)])
     out[at.OUT_LLA] = (x[at.X_LAT0] + y[at.X_POS] / x[at.X_SCALE_N]) * DEG
     out[at.OUT_LLA + 1] = observe.wrap(x[at.X_LON0] + y[at.X_POS + 1] / x[at.X_SCALE_E]) * DEG

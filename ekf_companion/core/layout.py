@@ -91,14 +91,15 @@ X_PREV_A = 97
 X_PREV2_G = 100
 X_PREV2_A = 103
 X_LEVEL = 106
-X_VEL_RATIO = 141
-X_VEL_LEARNT = 142
-X_INCLINATION = 143
-X_FIELD = 144
-X_HEADING = 145
-X_HEADING_STD = 146
-X_COV = 147
-BLOCK = 471
+X_WHITE = 141
+X_SLOW_POS = 144
+X_SLOW_HGT = 145
+X_INCLINATION = 146
+X_FIELD = 147
+X_HEADING = 148
+X_HEADING_STD = 149
+X_COV = 150
+BLOCK = 474
 
 # What levelling remembers, from X_LEVEL: sums over a window, the motion since a first fix, and a
 # reference: a direction of the body and its azimuth (NaN: that of the magnetic field)

@@ -20,9 +20,14 @@ def flight(
     rate: float = 100.0,
     skip: float = 0.0,
     yaw: bool = False,
+    noise: tuple[float, float] = (1.0, 0.0),
 ) -> tuple[Events, Trajectory]:
-    """Give the events of a flight, and the truth."""
-    config = SimConfig(gnss=GnssConfig(yaw=yaw))
+    """Give the events of a flight, and the truth; noise of fixes: white and slow, m."""
+    white, slow = noise
+    receiver = GnssConfig(
+        yaw=yaw, noise_h=white, slow_h=slow, noise_v=1.5 * white, slow_v=1.5 * slow
+    )
+    config = SimConfig(gnss=receiver)
     config = replace(config, imu=replace(config.imu, rate=rate))
     flown = Flight.plan(name, config, seed=seed, duration=duration, skip=skip)
     return wire.events(flown, has_vel_down=True), wire.truth(flown)
