@@ -110,10 +110,14 @@ def convert(
     source = _open(path, config, report)
     if out.suffix == ".csv":
         with CsvWriter(out) as writer:
+            last_ns: int | None = None
             for table in _estimates(source, config, report, progress):
-                kept = _thin(table, rate)
+                kept = _thin(table, rate, last_ns)
                 writer.write(kept.stamp_ns, kept.values)
+                last_ns = int(table.stamp_ns[-1]) if len(table) else last_ns
     else:
+        if isinstance(source, _Columns) and source.events.t_ns.min(initial=0) < 0:
+            raise LogError(f"{path}: has times before zero, which a .tlog cannot hold; name a .csv")
         with closing(create(out)) as file:
             for stamp_us, frame in _messages(source, config, report, progress):
                 file.write(stamp_us.to_bytes(8, "big") + frame)
@@ -287,13 +291,14 @@ def _stack(estimates: list[tuple[int, np.ndarray]]) -> Table:
     )
 
 
-def _thin(table: Table, rate: float | None) -> Table:
-    """Keep the first estimate of each period."""
+def _thin(table: Table, rate: float | None, last_ns: int | None) -> Table:
+    """Keep the first estimate of each period; the stamp of the one before the table tells its."""
     if rate is None or len(table) == 0:
         return table
     period = np.int64(round(1e9 / rate))
     slot = table.stamp_ns // period
-    first = np.concatenate(([True], slot[1:] != slot[:-1]))
+    before = slot[0] - 1 if last_ns is None else last_ns // period
+    first = np.diff(slot, prepend=before) != 0
     return Table(stamp_ns=table.stamp_ns[first], values=table.values[first])
 
 

@@ -82,6 +82,34 @@ def test_the_rate_thins_and_the_json_says_what_was_found(flown, tmp_path):
     assert report["seconds"]["ok"] > SECONDS - 5.0
 
 
+def long_csv(path: Path, start: float) -> Path:
+    """Write 450 s at rest, 50 Hz: more events than one chunk of the converter holds."""
+    axes = [f"gyro_{axis}_rps" for axis in "xyz"] + [f"accel_{axis}_mps2" for axis in "xyz"]
+    with path.open("w") as file:
+        file.write(",".join(["time_s", *axes, "heading_deg"]) + "\n")
+        for step in range(22_500):
+            wobble = 0.01 * (step % 3 - 1)
+            file.write(f"{start + step * 0.02:.2f},0,0,0,{wobble},0,-9.8,10\n")
+    return path
+
+
+def test_the_rate_thins_over_the_whole_length_of_a_log(tmp_path):
+    out = tmp_path / "out.csv"
+    result = command("convert", long_csv(tmp_path / "long.csv", 0.0), "-o", out, "--rate", 0.0625)
+    assert result.exit_code == 0, result.output
+    periods = [int(row["time_us"]) // 16_000_000 for row in rows_of(out)]
+    assert periods == list(range(29))
+
+
+def test_times_before_zero_make_a_csv_but_no_tlog(tmp_path):
+    log = long_csv(tmp_path / "long.csv", -100.0)
+    assert command("convert", log, "-o", tmp_path / "out.csv").exit_code == 0
+    result = command("convert", log, "-o", tmp_path / "out.tlog")
+    assert result.exit_code == 3
+    assert "times before zero" in result.output
+    assert not (tmp_path / "out.tlog").exists()
+
+
 def test_a_telemetry_log_gets_our_messages_beside_its_own(flown, tmp_path):
     out = tmp_path / "out.tlog"
     result = command("convert", flown / "flight.tlog", "-o", out)

@@ -15,6 +15,8 @@ import numpy as np
 
 UNIX_FROM_US = 1_234_567_890_000_000
 """A stamp above is unix time; the bound that PX4 and MAVROS use (a day in 2009)."""
+LAST_US = 4_000_000_000_000_000
+"""The year 2096: what is stamped later holds no time."""
 _WRAP_MS = 1 << 32
 _BACK_US = 1_000_000
 """A clock that goes back by more has begun anew; by less, packets overtook one another."""
@@ -65,7 +67,7 @@ class TimeBase:
             last = self._latest_boot_ms
             self._latest_boot_ms = boot_ms
             is_new = last is not None and _BACK_US // 1000 < (last - boot_ms) < _WRAP_MS // 2
-        if unix_us > UNIX_FROM_US:
+        if UNIX_FROM_US < unix_us <= LAST_US:
             boot_us = boot_ms * 1000 if self.is_unix else self._unwrapped_us(boot_ms)
             self._unix_minus_boot_us = unix_us - boot_us
         return is_new
@@ -140,7 +142,7 @@ class Timesync:
     def __init__(self, options: TimesyncOptions | None = None) -> None:
         self.options = options or TimesyncOptions()
         self.foreign = 0
-        """Answers to what we had not asked."""
+        """Answers to what we had not asked, or that hold no time."""
         self.slow = 0
         """Answers with too long a round trip."""
         self.reset()
@@ -186,7 +188,7 @@ class Timesync:
 
     def receive(self, tc1: int, ts1: int, now_ns: int) -> None:
         """Take an answer that was addressed to us or to nobody."""
-        if ts1 not in self._outstanding:
+        if ts1 not in self._outstanding or abs(tc1) > LAST_US * 1000:
             self.foreign += 1
             return
         self._outstanding.remove(ts1)

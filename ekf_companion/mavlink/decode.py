@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from ekf_companion.mavlink.clock import TimeBase
+from ekf_companion.mavlink.clock import LAST_US, TimeBase
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.layout import by_name
@@ -63,8 +63,6 @@ _MILLI_G = STANDARD_GRAVITY * 1e-3
 _SECOND_NS = 1_000_000_000
 _ABSENT_NS = 3 * _SECOND_NS
 """So long the better source must be silent before the next one is used."""
-_LAST_US = 4_000_000_000_000_000
-"""The year 2096: what is stamped later holds no time."""
 _STRAY_NS = 30 * _SECOND_NS
 """A fix stamped further from the inertial samples is on no clock of this vehicle's."""
 
@@ -193,7 +191,7 @@ class Decoder:
         )
         if instance != self.options.imu_id:
             return self._refuse("HIGHRES_IMU: another instance")
-        if t_us > _LAST_US:
+        if t_us > LAST_US:
             return self._refuse("HIGHRES_IMU: no time")
         out = self._restarted_by(t_us)
         t_ns = t_us * 1000
@@ -212,7 +210,7 @@ class Decoder:
             # Elsewhere the numbers have no unit
             return self._refuse("RAW_IMU: not ArduPilot")
         m = unpack(frame)
-        if m.time_usec > _LAST_US:
+        if m.time_usec > LAST_US:
             return self._refuse("RAW_IMU: no time")
         out = self._restarted_by(m.time_usec)
         self._add_integers(out, 1, m.time_usec, m)
@@ -260,6 +258,8 @@ class Decoder:
     ) -> None:
         if not math.isfinite(gx + gy + gz + ax + ay + az):
             self._refuse("IMU: not a number")
+        elif t_us == 0:
+            self._refuse("IMU: no time")
         elif not self._imu.admit(rank, t_us * 1000):
             self._refuse("IMU: a better source speaks")
         elif t_us == self._imu_us:
@@ -333,7 +333,7 @@ class Decoder:
         if key == self._fix_last:
             return self._refuse("GPS_RAW_INT: repeated")
         self._fix_last = key
-        if m.time_usec > _LAST_US:
+        if m.time_usec > LAST_US:
             return self._refuse("GPS_RAW_INT: no time")
         t_ns = self.clock.from_us(m.time_usec) if m.time_usec else self.clock.latest_ns
         if t_ns is None or self.clock.latest_ns is None:
@@ -469,13 +469,14 @@ class Decoder:
         return []
 
     def _restarted_by(self, stamp_us: int) -> list[Measurement]:
-        if not self.clock.advance(stamp_us):
+        # 0 is no time, so it says nothing of a reboot
+        if stamp_us == 0 or not self.clock.advance(stamp_us):
             return []
         self._forget()
         return [Restart()]
 
     def _restarted_by_ms(self, boot_ms: int) -> list[Measurement]:
-        if not self.clock.advance_boot_ms(boot_ms):
+        if boot_ms == 0 or not self.clock.advance_boot_ms(boot_ms):
             return []
         self._forget()
         return [Restart()]

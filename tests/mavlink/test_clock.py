@@ -158,6 +158,14 @@ def test_answers_to_others_and_slow_ones_are_counted_and_left():
     assert not ours.is_locked
 
 
+def test_an_answer_that_holds_no_time_is_left():
+    ours = Timesync()
+    for at_ns in range(0, 4000 * MS, 100 * MS):
+        exchange(ours, lambda _: 2**63 - 10**11, at_ns, MS, MS)
+    assert not ours.is_locked
+    assert ours.foreign == 40
+
+
 def test_no_more_than_sixteen_questions_are_open():
     ours = Timesync()
     asked = [ours.request(n * 100 * MS) for n in range(20)]

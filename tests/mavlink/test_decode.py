@@ -114,6 +114,23 @@ def test_a_stamp_that_is_no_time_is_refused():
     assert peer.refused == {"HIGHRES_IMU: no time": 1}
 
 
+def test_a_stamp_of_zero_is_no_reboot():
+    peer = Peer()
+    assert only(HeadingSample, peer.say("attitude", time_boot_ms=100_000))
+    for later_ms in range(100_100, 105_000, 100):
+        assert peer.highres(0) == []
+        assert not only(Restart, peer.say("attitude", time_boot_ms=later_ms))
+    assert peer.refused == {"IMU: no time": 49}
+
+
+def test_a_system_time_that_is_no_time_moves_no_stamp():
+    peer = Peer()
+    peer.highres(1_700_000_000_000_000)
+    peer.say("system_time", time_unix_usec=2**64 - 1, time_boot_ms=1_000)
+    assert peer.say("attitude", time_boot_ms=1_000) == []
+    assert peer.refused == {"ATTITUDE: time base unknown": 1}
+
+
 RAW = {"zacc": -1001, "xgyro": 2, "ygyro": -3, "zgyro": 4, "xmag": 182, "ymag": -152, "zmag": -528}
 
 
