@@ -198,7 +198,8 @@ def _find_records(data: bytes) -> tuple[list[tuple[int, int, int, int]], int]:
             good = _crc(data[place + 1 : tail] + extra) == data[tail] | data[tail + 1] << 8
             good = good and _is_plausible(data, stamp, after, last)
         else:
-            good = _continues(data, after, stamp)
+            # no sum can be checked: damage that claims the records behind it must not get them
+            good = _continues(data, after, stamp) and _resume(data, start + 1, last) >= after
         if good:
             last = stamp & 0x7FFF_FFFF_FFFF_FFFF
             records.append((last, place, total, message_id))

@@ -2,7 +2,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v10 import ardupilotmega as first
 from pymavlink.dialects.v20 import ardupilotmega as second
@@ -90,6 +90,7 @@ EDGES = np.cumsum([0, *map(len, SMALL)])
 
 
 @settings(max_examples=300, deadline=None)
+@example(place=241, junk=b"\x8b", cut=3)  # an unknown message that would end where a record does
 @given(
     place=st.integers(0, len(WHOLE) - 1),
     junk=st.binary(min_size=1, max_size=40),
