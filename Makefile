@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 KERNEL := $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test lint types contracts check demo bench accuracy wheel clean
+.PHONY: setup test explore lint types contracts check demo bench accuracy wheel clean
 
 setup: $(STAMP)
 
@@ -20,6 +20,10 @@ $(STAMP): $(VENV)/bin/python pyproject.toml $(KERNEL)
 
 test: $(STAMP)
 	$(BIN)/python -W error -m pytest -n 2 --dist loadfile
+
+# Property tests on examples never tried before
+explore: $(STAMP)
+	HYPOTHESIS_PROFILE=explore $(BIN)/python -W error -m pytest -n 2 --dist loadfile
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
