@@ -29,6 +29,8 @@ from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline
 
 _log = logging.getLogger(__name__)
 _SECOND_NS = 1_000_000_000
+SILENCE_NS = 10 * _SECOND_NS
+"""Without an autopilot for so long, a human should look: it sends its heartbeat once a second."""
 
 
 class Due:
@@ -147,9 +149,13 @@ class Companion:
         self.session = Session(session_options(config.link, is_recording))
         self.pipeline: Pipeline | None = None
         self._publisher: Publisher | None = None
+        self._begin_ns: int | None = None
+        self._bytes = 0
+        self._has_complained = False
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes read at a time of ours; what follows from them waits in ``data_to_send``."""
+        self._bytes += len(data)
         for measurement in self.session.receive(data, now_ns):
             self._heed_events()
             self._process(measurement, now_ns)
@@ -159,6 +165,7 @@ class Companion:
         """Do what time brings: heartbeats, requests, time-outs."""
         self.session.tick(now_ns)
         self._heed_events()
+        self._complain(now_ns)
 
     def data_to_send(self) -> list[bytes]:
         """Give what is to be sent, and forget it."""
@@ -177,6 +184,23 @@ class Companion:
                 lambda name, payload: self.session.send(name, payload, now_ns)
             )
             self.session.set_state(encode.SYSTEM_STATUS[status])
+
+    def _complain(self, now_ns: int) -> None:
+        """Say once that no autopilot has been heard, and what to look at."""
+        if self.pipeline is not None or self._has_complained:
+            return
+        if self._begin_ns is None:
+            self._begin_ns = now_ns
+        if now_ns - self._begin_ns < SILENCE_NS:
+            return
+        self._has_complained = True
+        if self._bytes:
+            _log.warning(
+                "No heartbeat of an autopilot in %d bytes; check the baud rate and link.autopilot",
+                self._bytes,
+            )
+        else:
+            _log.warning("Nothing heard for 10 s; check the wire, the port and the autopilot's")
 
     def _heed_events(self) -> None:
         for event in self.session.events():

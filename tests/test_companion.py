@@ -5,7 +5,7 @@ import logging
 
 import pytest
 
-from ekf_companion.companion import Companion, Due
+from ekf_companion.companion import SILENCE_NS, Companion, Due
 from ekf_companion.config import Config, OutputConfig
 from ekf_companion.core.settings import GateSettings
 from ekf_companion.mavlink.codec import unpack
@@ -102,6 +102,29 @@ def test_an_autopilot_that_falls_silent_is_missed_once(caplog):
         companion.tick(last_ns + k * SECOND_NS // 10)
     assert caplog.text.count("Autopilot found: system 1, component 1, px4") == 1
     assert caplog.text.count("Autopilot lost") == 1
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        (b"", "Nothing heard for 10 s; check the wire"),
+        (b"\x55" * 100, "No heartbeat of an autopilot in 100 bytes; check the baud rate"),
+    ],
+)
+def test_an_autopilot_that_is_never_heard_is_missed_once(caplog, data, sentence):
+    companion = Companion(Config())
+    companion.tick(0)
+    companion.receive(data, 0)
+    companion.tick(SILENCE_NS - 1)
+    assert caplog.text == ""
+    companion.tick(SILENCE_NS)
+    companion.tick(2 * SILENCE_NS)
+    assert caplog.text.count(sentence) == 1
+
+
+def test_an_autopilot_that_is_heard_is_not_called_silent(caplog):
+    converse(Companion(Config()), cycles(10.5))
+    assert "heard" not in caplog.text
 
 
 def test_a_reboot_is_said_and_the_estimate_begins_anew(caplog):
