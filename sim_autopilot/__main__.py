@@ -37,11 +37,13 @@ _errors = Console(stderr=True)
 
 SCENARIO = typer.Option("figure-eight", help="Which motion; `scenarios` lists them.")
 LINK = typer.Option(..., help="Where to: udpout:127.0.0.1:14540, udpin:, tcp:, tcpin:, serial:")
-SEED = typer.Option(1, help="The same seed gives the same flight, bit by bit.")
-DURATION = typer.Option(None, help="Seconds; as long as the scenario is, if not given.", min=0.1)
-SKIP = typer.Option(0.0, help="Begin so many seconds into the scenario.", min=0.0)
-IMU_RATE = typer.Option(None, help="Inertial samples, Hz.", min=1.0)
-SPEED = typer.Option(1.0, help="How many times as fast as real time.", min=0.01)
+SEED = typer.Option(1, help="The same seed gives the same flight, bit by bit.", min=0)
+DURATION = typer.Option(
+    None, help="Seconds; as long as the scenario is, if not given.", min=0.1, max=1e5
+)
+SKIP = typer.Option(0.0, help="Begin so many seconds into the scenario.", min=0.0, max=1e5)
+IMU_RATE = typer.Option(None, help="Inertial samples, Hz.", min=1.0, max=1000.0)
+SPEED = typer.Option(1.0, help="How many times as fast as real time.", min=0.01, max=1000.0)
 TRUTH = typer.Option(None, help="Write the true motion to this CSV file.")
 CONFIG = typer.Option(None, help="YAML that says what differs from the defaults.")
 AUTOPILOT = typer.Option(Kind.PX4, help="Which autopilot to pass for.")
@@ -100,6 +102,8 @@ def generate(
 ) -> None:
     """Write a scenario to a .tlog at once, without a link: the same frames that `fly` sends."""
     with _spoken():
+        if output.suffix != ".tlog":
+            raise typer.BadParameter(f"{output}: unknown kind of output; name it .tlog")
         flight = _plan(scenario, config, imu_rate, seed, duration, skip)
         if truth is not None:
             write_truth(truth, flight)
@@ -140,7 +144,7 @@ def scenarios() -> None:
 @app.command()
 def demo(
     out: Path = typer.Option(Path("demo"), help="Folder for demo.png, score.json and truth.csv."),
-    duration: float = typer.Option(60.0, help="Seconds.", min=12.0),
+    duration: float = typer.Option(60.0, help="Seconds.", min=12.0, max=1e5),
     seed: int = SEED,
     daemon_config: Path | None = typer.Option(None, help="The daemon's; config/sitl.yaml."),
 ) -> None:
@@ -187,7 +191,10 @@ def _spoken() -> Iterator[None]:
     try:
         yield
     except (CompanionError, OSError) as error:
-        _errors.print(f"[bold red]{error}[/]", highlight=False)
+        said = str(error)
+        if isinstance(error, OSError) and error.filename is not None:
+            said = f"{error.filename}: {error.strerror}"
+        _errors.print(said, style="bold red", highlight=False, markup=False)
         raise typer.Exit(2) from error
 
 

@@ -180,8 +180,10 @@ def load(path: Path | None) -> SimConfig:
         return SimConfig()
     try:
         content: Any = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except (OSError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: {error}") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
     _refuse_unknown(path, content, SimConfig(), "")
     try:
         return msgspec.convert(content, SimConfig)

@@ -92,6 +92,9 @@ def of_recording(recording: Recording) -> Iterator[Timed]:
         elif kind == Kind.HEADING and values[2] == HeadingSource.GNSS:
             # It goes out with the next fix; 0 means that there is none, so north is 36000
             yaw_cdeg = _centidegrees(values[0]) or 36000
+        elif kind == Kind.HEADING and recording.reference is None:
+            # Another heading can only come as the autopilot's own; nobody reads its tilt
+            yield now_ns, sender.message("ATTITUDE", **_attitude(t_ns, 0.0, 0.0, values[0]))
         elif kind == Kind.VEHICLE:
             armed = bool(values[0])
             landed = 0 if math.isnan(values[1]) else 1 if values[1] else 2
@@ -112,12 +115,16 @@ class _Attitudes:
         while self._next < len(self._rows) and self._rows[self._next][0] <= now_ns:
             t_ns, (roll, pitch, yaw) = self._rows[self._next]
             self._next += 1
-            yield {
-                "time_boot_ms": t_ns // 1_000_000 & 0xFFFFFFFF,
-                "roll": roll,
-                "pitch": pitch,
-                "yaw": yaw,
-            }
+            yield _attitude(t_ns, roll, pitch, yaw)
+
+
+def _attitude(t_ns: int, roll: float, pitch: float, yaw: float) -> dict[str, float]:
+    return {
+        "time_boot_ms": t_ns // 1_000_000 & 0xFFFFFFFF,
+        "roll": roll,
+        "pitch": pitch,
+        "yaw": yaw,
+    }
 
 
 def _beat(

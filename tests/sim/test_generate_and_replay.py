@@ -102,6 +102,26 @@ def test_an_unknown_scenario_is_refused_with_those_that_there_are(tmp_path):
     assert "figure-eight" in result.output
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("-o", "b.csv"),
+        ("-o", "none/b.tlog"),
+        ("-o", "b.tlog", "--seed", -1),
+        ("-o", "b.tlog", "--duration", "inf"),
+        ("-o", "b.tlog", "--skip", "inf"),
+        ("-o", "b.tlog", "--imu-rate", 100_000),
+    ],
+)
+def test_what_cannot_be_generated_is_a_sentence(tmp_path, monkeypatch, options):
+    monkeypatch.chdir(tmp_path)
+    result = command("generate", *options)
+    assert result.exit_code == 2
+    assert isinstance(result.exception, SystemExit)
+    assert "Errno" not in result.output
+    assert not any(tmp_path.iterdir())
+
+
 def test_scenarios_are_listed():
     assert "square-spiral" in command("scenarios").output
 
@@ -144,6 +164,13 @@ def test_a_log_without_frames_becomes_the_messages_of_its_autopilot():
     times = [t for t, _ in frames]
     assert times == sorted(times)
     assert np.all(np.diff(times) >= 0)
+
+
+def test_a_heading_of_no_receiver_goes_out_as_the_autopilots_own():
+    heading = HeadingSample(t_ns=0, heading=1.5, std=0.1, source=HeadingSource.MAGNETOMETER)
+    recording = Recording(family="unknown", events=Events.from_rows([heading.row()]))
+    (attitude,) = messages(replay.of_recording(recording), "ATTITUDE")
+    assert attitude.yaw == pytest.approx(1.5)
 
 
 def test_what_cannot_be_replayed_is_refused_with_what_can():

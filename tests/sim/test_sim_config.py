@@ -45,3 +45,10 @@ def test_what_cannot_be_meant_is_refused_by_name(tmp_path, text, word):
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.yaml"):
         load(tmp_path / "none.yaml")
+
+
+def test_what_is_no_text_is_refused(tmp_path):
+    path = tmp_path / "sim.yaml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="is not YAML"):
+        load(path)
