@@ -64,8 +64,8 @@ Columns = dict[str, Array]
 
 GNSS_STD = {"gps_std_h": 2.0, "gps_std_v": 3.0, "gps_std_vel": 0.5}
 """m, m, m/s where the file gives no accuracy: a receiver in the open, on the safe side."""
-HEADING_STD = float(np.deg2rad(5.0))
-"""rad, where the file gives no accuracy."""
+HEADING_STD_DEG = 5.0
+"""deg, where the file gives no accuracy."""
 SEA_LEVEL_PRESSURE = 101325.0
 """Pa; ICAO standard atmosphere, as the next two."""
 SCALE_HEIGHT = 288.15 / 0.0065
@@ -103,6 +103,8 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     events: list[tuple[Events, npt.NDArray[np.bool_]]] = []
     events += _gnss(where, t_ns, values, hold, options.get("origin"), notes)
     events += _heading(where, t_ns, values, hold, options.get("heading_source", "magnetometer"))
+    if "heading" in values and "heading_std" not in values:
+        notes.append(f"accuracy not declared, so assumed (deg): heading_std {HEADING_STD_DEG:g}")
     events += _magnetometer(t_ns, values, hold)
     events += _barometer(t_ns, values, hold)
     events += _imu(t_ns, values)
@@ -223,7 +225,7 @@ def _heading(
     if "heading" not in values:
         return []
     heading = values["heading"]
-    std = _positive(values, "heading_std", HEADING_STD, len(t_ns))
+    std = _positive(values, "heading_std", HEADING_STD_DEG * DEGREE, len(t_ns))
     events = Events.from_columns(t_ns, Kind.HEADING, so3.wrap(heading), std, float(known[source]))
     return _found(events, [heading], _news("heading", hold, [heading]))
 

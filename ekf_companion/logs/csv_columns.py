@@ -17,7 +17,7 @@ DEGREE = float(np.pi / 180.0)
 _UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "gyro": {"rad/s": 1.0, "deg/s": DEGREE},
-    "accel": {"m/s2": 1.0, "g": STANDARD_GRAVITY},
+    "accel": {"m/s2": 1.0, "m/s^2": 1.0, "g": STANDARD_GRAVITY},
     "mag": {"gauss": 1.0, "uT": 1e-2, "mG": 1e-3, "nT": 1e-5},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "pressure": {"Pa": 1.0, "hPa": 100.0},

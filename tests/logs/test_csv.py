@@ -79,6 +79,9 @@ def test_accuracies_that_are_not_declared_are_assumed_aloud(read):
     recording = read(f"time_s,{GPS}\n1,47,8,500\n")
     assert recording.events.values[0, 6:9].tolist() == [2.0, 3.0, 0.5]
     assert "gps_std_h 2, gps_std_v 3, gps_std_vel 0.5" in " ".join(recording.notes)
+    recording = read("time_s,heading_deg\n1,90\n")
+    assert recording.events.values[0, 1] == pytest.approx(np.deg2rad(5.0))
+    assert "heading_std 5" in " ".join(recording.notes)
 
 
 def test_held_values_count_when_they_change(read):
