@@ -1,6 +1,6 @@
 """The commands; the only place that prints or exits.
 
-Exit codes: 0 done, 1 the link cannot be used or a bug, 2 the command line or the configuration is
+Exit codes: 0 done, 1 a figure cannot be drawn or a bug, 2 the command line or the configuration is
 wrong, 3 the log cannot be read or holds nothing to estimate from.
 """
 
@@ -20,7 +20,7 @@ import yaml
 
 from ekf_companion import __version__
 from ekf_companion.config import Config, describe_config, load_config
-from ekf_companion.errors import CompanionError, ConfigError, LogError
+from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError
 
 app = typer.Typer(
     help="State estimation on a drone's companion computer: MAVLink in, ODOMETRY out.",
@@ -41,7 +41,8 @@ def _sentences() -> Iterator[None]:
         yield
     except CompanionError as error:
         typer.echo(f"ekf-companion: {error}", err=True)
-        code = 2 if isinstance(error, ConfigError) else 3 if isinstance(error, LogError) else 1
+        is_wrong = isinstance(error, (ConfigError, LinkError))
+        code = 2 if is_wrong else 3 if isinstance(error, LogError) else 1
         raise typer.Exit(code) from error
 
 
@@ -139,6 +140,8 @@ def convert(
     from ekf_companion import convert as converter
 
     with _sentences(), _bar(log.name) as progress:
+        if json_file is not None and json_file.resolve() in (log.resolve(), out.resolve()):
+            raise ConfigError(f"--json: {json_file}: is the log or its output; name another file")
         report = converter.convert(log, out, _load(config), rate, progress)
         _write_json(json_file, report.to_dict())
     for line in converter.summary(report):
@@ -155,11 +158,17 @@ def compare(
     config: ConfigOption = None,
     until: Annotated[
         float | None,
-        typer.Option(help="Leave out what is later than so many seconds after the first."),
+        typer.Option(
+            help="Leave out what is later than so many seconds after the first.", min=0.0, max=1e9
+        ),
     ] = None,
     skip: Annotated[
         float | None,
-        typer.Option(help="Leave out the first seconds; by default 30 against truth, else 20."),
+        typer.Option(
+            help="Leave out the first seconds; by default 30 against truth, else 20.",
+            min=0.0,
+            max=1e9,
+        ),
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw both into a .png.")] = None,
     json_file: JsonOption = None,
@@ -197,10 +206,12 @@ def compare(
         end = None if until is None else begin + round(until * 1e9)
         scores = [comparer.score(ours, against, seconds, end_ns=end)]
         if scores[0].horizontal is None and scores[0].tilt is None:
-            raise LogError(
-                f"{log}: {ours.name} and {against.name} have no time in common after the first "
-                f"{seconds:g} s; leave out fewer with --skip"
+            span = f"after the first {seconds:g} s" + (
+                "; leave out fewer with --skip"
+                if until is None
+                else f" and before {until:g} s; leave out less with --skip and --until"
             )
+            raise LogError(f"{log}: {ours.name} and {against.name} have no time in common {span}")
         others = [against]
         if truth is not None and own is not None:
             start = scores[0].start_ns

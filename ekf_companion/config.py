@@ -108,7 +108,8 @@ def load_config(path: Path) -> Config:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a YAML file") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+        said = " ".join(str(error).split()).replace(' in "<unicode string>",', " in")
+        raise ConfigError(f"{path}: is not YAML: {said}") from error
     return parse_config({} if data is None else data, str(path))
 
 

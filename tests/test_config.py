@@ -103,7 +103,10 @@ def section(text, key):
         ("- 1", "the file: [1] is not a table; write keys and values"),
         ("imu: {gap: 1.0", "is not YAML: while parsing a flow mapping"),
         ("imu: {[1, 2]: 3}", "is not YAML: while constructing a mapping"),
-        ("baro:\n  use: true\nbaro:\n  std: 1.0", "is not YAML: baro stands 2 times; keep one"),
+        (
+            "baro:\n  use: true\nbaro:\n  std: 1.0",
+            "is not YAML: baro stands 2 times; keep one in line",
+        ),
         ("link: {url: com3}", "link.url: com3: not a link; write for example udpin:0.0.0.0:14540"),
     ],
 )

@@ -652,7 +652,7 @@ def test_a_bug_ends_it_with_its_traceback_and_a_sentence(tmp_path):
 
 def test_a_link_that_is_none_is_a_sentence(tmp_path):
     with Daemon(tmp_path, "--link", "com3") as daemon:
-        assert daemon.wait() == 1
+        assert daemon.wait() == 2
         assert daemon.words.read_text().startswith("ekf-companion: com3: not a link; write for")
 
 
