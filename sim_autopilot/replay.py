@@ -27,6 +27,8 @@ _AUTOPILOTS = {"px4": 12, "ardupilot": 3}
 _GENERIC = 0
 _INERTIAL, _MAGNETOMETER, _BAROMETER = 0x3F, 64 | 128 | 256, 512 | 2048
 _SECOND_NS = 1_000_000_000
+_UINT32_MS = (1 << 32) * 1_000_000
+"""ns."""
 
 
 def frames(path: Path) -> Iterator[Timed]:
@@ -58,15 +60,17 @@ def _of_tlog(path: Path) -> Iterator[Timed]:
 def of_recording(recording: Recording) -> Iterator[Timed]:
     """Give the messages that an autopilot with these sensors would send."""
     events = recording.events
+    # A foreign log may count from 1970; an autopilot's milliseconds since its start have 32 bits
+    is_unix = len(events) and events.t_ns.min() > _UINT32_MS
+    zero_ns = int(events.t_ns.min()) - _SECOND_NS if is_unix else 0
     autopilot = _AUTOPILOTS.get(recording.family, _GENERIC)
     sender = Sender(1, 1)
-    arrival = np.maximum.accumulate(events.t_ns).tolist() if len(events) else []
-    attitudes = _Attitudes(recording)
+    stamps = events.t_ns - zero_ns
+    arrival = np.maximum.accumulate(stamps).tolist() if len(events) else []
+    attitudes = _Attitudes(recording, zero_ns)
     mag, baro, updated = (0.0, 0.0, 0.0), 0.0, _INERTIAL
     armed, landed, yaw_cdeg, next_beat_ns = False, 0, 0, 0
-    rows = zip(
-        arrival, events.t_ns.tolist(), events.kind.tolist(), events.values.tolist(), strict=True
-    )
+    rows = zip(arrival, stamps.tolist(), events.kind.tolist(), events.values.tolist(), strict=True)
     for now_ns, t_ns, kind, values in rows:
         if now_ns >= next_beat_ns:
             next_beat_ns = now_ns + _SECOND_NS
@@ -103,13 +107,13 @@ def of_recording(recording: Recording) -> Iterator[Timed]:
 class _Attitudes:
     """The recorded autopilot's own attitude, handed out as its time comes."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, zero_ns: int) -> None:
         reference = recording.reference
         self._rows: list[tuple[int, list[float]]] = []
         self._next = 0
         if reference is not None:
             euler = so3.to_euler(reference.q_nb).tolist()
-            self._rows = list(zip(reference.att_t_ns.tolist(), euler, strict=True))
+            self._rows = list(zip((reference.att_t_ns - zero_ns).tolist(), euler, strict=True))
 
     def until(self, now_ns: int) -> Iterator[dict[str, float]]:
         while self._next < len(self._rows) and self._rows[self._next][0] <= now_ns:

@@ -173,6 +173,21 @@ def test_a_heading_of_no_receiver_goes_out_as_the_autopilots_own():
     assert attitude.yaw == pytest.approx(1.5)
 
 
+def test_a_log_that_counts_from_1970_begins_like_an_autopilot():
+    start_ns = 1_400_000_000_000_000_000
+    rows = [
+        HeadingSample(t_ns=start_ns, heading=1.0, std=0.1, source=HeadingSource.AUTOPILOT),
+        BaroSample(t_ns=start_ns + 5_000_000_000, alt=0.0),
+        HeadingSample(
+            t_ns=start_ns + 5_000_000_000, heading=1.0, std=0.1, source=HeadingSource.AUTOPILOT
+        ),
+    ]
+    recording = Recording(family="unknown", events=Events.from_rows([row.row() for row in rows]))
+    frames = list(replay.of_recording(recording))
+    assert [one.time_boot_ms for one in messages(frames, "ATTITUDE")] == [1000, 6000]
+    assert [t for t, _ in frames][-1] == 6_000_000_000
+
+
 def test_what_cannot_be_replayed_is_refused_with_what_can():
     with pytest.raises(LogError, match=r"\.tlog, \.bin, \.ulg, \.csv"):
         replay.frames(Path("flight.mcap"))
