@@ -254,6 +254,49 @@ def test_a_state_that_cannot_be_is_left_for_a_new_start():
     assert np.isfinite(table.values[-1]).all()
 
 
+def test_samples_without_any_noise_level_as_well():
+    t_ns = np.arange(0, 6_000_000_000, 10_000_000)
+    level = np.full(len(t_ns), -9.80665)
+    zero = np.zeros(len(t_ns))
+    table, pipeline = run(Events.from_columns(t_ns, Kind.IMU, zero, zero, zero, zero, zero, level))
+    assert statuses(table) == [Status.ALIGNING, Status.ATTITUDE]
+    assert pipeline.health().resets == 0
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_an_attitude_that_is_upset_in_flight_is_found_again(axis):
+    events, truth = flight("figure-eight", duration=50.0)
+    hit = between(events, 20.0, 20.3) & (events.kind == Kind.IMU)
+    table, pipeline = run(changed(events, hit, axis, 6.0))  # 1.8 rad that never were
+    assert 1 <= pipeline.health().resets <= 3
+    assert statuses(table)[-1] is Status.OK
+    late = errors(table, truth, 40.0)
+    assert np.degrees(rms(late["euler"][:, :2])) < 3.0
+    assert rms(late["vel"]) < 0.5
+
+
+def test_a_wild_first_fix_after_an_outage_does_not_cost_the_attitude():
+    events, truth = flight("figure-eight", duration=50.0)
+    lost = between(events, 15.0, 25.0) & (events.kind == Kind.GNSS)
+    first = between(events, 25.0, 25.3) & (events.kind == Kind.GNSS)
+    table, _ = run(changed(events, first, 3, 60.0).take(~lost))
+    after = table.stamp_ns > table.stamp_ns[0] + 25_000_000_000
+    assert np.isfinite(table.column("roll")[after]).all()
+    late = errors(table, truth, 40.0)
+    assert np.degrees(rms(late["euler"])) < 3.0
+
+
+def test_an_armed_flight_without_gnss_is_not_taken_for_rest():
+    events, truth = flight("loiter", duration=90.0)
+    armed = Events.from_columns(
+        np.array([events.t_ns[0] + 4_000_000_000]), Kind.VEHICLE, [1.0], [0.0]
+    )
+    table, _ = run(merge(without(events, Kind.GNSS), armed))
+    late = errors(table, truth, 30.0)
+    squares = np.square(late["euler"][:, :2] / late["sd_euler"][:, :2])
+    assert math.sqrt(np.mean(squares)) < 2.0
+
+
 def test_covariance_stays_symmetric_and_positive():
     events, _ = flight("figure-eight", duration=40.0)
     _, pipeline = run(events)

@@ -157,7 +157,10 @@ def orient(
     by: cython.double = 0.0
     bz: cython.double = 0.0
     target: cython.double = 0.0
-    if x[at.X_LEVEL + at.L_HAS_REF] != 0.0:
+    if (
+        x[at.X_LEVEL + at.L_HAS_REF] != 0.0
+        and x[at.X_T] - x[at.X_LEVEL + at.L_REF_T] <= REFERENCE_AGE
+    ):
         bx = x[at.X_LEVEL + at.L_REF_V]
         by = x[at.X_LEVEL + at.L_REF_V + 1]
         bz = x[at.X_LEVEL + at.L_REF_V + 2]
@@ -265,6 +268,9 @@ def level_at_rest(
         0.0,
         -1.0,
     )
+    # Equal samples have no spread, but rounding may leave it below zero
+    noise_g = noise_g if noise_g > 0.0 else 0.0
+    noise_a = noise_a if noise_a > 0.0 else 0.0
     # of the mean; the gyro also sees the Earth turn, whose direction is not known yet
     noise_g = sqrt(noise_g / n + 1e-8)
     noise_a = sqrt(noise_a / n) / k[at.K_GRAVITY] + 1e-3

@@ -45,6 +45,10 @@ PREFERRED_AGE = cython.declare(cython.double, 5e9)
 """How long a better source keeps the worse ones out after its last word, ns."""
 BLIND = cython.declare(cython.double, 0.5)
 """Between samples further apart than this any motion may have begun and ended, s."""
+LARGEST_TURN = cython.declare(cython.double, 4.0)
+"""Square of the turn, rad^2, that one sample may stand for."""
+PROOF = cython.declare(cython.double, 9e8)
+"""How long an aid must insist before it resets anything, ns: one wild fix does not."""
 SLOW_STREAM = cython.declare(cython.double, 0.15)
 """Usual interval beyond which a vehicle's attitude is a guess, s."""
 SLOW_GAP = cython.declare(cython.double, 3.0)
@@ -104,7 +108,7 @@ def step(
         return
 
     # A sample stands for the interval before it, if it is a mean and none is missing
-    if span > BLIND:
+    if span > BLIND or (gx * gx + gy * gy + gz * gz) * span * span > LARGEST_TURN:
         hold(x, k, w)
         gx = x[at.X_GYRO]
         gy = x[at.X_GYRO + 1]
@@ -140,7 +144,7 @@ def step(
     remember(x, rows, last)
     settle(x, k, w, t, span)
     if not is_sound(x):
-        start_over(x, t)
+        start_over(x, t, at.RESET_BOUNDS)
 
 
 @cython.cfunc
@@ -165,6 +169,7 @@ def begin(x: cython.double[::1], t: cython.double) -> cython.void:
         x[at.X_T_HEADING + i] = NEVER
     for i in range(at.AIDS):
         x[at.X_T_USED + i] = NEVER
+        x[at.X_T_REFUSED + i] = NEVER
     x[at.X_LEVEL + at.L_START] = t
     align.restart(x, t)
 
@@ -177,7 +182,9 @@ def is_sound(x: cython.double[::1]) -> cython.bint:
     i: cython.Py_ssize_t
     speed: cython.double = 0.0
     bias: cython.double = 0.0
-    largest: cython.double = x[at.X_Q] * x[at.X_Q]
+    largest: cython.double = x[at.X_Q] * x[at.X_Q] + fabs(x[at.X_BARO]) + fabs(x[at.X_HEADING])
+    if not fabs(x[at.X_DELAY]) < 1.0:
+        return False
     for i in range(3):
         speed += x[at.X_VEL + i] * x[at.X_VEL + i]
         bias += x[at.X_BG + i] * x[at.X_BG + i] * 100.0 + x[at.X_BA + i] * x[at.X_BA + i]
@@ -193,13 +200,15 @@ def is_sound(x: cython.double[::1]) -> cython.bint:
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def start_over(x: cython.double[::1], t: cython.double) -> cython.void:
+def start_over(x: cython.double[::1], t: cython.double, reason: cython.double) -> cython.void:
     """Forget a state that cannot be, and level again; origin and accounts live on."""
     i: cython.Py_ssize_t
     for i in range(at.X_Q, at.X_LAT0):
         x[i] = 0.0
     for i in range(at.X_COV, at.BLOCK):
         x[i] = 0.0
+    for i in range(3):
+        x[at.X_ACC_N + i] = 0.0
     x[at.X_HEADING] = 0.0
     x[at.X_HAS_YAW] = 0.0
     x[at.X_HAS_BARO] = 0.0
@@ -209,8 +218,12 @@ def start_over(x: cython.double[::1], t: cython.double) -> cython.void:
         x[at.X_NOISE_G + i] = 0.0
         x[at.X_NOISE_A + i] = 0.0
     x[at.X_RESETS] += 1.0
-    x[at.X_RESET_REASON] = at.RESET_BOUNDS
+    x[at.X_RESET_REASON] = reason
+    armed: cython.double = x[at.X_ARMED]
+    landed: cython.double = x[at.X_LANDED]
     begin(x, t)
+    x[at.X_ARMED] = armed
+    x[at.X_LANDED] = landed
 
 
 @cython.cfunc
@@ -328,7 +341,10 @@ def settle(
     if t - x[at.X_LEVEL + at.L_T0] >= k[at.K_ALIGN_TIME] * 1e9 and (
         x[at.X_LEVEL + at.L_N] >= FEWEST
     ):
-        x[at.X_AT_REST] = 1.0 if align.is_rest(x, k) else 0.0
+        # an autopilot that says it flies is believed: a smooth flight looks like rest
+        x[at.X_AT_REST] = 0.0
+        if (x[at.X_ARMED] != 1.0 or x[at.X_LANDED] == 1.0) and align.is_rest(x, k):
+            x[at.X_AT_REST] = 1.0
         if x[at.X_MODE] == at.MODE_LEVEL:
             if x[at.X_AT_REST] != 0.0:
                 align.level_at_rest(x, k, w)
@@ -338,7 +354,7 @@ def settle(
     if x[at.X_MODE] == at.MODE_ATTITUDE and t - x[at.X_T_FAKE] >= FAKE_INTERVAL:
         # It goes nowhere, by a lot or by nothing: that bounds the tilt, as gravity does
         x[at.X_T_FAKE] = t
-        observe.zero_velocity(x, w, 0.1 if x[at.X_AT_REST] != 0.0 else 3.0)
+        observe.zero_velocity(x, w, 0.1 if x[at.X_AT_REST] != 0.0 else 30.0)
         correct.innovate(x, w, 3)
         correct.absorb(x, w, 3)
         correct.forget(x, at.E_POS, 2, 1.0)
@@ -434,6 +450,8 @@ def settle_rows(
     x[at.X_RATIO + aid] = nis / gate
     if nis > gate:
         count(x, aid, at.WHY_GATED)
+        if x[at.X_T_REFUSED + aid] <= x[at.X_T_USED + aid]:
+            x[at.X_T_REFUSED + aid] = x[at.X_T]
         return False
     if aid == at.AID_YAW:
         correct.absorb_yaw(x, w)
@@ -503,6 +521,14 @@ def is_timed_out(
 ) -> cython.bint:
     """Say whether an aid has been refused for longer than its limit, s."""
     return x[at.X_T] - x[at.X_T_USED + aid] > limit * 1e9
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def may_reset(x: cython.double[::1], aid: cython.Py_ssize_t, limit: cython.double) -> cython.bint:
+    """Say whether an aid that is past its limit (s) may have its way: not by its first word."""
+    return is_timed_out(x, aid, limit) and x[at.X_T] - x[at.X_T_REFUSED + aid] >= PROOF
 
 
 @cython.cfunc
@@ -588,6 +614,12 @@ def take_fix(
         lift(x, k, w, alt, std_v)
         if has_vel:
             launch(x, k, w, vn, ve, vd, std_vel)
+            count(x, at.AID_VEL, at.WHY_FUSED)
+        count(x, at.AID_POS, at.WHY_FUSED)
+        count(x, at.AID_HGT, at.WHY_FUSED)
+        x[at.X_T_USED + at.AID_POS] = t
+        x[at.X_T_USED + at.AID_HGT] = t
+        x[at.X_T_USED + at.AID_VEL] = t
         return
 
     # What of the stated error is not white is slow, and ours as well
@@ -598,11 +630,15 @@ def take_fix(
     if has_vel:
         m = observe.velocity(x, k, w, vn, ve, vd, std_vel)
         if not fuse_gnss(x, w, at.AID_VEL, m, k[at.K_GATE3] if m == 3 else k[at.K_GATE2], stated):
-            if is_timed_out(x, at.AID_VEL, k[at.K_TIMEOUT_VEL]):
+            if may_reset(x, at.AID_VEL, k[at.K_TIMEOUT_VEL]):
+                if t - x[at.X_T_REFUSED + at.AID_VEL] > 0.5 * k[at.K_TIMEOUT_VEL] * 1e9:
+                    # fixes kept coming and were refused: the attitude or a bias is wrong as well
+                    start_over(x, t, at.RESET_VELOCITY)
+                    return
                 launch(x, k, w, vn, ve, vd, std_vel)
                 reset(x, at.AID_VEL, at.RESET_VELOCITY)
     observe.position(x, k, w, lat, lon, std_h)
-    if not fuse_gnss(x, w, at.AID_POS, 2, k[at.K_GATE2], std_h * std_h) and is_timed_out(
+    if not fuse_gnss(x, w, at.AID_POS, 2, k[at.K_GATE2], std_h * std_h) and may_reset(
         x, at.AID_POS, k[at.K_TIMEOUT_POS]
     ):
         place(x, k, w, lat, lon, std_h)
@@ -610,7 +646,7 @@ def take_fix(
             halt(x, at.E_VEL, 2)
         reset(x, at.AID_POS, at.RESET_POSITION)
     observe.height(x, k, w, alt, std_v)
-    if not fuse_gnss(x, w, at.AID_HGT, 1, k[at.K_GATE1], std_v * std_v) and is_timed_out(
+    if not fuse_gnss(x, w, at.AID_HGT, 1, k[at.K_GATE1], std_v * std_v) and may_reset(
         x, at.AID_HGT, k[at.K_TIMEOUT_HGT]
     ):
         lift(x, k, w, alt, std_v)
@@ -780,7 +816,12 @@ def is_field_used(
         if x[at.X_MODE] >= at.MODE_ATTITUDE:
             propagate.matrix(x, at.X_Q, w)
             d = w[at.W_C_NB + 6] * mx + w[at.W_C_NB + 7] * my + w[at.W_C_NB + 8] * mz
-            if fabs(asin(d / size) - x[at.X_INCLINATION]) > k[at.K_FIELD_DIP]:
+            d = d / size
+            if d > 1.0:
+                d = 1.0
+            if d < -1.0:
+                d = -1.0
+            if fabs(asin(d) - x[at.X_INCLINATION]) > k[at.K_FIELD_DIP]:
                 return False
     x[at.X_T_MAG] = x[at.X_T]
     return True
@@ -801,9 +842,9 @@ def take_heading(
     if std < k[at.K_HEADING_FLOOR]:
         std = k[at.K_HEADING_FLOOR]
     if is_antenna:
-        take_azimuth(x, k, w, 1.0, 0.0, 0.0, heading, MOUNTING, std, 0.0)
+        take_azimuth(x, k, w, 1.0, 0.0, 0.0, heading, MOUNTING, std, 0.0, 1.0)
     else:
-        take_azimuth(x, k, w, 1.0, 0.0, 0.0, heading, std, k[at.K_HEADING_FLOOR], 0.0)
+        take_azimuth(x, k, w, 1.0, 0.0, 0.0, heading, std, k[at.K_HEADING_FLOOR], 0.0, 2.0)
 
 
 @cython.cfunc
@@ -819,10 +860,10 @@ def take_field(
 ) -> cython.void:
     """Take the magnetic field: it points to the declination, as far as that is known."""
     if isnan(x[at.X_DECLINATION]):
-        take_azimuth(x, k, w, mx, my, mz, 0.0, UNKNOWN_DECLINATION, 0.01, k[at.K_MAG_NOISE])
+        take_azimuth(x, k, w, mx, my, mz, 0.0, UNKNOWN_DECLINATION, 0.01, k[at.K_MAG_NOISE], 3.0)
     else:
         take_azimuth(
-            x, k, w, mx, my, mz, x[at.X_DECLINATION], k[at.K_MAG_STD], 0.01, k[at.K_MAG_NOISE]
+            x, k, w, mx, my, mz, x[at.X_DECLINATION], k[at.K_MAG_STD], 0.01, k[at.K_MAG_NOISE], 4.0
         )
 
 
@@ -840,13 +881,16 @@ def take_azimuth(
     slow: cython.double,
     white: cython.double,
     noise: cython.double,
+    source: cython.double,
 ) -> cython.void:
     """Take a direction's azimuth: keep it while levelling, begin or correct yaw by it.
 
     Its error is a slow part and a white one (one sigma each, rad) and the direction's own noise.
+    Another source (any number) has another slow error.
     """
     if x[at.X_MODE] == at.MODE_LEVEL:
         x[at.X_HEADING_STD] = slow
+        x[at.X_HEADING_SOURCE] = source
         x[at.X_LEVEL + at.L_HAS_REF] = 1.0
         x[at.X_LEVEL + at.L_REF_T] = x[at.X_T]
         x[at.X_LEVEL + at.L_REF_TARGET] = target
@@ -856,9 +900,9 @@ def take_azimuth(
         x[at.X_LEVEL + at.L_REF_V + 2] = bz
         count(x, at.AID_YAW, at.WHY_UNALIGNED)
         return
-    if slow != x[at.X_HEADING_STD]:
-        # another source, another offset
-        x[at.X_HEADING_STD] = slow
+    x[at.X_HEADING_STD] = slow
+    if source != x[at.X_HEADING_SOURCE]:
+        x[at.X_HEADING_SOURCE] = source
         x[at.X_HEADING] = 0.0
         correct.forget(x, at.E_HEADING, 1, slow * slow)
     if not observe.azimuth(x, w, bx, by, bz, target, white, noise):
@@ -869,12 +913,13 @@ def take_azimuth(
         x[at.X_HAS_YAW] = 1.0
         x[at.X_T_USED + at.AID_YAW] = x[at.X_T]
         count(x, at.AID_YAW, at.WHY_FUSED)
-    elif not fuse(x, w, at.AID_YAW, 1, k[at.K_GATE1]) and is_timed_out(
+    elif not fuse(x, w, at.AID_YAW, 1, k[at.K_GATE1]) and may_reset(
         x, at.AID_YAW, k[at.K_TIMEOUT_YAW]
     ):
         if slow > TRUSTED:
-            # a compass that has jumped: what flying has taught of yaw counts more
+            # the compass or our yaw has jumped, and nobody knows which: neither is sure any more
             correct.forget(x, at.E_HEADING, 1, 1.0)
+            x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] += w[at.W_Z] * w[at.W_Z]
             correct.innovate(x, w, 1)
             correct.absorb_yaw(x, w)
         else:
@@ -911,7 +956,7 @@ def take_baro(
         observe.pressure_altitude(x, w, alt, k[at.K_BARO_STD])
         if fuse(x, w, at.AID_BARO, 1, k[at.K_GATE1]):
             return
-        if not is_timed_out(x, at.AID_BARO, k[at.K_TIMEOUT_HGT]):
+        if not may_reset(x, at.AID_BARO, k[at.K_TIMEOUT_HGT]):
             return
     x[at.X_BARO] = alt - (x[at.X_ALT0] - x[at.X_POS + 2])
     for j in range(at.N):
@@ -935,9 +980,9 @@ def status(x: cython.double[::1], k: cython.double[::1]) -> cython.int:
         return ALIGNING
     if x[at.X_MODE] == at.MODE_ATTITUDE:
         return ATTITUDE
-    if (
+    if not (
         x[at.X_COV + at.E_POS * (at.N + 1)] + x[at.X_COV + (at.E_POS + 1) * (at.N + 1)]
-        > k[at.K_LIMIT_POS] * k[at.K_LIMIT_POS]
+        <= k[at.K_LIMIT_POS] * k[at.K_LIMIT_POS]
     ):
         return INVALID
     # one second beyond the interval at which the receiver speaks, and its delay

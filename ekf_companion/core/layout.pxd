@@ -67,13 +67,12 @@ cdef enum:
     X_T_USED = 55
     X_RATIO = 60
     X_COUNT = 65
-    X_ACCEL_LP = 85
+    X_HEADING_SOURCE = 85
     X_NOISE_G = 88
     X_NOISE_A = 91
     X_PREV_G = 94
     X_PREV_A = 97
-    X_PREV2_G = 100
-    X_PREV2_A = 103
+    X_T_REFUSED = 100
     X_LEVEL = 106
     X_WHITE = 141
     X_SLOW_POS = 144
