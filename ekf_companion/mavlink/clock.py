@@ -49,6 +49,7 @@ class TimeBase:
                 self.latest_us = stamp_us
             return False
         self.latest_us = stamp_us
+        self._unix_minus_boot_us = None  # it was that of the old clock
         return True
 
     def advance_boot_ms(self, boot_ms: int) -> bool:

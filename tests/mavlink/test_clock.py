@@ -185,3 +185,13 @@ def test_a_peers_clock_that_jumps_is_learned_anew_after_five_answers():
     for at_ns in range(8000 * MS, 15_000 * MS, 100 * MS):
         exchange(ours, lambda _: 900 * MS, at_ns, MS, MS)
     assert ours.peer_ns(at_ns) == at_ns + 900 * MS
+
+
+def test_what_related_unix_time_to_the_old_clock_does_not_to_the_new():
+    clock = TimeBase()
+    unix_us = 1_700_000_000_000_000
+    clock.advance(100_000_000)
+    clock.relate(unix_us, 100_000)
+    assert clock.from_us(unix_us + 5) == 100_000_005_000
+    assert clock.advance(2_000_000)
+    assert clock.from_us(unix_us + 5) is None
