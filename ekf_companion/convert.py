@@ -22,7 +22,7 @@ from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.session import PeerFound, Session
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind, Row
 from ekf_companion.nav.state import Status, Trajectory
-from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline, Table, Verdict
+from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline, Table
 
 Progress = Callable[[int, int], None]
 """Told how much is done, of how much."""
@@ -401,4 +401,4 @@ def summary(report: Report) -> list[str]:
     return lines
 
 
-__all__ = ["Report", "Verdict", "convert", "estimate", "summary"]
+__all__ = ["Report", "convert", "estimate", "summary"]

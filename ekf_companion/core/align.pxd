@@ -1,5 +1,5 @@
 cdef void restart(double[::1] x, double t) noexcept nogil
-cdef void gather(double[::1] x, double t, double gx, double gy, double gz, double ax, double ay, double az) noexcept nogil
+cdef void gather(double[::1] x) noexcept nogil
 cdef void carry(
     double[::1] x, double[::1] w, double dt, double gx, double gy, double gz, double ax, double ay, double az
 ) noexcept nogil

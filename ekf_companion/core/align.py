@@ -50,30 +50,15 @@ def restart(x: cython.double[::1], t: cython.double) -> cython.void:
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def gather(
-    x: cython.double[::1],
-    t: cython.double,
-    gx: cython.double,
-    gy: cython.double,
-    gz: cython.double,
-    ax: cython.double,
-    ay: cython.double,
-    az: cython.double,
-) -> cython.void:
-    """Add a sample to the rest statistics."""
+def gather(x: cython.double[::1]) -> cython.void:
+    """Add the newest sample to the rest statistics."""
+    i: cython.Py_ssize_t
     x[at.X_LEVEL + at.L_N] += 1.0
-    x[at.X_LEVEL + at.L_GYRO] += gx
-    x[at.X_LEVEL + at.L_GYRO + 1] += gy
-    x[at.X_LEVEL + at.L_GYRO + 2] += gz
-    x[at.X_LEVEL + at.L_ACCEL] += ax
-    x[at.X_LEVEL + at.L_ACCEL + 1] += ay
-    x[at.X_LEVEL + at.L_ACCEL + 2] += az
-    x[at.X_LEVEL + at.L_GYRO2] += gx * gx
-    x[at.X_LEVEL + at.L_GYRO2 + 1] += gy * gy
-    x[at.X_LEVEL + at.L_GYRO2 + 2] += gz * gz
-    x[at.X_LEVEL + at.L_ACCEL2] += ax * ax
-    x[at.X_LEVEL + at.L_ACCEL2 + 1] += ay * ay
-    x[at.X_LEVEL + at.L_ACCEL2 + 2] += az * az
+    for i in range(3):
+        x[at.X_LEVEL + at.L_GYRO + i] += x[at.X_GYRO + i]
+        x[at.X_LEVEL + at.L_ACCEL + i] += x[at.X_ACCEL + i]
+        x[at.X_LEVEL + at.L_GYRO2 + i] += x[at.X_GYRO + i] * x[at.X_GYRO + i]
+        x[at.X_LEVEL + at.L_ACCEL2 + i] += x[at.X_ACCEL + i] * x[at.X_ACCEL + i]
 
 
 @cython.cfunc
@@ -243,6 +228,23 @@ def begin_filter(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+def orient_up(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Set the attitude so that the window's mean specific force points up."""
+    orient(
+        x,
+        w,
+        x[at.X_LEVEL + at.L_ACCEL],
+        x[at.X_LEVEL + at.L_ACCEL + 1],
+        x[at.X_LEVEL + at.L_ACCEL + 2],
+        0.0,
+        0.0,
+        -1.0,
+    )
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
 def level_at_rest(
     x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]
 ) -> cython.void:
@@ -258,16 +260,7 @@ def level_at_rest(
         x[at.X_BG + i] = mean
         mean = x[at.X_LEVEL + at.L_ACCEL + i] / n
         noise_a += x[at.X_LEVEL + at.L_ACCEL2 + i] / n - mean * mean
-    orient(
-        x,
-        w,
-        x[at.X_LEVEL + at.L_ACCEL],
-        x[at.X_LEVEL + at.L_ACCEL + 1],
-        x[at.X_LEVEL + at.L_ACCEL + 2],
-        0.0,
-        0.0,
-        -1.0,
-    )
+    orient_up(x, w)
     # Equal samples have no spread, but rounding may leave it below zero
     noise_g = noise_g if noise_g > 0.0 else 0.0
     noise_a = noise_a if noise_a > 0.0 else 0.0
@@ -284,16 +277,7 @@ def level_roughly(
     x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]
 ) -> cython.void:
     """Take the attitude from the mean specific force of a window that was not quiet."""
-    orient(
-        x,
-        w,
-        x[at.X_LEVEL + at.L_ACCEL],
-        x[at.X_LEVEL + at.L_ACCEL + 1],
-        x[at.X_LEVEL + at.L_ACCEL + 2],
-        0.0,
-        0.0,
-        -1.0,
-    )
+    orient_up(x, w)
     begin_filter(x, k, w, x[at.X_T], 0.15, k[at.K_GYRO_BIAS])
 
 

@@ -328,16 +328,7 @@ def settle(
 ) -> cython.void:
     """Level when a window of rest is full; keep an attitude without GNSS from drifting off."""
     i: cython.Py_ssize_t
-    align.gather(
-        x,
-        t,
-        x[at.X_GYRO],
-        x[at.X_GYRO + 1],
-        x[at.X_GYRO + 2],
-        x[at.X_ACCEL],
-        x[at.X_ACCEL + 1],
-        x[at.X_ACCEL + 2],
-    )
+    align.gather(x)
     if t - x[at.X_LEVEL + at.L_T0] >= k[at.K_ALIGN_TIME] * 1e9 and (
         x[at.X_LEVEL + at.L_N] >= FEWEST
     ):
@@ -382,12 +373,12 @@ def take(
                 x, k, w, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], rows[r, at.ROW_V + 2] == 0.0
             )
         else:
-            x[at.X_COUNT + at.AID_YAW * at.WHYS + at.WHY_UNUSED] += 1.0
+            count(x, at.AID_YAW, at.WHY_UNUSED)
     elif kind == MAG:
         if is_field_used(x, k, w, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], rows[r, at.ROW_V + 2]):
             take_field(x, k, w, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], rows[r, at.ROW_V + 2])
         else:
-            x[at.X_COUNT + at.AID_YAW * at.WHYS + at.WHY_UNUSED] += 1.0
+            count(x, at.AID_YAW, at.WHY_UNUSED)
     elif kind == BARO:
         take_baro(x, k, w, rows[r, at.ROW_V])
     elif kind == VEHICLE:

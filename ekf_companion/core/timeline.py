@@ -315,10 +315,6 @@ class Timeline:
         """Give a copy of the state block, shape (BLOCK,)."""
         return np.array(self.x)
 
-    def set_parameters(self, parameters: np.ndarray) -> None:
-        """Change the filter's numbers; they hold from the next step on."""
-        self.k[:] = np.ascontiguousarray(parameters, dtype=np.float64)
-
     @property
     def stamp_ns(self) -> int:
         """Stamp of the newest inertial sample, ns."""
