@@ -45,7 +45,13 @@ class Verdict(IntEnum):
     GATED = 1
     UNALIGNED = 2
     UNUSED = 3
-    """A better source speaks, or the user, or the receiver itself, said no."""
+    """A better source speaks, or the user said no."""
+    SOFT = 4
+    """Fused with less weight: between the soft and the hard gate."""
+    SUSPECT = 5
+    """The receiver itself reports jamming or spoofing."""
+    DISTURBED = 6
+    """A magnetic field that is not the Earth's."""
 
 
 class Aid(IntEnum):
@@ -56,6 +62,8 @@ class Aid(IntEnum):
     VELOCITY = 2
     HEADING = 3
     BARO = 4
+    REST = 5
+    """Standing still."""
 
 
 QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Status.INVALID: -1}
@@ -171,7 +179,6 @@ class Pipeline:
             return None
         x = self._timeline.block()
         P = x[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
-        slow = np.maximum(x[[at.X_SLOW_POS, at.X_SLOW_POS, at.X_SLOW_HGT]], 0.0)
         pose = [*range(at.E_POS, at.E_POS + 3), *range(at.E_ATT, at.E_ATT + 3)]
         return Odometry(
             t_ns=self.stamp_ns,
@@ -179,7 +186,7 @@ class Pipeline:
             vel_n=values[at.OUT_VEL : at.OUT_VEL + 3],
             q_nb=values[at.OUT_Q : at.OUT_Q + 4],
             rates_b=x[at.X_GYRO : at.X_GYRO + 3] - x[at.X_BG : at.X_BG + 3],
-            pose_covariance=P[np.ix_(pose, pose)] + np.diag([*slow, 0.0, 0.0, 0.0]),
+            pose_covariance=P[np.ix_(pose, pose)],
             velocity_covariance=P[at.E_VEL : at.E_VEL + 3, at.E_VEL : at.E_VEL + 3],
             reset_count=int(x[at.X_RESETS]),
             quality=QUALITY[status],

@@ -197,7 +197,7 @@ def test_a_suspect_receiver_is_not_heard():
     marked = changed(events, between(events, 10.0, 99.0) & (events.kind == Kind.GNSS), 10, 2.0)
     table, pipeline = run(marked)
     assert statuses(table)[-1] is Status.DEAD_RECKONING
-    assert pipeline.health().verdicts[Aid.POSITION][Verdict.UNUSED] > 40
+    assert pipeline.health().verdicts[Aid.POSITION][Verdict.SUSPECT] > 40
 
 
 def test_the_autopilots_own_position_is_used_only_when_the_receiver_is_silent():
@@ -229,7 +229,7 @@ def test_a_field_that_is_not_the_earths_gives_no_heading():
     values[events.kind == Kind.MAG, :3] *= 1.5
     table, pipeline = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
     assert Status.OK not in statuses(table)
-    assert pipeline.health().verdicts[Aid.HEADING][Verdict.UNUSED] > 500
+    assert pipeline.health().verdicts[Aid.HEADING][Verdict.DISTURBED] > 500
 
 
 def test_a_lasting_wrong_heading_is_taken_over_with_a_reset():

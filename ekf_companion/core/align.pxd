@@ -1,8 +1,6 @@
 cdef void restart(double[::1] x, double t) noexcept nogil
 cdef void gather(double[::1] x) noexcept nogil
-cdef void carry(
-    double[::1] x, double[::1] w, double dt, double gx, double gy, double gz, double ax, double ay, double az
-) noexcept nogil
+cdef void carry(double[::1] x, double[::1] w, double dt) noexcept nogil
 cdef bint is_rest(double[::1] x, double[::1] k) noexcept nogil
 cdef void level_at_rest(double[::1] x, double[::1] k, double[::1] w) noexcept nogil
 cdef void level_roughly(double[::1] x, double[::1] k, double[::1] w) noexcept nogil
@@ -10,4 +8,3 @@ cdef bint level_in_motion(
     double[::1] x, double[::1] k, double[::1] w, double t, double vn, double ve, double vd, double std
 ) noexcept nogil
 cdef void begin_motion(double[::1] x, double t, double vn, double ve, double vd, double std) noexcept nogil
-cdef void share(double[::1] x, double slow, double white) noexcept nogil

@@ -17,7 +17,8 @@ import cython
 if cython.compiled:
     from cython.cimports.ekf_companion.core import layout as at
     from cython.cimports.ekf_companion.core.correct import forget
-    from cython.cimports.ekf_companion.core.observe import wrap
+    from cython.cimports.ekf_companion.core.heading import face
+    from cython.cimports.ekf_companion.core.observe import azimuth, wrap
     from cython.cimports.ekf_companion.core.propagate import matrix, turn, turn_body, unit
     from cython.cimports.libc.math import atan2, isnan, sqrt
 else:
@@ -25,7 +26,8 @@ else:
 
     from ekf_companion.core import layout as at
     from ekf_companion.core.correct import forget
-    from ekf_companion.core.observe import wrap
+    from ekf_companion.core.heading import face
+    from ekf_companion.core.observe import azimuth, wrap
     from ekf_companion.core.propagate import matrix, turn, turn_body, unit
 
 REFERENCE_AGE = cython.declare(cython.double, 1.5e9)
@@ -64,6 +66,16 @@ def gather(x: cython.double[::1]) -> cython.void:
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+def quiet(learnt: cython.double, largest: cython.double) -> cython.double:
+    """Give the largest spread (variance) at rest: twice the sigma learnt, but for what is sure."""
+    if learnt > 0.0 and 4.0 * learnt < largest * largest:
+        return 4.0 * learnt
+    return largest * largest
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
 def is_rest(x: cython.double[::1], k: cython.double[::1]) -> cython.bint:
     """Say whether the window saw the vehicle stand still: quiet, not turning, one g."""
     i: cython.Py_ssize_t
@@ -81,15 +93,15 @@ def is_rest(x: cython.double[::1], k: cython.double[::1]) -> cython.bint:
         size += mean * mean
         spread_a += x[at.X_LEVEL + at.L_ACCEL2 + i] / n - mean * mean
     size = sqrt(size)
-    if spread_g > k[at.K_REST_GYRO] * k[at.K_REST_GYRO]:
+    if spread_g > quiet(x[at.X_REST_G], k[at.K_REST_GYRO]):
         return False
-    if spread_a > k[at.K_REST_ACCEL] * k[at.K_REST_ACCEL]:
+    if spread_a > quiet(x[at.X_REST_A], k[at.K_REST_ACCEL]):
         return False
     if rate > 0.01:  # 0.1 rad/s: no gyro of today has such a bias
         return False
     if size < 0.9 * k[at.K_GRAVITY] or size > 1.1 * k[at.K_GRAVITY]:
         return False
-    if x[at.X_LEVEL + at.L_HAS_FIX] != 0.0:
+    if x[at.X_MODE] == at.MODE_LEVEL and x[at.X_LEVEL + at.L_HAS_FIX] != 0.0:
         # a receiver that says we move is believed
         mean = 0.5 + 3.0 * x[at.X_LEVEL + at.L_FIX_STD]
         rate = 0.0
@@ -165,18 +177,6 @@ def orient(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def share(x: cython.double[::1], slow: cython.double, white: cython.double) -> cython.void:
-    """Set the covariance of a yaw just taken from a heading: wrong by its offset, and more."""
-    yaw: cython.Py_ssize_t = at.E_ATT + 2
-    forget(x, yaw, 1, slow + white)
-    forget(x, at.E_HEADING, 1, slow)
-    x[at.X_COV + yaw * at.N + at.E_HEADING] = -slow
-    x[at.X_COV + at.E_HEADING * at.N + yaw] = -slow
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
 def begin_filter(
     x: cython.double[::1],
     k: cython.double[::1],
@@ -210,19 +210,31 @@ def begin_filter(
     x[at.X_HEADING] = 0.0
     x[at.X_HAS_YAW] = 0.0
     x[at.X_COV + 2 * (at.N + 1)] = UNKNOWN_YAW
-    if x[at.X_LEVEL + at.L_HAS_REF] != 0.0 and t - x[at.X_LEVEL + at.L_REF_T] <= REFERENCE_AGE:
-        x[at.X_HAS_YAW] = 1.0
-        x[at.X_T_USED + at.AID_YAW] = t
-        share(
-            x,
-            x[at.X_HEADING_STD] * x[at.X_HEADING_STD],
-            x[at.X_LEVEL + at.L_REF_STD] * x[at.X_LEVEL + at.L_REF_STD] + tilt * tilt,
-        )
     for i in range(3):
         x[at.X_VEL + i] = 0.0
         x[at.X_POS + i] = 0.0
         x[at.X_BA + i] = 0.0
+        x[at.X_SLOW + i] = 0.0
+        x[at.X_IRON + i] = 0.0
+    forget(x, at.E_IRON, 3, k[at.K_IRON_STD] * k[at.K_IRON_STD])
+    forget(x, at.E_HEADING, 1, x[at.X_HEADING_STD] * x[at.X_HEADING_STD])
     x[at.X_MODE] = at.MODE_ATTITUDE
+    if (
+        x[at.X_LEVEL + at.L_HAS_REF] != 0.0
+        and t - x[at.X_LEVEL + at.L_REF_T] <= REFERENCE_AGE
+        and azimuth(
+            x,
+            w,
+            x[at.X_LEVEL + at.L_REF_V],
+            x[at.X_LEVEL + at.L_REF_V + 1],
+            x[at.X_LEVEL + at.L_REF_V + 2],
+            x[at.X_LEVEL + at.L_REF_TARGET],
+            x[at.X_LEVEL + at.L_REF_STD],
+            x[at.X_LEVEL + at.L_REF_NOISE],
+            x[at.X_LEVEL + at.L_REF_IRON] != 0.0,
+        )
+    ):
+        face(x, w)
 
 
 @cython.cfunc
@@ -264,6 +276,8 @@ def level_at_rest(
     # Equal samples have no spread, but rounding may leave it below zero
     noise_g = noise_g if noise_g > 0.0 else 0.0
     noise_a = noise_a if noise_a > 0.0 else 0.0
+    x[at.X_REST_G] = noise_g
+    x[at.X_REST_A] = noise_a
     # of the mean; the gyro also sees the Earth turn, whose direction is not known yet
     noise_g = sqrt(noise_g / n + 1e-8)
     noise_a = sqrt(noise_a / n) / k[at.K_GRAVITY] + 1e-3
@@ -309,23 +323,13 @@ def begin_motion(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def carry(
-    x: cython.double[::1],
-    w: cython.double[::1],
-    dt: cython.double,
-    gx: cython.double,
-    gy: cython.double,
-    gz: cython.double,
-    ax: cython.double,
-    ay: cython.double,
-    az: cython.double,
-) -> cython.void:
+def carry(x: cython.double[::1], w: cython.double[::1], dt: cython.double) -> cython.void:
     """Carry the reference along with the turning body, and the force summed in a still frame."""
     i: cython.Py_ssize_t
     b: cython.Py_ssize_t = at.X_LEVEL + at.L_REF_V
-    px: cython.double = gx * dt
-    py: cython.double = gy * dt
-    pz: cython.double = gz * dt
+    px: cython.double = w[at.W_RATE] * dt
+    py: cython.double = w[at.W_RATE + 1] * dt
+    pz: cython.double = w[at.W_RATE + 2] * dt
     cx: cython.double
     cy: cython.double
     cz: cython.double
@@ -339,15 +343,15 @@ def carry(
         x[b + 2] += 0.5 * (px * cy - py * cx) - cz
     if x[at.X_LEVEL + at.L_HAS_FIX] == 0.0:
         return
-    turn_body(x, at.X_LEVEL + at.L_Q, 0.5 * gx * dt, 0.5 * gy * dt, 0.5 * gz * dt)
+    turn_body(x, at.X_LEVEL + at.L_Q, 0.5 * px, 0.5 * py, 0.5 * pz)
     matrix(x, at.X_LEVEL + at.L_Q, w)
     for i in range(3):
         x[at.X_LEVEL + at.L_U + i] += dt * (
-            w[at.W_C_NB + 3 * i] * ax
-            + w[at.W_C_NB + 3 * i + 1] * ay
-            + w[at.W_C_NB + 3 * i + 2] * az
+            w[at.W_C_NB + 3 * i] * w[at.W_FORCE]
+            + w[at.W_C_NB + 3 * i + 1] * w[at.W_FORCE + 1]
+            + w[at.W_C_NB + 3 * i + 2] * w[at.W_FORCE + 2]
         )
-    turn_body(x, at.X_LEVEL + at.L_Q, 0.5 * gx * dt, 0.5 * gy * dt, 0.5 * gz * dt)
+    turn_body(x, at.X_LEVEL + at.L_Q, 0.5 * px, 0.5 * py, 0.5 * pz)
 
 
 @cython.cfunc

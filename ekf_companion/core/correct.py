@@ -79,6 +79,19 @@ def innovate(x: cython.double[::1], w: cython.double[::1], m: cython.Py_ssize_t)
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+def soften(w: cython.double[::1], m: cython.Py_ssize_t, factor: cython.double) -> cython.void:
+    """Trust m judged rows less: raise R until S is larger by the factor, so K smaller by it."""
+    i: cython.Py_ssize_t
+    root: cython.double = sqrt(factor)
+    for i in range(3 * m):
+        w[at.W_L + i] *= root
+    for i in range(m):
+        w[at.W_Y + i] /= root
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
 def absorb(x: cython.double[::1], w: cython.double[::1], m: cython.Py_ssize_t) -> cython.void:
     """Absorb what :func:`innovate` has judged, and move the error into the nominal state."""
     r: cython.Py_ssize_t
@@ -114,13 +127,13 @@ def absorb(x: cython.double[::1], w: cython.double[::1], m: cython.Py_ssize_t) -
 @cython.nogil
 @cython.exceptval(check=False)
 def absorb_yaw(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
-    """Absorb one row that :func:`innovate` has judged into yaw, its drift and its offset only.
+    """Absorb one row that :func:`innovate` has judged into yaw, its drift and its offsets only.
 
     An azimuth depends on tilt as much as on yaw, the more the steeper its direction; but its slow
     errors (a disturbed field, another filter's habits) must not become tilt. So the gain of all
-    but yaw, heading offset and the gyro bias about the vertical is zero, and the covariance is
-    that of this gain: yaw stays correlated with the tilt that it was found with, and follows when
-    GNSS corrects that. The vertical in b is the last row of w[W_C_NB].
+    but yaw, heading offset, hard iron and the gyro bias about the vertical is zero, and the
+    covariance is that of this gain: yaw stays correlated with the tilt that it was found with, and
+    follows when GNSS corrects that. The vertical in b is the last row of w[W_C_NB].
 
     Source: Schmidt 1966 (consider states); Joseph form for any gain, Maybeck 1979, ch. 5.
     """
@@ -136,6 +149,7 @@ def absorb_yaw(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
         down += w[at.W_C_NB + 6 + i] * w[at.W_C + at.E_BG + i]
     for i in range(3):
         w[at.W_ROW + at.E_BG + i] = down * w[at.W_C_NB + 6 + i] / s
+        w[at.W_ROW + at.E_IRON + i] = w[at.W_C + at.E_IRON + i] / s
     for i in range(at.N):
         w[at.W_DX + i] = w[at.W_ROW + i] * w[at.W_Z]
         for j in range(i, at.N):
@@ -168,6 +182,8 @@ def inject(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
         x[at.X_POS + i] += w[at.W_DX + at.E_POS + i]
         x[at.X_BG + i] += w[at.W_DX + at.E_BG + i]
         x[at.X_BA + i] += w[at.W_DX + at.E_BA + i]
+        x[at.X_SLOW + i] += w[at.W_DX + at.E_SLOW + i]
+        x[at.X_IRON + i] += w[at.W_DX + at.E_IRON + i]
     x[at.X_BARO] += w[at.W_DX + at.E_BARO]
     x[at.X_DELAY] += w[at.W_DX + at.E_DELAY]
     x[at.X_HEADING] += w[at.W_DX + at.E_HEADING]

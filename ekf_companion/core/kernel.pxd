@@ -4,3 +4,5 @@ cdef void step(
 cdef int describe(
     double[::1] x, double[::1] k, double[::1] y, double[::1] w, double[::1] out
 ) noexcept nogil
+cdef bint is_sound(double[::1] x) noexcept nogil
+cdef void recover(double[::1] x, double[::1] k, double[::1] good, double t) noexcept nogil

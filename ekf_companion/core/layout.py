@@ -11,7 +11,7 @@ ROW_V = 2
 ROW = 15
 
 # Error states: attitude (in n), velocity, position, gyro bias, accel bias, baro offset, GNSS delay,
-# heading offset
+# heading offset, slow error of the GNSS position (in n), hard iron (in b)
 E_ATT = 0
 E_VEL = 3
 E_POS = 6
@@ -20,7 +20,9 @@ E_BA = 12
 E_BARO = 15
 E_DELAY = 16
 E_HEADING = 17
-N = 18
+E_SLOW = 18
+E_IRON = 21
+N = 24
 
 # What the filter is doing
 MODE_INIT = 0
@@ -34,14 +36,29 @@ AID_HGT = 1
 AID_VEL = 2
 AID_YAW = 3
 AID_BARO = 4
-AIDS = 5
+AID_REST = 5
+AIDS = 6
 
-# Why a fix went unused: the order of the counters
+# What became of a measurement: the order of the counters
 WHY_FUSED = 0
 WHY_GATED = 1
 WHY_UNALIGNED = 2
 WHY_UNUSED = 3
-WHYS = 4
+WHY_SOFT = 4
+WHY_SUSPECT = 5
+WHY_DISTURBED = 6
+WHYS = 7
+
+# What a run of refused measurements remembers: number, first time, and the sums that a straight
+# line through its innovations needs
+C_COUNT = 0
+C_T0 = 1
+C_ST = 2
+C_STT = 3
+C_SZ = 4
+C_STZ = 7
+C_SZZ = 10
+C_SIZE = 11
 
 # The state block
 X_T = 0
@@ -53,52 +70,67 @@ X_BG = 12
 X_BA = 15
 X_BARO = 18
 X_DELAY = 19
-X_GYRO = 20
-X_ACCEL = 23
-X_DT = 26
-X_LAT0 = 27
-X_LON0 = 28
-X_ALT0 = 29
-X_SCALE_N = 30
-X_SCALE_E = 31
-X_HAS_ORIGIN = 32
-X_DECLINATION = 33
-X_HAS_YAW = 34
-X_HAS_BARO = 35
-X_RESETS = 36
-X_SAMPLES = 37
-X_NEEDS_RESET = 38
-X_ACC_N = 39
-X_ARMED = 42
-X_LANDED = 43
-X_T_FIX = 44
-X_FIX_DT = 45
-X_T_HEADING = 46
-X_T_MAG = 49
-X_T_RAW_FIX = 50
-X_T_FAKE = 51
-X_AT_REST = 52
-X_GAPS = 53
-X_RESET_REASON = 54
-X_T_USED = 55
-X_RATIO = 60
-X_COUNT = 65
-X_HEADING_SOURCE = 85
-X_NOISE_G = 88
-X_NOISE_A = 91
-X_PREV_G = 94
-X_PREV_A = 97
-X_T_REFUSED = 100
-X_LEVEL = 106
-X_WHITE = 141
-X_SLOW_POS = 144
-X_SLOW_HGT = 145
-X_INCLINATION = 146
-X_FIELD = 147
-X_HEADING = 148
-X_HEADING_STD = 149
-X_COV = 150
-BLOCK = 474
+X_HEADING = 20
+X_SLOW = 21
+X_IRON = 24
+X_GYRO = 27
+X_ACCEL = 30
+X_DT = 33
+X_LAT0 = 34
+X_LON0 = 35
+X_ALT0 = 36
+X_SCALE_N = 37
+X_SCALE_E = 38
+X_HAS_ORIGIN = 39
+X_DECLINATION = 40
+X_INCLINATION = 41
+X_FIELD = 42
+X_HAS_YAW = 43
+X_HAS_BARO = 44
+X_RESETS = 45
+X_RESET_REASON = 46
+X_T_RESET = 47
+X_DELTA = 48
+X_SAMPLES = 55
+X_NEEDS_RESET = 56
+X_ACC_N = 57
+X_ARMED = 60
+X_LANDED = 61
+X_GROUND = 62
+X_HAS_GROUND = 63
+X_T_FIX = 64
+X_FIX_DT = 65
+X_T_HEADING = 66
+X_T_MAG = 69
+X_T_FIELD = 70
+X_T_FIELD0 = 71
+X_FIELD_SIZE = 72
+X_T_RAW_FIX = 73
+X_T_FAKE = 74
+X_AT_REST = 75
+X_REST_G = 76
+X_REST_A = 77
+X_GAPS = 78
+X_T_RESTORED = 79
+X_T_USED = 80
+X_T_REFUSED = 86
+X_RATIO = 92
+X_NIS = 98
+X_NIS_N = 104
+X_COUNT = 110
+X_HEADING_SOURCE = 152
+X_HEADING_STD = 153
+X_NOISE_G = 154
+X_NOISE_A = 157
+X_PREV_G = 160
+X_PREV_A = 163
+X_WHITE = 166
+X_SLOW_POS = 169
+X_SLOW_HGT = 170
+X_RUN = 171
+X_LEVEL = 204
+X_COV = 241
+BLOCK = 817
 
 # What levelling remembers, from X_LEVEL: sums over a window, the motion since a first fix, and a
 # reference: a direction of the body and its azimuth (NaN: that of the magnetic field)
@@ -118,9 +150,11 @@ L_HAS_REF = 27
 L_REF_T = 28
 L_REF_V = 29
 L_REF_STD = 32
-L_REF_TARGET = 33
-L_START = 34
-L_SIZE = 35
+L_REF_NOISE = 33
+L_REF_IRON = 34
+L_REF_TARGET = 35
+L_START = 36
+L_SIZE = 37
 
 # Parameters
 K_GYRO_NOISE = 0
@@ -139,32 +173,36 @@ K_VEL_FLOOR = 14
 K_VEL_DEFAULT = 15
 K_USE_VEL = 16
 K_USE_DERIVED = 17
-K_HEADING = 18
-K_MAG_STD = 19
-K_MAG_NOISE = 20
-K_HEADING_FLOOR = 21
-K_BARO_STD = 22
-K_BARO_WALK = 23
-K_USE_BARO = 24
-K_GATE1 = 25
-K_GATE2 = 26
-K_GATE3 = 27
-K_TIMEOUT_POS = 28
-K_TIMEOUT_VEL = 29
-K_TIMEOUT_HGT = 30
-K_TIMEOUT_YAW = 31
-K_ALIGN_TIME = 32
-K_LAG = 33
-K_GAP = 34
-K_GAP_RESET = 35
-K_LIMIT_POS = 36
-K_REST_GYRO = 37
-K_REST_ACCEL = 38
-K_GRAVITY = 39
-K_FIELD_STRENGTH = 40
-K_FIELD_DIP = 41
-K_HEADING_TIME = 42
-PARAMETERS = 43
+K_SLOW_TIME = 18
+K_WHITE_SHARE = 19
+K_HEADING = 20
+K_MAG_STD = 21
+K_MAG_NOISE = 22
+K_IRON_STD = 23
+K_IRON_WALK = 24
+K_HEADING_FLOOR = 25
+K_HEADING_TIME = 26
+K_FIELD_STRENGTH = 27
+K_FIELD_DIP = 28
+K_BARO_STD = 29
+K_BARO_WALK = 30
+K_USE_BARO = 31
+K_GATE = 32
+K_SOFT = 35
+K_TIMEOUT_POS = 38
+K_TIMEOUT_VEL = 39
+K_TIMEOUT_HGT = 40
+K_TIMEOUT_YAW = 41
+K_ALIGN_TIME = 42
+K_LAG = 43
+K_GAP = 44
+K_GAP_RESET = 45
+K_LIMIT_POS = 46
+K_REST_GYRO = 47
+K_REST_ACCEL = 48
+K_USE_REST = 49
+K_GRAVITY = 50
+PARAMETERS = 51
 
 # Headings that the filter may use (K_HEADING)
 HEADING_AUTO = 0
@@ -183,21 +221,28 @@ RESET_CLOCK = 6
 RESET_BOUNDS = 7
 
 # Scratch numbers of one step: rows of H, P H', innovation, R, Cholesky factor, error state,
-# direction cosines, velocity increment, two rows, S and S G / 2, noise
+# direction cosines, velocity increment, two rows, S and S G / 2, noise, the interval's inertial data:
+# mean rate and force of the whole and of a part, and how fast they change; the fix that is being taken
 W_H = 0
-W_C = 54
-W_Z = 108
-W_R = 111
-W_L = 120
-W_Y = 129
-W_DX = 132
-W_C_NB = 150
-W_DV = 159
-W_ROW = 162
-W_ROW2 = 180
-W_S9 = 198
-W_Q = 216
-SCRATCH = 222
+W_C = 72
+W_Z = 144
+W_R = 147
+W_L = 156
+W_Y = 165
+W_DX = 168
+W_C_NB = 192
+W_DV = 201
+W_ROW = 204
+W_ROW2 = 228
+W_S9 = 252
+W_Q = 270
+W_MEAN = 276
+W_RATE = 282
+W_FORCE = 285
+W_RATE_SLOPE = 288
+W_FORCE_SLOPE = 291
+W_FIX = 294
+SCRATCH = 306
 
 # An estimate: nav.state.COLUMNS without the time
 OUT_LLA = 0

@@ -140,29 +140,45 @@ def originate(
 @cython.nogil
 @cython.exceptval(check=False)
 def move(
-    x: cython.double[::1],
-    k: cython.double[::1],
-    w: cython.double[::1],
-    dt: cython.double,
-    gx: cython.double,
-    gy: cython.double,
-    gz: cython.double,
-    ax: cython.double,
-    ay: cython.double,
-    az: cython.double,
+    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1], dt: cython.double
 ) -> cython.void:
-    """Carry attitude, velocity and position over dt (s) at constant rate and specific force.
+    """Carry attitude, velocity and position over dt (s) at the rate and force of w.
 
-    Exact for the rotating force: the increments are the first and second integral of exp(w t) f.
-    Leaves C_nb at the start in w[W_C_NB] and the velocity increment of the force in w[W_DV].
+    w[W_RATE] and w[W_FORCE] are their means over dt, w[W_RATE_SLOPE] and w[W_FORCE_SLOPE] how fast
+    they change: that gives coning and sculling. Exact for the turning force: the increments are
+    the first and second integral of exp(w t) f. Leaves C_nb at the start in w[W_C_NB] and the
+    velocity increment of the force in w[W_DV].
+
+    Source: of coning and sculling for a rate that changes linearly, Savage 1998, parts 1 and 2.
     """
     # Rate and force less their biases
-    px: cython.double = (gx - x[at.X_BG]) * dt
-    py: cython.double = (gy - x[at.X_BG + 1]) * dt
-    pz: cython.double = (gz - x[at.X_BG + 2]) * dt
-    fx: cython.double = ax - x[at.X_BA]
-    fy: cython.double = ay - x[at.X_BA + 1]
-    fz: cython.double = az - x[at.X_BA + 2]
+    px: cython.double = w[at.W_RATE] - x[at.X_BG]
+    py: cython.double = w[at.W_RATE + 1] - x[at.X_BG + 1]
+    pz: cython.double = w[at.W_RATE + 2] - x[at.X_BG + 2]
+    fx: cython.double = w[at.W_FORCE] - x[at.X_BA]
+    fy: cython.double = w[at.W_FORCE + 1] - x[at.X_BA + 1]
+    fz: cython.double = w[at.W_FORCE + 2] - x[at.X_BA + 2]
+
+    # Coning turns on: dt^2/12 (w x w'); sculling pushes on: dt^2/12 (w x f' + f x w')
+    h: cython.double = dt * dt / 12.0
+    wx: cython.double = w[at.W_RATE_SLOPE] * h
+    wy: cython.double = w[at.W_RATE_SLOPE + 1] * h
+    wz: cython.double = w[at.W_RATE_SLOPE + 2] * h
+    ex: cython.double = w[at.W_FORCE_SLOPE] * h
+    ey: cython.double = w[at.W_FORCE_SLOPE + 1] * h
+    ez: cython.double = w[at.W_FORCE_SLOPE + 2] * h
+    ux: cython.double = fx + (py * ez - pz * ey) + (fy * wz - fz * wy)
+    uy: cython.double = fy + (pz * ex - px * ez) + (fz * wx - fx * wz)
+    uz: cython.double = fz + (px * ey - py * ex) + (fx * wy - fy * wx)
+    sx: cython.double = (px + (py * wz - pz * wy)) * dt
+    sy: cython.double = (py + (pz * wx - px * wz)) * dt
+    sz: cython.double = (pz + (px * wy - py * wx)) * dt
+    fx = ux
+    fy = uy
+    fz = uz
+    px = sx
+    py = sy
+    pz = sz
 
     # Integrals of the turning force, in b at the start: series, the error below 1e-10 at 0.5 rad
     a2: cython.double = px * px + py * py + pz * pz
@@ -175,12 +191,13 @@ def move(
     dx: cython.double = py * cz - pz * cy
     dy: cython.double = pz * cx - px * cz
     dz: cython.double = px * cy - py * cx
-    ux: cython.double = (fx + b1 * cx + b2 * dx) * dt
-    uy: cython.double = (fy + b1 * cy + b2 * dy) * dt
-    uz: cython.double = (fz + b1 * cz + b2 * dz) * dt
-    sx: cython.double = (0.5 * fx + b2 * cx + b3 * dx) * dt * dt
-    sy: cython.double = (0.5 * fy + b2 * cy + b3 * dy) * dt * dt
-    sz: cython.double = (0.5 * fz + b2 * cz + b3 * dz) * dt * dt
+    ux = (fx + b1 * cx + b2 * dx) * dt
+    uy = (fy + b1 * cy + b2 * dy) * dt
+    uz = (fz + b1 * cz + b2 * dz) * dt
+    # a force that grows has moved us less: -dt^3/12 f'
+    sx = (0.5 * fx - ex / dt + b2 * cx + b3 * dx) * dt * dt
+    sy = (0.5 * fy - ey / dt + b2 * cy + b3 * dy) * dt * dt
+    sz = (0.5 * fz - ez / dt + b2 * cz + b3 * dz) * dt * dt
 
     # Into n
     matrix(x, at.X_Q, w)
@@ -192,6 +209,7 @@ def move(
     sd: cython.double = w[at.W_C_NB + 6] * sx + w[at.W_C_NB + 7] * sy + w[at.W_C_NB + 8] * sz
 
     # Gravity, Earth rate and transport rate where we are; plain gravity until we know where
+    i: cython.Py_ssize_t
     vn: cython.double = x[at.X_VEL]
     ve: cython.double = x[at.X_VEL + 1]
     vd: cython.double = x[at.X_VEL + 2]
@@ -247,15 +265,17 @@ def move(
     turn_body(x, at.X_Q, px, py, pz)
     turn(x, at.X_Q, -wn * dt, -we * dt, -wd * dt)
     x[at.X_HEADING] -= dt / (dt + k[at.K_HEADING_TIME]) * x[at.X_HEADING]
+    ratio_n = dt / (dt + k[at.K_SLOW_TIME])
+    for i in range(3):
+        x[at.X_SLOW + i] -= ratio_n * x[at.X_SLOW + i]
 
     # What the covariance and the aids need of it
     w[at.W_DV] = un
     w[at.W_DV + 1] = ue
     w[at.W_DV + 2] = ud
-    if dt > 0.0:
-        x[at.X_ACC_N] = un / dt + cn
-        x[at.X_ACC_N + 1] = ue / dt + ce
-        x[at.X_ACC_N + 2] = ud / dt + cd
+    x[at.X_ACC_N] = un / dt + cn
+    x[at.X_ACC_N + 1] = ue / dt + ce
+    x[at.X_ACC_N + 2] = ud / dt + cd
 
 
 @cython.cfunc
@@ -393,17 +413,16 @@ def spread(
     for j in range(3):
         x[bg + j * at.N + at.E_BG + j] += k[at.K_GYRO_WALK] * k[at.K_GYRO_WALK] * dt
         x[ba + j * at.N + at.E_BA + j] += k[at.K_ACCEL_WALK] * k[at.K_ACCEL_WALK] * dt
+        x[at.X_COV + (at.E_IRON + j) * (at.N + 1)] += k[at.K_IRON_WALK] * k[at.K_IRON_WALK] * dt
     x[at.X_COV + at.E_BARO * (at.N + 1)] += k[at.K_BARO_WALK] * k[at.K_BARO_WALK] * dt
 
-    # The heading's slow error forgets itself
+    # Slow errors of heading and GNSS position forget themselves; each is kept at its level
     g0 = dt / (dt + k[at.K_HEADING_TIME])
-    for j in range(at.N):
-        x[at.X_COV + j * at.N + at.E_HEADING] -= g0 * x[at.X_COV + j * at.N + at.E_HEADING]
-    for j in range(9, at.N):
-        x[at.X_COV + at.E_HEADING * at.N + j] -= g0 * x[at.X_COV + at.E_HEADING * at.N + j]
-    x[at.X_COV + at.E_HEADING * (at.N + 1)] += (
-        g0 * (2.0 - g0) * x[at.X_HEADING_STD] * x[at.X_HEADING_STD]
-    )
+    fade(x, at.E_HEADING, g0, x[at.X_HEADING_STD] * x[at.X_HEADING_STD])
+    g0 = dt / (dt + k[at.K_SLOW_TIME])
+    fade(x, at.E_SLOW, g0, x[at.X_SLOW_POS])
+    fade(x, at.E_SLOW + 1, g0, x[at.X_SLOW_POS])
+    fade(x, at.E_SLOW + 2, g0, x[at.X_SLOW_HGT])
 
     # Both halves the same: within the nine rows the lower triangle follows the upper,
     # but for velocity by position, which was made as position by velocity; then the rows below
@@ -416,3 +435,22 @@ def spread(
     for i in range(9):
         for j in range(9, at.N):
             x[at.X_COV + j * at.N + i] = x[at.X_COV + i * at.N + j]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def fade(
+    x: cython.double[::1], e: cython.Py_ssize_t, g: cython.double, level: cython.double
+) -> cython.void:
+    """Let the Gauss-Markov error state e lose the share g of itself, towards its level (variance).
+
+    Within the first nine rows only the column is written: :func:`spread` mirrors those.
+    """
+    j: cython.Py_ssize_t
+    row: cython.Py_ssize_t = at.X_COV + e * at.N
+    for j in range(at.N):
+        x[at.X_COV + j * at.N + e] -= g * x[at.X_COV + j * at.N + e]
+    for j in range(9, at.N):
+        x[row + j] -= g * x[row + j]
+    x[row + e] += g * (2.0 - g) * level

@@ -35,17 +35,30 @@ class Habit:
     """An inertial sample says what was true this long before its stamp, s."""
     imu_samples: Literal["mean", "instant"]
     """What a sample is: the mean since the one before, or a reading at its time."""
+    mag_delay: float
+    """A magnetic field is older than its stamp by this, s."""
 
 
 HABITS = {
     # ArduPilot sends the IMU behind a 20 Hz low-pass of second order, read at the time of sending,
     # and stamps a fix on its arrival: both measured against its simulator's truth. With receivers
     # of its earlier years the delay was 0.2 s and more.
-    "ardupilot": Habit(gnss_delay=0.085, gnss_delay_std=0.1, imu_lag=0.0115, imu_samples="instant"),
+    # Its compass is late by 0.05 to 0.07 s; its own filter takes 0.06.
+    "ardupilot": Habit(
+        gnss_delay=0.085,
+        gnss_delay_std=0.1,
+        imu_lag=0.0115,
+        imu_samples="instant",
+        mag_delay=0.06,
+    ),
     # PX4 sends means and stamps a fix on arrival: no delay in its simulator, 0.06 to 0.11 s with
     # receivers.
-    "px4": Habit(gnss_delay=0.05, gnss_delay_std=0.06, imu_lag=0.002, imu_samples="mean"),
-    "unknown": Habit(gnss_delay=0.0, gnss_delay_std=0.05, imu_lag=0.0, imu_samples="mean"),
+    "px4": Habit(
+        gnss_delay=0.05, gnss_delay_std=0.06, imu_lag=0.002, imu_samples="mean", mag_delay=0.0
+    ),
+    "unknown": Habit(
+        gnss_delay=0.0, gnss_delay_std=0.05, imu_lag=0.0, imu_samples="mean", mag_delay=0.0
+    ),
 }
 """What ``auto`` means, by the autopilot's family."""
 
@@ -94,10 +107,15 @@ class GnssSettings:
     """Antenna from the inertial sensor: forward, right, down, m."""
     use_velocity: bool = True
     """Use the receiver's velocity beside its position."""
+    white_share: Annotated[float, Meta(ge=0.01, le=1.0)] | Auto = "auto"
+    """Share of the variance that the receiver states for its position that is white noise; the rest
+    is an error that changes slowly. auto: learnt from the fixes."""
+    slow_time: Positive = 100.0
+    """Time constant of the slow error of its position, s."""
     position_std: NotNegative = 0.1
-    """Least one sigma of a horizontal axis, whatever the receiver claims, m."""
+    """Least one sigma of the white noise of a horizontal axis, whatever the receiver claims, m."""
     height_std: NotNegative = 0.2
-    """Least one sigma of the height, m."""
+    """Least one sigma of that of the height, m."""
     velocity_std: NotNegative = 0.1
     """Least one sigma of the velocity per axis, m/s."""
     velocity_std_unknown: Positive = 0.3
@@ -114,8 +132,15 @@ class HeadingSettings:
     """Of the magnetic field, rad, east positive; auto: World Magnetic Model at the fix."""
     year: Annotated[float, Meta(ge=2025.0, le=2030.0)] = 2026.0
     """For the World Magnetic Model, decimal year."""
-    magnetometer_std: Positive = 0.05
-    """One sigma of the slow error of a compass heading, rad: what calibration leaves."""
+    magnetometer_std: Positive = 0.02
+    """One sigma of the slow error of a compass heading beside hard iron, rad: declination, scale,
+    mounting."""
+    hard_iron_std: Positive = 0.01
+    """One sigma per axis of the vehicle's own field that calibration leaves, gauss."""
+    hard_iron_walk: NotNegative = 1e-4
+    """Random walk of it, gauss per square root of s: currents."""
+    magnetometer_delay: Seconds | Auto = "auto"
+    """A magnetic field is older than its stamp by this, s."""
     magnetometer_noise: NotNegative = 0.01
     """White noise of the field, gauss; counts by the strength of its horizontal part."""
     field_strength: Positive = 0.25
@@ -143,7 +168,7 @@ class BaroSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlignSettings:
-    """The start."""
+    """The start, and standing still."""
 
     time: Annotated[float, Meta(ge=0.2, le=30.0)] = 1.0
     """Length of a window of rest, or least stretch of motion, to level from, s."""
@@ -151,6 +176,9 @@ class AlignSettings:
     """Largest spread of the rate at rest, all axes together, rad/s."""
     rest_accel: Positive = 0.6
     """Largest spread of the specific force at rest, all axes together, m/s^2."""
+    use_rest: bool = True
+    """Take a vehicle that stands still as one: no velocity, and the gyro shows its bias. Never
+    while the autopilot says that it flies."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,6 +187,8 @@ class GateSettings:
 
     probability: Probability = 0.999999
     """Share of good measurements that a gate lets through."""
+    soft_probability: Probability = 0.99
+    """Share of good measurements that count in full; beyond, the further out the less."""
     timeout_position: Positive = 7.0
     """After so long without an accepted position the next one resets ours, s."""
     timeout_velocity: Positive = 7.0
@@ -234,10 +264,14 @@ def parameters(settings: FilterSettings, family: str, gnss_delay: float | None =
     k[at.K_POS_FLOOR] = gnss.position_std
     k[at.K_HGT_FLOOR] = gnss.height_std
     k[at.K_VEL_FLOOR] = gnss.velocity_std
+    k[at.K_SLOW_TIME] = gnss.slow_time
+    k[at.K_WHITE_SHARE] = math.nan if gnss.white_share == "auto" else gnss.white_share
     k[at.K_VEL_DEFAULT] = gnss.velocity_std_unknown
     k[at.K_HEADING] = ("auto", "gnss", "magnetometer", "autopilot").index(heading.source)
     k[at.K_MAG_STD] = heading.magnetometer_std
     k[at.K_MAG_NOISE] = heading.magnetometer_noise
+    k[at.K_IRON_STD] = heading.hard_iron_std
+    k[at.K_IRON_WALK] = heading.hard_iron_walk
     k[at.K_FIELD_STRENGTH] = heading.field_strength
     k[at.K_FIELD_DIP] = heading.field_dip
     k[at.K_HEADING_TIME] = heading.slow_time
@@ -248,8 +282,10 @@ def parameters(settings: FilterSettings, family: str, gnss_delay: float | None =
     k[at.K_ALIGN_TIME] = settings.align.time
     k[at.K_REST_GYRO] = settings.align.rest_gyro
     k[at.K_REST_ACCEL] = settings.align.rest_accel
+    k[at.K_USE_REST] = settings.align.use_rest
     for dof in (1, 2, 3):
-        k[at.K_GATE1 + dof - 1] = chi_square_quantile(gate.probability, dof)
+        k[at.K_GATE + dof - 1] = chi_square_quantile(gate.probability, dof)
+        k[at.K_SOFT + dof - 1] = chi_square_quantile(gate.soft_probability, dof)
     k[at.K_TIMEOUT_POS] = gate.timeout_position
     k[at.K_TIMEOUT_VEL] = gate.timeout_velocity
     k[at.K_TIMEOUT_HGT] = gate.timeout_height
@@ -281,4 +317,6 @@ def delays_ns(
     late = np.zeros(len(Kind), dtype=np.int64)
     late[Kind.GNSS] = round(delay * 1e9)
     late[Kind.IMU] = round(imu_lag(settings, family) * 1e9)
+    mag = settings.heading.magnetometer_delay
+    late[Kind.MAG] = round((HABITS[family].mag_delay if mag == "auto" else mag) * 1e9)
     return late

@@ -69,7 +69,6 @@ class Timeline:
     capacity: cython.Py_ssize_t
     cursor: cython.Py_ssize_t
     snaps: cython.Py_ssize_t
-    since_snap: cython.Py_ssize_t
     window: cython.double
     epoch: cython.longlong
     has_epoch: cython.bint
@@ -120,7 +119,6 @@ class Timeline:
         self.size = 0
         self.cursor = 0
         self.snaps = 1
-        self.since_snap = 0
         self.snapshot_row[0] = -1
         self.snapshots[0, :] = self.x
         self.newest = -1.0
@@ -212,7 +210,6 @@ class Timeline:
                 self.snaps -= 1
             self.x[:] = self.snapshots[self.snaps - 1, :]
             self.cursor = self.snapshot_row[self.snaps - 1] + 1
-            self.since_snap = 0
             self.reruns += 1
             self.run()
             return TAKEN
@@ -235,12 +232,21 @@ class Timeline:
             kernel.step(self.x, self.k, self.w, self.rows, first, i)
             first = i + 1
             self.cursor = first
-            self.since_snap += 1
-            if self.since_snap >= SNAPSHOT_EVERY:
+            if not kernel.is_sound(self.x):
+                self.recover(i)
+            if self.x[at.X_SAMPLES] % SNAPSHOT_EVERY == 0.0:
                 self.snapshots[self.snaps, :] = self.x
                 self.snapshot_row[self.snaps] = i
                 self.snaps += 1
-                self.since_snap = 0
+
+    @cython.cfunc
+    def recover(self, i: cython.Py_ssize_t) -> cython.void:
+        """Put the last good state in the place of one that cannot be, at the sample of row i.
+
+        Snapshots lie at samples of round number, so that whatever order the events came in it is
+        the same one. What cannot be a second time so soon is not kept: the filter starts over.
+        """
+        kernel.recover(self.x, self.k, self.snapshots[self.snaps - 1], self.rows[i, at.ROW_T])
 
     @cython.cfunc
     def trim(self) -> cython.void:

@@ -8,7 +8,10 @@ from types import SimpleNamespace
 
 import ekf_companion.core
 
-NAMES = ("propagate", "correct", "observe", "align", "kernel", "timeline")
+NAMES = (
+    *("propagate", "correct", "observe", "proof", "account", "heading", "align", "receiver"),
+    *("kernel", "timeline"),
+)
 FOLDER = Path(ekf_companion.core.__file__).parent
 
 

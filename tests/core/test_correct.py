@@ -45,7 +45,7 @@ def test_a_block_is_absorbed_as_the_joseph_form_says():
         assert np.linalg.eigvalsh(after).min() > 0.0
 
 
-def test_an_azimuth_moves_yaw_and_gyro_bias_only_and_says_so_in_its_covariance():
+def test_an_azimuth_moves_yaw_gyro_bias_and_iron_only_and_says_so_in_its_covariance():
     x, w, P, H, z, R = a_problem(6, 1)
     before = x.copy()
     S = H @ P @ H.T + R
@@ -54,6 +54,7 @@ def test_an_azimuth_moves_yaw_and_gyro_bias_only_and_says_so_in_its_covariance()
     w[at.W_C_NB + 6 : at.W_C_NB + 9] = down
     K[at.E_BG : at.E_BG + 3, 0] = down * (down @ K[at.E_BG : at.E_BG + 3, 0])
     free = [at.E_ATT + 2, at.E_BG, at.E_BG + 1, at.E_BG + 2, at.E_HEADING]
+    free += [at.E_IRON, at.E_IRON + 1, at.E_IRON + 2]
     K[[i for i in range(at.N) if i not in free]] = 0.0
     I_KH = np.eye(at.N) - K @ H
     expected = I_KH @ P @ I_KH.T + K @ R @ K.T

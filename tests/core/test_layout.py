@@ -29,7 +29,8 @@ def test_nothing_in_a_block_overlaps():
         "X_ACC_N": 3, "X_T_HEADING": 3, "X_T_USED": layout.AIDS, "X_RATIO": layout.AIDS,
         "X_COUNT": layout.AIDS * layout.WHYS, "X_NOISE_G": 3, "X_NOISE_A": 3, "X_PREV_G": 3,
         "X_PREV_A": 3, "X_WHITE": 3, "X_T_REFUSED": layout.AIDS, "X_LEVEL": layout.L_SIZE,
-        "X_COV": layout.N * layout.N,
+        "X_COV": layout.N * layout.N, "X_SLOW": 3, "X_IRON": 3, "X_DELTA": 7, "X_NIS": layout.AIDS,
+        "X_NIS_N": layout.AIDS, "X_RUN": 3 * layout.C_SIZE,
     }  # fmt: skip
     places = sorted((value, name) for name, value in numbers().items() if name.startswith("X_"))
     ends = [value + sizes.get(name, 1) for value, name in places]
@@ -42,6 +43,7 @@ def test_nothing_in_the_scratch_overlaps():
     sizes = {
         "W_H": 3 * n, "W_C": 3 * n, "W_Z": 3, "W_R": 9, "W_L": 9, "W_Y": 3, "W_DX": n, "W_C_NB": 9,
         "W_DV": 3, "W_ROW": n, "W_ROW2": n, "W_S9": 18, "W_Q": 6,
+        "W_MEAN": 6, "W_RATE": 3, "W_FORCE": 3, "W_RATE_SLOPE": 3, "W_FORCE_SLOPE": 3, "W_FIX": 12,
     }  # fmt: skip
     places = sorted((value, name) for name, value in numbers().items() if name.startswith("W_"))
     ends = [value + sizes[name] for value, name in places]

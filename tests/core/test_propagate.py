@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -19,10 +21,17 @@ def errors_between(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     error[at.E_BARO] = y[at.X_BARO] - x[at.X_BARO]
     error[at.E_DELAY] = y[at.X_DELAY] - x[at.X_DELAY]
     error[at.E_HEADING] = y[at.X_HEADING] - x[at.X_HEADING]
+    error[at.E_SLOW : at.E_SLOW + 3] = y[at.X_SLOW : at.X_SLOW + 3] - x[at.X_SLOW : at.X_SLOW + 3]
+    error[at.E_IRON : at.E_IRON + 3] = y[at.X_IRON : at.X_IRON + 3] - x[at.X_IRON : at.X_IRON + 3]
     return error
 
 
 SAMPLE = (0.4, -0.8, 0.3, 1.5, -2.0, -9.0)
+
+
+def sampled(w: np.ndarray, sample=SAMPLE) -> np.ndarray:
+    w[at.W_RATE : at.W_RATE + 6] = sample
+    return w
 
 
 @pytest.mark.parametrize("dt", [0.004, 0.02, 0.1])
@@ -37,18 +46,18 @@ def test_covariance_follows_the_slope_of_the_motion(dt):
         ends = []
         for sign in (1.0, -1.0):
             moved = plus(x, sign * error)
-            propagate.move(moved, k, w, dt, *SAMPLE)
+            propagate.move(moved, k, sampled(w), dt)
             ends.append(moved)
         Phi[:, i] = errors_between(ends[1], ends[0]) / (2.0 * step)
 
     rng = np.random.default_rng(6)
     root = (
         rng.normal(0.0, 1.0, (at.N, at.N))
-        * np.repeat([0.1, 1.0, 5.0, 0.01, 0.2, 1.0], [3, 3, 3, 3, 3, 3])[:, None]
+        * np.repeat([0.1, 1.0, 5.0, 0.01, 0.2, 1.0, 0.01], [3, 3, 3, 3, 3, 6, 3])[:, None]
     )
     P = root @ root.T
     x[at.X_COV :] = P.ravel()
-    propagate.move(x, k, w, dt, *SAMPLE)
+    propagate.move(x, k, sampled(w), dt)
     propagate.spread(x, k, w, dt)
     after = x[at.X_COV :].reshape(at.N, at.N)
 
@@ -66,7 +75,7 @@ def test_noise_is_what_van_loan_gives():
     k[at.K_GYRO_WALK], k[at.K_ACCEL_WALK], k[at.K_BARO_WALK] = 1e-4, 1e-3, 0.05
     dt = 0.01
     x[at.X_COV :] = 0.0
-    propagate.move(x, k, w, dt, *SAMPLE)
+    propagate.move(x, k, sampled(w), dt)
     C = w[at.W_C_NB : at.W_C_NB + 9].reshape(3, 3).copy()
     force = w[at.W_DV : at.W_DV + 3] / dt
     propagate.spread(x, k, w, dt)
@@ -79,7 +88,7 @@ def test_noise_is_what_van_loan_gives():
     F[3:6, 12:15] = -C
     F[6:9, 3:6] = np.eye(3)
     Q = np.diag(
-        np.repeat([2e-3**2, 3e-2**2, 0.0, 1e-4**2, 1e-3**2, 0.05**2, 0.0], [3, 3, 3, 3, 3, 1, 2])
+        np.repeat([2e-3**2, 3e-2**2, 0.0, 1e-4**2, 1e-3**2, 0.05**2, 0.0], [3, 3, 3, 3, 3, 1, 8])
     )
     block = expm(np.block([[-F, Q], [np.zeros_like(F), F.T]]) * dt)
     expected = block[at.N :, at.N :].T @ block[: at.N, at.N :]
@@ -98,8 +107,36 @@ def test_gravity_and_earth_rate_agree_with_the_vocabulary():
     propagate.originate(x, lat, 0.2, alt)
     north, east = earth.LocalFrame(lat, 0.2, alt).scale
     assert (x[at.X_SCALE_N], x[at.X_SCALE_E]) == pytest.approx((north, east), rel=1e-14)
-    propagate.move(x, k, w, dt, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    propagate.move(x, k, w, dt)
     assert x[at.X_VEL + 2] / dt == pytest.approx(float(earth.gravity(lat, alt)), rel=1e-12)
     # a body that does not turn in inertial space turns against the Earth
     turned = so3.log(x[at.X_Q : at.X_Q + 4]) / dt
     np.testing.assert_allclose(turned, -earth.earth_rate_n(lat), atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["cone", "scull"])
+def test_two_samples_in_a_row_show_coning_and_sculling(kind):
+    """A body that cones, or swings in time with its acceleration, sampled as means at 100 Hz."""
+    propagate = load().propagate
+    dt, n, w0, fine = 0.01, 300, 2.0 * np.pi * 8.0, 50
+    t = (np.arange(n * fine) + 0.5) * dt / fine
+    zero = np.zeros_like(t)
+    rate = np.stack([0.8 * np.sin(w0 * t), 0.8 * np.cos(w0 * t) * (kind == "cone"), zero], axis=-1)
+    force = np.stack([zero, 6.0 * np.sin(w0 * t) * (kind == "scull"), zero - 9.8], axis=-1)
+
+    def fly(samples: np.ndarray, period: float, has_slope: bool) -> np.ndarray:
+        x, k, w = np.zeros(at.BLOCK), parameters(), np.zeros(at.SCRATCH)
+        x[at.X_Q] = 1.0
+        for before, now in itertools.pairwise(samples):
+            sampled(w, now)
+            w[at.W_RATE_SLOPE : at.W_RATE_SLOPE + 6] = (now - before) / period * has_slope
+            propagate.move(x, k, w, period)
+        return x
+
+    exact = np.concatenate([rate, force], axis=-1)
+    means = exact.reshape(n, fine, 6).mean(axis=1)
+    truth = fly(np.concatenate([exact[fine - 1 : fine], exact[fine:]]), dt / fine, True)
+    plain = errors_between(truth, fly(means, dt, False))
+    better = errors_between(truth, fly(means, dt, True))
+    part = slice(0, 3) if kind == "cone" else slice(3, 6)
+    assert np.abs(better[part]).max() < 0.1 * np.abs(plain[part]).max()

@@ -1,0 +1,98 @@
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""Proof by motion: when an aid that has been refused for long may have its way.
+
+A receiver that has truly found a new place moves from fix to fix as we do: its innovations stay
+the same. One that is dragged off, or says anything at all, moves otherwise. So a run of refused
+innovations is kept as the sums of a straight line; a small slope and a small scatter prove it.
+
+Source: least squares of a line, e.g. Bevington 2003, section 6.3.
+"""
+
+from __future__ import annotations
+
+import cython
+
+if cython.compiled:
+    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.libc.math import fabs, sqrt
+else:
+    from math import fabs, sqrt
+
+    from ekf_companion.core import layout as at
+
+SHORTEST = cython.declare(cython.double, 3.0)
+"""Least time between the first and the last of a run that proves anything, s."""
+LONGEST = cython.declare(cython.double, 10.0)
+"""A run that has not proved itself by then begins anew, s."""
+FEWEST = cython.declare(cython.double, 4.0)
+"""Least number of innovations in a run."""
+SIGMAS = cython.declare(cython.double, 3.0)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def forgive(x: cython.double[::1], aid: cython.Py_ssize_t) -> cython.void:
+    """End the run of an aid: it was believed, or has its way."""
+    x[at.X_RUN + at.C_SIZE * aid + at.C_COUNT] = 0.0
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def add(
+    x: cython.double[::1], w: cython.double[::1], aid: cython.Py_ssize_t, m: cython.Py_ssize_t
+) -> cython.void:
+    """Add m innovations (w[W_Z]) that were refused."""
+    i: cython.Py_ssize_t
+    run: cython.Py_ssize_t = at.X_RUN + at.C_SIZE * aid
+    tau: cython.double = (x[at.X_T] - x[run + at.C_T0]) * 1e-9
+    if x[run + at.C_COUNT] == 0.0 or tau > LONGEST:
+        for i in range(at.C_SIZE):
+            x[run + i] = 0.0
+        x[run + at.C_T0] = x[at.X_T]
+        tau = 0.0
+    x[run + at.C_COUNT] += 1.0
+    x[run + at.C_ST] += tau
+    x[run + at.C_STT] += tau * tau
+    for i in range(m):
+        x[run + at.C_SZ + i] += w[at.W_Z + i]
+        x[run + at.C_STZ + i] += tau * w[at.W_Z + i]
+        x[run + at.C_SZZ] += w[at.W_Z + i] * w[at.W_Z + i]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def is_given(
+    x: cython.double[::1],
+    aid: cython.Py_ssize_t,
+    m: cython.Py_ssize_t,
+    white: cython.double,
+    drift: cython.double,
+) -> cython.bint:
+    """Say whether the run of an aid has proved itself.
+
+    Args:
+        x: The state block.
+        aid: Whose run.
+        m: Its rows.
+        white: Variance of one innovation about the line.
+        drift: Variance of our own drift, per s^2: what slope says nothing against the aid.
+    """
+    i: cython.Py_ssize_t
+    run: cython.Py_ssize_t = at.X_RUN + at.C_SIZE * aid
+    n: cython.double = x[run + at.C_COUNT]
+    slope: cython.double
+    scatter: cython.double = x[run + at.C_SZZ]
+    if n < FEWEST or x[at.X_T] - x[run + at.C_T0] < SHORTEST * 1e9:
+        return False
+    wide: cython.double = x[run + at.C_STT] - x[run + at.C_ST] * x[run + at.C_ST] / n
+    if not wide > 0.0:
+        return False
+    for i in range(m):
+        slope = x[run + at.C_STZ + i] - x[run + at.C_ST] * x[run + at.C_SZ + i] / n
+        scatter -= x[run + at.C_SZ + i] * x[run + at.C_SZ + i] / n + slope * slope / wide
+        if fabs(slope / wide) > SIGMAS * sqrt(white / wide + drift):
+            return False
+    return scatter <= SIGMAS * SIGMAS * white * n * m

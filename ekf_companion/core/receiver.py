@@ -1,0 +1,392 @@
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""The satellite receiver: start with its fixes, correct by them, or make them prove themselves.
+
+A receiver states metres and differs from fix to fix by centimetres: most of its error is slow. So
+the stated variance is shared between white noise and three Gauss-Markov states, in a share that is
+learnt from the innovations. The position that is estimated is that without the slow error.
+"""
+
+from __future__ import annotations
+
+import cython
+
+if cython.compiled:
+    from cython.cimports.ekf_companion.core import (
+        account,
+        align,
+        correct,
+        observe,
+        proof,
+        propagate,
+    )
+    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.libc.math import isnan, sqrt
+else:
+    from math import isnan, sqrt
+
+    from ekf_companion.core import account, align, correct, observe, proof, propagate
+    from ekf_companion.core import layout as at
+
+NEVER = cython.declare(cython.double, -1e18)
+PREFERRED_AGE = cython.declare(cython.double, 5e9)
+"""How long a receiver keeps the autopilot's own position out after its last word, ns."""
+WHITE_MEMORY = cython.declare(cython.double, 100.0)
+"""Fixes over which a receiver's white noise is learnt."""
+FIRST_MEMORY = cython.declare(cython.double, 10.0)
+"""What is assumed at first weighs as so many fixes."""
+LEAST_SHARE = cython.declare(cython.double, 0.01)
+"""A receiver overstates its white error ten times at the most: what is learnt beyond is luck."""
+LARGEST_SHARE = cython.declare(cython.double, 9.0)
+ANY = cython.declare(cython.double, 1e6)
+"""Variance of what is not known at all, m^2."""
+JERK = cython.declare(cython.double, 0.25)
+"""Variance of our own acceleration while its velocity is refused, m^2/s^4."""
+DERIVED = cython.declare(cython.int, 1)
+SUSPECT = cython.declare(cython.int, 2)
+SAME_CAUSE = cython.declare(cython.double, 2.0)
+"""A height refused for so long when the position is begun anew is begun anew with it, s."""
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def take_fix(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    rows: cython.double[:, ::1],
+    r: cython.Py_ssize_t,
+) -> cython.bint:
+    """Take a GNSS fix. False: it was refused for so long that the filter must start over."""
+    t: cython.double = x[at.X_T]
+    has_vel: cython.bint = k[at.K_USE_VEL] != 0.0 and not isnan(rows[r, at.ROW_V + 3])
+
+    # Which source, and can it be believed
+    if not is_used(x, k, cython.cast(cython.int, rows[r, at.ROW_V + 10])):
+        return True
+    learn_place(x, rows, r)
+    read(x, k, w, rows, r)
+    if x[at.X_T_FIX] > NEVER and t > x[at.X_T_FIX]:
+        x[at.X_FIX_DT] = (t - x[at.X_T_FIX]) * 1e-9
+    x[at.X_T_FIX] = t
+
+    # Before navigation a fix helps to level, or begins it
+    if x[at.X_MODE] == at.MODE_LEVEL:
+        if has_vel and align.level_in_motion(
+            x, k, w, t, w[at.W_FIX + 3], w[at.W_FIX + 4], w[at.W_FIX + 5], w[at.W_FIX + 8]
+        ):
+            navigate(x, k, w, has_vel)
+        else:
+            account.count(x, at.AID_POS, at.WHY_UNALIGNED)
+        return True
+    if x[at.X_MODE] == at.MODE_ATTITUDE:
+        if x[at.X_HAS_YAW] != 0.0:
+            navigate(x, k, w, has_vel)
+        else:
+            account.count(x, at.AID_POS, at.WHY_UNALIGNED)
+        return True
+    if x[at.X_NEEDS_RESET] != 0.0:
+        x[at.X_NEEDS_RESET] = 0.0
+        account.announce(x, at.RESET_GAP)
+        restart(x, k, w, has_vel)
+        return True
+
+    # Velocity first: it is the surer of the two
+    if has_vel and not take_velocity(x, k, w):
+        return False
+    take_position(x, k, w)
+    take_height(x, k, w)
+    return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def is_used(x: cython.double[::1], k: cython.double[::1], flags: cython.int) -> cython.bint:
+    """Say whether a fix is to be used: the receiver's own, unless it says that it is fooled."""
+    if flags & DERIVED:
+        if k[at.K_USE_DERIVED] == 0.0 or (
+            k[at.K_USE_DERIVED] == 1.0 and x[at.X_T] - x[at.X_T_RAW_FIX] < PREFERRED_AGE
+        ):
+            account.count(x, at.AID_POS, at.WHY_UNUSED)
+            return False
+    else:
+        x[at.X_T_RAW_FIX] = x[at.X_T]
+        if k[at.K_USE_DERIVED] == 2.0:
+            account.count(x, at.AID_POS, at.WHY_UNUSED)
+            return False
+    if flags & SUSPECT:
+        account.count(x, at.AID_POS, at.WHY_SUSPECT)
+        return False
+    return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def learn_place(
+    x: cython.double[::1], rows: cython.double[:, ::1], r: cython.Py_ssize_t
+) -> cython.void:
+    """Learn the magnetic field of the fix's place."""
+    if isnan(rows[r, at.ROW_V + 9]):
+        return
+    if isnan(x[at.X_DECLINATION]) and x[at.X_T_MAG] > NEVER and x[at.X_MODE] < at.MODE_NAVIGATE:
+        # a compass gave magnetic north: take true north from whoever is next
+        x[at.X_HAS_YAW] = 0.0
+        x[at.X_T_MAG] = NEVER
+        x[at.X_LEVEL + at.L_HAS_REF] = 0.0
+    x[at.X_DECLINATION] = rows[r, at.ROW_V + 9]
+    x[at.X_INCLINATION] = rows[r, at.ROW_V + 11]
+    x[at.X_FIELD] = rows[r, at.ROW_V + 12]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def read(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    rows: cython.double[:, ::1],
+    r: cython.Py_ssize_t,
+) -> cython.void:
+    """Write the fix to w[W_FIX]: values, sigmas of the white part, stated variances, by aid."""
+    i: cython.Py_ssize_t
+    share: cython.double
+    slow: cython.double
+    floor: cython.double
+    for i in range(6):
+        w[at.W_FIX + i] = rows[r, at.ROW_V + i]
+    for i in range(3):
+        w[at.W_FIX + 6 + i] = rows[r, at.ROW_V + 6 + i]
+    if isnan(w[at.W_FIX + 8]):
+        w[at.W_FIX + 8] = k[at.K_VEL_DEFAULT]
+    for i in range(3):
+        share = white_share(x, k, i)
+        w[at.W_FIX + 9 + i] = w[at.W_FIX + 6 + i] * w[at.W_FIX + 6 + i]
+        slow = w[at.W_FIX + 9 + i] * (1.0 - share) if share < 1.0 else 0.0
+        if i == at.AID_POS:
+            x[at.X_SLOW_POS] = slow
+        elif i == at.AID_HGT:
+            x[at.X_SLOW_HGT] = slow
+        w[at.W_FIX + 6 + i] *= sqrt(share)
+        floor = k[at.K_POS_FLOOR + i]
+        if w[at.W_FIX + 6 + i] < floor:
+            w[at.W_FIX + 6 + i] = floor
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def white_share(
+    x: cython.double[::1], k: cython.double[::1], aid: cython.Py_ssize_t
+) -> cython.double:
+    """Give the share of a stated variance that is white: the user's, or what was learnt."""
+    if aid != at.AID_VEL and not isnan(k[at.K_WHITE_SHARE]):
+        return k[at.K_WHITE_SHARE]
+    return x[at.X_WHITE + aid] if x[at.X_WHITE + aid] > LEAST_SHARE else LEAST_SHARE
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def fuse(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    aid: cython.Py_ssize_t,
+    m: cython.Py_ssize_t,
+) -> cython.bint:
+    """Absorb the receiver's rows if they pass the gate, and learn how white its error is.
+
+    What the innovations have beyond the filter's own doubt is white.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    nis: cython.double = correct.innovate(x, w, m)
+    share: cython.double = 0.0
+    memory: cython.double
+    for i in range(m):
+        share += w[at.W_Z + i] * w[at.W_Z + i]
+        for j in range(at.N):
+            share -= w[at.W_H + i * at.N + j] * w[at.W_C + i * at.N + j]
+    share = share / (m * w[at.W_FIX + 9 + aid])
+    if share > LARGEST_SHARE:
+        share = LARGEST_SHARE
+    if share < -LARGEST_SHARE:
+        share = -LARGEST_SHARE
+    memory = FIRST_MEMORY + x[at.X_NIS_N + aid]
+    x[at.X_WHITE + aid] += (share - x[at.X_WHITE + aid]) / (
+        memory if memory < WHITE_MEMORY else WHITE_MEMORY
+    )
+    return account.weigh(x, k, w, aid, m, nis)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def take_velocity(
+    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]
+) -> cython.bint:
+    """Correct by the velocity; False: it went on being refused, so more than velocity is wrong."""
+    m: cython.Py_ssize_t = observe.velocity(x, k, w)
+    white: cython.double = w[at.W_FIX + 8] * w[at.W_FIX + 8]
+    if fuse(x, k, w, at.AID_VEL, m) or not account.is_timed_out(x, at.AID_VEL, k[at.K_TIMEOUT_VEL]):
+        return True
+    if proof.is_given(x, at.AID_VEL, m, white, JERK):
+        account.announce(x, at.RESET_VELOCITY)
+        launch(x, k, w)
+        return True
+    return x[at.X_T] - x[at.X_T_REFUSED + at.AID_VEL] <= 0.5 * k[at.K_TIMEOUT_VEL] * 1e9
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def take_position(
+    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]
+) -> cython.void:
+    """Correct the horizontal position, or begin it anew where the fixes have proved themselves."""
+    white: cython.double = w[at.W_FIX + 6] * w[at.W_FIX + 6]
+    vel: cython.Py_ssize_t = at.X_COV + at.E_VEL * (at.N + 1)
+    drift: cython.double = x[vel] if x[vel] > x[vel + at.N + 1] else x[vel + at.N + 1]
+    observe.position(x, k, w)
+    if (
+        fuse(x, k, w, at.AID_POS, 2)
+        or not account.is_timed_out(x, at.AID_POS, k[at.K_TIMEOUT_POS])
+        or not proof.is_given(x, at.AID_POS, 2, white, drift)
+    ):
+        return
+    account.announce(x, at.RESET_POSITION)
+    place(x, k, w)
+    if account.is_timed_out(x, at.AID_VEL, k[at.K_TIMEOUT_POS]):
+        halt(x, at.E_VEL, 2)
+    if account.is_timed_out(x, at.AID_HGT, SAME_CAUSE):
+        lift(x, k, w)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def take_height(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Correct the height, or begin it anew where the fixes have proved themselves."""
+    white: cython.double = w[at.W_FIX + 7] * w[at.W_FIX + 7]
+    drift: cython.double = x[at.X_COV + (at.E_VEL + 2) * (at.N + 1)]
+    observe.height(x, k, w)
+    if (
+        fuse(x, k, w, at.AID_HGT, 1)
+        or not account.is_timed_out(x, at.AID_HGT, k[at.K_TIMEOUT_HGT])
+        or not proof.is_given(x, at.AID_HGT, 1, white, drift)
+    ):
+        return
+    account.announce(x, at.RESET_HEIGHT)
+    lift(x, k, w)
+    if isnan(w[at.W_FIX + 5]) or account.is_timed_out(x, at.AID_VEL, k[at.K_TIMEOUT_HGT]):
+        halt(x, at.E_VEL + 2, 1)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def navigate(
+    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1], has_vel: cython.bint
+) -> cython.void:
+    """Begin to navigate at a fix; the first one ever is the origin of the local frame."""
+    i: cython.Py_ssize_t
+    if x[at.X_HAS_ORIGIN] == 0.0:
+        propagate.originate(x, w[at.W_FIX], w[at.W_FIX + 1], w[at.W_FIX + 2])
+    x[at.X_MODE] = at.MODE_NAVIGATE
+    x[at.X_HAS_BARO] = 0.0
+    for i in range(3):
+        x[at.X_VEL + i] = 0.0
+    correct.forget(x, at.E_VEL, 3, 0.04 if x[at.X_AT_REST] != 0.0 else 100.0)
+    restart(x, k, w, has_vel)
+    x[at.X_T_USED + at.AID_VEL] = x[at.X_T]
+    x[at.X_T_USED + at.AID_BARO] = x[at.X_T]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def restart(
+    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1], has_vel: cython.bint
+) -> cython.void:
+    """Begin velocity, position and height from a fix."""
+    if has_vel:
+        launch(x, k, w)
+        account.count(x, at.AID_VEL, at.WHY_FUSED)
+    place(x, k, w)
+    lift(x, k, w)
+    account.count(x, at.AID_POS, at.WHY_FUSED)
+    account.count(x, at.AID_HGT, at.WHY_FUSED)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def place(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Set the horizontal position from a fix, which has its slow error."""
+    i: cython.Py_ssize_t
+    for i in range(2):
+        x[at.X_SLOW + i] = 0.0
+    correct.forget(x, at.E_SLOW, 2, x[at.X_SLOW_POS])
+    correct.forget(x, at.E_POS, 2, ANY)
+    observe.position(x, k, w)
+    for i in range(2):
+        x[at.X_POS + i] += w[at.W_Z + i]
+        x[at.X_DELTA + i] += w[at.W_Z + i]
+        w[at.W_Z + i] = 0.0
+    correct.innovate(x, w, 2)
+    correct.absorb(x, w, 2)
+    account.settle(x, at.AID_POS)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def lift(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Set the height from a fix, which has its slow error."""
+    x[at.X_SLOW + 2] = 0.0
+    correct.forget(x, at.E_SLOW + 2, 1, x[at.X_SLOW_HGT])
+    correct.forget(x, at.E_POS + 2, 1, ANY)
+    observe.height(x, k, w)
+    x[at.X_POS + 2] += w[at.W_Z]
+    x[at.X_DELTA + 2] += w[at.W_Z]
+    w[at.W_Z] = 0.0
+    correct.innovate(x, w, 1)
+    correct.absorb(x, w, 1)
+    account.settle(x, at.AID_HGT)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def launch(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Set the velocity from a fix; an unknown vertical one is none, give or take 2 m/s."""
+    i: cython.Py_ssize_t
+    m: cython.Py_ssize_t
+    correct.forget(x, at.E_VEL, 3, ANY)
+    m = observe.velocity(x, k, w)
+    for i in range(m):
+        x[at.X_VEL + i] += w[at.W_Z + i]
+        x[at.X_DELTA + 3 + i] += w[at.W_Z + i]
+        w[at.W_Z + i] = 0.0
+    correct.innovate(x, w, m)
+    correct.absorb(x, w, m)
+    if m == 2:
+        x[at.X_DELTA + 5] -= x[at.X_VEL + 2]
+        x[at.X_VEL + 2] = 0.0
+        correct.forget(x, at.E_VEL + 2, 1, 0.04 if x[at.X_AT_REST] != 0.0 else 4.0)
+    account.settle(x, at.AID_VEL)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def halt(x: cython.double[::1], first: cython.Py_ssize_t, size: cython.Py_ssize_t) -> cython.void:
+    """Begin a velocity anew that carried the position astray: none, give or take 5 m/s."""
+    i: cython.Py_ssize_t
+    for i in range(first, first + size):
+        x[at.X_DELTA + i] -= x[at.X_VEL + i - at.E_VEL]
+        x[at.X_VEL + i - at.E_VEL] = 0.0
+    correct.forget(x, first, size, 25.0)
