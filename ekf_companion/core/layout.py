@@ -127,10 +127,11 @@ X_PREV_A = 163
 X_WHITE = 166
 X_SLOW_POS = 169
 X_SLOW_HGT = 170
-X_RUN = 171
-X_LEVEL = 204
-X_COV = 241
-BLOCK = 817
+X_LEAN = 171
+X_RUN = 174
+X_LEVEL = 207
+X_COV = 244
+BLOCK = 820
 
 # What levelling remembers, from X_LEVEL: sums over a window, the motion since a first fix, and a
 # reference: a direction of the body and its azimuth (NaN: that of the magnetic field)
@@ -175,34 +176,35 @@ K_USE_VEL = 16
 K_USE_DERIVED = 17
 K_SLOW_TIME = 18
 K_WHITE_SHARE = 19
-K_HEADING = 20
-K_MAG_STD = 21
-K_MAG_NOISE = 22
-K_IRON_STD = 23
-K_IRON_WALK = 24
-K_HEADING_FLOOR = 25
-K_HEADING_TIME = 26
-K_FIELD_STRENGTH = 27
-K_FIELD_DIP = 28
-K_BARO_STD = 29
-K_BARO_WALK = 30
-K_USE_BARO = 31
-K_GATE = 32
-K_SOFT = 35
-K_TIMEOUT_POS = 38
-K_TIMEOUT_VEL = 39
-K_TIMEOUT_HGT = 40
-K_TIMEOUT_YAW = 41
-K_ALIGN_TIME = 42
-K_LAG = 43
-K_GAP = 44
-K_GAP_RESET = 45
-K_LIMIT_POS = 46
-K_REST_GYRO = 47
-K_REST_ACCEL = 48
-K_USE_REST = 49
-K_GRAVITY = 50
-PARAMETERS = 51
+K_TIMING = 20
+K_HEADING = 21
+K_MAG_STD = 22
+K_MAG_NOISE = 23
+K_IRON_STD = 24
+K_IRON_WALK = 25
+K_HEADING_FLOOR = 26
+K_HEADING_TIME = 27
+K_FIELD_STRENGTH = 28
+K_FIELD_DIP = 29
+K_BARO_STD = 30
+K_BARO_WALK = 31
+K_USE_BARO = 32
+K_GATE = 33
+K_SOFT = 36
+K_TIMEOUT_POS = 39
+K_TIMEOUT_VEL = 40
+K_TIMEOUT_HGT = 41
+K_TIMEOUT_YAW = 42
+K_ALIGN_TIME = 43
+K_LAG = 44
+K_GAP = 45
+K_GAP_RESET = 46
+K_LIMIT_POS = 47
+K_REST_GYRO = 48
+K_REST_ACCEL = 49
+K_USE_REST = 50
+K_GRAVITY = 51
+PARAMETERS = 52
 
 # Headings that the filter may use (K_HEADING)
 HEADING_AUTO = 0
@@ -221,8 +223,8 @@ RESET_CLOCK = 6
 RESET_BOUNDS = 7
 
 # Scratch numbers of one step: rows of H, P H', innovation, R, Cholesky factor, error state,
-# direction cosines, velocity increment, two rows, S and S G / 2, noise, the interval's inertial data:
-# mean rate and force of the whole and of a part, and how fast they change; the fix that is being taken
+# direction cosines, velocity increment, two rows, S and S G / 2, noise; rate and force: the mean of
+# the whole interval, of a part, and how fast they change; the fix that is being taken
 W_H = 0
 W_C = 72
 W_Z = 144

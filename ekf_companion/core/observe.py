@@ -51,6 +51,24 @@ def blank(w: cython.double[::1], m: cython.Py_ssize_t, variance: cython.double) 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+def hurry(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    m: cython.Py_ssize_t,
+    rate: cython.Py_ssize_t,
+) -> cython.void:
+    """Add to R what a wrong stamp does to what changes at the rate x[rate:+m]."""
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    for i in range(m):
+        for j in range(m):
+            w[at.W_R + 3 * i + j] += k[at.K_TIMING] * k[at.K_TIMING] * x[rate + i] * x[rate + j]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
 def antenna(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
     """Write the lever arm in n to w[W_ROW:+3] and the antenna's extra velocity to w[W_ROW+3:+3]."""
     i: cython.Py_ssize_t
@@ -86,6 +104,7 @@ def position(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]
     lat: cython.double = w[at.W_FIX]
     lon: cython.double = w[at.W_FIX + 1]
     blank(w, 2, w[at.W_FIX + 6] * w[at.W_FIX + 6])
+    hurry(x, k, w, 2, at.X_VEL)
     antenna(x, k, w)
     w[at.W_Z] = (lat - x[at.X_LAT0]) * x[at.X_SCALE_N] - (
         x[at.X_POS] + x[at.X_SLOW] + w[at.W_ROW] - late * (x[at.X_VEL] + w[at.W_ROW + 3])
@@ -118,6 +137,7 @@ def height(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) 
     """One row: altitude of the antenna above mean sea level, by the fix in w[W_FIX]."""
     late: cython.double = x[at.X_DELAY]
     blank(w, 1, w[at.W_FIX + 7] * w[at.W_FIX + 7])
+    hurry(x, k, w, 1, at.X_VEL + 2)
     antenna(x, k, w)
     w[at.W_Z] = (x[at.X_ALT0] - w[at.W_FIX + 2]) - (
         x[at.X_POS + 2]
@@ -148,6 +168,7 @@ def velocity(
     m: cython.Py_ssize_t = 2 if isnan(w[at.W_FIX + 5]) else 3
     late: cython.double = x[at.X_DELAY]
     blank(w, m, w[at.W_FIX + 8] * w[at.W_FIX + 8])
+    hurry(x, k, w, m, at.X_ACC_N)
     antenna(x, k, w)
     for i in range(m):
         w[at.W_Z + i] = w[at.W_FIX + 3 + i] - (

@@ -22,10 +22,14 @@ else:
 
 SHORTEST = cython.declare(cython.double, 3.0)
 """Least time between the first and the last of a run that proves anything, s."""
-LONGEST = cython.declare(cython.double, 10.0)
+LONGEST = cython.declare(cython.double, 30.0)
 """A run that has not proved itself by then begins anew, s."""
 FEWEST = cython.declare(cython.double, 4.0)
 """Least number of innovations in a run."""
+SHARPEST = cython.declare(cython.double, 0.15)
+"""The slope of a run must be known to this, one sigma per s, before it proves anything."""
+NOISIEST = cython.declare(cython.double, 9.0)
+"""How far the scatter about the line may be beyond the stated variance."""
 SIGMAS = cython.declare(cython.double, 3.0)
 
 
@@ -68,7 +72,7 @@ def is_given(
     x: cython.double[::1],
     aid: cython.Py_ssize_t,
     m: cython.Py_ssize_t,
-    white: cython.double,
+    stated: cython.double,
     drift: cython.double,
 ) -> cython.bint:
     """Say whether the run of an aid has proved itself.
@@ -77,22 +81,34 @@ def is_given(
         x: The state block.
         aid: Whose run.
         m: Its rows.
-        white: Variance of one innovation about the line.
+        stated: Variance that the receiver states for one row.
         drift: Variance of our own drift, per s^2: what slope says nothing against the aid.
     """
     i: cython.Py_ssize_t
     run: cython.Py_ssize_t = at.X_RUN + at.C_SIZE * aid
     n: cython.double = x[run + at.C_COUNT]
     slope: cython.double
+    largest: cython.double = 0.0
     scatter: cython.double = x[run + at.C_SZZ]
     if n < FEWEST or x[at.X_T] - x[run + at.C_T0] < SHORTEST * 1e9:
         return False
     wide: cython.double = x[run + at.C_STT] - x[run + at.C_ST] * x[run + at.C_ST] / n
     if not wide > 0.0:
         return False
+
+    # The line, and the scatter about it
     for i in range(m):
         slope = x[run + at.C_STZ + i] - x[run + at.C_ST] * x[run + at.C_SZ + i] / n
         scatter -= x[run + at.C_SZ + i] * x[run + at.C_SZ + i] / n + slope * slope / wide
-        if fabs(slope / wide) > SIGMAS * sqrt(white / wide + drift):
-            return False
-    return scatter <= SIGMAS * SIGMAS * white * n * m
+        slope = fabs(slope / wide)
+        largest = slope if slope > largest else largest
+    scatter = scatter / (m * (n - 2.0))
+    if not scatter <= NOISIEST * stated:
+        return False
+
+    # A slope that is none, as far as it is known, and known well enough
+    if scatter < 0.0:
+        scatter = 0.0
+    return scatter / wide <= SHARPEST * SHARPEST and largest <= SIGMAS * sqrt(
+        scatter / wide + drift
+    )

@@ -37,8 +37,16 @@ FIRST_MEMORY = cython.declare(cython.double, 10.0)
 LEAST_SHARE = cython.declare(cython.double, 0.01)
 """A receiver overstates its white error ten times at the most: what is learnt beyond is luck."""
 LARGEST_SHARE = cython.declare(cython.double, 9.0)
+"""And it may understate it three times."""
 ANY = cython.declare(cython.double, 1e6)
 """Variance of what is not known at all, m^2."""
+LEAN_TIME = cython.declare(cython.double, 3.0)
+"""Time over which fixes that lean to one side show, s."""
+LEAN_CLIP = cython.declare(cython.double, 4.0)
+"""What one wild fix may count, sigmas."""
+LARGEST_LEAN = cython.declare(cython.double, 2.0)
+"""Mean of the innovations, sigmas, beyond which the receiver is refused."""
+DRAGGED = cython.declare(cython.double, 1e29)
 JERK = cython.declare(cython.double, 0.25)
 """Variance of our own acceleration while its velocity is refused, m^2/s^4."""
 DERIVED = cython.declare(cython.int, 1)
@@ -205,21 +213,47 @@ def fuse(
     j: cython.Py_ssize_t
     nis: cython.double = correct.innovate(x, w, m)
     share: cython.double = 0.0
-    memory: cython.double
-    for i in range(m):
-        share += w[at.W_Z + i] * w[at.W_Z + i]
-        for j in range(at.N):
-            share -= w[at.W_H + i * at.N + j] * w[at.W_C + i * at.N + j]
-    share = share / (m * w[at.W_FIX + 9 + aid])
-    if share > LARGEST_SHARE:
-        share = LARGEST_SHARE
-    if share < -LARGEST_SHARE:
-        share = -LARGEST_SHARE
-    memory = FIRST_MEMORY + x[at.X_NIS_N + aid]
-    x[at.X_WHITE + aid] += (share - x[at.X_WHITE + aid]) / (
-        memory if memory < WHITE_MEMORY else WHITE_MEMORY
-    )
+    memory: cython.double = FIRST_MEMORY + x[at.X_NIS_N + aid]
+    if aid != at.AID_VEL and is_dragged(x, w, m, aid):
+        nis = DRAGGED
+    if nis <= k[at.K_GATE + m - 1] or aid == at.AID_VEL:
+        for i in range(m):
+            share += w[at.W_Z + i] * w[at.W_Z + i]
+            for j in range(at.N):
+                share -= w[at.W_H + i * at.N + j] * w[at.W_C + i * at.N + j]
+        share = share / (m * w[at.W_FIX + 9 + aid])
+        share = share if share < LARGEST_SHARE else LARGEST_SHARE
+        if memory > WHITE_MEMORY:
+            memory = WHITE_MEMORY
+        x[at.X_WHITE + aid] += (share - x[at.X_WHITE + aid]) / memory
+        if x[at.X_WHITE + aid] > LARGEST_SHARE:
+            x[at.X_WHITE + aid] = LARGEST_SHARE
     return account.weigh(x, k, w, aid, m, nis)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def is_dragged(
+    x: cython.double[::1], w: cython.double[::1], m: cython.Py_ssize_t, aid: cython.Py_ssize_t
+) -> cython.bint:
+    """Say whether the fixes lean to one side, each by too little for its gate.
+
+    The mean of the whitened innovations over some seconds is near zero unless fixes and motion
+    disagree; a receiver that is dragged off shows so long before any single fix does.
+    """
+    i: cython.Py_ssize_t
+    lean: cython.Py_ssize_t = at.X_LEAN if aid == at.AID_POS else at.X_LEAN + 2
+    gain: cython.double = x[at.X_FIX_DT] / (x[at.X_FIX_DT] + LEAN_TIME)
+    size: cython.double = 0.0
+    y: cython.double
+    for i in range(m):
+        y = w[at.W_Y + i]
+        y = y if y < LEAN_CLIP else LEAN_CLIP
+        y = y if y > -LEAN_CLIP else -LEAN_CLIP
+        x[lean + i] += gain * (y - x[lean + i])
+        size += x[lean + i] * x[lean + i]
+    return size > LARGEST_LEAN * LARGEST_LEAN
 
 
 @cython.cfunc
@@ -230,10 +264,9 @@ def take_velocity(
 ) -> cython.bint:
     """Correct by the velocity; False: it went on being refused, so more than velocity is wrong."""
     m: cython.Py_ssize_t = observe.velocity(x, k, w)
-    white: cython.double = w[at.W_FIX + 8] * w[at.W_FIX + 8]
     if fuse(x, k, w, at.AID_VEL, m) or not account.is_timed_out(x, at.AID_VEL, k[at.K_TIMEOUT_VEL]):
         return True
-    if proof.is_given(x, at.AID_VEL, m, white, JERK):
+    if proof.is_given(x, at.AID_VEL, m, w[at.W_FIX + 11], JERK):
         account.announce(x, at.RESET_VELOCITY)
         launch(x, k, w)
         return True
@@ -247,14 +280,13 @@ def take_position(
     x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]
 ) -> cython.void:
     """Correct the horizontal position, or begin it anew where the fixes have proved themselves."""
-    white: cython.double = w[at.W_FIX + 6] * w[at.W_FIX + 6]
     vel: cython.Py_ssize_t = at.X_COV + at.E_VEL * (at.N + 1)
     drift: cython.double = x[vel] if x[vel] > x[vel + at.N + 1] else x[vel + at.N + 1]
     observe.position(x, k, w)
     if (
         fuse(x, k, w, at.AID_POS, 2)
         or not account.is_timed_out(x, at.AID_POS, k[at.K_TIMEOUT_POS])
-        or not proof.is_given(x, at.AID_POS, 2, white, drift)
+        or not proof.is_given(x, at.AID_POS, 2, w[at.W_FIX + 9], drift)
     ):
         return
     account.announce(x, at.RESET_POSITION)
@@ -270,13 +302,12 @@ def take_position(
 @cython.exceptval(check=False)
 def take_height(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
     """Correct the height, or begin it anew where the fixes have proved themselves."""
-    white: cython.double = w[at.W_FIX + 7] * w[at.W_FIX + 7]
     drift: cython.double = x[at.X_COV + (at.E_VEL + 2) * (at.N + 1)]
     observe.height(x, k, w)
     if (
         fuse(x, k, w, at.AID_HGT, 1)
         or not account.is_timed_out(x, at.AID_HGT, k[at.K_TIMEOUT_HGT])
-        or not proof.is_given(x, at.AID_HGT, 1, white, drift)
+        or not proof.is_given(x, at.AID_HGT, 1, w[at.W_FIX + 10], drift)
     ):
         return
     account.announce(x, at.RESET_HEIGHT)
@@ -338,6 +369,8 @@ def place(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -
         w[at.W_Z + i] = 0.0
     correct.innovate(x, w, 2)
     correct.absorb(x, w, 2)
+    x[at.X_LEAN] = 0.0
+    x[at.X_LEAN + 1] = 0.0
     account.settle(x, at.AID_POS)
 
 
@@ -355,6 +388,7 @@ def lift(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) ->
     w[at.W_Z] = 0.0
     correct.innovate(x, w, 1)
     correct.absorb(x, w, 1)
+    x[at.X_LEAN + 2] = 0.0
     account.settle(x, at.AID_HGT)
 
 

@@ -103,6 +103,9 @@ class GnssSettings:
     """A fix is older than its stamp by this, s."""
     delay_std: Annotated[float, Meta(ge=0.0, le=0.5)] | Auto = "auto"
     """One sigma of the delay, s: the filter estimates the rest. 0: the delay is known."""
+    timing_std: NotNegative = 0.02
+    """One sigma of what a fix's stamp, and the receiver's own filter, leave of its time, s: counts
+    by the acceleration for the velocity, by the velocity for the position."""
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Antenna from the inertial sensor: forward, right, down, m."""
     use_velocity: bool = True
@@ -264,6 +267,7 @@ def parameters(settings: FilterSettings, family: str, gnss_delay: float | None =
     k[at.K_POS_FLOOR] = gnss.position_std
     k[at.K_HGT_FLOOR] = gnss.height_std
     k[at.K_VEL_FLOOR] = gnss.velocity_std
+    k[at.K_TIMING] = gnss.timing_std
     k[at.K_SLOW_TIME] = gnss.slow_time
     k[at.K_WHITE_SHARE] = math.nan if gnss.white_share == "auto" else gnss.white_share
     k[at.K_VEL_DEFAULT] = gnss.velocity_std_unknown
