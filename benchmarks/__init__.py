@@ -5,4 +5,15 @@ reference  a plain NumPy filter: what the compiled one is compared with
 steps      microseconds per inertial sample: whole recordings, live, late
 daemon     the real daemon on loopback: latency, load, start
 logs       a telemetry log to CSV
+
+How good the estimate is: ``make accuracy``, the tables of docs/ACCURACY.md.
+
+accuracy     runs the parts; cases, evidence, copter: recorded flights
+campaign     many seeded flights in pieces, and their errors by block; matched: their settings
+consistency  NEES and NIS over flights
+seed         the seed article's flight (seed_flight), its bound and a reference (seed_reference)
+outages      drift without GNSS, and whether sigma covers it
+lies         receivers that are wrong
+arrival      order, number and delay of messages
+compassless  flight without a compass, or with a wrong one
 """

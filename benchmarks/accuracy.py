@@ -1,4 +1,4 @@
-"""Print the tables of docs/ACCURACY.md, made from the recorded flights: ``make accuracy``.
+"""Print the tables of docs/ACCURACY.md, from recorded and simulated flights: ``make accuracy``.
 
 With ``--write FILE`` they go between the marks ``<!-- name -->`` and ``<!-- end -->`` in that file.
 A log that is not there is said to be absent; a whole table without logs leaves the file as it is.
@@ -14,7 +14,16 @@ from typing import Any
 
 import numpy.typing as npt
 
-from benchmarks import copter, evidence
+from benchmarks import (
+    arrival,
+    compassless,
+    consistency,
+    copter,
+    evidence,
+    lies,
+    outages,
+    seed,
+)
 from benchmarks.cases import AUTOPILOT, POOR, TRUTH, Case, estimate
 from ekf_companion import compare
 from ekf_companion.compare import Score, Spread
@@ -105,26 +114,41 @@ PARTS: dict[str, Callable[[Path], Iterator[str]]] = {
     "poor": poor,
     "printed": printed,
 }
+"""Made from the recorded flights alone."""
+CAMPAIGNS: dict[str, Callable[[Path, int | None], Iterator[str]]] = {
+    "consistency": consistency.tables,
+    "seed": seed.tables,
+    "outages": outages.tables,
+    "lies": lies.tables,
+    "arrival": arrival.tables,
+    "compassless": compassless.tables,
+}
+"""Made from many simulated flights; told how many of each kind."""
 
 
 def main() -> None:
     """Print all parts, or write them into a document."""
+    names = [*PARTS, *CAMPAIGNS]
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=DATA, help="the recorded flights")
     parser.add_argument("--write", type=Path, metavar="FILE", help="a document with marks")
+    parser.add_argument("--only", nargs="+", metavar="NAME", choices=names, default=names)
+    parser.add_argument("--runs", type=int, help="simulated flights of each kind in a campaign")
     asked = parser.parse_args()
-    if not asked.data.is_dir():
+    has_data = asked.data.is_dir()
+    if not has_data:
         print(f"{asked.data}: the recorded flights are not here; name their folder with --data")
-        return
     document = asked.write.read_text(encoding="utf-8") if asked.write else ""
-    for name, part in PARTS.items():
-        lines = "\n".join(part(asked.data)).strip()
+    for name in asked.only:
+        if name in PARTS and not has_data:
+            continue
+        part = PARTS[name](asked.data) if name in PARTS else CAMPAIGNS[name](asked.data, asked.runs)
+        lines = "\n".join(part).strip()
         if asked.write is None:
             print(f"\n## {name}\n\n{lines}")
         elif lines.count("\n") > 1:
             document = insert(document, name, lines)
-    if asked.write:
-        asked.write.write_text(document, encoding="utf-8")
+            asked.write.write_text(document, encoding="utf-8")
 
 
 def insert(document: str, name: str, lines: str) -> str:

@@ -6,9 +6,13 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from ekf_companion import convert
 from ekf_companion.config import Config
 from ekf_companion.core.settings import HeadingSettings
+from ekf_companion.logs.recording import Recording
+from ekf_companion.nav.measurements import merge
 from ekf_companion.nav.state import Trajectory
 from ekf_companion.pipeline import Table
 
@@ -78,3 +82,22 @@ def estimate(path: Path, heading: str = "auto") -> Estimated:
     """Re-run the estimator over a log, once: its estimates, report, reference and truth."""
     config = Config(heading=HeadingSettings(source=heading))  # type: ignore[arg-type]
     return convert.estimate(path, config)
+
+
+@cache
+def recorded(path: Path) -> Recording:
+    """Read a log as events and what to compare them with, whatever its format."""
+    suffix = path.suffix.lower()
+    if suffix in convert.READERS:
+        return convert.READERS[suffix](path)
+    report = convert.Report(log=str(path))
+    source = convert._open(path, Config(), report)  # a .tlog becomes events only by a session
+    tables = [events for _, events in convert._tables(source)]
+    return Recording(
+        family=report.family,
+        # in the order in which they came: merge keeps it where arrivals are equal
+        events=merge(*tables, arrival_ns=[np.zeros(len(one), dtype=np.int64) for one in tables]),
+        reference=source.reference,
+        truth=source.truth,
+        gnss_delay=source.delay,
+    )

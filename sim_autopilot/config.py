@@ -82,6 +82,10 @@ class CompassConfig:
     """Samples, Hz."""
     noise_heading: NotNegative = 2.0 * _DEGREE
     """One sigma of the heading that one level sample gives, rad: sets the noise of each axis."""
+    slow_heading: NotNegative = 0.0
+    """One sigma of a slow error of the heading, rad: what a calibration leaves."""
+    slow_time: Positive = 100.0
+    """Correlation time of it, s."""
     hard_iron: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """What the vehicle adds, forward, right, down, gauss."""
     year: Annotated[float, msgspec.Meta(ge=2025.0, lt=2030.0)] = 2026.0

@@ -67,6 +67,8 @@ class MagData:
     t: Array
     mag_b: Array
     """gauss, shape (n, 3)."""
+    heading_error: Array
+    """The slow part of what a heading from it is too large by, rad."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -78,6 +80,8 @@ class BaroData:
     """In the standard atmosphere, m."""
     pressure: Array
     """hPa."""
+    drift: Array
+    """The part of ``alt`` that is slow error, m."""
 
 
 def generators(seed: int) -> dict[str, np.random.Generator]:
@@ -154,14 +158,20 @@ def gnss(
 def compass(
     trajectory: Trajectory, config: CompassConfig, rng: np.random.Generator, t: Array
 ) -> MagData:
-    """Give the field at ``t`` in the body, with hard iron and noise."""
+    """Give the field at ``t`` in the body, with hard iron and noise, turned by the slow error."""
     field_n = magnetic_field(trajectory, config)
     truth = trajectory.at(t)
-    mag_b = so3.rotate(so3.conjugate(truth.q_nb), np.broadcast_to(field_n, (len(t), 3)))
     noise = config.noise_heading * float(np.hypot(field_n[0], field_n[1]))
+    white = rng.standard_normal((len(t), 3))
+    slow = gauss_markov(rng.standard_normal((len(t), 1)), 1.0 / config.rate, config.slow_time)
+    heading_error = config.slow_heading * slow[:, 0]
+    back = so3.exp(np.outer(-heading_error, [0.0, 0.0, 1.0]))
+    turned_n = so3.rotate(back, np.broadcast_to(field_n, (len(t), 3)))
+    mag_b = so3.rotate(so3.conjugate(truth.q_nb), turned_n)
     return MagData(
         t=t,
-        mag_b=mag_b + np.array(config.hard_iron) + noise * rng.standard_normal((len(t), 3)),
+        mag_b=mag_b + np.array(config.hard_iron) + noise * white,
+        heading_error=heading_error,
     )
 
 
@@ -178,10 +188,12 @@ def baro(
     trajectory: Trajectory, config: BaroConfig, rng: np.random.Generator, t: Array
 ) -> BaroData:
     """Give the pressure at ``t``; the drift begins anywhere, as the weather does."""
-    drift = gauss_markov(rng.standard_normal((len(t), 1)), 1.0 / config.rate, config.drift_time)
-    alt = trajectory.at(t).alt + config.drift * drift[:, 0]
+    slow = gauss_markov(rng.standard_normal((len(t), 1)), 1.0 / config.rate, config.drift_time)
+    drift = config.drift * slow[:, 0]
+    alt = trajectory.at(t).alt + drift
     alt += config.noise * rng.standard_normal(len(t))
-    return BaroData(t=t, alt=alt, pressure=1013.25 * (1.0 - alt / 44330.769) ** 5.25588)
+    pressure = 1013.25 * (1.0 - alt / 44330.769) ** 5.25588
+    return BaroData(t=t, alt=alt, pressure=pressure, drift=drift)
 
 
 def gauss_markov(white: Array, period: float, correlation: float) -> Array:

@@ -119,6 +119,28 @@ def test_the_compass_gives_the_heading_with_its_sigma():
     assert 0.4 < np.linalg.norm(field_n) < 0.55
 
 
+def test_the_slow_error_of_the_compass_is_that_of_its_heading():
+    config = CompassConfig(noise_heading=0.0, slow_heading=0.02, slow_time=0.5)
+    t = np.arange(1, 40_000) / config.rate
+    data = sensors.compass(EIGHT, config, np.random.default_rng(4), t)
+    field_n = sensors.magnetic_field(EIGHT, config)
+    mag_n = so3.rotate(EIGHT.at(t).q_nb, data.mag_b)
+    azimuth = np.arctan2(mag_n[:, 1], mag_n[:, 0]) - math.atan2(field_n[1], field_n[0])
+    # a heading is what the declination lies beyond the field: too large where the field turns back
+    np.testing.assert_allclose(-azimuth, data.heading_error, atol=1e-12)
+    np.testing.assert_allclose(mag_n[:, 2], field_n[2], atol=1e-12)
+    # 1600 correlation times: the variance is known to 4 %
+    assert data.heading_error.std() == pytest.approx(0.02, rel=0.1)
+
+
+def test_the_drift_of_the_barometer_is_what_its_altitude_holds_beside_noise():
+    config = BaroConfig(noise=0.0, drift=0.7, drift_time=1.0)
+    t = np.arange(1, 2900) / config.rate
+    data = sensors.baro(EIGHT, config, np.random.default_rng(4), t)
+    np.testing.assert_allclose(data.alt - data.drift, EIGHT.at(t).alt, atol=1e-9)
+    assert data.drift.std() == pytest.approx(0.7, rel=0.3)  # 116 correlation times
+
+
 def test_the_barometer_follows_the_height():
     config = dataclasses.replace(BaroConfig(), drift=0.0)
     t = np.arange(1, 2900) / config.rate

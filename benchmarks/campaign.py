@@ -1,0 +1,221 @@
+"""Many seeded flights: drawn, run in pieces on both cores, and held against the truth."""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from ekf_companion.core import layout as at
+from ekf_companion.core.settings import FilterSettings, delays_ns, imu_lag
+from ekf_companion.nav import so3
+from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.pipeline import Pipeline, Table
+from sim_autopilot import events as wire
+from sim_autopilot.config import CompassConfig, GnssConfig, ImuConfig, SimConfig
+from sim_autopilot.flight import Flight
+
+Array = npt.NDArray[np.float64]
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+PROCESSES = 2
+SCENARIOS = ("figure-eight", "loiter", "hover", "square-spiral")
+RECEIVERS = {
+    "white": GnssConfig(noise_h=1.0, noise_v=1.5),
+    "slow": GnssConfig(noise_h=0.3, noise_v=0.5, slow_h=1.0, slow_v=1.5),
+}
+"""The error of a fix: independent from fix to fix, or for the most part a slow wandering."""
+RATE = 100.0
+"""Inertial samples of the campaigns, Hz: what telemetry gives; no figure depends on it by much."""
+DELAY_STD = 0.02
+"""One sigma of the receiver's delay from flight to flight, s."""
+
+
+def each(
+    function: Callable[[Job], Result],
+    jobs: Sequence[Job],
+    label: str,
+    processes: int = PROCESSES,
+) -> list[Result]:
+    """Do all jobs, on several cores, and say on stderr how far it is; results in the jobs' order.
+
+    Args:
+        function: Of a module, so that another process finds it.
+        jobs: One argument each.
+        label: What is counted.
+        processes: 1: here.
+    """
+    if processes == 1:
+        return [function(job) for job in jobs]
+    begin, results = time.monotonic(), []
+    step = max(1, len(jobs) // 20)
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        for result in pool.imap(function, jobs):
+            results.append(result)
+            if len(results) % step:
+                continue
+            spent = time.monotonic() - begin
+            print(f"{label}: {len(results)} of {len(jobs)}, {spent:.0f} s", file=sys.stderr)
+    return results
+
+
+def roster(flights: int) -> list[tuple[str, int]]:
+    """Give scenarios and seeds, no seed twice, all flights of a scenario in a row."""
+    return [
+        (name, 1000 * i + seed)
+        for i, name in enumerate(SCENARIOS)
+        for seed in range(1, flights + 1)
+    ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flown:
+    """A simulated flight and what its sensors said."""
+
+    flight: Flight
+    events: Events
+    nominal: SimConfig
+    """What the filter may be told: what was drawn for this flight is not in it."""
+
+
+def fly(name: str, seed: int, receiver: str = "white", duration: float = 180.0) -> Flown:
+    """Draw a flight; the receiver's delay differs from flight to flight."""
+    nominal = SimConfig(
+        imu=ImuConfig(rate=RATE),
+        gnss=RECEIVERS[receiver],
+        compass=CompassConfig(slow_heading=float(np.radians(1.0))),
+    )
+    luck = np.random.default_rng([seed, 77]).standard_normal()
+    late = max(0.0, nominal.gnss.delay + DELAY_STD * luck)
+    config = replace(nominal, gnss=replace(nominal.gnss, delay=late))
+    flight = Flight.plan(name, config, seed=seed, duration=duration)
+    return Flown(flight, wire.events(flight, has_vel_down=True), nominal)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """The filter's state block, and when it was true."""
+
+    t_ns: int
+    x: Array
+
+    @property
+    def is_navigating(self) -> bool:
+        """Whether there is a position."""
+        return bool(self.x[at.X_MODE] == at.MODE_NAVIGATE)
+
+    @property
+    def frame(self) -> LocalFrame:
+        """Give the local frame."""
+        return LocalFrame(*self.x[[at.X_LAT0, at.X_LON0, at.X_ALT0]].tolist())
+
+    def covariance(self, first: int, size: int) -> Array:
+        """Give a diagonal block of the covariance; of a position, what is slow counts in."""
+        P = self.x[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
+        P = P[first : first + size, first : first + size].copy()
+        if first == at.E_POS and hasattr(at, "X_SLOW_POS"):
+            slow = self.x[[at.X_SLOW_POS, at.X_SLOW_POS, at.X_SLOW_HGT]]
+            P += np.diag(np.maximum(slow[:size], 0.0))
+        return np.asarray(P)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """What came of a part of the events."""
+
+    table: Table
+    snapshot: Snapshot
+    pipeline: Pipeline
+    """As it is now; it moves on with the next piece."""
+
+
+def pieces(
+    settings: FilterSettings,
+    events: Events,
+    instants_ns: Sequence[int],
+    family: str = "unknown",
+    gnss_delay: float | None = None,
+) -> Iterator[Piece]:
+    """Run events (in order of arrival) and stop after the last inertial sample of each instant.
+
+    Whatever comes after the last instant is run as one more piece.
+    """
+    pipeline = Pipeline(settings, family, gnss_delay)
+    lag_ns = round(imu_lag(settings, family) * 1e9)
+    samples = np.flatnonzero(events.kind == Kind.IMU)
+    newest = np.maximum.accumulate(events.t_ns[samples])
+    last = np.searchsorted(newest, np.asarray(instants_ns, dtype=np.int64), side="right") - 1
+    begin = 0
+    for end in [*(samples[np.maximum(last, 0)] + 1).tolist(), len(events)]:
+        table = pipeline.run(events.take(np.arange(begin, end)))
+        # the only place that looks behind the pipeline's door
+        block = pipeline._timeline.block()
+        yield Piece(table, Snapshot(pipeline.stamp_ns - lag_ns, block), pipeline)
+        begin = max(begin, end)
+
+
+def errors(
+    snapshot: Snapshot, flown: Flown, settings: FilterSettings, family: str = "unknown"
+) -> dict[str, tuple[Array, Array]]:
+    """Give truth minus estimate, and its covariance by the filter, of every block of error states.
+
+    The attitude's is the rotation vector in n that turns the estimate into the truth. A state
+    that the filter takes for known has no variance and is left out.
+    """
+    x, flight = snapshot.x, flown.flight
+    now = flight.truth_at(np.array([snapshot.t_ns]))
+    t = float(now.t[0])
+    pos_n = snapshot.frame.to_ned(now.lat, now.lon, now.alt)[0]
+    bias_g, bias_a = (
+        np.array([np.interp(t, flight.imu.t, axis) for axis in bias.T])
+        for bias in (flight.imu.gyro_bias_b, flight.imu.accel_bias_b)
+    )
+    turn = so3.multiply(now.q_nb[0], so3.conjugate(x[at.X_Q : at.X_Q + 4]))
+    told = delays_ns(settings, family)[Kind.GNSS] * 1e-9
+    heading = np.interp(t, flight.mag.t, flight.mag.heading_error)
+    drift = np.interp(t, flight.baro.t, flight.baro.drift)
+    blocks = {
+        "position": (at.E_POS, pos_n - x[at.X_POS : at.X_POS + 3]),
+        "velocity": (at.E_VEL, now.vel_n[0] - x[at.X_VEL : at.X_VEL + 3]),
+        "attitude": (at.E_ATT, so3.log(turn)),
+        "gyro bias": (at.E_BG, bias_g - x[at.X_BG : at.X_BG + 3]),
+        "accel bias": (at.E_BA, bias_a - x[at.X_BA : at.X_BA + 3]),
+        "baro offset": (at.E_BARO, np.array([drift - x[at.X_BARO]])),
+        "GNSS delay": (at.E_DELAY, np.array([flight.config.gnss.delay - told - x[at.X_DELAY]])),
+        "heading offset": (at.E_HEADING, np.array([heading - x[at.X_HEADING]])),
+    }
+    known = {name: (e, snapshot.covariance(i, len(e))) for name, (i, e) in blocks.items()}
+    return {name: (e, P) for name, (e, P) in known.items() if (np.diag(P) > 0.0).all()}
+
+
+def nees(error: Array, P: Array) -> float:
+    """Give the normalised estimation error squared."""
+    return float(error @ np.linalg.solve(P, error))
+
+
+def band(dof: int, share: float = 0.95) -> tuple[float, float]:
+    """Give the chi-square interval that holds a share of the probability, over its dof."""
+    low, high = chi2.ppf([0.5 - 0.5 * share, 0.5 + 0.5 * share], dof) / dof
+    return float(low), float(high)
+
+
+def position_errors(table: Table, flown: Flown) -> Array:
+    """Give what was told less the truth, north, east, down, m, shape (n, 3); NaN: nothing told."""
+    now, frame = flown.flight.truth_at(table.stamp_ns), flown.flight.trajectory.frame
+    lat, lon = np.radians(table.column("lat_deg")), np.radians(table.column("lon_deg"))
+    return frame.to_ned(lat, lon, table.column("alt_m")) - now.pos_n
+
+
+def yaw_errors(table: Table, flown: Flown) -> Array:
+    """Give the yaw that was told less the truth, rad, shape (n,); NaN: nothing told."""
+    true = flown.flight.truth_at(table.stamp_ns).euler[:, 2]
+    return np.asarray(so3.wrap(table.column("yaw") - true))
