@@ -31,13 +31,15 @@ PROCESSES = 2
 SCENARIOS = ("figure-eight", "loiter", "hover", "square-spiral")
 RECEIVERS = {
     "white": GnssConfig(noise_h=1.0, noise_v=1.5),
-    "slow": GnssConfig(noise_h=0.3, noise_v=0.5, slow_h=1.0, slow_v=1.5),
+    "slow": GnssConfig(noise_h=0.3, noise_v=0.45, slow_h=1.0, slow_v=1.5),
 }
 """The error of a fix: independent from fix to fix, or for the most part a slow wandering."""
 RATE = 100.0
 """Inertial samples of the campaigns, Hz: what telemetry gives; no figure depends on it by much."""
 DELAY_STD = 0.02
 """One sigma of the receiver's delay from flight to flight, s."""
+HARD_IRON_STD = 0.005
+"""One sigma per axis of the vehicle's own field from flight to flight, gauss."""
 
 
 def each(
@@ -88,15 +90,20 @@ class Flown:
 
 
 def fly(name: str, seed: int, receiver: str = "white", duration: float = 180.0) -> Flown:
-    """Draw a flight; the receiver's delay differs from flight to flight."""
+    """Draw a flight; the receiver's delay and the hard iron differ from flight to flight."""
     nominal = SimConfig(
         imu=ImuConfig(rate=RATE),
         gnss=RECEIVERS[receiver],
         compass=CompassConfig(slow_heading=float(np.radians(1.0))),
     )
-    luck = np.random.default_rng([seed, 77]).standard_normal()
-    late = max(0.0, nominal.gnss.delay + DELAY_STD * luck)
-    config = replace(nominal, gnss=replace(nominal.gnss, delay=late))
+    luck = np.random.default_rng([seed, 77]).standard_normal(4)
+    late = max(0.0, nominal.gnss.delay + DELAY_STD * luck[0])
+    x, y, z = (HARD_IRON_STD * luck[1:]).tolist()
+    config = replace(
+        nominal,
+        gnss=replace(nominal.gnss, delay=late),
+        compass=replace(nominal.compass, hard_iron=(x, y, z)),
+    )
     flight = Flight.plan(name, config, seed=seed, duration=duration)
     return Flown(flight, wire.events(flight, has_vel_down=True), nominal)
 
@@ -119,12 +126,9 @@ class Snapshot:
         return LocalFrame(*self.x[[at.X_LAT0, at.X_LON0, at.X_ALT0]].tolist())
 
     def covariance(self, first: int, size: int) -> Array:
-        """Give a diagonal block of the covariance; of a position, what is slow counts in."""
+        """Give a diagonal block of the covariance."""
         P = self.x[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
         P = P[first : first + size, first : first + size].copy()
-        if first == at.E_POS and hasattr(at, "X_SLOW_POS"):
-            slow = self.x[[at.X_SLOW_POS, at.X_SLOW_POS, at.X_SLOW_HGT]]
-            P += np.diag(np.maximum(slow[:size], 0.0))
         return np.asarray(P)
 
 
@@ -183,6 +187,8 @@ def errors(
     told = delays_ns(settings, family)[Kind.GNSS] * 1e-9
     heading = np.interp(t, flight.mag.t, flight.mag.heading_error)
     drift = np.interp(t, flight.baro.t, flight.baro.drift)
+    slow_n = np.array([np.interp(t, flight.gnss.t, axis) for axis in flight.gnss.slow_n.T])
+    iron = flight.config.compass.hard_iron
     blocks = {
         "position": (at.E_POS, pos_n - x[at.X_POS : at.X_POS + 3]),
         "velocity": (at.E_VEL, now.vel_n[0] - x[at.X_VEL : at.X_VEL + 3]),
@@ -192,6 +198,8 @@ def errors(
         "baro offset": (at.E_BARO, np.array([drift - x[at.X_BARO]])),
         "GNSS delay": (at.E_DELAY, np.array([flight.config.gnss.delay - told - x[at.X_DELAY]])),
         "heading offset": (at.E_HEADING, np.array([heading - x[at.X_HEADING]])),
+        "GNSS slow error": (at.E_SLOW, slow_n - x[at.X_SLOW : at.X_SLOW + 3]),
+        "hard iron": (at.E_IRON, np.array(iron) - x[at.X_IRON : at.X_IRON + 3]),
     }
     known = {name: (e, snapshot.covariance(i, len(e))) for name, (i, e) in blocks.items()}
     return {name: (e, P) for name, (e, P) in known.items() if (np.diag(P) > 0.0).all()}

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from benchmarks.campaign import (
     DELAY_STD,
+    HARD_IRON_STD,
     PROCESSES,
     RECEIVERS,
     SCENARIOS,
@@ -46,6 +47,8 @@ BLOCKS = {
     "baro offset": 1,
     "GNSS delay": 1,
     "heading offset": 1,
+    "GNSS slow error": 3,
+    "hard iron": 3,
 }
 """Blocks of error states and their sizes."""
 KINDS = ("matched", "default")
@@ -70,7 +73,7 @@ class Account:
 def settings_of(kind: str, flown: Flown) -> tuple[FilterSettings, str]:
     """Give settings and the autopilot's family; the simulator passes itself off as a PX4."""
     if kind == "matched":
-        return matched(flown.nominal, DELAY_STD), "unknown"
+        return matched(flown.nominal, DELAY_STD, HARD_IRON_STD), "unknown"
     return FilterSettings(), "px4"
 
 
@@ -97,11 +100,10 @@ def account(flown: Flown, kind: str, instants: Sequence[float] = INSTANTS) -> Ac
 
 def _nis(before: Array, after: Array) -> dict[Aid, tuple[float, float]]:
     """Give what the block has summed up in between, if it does."""
-    sums, counts = getattr(at, "X_NIS_SUM", None), getattr(at, "X_NIS_N", None)
-    if sums is None or counts is None:
-        return {}
     gained = after - before
-    return {aid: (float(gained[sums + aid]), float(gained[counts + aid])) for aid in Aid}
+    return {
+        aid: (float(gained[at.X_NIS_SUM + aid]), float(gained[at.X_NIS_N + aid])) for aid in Aid
+    }
 
 
 def _verdicts(before: Health, after: Health) -> dict[Aid, dict[str, int]]:

@@ -18,16 +18,18 @@ ALMOST_NONE = 1e-4
 """Stands for zero where a setting must be positive."""
 
 
-def matched(config: SimConfig, delay_std: float = 0.0) -> FilterSettings:
+def matched(
+    config: SimConfig, delay_std: float = 0.0, hard_iron_std: float = ALMOST_NONE
+) -> FilterSettings:
     """Give the settings that say of each sensor what the simulator does.
 
     A Gauss-Markov process of variance s^2 and correlation time T walks, over times much shorter
-    than T, with a density of s sqrt(2 / T). How much of a fix's error is slow the filter has to
-    find out: the fix states the whole.
+    than T, with a density of s sqrt(2 / T).
 
     Args:
-        config: The simulator's numbers; ``imu.lowpass`` is not modelled, nor is hard iron.
+        config: The simulator's numbers; ``imu.lowpass`` is not modelled.
         delay_std: One sigma of the receiver's delay about ``gnss.delay``, s.
+        hard_iron_std: One sigma of the vehicle's own field, gauss.
     """
     gnss, compass, baro = config.gnss, config.compass, config.baro
     home = (math.radians(config.home.lat), math.radians(config.home.lon))
@@ -37,7 +39,10 @@ def matched(config: SimConfig, delay_std: float = 0.0) -> FilterSettings:
         gnss=GnssSettings(
             delay=gnss.delay,
             delay_std=delay_std,
+            timing_std=0.0,
             lever_arm=gnss.lever_arm,
+            white_share=gnss.noise_h**2 / (gnss.noise_h**2 + gnss.slow_h**2),
+            slow_time=gnss.slow_time,
             position_std=0.0,
             height_std=0.0,
             velocity_std=0.0,
@@ -45,6 +50,9 @@ def matched(config: SimConfig, delay_std: float = 0.0) -> FilterSettings:
         heading=HeadingSettings(
             year=compass.year,
             magnetometer_std=max(compass.slow_heading, ALMOST_NONE),
+            hard_iron_std=hard_iron_std,
+            hard_iron_walk=0.0,
+            magnetometer_delay=0.0,
             magnetometer_noise=compass.noise_heading * strength * math.cos(dip),
             slow_time=compass.slow_time,
         ),

@@ -109,8 +109,19 @@ class Health:
     verdicts: Mapping[Aid, Mapping[Verdict, int]]
     arrivals: Mapping[Kind, Mapping[Arrival, int]]
     reruns: int
+    reset_delta: tuple[float, ...]
+    """What the last reset moved: position n e d (m), velocity n e d (m/s), yaw (rad)."""
+    nis: Mapping[Aid, float]
+    """Mean normalised innovation squared over its degrees of freedom: 1 if all is well; NaN: none
+    yet."""
+    imu_rate: float
+    """Inertial samples as they come, Hz; 0: none yet."""
     gnss_delay: float
     """What the filter adds to the configured delay, s."""
+    white_shares: Mapping[Aid, float]
+    """Learnt share of the variance that the receiver states which is white noise."""
+    hard_iron: tuple[float, float, float]
+    """What the filter found of the vehicle's own magnetic field, b, gauss."""
     gyro_noise: float
     """Learnt white noise, largest axis, rad/s per square root of Hz."""
     accel_noise: float
@@ -211,7 +222,18 @@ class Pipeline:
                 for kind in Kind
             },
             reruns=int(self._timeline.rerun_count),
+            reset_delta=tuple(x[at.X_DELTA : at.X_DELTA + 7].tolist()),
+            nis={
+                aid: float(x[at.X_NIS_SUM + aid] / n) if (n := x[at.X_NIS_N + aid]) else math.nan
+                for aid in Aid
+            },
+            imu_rate=1.0 / float(x[at.X_DT]) if x[at.X_DT] > 0.0 else 0.0,
             gnss_delay=float(x[at.X_DELAY]),
+            white_shares={
+                aid: float(max(x[at.X_WHITE + aid], 0.01))
+                for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY)
+            },
+            hard_iron=(float(x[at.X_IRON]), float(x[at.X_IRON + 1]), float(x[at.X_IRON + 2])),
             gyro_noise=float(np.sqrt(x[at.X_NOISE_G : at.X_NOISE_G + 3].max())),
             accel_noise=float(np.sqrt(x[at.X_NOISE_A : at.X_NOISE_A + 3].max())),
             std_horizontal=float(np.hypot(values[at.OUT_SD], values[at.OUT_SD + 1])),

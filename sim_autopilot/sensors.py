@@ -58,6 +58,8 @@ class GnssData:
     """m/s."""
     yaw: Array
     """rad; NaN without two antennas."""
+    slow_n: Array
+    """The slow part of the position's error, north, east, down, m, shape (n, 3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -142,7 +144,8 @@ def gnss(
     white = rng.standard_normal((len(t), 7))
     slow = gauss_markov(rng.standard_normal((len(t), 3)), 1.0 / config.rate, config.slow_time)
     error_n = white[:, :3] * [config.noise_h, config.noise_h, config.noise_v]
-    error_n += slow * [config.slow_h, config.slow_h, config.slow_v]
+    slow_n = slow * [config.slow_h, config.slow_h, config.slow_v]
+    error_n += slow_n
     lat, lon, alt = trajectory.frame.to_geodetic(truth.pos_n + lever_n + error_n)
     yaw = so3.to_euler(truth.q_nb)[:, 2] + config.noise_yaw * white[:, 6]
     return GnssData(
@@ -152,6 +155,7 @@ def gnss(
         alt=alt,
         vel_n=truth.vel_n + swing_n + config.noise_vel * white[:, 3:6],
         yaw=so3.wrap(yaw) if config.yaw else np.full(len(t), np.nan),
+        slow_n=slow_n,
     )
 
 

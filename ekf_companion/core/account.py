@@ -55,7 +55,7 @@ def weigh(
     hard: cython.double = k[at.K_GATE + m - 1]
     soft: cython.double = k[at.K_SOFT + m - 1]
     x[at.X_RATIO + aid] = nis / hard
-    x[at.X_NIS + aid] += (nis if nis < hard else hard) / m
+    x[at.X_NIS_SUM + aid] += (nis if nis < hard else hard) / m
     x[at.X_NIS_N + aid] += 1.0
     if nis > hard:
         count(x, aid, at.WHY_GATED)

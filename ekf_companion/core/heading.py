@@ -28,7 +28,7 @@ TRUSTED = cython.declare(cython.double, 0.02)
 """Slow error up to which a heading that has jumped is believed, rad."""
 UNKNOWN_DECLINATION = cython.declare(cython.double, 0.2)
 """One sigma of the declination before the first fix, rad: most people live within it."""
-WHITE = cython.declare(cython.double, 0.01)
+WHITE = cython.declare(cython.double, 0.003)
 """White error of a magnetic azimuth beside that of the field, rad."""
 PROOF = cython.declare(cython.double, 9e8)
 """How long a heading must insist before it resets anything, ns: one wild one does not."""

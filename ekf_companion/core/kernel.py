@@ -400,7 +400,11 @@ def settle(
     ):
         # an autopilot that says it flies is believed: a smooth flight looks like rest
         x[at.X_AT_REST] = 0.0
-        if (x[at.X_ARMED] != 1.0 or x[at.X_LANDED] == 1.0) and align.is_rest(x, k):
+        if (
+            (x[at.X_ARMED] != 1.0 or x[at.X_LANDED] == 1.0)
+            and align.is_rest(x, k)
+            and not is_moving(x)
+        ):
             x[at.X_AT_REST] = 1.0
         if x[at.X_MODE] == at.MODE_LEVEL:
             if x[at.X_AT_REST] != 0.0:
@@ -429,6 +433,22 @@ def settle(
         correct.forget(x, at.E_VEL, 3, 100.0)
         for i in range(3):
             x[at.X_VEL + i] = 0.0
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def is_moving(x: cython.double[::1]) -> cython.bint:
+    """Say whether our own velocity speaks against rest: wings fly as quietly as they stand."""
+    i: cython.Py_ssize_t
+    speed: cython.double = 0.0
+    sigma: cython.double = 0.0
+    if x[at.X_MODE] != at.MODE_NAVIGATE:
+        return False
+    for i in range(3):
+        speed += x[at.X_VEL + i] * x[at.X_VEL + i]
+        sigma += x[at.X_COV + (at.E_VEL + i) * (at.N + 1)]
+    return speed > 0.25 + 9.0 * sigma
 
 
 @cython.cfunc

@@ -96,7 +96,7 @@ cdef enum:
     X_T_USED = 80
     X_T_REFUSED = 86
     X_RATIO = 92
-    X_NIS = 98
+    X_NIS_SUM = 98
     X_NIS_N = 104
     X_COUNT = 110
     X_HEADING_SOURCE = 152
