@@ -117,7 +117,12 @@ class Pipeline:
     """Estimator of one vehicle. Not a thread's business: call it from one loop."""
 
     def __init__(
-        self, settings: FilterSettings, family: str = "unknown", gnss_delay: float | None = None
+        self,
+        settings: FilterSettings,
+        family: str = "unknown",
+        gnss_delay: float | None = None,
+        *,
+        keeps_history: bool = False,
     ) -> None:
         """Begin with nothing known.
 
@@ -125,12 +130,14 @@ class Pipeline:
             settings: The estimator's settings.
             family: ``px4``, ``ardupilot`` or ``unknown``: settles what is ``auto``.
             gnss_delay: Delay that the log itself declares, s; beats ``auto``.
+            keeps_history: Events that leave the window are kept until :meth:`history` is asked.
         """
         self._settings = settings
         self._timeline = Timeline(
             parameters(settings, family),
             delays_ns(settings, family, gnss_delay),
             round(settings.window * 1e9),
+            keeps_history=keeps_history,
         )
 
     def process(self, measurement: Measurement) -> Arrival:
@@ -153,6 +160,10 @@ class Pipeline:
         values = self._locate_all(events)
         n = self._timeline.run_log(events.t_ns, events.kind, values, stamps, out)
         return Table(stamp_ns=stamps[:n], values=out[:n])
+
+    def history(self, is_over: bool = False) -> list[tuple[int, int, Array, Array]]:
+        """Give the events that can change no more, as ``Timeline.history`` does."""
+        return list(self._timeline.history(is_over))
 
     @property
     def stamp_ns(self) -> int:

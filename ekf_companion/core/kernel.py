@@ -13,13 +13,13 @@ from __future__ import annotations
 import cython
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import align, correct, observe, propagate
+    from cython.cimports.ekf_companion.core import align, correct, observe, propagate, tape
     from cython.cimports.ekf_companion.core import layout as at
     from cython.cimports.libc.math import asin, atan2, cos, fabs, isnan, sin, sqrt
 else:
     from math import asin, atan2, cos, fabs, isnan, sin, sqrt
 
-    from ekf_companion.core import align, correct, observe, propagate
+    from ekf_companion.core import align, correct, observe, propagate, tape
     from ekf_companion.core import layout as at
 
 # Kinds of events, as in nav.measurements.Kind
@@ -87,7 +87,11 @@ def step(
     first: cython.Py_ssize_t,
     last: cython.Py_ssize_t,
 ) -> cython.void:
-    """Take the sample rows[last]; rows[first:last] are the events true since the sample before."""
+    """Take the sample rows[last]; rows[first:last] are the events true since the sample before.
+
+    Where w goes on behind the scratch numbers, what happens is recorded there (core/tape.py).
+    """
+    is_taped: cython.bint = w.shape[0] > at.SCRATCH
     r: cython.Py_ssize_t
     dt: cython.double
     t: cython.double = rows[last, at.ROW_T]
@@ -133,11 +137,17 @@ def step(
             else:
                 propagate.move(x, k, w, dt, gx, gy, gz, ax, ay, az)
                 propagate.spread(x, k, w, dt)
+                if is_taped:
+                    tape.moved(x, k, w, dt)
             x[at.X_T] = rows[r, at.ROW_T]
         if r < last:
             take(x, k, w, rows, r)
+            if is_taped:
+                tape.noted(x, w, False)
     if span > k[at.K_GAP]:
         doubt(x, k, span, span > SLOW_GAP * x[at.X_DT])
+        if is_taped:
+            tape.doubted(x, w)
 
     # What the sample itself tells: noise, rest, whether all aids still speak
     learn(x, rows, last, span)
@@ -911,6 +921,7 @@ def take_azimuth(
             # the compass or our yaw has jumped, and nobody knows which: neither is sure any more
             correct.forget(x, at.E_HEADING, 1, 1.0)
             x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] += w[at.W_Z] * w[at.W_Z]
+            x[at.X_FRESH + at.E_ATT + 2] += 1.0
             correct.innovate(x, w, 1)
             correct.absorb_yaw(x, w)
         else:
@@ -954,6 +965,7 @@ def take_baro(
         x[own + j] = x[down + j]
         x[at.X_COV + j * at.N + at.E_BARO] = x[down + j]
     x[own + at.E_BARO] = x[down + at.E_POS + 2] + k[at.K_BARO_STD] * k[at.K_BARO_STD]
+    x[at.X_FRESH + at.E_BARO] += 1.0
     x[at.X_HAS_BARO] = 1.0
     x[at.X_T_USED + at.AID_BARO] = x[at.X_T]
     count(x, at.AID_BARO, at.WHY_FUSED)

@@ -97,8 +97,9 @@ X_INCLINATION = 146
 X_FIELD = 147
 X_HEADING = 148
 X_HEADING_STD = 149
-X_COV = 150
-BLOCK = 474
+X_FRESH = 150
+X_COV = 168
+BLOCK = 492
 
 # What levelling remembers, from X_LEVEL: sums over a window, the motion since a first fix, and a
 # reference: a direction of the body and its azimuth (NaN: that of the magnetic field)
@@ -198,6 +199,22 @@ W_ROW2 = 180
 W_S9 = 198
 W_Q = 216
 SCRATCH = 222
+
+# A tape (core/tape.py), if there is one, lies behind the scratch numbers: how many records it holds,
+# then the records: how each follows from the one before, whether it ends a sample, block, transition
+TAPE_COUNT = 222
+TAPE = 223
+T_LINK = 0
+T_IS_SAMPLE = 1
+T_BLOCK = 2
+T_PHI = 494
+RECORD = 818
+
+# How a record follows from the one before
+LINK_SAME = 0
+LINK_MOVED = 1
+LINK_FRESH = 2
+LINK_CUT = 3
 
 # An estimate: nav.state.COLUMNS without the time
 OUT_LLA = 0

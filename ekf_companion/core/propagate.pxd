@@ -8,3 +8,4 @@ cdef void move(
     double gx, double gy, double gz, double ax, double ay, double az
 ) noexcept nogil
 cdef void spread(double[::1] x, double[::1] k, double[::1] w, double dt) noexcept nogil
+cdef void transition(double[::1] k, double[::1] w, double dt, Py_ssize_t first) noexcept nogil
