@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -85,6 +85,14 @@ class Table:
     def column(self, name: str) -> Array:
         """Give one column by its name in ``nav.state.COLUMNS``."""
         return self.values[:, COLUMNS.index(name) - 1]
+
+
+def join(tables: Sequence[Table]) -> Table:
+    """Give tables as one, in their order; at least one."""
+    return Table(
+        stamp_ns=np.concatenate([table.stamp_ns for table in tables]),
+        values=np.concatenate([table.values for table in tables]),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

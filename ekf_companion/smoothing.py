@@ -21,7 +21,7 @@ from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
 from ekf_companion.core.smooth import Smoother
 from ekf_companion.logs.spool import IN_MEMORY, Spool
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.pipeline import Pipeline, Table
+from ekf_companion.pipeline import Pipeline, Table, join
 
 Array = npt.NDArray[np.float64]
 
@@ -131,7 +131,7 @@ class Smoothing:
             yield Table(stamp_ns=stamps, values=np.ascontiguousarray(results[:, 1:]))
 
     def _keep(self, stretch: _Stretch, rows: Array, blocks: Array) -> None:
-        """Put the estimates of a stretch aside, each behind its stamp (the bits of a whole number)."""
+        """Put the estimates of a stretch aside, each behind the bits of its stamp."""
         t = rows[rows[:, at.ROW_KIND] == Kind.IMU, at.ROW_T].astype(np.int64)
         stamps = t + stretch.epoch + self._lag_ns
         results = np.column_stack([stamps.view(np.float64), self._smoother.describe(blocks)])
@@ -197,8 +197,4 @@ def smooth(
     """
     with Smoothing(settings, family, gnss_delay) as smoothing:
         smoothing.run(events)
-        tables = list(smoothing.tables())
-    return Table(
-        stamp_ns=np.concatenate([table.stamp_ns for table in tables]),
-        values=np.concatenate([table.values for table in tables]),
-    )
+        return join(list(smoothing.tables()))

@@ -197,9 +197,7 @@ def inject(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def difference(
-    x: cython.double[::1], y: cython.double[::1], w: cython.double[::1]
-) -> cython.void:
+def difference(x: cython.double[::1], y: cython.double[::1], w: cython.double[::1]) -> cython.void:
     """Write the error that :func:`inject` would have to move x by to make it y, to w[W_DX].
 
     The inverse of what inject does to the nominal state; exact for any turn below pi.

@@ -200,8 +200,8 @@ W_S9 = 198
 W_Q = 216
 SCRATCH = 222
 
-# A tape (core/tape.py), if there is one, lies behind the scratch numbers: how many records it holds,
-# then the records: how each follows from the one before, whether it ends a sample, block, transition
+# A tape (core/tape.py), if there is one, lies behind the scratch numbers: how many records it has,
+# then these: how each follows from the one before, whether it ends a sample, block, transition
 TAPE_COUNT = 222
 TAPE = 223
 T_LINK = 0

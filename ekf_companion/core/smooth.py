@@ -161,7 +161,9 @@ class Smoother:
         """Bring y from after what the record at w[first] tells of to before it."""
         w: cython.double[::1] = self.w
         y: cython.double[::1] = self.y
-        before: cython.double[::1] = w[first - at.RECORD + at.T_BLOCK : first - at.RECORD + at.T_PHI]
+        before: cython.double[::1] = w[
+            first - at.RECORD + at.T_BLOCK : first - at.RECORD + at.T_PHI
+        ]
         after: cython.double[::1] = w[first + at.T_BLOCK : first + at.T_PHI]
 
         # The covariance that the filter had there, and its product with the state before: Phi P

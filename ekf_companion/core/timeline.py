@@ -80,7 +80,8 @@ class Timeline:
     reruns: cython.longlong
     start: cython.double[::1]
     stretch: cython.Py_ssize_t
-    gone: object
+    keeps: cython.bint
+    gone: list[tuple[int, int, np.ndarray, np.ndarray]]
 
     def __init__(
         self,
@@ -119,7 +120,8 @@ class Timeline:
         self.reruns = 0
         self.start = np.zeros(at.BLOCK)
         self.stretch = 0
-        self.gone = [] if keeps_history else None
+        self.keeps = keeps_history
+        self.gone = []
         self.clear()
 
     @cython.cfunc
@@ -321,7 +323,7 @@ class Timeline:
     @cython.cfunc
     def hand_over(self, count: cython.Py_ssize_t) -> cython.void:
         """Keep the first rows for the history: they were stepped through and stay as they are."""
-        if self.gone is not None and count > 0:
+        if self.keeps and count > 0:
             self.gone.append(
                 (self.stretch, self.epoch, np.array(self.start), np.array(self.rows[:count]))
             )
