@@ -22,18 +22,13 @@ import cython
 import numpy as np
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import correct, kernel, tape
+    from cython.cimports.ekf_companion.core import correct, hindsight, kernel, tape
     from cython.cimports.ekf_companion.core import layout as at
-    from cython.cimports.libc.math import sqrt
 else:
-    from math import sqrt
-
-    from ekf_companion.core import correct, kernel, tape
+    from ekf_companion.core import correct, hindsight, kernel, tape
     from ekf_companion.core import layout as at
 
 IMU = cython.declare(cython.double, 6.0)
-KNOWN = cython.declare(cython.double, 1e-12)
-"""A state of whose variance the others leave no more than this share is known by them."""
 
 
 @cython.cclass
@@ -103,6 +98,7 @@ class Smoother:
         # a row may move the state and change it, a sample may also let it grow doubtful
         size = at.TAPE + (3 * rows.shape[0] + 1) * at.RECORD
         if self.w.shape[0] < size:
+            self.w = np.zeros(at.SCRATCH)  # not two tapes at a time
             self.w = np.zeros(size)
         self.x[:] = block
         self.w[at.TAPE_COUNT] = 0.0
@@ -146,7 +142,7 @@ class Smoother:
         for i in range(cython.cast(cython.Py_ssize_t, w[at.TAPE_COUNT]) - 1, -1, -1):
             first = at.TAPE + i * at.RECORD
             if w[first + at.T_IS_SAMPLE] != 0.0:
-                carry(w[first + at.T_BLOCK : first + at.T_BLOCK + at.BLOCK], y, w)
+                hindsight.carry(w[first + at.T_BLOCK : first + at.T_PHI], y, w)
                 blocks[sample, :] = y
                 sample -= 1
             if i == 0:
@@ -168,198 +164,17 @@ class Smoother:
 
         # The covariance that the filter had there, and its product with the state before: Phi P
         if w[first + at.T_LINK] == at.LINK_MOVED:
-            move(before, after, w, first + at.T_PHI, self.prior, self.gain)
+            hindsight.move(before, after, w, first + at.T_PHI, self.prior, self.gain)
         else:
-            renew(before, after, self.prior, self.gain)
+            hindsight.renew(before, after, self.prior, self.gain)
             after = before
 
         # What is known later, as an error of what the filter had there, and its covariance less P-
         correct.difference(after, y, w)
         correct.rebase(y, w)
-        subtract(y, self.prior, self.change)
+        hindsight.subtract(y, self.prior, self.change)
 
         # G' = (P-)^-1 Phi P; then the error before, and its covariance
-        factor(self.prior)
-        solve(self.prior, self.gain)
-        absorb(before, y, w, self.gain, self.change, self.half)
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def carry(x: cython.double[::1], y: cython.double[::1], w: cython.double[::1]) -> cython.void:
-    """Put the smoothed state y into another block of the same time: accounts of x, state of y."""
-    correct.difference(x, y, w)
-    correct.rebase(y, w)
-    y[: at.X_COV] = x[: at.X_COV]
-    correct.inject(y, w)
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def move(
-    before: cython.double[::1],
-    after: cython.double[::1],
-    w: cython.double[::1],
-    Phi: cython.Py_ssize_t,
-    prior: cython.double[:, ::1],
-    gain: cython.double[:, ::1],
-) -> cython.void:
-    """Write the covariance after an interval, and Phi (at w[Phi]) times that before it."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    m: cython.Py_ssize_t
-    s: cython.double
-    for i in range(at.N):
-        for j in range(at.N):
-            prior[i, j] = after[at.X_COV + i * at.N + j]
-            gain[i, j] = 0.0
-        for m in range(at.N):
-            s = w[Phi + i * at.N + m]
-            if s != 0.0:
-                for j in range(at.N):
-                    gain[i, j] += s * before[at.X_COV + m * at.N + j]
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def renew(
-    before: cython.double[::1],
-    after: cython.double[::1],
-    prior: cython.double[:, ::1],
-    gain: cython.double[:, ::1],
-) -> cython.void:
-    """Do the same where some states were drawn anew: what follows says nothing of those.
-
-    Their rows of Phi are zero and, since they tell nothing, their variance may be any. Of what was
-    measured in the same event before the drawing, the states that stayed keep all, those drawn
-    anew what the others know of it.
-    """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    for i in range(at.N):
-        for j in range(at.N):
-            gain[i, j] = before[at.X_COV + i * at.N + j]
-            prior[i, j] = gain[i, j]
-    for i in range(at.N):
-        if after[at.X_FRESH + i] != before[at.X_FRESH + i]:
-            for j in range(at.N):
-                gain[i, j] = 0.0
-                prior[i, j] = 0.0
-                prior[j, i] = 0.0
-            prior[i, i] = 1.0
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def subtract(
-    y: cython.double[::1], prior: cython.double[:, ::1], change: cython.double[:, ::1]
-) -> cython.void:
-    """Write P of y less the prior."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    for i in range(at.N):
-        for j in range(at.N):
-            change[i, j] = y[at.X_COV + i * at.N + j] - prior[i, j]
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def factor(a: cython.double[:, ::1]) -> cython.void:
-    """Replace the upper triangle of a covariance by U with U' U = it.
-
-    A state that is known, or known by those before it, gets a row of zeros: it is left out.
-    """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    m: cython.Py_ssize_t
-    s: cython.double
-    # the lower triangle is free: its first column, and the corner, remember the variances
-    for i in range(1, at.N):
-        a[i, 0] = a[i, i]
-    least: cython.double = KNOWN * a[0, 0]
-    for i in range(at.N):
-        if i > 0:
-            least = KNOWN * a[i, 0]
-        s = 1.0 / sqrt(a[i, i]) if a[i, i] > least else 0.0
-        for j in range(i, at.N):
-            a[i, j] *= s
-        for m in range(i + 1, at.N):
-            s = a[i, m]
-            for j in range(m, at.N):
-                a[m, j] -= s * a[i, j]
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def solve(root: cython.double[:, ::1], g: cython.double[:, ::1]) -> cython.void:
-    """Solve U' U X = g in place; what :func:`factor` left out stays zero."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    m: cython.Py_ssize_t
-    s: cython.double
-    for i in range(at.N):
-        s = 1.0 / root[i, i] if root[i, i] > 0.0 else 0.0
-        for j in range(at.N):
-            g[i, j] *= s
-        for m in range(i + 1, at.N):
-            s = root[i, m]
-            for j in range(at.N):
-                g[m, j] -= s * g[i, j]
-    for i in range(at.N - 1, -1, -1):
-        for m in range(i + 1, at.N):
-            s = root[i, m]
-            for j in range(at.N):
-                g[i, j] -= s * g[m, j]
-        s = 1.0 / root[i, i] if root[i, i] > 0.0 else 0.0
-        for j in range(at.N):
-            g[i, j] *= s
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def absorb(
-    before: cython.double[::1],
-    y: cython.double[::1],
-    w: cython.double[::1],
-    gain: cython.double[:, ::1],
-    change: cython.double[:, ::1],
-    half: cython.double[:, ::1],
-) -> cython.void:
-    """Make y the state before, moved by G times w[W_DX]; its P is P + G change G'. Reads G'."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    m: cython.Py_ssize_t
-    s: cython.double
-    y[:] = before
-    for i in range(at.N):
-        w[at.W_ROW + i] = w[at.W_DX + i]
-        w[at.W_DX + i] = 0.0
-    for m in range(at.N):
-        s = w[at.W_ROW + m]
-        for i in range(at.N):
-            w[at.W_DX + i] += gain[m, i] * s
-    for i in range(at.N):
-        for j in range(at.N):
-            half[i, j] = 0.0
-        for m in range(at.N):
-            s = change[i, m]
-            for j in range(at.N):
-                half[i, j] += s * gain[m, j]
-    for m in range(at.N):
-        for i in range(at.N):
-            s = gain[m, i]
-            for j in range(i, at.N):
-                y[at.X_COV + i * at.N + j] += s * half[m, j]
-    for i in range(at.N):
-        if y[at.X_COV + i * (at.N + 1)] < 0.0:
-            y[at.X_COV + i * (at.N + 1)] = 0.0
-        for j in range(i):
-            y[at.X_COV + i * at.N + j] = y[at.X_COV + j * at.N + i]
-    correct.inject(y, w)
+        hindsight.factor(self.prior)
+        hindsight.solve(self.prior, self.gain)
+        hindsight.absorb(before, y, w, self.gain, self.change, self.half)

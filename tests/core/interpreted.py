@@ -8,7 +8,10 @@ from types import SimpleNamespace
 
 import ekf_companion.core
 
-NAMES = ("propagate", "correct", "observe", "align", "tape", "kernel", "timeline", "smooth")
+NAMES = (
+    *("propagate", "correct", "observe", "align", "tape", "kernel", "timeline"),
+    *("hindsight", "smooth"),
+)
 FOLDER = Path(ekf_companion.core.__file__).parent
 
 
