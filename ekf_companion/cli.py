@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy.typing as npt
 import typer
@@ -22,6 +22,10 @@ from ekf_companion import __version__
 from ekf_companion.config import Config, describe_config, load_config
 from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError
 
+if TYPE_CHECKING:
+    from ekf_companion.nav.state import Trajectory
+    from ekf_companion.pipeline import Table
+
 app = typer.Typer(
     help="State estimation on a drone's companion computer: MAVLink in, ODOMETRY out.",
     no_args_is_help=True,
@@ -30,6 +34,9 @@ app = typer.Typer(
 )
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", "-c", help="YAML file; config/ holds commented ones.")
+]
+SmoothOption = Annotated[
+    bool, typer.Option("--smooth", help="Go back over the flight: each estimate knows all of it.")
 ]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the same as JSON.")]
 
@@ -134,6 +141,7 @@ def convert(
     rate: Annotated[
         float | None, typer.Option(min=0.001, help="At most so many rows per second.")
     ] = None,
+    smooth: SmoothOption = False,
     json_file: JsonOption = None,
 ) -> None:
     """Re-run the estimator over a recorded flight."""
@@ -142,7 +150,7 @@ def convert(
     with _sentences(), _bar(log.name) as progress:
         if json_file is not None and json_file.resolve() in (log.resolve(), out.resolve()):
             raise ConfigError(f"--json: {json_file}: is the log or its output; name another file")
-        report = converter.convert(log, out, _load(config), rate, progress)
+        report = converter.convert(log, out, _load(config), rate, progress, is_smoothed=smooth)
         _write_json(json_file, report.to_dict())
     for line in converter.summary(report):
         typer.echo(line)
@@ -171,25 +179,35 @@ def compare(
         ),
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw both into a .png.")] = None,
+    smooth: SmoothOption = False,
     json_file: JsonOption = None,
 ) -> None:
     """Measure our estimate against a truth, or against the autopilot's own."""
     from ekf_companion import compare as comparer
     from ekf_companion import convert as converter
     from ekf_companion import figure
-    from ekf_companion.logs.estimate import is_estimate, read_estimate, read_truth, to_trajectory
-    from ekf_companion.nav.state import COLUMNS
+    from ekf_companion.logs.estimate import is_estimate, read_estimate, read_truth
 
     with _sentences():
         own = truth = None
+        live: list[Trajectory] = []
         if is_estimate(log):
+            if smooth:
+                raise ConfigError(
+                    f"--smooth: {log} is an estimate already; name the log that it was made from"
+                )
             ours = read_estimate(log)
         else:
             with _bar(log.name) as progress:
-                table, report, own, truth = converter.estimate(log, _load(config), progress)
-            columns: dict[str, npt.NDArray[Any]] = {"time_us": table.stamp_ns // 1000}
-            columns |= {name: table.column(name) for name in COLUMNS[1:]}
-            ours = to_trajectory(columns, "ekf-companion")
+                if smooth:
+                    table, smoothed, report, own, truth = converter.estimate_and_smooth(
+                        log, _load(config), progress
+                    )
+                    ours = _trajectory(smoothed, "ekf-companion, smoothed")
+                    live.append(_trajectory(table, "ekf-companion, live"))
+                else:
+                    table, report, own, truth = converter.estimate(log, _load(config), progress)
+                    ours = _trajectory(table, "ekf-companion")
             for line in converter.summary(report):
                 typer.echo(line)
             typer.echo()
@@ -212,16 +230,27 @@ def compare(
                 else f" and before {until:g} s; leave out less with --skip and --until"
             )
             raise LogError(f"{log}: {ours.name} and {against.name} have no time in common {span}")
-        others = [against]
+        others = [*live, against]
+        start = scores[0].start_ns
+        rivals = [*live, own] if truth is not None and own is not None else live
+        for rival in rivals:
+            scores.append(comparer.score(rival, against, 0.0, start_ns=start, end_ns=end))
         if truth is not None and own is not None:
-            start = scores[0].start_ns
-            scores.append(comparer.score(own, truth, 0.0, start_ns=start, end_ns=end))
             others.append(own)
         for line in comparer.table(scores):
             typer.echo(line)
         if plot is not None:
             figure.plot(plot, [ours, *others], log.name)
         _write_json(json_file, [score.to_dict() for score in scores])
+
+
+def _trajectory(table: Table, name: str) -> Trajectory:
+    from ekf_companion.logs.estimate import to_trajectory
+    from ekf_companion.nav.state import COLUMNS
+
+    columns: dict[str, npt.NDArray[Any]] = {"time_us": table.stamp_ns // 1000}
+    columns |= {column: table.column(column) for column in COLUMNS[1:]}
+    return to_trajectory(columns, name)
 
 
 @app.command("check-config")

@@ -13,7 +13,7 @@ import numpy as np
 
 from ekf_companion.companion import Publisher, session_options
 from ekf_companion.config import Config
-from ekf_companion.errors import LogError
+from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.logs import csv, dataflash, tlog, tlog_trajectory, ulog
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.writer import CsvWriter, create
@@ -22,7 +22,8 @@ from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.session import PeerFound, Session
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind, Row
 from ekf_companion.nav.state import Status, Trajectory
-from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline, Table
+from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline, Table, join
+from ekf_companion.smoothing import Smoothing
 
 Progress = Callable[[int, int], None]
 """Told how much is done, of how much."""
@@ -88,6 +89,8 @@ def convert(
     config: Config,
     rate: float | None = None,
     progress: Progress | None = None,
+    *,
+    is_smoothed: bool = False,
 ) -> Report:
     """Re-run the estimator over a log and write what it says.
 
@@ -98,10 +101,17 @@ def convert(
         config: The estimator's configuration.
         rate: Rows per second at most, Hz; None: all.
         progress: Told how far it is.
+        is_smoothed: Each estimate knows the whole log, not only what came before it.
 
     Raises:
         LogError: The log cannot be read, or nothing can be estimated from it.
+        ConfigError: Smoothed estimates are asked for as a .tlog.
     """
+    if is_smoothed and out.suffix == ".tlog":
+        raise ConfigError(
+            f"{out}: a .tlog holds what the daemon sends, which knows nothing of what comes later; "
+            "name a .csv for smoothed estimates"
+        )
     if out.suffix not in (".csv", ".tlog"):
         raise LogError(f"{out}: unknown kind of output; name it .csv or .tlog")
     if out.resolve() == path.resolve():
@@ -111,7 +121,8 @@ def convert(
     if out.suffix == ".csv":
         with CsvWriter(out) as writer:
             last_ns: int | None = None
-            for table in _estimates(source, config, report, progress):
+            run = _smoothed if is_smoothed else _estimates
+            for table in run(source, config, report, progress):
                 kept = _thin(table, rate, last_ns)
                 writer.write(kept.stamp_ns, kept.values)
                 last_ns = int(table.stamp_ns[-1]) if len(table) else last_ns
@@ -137,11 +148,23 @@ def estimate(
     source = _open(path, config, report)
     tables = list(_estimates(source, config, report, progress))
     _conclude(report, path)
-    table = Table(
-        stamp_ns=np.concatenate([part.stamp_ns for part in tables]),
-        values=np.concatenate([part.values for part in tables]),
-    )
-    return table, report, source.reference, source.truth
+    return join(tables), report, source.reference, source.truth
+
+
+def estimate_and_smooth(
+    path: Path, config: Config, progress: Progress | None = None
+) -> tuple[Table, Table, Report, Trajectory | None, Trajectory | None]:
+    """Do the same, and give the smoothed estimates behind those of the live filter.
+
+    Raises:
+        LogError: As :func:`convert`.
+    """
+    report = Report(log=str(path))
+    source = _open(path, config, report)
+    live: list[Table] = []
+    smoothed = list(_smoothed(source, config, report, progress, live))
+    _conclude(report, path)
+    return join(live), join(smoothed), report, source.reference, source.truth
 
 
 class _Telemetry:
@@ -242,6 +265,36 @@ def _estimates(
         yield table
     if pipeline is not None:
         report.health = pipeline.health()
+
+
+def _smoothed(
+    source: _Telemetry | _Columns,
+    config: Config,
+    report: Report,
+    progress: Progress | None,
+    live: list[Table] | None = None,
+) -> Iterator[Table]:
+    """Give the smoothed estimates; those of the live filter go to the list, if there is one."""
+    smoothing: Smoothing | None = None
+    for done, events in _tables(source):
+        if smoothing is None:
+            smoothing = Smoothing(config, report.family, source.delay)
+        table = smoothing.run(events)
+        _account(report, events, table)
+        if live is not None:
+            live.append(table)
+        if progress is not None:
+            progress(done, 2 * source.size)
+    if smoothing is None:
+        return
+    report.health = smoothing.pipeline.health()
+
+    def halfway(done: int, total: int) -> None:
+        if progress is not None:
+            progress(total + done, 2 * total)
+
+    with smoothing:
+        yield from smoothing.tables(halfway)
 
 
 def _messages(
@@ -401,4 +454,4 @@ def summary(report: Report) -> list[str]:
     return lines
 
 
-__all__ = ["Report", "convert", "estimate", "summary"]
+__all__ = ["Report", "convert", "estimate", "estimate_and_smooth", "summary"]

@@ -16,8 +16,8 @@ from ekf_companion.nav.state import Trajectory
 
 POINTS = 20000
 """Of each line at most: more than a picture can show."""
-_COLOURS = ("#d62728", "#1f77b4", "#7f7f7f")
-_STYLES = ("-", "--", ":")
+_COLOURS = ("#d62728", "#1f77b4", "#7f7f7f", "#2ca02c")
+_STYLES = ("-", "--", ":", "-.")
 
 
 def plot(path: Path, trajectories: Sequence[Trajectory], title: str = "") -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -95,6 +95,14 @@ class Table:
         return self.values[:, COLUMNS.index(name) - 1]
 
 
+def join(tables: Sequence[Table]) -> Table:
+    """Give tables as one, in their order; at least one."""
+    return Table(
+        stamp_ns=np.concatenate([table.stamp_ns for table in tables]),
+        values=np.concatenate([table.values for table in tables]),
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Health:
     """The filter's own account of itself."""
@@ -136,7 +144,12 @@ class Pipeline:
     """Estimator of one vehicle. Not a thread's business: call it from one loop."""
 
     def __init__(
-        self, settings: FilterSettings, family: str = "unknown", gnss_delay: float | None = None
+        self,
+        settings: FilterSettings,
+        family: str = "unknown",
+        gnss_delay: float | None = None,
+        *,
+        keeps_history: bool = False,
     ) -> None:
         """Begin with nothing known.
 
@@ -144,12 +157,14 @@ class Pipeline:
             settings: The estimator's settings.
             family: ``px4``, ``ardupilot`` or ``unknown``: settles what is ``auto``.
             gnss_delay: Delay that the log itself declares, s; beats ``auto``.
+            keeps_history: Events that leave the window are kept until :meth:`history` is asked.
         """
         self._settings = settings
         self._timeline = Timeline(
             parameters(settings, family),
             delays_ns(settings, family, gnss_delay),
             round(settings.window * 1e9),
+            keeps_history=keeps_history,
         )
 
     def process(self, measurement: Measurement) -> Arrival:
@@ -172,6 +187,10 @@ class Pipeline:
         values = self._locate_all(events)
         n = self._timeline.run_log(events.t_ns, events.kind, values, stamps, out)
         return Table(stamp_ns=stamps[:n], values=out[:n])
+
+    def history(self, is_over: bool = False) -> list[tuple[int, int, Array, Array]]:
+        """Give the events that can change no more, as ``Timeline.history`` does."""
+        return list(self._timeline.history(is_over))
 
     @property
     def stamp_ns(self) -> int:

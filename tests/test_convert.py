@@ -218,3 +218,60 @@ def test_a_log_cut_anywhere_still_converts(flown, tmp_path):
         log.write_bytes(data[: int(cut)])
         result = command("convert", log, "-o", tmp_path / "out.csv")
         assert result.exit_code == 0, result.output
+
+
+def test_smoothed_rows_are_those_of_the_live_estimate_and_nearer_to_the_truth(flown, tmp_path):
+    live, out = tmp_path / "live.csv", tmp_path / "out.csv"
+    command("convert", flown / "flight.tlog", "-o", live)
+    result = command("convert", flown / "flight.tlog", "-o", out, "--smooth")
+    assert result.exit_code == 0, result.output
+    assert "status: aligning" in result.output
+    ours, theirs = rows_of(out), rows_of(live)
+    assert [row["time_us"] for row in ours] == [row["time_us"] for row in theirs]
+    assert list(ours[0]) == COLUMNS
+    assert ours[0]["lat_deg"] == ""
+    told = tmp_path / "scores.json"
+    result = command(
+        "compare", flown / "flight.tlog", "--smooth", "--reference", flown / "truth.csv",
+        "--skip", 8, "--json", told, "--plot", tmp_path / "figure.png",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    scores = json.loads(told.read_text())
+    names = [score["estimate"].split(" (")[0] for score in scores]
+    assert names[:2] == ["ekf-companion, smoothed", "ekf-companion, live"]
+    assert len(names) == 3
+    assert scores[0]["velocity_mps"]["rms"] < 0.7 * scores[1]["velocity_mps"]["rms"]
+    assert scores[0]["horizontal_m"]["rms"] < scores[1]["horizontal_m"]["rms"]
+
+
+def test_the_rate_thins_smoothed_rows_over_the_whole_length_of_a_log(tmp_path):
+    out = tmp_path / "out.csv"
+    log = long_csv(tmp_path / "long.csv", 0.0)
+    result = command("convert", log, "-o", out, "--smooth", "--rate", 0.0625)
+    assert result.exit_code == 0, result.output
+    assert [int(row["time_us"]) // 16_000_000 for row in rows_of(out)] == list(range(29))
+
+
+def test_what_cannot_be_smoothed_is_refused_with_a_remedy(flown, tmp_path):
+    out = tmp_path / "out.tlog"
+    result = command("convert", flown / "flight.tlog", "-o", out, "--smooth")
+    assert result.exit_code == 2
+    assert "name a .csv" in result.output
+    assert not out.exists()
+    estimate = tmp_path / "estimate.csv"
+    command("convert", flown / "flight.tlog", "-o", estimate)
+    result = command("compare", estimate, "--reference", flown / "truth.csv", "--smooth")
+    assert result.exit_code == 2
+    assert "is an estimate already" in result.output
+
+
+def test_progress_goes_through_both_runs_and_ends(flown):
+    from ekf_companion.config import Config
+    from ekf_companion.convert import estimate_and_smooth
+
+    told: list[tuple[int, int]] = []
+    estimate_and_smooth(flown / "flight.tlog", Config(), lambda *share: told.append(share))
+    shares = [done / total for done, total in told]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert any(0.5 < share < 0.9 for share in shares)

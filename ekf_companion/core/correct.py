@@ -15,9 +15,9 @@ import cython
 if cython.compiled:
     from cython.cimports.ekf_companion.core import layout as at
     from cython.cimports.ekf_companion.core.propagate import turn
-    from cython.cimports.libc.math import sqrt
+    from cython.cimports.libc.math import atan2, fabs, sqrt
 else:
-    from math import sqrt
+    from math import atan2, fabs, sqrt
 
     from ekf_companion.core import layout as at
     from ekf_companion.core.propagate import turn
@@ -213,16 +213,127 @@ def inject(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+def difference(x: cython.double[::1], y: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Write the error that :func:`inject` would have to move x by to make it y, to w[W_DX].
+
+    The inverse of what inject does to the nominal state; exact for any turn below pi.
+    """
+    i: cython.Py_ssize_t
+    s: cython.double = 2.0
+    # y x*: the turn from x to y, in n
+    qw: cython.double = (
+        y[at.X_Q] * x[at.X_Q]
+        + y[at.X_Q + 1] * x[at.X_Q + 1]
+        + y[at.X_Q + 2] * x[at.X_Q + 2]
+        + y[at.X_Q + 3] * x[at.X_Q + 3]
+    )
+    qx: cython.double = (
+        y[at.X_Q + 1] * x[at.X_Q]
+        - y[at.X_Q] * x[at.X_Q + 1]
+        - y[at.X_Q + 2] * x[at.X_Q + 3]
+        + y[at.X_Q + 3] * x[at.X_Q + 2]
+    )
+    qy: cython.double = (
+        y[at.X_Q + 2] * x[at.X_Q]
+        - y[at.X_Q] * x[at.X_Q + 2]
+        - y[at.X_Q + 3] * x[at.X_Q + 1]
+        + y[at.X_Q + 1] * x[at.X_Q + 3]
+    )
+    qz: cython.double = (
+        y[at.X_Q + 3] * x[at.X_Q]
+        - y[at.X_Q] * x[at.X_Q + 3]
+        - y[at.X_Q + 1] * x[at.X_Q + 2]
+        + y[at.X_Q + 2] * x[at.X_Q + 1]
+    )
+    n2: cython.double = qx * qx + qy * qy + qz * qz
+    if qw < 0.0:
+        s = -2.0
+    if n2 > 1e-6:
+        s = s * atan2(sqrt(n2), fabs(qw)) / sqrt(n2)
+    else:  # the next term is below 1e-19
+        s = s * (1.0 + n2 * (1.0 / 6.0 + n2 * (3.0 / 40.0)))
+    w[at.W_DX + at.E_ATT] = s * qx
+    w[at.W_DX + at.E_ATT + 1] = s * qy
+    w[at.W_DX + at.E_ATT + 2] = s * qz
+    for i in range(3):
+        w[at.W_DX + at.E_VEL + i] = y[at.X_VEL + i] - x[at.X_VEL + i]
+        w[at.W_DX + at.E_POS + i] = y[at.X_POS + i] - x[at.X_POS + i]
+        w[at.W_DX + at.E_BG + i] = y[at.X_BG + i] - x[at.X_BG + i]
+        w[at.W_DX + at.E_BA + i] = y[at.X_BA + i] - x[at.X_BA + i]
+        w[at.W_DX + at.E_SLOW + i] = y[at.X_SLOW + i] - x[at.X_SLOW + i]
+        w[at.W_DX + at.E_IRON + i] = y[at.X_IRON + i] - x[at.X_IRON + i]
+    w[at.W_DX + at.E_BARO] = y[at.X_BARO] - x[at.X_BARO]
+    w[at.W_DX + at.E_DELAY] = y[at.X_DELAY] - x[at.X_DELAY]
+    w[at.W_DX + at.E_HEADING] = y[at.X_HEADING] - x[at.X_HEADING]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def rebase(y: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Take back what :func:`inject` did to P when it moved by w[W_DX]: J^-1 P J^-T.
+
+    y's P, the error about y, becomes that about the state from which w[W_DX] leads to y.
+    """
+    i: cython.Py_ssize_t
+    for i in range(at.N):
+        unturn(y, at.X_COV + i, at.N, w)
+    for i in range(3):
+        unturn(y, at.X_COV + i * at.N, 1, w)
+    y[at.X_COV + at.N] = y[at.X_COV + 1]
+    y[at.X_COV + 2 * at.N] = y[at.X_COV + 2]
+    y[at.X_COV + 2 * at.N + 1] = y[at.X_COV + at.N + 2]
+    for i in range(3, at.N):
+        y[at.X_COV + i * at.N] = y[at.X_COV + i]
+        y[at.X_COV + i * at.N + 1] = y[at.X_COV + at.N + i]
+        y[at.X_COV + i * at.N + 2] = y[at.X_COV + 2 * at.N + i]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def unturn(
+    y: cython.double[::1],
+    first: cython.Py_ssize_t,
+    stride: cython.Py_ssize_t,
+    w: cython.double[::1],
+) -> cython.void:
+    """Multiply three numbers of y by J^-1.
+
+    With ``A = [d x]/2``: ``(I + A)^-1 = I - (A - A A) / (1 + |d|^2/4)``, since A^3 = -|d|^2/4 A.
+    """
+    dx: cython.double = 0.5 * w[at.W_DX]
+    dy: cython.double = 0.5 * w[at.W_DX + 1]
+    dz: cython.double = 0.5 * w[at.W_DX + 2]
+    s: cython.double = 1.0 / (1.0 + dx * dx + dy * dy + dz * dz)
+    p0: cython.double = y[first]
+    p1: cython.double = y[first + stride]
+    p2: cython.double = y[first + 2 * stride]
+    c0: cython.double = dy * p2 - dz * p1
+    c1: cython.double = dz * p0 - dx * p2
+    c2: cython.double = dx * p1 - dy * p0
+    y[first] = p0 - s * (c0 - (dy * c2 - dz * c1))
+    y[first + stride] = p1 - s * (c1 - (dz * c0 - dx * c2))
+    y[first + 2 * stride] = p2 - s * (c2 - (dx * c1 - dy * c0))
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
 def forget(
     x: cython.double[::1],
     first: cython.Py_ssize_t,
     count: cython.Py_ssize_t,
     variance: cython.double,
 ) -> cython.void:
-    """Make some error states uncorrelated with all others, each of this variance."""
+    """Make some error states uncorrelated with all others, each of this variance.
+
+    They are counted as drawn anew: what is known of them later says nothing of them before.
+    """
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     for i in range(first, first + count):
+        x[at.X_FRESH + i] += 1.0
         for j in range(at.N):
             x[at.X_COV + i * at.N + j] = 0.0
             x[at.X_COV + j * at.N + i] = 0.0

@@ -253,6 +253,7 @@ def take_azimuth(
             # the compass or our yaw has jumped, and nobody knows which: neither is sure any more
             correct.forget(x, at.E_HEADING, 1, 1.0)
             x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] += w[at.W_Z] * w[at.W_Z]
+            x[at.X_FRESH + at.E_ATT + 2] += 1.0
             correct.innovate(x, w, 1)
             correct.absorb_yaw(x, w)
             x[at.X_DELTA + 6] += w[at.W_DX + at.E_ATT + 2]

@@ -21,6 +21,7 @@ if cython.compiled:
         observe,
         propagate,
         receiver,
+        tape,
     )
     from cython.cimports.ekf_companion.core import layout as at
     from cython.cimports.libc.math import asin, atan2, cos, fabs, sin, sqrt
@@ -35,6 +36,7 @@ else:
         observe,
         propagate,
         receiver,
+        tape,
     )
     from ekf_companion.core import layout as at
 
@@ -102,7 +104,11 @@ def step(
     first: cython.Py_ssize_t,
     last: cython.Py_ssize_t,
 ) -> cython.void:
-    """Take the sample rows[last]; rows[first:last] are the events true since the sample before."""
+    """Take the sample rows[last]; rows[first:last] are the events true since the sample before.
+
+    Where w goes on behind the scratch numbers, what happens is recorded there (core/tape.py).
+    """
+    is_taped: cython.bint = w.shape[0] > at.SCRATCH
     i: cython.Py_ssize_t
     r: cython.Py_ssize_t
     dt: cython.double
@@ -133,11 +139,17 @@ def step(
             else:
                 propagate.move(x, k, w, dt)
                 propagate.spread(x, k, w, dt)
+                if is_taped:
+                    tape.moved(x, k, w, dt)
             x[at.X_T] = rows[r, at.ROW_T]
         if r < last:
             take(x, k, w, rows, r)
+            if is_taped:
+                tape.noted(x, w, False)
     if span > k[at.K_GAP]:
         doubt(x, k, span, span > SLOW_GAP * x[at.X_DT])
+        if is_taped:
+            tape.doubted(x, w)
 
     # What the sample itself tells: noise, rest, whether all aids still speak
     learn(x, rows, last, span)
@@ -549,6 +561,7 @@ def take_baro(
         x[own + j] = x[down + j]
         x[at.X_COV + j * at.N + at.E_BARO] = x[down + j]
     x[own + at.E_BARO] = x[down + at.E_POS + 2] + k[at.K_BARO_STD] * k[at.K_BARO_STD]
+    x[at.X_FRESH + at.E_BARO] += 1.0
     x[at.X_HAS_BARO] = 1.0
     x[at.X_T_USED + at.AID_BARO] = x[at.X_T]
     account.count(x, at.AID_BARO, at.WHY_FUSED)

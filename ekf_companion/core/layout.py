@@ -130,8 +130,9 @@ X_SLOW_HGT = 170
 X_LEAN = 171
 X_RUN = 174
 X_LEVEL = 207
-X_COV = 244
-BLOCK = 820
+X_FRESH = 244
+X_COV = 268
+BLOCK = 844
 
 # What levelling remembers, from X_LEVEL: sums over a window, the motion since a first fix, and a
 # reference: a direction of the body and its azimuth (NaN: that of the magnetic field)
@@ -245,6 +246,22 @@ W_RATE_SLOPE = 288
 W_FORCE_SLOPE = 291
 W_FIX = 294
 SCRATCH = 306
+
+# A tape (core/tape.py), if there is one, lies behind the scratch numbers: how many records it has,
+# then these: how each follows from the one before, whether it ends a sample, block, transition
+TAPE_COUNT = 306
+TAPE = 307
+T_LINK = 0
+T_IS_SAMPLE = 1
+T_BLOCK = 2
+T_PHI = 846
+RECORD = 1422
+
+# How a record follows from the one before
+LINK_SAME = 0
+LINK_MOVED = 1
+LINK_FRESH = 2
+LINK_CUT = 3
 
 # An estimate: nav.state.COLUMNS without the time
 OUT_LLA = 0

@@ -9,3 +9,4 @@ cdef bint azimuth(
 cdef void pressure_altitude(double[::1] x, double[::1] w, double alt, double std) noexcept nogil
 cdef double wrap(double angle) noexcept nogil
 cdef void zero_rate(double[::1] x, double[::1] w, double std) noexcept nogil
+cdef void blank(double[::1] w, Py_ssize_t m, double variance) noexcept nogil

@@ -6,3 +6,4 @@ cdef void originate(double[::1] x, double lat, double lon, double alt) noexcept 
 cdef void move(double[::1] x, double[::1] k, double[::1] w, double dt) noexcept nogil
 cdef void spread(double[::1] x, double[::1] k, double[::1] w, double dt) noexcept nogil
 cdef void fade(double[::1] x, Py_ssize_t e, double g, double level) noexcept nogil
+cdef void transition(double[::1] k, double[::1] w, double dt, Py_ssize_t first) noexcept nogil

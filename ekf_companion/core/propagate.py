@@ -454,3 +454,45 @@ def fade(
     for j in range(9, at.N):
         x[row + j] -= g * x[row + j]
     x[row + e] += g * (2.0 - g) * level
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def transition(
+    k: cython.double[::1], w: cython.double[::1], dt: cython.double, first: cython.Py_ssize_t
+) -> cython.void:
+    """Write the Phi of the interval that :func:`spread` has just gone to w[first:], N by N.
+
+    Spread never forms it; who goes back over the interval needs it. Reads what spread has left:
+    C_nb, S and S G / 2.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    row: cython.Py_ssize_t
+    s: cython.double
+    g: cython.double
+    b: cython.double
+    for i in range(at.N * at.N):
+        w[first + i] = 0.0
+    for i in range(at.N):
+        w[first + i * (at.N + 1)] = 1.0
+    for i in range(3):
+        w[first + (at.E_POS + i) * at.N + at.E_VEL + i] = dt
+        for j in range(3):
+            s = w[at.W_S9 + 3 * i + j]
+            g = -dt * w[at.W_C_NB + 3 * i + j]
+            b = w[at.W_S9 + 9 + 3 * i + j]
+            row = first + (at.E_ATT + i) * at.N
+            w[row + at.E_BG + j] = g
+            row = first + (at.E_VEL + i) * at.N
+            w[row + at.E_ATT + j] = s
+            w[row + at.E_BG + j] = b
+            w[row + at.E_BA + j] = g
+            row = first + (at.E_POS + i) * at.N
+            w[row + at.E_ATT + j] = 0.5 * dt * s
+            w[row + at.E_BG + j] = dt / 3.0 * b
+            w[row + at.E_BA + j] = 0.5 * dt * g
+    w[first + at.E_HEADING * (at.N + 1)] = 1.0 - dt / (dt + k[at.K_HEADING_TIME])
+    for i in range(3):
+        w[first + (at.E_SLOW + i) * (at.N + 1)] = 1.0 - dt / (dt + k[at.K_SLOW_TIME])

@@ -38,6 +38,8 @@ LEAST_SHARE = cython.declare(cython.double, 0.01)
 """A receiver overstates its white error ten times at the most: what is learnt beyond is luck."""
 LARGEST_SHARE = cython.declare(cython.double, 9.0)
 """And it may understate it three times."""
+SMALLEST_LEVEL = cython.declare(cython.double, 1e-6)
+"""m^2."""
 ANY = cython.declare(cython.double, 1e6)
 """Variance of what is not known at all, m^2."""
 LEAN_TIME = cython.declare(cython.double, 3.0)
@@ -98,6 +100,11 @@ def take_fix(
         account.announce(x, at.RESET_GAP)
         restart(x, k, w, has_vel)
         return True
+
+    # What is slow of their error is no larger than what has been learnt
+    bound(x, w, at.E_SLOW, x[at.X_SLOW_POS])
+    bound(x, w, at.E_SLOW + 1, x[at.X_SLOW_POS])
+    bound(x, w, at.E_SLOW + 2, x[at.X_SLOW_HGT])
 
     # Velocity first: it is the surer of the two
     if has_vel and not take_velocity(x, k, w):
@@ -181,6 +188,28 @@ def read(
         floor = k[at.K_POS_FLOOR + i]
         if w[at.W_FIX + 6 + i] < floor:
             w[at.W_FIX + 6 + i] = floor
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def bound(
+    x: cython.double[::1], w: cython.double[::1], e: cython.Py_ssize_t, level: cython.double
+) -> cython.void:
+    """Bring the variance of the slow error e down to its level, where that has been learnt lower.
+
+    As if the error had been measured to be none, just as well as that takes.
+    """
+    variance: cython.double = x[at.X_COV + e * (at.N + 1)]
+    if level < SMALLEST_LEVEL:
+        level = SMALLEST_LEVEL
+    if variance <= 1.05 * level:
+        return
+    observe.blank(w, 1, variance * level / (variance - level))
+    w[at.W_H + e] = 1.0
+    w[at.W_Z] = -x[at.X_SLOW + e - at.E_SLOW]
+    correct.innovate(x, w, 1)
+    correct.absorb(x, w, 1)
 
 
 @cython.cfunc

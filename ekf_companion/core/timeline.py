@@ -77,6 +77,10 @@ class Timeline:
     stamp: cython.longlong
     lost: cython.Py_ssize_t
     reruns: cython.longlong
+    start: cython.double[::1]
+    stretch: cython.Py_ssize_t
+    keeps: cython.bint
+    gone: list[tuple[int, int, np.ndarray, np.ndarray]]
 
     def __init__(
         self,
@@ -84,6 +88,7 @@ class Timeline:
         delay_ns: np.ndarray,
         window_ns: int,
         capacity: int = 8192,
+        keeps_history: bool = False,
     ) -> None:
         """Begin with an empty timeline.
 
@@ -93,6 +98,7 @@ class Timeline:
             window_ns: How far back a late event is still taken, ns.
             capacity: Rows to hold, at least 64; with fewer than come in twice the window, the
                 window shrinks.
+            keeps_history: Rows that leave the window are kept for :meth:`history`.
         """
         self.k = np.ascontiguousarray(parameters, dtype=np.float64).copy()
         self.delay = np.ascontiguousarray(delay_ns, dtype=np.int64).copy()
@@ -111,6 +117,10 @@ class Timeline:
         self.epoch = 0
         self.lost = 0
         self.reruns = 0
+        self.start = np.zeros(at.BLOCK)
+        self.stretch = 0
+        self.keeps = keeps_history
+        self.gone = []
         self.clear()
 
     @cython.cfunc
@@ -130,12 +140,15 @@ class Timeline:
         resets: cython.double = self.x[at.X_RESETS]
         i: cython.Py_ssize_t
         started: cython.bint = self.x[at.X_MODE] != at.MODE_INIT
+        self.hand_over(self.cursor)
         for i in range(at.BLOCK):
             self.x[i] = 0.0
         self.x[at.X_RESETS] = resets + 1.0 if started else resets
         self.x[at.X_RESET_REASON] = at.RESET_CLOCK
         self.has_epoch = False
         self.lost = 0
+        self.start[:] = self.x
+        self.stretch += 1
         self.clear()
 
     def insert(self, t_ns: cython.longlong, kind: cython.int, values: cython.double[::1]) -> int:
@@ -272,6 +285,7 @@ class Timeline:
                 self.snapshot_row[1] = self.cursor - 1
                 self.snaps = 2
             gone = self.snapshot_row[base] + 1
+            self.hand_over(gone)
             self.oldest = self.snapshots[base, at.X_T]
             for i in range(base, self.snaps):
                 self.snapshots[i - base, :] = self.snapshots[i, :]
@@ -311,6 +325,31 @@ class Timeline:
                 stamps[n] = t_ns[i]
                 n += 1
         return n
+
+    @cython.cfunc
+    def hand_over(self, count: cython.Py_ssize_t) -> cython.void:
+        """Keep the first rows for the history: they were stepped through and stay as they are."""
+        if self.keeps and count > 0:
+            self.gone.append(
+                (self.stretch, self.epoch, np.array(self.start), np.array(self.rows[:count]))
+            )
+
+    def history(self, is_over: bool = False) -> list[tuple[int, int, np.ndarray, np.ndarray]]:
+        """Give the rows that have left the window since this was asked last, in order of time.
+
+        Args:
+            is_over: No event comes any more: with what is in the window, up to the newest sample.
+
+        Returns:
+            Parts, each ending with an inertial sample: the number of the stretch (a restart of the
+            clock begins another), its epoch (ns), the state block that it began from, shape
+            (BLOCK,), and the rows, shape (n, ROW).
+        """
+        if is_over:
+            self.hand_over(self.cursor)
+        parts = self.gone
+        self.gone = []
+        return parts
 
     def describe(self) -> np.ndarray:
         """Give the estimate at the newest sample's stamp, shape (OUT,), as layout.OUT_* says."""

@@ -10,7 +10,7 @@ import ekf_companion.core
 
 NAMES = (
     *("propagate", "correct", "observe", "proof", "account", "heading", "align", "receiver"),
-    *("kernel", "timeline"),
+    *("tape", "kernel", "timeline", "hindsight", "smooth"),
 )
 FOLDER = Path(ekf_companion.core.__file__).parent
 

@@ -76,6 +76,28 @@ def test_an_innovation_covariance_that_is_none_passes_no_gate():
     assert load().correct.innovate(x, w, 2) > 1e20
 
 
+def test_the_difference_of_two_states_is_the_error_that_was_injected_and_takes_p_back():
+    correct = load().correct
+    for seed, size in ((1, 0.3), (2, 2.5), (3, 1e-5)):
+        x, w, P, *_ = a_problem(seed, 1)
+        rng = np.random.default_rng(seed)
+        error = rng.normal(0.0, 1.0, at.N)  # every state: one that is left out comes back as zero
+        error[:3] *= size / np.linalg.norm(error[:3])
+        y = x.copy()
+        if seed == 2:
+            y[at.X_Q : at.X_Q + 4] *= -1.0
+        w[at.W_DX : at.W_DX + at.N] = error
+        correct.inject(y, w)
+        assert not np.allclose(y[at.X_COV :], x[at.X_COV :], rtol=1e-9)
+        w[at.W_DX : at.W_DX + at.N] = np.nan
+        correct.difference(x, y, w)
+        np.testing.assert_allclose(w[at.W_DX : at.W_DX + at.N], error, rtol=1e-9, atol=1e-14)
+        correct.rebase(y, w)
+        after = y[at.X_COV :].reshape(at.N, at.N)
+        np.testing.assert_allclose(after, P, rtol=1e-12, atol=1e-14)
+        assert np.array_equal(after, after.T)
+
+
 def test_forgetting_leaves_no_correlation():
     x, *_ = a_problem(5, 1)
     load().correct.forget(x, at.E_VEL, 3, 4.0)
@@ -83,3 +105,5 @@ def test_forgetting_leaves_no_correlation():
     assert np.array_equal(P[at.E_VEL : at.E_VEL + 3, at.E_VEL : at.E_VEL + 3], 4.0 * np.eye(3))
     assert not P[at.E_VEL, : at.E_VEL].any()
     assert not P[at.E_POS :, at.E_VEL].any()
+    fresh = x[at.X_FRESH : at.X_FRESH + at.N]
+    assert np.flatnonzero(fresh).tolist() == [at.E_VEL, at.E_VEL + 1, at.E_VEL + 2]

@@ -31,6 +31,7 @@ def test_nothing_in_a_block_overlaps():
         "X_PREV_A": 3, "X_WHITE": 3, "X_T_REFUSED": layout.AIDS, "X_LEVEL": layout.L_SIZE,
         "X_COV": layout.N * layout.N, "X_SLOW": 3, "X_IRON": 3, "X_DELTA": 7,
         "X_NIS_SUM": layout.AIDS, "X_NIS_N": layout.AIDS, "X_RUN": 3 * layout.C_SIZE, "X_LEAN": 3,
+        "X_FRESH": layout.N,
     }  # fmt: skip
     places = sorted((value, name) for name, value in numbers().items() if name.startswith("X_"))
     ends = [value + sizes.get(name, 1) for value, name in places]
@@ -48,3 +49,10 @@ def test_nothing_in_the_scratch_overlaps():
     places = sorted((value, name) for name, value in numbers().items() if name.startswith("W_"))
     ends = [value + sizes[name] for value, name in places]
     assert ends == [start for start, _ in places[1:]] + [layout.SCRATCH]
+
+
+def test_a_tape_begins_behind_the_scratch_and_a_record_holds_a_block_and_a_transition():
+    assert [layout.TAPE_COUNT, layout.TAPE] == [layout.SCRATCH, layout.SCRATCH + 1]
+    assert [layout.T_LINK, layout.T_IS_SAMPLE, layout.T_BLOCK] == [0, 1, 2]
+    assert layout.T_PHI == layout.T_BLOCK + layout.BLOCK
+    assert layout.T_PHI + layout.N**2 == layout.RECORD

@@ -68,6 +68,28 @@ def test_covariance_follows_the_slope_of_the_motion(dt):
     assert np.abs((after - expected) / scale).max() < 5e-4 + 0.5 * dt * dt
 
 
+@pytest.mark.parametrize("dt", [0.004, 0.1])
+def test_the_transition_is_the_one_that_the_covariance_went_by(dt):
+    propagate = load().propagate
+    x, k = a_state(8), parameters()
+    w = np.zeros(at.SCRATCH + at.N * at.N)
+    k[at.K_GYRO_NOISE], k[at.K_ACCEL_NOISE], k[at.K_BARO_WALK] = 2e-3, 3e-2, 0.05
+    k[at.K_GYRO_WALK], k[at.K_ACCEL_WALK], x[at.X_HEADING_STD] = 1e-4, 1e-3, 0.1
+    root = np.random.default_rng(8).normal(0.0, 1.0, (at.N, at.N))
+    ends = []
+    for P in (root @ root.T, np.zeros((at.N, at.N))):
+        y = x.copy()
+        y[at.X_COV :] = P.ravel()
+        propagate.move(y, k, sampled(w), dt)
+        propagate.spread(y, k, w, dt)
+        propagate.transition(k, w, dt, at.SCRATCH)
+        ends.append(y[at.X_COV :].reshape(at.N, at.N))
+    Phi = w[at.SCRATCH :].reshape(at.N, at.N)
+    with_noise, noise = ends
+    assert np.diag(noise).min() >= 0.0 < np.trace(noise)
+    np.testing.assert_allclose(with_noise, Phi @ root @ root.T @ Phi.T + noise, atol=1e-12)
+
+
 def test_noise_is_what_van_loan_gives():
     propagate = load().propagate
     x, k, w = a_state(7), parameters(), np.zeros(at.SCRATCH)
