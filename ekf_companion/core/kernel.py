@@ -15,9 +15,9 @@ import cython
 if cython.compiled:
     from cython.cimports.ekf_companion.core import align, correct, observe, propagate
     from cython.cimports.ekf_companion.core import layout as at
-    from cython.cimports.libc.math import asin, atan2, cos, fabs, isnan, sin, sqrt
+    from cython.cimports.libc.math import asin, atan2, cos, fabs, isnan, log, sin, sqrt
 else:
-    from math import asin, atan2, cos, fabs, isnan, sin, sqrt
+    from math import asin, atan2, cos, fabs, isnan, log, sin, sqrt
 
     from ekf_companion.core import align, correct, observe, propagate
     from ekf_companion.core import layout as at
@@ -422,8 +422,32 @@ def fuse_gnss(
 ) -> cython.bint:
     """Do the same for a receiver's rows, and learn how white its stated error (variance) is."""
     nis: cython.double = correct.innovate(x, w, m)
+    weigh(x, w, m, nis, gate)
     learn_white(x, w, aid, m, stated)
     return settle_rows(x, w, aid, m, nis, gate)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def weigh(
+    x: cython.double[::1],
+    w: cython.double[::1],
+    m: cython.Py_ssize_t,
+    nis: cython.double,
+    gate: cython.double,
+) -> cython.void:
+    """Add what m judged rows say to the sum of log-likelihoods; an outlier says what a gate does.
+
+    Nothing in the filter reads the sum: it compares settings over the same log.
+    """
+    r: cython.Py_ssize_t
+    cost: cython.double = nis if nis < gate else gate
+    if nis >= 1e30:  # no covariance to judge by
+        return
+    for r in range(m):
+        cost += 2.0 * log(w[at.W_L + 4 * r])
+    x[at.X_LOGLIK] -= 0.5 * cost
 
 
 @cython.cfunc

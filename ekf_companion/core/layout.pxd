@@ -81,8 +81,9 @@ cdef enum:
     X_FIELD = 147
     X_HEADING = 148
     X_HEADING_STD = 149
-    X_COV = 150
-    BLOCK = 474
+    X_LOGLIK = 150
+    X_COV = 151
+    BLOCK = 475
     L_T0 = 0
     L_N = 1
     L_GYRO = 2

@@ -97,8 +97,9 @@ X_INCLINATION = 146
 X_FIELD = 147
 X_HEADING = 148
 X_HEADING_STD = 149
-X_COV = 150
-BLOCK = 474
+X_LOGLIK = 150
+X_COV = 151
+BLOCK = 475
 
 # What levelling remembers, from X_LEVEL: sums over a window, the motion since a first fix, and a
 # reference: a direction of the body and its azimuth (NaN: that of the magnetic field)
