@@ -91,13 +91,11 @@ def in_flight(
         moving &= (true_ns < stretch.t_ns[0]) | (true_ns > stretch.t_ns[-1])
     if moving.sum() < 3:
         return None
-    travelled, gained = _references(recording.events, table, settings)
-    position = _ned(_frame(fixes), fixes) - _at(true_ns, table.stamp_ns, travelled)
-    position -= _at(true_ns, table.stamp_ns, _antenna(table, settings))
-    speed = _columns(table, "vel_n", "vel_e", "vel_d")
-    position -= _way(fixes, fixes.values[:, VELOCITY] - _at(true_ns, table.stamp_ns, speed))
-    velocity = fixes.values[:, VELOCITY] - _at(true_ns, table.stamp_ns, gained)
-    errors = np.hstack([position, velocity])
+    antenna = _antenna(recording.events, table, settings)
+    way, speed, gained = (_at(true_ns, table.stamp_ns, one) for one in antenna)
+    velocity = fixes.values[:, VELOCITY]
+    position = _ned(_frame(fixes), fixes) - way - _integral(fixes, velocity - speed)
+    errors = np.hstack([position, velocity - gained])
     resets = table.column("reset_count")[row]
     pieces = np.cumsum(np.diff(resets, prepend=resets[0]) != 0.0)
     chosen = [moving & (pieces == piece) for piece in np.unique(pieces)]
@@ -165,33 +163,30 @@ def _columns(table: Table, *names: str) -> Array:
     return np.nan_to_num(np.stack([table.column(name) for name in names], axis=1))
 
 
-def _references(events: Events, table: Table, settings: FilterSettings) -> tuple[Array, Array]:
-    """Give way, m, and change of speed, m/s, since the start at every estimate, north east down.
+def _antenna(events: Events, table: Table, settings: FilterSettings) -> tuple[Array, Array, Array]:
+    """Give the antenna's way, m, its velocity, and what of that was gained, m/s, at every estimate.
 
-    The way is the integral of the estimated velocity (the receiver's velocity has yet to correct
-    it), the change of speed that of the specific
-    force, turned by the estimated attitude, and gravity.
+    North, east, down. The way is the integral of the estimated velocity (the receiver's has yet to
+    correct it); gained is the integral of the specific force, turned by the estimated attitude, and
+    gravity. Both with what the lever arm adds.
     """
     step = np.diff(table.stamp_ns, prepend=table.stamp_ns[:1])[:, None] * 1e-9
     velocity = _columns(table, "vel_n", "vel_e", "vel_d")
-    travelled = np.cumsum(0.5 * (velocity + np.roll(velocity, 1, axis=0)) * step, axis=0)
+    way = np.cumsum(0.5 * (velocity + np.roll(velocity, 1, axis=0)) * step, axis=0)
     t_ns, values = rest.samples(events)
-    force_b = values[np.searchsorted(t_ns, table.stamp_ns), 3:]
-    force_b -= _columns(table, "accel_bias_x", "accel_bias_y", "accel_bias_z")
+    force_b = values[np.minimum(np.searchsorted(t_ns, table.stamp_ns), len(t_ns) - 1), 3:]
+    force_b = force_b - _columns(table, "accel_bias_x", "accel_bias_y", "accel_bias_z")
     q_nb = _columns(table, "q_w", "q_x", "q_y", "q_z")
     accel_n = so3.rotate(q_nb, force_b) + np.array([0.0, 0.0, STANDARD_GRAVITY])
-    return travelled, np.cumsum(accel_n * step, axis=0)
+    arm_b = np.broadcast_to(np.array(settings.gnss.lever_arm), (len(table), 3))
+    arm_n = so3.rotate(q_nb, arm_b)
+    swing_n = np.diff(arm_n, axis=0, prepend=arm_n[:1]) / np.maximum(step, 1e-6)
+    return way + arm_n, velocity + swing_n, np.cumsum(accel_n * step, axis=0) + swing_n
 
 
-def _way(fixes: Events, velocity: Array) -> Array:
+def _integral(fixes: Events, velocity: Array) -> Array:
     """Give the integral of a velocity at every fix, m; what is not known is none."""
     known = np.nan_to_num(velocity)
     step = np.diff(fixes.t_ns)[:, None] * 1e-9
     means = 0.5 * (known[1:] + known[:-1])
     return np.concatenate([np.zeros((1, 3)), np.cumsum(means * step, axis=0)])
-
-
-def _antenna(table: Table, settings: FilterSettings) -> Array:
-    """Give where the antenna is from the inertial sensor, in n, at every estimate, m."""
-    lever_b = np.broadcast_to(np.array(settings.gnss.lever_arm), (len(table), 3))
-    return so3.rotate(_columns(table, "q_w", "q_x", "q_y", "q_z"), lever_b)

@@ -14,6 +14,7 @@ Annals of Mathematical Statistics 12, 4 (successive differences).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -88,7 +89,7 @@ def measure(series: Sequence[Series], wander: float = 0.0) -> Scatter | None:
     jumps = np.concatenate(second) if second else np.zeros(0)
     if len(jumps) < FEWEST:
         return None
-    white = _sigma(jumps) / np.sqrt(6.0)
+    white = _sigma(jumps) / math.sqrt(6.0)
     period, seconds = series[0].period, max(one.seconds for one in series)
     lag, structure, freedom = _structure(series, period, seconds)
     structure = np.maximum(structure - 0.5 * wander * lag, 0.0)
@@ -96,7 +97,7 @@ def measure(series: Sequence[Series], wander: float = 0.0) -> Scatter | None:
     return Scatter(
         white=white,
         # A median is as sure as a third of the numbers, and neighbours share two fixes of three
-        white_std=1.6 / np.sqrt(len(jumps)),
+        white_std=1.6 / math.sqrt(len(jumps)),
         slow=slow,
         time=time,
         lag=lag,
