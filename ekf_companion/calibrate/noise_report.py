@@ -58,8 +58,8 @@ def _imu_findings(found: Inertial, set_now: ImuSettings) -> list[Finding]:
             Finding(
                 key=f"imu.{sensor}_noise",
                 value=worst.white,
-                comment=f"{unit} per sqrt Hz, +-{100.0 * worst.white_std:.0f} %: worst axis, read "
-                f"off at {worst.white_from:.2g} s; {why}",
+                comment=f"{unit} per sqrt Hz, +-{max(100.0 * worst.white_std, 1.0):.0f} %: worst "
+                f"axis, read off at {worst.white_from:.2g} s; {why}",
                 is_sure=bool(is_safe and worst.white > 1e-9),
             )
         )
@@ -156,7 +156,7 @@ def _gnss_findings(found: Receiver, set_now: GnssSettings) -> list[Finding]:
             Finding(
                 key="gnss.slow_time",
                 value=slow.time,
-                comment=f"s, within a factor of 2: correlation time of {slow.slow:.2g} m, seen "
+                comment=f"s, within a factor of 3: correlation time of {slow.slow:.2g} m, seen "
                 f"for {slow.seconds:.0f} s",
             )
         )
@@ -167,11 +167,12 @@ def _gnss_note(found: Receiver) -> str:
     def said(scatter: Scatter | None, name: str, unit: str, stated: float) -> str:
         if scatter is None:
             return f"{name} not to be told"
-        slow = (
-            f"{scatter.slow:.2g} {unit} slow ({scatter.time:.0f} s)"
-            if scatter.time is not None
-            else f"slow error not to be told apart, at most {scatter.slow:.2g} {unit}"
-        )
+        if scatter.time is not None:
+            slow = f"{scatter.slow:.2g} {unit} slow ({scatter.time:.0f} s)"
+        elif scatter.slow < 0.5 * scatter.white:
+            slow = f"nothing slow in {scatter.seconds:.0f} s"
+        else:
+            slow = f"slow error not to be told apart, at most {scatter.slow:.2g} {unit}"
         claim = f", stated {stated:.2g}" if np.isfinite(stated) else ""
         return f"{name} {scatter.white:.2g} {unit} white, {slow}{claim}"
 
@@ -249,6 +250,8 @@ def _draw_scatter(axis: Any, scatters: Sequence[tuple[str, Scatter | None]]) -> 
             axis.loglog(one.lag, np.sqrt(one.model(one.time)), color=colour, linestyle=":")
     axis.grid(visible=True, which="both", alpha=0.3)
     if known:
+        low, high = axis.get_ylim()
+        axis.set_ylim(0.5 * low, 2.0 * high)  # noise alone would fill any narrower range
         axis.legend()
     else:
         axis.text(0.5, 0.5, "no fixes", ha="center", transform=axis.transAxes)
