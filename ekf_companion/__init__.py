@@ -15,6 +15,7 @@ Rooms
     mavlink   bytes and times in, measurements out, and back; no socket and no clock
     logs      one file per recorded format
     pipeline  the heart: measurement in, estimate out
+    calibrate numbers of the configuration, measured from logs
     link, service, convert, cli   the shells, which alone open, await, sleep and print
 """
 

@@ -1,7 +1,7 @@
 """The commands; the only place that prints or exits.
 
 Exit codes: 0 done, 1 a figure cannot be drawn or a bug, 2 the command line or the configuration is
-wrong, 3 the log cannot be read or holds nothing to estimate from.
+wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,6 +24,9 @@ from ekf_companion.config import Config, describe_config, load_config
 from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError
 
 if TYPE_CHECKING:
+    from ekf_companion.calibrate.plot import Draw
+    from ekf_companion.calibrate.report import Result
+    from ekf_companion.logs.recording import Recording
     from ekf_companion.nav.state import Trajectory
     from ekf_companion.pipeline import Table
 
@@ -32,6 +36,15 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+calibrate = typer.Typer(
+    help="Measure numbers of the configuration from your own logs: YAML to paste, and a figure.",
+    no_args_is_help=True,
+)
+app.add_typer(calibrate, name="calibrate")
+LogArgument = Annotated[Path, typer.Argument(help=".tlog, .bin, .ulg or .csv.")]
+PlotOption = Annotated[
+    Path | None, typer.Option("--plot", help="The figure; by default LOG.KIND.png, here.")
+]
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", "-c", help="YAML file; config/ holds commented ones.")
 ]
@@ -251,6 +264,90 @@ def _trajectory(table: Table, name: str) -> Trajectory:
     columns: dict[str, npt.NDArray[Any]] = {"time_us": table.stamp_ns // 1000}
     columns |= {column: table.column(column) for column in COLUMNS[1:]}
     return to_trajectory(columns, name)
+
+
+def _read(log: Path, config: Config, plot: Path | None, json_file: Path | None) -> Recording:
+    """Open a log that nothing written may overwrite."""
+    from ekf_companion import convert as converter
+
+    for option, path in (("--plot", plot), ("--json", json_file)):
+        if path is not None and path.resolve() == log.resolve():
+            raise ConfigError(f"{option}: {path}: is the log; name another file")
+    with _bar(log.name) as progress:
+        return converter.read(log, config, progress)
+
+
+def _tell(
+    kind: str, log: Path, plot: Path | None, json_file: Path | None, result: Result, draw: Draw
+) -> None:
+    """Print what a calibration found, and write its JSON and its figure."""
+    from ekf_companion.calibrate import plot as plotter
+    from ekf_companion.calibrate.report import lines
+
+    for line in lines(f"ekf-companion calibrate {kind} {log}", result):
+        typer.echo(line)
+    _write_json(json_file, result.to_dict(str(log)))
+    figure = plot if plot is not None else Path(f"{log.stem}.{kind}.png")
+    if plot is None and not plotter.has_matplotlib():
+        typer.echo("# no figure: install ekf-companion with the extra: plot")
+        return
+    plotter.write(figure, f"calibrate {kind} {log.name}", draw)
+    typer.echo(f"# figure: {figure}")
+
+
+@calibrate.command("noise")
+def calibrate_noise(
+    log: LogArgument,
+    config: ConfigOption = None,
+    plot: PlotOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Noise of the inertial sensors, at rest, and of the receiver: Allan deviation, scatter."""
+    from ekf_companion.calibrate import noise, noise_report
+
+    with _sentences():
+        settings = _load(config)
+        recording = _read(log, settings, plot, json_file)
+        found = noise.measure(recording, settings, str(log))
+        result = noise_report.result(found, settings).after(recording.notes)
+        _tell("noise", log, plot, json_file, result, partial(noise_report.draw, found))
+
+
+@calibrate.command("delay")
+def calibrate_delay(
+    log: LogArgument,
+    config: ConfigOption = None,
+    plot: PlotOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Delay of the receiver's fixes: the one under which they are the likeliest."""
+    from ekf_companion.calibrate import delay, delay_report
+
+    with _sentences():
+        settings = _load(config)
+        recording = _read(log, settings, plot, json_file)
+        with _bar(f"{log.name}: delays") as progress:
+            found = delay.measure(recording, settings, str(log), progress)
+        result = delay_report.result(found).after(recording.notes)
+        _tell("delay", log, plot, json_file, result, partial(delay_report.draw, found))
+
+
+@calibrate.command("mag")
+def calibrate_mag(
+    log: LogArgument,
+    config: ConfigOption = None,
+    plot: PlotOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """The vehicle's own magnetism, hard and soft iron, by the ellipsoid that the field draws."""
+    from ekf_companion.calibrate import mag, mag_report
+
+    with _sentences():
+        settings = _load(config)
+        recording = _read(log, settings, plot, json_file)
+        found = mag.measure(recording, settings, str(log))
+        result = mag_report.result(found).after(recording.notes)
+        _tell("mag", log, plot, json_file, result, partial(mag_report.draw, found))
 
 
 @app.command("check-config")

@@ -154,13 +154,15 @@ def _check_keys(data: object, kind: type, name: str, path: tuple[str, ...]) -> d
             raise ConfigError(f"{name}: {where}: unknown key; {advice}")
         if is_dataclass(hints[key]):
             value = _check_keys(value, hints[key], name, (*path, key))
-        elif not all(map(_is_finite, value if isinstance(value, list) else [value])):
+        elif not _is_finite(value):
             raise ConfigError(f"{name}: {where}: {value} is no number to work with; give another")
         table[key] = value
     return table
 
 
 def _is_finite(value: object) -> bool:
+    if isinstance(value, list):
+        return all(map(_is_finite, value))
     return not isinstance(value, float) or math.isfinite(value)
 
 

@@ -20,7 +20,7 @@ from ekf_companion.logs.writer import CsvWriter, create
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.session import PeerFound, Session
-from ekf_companion.nav.measurements import Events, GnssFlag, Kind, Row
+from ekf_companion.nav.measurements import Events, GnssFlag, Kind, Row, merge
 from ekf_companion.nav.state import Status, Trajectory
 from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline, Table, join
 from ekf_companion.smoothing import Smoothing
@@ -165,6 +165,44 @@ def estimate_and_smooth(
     smoothed = list(_smoothed(source, config, report, progress, live))
     _conclude(report, path)
     return join(live), join(smoothed), report, source.reference, source.truth
+
+
+def read(path: Path, config: Config, progress: Progress | None = None) -> Recording:
+    """Give the events of a log, whatever its format: the longest course of time without a restart.
+
+    Args:
+        path: The log.
+        config: Whose ``link`` says which autopilot of a .tlog is listened to.
+        progress: Told how far it is.
+
+    Raises:
+        LogError: The log cannot be read, or holds no event at all.
+    """
+    report = Report(log=str(path))
+    source = _open(path, config, report)
+    tables = []
+    for done, events in _tables(source):
+        tables.append(events)
+        if progress is not None:
+            progress(done, source.size)
+    if not sum(map(len, tables)):
+        raise LogError(f"{path}: holds no measurement; ask the autopilot to log or stream them")
+    arrival = [np.zeros(len(part), dtype=np.int64) for part in tables]
+    events = merge(*tables, arrival_ns=arrival)
+    pieces = np.split(np.arange(len(events)), np.flatnonzero(events.kind == Kind.RESTART))
+    longest = events.take(max(pieces, key=len))
+    if len(pieces) > 1:
+        report.notes.append(
+            "the autopilot's clock begins anew in this log; the longest part counts"
+        )
+    return Recording(
+        family=report.family,
+        events=longest.take(longest.kind != Kind.RESTART),
+        reference=source.reference,
+        truth=source.truth,
+        gnss_delay=source.delay,
+        notes=tuple(report.notes),
+    )
 
 
 class _Telemetry:
@@ -454,4 +492,4 @@ def summary(report: Report) -> list[str]:
     return lines
 
 
-__all__ = ["Report", "convert", "estimate", "estimate_and_smooth", "summary"]
+__all__ = ["Report", "convert", "estimate", "estimate_and_smooth", "read", "summary"]

@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.core import layout as at
-from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
+from ekf_companion.core.settings import FilterSettings, HeadingSettings, delays_ns, parameters
 from ekf_companion.core.timeline import COMPILED_BLOCK, Timeline
 from ekf_companion.nav.magnetic import magnetic_field
 from ekf_companion.nav.measurements import Events, Kind, Measurement, Row
@@ -19,6 +20,7 @@ from ekf_companion.nav.odometry import Odometry
 from ekf_companion.nav.state import COLUMNS, Status
 
 Array = npt.NDArray[np.float64]
+Axis = TypeVar("Axis", float, Array)
 
 LAT, LON, DECLINATION, FLAGS, FIELD = 0, 1, 9, 10, 11
 """Where a GNSS row holds them (nav.measurements.GnssFix.row)."""
@@ -160,6 +162,8 @@ class Pipeline:
             keeps_history: Events that leave the window are kept until :meth:`history` is asked.
         """
         self._settings = settings
+        iron = (settings.heading.hard_iron, settings.heading.soft_iron)
+        self._has_iron = iron != (HeadingSettings().hard_iron, HeadingSettings().soft_iron)
         self._timeline = Timeline(
             parameters(settings, family),
             delays_ns(settings, family, gnss_delay),
@@ -173,7 +177,7 @@ class Pipeline:
 
     def insert(self, row: Row) -> Arrival:
         """Take one measurement as a row; :meth:`process` says what comes of it."""
-        # Add what the place knows: its magnetic field
+        # Add what the place knows: its magnetic field; take off the vehicle's own
         t_ns, kind, values = self._locate(row)
 
         # Refuse what no sensor can say, put the rest in its place in time, redo what came after
@@ -260,6 +264,14 @@ class Pipeline:
         )
 
     @property
+    def log_likelihood(self) -> float:
+        """Sum over all GNSS rows judged so far, -(nis + log det S) / 2, nis no more than its gate.
+
+        It compares settings over the same log: delays, for one. A number by itself says nothing.
+        """
+        return float(self._timeline.block()[at.X_LOGLIK])
+
+    @property
     def origin(self) -> tuple[float, float, float] | None:
         """Latitude, longitude (rad), altitude (m) of the local frame; None before a fix."""
         x = self._timeline.block()
@@ -268,8 +280,10 @@ class Pipeline:
         return float(x[at.X_LAT0]), float(x[at.X_LON0]), float(x[at.X_ALT0])
 
     def _locate(self, row: Row) -> Row:
-        """Give a fix the magnetic field of its place."""
+        """Give a fix the field of its place, and take the vehicle's own off a magnetometer's."""
         t_ns, kind, values = row
+        if kind == Kind.MAG and self._has_iron:
+            return t_ns, kind, (*self._bare(*values[:3]), *values[3:])
         if kind != Kind.GNSS or not math.isnan(values[DECLINATION]):
             return row
         lat, lon = values[LAT], values[LON]
@@ -287,4 +301,15 @@ class Pipeline:
         for i in np.flatnonzero(events.kind == Kind.GNSS):
             row = (int(events.t_ns[i]), int(Kind.GNSS), tuple(values[i].tolist()))
             values[i] = self._locate(row)[2]
+        if self._has_iron:
+            mag = events.kind == Kind.MAG
+            with np.errstate(invalid="ignore", over="ignore"):  # refused where rows are judged
+                values[mag, :3] = np.stack(self._bare(*values[mag, :3].T), axis=1)
         return values
+
+    def _bare(self, x: Axis, y: Axis, z: Axis) -> tuple[Axis, Axis, Axis]:
+        """Give a field without the vehicle's iron; columns come out as numbers do, to the bit."""
+        hard, soft = self._settings.heading.hard_iron, self._settings.heading.soft_iron
+        x, y, z = x - hard[0], y - hard[1], z - hard[2]
+        a, b, c = ((row[0] * x + row[1] * y) + row[2] * z for row in soft)
+        return a, b, c

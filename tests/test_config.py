@@ -99,6 +99,14 @@ def section(text, key):
         ("imu: {gyro_noise: .nan}", "imu.gyro_noise: nan is no number to work with; give another"),
         ("window: .inf", "window: inf is no number to work with"),
         ("gnss: {lever_arm: [1, 2, .nan]}", "gnss.lever_arm: [1, 2, nan] is no number"),
+        (
+            "heading: {soft_iron: [[1, 0, 0], [0, 1, 0], [0, 0, .nan]]}",
+            "heading.soft_iron: [[1, 0, 0], [0, 1, 0], [0, 0, nan]] is no number",
+        ),
+        (
+            "heading: {soft_iron: [[1, 0, 0], [0, 1, 0], [0, 0, 50]]}",
+            "heading.soft_iron.2.2: 50: expected float <= 10.0",
+        ),
         ("imu: 5", "imu: 5 is not a table; write keys and values"),
         ("- 1", "the file: [1] is not a table; write keys and values"),
         ("imu: {gap: 1.0", "is not YAML: while parsing a flow mapping"),

@@ -318,3 +318,43 @@ def test_the_origin_is_the_first_fix_used_and_odometry_tells_the_state():
     assert odometry.pos_n.tolist() == table.values[-1, 3:6].tolist()
     assert odometry.quality == 100
     assert odometry.pose_covariance.shape == (6, 6)
+
+
+SOFT = ((1.1, 0.02, -0.03), (0.02, 0.9, 0.04), (-0.03, 0.04, 1.05))
+IRON = FilterSettings(
+    gnss=KNOWN.gnss, heading=HeadingSettings(hard_iron=(0.2, -0.1, 0.05), soft_iron=SOFT)
+)
+
+
+def test_a_vehicles_iron_is_taken_off_before_anything_is_judged():
+    events, _ = flight("hover", duration=10.0)
+    mag = events.kind == Kind.MAG
+    values = events.values.copy()
+    values[mag, :3] = np.linalg.solve(SOFT, values[mag, :3].T).T + np.array([0.2, -0.1, 0.05])
+    spoilt = Events(t_ns=events.t_ns, kind=events.kind, values=values)
+    clean, _ = run(events)
+    assert np.allclose(run(spoilt, IRON)[0].values, clean.values, atol=1e-6, equal_nan=True)
+    assert not np.allclose(
+        run(spoilt)[0].column("yaw")[-1], clean.column("yaw")[-1], atol=0.1, equal_nan=True
+    )
+
+
+def test_iron_leaves_live_and_table_the_same_bits():
+    events, _ = flight("figure-eight", duration=12.0)
+    table, _ = run(events, IRON)
+    pipeline = Pipeline(IRON)
+    rows = []
+    for row in zip(events.t_ns.tolist(), events.kind.tolist(), events.values.tolist(), strict=True):
+        if pipeline.insert(row) is Arrival.ESTIMATED:
+            rows.append(pipeline.estimate())
+    assert np.array(rows).tobytes() == table.values.tobytes()
+    assert np.isfinite(table.column("yaw")[-1])
+
+
+def test_the_right_delay_is_the_likelier():
+    events, _ = flight("figure-eight", duration=30.0)
+    told = [
+        run(events, FilterSettings(gnss=GnssSettings(delay=delay, delay_std=0.0)))[1]
+        for delay in (0.06, 0.12, 0.18)
+    ]
+    assert told[1].log_likelihood > 20.0 + max(told[0].log_likelihood, told[2].log_likelihood)

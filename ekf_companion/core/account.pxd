@@ -6,3 +6,4 @@ cdef bint weigh(
 cdef bint is_timed_out(double[::1] x, Py_ssize_t aid, double limit) noexcept nogil
 cdef void announce(double[::1] x, double reason) noexcept nogil
 cdef void settle(double[::1] x, Py_ssize_t aid) noexcept nogil
+cdef void score(double[::1] x, double[::1] w, Py_ssize_t m, double nis, double gate) noexcept nogil

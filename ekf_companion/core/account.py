@@ -13,7 +13,10 @@ import cython
 if cython.compiled:
     from cython.cimports.ekf_companion.core import correct, proof
     from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.libc.math import log
 else:
+    from math import log
+
     from ekf_companion.core import correct, proof
     from ekf_companion.core import layout as at
 
@@ -77,6 +80,29 @@ def weigh(
         proof.forgive(x, aid)
     x[at.X_T_USED + aid] = x[at.X_T]
     return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def score(
+    x: cython.double[::1],
+    w: cython.double[::1],
+    m: cython.Py_ssize_t,
+    nis: cython.double,
+    gate: cython.double,
+) -> cython.void:
+    """Add what m judged rows say to the sum of log-likelihoods; an outlier says what a gate does.
+
+    Nothing in the filter reads the sum: it compares settings over the same log.
+    """
+    i: cython.Py_ssize_t
+    cost: cython.double = nis if nis < gate else gate
+    if nis >= 1e30:  # no covariance to judge by
+        return
+    for i in range(m):
+        cost += 2.0 * log(w[at.W_L + 4 * i])
+    x[at.X_LOGLIK] -= 0.5 * cost
 
 
 @cython.cfunc

@@ -111,9 +111,10 @@ cdef enum:
     X_LEAN = 171
     X_RUN = 174
     X_LEVEL = 207
-    X_FRESH = 244
-    X_COV = 268
-    BLOCK = 844
+    X_LOGLIK = 244
+    X_FRESH = 245
+    X_COV = 269
+    BLOCK = 845
     L_T0 = 0
     L_N = 1
     L_GYRO = 2
@@ -219,8 +220,8 @@ cdef enum:
     T_LINK = 0
     T_IS_SAMPLE = 1
     T_BLOCK = 2
-    T_PHI = 846
-    RECORD = 1422
+    T_PHI = 847
+    RECORD = 1423
     LINK_SAME = 0
     LINK_MOVED = 1
     LINK_FRESH = 2

@@ -130,9 +130,10 @@ X_SLOW_HGT = 170
 X_LEAN = 171
 X_RUN = 174
 X_LEVEL = 207
-X_FRESH = 244
-X_COV = 268
-BLOCK = 844
+X_LOGLIK = 244
+X_FRESH = 245
+X_COV = 269
+BLOCK = 845
 
 # What levelling remembers, from X_LEVEL: sums over a window, the motion since a first fix, and a
 # reference: a direction of the body and its azimuth (NaN: that of the magnetic field)
@@ -254,8 +255,8 @@ TAPE = 307
 T_LINK = 0
 T_IS_SAMPLE = 1
 T_BLOCK = 2
-T_PHI = 846
-RECORD = 1422
+T_PHI = 847
+RECORD = 1423
 
 # How a record follows from the one before
 LINK_SAME = 0

@@ -257,6 +257,7 @@ def fuse(
         x[at.X_WHITE + aid] += (share - x[at.X_WHITE + aid]) / memory
         if x[at.X_WHITE + aid] > LARGEST_SHARE:
             x[at.X_WHITE + aid] = LARGEST_SHARE
+    account.score(x, w, m, nis, k[at.K_GATE + m - 1])
     return account.weigh(x, k, w, aid, m, nis)
 
 

@@ -21,6 +21,9 @@ Seconds = Annotated[float, Meta(ge=-1.0, le=1.0)]
 Positive = Annotated[float, Meta(gt=0.0, le=1e6)]
 NotNegative = Annotated[float, Meta(ge=0.0, le=1e6)]
 Probability = Annotated[float, Meta(gt=0.5, lt=1.0)]
+Gauss = Annotated[float, Meta(ge=-10.0, le=10.0)]
+Factor = Annotated[float, Meta(ge=-10.0, le=10.0)]
+MatrixRow = tuple[Factor, Factor, Factor]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,6 +138,14 @@ class HeadingSettings:
     """Of the magnetic field, rad, east positive; auto: World Magnetic Model at the fix."""
     year: Annotated[float, Meta(ge=2025.0, le=2030.0)] = 2026.0
     """For the World Magnetic Model, decimal year."""
+    hard_iron: tuple[Gauss, Gauss, Gauss] = (0.0, 0.0, 0.0)
+    """What the vehicle adds to the field: forward, right, down, gauss; taken off first."""
+    soft_iron: tuple[MatrixRow, MatrixRow, MatrixRow] = (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
+    """What the rest is multiplied by, to be the Earth's field: three rows of a matrix."""
     magnetometer_std: Positive = 0.02
     """One sigma of the slow error of a compass heading beside hard iron, rad: declination, scale,
     mounting."""

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from ekf_companion.core import layout as at
 from tests.core.interpreted import load
@@ -107,3 +108,21 @@ def test_forgetting_leaves_no_correlation():
     assert not P[at.E_POS :, at.E_VEL].any()
     fresh = x[at.X_FRESH : at.X_FRESH + at.N]
     assert np.flatnonzero(fresh).tolist() == [at.E_VEL, at.E_VEL + 1, at.E_VEL + 2]
+
+
+def test_a_log_likelihood_is_that_of_a_normal_distribution_up_to_the_gate():
+    account = load().account
+    x, w = np.zeros(at.BLOCK), np.zeros(at.SCRATCH)
+    S = np.array([[4.0, 1.0], [1.0, 2.0]])
+    L = np.linalg.cholesky(S)
+    w[at.W_L], w[at.W_L + 3], w[at.W_L + 4] = L[0, 0], L[1, 0], L[1, 1]
+    z = np.array([1.0, -2.0])
+    nis = float(z @ np.linalg.solve(S, z))
+    account.score(x, w, 2, nis, 20.0)
+    said = -0.5 * (nis + np.log(np.linalg.det(S)))
+    assert x[at.X_LOGLIK] == pytest.approx(said, rel=1e-12)
+    account.score(x, w, 2, 1e6, 20.0)
+    outlier = -0.5 * (20.0 + np.log(np.linalg.det(S)))
+    assert x[at.X_LOGLIK] == pytest.approx(said + outlier, rel=1e-12)
+    account.score(x, w, 2, 1e30, 20.0)
+    assert x[at.X_LOGLIK] == pytest.approx(said + outlier, rel=1e-12)

@@ -1,0 +1,159 @@
+"""A field of constant strength, seen by a magnetometer with iron about it: the fit of an ellipsoid.
+
+The vehicle adds a constant (hard iron) and stretches and shears the rest (soft iron), so what
+should lie on a sphere lies on an ellipsoid: ``|S (m - h)| = F``. S is symmetric: a rotation of the
+whole cannot be seen in the strength.
+
+Source: Vasconcelos et al. 2011, IEEE Trans. AES 47, 2 (ellipsoid fit, maximum likelihood); Huber
+1964 (outliers).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+CELLS = 100
+"""Directions told apart, some 20 degrees each: however long one is held, it counts once."""
+LIKELY_HARD = 1.0
+"""One sigma of a hard iron beforehand, gauss: keeps what is not seen near none."""
+LIKELY_SOFT = 0.05
+"""One sigma of an element of the soft iron beforehand; what is not fitted is as uncertain."""
+LEAST_NOISE = 0.005
+"""What the field about a vehicle differs by from time to time at the least, gauss."""
+KNEE = 2.0
+"""Beyond so many sigmas an innovation counts by its size, no longer by its square."""
+STEPS = 50
+SYMMETRIC = np.array([[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]])
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Fit:
+    """Iron, and how sure it is."""
+
+    hard: Array
+    """gauss, shape (3,)."""
+    soft: Array
+    """Shape (3, 3)."""
+    hard_std: Array
+    """One sigma by axis, gauss, shape (3,)."""
+    soft_std: float
+    """Largest one sigma of an element that was fitted; 0: none was."""
+    rms: float
+    """Of the strength after the correction, less the field's, gauss; each direction counts once."""
+
+    def apply(self, mag_b: Array) -> Array:
+        """Give the field without the iron, shape (n, 3), gauss."""
+        return np.asarray((mag_b - self.hard) @ self.soft.T)
+
+
+def sphere(points: Array, weight: Array | None = None) -> tuple[Array, float]:
+    """Give centre and radius of the sphere nearest to points, shape (n, m), by linear equations.
+
+    In two dimensions it is a circle. Source: Kasa 1976, IEEE Trans. IM 25, 1.
+    """
+    middle = points.mean(axis=0)
+    arms = points - middle
+    root = np.ones(len(arms)) if weight is None else np.sqrt(weight)
+    rows = np.column_stack([2.0 * arms, np.ones(len(arms))]) * root[:, None]
+    terms = np.linalg.lstsq(rows, np.sum(arms**2, axis=1) * root, rcond=None)[0]
+    return middle + terms[:-1], float(np.sqrt(max(terms[-1] + terms[:-1] @ terms[:-1], 0.0)))
+
+
+def directions(arms: Array) -> npt.NDArray[np.int64]:
+    """Give for each vector, shape (n, 3), the cell of the sphere that it points to, 0 to CELLS-1.
+
+    The cells are those nearest to the points of a Fibonacci lattice (Gonzalez 2010).
+    """
+    return np.asarray(np.argmax(arms @ _lattice().T, axis=1), dtype=np.int64)
+
+
+def _lattice() -> Array:
+    i = np.arange(CELLS)
+    z = 1.0 - (2.0 * i + 1.0) / CELLS
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * i
+    r = np.sqrt(1.0 - z * z)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+
+
+def weights(arms: Array) -> Array:
+    """Give weights by which every direction that occurs counts once."""
+    cell = directions(arms)
+    return 1.0 / np.bincount(cell, minlength=CELLS)[cell]
+
+
+def spread(field_b: Array, strength: float) -> float:
+    """Give the RMS of the strength of fields, shape (n, 3), less the true one, gauss."""
+    off = np.linalg.norm(field_b, axis=1) - strength
+    return float(np.sqrt(np.average(off**2, weights=weights(field_b))))
+
+
+def fit(mag_b: Array, strength: float, *, is_soft: bool, start: Array) -> Fit:
+    """Fit the iron to measured fields by Gauss-Newton steps, outliers counting less.
+
+    Args:
+        mag_b: gauss, shape (n, 3).
+        strength: Of the Earth's field, gauss.
+        is_soft: Fit the soft iron too; else it is the identity, and a doubt.
+        start: Hard iron to begin from, gauss.
+    """
+    share = weights(mag_b - start)
+    size = 9 if is_soft else 3
+    sigmas = np.concatenate([np.full(3, LIKELY_HARD), np.full(6, LIKELY_SOFT)])
+    terms = np.concatenate([start, np.zeros(6)])
+    for _ in range(STEPS):
+        innovation, jacobian = _model(terms, mag_b, strength)
+        size_of = np.abs(innovation)
+        noise = max(1.4826 * _weighted_median(size_of, share), LEAST_NOISE)
+        weight = share / noise**2 / np.maximum(size_of / (KNEE * noise), 1.0)
+        fitted, rest = jacobian[:, :size], jacobian[:, size:]
+        own = np.linalg.inv((fitted.T * weight) @ fitted + np.diag(sigmas[:size] ** -2.0))
+        step = own @ ((fitted.T * weight) @ innovation + terms[:size] / sigmas[:size] ** 2)
+        terms[:size] -= step
+        if np.abs(step).max() < 1e-7:
+            break
+    # What was not fitted is a doubt (Schmidt 1966)
+    gain = own @ (fitted.T * weight) @ rest
+    std = np.sqrt(np.diag(own + (gain * sigmas[size:] ** 2) @ gain.T))
+    hard, soft = _unpack(terms)
+    return Fit(
+        hard=hard,
+        soft=soft,
+        hard_std=std[:3],
+        soft_std=float(std[3:].max(initial=0.0)),
+        rms=spread((mag_b - hard) @ soft, strength),
+    )
+
+
+def _unpack(terms: Array) -> tuple[Array, Array]:
+    """Give hard and soft iron of three or nine numbers."""
+    soft = np.eye(3)
+    for term, (i, j) in zip(terms[3:], SYMMETRIC, strict=False):
+        soft[i, j] = soft[j, i] = soft[i, j] + term
+    return terms[:3].copy(), soft
+
+
+def _model(terms: Array, mag_b: Array, strength: float) -> tuple[Array, Array]:
+    """Give strength after the correction less the field's, and its slopes by all nine numbers."""
+    hard, soft = _unpack(terms)
+    arms = mag_b - hard
+    fields = arms @ soft
+    size = np.linalg.norm(fields, axis=1)
+    units = fields / size[:, None]
+    jacobian = np.empty((len(arms), 9))
+    jacobian[:, :3] = -units @ soft
+    for column, (i, j) in enumerate(SYMMETRIC, 3):
+        jacobian[:, column] = units[:, i] * arms[:, j]
+        if i != j:
+            jacobian[:, column] += units[:, j] * arms[:, i]
+    return size - strength, jacobian
+
+
+def _weighted_median(values: Array, weight: Array) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return float(values[order[np.searchsorted(total, 0.5 * total[-1])]])

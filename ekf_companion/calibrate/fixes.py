@@ -1,0 +1,192 @@
+"""The errors of a log's fixes: at rest as they are, in flight with the motion taken off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.calibrate import rest
+from ekf_companion.calibrate.rest import Stretch
+from ekf_companion.calibrate.scatter import Scatter, Series, measure
+from ekf_companion.core.settings import FilterSettings, delays_ns
+from ekf_companion.logs.recording import Recording
+from ekf_companion.nav import so3
+from ekf_companion.nav.earth import STANDARD_GRAVITY, LocalFrame
+from ekf_companion.nav.measurements import Events, GnssFlag, Kind
+from ekf_companion.nav.state import Status
+from ekf_companion.pipeline import Pipeline, Table
+
+Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+VELOCITY, STDS, FLAGS = slice(3, 6), slice(6, 9), 10
+"""Where a GNSS row holds them."""
+LARGEST = np.array([1.57, 3.15, 1e5])
+"""Latitude, longitude, rad, and altitude, m, that a fix can have."""
+EVEN = 1.5
+"""A step between fixes so many times the usual one is a gap."""
+FLIGHT, REST = 40.0, 20.0
+"""Least time in flight and at rest, s, to tell anything from."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Receiver:
+    """How a receiver scatters, in one state of motion; None: not to be told."""
+
+    state: str
+    """``at rest`` or ``in flight``."""
+    seconds: float
+    horizontal: Scatter | None
+    """m."""
+    height: Scatter | None
+    """m."""
+    velocity: Scatter | None
+    """Horizontal, m/s."""
+    stated: tuple[float, float, float]
+    """What the receiver says of the three, median; NaN: nothing."""
+
+
+def find(recording: Recording) -> Events:
+    """Give the receiver's own fixes in order of time, each once."""
+    events = recording.events
+    gnss = (events.kind == Kind.GNSS) & (events.values[:, FLAGS] == float(GnssFlag.NONE))
+    gnss &= (np.abs(events.values[:, :3]) < LARGEST).all(axis=1)
+    index = np.flatnonzero(gnss)
+    first = np.unique(events.t_ns[index], return_index=True)[1]
+    return events.take(index[first])
+
+
+def at_rest(fixes: Events, stretches: Sequence[Stretch]) -> Receiver | None:
+    """Measure the fixes that came while the vehicle stood still; None: too few did."""
+    parts = []
+    for stretch in stretches:
+        inside = (fixes.t_ns > stretch.t_ns[0]) & (fixes.t_ns < stretch.t_ns[-1])
+        parts.append(fixes.take(inside))
+    parts = [part for part in parts if len(part) > 2]
+    if not parts:
+        return None
+    frame = _frame(fixes)
+    errors = [np.hstack([_ned(frame, part), part.values[:, VELOCITY]]) for part in parts]
+    return _receiver("at rest", [part.t_ns for part in parts], errors, fixes, REST, 0.0)
+
+
+def in_flight(
+    recording: Recording, settings: FilterSettings, fixes: Events, still: Sequence[Stretch]
+) -> Receiver | None:
+    """Measure the fixes that came in motion against the estimator's; None: too few did."""
+    pipeline = Pipeline(settings, recording.family, recording.gnss_delay)
+    table = pipeline.run(recording.events)
+    if len(fixes) < 3 or len(table) < 3:
+        return None
+    late = delays_ns(settings, recording.family, recording.gnss_delay)[Kind.GNSS]
+    true_ns = fixes.t_ns - late - round(pipeline.health().gnss_delay * 1e9)
+    known = np.isfinite(table.column("vel_n")) & (table.column("status") >= Status.OK)
+    row = np.clip(np.searchsorted(table.stamp_ns, true_ns), 1, len(table) - 1)
+    moving = known[row] & known[row - 1] & (true_ns > table.stamp_ns[0])
+    for stretch in still:
+        moving &= (true_ns < stretch.t_ns[0]) | (true_ns > stretch.t_ns[-1])
+    if moving.sum() < 3:
+        return None
+    antenna = _antenna(recording.events, table, settings)
+    way, speed, gained = (_at(true_ns, table.stamp_ns, one) for one in antenna)
+    velocity = fixes.values[:, VELOCITY]
+    position = _ned(_frame(fixes), fixes) - way - _integral(fixes, velocity - speed)
+    errors = np.hstack([position, velocity - gained])
+    resets = table.column("reset_count")[row]
+    pieces = np.cumsum(np.diff(resets, prepend=resets[0]) != 0.0)
+    chosen = [moving & (pieces == piece) for piece in np.unique(pieces)]
+    stamps, parts = [fixes.t_ns[one] for one in chosen], [errors[one] for one in chosen]
+    first = _receiver("in flight", stamps, parts, fixes, FLIGHT, 0.0)
+    if first is None or first.velocity is None:
+        return first
+    # The integral of the receiver's velocity wanders by its white noise
+    period = float(np.median(np.diff(fixes.t_ns))) * 1e-9
+    wander = first.velocity.white**2 * period
+    return _receiver("in flight", stamps, parts, fixes, FLIGHT, wander)
+
+
+def _receiver(
+    state: str,
+    stamps: Sequence[Stamps],
+    errors: Sequence[Array],
+    fixes: Events,
+    least: float,
+    wander: float,
+) -> Receiver | None:
+    """Measure position and velocity errors, columns n, e, d of each, cut at gaps."""
+    period = float(np.median(np.diff(fixes.t_ns))) * 1e-9
+    parts: list[Array] = []
+    for t_ns, values in zip(stamps, errors, strict=True):
+        cuts = np.flatnonzero(np.diff(t_ns) * 1e-9 > EVEN * period) + 1
+        parts += [part for part in np.split(values, cuts) if len(part) > 2]
+    seconds = period * sum(map(len, parts))
+    if seconds < least:
+        return None
+
+    def scatter(columns: slice, wander: float) -> Scatter | None:
+        whole = [part[:, columns] for part in parts]
+        series = [Series(period=period, values=one) for one in whole if np.isfinite(one).all()]
+        return measure(series, wander) if series else None
+
+    stds = np.where(fixes.values[:, STDS] > 0.0, fixes.values[:, STDS], np.nan)
+    stated = [float(np.nanmedian(std)) if np.isfinite(std).any() else np.nan for std in stds.T]
+    return Receiver(
+        state=state,
+        seconds=seconds,
+        horizontal=scatter(slice(0, 2), wander),
+        height=scatter(slice(2, 3), wander),
+        velocity=scatter(slice(3, 5), 0.0),
+        stated=(stated[0], stated[1], stated[2]),
+    )
+
+
+def _frame(fixes: Events) -> LocalFrame:
+    lat, lon, alt = np.median(fixes.values[:, :3], axis=0)
+    return LocalFrame(float(lat), float(lon), float(alt))
+
+
+def _ned(frame: LocalFrame, fixes: Events) -> Array:
+    return frame.to_ned(*fixes.values[:, :3].T)
+
+
+def _at(t_ns: Stamps, stamp_ns: Stamps, columns: Array) -> Array:
+    """Interpolate columns of a table at other times."""
+    t, stamp = (t_ns - stamp_ns[0]) * 1e-9, (stamp_ns - stamp_ns[0]) * 1e-9
+    return np.stack([np.interp(t, stamp, column) for column in columns.T], axis=1)
+
+
+def _columns(table: Table, *names: str) -> Array:
+    return np.nan_to_num(np.stack([table.column(name) for name in names], axis=1))
+
+
+def _antenna(events: Events, table: Table, settings: FilterSettings) -> tuple[Array, Array, Array]:
+    """Give the antenna's way, m, its velocity, and what of that was gained, m/s, at every estimate.
+
+    North, east, down. The way is the integral of the estimated velocity (the receiver's has yet to
+    correct it); gained is the integral of the specific force, turned by the estimated attitude, and
+    gravity. Both with what the lever arm adds.
+    """
+    step = np.diff(table.stamp_ns, prepend=table.stamp_ns[:1])[:, None] * 1e-9
+    velocity = _columns(table, "vel_n", "vel_e", "vel_d")
+    way = np.cumsum(0.5 * (velocity + np.roll(velocity, 1, axis=0)) * step, axis=0)
+    t_ns, values = rest.samples(events)
+    force_b = values[np.minimum(np.searchsorted(t_ns, table.stamp_ns), len(t_ns) - 1), 3:]
+    force_b = force_b - _columns(table, "accel_bias_x", "accel_bias_y", "accel_bias_z")
+    q_nb = _columns(table, "q_w", "q_x", "q_y", "q_z")
+    accel_n = so3.rotate(q_nb, force_b) + np.array([0.0, 0.0, STANDARD_GRAVITY])
+    arm_b = np.broadcast_to(np.array(settings.gnss.lever_arm), (len(table), 3))
+    arm_n = so3.rotate(q_nb, arm_b)
+    swing_n = np.diff(arm_n, axis=0, prepend=arm_n[:1]) / np.maximum(step, 1e-6)
+    return way + arm_n, velocity + swing_n, np.cumsum(accel_n * step, axis=0) + swing_n
+
+
+def _integral(fixes: Events, velocity: Array) -> Array:
+    """Give the integral of a velocity at every fix, m; what is not known is none."""
+    known = np.nan_to_num(velocity)
+    step = np.diff(fixes.t_ns)[:, None] * 1e-9
+    means = 0.5 * (known[1:] + known[:-1])
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(means * step, axis=0)])

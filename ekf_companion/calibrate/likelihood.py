@@ -1,0 +1,86 @@
+"""How likely a log's fixes are under one delay or another."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.logs.recording import Recording
+from ekf_companion.pipeline import Aid, Pipeline, Verdict
+
+Array = npt.NDArray[np.float64]
+
+JUDGED = (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY)
+
+
+class Likelihood:
+    """Log-likelihood by delay, each computed once."""
+
+    def __init__(self, recording: Recording, settings: FilterSettings) -> None:
+        self._recording = recording
+        self._settings = settings
+        self._cuts: list[int] = []
+        self._known: dict[int, tuple[Array, int]] = {}
+        self.rows = 0
+        """Most rows that were judged under one delay."""
+
+    def cut(self, seconds: Array) -> None:
+        """Count from the first time (of the stamps, s) on, in blocks that end at the others."""
+        newest = np.maximum.accumulate(self._recording.events.t_ns)
+        stamps = np.rint(seconds * 1e9).astype(np.int64)
+        self._cuts = [0, *np.searchsorted(newest, stamps, side="right").tolist()]
+        self._known.clear()
+
+    def blocks(self, delay: float) -> Array:
+        """Give the sum of each block."""
+        key = round(delay * 1e6)
+        if key not in self._known:
+            self._known[key] = self._run(key * 1e-6)
+            self.rows = max(self.rows, self._known[key][1])
+        return self._known[key][0]
+
+    def total(self, delay: float) -> float:
+        """Give the sum; a fix that was not judged for its delay counts like the mean of the rest.
+
+        That is one or two at the ends, or many where the filter had to begin anew.
+        """
+        total = float(self.blocks(delay).sum())
+        count = self._known[round(delay * 1e6)][1]
+        return total * self.rows / count if count else -math.inf
+
+    def scaled(self, delay: float) -> Array:
+        """Give the sum of each block, so that all delays count the same number of rows."""
+        blocks = self.blocks(delay)
+        return blocks * (self.rows / max(self._known[round(delay * 1e6)][1], 1))
+
+    def curve(self) -> tuple[Array, Array]:
+        """Give all delays that were tried, ascending, and the sums over that of the best."""
+        delays = np.array(sorted(self._known)) * 1e-6
+        totals = np.array([self.total(float(delay)) for delay in delays])
+        return delays, totals - totals.max()
+
+    def best(self) -> float:
+        """Give the likeliest of all that were tried."""
+        delays, gain = self.curve()
+        return float(delays[np.argmax(gain)])
+
+    def _run(self, delay: float) -> tuple[Array, int]:
+        recording = self._recording
+        gnss = replace(self._settings.gnss, delay=delay, delay_std=0.0)
+        pipeline = Pipeline(replace(self._settings, gnss=gnss), recording.family)
+        sums, counts = [], []
+        for first, last in zip(self._cuts, self._cuts[1:], strict=False):
+            pipeline.run(recording.events.take(np.arange(first, last)))
+            sums.append(pipeline.log_likelihood)
+            counts.append(judged(pipeline))
+        return np.diff(sums), counts[-1] - counts[0]
+
+
+def judged(pipeline: Pipeline) -> int:
+    """Give how many GNSS positions, heights and velocities were fused or refused so far."""
+    verdicts = pipeline.health().verdicts
+    return sum(verdicts[aid][Verdict.FUSED] + verdicts[aid][Verdict.GATED] for aid in JUDGED)

@@ -1,0 +1,156 @@
+"""How a receiver's fixes scatter: from one to the next, and over minutes.
+
+The structure function of an error e is ``D(tau) = E[(e(t + tau) - e(t))^2] / 2``. White noise
+gives it its variance at once, a slow error of correlation time T adds ``s^2 (1 - exp(-tau / T))``.
+At rest the fixes are the error themselves. In flight the motion is taken off: from positions the
+integral of the receiver's own velocity, carried from fix to fix by the estimator's; from velocities
+the integral of the specific force. What such a reference errs by is smooth from one fix to the
+next, so the white level is taken from second differences, whose variance is six times that of
+white noise.
+
+Source: IEEE Std 952-1997, annex C (structure function); Kolmogorov 1941; J. von Neumann 1941,
+Annals of Mathematical Statistics 12, 4 (successive differences).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+MEDIAN = 1.4826
+"""Standard deviation over median of the size, of normal numbers."""
+FEWEST = 30
+"""Fixes to tell a white level from."""
+LONGEST = 0.5
+"""Lags up to this share of the longest series are looked at."""
+TINY = 1e-12
+"""Square units: more than nothing."""
+BETTER = 10.0
+"""By so much of twice the log-likelihood must a slow error explain more than white noise alone."""
+LEAST_SLOW = 0.5
+"""Share of the white noise below which a slow error does not matter."""
+SEEN = 6.0
+"""A correlation time is told by a series that is so many times as long."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Series:
+    """Errors of fixes, but for a constant, at even times."""
+
+    period: float
+    """s."""
+    values: Array
+    """Shape (n, axes)."""
+
+    @property
+    def seconds(self) -> float:
+        """Give its length, s."""
+        return len(self.values) * self.period
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Scatter:
+    """White and slow part of an error, per axis."""
+
+    white: float
+    """One sigma."""
+    white_std: float
+    """One sigma of that, as a share of it."""
+    slow: float
+    """One sigma; of what the log is long enough to see."""
+    time: float | None
+    """Correlation time of the slow part, s; None: none shows, or the log is too short for it."""
+    lag: Array
+    """s."""
+    structure: Array
+    """Structure function, less what the reference wanders."""
+    seconds: float
+    """Length of the longest series."""
+
+    def model(self, time: float) -> Array:
+        """Give the structure function at the lags for a correlation time, s."""
+        return np.asarray(self.white**2 + self.slow**2 * (1.0 - np.exp(-self.lag / time)))
+
+
+def measure(series: Sequence[Series], wander: float = 0.0) -> Scatter | None:
+    """Split errors into a white and a slow part; None: there are too few.
+
+    Args:
+        series: Of one period.
+        wander: Variance that the reference gains in a second, in square units per s.
+    """
+    second = [np.diff(one.values, 2, axis=0).ravel() for one in series if len(one.values) > 2]
+    jumps = np.concatenate(second) if second else np.zeros(0)
+    if len(jumps) < FEWEST:
+        return None
+    white = _sigma(jumps) / math.sqrt(6.0)
+    period, seconds = series[0].period, max(one.seconds for one in series)
+    lag, structure, freedom = _structure(series, period, seconds)
+    structure = np.maximum(structure - 0.5 * wander * lag, 0.0)
+    slow, time = _slow_part(lag, structure, freedom, white, seconds, wander)
+    return Scatter(
+        white=white,
+        # A median is as sure as a third of the numbers, and neighbours share two fixes of three
+        white_std=1.6 / math.sqrt(len(jumps)),
+        slow=slow,
+        time=time,
+        lag=lag,
+        structure=structure,
+        seconds=seconds,
+    )
+
+
+def _sigma(values: Array) -> float:
+    """Give the standard deviation, outliers apart; where most are equal, as it is."""
+    robust = MEDIAN * float(np.median(np.abs(values)))
+    return robust if robust > 0.0 else float(np.sqrt(np.mean(values**2)))
+
+
+def _structure(
+    series: Sequence[Series], period: float, seconds: float
+) -> tuple[Array, Array, Array]:
+    """Give lags, the structure function there, and how many independent differences it is from."""
+    most = max(int(LONGEST * seconds / period), 1)
+    steps = np.unique(np.rint(np.geomspace(1, most, 40)).astype(np.int64))
+    structure, freedom = [], []
+    for step in steps.tolist():
+        parts = [one.values[step:] - one.values[:-step] for one in series if len(one.values) > step]
+        differences = np.concatenate([part.ravel() for part in parts])
+        structure.append(0.5 * _sigma(differences) ** 2)
+        freedom.append(max(len(differences) / step, 1.0))
+    lag = np.asarray(steps * period, dtype=np.float64)
+    return lag, np.array(structure), np.array(freedom)
+
+
+def _slow_part(
+    lag: Array, structure: Array, freedom: Array, white: float, seconds: float, wander: float
+) -> tuple[float, float | None]:
+    """Give level and correlation time of what is beyond the white noise.
+
+    The time is None where the white noise explains it nearly as well, where the series is too short
+    for it, and where the reference wanders as much.
+    """
+
+    def misfit(modelled: Array) -> float:
+        return float(np.sum(freedom * (np.log(modelled) + structure / modelled)))
+
+    alone = np.full(len(lag), white**2 + TINY)
+    best, level, time = misfit(alone), 0.0, seconds
+    for each in np.geomspace(5.0 * lag[0], 2.0 * seconds, 60):
+        rise = 1.0 - np.exp(-lag / each)
+        modelled = np.maximum(structure, alone)
+        for _ in range(4):
+            weight = freedom * rise / modelled**2
+            height = max(float(weight @ (structure - white**2) / (weight @ rise)), 0.0)
+            modelled = alone + height * rise
+        if misfit(modelled) < best - BETTER:
+            best, level, time = misfit(modelled), height, float(each)
+    if time * SEEN <= seconds and level > max(1.5 * wander * time, (LEAST_SLOW * white) ** 2):
+        return float(np.sqrt(level)), time
+    return float(np.sqrt(max(structure[-1] - white**2, 0.0))), None

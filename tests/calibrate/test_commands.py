@@ -1,0 +1,107 @@
+"""The commands: what they print, write and refuse."""
+
+import json
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from ekf_companion.cli import app
+from ekf_companion.config import _Loader, parse_config
+from sim_autopilot.__main__ import app as simulator
+
+
+def command(*arguments):
+    return CliRunner().invoke(app, ["calibrate", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    """Give logs of a flight and of a vehicle that stands."""
+    logs = {}
+    for name, seconds in (("figure-eight", "45"), ("static", "40"), ("hover", "12")):
+        logs[name] = tmp_path_factory.mktemp("flown") / f"{name}.tlog"
+        options = ["--scenario", name, "--duration", seconds, "--imu-rate", "50"]
+        made = CliRunner().invoke(simulator, ["generate", "-o", str(logs[name]), *options])
+        assert made.exit_code == 0, made.output
+    return logs
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "key"),
+    [
+        ("noise", "static", "imu.gyro_noise"),
+        ("delay", "figure-eight", "gnss.delay"),
+        ("mag", "figure-eight", "heading.hard_iron"),
+    ],
+)
+def test_a_calibration_prints_yaml_and_writes_a_figure_and_json(flown, tmp_path, kind, name, key):
+    result = command(kind, flown[name], "--json", "all.json")
+    assert result.exit_code == 0, result.output
+    parse_config(yaml.load(result.stdout, _Loader), "printed")
+    assert result.stdout.startswith(f"# ekf-companion calibrate {kind} ")
+    assert (tmp_path / f"{name}.{kind}.png").read_bytes().startswith(b"\x89PNG")
+    assert key in json.loads((tmp_path / "all.json").read_text())["keys"]
+
+
+def test_the_delay_of_a_log_is_printed_to_be_pasted(flown):
+    result = command("delay", flown["figure-eight"], "--plot", "curve.svg")
+    pasted = parse_config(yaml.load(result.stdout, _Loader), "printed")
+    assert pasted.gnss.delay == pytest.approx(0.12, abs=0.01)
+    assert result.stdout.endswith("# figure: curve.svg\n")
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "sentence"),
+    [
+        ("noise", "hover", "tells nothing of noise"),
+        ("delay", "static", "its motion does not show the delay of fixes"),
+        ("mag", "static", "the vehicle has hardly turned"),
+    ],
+)
+def test_a_log_that_cannot_serve_ends_with_3_and_a_sentence(flown, tmp_path, kind, name, sentence):
+    result = command(kind, flown[name])
+    assert result.exit_code == 3
+    assert result.stderr.startswith(f"ekf-companion: {flown[name]}: {sentence}")
+    assert result.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["--plot", "--json"])
+def test_nothing_overwrites_the_log(flown, option):
+    before = flown["static"].read_bytes()
+    result = command("noise", flown["static"], option, flown["static"])
+    assert result.exit_code == 2
+    assert "is the log; name another file" in result.stderr
+    assert flown["static"].read_bytes() == before
+
+
+def test_a_figure_that_cannot_be_written_ends_with_1(flown):
+    result = command("mag", flown["figure-eight"], "--plot", "no/such/folder/figure.png")
+    assert result.exit_code == 1
+    assert "the figure cannot be written" in result.stderr
+
+
+def test_a_log_that_is_none_ends_with_3(tmp_path):
+    (tmp_path / "empty.csv").write_text("")
+    assert command("delay", "empty.csv").exit_code == 3
+    assert command("mag", "missing.bin").exit_code == 3
+
+
+def test_a_log_with_a_restart_serves_by_its_longest_part(flown, tmp_path):
+    from ekf_companion.config import Config
+    from ekf_companion.convert import read
+    from ekf_companion.nav.measurements import Kind
+
+    twice = tmp_path / "twice.tlog"
+    twice.write_bytes(flown["hover"].read_bytes() + flown["static"].read_bytes())
+    recording = read(twice, Config())
+    imu = recording.events.t_ns[recording.events.kind == Kind.IMU]
+    assert not (recording.events.kind == Kind.RESTART).any()
+    assert (imu[-1] - imu[0]) * 1e-9 == pytest.approx(40.0, abs=1.0)
+    assert any("begins anew" in note for note in recording.notes)

@@ -1,0 +1,103 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ekf_companion.calibrate import delay, delay_report
+from ekf_companion.config import Config
+from ekf_companion.core.settings import FilterSettings, GnssSettings
+from ekf_companion.errors import LogError
+from ekf_companion.nav.measurements import Kind
+from sim_autopilot.config import GnssConfig, ImuConfig
+from tests.calibrate.recordings import fly, without
+
+SETTINGS = FilterSettings()
+
+
+@pytest.mark.parametrize("late", [0.0, 0.1, 0.2, 0.3])
+def test_a_delay_is_found(late):
+    found = delay.measure(fly("figure-eight", 60.0, gnss=GnssConfig(delay=late)), SETTINGS)
+    assert found.best == pytest.approx(late, abs=0.01)
+    assert found.low <= late <= found.high
+    assert found.high - found.low < 0.02
+    assert found.gain.max() == 0.0
+
+
+def test_an_interval_covers_the_truth_where_the_inertial_sensors_are_noisy():
+    noisy = ImuConfig(rate=50.0, gyro_noise=0.006, accel_noise=0.08)
+    inside = 0
+    for seed in range(1, 5):
+        late = 0.05 * seed
+        flown = fly("figure-eight", 60.0, noisy, GnssConfig(delay=late), seed=seed)
+        found = delay.measure(flown, SETTINGS)
+        assert found.best == pytest.approx(late, abs=0.015)
+        inside += found.low <= late <= found.high
+    assert inside >= 3
+
+
+def test_what_is_configured_or_declared_is_not_asked():
+    flown = fly("figure-eight", 60.0, gnss=GnssConfig(delay=0.1))
+    told = FilterSettings(gnss=GnssSettings(delay=0.4, delay_std=0.0))
+    found = delay.measure(replace(flown, gnss_delay=0.3), told)
+    assert found.best == pytest.approx(0.1, abs=0.01)
+
+
+def test_positions_alone_tell_a_delay_too():
+    flown = fly("figure-eight", 90.0, gnss=GnssConfig(delay=0.2, noise_h=0.3))
+    found = delay.measure(flown, FilterSettings(gnss=GnssSettings(use_velocity=False)))
+    assert found.low <= 0.2 <= found.high
+    assert found.best == pytest.approx(0.2, abs=0.03)
+
+
+def test_progress_is_told():
+    told = []
+    delay.measure(fly("figure-eight", 60.0), SETTINGS, progress=lambda *pair: told.append(pair))
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert all(done <= total for done, total in told)
+
+
+def test_a_vehicle_that_stands_does_not_show_a_delay():
+    with pytest.raises(LogError, match=r"^x\.bin: its motion does not show the delay of fixes"):
+        delay.measure(fly("static", 60.0), SETTINGS, "x.bin")
+
+
+def test_a_log_that_cannot_serve_is_named_with_the_reason():
+    flown = fly("figure-eight", 60.0)
+    with pytest.raises(LogError, match="holds no GNSS fix"):
+        delay.measure(without(flown, Kind.GNSS), SETTINGS)
+    with pytest.raises(LogError, match="holds no inertial samples"):
+        delay.measure(without(flown, Kind.IMU), SETTINGS)
+    with pytest.raises(LogError, match="no position could be estimated"):
+        delay.measure(without(flown, Kind.MAG), SETTINGS)
+    with pytest.raises(LogError, match=r"only 1\d s with a position; the delay needs 20 s"):
+        delay.measure(fly("figure-eight", 25.0), SETTINGS)
+    events = flown.events
+    imu = np.flatnonzero(events.kind == Kind.IMU)
+    kept = np.ones(len(events), dtype=bool)
+    kept[imu] = np.arange(len(imu)) % 10 == 0
+    with pytest.raises(LogError, match=r"come at 5\.0 Hz, below the 20 Hz"):
+        delay.measure(replace(flown, events=events.take(kept)), SETTINGS)
+
+
+def test_the_keys_say_the_delay_and_how_sure_it_is():
+    found = delay.measure(fly("figure-eight", 60.0), SETTINGS)
+    keys = {one.key: one for one in delay_report.result(found).findings}
+    assert keys["gnss.delay"].value == pytest.approx(0.12, abs=0.005)
+    assert keys["gnss.delay"].comment.startswith("s; 95 %: 0.1")
+    assert 0.002 <= keys["gnss.delay_std"].value <= 0.005
+
+
+@pytest.mark.parametrize(
+    ("name", "late", "near"),
+    [
+        ("sitl-arducopter-bin/flight.bin", 0.085, 0.005),
+        ("sitl-arducopter-square/flight.tlog", 0.085, 0.005),
+        ("px4-ulg-x500-mission/x500_mission_2023.ulg", 0.110, 0.03),  # as the log declares it
+    ],
+)
+def test_a_recorded_flight_shows_its_delay(flight, name, late, near):
+    from ekf_companion.convert import read
+
+    found = delay.measure(read(flight(name), Config()), Config())
+    assert found.best == pytest.approx(late, abs=near)
+    assert found.low <= late <= found.high
