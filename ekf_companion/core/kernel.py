@@ -13,13 +13,13 @@ from __future__ import annotations
 import cython
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import align, correct, observe, propagate
+    from cython.cimports.ekf_companion.core import align, bank, correct, observe, propagate, rescue
     from cython.cimports.ekf_companion.core import layout as at
     from cython.cimports.libc.math import asin, atan2, cos, fabs, isnan, sin, sqrt
 else:
     from math import asin, atan2, cos, fabs, isnan, sin, sqrt
 
-    from ekf_companion.core import align, correct, observe, propagate
+    from ekf_companion.core import align, bank, correct, observe, propagate, rescue
     from ekf_companion.core import layout as at
 
 # Kinds of events, as in nav.measurements.Kind
@@ -72,6 +72,8 @@ REFERENCE_TILT = cython.declare(cython.double, 0.05)
 """What the tilt, not known yet, may do to a heading while levelling, rad."""
 UNKNOWN_DECLINATION = cython.declare(cython.double, 0.2)
 """One sigma of the declination before the first fix, rad: most people live within it."""
+UNKNOWN_HEADING = cython.declare(cython.double, 3.29)
+"""Variance of an angle of which nothing is known: pi^2 / 3, rad^2."""
 NOISE_MEMORY = cython.declare(cython.double, 2.0)
 """Time constant of the noise learnt from the samples, s."""
 
@@ -102,6 +104,7 @@ def step(
     # The first sample only says what time it is
     if x[at.X_MODE] == at.MODE_INIT:
         begin(x, t)
+        bank.begin(x, k)
         remember(x, rows, last)
         return
     if span <= 0.0:
@@ -133,11 +136,13 @@ def step(
             else:
                 propagate.move(x, k, w, dt, gx, gy, gz, ax, ay, az)
                 propagate.spread(x, k, w, dt)
+            bank.carry(x, k, w, dt, gx, gy, gz, ax, ay, az)
             x[at.X_T] = rows[r, at.ROW_T]
         if r < last:
             take(x, k, w, rows, r)
     if span > k[at.K_GAP]:
         doubt(x, k, span, span > SLOW_GAP * x[at.X_DT])
+        bank.begin(x, k)
 
     # What the sample itself tells: noise, rest, whether all aids still speak
     learn(x, rows, last, span)
@@ -339,6 +344,7 @@ def settle(
         if x[at.X_MODE] == at.MODE_LEVEL:
             if x[at.X_AT_REST] != 0.0:
                 align.level_at_rest(x, k, w)
+                bank.know_bias(x, sqrt(x[at.X_COV + at.E_BG * (at.N + 1)]))
             elif t - x[at.X_LEVEL + at.L_START] > ROUGH_AFTER and t - x[at.X_T_FIX] > ROUGH_AFTER:
                 align.level_roughly(x, k, w)
         align.restart(x, t)
@@ -534,6 +540,7 @@ def take_fix(
 ) -> cython.void:
     """Take a GNSS fix: start with it, or correct position, height and velocity by it."""
     m: cython.Py_ssize_t
+    nis: cython.double
     t: cython.double = x[at.X_T]
     lat: cython.double = rows[r, at.ROW_V]
     lon: cython.double = rows[r, at.ROW_V + 1]
@@ -586,6 +593,11 @@ def take_fix(
     x[at.X_T_FIX] = t
 
     # Before navigation a fix helps to level, or begins it
+    if has_vel:
+        bank.correct(x, k, w, vn, ve, sqrt(stated))
+    if x[at.X_MODE] < at.MODE_NAVIGATE and x[at.X_HAS_YAW] == 0.0 and rescue.is_ready(x):
+        follow(x, k, w, lat, lon, alt, vn, ve, vd, std_h, std_v, std_vel)
+        return
     if x[at.X_MODE] == at.MODE_LEVEL:
         if has_vel and align.level_in_motion(x, k, w, t, vn, ve, vd, std_vel):
             navigate(x, k, w, lat, lon, alt, vn, ve, vd, std_h, std_v, std_vel, has_vel)
@@ -628,6 +640,12 @@ def take_fix(
                     return
                 launch(x, k, w, vn, ve, vd, std_vel)
                 reset(x, at.AID_VEL, at.RESET_VELOCITY)
+        nis = x[at.X_RATIO + at.AID_VEL] * (k[at.K_GATE3] if m == 3 else k[at.K_GATE2]) / m
+        if rescue.is_needed(x, nis, x[at.X_FIX_DT], sqrt(stated)):
+            follow(x, k, w, lat, lon, alt, vn, ve, vd, std_h, std_v, std_vel)
+            rescue.record(x)
+            reset(x, at.AID_VEL, at.RESET_MOTION)
+            return
     observe.position(x, k, w, lat, lon, std_h)
     if not fuse_gnss(x, w, at.AID_POS, 2, k[at.K_GATE2], std_h * std_h) and may_reset(
         x, at.AID_POS, k[at.K_TIMEOUT_POS]
@@ -644,6 +662,35 @@ def take_fix(
         if isnan(vd) or is_timed_out(x, at.AID_VEL, k[at.K_TIMEOUT_HGT]):
             halt(x, at.E_VEL + 2, 1)
         reset(x, at.AID_HGT, at.RESET_HEIGHT)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def follow(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    lat: cython.double,
+    lon: cython.double,
+    alt: cython.double,
+    vn: cython.double,
+    ve: cython.double,
+    vd: cython.double,
+    std_h: cython.double,
+    std_v: cython.double,
+    std_vel: cython.double,
+) -> cython.void:
+    """Begin, or begin anew, at a fix with the attitude that explains the motion."""
+    yaw: cython.double = x[at.X_BANK + at.B_STD]
+    rescue.adopt(x)
+    align.begin_filter(x, k, w, x[at.X_T], x[at.X_BANK + at.B_TILT], x[at.X_BANK + at.B_BG_STD])
+    x[at.X_HAS_YAW] = 1.0
+    x[at.X_T_USED + at.AID_YAW] = x[at.X_T]
+    correct.forget(x, at.E_ATT + 2, 1, yaw * yaw)
+    # what a compass has said until now counts for nothing: its error is to be found
+    correct.forget(x, at.E_HEADING, 1, UNKNOWN_HEADING)
+    navigate(x, k, w, lat, lon, alt, vn, ve, vd, std_h, std_v, std_vel, True)
 
 
 @cython.cfunc
@@ -891,6 +938,7 @@ def take_azimuth(
         x[at.X_LEVEL + at.L_REF_V + 2] = bz
         count(x, at.AID_YAW, at.WHY_UNALIGNED)
         return
+    slow = rescue.slow_error(x, slow)
     x[at.X_HEADING_STD] = slow
     if source != x[at.X_HEADING_SOURCE]:
         x[at.X_HEADING_SOURCE] = source
@@ -908,11 +956,17 @@ def take_azimuth(
         x, at.AID_YAW, k[at.K_TIMEOUT_YAW]
     ):
         if slow > TRUSTED:
-            # the compass or our yaw has jumped, and nobody knows which: neither is sure any more
+            # the compass or our yaw has jumped: the motion tells which; if it does not, neither is
+            # sure any more
             correct.forget(x, at.E_HEADING, 1, 1.0)
-            x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] += w[at.W_Z] * w[at.W_Z]
+            is_ours: cython.bint = rescue.agrees(x)
+            if not is_ours:
+                x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] += w[at.W_Z] * w[at.W_Z]
             correct.innovate(x, w, 1)
             correct.absorb_yaw(x, w)
+            if is_ours:
+                x[at.X_T_USED + at.AID_YAW] = x[at.X_T]
+                return
         else:
             face(x, w)
         reset(x, at.AID_YAW, at.RESET_YAW)
@@ -1007,7 +1061,7 @@ def describe(
     i: cython.Py_ssize_t
     slow: cython.double
     state: cython.int = status(x, k)
-    for i in range(at.X_COV):
+    for i in range(at.X_BANK):
         y[i] = x[i]
     if k[at.K_LAG] > 0.0 and x[at.X_MODE] >= at.MODE_ATTITUDE:
         propagate.move(

@@ -1,0 +1,414 @@
+# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+"""Heading without a compass: what the inertial sensor felt, laid beside what GNSS saw.
+
+The bank carries an attitude of its own into a frame s that is level, give or take a small tilt, and
+points anywhere; between two fixes it sums the specific force in s. Eight small filters, spread
+evenly over the circle, each suppose a yaw of s against north, and are weighed by how well they
+foretell the next velocity. Their mixture is a heading once it is narrow. Nothing but the gyro's
+bias at rest comes from the main filter, whose tilt and biases a wrong heading spoils.
+
+Source: Gaussian sums: Alspach and Sorenson 1972; for yaw from GNSS velocity: the EKF-GSF of PX4 and
+ArduPilot (Riseborough), which takes its tilt from a complementary filter instead.
+"""
+
+from __future__ import annotations
+
+import cython
+
+if cython.compiled:
+    from cython.cimports.ekf_companion.core import hypothesis
+    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core.observe import wrap
+    from cython.cimports.ekf_companion.core.propagate import matrix, turn, turn_body
+    from cython.cimports.libc.math import atan2, cos, exp, sin, sqrt
+else:
+    from math import atan2, cos, exp, sin, sqrt
+
+    from ekf_companion.core import hypothesis
+    from ekf_companion.core import layout as at
+    from ekf_companion.core.observe import wrap
+    from ekf_companion.core.propagate import matrix, turn, turn_body
+
+LEVELLING = cython.declare(cython.double, 0.0)
+RUNNING = cython.declare(cython.double, 1.0)
+
+LEVEL_TIME = cython.declare(cython.double, 1.0)
+"""The mean specific force of so long says where up is, s; the memory is twice as long."""
+YAW_STD = cython.declare(cython.double, 0.3)
+"""One sigma of a hypothesis at first, rad; an even share of the circle has 0.23."""
+STEP = cython.declare(cython.double, 0.7853981633974483)
+"""Between two hypotheses at first, rad."""
+LEAST_STD = cython.declare(cython.double, 0.5)
+"""Least one sigma of a velocity, m/s, as in ArduPilot: what receivers state is not white."""
+CHANGE = cython.declare(cython.double, 1.5)
+"""m/s; before the velocity has changed by so much no heading is claimed: a hover has none."""
+SMOOTH = cython.declare(cython.double, 0.05)
+"""s; memory of the acceleration that a late fix has yet to see."""
+LARGEST_RATE = cython.declare(cython.double, 20.0)
+"""rad/s; beyond it a gyro is near its end, and so is the frame that hangs on it."""
+LARGEST_FORCE = cython.declare(cython.double, 60.0)
+"""m/s^2; a blow, as of the ground."""
+MEAN_TIME = cython.declare(cython.double, 10.0)
+"""s; memory of the mean velocity that the change is counted from."""
+FLOOR = cython.declare(cython.double, 1e-6)
+"""Least weight of a hypothesis: none dies."""
+REFUSE = cython.declare(cython.double, 16.0)
+"""Normalised innovation squared, of 2 degrees, with which even the best hypothesis refuses a fix:
+one of 3000 good ones."""
+PATIENCE = cython.declare(cython.double, 20.0)
+"""Fixes refused in a row after which the bank begins anew."""
+WILD = cython.declare(cython.double, 4.0)
+"""Variance of the velocity, (m/s)^2, beyond which it is the bank that must be wrong."""
+LONGEST = cython.declare(cython.double, 30.0)
+"""s without a fix after which the bank begins anew."""
+VAGUE = cython.declare(cython.double, 0.16)
+"""Variance of the likeliest hypothesis, rad^2, beyond which all are spread anew."""
+SURE = cython.declare(cython.double, 0.17453292519943295)
+"""One sigma of a heading that is good for something, rad: 10 degrees."""
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def begin(x: cython.double[::1], k: cython.double[::1]) -> cython.void:
+    """Know nothing, and sum the force to find up; the account of the main filter stays."""
+    i: cython.Py_ssize_t
+    b: cython.Py_ssize_t = at.X_BANK
+    for i in range(at.B_NIS):
+        x[b + i] = 0.0
+    x[b + at.B_MODE] = LEVELLING
+    x[b + at.B_Q] = 1.0
+    x[b + at.B_BG_STD] = k[at.K_GYRO_BIAS]
+    x[b + at.B_STD] = 4.0 * STEP
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def know_bias(x: cython.double[::1], std: cython.double) -> cython.void:
+    """Take the main filter's gyro bias, which rest has just shown; one sigma in rad/s."""
+    n: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    b: cython.Py_ssize_t = at.X_BANK
+    x[b + at.B_BG_STD] = std
+    for i in range(3):
+        x[b + at.B_BG + i] = x[at.X_BG + i]
+        for n in range(at.HYPOTHESES):
+            hypothesis.know(x, b + at.B_H + n * at.H_SIZE, 5 + i, 0.0, std * std)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def carry(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    dt: cython.double,
+    gx: cython.double,
+    gy: cython.double,
+    gz: cython.double,
+    ax: cython.double,
+    ay: cython.double,
+    az: cython.double,
+) -> cython.void:
+    """Carry the frame's attitude, and the sums of force and turn in s, over dt (s).
+
+    A blow makes it begin anew.
+    """
+    i: cython.Py_ssize_t
+    b: cython.Py_ssize_t = at.X_BANK
+    px: cython.double = (gx - x[b + at.B_BG]) * dt
+    py: cython.double = (gy - x[b + at.B_BG + 1]) * dt
+    pz: cython.double = (gz - x[b + at.B_BG + 2]) * dt
+    # the mean of the turning force, in b at the start: f + p x f / 2
+    ux: cython.double = (ax + 0.5 * (py * az - pz * ay)) * dt
+    uy: cython.double = (ay + 0.5 * (pz * ax - px * az)) * dt
+    uz: cython.double = (az + 0.5 * (px * ay - py * ax)) * dt
+    u: cython.double
+    if (
+        gx * gx + gy * gy + gz * gz > LARGEST_RATE * LARGEST_RATE
+        or ax * ax + ay * ay + az * az > LARGEST_FORCE * LARGEST_FORCE
+    ):
+        begin(x, k)
+    matrix(x, b + at.B_Q, w)
+    for i in range(3):
+        u = (
+            w[at.W_C_NB + 3 * i] * ux
+            + w[at.W_C_NB + 3 * i + 1] * uy
+            + w[at.W_C_NB + 3 * i + 2] * uz
+        )
+        x[b + at.B_U + i] += u
+        if i < 2:
+            x[b + at.B_A + i] += (u - x[b + at.B_A + i] * dt) / (dt + SMOOTH)
+    for i in range(9):
+        x[b + at.B_G + i] += w[at.W_C_NB + i] * dt
+    x[b + at.B_DT] += dt
+    turn_body(x, b + at.B_Q, px, py, pz)
+    if x[b + at.B_MODE] == LEVELLING and x[b + at.B_DT] > 2.0 * LEVEL_TIME:
+        for i in range(at.B_U, at.B_DT + 1):
+            x[b + i] = 0.5 * x[b + i]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def correct(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    vn: cython.double,
+    ve: cython.double,
+    std: cython.double,
+) -> cython.void:
+    """Take a GNSS velocity of now: north and east, one sigma per axis, m/s."""
+    b: cython.Py_ssize_t = at.X_BANK
+    dt: cython.double = x[b + at.B_DT]
+    std = std if std > LEAST_STD else LEAST_STD
+    if x[b + at.B_MODE] == LEVELLING:
+        if dt >= LEVEL_TIME:
+            level(x, k, vn, ve, std * std)
+        return
+    if dt <= 0.0:
+        return
+    if dt > LONGEST:
+        begin(x, k)
+        return
+    if weigh(x, k, w, vn, ve, std * std):
+        x[b + at.B_REFUSED] = 0.0
+        conclude(x)
+        confirm(x, vn, ve, dt)
+    else:
+        x[b + at.B_GOOD] = 0.0
+        x[b + at.B_REFUSED] += 1.0
+    if x[b + at.B_REFUSED] >= PATIENCE or not x[b + at.B_WHITE] < WILD:
+        begin(x, k)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def level(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    vn: cython.double,
+    ve: cython.double,
+    variance: cython.double,
+) -> cython.void:
+    """Turn s so that the mean force points up, and begin the hypotheses at this velocity."""
+    n: cython.Py_ssize_t
+    h: cython.Py_ssize_t
+    b: cython.Py_ssize_t = at.X_BANK
+    ux: cython.double = x[b + at.B_U]
+    uy: cython.double = x[b + at.B_U + 1]
+    size: cython.double = sqrt(ux * ux + uy * uy)
+    angle: cython.double = atan2(size, -x[b + at.B_U + 2])
+    if size > 0.0:
+        # the shortest turn of u into up (-z) is about u x up
+        turn(x, b + at.B_Q, -uy / size * angle, ux / size * angle, 0.0)
+    else:
+        turn(x, b + at.B_Q, angle, 0.0, 0.0)
+    for n in range(at.HYPOTHESES):
+        h = b + at.B_H + n * at.H_SIZE
+        hypothesis.begin(x, h, vn, ve, variance, x[b + at.B_BG_STD], k[at.K_DELAY_STD])
+    spread(x, 0.0)
+    x[b + at.B_MEAN] = vn
+    x[b + at.B_MEAN + 1] = ve
+    x[b + at.B_WHITE] = variance
+    x[b + at.B_MODE] = RUNNING
+    restart_sums(x)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def spread(x: cython.double[::1], yaw: cython.double) -> cython.void:
+    """Spread the hypotheses evenly over the circle, one of them here, and all alike likely."""
+    n: cython.Py_ssize_t
+    h: cython.Py_ssize_t
+    for n in range(at.HYPOTHESES):
+        h = at.X_BANK + at.B_H + n * at.H_SIZE
+        x[h + at.H_W] = 1.0 / at.HYPOTHESES
+        hypothesis.know(x, h, 2, wrap(yaw + n * STEP), YAW_STD * YAW_STD)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def restart_sums(x: cython.double[::1]) -> cython.void:
+    """Begin the sums of the next interval between fixes."""
+    i: cython.Py_ssize_t
+    for i in range(at.B_U, at.B_DT + 1):
+        x[at.X_BANK + i] = 0.0
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def antenna(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Write the velocity that the antenna has from the turn, in s, x and y, to w[W_R]."""
+    i: cython.Py_ssize_t
+    b: cython.Py_ssize_t = at.X_BANK
+    wx: cython.double = x[at.X_GYRO] - x[b + at.B_BG]
+    wy: cython.double = x[at.X_GYRO + 1] - x[b + at.B_BG + 1]
+    wz: cython.double = x[at.X_GYRO + 2] - x[b + at.B_BG + 2]
+    matrix(x, b + at.B_Q, w)
+    for i in range(2):
+        w[at.W_R + i] = (
+            w[at.W_C_NB + 3 * i] * (wy * k[at.K_LEVER + 2] - wz * k[at.K_LEVER + 1])
+            + w[at.W_C_NB + 3 * i + 1] * (wz * k[at.K_LEVER] - wx * k[at.K_LEVER + 2])
+            + w[at.W_C_NB + 3 * i + 2] * (wx * k[at.K_LEVER + 1] - wy * k[at.K_LEVER])
+        )
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def weigh(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    vn: cython.double,
+    ve: cython.double,
+    stated: cython.double,
+) -> cython.bint:
+    """Carry all hypotheses to now, weigh and correct them; False: none of them believes the fix."""
+    n: cython.Py_ssize_t
+    h: cython.Py_ssize_t = at.X_BANK + at.B_H
+    o: cython.Py_ssize_t
+    best: cython.Py_ssize_t = at.W_C
+    nis: cython.double
+    least: cython.double = 1e30
+    top: cython.double = -1e30
+    total: cython.double = 0.0
+    variance: cython.double = x[at.X_BANK + at.B_WHITE]
+    variance = variance if variance > stated else stated
+    antenna(x, k, w)
+    for n in range(at.HYPOTHESES):
+        o = at.W_C + 6 * n
+        hypothesis.predict(x, k, w, h + n * at.H_SIZE)
+        nis = hypothesis.judge(x, w, h + n * at.H_SIZE, o, vn, ve, variance)
+        if nis < least:
+            least = nis
+            best = o
+        top = w[o + 5] if w[o + 5] > top else top
+    restart_sums(x)
+    learn(x, w, best, variance)
+    if not least <= REFUSE:
+        return False
+    for n in range(at.HYPOTHESES):
+        hypothesis.absorb(x, w, h + n * at.H_SIZE, at.W_C + 6 * n)
+        x[h + n * at.H_SIZE] *= exp(w[at.W_C + 6 * n + 5] - top)
+        total += x[h + n * at.H_SIZE]
+    for n in range(at.HYPOTHESES):
+        x[h + n * at.H_SIZE] = x[h + n * at.H_SIZE] / total
+        if x[h + n * at.H_SIZE] < FLOOR:
+            x[h + n * at.H_SIZE] = FLOOR
+    return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def learn(
+    x: cython.double[::1], w: cython.double[::1], o: cython.Py_ssize_t, variance: cython.double
+) -> cython.void:
+    """Learn the receiver's variance: what the best innovation has beyond the hypothesis' doubt.
+
+    Quickly upwards, slowly downwards; the innovation lies at w[o].
+    """
+    b: cython.Py_ssize_t = at.X_BANK + at.B_WHITE
+    trace: cython.double = (w[o + 2] + w[o + 4]) / (w[o + 2] * w[o + 4] - w[o + 3] * w[o + 3])
+    seen: cython.double = variance + 0.5 * (w[o] * w[o] + w[o + 1] * w[o + 1] - trace)
+    seen = seen if seen < 16.0 * variance else 16.0 * variance
+    seen = seen if seen > 0.0 else 0.0
+    x[b] += (0.1 if seen > x[b] else 0.02) * (seen - x[b])
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def mean_of(x: cython.double[::1], i: cython.Py_ssize_t) -> cython.double:
+    """Give the mixture's mean of state i, and take it from each hypothesis."""
+    n: cython.Py_ssize_t
+    h: cython.Py_ssize_t = at.X_BANK + at.B_H
+    mean: cython.double = 0.0
+    for n in range(at.HYPOTHESES):
+        mean += x[h + n * at.H_SIZE] * x[h + n * at.H_SIZE + at.H_X + i]
+    for n in range(at.HYPOTHESES):
+        x[h + n * at.H_SIZE + at.H_X + i] -= mean
+    return mean
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def variance_of(
+    x: cython.double[::1], i: cython.Py_ssize_t, mean: cython.double
+) -> cython.double:
+    """Give the mixture's variance of state i, an angle or a small number, about a mean."""
+    n: cython.Py_ssize_t
+    h: cython.Py_ssize_t
+    off: cython.double
+    total: cython.double = 0.0
+    for n in range(at.HYPOTHESES):
+        h = at.X_BANK + at.B_H + n * at.H_SIZE
+        off = wrap(x[h + at.H_X + i] - mean)
+        total += x[h + at.H_W] * (x[h + at.H_P + i * (at.H_N + 1)] + off * off)
+    return total
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def conclude(x: cython.double[::1]) -> cython.void:
+    """Put the mean tilt and bias into the frame itself, and say what yaw it has, and how surely."""
+    n: cython.Py_ssize_t
+    i: cython.Py_ssize_t
+    h: cython.Py_ssize_t = at.X_BANK + at.B_H
+    b: cython.Py_ssize_t = at.X_BANK
+    s: cython.double = 0.0
+    c: cython.double = 0.0
+    for n in range(at.HYPOTHESES):
+        s += x[h + n * at.H_SIZE] * sin(x[h + n * at.H_SIZE + at.H_X + 2])
+        c += x[h + n * at.H_SIZE] * cos(x[h + n * at.H_SIZE + at.H_X + 2])
+    x[b + at.B_YAW] = atan2(s, c)
+    x[b + at.B_STD] = sqrt(variance_of(x, 2, x[b + at.B_YAW]))
+    s = mean_of(x, 3)
+    turn(x, b + at.B_Q, s, mean_of(x, 4), 0.0)
+    x[b + at.B_TILT] = sqrt(0.5 * (variance_of(x, 3, 0.0) + variance_of(x, 4, 0.0)))
+    c = 0.0
+    for i in range(3):
+        x[b + at.B_BG + i] += mean_of(x, 5 + i)
+        s = variance_of(x, 5 + i, 0.0)
+        c = s if s > c else c
+    x[b + at.B_BG_STD] = sqrt(c)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def confirm(
+    x: cython.double[::1], vn: cython.double, ve: cython.double, dt: cython.double
+) -> cython.void:
+    """Count fixes with a narrow yaw that was found in a manoeuvre; what is vague is spread anew."""
+    n: cython.Py_ssize_t
+    h: cython.Py_ssize_t = at.X_BANK + at.B_H
+    best: cython.Py_ssize_t = h
+    b: cython.Py_ssize_t = at.X_BANK
+    dn: cython.double = vn - x[b + at.B_MEAN]
+    de: cython.double = ve - x[b + at.B_MEAN + 1]
+    x[b + at.B_MEAN] += dt / (dt + MEAN_TIME) * dn
+    x[b + at.B_MEAN + 1] += dt / (dt + MEAN_TIME) * de
+    if dn * dn + de * de > CHANGE * CHANGE + 9.0 * x[b + at.B_WHITE]:
+        x[b + at.B_MOVED] = 1.0
+    if x[b + at.B_MOVED] != 0.0 and x[b + at.B_STD] < SURE:
+        x[b + at.B_GOOD] += 1.0
+    else:
+        x[b + at.B_GOOD] = 0.0
+    for n in range(at.HYPOTHESES):
+        if x[h + n * at.H_SIZE] > x[best]:
+            best = h + n * at.H_SIZE
+    if x[best + at.H_P + 2 * (at.H_N + 1)] > VAGUE:
+        spread(x, x[b + at.B_YAW])
+        x[b + at.B_MOVED] = 0.0
