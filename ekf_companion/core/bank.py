@@ -20,9 +20,9 @@ if cython.compiled:
     from cython.cimports.ekf_companion.core import layout as at
     from cython.cimports.ekf_companion.core.observe import wrap
     from cython.cimports.ekf_companion.core.propagate import matrix, turn, turn_body
-    from cython.cimports.libc.math import atan2, cos, exp, sin, sqrt
+    from cython.cimports.libc.math import atan2, cos, exp, log, sin, sqrt
 else:
-    from math import atan2, cos, exp, sin, sqrt
+    from math import atan2, cos, exp, log, sin, sqrt
 
     from ekf_companion.core import hypothesis
     from ekf_companion.core import layout as at
@@ -52,11 +52,15 @@ MEAN_TIME = cython.declare(cython.double, 10.0)
 """s; memory of the mean velocity that the change is counted from."""
 FLOOR = cython.declare(cython.double, 1e-6)
 """Least weight of a hypothesis: none dies."""
-REFUSE = cython.declare(cython.double, 16.0)
-"""Normalised innovation squared, of 2 degrees, with which even the best hypothesis refuses a fix:
-one of 3000 good ones."""
+REFUSE = cython.declare(cython.double, 18.0)
+"""Normalised innovation squared, of 2 degrees, less twice the logarithm of the weight, with which
+even the best hypothesis refuses a fix: an unlikely one must not take up what is wild."""
+MOST_EVIDENCE = cython.declare(cython.double, 4.0)
+"""Largest difference of the logarithms of likelihood that one fix can make."""
 PATIENCE = cython.declare(cython.double, 20.0)
-"""Fixes refused in a row after which the bank begins anew."""
+"""More fixes refused than believed after which the bank begins anew."""
+FIRST_PATIENCE = cython.declare(cython.double, 4.0)
+"""The same while it has believed none: the first fix, which it began at, may be the wrong one."""
 WILD = cython.declare(cython.double, 4.0)
 """Variance of the velocity, (m/s)^2, beyond which it is the bank that must be wrong."""
 LONGEST = cython.declare(cython.double, 30.0)
@@ -175,7 +179,7 @@ def correct(
         begin(x, k)
         return
     if weigh(x, k, w, vn, ve, std * std):
-        x[b + at.B_REFUSED] = 0.0
+        x[b + at.B_REFUSED] = x[b + at.B_REFUSED] - 1.0 if x[b + at.B_REFUSED] > 1.0 else 0.0
         conclude(x)
         confirm(x, vn, ve, dt)
     else:
@@ -215,6 +219,7 @@ def level(
     x[b + at.B_MEAN] = vn
     x[b + at.B_MEAN + 1] = ve
     x[b + at.B_WHITE] = variance
+    x[b + at.B_REFUSED] = PATIENCE - FIRST_PATIENCE
     x[b + at.B_MODE] = RUNNING
     restart_sums(x)
 
@@ -277,7 +282,7 @@ def weigh(
     h: cython.Py_ssize_t = at.X_BANK + at.B_H
     o: cython.Py_ssize_t
     best: cython.Py_ssize_t = at.W_C
-    nis: cython.double
+    score: cython.double
     least: cython.double = 1e30
     top: cython.double = -1e30
     total: cython.double = 0.0
@@ -287,9 +292,10 @@ def weigh(
     for n in range(at.HYPOTHESES):
         o = at.W_C + 6 * n
         hypothesis.predict(x, k, w, h + n * at.H_SIZE)
-        nis = hypothesis.judge(x, w, h + n * at.H_SIZE, o, vn, ve, variance)
-        if nis < least:
-            least = nis
+        score = hypothesis.judge(x, w, h + n * at.H_SIZE, o, vn, ve, variance)
+        score -= 2.0 * log(x[h + n * at.H_SIZE])
+        if score < least:
+            least = score
             best = o
         top = w[o + 5] if w[o + 5] > top else top
     restart_sums(x)
@@ -298,7 +304,8 @@ def weigh(
         return False
     for n in range(at.HYPOTHESES):
         hypothesis.absorb(x, w, h + n * at.H_SIZE, at.W_C + 6 * n)
-        x[h + n * at.H_SIZE] *= exp(w[at.W_C + 6 * n + 5] - top)
+        score = w[at.W_C + 6 * n + 5] - top
+        x[h + n * at.H_SIZE] *= exp(score if score > -MOST_EVIDENCE else -MOST_EVIDENCE)
         total += x[h + n * at.H_SIZE]
     for n in range(at.HYPOTHESES):
         x[h + n * at.H_SIZE] = x[h + n * at.H_SIZE] / total
@@ -320,9 +327,9 @@ def learn(
     b: cython.Py_ssize_t = at.X_BANK + at.B_WHITE
     trace: cython.double = (w[o + 2] + w[o + 4]) / (w[o + 2] * w[o + 4] - w[o + 3] * w[o + 3])
     seen: cython.double = variance + 0.5 * (w[o] * w[o] + w[o + 1] * w[o + 1] - trace)
-    seen = seen if seen < 16.0 * variance else 16.0 * variance
+    seen = seen if seen < 4.0 * variance else 4.0 * variance
     seen = seen if seen > 0.0 else 0.0
-    x[b] += (0.1 if seen > x[b] else 0.02) * (seen - x[b])
+    x[b] += (0.1 if seen > x[b] else 0.05) * (seen - x[b])
 
 
 @cython.cfunc
