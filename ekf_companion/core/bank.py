@@ -40,7 +40,7 @@ STEP = cython.declare(cython.double, 0.7853981633974483)
 """Between two hypotheses at first, rad."""
 LEAST_STD = cython.declare(cython.double, 0.5)
 """Least one sigma of a velocity, m/s, as in ArduPilot: what receivers state is not white."""
-CHANGE = cython.declare(cython.double, 1.5)
+CHANGE = cython.declare(cython.double, 1.0)
 """m/s; before the velocity has changed by so much no heading is claimed: a hover has none."""
 SMOOTH = cython.declare(cython.double, 0.05)
 """s; memory of the acceleration that a late fix has yet to see."""
@@ -75,14 +75,27 @@ SURE = cython.declare(cython.double, 0.17453292519943295)
 @cython.nogil
 @cython.exceptval(check=False)
 def begin(x: cython.double[::1], k: cython.double[::1]) -> cython.void:
-    """Know nothing, and sum the force to find up; the account of the main filter stays."""
+    """Know nothing; the account of the main filter stays."""
+    i: cython.Py_ssize_t
+    for i in range(3):
+        x[at.X_BANK + at.B_BG + i] = 0.0
+    x[at.X_BANK + at.B_BG_STD] = k[at.K_GYRO_BIAS]
+    lose(x)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def lose(x: cython.double[::1]) -> cython.void:
+    """Know nothing but the gyro's bias, after a gap or a blow: sum the force to find up again."""
     i: cython.Py_ssize_t
     b: cython.Py_ssize_t = at.X_BANK
-    for i in range(at.B_NIS):
+    for i in range(at.B_Q, at.B_BG):
+        x[b + i] = 0.0
+    for i in range(at.B_U, at.B_NIS):
         x[b + i] = 0.0
     x[b + at.B_MODE] = LEVELLING
     x[b + at.B_Q] = 1.0
-    x[b + at.B_BG_STD] = k[at.K_GYRO_BIAS]
     x[b + at.B_STD] = 4.0 * STEP
 
 
@@ -106,7 +119,6 @@ def know_bias(x: cython.double[::1], std: cython.double) -> cython.void:
 @cython.exceptval(check=False)
 def carry(
     x: cython.double[::1],
-    k: cython.double[::1],
     w: cython.double[::1],
     dt: cython.double,
     gx: cython.double,
@@ -134,7 +146,7 @@ def carry(
         gx * gx + gy * gy + gz * gz > LARGEST_RATE * LARGEST_RATE
         or ax * ax + ay * ay + az * az > LARGEST_FORCE * LARGEST_FORCE
     ):
-        begin(x, k)
+        lose(x)
     matrix(x, b + at.B_Q, w)
     for i in range(3):
         u = (

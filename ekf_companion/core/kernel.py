@@ -136,13 +136,13 @@ def step(
             else:
                 propagate.move(x, k, w, dt, gx, gy, gz, ax, ay, az)
                 propagate.spread(x, k, w, dt)
-            bank.carry(x, k, w, dt, gx, gy, gz, ax, ay, az)
+            bank.carry(x, w, dt, gx, gy, gz, ax, ay, az)
             x[at.X_T] = rows[r, at.ROW_T]
         if r < last:
             take(x, k, w, rows, r)
     if span > k[at.K_GAP]:
         doubt(x, k, span, span > SLOW_GAP * x[at.X_DT])
-        bank.begin(x, k)
+        bank.lose(x)
 
     # What the sample itself tells: noise, rest, whether all aids still speak
     learn(x, rows, last, span)
