@@ -42,6 +42,8 @@ LEAST_STD = cython.declare(cython.double, 0.5)
 """Least one sigma of a velocity, m/s, as in ArduPilot: what receivers state is not white."""
 CHANGE = cython.declare(cython.double, 1.0)
 """m/s; before the velocity has changed by so much no heading is claimed: a hover has none."""
+SMALL_TURN = cython.declare(cython.double, 0.04)
+"""Square of a turn, rad^2, up to which a series of four terms is exact to 1e-8."""
 SMOOTH = cython.declare(cython.double, 0.05)
 """s; memory of the acceleration that a late fix has yet to see."""
 LARGEST_RATE = cython.declare(cython.double, 20.0)
@@ -160,10 +162,45 @@ def carry(
     for i in range(9):
         x[b + at.B_G + i] += w[at.W_C_NB + i] * dt
     x[b + at.B_DT] += dt
-    turn_body(x, b + at.B_Q, px, py, pz)
+    spin(x, px, py, pz)
     if x[b + at.B_MODE] == LEVELLING and x[b + at.B_DT] > 2.0 * LEVEL_TIME:
         for i in range(at.B_U, at.B_DT + 1):
             x[b + i] = 0.5 * x[b + i]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def spin(
+    x: cython.double[::1], px: cython.double, py: cython.double, pz: cython.double
+) -> cython.void:
+    """Turn the frame's attitude by a rotation vector in b; by series and without a root if small."""
+    q: cython.Py_ssize_t = at.X_BANK + at.B_Q
+    qw: cython.double = x[q]
+    qx: cython.double = x[q + 1]
+    qy: cython.double = x[q + 2]
+    qz: cython.double = x[q + 3]
+    a2: cython.double = px * px + py * py + pz * pz
+    if a2 > SMALL_TURN:
+        turn_body(x, q, px, py, pz)
+        return
+    c: cython.double = 1.0 - a2 * (0.125 - a2 * (1.0 / 384.0))
+    s: cython.double = 0.5 - a2 * (1.0 / 48.0 - a2 * (1.0 / 3840.0))
+    px = s * px
+    py = s * py
+    pz = s * pz
+    x[q] = c * qw - px * qx - py * qy - pz * qz
+    x[q + 1] = c * qx + px * qw - py * qz + pz * qy
+    x[q + 2] = c * qy + px * qz + py * qw - pz * qx
+    x[q + 3] = c * qz - px * qy + py * qx + pz * qw
+    # the norm is one but for rounding: a step of Newton's keeps it so
+    s = 1.5 - 0.5 * (
+        x[q] * x[q] + x[q + 1] * x[q + 1] + x[q + 2] * x[q + 2] + x[q + 3] * x[q + 3]
+    )
+    x[q] = s * x[q]
+    x[q + 1] = s * x[q + 1]
+    x[q + 2] = s * x[q + 2]
+    x[q + 3] = s * x[q + 3]
 
 
 @cython.cfunc

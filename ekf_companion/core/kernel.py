@@ -72,8 +72,13 @@ REFERENCE_TILT = cython.declare(cython.double, 0.05)
 """What the tilt, not known yet, may do to a heading while levelling, rad."""
 UNKNOWN_DECLINATION = cython.declare(cython.double, 0.2)
 """One sigma of the declination before the first fix, rad: most people live within it."""
+VAGUE_YAW = cython.declare(cython.double, 0.0305)
+"""Variance of the yaw beyond which it wants an aid, rad^2: 10 degrees."""
 UNKNOWN_HEADING = cython.declare(cython.double, 3.29)
 """Variance of an angle of which nothing is known: pi^2 / 3, rad^2."""
+LEAST_DOUBT = cython.declare(cython.double, 2.5e-3)
+"""Variance of a heading found in motion, beside what the bank says, rad^2: in a steady turn a bias
+of the accelerometer is taken for a part of the turn."""
 NOISE_MEMORY = cython.declare(cython.double, 2.0)
 """Time constant of the noise learnt from the samples, s."""
 
@@ -687,7 +692,7 @@ def follow(
     align.begin_filter(x, k, w, x[at.X_T], x[at.X_BANK + at.B_TILT], x[at.X_BANK + at.B_BG_STD])
     x[at.X_HAS_YAW] = 1.0
     x[at.X_T_USED + at.AID_YAW] = x[at.X_T]
-    correct.forget(x, at.E_ATT + 2, 1, yaw * yaw)
+    correct.forget(x, at.E_ATT + 2, 1, yaw * yaw + LEAST_DOUBT)
     # what a compass has said until now counts for nothing: its error is to be found
     correct.forget(x, at.E_HEADING, 1, UNKNOWN_HEADING)
     navigate(x, k, w, lat, lon, alt, vn, ve, vd, std_h, std_v, std_vel, True)
@@ -1036,7 +1041,12 @@ def status(x: cython.double[::1], k: cython.double[::1]) -> cython.int:
         return DEAD_RECKONING
     if x[at.X_DT] > SLOW_STREAM:
         return DEGRADED
-    if is_timed_out(x, at.AID_POS, late + 1.0) or is_timed_out(x, at.AID_YAW, 5.0):
+    if is_timed_out(x, at.AID_POS, late + 1.0):
+        return DEGRADED
+    if is_timed_out(x, at.AID_YAW, 5.0) and (
+        x[at.X_HEADING_SOURCE] != 0.0 or x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] > VAGUE_YAW
+    ):
+        # where there never was a compass, turns show the heading as well
         return DEGRADED
     if is_timed_out(x, at.AID_HGT, late + 1.0) and is_timed_out(x, at.AID_BARO, 2.0):
         return DEGRADED
