@@ -16,24 +16,21 @@ from __future__ import annotations
 import cython
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import hypothesis
+    from cython.cimports.ekf_companion.core import frame, hypothesis
     from cython.cimports.ekf_companion.core import layout as at
     from cython.cimports.ekf_companion.core.observe import wrap
-    from cython.cimports.ekf_companion.core.propagate import matrix, turn, turn_body
+    from cython.cimports.ekf_companion.core.propagate import turn
     from cython.cimports.libc.math import atan2, cos, exp, log, sin, sqrt
 else:
     from math import atan2, cos, exp, log, sin, sqrt
 
-    from ekf_companion.core import hypothesis
+    from ekf_companion.core import frame, hypothesis
     from ekf_companion.core import layout as at
     from ekf_companion.core.observe import wrap
-    from ekf_companion.core.propagate import matrix, turn, turn_body
-
-LEVELLING = cython.declare(cython.double, 0.0)
-RUNNING = cython.declare(cython.double, 1.0)
+    from ekf_companion.core.propagate import turn
 
 LEVEL_TIME = cython.declare(cython.double, 1.0)
-"""The mean specific force of so long says where up is, s; the memory is twice as long."""
+"""The mean specific force of so long at least says where up is, s."""
 YAW_STD = cython.declare(cython.double, 0.3)
 """One sigma of a hypothesis at first, rad; an even share of the circle has 0.23."""
 STEP = cython.declare(cython.double, 0.7853981633974483)
@@ -42,14 +39,6 @@ LEAST_STD = cython.declare(cython.double, 0.5)
 """Least one sigma of a velocity, m/s, as in ArduPilot: what receivers state is not white."""
 CHANGE = cython.declare(cython.double, 1.0)
 """m/s; before the velocity has changed by so much no heading is claimed: a hover has none."""
-SMALL_TURN = cython.declare(cython.double, 0.04)
-"""Square of a turn, rad^2, up to which a series of four terms is exact to 1e-8."""
-SMOOTH = cython.declare(cython.double, 0.05)
-"""s; memory of the acceleration that a late fix has yet to see."""
-LARGEST_RATE = cython.declare(cython.double, 20.0)
-"""rad/s; beyond it a gyro is near its end, and so is the frame that hangs on it."""
-LARGEST_FORCE = cython.declare(cython.double, 60.0)
-"""m/s^2; a blow, as of the ground."""
 MEAN_TIME = cython.declare(cython.double, 10.0)
 """s; memory of the mean velocity that the change is counted from."""
 FLOOR = cython.declare(cython.double, 1e-6)
@@ -82,23 +71,7 @@ def begin(x: cython.double[::1], k: cython.double[::1]) -> cython.void:
     for i in range(3):
         x[at.X_BANK + at.B_BG + i] = 0.0
     x[at.X_BANK + at.B_BG_STD] = k[at.K_GYRO_BIAS]
-    lose(x)
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def lose(x: cython.double[::1]) -> cython.void:
-    """Know nothing but the gyro's bias, after a gap or a blow: sum the force to find up again."""
-    i: cython.Py_ssize_t
-    b: cython.Py_ssize_t = at.X_BANK
-    for i in range(at.B_Q, at.B_BG):
-        x[b + i] = 0.0
-    for i in range(at.B_U, at.B_NIS):
-        x[b + i] = 0.0
-    x[b + at.B_MODE] = LEVELLING
-    x[b + at.B_Q] = 1.0
-    x[b + at.B_STD] = 4.0 * STEP
+    frame.lose(x)
 
 
 @cython.cfunc
@@ -119,93 +92,6 @@ def know_bias(x: cython.double[::1], std: cython.double) -> cython.void:
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def carry(
-    x: cython.double[::1],
-    w: cython.double[::1],
-    dt: cython.double,
-    gx: cython.double,
-    gy: cython.double,
-    gz: cython.double,
-    ax: cython.double,
-    ay: cython.double,
-    az: cython.double,
-) -> cython.void:
-    """Carry the frame's attitude, and the sums of force and turn in s, over dt (s).
-
-    A blow makes it begin anew.
-    """
-    i: cython.Py_ssize_t
-    b: cython.Py_ssize_t = at.X_BANK
-    px: cython.double = (gx - x[b + at.B_BG]) * dt
-    py: cython.double = (gy - x[b + at.B_BG + 1]) * dt
-    pz: cython.double = (gz - x[b + at.B_BG + 2]) * dt
-    # the mean of the turning force, in b at the start: f + p x f / 2
-    ux: cython.double = (ax + 0.5 * (py * az - pz * ay)) * dt
-    uy: cython.double = (ay + 0.5 * (pz * ax - px * az)) * dt
-    uz: cython.double = (az + 0.5 * (px * ay - py * ax)) * dt
-    u: cython.double
-    if (
-        gx * gx + gy * gy + gz * gz > LARGEST_RATE * LARGEST_RATE
-        or ax * ax + ay * ay + az * az > LARGEST_FORCE * LARGEST_FORCE
-    ):
-        lose(x)
-    matrix(x, b + at.B_Q, w)
-    for i in range(3):
-        u = (
-            w[at.W_C_NB + 3 * i] * ux
-            + w[at.W_C_NB + 3 * i + 1] * uy
-            + w[at.W_C_NB + 3 * i + 2] * uz
-        )
-        x[b + at.B_U + i] += u
-        if i < 2:
-            x[b + at.B_A + i] += (u - x[b + at.B_A + i] * dt) / (dt + SMOOTH)
-    for i in range(9):
-        x[b + at.B_G + i] += w[at.W_C_NB + i] * dt
-    x[b + at.B_DT] += dt
-    spin(x, px, py, pz)
-    if x[b + at.B_MODE] == LEVELLING and x[b + at.B_DT] > 2.0 * LEVEL_TIME:
-        for i in range(at.B_U, at.B_DT + 1):
-            x[b + i] = 0.5 * x[b + i]
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def spin(
-    x: cython.double[::1], px: cython.double, py: cython.double, pz: cython.double
-) -> cython.void:
-    """Turn the frame's attitude by a rotation vector in b; by series and without a root if small."""
-    q: cython.Py_ssize_t = at.X_BANK + at.B_Q
-    qw: cython.double = x[q]
-    qx: cython.double = x[q + 1]
-    qy: cython.double = x[q + 2]
-    qz: cython.double = x[q + 3]
-    a2: cython.double = px * px + py * py + pz * pz
-    if a2 > SMALL_TURN:
-        turn_body(x, q, px, py, pz)
-        return
-    c: cython.double = 1.0 - a2 * (0.125 - a2 * (1.0 / 384.0))
-    s: cython.double = 0.5 - a2 * (1.0 / 48.0 - a2 * (1.0 / 3840.0))
-    px = s * px
-    py = s * py
-    pz = s * pz
-    x[q] = c * qw - px * qx - py * qy - pz * qz
-    x[q + 1] = c * qx + px * qw - py * qz + pz * qy
-    x[q + 2] = c * qy + px * qz + py * qw - pz * qx
-    x[q + 3] = c * qz - px * qy + py * qx + pz * qw
-    # the norm is one but for rounding: a step of Newton's keeps it so
-    s = 1.5 - 0.5 * (
-        x[q] * x[q] + x[q + 1] * x[q + 1] + x[q + 2] * x[q + 2] + x[q + 3] * x[q + 3]
-    )
-    x[q] = s * x[q]
-    x[q + 1] = s * x[q + 1]
-    x[q + 2] = s * x[q + 2]
-    x[q + 3] = s * x[q + 3]
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
 def correct(
     x: cython.double[::1],
     k: cython.double[::1],
@@ -218,7 +104,7 @@ def correct(
     b: cython.Py_ssize_t = at.X_BANK
     dt: cython.double = x[b + at.B_DT]
     std = std if std > LEAST_STD else LEAST_STD
-    if x[b + at.B_MODE] == LEVELLING:
+    if x[b + at.B_MODE] == at.BANK_LEVELLING:
         if dt >= LEVEL_TIME:
             level(x, k, vn, ve, std * std)
         return
@@ -248,19 +134,11 @@ def level(
     ve: cython.double,
     variance: cython.double,
 ) -> cython.void:
-    """Turn s so that the mean force points up, and begin the hypotheses at this velocity."""
+    """Level s by the mean force, and begin the hypotheses at this velocity."""
     n: cython.Py_ssize_t
     h: cython.Py_ssize_t
     b: cython.Py_ssize_t = at.X_BANK
-    ux: cython.double = x[b + at.B_U]
-    uy: cython.double = x[b + at.B_U + 1]
-    size: cython.double = sqrt(ux * ux + uy * uy)
-    angle: cython.double = atan2(size, -x[b + at.B_U + 2])
-    if size > 0.0:
-        # the shortest turn of u into up (-z) is about u x up
-        turn(x, b + at.B_Q, -uy / size * angle, ux / size * angle, 0.0)
-    else:
-        turn(x, b + at.B_Q, angle, 0.0, 0.0)
+    frame.stand_up(x)
     for n in range(at.HYPOTHESES):
         h = b + at.B_H + n * at.H_SIZE
         hypothesis.begin(x, h, vn, ve, variance, x[b + at.B_BG_STD], k[at.K_DELAY_STD])
@@ -269,8 +147,8 @@ def level(
     x[b + at.B_MEAN + 1] = ve
     x[b + at.B_WHITE] = variance
     x[b + at.B_REFUSED] = PATIENCE - FIRST_PATIENCE
-    x[b + at.B_MODE] = RUNNING
-    restart_sums(x)
+    x[b + at.B_MODE] = at.BANK_RUNNING
+    frame.restart_sums(x)
 
 
 @cython.cfunc
@@ -284,35 +162,6 @@ def spread(x: cython.double[::1], yaw: cython.double) -> cython.void:
         h = at.X_BANK + at.B_H + n * at.H_SIZE
         x[h + at.H_W] = 1.0 / at.HYPOTHESES
         hypothesis.know(x, h, 2, wrap(yaw + n * STEP), YAW_STD * YAW_STD)
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def restart_sums(x: cython.double[::1]) -> cython.void:
-    """Begin the sums of the next interval between fixes."""
-    i: cython.Py_ssize_t
-    for i in range(at.B_U, at.B_DT + 1):
-        x[at.X_BANK + i] = 0.0
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def antenna(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
-    """Write the velocity that the antenna has from the turn, in s, x and y, to w[W_R]."""
-    i: cython.Py_ssize_t
-    b: cython.Py_ssize_t = at.X_BANK
-    wx: cython.double = x[at.X_GYRO] - x[b + at.B_BG]
-    wy: cython.double = x[at.X_GYRO + 1] - x[b + at.B_BG + 1]
-    wz: cython.double = x[at.X_GYRO + 2] - x[b + at.B_BG + 2]
-    matrix(x, b + at.B_Q, w)
-    for i in range(2):
-        w[at.W_R + i] = (
-            w[at.W_C_NB + 3 * i] * (wy * k[at.K_LEVER + 2] - wz * k[at.K_LEVER + 1])
-            + w[at.W_C_NB + 3 * i + 1] * (wz * k[at.K_LEVER] - wx * k[at.K_LEVER + 2])
-            + w[at.W_C_NB + 3 * i + 2] * (wx * k[at.K_LEVER + 1] - wy * k[at.K_LEVER])
-        )
 
 
 @cython.cfunc
@@ -337,7 +186,7 @@ def weigh(
     total: cython.double = 0.0
     variance: cython.double = x[at.X_BANK + at.B_WHITE]
     variance = variance if variance > stated else stated
-    antenna(x, k, w)
+    frame.antenna(x, k, w)
     for n in range(at.HYPOTHESES):
         o = at.W_C + 6 * n
         hypothesis.predict(x, k, w, h + n * at.H_SIZE)
@@ -347,7 +196,7 @@ def weigh(
             least = score
             best = o
         top = w[o + 5] if w[o + 5] > top else top
-    restart_sums(x)
+    frame.restart_sums(x)
     learn(x, w, best, variance)
     if not least <= REFUSE:
         return False
@@ -399,9 +248,7 @@ def mean_of(x: cython.double[::1], i: cython.Py_ssize_t) -> cython.double:
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def variance_of(
-    x: cython.double[::1], i: cython.Py_ssize_t, mean: cython.double
-) -> cython.double:
+def variance_of(x: cython.double[::1], i: cython.Py_ssize_t, mean: cython.double) -> cython.double:
     """Give the mixture's variance of state i, an angle or a small number, about a mean."""
     n: cython.Py_ssize_t
     h: cython.Py_ssize_t

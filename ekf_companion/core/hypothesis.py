@@ -53,7 +53,7 @@ def begin(
     bias: cython.double,
     delay: cython.double,
 ) -> cython.void:
-    """Begin at a velocity of this variance, level give or take; sigmas of bias (rad/s), delay (s)."""
+    """Begin at a velocity of this variance, level give or take; sigmas of bias and delay."""
     i: cython.Py_ssize_t
     p: cython.Py_ssize_t = h + at.H_P
     for i in range(at.H_SIZE):

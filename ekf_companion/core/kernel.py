@@ -13,13 +13,21 @@ from __future__ import annotations
 import cython
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import align, bank, correct, observe, propagate, rescue
+    from cython.cimports.ekf_companion.core import (
+        align,
+        bank,
+        correct,
+        frame,
+        observe,
+        propagate,
+        rescue,
+    )
     from cython.cimports.ekf_companion.core import layout as at
     from cython.cimports.libc.math import asin, atan2, cos, fabs, isnan, sin, sqrt
 else:
     from math import asin, atan2, cos, fabs, isnan, sin, sqrt
 
-    from ekf_companion.core import align, bank, correct, observe, propagate, rescue
+    from ekf_companion.core import align, bank, correct, frame, observe, propagate, rescue
     from ekf_companion.core import layout as at
 
 # Kinds of events, as in nav.measurements.Kind
@@ -141,13 +149,13 @@ def step(
             else:
                 propagate.move(x, k, w, dt, gx, gy, gz, ax, ay, az)
                 propagate.spread(x, k, w, dt)
-            bank.carry(x, w, dt, gx, gy, gz, ax, ay, az)
+            frame.carry(x, w, dt, gx, gy, gz, ax, ay, az)
             x[at.X_T] = rows[r, at.ROW_T]
         if r < last:
             take(x, k, w, rows, r)
     if span > k[at.K_GAP]:
         doubt(x, k, span, span > SLOW_GAP * x[at.X_DT])
-        bank.lose(x)
+        frame.lose(x)
 
     # What the sample itself tells: noise, rest, whether all aids still speak
     learn(x, rows, last, span)
@@ -960,18 +968,19 @@ def take_azimuth(
     elif not fuse(x, w, at.AID_YAW, 1, k[at.K_GATE1]) and may_reset(
         x, at.AID_YAW, k[at.K_TIMEOUT_YAW]
     ):
-        if slow > TRUSTED:
-            # the compass or our yaw has jumped: the motion tells which; if it does not, neither is
-            # sure any more
-            correct.forget(x, at.E_HEADING, 1, 1.0)
-            is_ours: cython.bint = rescue.agrees(x)
-            if not is_ours:
-                x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] += w[at.W_Z] * w[at.W_Z]
+        if rescue.agrees(x):
+            # it is the compass that has jumped: the motion says so
+            correct.forget(x, at.E_HEADING, 1, UNKNOWN_HEADING)
             correct.innovate(x, w, 1)
             correct.absorb_yaw(x, w)
-            if is_ours:
-                x[at.X_T_USED + at.AID_YAW] = x[at.X_T]
-                return
+            x[at.X_T_USED + at.AID_YAW] = x[at.X_T]
+            return
+        if slow > TRUSTED:
+            # the compass or our yaw has jumped, and nobody knows which: neither is sure any more
+            correct.forget(x, at.E_HEADING, 1, 1.0)
+            x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] += w[at.W_Z] * w[at.W_Z]
+            correct.innovate(x, w, 1)
+            correct.absorb_yaw(x, w)
         else:
             face(x, w)
         reset(x, at.AID_YAW, at.RESET_YAW)

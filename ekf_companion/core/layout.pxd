@@ -131,6 +131,8 @@ cdef enum:
     H_P = 10
     H_N = 9
     H_SIZE = 91
+    BANK_LEVELLING = 0
+    BANK_RUNNING = 1
     K_GYRO_NOISE = 0
     K_ACCEL_NOISE = 1
     K_GYRO_WALK = 2

@@ -157,6 +157,10 @@ H_P = 10
 H_N = 9
 H_SIZE = 91
 
+# What the bank is doing (B_MODE)
+BANK_LEVELLING = 0
+BANK_RUNNING = 1
+
 # Parameters
 K_GYRO_NOISE = 0
 K_ACCEL_NOISE = 1

@@ -62,12 +62,8 @@ def excess(x: cython.double[::1]) -> cython.double:
     """
     b: cython.Py_ssize_t = at.X_BANK + at.B_Q
     q: cython.Py_ssize_t = at.X_Q
-    w: cython.double = (
-        x[b] * x[q] + x[b + 1] * x[q + 1] + x[b + 2] * x[q + 2] + x[b + 3] * x[q + 3]
-    )
-    z: cython.double = (
-        x[b + 3] * x[q] - x[b] * x[q + 3] + x[b + 2] * x[q + 1] - x[b + 1] * x[q + 2]
-    )
+    w: cython.double = x[b] * x[q] + x[b + 1] * x[q + 1] + x[b + 2] * x[q + 2] + x[b + 3] * x[q + 3]
+    z: cython.double = x[b + 3] * x[q] - x[b] * x[q + 3] + x[b + 2] * x[q + 1] - x[b + 1] * x[q + 2]
     return wrap(x[at.X_BANK + at.B_YAW] + 2.0 * atan2(z, w))
 
 
@@ -112,13 +108,14 @@ def is_needed(
 @cython.nogil
 @cython.exceptval(check=False)
 def adopt(x: cython.double[::1]) -> cython.void:
-    """Give the main filter the bank's attitude and gyro bias."""
+    """Give the main filter the bank's attitude and gyro bias; its delay was learnt in error."""
     i: cython.Py_ssize_t
     for i in range(4):
         x[at.X_Q + i] = x[at.X_BANK + at.B_Q + i]
     turn(x, at.X_Q, 0.0, 0.0, x[at.X_BANK + at.B_YAW])
     for i in range(3):
         x[at.X_BG + i] = x[at.X_BANK + at.B_BG + i]
+    x[at.X_DELAY] = 0.0
 
 
 @cython.cfunc

@@ -8,7 +8,11 @@ from types import SimpleNamespace
 
 import ekf_companion.core
 
-NAMES = ("propagate", "correct", "observe", "align", "hypothesis", "bank", "rescue", "kernel", "timeline")
+NAMES = (
+    *("propagate", "correct", "observe", "align"),
+    *("frame", "hypothesis", "bank", "rescue"),
+    *("kernel", "timeline"),
+)
 FOLDER = Path(ekf_companion.core.__file__).parent
 
 
