@@ -23,7 +23,7 @@ LIMITS = (0.27, 0.27, 0.20, 0.55, 0.42, 0.19, 0.050, 0.053, 0.025)
 START = 20.0
 """s; the errors before are not counted."""
 ALMOST_NONE = 1e-4
-"""rad; the simulated magnetometer has no slow error, and the setting must be positive."""
+"""rad, gauss; the simulated magnetometer has no slow error, and the setting must be positive."""
 HEAD = (
     "roll, deg",
     "pitch, deg",
@@ -53,10 +53,18 @@ def settings(samples: str = "instant", lag: float = 0.0) -> FilterSettings:
             samples=samples,  # type: ignore[arg-type]
         ),
         gnss=GnssSettings(
-            delay=0.0, delay_std=0.0, position_std=0.0, height_std=0.0, velocity_std=0.0
+            delay=0.0,
+            delay_std=0.0,
+            timing_std=0.0,
+            white_share=1.0,
+            position_std=0.0,
+            height_std=0.0,
+            velocity_std=0.0,
         ),
         heading=HeadingSettings(
             magnetometer_std=ALMOST_NONE,
+            hard_iron_std=ALMOST_NONE,
+            hard_iron_walk=0.0,
             magnetometer_noise=seed.MAG_STD * seed.STRENGTH,
             heading_std=seed.MAG_STD,
         ),

@@ -441,9 +441,15 @@ def _conclude(report: Report, path: Path) -> None:
             "barometer; no position and no velocity"
         )
     if counts[Kind.HEADING] + counts[Kind.MAG] == 0:
+        found = bool(set(report.seconds) - {*WITHOUT_NORTH, Status.ATTITUDE})
         report.notes.append(
-            "no heading (magnetometer, GNSS yaw or the autopilot's): roll and pitch are estimated; "
-            "position and velocity would need one"
+            "no heading (magnetometer, GNSS yaw or the autopilot's): "
+            + (
+                "it was found from the GNSS velocity in the first manoeuvre"
+                if found
+                else "roll and pitch are estimated; position and velocity need one, or GNSS "
+                "velocity and a manoeuvre that changes it by more than 1 m/s"
+            )
         )
     elif counts[Kind.GNSS] and set(report.seconds) <= {*WITHOUT_NORTH, Status.ATTITUDE}:
         report.notes.append(

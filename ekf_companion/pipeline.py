@@ -75,7 +75,7 @@ if COMPILED_BLOCK != at.BLOCK:
 
 RESET_REASONS = (
     *("none", "position", "velocity", "height", "heading", "inertial gap", "clock"),
-    "state out of bounds",
+    *("state out of bounds", "heading against the motion"),
 )
 
 

@@ -61,7 +61,7 @@ def test_with_default_settings_nothing_is_surer_than_it_may_be(block):
 def test_good_measurements_are_not_refused():
     found = accounts("matched", "white")
     assert sum(one.resets for one in found) == 0
-    for aid in found[0].verdicts:
+    for aid in set(Aid) - {Aid.REST}:
         counts = [one.verdicts[aid] for one in found]
         assert sum(one["fused"] for one in counts) > 1000
         assert sum(one["gated"] for one in counts) == 0
@@ -219,8 +219,8 @@ def test_a_compass_that_was_wrong_at_first_is_mended():
     turned = (events.values != flown.events.values)[is_mag].any(axis=1)
     assert np.flatnonzero(turned).tolist() == list(range(1500))  # 30 s of 50 Hz
     found = compassless.outcome(flown, events)
-    assert found.warned < 10.0
-    assert found.coarse < 45.0
+    assert found.coarse < 20.0
+    assert found.resets == 1
 
 
 @needs_seed

@@ -76,8 +76,7 @@ def weigh(
         correct.absorb_yaw(x, w)
     else:
         correct.absorb(x, w, m)
-    if aid < at.AID_YAW:
-        proof.forgive(x, aid)
+    proof.forgive(x, aid)
     x[at.X_T_USED + aid] = x[at.X_T]
     return True
 

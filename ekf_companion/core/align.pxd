@@ -8,3 +8,6 @@ cdef bint level_in_motion(
     double[::1] x, double[::1] k, double[::1] w, double t, double vn, double ve, double vd, double std
 ) noexcept nogil
 cdef void begin_motion(double[::1] x, double t, double vn, double ve, double vd, double std) noexcept nogil
+cdef void begin_filter(
+    double[::1] x, double[::1] k, double[::1] w, double t, double tilt, double gyro_bias
+) noexcept nogil

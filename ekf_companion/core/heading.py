@@ -11,13 +11,13 @@ from __future__ import annotations
 import cython
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import account, correct, observe, propagate
+    from cython.cimports.ekf_companion.core import account, correct, observe, propagate, rescue
     from cython.cimports.ekf_companion.core import layout as at
     from cython.cimports.libc.math import asin, fabs, isnan, sqrt
 else:
     from math import asin, fabs, isnan, sqrt
 
-    from ekf_companion.core import account, correct, observe, propagate
+    from ekf_companion.core import account, correct, observe, propagate, rescue
     from ekf_companion.core import layout as at
 
 PREFERRED_AGE = cython.declare(cython.double, 5e9)
@@ -44,6 +44,8 @@ and after."""
 OTHER = cython.declare(cython.double, 2.0)
 MAGNETIC = cython.declare(cython.double, 3.0)
 FIELD = cython.declare(cython.double, 4.0)
+UNKNOWN_HEADING = cython.declare(cython.double, 3.29)
+"""Variance of an angle of which nothing is known: pi^2 / 3, rad^2."""
 ANY = cython.declare(cython.double, 100.0)
 """Variance of a yaw of which nothing is known, rad^2."""
 
@@ -232,6 +234,7 @@ def take_azimuth(
         x[at.X_LEVEL + at.L_REF_V + 2] = bz
         account.count(x, at.AID_YAW, at.WHY_UNALIGNED)
         return
+    slow = rescue.slow_error(x, slow)
     x[at.X_HEADING_STD] = slow
     if source != x[at.X_HEADING_SOURCE]:
         x[at.X_HEADING_SOURCE] = source
@@ -248,6 +251,13 @@ def take_azimuth(
         and account.is_timed_out(x, at.AID_YAW, k[at.K_TIMEOUT_YAW])
         and x[at.X_T] - x[at.X_T_REFUSED + at.AID_YAW] >= PROOF
     ):
+        if rescue.agrees(x):
+            # it is the compass that has jumped: the motion says so
+            correct.forget(x, at.E_HEADING, 1, UNKNOWN_HEADING)
+            correct.innovate(x, w, 1)
+            correct.absorb_yaw(x, w)
+            account.settle(x, at.AID_YAW)
+            return
         account.announce(x, at.RESET_YAW)
         if slow > TRUSTED:
             # the compass or our yaw has jumped, and nobody knows which: neither is sure any more

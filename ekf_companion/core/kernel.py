@@ -16,7 +16,9 @@ if cython.compiled:
     from cython.cimports.ekf_companion.core import (
         account,
         align,
+        bank,
         correct,
+        frame,
         heading,
         observe,
         propagate,
@@ -31,7 +33,9 @@ else:
     from ekf_companion.core import (
         account,
         align,
+        bank,
         correct,
+        frame,
         heading,
         observe,
         propagate,
@@ -77,6 +81,8 @@ FAKE_INTERVAL = cython.declare(cython.double, 2e8)
 """Between two assumptions that the vehicle is not going anywhere, while it has no GNSS, ns."""
 FIRST_SHARE = cython.declare(cython.double, 0.3)
 """Share of the variance that a receiver states for its position that is white, to begin with."""
+VAGUE_YAW = cython.declare(cython.double, 0.0305)
+"""Variance of the yaw beyond which it wants an aid, rad^2: 10 degrees."""
 LOST = cython.declare(cython.double, 100.0)
 """So many times the limit (as variances), a position is not worth keeping."""
 LONGEST_OUTAGE = cython.declare(cython.double, 60.0)
@@ -120,6 +126,7 @@ def step(
     # The first sample only says what time it is
     if x[at.X_MODE] == at.MODE_INIT:
         begin(x, t)
+        bank.begin(x, k)
         remember(x, rows, last)
         return
     if span <= 0.0:
@@ -141,6 +148,7 @@ def step(
                 propagate.spread(x, k, w, dt)
                 if is_taped:
                     tape.moved(x, k, w, dt)
+            frame.carry(x, w, dt)
             x[at.X_T] = rows[r, at.ROW_T]
         if r < last:
             take(x, k, w, rows, r)
@@ -148,6 +156,7 @@ def step(
                 tape.noted(x, w, False)
     if span > k[at.K_GAP]:
         doubt(x, k, span, span > SLOW_GAP * x[at.X_DT])
+        frame.lose(x)
         if is_taped:
             tape.doubted(x, w)
 
@@ -421,6 +430,7 @@ def settle(
         if x[at.X_MODE] == at.MODE_LEVEL:
             if x[at.X_AT_REST] != 0.0:
                 align.level_at_rest(x, k, w)
+                bank.know_bias(x, sqrt(x[at.X_COV + at.E_BG * (at.N + 1)]))
             elif t - x[at.X_LEVEL + at.L_START] > ROUGH_AFTER and t - x[at.X_T_FIX] > ROUGH_AFTER:
                 align.level_roughly(x, k, w)
         elif x[at.X_AT_REST] != 0.0 and k[at.K_USE_REST] != 0.0:
@@ -590,7 +600,12 @@ def status(x: cython.double[::1], k: cython.double[::1]) -> cython.int:
         return DEAD_RECKONING
     if x[at.X_DT] > SLOW_STREAM:
         return DEGRADED
-    if account.is_timed_out(x, at.AID_POS, late + 1.0) or account.is_timed_out(x, at.AID_YAW, 5.0):
+    if account.is_timed_out(x, at.AID_POS, late + 1.0):
+        return DEGRADED
+    if account.is_timed_out(x, at.AID_YAW, 5.0) and (
+        x[at.X_HEADING_SOURCE] != 0.0 or x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] > VAGUE_YAW
+    ):
+        # where there never was a compass, turns show the heading as well
         return DEGRADED
     if account.is_timed_out(x, at.AID_HGT, late + 1.0) and account.is_timed_out(
         x, at.AID_BARO, 2.0
@@ -616,7 +631,7 @@ def describe(
     """
     i: cython.Py_ssize_t
     state: cython.int = status(x, k)
-    for i in range(at.X_COV):
+    for i in range(at.X_BANK):
         y[i] = x[i]
     if k[at.K_LAG] > 0.0 and x[at.X_MODE] >= at.MODE_ATTITUDE:
         for i in range(6):

@@ -131,9 +131,10 @@ X_LEAN = 171
 X_RUN = 174
 X_LEVEL = 207
 X_LOGLIK = 244
-X_FRESH = 245
-X_COV = 269
-BLOCK = 845
+X_BANK = 245
+X_FRESH = 1010
+X_COV = 1034
+BLOCK = 1610
 
 # What levelling remembers, from X_LEVEL: sums over a window, the motion since a first fix, and a
 # reference: a direction of the body and its azimuth (NaN: that of the magnetic field)
@@ -158,6 +159,44 @@ L_REF_IRON = 34
 L_REF_TARGET = 35
 L_START = 36
 L_SIZE = 37
+
+# What the bank of yaw filters keeps, from X_BANK: its frame, what it has summed since the last
+# fix, what it concludes, and what it has to say of the main filter
+B_MODE = 0
+B_Q = 1
+B_BG = 5
+B_BG_STD = 8
+B_U = 9
+B_G = 12
+B_DT = 21
+B_A = 22
+B_WHITE = 24
+B_REFUSED = 25
+B_MEAN = 26
+B_MOVED = 28
+B_YAW = 29
+B_STD = 30
+B_TILT = 31
+B_GOOD = 32
+B_NIS = 33
+B_T_FAIL = 34
+B_REPAIRS = 35
+B_T_REPAIR = 36
+B_H = 37
+B_SIZE = 765
+
+# One hypothesis, from B_H + n H_SIZE: weight; state: velocity north and east, yaw of the bank's
+# frame, its tilt about x and y, gyro bias, delay of the receiver; covariance of that
+HYPOTHESES = 8
+H_W = 0
+H_X = 1
+H_P = 10
+H_N = 9
+H_SIZE = 91
+
+# What the bank is doing (B_MODE)
+BANK_LEVELLING = 0
+BANK_RUNNING = 1
 
 # Parameters
 K_GYRO_NOISE = 0
@@ -223,6 +262,7 @@ RESET_YAW = 4
 RESET_GAP = 5
 RESET_CLOCK = 6
 RESET_BOUNDS = 7
+RESET_MOTION = 8
 
 # Scratch numbers of one step: rows of H, P H', innovation, R, Cholesky factor, error state,
 # direction cosines, velocity increment, two rows, S and S G / 2, noise; rate and force: the mean of
@@ -255,8 +295,8 @@ TAPE = 307
 T_LINK = 0
 T_IS_SAMPLE = 1
 T_BLOCK = 2
-T_PHI = 847
-RECORD = 1423
+T_PHI = 1612
+RECORD = 2188
 
 # How a record follows from the one before
 LINK_SAME = 0

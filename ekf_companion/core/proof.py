@@ -37,8 +37,9 @@ SIGMAS = cython.declare(cython.double, 3.0)
 @cython.nogil
 @cython.exceptval(check=False)
 def forgive(x: cython.double[::1], aid: cython.Py_ssize_t) -> cython.void:
-    """End the run of an aid: it was believed, or has its way."""
-    x[at.X_RUN + at.C_SIZE * aid + at.C_COUNT] = 0.0
+    """End the run of an aid that has one: it was believed, or has its way."""
+    if aid < at.AID_YAW:
+        x[at.X_RUN + at.C_SIZE * aid + at.C_COUNT] = 0.0
 
 
 @cython.cfunc
@@ -47,7 +48,7 @@ def forgive(x: cython.double[::1], aid: cython.Py_ssize_t) -> cython.void:
 def add(
     x: cython.double[::1], w: cython.double[::1], aid: cython.Py_ssize_t, m: cython.Py_ssize_t
 ) -> cython.void:
-    """Add m innovations (w[W_Z]) that were refused."""
+    """Add m innovations (w[W_Z]) that were refused, of an aid that has a run: GNSS."""
     i: cython.Py_ssize_t
     run: cython.Py_ssize_t = at.X_RUN + at.C_SIZE * aid
     tau: cython.double = (x[at.X_T] - x[run + at.C_T0]) * 1e-9

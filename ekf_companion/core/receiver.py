@@ -14,17 +14,19 @@ if cython.compiled:
     from cython.cimports.ekf_companion.core import (
         account,
         align,
+        bank,
         correct,
         observe,
         proof,
         propagate,
+        rescue,
     )
     from cython.cimports.ekf_companion.core import layout as at
     from cython.cimports.libc.math import isnan, sqrt
 else:
     from math import isnan, sqrt
 
-    from ekf_companion.core import account, align, correct, observe, proof, propagate
+    from ekf_companion.core import account, align, bank, correct, observe, proof, propagate, rescue
     from ekf_companion.core import layout as at
 
 NEVER = cython.declare(cython.double, -1e18)
@@ -38,6 +40,11 @@ LEAST_SHARE = cython.declare(cython.double, 0.01)
 """A receiver overstates its white error ten times at the most: what is learnt beyond is luck."""
 LARGEST_SHARE = cython.declare(cython.double, 9.0)
 """And it may understate it three times."""
+UNKNOWN_HEADING = cython.declare(cython.double, 3.29)
+"""Variance of an angle of which nothing is known: pi^2 / 3, rad^2."""
+LEAST_DOUBT = cython.declare(cython.double, 2.5e-3)
+"""Variance of a heading found in motion, beside what the bank says, rad^2: in a steady turn a bias
+of the accelerometer is taken for a part of the turn."""
 SMALLEST_LEVEL = cython.declare(cython.double, 1e-6)
 """m^2."""
 ANY = cython.declare(cython.double, 1e6)
@@ -80,6 +87,13 @@ def take_fix(
         x[at.X_FIX_DT] = (t - x[at.X_T_FIX]) * 1e-9
     x[at.X_T_FIX] = t
 
+    # The bank hears every velocity; where nothing else knows north, it begins
+    if has_vel:
+        bank.correct(x, k, w, w[at.W_FIX + 3], w[at.W_FIX + 4], sqrt(w[at.W_FIX + 11]))
+    if x[at.X_MODE] < at.MODE_NAVIGATE and x[at.X_HAS_YAW] == 0.0 and rescue.is_ready(x):
+        follow(x, k, w)
+        return True
+
     # Before navigation a fix helps to level, or begins it
     if x[at.X_MODE] == at.MODE_LEVEL:
         if has_vel and align.level_in_motion(
@@ -106,12 +120,45 @@ def take_fix(
     bound(x, w, at.E_SLOW + 1, x[at.X_SLOW_POS])
     bound(x, w, at.E_SLOW + 2, x[at.X_SLOW_HGT])
 
-    # Velocity first: it is the surer of the two
-    if has_vel and not take_velocity(x, k, w):
-        return False
+    # Velocity first: it is the surer of the two; it also says whether the heading is wrong
+    if has_vel:
+        if not take_velocity(x, k, w):
+            return False
+        if rescue.is_needed(x, nis_of(x, k, w), x[at.X_FIX_DT], sqrt(w[at.W_FIX + 11])):
+            account.announce(x, at.RESET_MOTION)
+            follow(x, k, w)
+            rescue.record(x)
+            return True
     take_position(x, k, w)
     take_height(x, k, w)
     return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def nis_of(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.double:
+    """Give the normalised innovation squared of the velocity just judged, per degree."""
+    m: cython.Py_ssize_t = 2 if isnan(w[at.W_FIX + 5]) else 3
+    return x[at.X_RATIO + at.AID_VEL] * k[at.K_GATE + m - 1] / m
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def follow(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
+    """Begin, or begin anew, at a fix with the attitude that explains the motion."""
+    yaw: cython.double = x[at.X_BANK + at.B_STD]
+    x[at.X_DELTA + 6] += rescue.excess(x)
+    rescue.adopt(x)
+    x[at.X_LEVEL + at.L_HAS_REF] = 0.0
+    align.begin_filter(x, k, w, x[at.X_T], x[at.X_BANK + at.B_TILT], x[at.X_BANK + at.B_BG_STD])
+    x[at.X_HAS_YAW] = 1.0
+    x[at.X_T_USED + at.AID_YAW] = x[at.X_T]
+    correct.forget(x, at.E_ATT + 2, 1, yaw * yaw + LEAST_DOUBT)
+    # what a compass has said until now counts for nothing: its error is to be found
+    correct.forget(x, at.E_HEADING, 1, UNKNOWN_HEADING)
+    navigate(x, k, w, True)
 
 
 @cython.cfunc

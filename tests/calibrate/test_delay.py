@@ -68,7 +68,7 @@ def test_a_log_that_cannot_serve_is_named_with_the_reason():
     with pytest.raises(LogError, match="holds no inertial samples"):
         delay.measure(without(flown, Kind.IMU), SETTINGS)
     with pytest.raises(LogError, match="no position could be estimated"):
-        delay.measure(without(flown, Kind.MAG), SETTINGS)
+        delay.measure(without(fly("hover", 40.0), Kind.MAG), SETTINGS)
     with pytest.raises(LogError, match=r"only 1\d s with a position; the delay needs 20 s"):
         delay.measure(fly("figure-eight", 25.0), SETTINGS)
     events = flown.events

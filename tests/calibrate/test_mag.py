@@ -153,8 +153,8 @@ def test_what_is_printed_brings_the_heading_back():
         yaw = Pipeline(settings).run(events).column("yaw")[late]
         errors.append(np.degrees(np.sqrt(np.mean(so3.wrap(yaw - truth) ** 2))))
     assert errors[1] < 1.0
-    # without it the field is not taken for the Earth's, so that there is no yaw, or a poor one
-    assert np.isnan(errors[0]) or errors[1] < 0.5 * errors[0]
+    # the filter finds much of it by itself, in so many turns
+    assert errors[1] < errors[0]
 
 
 def broad(flight, name):

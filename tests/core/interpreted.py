@@ -9,7 +9,8 @@ from types import SimpleNamespace
 import ekf_companion.core
 
 NAMES = (
-    *("propagate", "correct", "observe", "proof", "account", "heading", "align", "receiver"),
+    *("propagate", "correct", "observe", "proof", "account"),
+    *("frame", "hypothesis", "bank", "rescue", "heading", "align", "receiver"),
     *("tape", "kernel", "timeline", "hindsight", "smooth"),
 )
 FOLDER = Path(ekf_companion.core.__file__).parent
