@@ -72,6 +72,12 @@ REFERENCE_TILT = cython.declare(cython.double, 0.05)
 """What the tilt, not known yet, may do to a heading while levelling, rad."""
 UNKNOWN_DECLINATION = cython.declare(cython.double, 0.2)
 """One sigma of the declination before the first fix, rad: most people live within it."""
+LOST = cython.declare(cython.double, 1.0)
+"""X_NEEDS_RESET: nothing has been heard of position and velocity since a long gap."""
+TILTED = cython.declare(cython.double, 2.0)
+"""X_NEEDS_RESET: fixes have come again, but they have not shown the attitude yet."""
+PATIENCE = cython.declare(cython.double, 3e9)
+"""Where no heading comes to find the attitude with, it is left to the filter after so long, ns."""
 NOISE_MEMORY = cython.declare(cython.double, 2.0)
 """Time constant of the noise learnt from the samples, s."""
 
@@ -131,6 +137,18 @@ def step(
             if x[at.X_MODE] == at.MODE_LEVEL:
                 align.carry(x, w, dt, gx, gy, gz, ax, ay, az)
             else:
+                if x[at.X_NEEDS_RESET] != 0.0:
+                    align.carry(
+                        x,
+                        w,
+                        dt,
+                        gx - x[at.X_BG],
+                        gy - x[at.X_BG + 1],
+                        gz - x[at.X_BG + 2],
+                        ax - x[at.X_BA],
+                        ay - x[at.X_BA + 1],
+                        az - x[at.X_BA + 2],
+                    )
                 propagate.move(x, k, w, dt, gx, gy, gz, ax, ay, az)
                 propagate.spread(x, k, w, dt)
             x[at.X_T] = rows[r, at.ROW_T]
@@ -212,6 +230,7 @@ def start_over(x: cython.double[::1], t: cython.double, reason: cython.double) -
     x[at.X_HEADING] = 0.0
     x[at.X_HAS_YAW] = 0.0
     x[at.X_HAS_BARO] = 0.0
+    x[at.X_NEEDS_RESET] = 0.0
     x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
     x[at.X_LEVEL + at.L_HAS_REF] = 0.0
     for i in range(3):
@@ -263,10 +282,13 @@ def doubt(
     """Count in what may have happened while no sample came; after a long gap begin velocity anew.
 
     A multicopter turns by some 0.2 rad/s and accelerates by some 2 m/s^2 (one sigma) while nobody
-    looks; a fixed wing less. A stream that is always as slow has no gap, only doubt.
+    looks; a fixed wing less. A stream that is always as slow has no gap, only doubt. After a long
+    gap the next fixes find attitude and velocity anew, so that more doubt costs nothing: half a
+    radian of tilt, any heading in the end, and the 3 m/s^2 of a vehicle flown hard.
     """
     i: cython.Py_ssize_t
     turned: cython.double = 0.2 * span
+    yawed: cython.double = turned
     gained: cython.double = 2.0 * span
     if is_gap:
         x[at.X_GAPS] += 1.0
@@ -275,17 +297,27 @@ def doubt(
             x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
             align.restart(x, x[at.X_T])
         return
-    if turned > 0.5:
+    if is_gap and span > k[at.K_GAP_RESET] and x[at.X_MODE] == at.MODE_NAVIGATE:
+        x[at.X_NEEDS_RESET] = LOST
+        x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
+        x[at.X_LEVEL + at.L_HAS_REF] = 0.0
         turned = 0.5
+        gained = 3.0 * span
+        if yawed < 0.5:
+            yawed = 0.5
+        if yawed > 1.8:
+            yawed = 1.8
+    elif turned > 0.5:
+        turned = 0.5
+        yawed = 0.5
     if gained > 20.0:
         gained = 20.0
     for i in range(3):
-        x[at.X_COV + (at.E_ATT + i) * (at.N + 1)] += turned * turned
         x[at.X_COV + (at.E_VEL + i) * (at.N + 1)] += gained * gained
         x[at.X_COV + (at.E_POS + i) * (at.N + 1)] += 0.25 * gained * gained * span * span
-    if is_gap and span > k[at.K_GAP_RESET] and x[at.X_MODE] == at.MODE_NAVIGATE:
-        x[at.X_NEEDS_RESET] = 1.0
-        x[at.X_RESET_REASON] = at.RESET_GAP
+    for i in range(2):
+        x[at.X_COV + (at.E_ATT + i) * (at.N + 1)] += turned * turned
+    x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] += yawed * yawed
 
 
 @cython.cfunc
@@ -599,18 +631,7 @@ def take_fix(
             count(x, at.AID_POS, at.WHY_UNALIGNED)
         return
     if x[at.X_NEEDS_RESET] != 0.0:
-        x[at.X_NEEDS_RESET] = 0.0
-        x[at.X_RESETS] += 1.0
-        place(x, k, w, lat, lon, std_h)
-        lift(x, k, w, alt, std_v)
-        if has_vel:
-            launch(x, k, w, vn, ve, vd, std_vel)
-            count(x, at.AID_VEL, at.WHY_FUSED)
-        count(x, at.AID_POS, at.WHY_FUSED)
-        count(x, at.AID_HGT, at.WHY_FUSED)
-        x[at.X_T_USED + at.AID_POS] = t
-        x[at.X_T_USED + at.AID_HGT] = t
-        x[at.X_T_USED + at.AID_VEL] = t
+        resume(x, k, w, lat, lon, alt, vn, ve, vd, std_h, std_v, std_vel, has_vel)
         return
 
     # What of the stated error is not white is slow, and ours as well
@@ -684,6 +705,52 @@ def navigate(
     for i in range(at.AIDS):
         if i != at.AID_YAW:
             x[at.X_T_USED + i] = x[at.X_T]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def resume(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    lat: cython.double,
+    lon: cython.double,
+    alt: cython.double,
+    vn: cython.double,
+    ve: cython.double,
+    vd: cython.double,
+    std_h: cython.double,
+    std_v: cython.double,
+    std_vel: cython.double,
+    has_vel: cython.bint,
+) -> cython.void:
+    """Go by the fixes alone after a long gap, until they have shown the attitude.
+
+    Nobody saw the vehicle turn: by an attitude that may be half a radian and more off no fix can
+    be judged, and what a linear filter learns from it is wrong and claims to be right.
+    """
+    i: cython.Py_ssize_t
+    if x[at.X_NEEDS_RESET] == LOST:
+        x[at.X_NEEDS_RESET] = TILTED
+        x[at.X_RESETS] += 1.0
+        x[at.X_RESET_REASON] = at.RESET_GAP
+    if (
+        not has_vel
+        or align.level_again(x, k, w, x[at.X_T], vn, ve, vd, std_vel)
+        or x[at.X_T] - x[at.X_LEVEL + at.L_FIX_T] > PATIENCE
+    ):
+        x[at.X_NEEDS_RESET] = 0.0
+        x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
+    place(x, k, w, lat, lon, std_h)
+    lift(x, k, w, alt, std_v)
+    if has_vel:
+        launch(x, k, w, vn, ve, vd, std_vel)
+        count(x, at.AID_VEL, at.WHY_FUSED)
+    count(x, at.AID_POS, at.WHY_FUSED)
+    count(x, at.AID_HGT, at.WHY_FUSED)
+    for i in range(3):
+        x[at.X_T_USED + i] = x[at.X_T]
 
 
 @cython.cfunc
@@ -804,7 +871,7 @@ def is_field_used(
     if x[at.X_FIELD] > 0.0:
         if fabs(size - x[at.X_FIELD]) > k[at.K_FIELD_STRENGTH] * x[at.X_FIELD]:
             return False
-        if x[at.X_MODE] >= at.MODE_ATTITUDE:
+        if x[at.X_MODE] >= at.MODE_ATTITUDE and x[at.X_NEEDS_RESET] == 0.0:
             propagate.matrix(x, at.X_Q, w)
             d = w[at.W_C_NB + 6] * mx + w[at.W_C_NB + 7] * my + w[at.W_C_NB + 8] * mz
             d = d / size
@@ -879,7 +946,7 @@ def take_azimuth(
     Its error is a slow part and a white one (one sigma each, rad) and the direction's own noise.
     Another source (any number) has another slow error.
     """
-    if x[at.X_MODE] == at.MODE_LEVEL:
+    if x[at.X_MODE] == at.MODE_LEVEL or x[at.X_NEEDS_RESET] != 0.0:
         x[at.X_HEADING_STD] = slow
         x[at.X_HEADING_SOURCE] = source
         x[at.X_LEVEL + at.L_HAS_REF] = 1.0
@@ -980,7 +1047,7 @@ def status(x: cython.double[::1], k: cython.double[::1]) -> cython.int:
     late = 1.0 + (x[at.X_FIX_DT] if x[at.X_FIX_DT] < 2.0 else 2.0)
     if is_timed_out(x, at.AID_POS, late) and is_timed_out(x, at.AID_VEL, late):
         return DEAD_RECKONING
-    if x[at.X_DT] > SLOW_STREAM:
+    if x[at.X_DT] > SLOW_STREAM or x[at.X_NEEDS_RESET] != 0.0:
         return DEGRADED
     if is_timed_out(x, at.AID_POS, late + 1.0) or is_timed_out(x, at.AID_YAW, 5.0):
         return DEGRADED
