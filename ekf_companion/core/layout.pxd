@@ -156,6 +156,7 @@ cdef enum:
     RESET_GAP = 5
     RESET_CLOCK = 6
     RESET_BOUNDS = 7
+    RESET_RESTART = 8
     W_H = 0
     W_C = 54
     W_Z = 108

@@ -181,6 +181,7 @@ RESET_YAW = 4
 RESET_GAP = 5
 RESET_CLOCK = 6
 RESET_BOUNDS = 7
+RESET_RESTART = 8
 
 # Scratch numbers of one step: rows of H, P H', innovation, R, Cholesky factor, error state,
 # direction cosines, velocity increment, two rows, S and S G / 2, noise
