@@ -35,6 +35,8 @@ DISAGREEMENT_NS = 2_000_000_000
 """Between two clocks' ideas of one span: a stalled link, not a reboot, which takes longer."""
 LARGEST_DELAY_NS = 2_000_000_000
 """From a sample's stamp to the time when it was true; settings allow 1 s."""
+LARGEST = 1e12
+"""In the motion and its covariance."""
 MOST_STARTS = 5
 """So many restarts, each within :data:`STEADY_NS` of the one before: the state may be the cause."""
 STEADY_NS = 60_000_000_000
@@ -285,10 +287,14 @@ def _refuse_state(state: State) -> Refusal | None:
     if x[at.X_MODE] in (at.MODE_INIT, at.MODE_LEVEL):
         return Refusal(Why.ALIGNING, "it had not found its attitude yet; harmless: nothing is lost")
     P = x[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
-    means = (at.X_Q, 4), (at.X_VEL, 3), (at.X_POS, 3), (at.X_BG, 3), (at.X_BA, 3), (at.X_DELAY, 1)
+    known = np.ones(at.BLOCK, dtype=bool)
+    known[[at.X_DECLINATION, at.X_INCLINATION, at.X_FIELD, at.X_ARMED, at.X_LANDED]] = False
+    known[at.X_LEVEL : at.X_LEVEL + at.L_SIZE] = False
     is_possible = (
-        all(np.isfinite(x[first : first + length]).all() for first, length in means)
-        and bool(np.isfinite(P).all())
+        bool(np.isfinite(x[known]).all())
+        and bool((np.abs(x[at.X_Q : at.X_LAT0]) < LARGEST).all())
+        and bool((np.abs(P) < LARGEST).all())
+        and not np.isinf(x).any()
         and float(np.diagonal(P).min()) >= 0.0
         and abs(float(np.linalg.norm(x[at.X_Q : at.X_Q + 4])) - 1.0) < 1e-6
         and x[at.X_MODE] in (at.MODE_ATTITUDE, at.MODE_NAVIGATE)

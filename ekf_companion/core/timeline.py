@@ -143,7 +143,13 @@ class Timeline:
         self.lost = 0
         self.clear()
 
-    def restore(self, block: np.ndarray, waiting: np.ndarray, epoch_ns: int, stamp_ns: int) -> None:
+    def restore(
+        self,
+        block: cython.double[::1],
+        waiting: cython.double[:, ::1],
+        epoch_ns: cython.longlong,
+        stamp_ns: cython.longlong,
+    ) -> None:
         """Go on from a state that another timeline was in; that counts as a reset.
 
         The next inertial sample decides: within the gap that is bridged (layout.K_GAP) nothing was
@@ -157,7 +163,7 @@ class Timeline:
             stamp_ns: Stamp of the newest inertial sample, ns.
         """
         i: cython.Py_ssize_t
-        count: cython.Py_ssize_t = min(len(waiting), self.capacity // 2)
+        count: cython.Py_ssize_t = min(waiting.shape[0], self.capacity // 2)
         self.x[:] = block
         self.x[at.X_RESETS] += 1.0
         self.x[at.X_RESET_REASON] = at.RESET_RESTART
@@ -167,7 +173,7 @@ class Timeline:
         self.lost = 0
         self.begin_from(self.x[at.X_T], stamp_ns)
         for i in range(count):
-            self.rows[i, :] = waiting[i]
+            self.rows[i, :] = waiting[i, :]
         self.size = count
 
     @cython.cfunc
