@@ -281,10 +281,10 @@ def doubt(
 ) -> cython.void:
     """Count in what may have happened while no sample came; after a long gap begin velocity anew.
 
-    A multicopter turns by some 0.2 rad/s and accelerates by some 2 m/s^2 (one sigma) while nobody
-    looks; a fixed wing less. A stream that is always as slow has no gap, only doubt. After a long
-    gap the next fixes find attitude and velocity anew, so that more doubt costs nothing: half a
-    radian of tilt, any heading in the end, and the 3 m/s^2 of a vehicle flown hard.
+    A vehicle turns by some 0.2 rad/s and accelerates by some 2 m/s^2 (one sigma) beside what the
+    samples at both ends of a silence show. Where they show nothing, one that is flown hard is off
+    by half a radian and 4 m/s^2 in a second; tilt is bounded, heading and speed hardly are. A
+    stream that is always as slow has no gap, only doubt.
     """
     i: cython.Py_ssize_t
     turned: cython.double = 0.2 * span
@@ -297,19 +297,15 @@ def doubt(
             x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
             align.restart(x, x[at.X_T])
         return
-    if is_gap and span > k[at.K_GAP_RESET] and x[at.X_MODE] == at.MODE_NAVIGATE:
-        x[at.X_NEEDS_RESET] = LOST
-        x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
-        x[at.X_LEVEL + at.L_HAS_REF] = 0.0
+    if is_gap and span > BLIND:
+        turned = 0.5 * span
+        gained = 4.0 * span
+    if turned > 0.5:
         turned = 0.5
-        gained = 3.0 * span
-        if yawed < 0.5:
-            yawed = 0.5
-        if yawed > 1.8:
-            yawed = 1.8
-    elif turned > 0.5:
-        turned = 0.5
-        yawed = 0.5
+    if yawed < turned:
+        yawed = turned
+    if yawed > 1.8:
+        yawed = 1.8
     if gained > 20.0:
         gained = 20.0
     for i in range(3):
@@ -318,6 +314,10 @@ def doubt(
     for i in range(2):
         x[at.X_COV + (at.E_ATT + i) * (at.N + 1)] += turned * turned
     x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] += yawed * yawed
+    if is_gap and span > k[at.K_GAP_RESET] and x[at.X_MODE] == at.MODE_NAVIGATE:
+        x[at.X_NEEDS_RESET] = LOST
+        x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
+        x[at.X_LEVEL + at.L_HAS_REF] = 0.0
 
 
 @cython.cfunc
