@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.mavlink.layout import IDS
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import HomeConfig, SimConfig
 from sim_autopilot.flight import Flight
@@ -21,8 +23,34 @@ ENDS = (6.0, 12.0, 18.0)
 """Of the three runs of the daemon, s after the flight's start: killed, stopped, stopped."""
 
 
+class Ear:
+    """A link of the fake autopilot that notes when it heard what."""
+
+    def __init__(self, link):
+        self.address = link.address
+        self.heard = []
+        self.send = link.send
+        self._link = link
+
+    async def receive(self):
+        received = await self._link.receive()
+        self.heard.append((time.monotonic(), received.data))
+        return received
+
+    def runs(self):
+        """Give times and message ids of each run of the daemon: each counts its frames from 0."""
+        runs = []
+        for heard, data in self.heard:
+            for frame in Splitter().feed(data):
+                if frame.message_id == IDS["HEARTBEAT"] and frame.sequence == 0:
+                    runs.append([])
+                runs[-1].append((heard, frame.message_id))
+        return [run for run in runs if IDS["ODOMETRY"] in dict(map(reversed, run))]
+
+
 @dataclass
 class Restarted:
+    ear: Ear
     flown: Flown
     records: list[Record]
     words: list[str]
@@ -38,9 +66,12 @@ def restarted(tmp_path_factory):
     flight = Flight.plan("figure-eight", config, duration=ENDS[-1] + 1.5, skip=12.0)
     result = []
 
+    async def body(link):
+        ear = Ear(link)
+        return ear, await fly(flight, ear, kind=Kind.PX4, wait=20.0)
+
     def take_off():
-        url = f"udpin:127.0.0.1:{port}"
-        result.append(run(over(url, lambda link: fly(flight, link, kind=Kind.PX4, wait=20.0))))
+        result.append(run(over(f"udpin:127.0.0.1:{port}", body)))
 
     pilot = threading.Thread(target=take_off)
     pilot.start()
@@ -60,7 +91,7 @@ def restarted(tmp_path_factory):
         records.append(Record(own / "flight.tlog", daemon.config))
         words.append(daemon.words.read_text())
     pilot.join()
-    return Restarted(result[0], records, words, folder)
+    return Restarted(*result[0], records, words, folder)
 
 
 def first_of(record, name, component):
@@ -73,6 +104,10 @@ def test_it_estimates_within_a_second_of_its_first_sample(restarted, number):
     came, sample = first_of(record, "HIGHRES_IMU", 1)
     sent, odometry = first_of(record, "ODOMETRY", 194)
     assert (sent - came) * 1e-6 < 1.0
+    # So it was seen from the other end, which knows where to send when it has heard a first word
+    heard = restarted.ear.runs()[number]
+    answer = next(when for when, message_id in heard if message_id == IDS["ODOMETRY"])
+    assert answer - heard[0][0] < 1.0
     # It is the answer to that very sample
     assert odometry.time_usec == sample.time_usec
     words = restarted.words[number]
