@@ -5,8 +5,7 @@ so whatever does not fit is refused, with a sentence that says why. What decides
 own clock. Ours may have been set meanwhile (a board without a clock of its own starts wherever it
 stopped), so within one boot the time since boot is compared, and unix time only across two.
 
-The bytes, little endian: :data:`_HEADER`, the state block, the rows that wait for a sample, CRC-32
-of all before.
+The bytes, little endian: a header, the state block, the rows that wait for a sample, a CRC-32.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ LARGEST = 1e12
 MOST_STARTS = 5
 """So many restarts, each within :data:`STEADY_NS` of the one before: the state may be the cause."""
 STEADY_NS = 60_000_000_000
-_HEADER = struct.Struct("<8sI8s8s16s12s2B4BH4q16s2I")
+_HEADER = struct.Struct("<8sI8s8s32s12s2B4BH4q16s2I")
 _LARGEST_RANK = 4
 
 
@@ -56,11 +55,6 @@ class Why(str, Enum):
     STALE = "stale"
     CLOCKS = "clocks"
     LOOP = "loop"
-
-    @property
-    def is_usual(self) -> bool:
-        """Whether it comes with every start of the day, so that nobody need look."""
-        return self in (Why.ALIGNING, Why.REBOOTED, Why.STALE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +140,8 @@ class Checkpoint:
         if self.vehicle != vehicle:
             return foreign(self.vehicle, vehicle)
         if self.state.settings != settings:
-            return Refusal(
-                Why.SETTINGS,
-                "the estimator's settings are others now; harmless: it begins with them",
-            )
+            words = "the estimator's settings are others now; harmless: it begins with them"
+            return Refusal(Why.SETTINGS, words)
         return None
 
     def refuse_time(self, stamp_ns: int, now: Clocks, limit: float = LIMIT) -> Refusal | None:
@@ -192,6 +184,9 @@ def layout_fingerprint() -> bytes:
     return hashlib.sha256(repr(numbers).encode()).digest()[:8]
 
 
+LAYOUT = layout_fingerprint()
+
+
 def settings_fingerprint(parameters: Array, delays_ns: npt.NDArray[np.int64]) -> bytes:
     """Give 8 bytes that change with any number that the estimator is told."""
     return hashlib.sha256(parameters.tobytes() + delays_ns.tobytes()).digest()[:8]
@@ -199,11 +194,11 @@ def settings_fingerprint(parameters: Array, delays_ns: npt.NDArray[np.int64]) ->
 
 def encode(checkpoint: Checkpoint) -> bytes:
     """Give the bytes to keep."""
-    state, clocks = checkpoint.state, checkpoint.clocks
+    state = checkpoint.state
     body = _HEADER.pack(
         MAGIC,
         FORMAT,
-        layout_fingerprint(),
+        LAYOUT,
         state.settings,
         __version__.encode(),
         checkpoint.vehicle.family.encode(),
@@ -213,9 +208,7 @@ def encode(checkpoint: Checkpoint) -> bytes:
         min(checkpoint.starts, 0xFFFF),
         state.epoch_ns,
         state.stamp_ns,
-        clocks.unix_ns,
-        clocks.boot_ns,
-        clocks.boot_id,
+        *checkpoint.clocks,
         len(state.block),
         len(state.waiting),
     )
@@ -231,9 +224,8 @@ def is_ours(data: bytes) -> bool:
 def decode(data: bytes) -> Checkpoint | Refusal:
     """Read what :func:`encode` gave; anything else is refused, whatever it is."""
     if not is_ours(data):
-        return Refusal(
-            Why.DAMAGED, "it does not begin as a checkpoint; name a file for nothing else"
-        )
+        words = "it does not begin as a checkpoint; name a file for nothing else"
+        return Refusal(Why.DAMAGED, words)
     if len(data) < _HEADER.size + 4 or zlib.crc32(data[:-4]) != int.from_bytes(data[-4:], "little"):
         return Refusal(
             Why.DAMAGED,
@@ -245,7 +237,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
     )
     *sources, starts, epoch_ns, stamp_ns, unix_ns, boot_ns, boot_id, size, count = rest
     wrote = version.rstrip(b"\0").decode(errors="replace")
-    if (form, layout, wrote) != (FORMAT, layout_fingerprint(), __version__):
+    if (form, layout, wrote) != (FORMAT, LAYOUT, __version__[:32]):
         return Refusal(
             Why.VERSION,
             f"ekf-companion {wrote} wrote it, and this {__version__} lays its state out otherwise; "
@@ -287,11 +279,10 @@ def _refuse_state(state: State) -> Refusal | None:
     if x[at.X_MODE] in (at.MODE_INIT, at.MODE_LEVEL):
         return Refusal(Why.ALIGNING, "it had not found its attitude yet; harmless: nothing is lost")
     P = x[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
-    known = np.ones(at.BLOCK, dtype=bool)
-    known[[at.X_DECLINATION, at.X_INCLINATION, at.X_FIELD, at.X_ARMED, at.X_LANDED]] = False
-    known[at.X_LEVEL : at.X_LEVEL + at.L_SIZE] = False
+    unknown = [at.X_DECLINATION, at.X_INCLINATION, at.X_FIELD, at.X_ARMED, at.X_LANDED]
+    unknown += range(at.X_LEVEL, at.X_LEVEL + at.L_SIZE)
     is_possible = (
-        bool(np.isfinite(x[known]).all())
+        bool(np.isfinite(np.delete(x, unknown)).all())
         and bool((np.abs(x[at.X_Q : at.X_LAT0]) < LARGEST).all())
         and bool((np.abs(P) < LARGEST).all())
         and not np.isinf(x).any()

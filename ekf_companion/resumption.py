@@ -16,6 +16,7 @@ from ekf_companion.checkpoint import (
     Refusal,
     Sources,
     Vehicle,
+    Why,
     decode,
     encode,
     foreign,
@@ -24,6 +25,9 @@ from ekf_companion.mavlink.decode import Decoder
 from ekf_companion.pipeline import Pipeline
 
 _log = logging.getLogger(__name__)
+
+USUAL = (Why.ALIGNING, Why.REBOOTED, Why.STALE)
+"""What comes with every start of the day, so that nobody need look."""
 
 
 class Resumption:
@@ -113,7 +117,7 @@ class Resumption:
         )
 
     def _refuse(self, refusal: Refusal) -> None:
-        level = logging.INFO if refusal.why.is_usual else logging.WARNING
+        level = logging.INFO if refusal.why in USUAL else logging.WARNING
         _log.log(level, "The checkpoint is not used: %s", refusal.words)
         self._start = f"cold: {refusal.words}"
         self._found = None

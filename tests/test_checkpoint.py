@@ -149,6 +149,8 @@ def test_a_state_without_an_attitude_is_refused(mode):
 
 def test_any_change_of_the_layout_refuses_what_was_written_before(monkeypatch):
     monkeypatch.setattr(at, "L_SIZE", at.L_SIZE + 1)
+    assert checkpoint.layout_fingerprint() != checkpoint.LAYOUT
+    monkeypatch.setattr(checkpoint, "LAYOUT", checkpoint.layout_fingerprint())
     assert refused(BYTES).why is Why.VERSION
 
 
