@@ -15,7 +15,8 @@ Rooms
     mavlink   bytes and times in, measurements out, and back; no socket and no clock
     logs      one file per recorded format
     pipeline  the heart: measurement in, estimate out
-    link, service, convert, cli   the shells, which alone open, await, sleep and print
+    checkpoint, resumption        the state as bytes, and who may go on from it
+    link, keeper, service, convert, cli   the shells, which alone open, await, sleep and print
 """
 
 __version__ = "0.1.0"
