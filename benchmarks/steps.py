@@ -11,6 +11,7 @@ import numpy.typing as npt
 from benchmarks import flights
 from benchmarks.reference import Reference
 from benchmarks.result import Result
+from ekf_companion.checkpoint import Checkpoint, Clocks, Sources, Vehicle, encode
 from ekf_companion.nav.measurements import Events, Kind, Measurement
 from ekf_companion.pipeline import Pipeline
 from sim_autopilot.flight import Flight
@@ -101,6 +102,13 @@ def _live(events: Events) -> Iterator[Result]:
     yield Result(name="live, one fix on its arrival, p50", value=value, unit="us")
     calls = _calls(lambda _: pipeline.odometry(), measurements[:2000])
     yield Result(name="live, one estimate with covariances, p50", value=_median(calls), unit="us")
+    calls = _calls(lambda _: encode(_checkpoint(pipeline)), measurements[:500])
+    yield Result(name="live, one checkpoint as bytes, p50", value=_median(calls), unit="us")
+
+
+def _checkpoint(pipeline: Pipeline) -> Checkpoint:
+    vehicle, sources = Vehicle("px4", 1, 1), Sources()
+    return Checkpoint(state=pipeline.state(), vehicle=vehicle, clocks=Clocks(0), sources=sources)
 
 
 def _late(events: Events) -> Iterator[Result]:

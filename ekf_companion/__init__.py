@@ -16,7 +16,8 @@ Rooms
     logs      one file per recorded format
     pipeline  the heart: measurement in, estimate out
     calibrate numbers of the configuration, measured from logs
-    link, service, convert, cli   the shells, which alone open, await, sleep and print
+    checkpoint, resumption        the state as bytes, and who may go on from it
+    link, keeper, service, convert, cli   the shells, which alone open, await, sleep and print
 """
 
 __version__ = "0.1.0"

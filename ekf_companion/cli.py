@@ -128,6 +128,9 @@ def run(
     record: Annotated[
         str | None, typer.Option(help="Record every byte in and out to this .tlog.")
     ] = None,
+    checkpoint: Annotated[
+        str | None, typer.Option(help="Keep the state in this file, and go on from it.")
+    ] = None,
     log_level: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
 ) -> None:
     """Run the daemon until SIGTERM."""
@@ -143,6 +146,8 @@ def run(
         settings = _load(config)
         if record is not None:
             settings = replace(settings, record=replace(settings.record, path=record))
+        if checkpoint is not None:
+            settings = replace(settings, checkpoint=replace(settings.checkpoint, file=checkpoint))
         service.run(settings, link)
 
 

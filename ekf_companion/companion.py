@@ -10,6 +10,7 @@ import logging
 import math
 from collections.abc import Callable
 
+from ekf_companion.checkpoint import Clocks, Vehicle
 from ekf_companion.config import Config, LinkConfig
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
@@ -23,9 +24,10 @@ from ekf_companion.mavlink.session import (
     Session,
     SessionOptions,
 )
-from ekf_companion.nav.measurements import Measurement
+from ekf_companion.nav.measurements import ImuSample, Measurement
 from ekf_companion.nav.state import Status
 from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline
+from ekf_companion.resumption import Resumption
 
 _log = logging.getLogger(__name__)
 _SECOND_NS = 1_000_000_000
@@ -125,8 +127,10 @@ def _judge(health: Health, t_ns: int) -> EstimatorHealth:
     )
 
 
-def session_options(link: LinkConfig, is_recording: bool) -> SessionOptions:
-    """Give a session what the configuration says of the link."""
+def session_options(
+    link: LinkConfig, is_recording: bool, expected: Vehicle | None = None
+) -> SessionOptions:
+    """Give a session what the configuration says of the link, and whom it may expect there."""
     rates = dict(RATES)
     rates["HIGHRES_IMU"] = link.imu_rate
     rates["GPS_RAW_INT"] = link.gnss_rate
@@ -137,6 +141,7 @@ def session_options(link: LinkConfig, is_recording: bool) -> SessionOptions:
         component_id=link.component_id,
         autopilot_system_id=link.autopilot,
         rates=rates,
+        expected=None if expected is None else PeerFound(*expected[1:], Family(expected.family)),
         is_recording=is_recording,
     )
 
@@ -144,9 +149,14 @@ def session_options(link: LinkConfig, is_recording: bool) -> SessionOptions:
 class Companion:
     """One vehicle's estimator on one link."""
 
-    def __init__(self, config: Config, is_recording: bool = False) -> None:
+    def __init__(
+        self, config: Config, is_recording: bool = False, resumption: Resumption | None = None
+    ) -> None:
         self._config = config
-        self.session = Session(session_options(config.link, is_recording))
+        self._resumption = resumption or Resumption()
+        self._expected = self._resumption.expected
+        self._has_sample = False
+        self.session = Session(session_options(config.link, is_recording, self._expected))
         self.pipeline: Pipeline | None = None
         self._publisher: Publisher | None = None
         self._begin_ns: int | None = None
@@ -171,6 +181,17 @@ class Companion:
         """Give what is to be sent, and forget it."""
         return self.session.data_to_send()
 
+    def checkpoint(self, clocks: Clocks) -> bytes | None:
+        """Give what a restart could go on from; None: nothing has been estimated yet."""
+        if self.pipeline is None:
+            return None
+        return self._resumption.take(self.pipeline, self.session.decoder, clocks)
+
+    @property
+    def resets(self) -> int:
+        """How often the estimate has jumped on purpose."""
+        return 0 if self.pipeline is None else self.pipeline.resets
+
     def close(self, now_ns: int) -> None:
         """Say goodbye in a last heartbeat."""
         self.session.set_state(SystemStatus.POWEROFF)
@@ -179,11 +200,25 @@ class Companion:
     def _process(self, measurement: Measurement, now_ns: int) -> None:
         if self.pipeline is None or self._publisher is None:
             return
+        if not self._has_sample and isinstance(measurement, ImuSample):
+            self._has_sample = True
+            self._resumption.resume(self.pipeline, measurement.t_ns, now_ns)
         if self.pipeline.process(measurement) is Arrival.ESTIMATED:
             status = self._publisher.publish(
                 lambda name, payload: self.session.send(name, payload, now_ns)
             )
             self.session.set_state(encode.SYSTEM_STATUS[status])
+
+    def _begin(self, peer: PeerFound) -> None:
+        """Begin to estimate, or anew where the autopilot is not of the family expected."""
+        vehicle = Vehicle(peer.family.value, peer.system_id, peer.component_id)
+        if self.pipeline is not None and self._expected in (None, vehicle):
+            return
+        self.pipeline = Pipeline(self._config, peer.family.value)
+        self._publisher = Publisher(self._config, self.pipeline, peer.family)
+        self._resumption.meet(vehicle, self.pipeline, self.session.decoder)
+        if self._expected != vehicle:
+            self._expected = None
 
     def _complain(self, now_ns: int) -> None:
         """Say once that no autopilot has been heard, and what to look at."""
@@ -211,9 +246,7 @@ class Companion:
                     event.component_id,
                     event.family.value,
                 )
-                if self.pipeline is None:
-                    self.pipeline = Pipeline(self._config, event.family.value)
-                    self._publisher = Publisher(self._config, self.pipeline, event.family)
+                self._begin(event)
             elif isinstance(event, PeerLost):
                 _log.warning("Autopilot lost: no heartbeat for 5 s; check the link")
             elif isinstance(event, Rebooted):

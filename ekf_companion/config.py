@@ -19,6 +19,7 @@ import msgspec
 import yaml
 from msgspec import Meta
 
+from ekf_companion.checkpoint import LIMIT
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LinkError
 from ekf_companion.link import parse_url
@@ -71,12 +72,25 @@ class RecordConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CheckpointConfig:
+    """What a restart goes on from."""
+
+    file: str = ""
+    """Where the state is kept; empty: nowhere, and every start aligns anew."""
+    interval: Annotated[float, Meta(ge=0.1, le=60.0)] = 1.0
+    """Between two checkpoints, s: what is lost at a crash, on top of the time to start."""
+    limit: Annotated[float, Meta(gt=0.0, le=300.0)] = LIMIT
+    """Age by the autopilot's clock beyond which one is not used, s."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Config(FilterSettings):
     """The whole configuration: the estimator's settings and the service's."""
 
     link: LinkConfig = field(default_factory=LinkConfig)
     output: OutputConfig = field(default_factory=OutputConfig)
     record: RecordConfig = field(default_factory=RecordConfig)
+    checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
 
 
 class _Loader(yaml.SafeLoader):
@@ -197,6 +211,7 @@ def describe_config(config: object) -> Mapping[str, Any]:
 
 
 __all__ = [
+    "CheckpointConfig",
     "Config",
     "LinkConfig",
     "OutputConfig",

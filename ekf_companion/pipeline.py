@@ -11,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from ekf_companion.checkpoint import State, settings_fingerprint
 from ekf_companion.core import layout as at
 from ekf_companion.core.settings import FilterSettings, HeadingSettings, delays_ns, parameters
 from ekf_companion.core.timeline import COMPILED_BLOCK, Timeline
@@ -75,7 +76,7 @@ if COMPILED_BLOCK != at.BLOCK:
 
 RESET_REASONS = (
     *("none", "position", "velocity", "height", "heading", "inertial gap", "clock"),
-    *("state out of bounds", "heading against the motion"),
+    *("state out of bounds", "heading against the motion", "restart"),
 )
 
 
@@ -140,6 +141,9 @@ class Health:
     """One sigma of the horizontal position, m; NaN: no position yet."""
     std_vertical: float
     """One sigma of the height, m."""
+    start: str
+    """How it began: ``cold``, ``cold: `` and why a checkpoint was refused, or ``warm: `` and what
+    was lost."""
 
 
 class Pipeline:
@@ -164,12 +168,13 @@ class Pipeline:
         self._settings = settings
         iron = (settings.heading.hard_iron, settings.heading.soft_iron)
         self._has_iron = iron != (HeadingSettings().hard_iron, HeadingSettings().soft_iron)
+        k, late = parameters(settings, family), delays_ns(settings, family, gnss_delay)
+        self._fingerprint = settings_fingerprint(k, late)
         self._timeline = Timeline(
-            parameters(settings, family),
-            delays_ns(settings, family, gnss_delay),
-            round(settings.window * 1e9),
-            keeps_history=keeps_history,
+            k, late, round(settings.window * 1e9), keeps_history=keeps_history
         )
+        self.start = "cold"
+        """How it began, as :attr:`Health.start` says."""
 
     def process(self, measurement: Measurement) -> Arrival:
         """Take one measurement; ESTIMATED says that :meth:`estimate` is that of its stamp."""
@@ -195,6 +200,34 @@ class Pipeline:
     def history(self, is_over: bool = False) -> list[tuple[int, int, Array, Array]]:
         """Give the events that can change no more, as ``Timeline.history`` does."""
         return list(self._timeline.history(is_over))
+
+    @property
+    def fingerprint(self) -> bytes:
+        """What a state must have been estimated under for this pipeline to go on from it."""
+        return self._fingerprint
+
+    def state(self) -> State:
+        """Give everything that another pipeline needs to go on from here."""
+        return State(
+            epoch_ns=int(self._timeline.epoch_ns),
+            stamp_ns=self.stamp_ns,
+            block=self._timeline.block(),
+            waiting=self._timeline.waiting(),
+            settings=self._fingerprint,
+        )
+
+    def restore(self, state: State) -> None:
+        """Go on from a state; the next inertial sample says how much time was lost.
+
+        Whether the state may be believed is not asked here (:mod:`ekf_companion.checkpoint`).
+        """
+        self._timeline.restore(state.block, state.waiting, state.epoch_ns, state.stamp_ns)
+        self.start = "warm"
+
+    @property
+    def resets(self) -> int:
+        """How often the estimate has jumped on purpose."""
+        return int(self._timeline.resets)
 
     @property
     def stamp_ns(self) -> int:
@@ -261,6 +294,7 @@ class Pipeline:
             accel_noise=float(np.sqrt(x[at.X_NOISE_A : at.X_NOISE_A + 3].max())),
             std_horizontal=float(np.hypot(values[at.OUT_SD], values[at.OUT_SD + 1])),
             std_vertical=float(values[at.OUT_SD + 2]),
+            start=self.start,
         )
 
     @property

@@ -1,4 +1,4 @@
-"""The daemon: one link, one session, one pipeline, one loop; beside it a thread that records."""
+"""The daemon: one link, one session, one pipeline, one loop; beside it threads that write."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from typing import BinaryIO
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.errors import CompanionError, ConfigError
+from ekf_companion.keeper import Keeper, clocks, open_keeper
 from ekf_companion.link import Link, open_link
+from ekf_companion.resumption import Resumption
 
 if sys.version_info >= (3, 11):
     from asyncio import TaskGroup
@@ -45,7 +47,7 @@ def run(config: Config, url: str | None = None) -> None:
 
     Raises:
         LinkError: The URL names no link.
-        ConfigError: The recording cannot be begun.
+        ConfigError: The recording or the checkpoints have no place.
         CompanionError: A bug; its traceback is in the log.
     """
     if url is not None:
@@ -70,21 +72,25 @@ async def serve(config: Config) -> None:
 
     Raises:
         LinkError: The link's URL names no link.
-        ConfigError: The recording cannot be begun.
+        ConfigError: The recording or the checkpoints have no place.
     """
     stop = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
     link = open_link(config.link.url, clock=unix_clock)
     recorder = open_recorder(config.record.path)
-    companion = Companion(config, is_recording=recorder is not None)
+    keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
+    resumption = Resumption(
+        None if keeper is None else keeper.read(), clocks(), unix_clock(), config.checkpoint.limit
+    )
+    companion = Companion(config, recorder is not None, resumption)
     systemd = Systemd()
     systemd.tell("READY=1")
     try:
         async with TaskGroup() as group:
             pump = group.create_task(link.run())
             wake = group.create_task(_wake(link))
-            work = group.create_task(_work(link, companion, recorder, systemd))
+            work = group.create_task(_work(link, companion, recorder, keeper, systemd))
             await stop.wait()
 
             # Say goodbye when nothing else can be said any more
@@ -92,10 +98,13 @@ async def serve(config: Config) -> None:
             systemd.tell("STOPPING=1")
             companion.close(unix_clock())
             _send(link, companion, recorder)
+            _keep(companion, keeper)
             await asyncio.sleep(LAST_WORDS)
             wake.cancel()
             pump.cancel()
     finally:
+        if keeper is not None:
+            keeper.close()
         if recorder is not None:
             recorder.close()
     _log.info("Stopped")
@@ -109,7 +118,11 @@ async def _wake(link: Link) -> None:
 
 
 async def _work(
-    link: Link, companion: Companion, recorder: Recorder | None, systemd: Systemd
+    link: Link,
+    companion: Companion,
+    recorder: Recorder | None,
+    keeper: Keeper | None,
+    systemd: Systemd,
 ) -> None:
     """Take what comes, do what is due; heart and watchdog beat with the filter or not at all."""
     while True:
@@ -118,6 +131,8 @@ async def _work(
             companion.receive(data, now_ns)
         companion.tick(now_ns)
         _send(link, companion, recorder)
+        if keeper is not None and keeper.is_due(now_ns, companion.resets):
+            _keep(companion, keeper)
         systemd.beat(now_ns)
 
 
@@ -126,6 +141,11 @@ def _send(link: Link, companion: Companion, recorder: Recorder | None) -> None:
         link.send(frame)
     if recorder is not None:
         recorder.write(companion.session.take_record())
+
+
+def _keep(companion: Companion, keeper: Keeper | None) -> None:
+    if keeper is not None and (data := companion.checkpoint(clocks())) is not None:
+        keeper.keep(data)
 
 
 def unix_clock() -> int:

@@ -42,3 +42,8 @@ def test_the_program_takes_the_arguments_that_systemd_gives_it():
     result = CliRunner().invoke(app, COMMAND[2].replace("/etc/", "/nowhere/").split())
     assert result.exit_code == 2
     assert "/nowhere/ekf-companion/config.yaml: cannot be read" in result.stderr
+
+
+def test_the_state_that_a_restart_goes_on_from_lies_where_systemd_lets_it():
+    folder = re.search(r"^StateDirectory=(.*)$", UNIT.read_text(), flags=re.MULTILINE)[1]
+    assert COMMAND[2].endswith(f" --checkpoint /var/lib/{folder}/checkpoint")

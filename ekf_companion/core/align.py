@@ -20,9 +20,9 @@ if cython.compiled:
     from cython.cimports.ekf_companion.core.heading import face
     from cython.cimports.ekf_companion.core.observe import azimuth, wrap
     from cython.cimports.ekf_companion.core.propagate import matrix, turn, turn_body, unit
-    from cython.cimports.libc.math import atan2, isnan, sqrt
+    from cython.cimports.libc.math import atan2, cos, isnan, sin, sqrt
 else:
-    from math import atan2, isnan, sqrt
+    from math import atan2, cos, isnan, sin, sqrt
 
     from ekf_companion.core import layout as at
     from ekf_companion.core.correct import forget
@@ -34,6 +34,8 @@ REFERENCE_AGE = cython.declare(cython.double, 1.5e9)
 """Oldest heading reference to start from, ns."""
 LONGEST_MOTION = cython.declare(cython.double, 5e9)
 """Longest stretch to level over in motion, ns: the gyro's bias turns the frame meanwhile."""
+FIELD = cython.declare(cython.double, 4.0)
+"""Source of a heading, as the kernel counts them: the magnetic field where declination is known."""
 UNKNOWN_YAW = cython.declare(cython.double, 3.29)
 """Variance of an angle of which nothing is known: pi^2 / 3, rad^2."""
 
@@ -234,6 +236,8 @@ def begin_filter(
             x[at.X_LEVEL + at.L_REF_IRON] != 0.0,
         )
     ):
+        # the attitude points there already; the row says how sure that is
+        w[at.W_Z] = 0.0
         face(x, w)
 
 
@@ -327,9 +331,9 @@ def carry(x: cython.double[::1], w: cython.double[::1], dt: cython.double) -> cy
     """Carry the reference along with the turning body, and the force summed in a still frame."""
     i: cython.Py_ssize_t
     b: cython.Py_ssize_t = at.X_LEVEL + at.L_REF_V
-    px: cython.double = w[at.W_RATE] * dt
-    py: cython.double = w[at.W_RATE + 1] * dt
-    pz: cython.double = w[at.W_RATE + 2] * dt
+    px: cython.double = (w[at.W_RATE] - x[at.X_BG]) * dt
+    py: cython.double = (w[at.W_RATE + 1] - x[at.X_BG + 1]) * dt
+    pz: cython.double = (w[at.W_RATE + 2] - x[at.X_BG + 2]) * dt
     cx: cython.double
     cy: cython.double
     cz: cython.double
@@ -347,11 +351,115 @@ def carry(x: cython.double[::1], w: cython.double[::1], dt: cython.double) -> cy
     matrix(x, at.X_LEVEL + at.L_Q, w)
     for i in range(3):
         x[at.X_LEVEL + at.L_U + i] += dt * (
-            w[at.W_C_NB + 3 * i] * w[at.W_FORCE]
-            + w[at.W_C_NB + 3 * i + 1] * w[at.W_FORCE + 1]
-            + w[at.W_C_NB + 3 * i + 2] * w[at.W_FORCE + 2]
+            w[at.W_C_NB + 3 * i] * (w[at.W_FORCE] - x[at.X_BA])
+            + w[at.W_C_NB + 3 * i + 1] * (w[at.W_FORCE + 1] - x[at.X_BA + 1])
+            + w[at.W_C_NB + 3 * i + 2] * (w[at.W_FORCE + 2] - x[at.X_BA + 2])
         )
     turn_body(x, at.X_LEVEL + at.L_Q, 0.5 * px, 0.5 * py, 0.5 * pz)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def turn_about(
+    x: cython.double[::1],
+    w: cython.double[::1],
+    dn: cython.double,
+    de: cython.double,
+    dd: cython.double,
+) -> cython.double:
+    """Turn the attitude about d (unit, n) until the magnetic field points where it does here.
+
+    Gives the variance of that turn, rad^2. The azimuth of a steep field alone would say little
+    about a turn round an axis that leans towards it.
+    """
+    b: cython.Py_ssize_t = at.X_LEVEL + at.L_REF_V
+    std: cython.double = x[at.X_LEVEL + at.L_REF_STD]
+    matrix(x, at.X_Q, w)
+    size: cython.double = sqrt(x[b] * x[b] + x[b + 1] * x[b + 1] + x[b + 2] * x[b + 2])
+    n: cython.double = 0.0
+    e: cython.double = 0.0
+    d: cython.double = 0.0
+    i: cython.Py_ssize_t
+    for i in range(3):
+        n += w[at.W_C_NB + i] * x[b + i] / size
+        e += w[at.W_C_NB + 3 + i] * x[b + i] / size
+        d += w[at.W_C_NB + 6 + i] * x[b + i] / size
+    along: cython.double = n * dn + e * de + d * dd
+    level: cython.double = n * n + e * e
+    if x[at.X_HEADING_SOURCE] == FIELD and x[at.X_FIELD] > 0.0:
+        fn: cython.double = cos(x[at.X_INCLINATION]) * cos(x[at.X_DECLINATION])
+        fe: cython.double = cos(x[at.X_INCLINATION]) * sin(x[at.X_DECLINATION])
+        fd: cython.double = sin(x[at.X_INCLINATION])
+        a: cython.double = atan2(
+            dn * (e * fd - d * fe) + de * (d * fn - n * fd) + dd * (n * fe - e * fn),
+            n * fn + e * fe + d * fd - along * (fn * dn + fe * de + fd * dd),
+        )
+        turn(x, at.X_Q, a * dn, a * de, a * dd)
+        level = fn * fn + fe * fe
+    across: cython.double = 1.0 - along * along
+    if across < 0.01:
+        across = 0.01
+    return (x[at.X_HEADING_STD] * x[at.X_HEADING_STD] + std * std) * level / across
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def find_down(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    t: cython.double,
+    vn: cython.double,
+    ve: cython.double,
+    vd: cython.double,
+    std: cython.double,
+) -> cython.double:
+    """Set the attitude at a fix, from the velocity gained since the first one; give tilt's sigma.
+
+    Turns the summed force u into the body frame of now, so that attitude is of time t. A sigma of
+    zero says that it is too early, or that nothing gives north.
+    """
+    span: cython.double = (t - x[at.X_LEVEL + at.L_FIX_T]) * 1e-9
+    if x[at.X_LEVEL + at.L_HAS_FIX] == 0.0 or t - x[at.X_LEVEL + at.L_FIX_T] > LONGEST_MOTION:
+        begin_motion(x, t, vn, ve, vd, std)
+        return 0.0
+    if span < k[at.K_ALIGN_TIME]:
+        return 0.0
+    if x[at.X_LEVEL + at.L_HAS_REF] == 0.0 or t - x[at.X_LEVEL + at.L_REF_T] > REFERENCE_AGE:
+        return 0.0
+    down: cython.double = 0.0
+    doubt: cython.double = 2.0 * std
+    if isnan(vd) or isnan(x[at.X_LEVEL + at.L_FIX_V + 2]):
+        doubt = doubt + 1.0  # a climb that began meanwhile; it hardly tilts
+    else:
+        down = vd - x[at.X_LEVEL + at.L_FIX_V + 2]
+    dn: cython.double = vn - x[at.X_LEVEL + at.L_FIX_V]
+    de: cython.double = ve - x[at.X_LEVEL + at.L_FIX_V + 1]
+    down = down - k[at.K_GRAVITY] * span
+    matrix(x, at.X_LEVEL + at.L_Q, w)
+    orient(
+        x,
+        w,
+        w[at.W_C_NB] * x[at.X_LEVEL + at.L_U]
+        + w[at.W_C_NB + 3] * x[at.X_LEVEL + at.L_U + 1]
+        + w[at.W_C_NB + 6] * x[at.X_LEVEL + at.L_U + 2],
+        w[at.W_C_NB + 1] * x[at.X_LEVEL + at.L_U]
+        + w[at.W_C_NB + 4] * x[at.X_LEVEL + at.L_U + 1]
+        + w[at.W_C_NB + 7] * x[at.X_LEVEL + at.L_U + 2],
+        w[at.W_C_NB + 2] * x[at.X_LEVEL + at.L_U]
+        + w[at.W_C_NB + 5] * x[at.X_LEVEL + at.L_U + 1]
+        + w[at.W_C_NB + 8] * x[at.X_LEVEL + at.L_U + 2],
+        dn,
+        de,
+        down,
+    )
+    # A wrong turn about a force that was not upright is tilt as well
+    size: cython.double = sqrt(dn * dn + de * de + down * down)
+    turned: cython.double = turn_about(x, w, dn / size, de / size, down / size)
+    doubt = doubt / (k[at.K_GRAVITY] * span) + k[at.K_GYRO_BIAS] * span + 0.02
+    return sqrt(doubt * doubt + turned * (dn * dn + de * de) / (size * size))
 
 
 @cython.cfunc
@@ -367,50 +475,37 @@ def level_in_motion(
     vd: cython.double,
     std: cython.double,
 ) -> cython.bint:
-    """Level at a fix, from the velocity gained since the first one; False: not yet.
-
-    Turns the summed force u into the body frame of now, so that attitude is of time t.
-    """
+    """Begin the filter at a fix, with an attitude found in motion; False: not yet."""
     i: cython.Py_ssize_t
-    span: cython.double = (t - x[at.X_LEVEL + at.L_FIX_T]) * 1e-9
-    if x[at.X_LEVEL + at.L_HAS_FIX] == 0.0 or t - x[at.X_LEVEL + at.L_FIX_T] > LONGEST_MOTION:
-        begin_motion(x, t, vn, ve, vd, std)
+    tilt: cython.double = find_down(x, k, w, t, vn, ve, vd, std)
+    if tilt == 0.0:
         return False
-    if span < k[at.K_ALIGN_TIME]:
-        return False
-    if x[at.X_LEVEL + at.L_HAS_REF] == 0.0 or t - x[at.X_LEVEL + at.L_REF_T] > REFERENCE_AGE:
-        return False
-    down: cython.double = 0.0
-    doubt: cython.double = 2.0 * std
-    if isnan(vd) or isnan(x[at.X_LEVEL + at.L_FIX_V + 2]):
-        doubt = doubt + 1.0  # a climb that began meanwhile; it hardly tilts
-    else:
-        down = vd - x[at.X_LEVEL + at.L_FIX_V + 2]
-    matrix(x, at.X_LEVEL + at.L_Q, w)
-    orient(
-        x,
-        w,
-        w[at.W_C_NB] * x[at.X_LEVEL + at.L_U]
-        + w[at.W_C_NB + 3] * x[at.X_LEVEL + at.L_U + 1]
-        + w[at.W_C_NB + 6] * x[at.X_LEVEL + at.L_U + 2],
-        w[at.W_C_NB + 1] * x[at.X_LEVEL + at.L_U]
-        + w[at.W_C_NB + 4] * x[at.X_LEVEL + at.L_U + 1]
-        + w[at.W_C_NB + 7] * x[at.X_LEVEL + at.L_U + 2],
-        w[at.W_C_NB + 2] * x[at.X_LEVEL + at.L_U]
-        + w[at.W_C_NB + 5] * x[at.X_LEVEL + at.L_U + 1]
-        + w[at.W_C_NB + 8] * x[at.X_LEVEL + at.L_U + 2],
-        vn - x[at.X_LEVEL + at.L_FIX_V],
-        ve - x[at.X_LEVEL + at.L_FIX_V + 1],
-        down - k[at.K_GRAVITY] * span,
-    )
     for i in range(3):
         x[at.X_BG + i] = 0.0
-    begin_filter(
-        x,
-        k,
-        w,
-        t,
-        doubt / (k[at.K_GRAVITY] * span) + k[at.K_GYRO_BIAS] * span + 0.02,
-        k[at.K_GYRO_BIAS],
-    )
+    begin_filter(x, k, w, t, tilt, k[at.K_GYRO_BIAS])
+    return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def level_again(
+    x: cython.double[::1],
+    k: cython.double[::1],
+    w: cython.double[::1],
+    t: cython.double,
+    vn: cython.double,
+    ve: cython.double,
+    vd: cython.double,
+    std: cython.double,
+) -> cython.bint:
+    """Find the attitude of a running filter anew at a fix; False: not yet."""
+    tilt: cython.double = find_down(x, k, w, t, vn, ve, vd, std)
+    if tilt == 0.0:
+        return False
+    forget(x, at.E_ATT, 2, tilt * tilt)
+    # right already, but how sure it is the next heading says, by the tilt that it is seen with
+    forget(x, at.E_ATT + 2, 1, UNKNOWN_YAW)
+    forget(x, at.E_HEADING, 1, x[at.X_HEADING_STD] * x[at.X_HEADING_STD])
+    x[at.X_HEADING] = 0.0
     return True

@@ -133,7 +133,7 @@ def is_natural(
     if x[at.X_FIELD] > 0.0:
         if fabs(size - x[at.X_FIELD]) > k[at.K_FIELD_STRENGTH] * x[at.X_FIELD]:
             return False
-        if x[at.X_MODE] >= at.MODE_ATTITUDE:
+        if x[at.X_MODE] >= at.MODE_ATTITUDE and x[at.X_NEEDS_RESET] == 0.0:
             propagate.matrix(x, at.X_Q, w)
             d = (w[at.W_C_NB + 6] * mx + w[at.W_C_NB + 7] * my + w[at.W_C_NB + 8] * mz) / size
             d = 1.0 if d > 1.0 else (-1.0 if d < -1.0 else d)
@@ -220,7 +220,7 @@ def take_azimuth(
     Another source has another slow error; a field has the vehicle's own in it.
     """
     has_iron: cython.bint = source >= MAGNETIC
-    if x[at.X_MODE] == at.MODE_LEVEL:
+    if x[at.X_MODE] == at.MODE_LEVEL or x[at.X_NEEDS_RESET] != 0.0:
         x[at.X_HEADING_STD] = slow
         x[at.X_HEADING_SOURCE] = source
         x[at.X_LEVEL + at.L_HAS_REF] = 1.0

@@ -148,6 +148,8 @@ def step(
                 propagate.spread(x, k, w, dt)
                 if is_taped:
                     tape.moved(x, k, w, dt)
+                if x[at.X_NEEDS_RESET] != 0.0:
+                    align.carry(x, w, dt)
             frame.carry(x, w, dt)
             x[at.X_T] = rows[r, at.ROW_T]
         if r < last:
@@ -303,6 +305,7 @@ def start_over(x: cython.double[::1], t: cython.double, reason: cython.double) -
     x[at.X_HEADING] = 0.0
     x[at.X_HAS_YAW] = 0.0
     x[at.X_HAS_BARO] = 0.0
+    x[at.X_NEEDS_RESET] = 0.0
     x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
     x[at.X_LEVEL + at.L_HAS_REF] = 0.0
     for i in range(3):
@@ -353,12 +356,15 @@ def doubt(
 ) -> cython.void:
     """Count in what may have happened while no sample came; after a long gap begin velocity anew.
 
-    A multicopter turns by some 0.2 rad/s and accelerates by some 2 m/s^2 (one sigma) while nobody
-    looks; a fixed wing less. A stream that is always as slow has no gap, only doubt.
+    A vehicle turns by some 0.2 rad/s and accelerates by some 2 m/s^2 (one sigma) beside what the
+    samples at both ends of a silence show. Where they show nothing, one that is flown hard is off
+    by half a radian and 4 m/s^2 in a second; tilt is bounded, heading and speed hardly are. A
+    stream that is always as slow has no gap, only doubt.
     """
     i: cython.Py_ssize_t
     turned: cython.double = 0.2 * span
     gained: cython.double = 2.0 * span
+    yawed: cython.double = turned
     if is_gap:
         x[at.X_GAPS] += 1.0
     if x[at.X_MODE] == at.MODE_LEVEL:
@@ -366,17 +372,27 @@ def doubt(
             x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
             align.restart(x, x[at.X_T])
         return
+    if is_gap and span > BLIND:
+        turned = 0.5 * span
+        gained = 4.0 * span
+    if yawed < turned:
+        yawed = turned
+    if yawed > 1.8:
+        yawed = 1.8
     if turned > 0.5:
         turned = 0.5
     if gained > 20.0:
         gained = 20.0
-    for i in range(3):
+    for i in range(2):
         x[at.X_COV + (at.E_ATT + i) * (at.N + 1)] += turned * turned
+    x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] += yawed * yawed
+    for i in range(3):
         x[at.X_COV + (at.E_VEL + i) * (at.N + 1)] += gained * gained
         x[at.X_COV + (at.E_POS + i) * (at.N + 1)] += 0.25 * gained * gained * span * span
     if is_gap and span > k[at.K_GAP_RESET] and x[at.X_MODE] == at.MODE_NAVIGATE:
-        x[at.X_NEEDS_RESET] = 1.0
-        x[at.X_RESET_REASON] = at.RESET_GAP
+        x[at.X_NEEDS_RESET] = at.NEEDS_FIX
+        x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
+        x[at.X_LEVEL + at.L_HAS_REF] = 0.0
 
 
 @cython.cfunc
@@ -598,7 +614,7 @@ def status(x: cython.double[::1], k: cython.double[::1]) -> cython.int:
     late = 1.0 + (x[at.X_FIX_DT] if x[at.X_FIX_DT] < 2.0 else 2.0)
     if account.is_timed_out(x, at.AID_POS, late) and account.is_timed_out(x, at.AID_VEL, late):
         return DEAD_RECKONING
-    if x[at.X_DT] > SLOW_STREAM:
+    if x[at.X_DT] > SLOW_STREAM or x[at.X_NEEDS_RESET] != 0.0:
         return DEGRADED
     if account.is_timed_out(x, at.AID_POS, late + 1.0):
         return DEGRADED

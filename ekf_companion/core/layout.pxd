@@ -218,6 +218,9 @@ cdef enum:
     HEADING_GNSS = 1
     HEADING_MAG = 2
     HEADING_AUTOPILOT = 3
+    NEEDS_NOTHING = 0
+    NEEDS_FIX = 1
+    NEEDS_TILT = 2
     RESET_NONE = 0
     RESET_POSITION = 1
     RESET_VELOCITY = 2
@@ -227,6 +230,7 @@ cdef enum:
     RESET_CLOCK = 6
     RESET_BOUNDS = 7
     RESET_MOTION = 8
+    RESET_RESTART = 9
     W_H = 0
     W_C = 72
     W_Z = 144

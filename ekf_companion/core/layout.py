@@ -253,6 +253,12 @@ HEADING_GNSS = 1
 HEADING_MAG = 2
 HEADING_AUTOPILOT = 3
 
+# What a long gap leaves to be done (X_NEEDS_RESET): nothing has been heard of position and
+# velocity since; fixes have come again, but have not shown the attitude yet
+NEEDS_NOTHING = 0
+NEEDS_FIX = 1
+NEEDS_TILT = 2
+
 # Why the filter was reset last (X_RESET_REASON)
 RESET_NONE = 0
 RESET_POSITION = 1
@@ -263,6 +269,7 @@ RESET_GAP = 5
 RESET_CLOCK = 6
 RESET_BOUNDS = 7
 RESET_MOTION = 8
+RESET_RESTART = 9
 
 # Scratch numbers of one step: rows of H, P H', innovation, R, Cholesky factor, error state,
 # direction cosines, velocity increment, two rows, S and S G / 2, noise; rate and force: the mean of

@@ -47,6 +47,8 @@ LEAST_DOUBT = cython.declare(cython.double, 2.5e-3)
 of the accelerometer is taken for a part of the turn."""
 SMALLEST_LEVEL = cython.declare(cython.double, 1e-6)
 """m^2."""
+PATIENCE = cython.declare(cython.double, 3e9)
+"""Where no heading comes to find the attitude with, it is left to the filter after so long, ns."""
 ANY = cython.declare(cython.double, 1e6)
 """Variance of what is not known at all, m^2."""
 LEAN_TIME = cython.declare(cython.double, 3.0)
@@ -110,9 +112,7 @@ def take_fix(
             account.count(x, at.AID_POS, at.WHY_UNALIGNED)
         return True
     if x[at.X_NEEDS_RESET] != 0.0:
-        x[at.X_NEEDS_RESET] = 0.0
-        account.announce(x, at.RESET_GAP)
-        restart(x, k, w, has_vel)
+        resume(x, k, w, has_vel)
         return True
 
     # What is slow of their error is no larger than what has been learnt
@@ -281,31 +281,46 @@ def fuse(
     aid: cython.Py_ssize_t,
     m: cython.Py_ssize_t,
 ) -> cython.bint:
-    """Absorb the receiver's rows if they pass the gate, and learn how white its error is.
-
-    What the innovations have beyond the filter's own doubt is white.
-    """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
+    """Absorb the receiver's rows if they pass the gate, and learn how white its error is."""
     nis: cython.double = correct.innovate(x, w, m)
-    share: cython.double = 0.0
-    memory: cython.double = FIRST_MEMORY + x[at.X_NIS_N + aid]
     if aid != at.AID_VEL and is_dragged(x, w, m, aid):
         nis = DRAGGED
     if nis <= k[at.K_GATE + m - 1] or aid == at.AID_VEL:
-        for i in range(m):
-            share += w[at.W_Z + i] * w[at.W_Z + i]
-            for j in range(at.N):
-                share -= w[at.W_H + i * at.N + j] * w[at.W_C + i * at.N + j]
-        share = share / (m * w[at.W_FIX + 9 + aid])
-        share = share if share < LARGEST_SHARE else LARGEST_SHARE
-        if memory > WHITE_MEMORY:
-            memory = WHITE_MEMORY
-        x[at.X_WHITE + aid] += (share - x[at.X_WHITE + aid]) / memory
-        if x[at.X_WHITE + aid] > LARGEST_SHARE:
-            x[at.X_WHITE + aid] = LARGEST_SHARE
+        learn_white(x, w, aid, m)
     account.score(x, w, m, nis, k[at.K_GATE + m - 1])
     return account.weigh(x, k, w, aid, m, nis)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def learn_white(
+    x: cython.double[::1], w: cython.double[::1], aid: cython.Py_ssize_t, m: cython.Py_ssize_t
+) -> cython.void:
+    """Learn what share of the stated variance is white, from rows that have been judged.
+
+    What the innovations have beyond the filter's own doubt is white. Where that doubt is large
+    they tell little of it, and weigh less.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    seen: cython.double = 0.0
+    own: cython.double = 0.0
+    noise: cython.double = 0.0
+    weight: cython.double
+    memory: cython.double = FIRST_MEMORY + x[at.X_NIS_N + aid]
+    for i in range(m):
+        seen += w[at.W_Z + i] * w[at.W_Z + i]
+        noise += w[at.W_R + 4 * i]
+        for j in range(at.N):
+            own += w[at.W_H + i * at.N + j] * w[at.W_C + i * at.N + j]
+    seen = (seen - own) / (m * w[at.W_FIX + 9 + aid])
+    seen = seen if seen < LARGEST_SHARE else LARGEST_SHARE
+    seen = seen if seen > -LARGEST_SHARE else -LARGEST_SHARE
+    weight = noise / (noise + own)
+    if memory > WHITE_MEMORY:
+        memory = WHITE_MEMORY
+    x[at.X_WHITE + aid] += weight * weight * (seen - x[at.X_WHITE + aid]) / memory
 
 
 @cython.cfunc
@@ -411,6 +426,32 @@ def navigate(
     restart(x, k, w, has_vel)
     x[at.X_T_USED + at.AID_VEL] = x[at.X_T]
     x[at.X_T_USED + at.AID_BARO] = x[at.X_T]
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def resume(
+    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1], has_vel: cython.bint
+) -> cython.void:
+    """Go by the fixes alone after a long gap, until they have shown the attitude.
+
+    Nobody saw the vehicle turn: by an attitude that may be half a radian and more off no fix can
+    be judged, and what a linear filter learns from it is wrong and claims to be right.
+    """
+    if x[at.X_NEEDS_RESET] == at.NEEDS_FIX:
+        x[at.X_NEEDS_RESET] = at.NEEDS_TILT
+        account.announce(x, at.RESET_GAP)
+    if (
+        not has_vel
+        or align.level_again(
+            x, k, w, x[at.X_T], w[at.W_FIX + 3], w[at.W_FIX + 4], w[at.W_FIX + 5], w[at.W_FIX + 8]
+        )
+        or x[at.X_T] - x[at.X_LEVEL + at.L_FIX_T] > PATIENCE
+    ):
+        x[at.X_NEEDS_RESET] = 0.0
+        x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
+    restart(x, k, w, has_vel)
 
 
 @cython.cfunc

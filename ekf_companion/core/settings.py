@@ -92,7 +92,7 @@ class ImuSettings:
     gap: Positive = 0.2
     """Longest silence to bridge as if nothing had been missed, s."""
     gap_reset: Positive = 1.0
-    """Silence after which velocity and position begin anew at the next fix, s."""
+    """Silence after which position, velocity and attitude begin anew with the next fixes, s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

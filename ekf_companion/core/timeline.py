@@ -72,6 +72,7 @@ class Timeline:
     window: cython.double
     epoch: cython.longlong
     has_epoch: cython.bint
+    is_restored: cython.bint
     newest: cython.double
     oldest: cython.double
     stamp: cython.longlong
@@ -114,6 +115,7 @@ class Timeline:
         self.out = np.zeros(at.OUT)
         self.counters = np.zeros((len(self.delay), 6), dtype=np.int64)
         self.has_epoch = False
+        self.is_restored = False
         self.epoch = 0
         self.lost = 0
         self.reruns = 0
@@ -146,10 +148,52 @@ class Timeline:
         self.x[at.X_RESETS] = resets + 1.0 if started else resets
         self.x[at.X_RESET_REASON] = at.RESET_CLOCK
         self.has_epoch = False
+        self.is_restored = False
         self.lost = 0
         self.start[:] = self.x
         self.stretch += 1
         self.clear()
+
+    def restore(
+        self,
+        block: cython.double[::1],
+        waiting: cython.double[:, ::1],
+        epoch_ns: cython.longlong,
+        stamp_ns: cython.longlong,
+    ) -> None:
+        """Go on from a state that another timeline was in; that counts as a reset.
+
+        The next inertial sample decides: within the gap that is bridged (layout.K_GAP) nothing was
+        lost, and it runs on to the bit. Later, what was true meanwhile was not all heard, so none
+        of it is used: the sample ends a gap, and the window begins with it.
+
+        Args:
+            block: The state, shape (BLOCK,).
+            waiting: Rows that waited for a sample, in order of time, shape (n, ROW).
+            epoch_ns: What the times in both count from, ns.
+            stamp_ns: Stamp of the newest inertial sample, ns.
+        """
+        i: cython.Py_ssize_t
+        count: cython.Py_ssize_t = min(waiting.shape[0], self.capacity // 2)
+        self.x[:] = block
+        self.x[at.X_RESETS] += 1.0
+        self.x[at.X_RESET_REASON] = at.RESET_RESTART
+        self.epoch = epoch_ns
+        self.has_epoch = True
+        self.is_restored = True
+        self.lost = 0
+        self.begin_from(self.x[at.X_T], stamp_ns)
+        for i in range(count):
+            self.rows[i, :] = waiting[i, :]
+        self.size = count
+
+    @cython.cfunc
+    def begin_from(self, t: cython.double, t_ns: cython.longlong) -> cython.void:
+        """Forget all events up to the newest sample, which was at t: none may go behind it."""
+        self.clear()
+        self.newest = t
+        self.oldest = t
+        self.stamp = t_ns
 
     def insert(self, t_ns: cython.longlong, kind: cython.int, values: cython.double[::1]) -> int:
         """Take one event on its arrival and run the filter as far as it now can.
@@ -184,6 +228,7 @@ class Timeline:
         j: cython.Py_ssize_t
         order: cython.int
         t: cython.double
+        is_bridge: cython.bint = False
         if not self.has_epoch:
             # the same whichever event comes first, and near enough for exact doubles
             self.epoch = t_ns // EPOCH_STEP * EPOCH_STEP
@@ -199,6 +244,13 @@ class Timeline:
                 if self.lost >= LOST_AFTER:
                     self.restart()
             return STALE
+
+        # The first sample after a restart: what waits for it was true while nobody listened?
+        if kind == IMU and self.is_restored:
+            self.is_restored = False
+            is_bridge = (t - self.x[at.X_T]) * 1e-9 > self.k[at.K_GAP]
+            if is_bridge:
+                self.size = 0
 
         # Find the place: after all that is earlier, in an order that arrival has no part in
         i = self.size
@@ -232,6 +284,8 @@ class Timeline:
         self.lost = 0
         self.newest = t
         self.stamp = t_ns
+        if is_bridge:
+            self.begin_from(t, t_ns)
         return ESTIMATED
 
     @cython.cfunc
@@ -359,6 +413,20 @@ class Timeline:
     def block(self) -> np.ndarray:
         """Give a copy of the state block, shape (BLOCK,)."""
         return np.array(self.x)
+
+    def waiting(self) -> np.ndarray:
+        """Give a copy of the rows that wait for the next inertial sample, shape (n, ROW)."""
+        return np.array(self.rows[self.cursor : self.size])
+
+    @property
+    def epoch_ns(self) -> int:
+        """What the times in the block count from, ns."""
+        return self.epoch
+
+    @property
+    def resets(self) -> int:
+        """How often the state has jumped on purpose."""
+        return int(self.x[at.X_RESETS])
 
     @property
     def stamp_ns(self) -> int:

@@ -177,6 +177,20 @@ class Decoder:
             self._imu.rank
         ]
 
+    @property
+    def ranks(self) -> tuple[int, int, int, int]:
+        """Ranks of the sources in use: inertial, magnetometer, barometer, heading."""
+        return self._imu.rank, self._mag.rank, self._baro.rank, self._heading.rank
+
+    def prefer(self, imu: int, mag: int, baro: int, heading: int) -> None:
+        """Take these ranks at once: it is known already that better sources are silent."""
+        for preference, rank in zip(
+            (self._imu, self._mag, self._baro, self._heading),
+            (imu, mag, baro, heading),
+            strict=True,
+        ):
+            preference.rank = rank
+
     def decode(self, frame: Frame) -> list[Measurement]:
         """Give what a frame of the autopilot says: nothing, one or several measurements."""
         function = self._decoders.get(frame.message_id)

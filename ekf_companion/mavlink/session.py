@@ -77,6 +77,9 @@ class SessionOptions:
     """The one autopilot to listen to; None: the first that is heard."""
     rates: Mapping[str, float] = field(default_factory=lambda: RATES)
     """Messages to ask for, Hz, by name; 0 stops one; empty: nothing is asked."""
+    expected: PeerFound | None = None
+    """An autopilot that is known from an earlier run: found by whatever it says first, so that its
+    heartbeat need not be waited for."""
     is_recording: bool = False
     """Whether what goes in and out is kept for ``take_record``."""
     decoder: DecoderOptions = field(default_factory=DecoderOptions)
@@ -176,6 +179,8 @@ class Session:
             return []
         if frame.message_id == _HEARTBEAT_ID:
             self._take_heartbeat(frame, now_ns)
+        elif self._peer is None:
+            self._recognise(sender, now_ns)
         if sender != self._peer:
             self.ignored["of another system or component"] += 1
             return []
@@ -192,6 +197,24 @@ class Session:
             self._begin_anew()
         return measurements
 
+    def _recognise(self, sender: tuple[int, int], now_ns: int) -> None:
+        expected, wanted = self.options.expected, self.options.autopilot_system_id
+        if expected is None or sender != (expected.system_id, expected.component_id):
+            return
+        if wanted not in (None, sender[0]):
+            return
+        self._peer = sender
+        if self.options.system_id is None:
+            self._sender.system_id = sender[0]
+        self._find(expected.family, now_ns)
+
+    def _find(self, family: Family, now_ns: int) -> None:
+        self._heard_ns = quantise(now_ns)
+        self._is_lost = False
+        self.decoder.family = family
+        self._events.append(PeerFound(*(self._peer or (0, 0)), family))
+        self._begin_anew()
+
     def _take_heartbeat(self, frame: Frame, now_ns: int) -> None:
         heartbeat = unpack(frame)
         if heartbeat.autopilot == _NO_AUTOPILOT or heartbeat.type == _GROUND_STATION:
@@ -206,11 +229,11 @@ class Session:
             return
         self._notice_silence(now_ns)
         self._heard_ns = quantise(now_ns)
-        self.decoder.family = _FAMILIES.get(heartbeat.autopilot, Family.UNKNOWN)
-        if self._is_lost:
-            self._is_lost = False
-            self._events.append(PeerFound(*self._peer, self.decoder.family))
-            self._begin_anew()
+        family = _FAMILIES.get(heartbeat.autopilot, Family.UNKNOWN)
+        is_other = self.options.expected is not None and family is not self.decoder.family
+        self.decoder.family = family
+        if self._is_lost or is_other:
+            self._find(family, now_ns)
 
     def _begin_anew(self) -> None:
         """Ask for everything again: the autopilot knows nothing of us."""

@@ -23,7 +23,8 @@ class Status(IntEnum):
     OK = 3
     """Everything is estimated and aided."""
     DEGRADED = 4
-    """Estimated, but one of position, velocity, height or heading goes without its aid."""
+    """Estimated, but one of position, velocity, height or heading goes without its aid, or the
+    attitude is being found anew after a gap."""
     DEAD_RECKONING = 5
     """No position or velocity aid for a second or more: the error grows."""
     INVALID = 6

@@ -532,3 +532,19 @@ def test_a_pace_starts_anew_when_stamps_go_back():
         True,
         False,
     ]
+
+
+def test_after_a_restart_the_source_that_was_in_use_is_not_waited_for():
+    def raw(peer, t_us):
+        return peer.say("raw_imu", time_usec=t_us, zacc=-1000, xmag=210, ymag=30, zmag=420)
+
+    cold, warm = Peer(Family.ARDUPILOT), Peer(Family.ARDUPILOT)
+    warm.decoder.prefer(1, 1, 0, 0)
+    assert raw(cold, 5_000_000) == []
+    assert [type(m) for m in raw(warm, 5_000_000)] == [ImuSample, MagSample]
+    for t_us in range(5_020_000, 9_000_000, 20_000):
+        raw(cold, t_us)
+    assert cold.decoder.ranks == (1, 1, 0, 0)
+    # The best is taken as soon as it speaks
+    assert only(ImuSample, warm.highres(5_010_000))
+    assert warm.decoder.ranks == (0, 1, 0, 0)

@@ -465,3 +465,52 @@ def test_a_recorded_flight_gives_its_measurements(flight):
     assert counts[Kind.RESTART] == restarts
     assert counts[Kind.HEADING] > 100
     assert counts[Kind.BARO] > 100 or "transcoded" in flight
+
+
+# After a restart
+
+
+def expecting(autopilot, **options):
+    family = Family.PX4 if autopilot.family == PX4 else Family.ARDUPILOT
+    return Session(SessionOptions(expected=PeerFound(7, 1, family), **options))
+
+
+def test_an_expected_autopilot_is_found_by_its_first_sample():
+    autopilot = Autopilot(system_id=7)
+    session = expecting(autopilot)
+    assert [type(m) for m in session.receive(autopilot.imu(5_000_000), 0)] == [ImuSample]
+    assert session.events() == [PeerFound(7, 1, Family.PX4)]
+    session.tick(0)
+    assert session.peer == (7, 1)
+    assert {m.target_system for m in sent(session, "COMMAND_LONG")} == {7}
+    # Its heartbeat says nothing new, and its absence is missed as ever
+    session.receive(autopilot.heartbeat(), SECOND)
+    assert session.events() == []
+    session.tick(7 * SECOND)
+    assert session.events()[-1] == PeerLost(SECOND)
+
+
+@pytest.mark.parametrize("other", [(8, 1), (7, 2)])
+def test_another_than_the_expected_one_is_found_by_its_heartbeat(other):
+    autopilot = Autopilot(*other)
+    session = expecting(autopilot)
+    assert session.receive(autopilot.imu(5_000_000), 0) == []
+    session.receive(autopilot.heartbeat(), 0)
+    assert session.events() == [PeerFound(*other, Family.PX4)]
+
+
+def test_an_expected_autopilot_of_another_family_is_found_again_by_its_heartbeat():
+    autopilot = Autopilot(system_id=7, family=ARDUPILOT)
+    session = Session(SessionOptions(expected=PeerFound(7, 1, Family.PX4)))
+    session.receive(autopilot.imu(5_000_000), 0)
+    session.receive(autopilot.heartbeat(), 0)
+    session.receive(autopilot.heartbeat(), SECOND)
+    assert [event.family for event in session.events()] == [Family.PX4, Family.ARDUPILOT]
+    assert session.decoder.family is Family.ARDUPILOT
+
+
+def test_one_that_is_not_to_be_listened_to_is_not_expected_either():
+    autopilot = Autopilot(system_id=7)
+    session = expecting(autopilot, autopilot_system_id=8)
+    assert session.receive(autopilot.imu(5_000_000), 0) == []
+    assert session.peer is None
