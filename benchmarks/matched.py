@@ -40,6 +40,7 @@ def matched(
             delay=gnss.delay,
             delay_std=delay_std,
             timing_std=0.0,
+            velocity_slow_std=0.0,
             lever_arm=gnss.lever_arm,
             white_share=gnss.noise_h**2 / (gnss.noise_h**2 + gnss.slow_h**2),
             slow_time=gnss.slow_time,

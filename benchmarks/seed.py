@@ -56,6 +56,7 @@ def settings(samples: str = "instant", lag: float = 0.0) -> FilterSettings:
             delay=0.0,
             delay_std=0.0,
             timing_std=0.0,
+            velocity_slow_std=0.0,
             white_share=1.0,
             position_std=0.0,
             height_std=0.0,

@@ -70,4 +70,4 @@ def test_a_start_in_a_turn_finds_north_by_the_whole_field(name):
         error, _ = deviations(table, truth)
         first = np.flatnonzero(table.column("status") >= Status.OK)[5]
         assert np.degrees(np.abs(error[first, 3:5])).max() < 5.0, skip
-        assert np.degrees(np.abs(error[first, 5])) < 10.0, skip
+        assert np.degrees(np.abs(error[first, 5])) < 12.0, skip

@@ -30,7 +30,8 @@ def test_good_measurements_meet_the_soft_gate_as_often_as_it_says():
             counts += [found[Verdict.FUSED], found[Verdict.SOFT], found[Verdict.GATED]]
     fused, soft, gated = counts
     assert 0.001 < soft / (fused + soft) < 0.03
-    assert gated == 0
+    # but for a few at the start, while the receiver's noise is not known yet
+    assert gated <= 0.002 * fused
 
 
 def test_a_doubtful_fix_moves_less_than_it_would_in_full():
@@ -42,7 +43,7 @@ def test_a_doubtful_fix_moves_less_than_it_would_in_full():
         )
         events, _ = flight("hover", duration=20.0, noise=(0.5, 0.0))
         one = np.flatnonzero(fixes(events, 15.0, 20.0))[0]
-        off = changed(events, np.arange(len(events)) == one, 0, 1.6 * METRE)
+        off = changed(events, np.arange(len(events)) == one, 0, 2.1 * METRE)
         (was, _), (now, _) = run(events, settings), run(off, settings)
         moved.append(np.abs(now.column("pos_n") - was.column("pos_n"))[-300:].max())
     assert 0.0 < moved[0] < 0.8 * moved[1]

@@ -367,10 +367,10 @@ def doubt(
     yawed: cython.double = turned
     if is_gap:
         x[at.X_GAPS] += 1.0
+        align.restart(x, x[at.X_T])
     if x[at.X_MODE] == at.MODE_LEVEL:
         if is_gap:
             x[at.X_LEVEL + at.L_HAS_FIX] = 0.0
-            align.restart(x, x[at.X_T])
         return
     if is_gap and span > BLIND:
         turned = 0.5 * span
@@ -449,7 +449,7 @@ def settle(
                 bank.know_bias(x, sqrt(x[at.X_COV + at.E_BG * (at.N + 1)]))
             elif t - x[at.X_LEVEL + at.L_START] > ROUGH_AFTER and t - x[at.X_T_FIX] > ROUGH_AFTER:
                 align.level_roughly(x, k, w)
-        elif x[at.X_AT_REST] != 0.0 and k[at.K_USE_REST] != 0.0:
+        elif x[at.X_AT_REST] != 0.0 and k[at.K_USE_REST] != 0.0 and x[at.X_NEEDS_RESET] == 0.0:
             stand(x, k, w)
         align.restart(x, t)
     if x[at.X_MODE] == at.MODE_ATTITUDE and t - x[at.X_T_FAKE] >= FAKE_INTERVAL:
@@ -481,11 +481,14 @@ def is_moving(x: cython.double[::1]) -> cython.bint:
     i: cython.Py_ssize_t
     speed: cython.double = 0.0
     sigma: cython.double = 0.0
-    if x[at.X_MODE] != at.MODE_NAVIGATE:
+    if x[at.X_MODE] != at.MODE_NAVIGATE or x[at.X_LANDED] == 1.0:
         return False
     for i in range(3):
         speed += x[at.X_VEL + i] * x[at.X_VEL + i]
         sigma += x[at.X_COV + (at.E_VEL + i) * (at.N + 1)]
+    # a velocity that is not known speaks against it as well
+    if sigma > 1.0:
+        return True
     return speed > 0.25 + 9.0 * sigma
 
 

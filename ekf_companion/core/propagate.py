@@ -410,6 +410,7 @@ def spread(
             if j > i:
                 x[pos + j * at.N + at.E_VEL + i] += h * s1
             x[pos + i * at.N + at.E_POS + j] += (dt * dt / 3.0) * s1
+        x[pos + i * at.N + at.E_POS + i] += k[at.K_POS_WALK] * k[at.K_POS_WALK] * dt
     for j in range(3):
         x[bg + j * at.N + at.E_BG + j] += k[at.K_GYRO_WALK] * k[at.K_GYRO_WALK] * dt
         x[ba + j * at.N + at.E_BA + j] += k[at.K_ACCEL_WALK] * k[at.K_ACCEL_WALK] * dt

@@ -55,9 +55,13 @@ LEAN_TIME = cython.declare(cython.double, 3.0)
 """Time over which fixes that lean to one side show, s."""
 LEAN_CLIP = cython.declare(cython.double, 4.0)
 """What one wild fix may count, sigmas."""
-LARGEST_LEAN = cython.declare(cython.double, 2.0)
-"""Mean of the innovations, sigmas, beyond which the receiver is refused."""
+LARGEST_LEAN = cython.declare(cython.double, 1.5)
+"""Mean of the innovations, sigmas, beyond which the receiver is refused;"""
+LEAN_SIGMAS = cython.declare(cython.double, 5.5)
+"""and at least so many of its own."""
 DRAGGED = cython.declare(cython.double, 1e29)
+REPEATS = cython.declare(cython.double, 2.0)
+"""So many times the same position, and a receiver that moves is frozen."""
 JERK = cython.declare(cython.double, 0.25)
 """Variance of our own acceleration while its velocity is refused, m^2/s^4."""
 DERIVED = cython.declare(cython.int, 1)
@@ -82,6 +86,9 @@ def take_fix(
 
     # Which source, and can it be believed
     if not is_used(x, k, cython.cast(cython.int, rows[r, at.ROW_V + 10])):
+        return True
+    if is_frozen(x, rows, r):
+        account.count(x, at.AID_POS, at.WHY_SUSPECT)
         return True
     learn_place(x, rows, r)
     read(x, k, w, rows, r)
@@ -181,6 +188,31 @@ def is_used(x: cython.double[::1], k: cython.double[::1], flags: cython.int) -> 
         account.count(x, at.AID_POS, at.WHY_SUSPECT)
         return False
     return True
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def is_frozen(
+    x: cython.double[::1], rows: cython.double[:, ::1], r: cython.Py_ssize_t
+) -> cython.bint:
+    """Say whether the receiver repeats itself to the bit while we move."""
+    i: cython.Py_ssize_t
+    is_same: cython.bint = True
+    speed: cython.double = 0.0
+    sigma: cython.double = 0.0
+    for i in range(3):
+        if x[at.X_LAST_FIX + i] != rows[r, at.ROW_V + i]:
+            is_same = False
+        x[at.X_LAST_FIX + i] = rows[r, at.ROW_V + i]
+        speed += x[at.X_VEL + i] * x[at.X_VEL + i]
+        sigma += x[at.X_COV + (at.E_VEL + i) * (at.N + 1)]
+    x[at.X_REPEATS] = x[at.X_REPEATS] + 1.0 if is_same else 0.0
+    return (
+        x[at.X_MODE] == at.MODE_NAVIGATE
+        and x[at.X_REPEATS] >= REPEATS
+        and speed > 1.0 + 9.0 * sigma
+    )
 
 
 @cython.cfunc
@@ -339,13 +371,16 @@ def is_dragged(
     gain: cython.double = x[at.X_FIX_DT] / (x[at.X_FIX_DT] + LEAN_TIME)
     size: cython.double = 0.0
     y: cython.double
+    largest: cython.double = LEAN_SIGMAS * sqrt(gain / (2.0 - gain))
+    if largest < LARGEST_LEAN:
+        largest = LARGEST_LEAN
     for i in range(m):
         y = w[at.W_Y + i]
         y = y if y < LEAN_CLIP else LEAN_CLIP
         y = y if y > -LEAN_CLIP else -LEAN_CLIP
         x[lean + i] += gain * (y - x[lean + i])
         size += x[lean + i] * x[lean + i]
-    return size > LARGEST_LEAN * LARGEST_LEAN
+    return size > largest * largest
 
 
 @cython.cfunc

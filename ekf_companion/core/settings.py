@@ -124,6 +124,11 @@ class GnssSettings:
     """Least one sigma of that of the height, m."""
     velocity_std: NotNegative = 0.1
     """Least one sigma of the velocity per axis, m/s."""
+    velocity_slow_std: NotNegative = 0.03
+    """One sigma of the slow error of the velocity per axis, m/s: its integral drifts from the
+    position's."""
+    velocity_slow_time: Positive = 20.0
+    """Time constant of that, s."""
     velocity_std_unknown: Positive = 0.3
     """One sigma of the velocity where the receiver does not say, m/s."""
 
@@ -278,6 +283,7 @@ def parameters(settings: FilterSettings, family: str, gnss_delay: float | None =
     k[at.K_POS_FLOOR] = gnss.position_std
     k[at.K_HGT_FLOOR] = gnss.height_std
     k[at.K_VEL_FLOOR] = gnss.velocity_std
+    k[at.K_POS_WALK] = gnss.velocity_slow_std * math.sqrt(2.0 * gnss.velocity_slow_time)
     k[at.K_TIMING] = gnss.timing_std
     k[at.K_SLOW_TIME] = gnss.slow_time
     k[at.K_WHITE_SHARE] = math.nan if gnss.white_share == "auto" else gnss.white_share

@@ -31,7 +31,7 @@ def test_nothing_in_a_block_overlaps():
         "X_PREV_A": 3, "X_WHITE": 3, "X_T_REFUSED": layout.AIDS, "X_LEVEL": layout.L_SIZE,
         "X_COV": layout.N * layout.N, "X_SLOW": 3, "X_IRON": 3, "X_DELTA": 7,
         "X_NIS_SUM": layout.AIDS, "X_NIS_N": layout.AIDS, "X_RUN": 3 * layout.C_SIZE, "X_LEAN": 3,
-        "X_FRESH": layout.N, "X_BANK": layout.B_SIZE,
+        "X_FRESH": layout.N, "X_LAST_FIX": 3, "X_BANK": layout.B_SIZE,
     }  # fmt: skip
     places = sorted((value, name) for name, value in numbers().items() if name.startswith("X_"))
     ends = [value + sizes.get(name, 1) for value, name in places]
