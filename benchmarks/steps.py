@@ -14,6 +14,7 @@ from benchmarks.result import Result
 from ekf_companion.checkpoint import Checkpoint, Clocks, Sources, Vehicle, encode
 from ekf_companion.nav.measurements import Events, Kind, Measurement
 from ekf_companion.pipeline import Pipeline
+from ekf_companion.smoothing import Smoothing
 from sim_autopilot.flight import Flight
 
 Array = npt.NDArray[np.float64]
@@ -41,6 +42,12 @@ def measure(duration: float = 120.0) -> Iterator[Result]:
     yield Result(
         name="compiled loop over a recording, per sample", value=compiled, unit="us", aim=2.5
     )
+    yield Result(
+        name="smoothing a recording, both runs, per sample",
+        value=_smoothed(events),
+        unit="us",
+        aim=100.0,
+    )
     dense, dense_error = _numpy(flight, events, min(duration, REFERENCE_DURATION))
     yield Result(name="plain NumPy, 15 dense states, per sample", value=dense, unit="us")
     yield Result(name="plain NumPy over compiled loop", value=dense / compiled, unit="times")
@@ -66,6 +73,16 @@ def _recording(flight: Flight, events: Events) -> tuple[float, float]:
     assert origin is not None, "the flight was too short to find a position in"
     start = flight.trajectory.frame.to_ned(*origin)[:2]
     return best, _rms(pos_n + start - truth, flight, table.stamp_ns)
+
+
+def _smoothed(events: Events) -> float:
+    """Give microseconds per sample of Smoothing, from the events to the smoothed tables."""
+    began = time.perf_counter_ns()
+    with Smoothing(flights.SETTINGS) as estimator:
+        count = len(estimator.run(events))
+        for _ in estimator.tables():
+            pass
+    return (time.perf_counter_ns() - began) * 1e-3 / count
 
 
 def _numpy(flight: Flight, events: Events, duration: float) -> tuple[float, float]:

@@ -15,6 +15,7 @@ Rooms
     mavlink   bytes and times in, measurements out, and back; no socket and no clock
     logs      one file per recorded format
     pipeline  the heart: measurement in, estimate out
+    smoothing the pipeline over a recording, and back
     calibrate numbers of the configuration, measured from logs
     checkpoint, resumption        the state as bytes, and who may go on from it
     link, keeper, service, convert, cli   the shells, which alone open, await, sleep and print

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks import daemon, flights, logs, run, steps
+from benchmarks import daemon, flights, logs, run, smoothing, steps
 from benchmarks.reference import Reference
 from benchmarks.result import Result, table
 from ekf_companion.nav.measurements import Kind
@@ -16,6 +16,16 @@ def test_both_filters_are_timed_on_a_flight_that_both_can_follow():
     assert results["horizontal RMS error, compiled"] < 1.0
     assert results["horizontal RMS error, NumPy"] < 1.0
     assert results["plain NumPy over compiled loop"] > 1.0
+
+
+def test_smoothed_errors_are_set_beside_live_ones(monkeypatch):
+    monkeypatch.setattr(smoothing, "SCENARIOS", ("figure-eight",))
+    lines = list(smoothing.report(seeds=1, duration=25.0))
+
+    live, smoothed = ([float(cell) for cell in line.split("|")[2:-1]] for line in lines[2:4])
+    assert len(live) == len(smoothing.AXES)
+    assert max(live) < 3.0
+    assert np.mean(smoothed[3:6]) < np.mean(live[3:6])
 
 
 def test_the_flight_has_the_rates_that_the_aims_speak_of():

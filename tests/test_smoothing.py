@@ -205,7 +205,7 @@ def test_an_attitude_found_anew_begins_a_new_stretch():
 
 
 def test_a_heading_that_jumps_does_not_turn_the_yaw_before_it():
-    events, truth = flight("hover", duration=40.0, rate=50.0)
+    events, truth = flight("static", duration=40.0, rate=50.0)
     yaw = so3.to_euler(truth.q_nb)[4::5, 2]
     count = len(yaw)
     source, std = np.full(count, 2.0), np.full(count, 0.05)

@@ -260,6 +260,25 @@ def test_records_say_what_follows_from_what():
     assert links.tolist() == [cut, cut, cut, same, fresh, cut, same, cut]
 
 
+def test_what_a_gap_adds_is_noise_of_its_own():
+    events, _ = flight("figure-eight", duration=12.0, rate=50.0, yaw=True)
+    rows = rows_of(events.take(between(events, 3.2, 4.5)))
+    late = rows[-1:].copy()
+    late[0, at.ROW_T] += 5e8
+    one = smoother(kind=load().smooth.Smoother)
+    blocks = one.smooth(one.advance(np.zeros(at.BLOCK), rows), late, None)
+    count = int(one.w[at.TAPE_COUNT])
+    records = one.w[at.TAPE : at.TAPE + count * at.RECORD].reshape(count, at.RECORD)
+    assert records[1:, at.T_LINK].tolist() == [at.LINK_MOVED, at.LINK_MOVED, at.LINK_SAME]
+    assert np.array_equal(records[2, at.T_PHI :].reshape(at.N, at.N), np.eye(at.N))
+    grown = records[2, at.T_BLOCK : at.T_PHI] - records[1, at.T_BLOCK : at.T_PHI]
+    assert covariance(grown)[0, 0] == pytest.approx((0.2 * 0.5) ** 2)
+    # nothing was measured, so nothing is learnt of before
+    np.testing.assert_allclose(
+        covariance(blocks[0]), covariance(records[0, at.T_BLOCK : at.T_PHI]), rtol=1e-9
+    )
+
+
 def test_a_filter_with_a_tape_goes_where_one_without_goes():
     events, _ = flight("figure-eight", duration=12.0, rate=50.0, yaw=True)
     rows = rows_of(events.take(between(events, 3.2, 4.6)))
