@@ -95,6 +95,8 @@ GROUND_EFFECT = cython.declare(cython.double, 2.0)
 """What rotors near the ground add to the barometer's noise, m."""
 GROUND_EFFECT_HEIGHT = cython.declare(cython.double, 3.0)
 """Up to this height above the last rest, m."""
+NOISE_BLOCK = cython.declare(cython.double, 0.0095)
+"""Least length of a block of samples, s: 10 ms, give or take their jitter."""
 NOISE_MEMORY = cython.declare(cython.double, 2.0)
 """Time constant of the noise learnt from the samples, s."""
 
@@ -326,12 +328,10 @@ def start_over(x: cython.double[::1], t: cython.double, reason: cython.double) -
 def remember(
     x: cython.double[::1], rows: cython.double[:, ::1], r: cython.Py_ssize_t
 ) -> cython.void:
-    """Keep the sample, and the one before it, for the next step."""
+    """Keep the sample for the next step."""
     i: cython.Py_ssize_t
     x[at.X_SAMPLES] += 1.0
     for i in range(3):
-        x[at.X_PREV_G + i] = x[at.X_GYRO + i]
-        x[at.X_PREV_A + i] = x[at.X_ACCEL + i]
         x[at.X_GYRO + i] = rows[r, at.ROW_V + i]
         x[at.X_ACCEL + i] = rows[r, at.ROW_V + 3 + i]
 
@@ -406,21 +406,49 @@ def learn(
 ) -> cython.void:
     """Learn the white noise of each axis from second differences, which smooth motion leaves small.
 
-    White noise of variance s^2 gives second differences of variance 6 s^2; x keeps s^2 dt.
+    Of means over a block of samples: a rotor's jitter that a gyro samples now and then is not white
+    from sample to sample, and what counts is how it adds up. White noise of variance s^2 gives
+    second differences of variance 6 s^2; x keeps s^2 dt.
     """
     i: cython.Py_ssize_t
     d: cython.double
-    gain: cython.double = span / NOISE_MEMORY
+    gain: cython.double
     if x[at.X_DT] == 0.0:
         x[at.X_DT] = span
     x[at.X_DT] += 0.05 * ((span if span < 2.0 * x[at.X_DT] else 2.0 * x[at.X_DT]) - x[at.X_DT])
-    if x[at.X_SAMPLES] < 3.0 or span > 1.5 * x[at.X_DT] or gain > 0.5:
+    if x[at.X_SAMPLES] < 2.0 or span > 1.5 * x[at.X_DT] or span > 0.5 * NOISE_MEMORY:
+        for i in range(at.X_BLOCK_SUM, at.X_BLOCK1):
+            x[i] = 0.0
         return
-    for i in range(3):
-        d = rows[r, at.ROW_V + i] - 2.0 * x[at.X_GYRO + i] + x[at.X_PREV_G + i]
-        x[at.X_NOISE_G + i] += gain * (d * d * span / 6.0 - x[at.X_NOISE_G + i])
-        d = rows[r, at.ROW_V + 3 + i] - 2.0 * x[at.X_ACCEL + i] + x[at.X_PREV_A + i]
-        x[at.X_NOISE_A + i] += gain * (d * d * span / 6.0 - x[at.X_NOISE_A + i])
+    for i in range(6):
+        x[at.X_BLOCK_SUM + i] += rows[r, at.ROW_V + i]
+    x[at.X_BLOCK_N] += 1.0
+    x[at.X_BLOCK_DT] += span
+    if x[at.X_BLOCK_DT] < NOISE_BLOCK:
+        return
+    gain = x[at.X_BLOCK_DT] / NOISE_MEMORY
+    for i in range(6):
+        d = x[at.X_BLOCK_SUM + i] / x[at.X_BLOCK_N]
+        if x[at.X_BLOCKS] >= 2.0:
+            x[at.X_NOISE_G + i] += gain * (
+                second(d, x[at.X_BLOCK1 + i], x[at.X_BLOCK2 + i]) * x[at.X_BLOCK_DT]
+                - x[at.X_NOISE_G + i]
+            )
+        x[at.X_BLOCK2 + i] = x[at.X_BLOCK1 + i]
+        x[at.X_BLOCK1 + i] = d
+        x[at.X_BLOCK_SUM + i] = 0.0
+    x[at.X_BLOCKS] += 1.0
+    x[at.X_BLOCK_N] = 0.0
+    x[at.X_BLOCK_DT] = 0.0
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def second(a: cython.double, b: cython.double, c: cython.double) -> cython.double:
+    """Give the variance that a second difference shows, if its parts are equally noisy."""
+    d: cython.double = a - 2.0 * b + c
+    return d * d / 6.0
 
 
 @cython.cfunc

@@ -124,19 +124,23 @@ X_HEADING_SOURCE = 156
 X_HEADING_STD = 157
 X_NOISE_G = 158
 X_NOISE_A = 161
-X_PREV_G = 164
-X_PREV_A = 167
-X_WHITE = 170
-X_SLOW_POS = 173
-X_SLOW_HGT = 174
-X_LEAN = 175
-X_RUN = 178
-X_LEVEL = 211
-X_LOGLIK = 248
-X_BANK = 249
-X_FRESH = 1014
-X_COV = 1038
-BLOCK = 1614
+X_BLOCK_SUM = 164
+X_BLOCK_N = 170
+X_BLOCK_DT = 171
+X_BLOCKS = 172
+X_BLOCK1 = 173
+X_BLOCK2 = 179
+X_WHITE = 185
+X_SLOW_POS = 188
+X_SLOW_HGT = 189
+X_LEAN = 190
+X_RUN = 193
+X_LEVEL = 226
+X_LOGLIK = 263
+X_BANK = 264
+X_FRESH = 1029
+X_COV = 1053
+BLOCK = 1629
 
 # What levelling remembers, from X_LEVEL: sums over a window, the motion since a first fix, and a
 # reference: a direction of the body and its azimuth (NaN: that of the magnetic field)
@@ -305,8 +309,8 @@ TAPE = 307
 T_LINK = 0
 T_IS_SAMPLE = 1
 T_BLOCK = 2
-T_PHI = 1616
-RECORD = 2192
+T_PHI = 1631
+RECORD = 2207
 
 # How a record follows from the one before
 LINK_SAME = 0

@@ -27,9 +27,10 @@ def test_nothing_in_a_block_overlaps():
     sizes = {
         "X_Q": 4, "X_VEL": 3, "X_POS": 3, "X_BG": 3, "X_BA": 3, "X_GYRO": 3, "X_ACCEL": 3,
         "X_ACC_N": 3, "X_T_HEADING": 3, "X_T_USED": layout.AIDS, "X_RATIO": layout.AIDS,
-        "X_COUNT": layout.AIDS * layout.WHYS, "X_NOISE_G": 3, "X_NOISE_A": 3, "X_PREV_G": 3,
-        "X_PREV_A": 3, "X_WHITE": 3, "X_T_REFUSED": layout.AIDS, "X_LEVEL": layout.L_SIZE,
-        "X_COV": layout.N * layout.N, "X_SLOW": 3, "X_IRON": 3, "X_DELTA": 7,
+        "X_COUNT": layout.AIDS * layout.WHYS, "X_NOISE_G": 3, "X_NOISE_A": 3, "X_BLOCK_SUM": 6,
+        "X_BLOCK1": 6, "X_BLOCK2": 6, "X_WHITE": 3, "X_T_REFUSED": layout.AIDS,
+        "X_LEVEL": layout.L_SIZE, "X_COV": layout.N * layout.N, "X_SLOW": 3, "X_IRON": 3,
+        "X_DELTA": 7,
         "X_NIS_SUM": layout.AIDS, "X_NIS_N": layout.AIDS, "X_RUN": 3 * layout.C_SIZE, "X_LEAN": 3,
         "X_FRESH": layout.N, "X_LAST_FIX": 3, "X_BANK": layout.B_SIZE,
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""What the estimator is to reach: samples of the campaigns of docs/ACCURACY.md."""
+"""Claims of docs/ACCURACY.md, held to by samples of its campaigns."""
 
 from pathlib import Path
 
