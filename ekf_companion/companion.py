@@ -30,9 +30,12 @@ from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline
 from ekf_companion.resumption import Resumption
 
 _log = logging.getLogger(__name__)
+
 _SECOND_NS = 1_000_000_000
 SILENCE_NS = 10 * _SECOND_NS
 """Without an autopilot for so long, a human should look: it sends its heartbeat once a second."""
+DECIMATED = 80.0
+"""Inertial samples below this rate miss what a multicopter does, Hz."""
 
 
 class Due:
@@ -64,6 +67,7 @@ class Publisher:
         self._type = encode.estimator_type(family) if chosen == "auto" else EstimatorType[chosen]
         self._was_invalid = False
         self._last = Status.INIT
+        self._is_decimated = False
         self._resets = 0
 
     def publish(self, send: Callable[[str, bytes], None]) -> Status:
@@ -97,8 +101,24 @@ class Publisher:
     def _report(self, health: Health) -> None:
         """Log what has changed."""
         if health.resets != self._resets:
-            _log.warning("Reset %d: %s", health.resets, health.reset_reason)
+            moved = health.reset_delta
+            _log.warning(
+                "Reset %d: %s; moved by %.1f m, %.1f m/s, %.0f deg of yaw",
+                health.resets,
+                health.reset_reason,
+                math.hypot(*moved[:3]),
+                math.hypot(*moved[3:6]),
+                math.degrees(moved[6]),
+            )
             self._resets = health.resets
+        if 0.0 < health.imu_rate < DECIMATED and not self._is_decimated:
+            _log.warning(
+                "Inertial samples come at %.0f Hz: fast motion is missed, so the noise is taken "
+                "for larger; ask for %.0f Hz or more",
+                health.imu_rate,
+                DECIMATED,
+            )
+        self._is_decimated = 0.0 < health.imu_rate < DECIMATED
         if health.status != self._last:
             _log.info("Estimate is %s, was %s", health.status.name, self._last.name)
             self._last = health.status

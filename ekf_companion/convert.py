@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.companion import Publisher, session_options
+from ekf_companion.companion import DECIMATED, Publisher, session_options
 from ekf_companion.config import Config
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.logs import csv, dataflash, tlog, tlog_trajectory, ulog
@@ -434,6 +434,11 @@ def _conclude(report: Report, path: Path) -> None:
             f"inertial samples come at {rate:.1f} Hz, below the {SLOW:.0f} Hz that motion can be "
             "integrated from: position and velocity follow GNSS, attitude is a guess; "
             "ask for a faster stream"
+        )
+    elif rate < DECIMATED:
+        report.notes.append(
+            f"inertial samples come at {rate:.0f} Hz: fast motion is missed, so the noise is taken "
+            f"for larger; {DECIMATED:.0f} Hz or more would do"
         )
     if counts[Kind.GNSS] + report.derived == 0:
         report.notes.append(
