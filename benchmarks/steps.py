@@ -15,6 +15,7 @@ from ekf_companion.checkpoint import Checkpoint, Clocks, Sources, Vehicle, encod
 from ekf_companion.nav.measurements import Events, Kind, Measurement
 from ekf_companion.pipeline import Pipeline
 from ekf_companion.smoothing import Smoothing
+from sim_autopilot import events as wireless
 from sim_autopilot.flight import Flight
 
 Array = npt.NDArray[np.float64]
@@ -42,6 +43,7 @@ def measure(duration: float = 120.0) -> Iterator[Result]:
     yield Result(
         name="compiled loop over a recording, per sample", value=compiled, unit="us", aim=2.5
     )
+    yield from _shares(flight)
     yield Result(
         name="smoothing a recording, both runs, per sample",
         value=_smoothed(events),
@@ -56,6 +58,32 @@ def measure(duration: float = 120.0) -> Iterator[Result]:
     yield Result(name="horizontal RMS error, NumPy", value=dense_error, unit="m")
     yield from _live(events)
     yield from _late(events)
+
+
+def _shares(flight: Flight) -> Iterator[Result]:
+    """Time the loop with a magnetometer and a barometer, and what leaving a kind out saves."""
+    events = wireless.events(flight, has_vel_down=True)
+    settled = events.t_ns > flight.first_ns + SETTLED * 1e9
+    whole = _loop(events)
+    yield Result(name="the same, 50 Hz field and 25 Hz barometer", value=whole, unit="us", aim=2.0)
+    rest = whole
+    for kind, name in ((Kind.GNSS, "fixes"), (Kind.MAG, "field"), (Kind.BARO, "barometer")):
+        saved = whole - _loop(events.take(~(settled & (events.kind == kind))))
+        rest -= saved
+        yield Result(name=f"  of which {name}", value=saved, unit="us")
+    yield Result(name="  of which motion, bank, noise, rest, estimates", value=rest, unit="us")
+
+
+def _loop(events: Events) -> float:
+    """Give microseconds per sample of Pipeline.run."""
+    count = int(np.count_nonzero(events.kind == Kind.IMU))
+    best = np.inf
+    for _ in range(REPEATS):
+        pipeline = Pipeline(flights.SETTINGS)
+        began = time.perf_counter_ns()
+        pipeline.run(events)
+        best = min(best, (time.perf_counter_ns() - began) * 1e-3 / count)
+    return best
 
 
 def _recording(flight: Flight, events: Events) -> tuple[float, float]:
