@@ -18,7 +18,8 @@ from ekf_companion.core.settings import FilterSettings, delays_ns, imu_lag
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.pipeline import Pipeline, Table
+from ekf_companion.nav.state import Table
+from ekf_companion.pipeline import Pipeline
 from sim_autopilot import events as wire
 from sim_autopilot.config import CompassConfig, GnssConfig, ImuConfig, SimConfig
 from sim_autopilot.flight import Flight

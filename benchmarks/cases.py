@@ -13,8 +13,7 @@ from ekf_companion.config import Config
 from ekf_companion.core.settings import HeadingSettings
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import merge
-from ekf_companion.nav.state import Trajectory
-from ekf_companion.pipeline import Table
+from ekf_companion.nav.state import Table, Trajectory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

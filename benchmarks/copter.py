@@ -13,8 +13,7 @@ from benchmarks.cases import COPTER, NETHERLANDS, NO_GNSS, estimate
 from ekf_companion import convert
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.nav.state import Trajectory
-from ekf_companion.pipeline import Table
+from ekf_companion.nav.state import Table, Trajectory
 
 Array = npt.NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from ekf_companion.errors import LogError
 from ekf_companion.nav import so3
 from ekf_companion.nav.magnetic import magnetic_field
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.nav.state import Trajectory
-from ekf_companion.pipeline import Aid, Table, Verdict
+from ekf_companion.nav.state import Table, Trajectory
+from ekf_companion.pipeline import Aid, Verdict
 
 Array = npt.NDArray[np.float64]
 

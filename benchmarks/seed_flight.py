@@ -23,7 +23,7 @@ from ekf_companion.nav.earth import (
     transport_rate_n,
 )
 from ekf_companion.nav.measurements import Events, HeadingSource, Kind, merge
-from ekf_companion.pipeline import Table
+from ekf_companion.nav.state import Table
 
 Array = npt.NDArray[np.float64]
 

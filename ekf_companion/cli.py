@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from ekf_companion.calibrate.plot import Draw
     from ekf_companion.calibrate.report import Result
     from ekf_companion.logs.recording import Recording
-    from ekf_companion.nav.state import Trajectory
-    from ekf_companion.pipeline import Table
+    from ekf_companion.nav.state import Table, Trajectory
 
 app = typer.Typer(
     help="State estimation on a drone's companion computer: MAVLink in, ODOMETRY out.",

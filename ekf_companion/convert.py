@@ -21,8 +21,8 @@ from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.session import PeerFound, Session
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind, Row, merge
-from ekf_companion.nav.state import Status, Trajectory
-from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline, Table, join
+from ekf_companion.nav.state import Status, Table, Trajectory, join
+from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline
 from ekf_companion.smoothing import Smoothing
 
 Progress = Callable[[int, int], None]

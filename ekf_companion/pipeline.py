@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.checkpoint import State, settings_fingerprint
 from ekf_companion.core import layout as at
-from ekf_companion.core.settings import FilterSettings, HeadingSettings, delays_ns, parameters
+from ekf_companion.core.field import Field
+from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
 from ekf_companion.core.timeline import COMPILED_BLOCK, Timeline
-from ekf_companion.nav.magnetic import magnetic_field
 from ekf_companion.nav.measurements import Events, Kind, Measurement, Row
 from ekf_companion.nav.odometry import Odometry
-from ekf_companion.nav.state import COLUMNS, Status
+from ekf_companion.nav.state import Status, Table
 
 Array = npt.NDArray[np.float64]
-Axis = TypeVar("Axis", float, Array)
-
-LAT, LON, DECLINATION, FLAGS, FIELD = 0, 1, 9, 10, 11
-"""Where a GNSS row holds them (nav.measurements.GnssFix.row)."""
 
 
 class Arrival(IntEnum):
@@ -78,32 +73,6 @@ RESET_REASONS = (
     *("none", "position", "velocity", "height", "heading", "inertial gap", "clock"),
     *("state out of bounds", "heading against the motion", "restart"),
 )
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Table:
-    """Estimates, one per inertial sample."""
-
-    stamp_ns: npt.NDArray[np.int64]
-    """The samples' own stamps, shape (n,)."""
-    values: Array
-    """``nav.state.COLUMNS`` without the time, shape (n, 33); NaN: not known."""
-
-    def __len__(self) -> int:
-        """Give the number of estimates."""
-        return len(self.stamp_ns)
-
-    def column(self, name: str) -> Array:
-        """Give one column by its name in ``nav.state.COLUMNS``."""
-        return self.values[:, COLUMNS.index(name) - 1]
-
-
-def join(tables: Sequence[Table]) -> Table:
-    """Give tables as one, in their order; at least one."""
-    return Table(
-        stamp_ns=np.concatenate([table.stamp_ns for table in tables]),
-        values=np.concatenate([table.values for table in tables]),
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,9 +134,7 @@ class Pipeline:
             gnss_delay: Delay that the log itself declares, s; beats ``auto``.
             keeps_history: Events that leave the window are kept until :meth:`history` is asked.
         """
-        self._settings = settings
-        iron = (settings.heading.hard_iron, settings.heading.soft_iron)
-        self._has_iron = iron != (HeadingSettings().hard_iron, HeadingSettings().soft_iron)
+        self._field = Field(settings.heading)
         k, late = parameters(settings, family), delays_ns(settings, family, gnss_delay)
         self._fingerprint = settings_fingerprint(k, late)
         self._timeline = Timeline(
@@ -183,7 +150,7 @@ class Pipeline:
     def insert(self, row: Row) -> Arrival:
         """Take one measurement as a row; :meth:`process` says what comes of it."""
         # Add what the place knows: its magnetic field; take off the vehicle's own
-        t_ns, kind, values = self._locate(row)
+        t_ns, kind, values = self._field.complete(row)
 
         # Refuse what no sensor can say, put the rest in its place in time, redo what came after
         return Arrival(self._timeline.insert(t_ns, kind, np.array(values)))
@@ -193,7 +160,7 @@ class Pipeline:
         samples = int(np.count_nonzero(events.kind == Kind.IMU))
         stamps = np.zeros(samples, dtype=np.int64)
         out = np.empty((samples, at.OUT))
-        values = self._locate_all(events)
+        values = self._field.complete_all(events)
         n = self._timeline.run_log(events.t_ns, events.kind, values, stamps, out)
         return Table(stamp_ns=stamps[:n], values=out[:n])
 
@@ -312,38 +279,3 @@ class Pipeline:
         if x[at.X_HAS_ORIGIN] == 0.0:
             return None
         return float(x[at.X_LAT0]), float(x[at.X_LON0]), float(x[at.X_ALT0])
-
-    def _locate(self, row: Row) -> Row:
-        """Give a fix the field of its place, and take the vehicle's own off a magnetometer's."""
-        t_ns, kind, values = row
-        if kind == Kind.MAG and self._has_iron:
-            return t_ns, kind, (*self._bare(*values[:3]), *values[3:])
-        if kind != Kind.GNSS or not math.isnan(values[DECLINATION]):
-            return row
-        lat, lon = values[LAT], values[LON]
-        if not (abs(lat) < math.pi / 2 and abs(lon) <= math.pi):
-            return row
-        heading = self._settings.heading
-        here, *field = magnetic_field(lat, lon, heading.year)
-        if heading.declination != "auto":
-            here = heading.declination
-        return t_ns, kind, (*values[:DECLINATION], here, values[FLAGS], *field)
-
-    def _locate_all(self, events: Events) -> Array:
-        """Do the same for a table; the given one stays as it is."""
-        values = np.array(events.values, dtype=np.float64, order="C")
-        for i in np.flatnonzero(events.kind == Kind.GNSS):
-            row = (int(events.t_ns[i]), int(Kind.GNSS), tuple(values[i].tolist()))
-            values[i] = self._locate(row)[2]
-        if self._has_iron:
-            mag = events.kind == Kind.MAG
-            with np.errstate(invalid="ignore", over="ignore"):  # refused where rows are judged
-                values[mag, :3] = np.stack(self._bare(*values[mag, :3].T), axis=1)
-        return values
-
-    def _bare(self, x: Axis, y: Axis, z: Axis) -> tuple[Axis, Axis, Axis]:
-        """Give a field without the vehicle's iron; columns come out as numbers do, to the bit."""
-        hard, soft = self._settings.heading.hard_iron, self._settings.heading.soft_iron
-        x, y, z = x - hard[0], y - hard[1], z - hard[2]
-        a, b, c = ((row[0] * x + row[1] * y) + row[2] * z for row in soft)
-        return a, b, c

@@ -21,7 +21,8 @@ from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
 from ekf_companion.core.smooth import Smoother
 from ekf_companion.logs.spool import IN_MEMORY, Spool
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.pipeline import Pipeline, Table, join
+from ekf_companion.nav.state import Table, join
+from ekf_companion.pipeline import Pipeline
 
 Array = npt.NDArray[np.float64]
 

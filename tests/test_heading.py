@@ -7,8 +7,8 @@ from ekf_companion.core import layout as at
 from ekf_companion.core.settings import FilterSettings, GnssSettings
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.nav.state import Status, Trajectory
-from ekf_companion.pipeline import Aid, Pipeline, Table, Verdict
+from ekf_companion.nav.state import Status, Table, Trajectory
+from ekf_companion.pipeline import Aid, Pipeline, Verdict
 from tests.core.flights import between, flight, without
 
 KNOWN = FilterSettings(gnss=GnssSettings(delay=0.12, delay_std=0.05))

@@ -6,8 +6,8 @@ import pytest
 from ekf_companion.core.settings import FilterSettings, GateSettings, GnssSettings, HeadingSettings
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind, merge
-from ekf_companion.nav.state import Status
-from ekf_companion.pipeline import Aid, Arrival, Pipeline, Table, Verdict
+from ekf_companion.nav.state import Status, Table
+from ekf_companion.pipeline import Aid, Arrival, Pipeline, Verdict
 from tests.core.flights import between, changed, flight, without
 
 KNOWN = FilterSettings(gnss=GnssSettings(delay=0.12, delay_std=0.02))

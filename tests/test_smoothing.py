@@ -21,8 +21,8 @@ from ekf_companion.core.smooth import Smoother
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, Kind, merge
-from ekf_companion.nav.state import Status
-from ekf_companion.pipeline import Pipeline, Table, join
+from ekf_companion.nav.state import Status, Table, join
+from ekf_companion.pipeline import Pipeline
 from ekf_companion.smoothing import Smoothing, smooth
 from sim_autopilot.scenarios import SCENARIOS
 from tests.core.flights import between, changed, flight, without

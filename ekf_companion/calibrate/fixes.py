@@ -16,8 +16,8 @@ from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import STANDARD_GRAVITY, LocalFrame
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind
-from ekf_companion.nav.state import Status
-from ekf_companion.pipeline import Pipeline, Table
+from ekf_companion.nav.state import Status, Table
+from ekf_companion.pipeline import Pipeline
 
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]

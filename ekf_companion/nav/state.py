@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -41,6 +42,32 @@ COLUMNS = [
     *("sd_roll", "sd_pitch", "sd_yaw", "status", "reset_count"),
 ]
 """Names of an estimate's numbers, in the order of a CSV row."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Table:
+    """Estimates, one per inertial sample."""
+
+    stamp_ns: npt.NDArray[np.int64]
+    """The samples' own stamps, shape (n,)."""
+    values: Array
+    """``COLUMNS`` without the time, shape (n, 33); NaN: not known."""
+
+    def __len__(self) -> int:
+        """Give the number of estimates."""
+        return len(self.stamp_ns)
+
+    def column(self, name: str) -> Array:
+        """Give one column by its name in ``COLUMNS``."""
+        return self.values[:, COLUMNS.index(name) - 1]
+
+
+def join(tables: Sequence[Table]) -> Table:
+    """Give tables as one, in their order; at least one."""
+    return Table(
+        stamp_ns=np.concatenate([table.stamp_ns for table in tables]),
+        values=np.concatenate([table.values for table in tables]),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
