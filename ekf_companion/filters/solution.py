@@ -127,9 +127,7 @@ def _euler_sigmas(q_nb: Array, sigmas: Array) -> Array:
     c2, s2 = np.square(np.cos(yaw)), np.square(np.sin(yaw))
     across = c2 * north + s2 * east
     level = np.maximum(np.square(np.cos(pitch)), 1e-6)
-    return np.sqrt(
-        np.stack(
-            [across / level, s2 * north + c2 * east, down + np.square(np.tan(pitch)) * across],
-            axis=1,
-        )
-    )
+    roll2 = across / level
+    pitch2 = s2 * north + c2 * east
+    yaw2 = down + np.square(np.tan(pitch)) * across
+    return np.asarray(np.sqrt(np.stack([roll2, pitch2, yaw2], axis=1)))
