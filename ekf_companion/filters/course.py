@@ -1,0 +1,280 @@
+"""A recording as the filters go through it: intervals of motion, and what aids at their ends.
+
+Events count at the time when they were true: the delays of :mod:`ekf_companion.core.settings` are
+taken off, and an aid between two inertial samples splits their interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.core.field import Field
+from ekf_companion.core.settings import HABITS, FilterSettings, delays_ns
+from ekf_companion.errors import LogError
+from ekf_companion.filters.gate import Gate
+from ekf_companion.filters.observation import Azimuth, Observation, Position, Velocity
+from ekf_companion.filters.solution import Recorder, Solution
+from ekf_companion.filters.start import Start, find_start
+from ekf_companion.filters.strapdown import Earth, Interval, Noise, Nominal, cross
+from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind
+
+Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Step:
+    """An interval, and the aids at its end."""
+
+    t_ns: int
+    """Its end."""
+    over: Interval | None
+    """None: several aids came at one time."""
+    aids: tuple[Observation, ...]
+    is_sample: bool
+    """It ends at an inertial sample: an estimate is due."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Setup:
+    """What a filter begins with."""
+
+    start: Start
+    earth: Earth
+    noise: Noise
+    gate: Gate
+
+
+class NavigationFilter(Protocol):
+    """A filter of 15 states, aided by fixes and a heading."""
+
+    @property
+    def state(self) -> Nominal:
+        """The estimate of now."""
+
+    def predict(self, over: Interval) -> None:
+        """Carry the estimate over an interval."""
+
+    def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
+        """Fuse what was measured now."""
+
+    def covariance(self) -> Array:
+        """Give that of attitude (in n), velocity and position, shape (9, 9)."""
+
+
+class Course:
+    """The events of a recording in order of the time when they were true."""
+
+    def __init__(
+        self,
+        events: Events,
+        settings: FilterSettings,
+        family: str = "unknown",
+        gnss_delay: float | None = None,
+    ) -> None:
+        """Put the events in order and find what the recording offers.
+
+        Args:
+            events: In any order.
+            settings: Delays, floors of the noise, sources; the same as the daemon's.
+            family: What ``auto`` means in them.
+            gnss_delay: Delay that the log itself declares, s.
+
+        Raises:
+            LogError: There are no inertial samples, no fixes or no heading.
+        """
+        self._settings = settings
+        samples = settings.imu.samples
+        self.is_mean = (HABITS[family].imu_samples if samples == "auto" else samples) == "mean"
+        """An inertial sample is the mean since the one before."""
+        t_ns = events.t_ns - delays_ns(settings, family, gnss_delay)[events.kind]
+        values = Field(settings.heading).complete_all(events)
+        order = np.lexsort((events.kind, t_ns))
+        ordered = Events(t_ns=t_ns[order], kind=events.kind[order], values=values[order])
+        imu = ordered.take(ordered.kind == Kind.IMU)
+        is_good = np.isfinite(imu.values[:, :6]).all(axis=1)
+        is_good &= np.diff(imu.t_ns, prepend=np.iinfo(np.int64).min // 2) > 0
+        imu = imu.take(is_good)
+        if len(imu) < 2:
+            raise LogError("no inertial samples: nothing can be integrated")
+        self.t_ns: Stamps = imu.t_ns
+        """Times of the inertial samples."""
+        self.gyro: Array = imu.values[:, :3]
+        """rad/s, b, shape (n, 3)."""
+        self.accel: Array = imu.values[:, 3:6]
+        """m/s^2, b."""
+        fixes = _fixes(ordered, settings)
+        self.frame = LocalFrame(*fixes.values[0, :3].tolist())
+        """Of the positions; its origin is the first fix."""
+        self.earth = Earth.at(self.frame)
+        aids = [(int(t), one) for t, one in self._aids(fixes)]
+        aids += self._azimuths(ordered, fixes)
+        self.aids: list[tuple[int, Observation]] = sorted(aids, key=lambda one: one[0])
+        """Times and aids, ascending."""
+
+    @property
+    def noise(self) -> Noise:
+        """How the motion is disturbed."""
+        imu = self._settings.imu
+        return Noise(
+            gyro=imu.gyro_noise,
+            accel=imu.accel_noise,
+            gyro_walk=imu.gyro_bias_walk,
+            accel_walk=imu.accel_bias_walk,
+        )
+
+    def setup(self) -> Setup:
+        """Give what a filter begins with: level, north, and the fix.
+
+        Raises:
+            LogError: The recording ends before all three are known.
+        """
+        start = find_start(self.t_ns, self.gyro, self.accel, self.aids, self._settings)
+        gate = Gate(self._settings.gate)
+        return Setup(start=start, earth=self.earth, noise=self.noise, gate=gate)
+
+    def steps(self, after_ns: int) -> Iterator[Step]:
+        """Give the intervals after a time, which must be that of an inertial sample."""
+        first = int(np.searchsorted(self.t_ns, after_ns, side="right"))
+        waiting = (one for one in self.aids if one[0] > after_ns)
+        aid = next(waiting, None)
+        for k in range(max(first, 1), len(self.t_ns)):
+            end = int(self.t_ns[k])
+            now = int(self.t_ns[k - 1])
+            while aid is not None and aid[0] <= end:
+                at_ns, together = aid[0], []
+                while aid is not None and aid[0] == at_ns:
+                    together.append(aid[1])
+                    aid = next(waiting, None)
+                over = self._interval(k, now, at_ns)
+                yield Step(t_ns=at_ns, over=over, aids=tuple(together), is_sample=at_ns == end)
+                now = at_ns
+            if now < end:
+                yield Step(t_ns=end, over=self._interval(k, now, end), aids=(), is_sample=True)
+
+    def _interval(self, k: int, begin: int, end: int) -> Interval | None:
+        """Give the readings between two times within those of samples k - 1 and k."""
+        if end <= begin:
+            return None
+        ends = []
+        for readings in (self.gyro, self.accel):
+            before, after = (readings[k], readings[k]) if self.is_mean else readings[k - 1 : k + 1]
+            t0, t1 = int(self.t_ns[k - 1]), int(self.t_ns[k])
+            for t in (begin, end):
+                share = (t - t0) / (t1 - t0)
+                ends.append(before + share * (after - before))
+        return Interval(
+            dt=(end - begin) * 1e-9, gyro0=ends[0], gyro1=ends[1], accel0=ends[2], accel1=ends[3]
+        )
+
+    def _aids(self, fixes: Events) -> Iterator[tuple[int, Observation]]:
+        """Give the positions and velocities of fixes."""
+        gnss = self._settings.gnss
+        lever = np.array(gnss.lever_arm)
+        pos_n = self.frame.to_ned(*fixes.values[:, :3].T)
+        nearest = np.clip(np.searchsorted(self.t_ns, fixes.t_ns), 0, len(self.t_ns) - 1)
+        for i, t_ns in enumerate(fixes.t_ns.tolist()):
+            vel_n, (std_h, std_v, std_vel) = fixes.values[i, 3:6], fixes.values[i, 6:9].tolist()
+            horizontal, vertical = max(std_h, gnss.position_std), max(std_v, gnss.height_std)
+            std = np.array([horizontal, horizontal, vertical])
+            yield t_ns, Position(pos_n=pos_n[i], std=std, lever_b=lever)
+            if not gnss.use_velocity or np.isnan(vel_n[:2]).any():
+                continue
+            std_vel = gnss.velocity_std_unknown if np.isnan(std_vel) else std_vel
+            yield (
+                t_ns,
+                Velocity(
+                    vel_n=vel_n[:2] if np.isnan(vel_n[2]) else vel_n,
+                    std=max(std_vel, gnss.velocity_std),
+                    swing_b=cross(self.gyro[nearest[i]], lever),
+                ),
+            )
+
+    def _azimuths(self, ordered: Events, fixes: Events) -> list[tuple[int, Observation]]:
+        """Give what shows north: of the sources that speak, the best.
+
+        Raises:
+            LogError: None speaks.
+        """
+        wanted = self._settings.heading.source
+        for source in HeadingSource:
+            if wanted in ("auto", source.name.lower()) and (
+                found := self._azimuths_of(source, ordered, fixes)
+            ):
+                return found
+        raise LogError(
+            "no heading: this filter needs a magnetometer or another source of it "
+            "(heading.source); eskf finds north from the motion"
+        )
+
+    def _azimuths_of(
+        self, source: HeadingSource, ordered: Events, fixes: Events
+    ) -> list[tuple[int, Observation]]:
+        heading = self._settings.heading
+        rows = ordered.take((ordered.kind == Kind.HEADING) & (ordered.values[:, 2] == source))
+        forward = np.array([1.0, 0.0, 0.0])
+        found: list[tuple[int, Observation]] = [
+            (t, Azimuth(seen_b=forward, azimuth=angle, std=max(std, heading.heading_std)))
+            for t, (angle, std) in zip(rows.t_ns.tolist(), rows.values[:, :2].tolist(), strict=True)
+        ]
+        if found or source is not HeadingSource.MAGNETOMETER:
+            return found
+        declination, _, dip, strength = fixes.values[0, 9:13].tolist()
+        mag = ordered.take(ordered.kind == Kind.MAG)
+        size = np.linalg.norm(mag.values[:, :3], axis=1)
+        is_earths = np.isfinite(size) & (size > 0.0)
+        if strength > 0.0:
+            is_earths &= np.abs(size / strength - 1.0) <= heading.field_strength
+        level = np.cos(dip) if np.isfinite(dip) else 0.5
+        for t, field, total in zip(
+            mag.t_ns[is_earths].tolist(), mag.values[is_earths, :3], size[is_earths], strict=True
+        ):
+            noise = heading.magnetometer_noise / max(0.1, level) / total
+            std = float(np.hypot(noise, heading.magnetometer_std))
+            azimuth = declination if np.isfinite(declination) else 0.0
+            found.append((t, Azimuth(seen_b=field, azimuth=azimuth, std=std)))
+        return found
+
+
+def _fixes(ordered: Events, settings: FilterSettings) -> Events:
+    """Give the fixes that count: the receiver's, or where it is silent the autopilot's own.
+
+    Raises:
+        LogError: There is none.
+    """
+    rows = ordered.take(ordered.kind == Kind.GNSS)
+    flags = rows.values[:, 10].astype(int)
+    is_good = np.isfinite(rows.values[:, :3]).all(axis=1) & np.isfinite(rows.values[:, 6:8]).all(
+        axis=1
+    )
+    is_good &= (flags & GnssFlag.SUSPECT) == 0
+    is_derived = (flags & GnssFlag.DERIVED) != 0
+    source = settings.gnss.source
+    own = rows.take(is_good & ~is_derived)
+    if source == "global" or (source == "auto" and len(own) == 0):
+        own = rows.take(is_good & is_derived)
+    if len(own) == 0:
+        raise LogError(
+            "no GNSS fix: this filter needs positions; zupt and ahrs do without, and eskf gives "
+            "attitude and relative height"
+        )
+    return own
+
+
+def run(name: str, tried: NavigationFilter, course: Course, setup: Setup) -> Solution:
+    """Take a filter through a recording."""
+    recorder = Recorder(name, course.frame)
+    for step in course.steps(setup.start.t_ns):
+        if step.over is not None:
+            tried.predict(step.over)
+        if step.aids:
+            tried.correct(step.t_ns, step.aids)
+        if step.is_sample:
+            recorder.add(step.t_ns, tried.state, tried.covariance())
+    return recorder.solution(counts=setup.gate.counts)

@@ -1,0 +1,51 @@
+"""Whom to believe: a chi-square gate on the innovations, and for how long not to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.core.settings import GateSettings, chi_square_quantile
+
+Array = npt.NDArray[np.float64]
+
+
+class Gate:
+    """Judges innovations by aid, and keeps count."""
+
+    def __init__(self, settings: GateSettings) -> None:
+        self._limits = [chi_square_quantile(settings.probability, dof) for dof in (1, 2, 3)]
+        self._patience = {
+            "position": settings.timeout_position,
+            "velocity": settings.timeout_velocity,
+            "heading": settings.timeout_heading,
+        }
+        self._refused_ns: dict[str, int] = {}
+        self._counts: dict[str, list[int]] = {}
+
+    @property
+    def counts(self) -> Mapping[str, tuple[int, int]]:
+        """Give how many of each aid were fused, and how many refused."""
+        return {aid: (fused, refused) for aid, (fused, refused) in self._counts.items()}
+
+    def admits(self, aid: str, t_ns: int, z: Array, S: Array) -> bool:
+        """Judge an innovation; after a time-out of refusals the next is believed all the same.
+
+        Args:
+            aid: Whose it is.
+            t_ns: When.
+            z: Innovation, shape (m,), m 1 to 3.
+            S: Its covariance, shape (m, m).
+        """
+        counts = self._counts.setdefault(aid, [0, 0])
+        nis = float(z @ np.linalg.solve(S, z))
+        since_ns = self._refused_ns.setdefault(aid, t_ns)
+        is_good = nis <= self._limits[len(z) - 1]
+        if is_good or (t_ns - since_ns) * 1e-9 > self._patience[aid]:
+            counts[0] += 1
+            del self._refused_ns[aid]
+            return True
+        counts[1] += 1
+        return False

@@ -1,0 +1,124 @@
+"""What sensors should read of a state, how far off they are, and the Jacobian of that.
+
+Jacobians are by the error state of :mod:`ekf_companion.filters.strapdown`.
+
+Source: Groves 2013, section 14.2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.filters.strapdown import ATT, POS, VEL, N, Nominal, skew
+from ekf_companion.nav import so3
+
+Array = npt.NDArray[np.float64]
+
+
+class Observation(Protocol):
+    """Something measured, with the model of it."""
+
+    @property
+    def aid(self) -> str:
+        """Name of what it corrects: ``position``, ``velocity`` or ``heading``."""
+
+    def covariance(self) -> Array:
+        """Give that of its noise, R, shape (m, m)."""
+
+    def innovation(self, state: Nominal) -> Array:
+        """Give measured minus predicted, shape (m,); an angle in [-pi, pi)."""
+
+    def jacobian(self, state: Nominal) -> Array:
+        """Give the derivative of what is predicted by the error state, shape (m, 15)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Position:
+    """Where the antenna is."""
+
+    pos_n: Array
+    """m from the origin."""
+    std: Array
+    """One sigma by axis, m."""
+    lever_b: Array
+    """Antenna from the inertial sensor, m."""
+    aid: str = "position"
+
+    def covariance(self) -> Array:
+        """Give that of its noise, shape (3, 3)."""
+        return np.diag(np.square(self.std))
+
+    def innovation(self, state: Nominal) -> Array:
+        """Give measured minus predicted, m, shape (3,)."""
+        return self.pos_n - state.pos_n - so3.to_matrix(state.q_nb) @ self.lever_b
+
+    def jacobian(self, state: Nominal) -> Array:
+        """Give the Jacobian, shape (3, 15)."""
+        H = np.zeros((3, N))
+        H[:, POS] = np.eye(3)
+        H[:, ATT] = -so3.to_matrix(state.q_nb) @ skew(self.lever_b)
+        return H
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Velocity:
+    """How the antenna moves, in two or three axes."""
+
+    vel_n: Array
+    """North, east and, if known, down, m/s, shape (2,) or (3,)."""
+    std: float
+    """One sigma per axis, m/s."""
+    swing_b: Array
+    """Velocity of the antenna about the inertial sensor: rate x lever arm, m/s."""
+    aid: str = "velocity"
+
+    def covariance(self) -> Array:
+        """Give that of its noise, shape (m, m)."""
+        return self.std * self.std * np.eye(len(self.vel_n))
+
+    def innovation(self, state: Nominal) -> Array:
+        """Give measured minus predicted, m/s, shape (m,)."""
+        predicted = state.vel_n + so3.to_matrix(state.q_nb) @ self.swing_b
+        return np.asarray(self.vel_n - predicted[: len(self.vel_n)])
+
+    def jacobian(self, state: Nominal) -> Array:
+        """Give the Jacobian, shape (m, 15)."""
+        H = np.zeros((3, N))
+        H[:, VEL] = np.eye(3)
+        H[:, ATT] = -so3.to_matrix(state.q_nb) @ skew(self.swing_b)
+        return H[: len(self.vel_n)]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Azimuth:
+    """Direction over ground of something seen in b: of the forward axis, or of the field."""
+
+    seen_b: Array
+    """What is seen, any length, shape (3,)."""
+    azimuth: float
+    """Where it points, from true north, clockwise, rad: a heading, or the declination."""
+    std: float
+    """One sigma, rad."""
+    aid: str = "heading"
+
+    def covariance(self) -> Array:
+        """Give that of its noise, shape (1, 1)."""
+        return np.array([[self.std * self.std]])
+
+    def innovation(self, state: Nominal) -> Array:
+        """Give measured minus predicted, rad in [-pi, pi), shape (1,)."""
+        seen_n = so3.to_matrix(state.q_nb) @ self.seen_b
+        return so3.wrap(np.array([self.azimuth - np.arctan2(seen_n[1], seen_n[0])]))
+
+    def jacobian(self, state: Nominal) -> Array:
+        """Give the Jacobian, shape (1, 15)."""
+        C_nb = so3.to_matrix(state.q_nb)
+        north, east, _ = (C_nb @ self.seen_b).tolist()
+        turned = -C_nb @ skew(self.seen_b)
+        H = np.zeros((1, N))
+        H[0, ATT] = (north * turned[1] - east * turned[0]) / (north * north + east * east)
+        return H

@@ -1,0 +1,124 @@
+"""Where a filter begins: level from the mean specific force, north from a heading, the first fix.
+
+Source: Qin et al. 2020, "LINS: a lidar-inertial state estimator", section IV; Groves 2013,
+section 5.6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.errors import LogError
+from ekf_companion.filters.observation import Azimuth, Observation, Position, Velocity
+from ekf_companion.filters.strapdown import Nominal
+from ekf_companion.nav import so3
+from ekf_companion.nav.earth import STANDARD_GRAVITY
+
+Array = npt.NDArray[np.float64]
+
+MOVING_TILT = 0.2
+"""One sigma of a level that was taken in motion, rad: a turn at 2 m/s^2."""
+STANDING = 0.5
+"""m/s; a receiver at rest says less."""
+UNKNOWN_VELOCITY = 10.0
+"""One sigma of a velocity that no fix says, m/s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Start:
+    """The first estimate."""
+
+    t_ns: int
+    """Of an inertial sample."""
+    state: Nominal
+    P: Array
+    """Covariance of the error state, shape (15, 15)."""
+
+
+def find_start(
+    t_ns: npt.NDArray[np.int64],
+    gyro: Array,
+    accel: Array,
+    aids: Sequence[tuple[int, Observation]],
+    settings: FilterSettings,
+) -> Start:
+    """Begin as soon as a window of samples, a fix and a heading are known.
+
+    Where the sensor rests in the window, the mean of the gyro is its bias, and the variance of both
+    sensors says how sure bias and level are.
+
+    Args:
+        t_ns: Times of the inertial samples, ascending, shape (n,).
+        gyro: rad/s, b, shape (n, 3).
+        accel: m/s^2, b, shape (n, 3).
+        aids: Times and aids, ascending.
+        settings: Those of the daemon: window, thresholds of rest, sigmas.
+
+    Raises:
+        LogError: The recording ends before.
+    """
+    window_ns = round(settings.align.time * 1e9)
+    seen = [
+        next((t for t, aid in aids if isinstance(aid, kind)), None) for kind in (Position, Azimuth)
+    ]
+    if seen[0] is None or seen[1] is None:
+        raise LogError("no fix or no heading: there is nothing to begin from")
+    last = int(np.searchsorted(t_ns, max(int(t_ns[0]) + window_ns, seen[0], seen[1])))
+    if last >= len(t_ns):
+        raise LogError("the recording ends before level, north and position are known")
+    now = int(t_ns[last])
+    rows = slice(int(np.searchsorted(t_ns, now - window_ns)), last + 1)
+    known = [aid for t, aid in aids if t <= now]
+    recent = [aid for t, aid in aids if now - window_ns <= t <= now]
+    fix = [aid for aid in known if isinstance(aid, Position)][-1]
+    speeds = [aid for aid in known if isinstance(aid, Velocity)]
+    is_rest = (
+        float(np.linalg.norm(gyro[rows].std(axis=0))) < settings.align.rest_gyro
+        and float(np.linalg.norm(accel[rows].std(axis=0))) < settings.align.rest_accel
+        and not (speeds and float(np.linalg.norm(speeds[-1].vel_n)) > STANDING)
+    )
+    level = _level(accel[rows].mean(axis=0))
+    azimuths = [aid for aid in recent if isinstance(aid, Azimuth)]
+    azimuths = azimuths or [aid for aid in known if isinstance(aid, Azimuth)][-1:]
+    unturned = Nominal(q_nb=level, vel_n=np.zeros(3), pos_n=np.zeros(3))
+    turns = np.array([float(aid.innovation(unturned)[0]) for aid in azimuths])
+    yaw = float(np.arctan2(np.sin(turns).mean(), np.cos(turns).mean()))
+    vel_n = np.zeros(3)
+    if speeds:
+        vel_n[: len(speeds[-1].vel_n)] = speeds[-1].vel_n
+    state = Nominal(
+        q_nb=so3.multiply(so3.from_euler(0.0, 0.0, yaw), level),
+        vel_n=vel_n,
+        pos_n=fix.pos_n.copy(),
+        gyro_bias=gyro[rows].mean(axis=0) if is_rest else np.zeros(3),
+    )
+    n = len(t_ns[rows])
+    shaken = accel[rows].std(axis=0).max() / np.sqrt(n) / STANDARD_GRAVITY
+    tilt = np.hypot(settings.imu.accel_bias / STANDARD_GRAVITY, shaken)
+    tilt = tilt if is_rest else np.hypot(tilt, MOVING_TILT)
+    bias = gyro[rows].std(axis=0).max() / np.sqrt(n)
+    bias = np.hypot(bias, 0.1 * settings.imu.gyro_bias) if is_rest else settings.imu.gyro_bias
+    # Sigmas of the attitude about north, east, down, turned into b
+    about_n = np.square([tilt, tilt, np.hypot(azimuths[-1].std, tilt)])
+    C_nb = so3.to_matrix(state.q_nb)
+    P = np.zeros((15, 15))
+    P[:3, :3] = C_nb.T @ np.diag(about_n) @ C_nb
+    rest = [
+        *np.square(np.full(3, speeds[-1].std if speeds else UNKNOWN_VELOCITY)),
+        *np.square(fix.std),
+        *np.square(np.full(3, bias)),
+        *np.square(np.full(3, settings.imu.accel_bias)),
+    ]
+    P[3:, 3:] = np.diag(rest)
+    return Start(t_ns=now, state=state, P=P)
+
+
+def _level(force_b: Array) -> Array:
+    """Give the attitude with yaw 0 in which the specific force points up."""
+    x, y, z = force_b.tolist()
+    return so3.from_euler(np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), 0.0)
