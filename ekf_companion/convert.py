@@ -14,6 +14,7 @@ import numpy as np
 from ekf_companion.companion import DECIMATED, Publisher, session_options
 from ekf_companion.config import Config
 from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.filters.solution import Solution
 from ekf_companion.logs import csv, dataflash, tlog, tlog_trajectory, ulog
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.writer import CsvWriter, create
@@ -23,6 +24,7 @@ from ekf_companion.mavlink.session import PeerFound, Session
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind, Row, merge
 from ekf_companion.nav.state import Status, Table, Trajectory, join
 from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline
+from ekf_companion.selection import run_filter
 from ekf_companion.smoothing import Smoothing
 
 Progress = Callable[[int, int], None]
@@ -136,6 +138,26 @@ def convert(
     return report
 
 
+def convert_by(
+    name: str, path: Path, out: Path, config: Config, rate: float | None = None
+) -> Solution:
+    """Take a filter of :mod:`ekf_companion.selection` through a log and write what it says.
+
+    Raises:
+        LogError: As :func:`convert`, or the log lacks what the filter needs.
+    """
+    if out.suffix != ".csv" or out.resolve() == path.resolve():
+        raise LogError(f"{out}: estimates of {name} are written as .csv; name another file")
+    try:
+        solution = run_filter(read(path, config), name, config)
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from error
+    with CsvWriter(out) as writer:
+        kept = _thin(solution.table, rate, None)
+        writer.write(kept.stamp_ns, kept.values)
+    return solution
+
+
 def estimate(
     path: Path, config: Config, progress: Progress | None = None
 ) -> tuple[Table, Report, Trajectory | None, Trajectory | None]:
@@ -167,19 +189,21 @@ def estimate_and_smooth(
     return join(live), join(smoothed), report, source.reference, source.truth
 
 
-def read(path: Path, config: Config, progress: Progress | None = None) -> Recording:
+def read(
+    path: Path | str, config: Config | None = None, progress: Progress | None = None
+) -> Recording:
     """Give the events of a log, whatever its format: the longest course of time without a restart.
 
     Args:
         path: The log.
-        config: Whose ``link`` says which autopilot of a .tlog is listened to.
+        config: Whose ``link`` says which autopilot of a .tlog is listened to; None: the first.
         progress: Told how far it is.
 
     Raises:
         LogError: The log cannot be read, or holds no event at all.
     """
-    report = Report(log=str(path))
-    source = _open(path, config, report)
+    path, report = Path(path), Report(log=str(path))
+    source = _open(path, config or Config(), report)
     tables = []
     for done, events in _tables(source):
         tables.append(events)
