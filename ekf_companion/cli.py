@@ -331,7 +331,7 @@ def _compare_filters(
         typer.echo(f"  note: {log.name}: {note}")
     if plot is not None:
         lines = [one.trajectory for one in entries if one.trajectory is not None]
-        figure.plot(plot, [*lines, against], log.name, with_errors=True)
+        figure.plot(plot, [*lines, against], log.name, events=recording.events, with_errors=True)
     _write_json(json_file, [entry.to_dict() for entry in entries])
 
 
