@@ -24,13 +24,16 @@ class Observation(Protocol):
 
     @property
     def aid(self) -> str:
-        """Name of what it corrects: ``position``, ``velocity`` or ``heading``."""
+        """Name of what it corrects: ``position``, ``velocity`` or ``heading`` (always an angle)."""
 
     def covariance(self) -> Array:
         """Give that of its noise, R, shape (m, m)."""
 
     def innovation(self, state: Nominal) -> Array:
-        """Give measured minus predicted, shape (m,); an angle in [-pi, pi)."""
+        """Give measured minus predicted, shape (m,); an angle in [-pi, pi).
+
+        States whose arrays have further leading axes give as many innovations, shape (..., m).
+        """
 
     def jacobian(self, state: Nominal) -> Array:
         """Give the derivative of what is predicted by the error state, shape (m, 15)."""
@@ -83,7 +86,7 @@ class Velocity:
     def innovation(self, state: Nominal) -> Array:
         """Give measured minus predicted, m/s, shape (m,)."""
         predicted = state.vel_n + so3.to_matrix(state.q_nb) @ self.swing_b
-        return np.asarray(self.vel_n - predicted[: len(self.vel_n)])
+        return np.asarray(self.vel_n - predicted[..., : len(self.vel_n)])
 
     def jacobian(self, state: Nominal) -> Array:
         """Give the Jacobian, shape (m, 15)."""
@@ -112,7 +115,7 @@ class Azimuth:
     def innovation(self, state: Nominal) -> Array:
         """Give measured minus predicted, rad in [-pi, pi), shape (1,)."""
         seen_n = so3.to_matrix(state.q_nb) @ self.seen_b
-        return so3.wrap(np.array([self.azimuth - np.arctan2(seen_n[1], seen_n[0])]))
+        return so3.wrap(self.azimuth - np.arctan2(seen_n[..., 1:2], seen_n[..., :1]))
 
     def jacobian(self, state: Nominal) -> Array:
         """Give the Jacobian, shape (1, 15)."""
