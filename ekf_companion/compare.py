@@ -1,6 +1,7 @@
 """How far an estimate is from a reference: errors where both exist, and their statistics.
 
-Where both exist, the denser of the two is interpolated at the other's stamps; never over a gap.
+Where both exist, the denser of the two is interpolated at the other's stamps; never over a gap (of
+half a second, or of three steps of a slower series).
 Two altitudes may differ by a constant because each has its own datum (EGM96, a barometer's zero,
 the home position), so the vertical error is given as it is and with its mean taken off.
 """
@@ -18,6 +19,7 @@ from ekf_companion.logs import series
 from ekf_companion.logs.estimate import read_estimate, read_truth, to_trajectory
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.interpolation import GAP, Between, between
 from ekf_companion.nav.state import Trajectory
 
 __all__ = ["Score", "Spread", "read_estimate", "read_truth", "score", "table", "to_trajectory"]
@@ -25,8 +27,6 @@ __all__ = ["Score", "Spread", "read_estimate", "read_truth", "score", "table", "
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
 
-GAP = 0.5
-"""s; over a longer one nothing is interpolated (or over three steps of a slower series)."""
 LAG_SPAN = 1.0
 """s; time lags are looked for up to this, either way."""
 LAG_STEP = 0.02
@@ -217,27 +217,22 @@ class _Pair:
     at_ns: Stamps
     of_sparse: npt.NDArray[np.int64]
     """Rows of the sparser series."""
-    before: npt.NDArray[np.int64]
-    """Rows of the denser series at or just before each stamp; the next one follows."""
-    share: Array
-    """How far each stamp is from there to the next, 0 to 1."""
+    of_dense: Between
+    """Where its stamps are in the denser series."""
     is_swapped: bool
     """The denser one is the second."""
 
     def difference(self, first: Array, second: Array) -> Array:
         """Give first minus second, shape (n, 3)."""
         dense, sparse = (second, first) if self.is_swapped else (first, second)
-        share = self.share[:, None]
-        between = dense[self.before] * (1.0 - share) + dense[self.before + 1] * share
-        return (between - sparse[self.of_sparse]) * (-1.0 if self.is_swapped else 1.0)
+        less = self.of_dense.values(dense) - sparse[self.of_sparse]
+        return less * (-1.0 if self.is_swapped else 1.0)
 
     def rotations(self, first: Array, second: Array) -> tuple[Array, Array]:
         """Give both at the stamps, the denser one turned evenly from row to row."""
         dense, sparse = (second, first) if self.is_swapped else (first, second)
-        start, end = dense[self.before], dense[self.before + 1]
-        turn = so3.log(so3.multiply(so3.conjugate(start), end)) * self.share[:, None]
-        between, there = so3.multiply(start, so3.exp(turn)), sparse[self.of_sparse]
-        return (there, between) if self.is_swapped else (between, there)
+        here, there = self.of_dense.rotations(dense), sparse[self.of_sparse]
+        return (there, here) if self.is_swapped else (here, there)
 
 
 def _pair(first_ns: Stamps, second_ns: Stamps, begin: int, end: int) -> _Pair | None:
@@ -247,15 +242,10 @@ def _pair(first_ns: Stamps, second_ns: Stamps, begin: int, end: int) -> _Pair | 
     periods = [float(np.median(np.diff(t_ns))) for t_ns in (first_ns, second_ns)]
     is_swapped = periods[0] > periods[1]
     dense, sparse = (second_ns, first_ns) if is_swapped else (first_ns, second_ns)
-    wanted = (sparse >= max(begin, int(dense[0]))) & (sparse <= min(end, int(dense[-1])))
-    rows = np.flatnonzero(wanted)
-    before = np.clip(np.searchsorted(dense, sparse[rows], side="right") - 1, 0, len(dense) - 2)
-    step = dense[before + 1] - dense[before]
-    near = step <= max(GAP * 1e9, 3.0 * min(periods))
-    rows, before, step = rows[near], before[near], step[near]
-    if len(rows) == 0:
-        return None
-    return _Pair(sparse[rows], rows, before, (sparse[rows] - dense[before]) / step, is_swapped)
+    rows = np.flatnonzero((sparse >= begin) & (sparse <= end))
+    found = between(dense, sparse[rows], max(GAP * 1e9, 3.0 * min(periods)))
+    rows = rows[found.wanted]
+    return _Pair(sparse[rows], rows, found, is_swapped) if len(rows) else None
 
 
 def _find_lag(
