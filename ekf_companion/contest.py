@@ -18,7 +18,7 @@ from ekf_companion.logs.estimate import of_table
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.pairing import pair
+from ekf_companion.nav.interpolation import pair
 from ekf_companion.nav.state import Status, Trajectory
 from ekf_companion.selection import choose, run_filter
 
@@ -153,7 +153,14 @@ def _judge(entry: Entry, reference: Trajectory, begin: int, end: int) -> Entry:
         trajectory=entry.trajectory,
         us=entry.us,
         rms=_rms(entry.trajectory, reference, begin, end),
-        nees={"position": found.position, "velocity": found.velocity, "attitude": found.attitude},
+        nees={
+            name: np.nan if value is None else value
+            for name, value in (
+                ("position", found.position),
+                ("velocity", found.velocity),
+                ("attitude", found.attitude),
+            )
+        },
     )
 
 

@@ -19,8 +19,8 @@ import numpy.typing as npt
 from ekf_companion.errors import CompanionError
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.interpolation import pair
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.nav.pairing import pair
 from ekf_companion.nav.state import Trajectory
 
 Array = npt.NDArray[np.float64]

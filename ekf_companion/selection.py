@@ -10,6 +10,7 @@ import numpy as np
 from ekf_companion.core import layout as at
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.filters import ukf
 from ekf_companion.filters.course import Course, run
 from ekf_companion.filters.iterated import Iterated
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
@@ -111,8 +112,14 @@ def _iterated(recording: Recording, settings: FilterSettings, option: str) -> So
     return run("iterated", Iterated(setup), course, setup)
 
 
+def _ukf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    del option
+    return ukf.run(recording.events, settings, recording.family, recording.gnss_delay)
+
+
 FILTERS: Mapping[str, Filter] = {
     "eskf": Filter(run=_eskf, options=(), says="our own estimator, as it flies"),
     "iterated": Filter(run=_iterated, options=(), says="iterated error-state filter"),
+    "ukf": Filter(run=_ukf, options=(), says="unscented filter on the manifold"),
 }
 """What ``--filters`` and :func:`run_filter` know."""

@@ -24,13 +24,19 @@ class Observation(Protocol):
 
     @property
     def aid(self) -> str:
-        """Name of what it corrects: ``position``, ``velocity`` or ``heading``."""
+        """Name of what it corrects: ``position``, ``velocity`` or ``heading`` (always an angle)."""
 
     def covariance(self) -> Array:
         """Give that of its noise, R, shape (m, m)."""
 
+    def bound(self, state: Nominal) -> Observation:
+        """Give the same, what depends on its noise settled by a state: for sigma points."""
+
     def innovation(self, state: Nominal) -> Array:
-        """Give measured minus predicted, shape (m,); an angle in [-pi, pi)."""
+        """Give measured minus predicted, shape (m,); an angle in [-pi, pi).
+
+        States whose arrays have further leading axes give as many innovations, shape (..., m).
+        """
 
     def jacobian(self, state: Nominal) -> Array:
         """Give the derivative of what is predicted by the error state, shape (m, 15)."""
@@ -51,6 +57,10 @@ class Position:
     def covariance(self) -> Array:
         """Give that of its noise, shape (3, 3)."""
         return np.diag(np.square(self.std))
+
+    def bound(self, state: Nominal) -> Position:
+        """Give itself: nothing depends on its noise."""
+        return self
 
     def innovation(self, state: Nominal) -> Array:
         """Give measured minus predicted, m, shape (3,)."""
@@ -80,10 +90,14 @@ class Velocity:
         """Give that of its noise, shape (m, m)."""
         return self.std * self.std * np.eye(len(self.vel_n))
 
+    def bound(self, state: Nominal) -> Velocity:
+        """Give itself: nothing depends on its noise."""
+        return self
+
     def innovation(self, state: Nominal) -> Array:
         """Give measured minus predicted, m/s, shape (m,)."""
         predicted = state.vel_n + so3.to_matrix(state.q_nb) @ self.swing_b
-        return np.asarray(self.vel_n - predicted[: len(self.vel_n)])
+        return np.asarray(self.vel_n - predicted[..., : len(self.vel_n)])
 
     def jacobian(self, state: Nominal) -> Array:
         """Give the Jacobian, shape (m, 15)."""
@@ -125,9 +139,9 @@ class Azimuth:
         """Give measured minus predicted, rad in [-pi, pi), shape (1,)."""
         C_nb = so3.to_matrix(state.q_nb)
         if self.level is None:
-            return so3.wrap(np.array([self.azimuth - _azimuth(C_nb @ self.seen_b)]))
-        expected_n = self.level @ C_nb.T @ self._expected_n(C_nb)
-        return so3.wrap(np.array([_azimuth(expected_n) - _azimuth(self.level @ self.seen_b)]))
+            return so3.wrap(self.azimuth - _azimuth(C_nb @ self.seen_b))
+        expected_b = np.swapaxes(C_nb, -1, -2) @ self._expected_n(C_nb)
+        return so3.wrap(_azimuth(expected_b @ self.level.T) - _azimuth(self.level @ self.seen_b))
 
     def jacobian(self, state: Nominal) -> Array:
         """Give the Jacobian, shape (1, 15)."""
@@ -150,5 +164,6 @@ class Azimuth:
         )
 
 
-def _azimuth(v: Array) -> float:
-    return float(np.arctan2(v[1], v[0]))
+def _azimuth(v: Array) -> Array:
+    """Give the direction over ground of vectors, rad, shape (..., 1)."""
+    return np.arctan2(v[..., 1:2], v[..., :1])
