@@ -122,3 +122,33 @@ class Azimuth:
         H = np.zeros((1, N))
         H[0, ATT] = (north * turned[1] - east * turned[0]) / (north * north + east * east)
         return H
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Sighting:
+    """A vector known in n and seen in b: the Earth's field, the way to a beacon.
+
+    Unlike :class:`Azimuth` it bends with the heading: an error of psi shows as sin(psi).
+    """
+
+    seen_b: Array
+    """What is seen, shape (3,)."""
+    known_n: Array
+    """What it is, in the same unit, shape (3,)."""
+    std: float
+    """One sigma per axis, in that unit."""
+    aid: str = "heading"
+
+    def covariance(self) -> Array:
+        """Give that of its noise, shape (3, 3)."""
+        return self.std * self.std * np.eye(3)
+
+    def innovation(self, state: Nominal) -> Array:
+        """Give measured minus predicted, shape (3,)."""
+        return np.asarray(self.seen_b - so3.to_matrix(state.q_nb).T @ self.known_n)
+
+    def jacobian(self, state: Nominal) -> Array:
+        """Give the Jacobian, shape (3, 15)."""
+        H = np.zeros((3, N))
+        H[:, ATT] = skew(so3.to_matrix(state.q_nb).T @ self.known_n)
+        return H
