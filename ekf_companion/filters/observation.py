@@ -7,7 +7,7 @@ Source: Groves 2013, section 14.2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -104,6 +104,22 @@ class Azimuth:
     std: float
     """One sigma, rad."""
     aid: str = "heading"
+
+    def about(self, state: Nominal) -> Azimuth:
+        """Give the same as an azimuth that was misread of a thing seen in its place.
+
+        The noise of what is seen must not be in the Jacobian too: with a steep field the product
+        of both pushes the level aside by 2 tan(dip) of its variance at each update, one way.
+
+        Args:
+            state: Best guess; there the innovation is the same.
+        """
+        C_nb = so3.to_matrix(state.q_nb)
+        apart = float(self.innovation(state)[0])
+        turn = so3.to_matrix(so3.exp(np.array([0.0, 0.0, apart])))
+        return replace(
+            self, seen_b=C_nb.T @ turn @ C_nb @ self.seen_b, azimuth=self.azimuth + apart
+        )
 
     def covariance(self) -> Array:
         """Give that of its noise, shape (1, 1)."""
