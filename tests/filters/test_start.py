@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -52,7 +50,9 @@ def test_at_rest_it_finds_level_north_and_the_bias_of_the_gyro():
     start = find_start(*readings(rng), aids(rng), SETTINGS, RATE_N)
     assert start.t_ns == 1_200_000_000
     np.testing.assert_allclose(error_n(start), 0.0, atol=2e-3)
-    np.testing.assert_allclose(start.state.gyro_bias, GYRO_BIAS, atol=6e-4)
+    np.testing.assert_allclose(
+        start.state.gyro_bias, GYRO_BIAS, atol=8e-4
+    )  # 4 sigma of 100 samples
     antenna = start.state.pos_n + so3.to_matrix(TRUE) @ LEVER
     np.testing.assert_allclose(antenna, [1.0, 2.0, 3.0], atol=2e-3)
     assert np.linalg.eigvalsh(start.P).min() > 0.0
@@ -115,12 +115,8 @@ def test_a_recording_that_ends_too_early_is_refused():
 def test_headings_about_south_are_averaged_there():
     rng = np.random.default_rng(7)
     forward = np.array([1.0, 0.0, 0.0])
-    level = replace(
-        aids(rng)[0][1] if isinstance(aids(rng)[0][1], Azimuth) else aids(rng)[1][1],
-        seen_b=forward,
-    )
     both = [
-        (500_000_000 + k, replace(level, azimuth=np.pi + 0.01 * (-1) ** k, std=0.02))
+        (500_000_000 + k, Azimuth(seen_b=forward, azimuth=np.pi + 0.01 * (-1) ** k, std=0.02))
         for k in range(10)
     ]
     found = [one for one in aids(rng) if not isinstance(one[1], Azimuth)]
