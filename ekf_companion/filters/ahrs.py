@@ -1,0 +1,341 @@
+"""Attitude alone, our own: a Kalman filter of attitude error and gyro bias, six states.
+
+The gyro turns a frame i, which hardly turns itself, as bias and noise are small: specific force
+is low-passed there (:mod:`~ekf_companion.filters.plumb`), and the field is averaged. Some times a
+second the filter compares both with down and north and moves frame i, not what was low-passed in
+it. Gravity moves roll, pitch and bias; the field moves yaw and bias, never roll and pitch. Errors
+of both last for seconds: a variance counts as often as the errors are new.
+
+Error state: rotation vector in n (q_nb (true) = exp(theta_n) q_nb), gyro bias in b (true less
+estimated). Source: Sola 2017, arXiv 1711.02508; Laidig, Seel 2023, "VQF", arXiv 2203.17024, for
+frame i, rest and the recovery after a disturbance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.filters import readings
+from ekf_companion.filters.compass import Compass
+from ekf_companion.filters.plumb import REST_MEMORY, Plumb, Rest
+from ekf_companion.filters.readings import Readings
+from ekf_companion.filters.solution import Solution
+from ekf_companion.nav import so3
+from ekf_companion.nav.measurements import Events
+
+Array = npt.NDArray[np.float64]
+Rows = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+NAME = "ahrs"
+GAP = 0.25
+"""Samples so far apart have lost the motion between them, s."""
+LOST_RATE = 1.0
+"""One sigma of the rate in a gap, rad/s."""
+GATE = 16.0
+"""Squared sigmas within which the rate at rest is a bias and no slow turn."""
+NO_YAW = math.pi
+"""One sigma of a yaw that nothing has shown, rad."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AhrsSettings:
+    """What the sensor, the motion and the field are like. One setting is meant for all."""
+
+    gyro_noise: float = 2e-4
+    """White noise of the rate, rad/s per square root of Hz."""
+    scale_noise: float = 6e-3
+    """What errors of scale, axes and time add to it per rad/s of rate."""
+    bias_sigma: float = 0.0175
+    """One sigma of the bias at the start, rad/s."""
+    bias_walk: float = 5e-5
+    """Of the bias, rad/s per square root of s."""
+    gravity_memory: float = 3.0
+    """Time constant of the low-pass of specific force, s."""
+    gravity_sigma: float = 0.003
+    """One sigma of its direction where nothing moves, rad: what calibration leaves."""
+    spread_memory: float = 15.0
+    """How long a stray of the low-passed specific force counts, s."""
+    field_sigma: float = 0.035
+    """One sigma of the field's heading where its strength and dip are as known, rad."""
+    field_correlation: float = 10.0
+    """For so long an error of the field lasts, s."""
+    field_memory: float = 20.0
+    """Time constant of the known field, s."""
+    field_patience: float = 60.0
+    """After so long in motion another steady field is the known one, s."""
+    start_sigma: float = 0.09
+    """One sigma of the first yaw, rad: the field at one place."""
+    rest_gyro: float = 0.035
+    """Largest difference of a rate from its mean at rest, rad/s."""
+    rest_accel: float = 0.5
+    """Likewise of the specific force, m/s^2."""
+    rest_sigma: float = 5e-4
+    """One sigma of the mean rate at rest, rad/s."""
+    step: float = 0.05
+    """From one correction to the next, s."""
+
+
+def run(events: Events, settings: AhrsSettings = AhrsSettings()) -> Solution:
+    """Estimate attitude and gyro bias over a recording, each from what came before.
+
+    Raises:
+        LogError: There are no inertial samples.
+    """
+    taken = readings.read(events)
+    estimator = _Estimator(settings)
+    estimator.take(taken)
+    at = np.array(estimator.step_of)
+    q_ni = np.array(estimator.corrections)[at]
+    return readings.solution(
+        NAME,
+        taken,
+        so3.multiply(q_ni, np.array(estimator.strapdown)),
+        bias=np.array(estimator.biases)[at],
+        covariance=np.array(estimator.covariances)[at],
+        is_still=np.array(estimator.is_still),
+        counts={aid: (count, estimator.refused[aid]) for aid, count in estimator.counts.items()},
+    )
+
+
+class _Frame:
+    """Frame i: the body, turned back by the gyro; and what is summed up in it over a step."""
+
+    def __init__(self) -> None:
+        self.q_ib = (1.0, 0.0, 0.0, 0.0)
+        self.rows: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        """C_ib."""
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin a step."""
+        self.elapsed = 0.0
+        self.turn2 = 0.0
+        """Integral of the squared rate, rad^2/s."""
+        self.integral = [0.0] * 9
+        """Of C_ib, s, by rows."""
+        self.field = [0.0, 0.0, 0.0]
+        self.fields = 0
+
+    def turn(self, gyro: list[float], bias: list[float], dt: float) -> None:
+        """Turn the body by a rate over a time."""
+        wx, wy, wz = gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]
+        rate2 = wx * wx + wy * wy + wz * wz
+        half = 0.5 * dt * math.sqrt(rate2)
+        s = 0.5 * dt * (math.sin(half) / half if half > 1e-8 else 1.0)
+        c, sx, sy, sz = math.cos(half), s * wx, s * wy, s * wz
+        w, x, y, z = self.q_ib
+        w, x, y, z = (
+            w * c - x * sx - y * sy - z * sz,
+            w * sx + x * c + y * sz - z * sy,
+            w * sy - x * sz + y * c + z * sx,
+            w * sz + x * sy - y * sx + z * c,
+        )
+        size = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)  # one step of Newton to unit norm
+        w, x, y, z = self.q_ib = (w * size, x * size, y * size, z * size)
+        self.rows = (
+            (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+            (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+            (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+        )
+        self.elapsed += dt
+        self.turn2 += rate2 * dt
+        total = self.integral
+        for i, row in enumerate(self.rows):
+            total[3 * i] += row[0] * dt
+            total[3 * i + 1] += row[1] * dt
+            total[3 * i + 2] += row[2] * dt
+
+    def out(self, v: list[float]) -> tuple[float, float, float]:
+        """Turn a vector of b into i."""
+        x, y, z = v
+        first, second, third = self.rows
+        return (
+            first[0] * x + first[1] * y + first[2] * z,
+            second[0] * x + second[1] * y + second[2] * z,
+            third[0] * x + third[1] * y + third[2] * z,
+        )
+
+    def see(self, mag: list[float]) -> None:
+        """Sum up a field of b."""
+        for i, value in enumerate(self.out(mag)):
+            self.field[i] += value
+        self.fields += 1
+
+
+class _Estimator:
+    """Runs over the samples; what a sample needs is in plain numbers, what a step in arrays."""
+
+    def __init__(self, settings: AhrsSettings) -> None:
+        self.settings = settings
+        self.strapdown: list[tuple[float, float, float, float]] = []
+        """q_ib of each sample."""
+        self.step_of: list[int] = []
+        """The correction that holds for each sample."""
+        self.is_still: list[bool] = []
+        self.corrections: list[Array] = []
+        """q_ni after each correction; likewise:"""
+        self.biases: list[Array] = []
+        self.covariances: list[Array] = []
+        self.counts = {"gravity": 0, "rest": 0, "field": 0}
+        self.refused = {"gravity": 0, "rest": 0, "field": 0}
+        self._frame = _Frame()
+        self._plumb = Plumb(settings.gravity_memory, settings.spread_memory)
+        self._rest = Rest(settings.rest_gyro, settings.rest_accel)
+        self._compass = Compass(settings.field_memory, settings.field_patience)
+        self._q_ni = np.array([1.0, 0.0, 0.0, 0.0])
+        self._bias = np.zeros(3)
+        self._P = np.diag([1.0, 1.0, NO_YAW**2] + [settings.bias_sigma**2] * 3)
+        self._since_field = 0.0
+
+    def take(self, taken: Readings) -> None:
+        """Run over all samples."""
+        frame, plumb, rest, step = self._frame, self._plumb, self._rest, self.settings.step
+        bias = [0.0, 0.0, 0.0]
+        has_mag = np.isfinite(taken.mag_b).all(axis=1).tolist()
+        for dt, gyro, accel, mag, is_seen in zip(
+            taken.steps.tolist(),
+            taken.gyro_b.tolist(),
+            taken.accel_b.tolist(),
+            taken.mag_b.tolist(),
+            has_mag,
+            strict=True,
+        ):
+            if dt > GAP:
+                self._lose(dt)
+                dt = 1e-3  # what it turned in the gap is not known
+            frame.turn(gyro, bias, dt)
+            plumb.add(*frame.out(accel), dt)
+            rest.add(gyro, accel, dt)
+            if is_seen:
+                frame.see(mag)
+            if frame.elapsed >= step - 1e-9 or not self.biases:
+                self._advance()
+                bias = self._bias.tolist()
+                frame.clear()
+            self.strapdown.append(frame.q_ib)
+            self.step_of.append(len(self.biases) - 1)
+            self.is_still.append(rest.is_still)
+
+    def _lose(self, dt: float) -> None:
+        """Doubt the attitude after a gap, and begin the low-pass anew."""
+        lost = min(LOST_RATE * dt, NO_YAW) ** 2
+        self._P[:3, :3] += lost * np.eye(3)
+        self._plumb.restart()
+        self._rest.restart()
+
+    def _advance(self) -> None:
+        """Predict over the step, correct, keep the result."""
+        s, frame = self.settings, self._frame
+        # Predict: the bias turns the body, and so do the gyro's own errors
+        A = so3.to_matrix(self._q_ni) @ np.array(frame.integral).reshape(3, 3)
+        Phi = np.eye(6)
+        Phi[:3, 3:] = -A
+        P = Phi @ self._P @ Phi.T
+        turned = s.gyro_noise**2 * frame.elapsed + s.scale_noise**2 * frame.turn2
+        P[:3, :3] += turned * np.eye(3)
+        P[3:, 3:] += s.bias_walk**2 * frame.elapsed * np.eye(3)
+        self._P = P
+        # Correct by what is seen
+        self._level()
+        if self._rest.is_still:
+            self._stand()
+        self._since_field += frame.elapsed
+        if frame.fields:
+            self._point(np.array(frame.field) / frame.fields)
+        self.corrections.append(self._q_ni)
+        self.biases.append(self._bias)
+        self.covariances.append(self._P[:3, :3])
+
+    def _level(self) -> None:
+        """Turn the low-passed specific force to the vertical."""
+        s, plumb = self.settings, self._plumb
+        spread = plumb.spread(self._frame.elapsed)
+        up = so3.rotate(self._q_ni, np.array([plumb.x, plumb.y, plumb.z]))
+        x, y, z = (up / -max(math.sqrt(float(up @ up)), 1e-6)).tolist()
+        across = math.hypot(x, y)
+        angle = math.atan2(across, z)
+        scale = angle / across if across > 1e-9 else 1.0
+        innovation = np.array([y * scale, -x * scale])
+        sigma2 = s.gravity_sigma**2 + spread**2
+        if not plumb.is_warm:
+            # A mean since the start: it holds all that is known
+            self._put(innovation, sigma2)
+            return
+        slow = max(2.0 * s.gravity_memory / self._frame.elapsed, 1.0)
+        self._correct(np.eye(6)[:2], innovation, sigma2 * np.eye(2), keep=slice(2, 3), slow=slow)
+        self.counts["gravity"] += 1
+
+    def _put(self, innovation: Array, sigma2: float) -> None:
+        """Take roll and pitch as they are seen, and forget what they had to do with the rest."""
+        self._turn(np.array([innovation[0], innovation[1], 0.0]))
+        self._P[:2, :] = 0.0
+        self._P[:, :2] = 0.0
+        self._P[0, 0] = self._P[1, 1] = sigma2
+
+    def _stand(self) -> None:
+        """Take the mean rate at rest for the bias, unless it is too far off: then it is a turn."""
+        innovation = np.array(self._rest.rate) - self._bias
+        S = np.diagonal(self._P)[3:] + self.settings.rest_sigma**2
+        if float(np.max(innovation**2 / S)) > GATE:
+            self.refused["rest"] += 1
+            return
+        R = self.settings.rest_sigma**2 * max(2.0 * REST_MEMORY / self._frame.elapsed, 1.0)
+        self._correct(np.eye(6)[3:], innovation, R * np.eye(3), keep=slice(0, 0))
+        self.counts["rest"] += 1
+
+    def _point(self, field_i: Array) -> None:
+        """Turn the horizontal field to the north."""
+        s, P = self.settings, self._P
+        x, y, z = so3.rotate(self._q_ni, field_i).tolist()
+        level = math.hypot(x, y)
+        dt, self._since_field = self._since_field, 0.0
+        is_first = not self._compass.is_known
+        still = self._rest.is_still
+        across, is_new = self._compass.judge(level, z, dt, is_still=still)
+        innovation = -math.atan2(y, x)
+        if is_first or not self._plumb.is_warm:
+            self._turn(np.array([0.0, 0.0, innovation]))
+            P[2, :] = P[:, 2] = 0.0
+            P[2, 2] = s.start_sigma**2
+            return
+        if is_new:
+            P[2, 2] += innovation**2
+        if still:
+            return
+        tilt2 = 0.5 * (P[0, 0] + P[1, 1]) * (z / max(level, 1e-6)) ** 2
+        sigma2 = s.field_sigma**2 + across**2 + tilt2
+        R = sigma2 * max(2.0 * s.field_correlation / dt, 1.0)
+        self._correct(np.eye(6)[2:3], np.array([innovation]), np.array([[R]]), keep=slice(0, 2))
+        self.counts["field"] += 1
+
+    def _correct(
+        self, H: Array, innovation: Array, R: Array, *, keep: slice, slow: float = 1.0
+    ) -> None:
+        """Fuse an innovation by the Joseph form, which holds for any gain.
+
+        Args:
+            H: Jacobian, shape (m, 6).
+            innovation: Shape (m,).
+            R: Its covariance, shape (m, m).
+            keep: States that are not moved.
+            slow: The bias, which is slow, takes R for so many times as large.
+        """
+        P = self._P
+        PH, S = P @ H.T, H @ P @ H.T
+        K = PH @ np.linalg.inv(S + R)
+        if slow != 1.0:
+            K[3:] = PH[3:] @ np.linalg.inv(S + slow * R)
+        K[keep] = 0.0
+        dx = K @ innovation
+        left = np.eye(6) - K @ H
+        P = left @ P @ left.T + K @ R @ K.T
+        self._P = 0.5 * (P + P.T)
+        self._bias = self._bias + dx[3:]
+        self._turn(dx[:3])
+
+    def _turn(self, theta_n: Array) -> None:
+        self._q_ni = so3.normalise(so3.multiply(so3.exp(theta_n), self._q_ni))
