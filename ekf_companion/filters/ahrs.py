@@ -65,7 +65,7 @@ class AhrsSettings:
     """For so long an error of the field lasts, s."""
     field_memory: float = 20.0
     """Time constant of the known field, s."""
-    field_patience: float = 60.0
+    field_patience: float = 30.0
     """After so long in motion another steady field is the known one, s."""
     start_sigma: float = 0.09
     """One sigma of the first yaw, rad: the field at one place."""
@@ -86,14 +86,43 @@ def run(events: Events, settings: AhrsSettings = AhrsSettings()) -> Solution:
         LogError: There are no inertial samples.
     """
     taken = readings.read(events)
-    estimator = _Estimator(settings)
-    estimator.take(taken)
-    at = np.array(estimator.step_of)
-    q_ni = np.array(estimator.corrections)[at]
+    found = track(taken, settings)
+    # What calibration leaves in gravity does not become less by looking on
+    floor = np.diag([settings.gravity_sigma**2, settings.gravity_sigma**2, 0.0])
     return readings.solution(
         NAME,
         taken,
-        so3.multiply(q_ni, np.array(estimator.strapdown)),
+        found.q_nb,
+        bias=found.bias,
+        covariance=found.covariance[:, :3, :3] + floor,
+        is_still=found.is_still,
+        counts=found.counts,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Track:
+    """All that the filter estimates."""
+
+    q_nb: Array
+    """From magnetic north, shape (n, 4)."""
+    bias: Array
+    """rad/s, b, shape (n, 3)."""
+    covariance: Array
+    """Of the error state, shape (n, 6, 6)."""
+    is_still: npt.NDArray[np.bool_]
+    """Shape (n,)."""
+    counts: dict[str, tuple[int, int]]
+    """By aid: how many were fused, how many refused."""
+
+
+def track(taken: Readings, settings: AhrsSettings = AhrsSettings()) -> Track:
+    """Run the filter over readings."""
+    estimator = _Estimator(settings)
+    estimator.take(taken)
+    at = np.array(estimator.step_of)
+    return Track(
+        q_nb=so3.multiply(np.array(estimator.corrections)[at], np.array(estimator.strapdown)),
         bias=np.array(estimator.biases)[at],
         covariance=np.array(estimator.covariances)[at],
         is_still=np.array(estimator.is_still),
@@ -190,6 +219,8 @@ class _Estimator:
         self._bias = np.zeros(3)
         self._P = np.diag([1.0, 1.0, NO_YAW**2] + [settings.bias_sigma**2] * 3)
         self._since_field = 0.0
+        self._seen_for = 0.0
+        self._has_moved = False
 
     def take(self, taken: Readings) -> None:
         """Run over all samples."""
@@ -243,12 +274,14 @@ class _Estimator:
         self._level()
         if self._rest.is_still:
             self._stand()
+        elif self._plumb.is_warm:
+            self._has_moved = True
         self._since_field += frame.elapsed
         if frame.fields:
             self._point(np.array(frame.field) / frame.fields)
         self.corrections.append(self._q_ni)
         self.biases.append(self._bias)
-        self.covariances.append(self._P[:3, :3])
+        self.covariances.append(self._P)
 
     def _level(self) -> None:
         """Turn the low-passed specific force to the vertical."""
@@ -265,8 +298,7 @@ class _Estimator:
             # A mean since the start: it holds all that is known
             self._put(innovation, sigma2)
             return
-        slow = max(2.0 * s.gravity_memory / self._frame.elapsed, 1.0)
-        self._correct(np.eye(6)[:2], innovation, sigma2 * np.eye(2), keep=slice(2, 3), slow=slow)
+        self._correct(np.eye(6)[:2], innovation, sigma2 * np.eye(2), keep=slice(2, 3))
         self.counts["gravity"] += 1
 
     def _put(self, innovation: Array, sigma2: float) -> None:
@@ -293,42 +325,33 @@ class _Estimator:
         x, y, z = so3.rotate(self._q_ni, field_i).tolist()
         level = math.hypot(x, y)
         dt, self._since_field = self._since_field, 0.0
-        is_first = not self._compass.is_known
         still = self._rest.is_still
-        across, is_new = self._compass.judge(level, z, dt, is_still=still)
         innovation = -math.atan2(y, x)
-        if is_first or not self._plumb.is_warm:
-            self._turn(np.array([0.0, 0.0, innovation]))
+        tilt2 = 0.5 * (P[0, 0] + P[1, 1]) * (z / max(level, 1e-6)) ** 2
+        across, is_new = 0.0, False
+        if self._plumb.is_warm:
+            across, is_new = self._compass.judge(level, z, dt, is_still=still)
+        if not self._has_moved:
+            # The mean at one place, which says as much as that place's field does
+            self._seen_for += dt
+            share = dt / min(self._seen_for, s.field_correlation)
+            self._turn(np.array([0.0, 0.0, min(share, 1.0) * innovation]))
             P[2, :] = P[:, 2] = 0.0
-            P[2, 2] = s.start_sigma**2
+            P[2, 2] = s.start_sigma**2 + tilt2
             return
         if is_new:
             P[2, 2] += innovation**2
         if still:
             return
-        tilt2 = 0.5 * (P[0, 0] + P[1, 1]) * (z / max(level, 1e-6)) ** 2
         sigma2 = s.field_sigma**2 + across**2 + tilt2
         R = sigma2 * max(2.0 * s.field_correlation / dt, 1.0)
         self._correct(np.eye(6)[2:3], np.array([innovation]), np.array([[R]]), keep=slice(0, 2))
         self.counts["field"] += 1
 
-    def _correct(
-        self, H: Array, innovation: Array, R: Array, *, keep: slice, slow: float = 1.0
-    ) -> None:
-        """Fuse an innovation by the Joseph form, which holds for any gain.
-
-        Args:
-            H: Jacobian, shape (m, 6).
-            innovation: Shape (m,).
-            R: Its covariance, shape (m, m).
-            keep: States that are not moved.
-            slow: The bias, which is slow, takes R for so many times as large.
-        """
+    def _correct(self, H: Array, innovation: Array, R: Array, *, keep: slice) -> None:
+        """Fuse an innovation by the Joseph form; the states to keep are not moved (Schmidt)."""
         P = self._P
-        PH, S = P @ H.T, H @ P @ H.T
-        K = PH @ np.linalg.inv(S + R)
-        if slow != 1.0:
-            K[3:] = PH[3:] @ np.linalg.inv(S + slow * R)
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
         K[keep] = 0.0
         dx = K @ innovation
         left = np.eye(6) - K @ H

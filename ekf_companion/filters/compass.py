@@ -35,11 +35,6 @@ class Compass:
         self._other_level = self._other_down = 0.0
         self._other_for = 0.0
 
-    @property
-    def is_known(self) -> bool:
-        """Whether a field has been seen."""
-        return self._age > 0.0
-
     def judge(self, level: float, down: float, dt: float, *, is_still: bool) -> tuple[float, bool]:
         """Give one sigma of the field's heading, rad, and whether another field is now the known.
 
@@ -79,5 +74,6 @@ class Compass:
         self._other_down += share * b
         if self._other_for < self._patience:
             return False
-        self.level, self.down, self._other_for = self._other_level, self._other_down, 0.0
+        self.level, self.down = self._other_level, self._other_down
+        self._other_for = self._square = 0.0
         return True
