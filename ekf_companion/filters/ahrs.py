@@ -21,14 +21,14 @@ import numpy.typing as npt
 
 from ekf_companion.filters import readings
 from ekf_companion.filters.compass import Compass
-from ekf_companion.filters.plumb import REST_MEMORY, Plumb, Rest
+from ekf_companion.filters.gyroframe import Strapdown
+from ekf_companion.filters.plumb import REST_MEMORY, Lag, Plumb, Rest
 from ekf_companion.filters.readings import Readings
 from ekf_companion.filters.solution import Solution
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events
 
 Array = npt.NDArray[np.float64]
-Rows = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 NAME = "ahrs"
 GAP = 0.25
@@ -59,6 +59,8 @@ class AhrsSettings:
     """One sigma of its direction where nothing moves, rad: what calibration leaves."""
     spread_memory: float = 15.0
     """How long a stray of the low-passed specific force counts, s."""
+    learn_sigma: float = 2e-3
+    """Least sigma of the rate by which the tilt is corrected in motion, rad/s."""
     field_sigma: float = 0.035
     """One sigma of the field's heading where its strength and dip are as known, rad."""
     field_correlation: float = 10.0
@@ -130,71 +132,6 @@ def track(taken: Readings, settings: AhrsSettings = AhrsSettings()) -> Track:
     )
 
 
-class _Frame:
-    """Frame i: the body, turned back by the gyro; and what is summed up in it over a step."""
-
-    def __init__(self) -> None:
-        self.q_ib = (1.0, 0.0, 0.0, 0.0)
-        self.rows: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-        """C_ib."""
-        self.clear()
-
-    def clear(self) -> None:
-        """Begin a step."""
-        self.elapsed = 0.0
-        self.turn2 = 0.0
-        """Integral of the squared rate, rad^2/s."""
-        self.integral = [0.0] * 9
-        """Of C_ib, s, by rows."""
-        self.field = [0.0, 0.0, 0.0]
-        self.fields = 0
-
-    def turn(self, gyro: list[float], bias: list[float], dt: float) -> None:
-        """Turn the body by a rate over a time."""
-        wx, wy, wz = gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]
-        rate2 = wx * wx + wy * wy + wz * wz
-        half = 0.5 * dt * math.sqrt(rate2)
-        s = 0.5 * dt * (math.sin(half) / half if half > 1e-8 else 1.0)
-        c, sx, sy, sz = math.cos(half), s * wx, s * wy, s * wz
-        w, x, y, z = self.q_ib
-        w, x, y, z = (
-            w * c - x * sx - y * sy - z * sz,
-            w * sx + x * c + y * sz - z * sy,
-            w * sy - x * sz + y * c + z * sx,
-            w * sz + x * sy - y * sx + z * c,
-        )
-        size = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)  # one step of Newton to unit norm
-        w, x, y, z = self.q_ib = (w * size, x * size, y * size, z * size)
-        self.rows = (
-            (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-            (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-            (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-        )
-        self.elapsed += dt
-        self.turn2 += rate2 * dt
-        total = self.integral
-        for i, row in enumerate(self.rows):
-            total[3 * i] += row[0] * dt
-            total[3 * i + 1] += row[1] * dt
-            total[3 * i + 2] += row[2] * dt
-
-    def out(self, v: list[float]) -> tuple[float, float, float]:
-        """Turn a vector of b into i."""
-        x, y, z = v
-        first, second, third = self.rows
-        return (
-            first[0] * x + first[1] * y + first[2] * z,
-            second[0] * x + second[1] * y + second[2] * z,
-            third[0] * x + third[1] * y + third[2] * z,
-        )
-
-    def see(self, mag: list[float]) -> None:
-        """Sum up a field of b."""
-        for i, value in enumerate(self.out(mag)):
-            self.field[i] += value
-        self.fields += 1
-
-
 class _Estimator:
     """Runs over the samples; what a sample needs is in plain numbers, what a step in arrays."""
 
@@ -211,7 +148,7 @@ class _Estimator:
         self.covariances: list[Array] = []
         self.counts = {"gravity": 0, "rest": 0, "field": 0}
         self.refused = {"gravity": 0, "rest": 0, "field": 0}
-        self._frame = _Frame()
+        self._frame = Strapdown()
         self._plumb = Plumb(settings.gravity_memory, settings.spread_memory)
         self._rest = Rest(settings.rest_gyro, settings.rest_accel)
         self._compass = Compass(settings.field_memory, settings.field_patience)
@@ -221,6 +158,8 @@ class _Estimator:
         self._since_field = 0.0
         self._seen_for = 0.0
         self._has_moved = False
+        self._lag = Lag(settings.gravity_memory, (3, 4))
+        self._stray2 = 0.0
 
     def take(self, taken: Readings) -> None:
         """Run over all samples."""
@@ -264,18 +203,19 @@ class _Estimator:
         # Predict: the bias turns the body, and so do the gyro's own errors
         A = so3.to_matrix(self._q_ni) @ np.array(frame.integral).reshape(3, 3)
         Phi = np.eye(6)
-        Phi[:3, 3:] = -A
+        Phi[2, 3:] = -A[2]
         P = Phi @ self._P @ Phi.T
         turned = s.gyro_noise**2 * frame.elapsed + s.scale_noise**2 * frame.turn2
         P[:3, :3] += turned * np.eye(3)
         P[3:, 3:] += s.bias_walk**2 * frame.elapsed * np.eye(3)
         self._P = P
         # Correct by what is seen
-        self._level()
+        theta = self._level()
         if self._rest.is_still:
             self._stand()
         elif self._plumb.is_warm:
             self._has_moved = True
+        self._learn(theta / frame.elapsed, A / frame.elapsed)
         self._since_field += frame.elapsed
         if frame.fields:
             self._point(np.array(frame.field) / frame.fields)
@@ -283,8 +223,11 @@ class _Estimator:
         self.biases.append(self._bias)
         self.covariances.append(self._P)
 
-    def _level(self) -> None:
-        """Turn the low-passed specific force to the vertical."""
+    def _level(self) -> Array:
+        """Turn the low-passed specific force to the vertical; give the turn about north and east.
+
+        The error of what was low-passed is the error of the tilt, not a noise to be averaged.
+        """
         s, plumb = self.settings, self._plumb
         spread = plumb.spread(self._frame.elapsed)
         up = so3.rotate(self._q_ni, np.array([plumb.x, plumb.y, plumb.z]))
@@ -293,20 +236,48 @@ class _Estimator:
         angle = math.atan2(across, z)
         scale = angle / across if across > 1e-9 else 1.0
         innovation = np.array([y * scale, -x * scale])
-        sigma2 = s.gravity_sigma**2 + spread**2
+        sigma2 = (s.gravity_sigma**2 + spread**2) * np.eye(2)
         if not plumb.is_warm:
             # A mean since the start: it holds all that is known
-            self._put(innovation, sigma2)
-            return
-        self._correct(np.eye(6)[:2], innovation, sigma2 * np.eye(2), keep=slice(2, 3))
+            self._turn(np.array([innovation[0], innovation[1], 0.0]))
+            self._P[:2, :2] = sigma2
+            return np.zeros(2)
+        R = sigma2 + self._lagging()
+        dx = self._correct(np.eye(6)[:2], innovation, R)
         self.counts["gravity"] += 1
+        return dx[:2]
 
-    def _put(self, innovation: Array, sigma2: float) -> None:
-        """Take roll and pitch as they are seen, and forget what they had to do with the rest."""
-        self._turn(np.array([innovation[0], innovation[1], 0.0]))
-        self._P[:2, :] = 0.0
-        self._P[:, :2] = 0.0
-        self._P[0, 0] = self._P[1, 1] = sigma2
+    def _lagging(self) -> Array:
+        """Give the covariance of the tilt by the bias while the low-pass lags, shape (2, 2)."""
+        C = self.settings.gravity_memory * self._lag.value[:2, :3]
+        return np.asarray(C @ self._P[3:, 3:] @ C.T)
+
+    def _learn(self, rate_n: Array, C_nb: Array) -> None:
+        """Learn the bias from how fast the tilt must be corrected, while the sensor moves.
+
+        The corrections are what the low-pass made of bias and motion, so the bias as it was
+        estimated meanwhile goes through the same low-pass. How much their rate varies is
+        measured; it varies no faster than the low-pass does, and is new only so often.
+
+        Args:
+            rate_n: Of the correction about north and east, rad/s, shape (2,).
+            C_nb: Mean over the step.
+        """
+        s, dt = self.settings, self._frame.elapsed
+        if not self._plumb.is_warm:
+            self._lag = Lag(s.gravity_memory, (3, 4))
+            return
+        self._lag.add(np.column_stack([C_nb, C_nb @ self._bias]), dt)
+        C = self._lag.value[:2]
+        innovation = C[:, 3] - rate_n - C[:, :3] @ self._bias
+        stray2 = 0.5 * float(innovation @ innovation)
+        self._stray2 += min(dt / s.spread_memory, 1.0) * (stray2 - self._stray2)
+        if self._rest.is_still:
+            return
+        R = (self._stray2 + s.learn_sigma**2) * max(2.0 * s.gravity_memory / dt, 1.0)
+        H = np.zeros((2, 6))
+        H[:, 3:] = C[:, :3]
+        self._correct(H, innovation, R * np.eye(2))
 
     def _stand(self) -> None:
         """Take the mean rate at rest for the bias, unless it is too far off: then it is a turn."""
@@ -316,7 +287,7 @@ class _Estimator:
             self.refused["rest"] += 1
             return
         R = self.settings.rest_sigma**2 * max(2.0 * REST_MEMORY / self._frame.elapsed, 1.0)
-        self._correct(np.eye(6)[3:], innovation, R * np.eye(3), keep=slice(0, 0))
+        self._correct(np.eye(6)[3:], innovation, R * np.eye(3))
         self.counts["rest"] += 1
 
     def _point(self, field_i: Array) -> None:
@@ -345,20 +316,20 @@ class _Estimator:
             return
         sigma2 = s.field_sigma**2 + across**2 + tilt2
         R = sigma2 * max(2.0 * s.field_correlation / dt, 1.0)
-        self._correct(np.eye(6)[2:3], np.array([innovation]), np.array([[R]]), keep=slice(0, 2))
+        self._correct(np.eye(6)[2:3], np.array([innovation]), np.array([[R]]))
         self.counts["field"] += 1
 
-    def _correct(self, H: Array, innovation: Array, R: Array, *, keep: slice) -> None:
-        """Fuse an innovation by the Joseph form; the states to keep are not moved (Schmidt)."""
+    def _correct(self, H: Array, innovation: Array, R: Array) -> Array:
+        """Fuse an innovation by the Joseph form; give by what the error state was moved."""
         P = self._P
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-        K[keep] = 0.0
         dx = K @ innovation
         left = np.eye(6) - K @ H
         P = left @ P @ left.T + K @ R @ K.T
         self._P = 0.5 * (P + P.T)
         self._bias = self._bias + dx[3:]
         self._turn(dx[:3])
+        return np.asarray(dx)
 
     def _turn(self, theta_n: Array) -> None:
         self._q_ni = so3.normalise(so3.multiply(so3.exp(theta_n), self._q_ni))

@@ -12,6 +12,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 REST_AFTER = 1.5
@@ -93,6 +97,28 @@ class Plumb:
         share = dt / self._spread_memory
         self._variance += share * ((stray / self.gravity) ** 2 - self._variance)
         return math.sqrt(self._variance)
+
+
+class Lag:
+    """The same low-pass, of an array, once per step; it begins at zero."""
+
+    def __init__(self, memory: float, shape: tuple[int, ...]) -> None:
+        """Begin with zeros.
+
+        Args:
+            memory: Time constant, s.
+            shape: Of the array.
+        """
+        self._omega = math.sqrt(2.0) / memory
+        self.value = np.zeros(shape)
+        self._speed = np.zeros(shape)
+
+    def add(self, values: Array, dt: float) -> None:
+        """Take values over a time, s."""
+        omega = min(self._omega, 0.5 / dt)
+        self._speed += omega * omega * dt * (values - self.value)
+        self._speed /= 1.0 + math.sqrt(2.0) * omega * dt
+        self.value += self._speed * dt
 
 
 class Rest:
