@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ekf_companion.logs.recording import Counted
 from ekf_companion.nav import so3
-from ekf_companion.nav.state import Table, Trajectory
+from ekf_companion.nav.state import Status, Table, Trajectory
 
 Array = npt.NDArray[np.float64]
 
@@ -52,8 +52,11 @@ class AttitudeScore:
 
 
 def errors(table: Table, truth: Trajectory) -> AttitudeErrors:
-    """Compare estimates with a truth at its own stamps; where it has none, nothing is compared."""
-    valid = np.isfinite(table.column("q_w"))
+    """Compare estimates with a truth at its own stamps; where it has none, nothing is compared.
+
+    Nor is an estimate that has not found down and north yet.
+    """
+    valid = np.isfinite(table.column("q_w")) & (table.column("status") >= Status.ATTITUDE)
     stamps = table.stamp_ns[valid]
     q_nb = np.stack([table.column(name)[valid] for name in QUATERNION], axis=1)
     rows = np.isfinite(truth.q_nb).all(axis=1)

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.filters import readings
-from ekf_companion.filters.readings import Readings, first_attitude
+from ekf_companion.filters.readings import Readings, first_attitude, known_rows
 from ekf_companion.filters.solution import Solution
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events
@@ -31,8 +31,9 @@ Preset = Literal["corrected", "article"]
 
 COVERED = 0.6
 """Every axis must reach so much of the range of the widest one, or the field is not calibrated."""
-TURNED = 1.2
-"""And that range, so many times the mean strength, to both sides together."""
+ROUND = 0.2
+"""How far the calibrated field's mean length may be from 1, and one sigma of it: or its ranges
+are those of noise or of a turn about one axis, and not of a sphere."""
 STEEP = 0.05
 """Least cosine of the pitch in the kinematics."""
 
@@ -92,8 +93,9 @@ def calibrated(mag_b: Array) -> tuple[Array, str]:
         return mag_b, ""
     low, high = seen.min(axis=0), seen.max(axis=0)
     half = 0.5 * (high - low)
-    strength = float(np.mean(np.linalg.norm(seen - 0.5 * (high + low), axis=1)))
-    if half.min() < COVERED * half.max() or 2.0 * half.max() < TURNED * strength:
+    length = np.linalg.norm((seen - 0.5 * (high + low)) / np.maximum(half, 1e-9), axis=1)
+    is_round = abs(float(length.mean()) - 1.0) < ROUND and float(length.std()) < ROUND
+    if half.min() < COVERED * half.max() or not is_round:
         reached = ", ".join(f"{each:.2f}" for each in half)
         return mag_b, (
             "the magnetometer is not calibrated: its axes reached only +-"
@@ -109,7 +111,7 @@ def _filter(
     roll, pitch, yaw = so3.to_euler(first_attitude(taken)).tolist()
     rolls = pitches = yaws = 1.0
     angles, variances = [], []
-    has_mag = np.isfinite(mag_b).all(axis=1).tolist()
+    has_mag = known_rows(mag_b).tolist()
     for dt, (p, q, r), (fx, fy, fz), mag, is_seen in zip(
         taken.steps.tolist(),
         taken.gyro_b.tolist(),

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_companion.filters import readings
-from ekf_companion.filters.readings import first_attitude
+from ekf_companion.filters.readings import first_attitude, known_rows
 from ekf_companion.filters.solution import Solution
 from ekf_companion.nav.measurements import Events
 
@@ -44,10 +44,11 @@ def run(events: Events, settings: MahonySettings = MahonySettings()) -> Solution
         LogError: There are no inertial samples.
     """
     taken = readings.read(events)
-    q: Quaternion = tuple(first_attitude(taken).tolist())
+    w, x, y, z = first_attitude(taken).tolist()
+    q: Quaternion = (w, x, y, z)
     bias: Vector = (0.0, 0.0, 0.0)
     attitudes, biases = [], []
-    has_mag = np.isfinite(taken.mag_b).all(axis=1).tolist()
+    has_mag = known_rows(taken.mag_b).tolist()
     for dt, gyro, accel, mag, is_seen in zip(
         taken.steps.tolist(),
         taken.gyro_b.tolist(),

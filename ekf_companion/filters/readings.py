@@ -54,7 +54,7 @@ def read(events: Events) -> Readings:
         LogError: There are no inertial samples.
     """
     imu = events.take(events.kind == Kind.IMU)
-    imu = imu.take(np.isfinite(imu.values[:, :6]).all(axis=1))
+    imu = imu.take(known_rows(imu.values[:, :6]))
     if not len(imu):
         raise LogError(
             "the log holds no inertial samples, without which there is no attitude; "
@@ -80,11 +80,16 @@ def read(events: Events) -> Readings:
     )
 
 
+def known_rows(values: Array) -> npt.NDArray[np.bool_]:
+    """Give which rows have no NaN, shape (n,)."""
+    return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
+
+
 def _carried(mag: Events, t_ns: Stamps, gyro_b: Array) -> Array:
     """Turn each field into the body at the next inertial sample; of several, give the mean."""
     fields = mag.values[:, :3]
     at = np.searchsorted(t_ns, mag.t_ns)
-    good = np.isfinite(fields).all(axis=1) & (at < len(t_ns))
+    good = known_rows(fields) & (at < len(t_ns))
     fields, at, stamps = fields[good], at[good], mag.t_ns[good]
     wait = (t_ns[at] - stamps) * 1e-9
     near = wait <= LONGEST_CARRY
@@ -141,7 +146,9 @@ def solution(
             ("sd_roll", "sd_pitch", "sd_yaw"), _euler_sigmas(angles, covariance), strict=True
         ):
             put[column][:] = sigma
+    seen = np.flatnonzero(known_rows(readings.mag_b))
     put["status"][:] = Status.ATTITUDE
+    put["status"][: seen[0] if len(seen) else 0] = Status.ALIGNING
     put["reset_count"][:] = 0.0
     kept = _every(readings.t_ns, COVARIANCE_PERIOD_NS)
     blocks = np.full((len(kept), 9, 9), np.nan)
@@ -184,7 +191,7 @@ def first_attitude(readings: Readings) -> Array:
     """Give q_nb of the first sample's specific force and the first field, from magnetic north."""
     fx, fy, fz = readings.accel_b[0]
     roll, pitch = np.arctan2(-fy, -fz), np.arctan2(fx, np.hypot(fy, fz))
-    seen = np.flatnonzero(np.isfinite(readings.mag_b).all(axis=1))
+    seen = np.flatnonzero(known_rows(readings.mag_b))
     yaw = 0.0
     if len(seen):
         level = so3.rotate(so3.from_euler(roll, pitch, 0.0), readings.mag_b[seen[0]])

@@ -38,13 +38,13 @@ def run(events: Events) -> Solution:
     step = float(np.median(steps))
     estimator = package.VQF(step)
     gyro, accel, mag = (_forward_left_up(v) for v in (taken.gyro_b, taken.accel_b, taken.mag_b))
-    has_mag = np.isfinite(mag).all(axis=1)
+    has_mag = readings.known_rows(mag)
     if has_mag.all():
         found = estimator.updateBatch(gyro, accel, mag)
         q_nb, bias, is_still = found["quat9D"], found["bias"], found["restDetected"]
     else:
         q_nb, bias, is_still = _one_by_one(estimator, gyro, accel, mag, has_mag)
-    notes = ()
+    notes: tuple[str, ...] = ()
     if np.mean(np.abs(steps - step) > 0.5 * step) > UNEVEN:
         notes = ("the samples are not evenly spaced, which VQF takes them to be",)
     return readings.solution(

@@ -32,8 +32,10 @@ GAUSS = 0.01
 """Of a microtesla."""
 FIELDS = {"imu_gyr": 3, "imu_acc": 3, "imu_mag": 3, "opt_quat": 4}
 """Arrays of a trial, and their columns."""
-DAMAGE = (ValueError, TypeError, LookupError, OSError, ArithmeticError, AttributeError)
-DAMAGE += (AssertionError, EOFError, MemoryError, zlib.error, struct.error, MatReadError)
+DAMAGE: tuple[type[BaseException], ...] = (
+    *(ValueError, TypeError, LookupError, OSError, ArithmeticError, AttributeError),
+    *(AssertionError, EOFError, MemoryError, zlib.error, struct.error, MatReadError),
+)
 """What SciPy's reader fails with, wherever in its parsing a damaged file takes it."""
 
 
@@ -89,12 +91,13 @@ def _array(path: Path, content: dict[str, Any], name: str, width: int) -> Array:
         raise LogError(f"{path}: {name} is {value.dtype} of {value.shape}, not of (n, {width})")
     if not len(value):
         raise LogError(f"{path}: {name} is empty: there is nothing to estimate from")
-    return value.astype(float)
+    array: Array = value.astype(np.float64)
+    return array
 
 
 def _forward_right_down(values: Array) -> Array:
     """Turn vectors, or the vector part of quaternions, of right-forward-up (or ENU) into ours."""
-    turned = values.copy()
+    turned: Array = np.array(values)
     x = values.shape[1] - 3
     turned[:, x], turned[:, x + 1], turned[:, x + 2] = (
         values[:, x + 1],

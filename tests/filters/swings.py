@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -19,7 +20,7 @@ FIELD_N = np.array([0.2, 0.0, 0.42])
 class Swing:
     """What is done with the sensor, and what the sensor does wrong."""
 
-    seconds: float = 120.0
+    seconds: float = 80.0
     rate: float = 100.0
     """Hz."""
     mag_rate: float | None = None
@@ -50,10 +51,11 @@ class Swing:
     seed: int = 1
 
 
-FINE = 4
+FINE = 2
 """Steps of the truth per sample."""
 
 
+@cache
 def swing(what: Swing) -> tuple[Events, Trajectory]:
     """Give what the sensor says, and the truth at each inertial sample.
 
