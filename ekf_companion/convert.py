@@ -12,8 +12,8 @@ from ekf_companion.companion import Publisher, session_options
 from ekf_companion.config import Config
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters.solution import Solution
-from ekf_companion.logs import csv, dataflash, tlog, tlog_trajectory, ulog
-from ekf_companion.logs.recording import Recording
+from ekf_companion.logs import broad, csv, dataflash, tlog, tlog_trajectory, ulog
+from ekf_companion.logs.recording import Counted, Recording
 from ekf_companion.logs.writer import CsvWriter, create
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
@@ -30,8 +30,8 @@ Progress = Callable[[int, int], None]
 
 CHUNK = 20_000
 """Events between two words on progress."""
-READERS = {".bin": dataflash.read, ".ulg": ulog.read, ".csv": csv.read}
-FORMATS = ".tlog, .bin, .ulg, .csv"
+READERS = {".bin": dataflash.read, ".ulg": ulog.read, ".csv": csv.read, ".mat": broad.read}
+FORMATS = ".tlog, .bin, .ulg, .csv, .mat (BROAD)"
 
 
 def convert(
@@ -173,6 +173,7 @@ def read(
         events=longest.take(longest.kind != Kind.RESTART),
         reference=source.reference,
         truth=source.truth,
+        counted=source.counted,
         gnss_delay=source.delay,
         notes=tuple(report.notes),
     )
@@ -187,6 +188,7 @@ class _Telemetry:
         self._report = report
         self.size = len(log)
         self.delay: float | None = None
+        self.counted: Counted | None = None
         self.system_id = 0
         """Of the autopilot; 0: not heard yet."""
         report.notes += log.notes
@@ -222,6 +224,7 @@ class _Columns:
         self.events = recording.events
         self.reference = recording.reference
         self.truth = recording.truth
+        self.counted = recording.counted
         self.delay = recording.gnss_delay
         self.system_id = 1
         self.size = len(recording.events)

@@ -4,8 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+import numpy.typing as npt
+
 from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.state import Trajectory
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Counted:
+    """Which part of a recording its authors let count in errors."""
+
+    t_ns: npt.NDArray[np.int64]
+    """Ascending, shape (n,)."""
+    is_counted: npt.NDArray[np.bool_]
+    """From each stamp on until the next, shape (n,)."""
+
+    def at(self, t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+        """Give whether each of some times counts; none before the first stamp does."""
+        last = np.searchsorted(self.t_ns, t_ns, side="right") - 1
+        return np.asarray((last >= 0) & self.is_counted[np.maximum(last, 0)])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -19,7 +37,9 @@ class Recording:
     reference: Trajectory | None = None
     """The autopilot's own estimate."""
     truth: Trajectory | None = None
-    """The simulator's truth, where the log holds one."""
+    """Of a simulator or an optical system, where the log holds one."""
+    counted: Counted | None = None
+    """Which times count in errors; None: all."""
     gnss_delay: float | None = None
     """Delay of the receiver that the log itself declares (a parameter of the autopilot), s."""
     notes: tuple[str, ...] = field(default=())

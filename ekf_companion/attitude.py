@@ -1,0 +1,122 @@
+"""How far an attitude is from the truth: in all, in heading, in inclination.
+
+Source: Laidig, Caruso, Cereatti, Seel 2021, "BROAD: a benchmark for robust inertial orientation
+estimation", Data 6(7), section 4: no alignment of any kind before the errors are taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.logs.recording import Counted
+from ekf_companion.nav import so3
+from ekf_companion.nav.state import Status, Table, Trajectory
+
+Array = npt.NDArray[np.float64]
+
+LONGEST_GAP_NS = 100_000_000
+"""Between two estimates, across which none is interpolated."""
+QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AttitudeErrors:
+    """The error at each time when the truth is known and an estimate is near."""
+
+    t_ns: npt.NDArray[np.int64]
+    """Stamps of the truth, shape (n,)."""
+    total: Array
+    """Angle of the turn from truth to estimate, rad, >= 0, shape (n,)."""
+    heading: Array
+    """Of its part about the vertical, rad, clockwise positive, shape (n,)."""
+    inclination: Array
+    """Of what is left, rad, >= 0, shape (n,)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttitudeScore:
+    """Root mean squares of the errors."""
+
+    total: float
+    """rad."""
+    heading: float
+    """rad."""
+    inclination: float
+    """rad."""
+    samples: int
+    """How many samples of the truth counted."""
+
+
+def errors(table: Table, truth: Trajectory) -> AttitudeErrors:
+    """Compare estimates with a truth at its own stamps; where it has none, nothing is compared.
+
+    Nor is an estimate that has not found down and north yet.
+    """
+    valid = np.isfinite(table.column("q_w")) & (table.column("status") >= Status.ATTITUDE)
+    stamps = table.stamp_ns[valid]
+    q_nb = np.stack([table.column(name)[valid] for name in QUATERNION], axis=1)
+    rows = np.isfinite(truth.q_nb).all(axis=1)
+    t_ns, is_near, estimate = _at(stamps, q_nb, truth.att_t_ns[rows])
+    error = so3.normalise(
+        so3.multiply(estimate, so3.conjugate(truth.q_nb[rows][is_near])).reshape(-1, 4)
+    )
+    w, z = error[:, 0], error[:, 3]
+    across = np.hypot(error[:, 1], error[:, 2])
+    return AttitudeErrors(
+        t_ns=t_ns,
+        total=2.0 * np.arctan2(np.hypot(across, z), w),
+        heading=2.0 * np.arctan2(z, w),
+        inclination=2.0 * np.arctan2(across, np.hypot(w, z)),
+    )
+
+
+def score(table: Table, truth: Trajectory, counted: Counted | None = None) -> AttitudeScore:
+    """Give the root mean square errors over what counts; NaN where nothing does.
+
+    Args:
+        table: Estimates, stamps ascending.
+        truth: The motion; rows with NaN are left out.
+        counted: Which times count; None: all.
+    """
+    found = errors(table, truth)
+    chosen = np.ones(len(found.t_ns), dtype=bool) if counted is None else counted.at(found.t_ns)
+    return AttitudeScore(
+        total=_rms(found.total[chosen]),
+        heading=_rms(found.heading[chosen]),
+        inclination=_rms(found.inclination[chosen]),
+        samples=int(chosen.sum()),
+    )
+
+
+def table(scores: Mapping[str, AttitudeScore]) -> list[str]:
+    """Give scores as lines to read, in degrees, one per name."""
+    width = max(map(len, scores), default=0)
+    lines = [f"{'':{width}}  total  heading  inclination (RMS, deg)"]
+    for name, each in scores.items():
+        total, heading, inclination = np.degrees([each.total, each.heading, each.inclination])
+        lines.append(f"{name:{width}}  {total:5.2f}  {heading:7.2f}  {inclination:11.2f}")
+    return lines
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
+
+
+def _at(
+    stamps: npt.NDArray[np.int64], q_nb: Array, t_ns: npt.NDArray[np.int64]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_], Array]:
+    """Give the times with an estimate at or on both sides of them, which those are, and it."""
+    if not len(stamps):
+        return t_ns[:0], np.zeros(len(t_ns), dtype=bool), np.zeros((0, 4))
+    after = np.minimum(np.searchsorted(stamps, t_ns), len(stamps) - 1)
+    before = np.where(stamps[after] == t_ns, after, np.maximum(after - 1, 0))
+    low, high = stamps[before], stamps[after]
+    is_near = (low <= t_ns) & (t_ns <= high) & (high - low <= LONGEST_GAP_NS)
+    before, after, low, high = (each[is_near] for each in (before, after, low, high))
+    share = (t_ns[is_near] - low) / np.maximum(high - low, 1)
+    turn = so3.log(so3.multiply(so3.conjugate(q_nb[before]), q_nb[after]))
+    return t_ns[is_near], is_near, so3.multiply(q_nb[before], so3.exp(turn * share[:, None]))
