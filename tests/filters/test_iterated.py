@@ -170,8 +170,8 @@ def test_both_forms_and_both_frames_give_one_flight():
         np.testing.assert_allclose(other.minus(state), 0.0, atol=1e-9)
         np.testing.assert_allclose(P_other, P, atol=1e-9)
     sigmas = np.sqrt(np.diag(P))
-    assert (np.abs(ends[3][0].minus(state)[:9]) < 0.3 * sigmas).all()
-    np.testing.assert_allclose(np.sqrt(np.diag(ends[3][1])), sigmas, rtol=0.1)
+    assert (np.abs(ends[3][0].minus(state)[:9]) < 0.1 * sigmas).all()
+    np.testing.assert_allclose(np.sqrt(np.diag(ends[3][1])), sigmas, rtol=0.05)
 
 
 def test_the_errors_are_as_large_as_it_says():
