@@ -240,6 +240,13 @@ def tables(runs: int) -> Iterator[str]:
             )
             cells = [_cell(found[:, j]) for j in range(len(FIXES))]
             yield f"| {e:.0f} deg | {name} | " + " | ".join(cells) + " |"
+    yield "\nAt rest with fixes for 5 s, nothing can show north: sigma of the heading, deg"
+    still = [Sortie.plan(seed, (0.0, 0.0), 8.0) for seed in range(1, few + 1)]
+    for name, options in FILTERS.items():
+        found = np.array(
+            [flown(one, Iterated(turned(one.setup, 90.0), **options), 0.0, [25]) for one in still]
+        )
+        yield f"{name}: {np.degrees(np.median(found[:, 0, 1])):.0f}"
 
 
 if __name__ == "__main__":
