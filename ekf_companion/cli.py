@@ -323,7 +323,9 @@ def _compare_filters(
         )
     skip, until = span
     default = 30.0 if reference is not None or recording.truth is not None else 20.0
-    entries = contest.judge(entries, against, default if skip is None else skip, until)
+    entries = contest.judge(
+        entries, against, default if skip is None else skip, until, recording.counted
+    )
     typer.echo(f"{log} against {against.name}\n")
     for line in contest.table(entries):
         typer.echo(line)

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ekf_companion import attitude
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.consistency import nees
 from ekf_companion.filters.solution import Solution
 from ekf_companion.logs.estimate import of_table
-from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.recording import Counted, Recording
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.interpolation import pair
@@ -30,6 +31,9 @@ SECTIONS = {
         *(("north", "m"), ("east", "m"), ("down", "m"), ("down about mean", "m")),
         *(("velocity north", "m/s"), ("velocity east", "m/s"), ("velocity down", "m/s")),
         *(("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("inclination", "deg")),
+    ),
+    "Attitude alone, RMS error where it counts": (
+        *(("turn in all", "deg"), ("turn in heading", "deg"), ("turn in inclination", "deg")),
     ),
     "NEES over its degrees of freedom (1: as sure as it may be; above: too sure)": (
         *(("position", ""), ("velocity", ""), ("attitude", "")),
@@ -51,7 +55,7 @@ class Entry:
     note: str = ""
     """Why there is no solution."""
     rms: Mapping[str, float] = field(default_factory=dict)
-    """By row of the table, in its unit; NaN: one of the two lacks it."""
+    """By row of the table, in its unit; NaN, or no row: one of the two lacks it."""
     nees: Mapping[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
@@ -60,7 +64,7 @@ class Entry:
         sure = {name: value if np.isfinite(value) else None for name, value in self.nees.items()}
         return {
             "filter": self.name,
-            "rms": {_key(name): value for name, value in known.items()},
+            "rms": {_key(name): value for name, value in known.items() if value is not None},
             "nees": sure,
             "us_per_sample": self.us if np.isfinite(self.us) else None,
             "estimates": 0 if self.solution is None else len(self.solution.table),
@@ -113,7 +117,11 @@ def _enter(recording: Recording, name: str, settings: FilterSettings) -> Entry:
 
 
 def judge(
-    entries: Sequence[Entry], reference: Trajectory, skip_s: float, until_s: float | None
+    entries: Sequence[Entry],
+    reference: Trajectory,
+    skip_s: float,
+    until_s: float | None,
+    counted: Counted | None = None,
 ) -> list[Entry]:
     """Hold each against the reference, from one time on at which all of them run.
 
@@ -122,6 +130,8 @@ def judge(
         reference: What they should say.
         skip_s: Leave out so many seconds after the last of them has begun.
         until_s: Leave out what is later than so many seconds after that; None: nothing.
+        counted: Which times the recording's authors let count: then, and where the reference is of
+            attitude alone, all of them do, whatever is skipped.
 
     Raises:
         LogError: None has any time in common with the reference.
@@ -131,6 +141,8 @@ def judge(
         for one in entries
         if one.trajectory is not None and len(one.trajectory.att_t_ns)
     ]
+    if counted is not None or not len(reference.pos_t_ns):
+        return [_turn(one, reference, counted) for one in entries]
     zero = max(starts, default=0)
     begin = zero + round(skip_s * 1e9)
     end = np.iinfo(np.int64).max if until_s is None else zero + round(until_s * 1e9)
@@ -143,15 +155,22 @@ def judge(
     return judged
 
 
+def _turn(entry: Entry, reference: Trajectory, counted: Counted | None) -> Entry:
+    """Judge the attitude alone."""
+    if entry.solution is None:
+        return entry
+    found = attitude.score(entry.solution.table, reference, counted)
+    angles = np.rad2deg([found.total, found.heading, found.inclination]).tolist()
+    names = ("turn in all", "turn in heading", "turn in inclination")
+    return replace(entry, rms=dict(zip(names, angles, strict=True)))
+
+
 def _judge(entry: Entry, reference: Trajectory, begin: int, end: int) -> Entry:
     if entry.solution is None or entry.trajectory is None:
         return entry
     found = nees(entry.solution, reference, begin, end)
-    return Entry(
-        name=entry.name,
-        solution=entry.solution,
-        trajectory=entry.trajectory,
-        us=entry.us,
+    return replace(
+        entry,
         rms=_rms(entry.trajectory, reference, begin, end),
         nees={
             name: np.nan if value is None else value
@@ -199,7 +218,7 @@ def table(entries: Sequence[Entry]) -> Iterator[str]:
     width = max(10, *(len(one.name) + 2 for one in entries))
     yield f"{'':<26}" + "".join(f"{one.name:>{width}}" for one in entries)
     for title, rows in SECTIONS.items():
-        values = [one.rms if title == "RMS error" else one.nees for one in entries]
+        values = [one.nees if title.startswith("NEES") else one.rms for one in entries]
         shown = [
             (name, unit)
             for name, unit in rows

@@ -10,7 +10,7 @@ import numpy as np
 from ekf_companion.core import layout as at
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError
-from ekf_companion.filters import iterated, ukf
+from ekf_companion.filters import ahrs, ahrs_article, iterated, mahony, ukf, vqf_adapter
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.state import Status, join
@@ -116,6 +116,23 @@ def _ukf(recording: Recording, settings: FilterSettings, option: str) -> Solutio
     return ukf.run(recording.events, settings, recording.family, recording.gnss_delay)
 
 
+def _ahrs(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    del settings
+    if option == "error-state":
+        return ahrs.run(recording.events)
+    return ahrs_article.run(recording.events, "article" if option == "article" else "corrected")
+
+
+def _mahony(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    del settings, option
+    return mahony.run(recording.events)
+
+
+def _vqf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    del settings, option
+    return vqf_adapter.run(recording.events)
+
+
 FILTERS: Mapping[str, Filter] = {
     "eskf": Filter(run=_eskf, options=(), says="our own estimator, as it flies"),
     "iterated": Filter(
@@ -124,5 +141,12 @@ FILTERS: Mapping[str, Filter] = {
         says="iterated error-state filter of LINS and FAST-LIO",
     ),
     "ukf": Filter(run=_ukf, options=(), says="unscented filter on the manifold"),
+    "ahrs": Filter(
+        run=_ahrs,
+        options=("error-state", "corrected", "article"),
+        says="attitude alone: our own; the article's, corrected or with its slips",
+    ),
+    "mahony": Filter(run=_mahony, options=(), says="attitude alone: complementary, on SO(3)"),
+    "vqf": Filter(run=_vqf, options=(), says="attitude alone: the published package (extra: vqf)"),
 }
 """What ``--filters`` and :func:`run_filter` know."""
