@@ -14,7 +14,7 @@ import numpy as np
 from ekf_companion.companion import DECIMATED, Publisher, session_options
 from ekf_companion.config import Config
 from ekf_companion.errors import ConfigError, LogError
-from ekf_companion.logs import csv, dataflash, tlog, tlog_trajectory, ulog
+from ekf_companion.logs import csv, dataflash, openshoe, tlog, tlog_trajectory, ulog
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.writer import CsvWriter, create
 from ekf_companion.mavlink.codec import Sender
@@ -32,11 +32,11 @@ CHUNK = 20_000
 """Events between two words on progress."""
 SLOW = 20.0
 """Inertial samples per second below which the motion between them is guesswork, Hz."""
-READERS = {".bin": dataflash.read, ".ulg": ulog.read, ".csv": csv.read}
+READERS = {".bin": dataflash.read, ".ulg": ulog.read, ".csv": csv.read, ".txt": openshoe.read}
 WITHOUT_NORTH = {Status.INIT, Status.ALIGNING}
 FLAGS = 10
 """Where a GNSS row holds its flags (nav.measurements.GnssFix.row)."""
-FORMATS = ".tlog, .bin, .ulg, .csv"
+FORMATS = ".tlog, .bin, .ulg, .csv, .txt"
 
 
 @dataclass(slots=True, kw_only=True)
