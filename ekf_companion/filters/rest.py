@@ -20,10 +20,10 @@ SHORTEST = 0.5
 """Of a rest, s."""
 LATEST = 10.0
 """After the first sample a rest must have begun, s."""
-GYRO = 0.05
-"""Largest deviation at rest, root mean square, rad/s: a standing person sways by a tenth of it."""
-ACCEL = 0.3
-"""Largest deviation at rest, root mean square, m/s^2: ten times a poor sensor's noise."""
+GYRO = 0.03
+"""Largest deviation at rest, root mean square, rad/s: a standing person sways by a third."""
+ACCEL = 0.2
+"""Largest deviation at rest, root mean square, m/s^2: five times a small sensor's noise."""
 SLOWEST = 50.0
 """Samples per second below which a stride cannot be followed, Hz."""
 
@@ -73,7 +73,13 @@ def find(imu: Events) -> Rest:
     is_still &= moving_variance(accel, half) < ACCEL**2
     stamps = (imu.t_ns - imu.t_ns[0]) * 1e-9
     for first, last in runs(is_still):
-        if stamps[first] <= LATEST and stamps[last - 1] - stamps[first] >= SHORTEST:
+        # Half a window at an edge where it moves has seen that motion, and spoils the bias.
+        first, last = first + half * (first > 0), last - half * (last < len(imu))
+        if (
+            first < last
+            and stamps[first] <= LATEST
+            and stamps[last - 1] - stamps[first] >= SHORTEST
+        ):
             return _rest(gyro[first:last], accel[first:last], first, period, float(stamps[first]))
     raise LogError(
         f"no rest of {SHORTEST:g} s in the first {LATEST:g} s of {stamps[-1]:.1f} s: down and the "

@@ -52,9 +52,9 @@ class ZuptSettings:
     """Estimate the biases: 15 errors instead of 9."""
     lever: float = 0.05
     """From the ground's contact to the sensor, one sigma per axis, m; 0: do not estimate it."""
-    planted_gyro: float = 0.4
+    planted_gyro: float = 0.35
     """How fast a planted foot may turn, root mean square, rad/s."""
-    planted_accel: float = 2.4
+    planted_accel: float = 2.1
     """What else than gravity a planted foot may feel, root mean square, m/s^2."""
     noise_factor: float = 3.0
     """So many times the noise of the first rest counts as still too."""
@@ -62,14 +62,14 @@ class ZuptSettings:
     """Factor on what counts as still (on its square), to see what hangs on it."""
     window: float = 0.04
     """Of the detectors, s; those that do not see a turn have three times as long."""
-    speed: float = 6e-4
-    """Noise of the zero velocity, m/s per square root of Hz: 1 cm/s at 250 Hz."""
+    speed: float = 1.3e-3
+    """Noise of the zero velocity, m/s per square root of Hz: 2 cm/s at 250 Hz."""
     gate: float = 21.1
     """Largest normalised innovation squared: chi-square, 3 dof, 0.9999."""
     patience: float = 0.3
     """A stance that is refused for longer than this is believed all the same, s."""
-    gyro: float = 5.5e-4
-    """Noise of the rate, rad/s per square root of Hz: 0.5 deg/s at 250 Hz."""
+    gyro: float = 1e-3
+    """Noise of the rate, rad/s per square root of Hz: 0.9 deg/s at 250 Hz."""
     gyro_scale: float = 1e-3
     """Grows with the rate: that times it per square root of Hz; 1 % over a stride of 0.01 s."""
     accel: float = 3e-3
@@ -78,7 +78,7 @@ class ZuptSettings:
     """Grows with the acceleration, as :attr:`gyro_scale`: scale, bandwidth, blows of the heel."""
     gyro_bias: float = 2e-3
     """One sigma of the bias that the first rest leaves, rad/s: nobody stands quite still."""
-    accel_bias: float = 0.1
+    accel_bias: float = 0.05
     """One sigma, m/s^2."""
     gyro_walk: float = 1e-5
     """rad/s per square root of s."""
@@ -88,7 +88,7 @@ class ZuptSettings:
 
 def run(
     events: Events,
-    settings: ZuptSettings = ZuptSettings(),  # noqa: B008  # frozen
+    settings: ZuptSettings = ZuptSettings(),
     detector: Detector = Detector.SHOE,
 ) -> Solution:
     """Walk through a recording.
