@@ -72,7 +72,7 @@ def statistic(
     # |f - g u|^2, u along the window's mean: the direction that fits best
     along = np.linalg.norm(mean, axis=1)
     misfit = np.maximum(length2 - 2.0 * gravity * along + gravity * gravity, 0.0)
-    return misfit / accel2 + _mean(np.square(gyro).sum(axis=1), half) / gyro2
+    return np.asarray(misfit / accel2 + _mean(np.square(gyro).sum(axis=1), half) / gyro2)
 
 
 def moving_variance(values: Array, half: int) -> Array:

@@ -93,10 +93,10 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     table = Table(path, _delimiter(where, options))
     entries = {key: columns[key] for key in columns if key not in OPTIONS}
     notes: list[str] = []
-    if not entries and (known := csv_known.find(table.names)) is not None:
-        where, notes = str(path), [f"header of {known.name}: read without a map"]
-        entries = {key: known.columns[key] for key in known.columns if key not in OPTIONS}
-        options = {key: known.columns[key] for key in OPTIONS if key in known.columns} | options
+    if not entries and (other := csv_known.find(table.names)) is not None:
+        where, notes = str(path), [f"header of {other.name}: read without a map"]
+        entries = {key: other.columns[key] for key in other.columns if key not in OPTIONS}
+        options = {key: other.columns[key] for key in OPTIONS if key in other.columns} | options
     if entries:
         sources = {name: from_map(where, name, entry) for name, entry in entries.items()}
     else:

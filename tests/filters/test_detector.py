@@ -10,7 +10,7 @@ LIMITS = Limits(gyro=0.3, accel=1.5)
 @pytest.fixture
 def samples():
     rng = np.random.default_rng(1)
-    return rng.normal(size=(23, 3)), rng.normal(size=(23, 3)) + [1.0, -2.0, -9.0]
+    return rng.normal(size=(23, 3)), rng.normal(loc=[1.0, -2.0, -9.0], size=(23, 3))
 
 
 def windows(n, half):

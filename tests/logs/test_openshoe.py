@@ -8,7 +8,10 @@ from ekf_companion.logs import csv, openshoe
 from ekf_companion.nav.measurements import Kind
 
 HEAD = "\nInertial data.\n\nHeader:      a_x [g]:      a_y [g]:\n"
-ROW = "0xcb +0.1 -0.2 +0.98 +0.01 +0.02 -0.03 22658603 {sum} {number} {time} {time} {time} 250.0 0 0 0\n"
+ROW = (
+    "0xcb +0.1 -0.2 +0.98 +0.01 +0.02 -0.03 22658603 {sum} {number} "
+    "{time} {time} {time} 250.0 0 0 0\n"
+)
 XIO = (
     "Time (s),Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s),"
     "Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)\n"
