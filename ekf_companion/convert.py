@@ -12,7 +12,7 @@ from ekf_companion.companion import Publisher, session_options
 from ekf_companion.config import Config
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters.solution import Solution
-from ekf_companion.logs import broad, csv, dataflash, tlog, tlog_trajectory, ulog
+from ekf_companion.logs import broad, csv, dataflash, openshoe, tlog, tlog_trajectory, ulog
 from ekf_companion.logs.recording import Counted, Recording
 from ekf_companion.logs.writer import CsvWriter, create
 from ekf_companion.mavlink.codec import Sender
@@ -30,8 +30,14 @@ Progress = Callable[[int, int], None]
 
 CHUNK = 20_000
 """Events between two words on progress."""
-READERS = {".bin": dataflash.read, ".ulg": ulog.read, ".csv": csv.read, ".mat": broad.read}
-FORMATS = ".tlog, .bin, .ulg, .csv, .mat (BROAD)"
+READERS = {
+    ".bin": dataflash.read,
+    ".ulg": ulog.read,
+    ".csv": csv.read,
+    ".txt": openshoe.read,
+    ".mat": broad.read,
+}
+FORMATS = ".tlog, .bin, .ulg, .csv, .txt (OpenShoe), .mat (BROAD)"
 
 
 def convert(

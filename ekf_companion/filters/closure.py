@@ -1,0 +1,71 @@
+"""How far a walk that ends where it began is from closing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ekf_companion.filters.detector import runs
+from ekf_companion.filters.solution import Solution
+
+SHORTEST_NS = 50_000_000
+"""Still phases closer together than this are one stance: the foot rocked over its sole."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Closure:
+    """From the first position of a solution to its last."""
+
+    name: str
+    """Of the solution."""
+    horizontal: float
+    """m."""
+    distance: float
+    """In space, m."""
+    path: float
+    """Way over the ground, m."""
+    stances: int
+    """Phases in which the sensor stood still, the rests at both ends included."""
+
+
+def closure(solution: Solution) -> Closure:
+    """Measure a solution that is not empty."""
+    pos = np.stack([solution.table.column(f"pos_{axis}") for axis in "ned"], axis=1)
+    gap = pos[-1] - pos[0]
+    return Closure(
+        name=solution.name,
+        horizontal=float(np.hypot(gap[0], gap[1])),
+        distance=float(np.linalg.norm(gap)),
+        path=float(np.linalg.norm(np.diff(pos[:, :2], axis=0), axis=1).sum()),
+        stances=len(stances(solution)),
+    )
+
+
+def stances(solution: Solution) -> list[tuple[int, int]]:
+    """Give the first index and the one past the last of each stance."""
+    if solution.is_still is None:
+        return []
+    stamps = solution.table.stamp_ns
+    found: list[tuple[int, int]] = []
+    for first, last in runs(solution.is_still):
+        if found and stamps[first] - stamps[found[-1][1] - 1] < SHORTEST_NS:
+            found[-1] = (found[-1][0], last)
+        else:
+            found.append((first, last))
+    return found
+
+
+def table(closures: Sequence[Closure]) -> list[str]:
+    """Give a line per solution, a line of names above them."""
+    width = max([len(one.name) for one in closures], default=0)
+    head = f"{'':{width}}  horizontal  3-D      path     stances"
+    return [
+        head,
+        *(
+            f"{one.name:{width}}  {one.horizontal:7.3f} m  {one.distance:7.3f} m"
+            f"  {one.path:6.1f} m  {one.stances:5d}"
+            for one in closures
+        ),
+    ]
