@@ -82,15 +82,15 @@ def test_points_see_what_single_states_see(aid):
     np.testing.assert_allclose(aid.innovation(points), alone, rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("attitude", [1e-3, 0.1, 0.5])
+@pytest.mark.parametrize("attitude", [1e-3, 0.1, 0.5, 1.6])
 def test_the_points_have_the_mean_and_covariance_that_they_were_drawn_from(attitude):
     rng = np.random.default_rng(3)
     state, P = some_state(rng), some_covariance(rng, attitude)
-    S, is_mended = cloud.root(P)
-    mean, dx = cloud.gather(cloud.scatter(state, cloud.offsets(S)))
-    assert not is_mended
+    points = cloud.draw(P)
+    mean, dx = cloud.gather(cloud.scatter(state, points.dx), points.mean)
+    assert not points.is_mended
     assert np.abs(mean.minus(state)).max() < 1e-9
-    np.testing.assert_allclose((dx.T * cloud.WEIGHTS) @ dx, P, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose((dx.T * points.covariance) @ dx, P, rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("attitude", [0.1, 0.5, 1.0])
@@ -99,14 +99,14 @@ def test_the_mean_is_where_the_rotation_vectors_cancel_and_no_variance_is_negati
     for _ in range(50):
         # A posterior is drawn beside the state, so its points are not symmetric on the sphere
         state, beside = some_state(rng), np.r_[rng.normal(size=3), np.zeros(12)]
-        S, _ = cloud.root(some_covariance(rng, attitude))
-        points = cloud.scatter(state, beside + cloud.offsets(S))
-        mean, dx = cloud.gather(points)
-        assert np.abs(cloud.MEAN_WEIGHTS @ dx).max() < 1e-8
-        assert np.linalg.eigvalsh((dx.T * cloud.WEIGHTS) @ dx).min() > 0.0
+        points = cloud.draw(some_covariance(rng, attitude))
+        placed = cloud.scatter(state, beside + points.dx)
+        mean, dx = cloud.gather(placed, points.mean)
+        assert np.abs(points.mean @ dx).max() < 1e-8
+        assert np.linalg.eigvalsh((dx.T * points.covariance) @ dx).min() > 0.0
     assert np.abs(mean.minus(state.plus(beside))).max() > 1e-4
     for row in range(31):
-        np.testing.assert_allclose(one_of(points, row).minus(mean), dx[row], rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(one_of(placed, row).minus(mean), dx[row], rtol=0.0, atol=1e-9)
 
 
 def test_a_covariance_that_is_none_is_mended_and_counted():
