@@ -24,10 +24,10 @@ Array = npt.NDArray[np.float64]
 SPREAD = float(np.sqrt(3.0))
 """How far out the points are, in sigmas: there the fourth moment along each axis is the Gaussian's.
 The 15 axes together do not change that, as all but three of them are linear."""
-REACH = 2.0
-"""How far a point may turn the body, rad; where SPREAD sigmas are more, it stands nearer. Of an
-angle with a sigma of 57 to 104 degrees (nothing known) the points then see nearly the variance of
-the sine: at sqrt(3) sigmas they would see none of it, half a turn away to either side."""
+REACH = 0.5 * float(np.pi)
+"""How far a point may turn the body, rad; where SPREAD sigmas are more, it stands nearer. A quarter
+turn away the sine is largest: further out, points of an angle with a sigma of 60 to 104 degrees
+(nothing known) would see less of what it does, and at half a turn nothing at all."""
 _BETA = 2.0
 _LEAST = 1e-12
 """Smallest eigenvalue of a correlation matrix that is still taken for one."""
