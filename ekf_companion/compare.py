@@ -1,7 +1,6 @@
 """How far an estimate is from a reference: errors where both exist, and their statistics.
 
-Where both exist, the denser of the two is interpolated at the other's stamps; never over a gap (of
-half a second, or of three steps of a slower series).
+Where both exist, the denser of the two is interpolated at the other's stamps; never over a gap.
 Two altitudes may differ by a constant because each has its own datum (EGM96, a barometer's zero,
 the home position), so the vertical error is given as it is and with its mean taken off.
 """
@@ -19,7 +18,7 @@ from ekf_companion.logs import series
 from ekf_companion.logs.estimate import read_estimate, read_truth, to_trajectory
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.interpolation import GAP, Between, between
+from ekf_companion.nav.interpolation import pair
 from ekf_companion.nav.state import Trajectory
 
 __all__ = ["Score", "Spread", "read_estimate", "read_truth", "score", "table", "to_trajectory"]
@@ -147,24 +146,24 @@ def score(
     seen: list[Stamps] = []
 
     offset = vertical = velocity = None
-    if pair := _pair(estimate.pos_t_ns, reference.pos_t_ns, begin, end):
+    if found := pair(estimate.pos_t_ns, reference.pos_t_ns, begin, end):
         frame = _frame(reference)
         mine, theirs = (frame.to_ned(one.lat, one.lon, one.alt) for one in (estimate, reference))
-        offset = pair.difference(mine, theirs)
+        offset = found.difference(mine, theirs)
         vertical = -offset[np.isfinite(offset[:, 2]), 2]
-        seen.append(pair.at_ns)
+        seen.append(found.at_ns)
     lag, best = _find_lag(estimate, reference, begin, end)
-    if pair := _pair(estimate.vel_t_ns, reference.vel_t_ns, begin, end):
-        velocity = pair.difference(estimate.vel_n, reference.vel_n)
+    if found := pair(estimate.vel_t_ns, reference.vel_t_ns, begin, end):
+        velocity = found.difference(estimate.vel_n, reference.vel_n)
         velocity = velocity[np.isfinite(velocity[:, :2]).all(axis=1)]
-        seen.append(pair.at_ns)
+        seen.append(found.at_ns)
     tilt = angles = None
-    if pair := _pair(estimate.att_t_ns, reference.att_t_ns, begin, end):
-        mine, theirs = pair.rotations(estimate.q_nb, reference.q_nb)
+    if found := pair(estimate.att_t_ns, reference.att_t_ns, begin, end):
+        mine, theirs = found.rotations(estimate.q_nb, reference.q_nb)
         angles = so3.wrap(so3.to_euler(mine) - so3.to_euler(theirs))
         down = [so3.to_matrix(q)[:, 2, :] for q in (mine, theirs)]
         tilt = np.arccos(np.clip(np.sum(down[0] * down[1], axis=1), -1.0, 1.0))
-        seen.append(pair.at_ns)
+        seen.append(found.at_ns)
 
     mean = float(np.mean(vertical)) if vertical is not None and len(vertical) else None
     return Score(
@@ -208,44 +207,6 @@ def _spread(errors: Array | None) -> Spread | None:
         p95=float(np.percentile(size, 95.0)),
         largest=float(size.max()),
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pair:
-    """Two series brought to the stamps of the sparser one."""
-
-    at_ns: Stamps
-    of_sparse: npt.NDArray[np.int64]
-    """Rows of the sparser series."""
-    of_dense: Between
-    """Where its stamps are in the denser series."""
-    is_swapped: bool
-    """The denser one is the second."""
-
-    def difference(self, first: Array, second: Array) -> Array:
-        """Give first minus second, shape (n, 3)."""
-        dense, sparse = (second, first) if self.is_swapped else (first, second)
-        less = self.of_dense.values(dense) - sparse[self.of_sparse]
-        return less * (-1.0 if self.is_swapped else 1.0)
-
-    def rotations(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Give both at the stamps, the denser one turned evenly from row to row."""
-        dense, sparse = (second, first) if self.is_swapped else (first, second)
-        here, there = self.of_dense.rotations(dense), sparse[self.of_sparse]
-        return (there, here) if self.is_swapped else (here, there)
-
-
-def _pair(first_ns: Stamps, second_ns: Stamps, begin: int, end: int) -> _Pair | None:
-    """Match two ascending series between two stamps; None: they have no time in common."""
-    if len(first_ns) < 2 or len(second_ns) < 2:
-        return None
-    periods = [float(np.median(np.diff(t_ns))) for t_ns in (first_ns, second_ns)]
-    is_swapped = periods[0] > periods[1]
-    dense, sparse = (second_ns, first_ns) if is_swapped else (first_ns, second_ns)
-    rows = np.flatnonzero((sparse >= begin) & (sparse <= end))
-    found = between(dense, sparse[rows], max(GAP * 1e9, 3.0 * min(periods)))
-    rows = rows[found.wanted]
-    return _Pair(sparse[rows], rows, found, is_swapped) if len(rows) else None
 
 
 def _find_lag(

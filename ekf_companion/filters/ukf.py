@@ -60,7 +60,7 @@ class Unscented:
 
     def _fuse(self, t_ns: int, aid: Observation) -> None:
         points, R = self._draw(), aid.covariance()
-        seen = aid.innovation(cloud.scatter(self.state, points.dx))
+        seen = aid.bound(self.state).innovation(cloud.scatter(self.state, points.dx))
         is_angle, away = aid.aid == "heading", seen - seen[0]
         # Angles by the shorter way from the middle point's
         away = so3.wrap(away) if is_angle else away
