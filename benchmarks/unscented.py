@@ -36,8 +36,8 @@ FILTERS: dict[str, Callable[[Setup], NavigationFilter]] = {
     "linear": Iterated,
     "unscented": Unscented,
 }
-SEEDS = 10
-DURATION = 80.0
+SEEDS = 6
+DURATION = 60.0
 BEGIN = 12.0
 """The filters are started so far into the flight, in motion, s."""
 SETTLED = 20.0
@@ -89,10 +89,10 @@ _GRADE = ImuConfig(
 _WIDE = (30.0, 60.0, 90.0, 120.0, 150.0)
 CASES = {
     "usual": [
-        Case(name=f"{name}, 100 Hz", scenario=name, imu=ImuConfig(rate=100.0))
+        Case(name=name, scenario=name)
         for name in ("figure-eight", "loiter", "hover", "square-spiral")
     ],
-    "heading": [Case(name=f"heading {e:.0f} deg off, compass", heading=e) for e in _WIDE],
+    "heading": [Case(name=f"heading {e:.0f} deg off, compass", heading=e) for e in _WIDE[1::3]],
     "compassless": [
         Case(name=f"heading {e:.0f} deg off, no compass", heading=e, is_compassless=True)
         for e in _WIDE
@@ -149,9 +149,9 @@ def fly(job: tuple[Case, int], duration: float = DURATION) -> list[Outcome]:
     outcomes = []
     for name, make in FILTERS.items():
         setup = Setup(start=start, earth=path.earth, noise=path.noise, gate=Gate(settings.gate))
-        before = time.perf_counter()
+        before = time.process_time()
         solution = course.run(name, make(setup), path, setup)
-        spent = (time.perf_counter() - before) / len(solution.table)
+        spent = (time.process_time() - before) / len(solution.table)
         outcomes.append(judge(solution, flight, start.t_ns, spent))
     return outcomes
 
