@@ -2,7 +2,7 @@
 
 A cloud is a :class:`~ekf_companion.filters.strapdown.Nominal` whose arrays have the points as their
 first axis. Two points stand on either side of the middle for each column of a root of the
-covariance, ``SPREAD`` sigmas away; the middle itself is the first point.
+covariance; the middle itself is the first point.
 
 Source: Julier 2002, "The scaled unscented transformation"; Hauberg, Lauze, Pedersen 2013,
 "Unscented Kalman filtering on Riemannian manifolds"; Brossard, Barrau, Bonnabel 2020, "A code for
@@ -10,6 +10,8 @@ unscented Kalman filtering on manifolds (UKF-M)", arXiv 2002.00878.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -19,21 +21,14 @@ from ekf_companion.nav import so3
 
 Array = npt.NDArray[np.float64]
 
-POINTS = 2 * N + 1
 SPREAD = float(np.sqrt(3.0))
 """How far out the points are, in sigmas: there the fourth moment along each axis is the Gaussian's.
-And of a heading of which nothing is known (uniform: sigma pi / sqrt(3)) they reach half a turn;
-further out they would come round the circle, so the alpha of 1, sqrt(15) sigmas, is of no use."""
-_SHARE = 0.5 / SPREAD**2
-_ALPHA2 = SPREAD**2 / N
-MEAN_WEIGHTS = np.full(POINTS, _SHARE)
-"""Of the points in their mean, shape (31,)."""
-MEAN_WEIGHTS[0] = 1.0 - 2 * N * _SHARE
-WEIGHTS = MEAN_WEIGHTS.copy()
-"""Of the points in their covariance: scaled, beta 2. About a mean that has been found no covariance
-can have a negative eigenvalue, though the middle's weight is negative: the 30 others, whose mean is
-4/5 of the middle's error e, bring at least 5 (4/5)^2 e e' = 3.2 e e', the middle takes 1.2."""
-WEIGHTS[0] += 1.0 - _ALPHA2 + 2.0
+The 15 axes together do not change that, as all but three of them are linear."""
+REACH = 0.5 * float(np.pi)
+"""How far a point may turn the body, rad; where SPREAD sigmas are more, it stands nearer. A quarter
+turn away the sine is largest: further out, points of an angle with a sigma of 60 to 104 degrees
+(nothing known) would see less of what it does, and at half a turn nothing at all."""
+_BETA = 2.0
 _LEAST = 1e-12
 """Smallest eigenvalue of a correlation matrix that is still taken for one."""
 _STILL = 1e-9
@@ -69,10 +64,37 @@ def root(P: Array) -> tuple[Array, bool]:
         return np.asarray(S), True
 
 
-def offsets(S: Array) -> Array:
-    """Give the error states of the points for a root of the covariance, shape (31, 15)."""
-    out = SPREAD * S.T
-    return np.concatenate([np.zeros((1, N)), out, -out])
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Draw:
+    """Sigma points as error states, the middle first, and their weights."""
+
+    dx: Array
+    """Shape (31, 15)."""
+    mean: Array
+    """Weights in the mean, shape (31,)."""
+    covariance: Array
+    """Weights in the covariance: scaled, with beta 2. About a mean that has been found no
+    covariance has a negative eigenvalue, though the middle weighs 1 - a < 0: let e be its error.
+    The others, of weight a together, have the mean e (a - 1) / a, so they bring at least
+    e e' (a - 1)^2 / a; the middle takes e e' (a + 1/a - 2 - beta), which is less by beta e e'."""
+    is_mended: bool
+    """The covariance was not positive definite."""
+
+
+def draw(P: Array) -> Draw:
+    """Draw points for a covariance, shape (15, 15), about the error state 0."""
+    S, is_mended = root(P)
+    turns = np.sqrt((S[ATT] * S[ATT]).sum(axis=0))
+    spread = np.minimum(SPREAD, REACH / np.maximum(turns, REACH / SPREAD))
+    out = (S * spread).T
+    weights = np.empty(2 * N + 1)
+    weights[1 : N + 1] = weights[N + 1 :] = 0.5 / (spread * spread)
+    a = 2.0 * float(weights[1 : N + 1].sum())
+    weights[0] = 1.0 - a
+    scaled = weights.copy()
+    scaled[0] += 1.0 - 1.0 / a + _BETA
+    dx = np.concatenate([np.zeros((1, N)), out, -out])
+    return Draw(dx=dx, mean=weights, covariance=scaled, is_mended=is_mended)
 
 
 def scatter(state: Nominal, dx: Array) -> Nominal:
@@ -86,22 +108,26 @@ def scatter(state: Nominal, dx: Array) -> Nominal:
     )
 
 
-def gather(cloud: Nominal) -> tuple[Nominal, Array]:
+def gather(cloud: Nominal, weights: Array) -> tuple[Nominal, Array]:
     """Give the mean of the points, and the error state from there to each, shape (31, 15).
 
     The mean attitude is the one from which the weighted rotation vectors cancel (Hauberg).
+
+    Args:
+        cloud: The points, the middle first.
+        weights: Theirs in the mean, shape (31,).
     """
     rest = np.concatenate([cloud.vel_n, cloud.pos_n, cloud.gyro_bias, cloud.accel_bias], axis=1)
     # About the middle point: numbers of a kilometre would cost digits under weights of -4
     away = rest - rest[0]
-    mean = MEAN_WEIGHTS @ away
+    mean = weights @ away
     dx = np.empty((len(rest), N))
     dx[:, 3:] = away - mean
     middle = rest[0] + mean
     q_nb = cloud.q_nb[0]
     for _ in range(_ROUNDS):
         turns = log(cloud.q_nb @ _left(so3.conjugate(q_nb)))
-        step = MEAN_WEIGHTS @ turns
+        step = weights @ turns
         if float(step @ step) < _STILL * _STILL:
             break
         q_nb = so3.multiply(q_nb, so3.exp(step))

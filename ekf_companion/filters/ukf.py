@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.filters import cloud, course
-from ekf_companion.filters.cloud import MEAN_WEIGHTS, WEIGHTS
+from ekf_companion.filters.cloud import Draw
 from ekf_companion.filters.course import Course, Setup
 from ekf_companion.filters.observation import Observation
 from ekf_companion.filters.solution import Solution
@@ -48,9 +48,10 @@ class Unscented:
         The noise of one interval turns the body by 1e-4 rad: points of its own (55 instead of 31)
         would find what adding finds, to 1e-8.
         """
-        moved = cloud.move(cloud.scatter(self.state, self._offsets()), over, self._setup.earth)
-        self.state, dx = cloud.gather(moved)
-        self.P = _covariance(dx) + self._setup.noise.covariance(over.dt)
+        points = self._draw()
+        moved = cloud.move(cloud.scatter(self.state, points.dx), over, self._setup.earth)
+        self.state, dx = cloud.gather(moved, points.mean)
+        self.P = _covariance(dx, points) + self._setup.noise.covariance(over.dt)
 
     def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
         """Fuse what was measured now, one aid after the other."""
@@ -58,22 +59,22 @@ class Unscented:
             self._fuse(t_ns, aid)
 
     def _fuse(self, t_ns: int, aid: Observation) -> None:
-        dx, R, is_angle = self._offsets(), aid.covariance(), aid.aid == "heading"
-        seen = aid.innovation(cloud.scatter(self.state, dx))
+        points, R = self._draw(), aid.covariance()
+        seen = aid.innovation(cloud.scatter(self.state, points.dx))
+        is_angle, away = aid.aid == "heading", seen - seen[0]
         # Angles by the shorter way from the middle point's
-        away = seen - seen[0]
         away = so3.wrap(away) if is_angle else away
-        mean = MEAN_WEIGHTS @ away
+        mean = points.mean @ away
         z, dy = seen[0] + mean, mean - away
         z = so3.wrap(z) if is_angle else z
-        weighted = WEIGHTS[:, None] * dy
+        weighted = points.covariance[:, None] * dy
         S = dy.T @ weighted + R
         if not self._setup.gate.admits(aid.aid, t_ns, z, S):
             return
-        K = np.linalg.solve(S, weighted.T @ dx).T
+        K = np.linalg.solve(S, weighted.T @ points.dx).T
         # What is left of every point's error, and what the sensor's noise brings: no difference of
         # covariances, so none that could turn negative
-        self.P = _covariance(dx - dy @ K.T) + K @ R @ K.T
+        self.P = _covariance(points.dx - dy @ K.T, points) + K @ R @ K.T
         self._settle(K @ z)
 
     def _settle(self, dx: Array) -> None:
@@ -82,23 +83,24 @@ class Unscented:
         The posterior's points are drawn about the error state dx of the old state, and gathered
         about their own mean: with points this is the Jacobian of the reset, and its second order.
         """
-        spread = cloud.scatter(self.state, dx + self._offsets())
-        self.state, about = cloud.gather(spread)
-        self.P = _covariance(about)
+        points = self._draw()
+        beside = cloud.scatter(self.state, dx + points.dx)
+        self.state, about = cloud.gather(beside, points.mean)
+        self.P = _covariance(about, points)
 
-    def _offsets(self) -> Array:
-        S, is_mended = cloud.root(self.P)
-        self.mended += is_mended
-        return cloud.offsets(S)
+    def _draw(self) -> Draw:
+        points = cloud.draw(self.P)
+        self.mended += points.is_mended
+        return points
 
     def covariance(self) -> Array:
         """Give that of attitude (in n), velocity and position, shape (9, 9)."""
         return in_n(self.P, self.state.q_nb)
 
 
-def _covariance(dx: Array) -> Array:
+def _covariance(dx: Array, points: Draw) -> Array:
     """Give the weighted covariance of error states about their mean, exactly symmetric."""
-    P = dx.T @ (WEIGHTS[:, None] * dx)
+    P = dx.T @ (points.covariance[:, None] * dx)
     return np.asarray(0.5 * (P + P.T))
 
 
