@@ -14,11 +14,38 @@ Rooms
     core      the estimator, compiled ahead of time: one step, in order of time
     mavlink   bytes and times in, measurements out, and back; no socket and no clock
     logs      one file per recorded format
+    filters   the rivals: one file per filter of the articles that this grew from
     pipeline  the heart: measurement in, estimate out
+    selection the filters by name, ours and the rivals
     smoothing the pipeline over a recording, and back
     calibrate numbers of the configuration, measured from logs
     checkpoint, resumption        the state as bytes, and who may go on from it
-    link, keeper, service, convert, cli   the shells, which alone open, await, sleep and print
+    link, keeper, service, convert, contest, cli   the shells, which alone open, await, sleep, print
+
+As a library: ``open_log`` reads a recording, ``run_filter`` takes a filter through it.
 """
 
-__version__ = "0.1.0"
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from ekf_companion.version import __version__
+
+if TYPE_CHECKING:
+    from ekf_companion.convert import read as open_log
+    from ekf_companion.selection import run_filter
+
+__all__ = ["__version__", "open_log", "run_filter"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what a library's user asks for, and not before: the daemon starts without it."""
+    if name == "open_log":
+        from ekf_companion.convert import read
+
+        return read
+    if name == "run_filter":
+        from ekf_companion.selection import run_filter
+
+        return run_filter
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion import __version__
 from ekf_companion.core import layout as at
 from ekf_companion.core.settings import HABITS
+from ekf_companion.version import __version__
 
 Array = npt.NDArray[np.float64]
 

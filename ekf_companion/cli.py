@@ -13,21 +13,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
-import numpy.typing as npt
 import typer
 import yaml
 
-from ekf_companion import __version__
 from ekf_companion.config import Config, describe_config, load_config
 from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError
+from ekf_companion.version import __version__
 
 if TYPE_CHECKING:
     from ekf_companion.calibrate.plot import Draw
     from ekf_companion.calibrate.report import Result
     from ekf_companion.logs.recording import Recording
-    from ekf_companion.nav.state import Table, Trajectory
+    from ekf_companion.nav.state import Trajectory
 
 app = typer.Typer(
     help="State estimation on a drone's companion computer: MAVLink in, ODOMETRY out.",
@@ -160,17 +159,44 @@ def convert(
     ] = None,
     smooth: SmoothOption = False,
     json_file: JsonOption = None,
+    name: Annotated[
+        str, typer.Option("--filter", help="NAME or NAME:OPTION; docs/FILTERS.md lists them.")
+    ] = "eskf",
+    preset: Annotated[str | None, typer.Option(help="Option of euler and ahrs: article.")] = None,
+    frame: Annotated[str | None, typer.Option(help="Option of iterated: robocentric.")] = None,
+    detector: Annotated[
+        str | None, typer.Option(help="Option of zupt: shoe, mv, mag, are.")
+    ] = None,
 ) -> None:
-    """Re-run the estimator over a recorded flight."""
+    """Re-run the estimator, or another filter, over a recorded flight."""
     from ekf_companion import convert as converter
 
     with _sentences(), _bar(log.name) as progress:
         if json_file is not None and json_file.resolve() in (log.resolve(), out.resolve()):
             raise ConfigError(f"--json: {json_file}: is the log or its output; name another file")
+        chosen = _choose(name, [preset, frame, detector])
+        if chosen != "eskf":
+            if smooth:
+                raise ConfigError("--smooth: smooths eskf only; leave it or --filter out")
+            solution = converter.convert_by(chosen, log, out, _load(config), rate)
+            _write_json(json_file, solution.to_dict())
+            for line in solution.summary():
+                typer.echo(line)
+            return
         report = converter.convert(log, out, _load(config), rate, progress, is_smoothed=smooth)
         _write_json(json_file, report.to_dict())
     for line in converter.summary(report):
         typer.echo(line)
+
+
+def _choose(name: str, options: list[str | None]) -> str:
+    """Give a filter's name with its option, which may be said as an option of its own."""
+    from ekf_companion.selection import choose
+
+    given = [option for option in options if option is not None]
+    if len(given) + (":" in name) > 1:
+        raise ConfigError(f"--filter: {name} takes one option, not {len(given) + (':' in name)}")
+    return choose(":".join([name, *given]))[0]
 
 
 @app.command()
@@ -195,15 +221,25 @@ def compare(
             max=1e9,
         ),
     ] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw both into a .png.")] = None,
+    filters: Annotated[
+        str | None,
+        typer.Option(help="Several over the same log, beside each other: eskf,euler,iterated,ukf."),
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw all of them into a .png.")] = None,
     smooth: SmoothOption = False,
     json_file: JsonOption = None,
 ) -> None:
-    """Measure our estimate against a truth, or against the autopilot's own."""
+    """Measure our estimate, or several filters', against a truth or the autopilot's own."""
+    if filters is not None:
+        with _sentences():
+            if smooth:
+                raise ConfigError("--smooth: smooths eskf only; leave --filters or --smooth out")
+            _compare_filters(log, filters, reference, _load(config), (skip, until), plot, json_file)
+        return
     from ekf_companion import compare as comparer
     from ekf_companion import convert as converter
     from ekf_companion import figure
-    from ekf_companion.logs.estimate import is_estimate, read_estimate, read_truth
+    from ekf_companion.logs.estimate import is_estimate, of_table, read_estimate, read_truth
 
     with _sentences():
         own = truth = None
@@ -220,11 +256,11 @@ def compare(
                     table, smoothed, report, own, truth = converter.estimate_and_smooth(
                         log, _load(config), progress
                     )
-                    ours = _trajectory(smoothed, "ekf-companion, smoothed")
-                    live.append(_trajectory(table, "ekf-companion, live"))
+                    ours = of_table(smoothed, "ekf-companion, smoothed")
+                    live.append(of_table(table, "ekf-companion, live"))
                 else:
                     table, report, own, truth = converter.estimate(log, _load(config), progress)
-                    ours = _trajectory(table, "ekf-companion")
+                    ours = of_table(table, "ekf-companion")
             for line in converter.summary(report):
                 typer.echo(line)
             typer.echo()
@@ -261,13 +297,42 @@ def compare(
         _write_json(json_file, [score.to_dict() for score in scores])
 
 
-def _trajectory(table: Table, name: str) -> Trajectory:
-    from ekf_companion.logs.estimate import to_trajectory
-    from ekf_companion.nav.state import COLUMNS
+def _compare_filters(
+    log: Path,
+    filters: str,
+    reference: Path | None,
+    config: Config,
+    span: tuple[float | None, float | None],
+    plot: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Take several filters through a log, and print how far off each is."""
+    from ekf_companion import contest, figure
+    from ekf_companion.logs.estimate import read_truth
 
-    columns: dict[str, npt.NDArray[Any]] = {"time_us": table.stamp_ns // 1000}
-    columns |= {column: table.column(column) for column in COLUMNS[1:]}
-    return to_trajectory(columns, name)
+    recording = _read(log, config, plot, json_file)
+    names = [name.strip() for name in filters.split(",")]
+    with _bar(f"{log.name}: filters") as progress:
+        entries = contest.hold(recording, names, config, progress)
+    against = recording.truth if recording.truth is not None else recording.reference
+    against = read_truth(reference) if reference is not None else against
+    if against is None:
+        raise LogError(
+            f"{log}: holds neither a truth nor the autopilot's own estimate; "
+            "name a truth with --reference TRUTH.csv"
+        )
+    skip, until = span
+    default = 30.0 if reference is not None or recording.truth is not None else 20.0
+    entries = contest.judge(entries, against, default if skip is None else skip, until)
+    typer.echo(f"{log} against {against.name}\n")
+    for line in contest.table(entries):
+        typer.echo(line)
+    for note in recording.notes:
+        typer.echo(f"  note: {log.name}: {note}")
+    if plot is not None:
+        lines = [one.trajectory for one in entries if one.trajectory is not None]
+        figure.plot(plot, [*lines, against], log.name, events=recording.events, with_errors=True)
+    _write_json(json_file, [entry.to_dict() for entry in entries])
 
 
 def _read(log: Path, config: Config, plot: Path | None, json_file: Path | None) -> Recording:

@@ -18,6 +18,7 @@ from ekf_companion.logs import series
 from ekf_companion.logs.estimate import read_estimate, read_truth, to_trajectory
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.interpolation import pair
 from ekf_companion.nav.state import Trajectory
 
 __all__ = ["Score", "Spread", "read_estimate", "read_truth", "score", "table", "to_trajectory"]
@@ -25,8 +26,6 @@ __all__ = ["Score", "Spread", "read_estimate", "read_truth", "score", "table", "
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
 
-GAP = 0.5
-"""s; over a longer one nothing is interpolated (or over three steps of a slower series)."""
 LAG_SPAN = 1.0
 """s; time lags are looked for up to this, either way."""
 LAG_STEP = 0.02
@@ -147,24 +146,24 @@ def score(
     seen: list[Stamps] = []
 
     offset = vertical = velocity = None
-    if pair := _pair(estimate.pos_t_ns, reference.pos_t_ns, begin, end):
+    if found := pair(estimate.pos_t_ns, reference.pos_t_ns, begin, end):
         frame = _frame(reference)
         mine, theirs = (frame.to_ned(one.lat, one.lon, one.alt) for one in (estimate, reference))
-        offset = pair.difference(mine, theirs)
+        offset = found.difference(mine, theirs)
         vertical = -offset[np.isfinite(offset[:, 2]), 2]
-        seen.append(pair.at_ns)
+        seen.append(found.at_ns)
     lag, best = _find_lag(estimate, reference, begin, end)
-    if pair := _pair(estimate.vel_t_ns, reference.vel_t_ns, begin, end):
-        velocity = pair.difference(estimate.vel_n, reference.vel_n)
+    if found := pair(estimate.vel_t_ns, reference.vel_t_ns, begin, end):
+        velocity = found.difference(estimate.vel_n, reference.vel_n)
         velocity = velocity[np.isfinite(velocity[:, :2]).all(axis=1)]
-        seen.append(pair.at_ns)
+        seen.append(found.at_ns)
     tilt = angles = None
-    if pair := _pair(estimate.att_t_ns, reference.att_t_ns, begin, end):
-        mine, theirs = pair.rotations(estimate.q_nb, reference.q_nb)
+    if found := pair(estimate.att_t_ns, reference.att_t_ns, begin, end):
+        mine, theirs = found.rotations(estimate.q_nb, reference.q_nb)
         angles = so3.wrap(so3.to_euler(mine) - so3.to_euler(theirs))
         down = [so3.to_matrix(q)[:, 2, :] for q in (mine, theirs)]
         tilt = np.arccos(np.clip(np.sum(down[0] * down[1], axis=1), -1.0, 1.0))
-        seen.append(pair.at_ns)
+        seen.append(found.at_ns)
 
     mean = float(np.mean(vertical)) if vertical is not None and len(vertical) else None
     return Score(
@@ -208,54 +207,6 @@ def _spread(errors: Array | None) -> Spread | None:
         p95=float(np.percentile(size, 95.0)),
         largest=float(size.max()),
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pair:
-    """Two series brought to the stamps of the sparser one."""
-
-    at_ns: Stamps
-    of_sparse: npt.NDArray[np.int64]
-    """Rows of the sparser series."""
-    before: npt.NDArray[np.int64]
-    """Rows of the denser series at or just before each stamp; the next one follows."""
-    share: Array
-    """How far each stamp is from there to the next, 0 to 1."""
-    is_swapped: bool
-    """The denser one is the second."""
-
-    def difference(self, first: Array, second: Array) -> Array:
-        """Give first minus second, shape (n, 3)."""
-        dense, sparse = (second, first) if self.is_swapped else (first, second)
-        share = self.share[:, None]
-        between = dense[self.before] * (1.0 - share) + dense[self.before + 1] * share
-        return (between - sparse[self.of_sparse]) * (-1.0 if self.is_swapped else 1.0)
-
-    def rotations(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Give both at the stamps, the denser one turned evenly from row to row."""
-        dense, sparse = (second, first) if self.is_swapped else (first, second)
-        start, end = dense[self.before], dense[self.before + 1]
-        turn = so3.log(so3.multiply(so3.conjugate(start), end)) * self.share[:, None]
-        between, there = so3.multiply(start, so3.exp(turn)), sparse[self.of_sparse]
-        return (there, between) if self.is_swapped else (between, there)
-
-
-def _pair(first_ns: Stamps, second_ns: Stamps, begin: int, end: int) -> _Pair | None:
-    """Match two ascending series between two stamps; None: they have no time in common."""
-    if len(first_ns) < 2 or len(second_ns) < 2:
-        return None
-    periods = [float(np.median(np.diff(t_ns))) for t_ns in (first_ns, second_ns)]
-    is_swapped = periods[0] > periods[1]
-    dense, sparse = (second_ns, first_ns) if is_swapped else (first_ns, second_ns)
-    wanted = (sparse >= max(begin, int(dense[0]))) & (sparse <= min(end, int(dense[-1])))
-    rows = np.flatnonzero(wanted)
-    before = np.clip(np.searchsorted(dense, sparse[rows], side="right") - 1, 0, len(dense) - 2)
-    step = dense[before + 1] - dense[before]
-    near = step <= max(GAP * 1e9, 3.0 * min(periods))
-    rows, before, step = rows[near], before[near], step[near]
-    if len(rows) == 0:
-        return None
-    return _Pair(sparse[rows], rows, before, (sparse[rows] - dense[before]) / step, is_swapped)
 
 
 def _find_lag(

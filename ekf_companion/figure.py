@@ -1,8 +1,15 @@
-"""The seed article's figure: track, altitude, speed, roll, pitch and yaw, estimate on reference."""
+"""The seed article's figure: at left track, altitude and speed, at right roll, pitch and yaw.
+
+Estimates over the reference and over what the sensors said. Where several estimates lie on each
+other a third column shows how far each is off.
+
+Source of the layout: BasicEKF, run_state_estimation_ins_euler_directEKF_method.m.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +19,61 @@ import numpy.typing as npt
 from ekf_companion.errors import CompanionError
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.interpolation import pair
+from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Trajectory
+
+Array = npt.NDArray[np.float64]
 
 POINTS = 20000
 """Of each line at most: more than a picture can show."""
-_COLOURS = ("#d62728", "#1f77b4", "#7f7f7f", "#2ca02c")
+_COLOURS = ("#d62728", "#1f77b4", "#7f7f7f", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b")
 _STYLES = ("-", "--", ":", "-.")
+_FIXES = {"color": "#2ca02c", "marker": ".", "linestyle": "", "markersize": 3, "alpha": 0.4}
+_PLACES = {
+    "track": (slice(0, 6), 0, "north-east track", "east, m", "north, m"),
+    "altitude": (slice(6, 9), 0, "altitude", "time, s", "above mean sea level, m"),
+    "speed": (slice(9, 12), 0, "speed", "time, s", "m/s"),
+    "roll": (slice(0, 4), 1, "roll", "time, s", "deg"),
+    "pitch": (slice(4, 8), 1, "pitch", "time, s", "deg"),
+    "yaw": (slice(8, 12), 1, "yaw", "time, s", "deg"),
+    "position error": (slice(0, 4), 2, "horizontal error", "time, s", "m"),
+    "velocity error": (slice(4, 8), 2, "velocity error", "time, s", "m/s"),
+    "attitude error": (slice(8, 12), 2, "attitude error", "time, s", "deg"),
+}
+"""Rows of twelve, column, title and labels of each picture."""
 
 
-def plot(path: Path, trajectories: Sequence[Trajectory], title: str = "") -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scale:
+    """What the axes count from."""
+
+    frame: LocalFrame | None
+    """None: nobody has a position."""
+    zero_ns: int
+
+    def seconds(self, t_ns: npt.NDArray[np.int64]) -> Array:
+        return np.asarray((t_ns - self.zero_ns) * 1e-9)
+
+
+def plot(
+    path: Path,
+    trajectories: Sequence[Trajectory],
+    title: str = "",
+    *,
+    events: Events | None = None,
+    with_errors: bool = False,
+) -> None:
     """Draw trajectories over each other, the estimate first, into a PNG, PDF or SVG file.
 
     North and east are about the first position of the last trajectory: of the reference.
+
+    Args:
+        path: The figure; its suffix says what it is.
+        trajectories: The reference last.
+        title: Of the figure.
+        events: The fixes among them are drawn as points; None: no points.
+        with_errors: Add a column with the distance of each from the last.
 
     Raises:
         CompanionError: matplotlib is not installed, or the file cannot be written.
@@ -35,36 +85,31 @@ def plot(path: Path, trajectories: Sequence[Trajectory], title: str = "") -> Non
         raise CompanionError(
             f"{path}: a figure needs matplotlib; install ekf-companion with the extra: plot"
         ) from None
-    sheet = Figure(figsize=(12.0, 8.0), layout="constrained")
+    columns = 3 if with_errors else 2
+    sheet = Figure(figsize=(6.0 * columns, 10.0), layout="constrained")
     FigureCanvasAgg(sheet)
-    axes = sheet.subplots(2, 3)
+    axes = _axes(sheet, columns)
     ends = [one for one in reversed(trajectories) if len(one.pos_t_ns)]
     frame = LocalFrame(float(ends[0].lat[0]), float(ends[0].lon[0]), 0.0) if ends else None
     starts = [t[0] for one in trajectories for t in (one.pos_t_ns, one.att_t_ns) if len(t)]
+    scale = _Scale(frame, int(min(starts)))
+    if events is not None and frame is not None:
+        _draw_fixes(axes, events, scale)
     for index, one in enumerate(trajectories):
         look = {
             "color": _COLOURS[index % len(_COLOURS)],
             "linestyle": _STYLES[index % len(_STYLES)],
             "linewidth": 1.2,
             # The estimate stays on top of what it is compared with.
-            "zorder": 10 - index,
+            "zorder": 20 - index,
             "label": one.name,
         }
-        _draw(axes, one, frame, min(starts), look)
-    labels = (
-        ("north-east track", "east, m", "north, m"),
-        ("altitude", "time, s", "above mean sea level, m"),
-        ("speed", "time, s", "m/s"),
-        ("roll", "time, s", "deg"),
-        ("pitch", "time, s", "deg"),
-        ("yaw", "time, s", "deg"),
-    )
-    for axis, (name, across, up) in zip(axes.flat, labels, strict=True):
-        axis.set(title=name, xlabel=across, ylabel=up)
-        axis.grid(visible=True, alpha=0.3)
-    axes[0, 0].set_aspect("equal", adjustable="datalim")
-    handles, names = axes[1, 0].get_legend_handles_labels()
-    sheet.legend(handles, names, loc="outside lower center", ncols=1)
+        _draw(axes, one, scale, look)
+        if with_errors and one is not trajectories[-1]:
+            _draw_errors(axes, one, trajectories[-1], scale, look)
+    axes["track"].set_aspect("equal", adjustable="datalim")
+    handles, names = axes["roll"].get_legend_handles_labels()
+    sheet.legend(handles, names, loc="outside lower center", ncols=min(4, len(names)))
     sheet.suptitle(title)
     try:
         sheet.savefig(path, dpi=110)
@@ -72,24 +117,67 @@ def plot(path: Path, trajectories: Sequence[Trajectory], title: str = "") -> Non
         raise CompanionError(f"{path}: the figure cannot be written ({error})") from None
 
 
-def _draw(
-    axes: Any, one: Trajectory, frame: LocalFrame | None, zero_ns: int, look: dict[str, Any]
-) -> None:
-    if frame is not None and len(one.pos_t_ns):
+def _axes(sheet: Any, columns: int) -> dict[str, Any]:
+    grid = sheet.add_gridspec(12, columns)
+    axes = {}
+    for name, (rows, column, title, across, up) in _PLACES.items():
+        if column < columns:
+            axes[name] = sheet.add_subplot(grid[rows, column])
+            axes[name].set(title=title, xlabel=across, ylabel=up)
+            axes[name].grid(visible=True, alpha=0.3)
+    return axes
+
+
+def _draw_fixes(axes: dict[str, Any], events: Events, scale: _Scale) -> None:
+    assert scale.frame is not None
+    is_known = np.isfinite(events.values[:, :3]).all(axis=1)
+    fixes = events.take((events.kind == Kind.GNSS) & is_known)
+    seconds, values = scale.seconds(fixes.t_ns), fixes.values
+    ned = scale.frame.to_ned(values[:, 0], values[:, 1], values[:, 2])
+    axes["track"].plot(ned[:, 1], ned[:, 0], **_FIXES)
+    axes["altitude"].plot(seconds, values[:, 2], **_FIXES)
+    speed = np.linalg.norm(np.nan_to_num(values[:, 3:6]), axis=1)
+    axes["speed"].plot(seconds, np.where(np.isnan(values[:, 3]), np.nan, speed), **_FIXES)
+
+
+def _draw(axes: dict[str, Any], one: Trajectory, scale: _Scale, look: dict[str, Any]) -> None:
+    if scale.frame is not None and len(one.pos_t_ns):
         some = _some(one.pos_t_ns)
-        ned = frame.to_ned(one.lat[some], one.lon[some], one.alt[some])
-        axes[0, 0].plot(ned[:, 1], ned[:, 0], **look)
-        axes[0, 1].plot((one.pos_t_ns[some] - zero_ns) * 1e-9, one.alt[some], **look)
+        ned = scale.frame.to_ned(one.lat[some], one.lon[some], one.alt[some])
+        axes["track"].plot(ned[:, 1], ned[:, 0], **look)
+        axes["altitude"].plot(scale.seconds(one.pos_t_ns[some]), one.alt[some], **look)
     some = _some(one.vel_t_ns)
     speed = np.linalg.norm(np.nan_to_num(one.vel_n[some]), axis=1)
-    axes[0, 2].plot((one.vel_t_ns[some] - zero_ns) * 1e-9, speed, **look)
+    axes["speed"].plot(scale.seconds(one.vel_t_ns[some]), speed, **look)
     some = _some(one.att_t_ns)
-    seconds = (one.att_t_ns[some] - zero_ns) * 1e-9
     angles = np.rad2deg(so3.to_euler(one.q_nb[some]))
-    for axis in range(3):
+    for column, name in enumerate(("roll", "pitch", "yaw")):
         # No line across the picture where an angle goes from 180 to -180 degrees.
-        turned = np.append(np.abs(np.diff(angles[:, axis])) > 180.0, False)
-        axes[1, axis].plot(seconds, np.where(turned, np.nan, angles[:, axis]), **look)
+        turned = np.append(np.abs(np.diff(angles[:, column])) > 180.0, False)
+        shown = np.where(turned, np.nan, angles[:, column])
+        axes[name].plot(scale.seconds(one.att_t_ns[some]), shown, **look)
+
+
+def _draw_errors(
+    axes: dict[str, Any], one: Trajectory, other: Trajectory, scale: _Scale, look: dict[str, Any]
+) -> None:
+    end = np.iinfo(np.int64).max
+
+    def draw(name: str, t_ns: npt.NDArray[np.int64], size: Array) -> None:
+        some = _some(t_ns)
+        axes[name].semilogy(scale.seconds(t_ns[some]), size[some], **look)
+
+    if scale.frame and (found := pair(one.pos_t_ns, other.pos_t_ns, 0, end)):
+        mine, theirs = (scale.frame.to_ned(each.lat, each.lon, each.alt) for each in (one, other))
+        error = found.difference(mine, theirs)
+        draw("position error", found.at_ns, np.hypot(error[:, 0], error[:, 1]))
+    if found := pair(one.vel_t_ns, other.vel_t_ns, 0, end):
+        error = np.nan_to_num(found.difference(one.vel_n, other.vel_n))
+        draw("velocity error", found.at_ns, np.linalg.norm(error, axis=1))
+    if found := pair(one.att_t_ns, other.att_t_ns, 0, end):
+        mine, theirs = found.rotations(one.q_nb, other.q_nb)
+        turn = so3.log(so3.multiply(so3.conjugate(mine), theirs))
+        draw("attitude error", found.at_ns, np.rad2deg(np.linalg.norm(turn, axis=1)))
 
 
 def _some(t_ns: npt.NDArray[np.int64]) -> slice:

@@ -61,12 +61,14 @@ def _draw_sigmas(axis: Any, found: Observability, first: int, name: str) -> None
     """Draw three states over what was not known before, and mark when they become observable."""
     known = {one.state: one.since for one in verdicts(found)}
     names = [f"{name.split()[0]} {a} bias" for a in "xyz"] if name else ["roll", "pitch", "heading"]
-    for index, (state, colour) in enumerate(zip(names, _AXES, strict=True)):
+    # Forward and right are often alike: the first is drawn wider
+    for index, (state, colour, width) in enumerate(zip(names, _AXES, (3.0, 1.2, 1.2), strict=True)):
         column = first + index
         since = known[state]
         when = "never" if since is None else f"{since:.1f} s"
-        axis.plot(found.t, found.sigma[:, column], color=colour, label=f"{state}: {when}")
-        axis.plot(found.t, found.window_sigma[:, column], color=colour, linestyle=":", linewidth=1)
+        look = {"color": colour, "linewidth": width}
+        axis.plot(found.t, found.sigma[:, column], **look, label=f"{state}: {when}")
+        axis.plot(found.t, found.window_sigma[:, column], **look, linestyle=":", alpha=0.8)
         if since is not None:
             axis.axvline(since, color=colour, linewidth=0.8, alpha=0.7)
     axis.axhline(OBSERVABLE, color="#7f7f7f", linestyle="--", linewidth=1.0)

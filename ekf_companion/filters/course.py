@@ -231,14 +231,13 @@ class Course:
         is_earths = np.isfinite(size) & (size > 0.0)
         if strength > 0.0:
             is_earths &= np.abs(size / strength - 1.0) <= heading.field_strength
-        level = np.cos(dip) if np.isfinite(dip) else 0.5
+        dip, azimuth = (angle if np.isfinite(angle) else 0.0 for angle in (dip, declination))
         for t, field, total in zip(
             mag.t_ns[is_earths].tolist(), mag.values[is_earths, :3], size[is_earths], strict=True
         ):
-            noise = heading.magnetometer_noise / max(0.1, level) / total
+            noise = heading.magnetometer_noise / max(0.1, np.cos(dip)) / total
             std = float(np.hypot(noise, heading.magnetometer_std))
-            azimuth = declination if np.isfinite(declination) else 0.0
-            found.append((t, Azimuth(seen_b=field, azimuth=azimuth, std=std)))
+            found.append((t, Azimuth(seen_b=field, azimuth=azimuth, std=std, dip=dip)))
         return found
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +38,23 @@ class Solution:
     """By aid: how many were fused, how many refused."""
     notes: tuple[str, ...] = ()
     """What the user should know, one sentence each."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give what can be told of it for JSON."""
+        return {
+            "filter": self.name,
+            "estimates": len(self.table),
+            "fused": {aid: fused for aid, (fused, _) in self.counts.items()},
+            "refused": {aid: refused for aid, (_, refused) in self.counts.items()},
+            "notes": list(self.notes),
+        }
+
+    def summary(self) -> Iterator[str]:
+        """Give the same as lines to read."""
+        yield f"{self.name}: {len(self.table)} estimates"
+        for aid, (fused, refused) in self.counts.items():
+            yield f"  {aid}: {fused} fused, {refused} refused"
+        yield from (f"  note: {note}" for note in self.notes)
 
 
 class Recorder:

@@ -14,6 +14,7 @@ from ekf_companion.logs import series
 from ekf_companion.logs.table import Table
 from ekf_companion.nav import so3
 from ekf_companion.nav.state import COLUMNS, Trajectory
+from ekf_companion.nav.state import Table as EstimateTable
 
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
@@ -53,6 +54,12 @@ def to_trajectory(columns: Mapping[str, npt.NDArray[Any]], name: str = "estimate
         att_t_ns=att_t_ns[turned],
         q_nb=so3.normalise(q_nb[turned]),
     )
+
+
+def of_table(table: EstimateTable, name: str) -> Trajectory:
+    """Give a table of estimates as a trajectory, as :func:`to_trajectory` does."""
+    columns: dict[str, npt.NDArray[Any]] = {"time_us": table.stamp_ns // 1000}
+    return to_trajectory(columns | {column: table.column(column) for column in COLUMNS[1:]}, name)
 
 
 def read_estimate(path: Path) -> Trajectory:

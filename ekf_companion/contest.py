@@ -1,0 +1,234 @@
+"""Several filters over one recording, beside each other: how far off, how sure, at what cost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.errors import LogError
+from ekf_companion.filters.consistency import nees
+from ekf_companion.filters.solution import Solution
+from ekf_companion.logs.estimate import of_table
+from ekf_companion.logs.recording import Recording
+from ekf_companion.nav import so3
+from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.interpolation import pair
+from ekf_companion.nav.state import Status, Trajectory
+from ekf_companion.selection import choose, run_filter
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+SECTIONS = {
+    "RMS error": (
+        *(("north", "m"), ("east", "m"), ("down", "m"), ("down about mean", "m")),
+        *(("velocity north", "m/s"), ("velocity east", "m/s"), ("velocity down", "m/s")),
+        *(("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("inclination", "deg")),
+    ),
+    "NEES over its degrees of freedom (1: as sure as it may be; above: too sure)": (
+        *(("position", ""), ("velocity", ""), ("attitude", "")),
+    ),
+}
+"""Rows of the table, with their units."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Entry:
+    """What became of one filter."""
+
+    name: str
+    solution: Solution | None
+    """None: the recording lacks what it needs."""
+    trajectory: Trajectory | None
+    us: float
+    """Processor time per inertial sample, microseconds."""
+    note: str = ""
+    """Why there is no solution."""
+    rms: Mapping[str, float] = field(default_factory=dict)
+    """By row of the table, in its unit; NaN: one of the two lacks it."""
+    nees: Mapping[str, float] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give everything for JSON; what is not known is null."""
+        known = {name: value if np.isfinite(value) else None for name, value in self.rms.items()}
+        sure = {name: value if np.isfinite(value) else None for name, value in self.nees.items()}
+        return {
+            "filter": self.name,
+            "rms": {_key(name): value for name, value in known.items()},
+            "nees": sure,
+            "us_per_sample": self.us if np.isfinite(self.us) else None,
+            "estimates": 0 if self.solution is None else len(self.solution.table),
+            "fused": {} if self.solution is None else dict(self.solution.counts),
+            "notes": [*([self.note] if self.note else []), *self.remarks()],
+        }
+
+    def remarks(self) -> tuple[str, ...]:
+        """Give what the filter itself says of its solution."""
+        return () if self.solution is None else self.solution.notes
+
+
+def _key(name: str) -> str:
+    unit = dict(row for rows in SECTIONS.values() for row in rows).get(name, "")
+    return f"{name} {unit.replace('/', 'p')}".strip().replace(" ", "_")
+
+
+def hold(
+    recording: Recording,
+    names: Sequence[str],
+    settings: FilterSettings,
+    progress: Progress | None = None,
+) -> list[Entry]:
+    """Take each filter through the recording.
+
+    Raises:
+        ConfigError: A name is unknown.
+        LogError: No filter finds what it needs.
+    """
+    for name in names:
+        choose(name)
+    entries = []
+    for done, name in enumerate(names):
+        if progress is not None:
+            progress(done, len(names))
+        entries.append(_enter(recording, name, settings))
+    if all(entry.solution is None for entry in entries):
+        raise LogError("; ".join(dict.fromkeys(entry.note for entry in entries)))
+    return entries
+
+
+def _enter(recording: Recording, name: str, settings: FilterSettings) -> Entry:
+    begin = time.process_time()
+    try:
+        solution = run_filter(recording, name, settings)
+    except LogError as error:
+        return Entry(name=name, solution=None, trajectory=None, us=np.nan, note=str(error))
+    spent = (time.process_time() - begin) * 1e6 / max(len(solution.table), 1)
+    return Entry(name=name, solution=solution, trajectory=of_table(solution.table, name), us=spent)
+
+
+def judge(
+    entries: Sequence[Entry], reference: Trajectory, skip_s: float, until_s: float | None
+) -> list[Entry]:
+    """Hold each against the reference, from one time on at which all of them run.
+
+    Args:
+        entries: As :func:`hold` gives them.
+        reference: What they should say.
+        skip_s: Leave out so many seconds after the last of them has begun.
+        until_s: Leave out what is later than so many seconds after that; None: nothing.
+
+    Raises:
+        LogError: None has any time in common with the reference.
+    """
+    starts = [
+        int(one.trajectory.att_t_ns[0])
+        for one in entries
+        if one.trajectory is not None and len(one.trajectory.att_t_ns)
+    ]
+    zero = max(starts, default=0)
+    begin = zero + round(skip_s * 1e9)
+    end = np.iinfo(np.int64).max if until_s is None else zero + round(until_s * 1e9)
+    judged = [_judge(one, reference, begin, end) for one in entries]
+    if not any(np.isfinite(value) for one in judged for value in one.rms.values()):
+        raise LogError(
+            f"no filter has time in common with {reference.name} after the first {skip_s:g} s; "
+            "leave out fewer with --skip"
+        )
+    return judged
+
+
+def _judge(entry: Entry, reference: Trajectory, begin: int, end: int) -> Entry:
+    if entry.solution is None or entry.trajectory is None:
+        return entry
+    found = nees(entry.solution, reference, begin, end)
+    return Entry(
+        name=entry.name,
+        solution=entry.solution,
+        trajectory=entry.trajectory,
+        us=entry.us,
+        rms=_rms(entry.trajectory, reference, begin, end),
+        nees={
+            name: np.nan if value is None else value
+            for name, value in (
+                ("position", found.position),
+                ("velocity", found.velocity),
+                ("attitude", found.attitude),
+            )
+        },
+    )
+
+
+def _rms(estimate: Trajectory, reference: Trajectory, begin: int, end: int) -> dict[str, float]:
+    rms = {name: float("nan") for name, _ in SECTIONS["RMS error"]}
+
+    def put(names: str, errors: Array) -> None:
+        for name, column in zip(names.split(", "), errors.T, strict=True):
+            known = column[np.isfinite(column)]
+            rms[name] = float(np.sqrt(np.mean(np.square(known)))) if len(known) else np.nan
+
+    if found := pair(estimate.pos_t_ns, reference.pos_t_ns, begin, end):
+        alt = float(reference.alt[0])
+        frame = LocalFrame(
+            float(reference.lat[0]), float(reference.lon[0]), alt if np.isfinite(alt) else 0.0
+        )
+        mine, theirs = (frame.to_ned(one.lat, one.lon, one.alt) for one in (estimate, reference))
+        errors = found.difference(mine, theirs)
+        put("north, east, down", errors)
+        put("down about mean", errors[:, 2:] - np.nanmean(errors[:, 2:]))
+    if found := pair(estimate.vel_t_ns, reference.vel_t_ns, begin, end):
+        errors = found.difference(estimate.vel_n, reference.vel_n)
+        put("velocity north, velocity east, velocity down", errors)
+    if found := pair(estimate.att_t_ns, reference.att_t_ns, begin, end):
+        mine, theirs = found.rotations(estimate.q_nb, reference.q_nb)
+        angles = so3.wrap(so3.to_euler(mine) - so3.to_euler(theirs))
+        put("roll, pitch, yaw", np.rad2deg(angles))
+        downs = [so3.to_matrix(q)[:, 2, :] for q in (mine, theirs)]
+        tilt = np.arccos(np.clip(np.sum(downs[0] * downs[1], axis=1), -1.0, 1.0))
+        put("inclination", np.rad2deg(tilt)[:, None])
+    return rms
+
+
+def table(entries: Sequence[Entry]) -> Iterator[str]:
+    """Give the entries as lines of text, a column each."""
+    width = max(10, *(len(one.name) + 2 for one in entries))
+    yield f"{'':<26}" + "".join(f"{one.name:>{width}}" for one in entries)
+    for title, rows in SECTIONS.items():
+        values = [one.rms if title == "RMS error" else one.nees for one in entries]
+        shown = [
+            (name, unit)
+            for name, unit in rows
+            if any(np.isfinite(each.get(name, np.nan)) for each in values)
+        ]
+        if shown:
+            yield from ("", title)
+        for name, unit in shown:
+            label = f"  {name}, {unit}" if unit else f"  {name}"
+            yield f"{label:<26}" + "".join(
+                f"{_number(each.get(name, np.nan)):>{width}}" for each in values
+            )
+    yield from ("", "Cost")
+    yield f"{'  us per sample':<26}" + "".join(f"{_number(one.us, 1):>{width}}" for one in entries)
+    aids = dict.fromkeys(aid for one in entries if one.solution for aid in one.solution.counts)
+    for aid in aids:
+        cells = [one.solution.counts.get(aid) if one.solution else None for one in entries]
+        shares = [
+            "-" if cell is None or not sum(cell) else f"{100.0 * cell[1] / sum(cell):.1f} %"
+            for cell in cells
+        ]
+        yield f"{f'  {aid} refused':<26}" + "".join(f"{share:>{width}}" for share in shares)
+    for one in entries:
+        for note in (*([one.note] if one.note else []), *one.remarks()):
+            yield f"  note: {one.name}: {note}"
+
+
+def _number(value: float, digits: int = 3) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else "-"
+
+
+__all__ = ["SECTIONS", "Entry", "Status", "hold", "judge", "table"]

@@ -1,0 +1,96 @@
+"""A series at other stamps than its own: between two of its rows, never over a gap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.nav import so3
+
+Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
+
+GAP = 0.5
+"""s; over a longer one nothing is interpolated."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Between:
+    """Where stamps lie between the rows of a series."""
+
+    wanted: npt.NDArray[np.int64]
+    """Which of the stamps lie between two rows that are near enough, ascending, shape (k,)."""
+    before: npt.NDArray[np.int64]
+    """Rows of the series at or just before each of these; the next one follows."""
+    share: Array
+    """How far each stamp is from there to the next, 0 to 1."""
+
+    def values(self, series: Array) -> Array:
+        """Give a series of vectors at the stamps, shape (k, m)."""
+        share = self.share[:, None]
+        return series[self.before] * (1.0 - share) + series[self.before + 1] * share
+
+    def rotations(self, series: Array) -> Array:
+        """Give a series of quaternions at the stamps, turned evenly from row to row."""
+        start, end = series[self.before], series[self.before + 1]
+        turn = so3.log(so3.multiply(so3.conjugate(start), end)) * self.share[:, None]
+        return so3.multiply(start, so3.exp(turn))
+
+
+def between(t_ns: Stamps, at_ns: Stamps, gap_ns: float = GAP * 1e9) -> Between:
+    """Find stamps between the rows of a series.
+
+    Args:
+        t_ns: Of the series, ascending, two or more.
+        at_ns: Where it is asked for, in any order.
+        gap_ns: Largest step from row to row that is interpolated over.
+    """
+    wanted = np.flatnonzero((at_ns >= t_ns[0]) & (at_ns <= t_ns[-1]))
+    before = np.clip(np.searchsorted(t_ns, at_ns[wanted], side="right") - 1, 0, len(t_ns) - 2)
+    step = t_ns[before + 1] - t_ns[before]
+    near = step <= gap_ns
+    wanted, before, step = wanted[near], before[near], step[near]
+    return Between(wanted=wanted, before=before, share=(at_ns[wanted] - t_ns[before]) / step)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """Two series brought to the stamps of the sparser one."""
+
+    at_ns: Stamps
+    of_sparse: npt.NDArray[np.int64]
+    """Rows of the sparser series."""
+    of_dense: Between
+    """Where its stamps are in the denser series."""
+    is_swapped: bool
+    """The denser one is the second."""
+
+    def difference(self, first: Array, second: Array) -> Array:
+        """Give first minus second, shape (n, 3)."""
+        dense, sparse = (second, first) if self.is_swapped else (first, second)
+        less = self.of_dense.values(dense) - sparse[self.of_sparse]
+        return less * (-1.0 if self.is_swapped else 1.0)
+
+    def rotations(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Give both at the stamps, the denser one turned evenly from row to row."""
+        dense, sparse = (second, first) if self.is_swapped else (first, second)
+        here, there = self.of_dense.rotations(dense), sparse[self.of_sparse]
+        return (there, here) if self.is_swapped else (here, there)
+
+
+def pair(first_ns: Stamps, second_ns: Stamps, begin: int, end: int) -> Pair | None:
+    """Match two ascending series between two stamps; None: they have no time in common.
+
+    The denser one is interpolated over ``GAP``, or over three steps of a slower series.
+    """
+    if len(first_ns) < 2 or len(second_ns) < 2:
+        return None
+    periods = [float(np.median(np.diff(t_ns))) for t_ns in (first_ns, second_ns)]
+    is_swapped = periods[0] > periods[1]
+    dense, sparse = (second_ns, first_ns) if is_swapped else (first_ns, second_ns)
+    rows = np.flatnonzero((sparse >= begin) & (sparse <= end))
+    found = between(dense, sparse[rows], max(GAP * 1e9, 3.0 * min(periods)))
+    rows = rows[found.wanted]
+    return Pair(sparse[rows], rows, found, is_swapped) if len(rows) else None

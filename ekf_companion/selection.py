@@ -1,0 +1,125 @@
+"""The filters by name: our own estimator and its rivals, over the same recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ekf_companion.core import layout as at
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.filters import ukf
+from ekf_companion.filters.course import Course, run
+from ekf_companion.filters.iterated import Iterated
+from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
+from ekf_companion.logs.recording import Recording
+from ekf_companion.nav.state import Status, join
+from ekf_companion.pipeline import Aid, Pipeline, Verdict
+
+Run = Callable[[Recording, FilterSettings, str], Solution]
+"""Recording, settings and option in, solution out."""
+
+BLOCKS = [*range(at.E_ATT, at.E_ATT + 3), *range(at.E_VEL, at.E_VEL + 3)]
+BLOCKS += range(at.E_POS, at.E_POS + 3)
+"""Where the estimator's covariance holds what a solution keeps of it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Filter:
+    """One that can be chosen."""
+
+    run: Run
+    options: tuple[str, ...]
+    """What may stand behind the colon; the first is the default."""
+    says: str
+    """What it is, in a line."""
+
+
+def run_filter(
+    recording: Recording, name: str = "eskf", settings: FilterSettings | None = None
+) -> Solution:
+    """Take a filter through a recording.
+
+    Args:
+        recording: As ``open_log`` gives it.
+        name: ``NAME`` or ``NAME:OPTION`` of :data:`FILTERS`.
+        settings: The estimator's, or a whole configuration; None: the defaults.
+
+    Raises:
+        ConfigError: There is no filter, or no option, of that name.
+        LogError: The recording lacks what the filter needs.
+    """
+    label, option = choose(name)
+    filter_name = name.partition(":")[0]
+    found = FILTERS[filter_name].run(recording, settings or FilterSettings(), option)
+    return replace(found, name=label)
+
+
+def choose(name: str) -> tuple[str, str]:
+    """Give the name to print and the option of ``NAME`` or ``NAME:OPTION``.
+
+    Raises:
+        ConfigError: There is none of that name.
+    """
+    known, colon, option = name.strip().partition(":")
+    if known not in FILTERS:
+        raise ConfigError(f"{name!r}: unknown filter; known are {', '.join(FILTERS)}")
+    options = FILTERS[known].options
+    if colon and option not in options:
+        others = ", ".join(f"{known}:{one}" for one in options) or f"{known} alone"
+        raise ConfigError(f"{name!r}: unknown option; known are {others}")
+    return name.strip(), option or (options[0] if options else "")
+
+
+def _eskf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    """Take the daemon's own pipeline through it, in pieces, to look at the covariance."""
+    del option
+    pipeline = Pipeline(settings, recording.family, recording.gnss_delay)
+    events = recording.events
+    if not len(events):
+        raise LogError("holds no measurement")
+    slots = np.maximum.accumulate(events.t_ns) // COVARIANCE_PERIOD_NS
+    tables, stamps, kept = [], [], []
+    for rows in np.split(np.arange(len(events)), np.flatnonzero(np.diff(slots)) + 1):
+        tables.append(pipeline.run(events.take(rows)))
+        state = pipeline.state()
+        if len(tables[-1]) and tables[-1].column("status")[-1] >= Status.OK:
+            P = state.block[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
+            stamps.append(pipeline.stamp_ns)
+            kept.append(P[np.ix_(BLOCKS, BLOCKS)].copy())
+    health = pipeline.health()
+    return Solution(
+        name="eskf",
+        table=join(tables),
+        covariance_ns=np.array(stamps, dtype=np.int64),
+        covariance=np.array(kept).reshape(-1, 9, 9),
+        counts={
+            aid.name.lower(): (
+                health.verdicts[aid][Verdict.FUSED] + health.verdicts[aid][Verdict.SOFT],
+                health.verdicts[aid][Verdict.GATED],
+            )
+            for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY, Aid.HEADING)
+        },
+    )
+
+
+def _iterated(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    del option
+    course = Course(recording.events, settings, recording.family, recording.gnss_delay)
+    setup = course.setup()
+    return run("iterated", Iterated(setup), course, setup)
+
+
+def _ukf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    del option
+    return ukf.run(recording.events, settings, recording.family, recording.gnss_delay)
+
+
+FILTERS: Mapping[str, Filter] = {
+    "eskf": Filter(run=_eskf, options=(), says="our own estimator, as it flies"),
+    "iterated": Filter(run=_iterated, options=(), says="iterated error-state filter"),
+    "ukf": Filter(run=_ukf, options=(), says="unscented filter on the manifold"),
+}
+"""What ``--filters`` and :func:`run_filter` know."""

@@ -1,0 +1,129 @@
+"""Several filters over one log: the command, its table and JSON, and the library of README."""
+
+import json
+import math
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ekf_companion import open_log, run_filter
+from ekf_companion.cli import app
+from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.nav.measurements import Kind
+from ekf_companion.selection import FILTERS
+from sim_autopilot.__main__ import app as simulator
+from tests.calibrate.recordings import without
+
+README = Path(__file__).parents[1] / "README.md"
+NAVIGATORS = ("eskf", "euler", "iterated", "iterated:robocentric", "ukf")
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """Fly half a minute, with a truth."""
+    folder = tmp_path_factory.mktemp("flight")
+    log, truth = folder / "flight.tlog", folder / "truth.csv"
+    words = ["generate", "--scenario", "figure-eight", "--duration", "40", "--seed", "5"]
+    result = CliRunner().invoke(simulator, [*words, "-o", str(log), "--truth", str(truth)])
+    assert result.exit_code == 0, result.output
+    return log, truth
+
+
+def command(*words):
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def test_all_navigators_stand_in_one_table_one_figure_and_one_json(flight, tmp_path):
+    log, truth = flight
+    figure, file = tmp_path / "all.png", tmp_path / "all.json"
+    result = command(
+        *("compare", log, "--filters", ",".join(NAVIGATORS), "--reference", truth),
+        *("--skip", "15", "--plot", figure, "--json", file),
+    )
+    assert result.exit_code == 0, result.output
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    found = json.loads(file.read_text())
+    assert [one["filter"] for one in found] == list(NAVIGATORS)
+    for one in found:
+        assert one["estimates"] > 5000
+        assert math.hypot(one["rms"]["north_m"], one["rms"]["east_m"]) < 1.5
+        assert one["rms"]["roll_deg"] < 1.5
+        assert one["rms"]["pitch_deg"] < 1.5
+        assert one["rms"]["yaw_deg"] < 4.0
+        assert 0.0 < one["nees"]["attitude"] < 10.0
+        assert one["us_per_sample"] > 0.0
+    cells = {line[:26].strip(): line[26:].split() for line in result.output.splitlines()}
+    assert cells[""] == []
+    assert cells["north, m"] == [f"{one['rms']['north_m']:.3f}" for one in found]
+
+
+def test_an_unknown_filter_or_option_ends_with_2_and_says_what_is_known(flight):
+    log, truth = flight
+    for words in (
+        ["compare", log, "--reference", truth, "--filters", "eskf,kalman"],
+        ["compare", log, "--reference", truth, "--filters", "euler:wrong"],
+        ["convert", log, "-o", "x.csv", "--filter", "kalman"],
+        ["convert", log, "-o", "x.csv", "--frame", "robocentric"],
+        ["convert", log, "-o", "x.csv", "--filter", "euler:article", "--preset", "article"],
+    ):
+        result = command(*words)
+        assert result.exit_code == 2, result.output
+        assert "filter" in result.output or "option" in result.output
+
+
+def test_a_filter_that_lacks_what_it_needs_stands_empty_beside_the_others(flight, tmp_path):
+    recording = without(open_log(flight[0]), Kind.MAG, Kind.HEADING)
+    with pytest.raises(LogError, match="heading"):
+        run_filter(recording, "iterated")
+    assert len(run_filter(recording, "eskf").table) > 5000
+    with pytest.raises(LogError, match="GNSS"):
+        run_filter(without(open_log(flight[0]), Kind.GNSS), "iterated")
+    with pytest.raises(ConfigError, match="eskf"):
+        run_filter(recording, "esfk")
+
+
+@pytest.mark.parametrize("name", ["eskf", "iterated"])
+def test_the_same_log_gives_the_same_bits_again(flight, name):
+    recording = open_log(flight[0])
+    first, second = (run_filter(recording, name) for _ in range(2))
+    assert first.table.values.tobytes() == second.table.values.tobytes()
+    assert first.covariance.tobytes() == second.covariance.tobytes()
+
+
+def test_the_estimator_in_pieces_gives_the_bits_of_the_conversion(flight, tmp_path):
+    out = tmp_path / "estimate.csv"
+    assert command("convert", flight[0], "-o", out).exit_code == 0
+    solution = run_filter(open_log(flight[0]), "eskf")
+    rows = out.read_text().splitlines()
+    assert len(rows) == 1 + len(solution.table)
+    north = rows[0].split(",").index("pos_n")
+    last = float(rows[-1].split(",")[north])
+    assert last == solution.table.column("pos_n")[-1]
+
+
+def test_another_filter_converts_too(flight, tmp_path):
+    out, file = tmp_path / "iterated.csv", tmp_path / "iterated.json"
+    result = command("convert", flight[0], "-o", out, "--filter", "iterated", "--json", file)
+    assert result.exit_code == 0, result.output
+    assert json.loads(file.read_text())["estimates"] == len(out.read_text().splitlines()) - 1
+    assert command("compare", out, "--reference", flight[1], "--skip", "15").exit_code == 0
+    assert (
+        command("convert", flight[0], "-o", tmp_path / "x.tlog", "--filter", "ukf").exit_code == 3
+    )
+
+
+def test_the_library_does_what_the_readme_shows(flight, monkeypatch, capsys):
+    blocks = re.findall(r"```python\n(.*?)```", README.read_text(), flags=re.DOTALL)
+    shown = [block for block in blocks if "open_log" in block]
+    assert len(shown) == 1
+    monkeypatch.chdir(flight[0].parent)
+    exec(compile(shown[0], "README.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["eskf", "euler", "iterated", "ukf"]
+
+
+def test_every_filter_says_what_it_is():
+    assert {"eskf", "euler", "iterated", "ukf", "zupt", "ahrs", "mahony", "vqf"} == set(FILTERS)
+    assert all(entry.says for entry in FILTERS.values())
