@@ -26,6 +26,10 @@ ACCELERATION = 0.5
 """
 
 
+QUIET = 5.0
+"""Least length of a stretch that is called straight and steady, s."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Motion:
     """The motion by the filter's estimate, about every 0.05 s."""
@@ -60,18 +64,42 @@ class Motion:
         # The mean of an acceleration is late by what it is the mean over
         first = float(self.t[np.argmax(pushed)]) if pushed.any() else np.inf
         return {
-            "turn": self._begin_of(self.yaw, turned >= TURN, TURN),
-            "change of tilt": self._begin_of(self.tilt, self.tilt >= TILT, TILT),
+            "turn": self._begin_of(turned >= TURN, self._changes(self.yaw, TURN)),
+            "change of tilt": self._begin_of(self.tilt >= TILT, self._changes(self.tilt, TILT)),
             "horizontal acceleration": max(first - 1.0, float(self.t[0])),
         }
 
-    def _begin_of(self, angle: Array, is_there: npt.NDArray[np.bool_], much: float) -> float:
-        """Give when a change that is there at last began: nine tenths of it were still to come."""
+    def quiet_before(self, t: float) -> tuple[float, float] | None:
+        """Give when the last straight and steady stretch before a time began and ended, s.
+
+        It neither accelerates nor changes its heading as :meth:`onsets` says.
+        """
+        is_quiet = ~self._changes(self.yaw, TURN) & (self.acceleration < ACCELERATION)
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], is_quiet.astype(int), [0]])))
+        stretches = [
+            (float(self.t[first]), float(self.t[end - 1]))
+            for first, end in edges.reshape(-1, 2)
+            if self.t[end - 1] - self.t[first] >= QUIET and self.t[end - 1] < t
+        ]
+        return stretches[-1] if stretches else None
+
+    def _changes(self, angle: Array, much: float) -> npt.NDArray[np.bool_]:
+        """Say where an angle changes: in the 3 s about it, by a quarter of what is much."""
+        ends = [
+            np.clip(np.searchsorted(self.t, self.t + shift), 0, len(self.t) - 1)
+            for shift in (-1.5, 1.5)
+        ]
+        return np.asarray(np.abs(angle[ends[1]] - angle[ends[0]]) >= 0.25 * much)
+
+    def _begin_of(
+        self, is_there: npt.NDArray[np.bool_], is_changing: npt.NDArray[np.bool_]
+    ) -> float:
+        """Give when the change began that at last is there."""
         if not is_there.any():
             return np.inf
         k = int(np.argmax(is_there))
-        before = np.flatnonzero(np.abs(angle[: k + 1] - angle[k]) >= 0.9 * much)
-        return float(self.t[before[-1] if len(before) else k])
+        before = np.flatnonzero(~is_changing[: k + 1])
+        return float(self.t[before[-1] if len(before) else 0])
 
 
 class Track:

@@ -23,6 +23,8 @@ AT_ONCE = 5.0
 """What is observable so soon after the filter begins is so from the start, s."""
 RECENT = 10.0
 """A motion that began so long before, or less, counts as what made a state observable, s."""
+SETTLED = 3.0
+"""A motion so soon after the filter begins is there from the start; until then it settles, s."""
 TOGETHER = 2.0
 """Times that differ by less are one, s."""
 KNOWN_HEADING = float(np.radians(5.0))
@@ -136,25 +138,25 @@ def _when(found: Observability, state: int, since: float | None) -> str:
     if since is None:
         return f"not observable in this flight: {_lack(found, state)}"
     took = since - found.begin
+    if STATES[state] == "heading" and took <= AT_ONCE:
+        return f"observable from the start ({_s(since)}), by the {_north(found)}"
     at_rest = _since(found.at_rest[:, state], found.t)
     # At rest it would have come as soon, or nearly
     if at_rest is not None and at_rest - found.begin < 2.0 * took + TOGETHER:
-        by = "needs no motion"
-        if STATES[state] == "heading":
-            by = f"by the {_north(found)}"
+        by = f"by the {_north(found)}" if STATES[state] == "heading" else "needs no motion"
         if took <= AT_ONCE:
             return f"observable from the start ({_s(since)}), {by}"
         late = [f"no {aid}" for aid, t in found.first.items() if since - AT_ONCE < t < since]
         if late and since - found.begin > AT_ONCE:
             first = min(t for t in found.first.values() if t > since - AT_ONCE)
-            return f"not observable before {_s(since)}, {_and(late)} measured until {_s(first)}"
+            return f"not observable before {_s(since)}, {_and(late)} fused until {_s(first)}"
         return f"observable from {_s(since)} on, {by}, only time"
     return _by_motion(found, since)
 
 
 def _by_motion(found: Observability, since: float) -> str:
     onsets = {kind: t for kind, t in found.motion.onsets().items() if t <= since}
-    if onsets and max(onsets.values()) <= found.begin + 1.5 and since - found.begin <= RECENT:
+    if onsets and max(onsets.values()) <= found.begin + SETTLED and since - found.begin <= RECENT:
         return f"observable from {_s(since)} on, by the motion that is there from the start"
     return f"not observable before {_s(since)}, {_cause(found, onsets, since)}"
 
@@ -162,7 +164,13 @@ def _by_motion(found: Observability, since: float) -> str:
 def _cause(found: Observability, onsets: dict[str, float], since: float) -> str:
     """Say which motion began shortly before, or how much there was."""
     recent = sorted((t, kind) for kind, t in onsets.items() if t > since - RECENT)
-    recent = [one for one in recent if one[0] > found.begin + 1.5]
+    recent = [one for one in recent if one[0] > found.begin + SETTLED]
+    quiet = found.motion.quiet_before(since)
+    if not recent and quiet is not None and quiet[1] > since - RECENT:
+        return (
+            f"the motion until {_s(quiet[0])} did not show it, and then it was straight and steady "
+            f"until {'then' if since - quiet[1] < TOGETHER else _s(quiet[1])}"
+        )
     if not recent:
         return f"after {_moved(found, since)}"
     parts: list[tuple[float, list[str]]] = []
@@ -172,7 +180,8 @@ def _cause(found: Observability, onsets: dict[str, float], since: float) -> str:
         else:
             parts.append((t, [f"no {kind}"]))
     said = [
-        f"{_and(kinds)} until {'then' if since - t < TOGETHER else _s(t)}" for t, kinds in parts
+        f"{_and(kinds)} until {'then' if since - t < TOGETHER and len(parts) == 1 else _s(t)}"
+        for t, kinds in parts
     ]
     return ", ".join(said)
 
@@ -226,7 +235,7 @@ def _without_north(found: Observability) -> str:
             f"{strongest:.1f} m/s2 did not do"
         )
     begun = found.motion.onsets()["horizontal acceleration"]
-    if begun > since or begun <= found.begin + 1.5:
+    if begun > since or begun <= found.begin + SETTLED:
         return f"{without}, motion would show it to 5 deg from {_s(since)} on"
     return (
         f"{without}, not before {_s(since)}, no horizontal acceleration until "

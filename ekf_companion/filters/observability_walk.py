@@ -1,7 +1,8 @@
 """The error-state filter along a recording, and beside it what its Jacobians say of its states.
 
-It begins with what is not known of the biases, whatever a rest has shown: what comes to be known
-is by the flight. Between two aids the transition is gathered, and the covariances follow at once.
+The filter is that of the textbook, with its start and its gate. The covariances beside it begin
+with what is not known, whatever a rest has shown: what comes to be known is by the flight. Between
+two aids the transition is gathered, and the covariances follow at once.
 """
 
 from __future__ import annotations
@@ -76,9 +77,10 @@ class Walk:
     """The filter on its way."""
 
     def __init__(self, setup: Setup, P: Array) -> None:
-        """Begin with a covariance, shape (15, 15), in place of the start's."""
+        """Begin; P is what is not known before, shape (15, 15)."""
         self._setup = setup
         self._state = setup.start.state
+        self._own = Covariance(setup.start.P)
         self._full = Covariance(P)
         self._free = Covariance(P)
         self._rest = _Rest(setup, P)
@@ -108,7 +110,7 @@ class Walk:
         """Fuse an aid, unless the gate refuses it: then it shows nothing."""
         self._catch_up()
         z, H, R = aid.innovation(self._state), aid.jacobian(self._state), aid.covariance()
-        toward = self._full.P @ H.T
+        toward = self._own.P @ H.T
         S = H @ toward + R
         if not self._setup.gate.admits(aid.aid, t_ns, z, S):
             return
@@ -116,6 +118,7 @@ class Walk:
         whiten = np.linalg.inv(np.linalg.cholesky(R))
         white = whiten @ H
         self._rest.correct(whiten, aid)
+        self._own.correct(white)
         self._full.correct(white)
         if not isinstance(aid, Azimuth):
             self._free.correct(white)
@@ -152,16 +155,20 @@ class Walk:
 
     def notes(self) -> tuple[str, ...]:
         """Say which aids were refused often."""
-        return tuple(
+        text = [
             f"{refused} of {fused + refused} measurements of {aid} were refused by the filter, and "
             "count as not made"
             for aid, (fused, refused) in self._setup.gate.counts.items()
             if refused > REFUSED * (fused + refused)
-        )
+        ]
+        if any(refused > fused for fused, refused in self._setup.gate.counts.values()):
+            text.append("the filter is not on this flight's path; do not rely on what follows")
+        return tuple(text)
 
     def _catch_up(self) -> None:
         if self._dt == 0.0:
             return
+        self._own.predict(self._Phi, self._Q)
         self._full.predict(self._Phi, self._Q)
         self._free.predict(self._Phi, self._Q)
         self._rest.predict(self._dt)

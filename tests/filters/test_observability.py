@@ -163,7 +163,7 @@ def test_a_turn_after_a_straight_shows_the_level_biases():
     found = found_in(drive(35.0, **circles(20.0)))
     for name in [name for pair in LEVEL_PAIRS for name in pair]:
         assert 20.0 < said(found)[name].since < 30.0
-        assert "no turn until " in said(found)[name].sentence
+        assert "no turn and no horizontal acceleration until 19 s" in said(found)[name].sentence
 
 
 def test_a_turn_that_is_all_there_is_does_not_show_them():
