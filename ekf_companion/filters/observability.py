@@ -20,7 +20,7 @@ Source: Chen 1999, "Linear system theory and design", section 6.2; Ham and Brown
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,7 @@ import numpy.typing as npt
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.course import Course, Setup
+from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.observability_motion import Motion
 from ekf_companion.filters.observability_walk import STEP_NS, Cell, Walk
 from ekf_companion.filters.observation import Azimuth
@@ -123,16 +124,13 @@ def analyse(
         LogError: The recording is shorter than a step, or the filter diverges.
     """
     unit = units(setup, settings)
-    walk = Walk(setup, prior(setup, settings))
-    for done, step in enumerate(course.steps(setup.start.t_ns)):
-        if step.over is not None:
-            walk.predict(step.over)
-        for aid in step.aids:
-            walk.correct(step.t_ns, aid)
-        if step.is_sample:
-            walk.close(step.t_ns)
-        if progress is not None and done % 1000 == 0:
-            progress(done, len(course.t_ns))
+    P = prior(setup, settings)
+    walk = walked(course, Walk(setup, P), progress)
+    if walk.is_lost:
+        # A start in a manoeuvre may be so wrong that the gate keeps the truth out
+        fresh = replace(setup, gate=Gate(settings.gate))
+        other = walked(course, Walk(fresh, P, is_gated=False), progress)
+        walk = min(walk, other, key=lambda one: one.doubt)
     cells = walk.cells
     if not cells:
         raise LogError(
@@ -158,6 +156,24 @@ def analyse(
         is_rest=bool(setup.start.P[BG.start, BG.start] < 0.25 * settings.imu.gyro_bias**2),
         notes=walk.notes(),
     )
+
+
+def walked(course: Course, walk: Walk, progress: Progress | None = None) -> Walk:
+    """Take a filter to the end of a recording, and give it.
+
+    Raises:
+        LogError: It diverges.
+    """
+    for done, step in enumerate(course.steps(walk.begin_ns)):
+        if step.over is not None:
+            walk.predict(step.over)
+        for aid in step.aids:
+            walk.correct(step.t_ns, aid)
+        if step.is_sample:
+            walk.close(step.t_ns)
+        if progress is not None and done % 1000 == 0:
+            progress(done, len(course.t_ns))
+    return walk
 
 
 def units(setup: Setup, settings: FilterSettings) -> Array:

@@ -146,10 +146,11 @@ def _when(found: Observability, state: int, since: float | None) -> str:
         by = f"by the {_north(found)}" if STATES[state] == "heading" else "needs no motion"
         if took <= AT_ONCE:
             return f"observable from the start ({_s(since)}), {by}"
-        late = [f"no {aid}" for aid, t in found.first.items() if since - AT_ONCE < t < since]
-        if late and since - found.begin > AT_ONCE:
-            first = min(t for t in found.first.values() if t > since - AT_ONCE)
-            return f"not observable before {_s(since)}, {_and(late)} fused until {_s(first)}"
+        begun = max(since - AT_ONCE, found.begin + SETTLED)
+        late = sorted((t, f"no {aid}") for aid, t in found.first.items() if begun < t <= since)
+        if late:
+            words = _and([aid for _, aid in late])
+            return f"not observable before {_s(since)}, {words} fused until {_s(late[0][0])}"
         return f"observable from {_s(since)} on, {by}, only time"
     return _by_motion(found, since)
 
@@ -172,7 +173,7 @@ def _cause(found: Observability, onsets: dict[str, float], since: float) -> str:
             f"until {'then' if since - quiet[1] < TOGETHER else _s(quiet[1])}"
         )
     if not recent:
-        return f"after {_moved(found, since)}"
+        return f"only after {_moved(found, since)}"
     parts: list[tuple[float, list[str]]] = []
     for t, kind in recent:
         if parts and t - parts[-1][0] < TOGETHER:

@@ -76,10 +76,18 @@ class Covariance:
 class Walk:
     """The filter on its way."""
 
-    def __init__(self, setup: Setup, P: Array) -> None:
-        """Begin; P is what is not known before, shape (15, 15)."""
-        self._setup = setup
+    def __init__(self, setup: Setup, P: Array, *, is_gated: bool = True) -> None:
+        """Begin.
+
+        Args:
+            setup: Where from.
+            P: What is not known before, shape (15, 15).
+            is_gated: What the gate refuses is not fused; else it only counts.
+        """
+        self._setup, self._is_gated = setup, is_gated
         self._state = setup.start.state
+        self.begin_ns = setup.start.t_ns
+        """When it begins."""
         self._own = Covariance(setup.start.P)
         self._full = Covariance(P)
         self._free = Covariance(P)
@@ -112,7 +120,7 @@ class Walk:
         z, H, R = aid.innovation(self._state), aid.jacobian(self._state), aid.covariance()
         toward = self._own.P @ H.T
         S = H @ toward + R
-        if not self._setup.gate.admits(aid.aid, t_ns, z, S):
+        if not self._setup.gate.admits(aid.aid, t_ns, z, S) and self._is_gated:
             return
         self.first_ns.setdefault(aid.aid, t_ns)
         whiten = np.linalg.inv(np.linalg.cholesky(R))
@@ -155,15 +163,30 @@ class Walk:
 
     def notes(self) -> tuple[str, ...]:
         """Say which aids were refused often."""
-        text = [
-            f"{refused} of {fused + refused} measurements of {aid} were refused by the filter, and "
-            "count as not made"
+        done = "were refused by the filter, and count as not made"
+        text = []
+        if not self._is_gated:
+            done = "would have been"
+            text.append("with its gate the filter loses its way here: nothing is refused")
+        text += [
+            f"{refused} of {fused + refused} measurements of {aid} {done}"
             for aid, (fused, refused) in self._setup.gate.counts.items()
             if refused > REFUSED * (fused + refused)
         ]
-        if any(refused > fused for fused, refused in self._setup.gate.counts.values()):
+        if self.is_lost:
             text.append("the filter is not on this flight's path; do not rely on what follows")
         return tuple(text)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether it was seldom where the aids said."""
+        return self.doubt > 0.5
+
+    @property
+    def doubt(self) -> float:
+        """Give the largest share of an aid that the gate refused."""
+        counts = self._setup.gate.counts.values()
+        return max((refused / (fused + refused) for fused, refused in counts), default=0.0)
 
     def _catch_up(self) -> None:
         if self._dt == 0.0:

@@ -9,7 +9,7 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.course import Course
 from ekf_companion.filters.iterated import Iterated
-from ekf_companion.filters.observability import STATES, analyse, prior
+from ekf_companion.filters.observability import STATES, analyse, prior, walked
 from ekf_companion.filters.observability_report import lines, to_dict, verdicts
 from ekf_companion.filters.observability_walk import STEP_NS, Covariance, Walk, level
 from ekf_companion.filters.strapdown import move
@@ -272,18 +272,25 @@ def test_biases_that_count_as_observable_are_known_that_well():
         flight = Flight.plan("loiter", config, seed=seed, duration=40.0)
         course = Course(wire.events(flight, has_vel_down=True), SETTINGS)
         setup = course.setup()
-        walk = Walk(setup, prior(setup, SETTINGS))
-        for step in course.steps(setup.start.t_ns):
-            if step.over is not None:
-                walk.predict(step.over)
-            for aid in step.aids:
-                walk.correct(step.t_ns, aid)
-            if step.is_sample:
-                walk.close(step.t_ns)
+        walk = walked(course, Walk(setup, prior(setup, SETTINGS)))
         off = walk._state.accel_bias - flight.imu.accel_bias_b[-1]
         errors += list(off / np.sqrt(np.diagonal(walk.cells[-1].P)[12:]))
     assert np.abs(errors).max() < 3.5
     assert np.sqrt(np.mean(np.square(errors))) > 0.1
+
+
+def test_a_start_in_a_manoeuvre_that_the_gate_would_not_survive_is_told_and_survived():
+    config = SimConfig(imu=ImuConfig(rate=RATE))
+    flight = Flight.plan("figure-eight", config, seed=1, duration=20.0, skip=20.0)
+    course = Course(wire.events(flight, has_vel_down=True), SETTINGS, "px4")
+    setup = course.setup()
+    assert walked(course, Walk(setup, prior(setup, SETTINGS))).is_lost
+    found = analyse(course, course.setup(), SETTINGS)
+    assert "with its gate the filter loses its way here: nothing is refused" in found.notes
+    t_ns = int(course.t_ns[0]) + np.rint(found.motion.t * 1e9).astype(np.int64)
+    off = so3.wrap(found.motion.yaw - flight.truth_at(t_ns).euler[:, 2])
+    assert np.degrees(np.abs(off[found.motion.t > 10.0])).max() < 5.0
+    assert said(found)["accelerometer x bias"].since < 15.0
 
 
 def test_rows_are_fused_as_by_the_textbook():
