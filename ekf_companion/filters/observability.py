@@ -102,6 +102,22 @@ class Observability:
             np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=1, axis2=2), 0.0)) / self.unit
         )
 
+    @property
+    def doubt(self) -> Array:
+        """Give what is judged, in units, (m, 15): one sigma; that of roll and pitch without noise.
+
+        Noise of the gyro keeps a tilt from being better known, however well it is told from the
+        accelerometer biases. So the least that is ever left of it beside them does not count.
+        """
+        doubt = self.sigma
+        with_bias = self.covariance[:, :2, BA]
+        explained = np.linalg.solve(self.covariance[:, BA, BA], with_bias.transpose(0, 2, 1))
+        shared2 = np.einsum("kij,kji->ki", with_bias, explained) / np.square(self.unit[:2])
+        beside2 = np.square(doubt[:, :2]) - shared2
+        floor2 = np.clip(beside2.min(axis=0), 0.0, OBSERVABLE * OBSERVABLE)
+        doubt[:, :2] = np.sqrt(np.maximum(np.square(doubt[:, :2]) - floor2, 0.0))
+        return np.asarray(doubt)
+
 
 def analyse(
     course: Course,

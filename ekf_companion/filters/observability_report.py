@@ -53,10 +53,10 @@ def verdicts(found: Observability) -> tuple[Verdict, ...]:
     """Give what there is to say of each bias, of roll, pitch and heading."""
     told = []
     for state in TOLD:
-        ratio = found.sigma[:, state]
+        ratio = found.doubt[:, state]
         since = _since(ratio, found.t)
         lost = since is not None and bool(ratio[-1] >= OBSERVABLE)
-        sigma = float(ratio[-1] * found.unit[state])
+        sigma = _sigma(found, state)
         sentence = f"{STATES[state]}: {_when(found, state, since)}"
         if lost:
             last = float(found.t[np.flatnonzero(ratio < OBSERVABLE)[-1]])
@@ -79,7 +79,7 @@ def lines(found: Observability) -> list[str]:
         f"in it: {_moved(found, float(found.t[-1]))}",
         f"observable: one sigma is less than {OBSERVABLE:g} of what is not known before, that is "
         f"{_and([_amount(state, OBSERVABLE * found.unit[state]) for state in (9, 12, 0)])} "
-        "(gyro, accelerometer, roll and pitch)",
+        "(gyro, accelerometer; roll and pitch, but for what noise alone leaves)",
         *found.notes,
         *(one.sentence for one in verdicts(found)),
     ]
