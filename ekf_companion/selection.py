@@ -10,9 +10,7 @@ import numpy as np
 from ekf_companion.core import layout as at
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError
-from ekf_companion.filters import ukf
-from ekf_companion.filters.course import Course, run
-from ekf_companion.filters.iterated import Iterated
+from ekf_companion.filters import iterated, ukf
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.state import Status, join
@@ -106,10 +104,11 @@ def _eskf(recording: Recording, settings: FilterSettings, option: str) -> Soluti
 
 
 def _iterated(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    del option
-    course = Course(recording.events, settings, recording.family, recording.gnss_delay)
-    setup = course.setup()
-    return run("iterated", Iterated(setup), course, setup)
+    return iterated.run(
+        *(recording.events, settings, recording.family, recording.gnss_delay),
+        frame="robocentric" if option == "robocentric" else "global",
+        gravity="sphere" if option == "sphere" else "known",
+    )
 
 
 def _ukf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
@@ -119,7 +118,11 @@ def _ukf(recording: Recording, settings: FilterSettings, option: str) -> Solutio
 
 FILTERS: Mapping[str, Filter] = {
     "eskf": Filter(run=_eskf, options=(), says="our own estimator, as it flies"),
-    "iterated": Filter(run=_iterated, options=(), says="iterated error-state filter"),
+    "iterated": Filter(
+        run=_iterated,
+        options=("global", "robocentric", "sphere"),
+        says="iterated error-state filter of LINS and FAST-LIO",
+    ),
     "ukf": Filter(run=_ukf, options=(), says="unscented filter on the manifold"),
 }
 """What ``--filters`` and :func:`run_filter` know."""

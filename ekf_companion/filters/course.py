@@ -135,7 +135,9 @@ class Course:
         Raises:
             LogError: The recording ends before all three are known.
         """
-        start = find_start(self.t_ns, self.gyro, self.accel, self.aids, self._settings)
+        start = find_start(
+            self.t_ns, self.gyro, self.accel, self.aids, self._settings, self.earth.rate_n
+        )
         gate = Gate(self._settings.gate)
         return Setup(start=start, earth=self.earth, noise=self.noise, gate=gate)
 
@@ -231,13 +233,14 @@ class Course:
         is_earths = np.isfinite(size) & (size > 0.0)
         if strength > 0.0:
             is_earths &= np.abs(size / strength - 1.0) <= heading.field_strength
-        dip, azimuth = (angle if np.isfinite(angle) else 0.0 for angle in (dip, declination))
+        level = np.cos(dip) if np.isfinite(dip) else 0.5
+        azimuth = declination if np.isfinite(declination) else 0.0
         for t, field, total in zip(
             mag.t_ns[is_earths].tolist(), mag.values[is_earths, :3], size[is_earths], strict=True
         ):
-            noise = heading.magnetometer_noise / max(0.1, np.cos(dip)) / total
+            noise = heading.magnetometer_noise / max(0.1, level) / total
             std = float(np.hypot(noise, heading.magnetometer_std))
-            found.append((t, Azimuth(seen_b=field, azimuth=azimuth, std=std, dip=dip)))
+            found.append((t, Azimuth(seen_b=field, azimuth=azimuth, std=std)))
         return found
 
 
@@ -266,14 +269,21 @@ def _fixes(ordered: Events, settings: FilterSettings) -> Events:
     return own
 
 
+def advance(tried: NavigationFilter, step: Step) -> None:
+    """Take a filter over an interval, and correct it at the end."""
+    if step.over is not None:
+        tried.predict(step.over)
+    if step.aids:
+        now = tried.state
+        aids = [aid.about(now) if isinstance(aid, Azimuth) else aid for aid in step.aids]
+        tried.correct(step.t_ns, aids)
+
+
 def run(name: str, tried: NavigationFilter, course: Course, setup: Setup) -> Solution:
     """Take a filter through a recording."""
     recorder = Recorder(name, course.frame)
     for step in course.steps(setup.start.t_ns):
-        if step.over is not None:
-            tried.predict(step.over)
-        if step.aids:
-            tried.correct(step.t_ns, step.aids)
+        advance(tried, step)
         if step.is_sample:
             recorder.add(step.t_ns, tried.state, tried.covariance())
     return recorder.solution(counts=setup.gate.counts)

@@ -39,11 +39,17 @@ class Gate:
             z: Innovation, shape (m,), m 1 to 3.
             S: Its covariance, shape (m, m).
         """
+        return self.judges(aid, t_ns, float(z @ np.linalg.solve(S, z)), len(z))
+
+    def allows(self, nis: float, dof: int) -> bool:
+        """Say whether a normalised innovation squared is one that a good measurement has."""
+        return nis <= self._limits[dof - 1]
+
+    def judges(self, aid: str, t_ns: int, nis: float, dof: int) -> bool:
+        """Judge an innovation by its normalised square, as :meth:`admits` does."""
         counts = self._counts.setdefault(aid, [0, 0])
-        nis = float(z @ np.linalg.solve(S, z))
         since_ns = self._refused_ns.setdefault(aid, t_ns)
-        is_good = nis <= self._limits[len(z) - 1]
-        if is_good or (t_ns - since_ns) * 1e-9 > self._patience[aid]:
+        if self.allows(nis, dof) or (t_ns - since_ns) * 1e-9 > self._patience[aid]:
             counts[0] += 1
             del self._refused_ns[aid]
             return True

@@ -24,13 +24,10 @@ class Observation(Protocol):
 
     @property
     def aid(self) -> str:
-        """Name of what it corrects: ``position``, ``velocity`` or ``heading`` (always an angle)."""
+        """Name of what it corrects: ``position``, ``velocity`` or ``heading``."""
 
     def covariance(self) -> Array:
         """Give that of its noise, R, shape (m, m)."""
-
-    def bound(self, state: Nominal) -> Observation:
-        """Give the same, what depends on its noise settled by a state: for sigma points."""
 
     def innovation(self, state: Nominal) -> Array:
         """Give measured minus predicted, shape (m,); an angle in [-pi, pi).
@@ -57,10 +54,6 @@ class Position:
     def covariance(self) -> Array:
         """Give that of its noise, shape (3, 3)."""
         return np.diag(np.square(self.std))
-
-    def bound(self, state: Nominal) -> Position:
-        """Give itself: nothing depends on its noise."""
-        return self
 
     def innovation(self, state: Nominal) -> Array:
         """Give measured minus predicted, m, shape (3,)."""
@@ -90,10 +83,6 @@ class Velocity:
         """Give that of its noise, shape (m, m)."""
         return self.std * self.std * np.eye(len(self.vel_n))
 
-    def bound(self, state: Nominal) -> Velocity:
-        """Give itself: nothing depends on its noise."""
-        return self
-
     def innovation(self, state: Nominal) -> Array:
         """Give measured minus predicted, m/s, shape (m,)."""
         predicted = state.vel_n + so3.to_matrix(state.q_nb) @ self.swing_b
@@ -109,11 +98,7 @@ class Velocity:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Azimuth:
-    """Direction over ground of something seen in b: of the forward axis, or of the field.
-
-    What is seen with noise does not serve for the Jacobian: noise times noise would pass for a
-    tilt, many times a second. So a field's Jacobian is that of the field as it should be.
-    """
+    """Direction over ground of something seen in b: of the forward axis, or of the field."""
 
     seen_b: Array
     """What is seen, any length, shape (3,)."""
@@ -121,49 +106,70 @@ class Azimuth:
     """Where it points, from true north, clockwise, rad: a heading, or the declination."""
     std: float
     """One sigma, rad."""
-    dip: float | None = None
-    """How far below the horizon it points, rad; None: what is seen is exact."""
-    level: Array | None = None
-    """C_nb by which what is seen is levelled, whatever the state, shape (3, 3); None: its own."""
     aid: str = "heading"
+
+    def about(self, state: Nominal) -> Azimuth:
+        """Give the same as an azimuth that was misread of a thing seen in its place.
+
+        The noise of what is seen must not be in the Jacobian too: with a steep field the product
+        of both pushes the level aside by 2 tan(dip) of its variance at each update, one way.
+
+        Args:
+            state: Best guess; there the innovation is the same.
+        """
+        C_nb = so3.to_matrix(state.q_nb)
+        apart = float(self.innovation(state)[0])
+        turn = so3.to_matrix(so3.exp(np.array([0.0, 0.0, apart])))
+        return replace(
+            self, seen_b=C_nb.T @ turn @ C_nb @ self.seen_b, azimuth=self.azimuth + apart
+        )
 
     def covariance(self) -> Array:
         """Give that of its noise, shape (1, 1)."""
         return np.array([[self.std * self.std]])
 
-    def bound(self, state: Nominal) -> Azimuth:
-        """Give the same, levelled by a state: what a filter of sigma points needs."""
-        return self if self.dip is None else replace(self, level=so3.to_matrix(state.q_nb))
-
     def innovation(self, state: Nominal) -> Array:
         """Give measured minus predicted, rad in [-pi, pi), shape (1,)."""
-        C_nb = so3.to_matrix(state.q_nb)
-        if self.level is None:
-            return so3.wrap(self.azimuth - _azimuth(C_nb @ self.seen_b))
-        expected_b = np.swapaxes(C_nb, -1, -2) @ self._expected_n(C_nb)
-        return so3.wrap(_azimuth(expected_b @ self.level.T) - _azimuth(self.level @ self.seen_b))
+        seen_n = so3.to_matrix(state.q_nb) @ self.seen_b
+        return so3.wrap(self.azimuth - np.arctan2(seen_n[..., 1:2], seen_n[..., :1]))
 
     def jacobian(self, state: Nominal) -> Array:
         """Give the Jacobian, shape (1, 15)."""
         C_nb = so3.to_matrix(state.q_nb)
-        level = C_nb if self.level is None else self.level
-        expected_b = C_nb.T @ self._expected_n(C_nb)
-        north, east, _ = (level @ expected_b).tolist()
-        turned = -level @ skew(expected_b)
+        north, east, _ = (C_nb @ self.seen_b).tolist()
+        turned = -C_nb @ skew(self.seen_b)
         H = np.zeros((1, N))
         H[0, ATT] = (north * turned[1] - east * turned[0]) / (north * north + east * east)
         return H
 
-    def _expected_n(self, C_nb: Array) -> Array:
-        """Give what should be seen, in n."""
-        if self.dip is None:
-            return C_nb @ self.seen_b
-        level = np.cos(self.dip)
-        return np.array(
-            [level * np.cos(self.azimuth), level * np.sin(self.azimuth), np.sin(self.dip)]
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Sighting:
+    """A vector known in n and seen in b: the Earth's field, the way to a beacon.
+
+    Unlike :class:`Azimuth` it bends with the heading: an error of psi shows as sin(psi).
+    """
+
+    seen_b: Array
+    """What is seen, shape (3,)."""
+    known_n: Array
+    """What it is, in the same unit, shape (3,)."""
+    std: float
+    """One sigma per axis, in that unit."""
+    aid: str = "heading"
+
+    def covariance(self) -> Array:
+        """Give that of its noise, shape (3, 3)."""
+        return self.std * self.std * np.eye(3)
+
+    def innovation(self, state: Nominal) -> Array:
+        """Give measured minus predicted, shape (3,)."""
+        return np.asarray(
+            self.seen_b - np.swapaxes(so3.to_matrix(state.q_nb), -1, -2) @ self.known_n
         )
 
-
-def _azimuth(v: Array) -> Array:
-    """Give the direction over ground of vectors, rad, shape (..., 1)."""
-    return np.arctan2(v[..., 1:2], v[..., :1])
+    def jacobian(self, state: Nominal) -> Array:
+        """Give the Jacobian, shape (3, 15)."""
+        H = np.zeros((3, N))
+        H[:, ATT] = skew(so3.to_matrix(state.q_nb).T @ self.known_n)
+        return H

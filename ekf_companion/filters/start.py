@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.observation import Azimuth, Observation, Position, Velocity
-from ekf_companion.filters.strapdown import Nominal
+from ekf_companion.filters.strapdown import ATT, BA, Nominal
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 
@@ -46,6 +46,7 @@ def find_start(
     accel: Array,
     aids: Sequence[tuple[int, Observation]],
     settings: FilterSettings,
+    rate_n: Array | None = None,
 ) -> Start:
     """Begin as soon as a window of samples, a fix and a heading are known.
 
@@ -58,10 +59,12 @@ def find_start(
         accel: m/s^2, b, shape (n, 3).
         aids: Times and aids, ascending.
         settings: Those of the daemon: window, thresholds of rest, sigmas.
+        rate_n: The Earth's rotation, rad/s; None: it does not turn.
 
     Raises:
         LogError: The recording ends before.
     """
+    rate_n = np.zeros(3) if rate_n is None else rate_n
     window_ns = round(settings.align.time * 1e9)
     seen = [
         next((t for t, aid in aids if isinstance(aid, kind)), None) for kind in (Position, Azimuth)
@@ -88,34 +91,68 @@ def find_start(
     unturned = Nominal(q_nb=level, vel_n=np.zeros(3), pos_n=np.zeros(3))
     turns = np.array([float(aid.innovation(unturned)[0]) for aid in azimuths])
     yaw = float(np.arctan2(np.sin(turns).mean(), np.cos(turns).mean()))
-    vel_n = np.zeros(3)
+    q_nb = so3.multiply(so3.from_euler(0.0, 0.0, yaw), level)
+    vel_n, vel_std = np.zeros(3), np.full(3, UNKNOWN_VELOCITY)
     if speeds:
-        vel_n[: len(speeds[-1].vel_n)] = speeds[-1].vel_n
+        told = len(speeds[-1].vel_n)
+        vel_n[:told], vel_std[:told] = speeds[-1].vel_n, speeds[-1].std
+    if is_rest:
+        vel_std = np.minimum(vel_std, STANDING)
+    to_b = so3.to_matrix(q_nb).T
     state = Nominal(
-        q_nb=so3.multiply(so3.from_euler(0.0, 0.0, yaw), level),
+        q_nb=q_nb,
         vel_n=vel_n,
-        pos_n=fix.pos_n.copy(),
-        gyro_bias=gyro[rows].mean(axis=0) if is_rest else np.zeros(3),
+        # The fix is of the antenna
+        pos_n=fix.pos_n - to_b.T @ fix.lever_b,
+        # What a gyro at rest reads beside the Earth's rotation
+        gyro_bias=gyro[rows].mean(axis=0) - to_b @ rate_n if is_rest else np.zeros(3),
     )
     n = len(t_ns[rows])
-    shaken = accel[rows].std(axis=0).max() / np.sqrt(n) / STANDARD_GRAVITY
-    tilt = np.hypot(settings.imu.accel_bias / STANDARD_GRAVITY, shaken)
-    tilt = tilt if is_rest else np.hypot(tilt, MOVING_TILT)
+    shaken = float(accel[rows].std(axis=0).max()) / np.sqrt(n) / STANDARD_GRAVITY
+    tilt = shaken if is_rest else np.hypot(shaken, MOVING_TILT)
     bias = gyro[rows].std(axis=0).max() / np.sqrt(n)
     bias = np.hypot(bias, 0.1 * settings.imu.gyro_bias) if is_rest else settings.imu.gyro_bias
-    # Sigmas of the attitude about north, east, down, turned into b
-    about_n = np.square([tilt, tilt, np.hypot(azimuths[-1].std, tilt)])
-    C_nb = so3.to_matrix(state.q_nb)
-    P = np.zeros((15, 15))
-    P[:3, :3] = C_nb.T @ np.diag(about_n) @ C_nb
-    rest = [
-        *np.square(np.full(3, speeds[-1].std if speeds else UNKNOWN_VELOCITY)),
-        *np.square(fix.std),
-        *np.square(np.full(3, bias)),
-        *np.square(np.full(3, settings.imu.accel_bias)),
-    ]
-    P[3:, 3:] = np.diag(rest)
+    own = np.concatenate(
+        [
+            np.zeros(3),
+            *(vel_std, fix.std),
+            *(np.full(3, bias), np.full(3, settings.imu.accel_bias)),
+        ]
+    )
+    P = np.diag(np.square(own))
+    P[np.ix_(_LEVELLED, _LEVELLED)] = _levelled(state, azimuths[-1], tilt, settings.imu.accel_bias)
     return Start(t_ns=now, state=state, P=P)
+
+
+_LEVELLED = np.r_[ATT, BA]
+
+
+def _levelled(state: Nominal, azimuth: Azimuth, tilt: float, accel_bias: float) -> Array:
+    """Give the covariance of attitude and accelerometer bias, shape (6, 6), of a levelled start.
+
+    A level is wrong by the bias over gravity, and takes the heading with it: by the Jacobian of
+    what showed north, so much the more the steeper the field. All three stay tied together.
+
+    Args:
+        state: As levelled and turned.
+        azimuth: What showed north.
+        tilt: One sigma of the level for other reasons than the bias, rad.
+        accel_bias: One sigma, m/s^2.
+    """
+    C_nb = so3.to_matrix(state.q_nb)
+    # Turns about north and east by: bias (b), other tilt, heading
+    by = np.zeros((3, 6))
+    by[:2, :3] = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]) @ C_nb / STANDARD_GRAVITY
+    by[:2, 3:5] = tilt * np.eye(2)
+    # The heading that was seen fits whatever the level is
+    seen = azimuth.jacobian(state)[0, ATT] @ C_nb.T
+    by[2] = -seen[:2] @ by[:2] / seen[2]
+    by[2, 5] = azimuth.std / seen[2]
+    errors = np.zeros((6, 6))
+    errors[:3] = C_nb.T @ by
+    errors[3:, :3] = np.eye(3)
+    errors[:, :3] *= accel_bias
+    return np.asarray(errors @ errors.T)
 
 
 def _level(force_b: Array) -> Array:

@@ -98,6 +98,8 @@ class Earth:
     """Gain of gravity per metre down, 1/s^2."""
     rate_n: Array
     """Its rotation, rad/s."""
+    down_n: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    """Where gravity points: another direction where n is not level."""
 
     @classmethod
     def at(cls, frame: LocalFrame) -> Earth:
@@ -115,8 +117,8 @@ class Earth:
 
     def accel_n(self, state: Nominal) -> Array:
         """Give gravity and Coriolis, m/s^2, n."""
-        fall = np.array([0.0, 0.0, self.gravity + self.gradient * state.pos_n[2]])
-        return fall - 2.0 * cross(self.rate_n, state.vel_n)
+        size = self.gravity + self.gradient * float(self.down_n @ state.pos_n)
+        return np.asarray(size * self.down_n - 2.0 * cross(self.rate_n, state.vel_n))
 
 
 def cross(a: Array, b: Array) -> Array:

@@ -59,7 +59,7 @@ class Unscented:
 
     def _fuse(self, t_ns: int, aid: Observation) -> None:
         dx, R, is_angle = self._offsets(), aid.covariance(), aid.aid == "heading"
-        seen = aid.bound(self.state).innovation(cloud.scatter(self.state, dx))
+        seen = aid.innovation(cloud.scatter(self.state, dx))
         # Angles by the shorter way from the middle point's
         away = seen - seen[0]
         away = so3.wrap(away) if is_angle else away

@@ -1,0 +1,174 @@
+"""Print the tables of docs/FILTERS.md: every filter over the same recorded and simulated flights.
+
+``make filters``. With ``--write FILE`` they go between the marks in that file, as those of
+:mod:`benchmarks.accuracy` do.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.accuracy import DATA, insert
+from benchmarks.campaign import RECEIVERS, SCENARIOS, each, fly
+from benchmarks.cases import TRUTH
+from benchmarks.matched import matched
+from ekf_companion import contest, convert
+from ekf_companion.config import Config
+from ekf_companion.contest import Entry
+from ekf_companion.logs.estimate import read_truth
+from ekf_companion.logs.recording import Recording
+from ekf_companion.nav.state import Trajectory
+from sim_autopilot.flight import Flight
+
+NAVIGATORS = ("eskf", "iterated", "ukf")
+SEED = "seed-basicekf-sim"
+FLIGHTS = 1
+"""Of each scenario and receiver in the campaign."""
+DURATION = 120.0
+"""s."""
+SKIP = 30.0
+"""s."""
+DELAY_STD, HARD_IRON_STD = 0.02, 0.005
+"""What the flights of the campaign are drawn with: s, gauss."""
+ROWS = {
+    "horizontal, m": ("north", "east"),
+    "vertical, m": ("down",),
+    "velocity, m/s": ("velocity north", "velocity east", "velocity down"),
+    "roll, deg": ("roll",),
+    "pitch, deg": ("pitch",),
+    "yaw, deg": ("yaw",),
+}
+
+
+def recorded(data: Path) -> Iterator[str]:
+    """Give RMS errors of all navigators on the flights with a truth."""
+    for case in TRUTH:
+        log = data / case.log
+        if not log.is_file():
+            print(f"{case.log}: absent, left out")
+            continue
+        recording = convert.read(log, Config())
+        assert recording.truth is not None
+        yield from (f"**{case.title}**", "")
+        yield from _table(_judged(recording, NAVIGATORS, recording.truth))
+        yield ""
+
+
+def seed(data: Path) -> Iterator[str]:
+    """Give RMS errors on the seed article's flight, and what the author's two slips cost."""
+    folder = data / SEED
+    if not folder.is_dir():
+        print(f"{SEED}: absent, left out")
+        return
+    recording = convert.read(folder / "uavSensors.csv", Config())
+    truth = read_truth(folder / "uavTruth.csv")
+    names = ("eskf", "euler:article", "euler", "iterated", "iterated:robocentric", "ukf")
+    yield from _table(_judged(recording, names, truth, 20.0))
+
+
+def campaign(data: Path) -> Iterator[str]:
+    """Give RMS errors and NEES over seeded flights, settings as the simulator's sensors are."""
+    del data
+    jobs = [
+        (name, 1000 * i + luck, receiver)
+        for receiver in RECEIVERS
+        for i, name in enumerate(SCENARIOS)
+        for luck in range(1, FLIGHTS + 1)
+    ]
+    results = each(fly_all, jobs, "filters, flights")
+    for receiver in RECEIVERS:
+        chosen = [found for job, found in zip(jobs, results, strict=True) if job[2] == receiver]
+        yield from (f"**Receiver {receiver}: {len(chosen)} flights of {DURATION:.0f} s**", "")
+        yield from _table([_mean(column) for column in zip(*chosen, strict=True)])
+        yield ""
+
+
+def fly_all(job: tuple[str, int, str]) -> list[Entry]:
+    """Take every navigator through one simulated flight, and keep only the numbers."""
+    flown = fly(*job, DURATION)
+    settings = matched(flown.nominal, DELAY_STD, HARD_IRON_STD)
+    recording = Recording(family="unknown", events=flown.events)
+    entries = contest.hold(recording, NAVIGATORS, settings)
+    judged = contest.judge(entries, _truth(flown.flight), SKIP, None)
+    return [
+        Entry(name=e.name, solution=None, trajectory=None, us=e.us, rms=e.rms, nees=e.nees)
+        for e in judged
+    ]
+
+
+def _truth(flight: Flight) -> Trajectory:
+    t_ns = np.arange(flight.first_ns, flight.first_ns + round(DURATION * 1e9), 20_000_000)
+    now = flight.truth_at(t_ns)
+    return Trajectory(
+        name="truth",
+        pos_t_ns=t_ns,
+        lat=now.lat,
+        lon=now.lon,
+        alt=now.alt,
+        vel_t_ns=t_ns,
+        vel_n=now.vel_n,
+        att_t_ns=t_ns,
+        q_nb=now.q_nb,
+    )
+
+
+def _judged(
+    recording: Recording, names: Sequence[str], truth: Trajectory, skip: float = SKIP
+) -> list[Entry]:
+    return contest.judge(contest.hold(recording, names, Config()), truth, skip, None)
+
+
+def _mean(entries: Sequence[Entry]) -> Entry:
+    """Give one filter's RMS over several flights, and its mean NEES."""
+    first = entries[0]
+    rms = {
+        name: float(np.sqrt(np.mean([np.square(one.rms[name]) for one in entries])))
+        for name in first.rms
+    }
+    nees = {name: float(np.mean([one.nees[name] for one in entries])) for name in first.nees}
+    us = float(np.median([one.us for one in entries]))
+    return Entry(name=first.name, solution=None, trajectory=None, us=us, rms=rms, nees=nees)
+
+
+def _table(entries: Sequence[Entry]) -> Iterator[str]:
+    """Give entries as the rows of a table."""
+    yield "| filter | " + " | ".join(ROWS) + " | NEES position, velocity, attitude | us |"
+    yield "|---" * (len(ROWS) + 3) + "|"
+    for one in entries:
+        cells = [
+            f"{np.sqrt(sum(np.square(one.rms[part]) for part in parts)):.3f}"
+            for parts in ROWS.values()
+        ]
+        sure = ", ".join(f"{one.nees[name]:.2f}" for name in ("position", "velocity", "attitude"))
+        yield f"| {one.name} | {' | '.join(cells)} | {sure} | {one.us:.0f} |"
+
+
+PARTS: dict[str, Callable[[Path], Iterator[str]]] = {
+    "recorded": recorded,
+    "seed": seed,
+    "campaign": campaign,
+}
+
+
+def main() -> None:
+    """Print all parts, or write them into a document."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=DATA, help="the recorded flights")
+    parser.add_argument("--write", type=Path, metavar="FILE", help="a document with marks")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
+    asked = parser.parse_args()
+    for name in asked.only:
+        lines = "\n".join(PARTS[name](asked.data)).strip()
+        if asked.write is None:
+            print(f"\n## {name}\n\n{lines}")
+        elif lines:
+            document = asked.write.read_text(encoding="utf-8")
+            asked.write.write_text(insert(document, name, lines), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

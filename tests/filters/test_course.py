@@ -1,0 +1,162 @@
+import numpy as np
+import pytest
+
+from ekf_companion.core.settings import (
+    FilterSettings,
+    GnssSettings,
+    HeadingSettings,
+    ImuSettings,
+)
+from ekf_companion.errors import LogError
+from ekf_companion.filters.course import Course
+from ekf_companion.filters.observation import Azimuth, Position, Velocity
+from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
+from sim_autopilot import events as wire
+from sim_autopilot.config import GnssConfig, ImuConfig, SimConfig
+from sim_autopilot.flight import Flight
+
+MS = 1_000_000
+
+
+def imu(stamps_ms, rates=None):
+    n = len(stamps_ms)
+    t_ns = np.array(stamps_ms, dtype=np.int64) * MS
+    rates = np.zeros(n) if rates is None else np.array(rates, dtype=float)
+    none = np.zeros(n)
+    return Events.from_columns(t_ns, Kind.IMU, rates, none, none, none, none, none - 9.8)
+
+
+def fixes(stamps_ms, vel_down=0.0, flags=0, vel=1.0):
+    n = len(stamps_ms)
+    one = np.ones(n)
+    return Events.from_columns(
+        np.array(stamps_ms, dtype=np.int64) * MS,
+        Kind.GNSS,
+        *(0.8 * one, 0.1 * one, 100.0 * one, vel * one, 0.0 * one, vel_down * one),
+        *(1.0 * one, 2.0 * one, 0.1 * one, 0.0 * one, flags * one, 1.1 * one, 0.48 * one),
+    )
+
+
+def headings(stamps_ms, source=HeadingSource.GNSS, angle=0.5):
+    one = np.ones(len(stamps_ms))
+    t_ns = np.array(stamps_ms, dtype=np.int64) * MS
+    return Events.from_columns(t_ns, Kind.HEADING, angle * one, 0.03 * one, int(source) * one)
+
+
+def steps(course, after_ms=0):
+    return list(course.steps(after_ms * MS))
+
+
+def test_an_aid_splits_the_interval_of_its_time():
+    course = Course(
+        merge(imu([0, 10, 20]), fixes([5]), headings([13, 20])), FilterSettings(), "unknown"
+    )
+    found = [(s.t_ns // MS, s.is_sample, [a.aid for a in s.aids]) for s in steps(course)]
+    assert found == [
+        (5, False, ["position", "velocity"]),
+        (10, True, []),
+        (13, False, ["heading"]),
+        (20, True, ["heading"]),
+    ]
+    assert [round(s.over.dt * 1e3, 9) for s in steps(course)] == [5.0, 5.0, 3.0, 7.0]
+
+
+def test_readings_within_an_interval_are_means_or_on_the_line_between_samples():
+    events = merge(imu([0, 10, 20], [0.0, 1.0, 3.0]), fixes([14]), headings([0]))
+    for samples, ends in (("mean", (3.0, 3.0)), ("instant", (1.0, 1.8))):
+        course = Course(events, FilterSettings(imu=ImuSettings(samples=samples)), "unknown")
+        over = steps(course)[1].over
+        assert (over.gyro0[0], over.gyro1[0]) == pytest.approx(ends)
+        assert course.is_mean is (samples == "mean")
+
+
+def test_intervals_lie_end_to_end():
+    flight = Flight.plan("hover", SimConfig(imu=ImuConfig(rate=50.0)), seed=1, duration=5.0)
+    course = Course(wire.events(flight, has_vel_down=True), FilterSettings())
+    now = begin = course.setup().start.t_ns
+    for step in course.steps(begin):
+        now += 0 if step.over is None else round(step.over.dt * 1e9)
+        assert now == step.t_ns
+        assert step.aids or step.is_sample
+    assert now == course.t_ns[-1]
+    assert sum(step.is_sample for step in course.steps(begin)) == (course.t_ns > begin).sum()
+
+
+def test_the_order_of_arrival_does_not_matter():
+    flight = Flight.plan("hover", SimConfig(imu=ImuConfig(rate=50.0)), seed=1, duration=4.0)
+    events = wire.events(flight, has_vel_down=True)
+    order = np.random.default_rng(1).permutation(len(events))
+    one, other = (Course(e, FilterSettings()) for e in (events, events.take(order)))
+    assert (one.t_ns == other.t_ns).all()
+    assert [(t, aid.aid) for t, aid in one.aids] == [(t, aid.aid) for t, aid in other.aids]
+    gaps = [
+        np.abs(
+            a.innovation(one.setup().start.state) - b.innovation(other.setup().start.state)
+        ).max()
+        for (_, a), (_, b) in zip(one.aids[:20], other.aids[:20], strict=True)
+    ]
+    assert max(gaps) == 0.0
+
+
+def test_a_fix_counts_when_it_was_true():
+    settings = FilterSettings(gnss=GnssSettings(delay=0.1))
+    events = merge(imu([0, 10]), fixes([107]), headings([0]))
+    for delay, at in ((settings, 7), (FilterSettings(), 107)):
+        course = Course(events, delay, "unknown")
+        assert [t // MS for t, aid in course.aids if isinstance(aid, Position)] == [at]
+
+
+def test_of_two_headings_the_better_source_speaks():
+    events = merge(
+        imu([0, 10]),
+        fixes([1]),
+        headings([2], HeadingSource.AUTOPILOT, 1.0),
+        headings([3], HeadingSource.GNSS, 2.0),
+    )
+    for source, angle in (("auto", 2.0), ("gnss", 2.0), ("autopilot", 1.0)):
+        settings = FilterSettings(heading=HeadingSettings(source=source))
+        course = Course(events, settings)
+        assert [a.azimuth for _, a in course.aids if isinstance(a, Azimuth)] == [angle]
+    with pytest.raises(LogError, match="no heading"):
+        Course(events, FilterSettings(heading=HeadingSettings(source="magnetometer")))
+
+
+def test_the_autopilots_own_position_speaks_only_where_the_receiver_is_silent():
+    derived = fixes([3], flags=int(GnssFlag.DERIVED))
+    both = merge(imu([0, 10]), fixes([2]), derived, headings([1]))
+    alone = merge(imu([0, 10]), derived, headings([1]))
+    for events, source, at in ((both, "auto", 2), (both, "global", 3), (alone, "auto", 3)):
+        course = Course(events, FilterSettings(gnss=GnssSettings(source=source)))
+        assert [t // MS for t, aid in course.aids if isinstance(aid, Position)] == [at]
+    with pytest.raises(LogError, match="no GNSS fix"):
+        Course(alone, FilterSettings(gnss=GnssSettings(source="raw")))
+
+
+def test_a_receiver_that_reports_spoofing_is_not_heard():
+    bad = fixes([3], flags=int(GnssFlag.SUSPECT))
+    with pytest.raises(LogError, match="no GNSS fix"):
+        Course(merge(imu([0, 10]), bad, headings([1])), FilterSettings())
+
+
+@pytest.mark.parametrize(
+    ("vel_down", "vel", "axes"), [(0.2, 1.0, [3]), (np.nan, 1.0, [2]), (0.0, np.nan, [])]
+)
+def test_a_velocity_has_the_axes_that_were_told(vel_down, vel, axes):
+    course = Course(
+        merge(imu([0, 10]), fixes([2], vel_down, 0, vel), headings([1])), FilterSettings()
+    )
+    assert [len(a.vel_n) for _, a in course.aids if isinstance(a, Velocity)] == axes
+
+
+def test_without_inertial_samples_there_is_nothing_to_integrate():
+    with pytest.raises(LogError, match="no inertial samples"):
+        Course(merge(imu([0]), fixes([1]), headings([1])), FilterSettings())
+
+
+def test_a_field_of_another_strength_shows_no_north():
+    config = SimConfig(imu=ImuConfig(rate=50.0), gnss=GnssConfig(rate=5.0))
+    events = wire.events(Flight.plan("hover", config, seed=1, duration=3.0), has_vel_down=True)
+    values = events.values.copy()
+    values[events.kind == Kind.MAG, :3] *= 2.0
+    with pytest.raises(LogError, match="no heading"):
+        Course(Events(t_ns=events.t_ns, kind=events.kind, values=values), FilterSettings())

@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+
+from ekf_companion.filters.observation import Azimuth, Position, Sighting, Velocity
+from ekf_companion.filters.strapdown import ATT, N
+from ekf_companion.nav import so3
+from tests.filters.differences import central, some_state
+
+LEVER = np.array([0.4, -0.3, -1.1])
+FIELD = np.array([0.215, 0.013, 0.433])
+AIDS = [
+    Position(pos_n=np.array([1.0, 2.0, -3.0]), std=np.array([1.0, 1.0, 2.0]), lever_b=LEVER),
+    Velocity(vel_n=np.array([1.0, 2.0, -3.0]), std=0.2, swing_b=LEVER),
+    Velocity(vel_n=np.array([1.0, 2.0]), std=0.2, swing_b=LEVER),
+    Azimuth(seen_b=np.array([0.2, 0.1, 0.4]), azimuth=0.3, std=0.05),
+    Sighting(seen_b=np.array([0.2, 0.1, 0.4]), known_n=FIELD, std=0.01),
+]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    "aid", AIDS, ids=lambda aid: f"{type(aid).__name__}{len(aid.covariance())}"
+)
+def test_the_jacobian_is_the_derivative_of_what_is_predicted(aid, seed):
+    state = some_state(seed)
+    seen = -central(lambda dx: aid.innovation(state.plus(dx)), N)
+    np.testing.assert_allclose(aid.jacobian(state), seen, atol=1e-8)  # step 1e-5
+    assert np.abs(aid.jacobian(state)[:, ATT]).max() > 0.1
+    assert aid.covariance().shape == (len(seen), len(seen))
+
+
+def test_an_antenna_on_a_lever_is_where_it_was_measured():
+    state = some_state()
+    C_nb = so3.to_matrix(state.q_nb)
+    at = Position(pos_n=state.pos_n + C_nb @ LEVER, std=np.ones(3), lever_b=LEVER)
+    np.testing.assert_allclose(at.innovation(state), 0.0, atol=1e-12)
+
+
+def test_an_azimuth_is_compared_the_short_way():
+    state = some_state()
+    seen_n = so3.to_matrix(state.q_nb) @ np.array([1.0, 0.0, 0.0])
+    azimuth = float(np.arctan2(seen_n[1], seen_n[0])) + 2.0 * np.pi - 0.1
+    aid = Azimuth(seen_b=np.array([1.0, 0.0, 0.0]), azimuth=azimuth, std=0.1)
+    assert aid.innovation(state)[0] == pytest.approx(-0.1)
+
+
+def test_about_a_state_an_azimuth_says_the_same_of_it_without_the_noise_in_its_jacobian():
+    state = some_state()
+    C_nb = so3.to_matrix(state.q_nb)
+    noise = 0.05 * np.array([-FIELD[1], FIELD[0], 0.0])
+    declination = float(np.arctan2(FIELD[1], FIELD[0]))
+    exact, noisy = (
+        Azimuth(seen_b=C_nb.T @ field, azimuth=declination, std=0.1)
+        for field in (FIELD, FIELD + noise)
+    )
+    about = noisy.about(state)
+    np.testing.assert_allclose(about.innovation(state), noisy.innovation(state), atol=1e-12)
+    clean = exact.jacobian(state)
+    assert np.abs(noisy.jacobian(state) - clean).max() > 0.05
+    np.testing.assert_allclose(about.jacobian(state), clean, atol=0.005)  # its length: 5 % squared
