@@ -30,7 +30,7 @@ from ekf_companion.errors import LogError
 from ekf_companion.filters.course import Course, Setup
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.observability_motion import Motion
-from ekf_companion.filters.observability_walk import STEP_NS, Cell, Walk
+from ekf_companion.filters.observability_walk import STEP_NS, Cell, Walk, is_field
 from ekf_companion.filters.observation import Azimuth
 from ekf_companion.filters.strapdown import ATT, BA, BG, N
 from ekf_companion.nav import so3
@@ -44,7 +44,7 @@ WINDOW = 10.0
 """Length of a window, s: what is written above."""
 OBSERVABLE = 0.5
 """Share of the unit below which a state counts as observable. Of two states of which only the sum
-is seen, as a bias and a tilt at rest, each keeps 0.71: half is reached only by telling them apart.
+is seen, as a bias and a tilt at rest, each keeps 0.71 at least: half needs telling them apart.
 """
 HEADING_UNIT = float(np.radians(10.0))
 """rad: twice what a heading is good for, and where sines still are angles."""
@@ -168,7 +168,7 @@ def analyse(
         window_sigma=window_sigma,
         motion=walk.track.motion(zero_ns),
         first={aid: (t_ns - zero_ns) * 1e-9 for aid, t_ns in walk.first_ns.items()},
-        has_magnetometer=any(abs(aid.seen_b[1:]).max() > 0.0 for aid in azimuths),
+        has_magnetometer=any(is_field(aid) for aid in azimuths),
         is_rest=bool(setup.start.P[BG.start, BG.start] < 0.25 * settings.imu.gyro_bias**2),
         notes=walk.notes(),
     )

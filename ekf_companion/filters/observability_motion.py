@@ -26,6 +26,8 @@ ACCELERATION = 0.5
 """
 
 
+SETTLING = 2.0
+"""Length of what the filter says of accelerations at its start and is not believed, s."""
 QUIET = 5.0
 """Least length of a stretch that is called straight and steady, s."""
 
@@ -60,13 +62,14 @@ class Motion:
     def onsets(self) -> dict[str, float]:
         """Give when each kind of motion first was there, s; inf: never."""
         turned = np.maximum.accumulate(self.yaw) - np.minimum.accumulate(self.yaw)
-        pushed = self.acceleration >= ACCELERATION
+        # In its first seconds a filter that finds its level seems to accelerate
+        pushed = (self.acceleration >= ACCELERATION) & (self.t >= self.t[0] + SETTLING)
         # The mean of an acceleration is late by what it is the mean over
         first = float(self.t[np.argmax(pushed)]) if pushed.any() else np.inf
         return {
             "turn": self._begin_of(turned >= TURN, self._changes(self.yaw, TURN)),
             "change of tilt": self._begin_of(self.tilt >= TILT, self._changes(self.tilt, TILT)),
-            "horizontal acceleration": max(first - 1.0, float(self.t[0])),
+            "horizontal acceleration": first - 1.0,
         }
 
     def quiet_before(self, t: float) -> tuple[float, float] | None:

@@ -56,6 +56,11 @@ def level(state: Nominal) -> Array:
     return T
 
 
+def is_field(aid: Azimuth) -> bool:
+    """Whether what is seen is a magnetic field; else it is the axis that points forward."""
+    return bool(np.abs(aid.seen_b[1:]).max() > 0.0)
+
+
 class Covariance:
     """A covariance that is carried along."""
 
@@ -94,6 +99,7 @@ class Walk:
         self._rest = _Rest(setup, P)
         self._Phi, self._Q, self._dt = np.eye(N), np.zeros((N, N)), 0.0
         self._begin(setup.start.t_ns)
+        self._fields, self._slope = 0, 0.0
         self.track = Track()
         self.cells: list[Cell] = []
         self.first_ns: dict[str, int] = {}
@@ -117,6 +123,8 @@ class Walk:
     def correct(self, t_ns: int, aid: Observation) -> None:
         """Fuse an aid, unless the gate refuses it: then it shows nothing."""
         self._catch_up()
+        if isinstance(aid, Azimuth):
+            aid = self._calm(aid)
         z, H, R = aid.innovation(self._state), aid.jacobian(self._state), aid.covariance()
         toward = self._own.P @ H.T
         S = H @ toward + R
@@ -125,7 +133,7 @@ class Walk:
         self.first_ns.setdefault(aid.aid, t_ns)
         whiten = np.linalg.inv(np.linalg.cholesky(R))
         white = whiten @ H
-        self._rest.correct(whiten, aid)
+        self._rest.correct(whiten, aid, self._state)
         self._own.correct(white)
         self._full.correct(white)
         if not isinstance(aid, Azimuth):
@@ -160,6 +168,23 @@ class Walk:
             )
         )
         self._begin(t_ns)
+
+    def _calm(self, aid: Azimuth) -> Azimuth:
+        """Give the same innovation with a Jacobian that does not shake with what is seen.
+
+        The noise of a field would turn up as a dip that differs from sample to sample, which would
+        seem to show tilt: so the mean of it until now counts.
+        """
+        if not is_field(aid):
+            return aid.about(self._state)
+        C_nb = so3.to_matrix(self._state.q_nb)
+        seen_n = C_nb @ aid.seen_b
+        self._fields += 1
+        slope = float(seen_n[2] / np.hypot(seen_n[0], seen_n[1]))
+        self._slope += (slope - self._slope) / self._fields
+        expected_n = np.array([np.cos(aid.azimuth), np.sin(aid.azimuth), self._slope])
+        apart = float(aid.innovation(self._state)[0])
+        return replace(aid, seen_b=C_nb.T @ expected_n, azimuth=aid.azimuth + apart)
 
     def notes(self) -> tuple[str, ...]:
         """Say which aids were refused often."""
@@ -206,7 +231,8 @@ class _Rest:
         q_nb = setup.start.state.q_nb
         self._state = Nominal(q_nb=q_nb, vel_n=np.zeros(3), pos_n=np.zeros(3))
         self._earth, self._noise = Earth.flat(setup.earth.gravity), setup.noise
-        self._force_b = -self._earth.gravity * so3.to_matrix(q_nb)[2]
+        self._C_nb = so3.to_matrix(q_nb)
+        self._force_b = -self._earth.gravity * self._C_nb[2]
         self._level = level(self._state)
         self._covariance = Covariance(P)
         self._known: dict[int, tuple[Array, Array]] = {}
@@ -229,8 +255,11 @@ class _Rest:
             )
         self._covariance.predict(*self._known[key])
 
-    def correct(self, whiten: Array, aid: Observation) -> None:
-        """Take what an aid of the flight would have shown here."""
+    def correct(self, whiten: Array, aid: Observation, state: Nominal) -> None:
+        """Take what an aid of the flight, where its state was that, would have shown here."""
         if isinstance(aid, Velocity):
             aid = replace(aid, swing_b=np.zeros(3))
+        elif isinstance(aid, Azimuth):
+            seen_n = so3.to_matrix(state.q_nb) @ aid.seen_b
+            aid = replace(aid, seen_b=self._C_nb.T @ seen_n)
         self._covariance.correct(whiten @ aid.jacobian(self._state))
