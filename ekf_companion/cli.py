@@ -421,6 +421,45 @@ def calibrate_mag(
         _tell("mag", log, plot, json_file, result, partial(mag_report.draw, found))
 
 
+@app.command()
+def observability(
+    log: LogArgument,
+    config: ConfigOption = None,
+    plot: PlotOption = None,
+    json_file: JsonOption = None,
+    window: Annotated[
+        float, typer.Option(min=1.0, max=600.0, help="Length of the sliding windows, s.")
+    ] = 10.0,
+) -> None:
+    """When each bias, tilt and heading becomes observable along a flight, and why not before."""
+    from ekf_companion import observability_figure
+    from ekf_companion.calibrate.plot import has_matplotlib
+    from ekf_companion.filters import observability as analysis
+    from ekf_companion.filters import observability_report as report
+    from ekf_companion.filters.course import Course
+
+    with _sentences():
+        settings = _load(config)
+        recording = _read(log, settings, plot, json_file)
+        try:
+            course = Course(recording.events, settings, recording.family, recording.gnss_delay)
+            with _bar(f"{log.name}: observability") as progress:
+                found = analysis.analyse(
+                    course, course.setup(), settings, window=window, progress=progress
+                )
+        except LogError as error:
+            raise LogError(f"{log}: {error}") from error
+        for line in (*recording.notes, *report.lines(found)):
+            typer.echo(line)
+        _write_json(json_file, {"log": str(log), **report.to_dict(found)})
+        figure = plot if plot is not None else Path(f"{log.stem}.observability.png")
+        if plot is None and not has_matplotlib():
+            typer.echo("no figure: install ekf-companion with the extra: plot")
+            return
+        observability_figure.plot(figure, found, f"observability {log.name}")
+        typer.echo(f"figure: {figure}")
+
+
 @app.command("check-config")
 def check_config(
     config: Annotated[Path, typer.Argument(help="YAML file.")],
