@@ -27,7 +27,8 @@ Foreign files have a map beside them, ``LOG.csv.columns.yaml``, or one handed in
     heading_source: magnetometer  # or gnss, autopilot
     delimiter: ";"
 
-A map without quantities adds its options to a native file.
+A map without quantities adds its options to a native file. Headers that other programs write are
+known without one: :mod:`ekf_companion.logs.csv_known`.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import series
+from ekf_companion.logs import csv_known, series
 from ekf_companion.logs.csv_columns import (
     DEGREE,
     GROUPS,
@@ -81,7 +82,7 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     Args:
         path: The file.
         columns: The map, as the module's docstring lays it; None: the map beside the file or,
-            where there is none, the header.
+            where there is none, the header, of ours or a known one.
 
     Raises:
         LogError: A unit is unknown, a needed column is missing, a cell is no number, or the map
@@ -92,6 +93,10 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     table = Table(path, _delimiter(where, options))
     entries = {key: columns[key] for key in columns if key not in OPTIONS}
     notes: list[str] = []
+    if not entries and (known := csv_known.find(table.names)) is not None:
+        where, notes = str(path), [f"header of {known.name}: read without a map"]
+        entries = {key: known.columns[key] for key in known.columns if key not in OPTIONS}
+        options = {key: known.columns[key] for key in OPTIONS if key in known.columns} | options
     if entries:
         sources = {name: from_map(where, name, entry) for name, entry in entries.items()}
     else:
