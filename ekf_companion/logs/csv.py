@@ -114,10 +114,10 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     events += _barometer(t_ns, values, hold)
     events += _imu(t_ns, values)
     if not events:
-        known = ", ".join(QUANTITIES)
+        quantities = ", ".join(QUANTITIES)
         raise LogError(
             f"{path}: no measurement found; declare its columns in {path.name}.columns.yaml "
-            f"(quantities: {known})"
+            f"(quantities: {quantities})"
         )
     taken = [(found.take(mask), row[mask]) for found, mask in events]
     return Recording(
