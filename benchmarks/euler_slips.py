@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks import seed
-from benchmarks.seed_flight import FOLDER, NAMES, STRETCH, rmse, truth
+from benchmarks.seed_flight import FOLDER, NAMES, rmse, truth
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.filters import euler, euler_article, iterated
 from ekf_companion.filters.course import Course, run
@@ -29,17 +29,13 @@ SLIPS = {
 }
 
 
-def errors(data: Path, table: Table, is_stretched: bool = False) -> Array:
+def errors(data: Path, table: Table) -> Array:
     """Give RMSE from 20 s on, by ``seed_flight.NAMES``: degrees, m, m/s.
 
-    Args:
-        data: The recorded flights.
-        table: An answer over the seed's flight.
-        is_stretched: Take its positions to the truth's longer metres.
+    Positions are taken as they stand, not to the metres of the velocities.
     """
     place = (np.radians(table.column("lat_deg")), np.radians(table.column("lon_deg")))
     pos_n = SIMULATED.to_ned(*place, table.column("alt_m")) * [1.0, 1.0, -1.0]
-    pos_n = pos_n * ([*STRETCH, 1.0] if is_stretched else 1.0)
     names = ("roll", "pitch", "yaw", "vel_n", "vel_e", "vel_d")
     columns = [table.column(name) for name in names]
     estimate = np.stack([*columns[:3], *pos_n.T, *columns[3:]], axis=1)

@@ -16,7 +16,7 @@ from ekf_companion.filters.course import Course
 from ekf_companion.filters.euler import Euler
 from ekf_companion.filters.observation import Azimuth
 from ekf_companion.filters.solution import Solution
-from ekf_companion.filters.strapdown import Interval, N
+from ekf_companion.filters.strapdown import Interval, N, in_n, move, transition
 from ekf_companion.logs import csv
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import SIMULATED
@@ -231,6 +231,30 @@ def test_in_quick_turns_the_error_grows_with_the_pitch_and_a_quaternions_does_no
     assert angles[0] < angles[1] < angles[2]
     assert angles[2] > 2.0 * angles[0]
     assert quaternions[1] < 1.3 * quaternions[0]
+
+
+def test_a_short_step_is_that_of_the_quaternion():
+    setup = Course(climb(0.0, seed=1, seconds=0.0).events, FilterSettings()).setup()
+    steeply = replace(setup.start.state, q_nb=so3.from_euler(*STATE[:3]), gyro_bias=STATE[9:12])
+    setup = replace(setup, start=replace(setup.start, state=steeply))
+    tried = Euler(setup)
+    over = Interval(dt=1e-4, gyro0=RATE, gyro1=RATE, accel0=FORCE, accel1=FORCE)
+    tried.predict(over)
+    apart = tried.state.minus(move(steeply, over, setup.earth))
+    np.testing.assert_allclose(apart, 0.0, atol=2e-7)  # dt^2 by rates of 10 per second
+    Phi = transition(steeply, over, setup.earth)
+    expected = in_n(Phi @ setup.start.P @ Phi.T, tried.state.q_nb)
+    np.testing.assert_allclose(tried.covariance(), expected, atol=2e-6)  # likewise
+
+
+def test_noise_adds_what_it_adds_to_a_turn_in_b():
+    setup = Course(climb(0.0, seed=1, seconds=0.0).events, FilterSettings()).setup()
+    steeply = replace(setup.start.state, q_nb=so3.from_euler(*STATE[:3]))
+    setup = replace(setup, start=replace(setup.start, state=steeply, P=np.zeros((N, N))))
+    tried = Euler(setup)
+    tried.predict(Interval(dt=1e-3, gyro0=RATE, gyro1=RATE, accel0=FORCE, accel1=FORCE))
+    expected = np.diag(in_n(setup.noise.covariance(1e-3), tried.state.q_nb))
+    np.testing.assert_allclose(np.diag(tried.covariance()), expected, rtol=5e-3)  # rate by dt
 
 
 @with_seed
