@@ -4,6 +4,7 @@ CompanionError
 ├── ConfigError   a key, a value or a file of the configuration
 ├── LinkError     a URL that names no link, or a link that cannot be opened at all
 └── LogError      a recorded file that cannot be read, or holds nothing to estimate from
+    └── FilterError  a filter whose mathematics end before the recording does
 
 Each message says what, where, and what would do. Bad data is not an error: it is counted.
 """
@@ -25,3 +26,7 @@ class LinkError(CompanionError):
 
 class LogError(CompanionError):
     """A log cannot be read, or has nothing in it that could be estimated from."""
+
+
+class FilterError(LogError):
+    """A filter cannot go on: its mathematics end before the recording does."""

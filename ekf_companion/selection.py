@@ -10,7 +10,17 @@ import numpy as np
 from ekf_companion.core import layout as at
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError
-from ekf_companion.filters import ahrs, ahrs_article, iterated, mahony, ukf, vqf_adapter
+from ekf_companion.filters import (
+    ahrs,
+    ahrs_article,
+    euler,
+    iterated,
+    mahony,
+    ukf,
+    vqf_adapter,
+    zupt,
+)
+from ekf_companion.filters.detector import Detector
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.state import Status, join
@@ -19,6 +29,13 @@ from ekf_companion.pipeline import Aid, Pipeline, Verdict
 Run = Callable[[Recording, FilterSettings, str], Solution]
 """Recording, settings and option in, solution out."""
 
+DETECTORS = {
+    "shoe": Detector.SHOE,
+    "mv": Detector.VARIANCE,
+    "mag": Detector.MAGNITUDE,
+    "are": Detector.RATE,
+}
+"""Of zupt, by the names that their authors gave them."""
 BLOCKS = [*range(at.E_ATT, at.E_ATT + 3), *range(at.E_VEL, at.E_VEL + 3)]
 BLOCKS += range(at.E_POS, at.E_POS + 3)
 """Where the estimator's covariance holds what a solution keeps of it."""
@@ -103,6 +120,18 @@ def _eskf(recording: Recording, settings: FilterSettings, option: str) -> Soluti
     )
 
 
+def _euler(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    return euler.run(
+        *(recording.events, settings, recording.family, recording.gnss_delay),
+        preset="article" if option == "article" else "corrected",
+    )
+
+
+def _zupt(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    del settings
+    return zupt.run(recording.events, detector=DETECTORS[option])
+
+
 def _iterated(recording: Recording, settings: FilterSettings, option: str) -> Solution:
     return iterated.run(
         *(recording.events, settings, recording.family, recording.gnss_delay),
@@ -135,12 +164,22 @@ def _vqf(recording: Recording, settings: FilterSettings, option: str) -> Solutio
 
 FILTERS: Mapping[str, Filter] = {
     "eskf": Filter(run=_eskf, options=(), says="our own estimator, as it flies"),
+    "euler": Filter(
+        run=_euler,
+        options=("corrected", "article"),
+        says="the seed article's direct filter of Euler angles; as published, with its slips",
+    ),
     "iterated": Filter(
         run=_iterated,
         options=("global", "robocentric", "sphere"),
         says="iterated error-state filter of LINS and FAST-LIO",
     ),
     "ukf": Filter(run=_ukf, options=(), says="unscented filter on the manifold"),
+    "zupt": Filter(
+        run=_zupt,
+        options=tuple(DETECTORS),
+        says="inertial navigation of a foot or a wheel, held by its own rests",
+    ),
     "ahrs": Filter(
         run=_ahrs,
         options=("error-state", "corrected", "article"),

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ekf_companion.core.field import Field
 from ekf_companion.core.settings import HABITS, FilterSettings, delays_ns
-from ekf_companion.errors import LogError
+from ekf_companion.errors import FilterError, LogError
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.observation import Azimuth, Observation, Position, Velocity
 from ekf_companion.filters.solution import Recorder, Solution
@@ -280,10 +280,26 @@ def advance(tried: NavigationFilter, step: Step) -> None:
 
 
 def run(name: str, tried: NavigationFilter, course: Course, setup: Setup) -> Solution:
-    """Take a filter through a recording."""
+    """Take a filter through a recording, or as far as it can go: what it estimated stands.
+
+    Raises:
+        FilterError: It cannot go on, and has estimated nothing.
+    """
     recorder = Recorder(name, course.frame)
+    notes: tuple[str, ...] = ()
     for step in course.steps(setup.start.t_ns):
-        advance(tried, step)
+        try:
+            advance(tried, step)
+        except FilterError as why:
+            if not len(recorder):
+                raise
+            notes = (stopped(step.t_ns, why),)
+            break
         if step.is_sample:
             recorder.add(step.t_ns, tried.state, tried.covariance())
-    return recorder.solution(counts=setup.gate.counts)
+    return recorder.solution(counts=setup.gate.counts, notes=notes)
+
+
+def stopped(t_ns: int, why: FilterError) -> str:
+    """Give the note that estimates end here."""
+    return f"the estimates end at {t_ns * 1e-9:.2f} s of the log: {why}"

@@ -74,6 +74,10 @@ class Recorder:
         self._kept_ns: list[int] = []
         self._kept: list[Array] = []
 
+    def __len__(self) -> int:
+        """Give how many estimates it has."""
+        return len(self._stamps)
+
     def add(self, t_ns: int, state: Nominal, P: Array) -> None:
         """Take an estimate and its covariance, ordered as :attr:`Solution.covariance`."""
         self._stamps.append(t_ns)

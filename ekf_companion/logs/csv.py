@@ -93,10 +93,10 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     table = Table(path, _delimiter(where, options))
     entries = {key: columns[key] for key in columns if key not in OPTIONS}
     notes: list[str] = []
-    if not entries and (other := csv_known.find(table.names)) is not None:
-        where, notes = str(path), [f"header of {other.name}: read without a map"]
-        entries = {key: other.columns[key] for key in other.columns if key not in OPTIONS}
-        options = {key: other.columns[key] for key in OPTIONS if key in other.columns} | options
+    if not entries and (known := csv_known.find(table.names)) is not None:
+        where, notes = str(path), [f"header of {known.name}: read without a map"]
+        entries = {key: known.columns[key] for key in known.columns if key not in OPTIONS}
+        options = {key: known.columns[key] for key in OPTIONS if key in known.columns} | options
     if entries:
         sources = {name: from_map(where, name, entry) for name, entry in entries.items()}
     else:
@@ -114,10 +114,10 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     events += _barometer(t_ns, values, hold)
     events += _imu(t_ns, values)
     if not events:
-        known = ", ".join(QUANTITIES)
+        quantities = ", ".join(QUANTITIES)
         raise LogError(
             f"{path}: no measurement found; declare its columns in {path.name}.columns.yaml "
-            f"(quantities: {known})"
+            f"(quantities: {quantities})"
         )
     taken = [(found.take(mask), row[mask]) for found, mask in events]
     return Recording(

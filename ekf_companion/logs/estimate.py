@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
+from ekf_companion.logs.csv_simulated import read_simulated
 from ekf_companion.logs.table import Table
 from ekf_companion.nav import so3
 from ekf_companion.nav.state import COLUMNS, Trajectory
@@ -76,12 +77,15 @@ def read_truth(path: Path) -> Trajectory:
     """Read a truth from a CSV file: position, velocity and attitude by these names.
 
     ``time_us, lat_deg, lon_deg, alt_m, vn_mps, ve_mps, vd_mps`` and ``q_w, q_x, q_y, q_z``, other
-    columns as may be. An estimate of ours is read too, as someone's truth.
+    columns as may be. An estimate of ours is read too, as someone's truth, and a truth over the
+    flat Earth of a simulation (:func:`ekf_companion.logs.csv_simulated.read_simulated`).
 
     Raises:
         LogError: The file is missing, lacks a column, or holds what is no number.
     """
     table = Table(path)
+    if (simulated := read_simulated(table)) is not None:
+        return to_trajectory(_timed(path, simulated), path.name)
     own = {"vel_n": "vn_mps", "vel_e": "ve_mps", "vel_d": "vd_mps"}
     names = {name: own.get(name, name) if name not in table.names else name for name in _NEEDED}
     columns = _read(path, table, list(names.values()))
@@ -89,7 +93,11 @@ def read_truth(path: Path) -> Trajectory:
 
 
 def _read(path: Path, table: Table, names: list[str]) -> dict[str, npt.NDArray[Any]]:
-    columns: dict[str, npt.NDArray[Any]] = dict(table.read(names))
+    return _timed(path, dict(table.read(names)))
+
+
+def _timed(path: Path, columns: dict[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """Give the rows that have a time."""
     time_us = columns["time_us"]
     timed = np.abs(time_us) < 2**62 / 1000
     if not timed.any():

@@ -104,3 +104,13 @@ class LocalFrame:
         pos_n = np.asarray(pos_n, dtype=float)
         lon = np.mod(self.lon + pos_n[..., 1] / east + np.pi, 2.0 * np.pi) - np.pi
         return self.lat + pos_n[..., 0] / north, np.asarray(lon), self.alt - pos_n[..., 2]
+
+
+SIMULATED = LocalFrame(
+    lat=float(np.radians(75.0)),
+    lon=0.15,
+    alt=float((gravity(np.radians(75.0), 160.0) - 9.81) / FREE_AIR),
+)
+"""Where a simulation over a flat Earth that does not turn, with gravity of 9.81 m/s^2 (160 m above
+its sea), is put so that it can be read as a flight. So far north the Earth turns about the vertical
+nearly, which a gyro's bias explains, and an eastward speed weighs little."""
