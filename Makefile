@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 KERNEL := $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore lint types contracts check demo bench accuracy endurance wheel clean
+.PHONY: setup test explore lint types contracts check demo bench accuracy filters endurance wheel clean
 
 setup: $(STAMP)
 
@@ -45,6 +45,9 @@ bench: $(STAMP)
 
 accuracy: $(STAMP)
 	$(BIN)/python -m benchmarks.accuracy
+
+filters: $(STAMP)
+	$(BIN)/python -m benchmarks.filters
 
 endurance: $(STAMP)
 	$(BIN)/python -m benchmarks.endurance

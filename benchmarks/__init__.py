@@ -16,4 +16,12 @@ outages      drift without GNSS, and whether sigma covers it
 lies         receivers that are wrong
 arrival      order, number and delay of messages
 compassless  flight without a compass, or with a wrong one
+
+How the rival filters do beside ours: ``make filters``, the tables of docs/FILTERS.md.
+
+filters      the parts: recorded, seed, campaign, attitude, walks
+convergence, room, filter_consistency   the iterated filter: bad starts, a lidar, NEES
+unscented    the unscented filter beside the linear one, bad starts too
+steep, euler_slips                      the Euler filter: pitch, the article's two slips
+observability                           the seed's flight
 """

@@ -24,9 +24,19 @@ from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.state import Trajectory
 from sim_autopilot.flight import Flight
 
-NAVIGATORS = ("eskf", "iterated", "ukf")
+NAVIGATORS = ("eskf", "euler", "iterated", "iterated:robocentric", "ukf")
 SEED = "seed-basicekf-sim"
-FLIGHTS = 1
+ATTITUDES = ("ahrs", "vqf", "mahony", "ahrs:corrected", "ahrs:article")
+WALKERS = ("zupt:shoe", "zupt:mv", "zupt:mag", "zupt:are")
+TRIALS = {
+    "01, slow rotation": "broad-attitude/01_undisturbed_slow_rotation_A.mat",
+    "15, fast translation": "broad-attitude/15_undisturbed_fast_translation_A.mat",
+}
+WALKS = {
+    "OpenShoe, 82 m": "zupt-openshoe/Measurement_100521_44.txt",
+    "x-IO, 25 m": "zupt-xio-short-walk/short_walk.csv",
+}
+FLIGHTS = 4
 """Of each scenario and receiver in the campaign."""
 DURATION = 120.0
 """s."""
@@ -68,6 +78,38 @@ def seed(data: Path) -> Iterator[str]:
     truth = read_truth(folder / "uavTruth.csv")
     names = ("eskf", "euler:article", "euler", "iterated", "iterated:robocentric", "ukf")
     yield from _table(_judged(recording, names, truth, 20.0))
+
+
+def attitude(data: Path) -> Iterator[str]:
+    """Give RMS errors of attitude alone against an optical truth."""
+    yield "| total / heading / inclination, deg | " + " | ".join(ATTITUDES) + " |"
+    yield "|---" * (len(ATTITUDES) + 1) + "|"
+    for title, log in TRIALS.items():
+        if not (data / log).is_file():
+            print(f"{log}: absent, left out")
+            continue
+        recording = convert.read(data / log, Config())
+        assert recording.truth is not None
+        entries = contest.hold(recording, ATTITUDES, Config())
+        judged = contest.judge(entries, recording.truth, 0.0, None, recording.counted)
+        cells = [" / ".join(f"{value:.2f}" for value in one.rms.values()) for one in judged]
+        yield f"| {title} | {' | '.join(cells)} |"
+
+
+def walks(data: Path) -> Iterator[str]:
+    """Give how far each detector's walks are from closing."""
+    yield "| on the ground / in space, m | " + " | ".join(WALKERS) + " |"
+    yield "|---" * (len(WALKERS) + 1) + "|"
+    for title, log in WALKS.items():
+        if not (data / log).is_file():
+            print(f"{log}: absent, left out")
+            continue
+        entries = contest.hold(convert.read(data / log, Config()), WALKERS, Config())
+        cells = [
+            f"{one.rms['closure on the ground']:.3f} / {one.rms['closure in space']:.3f}"
+            for one in entries
+        ]
+        yield f"| {title} | {' | '.join(cells)} |"
 
 
 def campaign(data: Path) -> Iterator[str]:
@@ -151,6 +193,8 @@ PARTS: dict[str, Callable[[Path], Iterator[str]]] = {
     "recorded": recorded,
     "seed": seed,
     "campaign": campaign,
+    "attitude": attitude,
+    "walks": walks,
 }
 
 

@@ -307,34 +307,40 @@ def _compare_filters(
     json_file: Path | None,
 ) -> None:
     """Take several filters through a log, and print how far off each is."""
-    from ekf_companion import contest, figure
+    from ekf_companion import contest, figure, walk
     from ekf_companion.logs.estimate import read_truth
 
     recording = _read(log, config, plot, json_file)
     names = [name.strip() for name in filters.split(",")]
-    with _bar(f"{log.name}: filters") as progress:
-        entries = contest.hold(recording, names, config, progress)
+    try:
+        with _bar(f"{log.name}: filters") as progress:
+            entries = contest.hold(recording, names, config, progress)
+    except LogError as error:
+        raise LogError(f"{log}: {error}") from error
     against = recording.truth if recording.truth is not None else recording.reference
     against = read_truth(reference) if reference is not None else against
-    if against is None:
+    solutions = [one.solution for one in entries if one.solution is not None]
+    if against is not None:
+        skip, until = span
+        default = 30.0 if reference is not None or recording.truth is not None else 20.0
+        skipped = default if skip is None else skip
+        entries = contest.judge(entries, against, skipped, until, recording.counted)
+    elif all(one.is_still is None for one in solutions):
         raise LogError(
             f"{log}: holds neither a truth nor the autopilot's own estimate; "
             "name a truth with --reference TRUTH.csv"
         )
-    skip, until = span
-    default = 30.0 if reference is not None or recording.truth is not None else 20.0
-    entries = contest.judge(
-        entries, against, default if skip is None else skip, until, recording.counted
-    )
-    typer.echo(f"{log} against {against.name}\n")
+    typer.echo(f"{log}" + (f" against {against.name}" if against is not None else "") + "\n")
     for line in contest.table(entries):
         typer.echo(line)
     for note in recording.notes:
         typer.echo(f"  note: {log.name}: {note}")
-    if plot is not None:
+    _write_json(json_file, [entry.to_dict() for entry in entries])
+    if plot is not None and against is not None:
         lines = [one.trajectory for one in entries if one.trajectory is not None]
         figure.plot(plot, [*lines, against], log.name, events=recording.events, with_errors=True)
-    _write_json(json_file, [entry.to_dict() for entry in entries])
+    elif plot is not None:
+        walk.plot(plot, solutions, log.name)
 
 
 def _read(log: Path, config: Config, plot: Path | None, json_file: Path | None) -> Recording:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from ekf_companion import attitude
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
+from ekf_companion.filters.closure import closure
 from ekf_companion.filters.consistency import nees
 from ekf_companion.filters.solution import Solution
 from ekf_companion.logs.estimate import of_table
@@ -34,6 +35,10 @@ SECTIONS = {
     ),
     "Attitude alone, RMS error where it counts": (
         *(("turn in all", "deg"), ("turn in heading", "deg"), ("turn in inclination", "deg")),
+    ),
+    "Walk: from its first position to its last": (
+        *(("closure on the ground", "m"), ("closure in space", "m"), ("way", "m")),
+        ("stances", ""),
     ),
     "NEES over its degrees of freedom (1: as sure as it may be; above: too sure)": (
         *(("position", ""), ("velocity", ""), ("attitude", "")),
@@ -113,7 +118,26 @@ def _enter(recording: Recording, name: str, settings: FilterSettings) -> Entry:
     except LogError as error:
         return Entry(name=name, solution=None, trajectory=None, us=np.nan, note=str(error))
     spent = (time.process_time() - begin) * 1e6 / max(len(solution.table), 1)
-    return Entry(name=name, solution=solution, trajectory=of_table(solution.table, name), us=spent)
+    return Entry(
+        name=name,
+        solution=solution,
+        trajectory=of_table(solution.table, name),
+        us=spent,
+        rms=_closure(solution),
+    )
+
+
+def _closure(solution: Solution) -> dict[str, float]:
+    """Give how far a walk is from closing; nothing of a filter that knows no stance."""
+    if solution.is_still is None or not len(solution.table):
+        return {}
+    found = closure(solution)
+    return {
+        "closure on the ground": found.horizontal,
+        "closure in space": found.distance,
+        "way": found.path,
+        "stances": float(found.stances),
+    }
 
 
 def judge(
@@ -171,7 +195,7 @@ def _judge(entry: Entry, reference: Trajectory, begin: int, end: int) -> Entry:
     found = nees(entry.solution, reference, begin, end)
     return replace(
         entry,
-        rms=_rms(entry.trajectory, reference, begin, end),
+        rms={**entry.rms, **_rms(entry.trajectory, reference, begin, end)},
         nees={
             name: np.nan if value is None else value
             for name, value in (
@@ -229,7 +253,8 @@ def table(entries: Sequence[Entry]) -> Iterator[str]:
         for name, unit in shown:
             label = f"  {name}, {unit}" if unit else f"  {name}"
             yield f"{label:<26}" + "".join(
-                f"{_number(each.get(name, np.nan)):>{width}}" for each in values
+                f"{_number(each.get(name, np.nan), 0 if name == 'stances' else 3):>{width}}"
+                for each in values
             )
     yield from ("", "Cost")
     yield f"{'  us per sample':<26}" + "".join(f"{_number(one.us, 1):>{width}}" for one in entries)

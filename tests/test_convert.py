@@ -190,7 +190,7 @@ def test_no_inertial_samples_is_said_and_exits_with_3(flown, tmp_path):
         ("missing.tlog", None, "missing.tlog"),
         ("empty.bin", b"", "empty"),
         ("noise.ulg", b"this is no log at all" * 50, "noise.ulg"),
-        ("flight.txt", b"1 2 3", "unknown kind of log; known are .tlog, .bin, .ulg, .csv"),
+        ("flight.doc", b"1 2 3", "unknown kind of log; known are .tlog, .bin, .ulg, .csv, .txt"),
     ],
 )
 def test_what_cannot_be_read_is_said_in_a_sentence(tmp_path, name, content, sentence):
