@@ -36,7 +36,7 @@ WALKS = {
     "OpenShoe, 82 m": "zupt-openshoe/Measurement_100521_44.txt",
     "x-IO, 25 m": "zupt-xio-short-walk/short_walk.csv",
 }
-FLIGHTS = 4
+FLIGHTS = 3
 """Of each scenario and receiver in the campaign."""
 DURATION = 120.0
 """s."""
