@@ -1,0 +1,48 @@
+"""The commands; the only place that prints or exits.
+
+Exit codes: 0 done, 1 a figure cannot be drawn or a bug, 2 the command line or the configuration is
+wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from ekf_companion.cli.calibrate import calibrate
+from ekf_companion.cli.compare import compare
+from ekf_companion.cli.convert import convert
+from ekf_companion.cli.observability import observability
+from ekf_companion.cli.service import check_config, run
+from ekf_companion.version import __version__
+
+app = typer.Typer(
+    help="State estimation on a drone's companion computer: MAVLink in, ODOMETRY out.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show it.")
+    ] = False,
+) -> None:
+    """Hold what is common to all commands."""
+
+
+app.command()(run)
+app.command()(convert)
+app.command()(compare)
+app.add_typer(calibrate, name="calibrate")
+app.command()(observability)
+app.command("check-config")(check_config)

@@ -1,0 +1,194 @@
+"""Estimates beside a truth, beside the autopilot's, beside each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ekf_companion.cli.terminal import (
+    ConfigOption,
+    JsonOption,
+    SmoothOption,
+    bar,
+    load,
+    read,
+    sentences,
+    write_json,
+)
+from ekf_companion.config import Config
+from ekf_companion.errors import ConfigError, LogError
+
+if TYPE_CHECKING:
+    from ekf_companion.nav.state import Trajectory
+
+_WITHOUT_REFERENCE = (
+    "{}: holds neither a truth nor the autopilot's own estimate; "
+    "name a truth with --reference TRUTH.csv"
+)
+
+
+def compare(
+    log: Annotated[Path, typer.Argument(help="A log, or an estimate that convert wrote (.csv).")],
+    reference: Annotated[
+        Path | None,
+        typer.Option(help="Truth as .csv; else the log's own truth and the autopilot's estimate."),
+    ] = None,
+    config: ConfigOption = None,
+    until: Annotated[
+        float | None,
+        typer.Option(
+            help="Leave out what is later than so many seconds after the first.", min=0.0, max=1e9
+        ),
+    ] = None,
+    skip: Annotated[
+        float | None,
+        typer.Option(
+            help="Leave out the first seconds; by default 30 against truth, else 20.",
+            min=0.0,
+            max=1e9,
+        ),
+    ] = None,
+    filters: Annotated[
+        str | None,
+        typer.Option(help="Several over the same log, beside each other: eskf,euler,iterated,ukf."),
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw all of them into a .png.")] = None,
+    smooth: SmoothOption = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Measure our estimate, or several filters', against a truth or the autopilot's own."""
+    with sentences():
+        if filters is None:
+            ours = _ours(log, load(config), is_smoothed=smooth)
+            _compare_ours(log, ours, reference, (skip, until), plot, json_file)
+        elif smooth:
+            raise ConfigError("--smooth: smooths eskf only; leave --filters or --smooth out")
+        else:
+            _compare_filters(log, filters, reference, load(config), (skip, until), plot, json_file)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Ours:
+    """Our estimate of a log, and what the log holds beside it."""
+
+    estimate: Trajectory
+    live: list[Trajectory]
+    """The live filter's, where the estimate is smoothed."""
+    own: Trajectory | None
+    """The autopilot's."""
+    truth: Trajectory | None
+
+
+def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
+    """Run the estimator over a log, or read what it has written."""
+    from ekf_companion import convert as converter
+    from ekf_companion.logs.estimate import is_estimate, of_table, read_estimate
+
+    if is_estimate(log):
+        if is_smoothed:
+            raise ConfigError(
+                f"--smooth: {log} is an estimate already; name the log that it was made from"
+            )
+        return _Ours(estimate=read_estimate(log), live=[], own=None, truth=None)
+    live: list[Trajectory] = []
+    with bar(log.name) as progress:
+        if is_smoothed:
+            table, smoothed, report, own, truth = converter.estimate_and_smooth(
+                log, config, progress
+            )
+            estimate = of_table(smoothed, "ekf-companion, smoothed")
+            live.append(of_table(table, "ekf-companion, live"))
+        else:
+            table, report, own, truth = converter.estimate(log, config, progress)
+            estimate = of_table(table, "ekf-companion")
+    for line in converter.summary(report):
+        typer.echo(line)
+    typer.echo()
+    return _Ours(estimate=estimate, live=live, own=own, truth=truth)
+
+
+def _compare_ours(
+    log: Path,
+    ours: _Ours,
+    reference: Path | None,
+    span: tuple[float | None, float | None],
+    plot: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Print how far our estimate is from a truth or from the autopilot's."""
+    from ekf_companion import compare as comparer
+    from ekf_companion import figure
+    from ekf_companion.logs.estimate import read_truth
+
+    estimate = ours.estimate
+    truth = ours.truth if reference is None else read_truth(reference)
+    against = truth if truth is not None else ours.own
+    if against is None:
+        raise LogError(_WITHOUT_REFERENCE.format(log))
+    skip, until = span
+    seconds = skip if skip is not None else 30.0 if truth is not None else 20.0
+    begin = int(estimate.att_t_ns[0]) if len(estimate.att_t_ns) else 0
+    end = None if until is None else begin + round(until * 1e9)
+    scores = [comparer.score(estimate, against, seconds, end_ns=end)]
+    if scores[0].horizontal is None and scores[0].tilt is None:
+        said = f"after the first {seconds:g} s" + (
+            "; leave out fewer with --skip"
+            if until is None
+            else f" and before {until:g} s; leave out less with --skip and --until"
+        )
+        raise LogError(f"{log}: {estimate.name} and {against.name} have no time in common {said}")
+    own = [ours.own] if truth is not None and ours.own is not None else []
+    start = scores[0].start_ns
+    for rival in (*ours.live, *own):
+        scores.append(comparer.score(rival, against, 0.0, start_ns=start, end_ns=end))
+    for line in comparer.table(scores):
+        typer.echo(line)
+    if plot is not None:
+        figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
+    write_json(json_file, [score.to_dict() for score in scores])
+
+
+def _compare_filters(
+    log: Path,
+    filters: str,
+    reference: Path | None,
+    config: Config,
+    span: tuple[float | None, float | None],
+    plot: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Take several filters through a log, and print how far off each is."""
+    from ekf_companion import contest, figure, walk
+    from ekf_companion.logs.estimate import read_truth
+
+    recording = read(log, config, plot, json_file)
+    names = [name.strip() for name in filters.split(",")]
+    try:
+        with bar(f"{log.name}: filters") as progress:
+            entries = contest.hold(recording, names, config, progress)
+    except LogError as error:
+        raise LogError(f"{log}: {error}") from error
+    against = recording.truth if recording.truth is not None else recording.reference
+    against = read_truth(reference) if reference is not None else against
+    solutions = [one.solution for one in entries if one.solution is not None]
+    if against is not None:
+        skip, until = span
+        default = 30.0 if reference is not None or recording.truth is not None else 20.0
+        skipped = default if skip is None else skip
+        entries = contest.judge(entries, against, skipped, until, recording.counted)
+    elif all(one.is_still is None for one in solutions):
+        raise LogError(_WITHOUT_REFERENCE.format(log))
+    typer.echo(f"{log}" + (f" against {against.name}" if against is not None else "") + "\n")
+    for line in contest.table(entries):
+        typer.echo(line)
+    for note in recording.notes:
+        typer.echo(f"  note: {log.name}: {note}")
+    write_json(json_file, [entry.to_dict() for entry in entries])
+    if plot is not None and against is not None:
+        lines = [one.trajectory for one in entries if one.trajectory is not None]
+        figure.plot(plot, [*lines, against], log.name, events=recording.events, with_errors=True)
+    elif plot is not None:
+        walk.plot(plot, solutions, log.name)

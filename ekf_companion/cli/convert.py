@@ -1,0 +1,69 @@
+"""A log in, estimates out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ekf_companion.cli.terminal import (
+    ConfigOption,
+    JsonOption,
+    LogArgument,
+    SmoothOption,
+    bar,
+    load,
+    sentences,
+    write_json,
+)
+from ekf_companion.errors import ConfigError
+
+
+def convert(
+    log: LogArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help=".csv or .tlog, by its suffix.")],
+    config: ConfigOption = None,
+    rate: Annotated[
+        float | None, typer.Option(min=0.001, help="At most so many rows per second.")
+    ] = None,
+    smooth: SmoothOption = False,
+    json_file: JsonOption = None,
+    name: Annotated[
+        str, typer.Option("--filter", help="NAME or NAME:OPTION; docs/FILTERS.md lists them.")
+    ] = "eskf",
+    preset: Annotated[str | None, typer.Option(help="Option of euler and ahrs: article.")] = None,
+    frame: Annotated[str | None, typer.Option(help="Option of iterated: robocentric.")] = None,
+    detector: Annotated[
+        str | None, typer.Option(help="Option of zupt: shoe, mv, mag, are.")
+    ] = None,
+) -> None:
+    """Re-run the estimator, or another filter, over a recorded flight."""
+    from ekf_companion import convert as converter
+
+    with sentences(), bar(log.name) as progress:
+        if json_file is not None and json_file.resolve() in (log.resolve(), out.resolve()):
+            raise ConfigError(f"--json: {json_file}: is the log or its output; name another file")
+        chosen = _choose(name, [preset, frame, detector])
+        if chosen != "eskf":
+            if smooth:
+                raise ConfigError("--smooth: smooths eskf only; leave it or --filter out")
+            solution = converter.convert_by(chosen, log, out, load(config), rate)
+            write_json(json_file, solution.to_dict())
+            for line in solution.summary():
+                typer.echo(line)
+            return
+        report = converter.convert(log, out, load(config), rate, progress, is_smoothed=smooth)
+        write_json(json_file, report.to_dict())
+    for line in converter.summary(report):
+        typer.echo(line)
+
+
+def _choose(name: str, options: list[str | None]) -> str:
+    """Give a filter's name with its option, which may be said as an option of its own."""
+    from ekf_companion.selection import choose
+
+    given = [option for option in options if option is not None]
+    if len(given) + (":" in name) > 1:
+        raise ConfigError(f"--filter: {name} takes one option, not {len(given) + (':' in name)}")
+    return choose(":".join([name, *given]))[0]

@@ -1,0 +1,59 @@
+"""What a flight shows of the state, and when."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ekf_companion.cli.terminal import (
+    ConfigOption,
+    JsonOption,
+    LogArgument,
+    PlotOption,
+    bar,
+    load,
+    read,
+    sentences,
+    write_json,
+)
+from ekf_companion.errors import LogError
+
+
+def observability(
+    log: LogArgument,
+    config: ConfigOption = None,
+    plot: PlotOption = None,
+    json_file: JsonOption = None,
+    window: Annotated[
+        float, typer.Option(min=1.0, max=600.0, help="Length of the sliding windows, s.")
+    ] = 10.0,
+) -> None:
+    """When each bias, tilt and heading becomes observable along a flight, and why not before."""
+    from ekf_companion import observability_figure
+    from ekf_companion.calibrate.plot import has_matplotlib
+    from ekf_companion.filters import observability as analysis
+    from ekf_companion.filters import observability_report as report
+    from ekf_companion.filters.course import Course
+
+    with sentences():
+        settings = load(config)
+        recording = read(log, settings, plot, json_file)
+        try:
+            course = Course(recording.events, settings, recording.family, recording.gnss_delay)
+            with bar(f"{log.name}: observability") as progress:
+                found = analysis.analyse(
+                    course, course.setup(), settings, window=window, progress=progress
+                )
+        except LogError as error:
+            raise LogError(f"{log}: {error}") from error
+        for line in (*recording.notes, *report.lines(found)):
+            typer.echo(line)
+        write_json(json_file, {"log": str(log), **report.to_dict(found)})
+        figure = plot if plot is not None else Path(f"{log.stem}.observability.png")
+        if plot is None and not has_matplotlib():
+            typer.echo("no figure: install ekf-companion with the extra: plot")
+            return
+        observability_figure.plot(figure, found, f"observability {log.name}")
+        typer.echo(f"figure: {figure}")

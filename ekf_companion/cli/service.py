@@ -1,0 +1,55 @@
+"""The daemon, and its configuration."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Annotated
+
+import typer
+import yaml
+
+from ekf_companion.cli.terminal import ConfigOption, load, sentences
+from ekf_companion.config import describe_config, load_config
+from ekf_companion.errors import ConfigError
+
+
+def run(
+    config: ConfigOption = None,
+    link: Annotated[
+        str | None,
+        typer.Option("--link", "--master", help="udpin:HOST:PORT, tcp:…, serial:/dev/ttyX:BAUD."),
+    ] = None,
+    record: Annotated[
+        str | None, typer.Option(help="Record every byte in and out to this .tlog.")
+    ] = None,
+    checkpoint: Annotated[
+        str | None, typer.Option(help="Keep the state in this file, and go on from it.")
+    ] = None,
+    log_level: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
+) -> None:
+    """Run the daemon until SIGTERM."""
+    from dataclasses import replace
+
+    from ekf_companion import service
+
+    level = logging.getLevelName(log_level.upper())
+    with sentences():
+        if not isinstance(level, int):
+            raise ConfigError(f"--log-level: {log_level!r}: use DEBUG, INFO, WARNING or ERROR")
+        logging.basicConfig(level=level, format="%(levelname)s %(name)s: %(message)s")
+        settings = load(config)
+        if record is not None:
+            settings = replace(settings, record=replace(settings.record, path=record))
+        if checkpoint is not None:
+            settings = replace(settings, checkpoint=replace(settings.checkpoint, file=checkpoint))
+        service.run(settings, link)
+
+
+def check_config(
+    config: Annotated[Path, typer.Argument(help="YAML file.")],
+) -> None:
+    """Check a configuration and print it with all its defaults."""
+    with sentences():
+        effective = describe_config(load_config(config))
+    typer.echo(yaml.safe_dump(dict(effective), sort_keys=False), nl=False)

@@ -1,0 +1,98 @@
+"""What the commands share: options, sentences for errors, a progress bar, JSON, a log."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ekf_companion.config import Config, load_config
+from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError
+
+if TYPE_CHECKING:
+    from ekf_companion.logs.recording import Recording
+
+LogArgument = Annotated[
+    Path, typer.Argument(help=".tlog, .bin, .ulg, .csv; also .txt (OpenShoe), .mat (BROAD).")
+]
+PlotOption = Annotated[
+    Path | None, typer.Option("--plot", help="The figure; by default LOG.KIND.png, here.")
+]
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", "-c", help="YAML file; config/ holds commented ones.")
+]
+SmoothOption = Annotated[
+    bool, typer.Option("--smooth", help="Go back over the flight: each estimate knows all of it.")
+]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the same as JSON.")]
+
+
+@contextmanager
+def sentences() -> Iterator[None]:
+    """Turn what is raised on purpose into a sentence and an exit code."""
+    try:
+        yield
+    except CompanionError as error:
+        typer.echo(f"ekf-companion: {error}", err=True)
+        is_wrong = isinstance(error, (ConfigError, LinkError))
+        code = 2 if is_wrong else 3 if isinstance(error, LogError) else 1
+        raise typer.Exit(code) from error
+
+
+def load(path: Path | None) -> Config:
+    """Give the configuration of a file, or the defaults."""
+    return Config() if path is None else load_config(path)
+
+
+@contextmanager
+def bar(title: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a progress bar on a terminal, and nothing elsewhere."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+    ) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def write_json(path: Path | None, data: object) -> None:
+    """Write data where a path is given.
+
+    Raises:
+        ConfigError: It cannot be written there.
+    """
+    if path is not None:
+        try:
+            path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def read(log: Path, config: Config, plot: Path | None, json_file: Path | None) -> Recording:
+    """Open a log that nothing written may overwrite."""
+    from ekf_companion import convert as converter
+
+    for option, path in (("--plot", plot), ("--json", json_file)):
+        if path is not None and path.resolve() == log.resolve():
+            raise ConfigError(f"{option}: {path}: is the log; name another file")
+    with bar(log.name) as progress:
+        return converter.read(log, config, progress)
