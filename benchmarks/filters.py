@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,7 @@ WALKS = {
     "OpenShoe, 82 m": "zupt-openshoe/Measurement_100521_44.txt",
     "x-IO, 25 m": "zupt-xio-short-walk/short_walk.csv",
 }
+ABLATED = ("sitl-px4-square/flight.tlog", "sitl-px4-ulg/flight.ulg")
 FLIGHTS = 3
 """Of each scenario and receiver in the campaign."""
 DURATION = 120.0
@@ -65,6 +67,33 @@ def recorded(data: Path) -> Iterator[str]:
         assert recording.truth is not None
         yield from (f"**{case.title}**", "")
         yield from _table(_judged(recording, NAVIGATORS, recording.truth))
+        yield ""
+
+
+def without(data: Path) -> Iterator[str]:
+    """Give what our own estimator loses without each of the things that the others lack."""
+    config = Config()
+    cases = {
+        "as it is": config,
+        "without the barometer": replace(config, baro=replace(config.baro, use=False)),
+        "without learnt noise": replace(config, imu=replace(config.imu, learn_noise=False)),
+        "fixes taken for white": replace(
+            config, gnss=replace(config.gnss, white_share=1.0, velocity_slow_std=0.0)
+        ),
+        "delay taken for known": replace(config, gnss=replace(config.gnss, delay_std=0.0)),
+    }
+    for case in TRUTH:
+        if case.log not in ABLATED or not (data / case.log).is_file():
+            continue
+        recording = convert.read(data / case.log, config)
+        assert recording.truth is not None
+        yield from (f"**{case.title}**", "")
+        rows = []
+        for title, settings in cases.items():
+            entries = contest.hold(recording, ["eskf"], settings)
+            rows += contest.judge(entries, recording.truth, SKIP, None)
+            rows[-1] = replace(rows[-1], name=title)
+        yield from _table(rows)
         yield ""
 
 
@@ -191,6 +220,7 @@ def _table(entries: Sequence[Entry]) -> Iterator[str]:
 
 PARTS: dict[str, Callable[[Path], Iterator[str]]] = {
     "recorded": recorded,
+    "without": without,
     "seed": seed,
     "campaign": campaign,
     "attitude": attitude,
