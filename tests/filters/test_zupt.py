@@ -162,7 +162,7 @@ def test_xio_closes_over_the_ground_as_its_authors_do_in_space():
     events = recorded(XIO)
     end = closed(events.take(events.t_ns > 9_000_000_000))  # it rests for 14 s
     assert end.horizontal <= 0.082
-    # It climbs 18 mm a stride, for a cause that docs/filters/zupt.md narrows down but not finds.
+    # It climbs 18 mm a stride, of a cause not found (docs/filters/zupt.md).
     assert end.distance <= 0.35
     assert end.path == pytest.approx(25.0, abs=1.0)
 
