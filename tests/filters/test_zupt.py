@@ -34,7 +34,7 @@ def walk(seed=0, **how):
 
 
 @pytest.mark.parametrize(
-    ("rate", "seed", "strides"), [(100.0, 0, 6), (100.0, 1, 6), (250.0, 2, 4), (400.0, 3, 3)]
+    ("rate", "seed", "strides"), [(100.0, 0, 6), (100.0, 1, 6), (250.0, 2, 3), (400.0, 3, 2)]
 )
 def test_a_loop_closes_at_every_rate(rate, seed, strides):
     end = closed(walk(seed, rate=rate, strides=strides).events)
@@ -59,7 +59,7 @@ def test_without_noise_the_track_is_the_truth():
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_the_threshold_is_no_knife_edge(factor):
     assert (
-        closed(walk(3, rate=100.0, strides=8).events, ZuptSettings(threshold=factor)).distance
+        closed(walk(3, rate=100.0, strides=5).events, ZuptSettings(threshold=factor)).distance
         < 0.15
     )
 
@@ -160,7 +160,8 @@ def test_openshoe_closes_closer_in_space_than_its_own_program():
 
 def test_xio_closes_over_the_ground_as_its_authors_do_in_space():
     events = recorded(XIO)
-    end = closed(events.take(events.t_ns > 9_000_000_000))  # it rests for 14 s
+    # It rests for 14 s before and for 8 s after: less of both will do.
+    end = closed(events.take((events.t_ns > 9_000_000_000) & (events.t_ns < 36_000_000_000)))
     assert end.horizontal <= 0.082
     # It climbs 18 mm a stride, of a cause not found (docs/filters/zupt.md).
     assert end.distance <= 0.35
