@@ -78,8 +78,8 @@ class ZuptSettings:
     """Grows with the acceleration, as :attr:`gyro_scale`: scale, bandwidth, blows of the heel."""
     gyro_bias: float = 2e-3
     """One sigma of the bias that the first rest leaves, rad/s: nobody stands quite still."""
-    accel_bias: float = 0.05
-    """One sigma, m/s^2."""
+    accel_bias: float = 0.2
+    """One sigma, m/s^2: 20 mg, the offset of a small sensor that nobody has calibrated."""
     gyro_walk: float = 1e-5
     """rad/s per square root of s."""
     accel_walk: float = 1e-4

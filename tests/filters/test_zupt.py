@@ -33,16 +33,18 @@ def walk(seed=0, **how):
     return walks.make(np.random.default_rng(seed), **how)
 
 
-@pytest.mark.parametrize(("rate", "seed"), [(100.0, 0), (100.0, 1), (250.0, 2), (400.0, 3)])
-def test_a_loop_closes_at_every_rate(rate, seed):
-    end = closed(walk(seed, rate=rate, strides=6).events)
-    assert end.path == pytest.approx(6 * 1.3, rel=0.06)
+@pytest.mark.parametrize(
+    ("rate", "seed", "strides"), [(100.0, 0, 6), (100.0, 1, 6), (250.0, 2, 3), (400.0, 3, 2)]
+)
+def test_a_loop_closes_at_every_rate(rate, seed, strides):
+    end = closed(walk(seed, rate=rate, strides=strides).events)
+    assert end.path == pytest.approx(strides * 1.3, rel=0.06)
     assert end.horizontal < 0.10
     assert end.distance < 0.10
 
 
 def test_without_noise_the_track_is_the_truth():
-    one = walk(noise=0.0, strides=3)
+    one = walk(noise=0.0, strides=2)
     solution = zupt.run(one.events)
     lag = len(one.events) - len(solution.table)
     pos = np.stack([solution.table.column(f"pos_{axis}") for axis in "ned"], axis=1)
@@ -57,20 +59,20 @@ def test_without_noise_the_track_is_the_truth():
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_the_threshold_is_no_knife_edge(factor):
     assert (
-        closed(walk(3, rate=100.0, strides=8).events, ZuptSettings(threshold=factor)).distance
+        closed(walk(3, rate=100.0, strides=5).events, ZuptSettings(threshold=factor)).distance
         < 0.15
     )
 
 
 def test_nine_errors_leave_the_biases_as_the_rest_had_them():
-    solution = zupt.run(walk(rate=100.0, strides=4).events, ZuptSettings(has_biases=False))
+    solution = zupt.run(walk(rate=100.0, strides=2).events, ZuptSettings(has_biases=False))
     assert np.ptp(solution.table.column("gyro_bias_x")) == 0.0
     assert np.ptp(solution.table.column("accel_bias_x")) == 0.0
 
 
 def test_fifteen_errors_find_the_bias_of_the_accelerometer():
     def drift(**settings):
-        solution = zupt.run(walk(5, rate=100.0, strides=8).events, ZuptSettings(**settings))
+        solution = zupt.run(walk(5, rate=100.0, strides=5).events, ZuptSettings(**settings))
         return np.ptp(solution.table.column("accel_bias_x"))
 
     assert drift() > 0.005
@@ -78,7 +80,7 @@ def test_fifteen_errors_find_the_bias_of_the_accelerometer():
 
 
 def test_the_lever_arm_is_what_a_rolling_foot_needs():
-    events = walk(noise=0.0, rate=100.0, strides=8, lever=0.12, rolling=0.05).events
+    events = walk(noise=0.0, rate=100.0, strides=5, lever=0.12, rolling=0.05).events
     assert closed(events).distance < 0.5 * closed(events, ZuptSettings(lever=0.0)).distance
 
 
@@ -94,7 +96,7 @@ def test_stances_are_the_planted_phases():
 
 
 def test_the_answer_does_not_hang_on_how_the_sensor_is_held():
-    events = walk(noise=0.0, rate=100.0, strides=4).events
+    events = walk(noise=0.0, rate=100.0, strides=2).events
     turned = events.values.copy()
     # A quarter turn about forward: right becomes down, down left.
     turned[:, [1, 2, 4, 5]] = events.values[:, [2, 1, 5, 4]] * [-1.0, 1.0, -1.0, 1.0]
@@ -104,11 +106,11 @@ def test_the_answer_does_not_hang_on_how_the_sensor_is_held():
 
 
 def test_what_is_repeated_or_not_finite_is_left_out():
-    events = walk(strides=2).events
-    index = np.sort(np.concatenate([np.arange(len(events)), [50, 900, 901]]))
+    events = walk(rate=100.0, strides=2).events
+    index = np.sort(np.concatenate([np.arange(len(events)), [20, 360, 361]]))
     spoiled = events.take(index)
     values = spoiled.values.copy()
-    values[1000, 2] = np.nan
+    values[400, 2] = np.nan
     solution = zupt.run(dataclasses.replace(spoiled, values=values))
     assert len(solution.table) <= len(events)
     assert closure.closure(solution).distance < 0.1
@@ -158,12 +160,15 @@ def test_openshoe_closes_closer_in_space_than_its_own_program():
 
 def test_xio_closes_over_the_ground_as_its_authors_do_in_space():
     events = recorded(XIO)
-    end = closed(events.take(events.t_ns > 9_000_000_000))  # it rests for 14 s
+    # It rests for 14 s before and for 8 s after: less of both will do.
+    end = closed(events.take((events.t_ns > 9_000_000_000) & (events.t_ns < 36_000_000_000)))
     assert end.horizontal <= 0.082
+    # It climbs 18 mm a stride, of a cause not found (docs/filters/zupt.md).
+    assert end.distance <= 0.35
     assert end.path == pytest.approx(25.0, abs=1.0)
 
 
 def test_a_table_has_a_line_per_walk():
-    lines = closure.table([closed(walk(strides=1).events)])
+    lines = closure.table([closed(walk(rate=100.0, strides=1).events)])
     assert len(lines) == 2
     assert "zupt, shoe, 15 errors" in lines[1]
