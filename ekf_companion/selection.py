@@ -29,13 +29,6 @@ from ekf_companion.pipeline import Aid, Pipeline, Verdict
 Run = Callable[[Recording, FilterSettings, str], Solution]
 """Recording, settings and option in, solution out."""
 
-DETECTORS = {
-    "shoe": Detector.SHOE,
-    "mv": Detector.VARIANCE,
-    "mag": Detector.MAGNITUDE,
-    "are": Detector.RATE,
-}
-"""Of zupt, by the names that their authors gave them."""
 BLOCKS = [*range(at.E_ATT, at.E_ATT + 3), *range(at.E_VEL, at.E_VEL + 3)]
 BLOCKS += range(at.E_POS, at.E_POS + 3)
 """Where the estimator's covariance holds what a solution keeps of it."""
@@ -129,7 +122,7 @@ def _euler(recording: Recording, settings: FilterSettings, option: str) -> Solut
 
 def _zupt(recording: Recording, settings: FilterSettings, option: str) -> Solution:
     del settings
-    return zupt.run(recording.events, detector=DETECTORS[option])
+    return zupt.run(recording.events, detector=Detector(option))
 
 
 def _iterated(recording: Recording, settings: FilterSettings, option: str) -> Solution:
@@ -177,7 +170,7 @@ FILTERS: Mapping[str, Filter] = {
     "ukf": Filter(run=_ukf, options=(), says="unscented filter on the manifold"),
     "zupt": Filter(
         run=_zupt,
-        options=tuple(DETECTORS),
+        options=tuple(one.value for one in Detector),
         says="inertial navigation of a foot or a wheel, held by its own rests",
     ),
     "ahrs": Filter(

@@ -5,6 +5,7 @@ What all share
     strapdown    the motion: state, mechanisation, its Jacobian
     observation  what a sensor should read, and the Jacobian of that
     gate         whom to believe
+    aiding       rows of a recording as observations
     course       events in order of the time when they were true, cut into intervals
     start        level, north and a fix to begin from
     consistency  errors measured by a filter's own covariance

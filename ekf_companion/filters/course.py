@@ -16,16 +16,20 @@ import numpy.typing as npt
 from ekf_companion.core.field import Field
 from ekf_companion.core.settings import HABITS, FilterSettings, delays_ns
 from ekf_companion.errors import FilterError, LogError
+from ekf_companion.filters import aiding
 from ekf_companion.filters.gate import Gate
-from ekf_companion.filters.observation import Azimuth, Observation, Position, Velocity
+from ekf_companion.filters.observation import Azimuth, Observation
 from ekf_companion.filters.solution import Recorder, Solution
 from ekf_companion.filters.start import Start, find_start
-from ekf_companion.filters.strapdown import Earth, Interval, Noise, Nominal, cross
+from ekf_companion.filters.strapdown import Earth, Interval, Noise, Nominal
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind
+from ekf_companion.nav.measurements import Events, Kind
 
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
+
+AROUND_NS = 2_000_000_000
+"""How far from the inertial samples a fix or a heading is still of the same part."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -103,18 +107,24 @@ class Course:
         imu = imu.take(is_good)
         if len(imu) < 2:
             raise LogError("no inertial samples: nothing can be integrated")
+        imu, self.notes = _unbroken(imu, settings.imu.gap_reset)
+        is_near = (ordered.t_ns > imu.t_ns[0] - AROUND_NS) & (
+            ordered.t_ns < imu.t_ns[-1] + AROUND_NS
+        )
+        ordered = ordered.take(is_near)
         self.t_ns: Stamps = imu.t_ns
         """Times of the inertial samples."""
         self.gyro: Array = imu.values[:, :3]
         """rad/s, b, shape (n, 3)."""
         self.accel: Array = imu.values[:, 3:6]
         """m/s^2, b."""
-        fixes = _fixes(ordered, settings)
+        fixes = aiding.fixes(ordered, settings)
         self.frame = LocalFrame(*fixes.values[0, :3].tolist())
         """Of the positions; its origin is the first fix."""
         self.earth = Earth.at(self.frame)
-        aids = [(int(t), one) for t, one in self._aids(fixes)]
-        aids += self._azimuths(ordered, fixes)
+        nearest = np.clip(np.searchsorted(self.t_ns, fixes.t_ns), 0, len(self.t_ns) - 1)
+        aids = aiding.of_fixes(fixes, self.gyro[nearest], self.frame, settings)
+        aids += aiding.azimuths(ordered, fixes, settings)
         self.aids: list[tuple[int, Observation]] = sorted(aids, key=lambda one: one[0])
         """Times and aids, ascending."""
 
@@ -175,98 +185,21 @@ class Course:
             dt=(end - begin) * 1e-9, gyro0=ends[0], gyro1=ends[1], accel0=ends[2], accel1=ends[3]
         )
 
-    def _aids(self, fixes: Events) -> Iterator[tuple[int, Observation]]:
-        """Give the positions and velocities of fixes."""
-        gnss = self._settings.gnss
-        lever = np.array(gnss.lever_arm)
-        pos_n = self.frame.to_ned(*fixes.values[:, :3].T)
-        nearest = np.clip(np.searchsorted(self.t_ns, fixes.t_ns), 0, len(self.t_ns) - 1)
-        for i, t_ns in enumerate(fixes.t_ns.tolist()):
-            vel_n, (std_h, std_v, std_vel) = fixes.values[i, 3:6], fixes.values[i, 6:9].tolist()
-            horizontal, vertical = max(std_h, gnss.position_std), max(std_v, gnss.height_std)
-            std = np.array([horizontal, horizontal, vertical])
-            yield t_ns, Position(pos_n=pos_n[i], std=std, lever_b=lever)
-            if not gnss.use_velocity or np.isnan(vel_n[:2]).any():
-                continue
-            std_vel = gnss.velocity_std_unknown if np.isnan(std_vel) else std_vel
-            yield (
-                t_ns,
-                Velocity(
-                    vel_n=vel_n[:2] if np.isnan(vel_n[2]) else vel_n,
-                    std=max(std_vel, gnss.velocity_std),
-                    swing_b=cross(self.gyro[nearest[i]], lever),
-                ),
-            )
 
-    def _azimuths(self, ordered: Events, fixes: Events) -> list[tuple[int, Observation]]:
-        """Give what shows north: of the sources that speak, the best.
-
-        Raises:
-            LogError: None speaks.
-        """
-        wanted = self._settings.heading.source
-        for source in HeadingSource:
-            if wanted in ("auto", source.name.lower()) and (
-                found := self._azimuths_of(source, ordered, fixes)
-            ):
-                return found
-        raise LogError(
-            "no heading: this filter needs a magnetometer or another source of it "
-            "(heading.source); eskf finds north from the motion"
-        )
-
-    def _azimuths_of(
-        self, source: HeadingSource, ordered: Events, fixes: Events
-    ) -> list[tuple[int, Observation]]:
-        heading = self._settings.heading
-        rows = ordered.take((ordered.kind == Kind.HEADING) & (ordered.values[:, 2] == source))
-        forward = np.array([1.0, 0.0, 0.0])
-        found: list[tuple[int, Observation]] = [
-            (t, Azimuth(seen_b=forward, azimuth=angle, std=max(std, heading.heading_std)))
-            for t, (angle, std) in zip(rows.t_ns.tolist(), rows.values[:, :2].tolist(), strict=True)
-        ]
-        if found or source is not HeadingSource.MAGNETOMETER:
-            return found
-        declination, _, dip, strength = fixes.values[0, 9:13].tolist()
-        mag = ordered.take(ordered.kind == Kind.MAG)
-        size = np.linalg.norm(mag.values[:, :3], axis=1)
-        is_earths = np.isfinite(size) & (size > 0.0)
-        if strength > 0.0:
-            is_earths &= np.abs(size / strength - 1.0) <= heading.field_strength
-        level = np.cos(dip) if np.isfinite(dip) else 0.5
-        azimuth = declination if np.isfinite(declination) else 0.0
-        for t, field, total in zip(
-            mag.t_ns[is_earths].tolist(), mag.values[is_earths, :3], size[is_earths], strict=True
-        ):
-            noise = heading.magnetometer_noise / max(0.1, level) / total
-            std = float(np.hypot(noise, heading.magnetometer_std))
-            found.append((t, Azimuth(seen_b=field, azimuth=azimuth, std=std)))
-        return found
-
-
-def _fixes(ordered: Events, settings: FilterSettings) -> Events:
-    """Give the fixes that count: the receiver's, or where it is silent the autopilot's own.
-
-    Raises:
-        LogError: There is none.
-    """
-    rows = ordered.take(ordered.kind == Kind.GNSS)
-    flags = rows.values[:, 10].astype(int)
-    is_good = np.isfinite(rows.values[:, :3]).all(axis=1) & np.isfinite(rows.values[:, 6:8]).all(
-        axis=1
+def _unbroken(imu: Events, longest: float) -> tuple[Events, tuple[str, ...]]:
+    """Give the longest part of samples without a gap that no filter can bridge, and a note."""
+    gaps = np.diff(imu.t_ns)
+    cuts = np.flatnonzero(gaps > longest * 1e9) + 1
+    if not len(cuts):
+        return imu, ()
+    parts = np.split(np.arange(len(imu)), cuts)
+    kept = imu.take(max(parts, key=len))
+    begin, end = (int(t) * 1e-9 for t in (kept.t_ns[0], kept.t_ns[-1]))
+    return kept, (
+        f"the inertial samples have {len(cuts)} gaps of more than {longest:g} s, the longest of "
+        f"{gaps.max() * 1e-9:.1f} s: only the part from {begin:.1f} to {end:.1f} s is estimated; "
+        "eskf goes on after a gap",
     )
-    is_good &= (flags & GnssFlag.SUSPECT) == 0
-    is_derived = (flags & GnssFlag.DERIVED) != 0
-    source = settings.gnss.source
-    own = rows.take(is_good & ~is_derived)
-    if source == "global" or (source == "auto" and len(own) == 0):
-        own = rows.take(is_good & is_derived)
-    if len(own) == 0:
-        raise LogError(
-            "no GNSS fix: this filter needs positions; zupt and ahrs do without, and eskf gives "
-            "attitude and relative height"
-        )
-    return own
 
 
 def advance(tried: NavigationFilter, step: Step) -> None:
@@ -286,14 +219,14 @@ def run(name: str, tried: NavigationFilter, course: Course, setup: Setup) -> Sol
         FilterError: It cannot go on, and has estimated nothing.
     """
     recorder = Recorder(name, course.frame)
-    notes: tuple[str, ...] = ()
+    notes = course.notes
     for step in course.steps(setup.start.t_ns):
         try:
             advance(tried, step)
         except FilterError as why:
             if not len(recorder):
                 raise
-            notes = (stopped(step.t_ns, why),)
+            notes = (*notes, stopped(step.t_ns, why))
             break
         if step.is_sample:
             recorder.add(step.t_ns, tried.state, tried.covariance())

@@ -25,11 +25,11 @@ class Detector(Enum):
 
     SHOE = "shoe"
     """Stance hypothesis optimal detection: is the specific force gravity alone, the rate none?"""
-    VARIANCE = "variance"
+    VARIANCE = "mv"
     """Acceleration moving variance: does the specific force stay the same?"""
-    MAGNITUDE = "magnitude"
+    MAGNITUDE = "mag"
     """Acceleration magnitude: is the specific force as large as gravity?"""
-    RATE = "rate"
+    RATE = "are"
     """Angular rate energy: does it not turn?"""
 
 

@@ -199,14 +199,14 @@ def run(course: Course, constants: Constants = ARTICLE) -> Solution:
         except FilterError as why:
             if not len(recorder):
                 raise
-            return recorder.solution(notes=(stopped(epoch.t_ns, why),))
+            return recorder.solution(notes=(*course.notes, stopped(epoch.t_ns, why)))
         recorder.add(epoch.t_ns, to_nominal(tried.x), covariance_in_n(tried.x, tried.P))
     if tried is None:
         raise LogError(
             "the recording ends before a heading, and a fix with velocity in three axes, are "
             "known: the article's filter takes both together; --preset corrected takes what it gets"
         )
-    return recorder.solution()
+    return recorder.solution(notes=course.notes)
 
 
 def _yaw(x: Real, seen: Azimuth) -> float:

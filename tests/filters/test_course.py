@@ -160,3 +160,16 @@ def test_a_field_of_another_strength_shows_no_north():
     values[events.kind == Kind.MAG, :3] *= 2.0
     with pytest.raises(LogError, match="no heading"):
         Course(Events(t_ns=events.t_ns, kind=events.kind, values=values), FilterSettings())
+
+
+def test_over_a_gap_that_cannot_be_bridged_only_the_longest_part_counts():
+    stamps = [*range(0, 200, 10), *range(60_000, 60_500, 10)]
+    events = merge(imu(stamps), fixes([5, 60_005]), headings([5, 60_005]))
+    course = Course(events, FilterSettings())
+    assert len(course.t_ns) == 50
+    assert course.t_ns[0] == 60_000 * MS
+    assert [t // MS for t, _ in course.aids] == [60_005] * 3
+    assert len(course.notes) == 1
+    assert "59.8 s" in course.notes[0]
+    bridged = Course(merge(imu(range(0, 200, 50)), fixes([5]), headings([5])), FilterSettings())
+    assert bridged.notes == ()

@@ -1,0 +1,121 @@
+"""Rows of a recording as observations: fixes, and the best of what shows north."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.errors import LogError
+from ekf_companion.filters.observation import Azimuth, Observation, Position, Velocity
+from ekf_companion.filters.strapdown import cross
+from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind
+
+Array = npt.NDArray[np.float64]
+Timed = tuple[int, Observation]
+"""Time, ns, and what was seen then."""
+
+
+def fixes(ordered: Events, settings: FilterSettings) -> Events:
+    """Give the fixes that count: the receiver's, or where it is silent the autopilot's own.
+
+    Raises:
+        LogError: There is none.
+    """
+    rows = ordered.take(ordered.kind == Kind.GNSS)
+    flags = rows.values[:, 10].astype(int)
+    is_good = np.isfinite(rows.values[:, :3]).all(axis=1) & np.isfinite(rows.values[:, 6:8]).all(
+        axis=1
+    )
+    is_good &= (flags & GnssFlag.SUSPECT) == 0
+    is_derived = (flags & GnssFlag.DERIVED) != 0
+    source = settings.gnss.source
+    own = rows.take(is_good & ~is_derived)
+    if source == "global" or (source == "auto" and len(own) == 0):
+        own = rows.take(is_good & is_derived)
+    if len(own) == 0:
+        raise LogError(
+            "no GNSS fix: this filter needs positions; zupt and ahrs do without, and eskf gives "
+            "attitude and relative height"
+        )
+    return own
+
+
+def of_fixes(
+    rows: Events, rates_b: Array, frame: LocalFrame, settings: FilterSettings
+) -> list[Timed]:
+    """Give positions and velocities with their times.
+
+    Args:
+        rows: Fixes.
+        rates_b: Angular rate at each, rad/s, shape (n, 3).
+        frame: Of the positions.
+        settings: Lever arm, floors of the noise.
+    """
+    found: list[Timed] = []
+    gnss = settings.gnss
+    lever = np.array(gnss.lever_arm)
+    pos_n = frame.to_ned(*rows.values[:, :3].T)
+    for i, t_ns in enumerate(rows.t_ns.tolist()):
+        vel_n, (std_h, std_v, std_vel) = rows.values[i, 3:6], rows.values[i, 6:9].tolist()
+        horizontal, vertical = max(std_h, gnss.position_std), max(std_v, gnss.height_std)
+        std = np.array([horizontal, horizontal, vertical])
+        found.append((t_ns, Position(pos_n=pos_n[i], std=std, lever_b=lever)))
+        if not gnss.use_velocity or np.isnan(vel_n[:2]).any():
+            continue
+        std_vel = gnss.velocity_std_unknown if np.isnan(std_vel) else std_vel
+        velocity = Velocity(
+            vel_n=vel_n[:2] if np.isnan(vel_n[2]) else vel_n,
+            std=max(std_vel, gnss.velocity_std),
+            swing_b=cross(rates_b[i], lever),
+        )
+        found.append((t_ns, velocity))
+    return found
+
+
+def azimuths(ordered: Events, rows: Events, settings: FilterSettings) -> list[Timed]:
+    """Give what shows north: of the sources that speak, the best.
+
+    Raises:
+        LogError: None speaks.
+    """
+    wanted = settings.heading.source
+    for source in HeadingSource:
+        if wanted in ("auto", source.name.lower()) and (
+            found := _azimuths_of(source, ordered, rows, settings)
+        ):
+            return found
+    raise LogError(
+        "no heading: this filter needs a magnetometer or another source of it "
+        "(heading.source); eskf finds north from the motion"
+    )
+
+
+def _azimuths_of(
+    source: HeadingSource, ordered: Events, fixes: Events, settings: FilterSettings
+) -> list[Timed]:
+    heading = settings.heading
+    rows = ordered.take((ordered.kind == Kind.HEADING) & (ordered.values[:, 2] == source))
+    forward = np.array([1.0, 0.0, 0.0])
+    found: list[Timed] = [
+        (t, Azimuth(seen_b=forward, azimuth=angle, std=max(std, heading.heading_std)))
+        for t, (angle, std) in zip(rows.t_ns.tolist(), rows.values[:, :2].tolist(), strict=True)
+    ]
+    if found or source is not HeadingSource.MAGNETOMETER:
+        return found
+    declination, _, dip, strength = fixes.values[0, 9:13].tolist()
+    mag = ordered.take(ordered.kind == Kind.MAG)
+    size = np.linalg.norm(mag.values[:, :3], axis=1)
+    is_earths = np.isfinite(size) & (size > 0.0)
+    if strength > 0.0:
+        is_earths &= np.abs(size / strength - 1.0) <= heading.field_strength
+    level = np.cos(dip) if np.isfinite(dip) else 0.5
+    azimuth = declination if np.isfinite(declination) else 0.0
+    for t, field, total in zip(
+        mag.t_ns[is_earths].tolist(), mag.values[is_earths, :3], size[is_earths], strict=True
+    ):
+        noise = heading.magnetometer_noise / max(0.1, level) / total
+        std = float(np.hypot(noise, heading.magnetometer_std))
+        found.append((t, Azimuth(seen_b=field, azimuth=azimuth, std=std)))
+    return found
