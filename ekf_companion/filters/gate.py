@@ -31,7 +31,7 @@ class Gate:
         return {aid: (fused, refused) for aid, (fused, refused) in self._counts.items()}
 
     def admits(self, aid: str, t_ns: int, z: Array, S: Array) -> bool:
-        """Judge an innovation; after a time-out of refusals the next is believed all the same.
+        """Judge an innovation; after a time-out of refusals all are believed, until one is good again.
 
         Args:
             aid: Whose it is.
@@ -49,9 +49,9 @@ class Gate:
         """Judge an innovation by its normalised square, as :meth:`admits` does."""
         counts = self._counts.setdefault(aid, [0, 0])
         since_ns = self._refused_ns.setdefault(aid, t_ns)
-        if self.allows(nis, dof) or (t_ns - since_ns) * 1e-9 > self._patience[aid]:
-            counts[0] += 1
+        is_good = self.allows(nis, dof)
+        if is_good:
             del self._refused_ns[aid]
-            return True
-        counts[1] += 1
-        return False
+        is_believed = is_good or (t_ns - since_ns) * 1e-9 > self._patience[aid]
+        counts[0 if is_believed else 1] += 1
+        return is_believed
