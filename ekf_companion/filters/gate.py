@@ -31,7 +31,7 @@ class Gate:
         return {aid: (fused, refused) for aid, (fused, refused) in self._counts.items()}
 
     def admits(self, aid: str, t_ns: int, z: Array, S: Array) -> bool:
-        """Judge an innovation; after a time-out of refusals all are believed, until one is good again.
+        """Judge an innovation; after a time-out all are believed, until one is good.
 
         Args:
             aid: Whose it is.
