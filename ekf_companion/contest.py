@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ekf_companion import attitude
 from ekf_companion.core.settings import FilterSettings
-from ekf_companion.errors import LogError
+from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters.closure import closure
 from ekf_companion.filters.consistency import nees
 from ekf_companion.filters.solution import Solution
@@ -59,6 +59,8 @@ class Entry:
     """Processor time per inertial sample, microseconds."""
     note: str = ""
     """Why there is no solution."""
+    span: tuple[float, float] | None = None
+    """First and last time that was scored, s; None: all that counts."""
     rms: Mapping[str, float] = field(default_factory=dict)
     """By row of the table, in its unit; NaN, or no row: one of the two lacks it."""
     nees: Mapping[str, float] = field(default_factory=dict)
@@ -71,6 +73,7 @@ class Entry:
             "filter": self.name,
             "rms": {_key(name): value for name, value in known.items() if value is not None},
             "nees": sure,
+            "scored_s": self.span,
             "us_per_sample": self.us if np.isfinite(self.us) else None,
             "estimates": 0 if self.solution is None else len(self.solution.table),
             "fused": {} if self.solution is None else dict(self.solution.counts),
@@ -96,9 +99,11 @@ def hold(
     """Take each filter through the recording.
 
     Raises:
-        ConfigError: A name is unknown.
+        ConfigError: A name is unknown or stands twice, or there is none.
         LogError: No filter finds what it needs.
     """
+    if not names or len(set(names)) < len(names):
+        raise ConfigError(f"--filters: {','.join(names)!r}: name each filter once, at least one")
     for name in names:
         choose(name)
     entries = []
@@ -129,7 +134,7 @@ def _enter(recording: Recording, name: str, settings: FilterSettings) -> Entry:
 
 def _closure(solution: Solution) -> dict[str, float]:
     """Give how far a walk is from closing; nothing of a filter that knows no stance."""
-    if solution.is_still is None or not len(solution.table):
+    if solution.is_still is None or not np.isfinite(solution.table.column("pos_n")).any():
         return {}
     found = closure(solution)
     return {
@@ -172,11 +177,19 @@ def judge(
     end = np.iinfo(np.int64).max if until_s is None else zero + round(until_s * 1e9)
     judged = [_judge(one, reference, begin, end) for one in entries]
     if not any(np.isfinite(value) for one in judged for value in one.rms.values()):
+        spans = (one.att_t_ns[[0, -1]] * 1e-9 for one in _known(entries, reference))
+        said = ", ".join(f"{first:.1f} to {last:.1f} s" for first, last in spans)
         raise LogError(
-            f"no filter has time in common with {reference.name} after the first {skip_s:g} s; "
-            "leave out fewer with --skip"
+            f"no filter has time in common with {reference.name}: they last {said}, of which the "
+            "first seconds (--skip) and what comes after --until are left out"
         )
     return judged
+
+
+def _known(entries: Sequence[Entry], reference: Trajectory) -> Iterator[Trajectory]:
+    for one in (*(entry.trajectory for entry in entries), reference):
+        if one is not None and len(one.att_t_ns):
+            yield one
 
 
 def _turn(entry: Entry, reference: Trajectory, counted: Counted | None) -> Entry:
@@ -193,8 +206,11 @@ def _judge(entry: Entry, reference: Trajectory, begin: int, end: int) -> Entry:
     if entry.solution is None or entry.trajectory is None:
         return entry
     found = nees(entry.solution, reference, begin, end)
+    stamps = entry.trajectory.att_t_ns
+    scored = stamps[(stamps >= begin) & (stamps <= end)]
     return replace(
         entry,
+        span=(scored[0] * 1e-9, scored[-1] * 1e-9) if len(scored) else None,
         rms={**entry.rms, **_rms(entry.trajectory, reference, begin, end)},
         nees={
             name: np.nan if value is None else value
@@ -256,6 +272,12 @@ def table(entries: Sequence[Entry]) -> Iterator[str]:
                 f"{_number(each.get(name, np.nan), 0 if name == 'stances' else 3):>{width}}"
                 for each in values
             )
+    if any(one.span is not None for one in entries):
+        yield from ("", "Time that was scored")
+        for index, name in enumerate(("from", "to")):
+            times = [np.nan if one.span is None else one.span[index] for one in entries]
+            label = f"  {name}, s"
+            yield f"{label:<26}" + "".join(f"{_number(t, 1):>{width}}" for t in times)
     yield from ("", "Cost")
     yield f"{'  us per sample':<26}" + "".join(f"{_number(one.us, 1):>{width}}" for one in entries)
     aids = dict.fromkeys(aid for one in entries if one.solution for aid in one.solution.counts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,12 +102,16 @@ def convert_by(
     Raises:
         LogError: As :func:`convert`, or the log lacks what the filter needs.
     """
-    if out.suffix != ".csv" or out.resolve() == path.resolve():
-        raise LogError(f"{out}: estimates of {name} are written as .csv; name another file")
+    if out.resolve() == path.resolve():
+        raise LogError(f"{out}: is the log itself; name another file")
+    if out.suffix != ".csv":
+        raise LogError(f"{out}: estimates of {name} are written as .csv; name such a file")
+    recording = read(path, config)
     try:
-        solution = run_filter(read(path, config), name, config)
+        solution = run_filter(recording, name, config)
     except LogError as error:
         raise LogError(f"{path}: {error}") from error
+    solution = replace(solution, notes=(*solution.notes, *recording.notes))
     with CsvWriter(out) as writer:
         kept = _thin(solution.table, rate, None)
         writer.write(kept.stamp_ns, kept.values)

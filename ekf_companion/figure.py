@@ -29,7 +29,7 @@ POINTS = 20000
 """Of each line at most: more than a picture can show."""
 _COLOURS = ("#d62728", "#1f77b4", "#7f7f7f", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b")
 _STYLES = ("-", "--", ":", "-.")
-_FIXES = {"color": "#2ca02c", "marker": ".", "linestyle": "", "markersize": 3, "alpha": 0.4}
+_FIXES = {"color": "#b0b0b0", "marker": ".", "linestyle": "", "markersize": 3, "label": "fixes"}
 _PLACES = {
     "track": (slice(0, 6), 0, "north-east track", "east, m", "north, m"),
     "altitude": (slice(6, 9), 0, "altitude", "time, s", "above mean sea level, m"),
@@ -108,7 +108,9 @@ def plot(
         if with_errors and one is not trajectories[-1]:
             _draw_errors(axes, one, trajectories[-1], scale, look)
     axes["track"].set_aspect("equal", adjustable="datalim")
-    handles, names = axes["roll"].get_legend_handles_labels()
+    handles, names = axes["track"].get_legend_handles_labels()
+    if len(names) <= 1:
+        handles, names = axes["roll"].get_legend_handles_labels()
     sheet.legend(handles, names, loc="outside lower center", ncols=min(4, len(names)))
     sheet.suptitle(title)
     try:
@@ -137,7 +139,9 @@ def _draw_fixes(axes: dict[str, Any], events: Events, scale: _Scale) -> None:
     axes["track"].plot(ned[:, 1], ned[:, 0], **_FIXES)
     axes["altitude"].plot(seconds, values[:, 2], **_FIXES)
     speed = np.linalg.norm(np.nan_to_num(values[:, 3:6]), axis=1)
-    axes["speed"].plot(seconds, np.where(np.isnan(values[:, 3]), np.nan, speed), **_FIXES)
+    # Without the vertical part it would be another speed
+    is_whole = np.isfinite(values[:, 3:6]).all(axis=1)
+    axes["speed"].plot(seconds, np.where(is_whole, speed, np.nan), **_FIXES)
 
 
 def _draw(axes: dict[str, Any], one: Trajectory, scale: _Scale, look: dict[str, Any]) -> None:

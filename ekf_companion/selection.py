@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ekf_companion.core import layout as at
+from ekf_companion.core.field import Field
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters import (
@@ -23,6 +24,7 @@ from ekf_companion.filters import (
 from ekf_companion.filters.detector import Detector
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
 from ekf_companion.logs.recording import Recording
+from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.state import Status, join
 from ekf_companion.pipeline import Aid, Pipeline, Verdict
 
@@ -139,20 +141,26 @@ def _ukf(recording: Recording, settings: FilterSettings, option: str) -> Solutio
 
 
 def _ahrs(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    del settings
+    events = _completed(recording, settings)
     if option == "error-state":
-        return ahrs.run(recording.events)
-    return ahrs_article.run(recording.events, "article" if option == "article" else "corrected")
+        return ahrs.run(events)
+    return ahrs_article.run(events, "article" if option == "article" else "corrected")
 
 
 def _mahony(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    del settings, option
-    return mahony.run(recording.events)
+    del option
+    return mahony.run(_completed(recording, settings))
 
 
 def _vqf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    del settings, option
-    return vqf_adapter.run(recording.events)
+    del option
+    return vqf_adapter.run(_completed(recording, settings))
+
+
+def _completed(recording: Recording, settings: FilterSettings) -> Events:
+    """Give the events with the declination of their place, and without the vehicle's own iron."""
+    values = Field(settings.heading).complete_all(recording.events)
+    return replace(recording.events, values=values)
 
 
 FILTERS: Mapping[str, Filter] = {

@@ -43,7 +43,8 @@ def test_the_summary_overwrites_neither_the_log_nor_the_estimates(flown, tmp_pat
     before = flown.read_bytes()
     result = command("convert", flown, "-o", out, "--json", flown if is_log else out)
     assert result.exit_code == 2
-    assert "is the log or its output; name another file" in result.stderr
+    other = "the log" if is_log else "what --out writes"
+    assert f"is {other}; name another file" in result.stderr
     assert flown.read_bytes() == before
     assert not out.exists()
 

@@ -160,3 +160,28 @@ def test_attitude_alone_is_scored_where_the_truth_is_of_nothing_else():
 def test_every_filter_says_what_it_is():
     assert {"eskf", "euler", "iterated", "ukf", "zupt", "ahrs", "mahony", "vqf"} == set(FILTERS)
     assert all(entry.says for entry in FILTERS.values())
+
+
+@pytest.mark.parametrize("option", ["--json", "--plot"])
+@pytest.mark.parametrize("victim", ["log", "reference", "configuration", "other output"])
+def test_nothing_that_is_read_or_written_besides_is_overwritten(flight, tmp_path, option, victim):
+    log, truth = flight
+    config = tmp_path / "c.yaml"
+    config.write_text("window: 1.0\n")
+    target = {"log": log, "reference": truth, "configuration": config}.get(victim, tmp_path / "x")
+    before = target.read_bytes() if target.exists() else None
+    words = ["compare", log, "--reference", truth, "--config", config, "--filters", "eskf"]
+    words += [option, target]
+    if victim == "other output":
+        words += ["--plot" if option == "--json" else "--json", target]
+    result = command(*words)
+    assert result.exit_code == 2, result.output
+    assert "name another file" in result.output
+    assert (target.read_bytes() if target.exists() else None) == before
+
+
+def test_an_output_without_a_folder_is_refused_before_the_work(flight, tmp_path):
+    words = ("compare", flight[0], "--reference", flight[1], "--json", tmp_path / "no" / "x.json")
+    result = command(*words)
+    assert result.exit_code == 2
+    assert "there is no such folder" in result.output

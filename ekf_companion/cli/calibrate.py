@@ -14,6 +14,7 @@ from ekf_companion.cli.terminal import (
     LogArgument,
     PlotOption,
     bar,
+    keep_apart,
     load,
     read,
     sentences,
@@ -41,8 +42,11 @@ def calibrate_noise(
     from ekf_companion.calibrate import noise, noise_report
 
     with sentences():
+        keep_apart(
+            {"the log": log, "the configuration": config}, {"--plot": plot, "--json": json_file}
+        )
         settings = load(config)
-        recording = read(log, settings, plot, json_file)
+        recording = read(log, settings)
         found = noise.measure(recording, settings, str(log))
         result = noise_report.result(found, settings).after(recording.notes)
         _tell("noise", log, plot, json_file, result, partial(noise_report.draw, found))
@@ -59,8 +63,11 @@ def calibrate_delay(
     from ekf_companion.calibrate import delay, delay_report
 
     with sentences():
+        keep_apart(
+            {"the log": log, "the configuration": config}, {"--plot": plot, "--json": json_file}
+        )
         settings = load(config)
-        recording = read(log, settings, plot, json_file)
+        recording = read(log, settings)
         with bar(f"{log.name}: delays") as progress:
             found = delay.measure(recording, settings, str(log), progress)
         result = delay_report.result(found).after(recording.notes)
@@ -78,8 +85,11 @@ def calibrate_mag(
     from ekf_companion.calibrate import mag, mag_report
 
     with sentences():
+        keep_apart(
+            {"the log": log, "the configuration": config}, {"--plot": plot, "--json": json_file}
+        )
         settings = load(config)
-        recording = read(log, settings, plot, json_file)
+        recording = read(log, settings)
         found = mag.measure(recording, settings, str(log))
         result = mag_report.result(found).after(recording.notes)
         _tell("mag", log, plot, json_file, result, partial(mag_report.draw, found))

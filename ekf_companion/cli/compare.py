@@ -13,6 +13,7 @@ from ekf_companion.cli.terminal import (
     JsonOption,
     SmoothOption,
     bar,
+    keep_apart,
     load,
     read,
     sentences,
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 _WITHOUT_REFERENCE = (
     "{}: holds neither a truth nor the autopilot's own estimate; "
-    "name a truth with --reference TRUTH.csv"
+    "name a truth with --reference TRUTH.csv, or of a walk --filters zupt"
 )
 
 
@@ -53,7 +54,10 @@ def compare(
     ] = None,
     filters: Annotated[
         str | None,
-        typer.Option(help="Several over the same log, beside each other: eskf,euler,iterated,ukf."),
+        typer.Option(
+            help="Several over the same log: eskf,euler,iterated,ukf; zupt; ahrs,mahony,vqf. "
+            "docs/FILTERS.md has their options."
+        ),
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw all of them into a .png.")] = None,
     smooth: SmoothOption = False,
@@ -61,6 +65,8 @@ def compare(
 ) -> None:
     """Measure our estimate, or several filters', against a truth or the autopilot's own."""
     with sentences():
+        inputs = {"the log": log, "the reference": reference, "the configuration": config}
+        keep_apart(inputs, {"--plot": plot, "--json": json_file})
         if filters is None:
             ours = _ours(log, load(config), is_smoothed=smooth)
             _compare_ours(log, ours, reference, (skip, until), plot, json_file)
@@ -162,10 +168,12 @@ def _compare_filters(
 ) -> None:
     """Take several filters through a log, and print how far off each is."""
     from ekf_companion import contest, figure, walk
-    from ekf_companion.logs.estimate import read_truth
+    from ekf_companion.logs.estimate import is_estimate, read_truth
 
-    recording = read(log, config, plot, json_file)
-    names = [name.strip() for name in filters.split(",")]
+    if is_estimate(log):
+        raise ConfigError(f"--filters: {log} is an estimate; name the log that it was made from")
+    recording = read(log, config)
+    names = [name.strip() for name in filters.split(",") if name.strip()]
     try:
         with bar(f"{log.name}: filters") as progress:
             entries = contest.hold(recording, names, config, progress)

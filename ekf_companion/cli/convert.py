@@ -13,6 +13,7 @@ from ekf_companion.cli.terminal import (
     LogArgument,
     SmoothOption,
     bar,
+    keep_apart,
     load,
     sentences,
     write_json,
@@ -32,24 +33,27 @@ def convert(
     name: Annotated[
         str, typer.Option("--filter", help="NAME or NAME:OPTION; docs/FILTERS.md lists them.")
     ] = "eskf",
-    preset: Annotated[str | None, typer.Option(help="Option of euler and ahrs: article.")] = None,
-    frame: Annotated[str | None, typer.Option(help="Option of iterated: robocentric.")] = None,
-    detector: Annotated[
-        str | None, typer.Option(help="Option of zupt: shoe, mv, mag, are.")
+    preset: Annotated[
+        str | None, typer.Option(help="Of euler, ahrs: article or corrected.")
     ] = None,
+    frame: Annotated[str | None, typer.Option(help="Of iterated: robocentric or sphere.")] = None,
+    detector: Annotated[str | None, typer.Option(help="Of zupt: shoe, mv, mag or are.")] = None,
 ) -> None:
     """Re-run the estimator, or another filter, over a recorded flight."""
     from ekf_companion import convert as converter
 
     with sentences(), bar(log.name) as progress:
-        if json_file is not None and json_file.resolve() in (log.resolve(), out.resolve()):
-            raise ConfigError(f"--json: {json_file}: is the log or its output; name another file")
+        inputs = {"the log": log, "the configuration": config, "what --out writes": out}
+        keep_apart(inputs, {"--json": json_file})
+        if config is not None and out.resolve() == config.resolve():
+            raise ConfigError(f"--out: {out}: is the configuration; name another file")
         chosen = _choose(name, [preset, frame, detector])
         if chosen != "eskf":
             if smooth:
                 raise ConfigError("--smooth: smooths eskf only; leave it or --filter out")
             solution = converter.convert_by(chosen, log, out, load(config), rate)
             write_json(json_file, solution.to_dict())
+            typer.echo(f"{log}:")
             for line in solution.summary():
                 typer.echo(line)
             return

@@ -13,6 +13,7 @@ from ekf_companion.cli.terminal import (
     LogArgument,
     PlotOption,
     bar,
+    keep_apart,
     load,
     read,
     sentences,
@@ -38,8 +39,11 @@ def observability(
     from ekf_companion.filters.course import Course
 
     with sentences():
+        keep_apart(
+            {"the log": log, "the configuration": config}, {"--plot": plot, "--json": json_file}
+        )
         settings = load(config)
-        recording = read(log, settings, plot, json_file)
+        recording = read(log, settings)
         try:
             course = Course(recording.events, settings, recording.family, recording.gnss_delay)
             with bar(f"{log.name}: observability") as progress:

@@ -87,12 +87,30 @@ def write_json(path: Path | None, data: object) -> None:
             raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def read(log: Path, config: Config, plot: Path | None, json_file: Path | None) -> Recording:
-    """Open a log that nothing written may overwrite."""
+def keep_apart(inputs: dict[str, Path | None], outputs: dict[str, Path | None]) -> None:
+    """Refuse to write over what is read or written besides, or where there is no folder.
+
+    Args:
+        inputs: What is read, in words: ``the log``.
+        outputs: What is written, by option.
+
+    Raises:
+        ConfigError: An output is an input or another output, or has no folder to be in.
+    """
+    taken = {path.resolve(): name for name, path in inputs.items() if path is not None}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        if (other := taken.get(path.resolve())) is not None:
+            raise ConfigError(f"{option}: {path}: is {other}; name another file")
+        if not path.resolve().parent.is_dir():
+            raise ConfigError(f"{option}: {path}: there is no such folder; make it first")
+        taken[path.resolve()] = f"what {option} writes"
+
+
+def read(log: Path, config: Config) -> Recording:
+    """Open a log."""
     from ekf_companion import convert as converter
 
-    for option, path in (("--plot", plot), ("--json", json_file)):
-        if path is not None and path.resolve() == log.resolve():
-            raise ConfigError(f"{option}: {path}: is the log; name another file")
     with bar(log.name) as progress:
         return converter.read(log, config, progress)

@@ -36,8 +36,8 @@ def fixes(ordered: Events, settings: FilterSettings) -> Events:
         own = rows.take(is_good & is_derived)
     if len(own) == 0:
         raise LogError(
-            "no GNSS fix: this filter needs positions; zupt and ahrs do without, and eskf gives "
-            "attitude and relative height"
+            "no GNSS fix: positions are needed here; zupt (of a walk) and ahrs do without, and "
+            "eskf gives attitude and relative height"
         )
     return own
 
@@ -87,7 +87,7 @@ def azimuths(ordered: Events, rows: Events, settings: FilterSettings) -> list[Ti
         ):
             return found
     raise LogError(
-        "no heading: this filter needs a magnetometer or another source of it "
+        "no heading: a magnetometer or another source of it is needed here "
         "(heading.source); eskf finds north from the motion"
     )
 

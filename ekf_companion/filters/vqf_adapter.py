@@ -44,13 +44,17 @@ def run(events: Events) -> Solution:
         q_nb, bias, is_still = found["quat9D"], found["bias"], found["restDetected"]
     else:
         q_nb, bias, is_still = _one_by_one(estimator, gyro, accel, mag, has_mag)
+    q_nb = _north_east_down(q_nb)
+    if not has_mag.any():
+        # Its yaw of nought points east
+        q_nb = so3.multiply(so3.from_euler(0.0, 0.0, -0.5 * np.pi), q_nb)
     notes: tuple[str, ...] = ()
     if np.mean(np.abs(steps - step) > 0.5 * step) > UNEVEN:
         notes = ("the samples are not evenly spaced, which VQF takes them to be",)
     return readings.solution(
         NAME,
         taken,
-        _north_east_down(q_nb),
+        q_nb,
         bias=_forward_left_up(bias),
         is_still=np.asarray(is_still, dtype=bool),
         notes=notes,

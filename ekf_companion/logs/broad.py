@@ -79,13 +79,15 @@ def _load(path: Path) -> dict[str, Any]:
             f"{path}: is a MATLAB 7.3 file, which is not read here; save it with -v7"
         ) from error
     except DAMAGE as error:
-        raise LogError(f"{path}: is not a MATLAB file, or is damaged: {error}") from error
+        raise LogError(
+            f"{path}: is no MATLAB file of version 5 to 7, or is cut short; fetch it anew"
+        ) from error
     return content
 
 
 def _array(path: Path, content: dict[str, Any], name: str, width: int) -> Array:
     if name not in content:
-        raise LogError(f"{path}: has no {name}, so it is not a trial of BROAD; known are its .mat")
+        raise LogError(f"{path}: has no {name}, so it is no trial of BROAD, whose .mat are read")
     value = np.asarray(content[name])
     if value.dtype.kind not in "fiu" or value.ndim != 2 or value.shape[1] != width:
         raise LogError(f"{path}: {name} is {value.dtype} of {value.shape}, not of (n, {width})")

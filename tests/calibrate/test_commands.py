@@ -82,7 +82,7 @@ def test_nothing_overwrites_the_log(flown, option):
 
 
 def test_a_figure_that_cannot_be_written_ends_with_1(flown):
-    result = command("mag", flown["figure-eight"], "--plot", "no/such/folder/figure.png")
+    result = command("mag", flown["figure-eight"], "--plot", "figure.unknown")
     assert result.exit_code == 1
     assert "the figure cannot be written" in result.stderr
 

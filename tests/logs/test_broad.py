@@ -112,7 +112,7 @@ def test_damage_anywhere_is_refused_or_survived(tmp_path):
 def test_something_else_by_that_name_is_refused(tmp_path):
     path = tmp_path / "other.mat"
     path.write_bytes(b"no matlab file at all" * 40)
-    with pytest.raises(LogError, match=r"other\.mat: is not a MATLAB file"):
+    with pytest.raises(LogError, match=r"other\.mat: is no MATLAB file"):
         broad.read(path)
     with pytest.raises(LogError, match="no such file"):
         broad.read(tmp_path / "missing.mat")
