@@ -8,7 +8,7 @@ Source of the layout: BasicEKF, run_state_estimation_ins_euler_directEKF_method.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,13 @@ _PLACES = {
     "attitude error": (slice(8, 12), 2, "attitude error", "time, s", "deg"),
 }
 """Rows of twelve, column, title and labels of each picture."""
+_TURNS = {
+    "roll": (slice(0, 6), 0, *_PLACES["roll"][2:]),
+    "pitch": (slice(0, 6), 1, *_PLACES["pitch"][2:]),
+    "yaw": (slice(6, 12), 0, *_PLACES["yaw"][2:]),
+    "attitude error": (slice(6, 12), 1, *_PLACES["attitude error"][2:]),
+}
+"""Of attitude alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,14 +92,14 @@ def plot(
         raise CompanionError(
             f"{path}: a figure needs matplotlib; install ekf-companion with the extra: plot"
         ) from None
-    columns = 3 if with_errors else 2
-    sheet = Figure(figsize=(6.0 * columns, 10.0), layout="constrained")
-    FigureCanvasAgg(sheet)
-    axes = _axes(sheet, columns)
     ends = [one for one in reversed(trajectories) if len(one.pos_t_ns)]
     frame = LocalFrame(float(ends[0].lat[0]), float(ends[0].lon[0]), 0.0) if ends else None
     starts = [t[0] for one in trajectories for t in (one.pos_t_ns, one.att_t_ns) if len(t)]
     scale = _Scale(frame, int(min(starts)))
+    columns = 3 if with_errors and frame is not None else 2
+    sheet = Figure(figsize=(6.0 * columns, 10.0), layout="constrained")
+    FigureCanvasAgg(sheet)
+    axes = _axes(sheet, columns, _TURNS if frame is None else _PLACES)
     if events is not None and frame is not None:
         _draw_fixes(axes, events, scale)
     for index, one in enumerate(trajectories):
@@ -107,10 +114,9 @@ def plot(
         _draw(axes, one, scale, look)
         if with_errors and one is not trajectories[-1]:
             _draw_errors(axes, one, trajectories[-1], scale, look)
-    axes["track"].set_aspect("equal", adjustable="datalim")
-    handles, names = axes["track"].get_legend_handles_labels()
-    if len(names) <= 1:
-        handles, names = axes["roll"].get_legend_handles_labels()
+    if "track" in axes:
+        axes["track"].set_aspect("equal", adjustable="datalim")
+    handles, names = axes["track" if "track" in axes else "roll"].get_legend_handles_labels()
     sheet.legend(handles, names, loc="outside lower center", ncols=min(4, len(names)))
     sheet.suptitle(title)
     try:
@@ -119,10 +125,10 @@ def plot(
         raise CompanionError(f"{path}: the figure cannot be written ({error})") from None
 
 
-def _axes(sheet: Any, columns: int) -> dict[str, Any]:
+def _axes(sheet: Any, columns: int, places: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:
     grid = sheet.add_gridspec(12, columns)
     axes = {}
-    for name, (rows, column, title, across, up) in _PLACES.items():
+    for name, (rows, column, title, across, up) in places.items():
         if column < columns:
             axes[name] = sheet.add_subplot(grid[rows, column])
             axes[name].set(title=title, xlabel=across, ylabel=up)
@@ -150,9 +156,8 @@ def _draw(axes: dict[str, Any], one: Trajectory, scale: _Scale, look: dict[str, 
         ned = scale.frame.to_ned(one.lat[some], one.lon[some], one.alt[some])
         axes["track"].plot(ned[:, 1], ned[:, 0], **look)
         axes["altitude"].plot(scale.seconds(one.pos_t_ns[some]), one.alt[some], **look)
-    some = _some(one.vel_t_ns)
-    speed = np.linalg.norm(np.nan_to_num(one.vel_n[some]), axis=1)
-    axes["speed"].plot(scale.seconds(one.vel_t_ns[some]), speed, **look)
+    if "speed" in axes:
+        _draw_speed(axes["speed"], one, scale, look)
     some = _some(one.att_t_ns)
     angles = np.rad2deg(so3.to_euler(one.q_nb[some]))
     for column, name in enumerate(("roll", "pitch", "yaw")):
@@ -162,12 +167,20 @@ def _draw(axes: dict[str, Any], one: Trajectory, scale: _Scale, look: dict[str, 
         axes[name].plot(scale.seconds(one.att_t_ns[some]), shown, **look)
 
 
+def _draw_speed(axis: Any, one: Trajectory, scale: _Scale, look: dict[str, Any]) -> None:
+    some = _some(one.vel_t_ns)
+    speed = np.linalg.norm(np.nan_to_num(one.vel_n[some]), axis=1)
+    axis.plot(scale.seconds(one.vel_t_ns[some]), speed, **look)
+
+
 def _draw_errors(
     axes: dict[str, Any], one: Trajectory, other: Trajectory, scale: _Scale, look: dict[str, Any]
 ) -> None:
     end = np.iinfo(np.int64).max
 
     def draw(name: str, t_ns: npt.NDArray[np.int64], size: Array) -> None:
+        if name not in axes:
+            return
         some = _some(t_ns)
         axes[name].semilogy(scale.seconds(t_ns[some]), size[some], **look)
 
