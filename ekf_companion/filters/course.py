@@ -28,6 +28,8 @@ from ekf_companion.nav.measurements import Events, Kind
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
 
+LARGEST_RATE, LARGEST_FORCE = 200.0, 2000.0
+"""rad/s, m/s^2: what the daemon takes for a reading."""
 AROUND_NS = 2_000_000_000
 """How far from the inertial samples a fix or a heading is still of the same part."""
 
@@ -102,7 +104,9 @@ class Course:
         order = np.lexsort((events.kind, t_ns))
         ordered = Events(t_ns=t_ns[order], kind=events.kind[order], values=values[order])
         imu = ordered.take(ordered.kind == Kind.IMU)
-        is_good = np.isfinite(imu.values[:, :6]).all(axis=1)
+        # What no sensor can say is none: NaN is not below a limit either
+        is_good = (np.abs(imu.values[:, :3]) <= LARGEST_RATE).all(axis=1)
+        is_good &= (np.abs(imu.values[:, 3:6]) <= LARGEST_FORCE).all(axis=1)
         is_good &= np.diff(imu.t_ns, prepend=np.iinfo(np.int64).min // 2) > 0
         imu = imu.take(is_good)
         if len(imu) < 2:

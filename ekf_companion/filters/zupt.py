@@ -107,6 +107,7 @@ def run(
         LogError: Too few inertial samples, or no rest at the start.
     """
     imu = events.take(events.kind == Kind.IMU)
+    imu = imu.take(np.argsort(imu.t_ns, kind="stable"))
     later = np.diff(np.maximum.accumulate(imu.t_ns), prepend=np.iinfo(np.int64).min) > 0
     imu = imu.take(later & np.isfinite(imu.values[:, :6]).all(axis=1))
     rest = beginning.find(imu)

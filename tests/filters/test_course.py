@@ -173,3 +173,11 @@ def test_over_a_gap_that_cannot_be_bridged_only_the_longest_part_counts():
     assert "59.8 s" in course.notes[0]
     bridged = Course(merge(imu(range(0, 200, 50)), fixes([5]), headings([5])), FilterSettings())
     assert bridged.notes == ()
+
+
+@pytest.mark.parametrize(("column", "value"), [(0, 201.0), (4, -2001.0), (2, np.nan)])
+def test_what_no_sensor_can_say_is_no_sample(column, value):
+    samples = imu([0, 10, 20, 30])
+    samples.values[1, column] = value
+    course = Course(merge(samples, fixes([5]), headings([5])), FilterSettings())
+    assert (course.t_ns // MS).tolist() == [0, 20, 30]
