@@ -26,7 +26,7 @@ from sim_autopilot.config import ImuConfig, SimConfig
 from sim_autopilot.flight import Flight
 
 RATE = 250.0
-CONFIG = f"link: {{imu_rate: {RATE}}}\noutput: {{odometry_rate: {RATE}}}\n"
+CONFIG = f"link: {{imu_rate: {RATE}}}\noutput: {{odometry: {{rate: {RATE}}}}}\n"
 WARM_UP = 5.0
 """s of flight before the measurement: the daemon asks, aligns and finds its position."""
 PATIENCE = 20.0

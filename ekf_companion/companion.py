@@ -11,8 +11,9 @@ import math
 from collections.abc import Callable
 
 from ekf_companion.checkpoint import Clocks, Vehicle
-from ekf_companion.config import Config, LinkConfig
+from ekf_companion.config import Config
 from ekf_companion.mavlink import encode
+from ekf_companion.mavlink.clock import TimesyncOptions
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import EstimatorHealth, EstimatorType, StatusFlag, SystemStatus
 from ekf_companion.mavlink.session import (
@@ -60,10 +61,10 @@ class Publisher:
 
     def __init__(self, config: Config, pipeline: Pipeline, family: Family) -> None:
         self._pipeline = pipeline
-        self._odometry = Due(config.output.odometry_rate)
+        self._odometry = Due(config.output.odometry.rate)
         self._status = Due(1.0)
-        self._frame = encode.Frame[config.output.frame]
-        chosen = config.output.estimator_type
+        self._frame = encode.Frame[config.output.odometry.frame]
+        chosen = config.output.odometry.estimator_type
         self._type = encode.estimator_type(family) if chosen == "auto" else EstimatorType[chosen]
         self._was_invalid = False
         self._last = Status.INIT
@@ -148,9 +149,10 @@ def _judge(health: Health, t_ns: int) -> EstimatorHealth:
 
 
 def session_options(
-    link: LinkConfig, is_recording: bool, expected: Vehicle | None = None
+    config: Config, is_recording: bool, expected: Vehicle | None = None
 ) -> SessionOptions:
     """Give a session what the configuration says of the link, and whom it may expect there."""
+    link, timesync = config.link, config.timesync
     rates = dict(RATES)
     rates["HIGHRES_IMU"] = link.imu_rate
     rates["GPS_RAW_INT"] = link.gnss_rate
@@ -163,6 +165,11 @@ def session_options(
         rates=rates,
         expected=None if expected is None else PeerFound(*expected[1:], Family(expected.family)),
         is_recording=is_recording,
+        timesync=TimesyncOptions(
+            respond=timesync.respond,
+            request=timesync.request,
+            largest_rtt_ms=timesync.largest_rtt * 1e3,
+        ),
     )
 
 
@@ -176,7 +183,7 @@ class Companion:
         self._resumption = resumption or Resumption()
         self._expected = self._resumption.expected
         self._has_sample = False
-        self.session = Session(session_options(config.link, is_recording, self._expected))
+        self.session = Session(session_options(config, is_recording, self._expected))
         self.pipeline: Pipeline | None = None
         self._publisher: Publisher | None = None
         self._begin_ns: int | None = None

@@ -1,7 +1,7 @@
 """YAML in, frozen dataclasses out; every complaint names file, key, value and remedy.
 
-What a number means stands beside the code that reads it: ``core/settings.py`` for the estimator,
-here for who we are, what we send and what we keep.
+What a number means stands in ``core/settings.py`` for the estimator, and in ``sections.py`` for who
+we are, what we send and what we keep.
 """
 
 from __future__ import annotations
@@ -13,74 +13,25 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 import yaml
-from msgspec import Meta
 
-from ekf_companion.checkpoint import LIMIT
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LinkError
 from ekf_companion.link import parse_url
-
-Identifier = Annotated[int, Meta(ge=1, le=255)]
-Rate = Annotated[float, Meta(gt=0.0, le=1000.0)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkConfig:
-    """How to reach the autopilot, and who we are on that link."""
-
-    url: str = "udpin:0.0.0.0:14540"
-    """``udpin:HOST:PORT``, ``udpout:``, ``tcp:``, ``tcpin:``, ``serial:/dev/ttyX:BAUD``."""
-    component_id: Identifier = 194
-    """Ours: MAV_COMP_ID_ONBOARD_COMPUTER4."""
-    system_id: Identifier | None = None
-    """Ours; null: the autopilot's."""
-    autopilot: Identifier | None = None
-    """System id of the one autopilot to listen to; null: the first that is heard."""
-    imu_rate: Rate = 250.0
-    """Inertial samples to ask for, Hz."""
-    gnss_rate: Rate = 10.0
-    """GNSS messages to ask for, Hz: twice the receiver's rate halves their wait for a turn."""
-    heading_rate: Rate = 10.0
-    """ATTITUDE messages to ask for, Hz."""
-    baro_rate: Rate = 10.0
-    """SCALED_PRESSURE messages to ask for, Hz."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OutputConfig:
-    """What is streamed back."""
-
-    odometry_rate: Rate = 30.0
-    """ODOMETRY, Hz; never more than one per inertial sample."""
-    frame: Literal["LOCAL_FRD", "LOCAL_NED"] = "LOCAL_FRD"
-    """Frame of the pose. ArduPilot takes LOCAL_FRD only; the numbers are the same in both."""
-    estimator_type: Literal["auto", "GPS_INS", "VIO"] = "auto"
-    """auto: GPS_INS, which is true, but VIO towards PX4, which refuses the true one aloud."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordConfig:
-    """What is kept."""
-
-    path: str | None = None
-    """A .tlog of every byte in and out; null: none. ``%s`` in the name becomes the time of start.
-    A file that is there stays as it is: the new one gets a number behind its name."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CheckpointConfig:
-    """What a restart goes on from."""
-
-    file: str = ""
-    """Where the state is kept; empty: nowhere, and every start aligns anew."""
-    interval: Annotated[float, Meta(ge=0.1, le=60.0)] = 1.0
-    """Between two checkpoints, s: what is lost at a crash, on top of the time to start."""
-    limit: Annotated[float, Meta(gt=0.0, le=300.0)] = LIMIT
-    """Age by the autopilot's clock beyond which one is not used, s."""
+from ekf_companion.sections import (
+    CheckpointConfig,
+    HttpConfig,
+    LinkConfig,
+    OdometryConfig,
+    OutputConfig,
+    ParametersConfig,
+    RecordConfig,
+    SigningConfig,
+    TimesyncConfig,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,9 +39,13 @@ class Config(FilterSettings):
     """The whole configuration: the estimator's settings and the service's."""
 
     link: LinkConfig = field(default_factory=LinkConfig)
+    signing: SigningConfig = field(default_factory=SigningConfig)
+    timesync: TimesyncConfig = field(default_factory=TimesyncConfig)
     output: OutputConfig = field(default_factory=OutputConfig)
+    parameters: ParametersConfig = field(default_factory=ParametersConfig)
     record: RecordConfig = field(default_factory=RecordConfig)
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
+    http: HttpConfig = field(default_factory=HttpConfig)
 
 
 class _Loader(yaml.SafeLoader):
@@ -213,9 +168,14 @@ def describe_config(config: object) -> Mapping[str, Any]:
 __all__ = [
     "CheckpointConfig",
     "Config",
+    "HttpConfig",
     "LinkConfig",
+    "OdometryConfig",
     "OutputConfig",
+    "ParametersConfig",
     "RecordConfig",
+    "SigningConfig",
+    "TimesyncConfig",
     "describe_config",
     "load_config",
     "parse_config",

@@ -6,7 +6,7 @@ import logging
 import pytest
 
 from ekf_companion.companion import SILENCE_NS, Companion, Due
-from ekf_companion.config import Config, OutputConfig
+from ekf_companion.config import Config, OdometryConfig, OutputConfig
 from ekf_companion.core.settings import GateSettings
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Splitter
@@ -64,7 +64,7 @@ def test_nothing_is_estimated_where_something_is_missing(without):
 
 
 def test_a_flight_is_answered_at_the_rates_of_its_stamps():
-    config = Config(output=OutputConfig(odometry_rate=25.0, frame="LOCAL_NED"))
+    config = Config(output=OutputConfig(odometry=OdometryConfig(rate=25.0, frame="LOCAL_NED")))
     said = converse(Companion(config), cycles(5.0))
     odometry = named("ODOMETRY", said)
     assert {m.frame_id for m in odometry} == {1}

@@ -18,7 +18,7 @@ from sim_autopilot.fly import Flown, fly, over
 from sim_autopilot.pace import run
 from tests.test_service import SYSTEM, Daemon, Record, free_port
 
-CONFIG = "output: {odometry_rate: 50}\n"
+CONFIG = "output: {odometry: {rate: 50}}\n"
 ENDS = (6.0, 12.0, 18.0)
 """Of the three runs of the daemon, s after the flight's start: killed, stopped, stopped."""
 

@@ -239,7 +239,8 @@ class Flown:
 
 UDP_CONFIG = """
 output:
-  odometry_rate: 50
+  odometry:
+    rate: 50
 gnss:
   lever_arm: [0.02, -0.01, 0.05]
 """
