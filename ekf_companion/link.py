@@ -7,7 +7,8 @@ A link runs in the caller's task group and ends when that task is cancelled::
         group.create_task(link.run())
         data, now_ns = await link.receive()
 
-What is read is stamped at once and waits in a bounded queue; what cannot be sent now is dropped
+What is read is stamped at once and waits in a bounded queue, or, to save a turn of the loop, is
+handed to ``on_read`` and waits in the system's own; what cannot be sent now is dropped
 (UDP, or no link) or waits in a bounded queue (serial and TCP). Everything dropped is counted.
 """
 
@@ -44,7 +45,6 @@ PENDING_BYTES = 1 << 16
 """Bytes that wait for a slow serial or TCP link; the oldest message is dropped beyond."""
 FIRST_DELAY, LAST_DELAY = 0.5, 5.0
 """Seconds before a link is opened again; doubled each time that nothing was heard."""
-_READS_AT_ONCE = 64
 _READ_SIZE = 65536
 
 
@@ -189,6 +189,7 @@ class Link:
         *,
         clock: Callable[[], int] = time.monotonic_ns,
         on_state: Callable[[bool], None] | None = None,
+        on_read: Callable[[bytes, int], None] | None = None,
     ) -> None:
         self.address = address
         self.dropped = 0
@@ -201,6 +202,7 @@ class Link:
         self.bytes_out = 0
         self._clock = clock
         self._on_state = on_state
+        self._on_read = on_read
         self._queue: deque[Received] = deque()
         self._waiter: asyncio.Future[None] | None = None
         self._port: _Port | None = None
@@ -238,10 +240,6 @@ class Link:
             self._waiter = asyncio.get_running_loop().create_future()
             await self._waiter
         return self._queue.popleft()
-
-    def wake(self) -> None:
-        """Make ``receive`` return even if nothing comes: an empty read, stamped now."""
-        self._enter(b"")
 
     def send(self, data: bytes) -> None:
         """Send a message now, or as soon as a stream has room; never waits."""
@@ -294,19 +292,27 @@ class Link:
             self._broken.set_result(reason)
 
     def _readable(self, port: _Port) -> None:
+        # Once: where there is more, the loop comes back at once
         try:
-            for _ in range(_READS_AT_ONCE):
-                self._take(port.read())
+            data = port.read()
         except BlockingIOError:
-            pass
+            return
         except OSError as error:
             self._break(_sentence(error))
+            return
+        if data:
+            self.bytes_in += len(data)
+            self._take(data)
 
     def _take(self, data: bytes) -> None:
-        if not data:
+        if self._on_read is None:
+            self._enter(data)
             return
-        self.bytes_in += len(data)
-        self._enter(data)
+        try:
+            self._on_read(data, self._clock())
+        except Exception as error:  # noqa: BLE001  # raised again by run, for whoever awaits it
+            if self._broken is not None and not self._broken.done():
+                self._broken.set_exception(error)
 
     def _enter(self, data: bytes) -> None:
         if len(self._queue) == QUEUE_LENGTH:
@@ -379,6 +385,7 @@ def open_link(
     *,
     clock: Callable[[], int] = time.monotonic_ns,
     on_state: Callable[[bool], None] | None = None,
+    on_read: Callable[[bytes, int], None] | None = None,
 ) -> Link:
     """Give the link that a URL names; it opens when ``run`` is awaited.
 
@@ -386,6 +393,8 @@ def open_link(
         url: See ``parse_url``.
         clock: What time it is, ns, for the stamps of ``receive``.
         on_state: Called with True when the link has opened and with False when it is closed.
+        on_read: Called with what is read and its time, at once, in place of ``receive``; what it
+            raises ends ``run``.
 
     Raises:
         LinkError: The URL names no link.
@@ -393,7 +402,7 @@ def open_link(
     address = parse_url(url)
     if address.warning:
         _log.warning("%s", address.warning)
-    return Link(address, clock=clock, on_state=on_state)
+    return Link(address, clock=clock, on_state=on_state, on_read=on_read)
 
 
 class _SerialPort:

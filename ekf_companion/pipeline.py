@@ -207,24 +207,10 @@ class Pipeline:
 
     def odometry(self) -> Odometry | None:
         """Give what is to be told of the estimate of now; None while there is no position."""
-        values = self.estimate()
-        status = Status(int(values[at.OUT_STATUS]))
+        status, resets, numbers = self._timeline.tell()
         if status < Status.OK:
             return None
-        x = self._timeline.block()
-        P = x[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
-        pose = [*range(at.E_POS, at.E_POS + 3), *range(at.E_ATT, at.E_ATT + 3)]
-        return Odometry(
-            t_ns=self.stamp_ns,
-            pos_n=values[at.OUT_POS : at.OUT_POS + 3],
-            vel_n=values[at.OUT_VEL : at.OUT_VEL + 3],
-            q_nb=values[at.OUT_Q : at.OUT_Q + 4],
-            rates_b=x[at.X_GYRO : at.X_GYRO + 3] - x[at.X_BG : at.X_BG + 3],
-            pose_covariance=P[np.ix_(pose, pose)],
-            velocity_covariance=P[at.E_VEL : at.E_VEL + 3, at.E_VEL : at.E_VEL + 3],
-            reset_count=int(x[at.X_RESETS]),
-            quality=QUALITY[status],
-        )
+        return Odometry(self.stamp_ns, numbers, resets, QUALITY[Status(status)])
 
     def health(self) -> Health:
         """Give the filter's own account of itself."""

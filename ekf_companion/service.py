@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
 import os
 import queue
@@ -18,8 +19,8 @@ from typing import BinaryIO
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.errors import CompanionError, ConfigError
-from ekf_companion.keeper import Keeper, clocks, open_keeper
-from ekf_companion.link import Link, open_link
+from ekf_companion.keeper import clocks, open_keeper
+from ekf_companion.link import open_link
 from ekf_companion.resumption import Resumption
 
 if sys.version_info >= (3, 11):
@@ -77,75 +78,92 @@ async def serve(config: Config) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    link = open_link(config.link.url, clock=unix_clock)
-    recorder = open_recorder(config.record.path)
-    keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
-    resumption = Resumption(
-        None if keeper is None else keeper.read(), clocks(), unix_clock(), config.checkpoint.limit
-    )
-    companion = Companion(config, recorder is not None, resumption)
-    systemd = Systemd()
-    systemd.tell("READY=1")
-    try:
+    with Daemon(config) as daemon:
         async with TaskGroup() as group:
-            pump = group.create_task(link.run())
-            wake = group.create_task(_wake(link))
-            work = group.create_task(_work(link, companion, recorder, keeper, systemd))
+            pump = group.create_task(daemon.link.run())
+            tick = group.create_task(daemon.tick())
             await stop.wait()
-
-            # Say goodbye when nothing else can be said any more
-            work.cancel()
-            systemd.tell("STOPPING=1")
-            companion.close(unix_clock())
-            _send(link, companion, recorder)
-            _keep(companion, keeper)
+            tick.cancel()
+            daemon.say_goodbye()
             await asyncio.sleep(LAST_WORDS)
-            wake.cancel()
             pump.cancel()
-    finally:
-        if keeper is not None:
-            keeper.close()
-        if recorder is not None:
-            recorder.close()
     _log.info("Stopped")
 
 
-async def _wake(link: Link) -> None:
-    """Keep the loop turning while nothing comes."""
-    while True:
-        await asyncio.sleep(TICK)
-        link.wake()
+class Daemon:
+    """The parts of one run; heart and watchdog beat with the filter or not at all."""
 
+    def __init__(self, config: Config) -> None:
+        """Make ready.
 
-async def _work(
-    link: Link,
-    companion: Companion,
-    recorder: Recorder | None,
-    keeper: Keeper | None,
-    systemd: Systemd,
-) -> None:
-    """Take what comes, do what is due; heart and watchdog beat with the filter or not at all."""
-    while True:
-        data, now_ns = await link.receive()
-        if data:
-            companion.receive(data, now_ns)
-        companion.tick(now_ns)
-        _send(link, companion, recorder)
-        if keeper is not None and keeper.is_due(now_ns, companion.resets):
-            _keep(companion, keeper)
-        systemd.beat(now_ns)
+        Raises:
+            LinkError: The link's URL names no link.
+            ConfigError: The recording or the checkpoints have no place.
+        """
+        self.link = open_link(
+            config.link.url, clock=unix_clock, on_state=self._greet, on_read=self.receive
+        )
+        self._recorder = open_recorder(config.record.path)
+        self._keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
+        found = None if self._keeper is None else self._keeper.read()
+        resumption = Resumption(found, clocks(), unix_clock(), config.checkpoint.limit)
+        self._companion = Companion(config, self._recorder is not None, resumption)
+        self._systemd = Systemd()
 
+    def __enter__(self) -> Daemon:
+        # What lives as long as we do need not be looked through for garbage
+        gc.collect()
+        gc.freeze()
+        self._systemd.tell("READY=1")
+        return self
 
-def _send(link: Link, companion: Companion, recorder: Recorder | None) -> None:
-    for frame in companion.data_to_send():
-        link.send(frame)
-    if recorder is not None:
-        recorder.write(companion.session.take_record())
+    def __exit__(self, *error: object) -> None:
+        if self._keeper is not None:
+            self._keeper.close()
+        if self._recorder is not None:
+            self._recorder.close()
 
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Take what was read, and send what follows from it."""
+        self._companion.receive(data, now_ns)
+        self._do_what_is_due(now_ns)
 
-def _keep(companion: Companion, keeper: Keeper | None) -> None:
-    if keeper is not None and (data := companion.checkpoint(clocks())) is not None:
-        keeper.keep(data)
+    async def tick(self) -> None:
+        """Keep time while nothing comes."""
+        while True:
+            self._do_what_is_due(unix_clock())
+            await asyncio.sleep(TICK)
+
+    def say_goodbye(self) -> None:
+        """Send the last heartbeat, when nothing else can be said any more."""
+        self._systemd.tell("STOPPING=1")
+        self._companion.close(unix_clock())
+        self._send()
+        self._keep()
+
+    def _greet(self, is_open: bool) -> None:
+        """Be heard as soon as there is a link."""
+        if is_open:
+            self._do_what_is_due(unix_clock())
+
+    def _do_what_is_due(self, now_ns: int) -> None:
+        companion = self._companion
+        if self.link.opened:
+            companion.tick(now_ns)
+            self._send()
+        if self._keeper is not None and self._keeper.is_due(now_ns, companion.resets):
+            self._keep()
+        self._systemd.beat(now_ns)
+
+    def _send(self) -> None:
+        for frame in self._companion.data_to_send():
+            self.link.send(frame)
+        if self._recorder is not None:
+            self._recorder.write(self._companion.session.take_record())
+
+    def _keep(self) -> None:
+        if self._keeper is not None and (data := self._companion.checkpoint(clocks())) is not None:
+            self._keeper.keep(data)
 
 
 def unix_clock() -> int:

@@ -280,3 +280,10 @@ cdef enum:
     OUT_STATUS = 31
     OUT_RESETS = 32
     OUT = 33
+    TOLD_POS = 0
+    TOLD_Q = 3
+    TOLD_VEL = 7
+    TOLD_RATE = 10
+    TOLD_POSE = 13
+    TOLD_TWIST = 34
+    TOLD = 55

@@ -330,3 +330,12 @@ OUT_SD = 22
 OUT_STATUS = 31
 OUT_RESETS = 32
 OUT = 33
+
+# What is told of it: ODOMETRY's numbers, in its order
+TOLD_POS = 0
+TOLD_Q = 3
+TOLD_VEL = 7
+TOLD_RATE = 10
+TOLD_POSE = 13
+TOLD_TWIST = 34
+TOLD = 55

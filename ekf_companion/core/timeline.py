@@ -17,12 +17,14 @@ import numpy as np
 if cython.compiled:
     from cython.cimports.ekf_companion.core import kernel
     from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core import tell as telling
     from cython.cimports.libc.math import fabs, isfinite, isnan
 else:
     from math import fabs, isfinite, isnan
 
     from ekf_companion.core import kernel
     from ekf_companion.core import layout as at
+    from ekf_companion.core import tell as telling
 
 IMU = cython.declare(cython.double, 6.0)
 RESTART = cython.declare(cython.int, 0)
@@ -63,6 +65,7 @@ class Timeline:
     k: cython.double[::1]
     w: cython.double[::1]
     out: cython.double[::1]
+    told: cython.double[::1]
     delay: cython.longlong[::1]
     counters: cython.longlong[:, ::1]
     size: cython.Py_ssize_t
@@ -113,6 +116,7 @@ class Timeline:
         self.y = np.zeros(at.BLOCK)
         self.w = np.zeros(at.SCRATCH)
         self.out = np.zeros(at.OUT)
+        self.told = np.zeros(at.TOLD)
         self.counters = np.zeros((len(self.delay), 6), dtype=np.int64)
         self.has_epoch = False
         self.is_restored = False
@@ -409,6 +413,22 @@ class Timeline:
         """Give the estimate at the newest sample's stamp, shape (OUT,), as layout.OUT_* says."""
         kernel.describe(self.x, self.k, self.y, self.w, self.out)
         return np.array(self.out)
+
+    def tell(self) -> tuple[int, int, list[float]]:
+        """Give status, resets and, of the estimate of now, ODOMETRY's numbers: layout.TOLD of them.
+
+        The numbers are of no use before there is a position.
+        """
+        status: cython.int = kernel.describe(self.x, self.k, self.y, self.w, self.out)
+        telling.tell(self.x, self.out, self.w, self.told)
+        return status, int(self.x[at.X_RESETS]), np.asarray(self.told).tolist()
+
+    def retune(self, parameters: np.ndarray) -> None:
+        """Go on with other numbers of the filter's, shape (PARAMETERS,), as layout.K_* says.
+
+        What a late event makes run again from now on is run by these too.
+        """
+        self.k = np.ascontiguousarray(parameters, dtype=np.float64).copy()
 
     def block(self) -> np.ndarray:
         """Give a copy of the state block, shape (BLOCK,)."""

@@ -5,17 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-
-import numpy as np
-import numpy.typing as npt
+from struct import Struct
 
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.nav import so3
-from ekf_companion.nav.odometry import Odometry, euler_jacobian
+from ekf_companion.nav.odometry import Odometry
 from ekf_companion.nav.state import Status
-
-Array = npt.NDArray[np.float64]
 
 
 class Frame(IntEnum):
@@ -57,12 +52,6 @@ SYSTEM_STATUS = {
 }
 """What our heartbeat says of an estimate's status."""
 
-_UPPER = np.triu_indices(6)
-_VARIANCE_FLOOR = 1e-6
-"""A variance of zero claims perfection."""
-_VARIANCE_LARGEST = 1e12
-"""More is sent as this: a million metres, and far from what float32 can hold."""
-
 
 def estimator_type(family: Family) -> EstimatorType:
     """Give the honest type, or for PX4, which refuses that with a critical text, the nearest."""
@@ -74,77 +63,25 @@ def reset_counter(count: int) -> int:
     return count % 255 + 1
 
 
+_ODOMETRY = Struct("<Q55f4Bb")
+
+
 def odometry(
     estimate: Odometry,
     *,
     frame: Frame = Frame.LOCAL_FRD,
     estimator: EstimatorType = EstimatorType.GPS_INS,
 ) -> bytes:
-    """Give the payload of ODOMETRY; velocity and its covariance are turned into the body frame."""
-    C_bn = so3.to_matrix(estimate.q_nb).T
-    vel_b = C_bn @ estimate.vel_n
-    q = _unit_float32(estimate.q_nb)
-    return pack(
-        "ODOMETRY",
-        time_usec=estimate.t_ns // 1000,
-        frame_id=frame,
-        child_frame_id=Frame.BODY_FRD,
-        x=estimate.pos_n[0],
-        y=estimate.pos_n[1],
-        z=estimate.pos_n[2],
-        q=q,
-        vx=vel_b[0],
-        vy=vel_b[1],
-        vz=vel_b[2],
-        rollspeed=estimate.rates_b[0],
-        pitchspeed=estimate.rates_b[1],
-        yawspeed=estimate.rates_b[2],
-        pose_covariance=_pose_covariance(estimate),
-        velocity_covariance=_velocity_covariance(estimate, C_bn),
-        reset_counter=reset_counter(estimate.reset_count),
-        estimator_type=estimator,
-        quality=max(-1, min(100, estimate.quality)),
+    """Give the payload of ODOMETRY."""
+    return _ODOMETRY.pack(
+        estimate.t_ns // 1000,
+        *estimate.numbers,
+        frame,
+        Frame.BODY_FRD,
+        reset_counter(estimate.reset_count),
+        estimator,
+        max(-1, min(100, estimate.quality)),
     )
-
-
-def _unit_float32(q: Array) -> npt.NDArray[np.float32]:
-    """Give q in float32 with a norm within 1e-5 of one, which PX4 tests, and w >= 0."""
-    q = q / math.sqrt(float(q @ q))
-    return (-q if q[0] < 0.0 else q).astype(np.float32)
-
-
-def _pose_covariance(estimate: Odometry) -> list[float]:
-    P = estimate.pose_covariance
-    if P is None or not np.isfinite(P).all():
-        return _unknown()
-    J = np.eye(6)
-    J[3:, 3:] = euler_jacobian(estimate.q_nb)
-    return _triangle(J @ _bounded(P) @ J.T)
-
-
-def _velocity_covariance(estimate: Odometry, C_bn: Array) -> list[float]:
-    """Give the covariance of the body velocity; of the rates nothing is known but the floor."""
-    V = estimate.velocity_covariance
-    if V is None or not np.isfinite(V).all():
-        return _unknown()
-    P = np.zeros((6, 6))
-    P[:3, :3] = C_bn @ _bounded(V) @ C_bn.T
-    return _triangle(P)
-
-
-def _unknown() -> list[float]:
-    return [math.nan] + [0.0] * 20
-
-
-def _bounded(P: Array) -> Array:
-    return np.clip(P, -_VARIANCE_LARGEST, _VARIANCE_LARGEST)
-
-
-def _triangle(P: Array) -> list[float]:
-    """Give the upper right triangle row by row, variances floored."""
-    P = P + np.diag(np.maximum(_VARIANCE_FLOOR - np.diagonal(P), 0.0))
-    values: list[float] = P[_UPPER].tolist()
-    return values
 
 
 class StatusFlag(IntFlag):

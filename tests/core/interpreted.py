@@ -11,7 +11,7 @@ import ekf_companion.core
 NAMES = (
     *("propagate", "correct", "observe", "proof", "account"),
     *("frame", "hypothesis", "bank", "rescue", "heading", "align", "receiver"),
-    *("tape", "kernel", "timeline", "hindsight", "smooth"),
+    *("tape", "kernel", "tell", "timeline", "hindsight", "smooth"),
 )
 FOLDER = Path(ekf_companion.core.__file__).parent
 
