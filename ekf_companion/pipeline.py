@@ -153,7 +153,7 @@ class Pipeline:
         t_ns, kind, values = self._field.complete(row)
 
         # Refuse what no sensor can say, put the rest in its place in time, redo what came after
-        return Arrival(self._timeline.insert(t_ns, kind, np.array(values)))
+        return Arrival(self._timeline.insert(t_ns, kind, values))
 
     def run(self, events: Events) -> Table:
         """Take a whole recording by the same steps, and give an estimate per inertial sample."""

@@ -11,6 +11,8 @@ about the rate is ever made and corrected later.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cython
 import numpy as np
 
@@ -66,6 +68,8 @@ class Timeline:
     w: cython.double[::1]
     out: cython.double[::1]
     told: cython.double[::1]
+    said: cython.float[::1]
+    given: cython.double[::1]
     delay: cython.longlong[::1]
     counters: cython.longlong[:, ::1]
     size: cython.Py_ssize_t
@@ -117,6 +121,8 @@ class Timeline:
         self.w = np.zeros(at.SCRATCH)
         self.out = np.zeros(at.OUT)
         self.told = np.zeros(at.TOLD)
+        self.said = np.zeros(at.TOLD, dtype=np.float32)
+        self.given = np.zeros(at.ROW - at.ROW_V)
         self.counters = np.zeros((len(self.delay), 6), dtype=np.int64)
         self.has_epoch = False
         self.is_restored = False
@@ -199,14 +205,22 @@ class Timeline:
         self.oldest = t
         self.stamp = t_ns
 
-    def insert(self, t_ns: cython.longlong, kind: cython.int, values: cython.double[::1]) -> int:
+    def insert(self, t_ns: cython.longlong, kind: cython.int, values: Sequence[float]) -> int:
         """Take one event on its arrival and run the filter as far as it now can.
+
+        Args:
+            t_ns: Its stamp.
+            kind: nav.measurements.Kind.
+            values: As many as a row of nav.measurements holds.
 
         Returns:
             What became of it: TAKEN, STALE, DUPLICATE, MALFORMED, RESTARTED, or ESTIMATED for an
             inertial sample that is the newest, so that there is an estimate for its stamp.
         """
-        return self.put(t_ns, kind, values)
+        i: cython.Py_ssize_t
+        for i in range(at.ROW - at.ROW_V):
+            self.given[i] = values[i]
+        return self.put(t_ns, kind, self.given)
 
     @cython.cfunc
     def put(
@@ -414,14 +428,17 @@ class Timeline:
         kernel.describe(self.x, self.k, self.y, self.w, self.out)
         return np.array(self.out)
 
-    def tell(self) -> tuple[int, int, list[float]]:
-        """Give status, resets and, of the estimate of now, ODOMETRY's numbers: layout.TOLD of them.
+    def tell(self) -> tuple[int, int, bytes]:
+        """Give status, resets and, of the estimate of now, ODOMETRY's numbers: layout.TOLD floats.
 
         The numbers are of no use before there is a position.
         """
+        i: cython.Py_ssize_t
         status: cython.int = kernel.describe(self.x, self.k, self.y, self.w, self.out)
         telling.tell(self.x, self.out, self.w, self.told)
-        return status, int(self.x[at.X_RESETS]), np.asarray(self.told).tolist()
+        for i in range(at.TOLD):
+            self.said[i] = self.told[i]
+        return status, int(self.x[at.X_RESETS]), bytes(self.said)
 
     def retune(self, parameters: np.ndarray) -> None:
         """Go on with other numbers of the filter's, shape (PARAMETERS,), as layout.K_* says.

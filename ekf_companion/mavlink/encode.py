@@ -63,7 +63,7 @@ def reset_counter(count: int) -> int:
     return count % 255 + 1
 
 
-_ODOMETRY = Struct("<Q55f4Bb")
+_ODOMETRY = Struct("<Q220s4Bb")
 
 
 def odometry(
@@ -75,7 +75,7 @@ def odometry(
     """Give the payload of ODOMETRY."""
     return _ODOMETRY.pack(
         estimate.t_ns // 1000,
-        *estimate.numbers,
+        estimate.numbers,
         frame,
         Frame.BODY_FRD,
         reset_counter(estimate.reset_count),

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -63,6 +64,10 @@ def _row(t_ns: int, kind: Kind, *values: float | None) -> Row:
     return t_ns, int(kind), filled + (0.0,) * (WIDTH - len(filled))
 
 
+_IMU = int(Kind.IMU)
+_REST_OF_SAMPLE = (0.0,) * (WIDTH - 6)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Restart:
     """The autopilot rebooted or its clock jumped: all stamps from here on are of a new time."""
@@ -75,8 +80,7 @@ class Restart:
         return _row(self.t_ns, Kind.RESTART)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImuSample:
+class ImuSample(NamedTuple):
     """Angular rate and specific force in the body frame. Row: the fields in this order."""
 
     t_ns: int
@@ -95,16 +99,7 @@ class ImuSample:
 
     def row(self) -> Row:
         """Give [gyro x y z, accel x y z]."""
-        return _row(
-            self.t_ns,
-            Kind.IMU,
-            self.gyro_x,
-            self.gyro_y,
-            self.gyro_z,
-            self.accel_x,
-            self.accel_y,
-            self.accel_z,
-        )
+        return self.t_ns, _IMU, self[1:] + _REST_OF_SAMPLE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,5 +1,7 @@
 """What we say, read back by pymavlink, against the rules of those who listen."""
 
+from array import array
+
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -20,7 +22,12 @@ def read(name, payload):
 
 
 def estimate(**changes):
-    values = {"t_ns": 123_456_789_000, "numbers": NUMBERS, "reset_count": 0, "quality": 80}
+    values = {
+        "t_ns": 123_456_789_000,
+        "numbers": array("f", NUMBERS).tobytes(),
+        "reset_count": 0,
+        "quality": 80,
+    }
     return Odometry(**(values | changes))
 
 
