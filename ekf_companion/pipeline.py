@@ -135,7 +135,9 @@ class Pipeline:
             keeps_history: Events that leave the window are kept until :meth:`history` is asked.
         """
         self._field = Field(settings.heading)
+        self._family, self._gnss_delay = family, gnss_delay
         k, late = parameters(settings, family), delays_ns(settings, family, gnss_delay)
+        self._late = late
         self._fingerprint = settings_fingerprint(k, late)
         self._timeline = Timeline(
             k, late, round(settings.window * 1e9), keeps_history=keeps_history
@@ -163,6 +165,15 @@ class Pipeline:
         values = self._field.complete_all(events)
         n = self._timeline.run_log(events.t_ns, events.kind, values, stamps, out)
         return Table(stamp_ns=stamps[:n], values=out[:n])
+
+    def retune(self, settings: FilterSettings) -> None:
+        """Go on with other noise, gates and time-outs; delays stay as they were.
+
+        What a late event makes run again from now on is run by these too.
+        """
+        k = parameters(settings, self._family, self._gnss_delay)
+        self._fingerprint = settings_fingerprint(k, self._late)
+        self._timeline.retune(k)
 
     def history(self, is_over: bool = False) -> list[tuple[int, int, Array, Array]]:
         """Give the events that can change no more, as ``Timeline.history`` does."""

@@ -11,10 +11,11 @@ class Odometry(NamedTuple):
     t_ns: int
     """Time of validity, autopilot clock, ns."""
     numbers: bytes
-    """55 floats of 32 bits, in the order of the message ODOMETRY: position, north, east, down of the origin (m);
-    quaternion from b to n, of unit norm; velocity in b (m/s); angular rate in b without the gyro's
-    bias (rad/s); upper triangle, row by row, of the covariance of position and roll, pitch, yaw;
-    the same of velocity in b and the rates. A covariance that begins with NaN is not known."""
+    """55 floats of 32 bits, in the order of the message ODOMETRY: position, north, east, down of
+    the origin (m); quaternion from b to n, of unit norm; velocity in b (m/s); angular rate in b
+    without the gyro's bias (rad/s); upper triangle, row by row, of the covariance of position and
+    roll, pitch, yaw; the same of velocity in b and the rates. A covariance that begins with NaN is
+    not known."""
     reset_count: int
     """Discontinuities so far, >= 0."""
     quality: int
