@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 KERNEL := $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore lint types contracts check demo bench accuracy filters endurance wheel clean
+.PHONY: setup test explore lint types contracts check demo bench accuracy filters fuzz endurance wheel clean
 
 setup: $(STAMP)
 
@@ -48,6 +48,12 @@ accuracy: $(STAMP)
 
 filters: $(STAMP)
 	$(BIN)/python -m benchmarks.filters
+
+# A quarter of an hour: 10^7 bytes, 10^6 messages, then what coverage leads to
+fuzz: $(STAMP)
+	$(BIN)/python -m benchmarks.fuzz
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check atheris
+	$(BIN)/python -m benchmarks.guided stream tlog bin ulg csv txt mat --seconds 60
 
 endurance: $(STAMP)
 	$(BIN)/python -m benchmarks.endurance

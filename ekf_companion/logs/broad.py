@@ -11,6 +11,7 @@ estimation", Data 6(7), doi 10.3390/data6070072.
 from __future__ import annotations
 
 import struct
+import warnings
 import zlib
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ FIELDS = {"imu_gyr": 3, "imu_acc": 3, "imu_mag": 3, "opt_quat": 4}
 """Arrays of a trial, and their columns."""
 DAMAGE: tuple[type[BaseException], ...] = (
     *(ValueError, TypeError, LookupError, OSError, ArithmeticError, AttributeError),
-    *(AssertionError, EOFError, MemoryError, zlib.error, struct.error, MatReadError),
+    *(AssertionError, EOFError, MemoryError, zlib.error, struct.error, MatReadError, Warning),
 )
 """What SciPy's reader fails with, wherever in its parsing a damaged file takes it."""
 
@@ -73,7 +74,10 @@ def _load(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise LogError(f"{path}: there is no such file")
     try:
-        content: dict[str, Any] = loadmat(path)
+        with warnings.catch_warnings():
+            # What SciPy only warns of is no trial either
+            warnings.simplefilter("error")
+            content: dict[str, Any] = loadmat(path)
     except NotImplementedError as error:
         raise LogError(
             f"{path}: is a MATLAB 7.3 file, which is not read here; save it with -v7"
