@@ -8,12 +8,12 @@ import json
 import sys
 
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
-from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirect
-from mavsdk.asyncio.plugins.telemetry import Telemetry
+from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
+from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 
 
 async def telemetry(system):
-    async for said in Telemetry(system).subscribe_odometry():
+    async for said in TelemetryAsync(system).subscribe_odometry():
         place, q, velocity = said.position_body, said.q, said.velocity_body
         print(
             json.dumps(
@@ -32,7 +32,7 @@ async def telemetry(system):
 
 
 async def direct(system):
-    async for message in MavlinkDirect(system).subscribe_message("ODOMETRY"):
+    async for message in MavlinkDirectAsync(system).subscribe_message("ODOMETRY"):
         fields = json.loads(message.fields_json)
         print(
             json.dumps({"via": "direct", "component_id": message.component_id, "fields": fields}),
