@@ -11,13 +11,16 @@ import time
 from collections import namedtuple
 
 import pytest
+from typer.testing import CliRunner
 
 from ekf_companion import recorder, shelf
+from ekf_companion.cli import app
 from ekf_companion.errors import ConfigError
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.recorder import MB, open_recorder
 from ekf_companion.sections import RecordConfig
+from sim_autopilot.__main__ import app as sim
 from tests.test_service import SYSTEM, Daemon, free_port
 
 RECORD = 100
@@ -226,7 +229,7 @@ def test_everything_is_forced_to_the_disk_within_a_second(tmp_path, monkeypatch)
     ours = open_recorder(settings(tmp_path / "flight.tlog"))
     sent = []
     begin = time.monotonic()
-    while time.monotonic() < begin + 2.5:
+    while time.monotonic() < begin + 1.7:
         ours.write(records(len(sent), 1))
         sent.append(time.monotonic())
         time.sleep(0.02)
@@ -299,6 +302,8 @@ def test_sigterm_ends_it_within_two_seconds_while_the_disk_hangs(tmp_path):
         "import os, pathlib, time\n"
         "os.fdatasync = os.replace = os.rename = lambda *_: time.sleep(60)\n"
         "pathlib.Path.replace = lambda *_: time.sleep(60)\n"
+        "from ekf_companion.companion import Companion\n"
+        "Companion.checkpoint = lambda *_: b'state'\n"  # as if something had been estimated
         "from ekf_companion.cli import app\n"
         f"app(['run', '--link', 'udpin:127.0.0.1:{port}', '--record', '{tmp_path}/flight.tlog',"
         f" '--checkpoint', '{tmp_path}/checkpoint'])\n"
@@ -336,14 +341,10 @@ def test_sigterm_ends_it_within_two_seconds_while_the_disk_hangs(tmp_path):
 @pytest.fixture(scope="module")
 def rotated(tmp_path_factory):
     """Give a flight as one file, and as our recorder keeps it in several."""
-    from typer.testing import CliRunner
-
-    from sim_autopilot.__main__ import app
-
     folder = tmp_path_factory.mktemp("rotated")
-    options = ("--scenario", "figure-eight", "--duration", "30", "--imu-rate", "100")
+    options = ("--scenario", "figure-eight", "--duration", "20", "--imu-rate", "100")
     flight = folder / "flight.tlog"
-    assert CliRunner().invoke(app, ["generate", *options, "-o", str(flight)]).exit_code == 0
+    assert CliRunner().invoke(sim, ["generate", *options, "-o", str(flight)]).exit_code == 0
     stamped = list(tlog.read(flight).frames())
     (folder / "parts").mkdir()
     size = flight.stat().st_size / MB / 1.9
@@ -355,9 +356,8 @@ def rotated(tmp_path_factory):
 
 
 def convert(path, out):
-    command = [sys.executable, "-m", "ekf_companion", "convert", str(path), "-o", str(out)]
-    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    assert result.returncode == 0, result.stderr
+    result = CliRunner().invoke(app, ["convert", str(path), "-o", str(out)])
+    assert result.exit_code == 0, result.output
     return out.read_bytes()
 
 
@@ -365,7 +365,7 @@ def test_each_file_of_a_flight_is_a_recording_by_itself(rotated, tmp_path):
     _, parts = rotated
     for part in parts:
         rows = convert(part, tmp_path / f"{part.stem}.csv").splitlines()
-        assert len(rows) > 1000
+        assert len(rows) > 700
         assert rows[-1].count(b",,") == 0
 
 
