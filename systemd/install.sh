@@ -45,7 +45,11 @@ install_program() {
     built=$(mktemp -d)
     trap 'rm -rf "$built"' EXIT
     if [ -z "${WHEEL:-}" ]; then
-        $pip wheel ${PIP_FLAGS:-} --no-deps --wheel-dir "$built" .
+        # In a copy: root leaves nothing of its own in the checkout
+        mkdir "$built/src"
+        cp -R pyproject.toml README.md LICENSE ekf_companion sim_autopilot "$built/src"
+        rm -f "$built"/src/ekf_companion/core/*.c "$built"/src/ekf_companion/core/*.so
+        $pip wheel ${PIP_FLAGS:-} --no-deps --wheel-dir "$built" "$built/src"
     else
         cp "$WHEEL" "$built"
     fi
