@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 KERNEL := $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore lint types contracts check demo bench accuracy filters fuzz endurance wheel clean
+.PHONY: setup test explore lint types contracts check demo bench accuracy filters fuzz e2e endurance wheel install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -55,6 +55,15 @@ fuzz: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check atheris
 	$(BIN)/python -m benchmarks.guided stream tlog bin ulg csv txt mat --seconds 60
 
+# Clients that nobody here wrote: MAVSDK and MAVProxy, in an environment of their own
+$(VENV)-e2e/.installed:
+	$(PYTHON) -m venv $(VENV)-e2e
+	$(VENV)-e2e/bin/python -m pip install --quiet --disable-pip-version-check mavsdk MAVProxy
+	@touch $@
+
+e2e: $(STAMP) $(VENV)-e2e/.installed
+	E2E_CLIENTS=$(abspath $(VENV)-e2e/bin) $(BIN)/python -W error -m pytest tests/e2e
+
 endurance: $(STAMP)
 	$(BIN)/python -m benchmarks.endurance
 
@@ -62,5 +71,26 @@ wheel: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check build
 	$(BIN)/python -m build
 
+# See systemd/install.sh for PREFIX, DESTDIR, CONFIG, WHEEL, PIP_FLAGS
+export PYTHON PREFIX DESTDIR CONFIG WHEEL PIP_FLAGS
+
+install uninstall:
+	systemd/install.sh $@
+
+# The whole way to a board, with all that is downloaded, in a folder of its own
+CHECKED := $(CURDIR)/build/installcheck
+installcheck: $(STAMP)
+	$(BIN)/python -W error -m pytest tests/installation.py
+	rm -rf $(CHECKED) && mkdir -p $(CHECKED)
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation \
+		--wheel-dir $(CHECKED) .
+	$(MAKE) install PREFIX=$(CHECKED)/opt DESTDIR=$(CHECKED)/root WHEEL=$$(ls $(CHECKED)/*.whl)
+	mv $(CHECKED)/root$(CHECKED)/opt $(CHECKED)/opt
+	$(CHECKED)/opt/bin/ekf-companion check-config $(CHECKED)/root/etc/ekf-companion/config.yaml \
+		> /dev/null
+	$(CHECKED)/opt/bin/sim-autopilot generate --duration 15 -o $(CHECKED)/flight.tlog
+	$(CHECKED)/opt/bin/ekf-companion convert $(CHECKED)/flight.tlog -o $(CHECKED)/flight.csv
+	rm -rf $(CHECKED)
+
 clean:
-	rm -rf $(VENV) build dist demo *.egg-info ekf_companion/core/*.so ekf_companion/core/*.c
+	rm -rf $(VENV) $(VENV)-e2e build dist demo *.egg-info ekf_companion/core/*.so ekf_companion/core/*.c

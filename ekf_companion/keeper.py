@@ -17,8 +17,9 @@ _log = logging.getLogger(__name__)
 
 LARGEST = 1 << 20
 """Bytes; no checkpoint comes near."""
-PATIENCE = 1.0
-"""Seconds that a slow disk may take for the last one."""
+PATIENCE = 0.6
+"""Seconds that a slow disk may take for the last one: with the recording's, no more than 2 s pass
+from SIGTERM to the end."""
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 

@@ -5,23 +5,19 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
-import os
-import queue
 import signal
-import socket
 import sys
-import threading
 import time
 from dataclasses import replace
-from pathlib import Path
-from typing import BinaryIO
 
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
-from ekf_companion.errors import CompanionError, ConfigError
+from ekf_companion.errors import CompanionError
 from ekf_companion.keeper import clocks, open_keeper
 from ekf_companion.link import open_link
+from ekf_companion.recorder import open_recorder
 from ekf_companion.resumption import Resumption
+from ekf_companion.supervision import Systemd
 
 if sys.version_info >= (3, 11):
     from asyncio import TaskGroup
@@ -33,14 +29,8 @@ _log = logging.getLogger(__name__)
 
 TICK = 0.1
 """Seconds between two looks at what time brings."""
-FLUSH = 0.5
-"""Seconds between two writes to the recording."""
-BATCHES = 120
-"""Writes that wait for a slow disk: a minute; what comes then is lost to the recording."""
 LAST_WORDS = 0.1
 """Seconds for the last message to leave a serial port, whose closing throws away what waits."""
-PATIENCE = 1.0
-"""Seconds that a slow disk may take for the end of the recording."""
 
 
 def run(config: Config, url: str | None = None) -> None:
@@ -103,7 +93,7 @@ class Daemon:
         self.link = open_link(
             config.link.url, clock=unix_clock, on_state=self._greet, on_read=self.receive
         )
-        self._recorder = open_recorder(config.record.path)
+        self._recorder = open_recorder(config.record)
         self._keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
         found = None if self._keeper is None else self._keeper.read()
         resumption = Resumption(found, clocks(), unix_clock(), config.checkpoint.limit)
@@ -172,133 +162,3 @@ def unix_clock() -> int:
 
 
 _BOOT_NS = time.time_ns() - time.monotonic_ns()
-
-
-class Systemd:
-    """The service manager, where there is one (sd_notify)."""
-
-    def __init__(self) -> None:
-        address = os.environ.get("NOTIFY_SOCKET", "")
-        self._address = "\0" + address[1:] if address.startswith("@") else address
-        self._period_ns = int(os.environ.get("WATCHDOG_USEC") or 0) * 1000 // 2
-        self._next_ns = 0
-        self._has_complained = False
-
-    def tell(self, state: str) -> None:
-        """Tell it, if there is one; that it does not listen is said once."""
-        if not self._address:
-            return
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as ours:
-            try:
-                ours.sendto(state.encode(), self._address)
-            except OSError as error:
-                if not self._has_complained:
-                    _log.warning("NOTIFY_SOCKET: %s", error.strerror)
-                self._has_complained = True
-
-    def beat(self, now_ns: int) -> None:
-        """Say twice in the watchdog's time that we live."""
-        if self._period_ns and now_ns >= self._next_ns:
-            self._next_ns = now_ns + self._period_ns
-            self.tell("WATCHDOG=1")
-
-
-def open_recorder(path: str | None) -> Recorder | None:
-    """Begin a recording; None: none is wanted, or the disk is out of order, which stops no flight.
-
-    Raises:
-        ConfigError: The name cannot be meant.
-    """
-    if path is None:
-        return None
-    name = path.replace("%s", time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()))
-    try:
-        recorder = Recorder(Path(name))
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError) as error:
-        raise ConfigError(
-            f"record.path: {name}: {error.strerror}; name a file in a folder that can be written to"
-        ) from error
-    except OSError as error:
-        _log.warning("%s: %s; flying without a recording", name, error.strerror)
-        return None
-    _log.info("Recording to %s", recorder.path)
-    return recorder
-
-
-class Recorder:
-    """Keeps what went in and out in a .tlog; a disk that is slow or full holds up nobody."""
-
-    def __init__(self, path: Path) -> None:
-        """Open a new file and start its thread.
-
-        Raises:
-            OSError: It cannot be opened.
-        """
-        self.path, self._file = _create(path)
-        self._waiting: list[bytes] = []
-        self._batches: queue.Queue[bytes] = queue.Queue(BATCHES)
-        self._next = 0.0
-        self._lost = 0
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
-        self._thread.start()
-
-    def write(self, record: list[tuple[int, bytes]]) -> None:
-        """Append stamps (us) and bytes; twice a second they go to the disk."""
-        for stamp, data in record:
-            self._waiting += stamp.to_bytes(8, "big"), data
-        now = time.monotonic()
-        if now >= self._next:
-            self._next = now + FLUSH
-            self._hand_over()
-
-    def close(self) -> None:
-        """Write what is left, if the disk lets us."""
-        self._hand_over()
-        try:
-            self._batches.put_nowait(b"")
-        except queue.Full:
-            pass
-        else:
-            self._thread.join(PATIENCE)
-        if self._thread.is_alive():
-            _log.warning("%s: the disk is too slow; the end is not recorded", self.path)
-        elif self._lost:
-            _log.warning("%s: %d bytes are missing", self.path, self._lost)
-
-    def _hand_over(self) -> None:
-        batch = b"".join(self._waiting)
-        self._waiting.clear()
-        if not batch:
-            return
-        try:
-            self._batches.put_nowait(batch)
-        except queue.Full:
-            self._lose(len(batch), "the disk is too slow")
-
-    def _run(self) -> None:
-        """Write batch by batch, until an empty one."""
-        while batch := self._batches.get():
-            rest = memoryview(batch)
-            try:
-                while rest:
-                    rest = rest[self._file.write(rest) :]
-            except OSError as error:
-                self._lose(len(rest), error.strerror or str(error))
-        self._file.close()
-
-    def _lose(self, size: int, reason: str) -> None:
-        """Count what is not recorded; say so once."""
-        if not self._lost:
-            _log.warning("%s: %s; not all is recorded", self.path, reason)
-        self._lost += size
-
-
-def _create(path: Path) -> tuple[Path, BinaryIO]:
-    """Open a new file without a buffer; where there is one of that name, put a number behind it."""
-    number, free = 1, path
-    while True:
-        try:
-            return free, free.open("xb", buffering=0)
-        except FileExistsError:
-            number += 1
-            free = path.with_name(f"{path.stem}-{number}{path.suffix}")

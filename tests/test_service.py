@@ -26,7 +26,6 @@ import pytest
 
 from ekf_companion import convert
 from ekf_companion.config import load_config
-from ekf_companion.errors import ConfigError
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
@@ -35,7 +34,6 @@ from ekf_companion.mavlink.session import RATES
 from ekf_companion.nav import so3
 from ekf_companion.nav.state import Status
 from ekf_companion.pipeline import QUALITY
-from ekf_companion.service import open_recorder
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import HomeConfig, SimConfig
 from sim_autopilot.flight import Flight
@@ -663,26 +661,3 @@ def test_a_recording_without_a_folder_is_a_sentence(tmp_path):
         words = daemon.words.read_text()
         assert words.startswith(f"ekf-companion: record.path: {tmp_path}/none/flight.tlog: No such")
         assert words.count("\n") == 1
-
-
-def test_no_recording_is_written_over(tmp_path):
-    names = []
-    for k in range(3):
-        recorder = open_recorder(str(tmp_path / "flight.tlog"))
-        recorder.write([(k, b"frame")])
-        recorder.close()
-        names.append(recorder.path.name)
-        assert recorder.path.read_bytes() == k.to_bytes(8, "big") + b"frame"
-    assert names == ["flight.tlog", "flight-2.tlog", "flight-3.tlog"]
-
-
-def test_the_name_of_a_recording_may_say_when_it_began(tmp_path):
-    recorder = open_recorder(str(tmp_path / "flight-%s.tlog"))
-    recorder.close()
-    stamp = time.strptime(recorder.path.name, "flight-%Y%m%dT%H%M%SZ.tlog")
-    assert stamp.tm_year >= 2024
-
-
-def test_a_folder_is_no_name_for_a_recording(tmp_path):
-    with pytest.raises(ConfigError, match=r"record\.path: .*none.*name a file in a folder"):
-        open_recorder(str(tmp_path / "none" / "flight.tlog"))

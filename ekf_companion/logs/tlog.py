@@ -13,6 +13,7 @@ frames and columns of their fields.
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -152,8 +153,7 @@ def read(path: Path) -> Tlog:
             f"{path}: holds no stamped MAVLink frame, so it is not a {KIND}; "
             "a raw stream of MAVLink without stamps cannot be read"
         )
-    stamp_us, place, size, message_id = np.array(records, dtype=np.int64).T
-    notes = [f"{damaged} runs of damaged bytes"] if damaged else []
+    stamp_us, place, size, message_id = np.frombuffer(records, dtype=np.int64).reshape(-1, 4).T
     return Tlog(
         data=data,
         stamp_us=stamp_us,
@@ -162,13 +162,23 @@ def read(path: Path) -> Tlog:
         message_id=message_id,
         damaged=damaged,
         autopilot=_find_autopilot(data, place[message_id == IDS["HEARTBEAT"]]),
-        notes=tuple(notes),
+        notes=tuple(_left_out(data, place - 8, place + size)),
     )
 
 
-def _find_records(data: bytes) -> tuple[list[tuple[int, int, int, int]], int]:
-    """Give stamp, place, size and message id of each record, and the number of bad runs."""
-    records: list[tuple[int, int, int, int]] = []
+def _left_out(data: bytes, starts: Stamps, ends: Stamps) -> Iterator[str]:
+    """Say which bytes are in no record."""
+    gaps = np.diff(np.concatenate([[0], np.column_stack([starts, ends]).ravel()]))[::2]
+    if runs := np.count_nonzero(gaps):
+        yield f"{runs} runs of damaged bytes, {int(gaps.sum())} bytes in all, were left out"
+    if rest := data[int(ends[-1]) :]:
+        what = "no whole record" if any(rest) else "zeros"
+        yield f"the last {len(rest)} bytes are {what}: the recording was cut off there"
+
+
+def _find_records(data: bytes) -> tuple[array[int], int]:
+    """Give stamp, place, size and message id of each record in turn, and the number of bad runs."""
+    records = array("q")
     damaged = 0
     last: int | None = None
     end = len(data)
@@ -202,7 +212,7 @@ def _find_records(data: bytes) -> tuple[list[tuple[int, int, int, int]], int]:
             good = _continues(data, after, stamp) and _resume(data, start + 1, last) >= after
         if good:
             last = stamp & 0x7FFF_FFFF_FFFF_FFFF
-            records.append((last, place, total, message_id))
+            records.extend((last, place, total, message_id))
             start = after
         else:
             damaged += 1

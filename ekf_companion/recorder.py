@@ -1,0 +1,262 @@
+"""The recording: what went in and out, in .tlog files that rotate, written by a thread.
+
+The loop hands over whole records four times a second and never waits. The thread writes them at
+once and forces them to the disk twice a second: at a kill or a power cut less than a second is
+lost. How much the disk may hold of ours is decided by the names of files: those that
+``record.path`` can make are ours.
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import queue
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from ekf_companion.errors import ConfigError
+from ekf_companion.sections import RecordConfig
+from ekf_companion.shelf import Shelf
+
+_log = logging.getLogger(__name__)
+
+MB = 1_000_000
+HAND_OVER = 0.25
+"""Seconds between two handings over to the thread."""
+BATCH = 1 << 18
+"""Bytes that are handed over sooner."""
+WAITING = 8 * MB
+"""Bytes that wait for a slow disk: minutes of flight; what comes then is lost to the recording."""
+SYNC = 0.5
+"""Seconds after which what was written is forced to the disk."""
+LOOK = 5.0
+"""Seconds between two looks at what the disk has left."""
+SLACK = 16 * MB
+"""Bytes more than ``record.free_space`` before a recording that stopped begins again."""
+PATIENCE = 0.6
+"""Seconds that a slow disk may take for the end of the recording."""
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
+
+
+def open_recorder(config: RecordConfig) -> Recorder | None:
+    """Begin a recording; None: none is wanted. A disk that is out of order stops no flight.
+
+    Raises:
+        ConfigError: The name cannot be meant.
+    """
+    return None if config.path is None else Recorder(config, config.path)
+
+
+class Recorder:
+    """Keeps what went in and out; a disk that is slow or full holds up nobody."""
+
+    def __init__(self, config: RecordConfig, path: str) -> None:
+        """Open the first file and start the thread.
+
+        Raises:
+            ConfigError: No file of that name can be opened, ever.
+        """
+        self._shelf = Shelf(path)
+        self._total_size = round(config.total_size * MB)
+        self._file_size = min(round(config.file_size * MB), self._total_size // 2)
+        self._free_space = round(config.free_space * MB)
+        self._waiting: list[bytes] = []
+        self._size = 0
+        self._next = 0.0
+        # Each count has one writer: the loop's are the first two
+        self._handed = self._refused = 0
+        self._taken = self._recorded = self._lost = 0
+        self._batches: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+
+        self.path = Path(path)
+        self._file: int | None = None
+        self._held = self._total = 0
+        self._is_new = self._is_dirty = self._is_full = self._is_broken = False
+        self._trouble = ""
+        self._lost_before = 0
+        self._synced, self._looked = 0.0, -LOOK
+        self._open_first(path)
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def recorded_bytes(self) -> int:
+        """What the system has taken, of all files."""
+        return self._recorded
+
+    @property
+    def unrecorded_bytes(self) -> int:
+        """What a slow, full or broken disk did not take."""
+        return self._refused + self._lost
+
+    # The loop's side
+
+    def write(self, record: list[tuple[int, bytes]]) -> None:
+        """Append stamps (us) and bytes; to be called ten times a second or more."""
+        for stamp, data in record:
+            self._waiting += stamp.to_bytes(8, "big"), data
+            self._size += 8 + len(data)
+        now = time.monotonic()
+        if now >= self._next or self._size >= BATCH:
+            self._next = now + HAND_OVER
+            self._hand_over()
+
+    def close(self) -> None:
+        """Write what is left, if the disk lets us."""
+        self._hand_over()
+        self._batches.put(b"")
+        self._thread.join(PATIENCE)
+        if self._thread.is_alive():
+            _log.warning("%s: the disk is too slow; the end is not recorded", self.path)
+        elif self.unrecorded_bytes:
+            _log.warning("%s: %d bytes are missing", self.path, self.unrecorded_bytes)
+
+    def _hand_over(self) -> None:
+        if not self._size:
+            return
+        batch = b"".join(self._waiting)
+        self._waiting.clear()
+        self._size = 0
+        if self._handed - self._taken + len(batch) <= WAITING:
+            self._handed += len(batch)
+            self._batches.put(batch)
+            return
+        if not self._refused:
+            _log.warning("%s: the disk is too slow; not all is recorded", self.path)
+        self._refused += len(batch)
+
+    # The thread's side
+
+    def _run(self) -> None:
+        """Write batch by batch, until an empty one."""
+        while True:
+            wait = max(0.0, self._synced + SYNC - time.monotonic()) if self._is_dirty else None
+            try:
+                batch = self._batches.get(timeout=wait)
+            except queue.Empty:
+                self._sync()
+                continue
+            if not batch:
+                break
+            self._take(batch)
+            self._taken += len(batch)
+            if self._is_dirty and time.monotonic() >= self._synced + SYNC:
+                self._sync()
+        self._sync()
+        if self._file is not None:
+            os.close(self._file)
+
+    def _take(self, batch: bytes) -> None:
+        if self._held and self._held + len(batch) > self._file_size:
+            self._rotate()
+        if time.monotonic() >= self._looked + LOOK:
+            self._look()
+        if self._file is None or self._is_full:
+            self._lost += len(batch)
+            return
+        rest = memoryview(batch)
+        try:
+            while rest:
+                written = os.write(self._file, rest)
+                self._is_dirty = True
+                self._held += written
+                self._total += written
+                self._recorded += written
+                rest = rest[written:]
+        except OSError as error:
+            self._lost += len(rest)
+            self._fail(error)
+
+    def _sync(self) -> None:
+        if self._file is not None and self._is_dirty:
+            try:
+                os.fdatasync(self._file)
+                if self._is_new:
+                    self._shelf.sync()
+            except OSError as error:
+                self._fail(error)
+            self._is_new = self._is_dirty = False
+        self._synced = time.monotonic()
+
+    def _rotate(self) -> None:
+        """Begin the next file, or go on with the old one where that cannot be."""
+        self._sync()
+        try:
+            path, file = self._shelf.create()
+        except OSError as error:
+            self._fail(error)
+            return
+        if self._file is not None:
+            os.close(self._file)
+        self.path, self._file = path, file
+        self._held, self._is_new, self._is_broken = 0, True, False
+        self._looked = -LOOK
+        _log.info("Recording to %s", path)
+
+    def _look(self) -> None:
+        """See what the disk has left, and make room."""
+        self._looked = time.monotonic()
+        if self._lost == self._lost_before:
+            self._trouble = ""
+        self._lost_before = self._lost
+        try:
+            is_gone = self._file is None or os.fstat(self._file).st_nlink == 0
+            if is_gone or self._is_broken:
+                self._rotate()
+                self._looked = time.monotonic()
+            if self._total > self._total_size or not self._held:
+                self._total = sum(size for _, _, size in self._shelf.files())
+                self._total -= self._shelf.free(self._total - self._total_size)
+            disk = os.statvfs(self._shelf.folder)
+            wanted = self._free_space + (SLACK if self._is_full else 0)
+            short = wanted - disk.f_bavail * disk.f_frsize
+            self._stop_or_go_on(self._shelf.free(short) < short)
+        except OSError as error:
+            self._fail(error)
+
+    def _stop_or_go_on(self, is_full: bool) -> None:
+        if is_full and not self._is_full:
+            _log.warning(
+                "%s: less than %g MB free, and no older recording of ours to delete; nothing is "
+                "recorded until there is room: record.free_space",
+                self._shelf.folder,
+                self._free_space / MB,
+            )
+        elif self._is_full and not is_full:
+            _log.info("%s: there is room again; recording goes on", self.path)
+        self._is_full = is_full
+
+    def _open_first(self, path: str) -> None:
+        """Open the first file; a disk that may come to its senses is tried again later.
+
+        Raises:
+            ConfigError: It never will.
+        """
+        try:
+            self.path, self._file = self._shelf.create()
+        except (FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError) as error:
+            raise ConfigError(
+                f"record.path: {path}: {error.strerror}; name a file in a folder that can be "
+                "written to"
+            ) from error
+        except OSError as error:
+            self._fail(error)
+        else:
+            self._is_new = True
+            _log.info("Recording to %s", self.path)
+
+    def _fail(self, error: OSError) -> None:
+        """Say once per trouble that not all is recorded; plan the way out of it."""
+        words = error.strerror or str(error)
+        if words != self._trouble:
+            _log.warning("%s: %s; not all is recorded", self.path, words)
+        self._trouble = words
+        if error.errno in _NO_ROOM:
+            # A quota shows in no count of free space
+            with suppress(OSError):
+                self._shelf.free(1)
+        else:
+            self._is_broken = True

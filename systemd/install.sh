@@ -1,0 +1,115 @@
+#!/bin/sh
+# Puts the daemon, its units and its udev rule in their places, or takes them away; `make install`
+# and `make uninstall` call it. Settings, from the environment:
+#   PREFIX     the daemon's virtual environment, /opt/ekf-companion
+#   DESTDIR    a folder that stands for /, to build a package or an image; needs no root
+#   CONFIG     the configuration to begin with, where there is none: config/px4.yaml
+#   WHEEL      a wheel made before, as by `make wheel`; empty: one is built, which needs gcc
+#   PIP_FLAGS  as for a board without a network: --no-index --find-links=FOLDER
+#   PYTHON     python3
+set -eu
+cd "$(dirname "$0")/.."
+
+root=${DESTDIR:-}
+prefix=${PREFIX:-/opt/ekf-companion}
+place=$root$prefix
+etc=$root/etc/ekf-companion
+units=$root/etc/systemd/system
+rules=$root/etc/udev/rules.d
+share=$place/share/ekf-companion
+
+fail() {
+    echo "$0: $*" >&2
+    exit 1
+}
+
+# Whether this is a running system, whose managers are to be told
+is_live() {
+    [ -z "$root" ] && [ -d /run/systemd/system ]
+}
+
+# A folder is ours where a virtual environment is in it, or nothing
+check() {
+    case $prefix in
+    /*) ;;
+    *) fail "PREFIX=$prefix: write it from the root, as in /opt/ekf-companion" ;;
+    esac
+    if [ ! -e "$place/pyvenv.cfg" ] && [ -n "$(ls -A "$place" 2> /dev/null)" ]; then
+        fail "PREFIX=$place: holds something else; name a folder of its own"
+    fi
+}
+
+install_program() {
+    "$place/bin/python" -c '' 2> /dev/null || "${PYTHON:-python3}" -m venv --clear "$place"
+    pip="$place/bin/python -m pip --quiet --disable-pip-version-check"
+    built=$(mktemp -d)
+    trap 'rm -rf "$built"' EXIT
+    if [ -z "${WHEEL:-}" ]; then
+        # In a copy: root leaves nothing of its own in the checkout
+        mkdir "$built/src"
+        cp -R pyproject.toml README.md LICENSE ekf_companion sim_autopilot "$built/src"
+        rm -f "$built"/src/ekf_companion/core/*.c "$built"/src/ekf_companion/core/*.so
+        $pip wheel ${PIP_FLAGS:-} --no-deps --wheel-dir "$built" "$built/src"
+    else
+        cp "$WHEEL" "$built"
+    fi
+    # The same version may have changed inside; what it needs stays as it is where it will do
+    $pip install ${PIP_FLAGS:-} --no-compile --force-reinstall --no-deps "$built"/*.whl
+    $pip install ${PIP_FLAGS:-} --no-compile "$built"/*.whl
+    # Compiled now: the service cannot write there. Some packages carry files for other versions
+    if [ -z "$root" ]; then
+        "$place/bin/python" -m compileall -q "$place/lib" > /dev/null || true
+    else
+        # Programs and scripts name the place where they will be
+        "$place/bin/python" -m compileall -q -f -s "$root" -p / "$place/lib" > /dev/null || true
+        grep -rlIF --exclude-dir=__pycache__ "$place" "$place/bin" "$place/pyvenv.cfg" |
+            xargs -r sed -i "s|$place|$prefix|g"
+    fi
+}
+
+install_files() {
+    install -d -m 755 "$etc" "$units" "$rules" "$share/config" "$share/drop-ins"
+    for unit in ekf-companion.service ekf-companion@.service; do
+        sed "s|/opt/ekf-companion|$prefix|g" "systemd/$unit" > "$units/$unit"
+        chmod 644 "$units/$unit"
+    done
+    install -m 644 systemd/70-ekf-companion.rules "$rules"
+    install -m 644 config/*.yaml "$share/config"
+    install -m 644 systemd/drop-ins/*.conf "$share/drop-ins"
+    install -m 644 systemd/mavlink-router.conf "$share"
+    if [ -e "$etc/config.yaml" ]; then
+        echo "$etc/config.yaml: kept as it is"
+    else
+        install -m 644 "${CONFIG:-config/px4.yaml}" "$etc/config.yaml"
+        echo "$etc/config.yaml: new; set link.url in it"
+    fi
+}
+
+uninstall() {
+    if is_live; then
+        systemctl stop ekf-companion.service 'ekf-companion@*.service' || true
+        systemctl disable ekf-companion.service ekf-companion@.service || true
+    fi
+    rm -f "$units/ekf-companion.service" "$units/ekf-companion@.service"
+    rm -f "$rules/70-ekf-companion.rules"
+    rm -rf "$place"
+    echo "Kept, for you to delete: $etc, $root/var/log/ekf-companion*, $root/var/lib/ekf-companion*"
+}
+
+check
+case ${1:-} in
+install)
+    install_program
+    install_files
+    ;;
+uninstall) uninstall ;;
+*) fail "say install or uninstall" ;;
+esac
+if is_live; then
+    systemctl daemon-reload
+    if command -v udevadm > /dev/null; then
+        udevadm control --reload
+        udevadm trigger --subsystem-match=usb --subsystem-match=usb-serial --subsystem-match=tty
+    fi
+    [ "$1" = uninstall ] || echo "Now: systemctl enable ekf-companion; systemctl restart ekf-companion"
+fi
