@@ -85,9 +85,13 @@ def read_key(name: str) -> bytes:
         raise _complaint(
             path, f"{error.strerror}; name a file of mode 0600 that holds the secret"
         ) from None
-    with open(descriptor, "rb") as file:
+    try:
         _check(path, os.fstat(descriptor))
-        data = file.read(2 * KEY_SIZE + 2)
+        data = os.read(descriptor, 2 * KEY_SIZE + 2)
+    except OSError as error:
+        raise _complaint(path, f"{error.strerror}; name another file") from None
+    finally:
+        os.close(descriptor)
     if _HEX.fullmatch(data):
         return bytes.fromhex(data.decode("ascii").strip())
     if len(data) == KEY_SIZE:
