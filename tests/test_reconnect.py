@@ -182,7 +182,8 @@ def report(kind, times, counts):
 
 @LONG
 @pytest.mark.parametrize("kind", ["serial", "udpin", "tcp", "tcpin"])
-def test_a_link_resumes_whenever_the_other_end_returns_rule_35(tmp_path, kind):
+def test_a_link_resumes_whenever_the_other_end_returns_rule_35(tmp_path, kind, caplog):
+    caplog.set_level(logging.ERROR, logger="ekf_companion")
     url, other = ends(tmp_path, kind)
     rng = random.Random(7)
 
