@@ -106,9 +106,9 @@ class Server(Autopilot):
         self._server = self._stream = None
 
     def plug(self):
-        self._server = socket.create_server(("127.0.0.1", self._port), reuse_port=True)
+        self._server = socket.create_server(("127.0.0.1", self._port))
         self._server.setblocking(False)
-        return self.meet(self._write, lambda: self._stream.recv(4096))
+        return self.meet(self._write, self._read)
 
     def _write(self, data):
         if self._stream is None:
@@ -116,18 +116,21 @@ class Server(Autopilot):
             self._stream.setblocking(False)
         self._stream.send(data)
 
+    def _read(self):
+        return b"" if self._stream is None else self._stream.recv(4096)
+
     def unplug(self):
         for part in (self._stream, self._server):
             if part is not None:
                 part.close()
-        self._stream = None
+        self._stream = self._server = None
 
 
 class Client(Server):
     """A program that connects over TCP."""
 
     def plug(self):
-        return self.meet(self._write, lambda: self._stream.recv(4096))
+        return self.meet(self._write, self._read)
 
     def _write(self, data):
         if self._stream is None:
@@ -151,24 +154,30 @@ def ends(tmp_path, kind):
     return f"{kind}:127.0.0.1:{port}", other
 
 
+async def wake(link):
+    while True:
+        await asyncio.sleep(0.1)
+        link.wake()
+
+
 async def serve(link):
     """Answer as the daemon does: hear whom the session believes, and let time pass."""
     session = Session()
-    pump = asyncio.create_task(link.run())
+    tasks = [asyncio.create_task(link.run()), asyncio.create_task(wake(link))]
     try:
         while True:
-            with contextlib.suppress(asyncio.TimeoutError):
-                data, now_ns, sender = await asyncio.wait_for(link.receive(), 0.1)
-                heard = session.heard
-                session.receive(data, now_ns, sender)
-                if sender is not None and session.heard != heard:
-                    link.peers.pin(sender, now_ns)
-            session.tick(time.monotonic_ns())
+            data, now_ns, sender = await link.receive()
+            heard = session.heard
+            session.receive(data, now_ns, sender)
+            if sender is not None and session.heard != heard:
+                link.peers.pin(sender, now_ns)
+            session.tick(now_ns)
             for frame in session.data_to_send():
                 link.send(frame)
     finally:
-        pump.cancel()
-        await asyncio.gather(pump, return_exceptions=True)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 def report(kind, times, counts):
