@@ -23,7 +23,7 @@ from tests.test_service import Daemon
 
 _log = logging.getLogger("reconnect")
 
-CYCLES = int(os.environ.get("RECONNECT_CYCLES", "5"))
+CYCLES = int(os.environ.get("RECONNECT_CYCLES", "3"))
 RESUMES = 3.0
 """Seconds from the return of the other end until bytes have gone both ways."""
 HEARTBEAT = IDS["HEARTBEAT"]
@@ -227,7 +227,7 @@ def test_the_daemon_resumes_and_leaks_no_descriptor_rule_35(tmp_path, kind):
         other.plug()
         before = descriptors(pid)
         times, counts = [], []
-        for _ in range(max(3, CYCLES // 5)):
+        for _ in range(max(2, CYCLES // 5)):
             other.unplug()
             times.append(other.plug())
             counts.append(descriptors(pid))
