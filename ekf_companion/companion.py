@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 
 from ekf_companion.checkpoint import Clocks, Vehicle
 from ekf_companion.config import Config
@@ -25,6 +25,7 @@ from ekf_companion.mavlink.session import (
     Session,
     SessionOptions,
 )
+from ekf_companion.mavlink.signing import Signing
 from ekf_companion.nav.measurements import ImuSample, Measurement
 from ekf_companion.nav.state import Status
 from ekf_companion.pipeline import Aid, Arrival, Health, Pipeline
@@ -162,6 +163,9 @@ def session_options(
         system_id=link.system_id,
         component_id=link.component_id,
         autopilot_system_id=link.autopilot,
+        allow_systems=link.allow_systems,
+        allow_components=link.allow_components,
+        accept_unsigned=config.signing.accept_unsigned,
         rates=rates,
         expected=None if expected is None else PeerFound(*expected[1:], Family(expected.family)),
         is_recording=is_recording,
@@ -177,23 +181,30 @@ class Companion:
     """One vehicle's estimator on one link."""
 
     def __init__(
-        self, config: Config, is_recording: bool = False, resumption: Resumption | None = None
+        self,
+        config: Config,
+        is_recording: bool = False,
+        resumption: Resumption | None = None,
+        signing: Signing | None = None,
     ) -> None:
         self._config = config
         self._resumption = resumption or Resumption()
         self._expected = self._resumption.expected
         self._has_sample = False
-        self.session = Session(session_options(config, is_recording, self._expected))
+        self.session = Session(session_options(config, is_recording, self._expected), signing)
         self.pipeline: Pipeline | None = None
         self._publisher: Publisher | None = None
         self._begin_ns: int | None = None
         self._bytes = 0
         self._has_complained = False
 
-    def receive(self, data: bytes, now_ns: int) -> None:
-        """Take bytes read at a time of ours; what follows from them waits in ``data_to_send``."""
+    def receive(self, data: bytes, now_ns: int, sender: Hashable = None) -> None:
+        """Take bytes read at a time of ours; what follows from them waits in ``data_to_send``.
+
+        ``sender`` tells apart who sends datagrams to one socket.
+        """
         self._bytes += len(data)
-        for measurement in self.session.receive(data, now_ns):
+        for measurement in self.session.receive(data, now_ns, sender):
             self._heed_events()
             self._process(measurement, now_ns)
         self._heed_events()

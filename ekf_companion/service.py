@@ -14,7 +14,8 @@ from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.errors import CompanionError
 from ekf_companion.keeper import clocks, open_keeper
-from ekf_companion.link import open_link
+from ekf_companion.keyring import open_keyring
+from ekf_companion.link import Peers, Received, open_link
 from ekf_companion.recorder import open_recorder
 from ekf_companion.resumption import Resumption
 from ekf_companion.supervision import Systemd
@@ -88,16 +89,23 @@ class Daemon:
 
         Raises:
             LinkError: The link's URL names no link.
-            ConfigError: The recording or the checkpoints have no place.
+            ConfigError: The recording or the checkpoints have no place, or the key none may use.
         """
+        self._keyring = keyring = open_keyring(config)
         self.link = open_link(
-            config.link.url, clock=unix_clock, on_state=self._greet, on_read=self.receive
+            config.link.url,
+            peer=config.link.peer,
+            clock=unix_clock,
+            peers=Peers(is_signed=keyring is not None and not config.signing.accept_unsigned),
+            on_state=self._greet,
+            on_read=self.receive,
         )
         self._recorder = open_recorder(config.record)
         self._keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
         found = None if self._keeper is None else self._keeper.read()
         resumption = Resumption(found, clocks(), unix_clock(), config.checkpoint.limit)
-        self._companion = Companion(config, self._recorder is not None, resumption)
+        signing = None if keyring is None else keyring.signing
+        self._companion = Companion(config, self._recorder is not None, resumption, signing)
         self._systemd = Systemd()
 
     def __enter__(self) -> Daemon:
@@ -110,12 +118,22 @@ class Daemon:
     def __exit__(self, *error: object) -> None:
         if self._keeper is not None:
             self._keeper.close()
+        if self._keyring is not None:
+            self._keyring.close()
         if self._recorder is not None:
             self._recorder.close()
 
-    def receive(self, data: bytes, now_ns: int) -> None:
-        """Take what was read, and send what follows from it."""
-        self._companion.receive(data, now_ns)
+    def receive(self, received: Received) -> None:
+        """Take what was read, send what follows from it, and say whom to go on listening to."""
+        data, now_ns, sender = received
+        session, peers = self._companion.session, self.link.peers
+        heard, admitted = session.heard, session.admission.admitted
+        self._companion.receive(data, now_ns, sender)
+        if sender is not None:
+            if session.heard != heard:
+                peers.pin(sender, now_ns)
+            elif session.admission.admitted != admitted:
+                peers.answer(sender)
         self._do_what_is_due(now_ns)
 
     async def tick(self) -> None:
@@ -143,6 +161,8 @@ class Daemon:
             self._send()
         if self._keeper is not None and self._keeper.is_due(now_ns, companion.resets):
             self._keep()
+        if self._keyring is not None:
+            self._keyring.keep(now_ns)
         self._systemd.beat(now_ns)
 
     def _send(self) -> None:

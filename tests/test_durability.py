@@ -151,7 +151,7 @@ def test_sigterm_ends_it_within_two_seconds_while_the_disk_hangs(tmp_path):
         assert time.monotonic() - begin < 2.0
         words = process.stderr.read()
     assert "the disk is too slow; the end is not recorded" in words
-    assert "the disk is too slow; the last checkpoint may be missing" in words
+    assert "the disk is too slow; the last state may be missing" in words
 
 
 # Each file of a flight can be converted, and together they are one recording

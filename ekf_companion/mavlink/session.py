@@ -11,18 +11,20 @@ at start where it is recorded.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
 from ekf_companion.mavlink import encode
+from ekf_companion.mavlink.admission import Admission
 from ekf_companion.mavlink.clock import Timesync, TimesyncOptions
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.decode import Decoder, DecoderOptions, Family
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
 from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.signing import Signing
 from ekf_companion.nav.measurements import Measurement, Restart
 
 _SECOND_NS = 1_000_000_000
@@ -75,6 +77,12 @@ class SessionOptions:
     """Ours: MAV_COMP_ID_ONBOARD_COMPUTER4."""
     autopilot_system_id: int | None = None
     """The one autopilot to listen to; None: the first that is heard."""
+    allow_systems: tuple[int, ...] = ()
+    """System ids that may speak; empty: all."""
+    allow_components: tuple[int, ...] = ()
+    """Component ids that may speak; empty: all."""
+    accept_unsigned: bool = False
+    """Whether, with a key, frames without a signature are believed too."""
     rates: Mapping[str, float] = field(default_factory=lambda: RATES)
     """Messages to ask for, Hz, by name; 0 stops one; empty: nothing is asked."""
     expected: PeerFound | None = None
@@ -133,14 +141,24 @@ class _Request:
 class Session:
     """One autopilot: found, asked, listened to and answered."""
 
-    def __init__(self, options: SessionOptions | None = None) -> None:
+    def __init__(
+        self, options: SessionOptions | None = None, signing: Signing | None = None
+    ) -> None:
         self.options = options or SessionOptions()
+        self.admission = Admission(
+            self.options.allow_systems,
+            self.options.allow_components,
+            signing,
+            self.options.accept_unsigned,
+        )
         self.decoder = Decoder(options=self.options.decoder)
         self.timesync = Timesync(self.options.timesync)
         self.results: dict[str, str] = {}
         """The last answer to the request for each message."""
         self.received: Counter[int] = Counter()
         """Frames of the autopilot by message id."""
+        self.heard = 0
+        """Frames of the autopilot."""
         self.ignored: Counter[str] = Counter()
         """Frames that are not the autopilot's, by whose they are."""
         self.lost = 0
@@ -148,7 +166,7 @@ class Session:
         self.late = 0
         """Frames that came twice, or after their successors."""
         self._splitter = Splitter()
-        self._sender = Sender(self.options.system_id or 1, self.options.component_id)
+        self._sender = Sender(self.options.system_id or 1, self.options.component_id, signing)
         self._status = SystemStatus.BOOT
         self._peer: tuple[int, int] | None = None
         self._is_lost = False
@@ -162,10 +180,17 @@ class Session:
 
     # What goes in
 
-    def receive(self, data: bytes, now_ns: int) -> list[Measurement]:
-        """Take bytes that were read at a time of ours; give what they say, in order."""
+    def receive(self, data: bytes, now_ns: int, sender: Hashable = None) -> list[Measurement]:
+        """Take bytes that were read at a time of ours; give what they say, in order.
+
+        ``sender`` tells apart who sends datagrams to one socket. What is not admitted is not
+        recorded either: a stranger neither fills the disk nor speaks in a replay, which so needs
+        no key.
+        """
         measurements: list[Measurement] = []
-        for frame in self._splitter.feed(data):
+        for frame in self._splitter.feed(data, sender):
+            if frame.message_id != JUNK and self.admission.refuse(frame, now_ns):
+                continue
             if self.options.is_recording:
                 self._record.append((quantise(now_ns) // 1000, frame.raw))
             if frame.message_id != JUNK:
@@ -185,6 +210,7 @@ class Session:
             self.ignored["of another system or component"] += 1
             return []
 
+        self.heard += 1
         self.received[frame.message_id] += 1
         self._count_lost(frame.sequence)
         if frame.message_id == _TIMESYNC_ID:
@@ -349,7 +375,7 @@ class Session:
 
     def send(self, name: str, payload: bytes, now_ns: int) -> None:
         """Queue a message of ours."""
-        frame = self._sender.frame(name, payload)
+        frame = self._sender.frame(name, payload, now_ns)
         self._out.append(frame)
         if self.options.is_recording:
             self._record.append((quantise(now_ns) // 1000, frame))
@@ -392,6 +418,7 @@ class Session:
             "junk_bytes": self._splitter.junk_bytes,
             "lost": self.lost,
             "late": self.late,
+            **{f"not admitted: {why}": count for why, count in self.admission.refused.items()},
             **{f"ignored: {whose}": count for whose, count in self.ignored.items()},
             **{f"refused: {why}": count for why, count in self.decoder.refused.items()},
         }
