@@ -17,9 +17,11 @@ from typing import BinaryIO
 
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
+from ekf_companion.endpoint import open_endpoint
 from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.keeper import Keeper, clocks, open_keeper
 from ekf_companion.link import Link, open_link
+from ekf_companion.observer import Observer
 from ekf_companion.resumption import Resumption
 
 if sys.version_info >= (3, 11):
@@ -84,13 +86,15 @@ async def serve(config: Config) -> None:
         None if keeper is None else keeper.read(), clocks(), unix_clock(), config.checkpoint.limit
     )
     companion = Companion(config, recorder is not None, resumption)
+    observer = Observer(config, link, companion, unix_clock)
+    endpoint = open_endpoint(config.http, observer, asyncio.get_running_loop())
     systemd = Systemd()
     systemd.tell("READY=1")
     try:
         async with TaskGroup() as group:
             pump = group.create_task(link.run())
-            wake = group.create_task(_wake(link))
-            work = group.create_task(_work(link, companion, recorder, keeper, systemd))
+            wake = group.create_task(_wake(link, observer))
+            work = group.create_task(_work(link, companion, recorder, keeper, systemd, observer))
             await stop.wait()
 
             # Say goodbye when nothing else can be said any more
@@ -103,6 +107,8 @@ async def serve(config: Config) -> None:
             wake.cancel()
             pump.cancel()
     finally:
+        if endpoint is not None:
+            endpoint.close()
         if keeper is not None:
             keeper.close()
         if recorder is not None:
@@ -110,10 +116,12 @@ async def serve(config: Config) -> None:
     _log.info("Stopped")
 
 
-async def _wake(link: Link) -> None:
+async def _wake(link: Link, observer: Observer) -> None:
     """Keep the loop turning while nothing comes."""
     while True:
+        due = time.monotonic() + TICK
         await asyncio.sleep(TICK)
+        observer.late(time.monotonic() - due)
         link.wake()
 
 
@@ -123,6 +131,7 @@ async def _work(
     recorder: Recorder | None,
     keeper: Keeper | None,
     systemd: Systemd,
+    observer: Observer,
 ) -> None:
     """Take what comes, do what is due; heart and watchdog beat with the filter or not at all."""
     while True:
@@ -134,6 +143,7 @@ async def _work(
         if keeper is not None and keeper.is_due(now_ns, companion.resets):
             _keep(companion, keeper)
         systemd.beat(now_ns)
+        observer.beat(now_ns)
 
 
 def _send(link: Link, companion: Companion, recorder: Recorder | None) -> None:

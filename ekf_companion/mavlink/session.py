@@ -39,6 +39,7 @@ _TIMESYNC_ID = IDS["TIMESYNC"]
 _COMMAND_ACK_ID = IDS["COMMAND_ACK"]
 _NO_AUTOPILOT = 8
 _GROUND_STATION = 6
+_ARMED = 128
 _FAMILIES = {3: Family.ARDUPILOT, 12: Family.PX4}
 _ACCEPTED, _IN_PROGRESS = 0, 5
 _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress")
@@ -141,6 +142,10 @@ class Session:
         """The last answer to the request for each message."""
         self.received: Counter[int] = Counter()
         """Frames of the autopilot by message id."""
+        self.sent: Counter[str] = Counter()
+        """Messages of ours by name."""
+        self.is_armed = False
+        """Whether the autopilot's last heartbeat said so."""
         self.ignored: Counter[str] = Counter()
         """Frames that are not the autopilot's, by whose they are."""
         self.lost = 0
@@ -229,6 +234,7 @@ class Session:
             return
         self._notice_silence(now_ns)
         self._heard_ns = quantise(now_ns)
+        self.is_armed = bool(heartbeat.base_mode & _ARMED)
         family = _FAMILIES.get(heartbeat.autopilot, Family.UNKNOWN)
         is_other = self.options.expected is not None and family is not self.decoder.family
         self.decoder.family = family
@@ -351,6 +357,7 @@ class Session:
         """Queue a message of ours."""
         frame = self._sender.frame(name, payload)
         self._out.append(frame)
+        self.sent[name] += 1
         if self.options.is_recording:
             self._record.append((quantise(now_ns) // 1000, frame))
 
@@ -381,6 +388,11 @@ class Session:
     def peer(self) -> tuple[int, int] | None:
         """System and component id of the autopilot; None: not heard or lost."""
         return None if self._is_lost else self._peer
+
+    @property
+    def heard_ns(self) -> int:
+        """When the autopilot's last heartbeat came, our clock; 0: none has."""
+        return self._heard_ns
 
     def counters(self) -> dict[str, int]:
         """Give how many of what, from bytes to refusals, by name."""
