@@ -1,8 +1,8 @@
 """The commands; the only place that prints or exits.
 
 Exit codes: 0 done, 1 a figure cannot be drawn or a bug, 2 the command line or the configuration is
-wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from. ``status``: 0 the
-daemon is healthy, 1 it answers but is not, 4 nothing answers.
+wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from. ``status``:
+0 the daemon is healthy, 1 it answers but is not, 4 nothing answers.
 """
 
 from __future__ import annotations
