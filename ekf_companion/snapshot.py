@@ -8,7 +8,7 @@ and what the autopilot does with that.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
 from typing import Any, NamedTuple
@@ -226,17 +226,26 @@ def _silences(snapshot: Snapshot) -> list[str]:
 
 def to_plain(value: Any) -> Any:
     """Give data as plain tables and lists: enums by their names in small letters."""
+    if isinstance(value, Enum):
+        return value.name.lower()
+    if isinstance(value, (float, int, str)):
+        return value
     if is_dataclass(value):
         return {entry.name: to_plain(getattr(value, entry.name)) for entry in fields(value)}
     if isinstance(value, Mapping):
         return {str(to_plain(key)): to_plain(content) for key, content in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [to_plain(item) for item in value]
-    return value.name.lower() if isinstance(value, Enum) else value
+    return [to_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
 
 
-def to_json(snapshot: Snapshot) -> bytes:
-    """Give a snapshot, and ``health``: what is found of it, as JSON; null: not known."""
-    finding = judge(snapshot)
-    health = {"is_healthy": finding.is_healthy, "words": finding.words}
-    return msgspec.json.encode({"health": health, **to_plain(snapshot)})
+def to_json(snapshot: Snapshot, breathe: Callable[[], None] = lambda: None) -> bytes:
+    """Give a snapshot, and ``health``: what is found of it, as JSON; null: not known.
+
+    Args:
+        snapshot: What is told.
+        breathe: Called between two stages: lets others run while the text is made.
+    """
+    plain: dict[str, Any] = {"health": judge(snapshot)._asdict()}
+    for entry in fields(snapshot):
+        plain[entry.name] = to_plain(getattr(snapshot, entry.name))
+        breathe()
+    return msgspec.json.encode(plain)

@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from prometheus_client import generate_latest
@@ -121,3 +122,14 @@ def test_others_may_go_first_between_two_families(snapshot):
     breaths = []
     generate_latest(registry_of(snapshot, lambda: breaths.append(1)))
     assert len(breaths) > 40
+
+
+def test_the_manual_names_every_metric_and_no_other(snapshot):
+    manual = Path(__file__).parent.parent / "docs" / "OBSERVABILITY.md"
+    table = manual.read_text().partition("| stage | metric |")[2].partition("\n\n")[0]
+    named = {
+        name for row in table.splitlines()[2:] for name in re.findall(r"`(\w+)`", row.split("|")[2])
+    }
+    suffixes = {"counter": "_total", "info": "_info"}
+    told = {family.name + suffixes.get(family.type, "") for family in families(snapshot)}
+    assert named == {name.removeprefix(PREFIX) for name in told}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from http.client import HTTPException
 from typing import Annotated, Any, NamedTuple
 from urllib.error import HTTPError
 from urllib.request import ProxyHandler, build_opener
@@ -58,7 +59,7 @@ def fetch(url: str) -> Heard:
         return Heard(0 if health["is_healthy"] else UNHEALTHY, health["words"], data)
     except HTTPError as error:
         return Heard(UNHEALTHY, error.read().decode(errors="replace").strip(), {})
-    except (ValueError, LookupError, TypeError):
+    except (ValueError, LookupError, TypeError, HTTPException):
         words = f"{where}: what answers is no ekf-companion; name its address with --url"
         return Heard(NOBODY, words, {})
     except OSError as error:

@@ -39,6 +39,8 @@ def _table(*columns: str, words: str = "") -> Table:
 
 
 def _stages(data: Data) -> Table:
+    from rich.markup import escape
+
     table = _table("Stage", "")
     table.columns[1].justify = "left"
     for name, words in (
@@ -51,7 +53,7 @@ def _stages(data: Data) -> Table:
         ("output", _output(data["output"])),
         ("process", _process(data["process"])),
     ):
-        table.add_row(name, words or "-")
+        table.add_row(name, escape(words or "-"))
     return table
 
 
@@ -129,13 +131,16 @@ def _share(process: Data) -> str:
 
 
 def _rates(messages: Mapping[str, Data]) -> Table:
+    from rich.markup import escape
+
     table = _table("Message", "count", "Hz", "asked", "answer")
     for name, message in messages.items():
         is_slow = message["rate"] < _SLOW * message["asked"]
         asked = f"{message['asked']:g}" if message["asked"] else ""
         style = "yellow" if is_slow else None
         rate = f"{message['rate']:.1f}"
-        table.add_row(name, str(message["count"]), rate, asked, message["answer"], style=style)
+        answer = escape(message["answer"])
+        table.add_row(name, str(message["count"]), rate, asked, answer, style=style)
     return table
 
 
