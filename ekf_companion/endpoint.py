@@ -46,6 +46,8 @@ DEADLINE = 5.0
 """Seconds that one request may take, all in all: a slow client is cut off."""
 CONNECTIONS = 8
 """At once; others are closed unheard."""
+PACE = 0.02
+"""Seconds between two requests: no crowd of clients takes more than a tenth of a processor."""
 BREATH = 3e-4
 """Seconds of sleep after each small piece of an answer, about 50 us of work: the loop goes first.
 A shorter ``sys.setswitchinterval`` would do the loop harm: it cuts up the loop's work as well."""
@@ -203,6 +205,7 @@ class Endpoint:
             while not self._stop.is_set():
                 server.handle_request()
                 server.service_actions()
+                self._stop.wait(PACE)
 
     def _complain(self, error: OSError) -> None:
         _log.warning(

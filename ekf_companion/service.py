@@ -140,10 +140,10 @@ async def _work(
             companion.receive(data, now_ns)
         companion.tick(now_ns)
         _send(link, companion, recorder)
+        observer.beat(now_ns)
         if keeper is not None and keeper.is_due(now_ns, companion.resets):
             _keep(companion, keeper)
         systemd.beat(now_ns)
-        observer.beat(now_ns)
 
 
 def _send(link: Link, companion: Companion, recorder: Recorder | None) -> None:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 Data = Mapping[str, Any]
 _UNKNOWN = "?"
 _SLOW = 0.5
-"""A message at less than this share of what was asked for is marked; MAVLINK's rate audit too."""
+"""A message that comes at less than this share of what was asked for is marked."""
 
 
 def view(data: Data) -> Group:
