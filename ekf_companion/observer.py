@@ -25,8 +25,10 @@ from ekf_companion.parts import (
     firmware,
     frames,
     guard_state,
+    heartbeat_ns,
     part,
     refused_datagrams,
+    sent_by_name,
     time_state,
 )
 from ekf_companion.pipeline import Health
@@ -109,7 +111,7 @@ class Observer:
         self.latency = Latency()
         self._config, self._link, self._companion = config, link, companion
         self._clock, self._recorded = clock, recorded
-        self._sent = companion.session.sent
+        self._sent = sent_by_name(companion.session)
         self._odometries = 0
         self._longest_ns = 0
         self._begin_ns = self._beat_ns = clock()
@@ -130,7 +132,7 @@ class Observer:
         took_ns = self._clock() - now_ns
         if took_ns > self._longest_ns:
             self._longest_ns = took_ns
-        odometries = self._sent[_ODOMETRY]
+        odometries = self._sent.get(_ODOMETRY, 0)
         if odometries != self._odometries:
             self.latency.take(took_ns, odometries - self._odometries)
             self._odometries = odometries
@@ -225,8 +227,8 @@ class Observer:
             family=session.decoder.family.value,
             version=firmware(session),
             is_heard=session.peer is not None,
-            silent_s=age(session.heard_ns or None, now_ns),
-            is_armed=session.is_armed,
+            silent_s=age(heartbeat_ns(session), now_ns),
+            is_armed=session.decoder.is_armed,
             reboots=sum(restarts.values()),
         )
 
@@ -251,7 +253,7 @@ class Observer:
         mode, guard = self._config.output.odometry.mode, guard_state(self._companion)
         return OutputState(
             mode=mode,
-            is_streaming=self._sent[_ODOMETRY] > before,
+            is_streaming=self._sent.get(_ODOMETRY, 0) > before,
             reason=guard.reason,
             remedy=guard.remedy,
             parameters=guard.parameters,

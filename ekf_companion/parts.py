@@ -48,6 +48,16 @@ def firmware(session: Session) -> str:
     return ""
 
 
+def sent_by_name(session: Session) -> Mapping[str, int]:
+    """Give the counter of our messages, which goes on counting."""
+    return session.sent
+
+
+def heartbeat_ns(session: Session) -> int | None:
+    """Give when the autopilot's last heartbeat came, our clock; None: none has."""
+    return session.heard_ns or None
+
+
 def asked_rates(session: Session) -> dict[str, float]:
     """Give the rates that were asked for, Hz, by message."""
     rates = dict(session.options.rates)
@@ -92,7 +102,7 @@ def frames(counters: Mapping[str, int]) -> FrameState:
         lost=counters["lost"],
         late=counters["late"],
         signed=counters.get("signed", 0),  # counted where signatures are checked
-        refused=part(counters, "ignored: "),
+        refused={**part(counters, "ignored: "), **part(counters, "not admitted: ")},
     )
 
 

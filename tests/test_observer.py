@@ -118,6 +118,8 @@ def test_the_stages_are_counted_from_bytes_to_what_is_sent(flown):
     assert (snapshot.frames.bad_crc, snapshot.frames.lost) == (0, 0)
     assert (snapshot.peer.system_id, snapshot.peer.family) == (1, "px4")
     assert snapshot.peer.is_heard
+    assert snapshot.peer.is_armed
+    assert snapshot.peer.silent_s < 1.1
     assert snapshot.estimator.status is Status.OK
     assert snapshot.sample_age_s < 0.5
     assert snapshot.resets == {}

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from http.client import HTTPException
 from typing import Annotated, Any, NamedTuple
-from urllib.error import HTTPError
-from urllib.request import ProxyHandler, build_opener
 
 import typer
 
@@ -50,6 +47,10 @@ def status(
 
 def fetch(url: str) -> Heard:
     """Ask a daemon for its status; never raises."""
+    from http.client import HTTPException
+    from urllib.error import HTTPError
+    from urllib.request import ProxyHandler, build_opener
+
     where = f"{url.rstrip('/')}/status"
     try:
         # No proxy: what is asked is this board, or one beside it

@@ -39,7 +39,6 @@ _TIMESYNC_ID = IDS["TIMESYNC"]
 _COMMAND_ACK_ID = IDS["COMMAND_ACK"]
 _NO_AUTOPILOT = 8
 _GROUND_STATION = 6
-_ARMED = 128
 _FAMILIES = {3: Family.ARDUPILOT, 12: Family.PX4}
 _ACCEPTED, _IN_PROGRESS = 0, 5
 _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress")
@@ -144,8 +143,6 @@ class Session:
         """Frames of the autopilot by message id."""
         self.sent: Counter[str] = Counter()
         """Messages of ours by name."""
-        self.is_armed = False
-        """Whether the autopilot's last heartbeat said so."""
         self.ignored: Counter[str] = Counter()
         """Frames that are not the autopilot's, by whose they are."""
         self.lost = 0
@@ -234,7 +231,6 @@ class Session:
             return
         self._notice_silence(now_ns)
         self._heard_ns = quantise(now_ns)
-        self.is_armed = bool(heartbeat.base_mode & _ARMED)
         family = _FAMILIES.get(heartbeat.autopilot, Family.UNKNOWN)
         is_other = self.options.expected is not None and family is not self.decoder.family
         self.decoder.family = family
