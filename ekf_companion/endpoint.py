@@ -109,6 +109,8 @@ class Pages:
 
     def __init__(self, ask: Callable[[], Snapshot | None]) -> None:
         self._ask = ask
+        # Of many clients one at a time competes with the loop
+        self._making = threading.Lock()
 
     def __call__(self, environ: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
         """Answer one request."""
@@ -137,7 +139,8 @@ class Pages:
         if snapshot is None:
             words = f"stalled: the loop has not answered for {PATIENCE:.0f} s\n"
             return "503 Service Unavailable", _TEXT, words.encode()
-        return pages[path](snapshot)
+        with self._making:
+            return pages[path](snapshot)
 
 
 def _healthz(snapshot: Snapshot) -> Answer:
