@@ -111,6 +111,7 @@ class Publisher:
                 math.hypot(*moved[:3]),
                 math.hypot(*moved[3:6]),
                 math.degrees(moved[6]),
+                extra={"EKF_EVENT": "reset", "EKF_REASON": health.reset_reason},
             )
             self._resets = health.resets
         if 0.0 < health.imu_rate < DECIMATED and not self._is_decimated:
@@ -122,7 +123,12 @@ class Publisher:
             )
         self._is_decimated = 0.0 < health.imu_rate < DECIMATED
         if health.status != self._last:
-            _log.info("Estimate is %s, was %s", health.status.name, self._last.name)
+            _log.info(
+                "Estimate is %s, was %s",
+                health.status.name,
+                self._last.name,
+                extra={"EKF_EVENT": "status", "EKF_REASON": health.status.name.lower()},
+            )
             self._last = health.status
 
 
@@ -283,11 +289,18 @@ class Companion:
                     event.system_id,
                     event.component_id,
                     event.family.value,
+                    extra={"EKF_EVENT": "autopilot", "EKF_REASON": "found"},
                 )
                 self._begin(event)
             elif isinstance(event, PeerLost):
-                _log.warning("Autopilot lost: no heartbeat for 5 s; check the link")
+                _log.warning(
+                    "Autopilot lost: no heartbeat for 5 s; check the link",
+                    extra={"EKF_EVENT": "autopilot", "EKF_REASON": "lost"},
+                )
             elif isinstance(event, Rebooted):
-                _log.warning("Autopilot rebooted: its clock began anew, and so does the estimate")
+                _log.warning(
+                    "Autopilot rebooted: its clock began anew, and so does the estimate",
+                    extra={"EKF_EVENT": "autopilot", "EKF_REASON": "rebooted"},
+                )
             elif isinstance(event, Answered):
                 _log.info("Request for %s: %s", event.message, event.result)

@@ -12,10 +12,12 @@ from dataclasses import replace
 
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
+from ekf_companion.endpoint import open_endpoint
 from ekf_companion.errors import CompanionError
 from ekf_companion.keeper import clocks, open_keeper
 from ekf_companion.keyring import open_keyring
 from ekf_companion.link import Peers, Received, open_link
+from ekf_companion.observer import Observer
 from ekf_companion.recorder import open_recorder
 from ekf_companion.resumption import Resumption
 from ekf_companion.supervision import Systemd
@@ -106,6 +108,10 @@ class Daemon:
         resumption = Resumption(found, clocks(), unix_clock(), config.checkpoint.limit)
         signing = None if keyring is None else keyring.signing
         self._companion = Companion(config, self._recorder is not None, resumption, signing)
+        self._observer = Observer(
+            config, self.link, self._companion, unix_clock, recorded=self._recorded
+        )
+        self._endpoint = open_endpoint(config.http, self._observer, asyncio.get_running_loop())
         self._systemd = Systemd()
 
     def __enter__(self) -> Daemon:
@@ -116,6 +122,8 @@ class Daemon:
         return self
 
     def __exit__(self, *error: object) -> None:
+        if self._endpoint is not None:
+            self._endpoint.close()
         if self._keeper is not None:
             self._keeper.close()
         if self._keyring is not None:
@@ -140,7 +148,9 @@ class Daemon:
         """Keep time while nothing comes."""
         while True:
             self._do_what_is_due(unix_clock())
+            due = time.monotonic() + TICK
             await asyncio.sleep(TICK)
+            self._observer.late(time.monotonic() - due)
 
     def say_goodbye(self) -> None:
         """Send the last heartbeat, when nothing else can be said any more."""
@@ -159,6 +169,7 @@ class Daemon:
         if self.link.opened:
             companion.tick(now_ns)
             self._send()
+        self._observer.beat(now_ns)
         if self._keeper is not None and self._keeper.is_due(now_ns, companion.resets):
             self._keep()
         if self._keyring is not None:
@@ -170,6 +181,12 @@ class Daemon:
             self.link.send(frame)
         if self._recorder is not None:
             self._recorder.write(self._companion.session.take_record())
+
+    def _recorded(self) -> tuple[int, int]:
+        """Give the bytes that were recorded, and those that should have been."""
+        if self._recorder is None:
+            return 0, 0
+        return self._recorder.recorded_bytes, self._recorder.unrecorded_bytes
 
     def _keep(self) -> None:
         if self._keeper is not None and (data := self._companion.checkpoint(clocks())) is not None:

@@ -1,7 +1,8 @@
 """The commands; the only place that prints or exits.
 
 Exit codes: 0 done, 1 a figure cannot be drawn or a bug, 2 the command line or the configuration is
-wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from.
+wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from. ``status``:
+0 the daemon is healthy, 1 it answers but is not, 4 nothing answers.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from ekf_companion.cli.compare import compare
 from ekf_companion.cli.convert import convert
 from ekf_companion.cli.observability import observability
 from ekf_companion.cli.service import check_config, run
+from ekf_companion.cli.status import status
 from ekf_companion.version import __version__
 
 app = typer.Typer(
@@ -41,6 +43,7 @@ def main(
 
 
 app.command()(run)
+app.command()(status)
 app.command()(convert)
 app.command()(compare)
 app.add_typer(calibrate, name="calibrate")

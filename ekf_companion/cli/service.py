@@ -31,13 +31,13 @@ def run(
     """Run the daemon until SIGTERM."""
     from dataclasses import replace
 
-    from ekf_companion import service
+    from ekf_companion import journal, service
 
     level = logging.getLevelName(log_level.upper())
     with sentences():
         if not isinstance(level, int):
             raise ConfigError(f"--log-level: {log_level!r}: use DEBUG, INFO, WARNING or ERROR")
-        logging.basicConfig(level=level, format="%(levelname)s %(name)s: %(message)s")
+        journal.set_up(level)
         settings = load(config)
         if record is not None:
             settings = replace(settings, record=replace(settings.record, path=record))

@@ -191,6 +191,11 @@ class Decoder:
         ):
             preference.rank = rank
 
+    @property
+    def is_armed(self) -> bool:
+        """Whether the autopilot's last heartbeat said that it is armed."""
+        return self._is_armed
+
     def decode(self, frame: Frame) -> list[Measurement]:
         """Give what a frame of the autopilot says: nothing, one or several measurements."""
         function = self._decoders.get(frame.message_id)

@@ -159,6 +159,8 @@ class Session:
         """Frames of the autopilot by message id."""
         self.heard = 0
         """Frames of the autopilot."""
+        self.sent: Counter[str] = Counter()
+        """Messages of ours by name."""
         self.ignored: Counter[str] = Counter()
         """Frames that are not the autopilot's, by whose they are."""
         self.lost = 0
@@ -377,6 +379,7 @@ class Session:
         """Queue a message of ours."""
         frame = self._sender.frame(name, payload, now_ns)
         self._out.append(frame)
+        self.sent[name] += 1
         if self.options.is_recording:
             self._record.append((quantise(now_ns) // 1000, frame))
 
@@ -408,6 +411,11 @@ class Session:
         """System and component id of the autopilot; None: not heard or lost."""
         return None if self._is_lost else self._peer
 
+    @property
+    def heard_ns(self) -> int:
+        """When the autopilot's last heartbeat came, our clock; 0: none has."""
+        return self._heard_ns
+
     def counters(self) -> dict[str, int]:
         """Give how many of what, from bytes to refusals, by name."""
         return {
@@ -418,6 +426,7 @@ class Session:
             "junk_bytes": self._splitter.junk_bytes,
             "lost": self.lost,
             "late": self.late,
+            "signed": self.admission.signed,
             **{f"not admitted: {why}": count for why, count in self.admission.refused.items()},
             **{f"ignored: {whose}": count for whose, count in self.ignored.items()},
             **{f"refused: {why}": count for why, count in self.decoder.refused.items()},

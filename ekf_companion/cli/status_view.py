@@ -1,0 +1,169 @@
+"""A status as a page for a terminal: the stages that a measurement passes, from top to bottom."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Group
+    from rich.table import Table
+
+Data = Mapping[str, Any]
+_UNKNOWN = "?"
+_SLOW = 0.5
+"""A message that comes at less than this share of what was asked for is marked."""
+
+
+def view(data: Data) -> Group:
+    """Lay out what ``/status`` gave."""
+    from rich.console import Group
+    from rich.text import Text
+
+    health = data["health"]
+    verdict = Text(health["words"], style="bold green" if health["is_healthy"] else "bold red")
+    tables = [_stages(data), _rates(data["messages"])]
+    if data["estimator"]:
+        tables.append(_aids(data["estimator"]))
+    return Group(verdict, *tables)
+
+
+def _table(*columns: str, words: str = "") -> Table:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, title=words or None, title_justify="left", pad_edge=False)
+    for place, column in enumerate(columns):
+        table.add_column(column, justify="left" if place == 0 else "right", overflow="fold")
+    return table
+
+
+def _stages(data: Data) -> Table:
+    from rich.markup import escape
+
+    table = _table("Stage", "")
+    table.columns[1].justify = "left"
+    for name, words in (
+        ("link", _link(data["link"])),
+        ("frames", _frames(data["frames"])),
+        ("autopilot", _peer(data["peer"])),
+        ("time", _time(data["time"])),
+        ("refused", _counts(data["refused"])),
+        ("estimate", _estimate(data)),
+        ("output", _output(data["output"])),
+        ("process", _process(data["process"])),
+    ):
+        table.add_row(name, escape(words or "-"))
+    return table
+
+
+def _link(link: Data) -> str:
+    state = "open" if link["is_open"] else "closed"
+    words = f"{link['url']} {state}, {link['bytes_in']} bytes in, {link['bytes_out']} out"
+    words += f", silent for {_number(link['silent_s'], 's', 1)}"
+    losses = {"dropped": link["dropped"], "unsent": link["unsent"], **link["refused"]}
+    return _with(words, losses)
+
+
+def _frames(frames: Data) -> str:
+    names = ("bad_crc", "unknown_id", "incompatible", "junk_bytes", "lost", "late")
+    losses = {name.replace("_", " "): frames[name] for name in names}
+    words = f"{frames['frames']} good, {frames['signed']} signed"
+    return _with(words, {**losses, **frames["refused"]})
+
+
+def _peer(peer: Data | None) -> str:
+    if peer is None:
+        return "none heard"
+    words = f"system {peer['system_id']}, component {peer['component_id']}, {peer['family']}"
+    words += f" {peer['version']}" if peer["version"] else ""
+    words += ", armed" if peer["is_armed"] else ", disarmed"
+    words += f", rebooted {peer['reboots']} times" if peer["reboots"] else ""
+    if not peer["is_heard"]:
+        words += f", silent for {_number(peer['silent_s'], 's', 1)}"
+    return words
+
+
+def _time(time: Data) -> str:
+    words = f"base {time['base']}, {'locked' if time['is_locked'] else 'not locked'}"
+    words += f", skew {_number(time['skew_ppm'], 'ppm', 1)}"
+    trips = f"{_number(time['rtt_p50_ms'], 'ms', 2)} and {_number(time['rtt_p95_ms'], 'ms', 2)}"
+    return _with(f"{words}, round trip {trips} (half, 95 %)", time["refused"])
+
+
+def _estimate(data: Data) -> str:
+    estimator = data["estimator"]
+    if not estimator:
+        return "none yet"
+    horizontal = _number(estimator["std_horizontal"], "m", 2)
+    words = f"{estimator['status'].upper()}, start {estimator['start']}"
+    words += f", sigma {horizontal} and {_number(estimator['std_vertical'], 'm', 2)}"
+    words += f", newest sample {_number(data['sample_age_s'], 's', 2)} ago"
+    words += f", {estimator['samples']} samples, {estimator['gaps']} gaps"
+    return _with(words, {f"resets for {reason}": n for reason, n in data["resets"].items()})
+
+
+def _output(output: Data) -> str:
+    words = f"{output['mode']}, ODOMETRY {'streams' if output['is_streaming'] else 'is not sent'}"
+    words += f": {output['reason']}" if output["reason"] else ""
+    words += f"; {output['remedy']}" if output["remedy"] else ""
+    return _with(f"{words}, sent {_counts(output['sent'])}", {"withheld": output["withheld"]})
+
+
+def _process(process: Data) -> str:
+    words = f"version {process['version']}, up {_number(process['uptime_s'], 's', 0)}"
+    words += f", {process['cpu_share']:.1%} of a processor, {process['rss_mb']:.0f} MB"
+    words += f", loop lag {_number(process['loop_lag_ms'], 'ms', 1)}"
+    if process["latency_count"]:
+        mean = process["latency_sum_ms"] / process["latency_count"]
+        words += f", latency {mean:.2f} ms in the mean, {_share(process)}"
+    heat = {name: f"{celsius:.0f} degC" for name, celsius in process["temperatures"].items()}
+    words += "".join(f", {name} {celsius}" for name, celsius in heat.items())
+    return _with(words, {"unrecorded bytes": process["unrecorded_bytes"]})
+
+
+def _share(process: Data) -> str:
+    """Say within which bound 99.9 % of the estimates left."""
+    for bound, count in process["latency"].items():
+        if count >= 0.999 * process["latency_count"]:
+            return f"99.9 % within {float(bound):g} ms"
+    return "over 0.1 % beyond the largest bound"
+
+
+def _rates(messages: Mapping[str, Data]) -> Table:
+    from rich.markup import escape
+
+    table = _table("Message", "count", "Hz", "asked", "answer")
+    for name, message in messages.items():
+        is_slow = message["rate"] < _SLOW * message["asked"]
+        asked = f"{message['asked']:g}" if message["asked"] else ""
+        style = "yellow" if is_slow else None
+        rate = f"{message['rate']:.1f}"
+        answer = escape(message["answer"])
+        table.add_row(name, str(message["count"]), rate, asked, answer, style=style)
+    return table
+
+
+def _aids(estimator: Data) -> Table:
+    table = _table("Aid", "fused", "refused", "other", "test ratio", "NIS")
+    for aid, verdicts in estimator["verdicts"].items():
+        fused = verdicts.get("fused", 0) + verdicts.get("soft", 0)
+        refused = verdicts.get("gated", 0)
+        other = sum(verdicts.values()) - fused - refused
+        ratio, nis = estimator["ratios"].get(aid), estimator["nis"].get(aid)
+        row = (str(fused), str(refused), str(other), _number(ratio, "", 2), _number(nis, "", 2))
+        table.add_row(aid, *row, style="yellow" if (ratio or 0.0) > 1.0 else None)
+    return table
+
+
+def _number(value: float | None, unit: str, digits: int) -> str:
+    return _UNKNOWN if value is None else f"{value:.{digits}f} {unit}".rstrip()
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+
+
+def _with(words: str, losses: Mapping[str, int]) -> str:
+    """Add what was lost, if anything was."""
+    return f"{words}; {lost}" if (lost := _counts(losses)) else words

@@ -1,0 +1,231 @@
+"""What the daemon knows of itself, counted while a companion is fed, by a clock that is said."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+
+from ekf_companion.board import Board, read_board
+from ekf_companion.companion import Companion
+from ekf_companion.config import Config
+from ekf_companion.link import open_link
+from ekf_companion.nav.state import Status
+from ekf_companion.observer import BUCKETS_MS, Latency, Observer
+from ekf_companion.snapshot import judge, to_json
+from tests.test_companion import cycles
+
+BOARD = Board(rss_mb=50.0, temperatures={"cpu": 61.5})
+MS = 1_000_000
+
+
+class Watched:
+    """A companion that is fed as the service does it, on a clock of its own."""
+
+    def __init__(self, delay_ns=MS // 4):
+        self.now_ns = 1_000 * MS
+        self.delay_ns = delay_ns
+        self.link = open_link("udpin:127.0.0.1:14550")
+        self.companion = Companion(Config())
+        self.observer = Observer(Config(), self.link, self.companion, lambda: self.now_ns)
+
+    def feed(self, flight):
+        begin_ns = None
+        for t_ns, data in flight:
+            begin_ns = self.now_ns - t_ns if begin_ns is None else begin_ns
+            self.now_ns = read_ns = t_ns + begin_ns
+            self.link.bytes_in += len(data)
+            self.companion.receive(data, read_ns)
+            self.companion.tick(read_ns)
+            self.companion.data_to_send()
+            self.now_ns += self.delay_ns
+            self.observer.beat(read_ns)
+        return self
+
+    def snapshot(self):
+        return self.observer.snapshot(BOARD)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    watched = Watched().feed(cycles(12.0))
+    return watched, watched.snapshot()
+
+
+def test_rates_are_those_of_the_last_seconds(flown):
+    _, snapshot = flown
+    rates = {name: message.rate for name, message in snapshot.messages.items()}
+    assert rates["HIGHRES_IMU"] == pytest.approx(250.0, rel=0.02)
+    assert rates["GPS_RAW_INT"] == pytest.approx(5.0, rel=0.1)
+    assert rates["SYSTEM_TIME"] == pytest.approx(1.0, abs=0.25)
+    assert snapshot.messages["HIGHRES_IMU"].asked == 250.0
+    assert snapshot.messages["HIGHRES_IMU"].count > 2900
+
+
+def test_a_message_that_comes_no_more_has_no_rate():
+    watched = Watched().feed(cycles(3.0))
+    for _ in range(60):
+        watched.now_ns += 100 * MS
+        watched.observer.beat(watched.now_ns)
+    snapshot = watched.snapshot()
+    assert snapshot.messages["HIGHRES_IMU"].rate == 0.0
+    assert snapshot.messages["HIGHRES_IMU"].count > 700
+    assert snapshot.link.silent_s == pytest.approx(6.0, abs=0.6)
+    assert snapshot.sample_age_s == pytest.approx(6.0, abs=0.6)
+    assert not snapshot.output.is_streaming
+
+
+def test_every_odometry_is_in_the_histogram_once(flown):
+    _, snapshot = flown
+    process = snapshot.process
+    assert process.latency_count == snapshot.output.sent["ODOMETRY"] > 200
+    assert process.latency[0.2] == 0
+    assert process.latency[0.3] == process.latency_count
+    assert process.latency_sum_ms == pytest.approx(0.25 * process.latency_count)
+    assert snapshot.output.is_streaming
+
+
+@pytest.mark.parametrize("bound", BUCKETS_MS)
+def test_a_bound_of_the_histogram_belongs_to_its_bucket(bound):
+    latency = Latency()
+    latency.take(round(bound * MS))
+    latency.take(round(bound * MS) + 1)
+    assert latency.cumulative()[bound] == 1
+    assert list(latency.cumulative()) == list(BUCKETS_MS)
+    assert latency.count == 2
+
+
+def test_the_longest_wait_is_kept_for_seconds_and_then_forgotten():
+    """Rule 37: the loop's lag is exported."""
+    watched = Watched()
+    watched.now_ns += 80 * MS
+    watched.observer.beat(watched.now_ns - 80 * MS)
+    assert watched.snapshot().process.loop_lag_ms == pytest.approx(80.0)
+    watched.observer.late(0.3)
+    assert watched.snapshot().process.loop_lag_ms == pytest.approx(300.0)
+    for _ in range(70):
+        watched.now_ns += 100 * MS
+        watched.observer.beat(watched.now_ns)
+    assert watched.snapshot().process.loop_lag_ms == 0.0
+
+
+def test_the_stages_are_counted_from_bytes_to_what_is_sent(flown):
+    """Rule 40: counters of every stage."""
+    watched, snapshot = flown
+    assert snapshot.link.bytes_in == watched.link.bytes_in > 100_000
+    heard = sum(message.count for message in snapshot.messages.values())
+    assert snapshot.frames.frames == heard + sum(snapshot.frames.refused.values()) > 3000
+    assert (snapshot.frames.bad_crc, snapshot.frames.lost) == (0, 0)
+    assert (snapshot.peer.system_id, snapshot.peer.family) == (1, "px4")
+    assert snapshot.peer.is_heard
+    assert snapshot.peer.is_armed
+    assert snapshot.peer.silent_s < 1.1
+    assert snapshot.estimator.status is Status.OK
+    assert snapshot.sample_age_s < 0.5
+    assert snapshot.resets == {}
+    assert snapshot.process.rss_mb == 50.0
+
+
+def test_a_reset_is_counted_under_its_reason():
+    watched = Watched().feed(cycles(6.0))
+    before = watched.companion.resets
+    # Two seconds without a sample: position, velocity and attitude begin anew
+    watched.feed(later(cycles(14.0), 8.0))
+    assert watched.companion.resets > before
+    assert sum(watched.snapshot().resets.values()) == watched.companion.resets
+
+
+def later(flight, seconds):
+    """Give the part of a flight that begins so many seconds after its start."""
+    first = None
+    for t_ns, data in flight:
+        first = t_ns if first is None else first
+        if t_ns - first >= seconds * 1e9:
+            yield t_ns, data
+
+
+# Judged
+
+
+def test_a_silent_link_is_told_and_is_no_fault_of_the_process():
+    finding = judge(Watched().snapshot())
+    assert finding.is_healthy
+    assert "nothing is estimated yet; the link udpin:127.0.0.1:14550 is closed" in finding.words
+
+
+def test_a_filter_that_does_not_go_round_is_stalled():
+    watched = Watched().feed(cycles(1.0))
+    assert judge(watched.snapshot()).is_healthy
+    watched.now_ns += 3_000 * MS
+    finding = judge(watched.snapshot())
+    assert not finding.is_healthy
+    assert finding.words == "stalled: the filter's task has not gone round for 3.0 s"
+
+
+def test_an_invalid_estimate_is_not_healthy(flown):
+    _, snapshot = flown
+    link = replace(snapshot.link, is_open=True)
+    assert judge(replace(snapshot, link=link)) == (True, "ok: the estimate is OK")
+    invalid = replace(snapshot.estimator, status=Status.INVALID)
+    finding = judge(replace(snapshot, estimator=invalid))
+    assert not finding.is_healthy
+    assert finding.words.startswith("invalid: the error has passed its limit")
+
+
+# Told
+
+
+def test_json_holds_all_of_it_and_null_for_what_is_not_known(flown):
+    _, snapshot = flown
+    data = json.loads(to_json(snapshot))
+    assert data["health"]["is_healthy"] is True
+    assert data["estimator"]["status"] == "ok"
+    assert data["estimator"]["verdicts"]["position"]["fused"] > 0
+    assert data["estimator"]["arrivals"]["imu"]["estimated"] > 2000
+    assert data["messages"]["HIGHRES_IMU"]["rate"] == snapshot.messages["HIGHRES_IMU"].rate
+    assert data["process"]["latency"]["0.3"] == snapshot.process.latency_count
+    assert math.isnan(snapshot.time.offset_s)
+    assert data["time"]["offset_s"] is None
+    assert set(data) == {"health", *type(snapshot).__dataclass_fields__}
+
+
+# The board
+
+
+def test_temperatures_are_read_by_name_and_what_is_broken_is_left_out(tmp_path):
+    def put(name, content):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content)
+
+    put("thermal/thermal_zone0/type", "cpu-thermal\n")
+    put("thermal/thermal_zone0/temp", "48312\n")
+    put("thermal/thermal_zone1/type", "cpu-thermal\n")
+    put("thermal/thermal_zone1/temp", "50000\n")
+    put("thermal/thermal_zone2/type", "off\n")
+    put("thermal/thermal_zone2/temp", "-274000\n")
+    put("thermal/thermal_zone3/type", "odd\n")
+    put("thermal/thermal_zone3/temp", "no number\n")
+    put("hwmon/hwmon0/name", "rp1_adc\n")
+    put("hwmon/hwmon0/temp1_input", "41000\n")
+    put("hwmon/hwmon1/name", "nvme\n")
+    put("hwmon/hwmon1/temp1_input", "39850\n")
+    put("hwmon/hwmon1/temp1_label", "Composite\n")
+    (tmp_path / "hwmon/hwmon1/temp2_input").mkdir()
+    board = read_board(tmp_path)
+    assert board.temperatures == pytest.approx(
+        {"cpu-thermal": 48.312, "cpu-thermal 2": 50.0, "rp1_adc": 41.0, "Composite": 39.85}
+    )
+
+
+def test_a_board_with_a_hundred_sensors_tells_some(tmp_path):
+    for number in range(100):
+        zone = tmp_path / f"thermal/thermal_zone{number}"
+        zone.mkdir(parents=True)
+        (zone / "type").write_text("core")
+        (zone / "temp").write_text("40000")
+    assert len(read_board(tmp_path).temperatures) == 32
+
+
+def test_the_memory_is_this_process_own():
+    assert 20.0 < read_board().rss_mb < 2000.0
