@@ -1,7 +1,8 @@
 """The commands; the only place that prints or exits.
 
 Exit codes: 0 done, 1 a figure cannot be drawn or a bug, 2 the command line or the configuration is
-wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from.
+wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from, 5 the doctor has
+found a stage that fails.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import typer
 from ekf_companion.cli.calibrate import calibrate
 from ekf_companion.cli.compare import compare
 from ekf_companion.cli.convert import convert
+from ekf_companion.cli.doctor import doctor
 from ekf_companion.cli.observability import observability
 from ekf_companion.cli.service import check_config, run
 from ekf_companion.version import __version__
@@ -45,4 +47,5 @@ app.command()(convert)
 app.command()(compare)
 app.add_typer(calibrate, name="calibrate")
 app.command()(observability)
+app.command()(doctor)
 app.command("check-config")(check_config)
