@@ -23,7 +23,6 @@ def time(evidence: Evidence) -> Finding:
         saw += f", synchronised to {state.rtt_p95_ms:.1f} ms, {state.skew_ppm:+.0f} ppm"
     elif state.answers:
         saw += f", {state.answers} answers to TIMESYNC"
-    lost = sum(count for why, count in evidence.refused.items() if "time base unknown" in why)
     reboots = evidence.peer.reboots if evidence.peer else 0
     stray = evidence.refused.get("GPS_RAW_INT: stamp far from the inertial samples", 0)
     return found(
@@ -36,13 +35,7 @@ def time(evidence: Evidence) -> Finding:
             )
             if stamps.zero > 0.5 * max(stamps.count, 1)
             else None,
-            failed(
-                f"{lost} messages count time from another start than {stamps.message}, and no "
-                "SYSTEM_TIME relates the two.",
-                "Stream SYSTEM_TIME: PX4 MAV_n_MODE = 2 (Onboard); ArduPilot SRn_EXTRA3 = 2.",
-            )
-            if lost > 20 and not evidence.messages.get("SYSTEM_TIME")
-            else None,
+            _unrelated(evidence),
             failed(
                 f"GPS_RAW_INT is stamped more than 30 s away from {stamps.message}.",
                 "Stream SYSTEM_TIME, which relates both clocks: ArduPilot SRn_EXTRA3 = 2.",
@@ -58,6 +51,22 @@ def time(evidence: Evidence) -> Finding:
             *_stamps(evidence),
             *_timesync(evidence),
         ],
+    )
+
+
+def _unrelated(evidence: Evidence) -> Trouble | None:
+    lost = evidence.refused.get("GPS_RAW_INT: time base unknown", 0)
+    if lost <= max(5, evidence.receiver.messages // 2):
+        return None
+    state = evidence.messages.get("SYSTEM_TIME")
+    has_time = state is not None and state.count > 0
+    return failed(
+        f"GPS_RAW_INT counts time from another start than {evidence.stamps.message}, and "
+        + ("SYSTEM_TIME does not know the date yet." if has_time else "no SYSTEM_TIME comes."),
+        "Wait until the receiver knows the date."
+        if has_time
+        else "Stream SYSTEM_TIME, which relates both clocks: PX4 MAV_n_MODE = 2 (Onboard); "
+        "ArduPilot SRn_EXTRA3 = 2.",
     )
 
 

@@ -23,9 +23,9 @@ from ekf_companion.snapshot import LinkState
 Progress = Callable[[int, int], None]
 
 _TICK = 0.1
-_LEAST = 8.0
+_LEAST = 6.0
 """Seconds at least before all being well is believed: requests, parameters, TIMESYNC, alignment."""
-_STEADY = 3.0
+_STEADY = 2.0
 """Seconds for which it must have been well."""
 _HOPELESS = 1.0
 """Seconds after which a link that does not open is given up."""

@@ -37,7 +37,7 @@ def sent(evidence: Evidence) -> Finding:
     if output.mode == "never":
         return found(Stage.SENT, "nothing, for output.odometry.mode is never")
     saw = f"ODOMETRY {ours.rate:.0f} Hz, frames {frames}" if ours.count else "no ODOMETRY"
-    if output.withheld:
+    if output.withheld and not ours.count:
         saw += f", {output.withheld} withheld"
     return found(Stage.SENT, saw, [_withheld(evidence), _frame(evidence), _rate(evidence)])
 

@@ -26,6 +26,8 @@ _LOOP_SHARE = 0.8
 """Of SCHED_LOOP_RATE: ArduPilot streams nothing faster."""
 _PLANE_LOOP = 50.0
 _PX4_IMU = 250.0
+_FEW_FIXES = 1.5
+"""Hz."""
 _LOST, _MANY_LOST = 0.01, 0.1
 _STREAMED = (
     *INERTIAL,
@@ -48,7 +50,9 @@ def rates(evidence: Evidence) -> Finding:
     share = _share_lost(evidence)
     saw += f", {share:.1%} lost"
     return found(
-        Stage.RATES, saw + _note(evidence, state), [_slow(evidence, state), _lost(share, evidence)]
+        Stage.RATES,
+        saw + _note(evidence, state),
+        [_slow(evidence, state), _slow_gnss(gnss), _lost(share, evidence)],
     )
 
 
@@ -58,15 +62,28 @@ def _hertz(rate: float) -> str:
 
 def _slow(evidence: Evidence, state: MessageState) -> Trouble | None:
     """Name who keeps the inertial message slow; None: it is as fast as asked, or as can be."""
-    is_short = 0.0 < state.rate < _ENOUGH * state.asked
-    if state.rate >= DECIMATED and (not is_short or _is_whole_division(evidence, state)):
+    is_enough = state.rate >= DECIMATED
+    is_short = state.rate < _ENOUGH * state.asked
+    if is_enough and (not is_short or _is_whole_division(evidence, state)):
         return None
     say = failed if state.rate < SLOWEST else warning
     rate = f"{evidence.stamps.message} comes at {_hertz(state.rate)}"
     for judge in (_loop_rate, _budget, _ground_station):
         if (why := judge(evidence, state)) is not None:
             return say(f"{rate}: {why[0]}", why[1])
+    if is_enough:
+        # Nobody holds it back: the sensor gives no more
+        return None
     return say(f"{rate}; flight needs {DECIMATED:.0f} or more.", _ask_for_more(evidence, state))
+
+
+def _slow_gnss(gnss: MessageState | None) -> Trouble | None:
+    if gnss is None or not 0.0 < gnss.rate < _FEW_FIXES:
+        return None
+    return warning(
+        f"GPS_RAW_INT comes at {_hertz(gnss.rate)}: few fixes make a slow and coarse estimate.",
+        "Set link.gnss_rate = 10, and the receiver to 5 Hz (ArduPilot: GPS1_RATE_MS = 200).",
+    )
 
 
 def _family(evidence: Evidence) -> str:

@@ -42,6 +42,10 @@ _PARAMETERS = 64
 """More names of a recording's requests are not kept."""
 
 
+_FRAMES = 8
+"""More pairs of frames in ODOMETRY are not told apart."""
+
+
 class Witness:
     """Runs a companion, and sees what it does not keep."""
 
@@ -177,7 +181,8 @@ class Witness:
         if frame.message_id == _ODOMETRY:
             self._odometry.add(len(frame.raw), now_ns)
             odometry = unpack(frame)
-            self._odometry_frames.add((odometry.frame_id, odometry.child_frame_id))
+            if len(self._odometry_frames) < _FRAMES:
+                self._odometry_frames.add((odometry.frame_id, odometry.child_frame_id))
         elif frame.message_id == _COMMAND_LONG:
             command = unpack(frame)
             layout = LAYOUTS.get(int(command.param1)) if 0.0 <= command.param1 < 2**24 else None
