@@ -49,12 +49,12 @@ def _withheld(evidence: Evidence) -> Trouble | None:
         family = _family(evidence)
         taken = fusion(evidence.output.parameters, family)
         if taken is not None and taken.is_double:
-            return warning(
-                "ODOMETRY is withheld: the autopilot would fuse it together with the same GNSS "
-                f"({_list(taken)}).",
+            return failed(
+                "ODOMETRY is withheld, for the autopilot would count the same GNSS twice: it takes "
+                f"{_list(taken)}.",
                 _choose(family),
             )
-        return warning(
+        return failed(
             "ODOMETRY is withheld: the autopilot does not say what it would do with it.",
             f"Let PARAM_REQUEST_READ and PARAM_VALUE pass ({', '.join(DECIDING.get(family, ()))}); "
             "or take it upon you: output.odometry.mode = always.",
@@ -105,6 +105,8 @@ def fused(evidence: Evidence) -> Finding:
             "Let PARAM_REQUEST_READ and PARAM_VALUE pass the router; look yourself at "
             f"{', '.join(DECIDING[family])}.",
         )
+        if evidence.output.withheld and not evidence.sent.count and refusal is None:
+            return unknown(Stage.FUSED, "its parameters were asked, and not told")
         return found(Stage.FUSED, told or "no parameter was told", [refusal, trouble])
     if not taken.ours:
         how = (
@@ -114,6 +116,8 @@ def fused(evidence: Evidence) -> Finding:
         )
         saw = f"takes nothing of ours ({told}); it would with {how}"
         return found(Stage.FUSED, saw, [refusal])
+    if taken.is_double and output.withheld and not evidence.sent.count:
+        return unknown(Stage.FUSED, f"takes {_list(taken)}: nothing is sent to it")
     return found(
         Stage.FUSED,
         f"takes {_list(taken)}",
@@ -130,19 +134,21 @@ def _told(parameters: Mapping[str, float], family: str) -> str:
 
 
 def _list(taken: Fusion) -> str:
-    ours = ", ".join(taken.ours)
-    return f"{ours}; beside {', '.join(taken.gnss)}" if taken.gnss else ours
+    ours = f"ours ({', '.join(taken.ours)})"
+    return f"{ours} together with its own GNSS ({', '.join(taken.gnss)})" if taken.gnss else ours
 
 
 def _choose(family: str) -> str:
     if family == "px4":
         return (
             "Choose one: EKF2_GPS_CTRL = 0 (and EKF2_HGT_REF = 0 or 3) lets ours alone count, "
-            "EKF2_EV_CTRL = 0 the autopilot's GNSS."
+            "EKF2_EV_CTRL = 0 the autopilot's GNSS. Where our receiver is our own: "
+            "output.odometry.independent = true."
         )
     return (
         "Choose one: EK3_SRC1_POSXY, _VELXY, _POSZ, _VELZ all without 3 (GPS) let ours alone "
-        "count, all without 6 (ExternalNav), or VISO_TYPE = 0, the autopilot's GNSS."
+        "count, all without 6 (ExternalNav), or VISO_TYPE = 0, the autopilot's GNSS. "
+        "Where our receiver is our own: output.odometry.independent = true."
     )
 
 
@@ -151,9 +157,8 @@ def _double(evidence: Evidence, taken: Fusion) -> Trouble | None:
         return None
     say = failed if evidence.sent.count else warning
     return say(
-        f"The autopilot would count the same GNSS twice: {_list(taken)}.",
-        _choose(_family(evidence))
-        + " Where our receiver is our own: output.odometry.independent = true.",
+        f"The autopilot would count the same GNSS twice: it takes {_list(taken)}.",
+        _choose(_family(evidence)),
     )
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -13,6 +14,8 @@ import pytest
 from typer.testing import CliRunner
 
 from ekf_companion.cli import app
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.mavlink.layout import IDS
 from sim_autopilot.__main__ import app as simulator
 
 FLIGHTS = Path(__file__).parents[3] / "shared" / "data"
@@ -55,6 +58,32 @@ def test_a_flying_autopilot_is_found_well_and_sooner_than_the_seconds_given():
     assert {stage["verdict"] for stage in stages.values()} == {"ok"}, stages
     assert code == 0
     assert "EKF2_EV_CTRL = 0" in stages["fused"]["saw"]
+
+
+def test_a_guarded_link_is_found_over_a_socket(tmp_path):
+    """Rule 25."""
+    faults = tmp_path / "faults.yaml"
+    faults.write_text("parameters: {EKF2_EV_CTRL: 15, EKF2_GPS_CTRL: 7}")
+    ours = tmp_path / "ours.yaml"
+    ours.write_text("link: {imu_rate: 100}\ntimesync: {request: false}\n")
+    port, record = free_port(), tmp_path / "flight.tlog"
+    command = [sys.executable, "-m", "sim_autopilot", "fly", "--scenario", "hover"]
+    command += ["--link", f"udpout:127.0.0.1:{port}", "--duration", "60", "--imu-rate", "100"]
+    command += ["--config", str(faults), "--log", str(record)]
+    flying = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        link = f"udpin:127.0.0.1:{port}"
+        code, stages, _ = doctor("--link", link, "--config", ours, "--seconds", 5)
+    finally:
+        flying.send_signal(signal.SIGINT)  # the record is written to its end
+        flying.wait()
+    assert code == 5
+    assert first_trouble(stages)["stage"] == "sent"
+    assert "EKF2_GPS_CTRL = 0" in stages["sent"]["troubles"][0]["remedy"]
+    # The autopilot's own record: asked it was, and got nothing that it could fuse
+    heard = [(f.component_id, f.message_id) for f in Splitter().feed(record.read_bytes())]
+    assert (194, IDS["PARAM_REQUEST_READ"]) in heard
+    assert (194, IDS["ODOMETRY"]) not in heard
 
 
 def test_a_port_that_another_program_has_is_named_with_the_program():
