@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -44,10 +46,8 @@ def doctor(
             raise ConfigError("--log: a recording has no link; leave out --link and --listen")
         if log is not None and log.suffix.lower() != ".tlog":
             raise ConfigError(f"--log: {log}: only a .tlog has the stages; name one, or a --link")
-        # The findings say the same, and better
-        logging.getLogger("ekf_companion").addHandler(logging.NullHandler())
-        logging.getLogger("ekf_companion").propagate = False
-        evidence = _examine(load(config), link, log, seconds, listen=listen)
+        with _quiet():
+            evidence = _examine(load(config), link, log, seconds, listen=listen)
     findings = diagnose(evidence)
     if as_json:
         _print_json(evidence, findings, link, log)
@@ -55,6 +55,19 @@ def doctor(
         _print(findings)
     if first_failure(findings) is not None:
         raise typer.Exit(STAGE_FAILED)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep the daemon's warnings back: the findings say the same, and what to do."""
+    logger, nothing = logging.getLogger("ekf_companion"), logging.NullHandler()
+    before, logger.propagate = logger.propagate, False
+    logger.addHandler(nothing)
+    try:
+        yield
+    finally:
+        logger.removeHandler(nothing)
+        logger.propagate = before
 
 
 def _examine(

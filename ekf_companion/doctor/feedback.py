@@ -54,10 +54,12 @@ def _withheld(evidence: Evidence) -> Trouble | None:
                 f"{_list(taken)}.",
                 _choose(family),
             )
+        missing = [n for n in DECIDING.get(family, ()) if n not in evidence.output.parameters]
         return failed(
-            "ODOMETRY is withheld: the autopilot does not say what it would do with it.",
-            f"Let PARAM_REQUEST_READ and PARAM_VALUE pass ({', '.join(DECIDING.get(family, ()))}); "
-            "or take it upon you: output.odometry.mode = always.",
+            "ODOMETRY is withheld: the autopilot does not say what it would do with it "
+            f"({', '.join(missing)}: no answer).",
+            "Let PARAM_REQUEST_READ and PARAM_VALUE pass the router. A firmware without these "
+            "parameters takes no ODOMETRY: output.odometry.mode = always then does no harm.",
         )
     health = evidence.estimator
     if health is None or health.status < Status.OK:

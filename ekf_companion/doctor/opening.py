@@ -61,10 +61,13 @@ def _busy(opening: Opening) -> Trouble:
     if holder is None:
         return failed(
             f"Another program has {what}.",
-            f"Find it with `sudo fuser -v {opening.device}` and stop it"
-            if opening.device
-            else "Find it with `sudo ss -lptun` and stop it, or take another port in link.url; "
-            "mavlink-router can give each program one.",
+            (
+                f"Find it with `sudo fuser -v {opening.device}` and stop it"
+                if opening.device
+                else "Find it with `sudo ss -lptun` and stop it, or take another port in link.url"
+            )
+            + "; mavlink-router can give each program an endpoint. Is it our own daemon? Ask it "
+            "with `ekf-companion status`, or `sudo systemctl stop ekf-companion` first.",
         )
     who = f"{holder.name} (process {holder.pid}{f', {holder.unit}' if holder.unit else ''})"
     if holder.is_daemon:

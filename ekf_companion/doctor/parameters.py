@@ -22,12 +22,12 @@ DECIDING: Mapping[str, tuple[str, ...]] = {
 """Without these it cannot be said what the autopilot would do with our ODOMETRY."""
 _FURTHER: Mapping[str, tuple[str, ...]] = {
     "px4": (
-        *("EKF2_EV_QMIN", "EKF2_EV_DELAY", "EKF2_HGT_REF", "IMU_INTEG_RATE"),
+        *("EKF2_AID_MASK", "EKF2_EV_QMIN", "EKF2_HGT_REF", "IMU_INTEG_RATE"),
         *("MAV_0_RATE", "MAV_1_RATE", "MAV_2_RATE"),
     ),
     "ardupilot": (
         *(f"{name}_{part}" for name in _SETS[1:] for part in _PARTS),
-        *("VISO_QUAL_MIN", "VISO_DELAY_MS", "SCHED_LOOP_RATE"),
+        *("VISO_QUAL_MIN", "SCHED_LOOP_RATE"),
     ),
 }
 _PERIOD_NS = 40_000_000
@@ -36,6 +36,9 @@ _TIMEOUT_NS = 1_000_000_000
 _TRIES = 3
 _REAL32 = 9
 _EXTERNAL, _GPS = 6, 3
+"""Of EK3_SRCn_*."""
+_MASK_GPS, _MASK_VISION = 1, 8 | 16 | 256
+"""Bits of EKF2_AID_MASK: GNSS; position, yaw and velocity of external vision."""
 
 
 def decode(value: float, param_type: int, family: str) -> float:
@@ -69,6 +72,13 @@ def fusion(parameters: Mapping[str, float], family: str) -> Fusion | None:
 
 def _px4(parameters: Mapping[str, float]) -> Fusion | None:
     vision, gnss = parameters.get("EKF2_EV_CTRL"), parameters.get("EKF2_GPS_CTRL")
+    mask = parameters.get("EKF2_AID_MASK")
+    if vision is None and mask is not None:
+        # Before 1.14 one parameter said both
+        told = (f"EKF2_AID_MASK = {mask:g}",)
+        return Fusion(
+            told if int(mask) & _MASK_VISION else (), told if int(mask) & _MASK_GPS else ()
+        )
     if vision == 0.0:
         return Fusion((), ())
     if vision is None or gnss is None:

@@ -176,6 +176,11 @@ def _one_way(evidence: Evidence) -> Trouble:
 
 def _no_inertial(evidence: Evidence, refused: dict[str, str]) -> Trouble:
     family = evidence.peer.family if evidence.peer else "unknown"
+    if evidence.means is Means.LISTENING:
+        return failed(
+            "No inertial message comes by itself.",
+            "The daemon asks for it: examine without --listen.",
+        )
     if family == "px4":
         return failed(
             "No inertial message comes"
@@ -185,8 +190,8 @@ def _no_inertial(evidence: Evidence, refused: dict[str, str]) -> Trouble:
         )
     return failed(
         "No inertial message comes.",
-        "ArduPilot sends none until asked: run without --listen, or set SRn_RAW_SENS = 50 "
-        "(MAVn_RAW_SENS from 4.7 on) for this port.",
+        "Set SRn_RAW_SENS = 50 (MAVn_RAW_SENS from 4.7 on) for this port, and BRD_SERn_RTSCTS = 0 "
+        "where no RTS and CTS are wired.",
     )
 
 

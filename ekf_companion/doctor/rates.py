@@ -182,6 +182,8 @@ def _budget(evidence: Evidence, state: MessageState) -> tuple[str, str] | None:
 
 
 def _ask_for_more(evidence: Evidence, state: MessageState) -> str:
+    if evidence.means is Means.LISTENING:
+        return "The daemon asks for link.imu_rate by itself: examine without --listen."
     if _family(evidence) == "px4":
         return (
             "Set IMU_INTEG_RATE = 250 and MAV_n_MODE = 2 (Onboard) for this port, and "

@@ -116,6 +116,13 @@ def test_an_autopilot_that_is_refused_is_named_with_the_key_that_refuses_it(conf
 # Which messages
 
 
+def test_who_only_listens_is_told_that_the_daemon_would_ask():
+    quiet = examine(simulated(streams=StreamConfig(HIGHRES_IMU=0.0)), means=Means.LISTENING)
+    assert "examine without --listen" in words(stage(quiet, "messages"))
+    slow = examine(change=thinned(HIGHRES_IMU=2), means=Means.LISTENING, seconds=3.0)
+    assert "examine without --listen" in words(stage(slow, "rates"))
+
+
 def test_no_inertial_message_ends_the_way():
     streams = StreamConfig(HIGHRES_IMU=0.0)
     evidence = examine(simulated(streams=streams), hears=lambda *message: not is_request(*message))
