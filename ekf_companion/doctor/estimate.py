@@ -45,10 +45,10 @@ def _status(evidence: Evidence, health: Health) -> Trouble | None:
             label for aid, label in _AIDS.items() if aid is not Aid.BARO and not _fused(health, aid)
         ]
         what = (
-            f"without {' and '.join(absent)}" if absent else "one aid went silent, or was refused"
+            f" without {' and '.join(absent)}" if absent else ", but one aid is silent or refused"
         )
         return warning(
-            f"The estimate goes on {what}.", "Mend the warnings of the stages above first."
+            f"The estimate goes on{what}.", "Mend the warnings of the stages above first."
         )
     if health.status in (Status.DEAD_RECKONING, Status.INVALID):
         return failed(

@@ -35,6 +35,7 @@ MS = 1_000_000
         ("ardupilot", {"VISO_TYPE": 1, **OURS_ALONE}, True, False),
         ("ardupilot", {"VISO_TYPE": 1, **OURS_ALONE, "EK3_SRC1_VELXY": 3}, True, True),
         ("ardupilot", {"VISO_TYPE": 1, **GNSS_ALONE, **SECOND_SET}, True, False),
+        ("ardupilot", {"VISO_TYPE": 1, **OURS_ALONE, **SECOND_SET, "EK3_SRC2_YAW": 3}, True, True),
         ("ardupilot", {"VISO_TYPE": 1, **GNSS_ALONE, **SECOND_SET, "EK3_SRC2_POSZ": 3}, True, True),
     ],
 )
