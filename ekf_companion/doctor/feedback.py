@@ -18,6 +18,12 @@ from ekf_companion.pipeline import QUALITY
 _ARDUPILOT_FRAMES = (Frame.LOCAL_FRD, Frame.BODY_FRD)
 _SLOWEST = 10.0
 """Hz: PX4 fuses no external position that comes more rarely than every 0.1 to 0.2 s."""
+_HEIGHT_GNSS, _HEIGHT_OURS = 1, 3
+"""Of EKF2_HGT_REF."""
+_GNSS_HEIGHT, _VISION_HEIGHT = 2, 2
+"""Bits of EKF2_GPS_CTRL and of EKF2_EV_CTRL."""
+_DELAY = 20.0
+"""ms."""
 _CONST_POSITION, _UNINITIALISED = 128, 1024
 """Bits of EKF_STATUS_REPORT.flags."""
 
@@ -123,7 +129,14 @@ def fused(evidence: Evidence) -> Finding:
     return found(
         Stage.FUSED,
         f"takes {_list(taken)}",
-        [refusal, _double(evidence, taken), _quality(evidence), _rejects(evidence)],
+        [
+            refusal,
+            _double(evidence, taken),
+            _quality(evidence),
+            _height(evidence),
+            _delay(evidence),
+            _rejects(evidence),
+        ],
     )
 
 
@@ -184,6 +197,38 @@ def _quality(evidence: Evidence) -> Trouble | None:
         f"{name} = {least:g} refuses ODOMETRY of a quality below that; ours is 100 when all is "
         f"well, {reached} without an aid.",
         f"Set {name} = 1.",
+    )
+
+
+def _height(evidence: Evidence) -> Trouble | None:
+    """PX4's height reference must be a source that it is told to fuse."""
+    parameters = evidence.output.parameters
+    reference = parameters.get("EKF2_HGT_REF")
+    fused = {
+        _HEIGHT_GNSS: ("EKF2_GPS_CTRL", _GNSS_HEIGHT),
+        _HEIGHT_OURS: ("EKF2_EV_CTRL", _VISION_HEIGHT),
+    }
+    if reference not in fused:
+        return None
+    name, bit = fused[int(reference)]
+    value = parameters.get(name)
+    if value is None or int(value) & bit:
+        return None
+    return warning(
+        f"EKF2_HGT_REF = {reference:g} names a height that {name} = {value:g} does not fuse.",
+        f"Set EKF2_HGT_REF = 0 (barometer), or add {bit} to {name}.",
+    )
+
+
+def _delay(evidence: Evidence) -> Trouble | None:
+    """Our ODOMETRY is stamped in the autopilot's time: no delay is left to take off."""
+    delay = evidence.output.parameters.get("EKF2_EV_DELAY", 0.0)
+    if delay <= _DELAY:
+        return None
+    return warning(
+        f"EKF2_EV_DELAY = {delay:g} ms is taken off the stamps of our ODOMETRY, which are of the "
+        "autopilot's own time already.",
+        "Set EKF2_EV_DELAY = 0.",
     )
 
 

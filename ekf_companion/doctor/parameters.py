@@ -22,7 +22,8 @@ DECIDING: Mapping[str, tuple[str, ...]] = {
 """Without these it cannot be said what the autopilot would do with our ODOMETRY."""
 _FURTHER: Mapping[str, tuple[str, ...]] = {
     "px4": (
-        *("EKF2_AID_MASK", "EKF2_EV_QMIN", "EKF2_HGT_REF", "IMU_INTEG_RATE"),
+        *("EKF2_AID_MASK", "EKF2_EV_QMIN", "EKF2_EV_DELAY", "EKF2_HGT_REF"),
+        "IMU_INTEG_RATE",
         *("MAV_0_RATE", "MAV_1_RATE", "MAV_2_RATE"),
     ),
     "ardupilot": (

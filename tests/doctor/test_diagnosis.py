@@ -132,6 +132,22 @@ def test_a_quality_that_ours_does_not_reach_is_named(well, arducopter):
 
 
 @pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("EKF2_HGT_REF", 1, "add 2 to EKF2_GPS_CTRL"),
+        ("EKF2_HGT_REF", 0, ""),
+        ("EKF2_HGT_REF", 3, ""),
+        ("EKF2_EV_DELAY", 175, "Set EKF2_EV_DELAY = 0"),
+        ("EKF2_EV_DELAY", 5, ""),
+    ],
+)
+def test_parameters_that_spoil_the_fusion_are_named(well, name, value, said):
+    found = stage(with_parameter(well, name, value), "fused")
+    assert found.mark is (Mark.WARNING if said else Mark.OK)
+    assert said in words(found)
+
+
+@pytest.mark.parametrize(
     ("feedback", "said"),
     [
         (Feedback(worst_ratio=1.4), "test ratio 1.4"),
