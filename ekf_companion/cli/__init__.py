@@ -1,8 +1,8 @@
 """The commands; the only place that prints or exits.
 
 Exit codes: 0 done, 1 a figure cannot be drawn or a bug, 2 the command line or the configuration is
-wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from. ``status``:
-0 the daemon is healthy, 1 it answers but is not, 4 nothing answers.
+wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from, 4 ``status``
+finds no daemon (and 1 one that is not healthy), 5 the doctor has found a stage that fails.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import typer
 from ekf_companion.cli.calibrate import calibrate
 from ekf_companion.cli.compare import compare
 from ekf_companion.cli.convert import convert
+from ekf_companion.cli.doctor import doctor
 from ekf_companion.cli.observability import observability
 from ekf_companion.cli.service import check_config, run
 from ekf_companion.cli.status import status
@@ -48,4 +49,5 @@ app.command()(convert)
 app.command()(compare)
 app.add_typer(calibrate, name="calibrate")
 app.command()(observability)
+app.command()(doctor)
 app.command("check-config")(check_config)

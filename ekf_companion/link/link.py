@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import socket
 import time
@@ -59,6 +60,8 @@ class Link:
         """Messages that found no link, or too slow a one."""
         self.opened = 0
         """How often the link has been opened."""
+        self.failure: OSError | None = None
+        """Why it is not open; None: it is, or nobody has tried yet."""
         self.bytes_in = 0
         self.bytes_out = 0
         self._clock = clock
@@ -127,9 +130,12 @@ class Link:
         try:
             port = await self._open()
         except asyncio.TimeoutError:
+            self.failure = OSError(errno.ETIMEDOUT, "no answer")
             return "no answer"
         except OSError as error:
+            self.failure = error
             return _sentence(error)
+        self.failure = None
         loop = asyncio.get_running_loop()
         descriptor = port.fileno()
         self._broken = loop.create_future()

@@ -1,0 +1,118 @@
+"""Which stage loses the data, and what to set."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ekf_companion.cli.terminal import ConfigOption, bar, load, sentences
+from ekf_companion.errors import ConfigError
+
+if TYPE_CHECKING:
+    from ekf_companion.config import Config
+    from ekf_companion.doctor.evidence import Evidence
+    from ekf_companion.doctor.finding import Finding
+
+STAGE_FAILED = 5
+"""The exit code where a stage fails."""
+
+
+def doctor(
+    config: ConfigOption = None,
+    link: Annotated[
+        str | None,
+        typer.Option("--link", "--master", help="udpin:HOST:PORT, tcp:…, serial:/dev/ttyX:BAUD."),
+    ] = None,
+    log: Annotated[Path | None, typer.Option(help="Examine this .tlog instead of a link.")] = None,
+    seconds: Annotated[
+        float, typer.Option(min=1.0, max=3600.0, help="Listen for so long at most.")
+    ] = 15.0,
+    listen: Annotated[
+        bool, typer.Option("--listen", help="Send nothing: no heartbeat and no request.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+) -> None:
+    """Say which stage of the way loses the data, and which parameter to change."""
+    from ekf_companion.doctor.diagnosis import diagnose, first_failure
+
+    with sentences():
+        if log is not None and (link is not None or listen):
+            raise ConfigError("--log: a recording has no link; leave out --link and --listen")
+        if log is not None and log.suffix.lower() != ".tlog":
+            raise ConfigError(f"--log: {log}: only a .tlog has the stages; name one, or a --link")
+        with _quiet():
+            evidence = _examine(load(config), link, log, seconds, listen=listen)
+    findings = diagnose(evidence)
+    if as_json:
+        _print_json(evidence, findings, link, log)
+    else:
+        _print(findings)
+    if first_failure(findings) is not None:
+        raise typer.Exit(STAGE_FAILED)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep the daemon's warnings back: the findings say the same, and what to do."""
+    logger, nothing = logging.getLogger("ekf_companion"), logging.NullHandler()
+    before, logger.propagate = logger.propagate, False
+    logger.addHandler(nothing)
+    try:
+        yield
+    finally:
+        logger.removeHandler(nothing)
+        logger.propagate = before
+
+
+def _examine(
+    config: Config, link: str | None, log: Path | None, seconds: float, *, listen: bool
+) -> Evidence:
+    from dataclasses import replace
+
+    from ekf_companion.doctor.examination import examine_link, examine_log
+
+    if log is not None:
+        with bar(log.name) as progress:
+            return examine_log(log, config, progress)
+    if link is not None:
+        config = replace(config, link=replace(config.link, url=link))
+    with bar(config.link.url) as progress:
+        return examine_link(config, seconds, listen=listen, progress=progress)
+
+
+def _print_json(
+    evidence: Evidence, findings: list[Finding], link: str | None, log: Path | None
+) -> None:
+    peer = evidence.peer
+    report = {
+        "examined": str(log) if log else link or evidence.config.link.url,
+        "means": evidence.means.value,
+        "seconds": round(evidence.seconds, 1),
+        "autopilot": None
+        if peer is None
+        else {
+            "system_id": peer.system_id,
+            "component_id": peer.component_id,
+            "family": peer.family,
+            "version": peer.version,
+        },
+        "stages": [finding.to_dict() for finding in findings],
+    }
+    typer.echo(json.dumps(report, indent=2, ensure_ascii=False))
+
+
+def _print(findings: list[Finding]) -> None:
+    import shutil
+
+    from ekf_companion.doctor.finding import Mark
+    from ekf_companion.doctor.report import lines
+
+    colours = {Mark.WARNING: typer.colors.YELLOW, Mark.FAILED: typer.colors.RED}
+    for mark, line in lines(findings, min(shutil.get_terminal_size().columns, 100)):
+        typer.secho(line, fg=colours.get(mark))

@@ -1,0 +1,254 @@
+"""What the messages say: what time it is, and which values."""
+
+from __future__ import annotations
+
+from ekf_companion.doctor.evidence import Evidence, Means
+from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
+from ekf_companion.pipeline import Aid, Verdict
+
+_MANY = 0.05
+"""Share of measurements refused that is more than chance."""
+_TOO_MUCH_SKEW = 200.0
+"""ppm; a crystal has less than 100."""
+_FIXES = ("no receiver", "no fix", "2-D fix", "3-D fix", "DGPS fix", "RTK float", "RTK fixed")
+
+
+def time(evidence: Evidence) -> Finding:
+    """Judge stamps and clocks."""
+    state, stamps = evidence.time, evidence.stamps
+    if state.base == "unknown":
+        return unknown(Stage.TIME, "nothing that has a time has come")
+    saw = f"since {'boot' if state.base == 'boot' else '1970'}"
+    if state.is_locked:
+        saw += f", synchronised to {state.rtt_p95_ms:.1f} ms, {state.skew_ppm:+.0f} ppm"
+    elif state.answers:
+        saw += f", {state.answers} answers to TIMESYNC"
+    reboots = evidence.peer.reboots if evidence.peer else 0
+    stray = evidence.refused.get("GPS_RAW_INT: stamp far from the inertial samples", 0)
+    return found(
+        Stage.TIME,
+        saw,
+        [
+            failed(
+                f"{stamps.message} holds no time: {stamps.zero} of {stamps.count} stamps are 0.",
+                "Update the autopilot's firmware; until then use another inertial message.",
+            )
+            if stamps.zero > 0.5 * max(stamps.count, 1)
+            else None,
+            _unrelated(evidence),
+            failed(
+                f"GPS_RAW_INT is stamped more than 30 s away from {stamps.message}.",
+                "Stream SYSTEM_TIME, which relates both clocks: ArduPilot SRn_EXTRA3 = 2.",
+            )
+            if stray > 2
+            else None,
+            warning(
+                f"The autopilot's clock began anew: it rebooted (restarts: {reboots}).",
+                "Look at its power.",
+            )
+            if reboots
+            else None,
+            *_stamps(evidence),
+            *_timesync(evidence),
+        ],
+    )
+
+
+def _unrelated(evidence: Evidence) -> Trouble | None:
+    lost = evidence.refused.get("GPS_RAW_INT: time base unknown", 0)
+    if lost <= max(5, evidence.receiver.messages // 2):
+        return None
+    state = evidence.messages.get("SYSTEM_TIME")
+    has_time = state is not None and state.count > 0
+    return failed(
+        f"GPS_RAW_INT counts time from another start than {evidence.stamps.message}, and "
+        + ("SYSTEM_TIME does not know the date yet." if has_time else "no SYSTEM_TIME comes."),
+        "Wait until the receiver knows the date."
+        if has_time
+        else "Stream SYSTEM_TIME, which relates both clocks: PX4 MAV_n_MODE = 2 (Onboard); "
+        "ArduPilot SRn_EXTRA3 = 2.",
+    )
+
+
+def _stamps(evidence: Evidence) -> list[Trouble | None]:
+    stamps = evidence.stamps
+    count = max(stamps.count, 1)
+    return [
+        warning(
+            f"{stamps.repeated} of {stamps.count} stamps of {stamps.message} repeat the one "
+            "before: two paths bring the same frames, or it is sent faster than it is measured.",
+            "Let only one router endpoint lead here, or lower link.imu_rate to the sensor's rate.",
+        )
+        if stamps.repeated > _MANY * count
+        else None,
+        warning(
+            f"{stamps.backward} of {stamps.count} stamps of {stamps.message} go back.",
+            "Let only one path lead here; over UDP and radio take a link that keeps the order.",
+        )
+        if stamps.backward > 0.01 * count
+        else None,
+        warning(
+            f"{stamps.message} is stamped in whole milliseconds: at high rates its steps are "
+            "uneven.",
+            "Take HIGHRES_IMU: ArduPilot 4.6 or newer on a board of more than 1 MB has it.",
+        )
+        if stamps.is_whole_ms and stamps.message.startswith("SCALED")
+        else None,
+    ]
+
+
+def _timesync(evidence: Evidence) -> list[Trouble | None]:
+    state, wanted = evidence.time, evidence.config.timesync
+    if evidence.means is not Means.LIVE or not wanted.request or evidence.seconds < 6.0:
+        return []
+    slow = state.refused.get("round trip too long", 0)
+    return [
+        warning(
+            f"TIMESYNC takes too long: {state.rtt_p50_ms:.0f} ms there and back.",
+            f"Set timesync.largest_rtt = {max(state.rtt_p50_ms * 2e-3, 0.02):.2g}, or take a "
+            "faster link than a radio.",
+        )
+        if not state.is_locked and slow
+        else warning(
+            "The autopilot does not answer TIMESYNC; the estimate goes by its stamps and needs "
+            "none, PX4 does to place our ODOMETRY in time.",
+            "Let TIMESYNC (id 111) pass the router both ways.",
+        )
+        if not state.is_locked and not state.answers
+        else None,
+        warning(
+            f"The autopilot's clock runs {state.skew_ppm:+.0f} ppm against ours.",
+            "Stop what steps this board's clock; a crystal has less than 100 ppm.",
+        )
+        if abs(state.skew_ppm) > _TOO_MUCH_SKEW
+        else None,
+    ]
+
+
+def values(evidence: Evidence) -> Finding:
+    """Judge whether what the messages say can be meant."""
+    refused = evidence.refused
+    receiver = evidence.receiver
+    saw = "all can be meant"
+    if receiver.messages:
+        fix = _FIXES[receiver.fix_type] if receiver.fix_type < len(_FIXES) else "fix"
+        satellites = f", {receiver.satellites} satellites" if receiver.satellites < 255 else ""
+        saw = f"GNSS: {fix}{satellites}"
+    strange = {
+        why: count
+        for why, count in refused.items()
+        if why not in ("IMU: a better source speaks", "GPS_RAW_INT: first after none")
+        and "time base unknown" not in why
+    }
+    if strange:
+        worst = sorted(strange.items(), key=lambda item: -item[1])[:3]
+        saw += "; " + ", ".join(f"{why} ({count})" for why, count in worst)
+    return found(Stage.VALUES, saw, [*_inertial(evidence), *_magnetic(evidence), *_gnss(evidence)])
+
+
+def _inertial(evidence: Evidence) -> list[Trouble | None]:
+    stale = evidence.refused.get("HIGHRES_IMU: accel or gyro not updated", 0)
+    empty = evidence.refused.get("SCALED_IMU: no sensor behind it", 0)
+    other = evidence.refused.get("HIGHRES_IMU: another instance", 0)
+    count = max(evidence.stamps.count, 1)
+    return [
+        failed(
+            f"{stale} of {count} HIGHRES_IMU say that accelerometer or gyro are not updated "
+            "(fields_updated).",
+            "Look at the autopilot's sensors (PX4: `sensors status`), or lower link.imu_rate to "
+            "their rate.",
+        )
+        if stale > 0.5 * count
+        else None,
+        failed(
+            f"{evidence.stamps.message} comes with zeros: there is no sensor behind it.",
+            "Let the autopilot send RAW_IMU or HIGHRES_IMU: SRn_RAW_SENS = 50.",
+        )
+        if empty > 0.5 * count and evidence.stamps.message.startswith("SCALED")
+        else None,
+        failed(
+            "HIGHRES_IMU comes of another sensor than the first.",
+            "Make the first inertial sensor the primary one.",
+        )
+        if other > 0.5 * count
+        else None,
+    ]
+
+
+def _magnetic(evidence: Evidence) -> list[Trouble | None]:
+    million = evidence.refused.get("mag: unit corrected by 1e6", 0)
+    wrong = evidence.refused.get("mag: no field of the Earth", 0)
+    heading = evidence.estimator.verdicts[Aid.HEADING] if evidence.estimator else {}
+    disturbed = heading.get(Verdict.DISTURBED, 0)
+    fused = heading.get(Verdict.FUSED, 0) + heading.get(Verdict.SOFT, 0)
+    return [
+        warning(
+            "The magnetometer of HIGHRES_IMU comes a million times too large (ArduPilot before "
+            "its fix #32286); it is divided here, and nothing is lost.",
+            "Update ArduPilot when you can.",
+        )
+        if million
+        else None,
+        warning(
+            f"{wrong} magnetic fields are weaker or stronger than the Earth's: motors, steel, or "
+            "an uncalibrated magnetometer.",
+            "Calibrate the magnetometer in the autopilot; `ekf-companion calibrate mag LOG` "
+            "measures heading.hard_iron.",
+        )
+        if wrong > 10
+        else None,
+        warning(
+            f"{disturbed} magnetic fields do not fit the Earth's at this place, and were not used.",
+            "Calibrate: `ekf-companion calibrate mag LOG` measures heading.hard_iron and "
+            "heading.soft_iron; or heading.source = autopilot.",
+        )
+        if disturbed > 10 and disturbed > 0.2 * (disturbed + fused)
+        else None,
+    ]
+
+
+def _gnss(evidence: Evidence) -> list[Trouble | None]:
+    refused, receiver = evidence.refused, evidence.receiver
+    count = max(receiver.messages, 1)
+    none = refused.get("GPS_RAW_INT: no 3-D fix", 0) + refused.get("GPS_RAW_INT: no position", 0)
+    repeated = refused.get("GPS_RAW_INT: repeated", 0)
+    usable = receiver.messages - none
+    satellites = f" ({receiver.satellites} satellites)" if receiver.satellites < 255 else ""
+    is_without = receiver.messages > 0 and receiver.fix_type < 3
+    return [
+        failed(
+            f"The receiver has no 3-D fix{satellites}.",
+            "Give its antenna a free view of the sky, away from cables and cameras; after a cold "
+            "start wait a minute.",
+        )
+        if is_without
+        else warning(
+            f"{none} of {receiver.messages} GPS_RAW_INT had no 3-D fix.",
+            "If that was in flight: look at the antenna and at what disturbs it.",
+        )
+        if none > _MANY * count
+        else None,
+        failed(
+            "The same fix comes again and again: the receiver, or the autopilot's reading of it, "
+            "stands still.",
+            "Look at the receiver's wire; ArduPilot repeats the last fix when the receiver is out.",
+        )
+        if usable > 10 and repeated > 0.95 * usable
+        else None,
+        warning(
+            f"{receiver.without_time} GPS_RAW_INT hold no time; the newest inertial stamp stands "
+            "in, which may be 0.1 s off.",
+            "Set the receiver to send UTC (UBX-NAV-PVT), or wait until it knows the time.",
+        )
+        if receiver.without_time > _MANY * count and receiver.fix_type >= 3
+        else None,
+        warning(
+            "The receiver tells no accuracy (h_acc is 0): it is guessed from the dilution.",
+            "Let the autopilot read the receiver in a protocol that has it (u-blox UBX), and let "
+            "no router turn MAVLink 2 into 1.",
+        )
+        if receiver.fix_type >= 3
+        and not receiver.has_accuracy
+        and evidence.first_version < 0.99 * evidence.frames.frames
+        else None,
+    ]

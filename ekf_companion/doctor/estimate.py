@@ -1,0 +1,123 @@
+"""What the filter makes of the messages, and which of them it refuses."""
+
+from __future__ import annotations
+
+import math
+
+from ekf_companion.doctor.evidence import Evidence
+from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
+from ekf_companion.nav.state import Status
+from ekf_companion.pipeline import Aid, Health, Verdict
+
+_MANY = 0.05
+"""Share of measurements refused that is more than chance."""
+_NIS = 3.0
+_AIDS = {
+    Aid.POSITION: "position",
+    Aid.HEIGHT: "height",
+    Aid.VELOCITY: "velocity",
+    Aid.HEADING: "heading",
+    Aid.BARO: "pressure height",
+}
+
+
+def estimate(evidence: Evidence) -> Finding:
+    """Judge what the filter makes of it."""
+    health = evidence.estimator
+    if health is None:
+        return unknown(Stage.ESTIMATE, "nothing to estimate from")
+    name = health.status.name.lower().replace("_", " ")
+    saw = name
+    if math.isfinite(health.std_horizontal):
+        saw += f", position to {health.std_horizontal:.1f} m"
+    if health.resets:
+        saw += f", {health.resets} resets (the last: {health.reset_reason})"
+    if health.gaps:
+        saw += f", {health.gaps} gaps"
+    return found(Stage.ESTIMATE, saw, [_status(evidence, health), *_aids(health), _resets(health)])
+
+
+def _status(evidence: Evidence, health: Health) -> Trouble | None:
+    if health.status is Status.OK:
+        return None
+    if health.status is Status.DEGRADED:
+        absent = [
+            label for aid, label in _AIDS.items() if aid is not Aid.BARO and not _fused(health, aid)
+        ]
+        what = (
+            f" without {' and '.join(absent)}" if absent else ", but one aid is silent or refused"
+        )
+        return warning(
+            f"The estimate goes on{what}.", "Mend the warnings of the stages above first."
+        )
+    if health.status in (Status.DEAD_RECKONING, Status.INVALID):
+        return failed(
+            "No fix is taken any more: the position drifts.",
+            "Look at the receiver; the stage `values` says what came last.",
+        )
+    fixes = sum(health.verdicts[Aid.POSITION].values())
+    if not health.samples:
+        return failed("No inertial sample has come through.", "Mend the first failing stage above.")
+    if not fixes:
+        return failed(
+            "Roll and pitch are found; no position is, for no fix has come.",
+            "Give the receiver a free view of the sky; a second of rest and two fixes are enough.",
+        )
+    if health.status is Status.ATTITUDE or health.verdicts[Aid.HEADING][Verdict.UNALIGNED] == 0:
+        return failed(
+            "North is not found: no heading has come.",
+            "Stream ATTITUDE (SRn_EXTRA1 = 10), calibrate the magnetometer, or fly: in motion "
+            "north follows from the fixes.",
+        )
+    return failed(
+        "Down is not found yet: the vehicle moves, and has since the start.",
+        "Let it stand for align.time = 1 s; on a ship raise align.rest_gyro and align.rest_accel.",
+    )
+
+
+def _fused(health: Health, aid: Aid) -> int:
+    return health.verdicts[aid][Verdict.FUSED] + health.verdicts[aid][Verdict.SOFT]
+
+
+def _aids(health: Health) -> list[Trouble | None]:
+    troubles: list[Trouble | None] = []
+    for aid, label in _AIDS.items():
+        gated, fused = health.verdicts[aid][Verdict.GATED], _fused(health, aid)
+        share, nis = gated / max(gated + fused, 1), health.nis[aid]
+        if gated > 5 and share > _MANY:
+            cause = f"{share:.0%} of the {label} measurements contradict the estimate."
+        elif math.isfinite(nis) and nis > _NIS and fused > 20:
+            cause = f"The {label} scatters {math.sqrt(nis):.1f} times as much as it claims."
+        else:
+            continue
+        troubles.append(warning(cause, _CURES[aid]))
+    return troubles
+
+
+_CURES = {
+    Aid.POSITION: "Raise gnss.position_std, check gnss.lever_arm, and measure gnss.delay with "
+    "`ekf-companion calibrate delay LOG`.",
+    Aid.HEIGHT: "Raise gnss.height_std.",
+    Aid.VELOCITY: "Raise gnss.velocity_std, check gnss.lever_arm, and measure gnss.delay with "
+    "`ekf-companion calibrate delay LOG`.",
+    Aid.HEADING: "Calibrate the magnetometer (`ekf-companion calibrate mag LOG`), look at the "
+    "autopilot's compass orientation, or raise heading.magnetometer_std.",
+    Aid.BARO: "Raise baro.std, cover the barometer with foam, or baro.use = false.",
+}
+
+
+def _resets(health: Health) -> Trouble | None:
+    if not health.resets:
+        return None
+    cures = {
+        "inertial gap": "Look at the stage `rates`: samples are missing for longer than "
+        "gap_reset; on a slow radio raise imu.gap and imu.gap_reset.",
+        "heading against the motion": "The compass points elsewhere than the vehicle flies: "
+        "calibrate it, look at its orientation (CAL_MAG0_ROT, COMPASS_ORIENT).",
+        "clock": "Look at the stage `time`: the autopilot's clock jumped.",
+    }
+    remedy = cures.get(health.reset_reason, "Look at the aids that were refused before it.")
+    cause = (
+        f"The estimate jumped on purpose {health.resets} times; the last: {health.reset_reason}."
+    )
+    return warning(cause, remedy)

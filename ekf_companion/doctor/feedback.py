@@ -1,0 +1,260 @@
+"""The last stages: ODOMETRY is sent, and the autopilot takes it.
+
+Sources: PX4's and ArduPilot's documentation of external position estimates.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from ekf_companion.doctor.evidence import Evidence, Means
+from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
+from ekf_companion.doctor.parameters import DECIDING, Fusion, fusion
+from ekf_companion.mavlink.encode import Frame
+from ekf_companion.nav.state import Status
+from ekf_companion.pipeline import QUALITY
+
+_ARDUPILOT_FRAMES = (Frame.LOCAL_FRD, Frame.BODY_FRD)
+_SLOWEST = 10.0
+"""Hz: PX4 fuses no external position that comes more rarely than every 0.1 to 0.2 s."""
+_HEIGHT_GNSS, _HEIGHT_OURS = 1, 3
+"""Of EKF2_HGT_REF."""
+_GNSS_HEIGHT, _VISION_HEIGHT = 2, 2
+"""Bits of EKF2_GPS_CTRL and of EKF2_EV_CTRL."""
+_DELAY = 20.0
+"""ms."""
+_CONST_POSITION, _UNINITIALISED = 128, 1024
+"""Bits of EKF_STATUS_REPORT.flags."""
+
+
+def _family(evidence: Evidence) -> str:
+    return evidence.peer.family if evidence.peer else "unknown"
+
+
+def sent(evidence: Evidence) -> Finding:
+    """Judge whether ODOMETRY goes out, how often and in which frame."""
+    ours, output = evidence.sent, evidence.output
+    frames = ", ".join(f"{frame}/{child}" for frame, child in sorted(ours.frames))
+    if not ours.count and evidence.means is Means.LISTENING:
+        return unknown(Stage.SENT, "nothing is sent with --listen")
+    if not ours.count and evidence.means is Means.RECORDING:
+        return unknown(Stage.SENT, "no ODOMETRY of ours is in the recording")
+    if output.mode == "never":
+        return found(Stage.SENT, "nothing, for output.odometry.mode is never")
+    saw = f"ODOMETRY {ours.rate:.0f} Hz, frames {frames}" if ours.count else "no ODOMETRY"
+    if output.withheld and not ours.count:
+        saw += f", {output.withheld} withheld"
+    return found(Stage.SENT, saw, [_withheld(evidence), _frame(evidence), _rate(evidence)])
+
+
+def _withheld(evidence: Evidence) -> Trouble | None:
+    if evidence.sent.count:
+        return None
+    if evidence.output.withheld:
+        family = _family(evidence)
+        taken = fusion(evidence.output.parameters, family)
+        if taken is not None and taken.is_double:
+            return failed(
+                "ODOMETRY is withheld, for the autopilot would count the same GNSS twice: it takes "
+                f"{_list(taken)}.",
+                _choose(family),
+            )
+        missing = [n for n in DECIDING.get(family, ()) if n not in evidence.output.parameters]
+        return failed(
+            "ODOMETRY is withheld: the autopilot does not say what it would do with it "
+            f"({', '.join(missing)}: no answer).",
+            "Let PARAM_REQUEST_READ and PARAM_VALUE pass the router. A firmware without these "
+            "parameters takes no ODOMETRY: output.odometry.mode = always then does no harm.",
+        )
+    health = evidence.estimator
+    if health is None or health.status < Status.OK:
+        return failed("There is no estimate to send.", "Mend the first failing stage above.")
+    return failed(
+        "The estimate is there, and no ODOMETRY goes out.",
+        "Look at output.odometry in the configuration.",
+    )
+
+
+def _frame(evidence: Evidence) -> Trouble | None:
+    frames = evidence.sent.frames
+    if _family(evidence) == "ardupilot" and frames and _ARDUPILOT_FRAMES not in frames:
+        return failed(
+            "ArduPilot takes ODOMETRY in LOCAL_FRD only, and leaves any other without a word.",
+            "Set output.odometry.frame = LOCAL_FRD.",
+        )
+    return None
+
+
+def _rate(evidence: Evidence) -> Trouble | None:
+    ours = evidence.sent
+    if ours.count < 20 or ours.rate >= _SLOWEST or evidence.means is Means.RECORDING:
+        return None
+    return warning(
+        f"ODOMETRY goes out at {ours.rate:.1f} Hz: the autopilot fuses nothing so rare.",
+        "Set output.odometry.rate = 30, and mend the inertial rate: there is one per sample.",
+    )
+
+
+def fused(evidence: Evidence) -> Finding:
+    """Judge what the autopilot does, or would do, with our ODOMETRY."""
+    family, output = _family(evidence), evidence.output
+    if family not in DECIDING:
+        return unknown(Stage.FUSED, "an autopilot of a family that is not known")
+    taken = fusion(output.parameters, family)
+    told = _told(output.parameters, family)
+    refusal = _refusal(evidence)
+    if taken is None:
+        if not evidence.asked_parameters and refusal is None:
+            return unknown(Stage.FUSED, "its parameters were not asked")
+        trouble = warning(
+            "The autopilot did not tell its parameters, so nobody knows what it does with "
+            "ODOMETRY.",
+            "Let PARAM_REQUEST_READ and PARAM_VALUE pass the router; look yourself at "
+            f"{', '.join(DECIDING[family])}.",
+        )
+        if evidence.output.withheld and not evidence.sent.count and refusal is None:
+            return unknown(Stage.FUSED, "its parameters were asked, and not told")
+        return found(Stage.FUSED, told or "no parameter was told", [refusal, trouble])
+    if not taken.ours:
+        how = (
+            "EKF2_EV_CTRL = 15 and EKF2_GPS_CTRL = 0"
+            if family == "px4"
+            else "VISO_TYPE = 1 and EK3_SRC1_* = 6"
+        )
+        saw = f"takes nothing of ours ({told}); it would with {how}"
+        return found(Stage.FUSED, saw, [refusal])
+    if taken.is_double and output.withheld and not evidence.sent.count:
+        return unknown(Stage.FUSED, f"takes {_list(taken)}: nothing is sent to it")
+    return found(
+        Stage.FUSED,
+        f"takes {_list(taken)}",
+        [
+            refusal,
+            _double(evidence, taken),
+            _quality(evidence),
+            _height(evidence),
+            _delay(evidence),
+            _rejects(evidence),
+        ],
+    )
+
+
+def _told(parameters: Mapping[str, float], family: str) -> str:
+    """Give the parameters that decide; where the first is 0, ArduPilot's others decide nothing."""
+    names = [name for name in DECIDING[family] if name in parameters]
+    if family == "ardupilot" and parameters.get(names[0] if names else "") == 0.0:
+        del names[1:]
+    return ", ".join(f"{name} = {parameters[name]:g}" for name in names)
+
+
+def _list(taken: Fusion) -> str:
+    ours = f"ours ({', '.join(taken.ours)})"
+    return f"{ours} together with its own GNSS ({', '.join(taken.gnss)})" if taken.gnss else ours
+
+
+def _choose(family: str) -> str:
+    if family == "px4":
+        return (
+            "Choose one: EKF2_GPS_CTRL = 0 (and EKF2_HGT_REF = 0 or 3) lets ours alone count, "
+            "EKF2_EV_CTRL = 0 the autopilot's GNSS. Where our receiver is our own: "
+            "output.odometry.independent = true."
+        )
+    return (
+        "Choose one: EK3_SRC1_POSXY, _VELXY, _POSZ, _VELZ all without 3 (GPS) let ours alone "
+        "count, all without 6 (ExternalNav), or VISO_TYPE = 0, the autopilot's GNSS. "
+        "Where our receiver is our own: output.odometry.independent = true."
+    )
+
+
+def _double(evidence: Evidence, taken: Fusion) -> Trouble | None:
+    if not taken.is_double or evidence.config.output.odometry.independent:
+        return None
+    say = failed if evidence.sent.count else warning
+    return say(
+        f"The autopilot would count the same GNSS twice: it takes {_list(taken)}.",
+        _choose(_family(evidence)),
+    )
+
+
+def _refusal(evidence: Evidence) -> Trouble | None:
+    for text in evidence.feedback.texts:
+        if "estimator_type" in text:
+            return failed(
+                f"The autopilot refuses our ODOMETRY: “{text}”.",
+                "Set output.odometry.estimator_type = auto.",
+            )
+    return None
+
+
+def _quality(evidence: Evidence) -> Trouble | None:
+    name = "EKF2_EV_QMIN" if _family(evidence) == "px4" else "VISO_QUAL_MIN"
+    least = evidence.output.parameters.get(name, 0.0)
+    reached = QUALITY[Status.DEGRADED]
+    if least <= reached:
+        return None
+    return warning(
+        f"{name} = {least:g} refuses ODOMETRY of a quality below that; ours is 100 when all is "
+        f"well, {reached} without an aid.",
+        f"Set {name} = 1.",
+    )
+
+
+def _height(evidence: Evidence) -> Trouble | None:
+    """PX4's height reference must be a source that it is told to fuse."""
+    parameters = evidence.output.parameters
+    reference = parameters.get("EKF2_HGT_REF")
+    fused = {
+        _HEIGHT_GNSS: ("EKF2_GPS_CTRL", _GNSS_HEIGHT),
+        _HEIGHT_OURS: ("EKF2_EV_CTRL", _VISION_HEIGHT),
+    }
+    if reference not in fused:
+        return None
+    name, bit = fused[int(reference)]
+    value = parameters.get(name)
+    if value is None or int(value) & bit:
+        return None
+    return warning(
+        f"EKF2_HGT_REF = {reference:g} names a height that {name} = {value:g} does not fuse.",
+        f"Set EKF2_HGT_REF = 0 (barometer), or add {bit} to {name}.",
+    )
+
+
+def _delay(evidence: Evidence) -> Trouble | None:
+    """Our ODOMETRY is stamped in the autopilot's time: no delay is left to take off."""
+    delay = evidence.output.parameters.get("EKF2_EV_DELAY", 0.0)
+    if delay <= _DELAY:
+        return None
+    return warning(
+        f"EKF2_EV_DELAY = {delay:g} ms is taken off the stamps of our ODOMETRY, which are of the "
+        "autopilot's own time already.",
+        "Set EKF2_EV_DELAY = 0.",
+    )
+
+
+def _rejects(evidence: Evidence) -> Trouble | None:
+    feedback = evidence.feedback
+    if not evidence.sent.count:
+        return None
+    if math.isfinite(feedback.worst_ratio) and feedback.worst_ratio > 1.0:
+        return warning(
+            f"The autopilot's own filter refuses measurements (test ratio "
+            f"{feedback.worst_ratio:.1f}; above 1 is refused).",
+            "PX4: EKF2_EV_DELAY = 0 where TIMESYNC is locked, EKF2_EV_NOISE_MD = 0. ArduPilot: "
+            "VISO_DELAY_MS = 10, and set the origin before take-off.",
+        )
+    is_ardupilot = _family(evidence) == "ardupilot"
+    if is_ardupilot and feedback.flags is not None:
+        if feedback.flags & _UNINITIALISED:
+            return warning(
+                "ArduPilot's filter has not started yet.",
+                "Without GNSS it needs an origin: set it in the ground station "
+                "(SET_GPS_GLOBAL_ORIGIN).",
+            )
+        if feedback.flags & _CONST_POSITION:
+            return warning(
+                "ArduPilot's filter holds its position fixed: it takes no aid.",
+                "Set EK3_SRC1_POSXY = 6 and EK3_SRC1_YAW = 6, and the origin "
+                "(SET_GPS_GLOBAL_ORIGIN).",
+            )
+    return None

@@ -1,0 +1,76 @@
+"""Who has a device or a port: what /proc tells of other processes."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import grp
+import os
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from ekf_companion.doctor.evidence import Holder
+
+_PROC = Path("/proc")
+_DEVICES = (
+    *("/dev/serial/by-id/*", "/dev/ttyACM*", "/dev/ttyUSB*", "/dev/ttyAMA*", "/dev/ttyTHS*"),
+    "/dev/serial[0-9]",
+)
+
+
+def of_device(device: str) -> Holder | None:
+    """Give the process that has a device open; None: nobody, or nobody that we may see."""
+    return _find({os.path.realpath(device)})
+
+
+def of_port(protocol: str, port: int) -> Holder | None:
+    """Give the process that is bound to a port of ours; ``protocol`` is ``udp`` or ``tcp``."""
+    inodes = set()
+    for table in (protocol, f"{protocol}6"):
+        with contextlib.suppress(OSError):
+            for line in (_PROC / "net" / table).read_text().splitlines()[1:]:
+                fields = line.split()
+                is_listening = protocol == "udp" or fields[3] == "0A"
+                if is_listening and int(fields[1].rsplit(":", 1)[1], 16) == port:
+                    inodes.add(f"socket:[{fields[9]}]")
+    return _find(inodes) if inodes else None
+
+
+def present_devices() -> tuple[str, ...]:
+    """Give the serial devices that this board has, those whose names stay first."""
+    return tuple(name for pattern in _DEVICES for name in sorted(glob.glob(pattern)))
+
+
+def group_of(device: str) -> str:
+    """Give the group that a device belongs to; empty: there is none."""
+    try:
+        return grp.getgrgid(os.stat(device).st_gid).gr_name
+    except (OSError, KeyError):
+        return ""
+
+
+def _find(targets: Iterable[str]) -> Holder | None:
+    wanted = set(targets)
+    for process in _PROC.glob("[0-9]*"):
+        if int(process.name) == os.getpid():
+            continue
+        with contextlib.suppress(OSError):  # it has ended, or is another user's
+            for descriptor in (process / "fd").iterdir():
+                with contextlib.suppress(OSError):
+                    if os.readlink(descriptor) in wanted:
+                        return _describe(process)
+    return None
+
+
+def _describe(process: Path) -> Holder:
+    command = (process / "cmdline").read_bytes().split(b"\0")
+    unit = re.search(r"/([^/]+\.service)$", (process / "cgroup").read_text(), re.MULTILINE)
+    words = [os.path.basename(word.decode("utf-8", "replace")) for word in command if word]
+    is_daemon = "run" in words and bool({"ekf_companion", "ekf-companion"} & set(words))
+    return Holder(
+        pid=int(process.name),
+        name="ekf-companion" if is_daemon else (process / "comm").read_text().strip(),
+        unit=unit[1] if unit else "",
+        is_daemon=is_daemon,
+    )

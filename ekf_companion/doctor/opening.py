@@ -1,0 +1,127 @@
+"""The first stage: the link opens, or why it does not."""
+
+from __future__ import annotations
+
+import errno
+
+from ekf_companion.doctor.evidence import Evidence, Opening
+from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
+
+_BAUD = 921600
+
+
+def link(evidence: Evidence) -> Finding:
+    """Judge the opening of the link."""
+    opening = evidence.opening
+    if opening is None:
+        return unknown(Stage.LINK, "a recording has none")
+    if not opening.failure:
+        state = evidence.link
+        again = state is not None and state.opened > 1
+        lost = warning(
+            f"The link was lost and opened again {state.opened - 1} times." if state else "",
+            "Look at the plug and the power; over USB switch autosuspend off (udev: "
+            "power/control = on); over TCP look at who closes it.",
+        )
+        return found(Stage.LINK, f"{opening.url} is open", [lost if again else None])
+    judge = _OPENINGS.get(opening.number or 0, _other)
+    return found(Stage.LINK, f"{opening.url}: {opening.failure}", [judge(opening)])
+
+
+def _missing(opening: Opening) -> Trouble:
+    present = ", ".join(opening.present)
+    return failed(
+        f"There is no {opening.device or 'such device'}: not plugged in, not powered, or of "
+        "another name.",
+        f"This board has {present}: set link.url to serial:{opening.present[0]}:{_BAUD}, or the "
+        "one that is the autopilot's; names under /dev/serial/by-id stay."
+        if present
+        else "This board has no serial device at all: plug the autopilot in, look at `dmesg`; on a "
+        "Raspberry Pi switch the port on (enable_uart=1, and no console on it).",
+    )
+
+
+def _forbidden(opening: Opening) -> Trouble:
+    if opening.kind != "serial":
+        return failed(
+            "This user may not open that port: those below 1024 are root's.",
+            "Take a port above 1023 in link.url, as in udpin:0.0.0.0:14540.",
+        )
+    group = opening.group or "dialout"
+    return failed(
+        f"This user may not open {opening.device}: it belongs to the group {group}.",
+        f"Run `sudo usermod -aG {group} $USER` and log in again; under systemd set "
+        f"SupplementaryGroups={group}.",
+    )
+
+
+def _busy(opening: Opening) -> Trouble:
+    what = opening.device or "that port"
+    holder = opening.holder
+    if holder is None:
+        return failed(
+            f"Another program has {what}.",
+            (
+                f"Find it with `sudo fuser -v {opening.device}` and stop it"
+                if opening.device
+                else "Find it with `sudo ss -lptun` and stop it, or take another port in link.url"
+            )
+            + "; mavlink-router can give each program an endpoint. Is it our own daemon? Ask it "
+            "with `ekf-companion status`, or `sudo systemctl stop ekf-companion` first.",
+        )
+    who = f"{holder.name} (process {holder.pid}{f', {holder.unit}' if holder.unit else ''})"
+    if holder.is_daemon:
+        stop = f"systemctl stop {holder.unit}" if holder.unit else f"kill {holder.pid}"
+        return failed(
+            f"Our own daemon has {what}: {who}.",
+            f"Ask it: `ekf-companion status`. To examine the link from here, `sudo {stop}` first.",
+        )
+    return failed(
+        f"{who} has {what}.",
+        f"Stop it{f' (`sudo systemctl stop {holder.unit}`)' if holder.unit else ''}, or let "
+        "mavlink-router have the port and give each program an endpoint of its own.",
+    )
+
+
+def _unreachable(opening: Opening) -> Trouble:
+    return failed(
+        "Nobody listens there, or the network does not reach it.",
+        "Start what should listen, and look at host and port in link.url: ArduPilot's simulator "
+        "and mavlink-router listen at TCP 5760; PX4 speaks UDP, to 14540: udpin:0.0.0.0:14540.",
+    )
+
+
+def _address(opening: Opening) -> Trouble:
+    return failed(
+        "This board has no such address.",
+        "Listen at all of them: udpin:0.0.0.0:PORT in link.url.",
+    )
+
+
+def _other(opening: Opening) -> Trouble:
+    if opening.kind == "serial":
+        return failed(
+            f"{opening.device} cannot be set up as a serial port.",
+            f"Set link.url to a serial device, as in serial:/dev/ttyACM0:{_BAUD}.",
+        )
+    return failed(
+        "The link cannot be opened: a name that nobody knows, or no network.",
+        "Write the host in link.url as a number, as in 192.168.1.2, and look at `ip route`.",
+    )
+
+
+_OPENINGS = {
+    errno.ENOENT: _missing,
+    errno.ENODEV: _missing,
+    errno.ENXIO: _missing,
+    errno.EACCES: _forbidden,
+    errno.EPERM: _forbidden,
+    errno.EBUSY: _busy,
+    errno.EAGAIN: _busy,
+    errno.EADDRINUSE: _busy,
+    errno.ECONNREFUSED: _unreachable,
+    errno.ETIMEDOUT: _unreachable,
+    errno.EHOSTUNREACH: _unreachable,
+    errno.ENETUNREACH: _unreachable,
+    errno.EADDRNOTAVAIL: _address,
+}

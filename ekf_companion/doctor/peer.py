@@ -1,0 +1,212 @@
+"""Whose frames they are, and whether the messages that are needed are among them."""
+
+from __future__ import annotations
+
+from ekf_companion.doctor.evidence import Evidence, Means, Source
+from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, warning
+
+_GROUND_STATION = 6
+_KINDS = {3: "ArduPilot", 12: "PX4"}
+INERTIAL = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
+NORTH = ("ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD")
+
+
+def source(evidence: Evidence) -> Finding:
+    """Judge whose heartbeats there are, and which autopilot is listened to."""
+    pilots = [source for source in evidence.sources if source.is_autopilot]
+    saw = "; ".join(_describe(source) for source in evidence.sources if source.heartbeats)
+    link = evidence.config.link
+    if evidence.peer is None:
+        trouble = _nobody(evidence, pilots)
+        return found(Stage.SOURCE, saw or f"no heartbeat in {evidence.seconds:.0f} s", [trouble])
+    ours = (link.system_id or evidence.peer.system_id, link.component_id)
+    clash = evidence.means is Means.LIVE and any(
+        (source.system_id, source.component_id) == ours and source.heartbeats
+        for source in evidence.sources
+    )
+    return found(
+        Stage.SOURCE,
+        saw,
+        [
+            _refused(evidence, pilots),
+            failed(
+                "The autopilot's heartbeat has stopped.",
+                "Look at its power and the wire; it sends one a second.",
+            )
+            if not evidence.peer.is_heard
+            else None,
+            failed(
+                f"Somebody else on this link has our ids, {ours[0]}/{ours[1]}: the daemon itself, "
+                "another program, or an echo.",
+                "Stop the other, or set link.component_id to a free one, 191 to 194.",
+            )
+            if clash
+            else None,
+            warning(
+                f"Several autopilots speak here; the first that was heard, "
+                f"{evidence.peer.system_id}, is listened to.",
+                f"Set link.autopilot = {evidence.peer.system_id}, or that of the right one.",
+            )
+            if link.autopilot is None and len({pilot.system_id for pilot in pilots}) > 1
+            else None,
+        ],
+    )
+
+
+def _describe(source: Source) -> str:
+    if source.is_autopilot:
+        what = _KINDS.get(source.autopilot, f"autopilot of kind {source.autopilot}")
+    else:
+        what = "ground station" if source.type == _GROUND_STATION else "no autopilot"
+    return f"{source.system_id}/{source.component_id} {what}"
+
+
+def _nobody(evidence: Evidence, pilots: list[Source]) -> Trouble:
+    wanted = evidence.config.link.autopilot
+    if (trouble := _refused(evidence, pilots)) is not None:
+        return trouble
+    if pilots and wanted is not None:
+        heard = ", ".join(str(pilot.system_id) for pilot in pilots)
+        return failed(
+            f"The autopilot {wanted} that link.autopilot names is not heard; {heard} is.",
+            f"Set link.autopilot = {pilots[0].system_id}, or null for the first that is heard; or "
+            f"the autopilot's own id (SYSID_THISMAV, MAV_SYSID or MAV_SYS_ID) = {wanted}.",
+        )
+    if any(source.type == _GROUND_STATION for source in evidence.sources if source.heartbeats):
+        return failed(
+            "Only a ground station speaks here, no autopilot.",
+            "Take the endpoint of the router on which the autopilot is; a ground station forwards "
+            "it only if told so (QGroundControl: MAVLink forwarding; MAVProxy: --out).",
+        )
+    if any(source.heartbeats for source in evidence.sources):
+        return failed(
+            "Heartbeats come, but none from an autopilot.",
+            "Take the port of the autopilot in link.url; behind a router, let it forward "
+            "component 1.",
+        )
+    return failed(
+        "Frames come, but no heartbeat: somebody filters it away.",
+        "Let HEARTBEAT (id 0) through the router's filters (AllowMsgIdOut); PX4: "
+        "MAV_n_MODE = 2 (Onboard) has it.",
+    )
+
+
+def _refused(evidence: Evidence, pilots: list[Source]) -> Trouble | None:
+    """Say why an autopilot that is there is not listened to: allow-lists and signatures."""
+    link, signing = evidence.config.link, evidence.config.signing
+    for pilot in pilots:
+        if evidence.peer is not None and pilot.system_id != evidence.peer.system_id:
+            continue
+        for allowed, own, key in (
+            (link.allow_systems, pilot.system_id, "link.allow_systems"),
+            (link.allow_components, pilot.component_id, "link.allow_components"),
+        ):
+            if allowed and own not in allowed:
+                return failed(f"{key} leaves out the autopilot's {own}.", f"Add {own} to {key}.")
+        if signing.key_file and not signing.accept_unsigned and not pilot.signed:
+            return failed(
+                "The autopilot does not sign its frames, and unsigned ones are refused.",
+                "Set up the same key in the autopilot (Mission Planner: Signing), or "
+                "signing.accept_unsigned = true.",
+            )
+        if pilot.signed and not signing.key_file:
+            return warning(
+                "The autopilot signs its frames, and so believes none of ours.",
+                "Set signing.key_file to a file with its key.",
+            )
+    return None
+
+
+def messages(evidence: Evidence) -> Finding:
+    """Judge which of the needed messages come at all, and what was answered to our requests."""
+    come = {name for name, state in evidence.messages.items() if state.count and _comes(state.rate)}
+    asked = {name: state for name, state in evidence.messages.items() if state.answer}
+    silent = [name for name, state in asked.items() if state.answer == "no answer"]
+    refused = {
+        name: state.answer
+        for name, state in asked.items()
+        if state.answer not in ("accepted", "no answer", "")
+    }
+    inertial = next((name for name in INERTIAL if name in come), None)
+    needed = [
+        inertial or "no inertial message",
+        "GPS_RAW_INT" if "GPS_RAW_INT" in come else "no GPS_RAW_INT",
+        next((name for name in NORTH if name in come), "no ATTITUDE"),
+        "SYSTEM_TIME" if "SYSTEM_TIME" in come else "no SYSTEM_TIME",
+    ]
+    saw = ", ".join(needed)
+    if refused:
+        saw += "; refused: " + ", ".join(f"{name} ({why})" for name, why in refused.items())
+    is_one_way = bool(asked) and len(silent) == len(asked)
+    return found(
+        Stage.MESSAGES,
+        saw,
+        [
+            _one_way(evidence) if is_one_way else None,
+            None if inertial else _no_inertial(evidence, refused),
+            None if "GPS_RAW_INT" in come else _no_gnss(evidence, come),
+            None
+            if come & {*NORTH, "HIGHRES_IMU", "RAW_IMU"}
+            else warning(
+                "No message tells where north is.",
+                "PX4: MAV_n_MODE = 2 (Onboard) has ATTITUDE. ArduPilot: SRn_EXTRA1 = 10.",
+            ),
+            None
+            if come & {"HIGHRES_IMU", "SCALED_PRESSURE"}
+            else warning(
+                "No message tells the pressure, so the height rests on GNSS alone.",
+                "ArduPilot: SRn_RAW_SENS = 10. PX4: MAV_n_MODE = 2 (Onboard).",
+            ),
+        ],
+    )
+
+
+def _comes(rate: float) -> bool:
+    return rate > 0.0
+
+
+def _one_way(evidence: Evidence) -> Trouble:
+    return failed(
+        "The autopilot answers none of our requests: what we send does not arrive.",
+        "Look at the wire from our TX to its RX, and at RTS and CTS: without them "
+        "SERn flow control off (PX4: MAV_n_FLOW_CTRL = 0, ArduPilot: BRD_SERn_RTSCTS = 0). Behind "
+        "a router, let this endpoint send to the autopilot.",
+    )
+
+
+def _no_inertial(evidence: Evidence, refused: dict[str, str]) -> Trouble:
+    family = evidence.peer.family if evidence.peer else "unknown"
+    if evidence.means is Means.LISTENING:
+        return failed(
+            "No inertial message comes by itself.",
+            "The daemon asks for it: examine without --listen.",
+        )
+    if family == "px4":
+        return failed(
+            "No inertial message comes"
+            + (f": HIGHRES_IMU was {refused['HIGHRES_IMU']}." if "HIGHRES_IMU" in refused else "."),
+            "Set MAV_n_MODE = 2 (Onboard) for this port and reboot; the mode Normal has no "
+            "HIGHRES_IMU by itself.",
+        )
+    return failed(
+        "No inertial message comes.",
+        "Set SRn_RAW_SENS = 50 (MAVn_RAW_SENS from 4.7 on) for this port, and BRD_SERn_RTSCTS = 0 "
+        "where no RTS and CTS are wired.",
+    )
+
+
+def _no_gnss(evidence: Evidence, come: set[str]) -> Trouble:
+    family = evidence.peer.family if evidence.peer else "unknown"
+    remedy = (
+        "Set GPS_1_CONFIG to the receiver's port, and MAV_n_MODE = 2 (Onboard) for this one."
+        if family == "px4"
+        else "Set GPS1_TYPE = 1 (GPS_TYPE before 4.6) for the receiver, and SRn_EXT_STAT = 10 "
+        "for this port."
+    )
+    if "GLOBAL_POSITION_INT" in come:
+        return warning(
+            "No GPS_RAW_INT comes: the autopilot's own estimate must stand in, which is no "
+            "independent measurement.",
+            remedy,
+        )
+    return failed("No GPS_RAW_INT comes: nothing tells where the vehicle is.", remedy)

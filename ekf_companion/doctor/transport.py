@@ -1,0 +1,208 @@
+"""Bytes come, they are frames, and rightly summed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ekf_companion.doctor.evidence import Evidence, Means
+from ekf_companion.doctor.finding import (
+    Finding,
+    Stage,
+    Trouble,
+    failed,
+    found,
+    warning,
+)
+
+_BAUD = 921600
+_PRINTABLE = 0.85
+"""Share of text among the bytes beyond which they are a console's; noise has 0.37."""
+_NOISE = 0.001
+_MUCH_NOISE = 0.2
+"""Shares of frames whose checksum is wrong."""
+PORT_MODE = (
+    "PX4: MAV_1_CONFIG = 102 (TELEM 2), MAV_1_MODE = 2 (Onboard), SER_TEL2_BAUD = 921600, then "
+    "reboot. ArduPilot: SERIALn_PROTOCOL = 2 (MAVLink 2), SERIALn_BAUD = 921, then reboot"
+)
+
+
+def bytes_(evidence: Evidence) -> Finding:
+    """Judge whether anything comes."""
+    opening, state = evidence.opening, evidence.link
+    if evidence.bytes_in:
+        rate = evidence.bytes_rate
+        share = _share_of_wire(evidence)
+        full = (
+            warning(
+                f"The wire is full: {rate / 1e3:.1f} kB/s of {opening.baud / 1e4:.1f}.",
+                f"Raise the baud rate at both ends to {_BAUD}, or lower link.imu_rate.",
+            )
+            if opening and share > 0.85
+            else None
+        )
+        slow = state is not None and state.dropped > 0
+        dropped = warning(
+            "This board was too slow to read all that came.",
+            "Stop what else uses the processor, or lower link.imu_rate.",
+        )
+        wire = f", {share:.0%} of the wire" if share else ""
+        return found(
+            Stage.BYTES,
+            f"{evidence.bytes_in} bytes, {rate / 1e3:.1f} kB/s{wire}",
+            [full, dropped if slow else None],
+        )
+    refused = sum(state.refused.values()) if state else 0
+    if refused:
+        reasons = ", ".join(
+            f"{why}: {count}" for why, count in (state.refused if state else {}).items()
+        )
+        trouble = failed(
+            f"Datagrams came, and were refused ({reasons}).",
+            'Set link.peer to who sends them, or to "".',
+        )
+        return found(Stage.BYTES, f"{refused} datagrams, none taken", [trouble])
+    return found(Stage.BYTES, f"none in {evidence.seconds:.0f} s", [_silence(evidence)])
+
+
+def _silence(evidence: Evidence) -> Trouble:
+    kind = evidence.opening.kind if evidence.opening else ""
+    url = evidence.opening.url if evidence.opening else ""
+    listening = (
+        " PX4 over USB begins only when it hears a heartbeat: leave out --listen."
+        if evidence.means is Means.LISTENING
+        else ""
+    )
+    if kind == "serial":
+        return failed(
+            "Nothing comes over the wire: TX and RX not crossed, no common ground, the "
+            "autopilot without power, or its port not set to MAVLink.",
+            f"Cross TX and RX, join the grounds; then {PORT_MODE}.{listening}",
+        )
+    if kind == "udpin":
+        port = url.rsplit(":", 1)[-1]
+        return failed(
+            "Nobody sends here: the sender has another address or port, or a firewall is between.",
+            f"Let the sender send to this board's address, port {port}: PX4's simulator sends to "
+            f"14540; mavlink-router needs an [UdpEndpoint] with Mode = Normal, Port = {port}; "
+            f"MAVProxy --out udpout:ADDRESS:{port}. Firewall: `sudo ufw allow {port}/udp`."
+            + listening,
+        )
+    if kind == "udpout":
+        return failed(
+            "Nobody answers there: no program listens at that port, or it is another host's.",
+            "Look at host and port in link.url. Where the autopilot sends by itself, listen "
+            f"instead: udpin:0.0.0.0:14540.{listening}",
+        )
+    return failed(
+        "The connection stands, and nothing comes through it.",
+        "Let what is behind it forward the autopilot to this endpoint; ArduPilot's simulator "
+        f"serves only one at 5760.{listening}",
+    )
+
+
+def _share_of_wire(evidence: Evidence) -> float:
+    """Give the share of a serial port's capacity (ten bits a byte) that is used; 0: not known."""
+    opening = evidence.opening
+    is_wire = opening is not None and opening.kind == "serial" and "ttyACM" not in opening.device
+    return evidence.bytes_rate * 10.0 / opening.baud if opening and is_wire else 0.0
+
+
+def frames(evidence: Evidence) -> Finding:
+    """Judge whether the bytes are MAVLink."""
+    counted = evidence.frames
+    saw = f"{counted.frames} frames"
+    if not counted.frames:
+        trouble = _no_frames(evidence)
+        return found(Stage.FRAMES, f"none in {evidence.bytes_in} bytes", [trouble])
+    if evidence.first_version:
+        saw += f", {evidence.first_version} of MAVLink 1"
+    if counted.unknown_id:
+        saw += f", {counted.unknown_id} of messages that are not known here"
+    only_first = evidence.first_version >= 0.99 * counted.frames
+    first = warning(
+        "MAVLink 1 is spoken here, which has no ODOMETRY and drops extension fields "
+        "such as GPS accuracies.",
+        "ArduPilot: SERIALn_PROTOCOL = 2 (MAVLink 2) for this port. PX4: MAV_PROTO_VER = 2.",
+    )
+    return found(Stage.FRAMES, saw, [first if only_first else None])
+
+
+def _no_frames(evidence: Evidence) -> Trouble:
+    sample = evidence.sample
+    serial = evidence.opening is not None and evidence.opening.kind == "serial"
+    text = sum(32 <= byte < 127 or byte in b"\r\n\t\x1b" for byte in sample)
+    if evidence.mismatched or evidence.frames.unknown_id or evidence.frames.incompatible:
+        return failed(
+            "There are MAVLink frames, and none that is known here: another dialect, or flags "
+            "that nobody knows.",
+            "Use an autopilot of the common or ardupilotmega dialect.",
+        )
+    if sample.startswith((b"$G", b"$P")) or b"\n$G" in sample:
+        return failed(
+            "This is NMEA: the wire leads to a GNSS receiver, or the port is set to NMEA.",
+            f"Take the autopilot's telemetry port. {PORT_MODE}.",
+        )
+    if b"\xb5\x62" in sample[:512]:
+        return failed(
+            "This is UBX: the wire leads to a u-blox receiver, not to the autopilot.",
+            "Take the autopilot's telemetry port in link.url.",
+        )
+    if sample and text > _PRINTABLE * len(sample):
+        words = sample.decode("ascii", "replace").split()
+        return failed(
+            f"This is text, a console's, not MAVLink: “{' '.join(words[:6])[:48]}”.",
+            f"Set the port to MAVLink. {PORT_MODE}. On a Raspberry Pi take the console off the "
+            "port: remove console=serial0,… from cmdline.txt.",
+        )
+    if serial and evidence.opening is not None:
+        return failed(
+            f"Bytes that are no MAVLink: most likely the baud rate is not {evidence.opening.baud}.",
+            "Try link.url with :57600, :115200, :460800 and :921600, or set the autopilot's: "
+            "SER_TEL2_BAUD = 921600 (PX4), SERIALn_BAUD = 921 (ArduPilot). Or " + PORT_MODE + ".",
+        )
+    return failed(
+        "Bytes that are no MAVLink: another program's stream arrives at this port.",
+        "Look at who sends to the port of link.url, and what.",
+    )
+
+
+def checksums(evidence: Evidence) -> Finding:
+    """Judge how many frames are damaged."""
+    counted = evidence.frames
+    if evidence.means is Means.RECORDING:
+        share = evidence.damaged / max(evidence.damaged + counted.frames, 1)
+        damage = warning(
+            "The recording is damaged in places.",
+            "Look at the link of whoever recorded it, and at the disk; what is whole is used.",
+        )
+        saw = f"{evidence.damaged} runs of damaged bytes among {counted.frames} frames"
+        return found(Stage.CHECKSUMS, saw, [damage if share > _NOISE else None])
+    bad = max(counted.bad_crc, sum(evidence.mismatched.values()))
+    share = bad / max(bad + counted.frames, 1)
+    saw = f"{share:.1%} wrong ({bad} of {bad + counted.frames})"
+    name = _foreign(evidence.mismatched, bad)
+    if name:
+        trouble = warning(
+            f"{name} always has a wrong checksum: the sender defines that message otherwise "
+            "(another dialect, or an older definition).",
+            f"Update the autopilot's firmware, or do without {name}.",
+        )
+        return found(Stage.CHECKSUMS, saw, [trouble])
+    remedy = (
+        "Shorten and shield the wire, join the grounds, keep it from power leads; connect RTS and "
+        "CTS, or lower the baud rate at both ends."
+        if evidence.opening is not None and evidence.opening.kind == "serial"
+        else "Look for two senders whose bytes are mixed at one port, or a radio at its limit."
+    )
+    if share > _MUCH_NOISE:
+        return found(
+            Stage.CHECKSUMS, saw, [failed("Most of what comes is damaged on its way.", remedy)]
+        )
+    noise = warning("Frames are damaged on their way.", remedy)
+    return found(Stage.CHECKSUMS, saw, [noise if share > _NOISE and bad > 2 else None])
+
+
+def _foreign(mismatched: Mapping[str, int], bad: int) -> str:
+    """Give the message that has nearly all the wrong checksums; empty: they are noise."""
+    name, count = max(mismatched.items(), key=lambda item: item[1], default=("", 0))
+    return name if count >= 5 and count > 0.8 * bad else ""

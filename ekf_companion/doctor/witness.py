@@ -1,0 +1,284 @@
+"""A companion at work, and everything that passes by it, counted. No socket and no clock."""
+
+from __future__ import annotations
+
+from ekf_companion.companion import Companion
+from ekf_companion.config import Config
+from ekf_companion.doctor.evidence import (
+    Evidence,
+    Means,
+    Opening,
+    Peer,
+    Sent,
+    frame_state,
+    time_state,
+)
+from ekf_companion.doctor.parameters import Reader, fusion
+from ekf_companion.doctor.tally import StampTally, Tally
+from ekf_companion.doctor.told import Told
+from ekf_companion.doctor.traffic import Traffic
+from ekf_companion.mavlink import encode
+from ekf_companion.mavlink.codec import pack, unpack
+from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
+from ekf_companion.mavlink.layout import IDS, LAYOUTS
+from ekf_companion.nav.measurements import Kind
+from ekf_companion.pipeline import Arrival, Health
+from ekf_companion.snapshot import LinkState, MessageState, OutputState
+
+_REQUEST_MESSAGE = 512
+_RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress")
+_IN_PROGRESS = 5
+_ODOMETRY, _COMMAND_LONG = IDS["ODOMETRY"], IDS["COMMAND_LONG"]
+_PARAM_REQUEST_READ = IDS["PARAM_REQUEST_READ"]
+_STAMPS = {
+    "HIGHRES_IMU": (8, 1),
+    "RAW_IMU": (8, 1),
+    "SCALED_IMU": (4, 1000),
+    "SCALED_IMU2": (4, 1000),
+    "SCALED_IMU3": (4, 1000),
+}
+"""Bytes of the stamp that an inertial message begins with, and its unit, us."""
+_PARAMETERS = 64
+"""More names of a recording's requests are not kept."""
+
+
+_FRAMES = 8
+"""More pairs of frames in ODOMETRY are not told apart."""
+
+
+class Witness:
+    """Runs a companion, and sees what it does not keep."""
+
+    def __init__(self, config: Config, means: Means) -> None:
+        self.companion = Companion(config)
+        self.reader = Reader()
+        self._config = config
+        self._means = means
+        self._splitter = Splitter()
+        self._traffic = Traffic()
+        self._told = Told()
+        self._tallies: dict[str, Tally] = {}
+        self._stamps: dict[str, StampTally] = {}
+        self._odometry = Tally()
+        self._odometry_frames: set[tuple[int, int]] = set()
+        self._found: tuple[int, int] | None = None
+        self._asking = ""
+        self._has_asked_version = False
+        self._bytes = self._withheld = self._last_ns = 0
+        self._first_ns: int | None = None
+
+    @property
+    def peer(self) -> tuple[int, int] | None:
+        """System and component id of the autopilot; None: not heard or lost."""
+        return self.companion.session.peer
+
+    @property
+    def _family(self) -> str:
+        return self.companion.session.decoder.family.value
+
+    # What goes in, and what comes out
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Take bytes that were read at a time of ours, or that a recording holds."""
+        if self._first_ns is None:
+            self._first_ns = now_ns
+        self._last_ns = now_ns
+        self._bytes += len(data)
+        self.companion.receive(data, now_ns)
+        self._found = self.peer or self._found
+        for frame in self._splitter.feed(data):
+            if frame.message_id == JUNK:
+                self._traffic.take_junk(frame.raw)
+            else:
+                self._traffic.take(frame)
+                self._take(frame, now_ns)
+
+    def tick(self, now_ns: int) -> None:
+        """Do what time brings: also ask for the version, and the parameters that decide."""
+        self.companion.tick(now_ns)
+        peer, session = self.peer, self.companion.session
+        if peer is None or self._means is not Means.LIVE:
+            return
+        self.reader.begin(self._family, now_ns)
+        payload = self.reader.request(*peer, now_ns)
+        if payload is not None:
+            session.send("PARAM_REQUEST_READ", payload, now_ns)
+        if not self._has_asked_version and not self._told.version:
+            self._has_asked_version = True
+            payload = pack(
+                "COMMAND_LONG",
+                target_system=peer[0],
+                target_component=peer[1],
+                command=_REQUEST_MESSAGE,
+                param1=float(IDS["AUTOPILOT_VERSION"]),
+            )
+            session.send("COMMAND_LONG", payload, now_ns)
+
+    def data_to_send(self, now_ns: int) -> list[bytes]:
+        """Give what is to be sent, one frame an item; ODOMETRY only where that is safe."""
+        waiting = self.companion.data_to_send()
+        if self._means is not Means.LIVE:
+            return []
+        out = []
+        splitter = Splitter()
+        for data in waiting:
+            for frame in splitter.feed(data):
+                if frame.message_id == _ODOMETRY and not self._may_stream():
+                    self._withheld += 1
+                    continue
+                self._take_ours(frame, now_ns)
+                out.append(data)
+        return out
+
+    def _may_stream(self) -> bool:
+        """Whether ODOMETRY may go out: never where the same fixes would count twice."""
+        odometry = self._config.output.odometry
+        if odometry.mode != "auto" or odometry.independent:
+            return odometry.mode != "never"
+        taken = fusion(self.reader.values, self._family)
+        return not taken.is_double if taken is not None else self._family == "unknown"
+
+    # What passes by
+
+    def _take(self, frame: Frame, now_ns: int) -> None:
+        sender = frame.system_id, frame.component_id
+        system_id = self._config.link.system_id or (self.peer or (1, 0))[0]
+        if self._means is not Means.LIVE and sender == (
+            system_id,
+            self._config.link.component_id,
+        ):
+            self._take_ours(frame, now_ns)
+        if sender != self.peer:
+            return
+        name = LAYOUTS[frame.message_id].name
+        self._tally(name).add(len(frame.raw), now_ns)
+        self._told.take(name, frame, now_ns)
+        if name in _STAMPS:
+            size, unit = _STAMPS[name]
+            stamp = int.from_bytes(frame.payload[:size], "little")
+            self._stamps.setdefault(name, StampTally(name)).add(stamp * unit)
+        elif name == "PARAM_VALUE":
+            m = unpack(frame)
+            parameter = m.param_id.decode("ascii", "replace")
+            self.reader.take(parameter, m.param_value, m.param_type, self._family)
+        elif name == "COMMAND_ACK":
+            m = unpack(frame)
+            if m.command == encode.SET_MESSAGE_INTERVAL and m.result != _IN_PROGRESS:
+                self._take_answer(m.result)
+
+    def _tally(self, name: str) -> Tally:
+        return self._tallies.setdefault(name, Tally())
+
+    def _take_answer(self, result: int) -> None:
+        """Note the answer to the request that is under way: there is one at a time."""
+        if self._asking:
+            tally, self._asking = self._tally(self._asking), ""
+            tally.answer = _RESULTS[result] if result < len(_RESULTS) else f"result {result}"
+            tally.restart()
+
+    def _take_ours(self, frame: Frame, now_ns: int) -> None:
+        """Count what we say: live as it leaves, in a recording as it stands there."""
+        if frame.message_id == _ODOMETRY:
+            self._odometry.add(len(frame.raw), now_ns)
+            odometry = unpack(frame)
+            if len(self._odometry_frames) < _FRAMES:
+                self._odometry_frames.add((odometry.frame_id, odometry.child_frame_id))
+        elif frame.message_id == _COMMAND_LONG:
+            command = unpack(frame)
+            layout = LAYOUTS.get(int(command.param1)) if 0.0 <= command.param1 < 2**24 else None
+            if command.command != encode.SET_MESSAGE_INTERVAL or layout is None:
+                return
+            tally = self._tally(layout.name)
+            tally.asked = 1e6 / command.param2 if command.param2 > 0.0 else 0.0
+            tally.answer = tally.answer or "no answer"
+            if self._asking != layout.name:
+                self._asking = layout.name
+                tally.restart()
+        elif frame.message_id == _PARAM_REQUEST_READ and len(self.reader.asked) < _PARAMETERS:
+            self.reader.asked.setdefault(unpack(frame).param_id.decode("ascii", "replace"), 1)
+
+    # What has been seen
+
+    def evidence(
+        self,
+        now_ns: int,
+        opening: Opening | None = None,
+        link: LinkState | None = None,
+        damaged: int = 0,
+    ) -> Evidence:
+        """Give everything, frozen, at a time of ours."""
+        pipeline, traffic = self.companion.pipeline, self._traffic
+        span = max(self._last_ns - (self._first_ns or 0), 1) * 1e-9
+        health = None if pipeline is None else pipeline.health()
+        return Evidence(
+            means=self._means,
+            seconds=span if self._first_ns is not None else 0.0,
+            config=self._config,
+            opening=opening,
+            link=link,
+            bytes_in=self._bytes,
+            sample=traffic.sample,
+            frames=frame_state(self.companion, traffic.signed),
+            damaged=damaged,
+            first_version=traffic.first_version,
+            mismatched=dict(traffic.mismatched),
+            sources=traffic.sources(),
+            peer=self._peer_state(health),
+            messages=self._messages(now_ns),
+            bytes_rate=self._bytes / span,
+            stream_requests=traffic.stream_requests,
+            refused=dict(self.companion.session.decoder.refused),
+            time=time_state(self.companion, now_ns, list(self._told.trips_ms)),
+            stamps=self._stamps_in_use().state(),
+            receiver=self._told.receiver,
+            estimator=health,
+            output=self._output(),
+            asked_parameters=frozenset(self.reader.asked),
+            sent=Sent(
+                count=self._odometry.count,
+                rate=self._odometry.rate(),
+                frames=frozenset(self._odometry_frames),
+            ),
+            feedback=self._told.feedback(),
+        )
+
+    def _messages(self, now_ns: int) -> dict[str, MessageState]:
+        is_live, results = self._means is not Means.RECORDING, self.companion.session.results
+        return {
+            name: MessageState(
+                count=tally.count,
+                rate=tally.rate(now_ns if is_live else None),
+                asked=tally.asked,
+                answer=(results.get(name, "") if self._means is Means.LIVE else "") or tally.answer,
+            )
+            for name, tally in self._tallies.items()
+        }
+
+    def _stamps_in_use(self) -> StampTally:
+        source = self.companion.session.decoder.imu_source
+        if source not in self._stamps and self._stamps:
+            source = max(self._stamps, key=lambda name: self._tally(name).count)
+        return self._stamps.get(source, StampTally(""))
+
+    def _output(self) -> OutputState:
+        return OutputState(
+            mode=self._config.output.odometry.mode,
+            is_streaming=self._odometry.count > 0,
+            reason="",
+            remedy="",
+            parameters=dict(self.reader.values),
+            sent={"ODOMETRY": self._odometry.count},
+            withheld=self._withheld,
+        )
+
+    def _peer_state(self, health: Health | None) -> Peer | None:
+        if self._found is None or health is None:
+            return None
+        return Peer(
+            system_id=self._found[0],
+            component_id=self._found[1],
+            family=self._family,
+            version=self._told.version,
+            is_heard=self.peer is not None,
+            reboots=health.arrivals[Kind.RESTART][Arrival.RESTARTED],
+        )

@@ -1,0 +1,126 @@
+"""A fake autopilot and a doctor, face to face without a socket: what ails it is put in between."""
+
+from ekf_companion.config import Config
+from ekf_companion.doctor.diagnosis import diagnose
+from ekf_companion.doctor.evidence import Means, Opening
+from ekf_companion.doctor.finding import Stage
+from ekf_companion.doctor.witness import Witness
+from ekf_companion.mavlink.codec import Sender, unpack
+from ekf_companion.mavlink.encode import SET_MESSAGE_INTERVAL
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.mavlink.layout import IDS, LAYOUTS
+from sim_autopilot.autopilot import Autopilot, Kind
+from sim_autopilot.config import GnssConfig, ImuConfig, SimConfig
+from sim_autopilot.flight import Flight
+
+LINK_MS = 1_000_000
+"""Each way, ns."""
+UDP = Opening(url="udpin:0.0.0.0:14540", kind="udpin")
+
+
+def simulated(rate=100.0, **options):
+    return SimConfig(imu=ImuConfig(rate=rate), gnss=GnssConfig(rate=5.0), **options)
+
+
+def examine(
+    sim=None,
+    kind=Kind.PX4,
+    *,
+    config=None,
+    means=Means.LIVE,
+    seconds=8.0,
+    scenario="hover",
+    change=None,
+    hears=lambda name, fields: True,
+    aside=lambda t_ns: (),
+):
+    """Give the evidence of a conversation.
+
+    Args:
+        change: Takes the name and fields (a dict) of what the autopilot sends, and gives name and
+            fields, changed, or None: it is lost.
+        hears: Whether the autopilot hears a message of ours, by its name and fields.
+        aside: Further frames that somebody else sends, at each turn.
+    """
+    sim = sim or simulated()
+    config = config or Config()
+    autopilot = Autopilot(sim, kind)
+    witness = Witness(config, means)
+    wire, sender = Splitter(), Sender(sim.system_id, 1)
+    ours = Splitter()
+    now_ns = 0
+    for cycle in Flight.plan(scenario, sim, duration=seconds).cycles():
+        now_ns = cycle.t_ns
+        autopilot.cycle(cycle)
+        data = b"".join(autopilot.data_to_send())
+        if change is not None:
+            data = b"".join(changed(wire.feed(data), change, sender))
+        data += b"".join(aside(now_ns))
+        if data:
+            witness.receive(data, now_ns + LINK_MS)
+        witness.tick(now_ns + LINK_MS)
+        for frame in ours.feed(b"".join(witness.data_to_send(now_ns + LINK_MS))):
+            if hears(LAYOUTS[frame.message_id].name, unpack(frame)):
+                autopilot.receive(frame.raw, now_ns + 2 * LINK_MS)
+    return witness.evidence(now_ns + 2 * LINK_MS, UDP if means is not Means.RECORDING else None)
+
+
+def changed(frames, change, sender):
+    """Give frames anew, each as ``change`` leaves it; the numbers count what was lost too."""
+    for frame in frames:
+        said = change(LAYOUTS[frame.message_id].name, unpack(frame)._asdict())
+        if said is None:
+            sender.sequence = (sender.sequence + 1) & 0xFF
+        elif isinstance(said, bytes):
+            yield said
+        else:
+            yield sender.message(said[0], **said[1])
+
+
+def without(*names):
+    """Give a change that loses these messages, and leaves no gap in the numbers."""
+    return lambda name, fields: b"" if name in names else (name, fields)
+
+
+def with_fields(message, **values):
+    """Give a change that sets fields of one message; a function makes a value of the old one."""
+
+    def change(name, fields):
+        if name == message:
+            for field, value in values.items():
+                fields[field] = value(fields[field]) if callable(value) else value
+        return name, fields
+
+    return change
+
+
+def thinned(**kept):
+    """Give a change that lets one in so many of a message through, leaving no gap."""
+    seen = dict.fromkeys(kept, 0)
+
+    def change(name, fields):
+        if name in kept:
+            seen[name] += 1
+            if seen[name] % kept[name]:
+                return b""
+        return name, fields
+
+    return change
+
+
+def is_request(name, fields):
+    """Whether a message of ours asks for a stream."""
+    return name == "COMMAND_LONG" and fields.command == SET_MESSAGE_INTERVAL
+
+
+def stage(evidence, which):
+    """Give the finding of one stage."""
+    return next(finding for finding in diagnose(evidence) if finding.stage is Stage(which))
+
+
+def words(finding):
+    """Give all that a finding says."""
+    return " ".join([finding.saw, *(f"{t.cause} {t.remedy}" for t in finding.troubles)])
+
+
+HEARTBEAT = IDS["HEARTBEAT"]

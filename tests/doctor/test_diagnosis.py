@@ -1,0 +1,236 @@
+"""Judgements by tables: a link without trouble, and one number of it changed."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from ekf_companion.config import Config, LinkConfig
+from ekf_companion.doctor.diagnosis import diagnose
+from ekf_companion.doctor.evidence import Evidence, Feedback, Sent, Stamps
+from ekf_companion.doctor.finding import Mark, Stage
+from ekf_companion.doctor.report import lines
+from ekf_companion.doctor.tally import StampTally, Tally
+from ekf_companion.nav.state import Status
+from ekf_companion.pipeline import Aid, Verdict
+from sim_autopilot.autopilot import Kind
+from tests.doctor.patients import examine, simulated, stage, words
+
+SECOND = 1_000_000_000
+OURS_ALONE = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0}
+CONFIG = Config(link=LinkConfig(imu_rate=100.0))
+
+
+@pytest.fixture(scope="module")
+def well():
+    evidence = examine(simulated(parameters=OURS_ALONE), config=CONFIG, seconds=8.0)
+    assert {finding.mark for finding in diagnose(evidence)} == {Mark.OK}
+    return evidence
+
+
+@pytest.fixture(scope="module")
+def arducopter():
+    ours = {f"EK3_SRC1_{part}": 6 for part in ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")}
+    sim = simulated(parameters={"VISO_TYPE": 1, **ours})
+    evidence = examine(sim, Kind.ARDUPILOT, config=CONFIG, seconds=8.0)
+    assert {finding.mark for finding in diagnose(evidence)} == {Mark.OK}
+    return evidence
+
+
+def with_health(evidence, **options):
+    return replace(evidence, estimator=replace(evidence.estimator, **options))
+
+
+def with_verdicts(evidence, aid, **counts):
+    verdicts = {a: dict(v) for a, v in evidence.estimator.verdicts.items()}
+    verdicts[aid] |= {Verdict[name]: count for name, count in counts.items()}
+    return with_health(evidence, verdicts=verdicts)
+
+
+@pytest.mark.parametrize(
+    ("status", "mark", "said"),
+    [
+        (Status.OK, Mark.OK, "ok, position to"),
+        (Status.DEGRADED, Mark.WARNING, "one aid is silent or refused"),
+        (Status.DEAD_RECKONING, Mark.FAILED, "the position drifts"),
+        (Status.INVALID, Mark.FAILED, "the position drifts"),
+        (Status.ATTITUDE, Mark.FAILED, "North is not found"),
+    ],
+)
+def test_the_estimate_is_as_good_as_its_status(well, status, mark, said):
+    found = stage(with_health(well, status=status), "estimate")
+    assert found.mark is mark
+    assert said in words(found)
+
+
+def test_what_an_estimate_waits_for_is_named(well):
+    none = {aid: dict.fromkeys(Verdict, 0) for aid in Aid}
+    waiting = with_health(well, status=Status.ALIGNING, verdicts=none)
+    assert "no position is, for no fix has come" in words(stage(waiting, "estimate"))
+    empty = with_health(well, status=Status.INIT, verdicts=none, samples=0)
+    assert "No inertial sample" in words(stage(empty, "estimate"))
+    moving = with_verdicts(
+        with_verdicts(waiting, Aid.POSITION, UNALIGNED=30), Aid.HEADING, UNALIGNED=30
+    )
+    assert "align.time" in words(stage(moving, "estimate"))
+
+
+@pytest.mark.parametrize("aid", [aid for aid in Aid if aid is not Aid.REST])
+def test_an_aid_that_is_refused_or_scatters_is_a_warning(well, aid):
+    refused = stage(with_verdicts(well, aid, FUSED=80, GATED=20), "estimate")
+    assert refused.mark is Mark.WARNING
+    assert "contradict the estimate" in words(refused)
+    enough = with_verdicts(well, aid, FUSED=80, GATED=0)
+    wild = with_health(enough, nis={**well.estimator.nis, aid: 9.0})
+    assert "scatters 3.0 times as much" in words(stage(wild, "estimate"))
+
+
+def test_a_reset_is_told_with_its_reason(well):
+    jumped = with_health(well, resets=2, reset_reason="heading against the motion")
+    found = stage(jumped, "estimate")
+    assert found.mark is Mark.WARNING
+    assert "CAL_MAG0_ROT" in words(found)
+
+
+def test_a_disturbed_field_is_a_warning(well):
+    found = stage(with_verdicts(well, Aid.HEADING, FUSED=50, DISTURBED=50), "values")
+    assert found.mark is Mark.WARNING
+    assert "heading.hard_iron" in words(found)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "said"),
+    [
+        (Stamps(message="HIGHRES_IMU", count=100, zero=90), "holds no time"),
+        (Stamps(message="HIGHRES_IMU", count=100, backward=5), "go back"),
+        (Stamps(message="SCALED_IMU", count=100, is_whole_ms=True), "whole milliseconds"),
+    ],
+)
+def test_strange_stamps_are_named(well, stamps, said):
+    assert said in words(stage(replace(well, stamps=stamps), "time"))
+
+
+def test_a_clock_that_drifts_and_a_slow_timesync_are_named(well):
+    fast = replace(well, time=replace(well.time, skew_ppm=400.0))
+    assert "+400 ppm against ours" in words(stage(fast, "time"))
+    refused = {"round trip too long": 60}
+    state = replace(well.time, is_locked=False, refused=refused, rtt_p50_ms=40.0)
+    found = stage(replace(well, time=state), "time")
+    assert "timesync.largest_rtt = 0.08" in words(found)
+
+
+def with_parameter(evidence, name, value):
+    parameters = {**evidence.output.parameters, name: value}
+    return replace(evidence, output=replace(evidence.output, parameters=parameters))
+
+
+def test_a_quality_that_ours_does_not_reach_is_named(well, arducopter):
+    assert "Set EKF2_EV_QMIN = 1" in words(stage(with_parameter(well, "EKF2_EV_QMIN", 60), "fused"))
+    strict = with_parameter(arducopter, "VISO_QUAL_MIN", 80)
+    assert "Set VISO_QUAL_MIN = 1" in words(stage(strict, "fused"))
+    assert stage(with_parameter(well, "EKF2_EV_QMIN", 1), "fused").mark is Mark.OK
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("EKF2_HGT_REF", 1, "add 2 to EKF2_GPS_CTRL"),
+        ("EKF2_HGT_REF", 0, ""),
+        ("EKF2_HGT_REF", 3, ""),
+        ("EKF2_EV_DELAY", 175, "Set EKF2_EV_DELAY = 0"),
+        ("EKF2_EV_DELAY", 5, ""),
+    ],
+)
+def test_parameters_that_spoil_the_fusion_are_named(well, name, value, said):
+    found = stage(with_parameter(well, name, value), "fused")
+    assert found.mark is (Mark.WARNING if said else Mark.OK)
+    assert said in words(found)
+
+
+@pytest.mark.parametrize(
+    ("feedback", "said"),
+    [
+        (Feedback(worst_ratio=1.4), "test ratio 1.4"),
+        (Feedback(flags=1024, worst_ratio=0.1), "has not started yet"),
+        (Feedback(flags=128 | 1, worst_ratio=0.1), "holds its position fixed"),
+    ],
+)
+def test_an_autopilot_that_takes_nothing_in_the_end_says_so(arducopter, feedback, said):
+    found = stage(replace(arducopter, feedback=feedback), "fused")
+    assert found.mark is Mark.WARNING
+    assert said in words(found)
+
+
+def test_an_autopilot_that_fuses_is_well(arducopter):
+    fusing = replace(arducopter, feedback=Feedback(flags=831, worst_ratio=0.1))
+    assert stage(fusing, "fused").mark is Mark.OK
+
+
+def test_odometry_that_is_rare_or_unwanted_is_judged_by_the_configuration(well):
+    rare = replace(well, sent=Sent(count=30, rate=4.0, frames=frozenset({(20, 12)})))
+    assert "output.odometry.rate = 30" in words(stage(rare, "sent"))
+    never = replace(well, sent=Sent(), output=replace(well.output, mode="never"))
+    assert stage(never, "sent").mark is Mark.OK
+    silent = replace(well, sent=Sent())
+    assert stage(silent, "sent").mark is Mark.FAILED
+
+
+def test_a_heartbeat_that_has_stopped_ends_the_way(well):
+    lost = replace(well, peer=replace(well.peer, is_heard=False))
+    assert stage(lost, "source").mark is Mark.FAILED
+    assert stage(lost, "rates").mark is Mark.UNKNOWN
+
+
+def test_warnings_of_the_estimate_are_left_out_where_an_earlier_stage_fails(well):
+    jumped = with_health(well, resets=2, reset_reason="inertial gap")
+    assert any("inertial gap" in line and line.startswith("estimate:") for _, line in told(jumped))
+    slow = replace(jumped, messages={**well.messages, "HIGHRES_IMU": replace(_imu(well), rate=5.0)})
+    assert any(line.startswith("rates: HIGHRES_IMU comes at 5.0 Hz") for _, line in told(slow))
+    assert not any(line.startswith("estimate:") for _, line in told(slow))
+
+
+def told(evidence):
+    return lines(diagnose(evidence))
+
+
+def _imu(evidence):
+    return evidence.messages["HIGHRES_IMU"]
+
+
+def test_every_stage_has_its_finding_in_order_whatever_is_lacking():
+    assert [finding.stage for finding in diagnose(Evidence())] == list(Stage)
+
+
+# Counting
+
+
+def test_a_rate_is_measured_while_it_comes_and_anew_when_it_was_set():
+    tally = Tally()
+    for k in range(11):
+        tally.add(50, k * SECOND // 10)
+    assert tally.rate() == pytest.approx(10.0)
+    tally.restart()
+    for k in range(51):
+        tally.add(50, 20 * SECOND + k * SECOND // 50)
+    assert tally.rate() == pytest.approx(50.0)
+    assert tally.rate(40 * SECOND) == 0.0
+    assert tally.count == 62
+
+
+def test_a_pause_counts_for_no_rate():
+    tally = Tally()
+    for start in (0, 100):
+        for k in range(21):
+            tally.add(50, start * SECOND + k * SECOND // 10)
+    assert tally.rate() == pytest.approx(10.0)
+
+
+def test_stamps_are_counted_by_what_is_strange():
+    tally = StampTally("RAW_IMU")
+    for stamp in (0, 1000, 3000, 3000, 2000, 4000, 6000, 90_000):
+        tally.add(stamp)
+    expected = Stamps(
+        message="RAW_IMU", count=8, repeated=1, backward=1, gaps=1, zero=1, is_whole_ms=True
+    )
+    assert tally.state() == expected
+    assert math.isnan(Evidence().time.offset_s)

@@ -1,0 +1,388 @@
+"""Each fault, as the fake autopilot or the way between has it: which stage is named, and what."""
+
+from dataclasses import replace
+
+import pytest
+
+from ekf_companion.config import Config, LinkConfig, OdometryConfig, OutputConfig, SigningConfig
+from ekf_companion.doctor.diagnosis import diagnose, first_failure
+from ekf_companion.doctor.evidence import Means
+from ekf_companion.doctor.finding import Mark
+from ekf_companion.mavlink.codec import Sender
+from sim_autopilot.autopilot import Kind
+from sim_autopilot.config import StreamConfig
+from tests.doctor.patients import (
+    examine,
+    is_request,
+    simulated,
+    stage,
+    thinned,
+    with_fields,
+    without,
+    words,
+)
+
+SLOW = Config(link=LinkConfig(imu_rate=100.0))
+
+
+def marks(evidence):
+    return {finding.stage.value: finding.mark.value for finding in diagnose(evidence)}
+
+
+def link(**options):
+    return Config(link=LinkConfig(imu_rate=100.0, **options))
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_where_nothing_is_wrong_nothing_is_found(kind):
+    evidence = examine(kind=kind, config=SLOW)
+    assert [f for f in diagnose(evidence) if f.mark is not Mark.OK] == []
+    assert evidence.sent.frames == {(20, 12)}
+    assert evidence.sent.rate == pytest.approx(30.0, rel=0.1)
+    assert "takes nothing of ours" in stage(evidence, "fused").saw
+
+
+def test_who_only_listens_sends_nothing_and_says_so():
+    evidence = examine(config=SLOW, means=Means.LISTENING, hears=pytest.fail)
+    found = marks(evidence)
+    assert set(found.values()) == {"ok", "unknown"}
+    assert (found["sent"], found["fused"]) == ("unknown", "unknown")
+    assert all(state.asked == 0.0 for state in evidence.messages.values())
+
+
+# Whose frames
+
+
+def others(system_id, component_id, **heartbeat):
+    """Give one who sends a heartbeat at each turn."""
+    sender = Sender(system_id, component_id)
+    return lambda t_ns: [sender.message("HEARTBEAT", **heartbeat)]
+
+
+def test_a_ground_station_alone_is_no_autopilot():
+    ground = others(255, 190, type=6, autopilot=8)
+    evidence = examine(change=lambda *_: b"", aside=ground, seconds=2.0)
+    found = first_failure(diagnose(evidence))
+    assert found.stage.value == "source"
+    assert found.saw == "255/190 ground station"
+    assert "Only a ground station speaks here" in words(found)
+    assert marks(evidence)["messages"] == "unknown"
+
+
+def test_frames_without_a_heartbeat_are_nobodys():
+    found = stage(examine(change=without("HEARTBEAT"), seconds=2.0), "source")
+    assert found.mark is Mark.FAILED
+    assert "AllowMsgIdOut" in words(found)
+
+
+def test_several_autopilots_want_a_choice():
+    """Rule 1."""
+    second = others(2, 1, type=2, autopilot=3)
+    found = stage(examine(config=SLOW, aside=second, seconds=3.0), "source")
+    assert found.mark is Mark.WARNING
+    assert "Set link.autopilot = 1" in words(found)
+    chosen = examine(config=link(autopilot=1), aside=second, seconds=3.0)
+    assert stage(chosen, "source").mark is Mark.OK
+
+
+def test_an_autopilot_that_is_not_the_one_named_is_not_heard():
+    found = stage(examine(config=link(autopilot=9), seconds=2.0), "source")
+    assert found.mark is Mark.FAILED
+    assert "link.autopilot = 1" in words(found)
+
+
+def test_another_with_our_ids_is_a_clash():
+    """Rule 4."""
+    twin = others(1, 194, type=18, autopilot=8)
+    found = stage(examine(config=SLOW, aside=twin, seconds=3.0), "source")
+    assert found.mark is Mark.FAILED
+    assert "link.component_id" in words(found)
+
+
+@pytest.mark.parametrize(
+    ("config", "remedy"),
+    [
+        (link(allow_systems=(7,)), "Add 1 to link.allow_systems"),
+        (link(allow_components=(190, 191)), "Add 1 to link.allow_components"),
+        (replace(SLOW, signing=SigningConfig(key_file="key")), "signing.accept_unsigned"),
+    ],
+)
+def test_an_autopilot_that_is_refused_is_named_with_the_key_that_refuses_it(config, remedy):
+    evidence = replace(examine(config=SLOW, seconds=2.0), config=config)
+    assert remedy in words(stage(evidence, "source"))
+    assert first_failure(diagnose(evidence)).stage.value == "source"
+
+
+# Which messages
+
+
+def test_who_only_listens_is_told_that_the_daemon_would_ask():
+    quiet = examine(simulated(streams=StreamConfig(HIGHRES_IMU=0.0)), means=Means.LISTENING)
+    assert "examine without --listen" in words(stage(quiet, "messages"))
+    slow = examine(change=thinned(HIGHRES_IMU=2), means=Means.LISTENING, seconds=3.0)
+    assert "examine without --listen" in words(stage(slow, "rates"))
+
+
+def test_no_inertial_message_ends_the_way():
+    streams = StreamConfig(HIGHRES_IMU=0.0)
+    evidence = examine(simulated(streams=streams), hears=lambda *message: not is_request(*message))
+    found = first_failure(diagnose(evidence))
+    assert found.stage.value == "messages"
+    assert "no inertial message" in found.saw
+    assert "answers none of our requests" in found.troubles[0].cause
+
+
+def test_no_gnss_message_is_named_before_the_estimate_that_lacks_it():
+    change = without("GPS_RAW_INT", "GLOBAL_POSITION_INT")
+    evidence = examine(config=SLOW, change=change, seconds=5.0)
+    assert first_failure(diagnose(evidence)).stage.value == "messages"
+    assert "GPS_1_CONFIG" in words(stage(evidence, "messages"))
+    assert marks(evidence)["estimate"] == "failed"
+
+
+def test_only_a_derived_position_is_a_warning():
+    evidence = examine(config=SLOW, change=without("GPS_RAW_INT"), seconds=5.0)
+    found = stage(evidence, "messages")
+    assert found.mark is Mark.WARNING
+    assert "no independent measurement" in words(found)
+
+
+# How often
+
+
+def at_4_hz(autopilot_rate=100):
+    """Every stream at 4 Hz, whatever was asked."""
+    return thinned(
+        HIGHRES_IMU=autopilot_rate // 4,
+        ATTITUDE=autopilot_rate // 40,  # 10 Hz were asked
+        GLOBAL_POSITION_INT=1,
+        GPS_RAW_INT=1,
+    )
+
+
+def test_all_streams_at_4_hz_are_a_ground_stations():
+    """Rule 6."""
+    found = stage(examine(kind=Kind.ARDUPILOT, config=SLOW, change=at_4_hz()), "rates")
+    assert found.mark is Mark.FAILED
+    assert "a ground station sets them" in words(found)
+    assert "SERIALn_OPTIONS + 4096" in words(found)
+
+
+def test_40_hz_is_the_most_of_a_loop_of_50():
+    sim = simulated(rate=40.0, parameters={"SCHED_LOOP_RATE": 50})
+    found = stage(examine(sim, Kind.ARDUPILOT, config=SLOW), "rates")
+    assert found.mark is Mark.WARNING
+    assert "0.8 of SCHED_LOOP_RATE = 50" in words(found)
+    assert "SCHED_LOOP_RATE = 150" in words(found)
+
+
+def test_a_whole_division_of_px4s_is_as_it_should_be():
+    sim = simulated(rate=250.0, parameters={"IMU_INTEG_RATE": 250})
+    config = Config(link=LinkConfig(imu_rate=200.0))
+    evidence = examine(sim, config=config, change=thinned(HIGHRES_IMU=2), seconds=4.0)
+    found = stage(evidence, "rates")
+    assert found.mark is Mark.OK
+    assert "125 Hz of 200 asked" in found.saw
+    assert "PX4 divides its rate by whole numbers" in found.saw
+
+
+def test_streams_scaled_by_one_factor_are_the_links_budget():
+    sim = simulated(parameters={"MAV_0_RATE": 1200})
+    scaled = thinned(
+        HIGHRES_IMU=3, ATTITUDE=3, GLOBAL_POSITION_INT=3, EXTENDED_SYS_STATE=3, SYSTEM_TIME=3
+    )
+    config = Config(link=LinkConfig(imu_rate=100.0, heading_rate=20.0))
+    found = stage(examine(sim, config=config, change=scaled), "rates")
+    assert found.mark is Mark.WARNING
+    assert "the link's budget is spent" in words(found)
+    assert "MAV_0_RATE = 1200 now" in words(found)
+
+
+def test_few_fixes_are_a_warning():
+    evidence = examine(config=SLOW, change=thinned(GPS_RAW_INT=5))
+    assert "GPS1_RATE_MS = 200" in words(stage(evidence, "rates"))
+
+
+def test_lost_frames_are_counted_by_their_numbers():
+    seen = iter(range(10**6))
+    evidence = examine(
+        config=SLOW, change=lambda *said: None if next(seen) % 12 == 0 else said, seconds=4.0
+    )
+    found = stage(evidence, "rates")
+    assert found.mark is Mark.WARNING
+    assert "8% of the autopilot's frames never arrive" in words(found)
+
+
+# What time
+
+
+def test_a_fix_on_another_clock_needs_system_time():
+    unix = with_fields("GPS_RAW_INT", time_usec=lambda t: t + 1_780_000_000_000_000)
+
+    def change(name, fields):
+        return b"" if name == "SYSTEM_TIME" else unix(name, fields)
+
+    evidence = examine(config=SLOW, change=change, seconds=6.0)
+    found = first_failure(diagnose(evidence))
+    assert found.stage.value == "time"
+    assert "no SYSTEM_TIME comes" in words(found)
+
+
+def test_a_reboot_is_told():
+    """Rule 12."""
+    turns = iter(range(10**6))
+
+    def change(name, fields):
+        if name == "HIGHRES_IMU":
+            fields["time_usec"] -= 15_000_000 if next(turns) > 300 else 0
+        return name, fields
+
+    found = stage(examine(config=SLOW, change=change, seconds=5.0), "time")
+    assert "it rebooted" in words(found)
+
+
+def test_repeated_stamps_are_two_paths():
+    def change(name, fields):
+        if name == "HIGHRES_IMU":
+            fields["time_usec"] = fields["time_usec"] // 20_000 * 20_000
+        return name, fields
+
+    found = stage(examine(config=SLOW, change=change, seconds=3.0), "time")
+    assert found.mark is Mark.WARNING
+    assert "Let only one router endpoint lead here" in words(found)
+
+
+def test_an_unanswered_timesync_is_a_warning():
+    evidence = examine(config=SLOW, change=without("TIMESYNC"))
+    found = stage(evidence, "time")
+    assert found.mark is Mark.WARNING
+    assert "does not answer TIMESYNC" in words(found)
+
+
+# Which values
+
+
+def test_a_field_a_million_times_too_large_is_named_and_used():
+    """Rule 9."""
+    million = with_fields("HIGHRES_IMU", **dict.fromkeys(("xmag", "ymag", "zmag"), _million))
+    evidence = examine(kind=Kind.ARDUPILOT, config=SLOW, change=million)
+    found = stage(evidence, "values")
+    assert found.mark is Mark.WARNING
+    assert "a million times too large" in words(found)
+    assert marks(evidence)["estimate"] == "ok"
+
+
+def _million(value):
+    return value * 1e6
+
+
+def test_a_field_that_is_not_the_earths_is_named():
+    weak = with_fields("HIGHRES_IMU", xmag=lambda v: v * 0.05, ymag=0.01, zmag=0.01)
+    found = stage(examine(config=SLOW, change=weak, seconds=4.0), "values")
+    assert "weaker or stronger than the Earth's" in words(found)
+
+
+def test_no_fix_is_named():
+    """Rule 13."""
+    no_fix = with_fields("GPS_RAW_INT", fix_type=1, satellites_visible=3)
+    evidence = examine(config=SLOW, change=no_fix, seconds=5.0)
+    found = first_failure(diagnose(evidence))
+    assert found.stage.value == "values"
+    assert "The receiver has no 3-D fix (3 satellites)" in words(found)
+
+
+def test_a_fix_that_never_changes_is_named():
+    """Rule 13."""
+    still = with_fields("GPS_RAW_INT", time_usec=20_500_000)
+    found = first_failure(diagnose(examine(config=SLOW, change=still)))
+    assert found.stage.value == "values"
+    assert "The same fix comes again and again" in words(found)
+
+
+def test_a_fix_without_time_or_accuracy_is_a_warning():
+    """Rule 13."""
+    poor = with_fields("GPS_RAW_INT", time_usec=0, h_acc=0)
+    found = stage(examine(config=SLOW, change=poor, seconds=5.0), "values")
+    assert found.mark is Mark.WARNING
+    assert "hold no time" in words(found)
+    assert "tells no accuracy" in words(found)
+
+
+def test_stale_inertial_values_are_refused_by_their_bits():
+    """Rule 8."""
+    stale = with_fields("HIGHRES_IMU", fields_updated=0x1FC0)
+    found = stage(examine(config=SLOW, change=stale, seconds=3.0), "values")
+    assert found.mark is Mark.FAILED
+    assert "fields_updated" in words(found)
+
+
+# What becomes of it
+
+
+DOUBLE = {
+    Kind.PX4: {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 7},
+    Kind.ARDUPILOT: {"VISO_TYPE": 1, "EK3_SRC1_POSXY": 6, "EK3_SRC1_VELXY": 3},
+}
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_no_odometry_goes_where_the_same_fixes_would_count_twice(kind):
+    """Rule 25."""
+    evidence = examine(
+        simulated(parameters=DOUBLE[kind]),
+        kind,
+        config=SLOW,
+        seconds=5.0,
+        hears=lambda name, _: name != "ODOMETRY" or pytest.fail("ODOMETRY was sent"),
+    )
+    found = marks(evidence)
+    assert (found["sent"], found["fused"]) == ("failed", "unknown")
+    assert "would count the same GNSS twice" in words(stage(evidence, "sent"))
+    assert list(DOUBLE[kind])[-1] in words(stage(evidence, "fused"))
+
+
+def test_what_is_always_sent_and_counted_twice_fails():
+    config = replace(SLOW, output=OutputConfig(odometry=OdometryConfig(mode="always")))
+    sim = simulated(parameters=DOUBLE[Kind.PX4])
+    found = first_failure(diagnose(examine(sim, config=config, seconds=5.0)))
+    assert found.stage.value == "fused"
+    assert "EKF2_GPS_CTRL = 0" in words(found)
+
+
+def test_where_ours_alone_counts_all_is_well():
+    sim = simulated(parameters={"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0})
+    evidence = examine(sim, config=SLOW)
+    assert marks(evidence)["fused"] == "ok"
+    assert stage(evidence, "fused").saw == "takes ours (EKF2_EV_CTRL = 15)"
+    assert evidence.sent.count > 50
+
+
+def test_an_autopilot_that_tells_no_parameter_gets_no_odometry():
+    evidence = examine(
+        config=SLOW, seconds=6.0, hears=lambda name, _: name not in ("PARAM_REQUEST_READ",)
+    )
+    assert evidence.sent.count == 0
+    assert "does not say what it would do" in words(stage(evidence, "sent"))
+    assert marks(evidence)["fused"] == "unknown"
+
+
+def test_ardupilot_leaves_any_frame_but_one():
+    """Rule 19."""
+    config = replace(SLOW, output=OutputConfig(odometry=OdometryConfig(frame="LOCAL_NED")))
+    found = first_failure(diagnose(examine(kind=Kind.ARDUPILOT, config=config)))
+    assert found.stage.value == "sent"
+    assert "output.odometry.frame = LOCAL_FRD" in words(found)
+
+
+def test_a_refusal_spoken_aloud_is_heard():
+    """Rule 24."""
+    sender = Sender(1, 1)
+    text = b"ODOMETRY: estimator_type 5 unsupported"
+    evidence = examine(
+        config=SLOW,
+        seconds=5.0,
+        aside=lambda t_ns: [sender.message("STATUSTEXT", severity=2, text=text)],
+    )
+    found = stage(evidence, "fused")
+    assert found.mark is Mark.FAILED
+    assert "output.odometry.estimator_type = auto" in words(found)

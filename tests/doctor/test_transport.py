@@ -1,0 +1,169 @@
+"""The first stages, of links that do not open and of bytes that are no MAVLink."""
+
+import errno
+import random
+from dataclasses import replace
+
+import pytest
+from fastcrc import crc16
+from pymavlink.dialects.v10 import ardupilotmega as first
+
+from ekf_companion.config import Config
+from ekf_companion.doctor.diagnosis import diagnose, first_failure
+from ekf_companion.doctor.evidence import Evidence, Holder, Means, Opening
+from ekf_companion.doctor.finding import Mark, Stage
+from ekf_companion.doctor.report import lines
+from ekf_companion.doctor.witness import Witness
+from ekf_companion.mavlink.codec import Sender
+from ekf_companion.snapshot import LinkState
+from tests.doctor.patients import UDP, examine, stage, words
+
+TTY = Opening(url="serial:/dev/ttyS7:57600", kind="serial", device="/dev/ttyS7", baud=57600)
+OURS = Holder(pid=7, name="ekf-companion", unit="ekf-companion.service", is_daemon=True)
+SECOND = 1_000_000_000
+
+
+def taken(data, opening=TTY):
+    """Give the evidence of bytes alone."""
+    witness = Witness(Config(), Means.LIVE)
+    for start in range(0, len(data), 64):
+        witness.receive(data[start : start + 64], start * 1_000_000)
+    return witness.evidence(5 * SECOND, opening)
+
+
+@pytest.mark.parametrize(
+    ("opening", "number", "options", "said"),
+    [
+        (TTY, errno.ENOENT, {}, "no serial device at all"),
+        (TTY, errno.ENOENT, {"present": ("/dev/ttyACM0",)}, "serial:/dev/ttyACM0:921600"),
+        (TTY, errno.EACCES, {"group": "uucp"}, "sudo usermod -aG uucp $USER"),
+        (TTY, errno.EACCES, {}, "sudo usermod -aG dialout $USER"),
+        (UDP, errno.EACCES, {}, "port above 1023"),
+        (TTY, errno.EBUSY, {}, "sudo fuser -v /dev/ttyS7"),
+        (UDP, errno.EADDRINUSE, {}, "sudo ss -lptun"),
+        (TTY, errno.EAGAIN, {"holder": OURS}, "systemctl stop ekf-companion.service"),
+        (UDP, errno.EADDRINUSE, {"holder": OURS}, "`ekf-companion status`"),
+        (UDP, errno.EADDRINUSE, {"holder": Holder(pid=9, name="mavproxy")}, "mavproxy (process 9)"),
+        (UDP, errno.ECONNREFUSED, {}, "TCP 5760"),
+        (UDP, errno.ETIMEDOUT, {}, "TCP 5760"),
+        (UDP, errno.EADDRNOTAVAIL, {}, "no such address"),
+        (TTY, None, {}, "cannot be set up as a serial port"),
+        (UDP, None, {}, "name that nobody knows"),
+    ],
+)
+def test_a_link_that_does_not_open_says_why_and_what_to_do(opening, number, options, said):
+    opening = replace(opening, failure="it does not", number=number, **options)
+    findings = diagnose(Evidence(opening=opening))
+    assert first_failure(findings).stage is Stage.LINK
+    assert said in words(findings[0])
+    assert {finding.mark for finding in findings[1:]} == {Mark.UNKNOWN}
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("serial", "Cross TX and RX"),
+        ("udpin", "port 14540"),
+        ("udpout", "Nobody answers there"),
+        ("tcp", "The connection stands"),
+    ],
+)
+@pytest.mark.parametrize("means", [Means.LIVE, Means.LISTENING])
+def test_a_link_without_bytes_says_what_may_be_silent(kind, means, said):
+    opening = Opening(url=f"{kind}:x:14540", kind=kind)
+    found = first_failure(diagnose(Evidence(means=means, opening=opening, seconds=15.0)))
+    assert found.stage is Stage.BYTES
+    assert said in words(found)
+    assert ("--listen" in words(found)) == (means is Means.LISTENING)
+
+
+def link_state(**options):
+    zeros = dict.fromkeys(("bytes_in", "bytes_out", "dropped", "unsent"), 0)
+    known = {**zeros, "url": "", "is_open": True, "opened": 1, "silent_s": 0.0, "refused": {}}
+    return LinkState(**{**known, **options})
+
+
+def test_refused_datagrams_are_not_silence():
+    refused = Evidence(opening=UDP, link=link_state(refused={"another peer": 12}))
+    found = first_failure(diagnose(refused))
+    assert found.stage is Stage.BYTES
+    assert "link.peer" in words(found)
+
+
+def test_a_link_that_comes_and_goes_and_a_full_wire_are_warnings():
+    evidence = Evidence(
+        opening=TTY, link=link_state(opened=4, dropped=2), bytes_in=60_000, bytes_rate=5600.0
+    )
+    assert "opened again 3 times" in words(stage(evidence, "link"))
+    found = stage(evidence, "bytes")
+    assert found.mark is Mark.WARNING
+    assert "The wire is full: 5.6 kB/s of 5.8" in words(found)
+    assert "too slow to read" in words(found)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (random.Random(1).randbytes(4000), "most likely the baud rate is not 57600"),
+        (b"nsh> ps\r\n  PID COMMAND\r\n    0 Idle Task\r\n" * 30, "a console's"),
+        (b"$GNGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,,*47\r\n" * 30, "NMEA"),
+        (b"\xb5\x62\x01\x07\x5c\x00" + bytes(300), "UBX"),
+    ],
+)
+def test_bytes_that_are_no_mavlink_are_told_apart(data, said):
+    found = first_failure(diagnose(taken(data)))
+    assert found.stage is Stage.FRAMES
+    assert said in words(found)
+
+
+def test_a_message_of_another_definition_is_told_from_noise():
+    """Rule 32."""
+
+    def change(name, fields):
+        frame = Sender(1, 1).message(name, **fields)
+        if name != "HIGHRES_IMU":
+            return frame
+        # Summed with another seed, as another dialect would
+        return frame[:-2] + crc16.mcrf4xx(frame[1:-2] + b"\x01").to_bytes(2, "little")
+
+    found = stage(examine(change=change, seconds=2.0), "checksums")
+    assert found.mark is Mark.WARNING
+    assert "HIGHRES_IMU always has a wrong checksum" in words(found)
+
+
+def test_noise_on_the_wire_is_counted():
+    """Rule 32."""
+    rng = random.Random(2)
+
+    def change(name, fields):
+        frame = bytearray(Sender(1, 1).message(name, **fields))
+        if rng.random() < 0.05:
+            frame[rng.randrange(3, len(frame))] ^= 0x10
+        return bytes(frame)
+
+    evidence = examine(change=change, seconds=3.0)
+    found = stage(evidence, "checksums")
+    assert found.mark is Mark.WARNING
+    assert "damaged on their way" in words(found)
+    worse = replace(evidence, frames=replace(evidence.frames, bad_crc=evidence.frames.frames))
+    assert stage(worse, "checksums").mark is Mark.FAILED
+
+
+def test_mavlink_1_alone_is_a_warning():
+    """Rule 33."""
+    mav = first.MAVLink(None, srcSystem=1, srcComponent=1)
+    frames = [mav.heartbeat_encode(2, 3, 0, 0, 3).pack(mav) for _ in range(5)]
+    evidence = taken(b"".join(frames))
+    assert stage(evidence, "source").mark is Mark.OK
+    found = stage(evidence, "frames")
+    assert found.mark is Mark.WARNING
+    assert "SERIALn_PROTOCOL = 2" in words(found)
+
+
+def test_the_report_has_a_line_a_stage_then_the_first_remedy():
+    opening = replace(TTY, failure="No such file or directory", number=errno.ENOENT)
+    said = lines(diagnose(Evidence(opening=opening)), 80)
+    assert [line.split()[1] for _, line in said[: len(Stage)]] == [stage.value for stage in Stage]
+    assert said[0][1].startswith("FAILED   link")
+    assert max(len(line) for _, line in said) <= 80
+    assert sum(line.startswith("  -> ") for _, line in said) == 1
