@@ -61,29 +61,29 @@ class StatusText(Service):
         self._waiting.clear()
 
     def say(self, severity: Severity, text: str) -> None:
-        """Say it when its turn has come; the same again waits for a second to pass."""
-        said = _Text(severity, text)
-        if not self._is_heard or said in self._waiting:
+        """Say it when its turn has come: the last said is the last heard, so that it is true."""
+        if not self._is_heard:
             return
+        said = _Text(severity, text)
+        if said in self._waiting:
+            self._waiting.remove(said)
         if len(self._waiting) == _WAITING:
             self._waiting.popleft()
             self.dropped += 1
         self._waiting.append(said)
 
     def tick(self, now_ns: int) -> None:
-        """Send the first text that was not said in the last second."""
+        """Send the first in line; a text that was said in the last second waits."""
         if not self._waiting or now_ns < self._next_ns:
             return
         self._said_ns = {
             text: at_ns for text, at_ns in self._said_ns.items() if now_ns - at_ns < SECOND_NS
         }
-        for said in self._waiting:
-            if said not in self._said_ns:
-                self._waiting.remove(said)
-                self._said_ns[said] = now_ns
-                self._next_ns = now_ns + _PACE_NS
-                self._send(said, now_ns)
-                return
+        if (said := self._waiting[0]) not in self._said_ns:
+            self._waiting.popleft()
+            self._said_ns[said] = now_ns
+            self._next_ns = now_ns + _PACE_NS
+            self._send(said, now_ns)
 
     def _send(self, said: _Text, now_ns: int) -> None:
         pieces = chunks(said.text)
