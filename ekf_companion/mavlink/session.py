@@ -143,7 +143,8 @@ class Session:
         """Take bytes that were read at a time of ours; give what they say, in order."""
         measurements: list[Measurement] = []
         for frame in self._splitter.feed(data):
-            self.outbox.record(frame.raw, now_ns)
+            if self.options.is_recording:
+                self.outbox.record(frame.raw, now_ns)
             if frame.message_id != JUNK:
                 measurements += self._take(frame, now_ns)
         return measurements
