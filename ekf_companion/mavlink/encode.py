@@ -204,10 +204,14 @@ SET_MESSAGE_INTERVAL = 511
 """MAV_CMD."""
 
 
-def heartbeat(status: SystemStatus) -> bytes:
-    """Give the payload of our HEARTBEAT: an onboard controller that is no autopilot."""
+def heartbeat(status: SystemStatus, mode: int = 0) -> bytes:
+    """Give the payload of our HEARTBEAT: an onboard controller that is no autopilot.
+
+    ``mode`` is ours to define, and is the ``nav.state.Status`` of the estimate.
+    """
     return pack(
         "HEARTBEAT",
+        custom_mode=mode,
         type=_ONBOARD_CONTROLLER,
         autopilot=_NO_AUTOPILOT,
         system_status=status,
