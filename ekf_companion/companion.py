@@ -15,10 +15,13 @@ from ekf_companion.config import Config
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.clock import TimesyncOptions
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.encode import EstimatorHealth, EstimatorType, StatusFlag, SystemStatus
+from ekf_companion.mavlink.encode import EstimatorHealth, StatusFlag, SystemStatus
+from ekf_companion.mavlink.guard import GuardOptions
+from ekf_companion.mavlink.label import label
 from ekf_companion.mavlink.session import (
     RATES,
     Answered,
+    GuardChanged,
     PeerFound,
     PeerLost,
     Rebooted,
@@ -63,9 +66,8 @@ class Publisher:
         self._pipeline = pipeline
         self._odometry = Due(config.output.odometry.rate)
         self._status = Due(1.0)
-        self._frame = encode.Frame[config.output.odometry.frame]
-        chosen = config.output.odometry.estimator_type
-        self._type = encode.estimator_type(family) if chosen == "auto" else EstimatorType[chosen]
+        odometry = config.output.odometry
+        self.label = label(family, odometry.frame, odometry.estimator_type)
         self._was_invalid = False
         self._last = Status.INIT
         self._is_decimated = False
@@ -87,7 +89,8 @@ class Publisher:
         # An invalid estimate is said to be so once, and then not sent
         is_invalid = odometry.quality < 0
         if not (is_invalid and self._was_invalid):
-            send("ODOMETRY", encode.odometry(odometry, frame=self._frame, estimator=self._type))
+            ours = self.label
+            send("ODOMETRY", encode.odometry(odometry, frame=ours.frame, estimator=ours.estimator))
         self._was_invalid = is_invalid
 
     def _publish_status(self, send: Callable[[str, bytes], None], t_ns: int) -> None:
@@ -152,7 +155,7 @@ def session_options(
     config: Config, is_recording: bool, expected: Vehicle | None = None
 ) -> SessionOptions:
     """Give a session what the configuration says of the link, and whom it may expect there."""
-    link, timesync = config.link, config.timesync
+    link, timesync, odometry = config.link, config.timesync, config.output.odometry
     rates = dict(RATES)
     rates["HIGHRES_IMU"] = link.imu_rate
     rates["GPS_RAW_INT"] = link.gnss_rate
@@ -170,6 +173,7 @@ def session_options(
             request=timesync.request,
             largest_rtt_ms=timesync.largest_rtt * 1e3,
         ),
+        guard=GuardOptions(mode=odometry.mode, independent=odometry.independent),
     )
 
 
@@ -232,9 +236,16 @@ class Companion:
             self._resumption.resume(self.pipeline, measurement.t_ns, now_ns)
         if self.pipeline.process(measurement) is Arrival.ESTIMATED:
             status = self._publisher.publish(
-                lambda name, payload: self.session.send(name, payload, now_ns)
+                lambda name, payload: self._send(name, payload, now_ns)
             )
             self.session.set_state(encode.SYSTEM_STATUS[status])
+
+    def _send(self, name: str, payload: bytes, now_ns: int) -> None:
+        """Send a message; an ODOMETRY that the guard withholds is only recorded."""
+        if name == "ODOMETRY" and not self.session.guard.is_streaming:
+            self.session.note(name, payload, now_ns)
+        else:
+            self.session.send(name, payload, now_ns)
 
     def _begin(self, peer: PeerFound) -> None:
         """Begin to estimate, or anew where the autopilot is not of the family expected."""
@@ -243,6 +254,8 @@ class Companion:
             return
         self.pipeline = Pipeline(self._config, peer.family.value)
         self._publisher = Publisher(self._config, self.pipeline, peer.family)
+        for warning in self._publisher.label.warnings:
+            _log.warning("%s", warning)
         self._resumption.meet(vehicle, self.pipeline, self.session.decoder)
         if self._expected != vehicle:
             self._expected = None
@@ -278,5 +291,9 @@ class Companion:
                 _log.warning("Autopilot lost: no heartbeat for 5 s; check the link")
             elif isinstance(event, Rebooted):
                 _log.warning("Autopilot rebooted: its clock began anew, and so does the estimate")
+            elif isinstance(event, GuardChanged):
+                verdict = event.verdict
+                is_news = verdict.remedy or not verdict.is_streaming
+                _log.log(logging.WARNING if is_news else logging.INFO, "%s", verdict.sentence)
             elif isinstance(event, Answered):
                 _log.info("Request for %s: %s", event.message, event.result)

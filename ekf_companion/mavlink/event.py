@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.fusion import Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,14 @@ class Answered:
     """``accepted``, the autopilot's reason against it, or ``no answer``."""
 
 
-Event = PeerFound | PeerLost | Rebooted | Answered
+@dataclass(frozen=True, slots=True)
+class GuardChanged:
+    """ODOMETRY is sent from now on, or no longer, or for another reason."""
+
+    verdict: Verdict
+
+
+Event = PeerFound | PeerLost | Rebooted | Answered | GuardChanged
 
 Emit = Callable[[Event], None]
 """Takes what has happened."""

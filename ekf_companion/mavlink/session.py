@@ -22,8 +22,16 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode import Decoder, DecoderOptions
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
-from ekf_companion.mavlink.event import Answered, Event, PeerFound, PeerLost, Rebooted
+from ekf_companion.mavlink.event import (
+    Answered,
+    Event,
+    GuardChanged,
+    PeerFound,
+    PeerLost,
+    Rebooted,
+)
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
+from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import Heartbeat
 from ekf_companion.mavlink.layout import IDS
 from ekf_companion.mavlink.outbox import Outbox
@@ -38,6 +46,7 @@ __all__ = [
     "RATES",
     "Answered",
     "Event",
+    "GuardChanged",
     "PeerFound",
     "PeerLost",
     "Rebooted",
@@ -79,6 +88,8 @@ class SessionOptions:
     """Whether what goes in and out is kept for ``take_record``."""
     decoder: DecoderOptions = field(default_factory=DecoderOptions)
     timesync: TimesyncOptions = field(default_factory=TimesyncOptions)
+    guard: GuardOptions | None = None
+    """Whom ODOMETRY is kept from; None: this session sends none, and asks for no parameter."""
 
 
 class Session:
@@ -108,10 +119,12 @@ class Session:
         )
         self.heartbeat = Heartbeat(self.outbox)
         self.requests = Requests(self.outbox, emit, options.rates)
+        self.guard = Guard(self.outbox, emit, options.guard or GuardOptions(mode="never"))
         # Held with everybody, and with the autopilot only while it is heard
         self._open: tuple[Service, ...] = (self.heartbeat, self.discovery)
         self._close: tuple[Service, ...] = (
             self.requests,
+            *(() if options.guard is None else (self.guard,)),
             TimesyncService(self.outbox, self.timesync),
         )
         self._open_routes = _routes(self._open)
@@ -201,6 +214,10 @@ class Session:
     def send(self, name: str, payload: bytes, now_ns: int) -> None:
         """Queue a message of ours."""
         self.outbox.send(name, payload, now_ns)
+
+    def note(self, name: str, payload: bytes, now_ns: int) -> None:
+        """Record a message of ours that is not sent."""
+        self.outbox.note(name, payload, now_ns)
 
     def data_to_send(self) -> list[bytes]:
         """Give what is to be sent, one frame an item, and forget it."""
