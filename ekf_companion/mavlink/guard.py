@@ -97,12 +97,9 @@ class Guard(Service):
         """Ask for what is missing, then read again what could change."""
         if not self._is_reading:
             return
-        wanted = missing(self._family, self._answers)
-        for name in wanted:
+        for name in missing(self._family, self._answers):
             self._ask_for(name, now_ns)
-        if not self.verdict.is_settled and all(
-            self._question(name).is_given_up(now_ns) for name in wanted
-        ):
+        if not self.verdict.is_settled and self._is_complete(now_ns):
             self._judge(is_complete=True)
         if self.verdict.is_settled and now_ns >= self._next_ns:
             names = watched(self._family, self._answers)
@@ -130,10 +127,7 @@ class Guard(Service):
             return
         self._answers[name] = value
         self._questions.pop(name, None)
-        wanted = missing(self._family, self._answers)
-        self._judge(
-            is_complete=all(self._question(name).is_given_up(now_ns) for name in wanted),
-        )
+        self._judge(is_complete=self._is_complete(now_ns))
         self.tick(now_ns)
 
     # How it is asked
@@ -159,6 +153,12 @@ class Guard(Service):
             param_index=-1,
         )
         self._outbox.send("PARAM_REQUEST_READ", payload, now_ns)
+
+    def _is_complete(self, now_ns: int) -> bool:
+        """Whether all is answered or given up; of who answers nothing, the first is enough."""
+        wanted = missing(self._family, self._answers)
+        given_up = [self._question(name).is_given_up(now_ns) for name in wanted]
+        return all(given_up) or (any(given_up) and not self._answers)
 
     def _question(self, name: str) -> _Question:
         return self._questions.get(name, _Question())
