@@ -19,6 +19,7 @@ from ekf_companion.mavlink.commands import Stream
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import IntervalSet, ParameterSet, PeerFound
+from ekf_companion.mavlink.guard import GuardOptions
 from ekf_companion.mavlink.session import RATES, Session, SessionOptions
 from ekf_companion.nav.measurements import ImuSample, Measurement
 from ekf_companion.pipeline import Arrival, Pipeline
@@ -56,7 +57,13 @@ def session_options(
             request=timesync.request,
             largest_rtt_ms=timesync.largest_rtt * 1e3,
         ),
+        guard=_guard_options(config),
     )
+
+
+def _guard_options(config: Config) -> GuardOptions:
+    odometry = config.output.odometry
+    return GuardOptions(mode=odometry.mode, independent=odometry.independent)
 
 
 class Companion:
@@ -126,12 +133,17 @@ class Companion:
             self._resumption.resume(self.pipeline, measurement.t_ns, now_ns)
         if self.pipeline.process(measurement) is not Arrival.ESTIMATED:
             return
-        health = self._publisher.publish(
-            lambda name, payload: self.session.send(name, payload, now_ns), self.session.may_stream
-        )
+        health = self._publisher.publish(lambda name, payload: self._send(name, payload, now_ns))
         if health is not None:
             self._bulletin.report(health, self.session.decoder.imu_source)
             self.session.set_state(encode.SYSTEM_STATUS[health.status], health.status)
+
+    def _send(self, name: str, payload: bytes, now_ns: int) -> None:
+        """Send a message; an ODOMETRY that must not be sent is only recorded."""
+        if name == "ODOMETRY" and not self.session.may_stream:
+            self.session.note(name, payload, now_ns)
+        else:
+            self.session.send(name, payload, now_ns)
 
     def _begin(self, peer: PeerFound) -> None:
         """Begin to estimate, or anew where the autopilot is not of the family expected."""
@@ -142,6 +154,8 @@ class Companion:
         self._publisher = Publisher(self._config, self.pipeline, peer.family)
         self._family = peer.family
         self._offer()
+        for warning in self._publisher.label.warnings:
+            _log.warning("%s", warning)
         self._resumption.meet(vehicle, self.pipeline, self.session.decoder)
         if self._expected != vehicle:
             self._expected = None
@@ -179,6 +193,7 @@ class Companion:
         self._config = config
         timesync = self.session.timesync
         timesync.options = replace(timesync.options, respond=config.timesync.respond)
+        self.session.guard.retune(_guard_options(config))
         self._offer()
 
     def _offer(self) -> None:

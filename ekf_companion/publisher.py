@@ -8,7 +8,8 @@ from collections.abc import Callable
 from ekf_companion.config import Config
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.encode import EstimatorHealth, EstimatorType, StatusFlag
+from ekf_companion.mavlink.encode import EstimatorHealth, StatusFlag
+from ekf_companion.mavlink.label import label
 from ekf_companion.nav.state import Status
 from ekf_companion.pipeline import Aid, Health, Pipeline
 
@@ -68,9 +69,9 @@ class Publisher:
         self._pipeline = pipeline
         self._due = {name: Due(default_rate(name, config, family)) for name in STREAMS}
         self._account = Due(1.0)
-        self._frame = encode.Frame[config.output.odometry.frame]
-        chosen = config.output.odometry.estimator_type
-        self._type = encode.estimator_type(family) if chosen == "auto" else EstimatorType[chosen]
+        odometry = config.output.odometry
+        self.label = label(family, odometry.frame, odometry.estimator_type)
+        """What every ODOMETRY says of itself."""
         self._was_invalid = False
 
     def set_rate(self, name: str, rate: float) -> None:
@@ -88,13 +89,10 @@ class Publisher:
             self._due[name].ask()
         return has_one
 
-    def publish(self, send: Callable[[str, bytes], None], may_stream: bool = True) -> Health | None:
-        """Send what is due at the newest sample's stamp; once a second give the filter's account.
-
-        ``may_stream`` says whether ODOMETRY may be sent.
-        """
+    def publish(self, send: Callable[[str, bytes], None]) -> Health | None:
+        """Send what is due at the newest stamp; once a second give the filter's account."""
         t_ns = self._pipeline.stamp_ns
-        if self._due["ODOMETRY"].is_due(t_ns) and may_stream:
+        if self._due["ODOMETRY"].is_due(t_ns):
             self._publish_odometry(send)
         if self._due["ESTIMATOR_STATUS"].is_due(t_ns) and self._pipeline.origin is not None:
             health = _judge(self._pipeline.health(), t_ns)
@@ -110,7 +108,8 @@ class Publisher:
         # An invalid estimate is said to be so once, and then not sent
         is_invalid = odometry.quality < 0
         if not (is_invalid and self._was_invalid):
-            send("ODOMETRY", encode.odometry(odometry, frame=self._frame, estimator=self._type))
+            ours = self.label
+            send("ODOMETRY", encode.odometry(odometry, frame=ours.frame, estimator=ours.estimator))
         self._was_invalid = is_invalid
 
 

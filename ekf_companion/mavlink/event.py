@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.fusion import Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +98,13 @@ class IntervalSet:
     """Hz; 0: not at all."""
 
 
+@dataclass(frozen=True, slots=True)
+class GuardChanged:
+    """ODOMETRY is sent from now on, or no longer, or for another reason."""
+
+    verdict: Verdict
+
+
 Event = (
     PeerFound
     | PeerLost
@@ -108,6 +116,7 @@ Event = (
     | RateInVain
     | ParameterSet
     | IntervalSet
+    | GuardChanged
 )
 
 Emit = Callable[[Event], None]

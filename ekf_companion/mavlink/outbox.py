@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 
 from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.frame import encode_frame
+from ekf_companion.mavlink.layout import IDS
 from ekf_companion.mavlink.stamp import quantise
 
 
@@ -14,6 +16,8 @@ class Outbox:
     def __init__(self, system_id: int, component_id: int, *, is_recording: bool = False) -> None:
         self.sent: Counter[str] = Counter()
         """Messages by name."""
+        self.withheld: Counter[str] = Counter()
+        """Messages by name that are only recorded."""
         self._sender = Sender(system_id, component_id)
         self._is_recording = is_recording
         self._out: list[bytes] = []
@@ -39,6 +43,19 @@ class Outbox:
         self.sent[name] += 1
         self._out.append(frame)
         self.record(frame, now_ns)
+
+    def note(self, name: str, payload: bytes, now_ns: int) -> None:
+        """Record a message that is not sent; it takes the number of the next that is."""
+        self.withheld[name] += 1
+        if self._is_recording:
+            frame = encode_frame(
+                IDS[name],
+                payload,
+                system_id=self._sender.system_id,
+                component_id=self._sender.component_id,
+                sequence=self._sender.sequence,
+            )
+            self.record(frame, now_ns)
 
     def record(self, raw: bytes, now_ns: int) -> None:
         """Keep what went in or out, if that is wanted."""

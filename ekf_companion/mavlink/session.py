@@ -25,8 +25,16 @@ from ekf_companion.mavlink.commands import Commands
 from ekf_companion.mavlink.decode import Decoder, DecoderOptions
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
-from ekf_companion.mavlink.event import Answered, Event, PeerFound, PeerLost, Rebooted
+from ekf_companion.mavlink.event import (
+    Answered,
+    Event,
+    GuardChanged,
+    PeerFound,
+    PeerLost,
+    Rebooted,
+)
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
+from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import Heartbeat
 from ekf_companion.mavlink.layout import IDS
 from ekf_companion.mavlink.outbox import Outbox
@@ -43,6 +51,7 @@ __all__ = [
     "RATES",
     "Answered",
     "Event",
+    "GuardChanged",
     "PeerFound",
     "PeerLost",
     "Rebooted",
@@ -86,6 +95,8 @@ class SessionOptions:
     """Our own, as a ground station sees them; empty: none are served."""
     decoder: DecoderOptions = field(default_factory=DecoderOptions)
     timesync: TimesyncOptions = field(default_factory=TimesyncOptions)
+    guard: GuardOptions | None = None
+    """Whom ODOMETRY is kept from; None: this session sends none, and asks for no parameter."""
 
 
 class Session:
@@ -118,6 +129,7 @@ class Session:
         self.commands = Commands(self.outbox, emit, self.heartbeat)
         self.parameters = ParameterServer(self.outbox, emit, options.parameters)
         self.requests = Requests(self.outbox, emit, options.rates)
+        self.guard = Guard(self.outbox, emit, options.guard or GuardOptions(mode="never"))
         self.audit = Audit(self.received, self.requests, emit)
         self.statustext = StatusText(self.outbox)
 
@@ -129,6 +141,7 @@ class Session:
         # Held with the autopilot only, while it is heard
         self._with_peer: tuple[Service, ...] = (
             self.requests,
+            *(() if options.guard is None else (self.guard,)),
             TimesyncService(self.outbox, self.timesync),
             self.audit,
             self.statustext,
@@ -223,6 +236,10 @@ class Session:
         """Queue a message of ours."""
         self.outbox.send(name, payload, now_ns)
 
+    def note(self, name: str, payload: bytes, now_ns: int) -> None:
+        """Record a message of ours that is not sent."""
+        self.outbox.note(name, payload, now_ns)
+
     def data_to_send(self) -> list[bytes]:
         """Give what is to be sent, one frame an item, and forget it."""
         return self.outbox.take()
@@ -247,8 +264,8 @@ class Session:
 
     @property
     def may_stream(self) -> bool:
-        """Whether ODOMETRY may be sent: not while somebody else speaks under our ids."""
-        return not self.clash.is_clash
+        """Whether ODOMETRY may be sent: the guard lets it, and nobody else speaks as us."""
+        return self.guard.is_streaming and not self.clash.is_clash
 
     @property
     def results(self) -> Mapping[str, str]:
