@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 KERNEL := $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore lint types contracts check demo bench accuracy filters endurance wheel clean
+.PHONY: setup test explore lint types contracts check demo bench accuracy filters endurance reconnect wheel clean
 
 setup: $(STAMP)
 
@@ -51,6 +51,10 @@ filters: $(STAMP)
 
 endurance: $(STAMP)
 	$(BIN)/python -m benchmarks.endurance
+
+# A hundred times unplugged and restarted, links and the daemon; eight minutes
+reconnect: $(STAMP)
+	RECONNECT_CYCLES=100 $(BIN)/python -W error -m pytest --log-cli-level=INFO tests/test_reconnect.py
 
 wheel: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check build

@@ -20,7 +20,8 @@ Rooms
     smoothing the pipeline over a recording, and back
     calibrate numbers of the configuration, measured from logs
     checkpoint, resumption        the state as bytes, and who may go on from it
-    link, keeper, service, convert, contest, cli   the shells, which alone open, await, sleep, print
+    link, keeper, keyring, service, convert, contest, cli   the shells, which alone open, await,
+              sleep, print
 
 As a library: ``open_log`` reads a recording, ``run_filter`` takes a filter through it.
 """

@@ -7,6 +7,7 @@ stamps of the inertial samples, so both send the same.
 from __future__ import annotations
 
 import logging
+from collections.abc import Hashable
 from dataclasses import replace
 from functools import partial
 
@@ -21,6 +22,7 @@ from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import IntervalSet, ParameterSet, PeerFound
 from ekf_companion.mavlink.guard import GuardOptions
 from ekf_companion.mavlink.session import RATES, Session, SessionOptions
+from ekf_companion.mavlink.signing import Signing
 from ekf_companion.nav.measurements import ImuSample, Measurement
 from ekf_companion.pipeline import Arrival, Pipeline
 from ekf_companion.publisher import STREAMS, Publisher, default_rate, largest_rate
@@ -48,6 +50,9 @@ def session_options(
         system_id=link.system_id,
         component_id=link.component_id,
         autopilot_system_id=link.autopilot,
+        allow_systems=link.allow_systems,
+        allow_components=link.allow_components,
+        accept_unsigned=config.signing.accept_unsigned,
         rates=rates,
         expected=None if expected is None else PeerFound(*expected[1:], Family(expected.family)),
         is_recording=is_recording,
@@ -74,6 +79,7 @@ class Companion:
         config: Config,
         is_recording: bool = False,
         resumption: Resumption | None = None,
+        signing: Signing | None = None,
         tuning: Tuning | None = None,
     ) -> None:
         self.tuning = tuning or Tuning(config)
@@ -81,7 +87,8 @@ class Companion:
         self._resumption = resumption or Resumption()
         self._expected = self._resumption.expected
         self._has_sample = False
-        self.session = Session(session_options(self._config, is_recording, self._expected))
+        options = session_options(self._config, is_recording, self._expected)
+        self.session = Session(options, signing)
         self.pipeline: Pipeline | None = None
         self._publisher: Publisher | None = None
         self._bulletin = Bulletin(self.session.statustext)
@@ -91,10 +98,13 @@ class Companion:
         self._has_complained = False
         self._offer()
 
-    def receive(self, data: bytes, now_ns: int) -> None:
-        """Take bytes read at a time of ours; what follows from them waits in ``data_to_send``."""
+    def receive(self, data: bytes, now_ns: int, sender: Hashable = None) -> None:
+        """Take bytes read at a time of ours; what follows from them waits in ``data_to_send``.
+
+        ``sender`` tells apart who sends datagrams to one socket.
+        """
         self._bytes += len(data)
-        for measurement in self.session.receive(data, now_ns):
+        for measurement in self.session.receive(data, now_ns, sender):
             self._heed_events()
             self._process(measurement, now_ns)
         self._heed_events()

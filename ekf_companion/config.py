@@ -20,7 +20,7 @@ import yaml
 
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LinkError
-from ekf_companion.link import parse_url
+from ekf_companion.link import parse_peer, parse_url
 from ekf_companion.sections import (
     CheckpointConfig,
     HttpConfig,
@@ -94,9 +94,13 @@ def parse_config(data: object, name: str) -> Config:
     except msgspec.ValidationError as error:
         raise ConfigError(_explain(error, table, name)) from error
     try:
-        parse_url(config.link.url)
+        address = parse_url(config.link.url)
     except LinkError as error:
         raise ConfigError(f"{name}: link.url: {error}") from error
+    try:
+        parse_peer(config.link.peer, address)
+    except LinkError as error:
+        raise ConfigError(f"{name}: link.peer: {error}") from error
     return config
 
 

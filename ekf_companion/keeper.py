@@ -47,29 +47,27 @@ def open_keeper(file: str, interval: float) -> Keeper | None:
     return Keeper(Path(file), interval) if file else None
 
 
-class Keeper:
-    """Keeps the newest checkpoint under one name; a disk that is slow or full holds up nobody.
+class Slot:
+    """Keeps the newest bytes under one name; a disk that is slow or full holds up nobody.
 
-    It is written beside and renamed, so that whoever reads finds the old one or the new one whole.
-    Nothing is forced to the disk: the system's cache outlives the daemon, and after a loss of power
-    the autopilot has rebooted too.
+    They are written beside and renamed, so that whoever reads finds the old ones or the new ones
+    whole. Nothing is forced to the disk: the system's cache outlives the daemon, and after a loss
+    of power the autopilot has rebooted too.
     """
 
-    def __init__(self, path: Path, interval: float) -> None:
+    def __init__(self, path: Path, loss: str) -> None:
         """Try the folder, and start the thread.
 
         Args:
             path: The file.
-            interval: Between two checkpoints, s.
+            loss: What it means that nothing can be kept, for the log.
 
         Raises:
             ConfigError: It cannot be a file of ours.
         """
         self.path = path
+        self._loss = loss
         self._beside = path.with_name(path.name + ".new")
-        self._interval_ns = round(interval * 1e9)
-        self._next_ns = 0
-        self._resets = 0
         self._is_failing = False
         self._try()
         self._data: bytes | None = None
@@ -79,44 +77,38 @@ class Keeper:
         self._thread.start()
 
     def read(self) -> bytes | None:
-        """Give what the last run left, if anything; what is none of ours is put aside."""
+        """Give what the last run left, if anything."""
         try:
             with self.path.open("rb") as file:
-                data = file.read(LARGEST)
-            if data and not is_ours(data):
-                aside = self.path.with_name(self.path.name + ".foreign")
-                self.path.replace(aside)
-                _log.warning("%s: is no checkpoint; it is now %s", self.path, aside.name)
+                return file.read(LARGEST)
         except FileNotFoundError:
             return None
         except OSError as error:
-            _log.warning("%s: cannot be read: %s; aligning anew", self.path, error.strerror)
+            _log.warning("%s: cannot be read: %s; %s", self.path, error.strerror, self._loss)
             return None
-        return data
 
-    def is_due(self, now_ns: int, resets: int) -> bool:
-        """Whether to keep one now: the interval is over, or the estimate has just been reset.
-
-        A count of resets that was told must not be told again after a restart.
-        """
-        if now_ns < self._next_ns and resets == self._resets:
-            return False
-        self._next_ns = now_ns + self._interval_ns
-        self._resets = resets
-        return True
+    def put_aside(self, what: str) -> None:
+        """Give a file that is none of ours another name, before it is written over."""
+        aside = self.path.with_name(self.path.name + ".foreign")
+        try:
+            self.path.replace(aside)
+        except OSError as error:
+            _log.warning("%s: is no %s; %s", self.path, what, error.strerror)
+        else:
+            _log.warning("%s: is no %s; it is now %s", self.path, what, aside.name)
 
     def keep(self, data: bytes) -> None:
-        """Hand one over to be written; one that still waits is not worth it any more."""
+        """Hand some over to be written; what still waits is not worth it any more."""
         self._data = data
         self._wake.set()
 
     def close(self) -> None:
-        """Write the last one, if the disk lets us."""
+        """Write the last, if the disk lets us."""
         self._is_closed = True
         self._wake.set()
         self._thread.join(PATIENCE)
         if self._thread.is_alive():
-            _log.warning("%s: the disk is too slow; the last checkpoint may be missing", self.path)
+            _log.warning("%s: the disk is too slow; the last state may be missing", self.path)
 
     def _try(self) -> None:
         if self.path.exists() and not self.path.is_file():
@@ -156,5 +148,42 @@ class Keeper:
         """Say once per trouble that there is nothing to go on from."""
         if not self._is_failing:
             words = error.strerror or os.strerror(error.errno or 0)
-            _log.warning("%s: %s; a restart would align anew", self.path, words)
+            _log.warning("%s: %s; %s", self.path, words, self._loss)
         self._is_failing = True
+
+
+class Keeper(Slot):
+    """Keeps the newest checkpoint."""
+
+    def __init__(self, path: Path, interval: float) -> None:
+        """Try the folder, and start the thread.
+
+        Args:
+            path: The file.
+            interval: Between two checkpoints, s.
+
+        Raises:
+            ConfigError: It cannot be a file of ours.
+        """
+        super().__init__(path, "a restart would align anew")
+        self._interval_ns = round(interval * 1e9)
+        self._next_ns = 0
+        self._resets = 0
+
+    def read(self) -> bytes | None:
+        """Give what the last run left, if anything; what is none of ours is put aside."""
+        data = super().read()
+        if data and not is_ours(data):
+            self.put_aside("checkpoint")
+        return data
+
+    def is_due(self, now_ns: int, resets: int) -> bool:
+        """Whether to keep one now: the interval is over, or the estimate has just been reset.
+
+        A count of resets that was told must not be told again after a restart.
+        """
+        if now_ns < self._next_ns and resets == self._resets:
+            return False
+        self._next_ns = now_ns + self._interval_ns
+        self._resets = resets
+        return True

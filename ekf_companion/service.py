@@ -19,7 +19,8 @@ from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.keeper import Keeper, clocks, open_keeper
-from ekf_companion.link import Link, open_link
+from ekf_companion.keyring import Keyring, open_keyring
+from ekf_companion.link import Link, Peers, Received, open_link
 from ekf_companion.resumption import Resumption
 
 if sys.version_info >= (3, 11):
@@ -77,20 +78,24 @@ async def serve(config: Config) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    link = open_link(config.link.url, clock=unix_clock)
+    keyring = open_keyring(config)
+    signed_only = keyring is not None and not config.signing.accept_unsigned
+    peers = Peers(is_signed=signed_only)
+    link = open_link(config.link.url, peer=config.link.peer, clock=unix_clock, peers=peers)
     recorder = open_recorder(config.record.path)
     keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
     resumption = Resumption(
         None if keeper is None else keeper.read(), clocks(), unix_clock(), config.checkpoint.limit
     )
-    companion = Companion(config, recorder is not None, resumption)
+    signing = None if keyring is None else keyring.signing
+    companion = Companion(config, recorder is not None, resumption, signing)
     systemd = Systemd()
     systemd.tell("READY=1")
     try:
         async with TaskGroup() as group:
             pump = group.create_task(link.run())
             wake = group.create_task(_wake(link))
-            work = group.create_task(_work(link, companion, recorder, keeper, systemd))
+            work = group.create_task(_work(link, companion, recorder, keeper, keyring, systemd))
             await stop.wait()
 
             # Say goodbye when nothing else can be said any more
@@ -105,6 +110,8 @@ async def serve(config: Config) -> None:
     finally:
         if keeper is not None:
             keeper.close()
+        if keyring is not None:
+            keyring.close()
         if recorder is not None:
             recorder.close()
     _log.info("Stopped")
@@ -122,18 +129,35 @@ async def _work(
     companion: Companion,
     recorder: Recorder | None,
     keeper: Keeper | None,
+    keyring: Keyring | None,
     systemd: Systemd,
 ) -> None:
     """Take what comes, do what is due; heart and watchdog beat with the filter or not at all."""
     while True:
-        data, now_ns = await link.receive()
-        if data:
-            companion.receive(data, now_ns)
+        received = await link.receive()
+        now_ns = received.now_ns
+        if received.data:
+            _hear(link, companion, received)
         companion.tick(now_ns)
         _send(link, companion, recorder)
         if keeper is not None and keeper.is_due(now_ns, companion.resets):
             _keep(companion, keeper)
+        if keyring is not None:
+            keyring.keep(now_ns)
         systemd.beat(now_ns)
+
+
+def _hear(link: Link, companion: Companion, received: Received) -> None:
+    """Take what was read; tell the link whom to go on listening to."""
+    session, sender = companion.session, received.sender
+    heard, admitted = session.heard, session.admission.admitted
+    companion.receive(received.data, received.now_ns, sender)
+    if sender is None:
+        return
+    if session.heard != heard:
+        link.peers.pin(sender, received.now_ns)
+    elif session.admission.admitted != admitted:
+        link.peers.answer(sender)
 
 
 def _send(link: Link, companion: Companion, recorder: Recorder | None) -> None:

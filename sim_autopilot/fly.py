@@ -70,7 +70,7 @@ async def fly(
 
     async def listen() -> None:
         while True:
-            data, read_ns = await link.receive()
+            data, read_ns, _ = await link.receive()
             now_ns = pace.shown_ns(read_ns)
             autopilot.receive(data, now_ns)
             send()

@@ -7,9 +7,9 @@ import socket
 
 import pytest
 
-from ekf_companion import link as link_module
 from ekf_companion.errors import LinkError
 from ekf_companion.link import DEFAULT_BAUD, Address, Kind, open_link, parse_url
+from ekf_companion.link import link as link_module
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.mavlink.frame import Frame, encode_frame
+from ekf_companion.mavlink.frame import SIGNED, Frame, encode_frame
 from ekf_companion.mavlink.layout import IDS, LAYOUTS, Layout, by_name
+from ekf_companion.mavlink.signing import Signing
 
 
 def unpack(frame: Frame) -> Any:
@@ -72,23 +73,28 @@ def pack(name: str, **fields: Any) -> bytes:
 class Sender:
     """The one owner of a component's sequence number."""
 
-    def __init__(self, system_id: int, component_id: int) -> None:
+    def __init__(self, system_id: int, component_id: int, signing: Signing | None = None) -> None:
         self.system_id = system_id
         self.component_id = component_id
+        self._signing = signing
         self.sequence = 0
         """Of the next frame."""
 
-    def frame(self, name: str, payload: bytes) -> bytes:
-        """Give the next frame: a message by its name, and its payload."""
+    def frame(self, name: str, payload: bytes, now_ns: int = 0) -> bytes:
+        """Give the next frame: a message by its name, and its payload; signed where there is a key.
+
+        ``now_ns`` is unix time, ns, for the signature.
+        """
         data = encode_frame(
             IDS[name],
             payload,
             system_id=self.system_id,
             component_id=self.component_id,
             sequence=self.sequence,
+            flags=0 if self._signing is None else SIGNED,
         )
         self.sequence = (self.sequence + 1) & 0xFF
-        return data
+        return data if self._signing is None else self._signing.sign(data, now_ns)
 
     def message(self, name: str, **fields: Any) -> bytes:
         """Give the next frame of a message, from its fields."""

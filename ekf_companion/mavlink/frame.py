@@ -12,6 +12,7 @@ it is counted as one unknown frame, else its bytes were junk. Either way they ar
 from __future__ import annotations
 
 import re
+from collections.abc import Hashable
 from struct import Struct
 from typing import NamedTuple
 
@@ -26,6 +27,8 @@ JUNK = -1
 SIGNED = 0x01
 """The one incompatibility flag that is known: 13 bytes of signature follow."""
 SIGNATURE_SIZE = 13
+SENDERS = 16
+"""Streams whose unfinished frames are kept; beyond, the one that was left longest is given up."""
 LARGEST_FRAME = 12 + 255 + SIGNATURE_SIZE
 """Bytes; so many, less one, may wait for their rest at most."""
 
@@ -51,9 +54,14 @@ class Frame(NamedTuple):
     version: int
     """1 or 2."""
 
+    @property
+    def is_signed(self) -> bool:
+        """Whether a signature follows; nobody has verified it."""
+        return self.version == 2 and bool(self.raw[2] & SIGNED)
+
 
 class Splitter:
-    """Cuts a stream of bytes into frames; one for each stream."""
+    """Cuts streams of bytes into frames: one stream, or one for each of several senders."""
 
     def __init__(self) -> None:
         self.frames = 0
@@ -66,12 +74,16 @@ class Splitter:
         """Bytes that belonged to no known frame."""
         self._rest = b""
         self._unknown_end = -1  # where the frame of unknown id, being searched, would end in _rest
+        self._sender: Hashable = None
+        self._others: dict[Hashable, tuple[bytes, int]] = {}  # of those who do not speak now
 
-    def feed(self, data: bytes) -> list[Frame]:
+    def feed(self, data: bytes, sender: Hashable = None) -> list[Frame]:
         """Give what the bytes complete, junk included, in order; every byte comes out once.
 
-        At most ``LARGEST_FRAME - 1`` bytes wait for more.
+        At most ``LARGEST_FRAME - 1`` bytes wait for more of the same sender's.
         """
+        if sender != self._sender:
+            self._turn_to(sender)
         buffer = self._rest + data if self._rest else bytes(data)
         end = len(buffer)
         found: list[Frame] = []
@@ -142,6 +154,16 @@ class Splitter:
         self._unknown_end = max(self._unknown_end - start, -1)
         return found
 
+    def _turn_to(self, sender: Hashable) -> None:
+        """Put the stream of one aside and take up another's, so that neither cuts the other."""
+        if self._rest or self._unknown_end >= 0:
+            self._others[self._sender] = (self._rest, self._unknown_end)
+        self._sender = sender
+        self._rest, self._unknown_end = self._others.pop(sender, (b"", -1))
+        if len(self._others) > SENDERS:
+            rest, _ = self._others.pop(next(iter(self._others)))
+            self.junk_bytes += len(rest)
+
     def _settle_unknown(self, position: int, *, is_start: bool) -> None:
         if position == self._unknown_end and is_start:
             self.unknown_id += 1
@@ -154,14 +176,23 @@ class Splitter:
 
 
 def encode_frame(
-    message_id: int, payload: bytes, *, system_id: int, component_id: int, sequence: int
+    message_id: int,
+    payload: bytes,
+    *,
+    system_id: int,
+    component_id: int,
+    sequence: int,
+    flags: int = 0,
 ) -> bytes:
-    """Give the MAVLink 2 frame, unsigned, zeros at the payload's end left out."""
+    """Give the MAVLink 2 frame, zeros at the payload's end left out.
+
+    ``flags`` are those of incompatibility: with ``SIGNED`` a signature must be put behind it.
+    """
     payload = payload.rstrip(b"\0") or b"\0"
     body = (
         _HEADER_2_OUT.pack(
             len(payload),
-            0,
+            flags,
             0,
             sequence,
             system_id,

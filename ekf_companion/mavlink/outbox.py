@@ -13,12 +13,12 @@ from ekf_companion.mavlink.stamp import quantise
 class Outbox:
     """Frames of ours that wait to be sent."""
 
-    def __init__(self, system_id: int, component_id: int, *, is_recording: bool = False) -> None:
+    def __init__(self, sender: Sender, *, is_recording: bool = False) -> None:
         self.sent: Counter[str] = Counter()
         """Messages by name."""
         self.withheld: Counter[str] = Counter()
         """Messages by name that are only recorded."""
-        self._sender = Sender(system_id, component_id)
+        self._sender = sender
         self._is_recording = is_recording
         self._out: list[bytes] = []
         self._record: list[tuple[int, bytes]] = []
@@ -39,7 +39,7 @@ class Outbox:
 
     def send(self, name: str, payload: bytes, now_ns: int) -> None:
         """Queue a message by its name."""
-        frame = self._sender.frame(name, payload)
+        frame = self._sender.frame(name, payload, now_ns)
         self.sent[name] += 1
         self._out.append(frame)
         self.record(frame, now_ns)

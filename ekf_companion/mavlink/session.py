@@ -13,14 +13,15 @@ at start where it is recorded.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from ekf_companion.mavlink.admission import Admission
 from ekf_companion.mavlink.audit import Audit
 from ekf_companion.mavlink.clash import ClashWatch
 from ekf_companion.mavlink.clock import Timesync, TimesyncOptions
-from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
 from ekf_companion.mavlink.decode import Decoder, DecoderOptions
 from ekf_companion.mavlink.discovery import Discovery
@@ -42,6 +43,7 @@ from ekf_companion.mavlink.parameters import Parameter, ParameterServer
 from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.sequence import Sequence
 from ekf_companion.mavlink.service import Handler, Service
+from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import quantise
 from ekf_companion.mavlink.statustext import StatusText
 from ekf_companion.mavlink.timesync import TimesyncService
@@ -84,6 +86,12 @@ class SessionOptions:
     """Ours: MAV_COMP_ID_ONBOARD_COMPUTER4."""
     autopilot_system_id: int | None = None
     """The one autopilot to listen to; None: the first that is heard."""
+    allow_systems: tuple[int, ...] = ()
+    """System ids that may speak; empty: all."""
+    allow_components: tuple[int, ...] = ()
+    """Component ids that may speak; empty: all."""
+    accept_unsigned: bool = False
+    """Whether, with a key, frames without a signature are believed too."""
     rates: Mapping[str, float] = field(default_factory=lambda: RATES)
     """Messages to ask for, Hz, by name; 0 stops one; empty: nothing is asked."""
     expected: PeerFound | None = None
@@ -102,17 +110,25 @@ class SessionOptions:
 class Session:
     """One autopilot: found, asked, listened to and answered."""
 
-    def __init__(self, options: SessionOptions | None = None) -> None:
+    def __init__(
+        self, options: SessionOptions | None = None, signing: Signing | None = None
+    ) -> None:
         self.options = options = options or SessionOptions()
+        self.admission = Admission(
+            options.allow_systems, options.allow_components, signing, options.accept_unsigned
+        )
         self.decoder = Decoder(options=options.decoder)
         self.timesync = Timesync(options.timesync)
         self.received: Counter[int] = Counter()
         """Frames of the autopilot by message id."""
+        self.heard = 0
+        """Frames of the autopilot."""
         self.ignored: Counter[str] = Counter()
         """Frames that are not the autopilot's, by whose they are."""
         self.sequence = Sequence()
         self.outbox = Outbox(
-            options.system_id or 1, options.component_id, is_recording=options.is_recording
+            Sender(options.system_id or 1, options.component_id, signing),
+            is_recording=options.is_recording,
         )
         self._events: list[Event] = []
         emit = self._events.append
@@ -152,10 +168,17 @@ class Session:
 
     # What goes in
 
-    def receive(self, data: bytes, now_ns: int) -> list[Measurement]:
-        """Take bytes that were read at a time of ours; give what they say, in order."""
+    def receive(self, data: bytes, now_ns: int, sender: Hashable = None) -> list[Measurement]:
+        """Take bytes that were read at a time of ours; give what they say, in order.
+
+        ``sender`` tells apart who sends datagrams to one socket. What is not admitted is not
+        recorded either: a stranger neither fills the disk nor speaks in a replay, which so needs
+        no key.
+        """
         measurements: list[Measurement] = []
-        for frame in self._splitter.feed(data):
+        for frame in self._splitter.feed(data, sender):
+            if frame.message_id != JUNK and self.admission.refuse(frame, now_ns):
+                continue
             if self.options.is_recording:
                 self.outbox.record(frame.raw, now_ns)
             if frame.message_id != JUNK:
@@ -180,6 +203,7 @@ class Session:
         if sender != self.discovery.peer:
             self.ignored["of another system or component"] += 1
             return []
+        self.heard += 1
         self.received[frame.message_id] += 1
         self.sequence.count(frame.sequence, now_ns)
         if (handlers := self._peer_routes.get(frame.message_id)) is not None:

@@ -39,7 +39,7 @@ class Oracle:
         splitter, us = Splitter(), Sender(1, 194)
         try:
             while True:
-                data, _ = await self.link.receive()
+                data, *_ = await self.link.receive()
                 for frame in splitter.feed(data):
                     self.counts[frame.message_id] = self.counts.get(frame.message_id, 0) + 1
                     if frame.message_id == IDS["HEARTBEAT"]:

@@ -1,0 +1,126 @@
+"""The secret from its file, and what signatures must remember over a restart.
+
+The secret stands in no log, no status and no complaint: only the name of its file does.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from pathlib import Path
+
+from ekf_companion.config import Config
+from ekf_companion.errors import ConfigError
+from ekf_companion.keeper import Slot
+from ekf_companion.mavlink.signing import KEY_SIZE, Signing
+
+INTERVAL_NS = 1_000_000_000
+"""Between two times kept; what a crash loses, the margin of the next start makes good."""
+SUFFIX = ".signing"
+"""Behind the checkpoint's name."""
+CREDENTIALS = "CREDENTIALS_DIRECTORY"
+"""Where systemd puts what LoadCredential= names."""
+_HEX = re.compile(rb"[0-9A-Fa-f]{%d}\n?" % (2 * KEY_SIZE))
+
+
+class Keyring:
+    """A secret in use, and the file that outlives us."""
+
+    def __init__(self, signing: Signing, slot: Slot | None) -> None:
+        """Go on from what the last run left.
+
+        Args:
+            signing: With the secret.
+            slot: Where its times are kept; None: nowhere, and a start begins from the clock.
+        """
+        self.signing = signing
+        self._slot = slot
+        self._next_ns = 0
+        if slot is not None and (state := slot.read()) and not signing.restore(state):
+            # Another secret, whose times are worth nothing, or no file of ours
+            slot.put_aside("record of this secret's times")
+
+    def keep(self, now_ns: int) -> None:
+        """Hand the times over to be written, where that is due; never waits."""
+        if self._slot is not None and now_ns >= self._next_ns:
+            self._next_ns = now_ns + INTERVAL_NS
+            self._slot.keep(self.signing.state())
+
+    def close(self) -> None:
+        """Write the last times, if the disk lets us."""
+        if self._slot is not None:
+            self._slot.keep(self.signing.state())
+            self._slot.close()
+
+
+def open_keyring(config: Config) -> Keyring | None:
+    """Read the secret and go on from the last run's times; None: nothing is to be signed.
+
+    Raises:
+        ConfigError: The file holds no secret, or others may read it.
+    """
+    if not config.signing.key_file:
+        return None
+    signing = Signing(read_key(config.signing.key_file))
+    file = config.checkpoint.file
+    slot = None if not file else Slot(Path(file + SUFFIX), "a restart would sign from the clock")
+    return Keyring(signing, slot)
+
+
+def read_key(name: str) -> bytes:
+    """Give the 32 bytes of a secret.
+
+    Args:
+        name: The file; ``$CREDENTIALS_DIRECTORY`` in it is systemd's folder of credentials.
+
+    Raises:
+        ConfigError: It cannot be read, is no plain file of ours, others may read it, or it holds
+            no secret; the sentence says which, and what would do, and nothing of the content.
+    """
+    path = os.path.expandvars(name)
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise _complaint(
+            path, f"{error.strerror}; name a file of mode 0600 that holds the secret"
+        ) from None
+    try:
+        _check(path, os.fstat(descriptor))
+        data = os.read(descriptor, 2 * KEY_SIZE + 2)
+    except OSError as error:
+        raise _complaint(path, f"{error.strerror}; name another file") from None
+    finally:
+        os.close(descriptor)
+    if _HEX.fullmatch(data):
+        return bytes.fromhex(data.decode("ascii").strip())
+    if len(data) == KEY_SIZE:
+        return data
+    raise _complaint(
+        path,
+        f"holds no secret of {KEY_SIZE} bytes or {2 * KEY_SIZE} hexadecimal digits; make one with "
+        f"openssl rand -hex {KEY_SIZE}",
+    )
+
+
+def _check(path: str, status: os.stat_result) -> None:
+    """Refuse what anybody but us and root could read, change or put there."""
+    if not stat.S_ISREG(status.st_mode):
+        raise _complaint(path, "is no plain file; name one")
+    if status.st_uid not in (0, os.geteuid()):
+        raise _complaint(path, f"belongs to another user; chown {os.geteuid()} {path}")
+    allowed = stat.S_IRUSR | stat.S_IWUSR
+    if _is_credential(path):
+        # Its folder is ours alone; the group's bit is the mask of an access list that names us
+        allowed |= stat.S_IRGRP
+    if (mode := stat.S_IMODE(status.st_mode)) & ~allowed:
+        raise _complaint(path, f"has mode {mode:04o}, so that others may use it; chmod 600 {path}")
+
+
+def _is_credential(path: str) -> bool:
+    folder = os.environ.get(CREDENTIALS)
+    return bool(folder) and Path(path).resolve().parent == Path(folder or "").resolve()
+
+
+def _complaint(path: str, words: str) -> ConfigError:
+    return ConfigError(f"signing.key_file: {path}: {words}")

@@ -1,0 +1,31 @@
+"""A link by its URL: serial, UDP or TCP, opened again for ever, all of one kind to the caller.
+
+A link runs in the caller's task group and ends when that task is cancelled::
+
+    link = open_link("udpin:0.0.0.0:14540")
+    async with asyncio.TaskGroup() as group:
+        group.create_task(link.run())
+        data, now_ns, sender = await link.receive()
+
+What is read is stamped at once and waits in a bounded queue; what cannot be sent now is dropped
+(UDP, or no link) or waits in a bounded queue (serial and TCP). Everything dropped is counted.
+
+``address`` reads URLs, ``port`` holds the open descriptors, ``peers`` says which senders of
+datagrams are heard, ``link`` keeps it all open.
+"""
+
+from ekf_companion.link.address import DEFAULT_BAUD, Address, Kind, parse_peer, parse_url
+from ekf_companion.link.link import Link, Received, open_link
+from ekf_companion.link.peers import Peers
+
+__all__ = [
+    "DEFAULT_BAUD",
+    "Address",
+    "Kind",
+    "Link",
+    "Peers",
+    "Received",
+    "open_link",
+    "parse_peer",
+    "parse_url",
+]

@@ -1,0 +1,149 @@
+"""Where a link leads, read from its URL."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+from ekf_companion.errors import LinkError
+
+DEFAULT_BAUD = 921600
+
+
+class Kind(str, Enum):
+    """What a link is made of."""
+
+    UDP_IN = "udpin"
+    UDP_OUT = "udpout"
+    UDP_BROADCAST = "udpbcast"
+    TCP_OUT = "tcp"
+    TCP_IN = "tcpin"
+    SERIAL = "serial"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Address:
+    """Where a link leads."""
+
+    kind: Kind
+    host: str = ""
+    """Bound (in) or reached (out)."""
+    port: int = 0
+    remote: tuple[str, int] | None = None
+    """Whom to send to before anyone was heard (``udp://bind@remote``)."""
+    peer: tuple[str, int] | None = None
+    """Whom datagrams must come from, host and port; port 0: any."""
+    device: str = ""
+    baud: int = DEFAULT_BAUD
+    warning: str = ""
+    """What the URL left open, and how it was read."""
+
+    def __str__(self) -> str:
+        """Give the URL in its plain spelling."""
+        if self.kind is Kind.SERIAL:
+            return f"serial:{self.device}:{self.baud}"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.kind.value}:{host}:{self.port}"
+
+
+DATAGRAMS = (Kind.UDP_IN, Kind.UDP_OUT, Kind.UDP_BROADCAST)
+
+_SCHEMES = {
+    "udpin": Kind.UDP_IN,
+    "udp": Kind.UDP_IN,
+    "udpout": Kind.UDP_OUT,
+    "udpbcast": Kind.UDP_BROADCAST,
+    "udp-b": Kind.UDP_BROADCAST,
+    "tcp": Kind.TCP_OUT,
+    "tcpout": Kind.TCP_OUT,
+    "tcpin": Kind.TCP_IN,
+    "tcp-l": Kind.TCP_IN,
+    "serial": Kind.SERIAL,
+}
+_EXAMPLES = (
+    "udpin:0.0.0.0:14540, udpout:192.168.1.2:14550, tcp:127.0.0.1:5760, tcpin:0.0.0.0:5760 "
+    "or serial:/dev/ttyACM0:921600"
+)
+
+
+def parse_url(url: str) -> Address:
+    """Read a link's URL in the spellings of pymavlink, MAVSDK, MAVROS and mavlink-router.
+
+    Raises:
+        LinkError: The URL names no link; the sentence says what would.
+    """
+    if url.startswith("/"):
+        return _parse_serial(url, url)
+    scheme, separator, rest = url.partition(":")
+    kind = _SCHEMES.get(scheme)
+    if kind is None or not separator:
+        raise LinkError(f"{url}: not a link; write for example {_EXAMPLES}")
+    rest = rest.removeprefix("//")
+    if "?" in rest:
+        raise LinkError(f"{url}: a link takes no options; leave out what follows the question mark")
+    if kind is Kind.SERIAL:
+        return _parse_serial(url, rest)
+    if scheme == "udp" and "@" in rest:
+        bind, remote = rest.split("@", 1)
+        host, port = _parse_host(url, bind or ":14550", "0.0.0.0")
+        target = _parse_host(url, remote, "127.0.0.1") if remote else None
+        return Address(kind=kind, host=host, port=port, remote=target)
+    if kind in (Kind.UDP_IN, Kind.TCP_IN):
+        default = "0.0.0.0"
+    else:
+        default = "255.255.255.255" if kind is Kind.UDP_BROADCAST else ""
+    host, port = _parse_host(url, rest, default)
+    warning = ""
+    if scheme == "udp":
+        warning = f"{url}: read as udpin; write udpin: to listen, or udpout: to reach out"
+    return Address(kind=kind, host=host, port=port, warning=warning)
+
+
+def parse_peer(peer: str, address: Address) -> tuple[str, int] | None:
+    """Read whom the datagrams of a link must come from: HOST or HOST:PORT; None: not said.
+
+    The port is 0 where any will do.
+
+    Raises:
+        LinkError: It names nobody, or the link is of a kind that has but one other end.
+    """
+    if not peer:
+        return None
+    if address.kind not in (Kind.UDP_IN, Kind.UDP_BROADCAST):
+        raise LinkError(
+            f"{peer}: only udpin: and udpbcast: hear several senders, and the link is {address}; "
+            "leave the peer out"
+        )
+    match = re.fullmatch(r"(?:\[([^\]]+)\]|([^:\[\]]+))(?::(\d+))?", peer)
+    if match is None:
+        # An IPv6 address without brackets has no port
+        if peer.count(":") < 2 or re.fullmatch(r"[0-9A-Fa-f:.]+(?:%\w+)?", peer) is None:
+            raise LinkError(f"{peer}: no HOST or HOST:PORT, as in 192.168.1.2 or 192.168.1.2:14550")
+        return peer, 0
+    port = int(match[3] or 0)
+    if match[3] is not None and not 0 < port < 65536:
+        raise LinkError(f"{peer}: {port} is no port; leave it out to hear any port of that host")
+    return match[1] or match[2], port
+
+
+def _parse_serial(url: str, rest: str) -> Address:
+    match = re.fullmatch(r"(/.+?)(?:[:,](\d+))?", rest)
+    if match is None:
+        raise LinkError(f"{url}: a serial link needs a device, as in serial:/dev/ttyACM0:921600")
+    baud = int(match[2]) if match[2] else DEFAULT_BAUD
+    if not 1200 <= baud <= 12_000_000:
+        raise LinkError(f"{url}: {baud} is no rate of a serial port; 921600 and 57600 are usual")
+    return Address(kind=Kind.SERIAL, device=match[1], baud=baud)
+
+
+def _parse_host(url: str, rest: str, default: str) -> tuple[str, int]:
+    match = re.fullmatch(r"(?:\[([^\]]+)\]|([^:\[\]]*)):(\d+)", rest)
+    if match is None:
+        raise LinkError(f"{url}: needs a host and a port, as in {_EXAMPLES}")
+    host, port = match[1] or match[2] or default, int(match[3])
+    if not host:
+        raise LinkError(f"{url}: needs the host to reach, as in {_EXAMPLES}")
+    if not 0 < port < 65536:
+        raise LinkError(f"{url}: {port} is no port; 14540 and 14550 are usual")
+    return host, port

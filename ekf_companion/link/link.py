@@ -1,0 +1,272 @@
+"""A link that is kept open."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+from ekf_companion.link.address import DATAGRAMS, Address, Kind, parse_peer, parse_url
+from ekf_companion.link.peers import Peers, Sender
+from ekf_companion.link.port import Port, SerialPort, TcpPort, open_server, open_tcp, open_udp
+
+_log = logging.getLogger(__package__)
+
+QUEUE_LENGTH = 1024
+"""Reads that wait for the caller; the oldest is dropped beyond."""
+PENDING_BYTES = 1 << 16
+"""Bytes that wait for a slow serial or TCP link; the oldest message is dropped beyond."""
+FIRST_DELAY, LAST_DELAY = 0.5, 1.0
+"""Seconds from one attempt to open a link to the next; doubled each time that nothing was heard.
+What has come back is taken up within that time, and its patience."""
+PATIENCE = 2.0
+"""Seconds that a connection may take: the kernel asks twice in them."""
+_READS_AT_ONCE = 64
+
+
+class Received(NamedTuple):
+    """What one read gave."""
+
+    data: bytes
+    now_ns: int
+    """When it was read, on the link's clock."""
+    sender: Sender | None = None
+    """Who sent it; None: there is but one other end."""
+
+
+class Link:
+    """A link that is kept open."""
+
+    def __init__(
+        self,
+        address: Address,
+        *,
+        clock: Callable[[], int] = time.monotonic_ns,
+        on_state: Callable[[bool], None] | None = None,
+        peers: Peers | None = None,
+    ) -> None:
+        self.address = address
+        self.peers = peers or Peers(is_guarded=False)
+        """Whose datagrams are heard; others are counted there."""
+        self.dropped = 0
+        """Reads that the caller was too slow for."""
+        self.unsent = 0
+        """Messages that found no link, or too slow a one."""
+        self.opened = 0
+        """How often the link has been opened."""
+        self.bytes_in = 0
+        self.bytes_out = 0
+        self._clock = clock
+        self._on_state = on_state
+        self._queue: deque[Received] = deque()
+        self._waiter: asyncio.Future[None] | None = None
+        self._port: Port | None = None
+        self._broken: asyncio.Future[str] | None = None
+        self._pending: deque[bytes] = deque()
+        self._server: socket.socket | None = None
+        self._last_complaint = ""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the descriptor is open; over UDP that says nothing of the other end."""
+        return self._port is not None
+
+    @property
+    def refused(self) -> Counter[str]:
+        """Datagrams not heard, by reason."""
+        return self.peers.refused
+
+    async def run(self) -> None:
+        """Keep the link open until cancelled."""
+        delay = FIRST_DELAY
+        loop = asyncio.get_running_loop()
+        try:
+            while True:
+                before, begin = self.bytes_in, loop.time()
+                reason = await self._run_once()
+                if self.bytes_in > before:
+                    delay = FIRST_DELAY
+                if reason != self._last_complaint:
+                    _log.warning("%s: %s; trying again until it opens", self.address, reason)
+                    self._last_complaint = reason
+                # An attempt that took its time has waited already; one that spoke begins anew
+                await asyncio.sleep(max(begin + delay - loop.time(), 0.0))
+                delay = min(2.0 * delay, LAST_DELAY)
+        finally:
+            if self._server is not None:
+                self._server.close()
+
+    async def receive(self) -> Received:
+        """Give the oldest read that waits, or wait for one."""
+        while True:
+            while not self._queue:
+                self._waiter = asyncio.get_running_loop().create_future()
+                await self._waiter
+            received = self._queue.popleft()
+            # Another may have been pinned since it came
+            if received.sender is None or self.peers.listen(received.sender, received.now_ns):
+                return received
+
+    def wake(self) -> None:
+        """Make ``receive`` return even if nothing comes: an empty read, stamped now."""
+        self._enter(Received(b"", self._clock()))
+
+    def send(self, data: bytes) -> None:
+        """Send a message now, or as soon as a stream has room; never waits."""
+        if self._port is None:
+            self.unsent += 1
+        elif self._pending:
+            self._enqueue(data)
+        else:
+            self._write(self._port, data)
+
+    async def _run_once(self) -> str:
+        """Open, pump and close; give the reason why it is over."""
+        try:
+            port = await self._open()
+        except asyncio.TimeoutError:
+            return "no answer"
+        except OSError as error:
+            return _sentence(error)
+        loop = asyncio.get_running_loop()
+        descriptor = port.fileno()
+        self._broken = loop.create_future()
+        self._port = port
+        self.opened += 1
+        _log.info("%s: open", self.address)
+        self._last_complaint = ""
+        loop.add_reader(descriptor, self._readable, port)
+        if self._server is not None:
+            # The newest client is the one that is alive
+            loop.add_reader(self._server, self._break, "another client came")
+        self._say(is_open=True)
+        try:
+            return await self._broken
+        finally:
+            if self._server is not None:
+                loop.remove_reader(self._server)
+            loop.remove_reader(descriptor)
+            loop.remove_writer(descriptor)
+            port.close()
+            self._port = None
+            self.unsent += len(self._pending)
+            self._pending.clear()
+            self._say(is_open=False)
+
+    def _say(self, *, is_open: bool) -> None:
+        if self._on_state is not None:
+            self._on_state(is_open)
+
+    def _break(self, reason: str) -> None:
+        if self._broken is not None and not self._broken.done():
+            self._broken.set_result(reason)
+
+    def _readable(self, port: Port) -> None:
+        try:
+            for _ in range(_READS_AT_ONCE):
+                data = port.read()
+                if data:
+                    self._take(data, port.sender)
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            self._break(_sentence(error))
+
+    def _take(self, data: bytes, sender: Sender | None) -> None:
+        now_ns = self._clock()
+        if sender is not None and not self.peers.listen(sender, now_ns):
+            return
+        self.bytes_in += len(data)
+        self._enter(Received(data, now_ns, sender))
+
+    def _enter(self, received: Received) -> None:
+        if len(self._queue) == QUEUE_LENGTH:
+            self._queue.popleft()
+            self.dropped += 1
+        self._queue.append(received)
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(None)
+
+    def _write(self, port: Port, data: bytes) -> None:
+        try:
+            written = port.write(data)
+        except BlockingIOError:
+            written = 0
+        except OSError as error:
+            self.unsent += 1
+            self._break(_sentence(error))
+            return
+        self.bytes_out += written
+        if written == len(data):
+            return
+        if not port.is_stream:
+            self.unsent += 1
+            return
+        # The rest of a message that has begun must follow, whatever else is dropped
+        self._pending.appendleft(data[written:])
+        asyncio.get_running_loop().add_writer(port.fileno(), self._writable, port)
+
+    def _enqueue(self, data: bytes) -> None:
+        self._pending.append(data)
+        while sum(map(len, self._pending)) > PENDING_BYTES and len(self._pending) > 1:
+            del self._pending[1]
+            self.unsent += 1
+
+    def _writable(self, port: Port) -> None:
+        asyncio.get_running_loop().remove_writer(port.fileno())
+        while self._pending:
+            data = self._pending.popleft()
+            waiting = len(self._pending)
+            self._write(port, data)
+            if len(self._pending) > waiting or (self._broken and self._broken.done()):
+                return
+
+    async def _open(self) -> Port:
+        address = self.address
+        if address.kind is Kind.SERIAL:
+            return SerialPort(address.device, address.baud)
+        if address.kind in DATAGRAMS:
+            return await open_udp(address, self.peers)
+        if address.kind is Kind.TCP_OUT:
+            return await open_tcp(address, PATIENCE)
+        if self._server is None:
+            self._server = await open_server(address)
+        stream, _ = await asyncio.get_running_loop().sock_accept(self._server)
+        return TcpPort(stream)
+
+
+def open_link(
+    url: str,
+    *,
+    peer: str = "",
+    clock: Callable[[], int] = time.monotonic_ns,
+    on_state: Callable[[bool], None] | None = None,
+    peers: Peers | None = None,
+) -> Link:
+    """Give the link that a URL names; it opens when ``run`` is awaited.
+
+    Args:
+        url: See ``parse_url``.
+        peer: Whom datagrams must come from, see ``parse_peer``; empty: anybody.
+        clock: What time it is, ns, for the stamps of ``receive``.
+        on_state: Called with True when the link has opened and with False when it is closed.
+        peers: Whose datagrams to hear, to be told by the caller whom to believe; None: everybody
+            is heard, and whoever spoke last is answered.
+
+    Raises:
+        LinkError: The URL names no link, or the peer nobody.
+    """
+    address = parse_url(url)
+    address = replace(address, peer=parse_peer(peer, address))
+    if address.warning:
+        _log.warning("%s", address.warning)
+    return Link(address, clock=clock, on_state=on_state, peers=peers)
+
+
+def _sentence(error: OSError) -> str:
+    return error.strerror or str(error) or type(error).__name__

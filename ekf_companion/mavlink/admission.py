@@ -1,0 +1,86 @@
+"""Who may speak: system and component ids, and signatures. Asked before anything else looks."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection
+
+from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.signing import Signing
+
+_SETUP_SIGNING = IDS["SETUP_SIGNING"]
+_RADIO_STATUS = IDS["RADIO_STATUS"]
+_RADIO = 68
+"""MAV_COMP_ID_TELEMETRY_RADIO."""
+
+SYSTEM = "system is not in link.allow_systems"
+COMPONENT = "component is not in link.allow_components"
+UNSIGNED = "not signed"
+SECRET = "carries a secret"
+
+
+class Admission:
+    """Lets frames in, and counts those that it does not by reason."""
+
+    def __init__(
+        self,
+        systems: Collection[int] = (),
+        components: Collection[int] = (),
+        signing: Signing | None = None,
+        accept_unsigned: bool = False,
+    ) -> None:
+        """Say who may speak.
+
+        Args:
+            systems: System ids; empty: all.
+            components: Component ids; empty: all.
+            signing: What verifies signatures; None: nobody looks at them.
+            accept_unsigned: Whether frames without one are let in where others are verified.
+        """
+        self.admitted = 0
+        """Frames let in."""
+        self.refused: Counter[str] = Counter()
+        """Frames by the reason why not."""
+        self._systems = frozenset(systems)
+        self._components = frozenset(components)
+        self._signing = signing
+        self._accept_unsigned = accept_unsigned
+
+    @property
+    def signed(self) -> int:
+        """How many frames had a signature that was right."""
+        return 0 if self._signing is None else self._signing.verified
+
+    def refuse(self, frame: Frame, now_ns: int) -> str | None:
+        """Say why a frame is not let in; None: it is.
+
+        Args:
+            frame: With a right checksum.
+            now_ns: Unix time, ns, for the age of a signature.
+        """
+        reason = self._judge(frame, now_ns)
+        if reason:
+            self.refused[reason] += 1
+            return reason
+        self.admitted += 1
+        return None
+
+    def _judge(self, frame: Frame, now_ns: int) -> str:
+        if self._systems and frame.system_id not in self._systems:
+            return SYSTEM
+        if self._components and frame.component_id not in self._components:
+            return COMPONENT
+        if frame.message_id == _SETUP_SIGNING:
+            # Not for us, who are given our key in a file, and not for our recording
+            return SECRET
+        if self._signing is None:
+            return ""
+        if frame.is_signed:
+            return self._signing.verify(frame, now_ns)
+        if self._accept_unsigned:
+            return ""
+        if frame.message_id == _RADIO_STATUS and frame.component_id == _RADIO:
+            # A telemetry radio knows no secret; what it says of itself decides nothing here
+            return ""
+        return UNSIGNED

@@ -1,0 +1,138 @@
+"""The secret's file, and the times that outlive a run."""
+
+import os
+import time
+
+import pytest
+
+from ekf_companion.config import describe_config, parse_config
+from ekf_companion.errors import ConfigError
+from ekf_companion.keyring import open_keyring, read_key
+from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.mavlink.signing import REPLAYED
+
+KEY = bytes(range(200, 232))
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(data, mode=0o600, name="key"):
+        path = tmp_path / name
+        path.unlink(missing_ok=True)
+        path.write_bytes(data)
+        path.chmod(mode)
+        return str(path)
+
+    return write
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o400])
+@pytest.mark.parametrize(
+    "data", [KEY, KEY.hex().encode(), KEY.hex().upper().encode() + b"\n"], ids=["raw", "hex", "HEX"]
+)
+def test_a_secret_is_read(write, data, mode):
+    assert read_key(write(data, mode)) == KEY
+
+
+@pytest.mark.parametrize("size", [0, 31, 33, 63, 65, 66, 5000])
+@pytest.mark.parametrize("letter", [b"a", b"g", b"\xff"])
+def test_what_is_no_secret_is_a_sentence_that_does_not_say_it(write, size, letter):
+    path = write(letter * size)
+    with pytest.raises(ConfigError) as caught:
+        read_key(path)
+    assert str(caught.value) == (
+        f"signing.key_file: {path}: holds no secret of 32 bytes or 64 hexadecimal digits; "
+        "make one with openssl rand -hex 32"
+    )
+    assert caught.value.__cause__ is None
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o660, 0o700, 0o644, 0o601])
+def test_a_secret_that_others_may_use_is_refused(write, mode):
+    path = write(KEY, mode)
+    with pytest.raises(ConfigError, match=rf"{path}: has mode {mode:04o}, .*; chmod 600 {path}$"):
+        read_key(path)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+def test_a_secret_of_another_user_is_refused(write):
+    path = write(KEY)
+    os.chown(path, 12345, -1)
+    with pytest.raises(ConfigError, match=r"belongs to another user; chown 0 "):
+        read_key(path)
+
+
+def test_what_is_no_plain_file_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "pipe", 0o600)
+    for name in ("pipe", "."):
+        with pytest.raises(ConfigError, match="is no plain file"):
+            read_key(str(tmp_path / name))
+    with pytest.raises(ConfigError, match=r"No such file or directory; name a file of mode 0600"):
+        read_key(str(tmp_path / "none"))
+
+
+@pytest.mark.parametrize("mode", [0o400, 0o440])
+def test_a_credential_of_systemd_is_read(write, tmp_path, monkeypatch, mode):
+    """Of a service with a user of its own it is root's, with an access list: mode 0440."""
+    path = write(KEY, mode, "signing")
+    if mode == 0o440:
+        with pytest.raises(ConfigError, match="has mode 0440"):
+            read_key(path)
+    monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(tmp_path))
+    assert read_key("${CREDENTIALS_DIRECTORY}/signing") == KEY
+    assert read_key(path) == KEY
+
+
+def config_of(key_file, checkpoint=""):
+    return parse_config({"signing": {"key_file": key_file}, "checkpoint": {"file": checkpoint}}, "")
+
+
+def test_no_file_is_no_keyring():
+    assert open_keyring(config_of("")) is None
+
+
+def test_times_outlive_a_run_rule_34(write, tmp_path):
+    config = config_of(write(KEY), str(tmp_path / "checkpoint"))
+    theirs = Sender(1, 1, open_keyring(config_of(write(KEY))).signing)
+    now_ns = time.time_ns()
+    (frame,) = Splitter().feed(theirs.message("HEARTBEAT", autopilot=3))
+    keyring = open_keyring(config)
+    assert keyring.signing.verify(frame, 0) == ""
+    last = int.from_bytes(keyring.signing.sign(b"", now_ns)[-12:-6], "little")
+    keyring.keep(now_ns)
+    keyring.close()
+
+    again = open_keyring(config)
+    assert again.signing.verify(frame, 0) == REPLAYED
+    assert int.from_bytes(again.signing.sign(b"", 0)[-12:-6], "little") > last
+    again.close()
+    assert KEY not in (tmp_path / "checkpoint.signing").read_bytes()
+
+
+def test_it_is_kept_once_a_second_at_most_and_without_waiting(write, tmp_path):
+    os.mkfifo(tmp_path / "checkpoint.signing.new")  # a disk that never answers
+    keyring = open_keyring(config_of(write(KEY), str(tmp_path / "checkpoint")))
+    begin = time.monotonic()
+    for k in range(1000):
+        keyring.keep(k * 10**9)
+    assert time.monotonic() - begin < 0.2
+    with (tmp_path / "checkpoint.signing.new").open("rb") as pipe:
+        assert pipe.read().startswith(b"EKFSIGN1")
+    keyring.close()
+
+
+def test_the_times_of_another_secret_are_put_aside(write, tmp_path, caplog):
+    (tmp_path / "checkpoint.signing").write_bytes(b"something else")
+    keyring = open_keyring(config_of(write(KEY), str(tmp_path / "checkpoint")))
+    keyring.close()
+    assert (tmp_path / "checkpoint.signing.foreign").read_bytes() == b"something else"
+    assert "it is now checkpoint.signing.foreign" in caplog.text
+    assert open_keyring(config_of(write(KEY), str(tmp_path / "checkpoint"))) is not None
+
+
+def test_the_printed_configuration_names_the_file_alone(write):
+    path = write(KEY.hex().encode())
+    words = repr(describe_config(config_of(path))) + repr(config_of(path))
+    assert path in words
+    assert KEY.hex() not in words
