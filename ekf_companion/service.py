@@ -18,10 +18,11 @@ from typing import BinaryIO
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.errors import CompanionError, ConfigError
-from ekf_companion.keeper import Keeper, clocks, open_keeper
+from ekf_companion.keeper import Keeper, clocks, open_keeper, open_memory
 from ekf_companion.keyring import Keyring, open_keyring
 from ekf_companion.link import Link, Peers, Received, open_link
 from ekf_companion.resumption import Resumption
+from ekf_companion.tuning import Tuning
 
 if sys.version_info >= (3, 11):
     from asyncio import TaskGroup
@@ -88,7 +89,11 @@ async def serve(config: Config) -> None:
         None if keeper is None else keeper.read(), clocks(), unix_clock(), config.checkpoint.limit
     )
     signing = None if keyring is None else keyring.signing
-    companion = Companion(config, recorder is not None, resumption, signing)
+    memory = open_memory(config.checkpoint.file)
+    tuning = Tuning(config)
+    if memory is not None:
+        tuning = Tuning(config, memory.read(), str(memory.path), memory.keep)
+    companion = Companion(config, recorder is not None, resumption, signing, tuning)
     systemd = Systemd()
     systemd.tell("READY=1")
     try:
@@ -110,6 +115,8 @@ async def serve(config: Config) -> None:
     finally:
         if keeper is not None:
             keeper.close()
+        if memory is not None:
+            memory.close()
         if keyring is not None:
             keyring.close()
         if recorder is not None:

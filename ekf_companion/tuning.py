@@ -129,18 +129,26 @@ def apply(config: Config, key: str, number: float) -> Config:
 class Tuning:
     """The configuration as it was turned in the field, in this run or in an earlier one."""
 
-    def __init__(self, config: Config, data: bytes | None = None, name: str = "") -> None:
+    def __init__(
+        self,
+        config: Config,
+        data: bytes | None = None,
+        name: str = "",
+        keep: Callable[[bytes], None] | None = None,
+    ) -> None:
         """Take what an earlier run kept; what cannot be meant any more is left out and logged.
 
         Args:
             config: As the user's file says.
-            data: What :meth:`take` gave there; None: nothing was kept.
+            data: What was handed to ``keep`` there; None: nothing was.
             name: Of the file that it was kept in, for the log.
+            keep: Takes, after each change, what the next run should go on with: JSON of dotted
+                keys and values, of those that differ from the user's file.
         """
         self.config = config
         """As it counts now."""
         self._file_config = config
-        self._has_news = False
+        self._keep = keep
         if data is not None and config.parameters.serve:
             self._recall(data, name)
 
@@ -151,23 +159,14 @@ class Tuning:
             ConfigError: As :func:`apply`.
         """
         self.config = apply(self.config, key, number)
-        self._has_news = True
+        if self._keep is not None:
+            changed = {
+                tunable.key: value
+                for tunable in TABLE
+                if (value := _get(self.config, tunable.key)) != _get(self._file_config, tunable.key)
+            }
+            self._keep(msgspec.json.format(msgspec.json.encode(changed)) + b"\n")
         return self.config
-
-    def take(self) -> bytes | None:
-        """Give what is to be kept, if it has changed: JSON of dotted keys and values.
-
-        Only what differs from the user's file is kept.
-        """
-        if not self._has_news:
-            return None
-        self._has_news = False
-        kept = {
-            tunable.key: value
-            for tunable in TABLE
-            if (value := _get(self.config, tunable.key)) != _get(self._file_config, tunable.key)
-        }
-        return msgspec.json.format(msgspec.json.encode(kept)) + b"\n"
 
     def _recall(self, data: bytes, name: str) -> None:
         try:

@@ -68,22 +68,20 @@ def test_none_are_served_where_the_user_says_so():
 
 
 def test_what_was_set_is_kept_for_the_next_run_and_only_that():
-    first = Tuning(Config())
-    assert first.take() is None
+    kept = []
+    first = Tuning(Config(), keep=kept.append)
     first.set("baro.std", 2.5)
     first.set("heading.source", 2.0)
     first.set("imu.gyro_noise", 0.01)
     first.set("imu.gyro_noise", Config().imu.gyro_noise)  # and back
-    data = first.take()
-    assert data is not None
-    assert first.take() is None
-    assert b"gyro" not in data
-    second = Tuning(Config(), data, "kept")
+    assert len(kept) == 4
+    assert b"gyro" not in kept[-1]
+    second = Tuning(Config(), kept[-1], "kept", kept.append)
     assert second.config == first.config
     assert second.config.heading.source == "magnetometer"
     # What the earlier run kept is not forgotten by a change in this one
     second.set("baro.use", 0.0)
-    third = Tuning(Config(), second.take(), "kept")
+    third = Tuning(Config(), kept[-1], "kept")
     assert (third.config.baro.std, third.config.baro.use) == (2.5, False)
 
 
