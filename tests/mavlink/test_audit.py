@@ -18,12 +18,13 @@ RATES = {
 }
 
 
-def listen(duration, rates, family=PX4, change=None):
+def listen(duration, rates, family=PX4, change=None, then=None):
     """Hear messages at rates (Hz) and grant all; give when which was asked again, and events."""
     session, autopilot = met(family, rates=RATES)
     again, events, counts, now = [], [], dict.fromkeys(RATES, 0.0), 0
     for now in range(0, int(duration * SECOND), 50 * MS):
-        rates = change[1] if change and now >= change[0] * SECOND else rates
+        for at, changed in filter(None, (change, then)):
+            rates = changed if now >= at * SECOND else rates
         if now % SECOND == 0:
             session.receive(autopilot.heartbeat(), now)
         for name, rate in rates.items():
@@ -69,6 +70,13 @@ def test_rule_6_what_recovers_is_forgiven():
     slow = RATES | {"HIGHRES_IMU": 100.0}
     again, events, _ = listen(60.0, slow, change=(12.0, RATES))
     assert len(again) == 1
+    assert events == []
+
+
+def test_rule_6_two_short_troubles_are_not_one_long_one():
+    slow = RATES | {"HIGHRES_IMU": 100.0}
+    again, events, _ = listen(80.0, slow, change=(28.0, RATES), then=(50.0, slow))
+    assert len(again) > 4
     assert events == []
 
 

@@ -4,6 +4,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ekf_companion.mavlink.event import PeerFound, SeveralAutopilots
+from ekf_companion.mavlink.sequence import Sequence
 from ekf_companion.mavlink.session import Session, SessionOptions
 from ekf_companion.nav.measurements import ImuSample
 from tests.mavlink.conversation import SECOND, Voice, met, sent
@@ -41,16 +42,23 @@ def test_rule_1_a_ground_station_is_no_second_autopilot():
 
 
 def test_rule_3_what_was_sent_in_a_silence_is_not_counted_as_lost():
+    sequence = Sequence()
+    for number, now_ns, lost in (
+        (0, 0, 0),
+        (90, 5 * SECOND, 89),
+        (200, 10 * SECOND + 1, 89),
+        (203, 11 * SECOND, 91),
+    ):
+        sequence.count(number, now_ns)
+        assert sequence.lost == lost
+
+
+def test_rule_3_an_autopilot_that_returns_is_counted_anew():
     session, autopilot = met()
+    session.tick(6 * SECOND)
     autopilot.sender.sequence = 90
-    session.receive(autopilot.heartbeat(), 4 * SECOND)
-    assert session.sequence.lost == 89
-    autopilot.sender.sequence = 200
-    session.receive(autopilot.heartbeat(), 10 * SECOND)
-    assert session.sequence.lost == 89
-    autopilot.sender.sequence = 203
-    session.receive(autopilot.heartbeat(), 11 * SECOND)
-    assert session.sequence.lost == 91
+    session.receive(autopilot.heartbeat(), 6 * SECOND)
+    assert session.sequence.lost == 0
 
 
 def test_rule_33_a_peer_that_speaks_mavlink_1_is_understood_and_answered_in_2():

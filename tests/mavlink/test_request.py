@@ -103,6 +103,9 @@ def test_rule_7_only_the_groups_are_asked_of_which_nothing_is_granted():
     assert {stream[1] for stream in answered(ARDUPILOT, denied | granted, OLD)} == {1}
     assert answered(PX4, denied | granted, OLD) == []
     assert answered(ARDUPILOT, {**granted, "HIGHRES_IMU": 2, "RAW_IMU": 0}, OLD) == []
+    # A group would change the rate of what was granted out of it
+    with_baro = OLD | {"SCALED_PRESSURE": 10.0}
+    assert answered(ARDUPILOT, denied | granted | {"SCALED_PRESSURE": 0}, with_baro) == []
 
 
 def test_rule_12_after_a_reboot_the_version_is_asked_again():
