@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from ekf_companion.companion import SILENCE_NS, Companion, Due
+from ekf_companion.companion import SILENCE_NS, Companion
 from ekf_companion.config import Config, OdometryConfig, OutputConfig
 from ekf_companion.core.settings import GateSettings
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.layout import LAYOUTS
+from ekf_companion.publisher import Due
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import SimConfig, StreamConfig
 from sim_autopilot.flight import Flight

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.event import Emit, PeerFound, PeerLost
+from ekf_companion.mavlink.event import Emit, PeerFound, PeerLost, SeveralAutopilots
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS, quantise
@@ -50,6 +50,7 @@ class Discovery(Service):
         self._end = end
         self._wanted = wanted
         self._expected = expected
+        self._has_told_others = False
 
     def recognise(self, sender: tuple[int, int], now_ns: int) -> None:
         """Take the sender for the autopilot if it is the one expected."""
@@ -77,6 +78,7 @@ class Discovery(Service):
             self.peer = (frame.system_id, frame.component_id)
             self.is_lost = True  # until now
         if self.peer != frame[1:3]:
+            self._tell_of(frame.system_id)
             return
         self.tick(now_ns)
         self.heard_ns = quantise(now_ns)
@@ -85,6 +87,15 @@ class Discovery(Service):
         self.family = family
         if self.is_lost or is_other:
             self._find(family, now_ns)
+
+    def _tell_of(self, other_id: int) -> None:
+        """Say once that there is a choice to make, where nobody has made it."""
+        if self.peer is None or self._wanted is not None or other_id == self.peer[0]:
+            return
+        if self._has_told_others:
+            return
+        self._has_told_others = True
+        self._emit(SeveralAutopilots(self.peer[0], other_id))
 
     def _find(self, family: Family, now_ns: int) -> None:
         self.heard_ns = quantise(now_ns)

@@ -41,13 +41,83 @@ class Answered:
 
 
 @dataclass(frozen=True, slots=True)
+class SeveralAutopilots:
+    """Another vehicle's autopilot is heard, and nobody has said which one to listen to."""
+
+    system_id: int
+    """Of the one that is listened to."""
+    other_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class Versioned:
+    """The autopilot told its firmware."""
+
+    version: str
+    """As in ``1.16.0``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clash:
+    """Somebody else speaks under our system and component id."""
+
+    system_id: int
+    component_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class RateInVain:
+    """A message comes too rarely, however often it is asked for."""
+
+    message: str
+    asked: float
+    """Hz."""
+    measured: float
+    """Hz."""
+    cause: str
+    """The probable one, and what to change."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSet:
+    """Somebody has set one of our parameters to a value that is in its range."""
+
+    name: str
+    key: str
+    """Of the configuration, dotted."""
+    value: float
+    """As it is told over MAVLink."""
+
+
+@dataclass(frozen=True, slots=True)
+class IntervalSet:
+    """Somebody wants one of our messages at another rate."""
+
+    message: str
+    rate: float
+    """Hz; 0: not at all."""
+
+
+@dataclass(frozen=True, slots=True)
 class GuardChanged:
     """ODOMETRY is sent from now on, or no longer, or for another reason."""
 
     verdict: Verdict
 
 
-Event = PeerFound | PeerLost | Rebooted | Answered | GuardChanged
+Event = (
+    PeerFound
+    | PeerLost
+    | Rebooted
+    | Answered
+    | SeveralAutopilots
+    | Versioned
+    | Clash
+    | RateInVain
+    | ParameterSet
+    | IntervalSet
+    | GuardChanged
+)
 
 Emit = Callable[[Event], None]
 """Takes what has happened."""

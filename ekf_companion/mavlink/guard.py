@@ -88,6 +88,16 @@ class Guard(Service):
         self._peer = peer
         self._judge(is_complete=False)
 
+    def reconsider(self, options: GuardOptions) -> None:
+        """Go by another configuration from now on."""
+        if options == self.options:
+            return
+        self.options = options
+        if self._peer is None:
+            self.verdict = self._nobody()
+        else:
+            self.begin(self._peer)
+
     def end(self) -> None:
         """Nobody is there: what has been read says nothing of who comes next."""
         self._forget()

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.encode import SystemStatus
+from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
+
+_ECHOES = 16
+"""So many heartbeats old may an echo be: no router holds one back for longer."""
 
 
 class Heartbeat(Service):
@@ -18,6 +24,7 @@ class Heartbeat(Service):
         """``custom_mode``: the ``nav.state.Status`` of the estimate."""
         self._outbox = outbox
         self._next_ns: int | None = None
+        self._beats: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES)
 
     def tick(self, now_ns: int) -> None:
         """Beat if it is time; what a stall has missed is not made up for."""
@@ -30,4 +37,15 @@ class Heartbeat(Service):
 
     def beat(self, now_ns: int) -> None:
         """Send one, out of turn."""
-        self._outbox.send("HEARTBEAT", encode.heartbeat(self.status, self.mode), now_ns)
+        payload = encode.heartbeat(self.status, self.mode)
+        self._beats.append((self._outbox.sequence, payload.rstrip(b"\0")))
+        self._outbox.send("HEARTBEAT", payload, now_ns)
+
+    @property
+    def has_beaten(self) -> bool:
+        """Whether any was sent: a recording that is read again sends none."""
+        return bool(self._beats)
+
+    def is_echo(self, frame: Frame) -> bool:
+        """Whether a heartbeat is one of our last, come back from a router."""
+        return (frame.sequence, frame.payload.rstrip(b"\0")) in self._beats

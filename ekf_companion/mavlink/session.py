@@ -17,28 +17,26 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from ekf_companion.mavlink.audit import Audit
+from ekf_companion.mavlink.clash import ClashWatch
 from ekf_companion.mavlink.clock import Timesync, TimesyncOptions
 from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.commands import Commands
 from ekf_companion.mavlink.decode import Decoder, DecoderOptions
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
-from ekf_companion.mavlink.event import (
-    Answered,
-    Event,
-    GuardChanged,
-    PeerFound,
-    PeerLost,
-    Rebooted,
-)
+from ekf_companion.mavlink.event import Answered, Event, PeerFound, PeerLost, Rebooted
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import Heartbeat
 from ekf_companion.mavlink.layout import IDS
 from ekf_companion.mavlink.outbox import Outbox
+from ekf_companion.mavlink.parameters import Parameter, ParameterServer
 from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.sequence import Sequence
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.stamp import quantise
+from ekf_companion.mavlink.statustext import StatusText
 from ekf_companion.mavlink.timesync import TimesyncService
 from ekf_companion.nav.measurements import Measurement, Restart
 
@@ -46,7 +44,6 @@ __all__ = [
     "RATES",
     "Answered",
     "Event",
-    "GuardChanged",
     "PeerFound",
     "PeerLost",
     "Rebooted",
@@ -86,10 +83,12 @@ class SessionOptions:
     heartbeat need not be waited for."""
     is_recording: bool = False
     """Whether what goes in and out is kept for ``take_record``."""
+    parameters: tuple[Parameter, ...] = ()
+    """Our own, as a ground station sees them; empty: none are served."""
     decoder: DecoderOptions = field(default_factory=DecoderOptions)
     timesync: TimesyncOptions = field(default_factory=TimesyncOptions)
     guard: GuardOptions | None = None
-    """Whom ODOMETRY is kept from; None: this session sends none, and asks for no parameter."""
+    """Whom ODOMETRY is kept from; None: nobody, and the autopilot is asked for no parameter."""
 
 
 class Session:
@@ -118,17 +117,29 @@ class Session:
             expected=options.expected,
         )
         self.heartbeat = Heartbeat(self.outbox)
+        self.clash = ClashWatch(emit, self.heartbeat)
+        self.commands = Commands(self.outbox, emit, self.heartbeat)
+        self.parameters = ParameterServer(self.outbox, emit, options.parameters)
         self.requests = Requests(self.outbox, emit, options.rates)
-        self.guard = Guard(self.outbox, emit, options.guard or GuardOptions(mode="never"))
-        # Held with everybody, and with the autopilot only while it is heard
-        self._open: tuple[Service, ...] = (self.heartbeat, self.discovery)
-        self._close: tuple[Service, ...] = (
+        self.audit = Audit(self.received, self.requests, emit)
+        self.statustext = StatusText(self.outbox)
+        self.guard = Guard(self.outbox, emit, options.guard or GuardOptions(mode="always"))
+
+        # Held with everybody
+        self._with_all: tuple[Service, ...] = (
+            *(self.heartbeat, self.discovery, self.clash),
+            *(self.commands, self.parameters),
+        )
+        # Held with the autopilot only, while it is heard
+        self._with_peer: tuple[Service, ...] = (
             self.requests,
             *(() if options.guard is None else (self.guard,)),
             TimesyncService(self.outbox, self.timesync),
+            self.audit,
+            self.statustext,
         )
-        self._open_routes = _routes(self._open)
-        self._close_routes = _routes(self._close)
+        self._all_routes = _routes(self._with_all)
+        self._peer_routes = _routes(self._with_peer)
         self._splitter = Splitter()
 
     # What goes in
@@ -143,14 +154,15 @@ class Session:
         return measurements
 
     def _take(self, frame: Frame, now_ns: int) -> list[Measurement]:
-        # Leave out what only says that somebody repeats us
+        # Leave out what bears our own name: an echo, or somebody who must not
         sender = frame[1:3]
         if sender == self.outbox.ids:
             self.ignored["our own"] += 1
+            self.clash.hear(frame, now_ns)
             return []
 
         # Hear what anybody may say
-        if (handlers := self._open_routes.get(frame.message_id)) is not None:
+        if (handlers := self._all_routes.get(frame.message_id)) is not None:
             self._hand(handlers, frame, now_ns)
         if self.discovery.peer is None:
             self.discovery.recognise(sender, now_ns)
@@ -161,7 +173,7 @@ class Session:
             return []
         self.received[frame.message_id] += 1
         self.sequence.count(frame.sequence, now_ns)
-        if (handlers := self._close_routes.get(frame.message_id)) is not None:
+        if (handlers := self._peer_routes.get(frame.message_id)) is not None:
             self._hand(handlers, frame, now_ns)
 
         # Take what it measured
@@ -190,19 +202,19 @@ class Session:
         if self.options.system_id is None:
             self.outbox.adopt(peer.system_id)
         self.sequence.begin()
-        for service in (*self._open, *self._close):
+        for service in (*self._with_all, *self._with_peer):
             service.begin(peer)
 
     def _end(self) -> None:
-        for service in (*self._open, *self._close):
+        for service in (*self._with_all, *self._with_peer):
             service.end()
 
     def tick(self, now_ns: int) -> None:
         """Do what is due; to be called ten times a second or more."""
-        for service in self._open:
+        for service in self._with_all:
             service.tick(now_ns)
         if self.peer is not None:
-            for service in self._close:
+            for service in self._with_peer:
                 service.tick(now_ns)
 
     # What goes out
@@ -240,6 +252,14 @@ class Session:
     def peer(self) -> tuple[int, int] | None:
         """System and component id of the autopilot; None: not heard or lost."""
         return None if self.discovery.is_lost else self.discovery.peer
+
+    @property
+    def may_stream(self) -> bool:
+        """Whether ODOMETRY may be sent.
+
+        Not where the guard forbids it, nor while somebody else speaks under our ids.
+        """
+        return self.guard.is_streaming and not self.clash.is_clash
 
     @property
     def results(self) -> Mapping[str, str]:
