@@ -58,6 +58,7 @@ def session_options(
             request=timesync.request,
             largest_rtt_ms=timesync.largest_rtt * 1e3,
         ),
+        guard=_guard_options(config),
     )
 
 
@@ -139,7 +140,7 @@ class Companion:
             self.session.set_state(encode.SYSTEM_STATUS[health.status], health.status)
 
     def _send(self, name: str, payload: bytes, now_ns: int) -> None:
-        """Send a message; an ODOMETRY that nobody may have is recorded all the same."""
+        """Send a message; an ODOMETRY that must not be sent is only recorded."""
         if name == "ODOMETRY" and not self.session.may_stream:
             self.session.note(name, payload, now_ns)
         else:
@@ -152,10 +153,10 @@ class Companion:
             return
         self.pipeline = Pipeline(self._config, peer.family.value)
         self._publisher = Publisher(self._config, self.pipeline, peer.family)
-        for warning in self._publisher.label.warnings:
-            _log.warning("%s", warning)
         self._family = peer.family
         self._offer()
+        for warning in self._publisher.label.warnings:
+            _log.warning("%s", warning)
         self._resumption.meet(vehicle, self.pipeline, self.session.decoder)
         if self._expected != vehicle:
             self._expected = None
@@ -193,7 +194,7 @@ class Companion:
         self._config = config
         timesync = self.session.timesync
         timesync.options = replace(timesync.options, respond=config.timesync.respond)
-        self.session.guard.reconsider(_guard_options(config))
+        self.session.guard.retune(_guard_options(config))
         self._offer()
 
     def _offer(self) -> None:

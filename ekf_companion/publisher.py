@@ -71,6 +71,7 @@ class Publisher:
         self._account = Due(1.0)
         odometry = config.output.odometry
         self.label = label(family, odometry.frame, odometry.estimator_type)
+        """What every ODOMETRY says of itself."""
         self._was_invalid = False
 
     def set_rate(self, name: str, rate: float) -> None:
@@ -89,10 +90,7 @@ class Publisher:
         return has_one
 
     def publish(self, send: Callable[[str, bytes], None]) -> Health | None:
-        """Send what is due at the newest sample's stamp; once a second give the filter's account.
-
-        ODOMETRY is handed to ``send`` whoever may have it, so that a recording holds all of it.
-        """
+        """Send what is due at the newest stamp; once a second give the filter's account."""
         t_ns = self._pipeline.stamp_ns
         if self._due["ODOMETRY"].is_due(t_ns):
             self._publish_odometry(send)

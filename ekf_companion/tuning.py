@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Any
 
@@ -112,14 +112,18 @@ def parameters(config: Config) -> tuple[Parameter, ...]:
 
 
 def apply(config: Config, key: str, number: float) -> Config:
-    """Give the configuration with one key at what a parameter's number means.
+    """Give the configuration with one key at what a parameter's number, in its range, means.
 
     Raises:
-        ConfigError: No parameter has this key, or the configuration does not take the value.
+        ConfigError: No parameter has this key, or the number is out of its range.
     """
-    if key not in _BY_KEY:
+    tunable = _BY_KEY.get(key)
+    if tunable is None:
         raise ConfigError(f"{key}: is no parameter; known are {', '.join(_BY_KEY)}")
-    return _set(config, key, _BY_KEY[key].value(number), "parameter")
+    if not tunable.lowest <= number <= tunable.highest:
+        raise ConfigError(f"{key}: {number} is not in {tunable.lowest} to {tunable.highest}")
+    changed: Config = _replace(config, key.split("."), tunable.value(number))
+    return changed
 
 
 class Tuning:
@@ -188,6 +192,13 @@ def _get(config: Config, key: str) -> object:
     for part in key.split("."):
         value = getattr(value, part)
     return value
+
+
+def _replace(section: Any, path: list[str], value: object) -> Any:
+    """Give a copy of nested dataclasses with one field changed."""
+    name, *rest = path
+    inner = _replace(getattr(section, name), rest, value) if rest else value
+    return replace(section, **{name: inner})
 
 
 def _set(config: Config, key: str, value: object, name: str) -> Config:

@@ -17,6 +17,7 @@ from tests.test_companion import named
 ALLOWED = {
     *("HEARTBEAT", "ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN", "TIMESYNC", "STATUSTEXT"),
     *("COMMAND_LONG", "COMMAND_ACK", "REQUEST_DATA_STREAM", "PARAM_VALUE", "PARAM_ERROR"),
+    "PARAM_REQUEST_READ",
     *("AUTOPILOT_VERSION", "MESSAGE_INTERVAL"),
     "PARAM_REQUEST_READ",
 }
@@ -159,6 +160,15 @@ def test_rule_30_a_parameter_is_obeyed_at_once_told_and_kept():
     assert max(periods(part)) == 100_000
     assert "Companion: EC_ODOM_RATE is 10" in texts(part)
     assert b'"output.odometry.rate": 10.0' in flown.companion.tuning.take()
+
+
+def test_rule_30_the_mode_is_obeyed_at_once():
+    flown = Flown(5.0)
+    flown.fly(2.0)
+    part = flown.fly(3.0, once(flown.set_parameter("EC_ODOM_MODE", 2.0)))
+    assert len(named("ODOMETRY", part)) <= 1
+    part = flown.fly(4.0, once(flown.set_parameter("EC_ODOM_MODE", 1.0)))
+    assert len(named("ODOMETRY", part)) == pytest.approx(30, abs=1)
 
 
 def test_rule_4_no_odometry_is_sent_while_somebody_else_speaks_as_us():

@@ -1,6 +1,7 @@
 """What may be turned in the field."""
 
 import logging
+from pathlib import Path
 
 import pytest
 
@@ -58,7 +59,7 @@ def test_one_key_is_changed_and_nothing_else():
 
 
 def test_a_key_that_is_no_parameter_is_refused():
-    with pytest.raises(ConfigError, match="link.url: is no parameter"):
+    with pytest.raises(ConfigError, match=r"link\.url: is no parameter"):
         apply(Config(), "link.url", 1.0)
 
 
@@ -109,3 +110,9 @@ def test_a_dropped_value_leaves_the_others(caplog):
     tuning = Tuning(Config(), b'{"old.key": 1, "baro.std": 2.0}', "kept")
     assert tuning.config.baro.std == 2.0
     assert "baro.std is 2.0, as set over MAVLink" in caplog.text
+
+
+def test_the_page_on_the_link_names_every_parameter_and_its_key():
+    page = (Path(__file__).parents[1] / "docs" / "LINK_MANNERS.md").read_text(encoding="utf-8")
+    for tunable in TABLE:
+        assert f"| {tunable.name} | `{tunable.key}` |" in page

@@ -82,6 +82,16 @@ class Guard(Service):
 
     # What changes
 
+    def retune(self, options: GuardOptions) -> None:
+        """Decide by other options from now on."""
+        if options == self.options:
+            return
+        self.options = options
+        if self._peer is None:
+            self.verdict = self._nobody()
+        else:
+            self._judge(is_complete=False)
+
     def begin(self, peer: PeerFound) -> None:
         """Ask anew: a reboot may have changed anything."""
         self._forget()

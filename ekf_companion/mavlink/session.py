@@ -121,6 +121,7 @@ class Session:
         self.commands = Commands(self.outbox, emit, self.heartbeat)
         self.parameters = ParameterServer(self.outbox, emit, options.parameters)
         self.requests = Requests(self.outbox, emit, options.rates)
+        self.guard = Guard(self.outbox, emit, options.guard or GuardOptions(mode="never"))
         self.audit = Audit(self.received, self.requests, emit)
         self.statustext = StatusText(self.outbox)
         self.guard = Guard(self.outbox, emit, options.guard or GuardOptions(mode="always"))
@@ -148,7 +149,8 @@ class Session:
         """Take bytes that were read at a time of ours; give what they say, in order."""
         measurements: list[Measurement] = []
         for frame in self._splitter.feed(data):
-            self.outbox.record(frame.raw, now_ns)
+            if self.options.is_recording:
+                self.outbox.record(frame.raw, now_ns)
             if frame.message_id != JUNK:
                 measurements += self._take(frame, now_ns)
         return measurements
@@ -255,10 +257,7 @@ class Session:
 
     @property
     def may_stream(self) -> bool:
-        """Whether ODOMETRY may be sent.
-
-        Not where the guard forbids it, nor while somebody else speaks under our ids.
-        """
+        """Whether ODOMETRY may be sent: the guard lets it, and nobody else speaks as us."""
         return self.guard.is_streaming and not self.clash.is_clash
 
     @property

@@ -6,9 +6,12 @@ import pytest
 
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import Clash
+from ekf_companion.mavlink.guard import GuardOptions
 from ekf_companion.mavlink.session import Session
 from ekf_companion.nav.state import Status
 from tests.mavlink.conversation import MS, OURS, SECOND, Voice, met, sent
+
+STREAMING = GuardOptions(mode="always")
 
 
 @pytest.mark.parametrize("stall", [2.1, 10.0])
@@ -33,7 +36,7 @@ def test_rule_2_it_says_what_we_are_and_how_we_are():
 
 
 def test_rule_4_the_echo_of_our_own_heartbeats_is_no_clash():
-    session, _ = met()
+    session, _ = met(guard=STREAMING)
     for now_ns in range(0, 60 * SECOND, SECOND):
         session.tick(now_ns)
         frames = session.data_to_send()
@@ -44,7 +47,7 @@ def test_rule_4_the_echo_of_our_own_heartbeats_is_no_clash():
 
 
 def test_rule_4_a_foreign_heartbeat_under_our_ids_stops_odometry_and_is_named_twice_a_minute():
-    session, autopilot = met()
+    session, autopilot = met(guard=STREAMING)
     other = Voice(*OURS)
     other.sender.sequence = 77
     told = []
@@ -62,7 +65,7 @@ def test_rule_4_a_foreign_heartbeat_under_our_ids_stops_odometry_and_is_named_tw
 
 
 def test_rule_4_another_of_us_that_says_the_same_is_told_by_its_numbers():
-    session, _ = met()
+    session, _ = met(guard=STREAMING)
     twin = Session()
     twin.outbox._sender.sequence = 100
     for now_ns in range(0, 5 * SECOND, SECOND):
@@ -74,7 +77,7 @@ def test_rule_4_another_of_us_that_says_the_same_is_told_by_its_numbers():
 
 
 def test_rule_4_our_heartbeats_in_a_recording_are_no_clash():
-    session, _ = met()
+    session, _ = met(guard=STREAMING)
     session.receive(Voice(*OURS).heartbeat(type=18, autopilot=8), SECOND)
     assert session.may_stream
     assert session.events() == []
