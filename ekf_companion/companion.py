@@ -52,7 +52,6 @@ def session_options(
         expected=None if expected is None else PeerFound(*expected[1:], Family(expected.family)),
         is_recording=is_recording,
         parameters=parameters(config),
-        guard=_guard_options(config),
         timesync=TimesyncOptions(
             respond=timesync.respond,
             request=timesync.request,

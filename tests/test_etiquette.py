@@ -19,7 +19,6 @@ ALLOWED = {
     *("COMMAND_LONG", "COMMAND_ACK", "REQUEST_DATA_STREAM", "PARAM_VALUE", "PARAM_ERROR"),
     "PARAM_REQUEST_READ",
     *("AUTOPILOT_VERSION", "MESSAGE_INTERVAL"),
-    "PARAM_REQUEST_READ",
 }
 """What we may say: nothing that an autopilot says of itself."""
 

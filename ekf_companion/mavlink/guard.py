@@ -90,23 +90,13 @@ class Guard(Service):
         if self._peer is None:
             self.verdict = self._nobody()
         else:
-            self._judge(is_complete=False)
+            self.begin(self._peer)  # what was read long ago may hold no more
 
     def begin(self, peer: PeerFound) -> None:
         """Ask anew: a reboot may have changed anything."""
         self._forget()
         self._peer = peer
         self._judge(is_complete=False)
-
-    def reconsider(self, options: GuardOptions) -> None:
-        """Go by another configuration from now on."""
-        if options == self.options:
-            return
-        self.options = options
-        if self._peer is None:
-            self.verdict = self._nobody()
-        else:
-            self.begin(self._peer)
 
     def end(self) -> None:
         """Nobody is there: what has been read says nothing of who comes next."""

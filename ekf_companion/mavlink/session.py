@@ -25,7 +25,14 @@ from ekf_companion.mavlink.commands import Commands
 from ekf_companion.mavlink.decode import Decoder, DecoderOptions
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
-from ekf_companion.mavlink.event import Answered, Event, PeerFound, PeerLost, Rebooted
+from ekf_companion.mavlink.event import (
+    Answered,
+    Event,
+    GuardChanged,
+    PeerFound,
+    PeerLost,
+    Rebooted,
+)
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import Heartbeat
@@ -44,6 +51,7 @@ __all__ = [
     "RATES",
     "Answered",
     "Event",
+    "GuardChanged",
     "PeerFound",
     "PeerLost",
     "Rebooted",
@@ -88,7 +96,7 @@ class SessionOptions:
     decoder: DecoderOptions = field(default_factory=DecoderOptions)
     timesync: TimesyncOptions = field(default_factory=TimesyncOptions)
     guard: GuardOptions | None = None
-    """Whom ODOMETRY is kept from; None: nobody, and the autopilot is asked for no parameter."""
+    """Whom ODOMETRY is kept from; None: this session sends none, and asks for no parameter."""
 
 
 class Session:
@@ -124,7 +132,6 @@ class Session:
         self.guard = Guard(self.outbox, emit, options.guard or GuardOptions(mode="never"))
         self.audit = Audit(self.received, self.requests, emit)
         self.statustext = StatusText(self.outbox)
-        self.guard = Guard(self.outbox, emit, options.guard or GuardOptions(mode="always"))
 
         # Held with everybody
         self._with_all: tuple[Service, ...] = (
