@@ -135,11 +135,9 @@ class Bulletin:
                 )
                 self.tell(Severity.WARNING, f"{message} {measured:.0f} of {asked:.0f} Hz: {cause}")
             case GuardChanged(verdict):
-                is_news = bool(verdict.remedy) or not verdict.is_streaming
-                _log.log(logging.WARNING if is_news else logging.INFO, "%s", verdict.sentence)
-                if verdict.text:
-                    severity = Severity.WARNING if is_news else Severity.INFO
-                    self._statustext.say(severity, verdict.text)
+                is_bad = verdict.is_warning
+                _log.log(logging.WARNING if is_bad else logging.INFO, "%s", verdict.sentence)
+                self.tell(Severity.WARNING if is_bad else Severity.INFO, verdict.text)
             case ParameterSet(name, key, value):
                 _log.info("Parameter %s set to %g (%s)", name, value, key)
                 self.tell(Severity.INFO, f"{name} is {value:g}")

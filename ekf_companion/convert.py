@@ -196,7 +196,7 @@ class _Telemetry:
 
     def __init__(self, log: tlog.Tlog, config: Config, report: Report) -> None:
         self._log = log
-        self._session = Session(session_options(config, is_recording=False))
+        self._session = Session(replace(session_options(config, is_recording=False), guard=None))
         self._report = report
         self.size = len(log)
         self.delay: float | None = None

@@ -129,6 +129,10 @@ def test_no_odometry_at_all_leaves_where_both_would_be_fused(cycles, said, kind)
     assert link.times("ODOMETRY") == []
     assert said.text.count("ODOMETRY is withheld") == 1
     assert said.text.count(WORDS) == 1
+    texts = [unpack(f) for _, f in link.sent if f.message_id == IDS["STATUSTEXT"]]
+    (text,) = [t for t in texts if b"no ODOMETRY" in t.text]
+    assert text.text.startswith(b"Companion: no ODOMETRY: set E")
+    assert (text.severity, text.id) == (4, 0)  # a warning, in one piece
     assert link.verdict.remedy
     assert link.verdict.parameters.items() >= BOTH[kind].items()
     # Health is told all the same, and nothing is missing from the numbers of what is sent
@@ -299,6 +303,28 @@ def test_the_configuration_goes_before(cycles, said, kind, odometry, is_streamin
     assert said.text.count(words) == 1
     assert link.asked() == []
     assert link.times("ESTIMATOR_STATUS")
+
+
+def test_a_pilot_may_lift_and_set_it_by_our_own_parameter(cycles, said):
+    link = Link(Kind.PX4, BOTH[Kind.PX4])
+
+    def mode(value):
+        return lambda: link.foreign.append(
+            Sender(255, 190).message(
+                "PARAM_SET",
+                target_system=1,
+                target_component=US,
+                param_id=b"EC_ODOM_MODE",
+                param_value=value,
+                param_type=9,
+            )
+        )
+
+    link.fly(cycles, {3.5: mode(1.0), 5.5: mode(0.0)})
+    times = [now_ns - cycles[0].t_ns for now_ns in link.times("ODOMETRY")]
+    assert 3.5 * SECOND_NS <= times[0] < 3.6 * SECOND_NS
+    assert 5.4 * SECOND_NS < times[-1] <= 5.5 * SECOND_NS
+    assert said.text.count(WORDS) == 2
 
 
 def test_a_stack_that_nobody_knows_is_streamed_to(cycles):

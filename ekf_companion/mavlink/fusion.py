@@ -59,9 +59,11 @@ class Verdict:
     remedy: str = ""
     """What to change, parameter and value; empty: nothing need be."""
     text: str = ""
-    """Both for the pilot, within the 50 bytes of a STATUSTEXT."""
+    """Both for the pilot, so short that our name before it leaves it one STATUSTEXT."""
     parameters: Mapping[str, float]
     """The autopilot's that decide, as read."""
+    is_warning: bool = False
+    """Whether a human should look."""
     is_settled: bool = True
     """Whether all that decides has been answered, or asked for in vain."""
 
@@ -94,7 +96,8 @@ def decide(
         return _withheld("output.odometry.mode is never", "", "ODOMETRY is switched off", read)
     if mode == "always":
         reason = "output.odometry.mode is always: nothing guards against counting GNSS twice"
-        return _streamed(reason, "ODOMETRY is streamed unguarded", read)
+        unguarded = _streamed(reason, "ODOMETRY is streamed unguarded", read)
+        return replace(unguarded, is_warning=True)
     if independent:
         return _streamed("our sensors are our own (output.odometry.independent)", "", read)
     if family is Family.UNKNOWN:
@@ -149,7 +152,7 @@ def _by_px4(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
         f"{_VISION} is {vision:g} and {_GNSS} is {parameters[_GNSS]:g}: the autopilot would fuse "
         f"our {_listed(ours)} together with the {_listed(theirs)} of the GNSS that is in it",
         f"set {_GNSS} to 0 to fly on our estimate, or {_VISION} to 0 to fly on GNSS",
-        f"ODOMETRY withheld: set {_GNSS} 0",
+        f"no ODOMETRY: set {_GNSS} 0",
         read,
     )
 
@@ -167,7 +170,7 @@ def _by_old_px4(read: Mapping[str, float]) -> Verdict:
             f"{_listed(theirs)} of the GNSS that is in it",
             f"set {_MASK} to {lone} to fly on our estimate, or to {mask & ~sum(_AID_EV_BITS)} to "
             "fly on GNSS, and reboot",
-            f"ODOMETRY withheld: set {_MASK} {lone}",
+            f"no ODOMETRY: set {_MASK} {lone}",
             read,
         )
     if _HEIGHT not in read:
@@ -177,7 +180,7 @@ def _by_old_px4(read: Mapping[str, float]) -> Verdict:
             f"{_HEIGHT} is 1 and {_MASK} is {mask}: the autopilot would fuse our {_listed(ours)} "
             "together with the height of the GNSS that is in it",
             f"set {_HEIGHT} to 3 (vision) or 0 (barometer), and reboot",
-            f"ODOMETRY withheld: set {_HEIGHT} 3",
+            f"no ODOMETRY: set {_HEIGHT} 3",
             read,
         )
     return _streamed(f"{_MASK} is {mask}: the autopilot fuses no GNSS", "", read)
@@ -214,13 +217,13 @@ def _double(
     said = ", ".join(f"{name} {read[name]:g}" for name in (*ours, *theirs))
     if own:
         remedy = f"set {_listed(theirs)} to 6 to fly on our estimate"
-        text = f"ODOMETRY withheld: set {theirs[0]} 6"
+        text = f"no ODOMETRY: set {theirs[0]} 6"
     else:
         # The sets are alternatives, but for the velocities
         lone = int(read[_OPTIONS]) & ~_ALL_VELOCITIES
         said += f", {_OPTIONS} {read[_OPTIONS]:g}"
         remedy = f"set {_OPTIONS} to {lone}, so that only the set in use is fused"
-        text = f"ODOMETRY withheld: set {_OPTIONS} {lone}"
+        text = f"no ODOMETRY: set {_OPTIONS} {lone}"
     return _withheld(
         f"the autopilot would fuse it together with the GNSS that is in it: {said}",
         f"{remedy}, or {_DRIVER} to 0 to fly on GNSS",
@@ -251,7 +254,14 @@ def _streamed(reason: str, text: str, read: Mapping[str, float]) -> Verdict:
 
 
 def _withheld(reason: str, remedy: str, text: str, read: Mapping[str, float]) -> Verdict:
-    return Verdict(is_streaming=False, reason=reason, remedy=remedy, text=text, parameters=read)
+    return Verdict(
+        is_streaming=False,
+        reason=reason,
+        remedy=remedy,
+        text=text,
+        parameters=read,
+        is_warning=bool(remedy),
+    )
 
 
 def _unread(names: tuple[str, ...], read: Mapping[str, float]) -> Verdict:
@@ -261,14 +271,14 @@ def _unread(names: tuple[str, ...], read: Mapping[str, float]) -> Verdict:
         return _withheld(
             f"{question}: it answers no request for a parameter",
             "check that it hears us on this link, or set output.odometry.mode to always",
-            "ODOMETRY withheld: no parameter is answered",
+            "no ODOMETRY: no parameter is answered",
             read,
         )
     return _withheld(
         f"{question}: it did not answer for {_listed(names)}",
         f"look for {names[0]} in a ground station; where this firmware has none, set "
         "output.odometry.mode to always",
-        f"ODOMETRY withheld: {names[0]} not answered",
+        f"no ODOMETRY: {names[0]} unread",
         read,
     )
 

@@ -90,7 +90,7 @@ class Guard(Service):
         if self._peer is None:
             self.verdict = self._nobody()
         else:
-            self._judge(is_complete=False)
+            self.begin(self._peer)  # what was read long ago may hold no more
 
     def begin(self, peer: PeerFound) -> None:
         """Ask anew: a reboot may have changed anything."""

@@ -115,7 +115,7 @@ def test_the_verdict_and_the_remedy(family, parameters, is_streaming, words):
     assert verdict.is_settled
     assert verdict.parameters == {k: v for k, v in parameters.items() if v is not None}
     # The pilot's screen has fifty bytes, and a withheld stream says what to do
-    assert 0 < len(verdict.text) <= 50
+    assert 0 < len(f"Companion: {verdict.text}") <= 50
     assert bool(verdict.remedy) is not is_streaming
 
 
