@@ -19,6 +19,7 @@ from ekf_companion.mavlink.encode import EstimatorHealth, EstimatorType, StatusF
 from ekf_companion.mavlink.session import (
     RATES,
     Answered,
+    Noted,
     PeerFound,
     PeerLost,
     Rebooted,
@@ -278,5 +279,7 @@ class Companion:
                 _log.warning("Autopilot lost: no heartbeat for 5 s; check the link")
             elif isinstance(event, Rebooted):
                 _log.warning("Autopilot rebooted: its clock began anew, and so does the estimate")
+            elif isinstance(event, Noted):
+                _log.warning("%s", event.text)
             elif isinstance(event, Answered):
                 _log.info("Request for %s: %s", event.message, event.result)

@@ -117,7 +117,14 @@ class Answered:
     """``accepted``, the autopilot's reason against it, or ``no answer``."""
 
 
-Event = PeerFound | PeerLost | Rebooted | Answered
+@dataclass(frozen=True, slots=True)
+class Noted:
+    """What the autopilot's messages are like, where a human should hear of it."""
+
+    text: str
+
+
+Event = PeerFound | PeerLost | Rebooted | Answered | Noted
 
 
 @dataclass(slots=True)
@@ -192,6 +199,8 @@ class Session:
         elif frame.message_id == _COMMAND_ACK_ID:
             self._take_ack(frame, now_ns)
         measurements = self.decoder.decode(frame)
+        while self.decoder.notes:
+            self._events.append(Noted(self.decoder.notes.popleft()))
         if measurements and type(measurements[0]) is Restart:
             self._events.append(Rebooted())
             self._begin_anew()

@@ -261,7 +261,8 @@ def test_after_a_reboot_everything_is_asked_again():
     session.receive(autopilot.imu(60_000_000), 0)
     assert len(answer_all(session, autopilot, 0)) == 1
     session.events()
-    measured = session.receive(autopilot.imu(2_000_000), SECOND)
+    assert session.receive(autopilot.imu(2_000_000), SECOND) == []  # one stamp may be wild
+    measured = session.receive(autopilot.imu(2_250_000), SECOND)
     assert [type(one) for one in measured] == [Restart, ImuSample]
     assert session.events() == [Rebooted()]
     assert len(answer_all(session, autopilot, SECOND)) == 1
@@ -305,7 +306,8 @@ def test_no_request_is_answered_before_the_clock_is_known():
 
 def test_a_reboot_forgets_the_autopilots_clock():
     session, autopilot = synchronised(5 * SECOND)
-    session.receive(autopilot.imu(60_000_000) + autopilot.imu(1_000_000), 5 * SECOND)
+    for t_us in (60_000_000, 1_000_000, 1_250_000):
+        session.receive(autopilot.imu(t_us), 5 * SECOND)
     session.receive(autopilot.say("timesync", ts1=987), 5 * SECOND)
     assert sent(session, "TIMESYNC") == []
 
@@ -329,7 +331,7 @@ def flight(seed):
     autopilot, station = Autopilot(), Autopilot(255, 190)
     parts, t_us = [], 5_000_000
     for step in range(250):
-        t_us = 1_000_000 if step == 200 else t_us + 4000
+        t_us = 1_000_000 if step == 150 else t_us + 4000
         parts.append(autopilot.imu(t_us))
         if step % 25 == 0:
             parts.append(autopilot.heartbeat())
