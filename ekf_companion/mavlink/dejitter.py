@@ -26,16 +26,10 @@ import cmath
 import math
 from itertools import pairwise
 
-LOOPS_US = {
-    **dict.fromkeys((1250.0, 2000.0, 2500.0, 1e4 / 3.0), 0.55),
-    **dict.fromkeys((4000.0, 5000.0, 10_000.0, 20_000.0), 0.85),
-}
-"""Turns of ArduPilot's loop, SCHED_LOOP_RATE of 800 to 50 Hz, from the shortest; and how well
-stamps must keep to one: length of the mean of unit vectors, the turn a full circle. Exponential
-lateness of 0.24 turns gives 0.55, of 0.1 turns 0.85: where every second turn sends, two seem to be
-one."""
-LARGEST_MOVE = 10_000_000
-"""ns; no stamp is moved by more, nor by a turn."""
+LOOPS_US = (1250.0, 2000.0, 2500.0, 1e4 / 3.0)
+"""Turns of ArduPilot's loop, from the shortest: SCHED_LOOP_RATE of 800, 500, 400 and 300 Hz. No
+stamp is moved by more than a turn. Longer ones are left out: two or four turns look like one where
+every second or fourth sends, until another does."""
 LINE = 8
 """Stamps between two corrections of the line."""
 BLOCK = 4 * LINE
@@ -46,14 +40,19 @@ SETTLED = 24
 """Blocks until line, period and lateness are known well enough."""
 _AGAIN = 64
 """Blocks without a use, after which the period is looked for anew."""
+_CONCENTRATED = 0.55
+"""Length of the mean of unit vectors, the turn a full circle: how well stamps must keep to a turn.
+Exponential lateness of 0.24 turns, 0.6 ms of a 400 Hz loop, gives as much."""
+_COARSE = 2.5
+"""Resolutions; to a shorter turn stamps cannot be seen to keep."""
 _EVEN = 20_000.0
 """ns, mean change of lateness: below, nothing is to be gained."""
 _WIDE = 0.2
 """Of a turn, standard deviation of lateness: spread evenly over a turn it is 0.29."""
-_MEMORY = 0.15
+_MEMORY = 0.12
 """Mean square of the change of lateness over one step, and two, each by twice the variance, is 1
 without memory. By so much it may be off: three sigma of the mean over some forty blocks."""
-_HYSTERESIS = 1.3
+_HYSTERESIS = 1.2
 _EARLY = 0.1
 """Turns; a stamp may be so much before the line, which is then brought down to it."""
 _CUT = 1.2
@@ -73,7 +72,7 @@ class Dejitter:
 
     __slots__ = (
         *("is_active", "period", "spread", "_blocks", "_far", "_grid", "_half", "_is_loop"),
-        *("_last", "_lates", "_least", "_left", "_limit", "_most", "_moved", "_near", "_out"),
+        *("_last", "_lates", "_least", "_left", "_most", "_moved", "_near", "_out"),
         *("_per_turn", "_stamps", "_turns", "_variance"),
     )
 
@@ -126,7 +125,7 @@ class Dejitter:
         ahead = now - self._grid
         turns = int(ahead * self._per_turn + _EARLY)
         if turns < 1:
-            late = self._limit  # no turn of its own
+            late = math.inf  # no turn of its own
         else:
             self._turns += turns
             late = ahead - turns * self.period
@@ -141,7 +140,7 @@ class Dejitter:
             if self._left == 0:
                 late = self._let_up(late)
 
-        out = self._grid + self._half if self.is_active and late < self._limit else now
+        out = self._grid + self._half if self.is_active and late < math.inf else now
         if out <= self._out:
             out = max(self._out + 1, now)
         self._out = out
@@ -154,11 +153,10 @@ class Dejitter:
             return
         stamps, self._stamps = self._stamps, []
         first = stamps[0]
-        for loop_us, least in LOOPS_US.items():
-            turn = 2j * math.pi / (loop_us * 1e3)
-            circle = sum(cmath.exp(turn * (stamp - first)) for stamp in stamps)
-            if abs(circle) > least * LEARNING:
-                self._take_period(loop_us * 1e3, now, is_loop=True)
+        for loop in (loop_us * 1e3 for loop_us in LOOPS_US):
+            circle = sum(cmath.exp(2j * math.pi / loop * (stamp - first)) for stamp in stamps)
+            if abs(circle) > _CONCENTRATED * LEARNING and loop >= _COARSE * 2 * self._half:
+                self._take_period(loop, now, is_loop=True)
                 return
         if self._half:
             steps = sorted(b - a for a, b in pairwise(stamps))
@@ -169,7 +167,6 @@ class Dejitter:
     def _take_period(self, period: float, now: int, *, is_loop: bool) -> None:
         self.period, self._per_turn = period, 1.0 / period
         self._is_loop = is_loop
-        self._limit = min(period, LARGEST_MOVE)
         self._grid = now
         self._most = 0.0
         self._begin_block()
