@@ -26,8 +26,8 @@ import cmath
 import math
 from itertools import pairwise
 
-LOOPS_US = (1250.0, 2000.0, 2500.0, 1e4 / 3.0)
-"""Turns of ArduPilot's loop, from the shortest: SCHED_LOOP_RATE of 800, 500, 400 and 300 Hz. No
+LOOPS_US = (2500.0, 1e4 / 3.0, 2000.0, 1250.0)
+"""Turns of ArduPilot's loop, from the commonest: SCHED_LOOP_RATE of 400, 300, 500 and 800 Hz. No
 stamp is moved by more than a turn. Longer ones are left out: two or four turns look like one where
 every second or fourth sends, until another does."""
 LINE = 8
@@ -147,7 +147,7 @@ class Dejitter:
         return out
 
     def _learn(self, now: int) -> None:
-        """Look for the shortest period whose turns the stamps keep to."""
+        """Look for a period whose turns the stamps keep to."""
         self._stamps.append(now)
         if len(self._stamps) < LEARNING:
             return
