@@ -5,6 +5,8 @@ frame     bytes to frames and back
 codec     payloads to named fields and back
 decode    wire units to measurements, with every trap of the two autopilots
 encode    estimates to payloads
-clock     one time base out of several stamps; TIMESYNC both ways
+timebase  one time base out of several stamps, that nothing wild can move
+dejitter  stamps of sending, brought back to when the sample was taken
+clock     two clocks compared: TIMESYNC both ways
 session   the peer: who it is, what we asked of it, what we owe it
 """
