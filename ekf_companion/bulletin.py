@@ -11,6 +11,7 @@ from ekf_companion.mavlink.event import (
     Event,
     GuardChanged,
     IntervalSet,
+    Noted,
     ParameterSet,
     PeerFound,
     PeerLost,
@@ -105,6 +106,8 @@ class Bulletin:
                 _log.warning("Autopilot lost: no heartbeat for 5 s; check the link")
             case Rebooted():
                 _log.warning("Autopilot rebooted: its clock began anew, and so does the estimate")
+            case Noted(text):
+                _log.warning("%s", text)
             case Answered(message, result):
                 _log.info("Request for %s: %s", message, result)
             case Versioned(version):

@@ -32,6 +32,13 @@ class Rebooted:
 
 
 @dataclass(frozen=True, slots=True)
+class Noted:
+    """What the autopilot's messages are like, where a human should hear of it."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Answered:
     """What became of a request for a message."""
 
@@ -117,6 +124,7 @@ Event = (
     | ParameterSet
     | IntervalSet
     | GuardChanged
+    | Noted
 )
 
 Emit = Callable[[Event], None]

@@ -28,6 +28,7 @@ from ekf_companion.mavlink.event import (
     Answered,
     Event,
     GuardChanged,
+    Noted,
     PeerFound,
     PeerLost,
     Rebooted,
@@ -53,6 +54,7 @@ __all__ = [
     "Answered",
     "Event",
     "GuardChanged",
+    "Noted",
     "PeerFound",
     "PeerLost",
     "Rebooted",
@@ -166,6 +168,10 @@ class Session:
 
         # Take what it measured
         measurements = self.decoder.decode(frame)
+        while self.decoder.notes:
+            self._events.append(Noted(self.decoder.notes.popleft()))
+        while self.decoder.notes:
+            self._events.append(Noted(self.decoder.notes.popleft()))
         if measurements and type(measurements[0]) is Restart:
             self._events.append(Rebooted())
             self._begin(PeerFound(*sender, self.discovery.family))

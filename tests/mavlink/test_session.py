@@ -261,11 +261,13 @@ def test_an_ardupilot_without_highres_imu_is_asked_for_raw_imu(result):
 
 
 def test_after_a_reboot_everything_is_asked_again():
+    """Rule 12."""
     session, autopilot = met(rates={"ATTITUDE": 10.0})
     session.receive(autopilot.imu(60_000_000), 0)
     assert len(answer_all(session, autopilot, 0)) == 1
     session.events()
-    measured = session.receive(autopilot.imu(2_000_000), SECOND)
+    assert session.receive(autopilot.imu(2_000_000), SECOND) == []  # one stamp may be wild
+    measured = session.receive(autopilot.imu(2_250_000), SECOND)
     assert [type(one) for one in measured] == [Restart, ImuSample]
     assert session.events() == [Rebooted()]
     assert len(answer_all(session, autopilot, SECOND)) == 1
@@ -290,6 +292,7 @@ def synchronised(offset_ns):
 
 
 def test_a_request_is_answered_at_once_in_the_autopilots_own_time():
+    """Rule 27."""
     session, autopilot = synchronised(-3_000_000_123)
     session.receive(autopilot.say("timesync", ts1=987_654_321_001), 5 * SECOND)
     (data,) = session.data_to_send()
@@ -302,14 +305,17 @@ def test_a_request_is_answered_at_once_in_the_autopilots_own_time():
 
 
 def test_no_request_is_answered_before_the_clock_is_known():
+    """Rule 27."""
     session, autopilot = met()
     session.receive(autopilot.say("timesync", ts1=987), SECOND)
     assert sent(session, "TIMESYNC") == []
 
 
 def test_a_reboot_forgets_the_autopilots_clock():
+    """Rule 12."""
     session, autopilot = synchronised(5 * SECOND)
-    session.receive(autopilot.imu(60_000_000) + autopilot.imu(1_000_000), 5 * SECOND)
+    for t_us in (60_000_000, 1_000_000, 1_250_000):
+        session.receive(autopilot.imu(t_us), 5 * SECOND)
     session.receive(autopilot.say("timesync", ts1=987), 5 * SECOND)
     assert sent(session, "TIMESYNC") == []
 
@@ -333,7 +339,7 @@ def flight(seed):
     autopilot, station = Autopilot(), Autopilot(255, 190)
     parts, t_us = [], 5_000_000
     for step in range(250):
-        t_us = 1_000_000 if step == 200 else t_us + 4000
+        t_us = 1_000_000 if step == 150 else t_us + 4000
         parts.append(autopilot.imu(t_us))
         if step % 25 == 0:
             parts.append(autopilot.heartbeat())
