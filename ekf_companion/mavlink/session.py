@@ -248,6 +248,16 @@ class Session:
         return None if self.discovery.is_lost else self.discovery.peer
 
     @property
+    def heard_ns(self) -> int:
+        """When the autopilot's last heartbeat came, our clock; 0: none has."""
+        return self.discovery.heard_ns
+
+    @property
+    def sent(self) -> Mapping[str, int]:
+        """Messages of ours by name."""
+        return self.outbox.sent
+
+    @property
     def may_stream(self) -> bool:
         """Whether ODOMETRY may be sent: the guard lets it, and nobody else speaks as us."""
         return self.guard.is_streaming and not self.clash.is_clash
