@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ekf_companion.companion import Publisher, session_options
+from ekf_companion.companion import session_options
 from ekf_companion.config import Config
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters.solution import Solution
@@ -22,6 +22,7 @@ from ekf_companion.mavlink.session import PeerFound, Session
 from ekf_companion.nav.measurements import Events, Kind, Row, merge
 from ekf_companion.nav.state import Table, Trajectory, join
 from ekf_companion.pipeline import Arrival, Pipeline
+from ekf_companion.publisher import Publisher
 from ekf_companion.report import Report, account, conclude, summary
 from ekf_companion.selection import run_filter
 from ekf_companion.smoothing import Smoothing
@@ -195,7 +196,7 @@ class _Telemetry:
 
     def __init__(self, log: tlog.Tlog, config: Config, report: Report) -> None:
         self._log = log
-        self._session = Session(session_options(config, is_recording=False))
+        self._session = Session(replace(session_options(config, is_recording=False), guard=None))
         self._report = report
         self.size = len(log)
         self.delay: float | None = None

@@ -48,6 +48,16 @@ def open_keeper(file: str, interval: float) -> Keeper | None:
     return Keeper(Path(file), interval) if file else None
 
 
+def open_memory(file: str) -> Slot | None:
+    """Make the place, beside the checkpoint's file, of what was set over MAVLink; None: nowhere.
+
+    Raises:
+        ConfigError: The name cannot be meant.
+    """
+    loss = "what is set over MAVLink is forgotten at a restart"
+    return Slot(Path(f"{file}.parameters"), loss) if file else None
+
+
 class Slot:
     """Keeps the newest bytes under one name; a disk that is slow or full holds up nobody.
 

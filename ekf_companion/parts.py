@@ -29,9 +29,14 @@ class GuardState:
 
 def guard_state(companion: Companion) -> GuardState:
     """Give the guard's verdict on sending ODOMETRY."""
-    # No guard is asked yet: whatever is estimated is sent
-    del companion
-    return GuardState()
+    session = companion.session
+    verdict = session.guard.verdict
+    return GuardState(
+        reason=verdict.reason,
+        remedy=verdict.remedy,
+        parameters=verdict.parameters,
+        withheld=session.outbox.withheld["ODOMETRY"],
+    )
 
 
 def refused_datagrams(link: Link) -> Mapping[str, int]:
@@ -41,9 +46,7 @@ def refused_datagrams(link: Link) -> Mapping[str, int]:
 
 def firmware(session: Session) -> str:
     """Give the version of the autopilot's firmware; empty: it has not been told."""
-    # Nobody asks for AUTOPILOT_VERSION yet
-    del session
-    return ""
+    return session.requests.version
 
 
 def sent_by_name(session: Session) -> Mapping[str, int]:
@@ -64,29 +67,25 @@ def asked_rates(session: Session) -> dict[str, float]:
     return rates
 
 
-def round_trips(timesync: Timesync) -> tuple[float, float, int]:
-    """Give the median and the 95th percentile of the round trip, ms, and the good answers."""
-    # Kept by the clock only for itself so far
-    del timesync
-    return math.nan, math.nan, 0
-
-
 def time_state(timesync: Timesync, decoder: Decoder, now_ns: int) -> TimeState:
     """Give what is known of the autopilot's clock."""
     peer_ns = timesync.peer_ns(now_ns)
-    p50, p95, answers = round_trips(timesync)
-    base = decoder.clock
+    quality, base = timesync.quality, decoder.clock
     words = "unix" if base.is_unix else "boot"
     return TimeState(
         base="unknown" if base.latest_us is None else words,
         is_locked=timesync.is_locked,
         offset_s=math.nan if peer_ns is None else (peer_ns - now_ns) * 1e-9,
         skew_ppm=timesync.skew * 1e6,
-        rtt_p50_ms=p50,
-        rtt_p95_ms=p95,
-        answers=answers,
-        refused={"slow": timesync.slow, "foreign": timesync.foreign},
+        rtt_p50_ms=_ms(quality.rtt_p50_ns),
+        rtt_p95_ms=_ms(quality.rtt_p95_ns),
+        answers=quality.answers,
+        refused=dict(timesync.refused),
     )
+
+
+def _ms(ns: int | None) -> float:
+    return math.nan if ns is None else ns * 1e-6
 
 
 def frames(counters: Mapping[str, int]) -> FrameState:

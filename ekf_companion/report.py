@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.companion import DECIMATED
+from ekf_companion.bulletin import DECIMATED
 from ekf_companion.errors import LogError
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind
 from ekf_companion.nav.state import Status, Table

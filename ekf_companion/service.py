@@ -14,13 +14,14 @@ from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.endpoint import open_endpoint
 from ekf_companion.errors import CompanionError
-from ekf_companion.keeper import clocks, open_keeper
+from ekf_companion.keeper import clocks, open_keeper, open_memory
 from ekf_companion.keyring import open_keyring
 from ekf_companion.link import Peers, Received, open_link
 from ekf_companion.observer import Observer
 from ekf_companion.recorder import open_recorder
 from ekf_companion.resumption import Resumption
 from ekf_companion.supervision import Systemd
+from ekf_companion.tuning import Tuning
 
 if sys.version_info >= (3, 11):
     from asyncio import TaskGroup
@@ -107,7 +108,11 @@ class Daemon:
         found = None if self._keeper is None else self._keeper.read()
         resumption = Resumption(found, clocks(), unix_clock(), config.checkpoint.limit)
         signing = None if keyring is None else keyring.signing
-        self._companion = Companion(config, self._recorder is not None, resumption, signing)
+        self._memory = memory = open_memory(config.checkpoint.file)
+        tuning = Tuning(config)
+        if memory is not None:
+            tuning = Tuning(config, memory.read(), str(memory.path), memory.keep)
+        self._companion = Companion(config, self._recorder is not None, resumption, signing, tuning)
         self._observer = Observer(
             config, self.link, self._companion, unix_clock, recorded=self._recorded
         )
@@ -126,6 +131,8 @@ class Daemon:
             self._endpoint.close()
         if self._keeper is not None:
             self._keeper.close()
+        if self._memory is not None:
+            self._memory.close()
         if self._keyring is not None:
             self._keyring.close()
         if self._recorder is not None:

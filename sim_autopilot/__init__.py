@@ -12,6 +12,8 @@ Rooms
     events     the same as the estimator's events, without the wire
     telemetry  what each message says of a cycle
     autopilot  the MAVLink peer: bytes and times in, bytes out
+    acceptance what either autopilot would do with an ODOMETRY (judgement, px4_receiver,
+               ardupilot_receiver)
     score      the estimate against the truth
     recording  files: truth as CSV, frames as .tlog
     replay     a recorded flight as frames at their times

@@ -2,20 +2,24 @@
 
 import itertools
 import logging
+from dataclasses import replace
 
 import pytest
 
-from ekf_companion.companion import SILENCE_NS, Companion, Due
+from ekf_companion.companion import SILENCE_NS, Companion
 from ekf_companion.config import Config, OdometryConfig, OutputConfig
 from ekf_companion.core.settings import GateSettings
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.layout import LAYOUTS
+from ekf_companion.publisher import Due
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import SimConfig, StreamConfig
 from sim_autopilot.flight import Flight
 
 SECOND_NS = 1_000_000_000
+STREAMING = Config(output=OutputConfig(odometry=OdometryConfig(mode="always")))
+"""Where nobody answers what the guard asks."""
 
 
 def cycles(duration, *, without=(), **options):
@@ -64,7 +68,8 @@ def test_nothing_is_estimated_where_something_is_missing(without):
 
 
 def test_a_flight_is_answered_at_the_rates_of_its_stamps():
-    config = Config(output=OutputConfig(odometry=OdometryConfig(rate=25.0, frame="LOCAL_NED")))
+    odometry = OdometryConfig(mode="always", rate=25.0, frame="LOCAL_NED")
+    config = Config(output=OutputConfig(odometry=odometry))
     said = converse(Companion(config), cycles(5.0))
     odometry = named("ODOMETRY", said)
     assert {m.frame_id for m in odometry} == {1}
@@ -76,7 +81,7 @@ def test_a_flight_is_answered_at_the_rates_of_its_stamps():
 
 
 def test_an_invalid_estimate_is_said_to_be_so_once():
-    config = Config(gate=GateSettings(limit_position=1e-3))
+    config = replace(STREAMING, gate=GateSettings(limit_position=1e-3))
     said = converse(Companion(config), cycles(4.0))
     assert [m.quality for m in named("ODOMETRY", said)] == [-1]
     assert {m.flags for m in named("ESTIMATOR_STATUS", said)} == {1}  # attitude
@@ -85,7 +90,7 @@ def test_an_invalid_estimate_is_said_to_be_so_once():
 
 def test_the_bytes_may_come_in_any_pieces():
     pieces = b"".join(data for _, data in cycles(4.0))
-    whole, torn = Companion(Config()), Companion(Config())
+    whole, torn = Companion(STREAMING), Companion(STREAMING)
     whole.receive(pieces, 0)
     for start in range(0, len(pieces), 101):
         torn.receive(pieces[start : start + 101], 0)
@@ -128,7 +133,7 @@ def test_an_autopilot_that_is_heard_is_not_called_silent(caplog):
 
 
 def test_a_reboot_is_said_and_the_estimate_begins_anew(caplog):
-    companion = Companion(Config())
+    companion = Companion(STREAMING)
     said = converse(companion, cycles(4.0))
     assert named("ODOMETRY", said)
     # The same stamps again: four seconds back

@@ -8,7 +8,7 @@ import pytest
 
 from ekf_companion.checkpoint import MOST_STARTS, Clocks, Vehicle, decode, encode
 from ekf_companion.companion import Companion
-from ekf_companion.config import Config, LinkConfig
+from ekf_companion.config import Config, LinkConfig, OdometryConfig, OutputConfig
 from ekf_companion.core.settings import GnssSettings
 from ekf_companion.nav.state import Status
 from ekf_companion.resumption import Resumption
@@ -18,6 +18,8 @@ from sim_autopilot.flight import Flight
 from tests.test_companion import messages, named
 
 SECOND_NS = 1_000_000_000
+STREAMING = Config(output=OutputConfig(odometry=OdometryConfig(independent=True)))
+"""Where nobody answers what the guard asks."""
 CLOCKS = Clocks(1_800_000_000 * SECOND_NS, 7 * SECOND_NS, bytes(range(16)))
 
 
@@ -57,7 +59,7 @@ def odometry(said):
 @cache
 def left(seconds=10.0):
     """Give what a companion leaves that ends after so long, and its last ODOMETRY."""
-    companion = Companion(Config())
+    companion = Companion(STREAMING)
     turns = part(0.0, seconds)
     said = converse(companion, turns)
     return companion.checkpoint(CLOCKS.later(turns[-1][0])), odometry(said)[-1]
@@ -68,7 +70,7 @@ def begun(turns, data=None, config=None, clocks=CLOCKS, **options):
     now_ns = turns[0][0] - SECOND_NS // 10
     data = left()[0] if data is None else data
     resumption = Resumption(data, clocks.later(now_ns), now_ns, **options)
-    return Companion(config or Config(), resumption=resumption)
+    return Companion(config or STREAMING, resumption=resumption)
 
 
 @pytest.mark.parametrize("lost", [0.1, 1.4, 2.4, 5.0])
@@ -108,7 +110,9 @@ REFUSALS = {
     "its checksum is wrong": {"data": lambda: left()[0][:-1]},
     "it does not begin as": {"data": lambda: b"?"},
     "it had not found its attitude yet": {"data": lambda: left(0.5)[0]},
-    "the estimator's settings are others": {"config": Config(gnss=GnssSettings(delay=0.1))},
+    "the estimator's settings are others": {
+        "config": replace(STREAMING, gnss=GnssSettings(delay=0.1))
+    },
     "checkpoint.limit is 1 s": {"limit": 1.0},
     "by the autopilot's clock, 62.1 s by ours": {"clocks": CLOCKS.later(60 * SECOND_NS)},
     "5 restarts came within a minute": {
@@ -131,7 +135,7 @@ def test_what_may_not_be_gone_on_from_is_said_and_it_begins_cold(reason, caplog,
 
 
 def aligning():
-    companion = Companion(Config())
+    companion = Companion(STREAMING)
     turns = part(0.0, 0.5)
     converse(companion, turns)
     return companion.checkpoint(CLOCKS.later(turns[-1][0]))
@@ -167,13 +171,13 @@ def test_a_heartbeat_that_gives_the_lie_to_what_was_expected_begins_anew(caplog)
 
 def test_the_one_autopilot_to_listen_to_is_not_another_that_was_left():
     turns = part(12.0)
-    companion = begun(turns, config=Config(link=LinkConfig(autopilot=9)))
+    companion = begun(turns, config=replace(STREAMING, link=LinkConfig(autopilot=9)))
     assert not odometry(converse(companion, turns[:500]))
     assert companion.pipeline is None
 
 
 def test_nothing_is_left_before_there_is_anything_to_leave():
-    companion = Companion(Config())
+    companion = Companion(STREAMING)
     assert companion.checkpoint(CLOCKS) is None
     assert companion.resets == 0
     autopilot = Autopilot(SimConfig())

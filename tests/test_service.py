@@ -339,10 +339,13 @@ def test_every_message_is_asked_for_and_again_after_a_reboot(flown, reboot):
         [message for stamp, message in asked if stamp < reboot],
         [message for stamp, message in asked if stamp >= reboot],
     ):
-        assert {message.command for message in part} == {511}
+        assert {message.command for message in part} == {511, 512}
         assert {message.target_system for message in part} == {SYSTEM}
         wanted = {IDS[name]: round(1e6 / rate) for name, rate in RATES.items()}
-        assert {int(message.param1): message.param2 for message in part} == wanted
+        streams = [message for message in part if message.command == 511]
+        assert {int(message.param1): message.param2 for message in streams} == wanted
+        (once,) = {message.param1 for message in part if message.command == 512}
+        assert once == IDS["AUTOPILOT_VERSION"]
     # ATTITUDE came at 50 Hz before
     stamps = [m.time_boot_ms for _, m in flown.record.of("ATTITUDE", component=1)]
     assert np.median(np.diff(stamps)[-50:]) == 100

@@ -239,5 +239,5 @@ def time_state(companion: Companion, now_ns: int, trips_ms: list[float]) -> Time
         rtt_p50_ms=trips[len(trips) // 2] if trips else math.nan,
         rtt_p95_ms=trips[len(trips) * 95 // 100] if trips else math.nan,
         answers=len(trips),
-        refused={"round trip too long": sync.slow, "not asked for": sync.foreign},
+        refused=dict(sync.refused),
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from statistics import median
 
-from ekf_companion.companion import DECIMATED
+from ekf_companion.bulletin import DECIMATED
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
 from ekf_companion.doctor.peer import INERTIAL

@@ -1,113 +1,17 @@
-"""The autopilot's clock: one time base out of its messages' stamps, and TIMESYNC both ways.
+"""Two clocks compared: TIMESYNC both ways.
 
-Stamps are microseconds since boot or since 1970, told apart by their size, or milliseconds since
-boot that wrap after 49.7 days. The base is the one that the inertial messages use; what is
-stamped on the other is moved over by SYSTEM_TIME, which names both.
+We ask at a time of ours, the autopilot answers with its own, and half of the way there and back
+is taken for the way back. Of the answers in a window the faster half are believed, as the others
+waited somewhere on one way only, and a line through them is the autopilot's clock by ours.
 """
 
 from __future__ import annotations
 
-from collections import deque
+import math
+from collections import Counter, deque
 from dataclasses import dataclass
-from typing import NamedTuple
 
-import numpy as np
-
-UNIX_FROM_US = 1_234_567_890_000_000
-"""A stamp above is unix time; the bound that PX4 and MAVROS use (a day in 2009)."""
-LAST_US = 4_000_000_000_000_000
-"""The year 2096: what is stamped later holds no time."""
-_WRAP_MS = 1 << 32
-_BACK_US = 1_000_000
-"""A clock that goes back by more has begun anew; by less, packets overtook one another."""
-_AHEAD_US = (_WRAP_MS // 4) * 1000
-"""A leap of 12 days is another clock, not a gap."""
-
-
-class TimeBase:
-    """One clock, from the stamps of one autopilot."""
-
-    def __init__(self) -> None:
-        self.latest_us: int | None = None
-        """The newest stamp, on the base of the inertial messages."""
-        self._unix_minus_boot_us: int | None = None
-        self._latest_boot_ms: int | None = None  # of SYSTEM_TIME, where the base is unix
-
-    @property
-    def latest_ns(self) -> int | None:
-        """The newest stamp as a time of validity for what has no stamp of its own."""
-        return None if self.latest_us is None else self.latest_us * 1000
-
-    def advance(self, stamp_us: int) -> bool:
-        """Take a stamp that the base follows; True: the clock began anew with it."""
-        if self.latest_us is None:
-            self.latest_us = stamp_us
-            return False
-        step = stamp_us - self.latest_us
-        if -_BACK_US <= step <= _AHEAD_US:
-            if step > 0:
-                self.latest_us = stamp_us
-            return False
-        self.latest_us = stamp_us
-        self._unix_minus_boot_us = None  # it was that of the old clock
-        return True
-
-    def advance_boot_ms(self, boot_ms: int) -> bool:
-        """Take a stamp in milliseconds since boot; True: the clock began anew with it."""
-        if self.is_unix:
-            return False
-        if self.advance(self._unwrapped_us(boot_ms)):
-            self.latest_us = boot_ms * 1000
-            return True
-        return False
-
-    def relate(self, unix_us: int, boot_ms: int) -> bool:
-        """Take a SYSTEM_TIME (unix 0: not known yet); True: the clock began anew with it."""
-        is_new = self.advance_boot_ms(boot_ms)
-        if self.is_unix:
-            last = self._latest_boot_ms
-            self._latest_boot_ms = boot_ms
-            is_new = last is not None and _BACK_US // 1000 < (last - boot_ms) < _WRAP_MS // 2
-        if UNIX_FROM_US < unix_us <= LAST_US:
-            boot_us = boot_ms * 1000 if self.is_unix else self._unwrapped_us(boot_ms)
-            self._unix_minus_boot_us = unix_us - boot_us
-        return is_new
-
-    @property
-    def is_unix(self) -> bool:
-        """Whether the inertial messages are stamped in unix time."""
-        return self.latest_us is not None and self.latest_us > UNIX_FROM_US
-
-    def from_us(self, stamp_us: int) -> int | None:
-        """Give a stamp of either base in ns on ours; None: nothing relates the two yet."""
-        if (stamp_us > UNIX_FROM_US) == self.is_unix:
-            return stamp_us * 1000
-        if self._unix_minus_boot_us is None:
-            return None
-        moved = self._unix_minus_boot_us if self.is_unix else -self._unix_minus_boot_us
-        return (stamp_us + moved) * 1000
-
-    def from_boot_ms(self, boot_ms: int) -> int | None:
-        """Give a stamp in milliseconds since boot in ns; None: nothing relates it to ours yet."""
-        return self.from_us(boot_ms * 1000 if self.is_unix else self._unwrapped_us(boot_ms))
-
-    def _unwrapped_us(self, boot_ms: int) -> int:
-        if self.latest_us is None:
-            return boot_ms * 1000
-        latest_ms = self.latest_us // 1000
-        step = (boot_ms - latest_ms + _WRAP_MS // 2) % _WRAP_MS - _WRAP_MS // 2
-        return max(latest_ms + step, 0) * 1000
-
-
-class TimesyncMessage(NamedTuple):
-    """TIMESYNC as it is sent: a request has ``tc1 == 0``."""
-
-    tc1: int
-    """Time of the one who answers, ns; 0 asks."""
-    ts1: int
-    """Time of the one who asked, ns."""
-    target_system: int
-    target_component: int
+from ekf_companion.mavlink.timebase import LAST_US
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,15 +26,33 @@ class TimesyncOptions:
     """An answer that took longer says too little; PX4's bound."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimesyncQuality:
+    """How well the autopilot's clock is known."""
+
+    offset_ns: int | None
+    """The autopilot's clock less ours, at the newest answer; None: not locked."""
+    skew: float
+    """How much faster the autopilot's clock runs than ours, s/s; 0 until known."""
+    rtt_p50_ns: int | None
+    """Round trip, half are faster; None: nothing was answered. Slow ones count too."""
+    rtt_p95_ns: int | None
+    answers: int
+    """Good ones since the start or the last reboot."""
+    residual: float | None
+    """RMS distance of the believed answers from the line through them, s; None: too few."""
+
+
 _FAST_NS = 100_000_000
 _SLOW_NS = 1_000_000_000
 _OUTSTANDING = 16
 _LOCK = 20
 """Good answers to lock on: 2 s at 10 Hz."""
 _WINDOW = 100
-_JUMP_NS = 100_000_000
-"""An offset further away than this, five times over, is another clock; PX4's bound."""
+_LOST_NS = 10_000_000_000
+"""The lock is lost without a good answer for so long: at 100 ppm the clocks are 1 ms apart then."""
 _JUMPS = 5
+"""So many answers in a row of another clock, and it is another clock; PX4's number."""
 _SKEW_SPAN_NS = 10_000_000_000
 """A rate is fitted over no shorter span: at 0.1 ms of jitter it would be worse than none."""
 _LARGEST_SKEW = 500e-6
@@ -142,32 +64,57 @@ class Timesync:
 
     def __init__(self, options: TimesyncOptions | None = None) -> None:
         self.options = options or TimesyncOptions()
-        self.foreign = 0
-        """Answers to what we had not asked, or that hold no time."""
-        self.slow = 0
-        """Answers with too long a round trip."""
+        self.refused: Counter[str] = Counter()
+        """Answers refused: ``foreign`` (not asked for by us), ``no time``, ``slow`` (a round trip
+        too long), ``jump`` (another clock than before)."""
+        self._largest_rtt_ns = self.options.largest_rtt_ms * 1e6
+        self._outstanding: deque[int] = deque(maxlen=_OUTSTANDING)
         self.reset()
 
     def reset(self) -> None:
         """Forget the peer's clock: it rebooted or was lost."""
-        self._outstanding: deque[int] = deque(maxlen=_OUTSTANDING)
-        self._samples: deque[tuple[int, int, int]] = deque(maxlen=_WINDOW)  # middle, offset, rtt
+        self._outstanding.clear()
         self._next_ns: int | None = None
+        self._rtts: deque[int] = deque(maxlen=_WINDOW)
+        self.answers = 0
+        """Good ones."""
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin to learn the clock anew."""
+        self._samples: deque[tuple[int, int, int]] = deque(maxlen=_WINDOW)  # middle, offset, rtt
         self._jumps = 0
         self._fit: tuple[int, int, float] | None = None  # at, offset then, skew
+        self._residual_ns = math.inf
 
     @property
     def is_locked(self) -> bool:
         """Whether the offset is known well enough to be told."""
-        return len(self._samples) >= _LOCK
+        # An offset is wrong by half a round trip at most; scattered as evenly as that, it says no
+        # more than the bound
+        return len(self._samples) >= _LOCK and self._residual_ns <= 0.25 * self._largest_rtt_ns
 
     @property
     def skew(self) -> float:
         """How much faster the autopilot's clock runs than ours, s/s; 0 until known."""
         return self._fit[2] if self._fit else 0.0
 
+    @property
+    def quality(self) -> TimesyncQuality:
+        """How well the clocks have been compared."""
+        rtts = sorted(self._rtts)
+        return TimesyncQuality(
+            offset_ns=self._fit[1] if self._fit and self.is_locked else None,
+            skew=self.skew,
+            rtt_p50_ns=rtts[len(rtts) // 2] if rtts else None,
+            rtt_p95_ns=rtts[len(rtts) * 95 // 100] if rtts else None,
+            answers=self.answers,
+            residual=self._residual_ns * 1e-9 if math.isfinite(self._residual_ns) else None,
+        )
+
     def peer_ns(self, now_ns: int) -> int | None:
         """Give the autopilot's clock at a time of ours; None until locked."""
+        self._notice_silence(now_ns)
         if self._fit is None or not self.is_locked:
             return None
         at, offset, skew = self._fit
@@ -175,9 +122,10 @@ class Timesync:
 
     def request(self, now_ns: int) -> int | None:
         """Give the ``ts1`` of a request if one is due: at 10 Hz until locked, then at 1 Hz."""
+        self._notice_silence(now_ns)
         if not self.options.request or (self._next_ns is not None and now_ns < self._next_ns):
             return None
-        self._next_ns = now_ns + (_SLOW_NS if self.is_locked else _FAST_NS)
+        self._next_ns = now_ns + (_SLOW_NS if self.is_locked and not self._jumps else _FAST_NS)
         self._outstanding.append(now_ns)
         return now_ns
 
@@ -189,36 +137,68 @@ class Timesync:
 
     def receive(self, tc1: int, ts1: int, now_ns: int) -> None:
         """Take an answer that was addressed to us or to nobody."""
-        if ts1 not in self._outstanding or abs(tc1) > LAST_US * 1000:
-            self.foreign += 1
+        if ts1 not in self._outstanding:
+            self.refused["foreign"] += 1
             return
         self._outstanding.remove(ts1)
         rtt = now_ns - ts1
-        if not 0 <= rtt <= self.options.largest_rtt_ms * 1e6:
-            self.slow += 1
+        if rtt < 0 or abs(tc1) > LAST_US * 1000:
+            self.refused["no time"] += 1
+            return
+        self._rtts.append(rtt)
+        if rtt > self._largest_rtt_ns:
+            self.refused["slow"] += 1
             return
 
         middle = ts1 + rtt // 2
         offset = tc1 - middle
-        if self._fit and abs(offset - self._fit[1]) > _JUMP_NS:
+        if self._is_jump(middle, offset):
+            self.refused["jump"] += 1
             self._jumps += 1
+            self._next_ns = now_ns  # to know soon
             if self._jumps < _JUMPS:
                 return
-            self._samples.clear()
+            self._forget()
         self._jumps = 0
+        self.answers += 1
         self._samples.append((middle, offset, rtt))
         self._refit()
+
+    def _is_jump(self, middle: int, offset: int) -> bool:
+        """Whether an offset is further from the line than any way and any crystal explain."""
+        if self._fit is None:
+            return False
+        at, known, skew = self._fit
+        elapsed = middle - at
+        explained = self._largest_rtt_ns + _LARGEST_SKEW * abs(elapsed)
+        return abs(offset - known - skew * elapsed) > explained
+
+    def _notice_silence(self, now_ns: int) -> None:
+        """Lose the lock where the last good answer is too long ago."""
+        if self._samples and now_ns - self._samples[-1][0] > _LOST_NS:
+            self._forget()
 
     def _refit(self) -> None:
         """Draw a line through the faster half of the answers: the slow ones waited one way."""
         limit = sorted(sample[2] for sample in self._samples)[len(self._samples) // 2]
         fast = [sample for sample in self._samples if sample[2] <= limit]
-        at, base = fast[-1][0], fast[-1][1]
-        age = np.array([float(sample[0] - at) for sample in fast])
-        offset = np.array([float(sample[1] - base) for sample in fast])
+        at, base, _ = fast[-1]
+        ages = [middle - at for middle, _, _ in fast]
+        offsets = [offset - base for _, offset, _ in fast]
+        mean_age, mean = sum(ages) / len(fast), sum(offsets) / len(fast)
         skew = 0.0
-        if age[-1] - age[0] >= _SKEW_SPAN_NS:
-            centred = age - age.mean()
-            skew = float(centred @ (offset - offset.mean()) / (centred @ centred))
-            skew = min(max(skew, -_LARGEST_SKEW), _LARGEST_SKEW)
-        self._fit = (at, base + round(float(offset.mean() - skew * age.mean())), skew)
+        if ages[-1] - ages[0] >= _SKEW_SPAN_NS:
+            square = sum((age - mean_age) ** 2 for age in ages)
+            product = sum(
+                (age - mean_age) * offset for age, offset in zip(ages, offsets, strict=True)
+            )
+            skew = min(max(product / square, -_LARGEST_SKEW), _LARGEST_SKEW)
+        constant = mean - skew * mean_age
+        self._fit = (at, base + round(constant), skew)
+        self._residual_ns = math.sqrt(
+            sum(
+                (offset - constant - skew * age) ** 2
+                for age, offset in zip(ages, offsets, strict=True)
+            )
+            / len(fast)
+        )

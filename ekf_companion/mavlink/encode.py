@@ -138,13 +138,18 @@ _ONBOARD_CONTROLLER = 18
 _NO_AUTOPILOT = 8
 _VERSION = 3
 SET_MESSAGE_INTERVAL = 511
+REQUEST_MESSAGE = 512
 """MAV_CMD."""
 
 
-def heartbeat(status: SystemStatus) -> bytes:
-    """Give the payload of our HEARTBEAT: an onboard controller that is no autopilot."""
+def heartbeat(status: SystemStatus, mode: int = 0) -> bytes:
+    """Give the payload of our HEARTBEAT: an onboard controller that is no autopilot.
+
+    ``mode`` is ours to define, and is the ``nav.state.Status`` of the estimate.
+    """
     return pack(
         "HEARTBEAT",
+        custom_mode=mode,
         type=_ONBOARD_CONTROLLER,
         autopilot=_NO_AUTOPILOT,
         system_status=status,
@@ -164,6 +169,34 @@ def set_message_interval(
         confirmation=confirmation,
         param1=float(message_id),
         param2=round(1e6 / rate) if rate > 0.0 else -1.0,
+    )
+
+
+def request_message(
+    message_id: int, *, target_system: int, target_component: int, confirmation: int
+) -> bytes:
+    """Give the payload of the COMMAND_LONG that asks for a message once."""
+    return pack(
+        "COMMAND_LONG",
+        target_system=target_system,
+        target_component=target_component,
+        command=REQUEST_MESSAGE,
+        confirmation=confirmation,
+        param1=float(message_id),
+    )
+
+
+def request_data_stream(
+    group: int, rate: float, *, target_system: int, target_component: int
+) -> bytes:
+    """Give the payload of REQUEST_DATA_STREAM for a group of messages at a rate, Hz."""
+    return pack(
+        "REQUEST_DATA_STREAM",
+        target_system=target_system,
+        target_component=target_component,
+        req_stream_id=group,
+        req_message_rate=min(round(rate), 1000),
+        start_stop=int(rate > 0.0),
     )
 
 

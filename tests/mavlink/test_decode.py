@@ -83,6 +83,7 @@ def test_highres_imu_is_taken_as_it_is():
 
 @pytest.mark.parametrize("missing", [1, 2, 4, 8, 16, 32])
 def test_an_inertial_group_that_is_not_whole_is_refused(missing):
+    """Rule 8."""
     peer = Peer()
     assert peer.highres(1_000, fields_updated=ACCEL_GYRO & ~missing) == []
     assert peer.refused == {"HIGHRES_IMU: accel or gyro not updated": 1}
@@ -94,6 +95,61 @@ def test_another_instance_is_left():
     assert peer.refused == {"HIGHRES_IMU: another instance": 1}
 
 
+def imu_times(peer, instance, times_ms):
+    """Give when samples of an instance are taken, ms."""
+    return [t_ms for t_ms in times_ms if only(ImuSample, peer.highres(t_ms * 1000, id=instance))]
+
+
+def test_an_autopilot_that_goes_over_to_another_instance_is_followed():
+    """Rule 7: ArduPilot's HIGHRES_IMU is of the first sensor that works, and that may change."""
+    peer = Peer(Family.ARDUPILOT)
+    assert imu_times(peer, 0, range(1000, 2000, 4))[0] == 1000
+    assert imu_times(peer, 1, range(2000, 8000, 4))[0] == 5000  # 3 s after 1996
+    assert peer.decoder.imu_instance == 1
+    assert list(peer.decoder.notes) == [
+        "Inertial sensor 1 is used: 0 has been silent for 3 s; its biases are other ones"
+    ]
+    peer.decoder.notes.clear()
+    assert imu_times(peer, 0, range(8000, 8100, 4)) == list(range(8000, 8100, 4))
+    assert peer.decoder.imu_instance == 0
+    assert imu_times(peer, 1, range(8100, 9000, 4)) == []
+    assert len(peer.decoder.notes) == 1
+    assert peer.refused["HIGHRES_IMU: instance changed"] == 2
+
+
+def test_of_two_instances_that_both_stream_the_configured_one_is_used():
+    """Rule 7."""
+    peer = Peer(Family.ARDUPILOT)
+    for t_ms in range(1000, 9000, 10):
+        assert imu_times(peer, 1, [t_ms]) == []
+        assert imu_times(peer, 0, [t_ms]) == [t_ms]
+    assert not peer.decoder.notes
+
+
+def test_an_instance_that_is_never_sent_is_waited_for_three_seconds():
+    """Rule 7."""
+    peer = Peer(Family.ARDUPILOT)
+    assert imu_times(peer, 2, range(1000, 8000, 10))[0] == 4010
+
+
+def test_a_source_that_is_changed_is_told():
+    """Rule 7."""
+    peer = Peer(Family.ARDUPILOT)
+    for t_ms in range(1000, 6000, 20):
+        peer.say("raw_imu", time_usec=t_ms * 1000, **RAW)
+    assert list(peer.decoder.notes) == ["RAW_IMU is used: HIGHRES_IMU has been silent for 3 s"]
+    peer.highres(6_000_000)
+    assert peer.decoder.notes[-1] == "HIGHRES_IMU speaks again"
+
+
+def test_notes_that_nobody_reads_are_bounded():
+    peer = Peer(Family.ARDUPILOT)
+    for number in range(100):
+        for t_ms in range(4000 * number + 1000, 4000 * number + 5000, 500):
+            peer.highres(t_ms * 1000, id=1 + number % 7)
+    assert len(peer.decoder.notes) == 32
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_refused(value):
     peer = Peer()
@@ -102,6 +158,7 @@ def test_what_is_no_number_is_refused(value):
 
 
 def test_a_repeated_stamp_is_refused():
+    """Rule 10."""
     peer = Peer()
     assert len(peer.highres(4_000)) == 1
     assert peer.highres(4_000) == []
@@ -115,12 +172,13 @@ def test_a_stamp_that_is_no_time_is_refused():
 
 
 def test_a_stamp_of_zero_is_no_reboot():
+    """Rule 12."""
     peer = Peer()
     assert only(HeadingSample, peer.say("attitude", time_boot_ms=100_000))
     for later_ms in range(100_100, 105_000, 100):
         assert peer.highres(0) == []
         assert not only(Restart, peer.say("attitude", time_boot_ms=later_ms))
-    assert peer.refused == {"IMU: no time": 49}
+    assert peer.refused == {"HIGHRES_IMU: no time": 49}
 
 
 def test_a_system_time_that_is_no_time_moves_no_stamp():
@@ -152,6 +210,7 @@ def test_raw_imu_has_no_unit_but_on_ardupilot(family):
 
 
 def test_the_better_source_is_kept_while_both_stream():
+    """Rule 7."""
     # ArduPilot sends RAW_IMU at 200 Hz beside HIGHRES_IMU at 100 Hz
     peer = Peer(Family.ARDUPILOT)
     for step in range(2000):
@@ -164,6 +223,7 @@ def test_the_better_source_is_kept_while_both_stream():
 
 
 def test_the_next_source_comes_in_after_three_seconds_and_goes_when_the_better_returns():
+    """Rule 7."""
     peer = Peer(Family.ARDUPILOT)
     peer.highres(10_000_000)
     taken = [
@@ -178,6 +238,7 @@ def test_the_next_source_comes_in_after_three_seconds_and_goes_when_the_better_r
 
 @pytest.mark.parametrize("name", ["scaled_imu", "scaled_imu2", "scaled_imu3"])
 def test_scaled_imu_alone_is_used_after_three_seconds(name):
+    """Rule 7."""
     peer = Peer()
     for t_ms in range(1000, 9000, 20):
         imu = only(ImuSample, peer.say(name, time_boot_ms=t_ms, **RAW))
@@ -200,6 +261,7 @@ def mag(peer, t_us, field, bits=ACCEL_GYRO | MAG):
 
 
 def test_a_magnetometer_counts_when_its_bits_are_set_and_it_changed():
+    """Rule 8."""
     peer = Peer()
     assert mag(peer, 4_000, FIELD, bits=ACCEL_GYRO) == []
     assert mag(peer, 8_000, FIELD, bits=ACCEL_GYRO | 0x40) == []
@@ -209,6 +271,7 @@ def test_a_magnetometer_counts_when_its_bits_are_set_and_it_changed():
 
 
 def test_a_field_a_million_times_too_large_is_corrected_and_counted():
+    """Rule 9."""
     peer = Peer(Family.ARDUPILOT)
     (sample,) = mag(peer, 4_000, (182826.6, -152511.0, -528000.0))
     assert (sample.mag_x, sample.mag_y, sample.mag_z) == pytest.approx(
@@ -219,6 +282,7 @@ def test_a_field_a_million_times_too_large_is_corrected_and_counted():
 
 @pytest.mark.parametrize("size", [0.05, 0.9, 500.0, 1e5, 9e5, math.nan, math.inf])
 def test_what_is_no_field_of_the_earth_is_refused(size):
+    """Rule 9."""
     peer = Peer()
     assert mag(peer, 4_000, (size, 0.0, 0.0)) == []
     assert peer.refused == {"mag: no field of the Earth": 1}
@@ -252,6 +316,7 @@ def test_a_pressure_that_air_cannot_have_is_refused(pressure):
 
 
 def test_a_repeated_pressure_counts_once():
+    """Rule 8."""
     peer = Peer()
     bits = ACCEL_GYRO | BARO
     counts = [
@@ -277,6 +342,7 @@ def test_scaled_pressure_steps_in_where_highres_has_none():
 
 
 def test_a_fix_in_si():
+    """Rule 14."""
     peer = with_fix()
     (fix,) = peer.gps(
         1_000_000, fix_type=6, vel=500, cog=9000, h_acc=300, v_acc=450, vel_acc=120, yaw=0
@@ -293,6 +359,7 @@ def test_a_fix_in_si():
 
 @pytest.mark.parametrize("fix_type", [0, 1, 2])
 def test_less_than_a_3d_fix_is_refused_even_with_true_coordinates(fix_type):
+    """Rule 13."""
     peer = with_fix()
     assert peer.gps(1_000_000, fix_type=fix_type) == []
     assert peer.refused["GPS_RAW_INT: no 3-D fix"] == 1
@@ -302,12 +369,14 @@ def test_less_than_a_3d_fix_is_refused_even_with_true_coordinates(fix_type):
     ("lat", "lon"), [(0, 0), (900_000_001, 5), (-900_000_001, 5), (5, 1_800_000_001)]
 )
 def test_what_is_no_place_is_refused(lat, lon):
+    """Rule 13."""
     peer = with_fix()
     assert peer.gps(1_000_000, lat=lat, lon=lon) == []
     assert peer.refused["GPS_RAW_INT: no position"] == 1
 
 
 def test_a_fix_that_is_sent_again_counts_once():
+    """Rule 13."""
     peer = with_fix()
     assert len(peer.gps(1_000_000)) == 1
     for _ in range(3):
@@ -316,6 +385,7 @@ def test_a_fix_that_is_sent_again_counts_once():
 
 
 def test_a_fix_without_time_is_placed_at_the_newest_inertial_sample():
+    """Rule 13."""
     peer = with_fix()
     peer.highres(1_500_000)
     (fix,) = peer.gps(0)
@@ -342,6 +412,7 @@ def test_the_first_fix_after_none_is_not_believed():
     ("eph", "std_h"), [(121, 1.815), (20, 0.5), (65535, 5.0), (9999, 5.0), (0, 5.0)]
 )
 def test_without_an_accuracy_the_dilution_says_it(eph, std_h):
+    """Rule 13."""
     (fix,) = with_fix().gps(1_000_000, eph=eph)
     assert fix.std_h == pytest.approx(std_h)
     assert fix.std_v == pytest.approx(1.5 * std_h)
@@ -349,6 +420,7 @@ def test_without_an_accuracy_the_dilution_says_it(eph, std_h):
 
 @pytest.mark.parametrize("unknown", [{"vel": 65535, "cog": 100}, {"vel": 100, "cog": 65535}])
 def test_speed_without_course_is_no_velocity(unknown):
+    """Rule 14."""
     (fix,) = with_fix().gps(1_000_000, **unknown)
     assert fix.vel_north is fix.vel_east is fix.std_vel is None
 
@@ -360,6 +432,7 @@ def test_a_velocity_without_accuracy_gets_a_receivers_usual_one():
 
 @pytest.mark.parametrize(("yaw", "degrees"), [(36000, 0.0), (9000, 90.0), (27000, -90.0)])
 def test_a_dual_antenna_gives_heading_and_north_is_36000(yaw, degrees):
+    """Rule 15."""
     _, heading = with_fix().gps(1_000_000, yaw=yaw, hdg_acc=50_000)
     assert heading.source is HeadingSource.GNSS
     assert math.degrees(heading.heading) == pytest.approx(degrees, abs=1e-9)
@@ -368,6 +441,7 @@ def test_a_dual_antenna_gives_heading_and_north_is_36000(yaw, degrees):
 
 @pytest.mark.parametrize("yaw", [0, 65535])
 def test_no_yaw_and_yaw_that_is_not_available_are_no_heading(yaw):
+    """Rule 15."""
     assert only(HeadingSample, with_fix().gps(1_000_000, yaw=yaw)) == []
 
 
@@ -383,6 +457,53 @@ def test_a_fix_in_unix_time_moves_to_the_inertial_clock():
     assert fix.t_ns == 60_200_000_000
 
 
+@pytest.mark.parametrize(
+    ("alt", "ellipsoid", "is_told"),
+    [
+        (489.307, 0.0, False),  # not given
+        (489.307, 489.307, False),  # a simulator without a geoid
+        (489.307, 536.6, False),  # Zurich
+        (-30.0, -135.0, False),  # south of India, where the two are furthest apart
+        (489.307, 1489.0, True),
+        (489.307, -4.0, True),
+    ],
+)
+def test_heights_above_sea_and_ellipsoid_are_never_mixed(alt, ellipsoid, is_told):
+    """Rule 17: the one above the sea is used, whatever the other says; what cannot be is told."""
+    peer = with_fix()
+    for t_us in (1_000_000, 1_100_000):
+        (fix,) = peer.gps(t_us, alt=round(alt * 1e3), alt_ellipsoid=round(ellipsoid * 1e3))
+        assert fix.alt == pytest.approx(alt)
+    counted = peer.refused.get("GPS_RAW_INT: height above the sea in doubt", 0)
+    assert counted == (2 if is_told else 0)
+    assert len(peer.decoder.notes) == is_told  # once
+
+
+def test_a_second_receiver_is_counted_and_not_mixed_in():
+    """Rule 13: it has another antenna."""
+    peer = with_fix()
+    for t_us in range(1_000_000, 2_000_000, 200_000):
+        second = {"time_usec": t_us, "fix_type": 6, "lat": 473977640, "lon": 85455780}
+        assert peer.say("gps2_raw", **second) == []
+    assert peer.refused["GPS2_RAW: a second receiver"] == 5
+
+
+def test_what_px4_sends_while_it_has_no_receiver_is_no_fix():
+    """Rule 13: a synthetic message, time 0 and all fields unknown."""
+    peer = with_fix()
+    nothing = {"fix_type": 0, "lat": 0, "lon": 0, "alt": 0, "satellites_visible": 255}
+    for _ in range(3):
+        assert peer.gps(0, **nothing) == []
+    assert peer.refused["GPS_RAW_INT: no 3-D fix"] == 3
+    assert peer.gps(2_000_000) == []  # nor is the first one after it
+
+
+def test_where_the_autopilot_begins_to_count_moves_nothing():
+    """Rule 18: our origin is the first fix, and stays; the autopilot's may move."""
+    peer = with_fix()
+    assert peer.say("gps_global_origin", latitude=1, longitude=2, altitude=3) == []
+
+
 def test_a_fix_stamped_on_no_clock_of_the_vehicle_is_refused():
     peer = with_fix()
     assert peer.gps(500_000_000) == []
@@ -390,6 +511,7 @@ def test_a_fix_stamped_on_no_clock_of_the_vehicle_is_refused():
 
 
 def test_the_autopilots_own_position_is_marked_thinned_and_weighed_down():
+    """Rule 16."""
     peer = with_fix()
     peer.gps(1_000_000, h_acc=2000, v_acc=1000, vel=0, cog=0, vel_acc=500)
     fixes = []
@@ -416,6 +538,7 @@ def test_the_autopilots_own_position_is_marked_thinned_and_weighed_down():
 
 
 def test_a_position_of_zero_is_none():
+    """Rule 16."""
     peer = with_fix()
     assert peer.say("global_position_int", time_boot_ms=1000, alt=990, hdg=65535) == []
     assert peer.refused["GLOBAL_POSITION_INT: no position"] == 1
@@ -452,6 +575,7 @@ def test_the_heading_of_the_position_then_of_the_display_step_in():
 
 
 def test_an_unknown_heading_is_none():
+    """Rule 16."""
     peer = Peer()
     for t_ms in range(1000, 6000, 100):
         assert peer.say("global_position_int", time_boot_ms=t_ms, hdg=65535) == []
@@ -478,16 +602,21 @@ def test_armed_and_landed_are_told():
             assert states == [VehicleState(t_ns=4_000_000, is_armed=True, is_landed=is_landed)]
 
 
-@pytest.mark.parametrize("first", ["highres", "attitude", "system_time"])
+@pytest.mark.parametrize("first", ["highres", "attitude", "system_time", "scaled_pressure"])
 def test_a_reboot_is_told_once_by_whichever_message_comes_first(first):
+    """Rule 12."""
     peer = with_fix()
-    peer.highres(279_000_000)
-    measured = {
-        "highres": lambda: peer.highres(18_950_000),
-        "attitude": lambda: peer.say("attitude", time_boot_ms=18_950),
-        "system_time": lambda: peer.say("system_time", time_boot_ms=18_950),
-    }[first]()
-    assert measured[0] == Restart()
+    peer.highres(9_000_000)
+    for t_ms in range(18_000, 279_000, 9000):
+        peer.highres(t_ms * 1000)
+    tell = {
+        "highres": lambda t_ms: peer.highres(t_ms * 1000),
+        "attitude": lambda t_ms: peer.say("attitude", time_boot_ms=t_ms),
+        "system_time": lambda t_ms: peer.say("system_time", time_boot_ms=t_ms),
+        "scaled_pressure": lambda t_ms: peer.say("scaled_pressure", time_boot_ms=t_ms),
+    }[first]
+    assert tell(18_700) == []  # one stamp may be wild
+    assert tell(18_950)[0] == Restart()
     after = peer.highres(18_960_000) + peer.say("attitude", time_boot_ms=18_970)
     after += peer.say("system_time", time_boot_ms=18_980)
     assert only(Restart, after) == []
@@ -495,6 +624,7 @@ def test_a_reboot_is_told_once_by_whichever_message_comes_first(first):
 
 
 def test_a_wrap_of_the_milliseconds_is_no_reboot():
+    """Rule 11."""
     peer = Peer()
     wrap = 1 << 32
     measured = peer.say("attitude", time_boot_ms=wrap - 500)

@@ -107,6 +107,7 @@ def test_a_message_is_asked_for_by_its_interval(rate, interval_us):
 
 
 def test_timesync_carries_its_targets_in_18_bytes():
+    """Rule 27."""
     payload = encode.timesync(5, -7, target_system=1, target_component=1)
     assert len(payload) == 18
     assert payload[16:] == b"\x01\x01"

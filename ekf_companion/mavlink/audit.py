@@ -1,0 +1,133 @@
+"""Whether what was asked for comes as often as it was promised, and if not, why probably not."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Mapping
+from statistics import median
+
+from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.event import Emit, PeerFound, RateInVain
+from ekf_companion.mavlink.layout import LAYOUTS
+from ekf_companion.mavlink.request import Requests
+from ekf_companion.mavlink.service import Service
+from ekf_companion.mavlink.stamp import SECOND_NS, quantise
+
+INERTIAL = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
+"""Messages that inertial samples may come in."""
+_GNSS = "GPS_RAW_INT"
+
+_STEP_NS = SECOND_NS
+_STEPS = 5
+"""What is measured is the mean over so many steps."""
+_SHARE = 0.5
+"""Of what was asked; less is a complaint. An autopilot that divides its rate gives more."""
+_AGAIN_NS = 10 * SECOND_NS
+_RESIGNED_NS = 60 * SECOND_NS
+"""Between two requests for the same, while there is hope, and later."""
+_TRIES = 3
+
+
+class Audit(Service):
+    """Measures every message, and sees to the inertial samples and the fixes.
+
+    Other messages may come as they like: the filter lives without them.
+    """
+
+    def __init__(self, received: Counter[int], requests: Requests, emit: Emit) -> None:
+        self.rates: dict[str, float] = {}
+        """Of each message of the autopilot over the last five seconds, Hz."""
+        self._received = received
+        self._requests = requests
+        self._emit = emit
+        self._family = Family.UNKNOWN
+        self._steps: deque[tuple[int, dict[int, int]]] = deque(maxlen=_STEPS + 1)
+        self._settled = 0
+        self._tries: Counter[str] = Counter()
+        self._next_ns: dict[str, int] = {}
+
+    def begin(self, peer: PeerFound) -> None:
+        """Measure anew."""
+        self._family = peer.family
+        self._steps.clear()
+        self._settled = 0
+        self._tries.clear()
+        self._next_ns.clear()
+
+    def tick(self, now_ns: int) -> None:
+        """Count once a second; judge what has been seen for five since the last request."""
+        now_ns = quantise(now_ns)
+        if self._steps and now_ns - self._steps[-1][0] < _STEP_NS:
+            return
+        self._steps.append((now_ns, dict(self._received)))
+        first_ns, before = self._steps[0]
+        if now_ns > first_ns:
+            span = (now_ns - first_ns) * 1e-9
+            self.rates = {
+                LAYOUTS[number].name: (count - before.get(number, 0)) / span
+                for number, count in self._received.items()
+            }
+        self._settled = 0 if self._requests.is_busy else self._settled + 1
+        if self._settled > _STEPS:
+            self._judge(now_ns)
+
+    def _judge(self, now_ns: int) -> None:
+        asked = self._requests.rates
+        inertial = max((self.rates.get(name, 0.0) for name in INERTIAL), default=0.0)
+        name = "RAW_IMU" if "RAW_IMU" in self._requests.results else "HIGHRES_IMU"
+        wanted = asked.get("HIGHRES_IMU", 0.0)
+        if wanted > 0.0:
+            self._see_to(name, wanted, inertial, inertial < _SHARE * wanted, now_ns)
+        if (wanted := asked.get(_GNSS, 0.0)) > 0.0:
+            # Its rate is the receiver's affair; only silence is ours
+            fixes = self.rates.get(_GNSS, 0.0)
+            self._see_to(_GNSS, wanted, fixes, fixes == 0.0, now_ns)
+
+    def _see_to(self, name: str, asked: float, measured: float, is_low: bool, now_ns: int) -> None:
+        if not is_low:
+            self._tries.pop(name, None)
+            return
+        if now_ns < self._next_ns.get(name, now_ns):
+            return
+        self._tries[name] += 1
+        if self._tries[name] == _TRIES + 1:
+            cause = probable_cause(self.rates, self._requests.rates, self._family)
+            self._emit(RateInVain(name, asked, measured, cause))
+        self._next_ns[name] = now_ns + (_AGAIN_NS if self._tries[name] <= _TRIES else _RESIGNED_NS)
+        self._requests.ask_again(name)
+
+
+def probable_cause(
+    measured: Mapping[str, float], asked: Mapping[str, float], family: Family
+) -> str:
+    """Say why messages probably come so rarely, and what to change.
+
+    Args:
+        measured: Messages by name, Hz.
+        asked: What was asked for, Hz.
+        family: Whose parameters to name.
+    """
+    inertial = max((measured.get(name, 0.0) for name in INERTIAL), default=0.0)
+    wanted = asked.get("HIGHRES_IMU", 0.0)
+    others = {
+        name: measured.get(name, 0.0)
+        for name, rate in asked.items()
+        if name not in INERTIAL and name != _GNSS and rate >= 5.0 and measured.get(name, 0.0) > 0.0
+    }
+    if inertial == 0.0:
+        return "none comes; the autopilot's log or firmware may say why"
+    is_ardupilot = family is Family.ARDUPILOT
+    rates = [inertial, *others.values()]
+    usual = median(rates)
+    if others and usual <= 12.0 and all(abs(rate - usual) <= 0.3 * usual for rate in rates):
+        # Ground stations ask for all groups of messages at one rate, by default 4 Hz
+        setting = "SRn_*, MAVn_*; SERIALn_OPTIONS" if is_ardupilot else "its stream rates"
+        return f"a ground station sets {usual:.0f} Hz for all ({setting})"
+    if is_ardupilot and 36.0 <= inertial <= 44.0 and wanted >= 80.0:
+        return "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
+    shares = [inertial / wanted, *(rate / asked[name] for name, rate in others.items())]
+    if len(shares) > 1 and max(shares) < 0.8 and max(shares) <= 1.5 * min(shares):
+        setting = "SERIALn_BAUD" if is_ardupilot else "MAV_n_RATE or the baud rate"
+        return f"all are thinned alike, so the link is full; raise {setting}"
+    setting = "SCHED_LOOP_RATE" if is_ardupilot else "IMU_INTEG_RATE or MAV_n_RATE"
+    return f"the autopilot or the link gives no more; see {setting}, or lower link.imu_rate"

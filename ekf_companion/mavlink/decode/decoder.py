@@ -1,0 +1,125 @@
+"""One autopilot's frames, each to the reader of its message."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+
+from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
+from ekf_companion.mavlink.decode.door import DecoderOptions, Door, Family, Measurements
+from ekf_companion.mavlink.decode.heading import Heading
+from ekf_companion.mavlink.decode.inertial import SOURCES, Inertial
+from ekf_companion.mavlink.decode.position import Position
+from ekf_companion.mavlink.decode.vehicle import Vehicle
+from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.layout import by_name
+from ekf_companion.mavlink.timebase import TimeBase
+
+
+class Decoder:
+    """Turns one autopilot's frames into measurements."""
+
+    def __init__(
+        self, family: Family = Family.UNKNOWN, options: DecoderOptions | None = None
+    ) -> None:
+        self.options = options or DecoderOptions()
+        self._door = Door(family, self.options, self._forget)
+        self._mag, self._baro = Magnetometer(self._door), Barometer(self._door)
+        self._heading, self._vehicle = Heading(self._door), Vehicle(self._door)
+        self._inertial = Inertial(self._door, self._mag, self._baro)
+        self._position = Position(self._door, self._heading)
+        self._decoders: dict[int, Callable[[Frame], Measurements]] = {
+            by_name(name).message_id: function
+            for name, function in {
+                "HIGHRES_IMU": self._inertial.highres_imu,
+                "RAW_IMU": self._inertial.raw_imu,
+                "SCALED_IMU": self._inertial.scaled_imu,
+                "SCALED_IMU2": self._inertial.scaled_imu,
+                "SCALED_IMU3": self._inertial.scaled_imu,
+                "SCALED_PRESSURE": self._baro.scaled_pressure,
+                "GPS_RAW_INT": self._position.gps_raw_int,
+                "GPS2_RAW": self._position.gps2_raw,
+                "GLOBAL_POSITION_INT": self._position.global_position_int,
+                "ATTITUDE": self._heading.attitude,
+                "VFR_HUD": self._heading.vfr_hud,
+                "HEARTBEAT": self._vehicle.heartbeat,
+                "EXTENDED_SYS_STATE": self._vehicle.extended_sys_state,
+                "SYSTEM_TIME": self._vehicle.system_time,
+            }.items()
+        }
+
+    def _forget(self) -> None:
+        """Begin anew after a reboot; the clock has already taken the new time."""
+        for reader in (
+            *(self._inertial, self._mag, self._baro),
+            *(self._heading, self._vehicle, self._position),
+        ):
+            reader.forget()
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether the autopilot's last heartbeat said that it is armed."""
+        return self._vehicle.is_armed
+
+    @property
+    def family(self) -> Family:
+        """Whose habits apply."""
+        return self._door.family
+
+    @family.setter
+    def family(self, family: Family) -> None:
+        if family is not self._door.family:
+            self._door.family = family
+            self._inertial.begin_stream()
+
+    @property
+    def clock(self) -> TimeBase:
+        """The autopilot's clock."""
+        return self._door.clock
+
+    @property
+    def refused(self) -> Counter[str]:
+        """How often, by reason: ``message: why``."""
+        return self._door.refused
+
+    @property
+    def notes(self) -> deque[str]:
+        """What a human should hear of, oldest first, a few at most; whoever reads empties it."""
+        return self._door.notes
+
+    @property
+    def imu_source(self) -> str:
+        """The message that inertial samples are taken from."""
+        return SOURCES[self._inertial.sources.rank]
+
+    @property
+    def imu_instance(self) -> int:
+        """The inertial sensor in use, as HIGHRES_IMU numbers them."""
+        return self._inertial.instance
+
+    @property
+    def is_dejittered(self) -> bool:
+        """Whether the stamps of inertial samples are being brought back to the loop's turns."""
+        return self._inertial.is_dejittered
+
+    @property
+    def ranks(self) -> tuple[int, int, int, int]:
+        """Ranks of the sources in use: inertial, magnetometer, barometer, heading."""
+        return (
+            self._inertial.sources.rank,
+            self._mag.sources.rank,
+            self._baro.sources.rank,
+            self._heading.sources.rank,
+        )
+
+    def prefer(self, imu: int, mag: int, baro: int, heading: int) -> None:
+        """Take these ranks at once: it is known already that better sources are silent."""
+        self._inertial.prefer(imu)
+        self._mag.sources.rank = mag
+        self._baro.sources.rank = baro
+        self._heading.sources.rank = heading
+
+    def decode(self, frame: Frame) -> Measurements:
+        """Give what a frame of the autopilot says: nothing, one or several measurements."""
+        function = self._decoders.get(frame.message_id)
+        return function(frame) if function else []

@@ -1,0 +1,63 @@
+"""The autopilot's own heading, from the best message that tells it."""
+
+from __future__ import annotations
+
+import math
+
+from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.decode.choice import Pace, Preference
+from ekf_companion.mavlink.decode.door import Door, Measurements
+from ekf_companion.mavlink.frame import Frame
+from ekf_companion.nav.measurements import HeadingSample, HeadingSource
+
+NORTH_CDEG = 36000
+
+
+class Heading:
+    """ATTITUDE, else GLOBAL_POSITION_INT, else VFR_HUD."""
+
+    def __init__(self, door: Door) -> None:
+        self._door = door
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew after a reboot."""
+        self.sources = Preference()
+        self._pace = Pace(self._door.options.heading_rate)
+
+    def attitude(self, frame: Frame) -> Measurements:
+        """Read ATTITUDE."""
+        m = unpack(frame)
+        followed = self._door.follow_ms(m.time_boot_ms, "ATTITUDE")
+        if followed is None:
+            return []
+        out, t_ns = followed
+        self.add(out, 0, t_ns, m.yaw)
+        return out
+
+    def vfr_hud(self, frame: Frame) -> Measurements:
+        """Read VFR_HUD, which has no stamp of its own, and whole degrees."""
+        heading, t_ns = unpack(frame).heading, self._door.clock.latest_ns
+        out: Measurements = []
+        if t_ns is not None and 0 <= heading <= 360:
+            self.add(out, 2, t_ns, math.radians(heading))
+        return out
+
+    def add(self, out: Measurements, rank: int, t_ns: int, heading: float) -> None:
+        """Add a heading in rad, where its source is in use and its turn has come."""
+        if not math.isfinite(heading):
+            self._door.refuse("heading: not a number")
+        elif self.sources.admit(rank, t_ns) and self._pace.admit(t_ns):
+            out.append(
+                HeadingSample(
+                    t_ns=t_ns,
+                    heading=wrap(heading),
+                    std=self._door.options.heading_std,
+                    source=HeadingSource.AUTOPILOT,
+                )
+            )
+
+
+def wrap(angle: float) -> float:
+    """Bring an angle into [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi

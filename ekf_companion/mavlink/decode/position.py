@@ -1,0 +1,193 @@
+"""Fixes of the receiver, and the autopilot's own position."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.decode.choice import Pace
+from ekf_companion.mavlink.decode.door import Door, Measurements
+from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, wrap
+from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.timebase import LAST_US
+from ekf_companion.nav.measurements import GnssFix, GnssFlag, HeadingSample, HeadingSource
+
+_UNKNOWN_16 = 65535
+_FIX_3D = 3
+_STRAY_NS = 30_000_000_000
+"""A fix stamped further from the inertial samples is on no clock of this vehicle's."""
+_GEOID = 120.0
+"""m; the sea level is nowhere further from the ellipsoid: -107 to +86 m (EGM96)."""
+
+_RANGE_ERROR = 1.5
+"""Position error per unit of HDOP, m: L1 receiver with SBAS-like corrections, open sky."""
+_STD_FLOOR = 0.5
+"""No HDOP makes an unaided receiver better, m."""
+_STD_UNKNOWN = 5.0
+"""One sigma of a fix that says nothing of its error, m."""
+_STD_VEL = 0.3
+"""One sigma of the velocity where the receiver gives none, m/s: u-blox Doppler, open sky."""
+_STD_YAW = math.radians(1.0)
+"""One sigma of a dual-antenna heading that gives none, rad: 1 cm across half a metre."""
+_STD_YAW_FLOOR = math.radians(0.1)
+_DERIVED = 3.0
+"""The autopilot's own position repeats the errors of the fixes in it: weigh nine of it as one."""
+_DERIVED_STD_H = 3.0
+_DERIVED_STD_V = 4.5
+_DERIVED_STD_VEL = 0.9
+"""Floors, m and m/s: three times a plain receiver's 1.0, 1.5 and 0.3."""
+
+
+class Position:
+    """Where the vehicle is, by its first receiver, and by the autopilot's own estimate."""
+
+    def __init__(self, door: Door, heading: Heading) -> None:
+        self._door, self._heading = door, heading
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew after a reboot."""
+        self._derived_pace = Pace(self._door.options.derived_rate)
+        self._last: tuple[int, ...] = ()
+        self._fixes = 0
+        self._std = (0.0, 0.0, 0.0)
+
+    def gps_raw_int(self, frame: Frame) -> Measurements:
+        """Read GPS_RAW_INT."""
+        m = unpack(frame)
+        refusal = self._refusal(m)
+        if refusal is not None:
+            return self._door.refuse(f"GPS_RAW_INT: {refusal}")
+        t_ns = self._time(m.time_usec)
+        if isinstance(t_ns, str):
+            return self._door.refuse(f"GPS_RAW_INT: {t_ns}")
+        self._fixes += 1
+        if self._fixes < 2:
+            # The one message before the first fix can be 140 km off
+            return self._door.refuse("GPS_RAW_INT: first after none")
+        self._compare_heights(m)
+        out: Measurements = [self._fix(m, t_ns)]
+        if 0 < m.yaw <= NORTH_CDEG:
+            out.append(
+                HeadingSample(
+                    t_ns=t_ns,
+                    heading=wrap(math.radians(m.yaw * 1e-2)),
+                    std=_yaw_std(m.hdg_acc),
+                    source=HeadingSource.GNSS,
+                )
+            )
+        return out
+
+    def gps2_raw(self, frame: Frame) -> Measurements:
+        """Count GPS2_RAW: another receiver has another antenna, and its fixes are not mixed in."""
+        return self._door.refuse("GPS2_RAW: a second receiver")
+
+    def _refusal(self, m: Any) -> str | None:
+        """Say why a message holds no new fix; None: it does."""
+        key = (m.time_usec,) if m.time_usec else (0, m.lat, m.lon, m.alt, m.vel, m.cog)
+        if m.fix_type < _FIX_3D:
+            self._fixes = 0
+            return "no 3-D fix"
+        if not _is_place(m.lat, m.lon):
+            self._fixes = 0
+            return "no position"
+        if key == self._last:
+            return "repeated"
+        self._last = key
+        return None
+
+    def _time(self, stamp_us: int) -> int | str:
+        """Give the time of a fix, ns, or say why there is none; 0 means now."""
+        clock = self._door.clock
+        if stamp_us > LAST_US:
+            return "no time"
+        t_ns = clock.from_us(stamp_us) if stamp_us else clock.latest_ns
+        if t_ns is None or clock.latest_ns is None:
+            return "time base unknown"
+        if abs(t_ns - clock.latest_ns) > _STRAY_NS:
+            return "stamp far from the inertial samples"
+        return t_ns
+
+    def _compare_heights(self, m: Any) -> None:
+        """Warn where what is sent as above the sea can only be something else."""
+        if m.alt_ellipsoid != 0 and abs(m.alt - m.alt_ellipsoid) * 1e-3 > _GEOID:
+            self._door.refused["GPS_RAW_INT: height above the sea in doubt"] += 1
+            self._door.tell_once(
+                "GPS_RAW_INT: the height above the sea and that above the ellipsoid are further "
+                "apart than anywhere on Earth; the first is used: check the receiver's driver"
+            )
+
+    def _fix(self, m: Any, t_ns: int) -> GnssFix:
+        std_h = m.h_acc * 1e-3 or _dilution(m.eph) or _STD_UNKNOWN
+        std_v = m.v_acc * 1e-3 or _dilution(m.epv) or 1.5 * std_h
+        has_velocity = m.vel != _UNKNOWN_16 and m.cog <= NORTH_CDEG
+        speed, course = m.vel * 1e-2, math.radians(m.cog * 1e-2)
+        std_vel = (m.vel_acc * 1e-3 or _STD_VEL) if has_velocity else None
+        self._std = (std_h, std_v, std_vel or 0.0)
+        return GnssFix(
+            t_ns=t_ns,
+            lat=math.radians(m.lat * 1e-7),
+            lon=math.radians(m.lon * 1e-7),
+            alt=m.alt * 1e-3,
+            vel_north=speed * math.cos(course) if has_velocity else None,
+            vel_east=speed * math.sin(course) if has_velocity else None,
+            std_h=std_h,
+            std_v=std_v,
+            std_vel=std_vel,
+        )
+
+    def global_position_int(self, frame: Frame) -> Measurements:
+        """Read GLOBAL_POSITION_INT: marked, so that the filter takes it only if told to."""
+        m = unpack(frame)
+        followed = self._door.follow_ms(m.time_boot_ms, "GLOBAL_POSITION_INT")
+        if followed is None:
+            return []
+        out, t_ns = followed
+        if m.hdg <= NORTH_CDEG:
+            self._heading.add(out, 1, t_ns, math.radians(m.hdg * 1e-2))
+        if not _is_place(m.lat, m.lon):
+            self._door.refuse("GLOBAL_POSITION_INT: no position")
+            return out
+        if not self._derived_pace.admit(t_ns):
+            return out
+        std_h, std_v, std_vel = self._std
+        out.append(
+            GnssFix(
+                t_ns=t_ns,
+                lat=math.radians(m.lat * 1e-7),
+                lon=math.radians(m.lon * 1e-7),
+                alt=m.alt * 1e-3,
+                vel_north=m.vx * 1e-2,
+                vel_east=m.vy * 1e-2,
+                vel_down=m.vz * 1e-2,
+                std_h=max(_DERIVED_STD_H, _DERIVED * std_h),
+                std_v=max(_DERIVED_STD_V, _DERIVED * std_v),
+                std_vel=max(_DERIVED_STD_VEL, _DERIVED * std_vel),
+                flags=GnssFlag.DERIVED,
+            )
+        )
+        return out
+
+
+def _is_place(lat_degE7: int, lon_degE7: int) -> bool:
+    """Whether a latitude and longitude can be meant; 0, 0 is what is sent for none."""
+    return (
+        (lat_degE7 != 0 or lon_degE7 != 0)
+        and abs(lat_degE7) <= 900_000_000
+        and abs(lon_degE7) <= 1_800_000_000
+    )
+
+
+def _dilution(dop_100: int) -> float:
+    """Give the one sigma, m, of a dilution of precision times 100; 0.0 where it says nothing."""
+    if dop_100 in (0, 9999, _UNKNOWN_16):
+        return 0.0
+    return max(_RANGE_ERROR * dop_100 * 1e-2, _STD_FLOOR)
+
+
+def _yaw_std(hdg_acc_degE5: int) -> float:
+    """Give the one sigma, rad, of a dual-antenna heading."""
+    if hdg_acc_degE5 == 0:
+        return _STD_YAW
+    return min(max(math.radians(hdg_acc_degE5 * 1e-5), _STD_YAW_FLOOR), math.pi)

@@ -1,0 +1,53 @@
+"""Whether the vehicle is armed and landed, and what unix time it is there."""
+
+from __future__ import annotations
+
+from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.decode.door import Door, Measurements
+from ekf_companion.mavlink.frame import Frame
+from ekf_companion.nav.measurements import VehicleState
+
+_ARMED = 128
+_INVALID_AUTOPILOT = 8
+_ON_GROUND = 1
+
+
+class Vehicle:
+    """What the autopilot says of the vehicle as a whole."""
+
+    def __init__(self, door: Door) -> None:
+        self._door = door
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew after a reboot."""
+        self.is_armed = False
+        self._is_landed: bool | None = None
+
+    def heartbeat(self, frame: Frame) -> Measurements:
+        """Read HEARTBEAT."""
+        m = unpack(frame)
+        if m.autopilot == _INVALID_AUTOPILOT:
+            return []
+        self.is_armed = bool(m.base_mode & _ARMED)
+        return self._state()
+
+    def extended_sys_state(self, frame: Frame) -> Measurements:
+        """Read EXTENDED_SYS_STATE."""
+        state = unpack(frame).landed_state
+        is_landed = None if state == 0 else state == _ON_GROUND
+        if is_landed is self._is_landed:
+            return []
+        self._is_landed = is_landed
+        return self._state()
+
+    def system_time(self, frame: Frame) -> Measurements:
+        """Read SYSTEM_TIME."""
+        m = unpack(frame)
+        return self._door.relate(m.time_unix_usec, m.time_boot_ms)
+
+    def _state(self) -> Measurements:
+        t_ns = self._door.clock.latest_ns
+        if t_ns is None:
+            return []
+        return [VehicleState(t_ns=t_ns, is_armed=self.is_armed, is_landed=self._is_landed)]

@@ -1,0 +1,304 @@
+"""Whether an autopilot would fuse our ODOMETRY together with the GNSS that is in it already.
+
+Pure functions of the autopilot's parameters. Our estimate is a function of the same fixes: fused
+beside them it makes the covariance too small, and takes a glitch past the gate twice. Who cannot
+be asked is not told.
+
+Sources: PX4, parameters EKF2_EV_CTRL, EKF2_GPS_CTRL (1.14 and later), EKF2_AID_MASK, EKF2_HGT_MODE
+(before); ArduPilot, EKF Source Selection and Switching, and ``AP_NavEKF_Source``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Literal
+
+from ekf_companion.mavlink.decode import Family
+
+Mode = Literal["auto", "always", "never"]
+Parameters = Mapping[str, float | None]
+"""By name, as read; None: the autopilot says that it has no such parameter. One that is not in it
+has not been answered."""
+
+_VISION, _GNSS = "EKF2_EV_CTRL", "EKF2_GPS_CTRL"
+_MASK, _HEIGHT = "EKF2_AID_MASK", "EKF2_HGT_MODE"
+_DRIVER, _OPTIONS = "VISO_TYPE", "EK3_SRC_OPTIONS"
+_PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
+_SETS = {k: tuple(f"EK3_SRC{k}_{part}" for part in _PARTS) for k in (1, 2, 3)}
+
+_PX4_NEW = (_VISION, _GNSS)
+_PX4_OLD = (_MASK, _HEIGHT)
+_ARDUPILOT = (_DRIVER, _OPTIONS, *_SETS[1], *_SETS[2], *_SETS[3])
+NAMES: Mapping[Family, tuple[str, ...]] = MappingProxyType(
+    {Family.PX4: (*_PX4_NEW, *_PX4_OLD), Family.ARDUPILOT: _ARDUPILOT, Family.UNKNOWN: ()}
+)
+"""All parameters that may decide."""
+
+_EV_BITS = {1: "horizontal position", 2: "height", 4: "velocity", 8: "yaw"}
+_GNSS_BITS = {1: "position", 2: "height", 4: "velocity", 8: "yaw"}
+_AID_EV_BITS = {8: "horizontal position", 16: "yaw", 256: "velocity"}
+_AID_GNSS_BITS = {1: "position and velocity", 128: "yaw"}
+_GNSS_HEIGHT = 1
+"""Of EKF2_HGT_MODE: the old filter then takes the height from GNSS, whatever the mask says."""
+_EXTERNAL, _GPS = 6, 3
+_YAW_OF_GNSS = (2, 3, 8)
+"""From two antennas, with the compass behind it, and from the course (GSF)."""
+_ALL_VELOCITIES = 1
+"""Of EK3_SRC_OPTIONS, set by default: external velocities of every set are fused in every set."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """Whether ODOMETRY is sent, and why."""
+
+    is_streaming: bool
+    reason: str
+    """A sentence without its full stop."""
+    remedy: str = ""
+    """What to change, parameter and value; empty: nothing need be."""
+    text: str = ""
+    """Both for the pilot, so short that our name before it leaves it one STATUSTEXT."""
+    parameters: Mapping[str, float]
+    """The autopilot's that decide, as read."""
+    is_warning: bool = False
+    """Whether a human should look."""
+    is_settled: bool = True
+    """Whether all that decides has been answered, or asked for in vain."""
+
+    @property
+    def sentence(self) -> str:
+        """All of it for the log."""
+        said = "streamed" if self.is_streaming else "withheld"
+        remedy = f"; {self.remedy}" if self.remedy else ""
+        return f"ODOMETRY is {said}: {self.reason}{remedy}"
+
+
+def decide(
+    family: Family,
+    parameters: Parameters,
+    mode: Mode = "auto",
+    independent: bool = False,
+    is_complete: bool = True,
+) -> Verdict:
+    """Decide from what is known so far.
+
+    Args:
+        family: The autopilot's.
+        parameters: Its answers so far.
+        mode: The configuration's ``output.odometry.mode``.
+        independent: Whether our sensors are none of the autopilot's.
+        is_complete: Whether nothing more is waited for.
+    """
+    read = {name: value for name, value in parameters.items() if value is not None}
+    if mode == "never":
+        return _withheld("output.odometry.mode is never", "", "ODOMETRY is switched off", read)
+    if mode == "always":
+        reason = "output.odometry.mode is always: nothing guards against counting GNSS twice"
+        unguarded = _streamed(reason, "ODOMETRY is streamed unguarded", read)
+        return replace(unguarded, is_warning=True)
+    if independent:
+        return _streamed("our sensors are our own (output.odometry.independent)", "", read)
+    if family is Family.UNKNOWN:
+        return _streamed("who listens is neither PX4 nor ArduPilot", "", read)
+    if not is_complete and (unread := missing(family, parameters)):
+        reason = f"the autopilot is being asked for {_listed(unread)}"
+        return replace(_withheld(reason, "", "", read), is_settled=False)
+    if family is Family.ARDUPILOT:
+        return _by_ardupilot(parameters, read)
+    if read.get(_VISION) is None and read.get(_GNSS) is None and _MASK in read:
+        return _by_old_px4(read)
+    return _by_px4(parameters, read)
+
+
+def missing(family: Family, parameters: Parameters) -> tuple[str, ...]:
+    """Give the parameters that are worth waiting for before anything is decided."""
+    if family is Family.PX4:
+        vision = parameters.get(_VISION)
+        if vision is None:
+            return _unanswered(NAMES[family], parameters)
+        return _unanswered((_GNSS,), parameters) if _bits(vision, _EV_BITS) else ()
+    if family is Family.ARDUPILOT and (_DRIVER not in parameters or parameters[_DRIVER]):
+        return _unanswered(_ARDUPILOT, parameters)
+    return ()
+
+
+def watched(family: Family, parameters: Parameters) -> tuple[str, ...]:
+    """Give the parameters whose change would change the verdict."""
+    if family is Family.PX4:
+        return _PX4_NEW if parameters.get(_VISION) is not None else NAMES[family]
+    if family is Family.ARDUPILOT and parameters.get(_DRIVER, 1) == 0:
+        return (_DRIVER,)
+    return NAMES[family]
+
+
+# PX4
+
+
+def _by_px4(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
+    if _VISION not in parameters:
+        return _unread((_VISION,), read)
+    vision = parameters[_VISION]
+    ours = _bits(vision, _EV_BITS)
+    if vision is None or not ours:
+        return _streamed(_says(_VISION, vision, "the autopilot fuses nothing of ours"), "", read)
+    if _GNSS not in parameters:
+        return _unread((_GNSS,), read)
+    theirs = _bits(parameters[_GNSS], _GNSS_BITS)
+    if not theirs:
+        return _streamed(_says(_GNSS, parameters[_GNSS], "the autopilot fuses no GNSS"), "", read)
+    return _withheld(
+        f"{_VISION} is {vision:g} and {_GNSS} is {parameters[_GNSS]:g}: the autopilot would fuse "
+        f"our {_listed(ours)} together with the {_listed(theirs)} of the GNSS that is in it",
+        f"set {_GNSS} to 0 to fly on our estimate, or {_VISION} to 0 to fly on GNSS",
+        f"no ODOMETRY: set {_GNSS} 0",
+        read,
+    )
+
+
+def _by_old_px4(read: Mapping[str, float]) -> Verdict:
+    """Decide by the mask that held both before 1.14."""
+    mask = int(read[_MASK])
+    ours, theirs = _bits(mask, _AID_EV_BITS), _bits(mask, _AID_GNSS_BITS)
+    if not ours:
+        return _streamed(f"{_MASK} is {mask}: the autopilot fuses nothing of ours", "", read)
+    if theirs:
+        lone = mask & ~sum(_AID_GNSS_BITS)
+        return _withheld(
+            f"{_MASK} is {mask}: the autopilot would fuse our {_listed(ours)} together with the "
+            f"{_listed(theirs)} of the GNSS that is in it",
+            f"set {_MASK} to {lone} to fly on our estimate, or to {mask & ~sum(_AID_EV_BITS)} to "
+            "fly on GNSS, and reboot",
+            f"no ODOMETRY: set {_MASK} {lone}",
+            read,
+        )
+    if _HEIGHT not in read:
+        return _unread((_HEIGHT,), read)
+    if read[_HEIGHT] == _GNSS_HEIGHT:
+        return _withheld(
+            f"{_HEIGHT} is 1 and {_MASK} is {mask}: the autopilot would fuse our {_listed(ours)} "
+            "together with the height of the GNSS that is in it",
+            f"set {_HEIGHT} to 3 (vision) or 0 (barometer), and reboot",
+            f"no ODOMETRY: set {_HEIGHT} 3",
+            read,
+        )
+    return _streamed(f"{_MASK} is {mask}: the autopilot fuses no GNSS", "", read)
+
+
+# ArduPilot
+
+
+def _by_ardupilot(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
+    if not parameters.get(_DRIVER, 1):
+        reason = _says(_DRIVER, parameters[_DRIVER], "the autopilot takes no ODOMETRY")
+        return _streamed(reason, "", read)
+    unread = _unanswered(_ARDUPILOT, parameters)
+    if unread:
+        return _unread(unread, read)
+    pooled = _pooled(read)
+    is_taken = False
+    for names in _SETS.values():
+        own = [name for name in names if read.get(name) == _EXTERNAL]
+        ours = [*own, *(name for name in pooled if name not in own)]
+        theirs = [name for name in names if _is_of_gnss(name, read.get(name))]
+        is_taken = is_taken or bool(ours)
+        if ours and theirs:
+            return _double(own, ours, theirs, read)
+    if not is_taken:
+        return _streamed("no EK3_SRCn_* is 6: the autopilot fuses nothing of ours", "", read)
+    return _streamed("no EK3_SRCn set has both our estimate and GNSS", "", read)
+
+
+def _double(
+    own: list[str], ours: list[str], theirs: list[str], read: Mapping[str, float]
+) -> Verdict:
+    """Say what is fused beside what in one of the source sets."""
+    said = ", ".join(f"{name} {read[name]:g}" for name in (*ours, *theirs))
+    if own:
+        remedy = f"set {_listed(theirs)} to 6 to fly on our estimate"
+        text = f"no ODOMETRY: set {theirs[0]} 6"
+    else:
+        # The sets are alternatives, but for the velocities
+        lone = int(read[_OPTIONS]) & ~_ALL_VELOCITIES
+        said += f", {_OPTIONS} {read[_OPTIONS]:g}"
+        remedy = f"set {_OPTIONS} to {lone}, so that only the set in use is fused"
+        text = f"no ODOMETRY: set {_OPTIONS} {lone}"
+    return _withheld(
+        f"the autopilot would fuse it together with the GNSS that is in it: {said}",
+        f"{remedy}, or {_DRIVER} to 0 to fly on GNSS",
+        text,
+        read,
+    )
+
+
+def _pooled(read: Mapping[str, float]) -> list[str]:
+    """Give the external velocities that are fused whichever set is in use."""
+    if not int(read.get(_OPTIONS, 0)) & _ALL_VELOCITIES:
+        return []
+    names = [f"EK3_SRC{k}_{part}" for k in _SETS for part in ("VELXY", "VELZ")]
+    return [name for name in names if read.get(name) == _EXTERNAL]
+
+
+def _is_of_gnss(name: str, value: float | None) -> bool:
+    return value in _YAW_OF_GNSS if name.endswith("YAW") else value == _GPS
+
+
+# Words
+
+
+def _streamed(reason: str, text: str, read: Mapping[str, float]) -> Verdict:
+    return Verdict(
+        is_streaming=True, reason=reason, text=text or "ODOMETRY is streamed", parameters=read
+    )
+
+
+def _withheld(reason: str, remedy: str, text: str, read: Mapping[str, float]) -> Verdict:
+    return Verdict(
+        is_streaming=False,
+        reason=reason,
+        remedy=remedy,
+        text=text,
+        parameters=read,
+        is_warning=bool(remedy),
+    )
+
+
+def _unread(names: tuple[str, ...], read: Mapping[str, float]) -> Verdict:
+    """Withhold, as it cannot be known; say whether nothing at all was answered."""
+    question = "cannot find out whether the autopilot would fuse it together with GNSS"
+    if not read:
+        return _withheld(
+            f"{question}: it answers no request for a parameter",
+            "check that it hears us on this link, or set output.odometry.mode to always",
+            "no ODOMETRY: no parameter is answered",
+            read,
+        )
+    return _withheld(
+        f"{question}: it did not answer for {_listed(names)}",
+        f"look for {names[0]} in a ground station; where this firmware has none, set "
+        "output.odometry.mode to always",
+        f"no ODOMETRY: {names[0]} unread",
+        read,
+    )
+
+
+def _says(name: str, value: float | None, meaning: str) -> str:
+    is_what = "does not exist" if value is None else f"is {value:g}"
+    return f"{name} {is_what}: {meaning}"
+
+
+def _unanswered(names: tuple[str, ...], parameters: Parameters) -> tuple[str, ...]:
+    return tuple(name for name in names if name not in parameters)
+
+
+def _bits(value: float | None, meanings: Mapping[int, str]) -> list[str]:
+    return [meaning for bit, meaning in meanings.items() if int(value or 0) & bit]
+
+
+def _listed(names: list[str] | tuple[str, ...]) -> str:
+    """Give a list in words; of a long one, how many more."""
+    shown = list(names[:5])
+    if len(names) > len(shown):
+        return f"{', '.join(shown)} and {len(names) - len(shown)} more"
+    return " and ".join([", ".join(shown[:-1]), shown[-1]] if len(shown) > 1 else shown)

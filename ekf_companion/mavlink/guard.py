@@ -1,0 +1,217 @@
+"""The guard against counting the same GNSS twice: asks the autopilot for what decides, and watches.
+
+Until the answers are there, nothing is sent; what does not answer is not told. A change that a
+ground station makes counts when its PARAM_VALUE comes by, and otherwise when the parameter's turn
+comes to be read again.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from struct import Struct
+from typing import Any
+
+from ekf_companion.mavlink.codec import pack
+from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.event import Emit, GuardChanged, PeerFound
+from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.fusion import NAMES, Mode, Verdict, decide, missing, watched
+from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.outbox import Outbox
+from ekf_companion.mavlink.service import Handler, Service
+from ekf_companion.mavlink.stamp import SECOND_NS
+
+_TIMEOUT_NS = SECOND_NS
+_TRIES = 3
+_IN_FLIGHT = 4
+_ROUND_NS = SECOND_NS * 3 // 2
+"""In which every parameter that is watched is read again: a change counts within two seconds."""
+_SLOWEST_NS = SECOND_NS // 2
+"""Between two readings where few are watched."""
+
+_REAL32 = 9
+_DOES_NOT_EXIST = 1
+_INT32 = Struct("<i")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuardOptions:
+    """What the configuration says of ODOMETRY."""
+
+    mode: Mode = "auto"
+    independent: bool = False
+    """Whether our sensors are none of the autopilot's."""
+
+
+@dataclass(slots=True)
+class _Question:
+    tries: int = 0
+    deadline_ns: int = 0
+
+    def is_open(self, now_ns: int) -> bool:
+        """Whether an answer may still come."""
+        return self.tries > 0 and now_ns < self.deadline_ns
+
+    def is_given_up(self, now_ns: int) -> bool:
+        return self.tries >= _TRIES and now_ns >= self.deadline_ns
+
+
+class Guard(Service):
+    """Decides whether ODOMETRY is sent."""
+
+    def __init__(self, outbox: Outbox, emit: Emit, options: GuardOptions | None = None) -> None:
+        self.options = options or GuardOptions()
+        # A dialect from before PARAM_ERROR lacks its layout, and silence says the same
+        handlers: dict[str, Handler] = {"PARAM_VALUE": self._take, "PARAM_ERROR": self._take_error}
+        self.handles = {name: handler for name, handler in handlers.items() if name in IDS}
+        self._outbox = outbox
+        self._emit = emit
+        self._peer: PeerFound | None = None
+        self._answers: dict[str, float | None] = {}
+        self._questions: dict[str, _Question] = {}
+        self._turn = 0
+        self._next_ns = 0
+        self._told: tuple[bool, str, str] | None = None
+        self.verdict: Verdict = self._nobody()
+
+    @property
+    def is_streaming(self) -> bool:
+        """Whether ODOMETRY may be sent now."""
+        return self.verdict.is_streaming
+
+    # What changes
+
+    def retune(self, options: GuardOptions) -> None:
+        """Decide by other options from now on."""
+        if options == self.options:
+            return
+        self.options = options
+        if self._peer is None:
+            self.verdict = self._nobody()
+        else:
+            self.begin(self._peer)  # what was read long ago may hold no more
+
+    def begin(self, peer: PeerFound) -> None:
+        """Ask anew: a reboot may have changed anything."""
+        self._forget()
+        self._peer = peer
+        self._judge(is_complete=False)
+
+    def end(self) -> None:
+        """Nobody is there: what has been read says nothing of who comes next."""
+        self._forget()
+        self.verdict = self._nobody()
+
+    def tick(self, now_ns: int) -> None:
+        """Ask for what is missing, then read again what could change."""
+        if not self._is_reading:
+            return
+        for name in missing(self._family, self._answers):
+            self._ask_for(name, now_ns)
+        if not self.verdict.is_settled and self._is_complete(now_ns):
+            self._judge(is_complete=True)
+        if self.verdict.is_settled and now_ns >= self._next_ns:
+            names = watched(self._family, self._answers)
+            self._next_ns = now_ns + min(_ROUND_NS // len(names), _SLOWEST_NS)
+            self._turn += 1
+            self._send(names[self._turn % len(names)], now_ns)
+
+    # What is answered
+
+    def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
+        name = message.param_id.decode("ascii", "replace")
+        value = message.param_value
+        if self._family is Family.PX4 and message.param_type != _REAL32:
+            # It lays the integer's bytes where the float's would be
+            (value,) = _INT32.unpack(frame.payload.ljust(4, b"\0")[:4])
+        if math.isfinite(value):
+            self._note(name, float(value), now_ns)
+
+    def _take_error(self, message: Any, frame: Frame, now_ns: int) -> None:
+        if message.error == _DOES_NOT_EXIST:
+            self._note(message.param_id.decode("ascii", "replace"), None, now_ns)
+
+    def _note(self, name: str, value: float | None, now_ns: int) -> None:
+        if not self._is_reading or name not in NAMES[self._family]:
+            return
+        self._answers[name] = value
+        self._questions.pop(name, None)
+        self._judge(is_complete=self._is_complete(now_ns))
+        self.tick(now_ns)
+
+    # How it is asked
+
+    def _ask_for(self, name: str, now_ns: int) -> None:
+        question = self._question(name)
+        in_flight = sum(other.is_open(now_ns) for other in self._questions.values())
+        if question.tries >= _TRIES or question.is_open(now_ns) or in_flight >= _IN_FLIGHT:
+            return
+        question.tries += 1
+        question.deadline_ns = now_ns + _TIMEOUT_NS
+        self._questions[name] = question
+        self._send(name, now_ns)
+
+    def _send(self, name: str, now_ns: int) -> None:
+        if self._peer is None:
+            return
+        payload = pack(
+            "PARAM_REQUEST_READ",
+            target_system=self._peer.system_id,
+            target_component=self._peer.component_id,
+            param_id=name.encode(),
+            param_index=-1,
+        )
+        self._outbox.send("PARAM_REQUEST_READ", payload, now_ns)
+
+    def _is_complete(self, now_ns: int) -> bool:
+        """Whether all is answered or given up; of who answers nothing, the first is enough."""
+        wanted = missing(self._family, self._answers)
+        given_up = [self._question(name).is_given_up(now_ns) for name in wanted]
+        return all(given_up) or (any(given_up) and not self._answers)
+
+    def _question(self, name: str) -> _Question:
+        return self._questions.get(name, _Question())
+
+    # What follows
+
+    @property
+    def _family(self) -> Family:
+        return Family.UNKNOWN if self._peer is None else self._peer.family
+
+    @property
+    def _is_reading(self) -> bool:
+        """Whether the answer depends on any parameter."""
+        is_asked = self.options.mode == "auto" and not self.options.independent
+        return is_asked and bool(NAMES[self._family])
+
+    def _judge(self, *, is_complete: bool) -> None:
+        options = self.options
+        self.verdict = verdict = decide(
+            self._family, self._answers, options.mode, options.independent, is_complete
+        )
+        said = (verdict.is_streaming, verdict.reason, verdict.remedy)
+        if verdict.is_settled and said != self._told:
+            self._told = said
+            self._emit(GuardChanged(verdict))
+
+    def _forget(self) -> None:
+        self._peer = None
+        self._answers.clear()
+        self._questions.clear()
+        self._turn = 0
+        self._next_ns = 0
+
+    def _nobody(self) -> Verdict:
+        options = self.options
+        if options.mode == "auto":
+            return Verdict(
+                is_streaming=False,
+                reason="no autopilot is heard",
+                parameters={},
+                is_settled=False,
+            )
+        return decide(Family.UNKNOWN, {}, options.mode, options.independent)
+
+
+__all__ = ["Guard", "GuardOptions", "Verdict"]

@@ -1,0 +1,172 @@
+"""What we ask of the autopilot: its messages and its version, one request after the other."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+from ekf_companion.mavlink import encode
+from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.event import Answered, Emit, PeerFound, Versioned
+from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.outbox import Outbox
+from ekf_companion.mavlink.service import Service
+from ekf_companion.mavlink.stamp import SECOND_NS
+
+_TIMEOUT_NS = SECOND_NS
+_TRIES = 3
+_IN_PROGRESS = 5
+ACCEPTED = "accepted"
+_RESULTS = (
+    *(ACCEPTED, "temporarily rejected", "denied", "unsupported", "failed", "in progress"),
+    *("cancelled", "only as COMMAND_LONG", "only as COMMAND_INT", "unsupported frame"),
+    "not in control",
+)
+"""MAV_RESULT in words."""
+
+_GROUPS: Mapping[str, int] = MappingProxyType(
+    {
+        "RAW_IMU": 1,
+        "SCALED_PRESSURE": 1,
+        "GPS_RAW_INT": 2,
+        "GLOBAL_POSITION_INT": 6,
+        "ATTITUDE": 10,
+        "SYSTEM_TIME": 12,
+    }
+)
+"""MAV_DATA_STREAM of each message, as an ArduPilot from before SET_MESSAGE_INTERVAL knows it."""
+
+
+@dataclass(slots=True)
+class _Request:
+    """One command: SET_MESSAGE_INTERVAL, or REQUEST_MESSAGE where there is no rate."""
+
+    name: str
+    rate: float | None
+    sent: int = 0
+    deadline_ns: int = 0
+
+    @property
+    def command(self) -> int:
+        return encode.REQUEST_MESSAGE if self.rate is None else encode.SET_MESSAGE_INTERVAL
+
+
+class Requests(Service):
+    """Asks for every message at its rate, and notes the answers."""
+
+    def __init__(self, outbox: Outbox, emit: Emit, rates: Mapping[str, float]) -> None:
+        self.handles = {"COMMAND_ACK": self._take, "AUTOPILOT_VERSION": self._take_version}
+        self.results: dict[str, str] = {}
+        """The last answer to the request for each message."""
+        self.rates = rates
+        """What is asked for, Hz."""
+        self.version = ""
+        """Of the autopilot's firmware, as in ``1.16.0``; empty: not told."""
+        self._outbox = outbox
+        self._emit = emit
+        self._peer: PeerFound | None = None
+        self._wanted: deque[_Request] = deque()
+        self._has_fallen_back = False
+
+    def begin(self, peer: PeerFound) -> None:
+        """Ask for everything."""
+        self._peer = peer
+        self.results.clear()
+        self._wanted = deque(_Request(name, rate) for name, rate in self.rates.items())
+        if self._wanted:
+            self._wanted.append(_Request("AUTOPILOT_VERSION", None))
+
+    def end(self) -> None:
+        """Ask for nothing: nobody would hear."""
+        self._wanted.clear()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a request is under way."""
+        return bool(self._wanted)
+
+    def ask_again(self, name: str) -> None:
+        """Ask once more for a message that ought to come at its rate."""
+        if all(request.name != name for request in self._wanted):
+            self._wanted.append(_Request(name, self._rate(name)))
+
+    def tick(self, now_ns: int) -> None:
+        """Send the request that is first in line, again where its time is over."""
+        while self._wanted and self._peer:
+            request = self._wanted[0]
+            if request.sent and now_ns < request.deadline_ns:
+                return
+            if request.sent == _TRIES:
+                self._settle("no answer")
+                continue
+            self._send(request, self._peer, now_ns)
+            return
+        if self._peer and self._peer.family is Family.ARDUPILOT and not self._has_fallen_back:
+            self._fall_back(self._peer, now_ns)
+
+    def _send(self, request: _Request, peer: PeerFound, now_ns: int) -> None:
+        target = {"target_system": peer.system_id, "target_component": peer.component_id}
+        message_id, confirmation = IDS[request.name], request.sent
+        if request.rate is None:
+            payload = encode.request_message(message_id, confirmation=confirmation, **target)
+        else:
+            payload = encode.set_message_interval(
+                message_id, request.rate, confirmation=confirmation, **target
+            )
+        request.sent += 1
+        request.deadline_ns = now_ns + _TIMEOUT_NS
+        self._outbox.send("COMMAND_LONG", payload, now_ns)
+
+    def _fall_back(self, peer: PeerFound, now_ns: int) -> None:
+        """Ask in the old way for the groups of which no message was granted."""
+        self._has_fallen_back = True
+        groups: dict[int, float] = {}
+        for name, result in self.results.items():
+            if name in _GROUPS and result != ACCEPTED:
+                group = _GROUPS[name]
+                groups[group] = max(self._rate(name), groups.get(group, 0.0))
+        for name, result in self.results.items():
+            if result == ACCEPTED:
+                groups.pop(_GROUPS.get(name, 0), None)
+        for group, rate in groups.items():
+            payload = encode.request_data_stream(
+                group, rate, target_system=peer.system_id, target_component=peer.component_id
+            )
+            self._outbox.send("REQUEST_DATA_STREAM", payload, now_ns)
+
+    def _rate(self, name: str) -> float:
+        return self.rates.get("HIGHRES_IMU" if name == "RAW_IMU" else name, 0.0)
+
+    def _take(self, ack: Any, frame: Frame, now_ns: int) -> None:
+        if not (self._wanted and self._wanted[0].sent):
+            return
+        if ack.command != self._wanted[0].command:
+            return
+        if ack.result == _IN_PROGRESS:
+            self._wanted[0].deadline_ns = now_ns + _TIMEOUT_NS
+            return
+        self._settle(_RESULTS[ack.result] if ack.result < len(_RESULTS) else f"result {ack.result}")
+        self.tick(now_ns)
+
+    def _take_version(self, message: Any, frame: Frame, now_ns: int) -> None:
+        version = ".".join(str(byte) for byte in message.flight_sw_version.to_bytes(4, "big")[:3])
+        if message.flight_sw_version and version != self.version:
+            self.version = version
+            self._emit(Versioned(version))
+
+    def _settle(self, result: str) -> None:
+        """Note the answer to the request that is under way, and think of another for it."""
+        request = self._wanted.popleft()
+        if request.rate is None:
+            return  # an old autopilot knows of no such request, and that is no news
+        if self.results.get(request.name) != result:
+            self.results[request.name] = result
+            self._emit(Answered(request.name, result))
+        self._has_fallen_back = False
+        is_ardupilot = self._peer is not None and self._peer.family is Family.ARDUPILOT
+        if request.name == "HIGHRES_IMU" and result != ACCEPTED and is_ardupilot:
+            self._wanted.appendleft(_Request("RAW_IMU", request.rate))

@@ -1,0 +1,114 @@
+"""Words for the pilot: STATUSTEXT, said once, in pieces where they are long."""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import IntEnum
+from typing import NamedTuple
+
+from ekf_companion.mavlink.codec import pack
+from ekf_companion.mavlink.event import PeerFound
+from ekf_companion.mavlink.outbox import Outbox
+from ekf_companion.mavlink.service import Service
+from ekf_companion.mavlink.stamp import SECOND_NS
+
+CHUNK = 50
+"""Bytes of a message's text."""
+LARGEST = 4 * CHUNK
+"""Bytes of a text; the rest is in the log."""
+_WAITING = 16
+"""Texts that may wait; of more, the oldest is no news any more."""
+_PACE_NS = SECOND_NS // 5
+"""Between any two texts."""
+_LARGEST_ID = 65535
+
+
+class Severity(IntEnum):
+    """MAV_SEVERITY, as in RFC 5424."""
+
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+class _Text(NamedTuple):
+    severity: Severity
+    text: str
+
+
+class StatusText(Service):
+    """Says what has changed, to whoever listens; nothing while no autopilot is heard."""
+
+    def __init__(self, outbox: Outbox) -> None:
+        self.dropped = 0
+        """Texts that waited behind too many others."""
+        self._outbox = outbox
+        self._is_heard = False
+        self._waiting: deque[_Text] = deque()
+        self._said_ns: dict[_Text, int] = {}
+        self._next_ns = 0
+        self._id = 0
+
+    def begin(self, peer: PeerFound) -> None:
+        """Speak from now on."""
+        self._is_heard = True
+
+    def end(self) -> None:
+        """Be silent: nobody hears, and later it would be no news."""
+        self._is_heard = False
+        self._waiting.clear()
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Say it when its turn has come: the last said is the last heard, so that it is true."""
+        if not self._is_heard:
+            return
+        said = _Text(severity, text)
+        if said in self._waiting:
+            self._waiting.remove(said)
+        if len(self._waiting) == _WAITING:
+            self._waiting.popleft()
+            self.dropped += 1
+        self._waiting.append(said)
+
+    def tick(self, now_ns: int) -> None:
+        """Send the first in line; a text that was said in the last second waits."""
+        if not self._waiting or now_ns < self._next_ns:
+            return
+        self._said_ns = {
+            text: at_ns for text, at_ns in self._said_ns.items() if now_ns - at_ns < SECOND_NS
+        }
+        if (said := self._waiting[0]) not in self._said_ns:
+            self._waiting.popleft()
+            self._said_ns[said] = now_ns
+            self._next_ns = now_ns + _PACE_NS
+            self._send(said, now_ns)
+
+    def _send(self, said: _Text, now_ns: int) -> None:
+        pieces = chunks(said.text)
+        text_id = 0
+        if len(pieces) > 1:
+            text_id = self._id = self._id % _LARGEST_ID + 1
+        for number, piece in enumerate(pieces):
+            payload = pack(
+                "STATUSTEXT", severity=said.severity, text=piece, id=text_id, chunk_seq=number
+            )
+            self._outbox.send("STATUSTEXT", payload, now_ns)
+
+
+def chunks(text: str) -> list[bytes]:
+    """Cut a text into pieces of 50 bytes, none through a character.
+
+    A zero byte ends a text, so a piece that a character did not fit into is filled with spaces,
+    and a last piece without room for a zero is followed by an empty one.
+    """
+    rest = text.replace("\0", "").encode()[:LARGEST].decode(errors="ignore").encode()
+    if len(rest) <= CHUNK:
+        return [rest]
+    pieces = []
+    while len(rest) >= CHUNK:
+        piece = rest[:CHUNK].decode(errors="ignore").encode()
+        rest = rest[len(piece) :]
+        pieces.append(piece.ljust(CHUNK))
+    return [*pieces, rest]

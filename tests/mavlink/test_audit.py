@@ -1,0 +1,125 @@
+"""Whether what was asked for comes."""
+
+from itertools import pairwise
+
+import pytest
+
+from ekf_companion.mavlink.audit import probable_cause
+from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.event import RateInVain
+from tests.mavlink.conversation import MS, PX4, SECOND, asked, met, sent
+
+RATES = {
+    "HIGHRES_IMU": 250.0,
+    "GPS_RAW_INT": 10.0,
+    "ATTITUDE": 10.0,
+    "GLOBAL_POSITION_INT": 5.0,
+    "SCALED_PRESSURE": 10.0,
+}
+
+
+def listen(duration, rates, family=PX4, change=None, then=None):
+    """Hear messages at rates (Hz) and grant all; give when which was asked again, and events."""
+    session, autopilot = met(family, rates=RATES)
+    again, events, counts, now = [], [], dict.fromkeys(RATES, 0.0), 0
+    for now in range(0, int(duration * SECOND), 50 * MS):
+        for at, changed in filter(None, (change, then)):
+            rates = changed if now >= at * SECOND else rates
+        if now % SECOND == 0:
+            session.receive(autopilot.heartbeat(), now)
+        for name, rate in rates.items():
+            counts[name] += rate * 0.05
+            while counts[name] >= 1.0:
+                counts[name] -= 1.0
+                session.receive(autopilot.say(name), now)
+        session.tick(now)
+        while commands := sent(session, "COMMAND_LONG"):
+            for command in commands:
+                if command.command == 511:
+                    again.append((now // SECOND, asked(command)))
+                data = autopilot.say("COMMAND_ACK", command=command.command)
+                session.receive(data, now)
+        events += [event for event in session.events() if type(event) is RateInVain]
+    return again[len(RATES) :], events, session
+
+
+def test_rule_6_what_comes_as_asked_is_left_in_peace():
+    usual = RATES | {"HIGHRES_IMU": 130.0, "GPS_RAW_INT": 5.0, "ATTITUDE": 1.0}
+    again, events, session = listen(40.0, usual)
+    assert (again, events) == ([], [])
+    assert session.audit.rates["HIGHRES_IMU"] == pytest.approx(130.0, rel=0.05)
+    assert session.audit.rates["GPS_RAW_INT"] == pytest.approx(5.0, rel=0.1)
+
+
+def test_rule_6_what_comes_at_less_than_half_is_asked_again_every_ten_seconds_then_named_once():
+    slow = RATES | {"HIGHRES_IMU": 100.0}
+    again, events, _ = listen(170.0, slow)
+    assert {name for _, name in again} == {"HIGHRES_IMU"}
+    times = [now for now, _ in again]
+    assert 5 <= times[0] <= 7
+    gaps = [after - before for before, after in pairwise(times)]
+    assert all(10 <= gap <= 12 for gap in gaps[:3])
+    assert all(gap >= 60 for gap in gaps[3:])
+    assert len(gaps) == 5
+    (event,) = events
+    assert (event.message, event.asked) == ("HIGHRES_IMU", 250.0)
+    assert event.measured == pytest.approx(100.0, rel=0.05)
+
+
+def test_rule_6_what_recovers_is_forgiven():
+    slow = RATES | {"HIGHRES_IMU": 100.0}
+    again, events, _ = listen(60.0, slow, change=(12.0, RATES))
+    assert len(again) == 1
+    assert events == []
+
+
+def test_rule_6_two_short_troubles_are_not_one_long_one():
+    slow = RATES | {"HIGHRES_IMU": 100.0}
+    again, events, _ = listen(80.0, slow, change=(28.0, RATES), then=(50.0, slow))
+    assert len(again) > 4
+    assert events == []
+
+
+def test_rule_6_fixes_that_cease_are_asked_for_again():
+    silent = {name: rate for name, rate in RATES.items() if name != "GPS_RAW_INT"}
+    again, _, _ = listen(30.0, RATES, change=(10.0, silent))
+    assert again
+    assert {name for _, name in again} == {"GPS_RAW_INT"}
+
+
+def test_rule_6_nothing_is_asked_of_an_autopilot_that_is_lost():
+    session, autopilot = met(rates=RATES)
+    asked_at = []
+    for now in range(0, 60 * SECOND, 100 * MS):
+        session.tick(now)
+        for command in sent(session, "COMMAND_LONG"):
+            asked_at.append(now)
+            session.receive(autopilot.say("COMMAND_ACK", command=command.command), now)
+    assert max(asked_at) < 6 * SECOND
+
+
+AT_4 = dict.fromkeys(("RAW_IMU", "ATTITUDE", "GLOBAL_POSITION_INT", "SCALED_PRESSURE"), 4.0)
+
+
+@pytest.mark.parametrize(
+    ("measured", "family", "words"),
+    [
+        (AT_4, Family.ARDUPILOT, "a ground station sets 4 Hz for all (SRn_*"),
+        (
+            RATES | {"HIGHRES_IMU": 40.0},
+            Family.ARDUPILOT,
+            "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE",
+        ),
+        (
+            {name: 0.4 * rate for name, rate in RATES.items()},
+            Family.PX4,
+            "all are thinned alike, so the link is full; raise MAV_n_RATE",
+        ),
+        ({name: 0.4 * rate for name, rate in RATES.items()}, Family.ARDUPILOT, "SERIALn_BAUD"),
+        (RATES | {"HIGHRES_IMU": 90.0}, Family.PX4, "see IMU_INTEG_RATE or MAV_n_RATE"),
+        (RATES | {"HIGHRES_IMU": 0.0}, Family.PX4, "none comes"),
+        ({}, Family.UNKNOWN, "none comes"),
+    ],
+)
+def test_rule_6_the_probable_cause_is_named(measured, family, words):
+    assert words in probable_cause(measured, RATES, family)

@@ -1,0 +1,135 @@
+"""Commands to us."""
+
+import math
+
+import hypothesis.strategies as st
+import pytest
+from hypothesis import given
+
+from ekf_companion.mavlink.commands import Stream
+from ekf_companion.mavlink.event import IntervalSet
+from ekf_companion.mavlink.layout import IDS
+from tests.mavlink.conversation import met, sent, station
+
+ARM, SET_INTERVAL, REQUEST = 400, 511, 512
+ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3
+ODOMETRY, STATUS = IDS["ODOMETRY"], IDS["ESTIMATOR_STATUS"]
+
+
+def served(has_estimate=True):
+    """Give a session that offers two messages, who commands it, and what was asked for."""
+    session, _ = met()
+    asked = []
+    for name, rate, largest in (("ODOMETRY", 30.0, 50.0), ("ESTIMATOR_STATUS", 1.0, 1000.0)):
+        stream = Stream(
+            rate=rate,
+            largest=largest,
+            request=lambda name=name: asked.append(name) or has_estimate,
+        )
+        session.commands.offer(name, stream)
+    return session, station(), asked
+
+
+def command(session, who, number, component=194, name="COMMAND_LONG", system=1, **fields):
+    target = {"target_system": system, "target_component": component}
+    session.receive(who.say(name, command=number, **target, **fields), 0)
+    return sent(session)
+
+
+def result(messages):
+    (ack,) = [m for m in messages if type(m).__name__ == "COMMAND_ACK"]
+    return ack.result
+
+
+@pytest.mark.parametrize("name", ["COMMAND_LONG", "COMMAND_INT"])
+def test_rule_31_a_command_to_us_is_always_answered_to_who_sent_it(name):
+    session, who, _ = served()
+    for number in (ARM, 0, 65535, 246):
+        (ack,) = command(session, who, number, name=name)
+        assert (ack.command, ack.result) == (number, UNSUPPORTED)
+        assert (ack.target_system, ack.target_component) == (255, 190)
+
+
+@pytest.mark.parametrize("component", [0, 1, 195])
+def test_rule_31_a_command_to_all_or_to_others_is_not_ours_to_refuse(component):
+    session, who, _ = served()
+    assert command(session, who, ARM, component) == []
+    assert command(session, who, SET_INTERVAL, component, param1=ODOMETRY, param2=1e5) == []
+    assert command(session, who, REQUEST, component, param1=IDS["HOME_POSITION"]) == []
+    assert command(session, who, ARM, 194, system=2) == []
+    assert session.events() == []
+
+
+@pytest.mark.parametrize("name", ["COMMAND_LONG", "COMMAND_INT"])
+@pytest.mark.parametrize("component", [194, 0])
+@pytest.mark.parametrize("message", ["HEARTBEAT", "AUTOPILOT_VERSION", "MESSAGE_INTERVAL"])
+def test_rule_31_a_message_that_needs_no_estimate_comes_at_once(name, component, message):
+    session, who, _ = served()
+    said = command(session, who, REQUEST, component, name, param1=IDS[message])
+    assert [type(m).__name__ for m in said] == [message, "COMMAND_ACK"]
+    assert said[1].result == ACCEPTED
+
+
+def test_rule_31_a_message_of_the_estimate_is_asked_of_the_filter():
+    session, who, asked = served()
+    assert result(command(session, who, REQUEST, param1=ODOMETRY)) == ACCEPTED
+    assert asked == ["ODOMETRY"]
+    session, who, asked = served(has_estimate=False)
+    assert result(command(session, who, REQUEST, param1=STATUS)) == TEMPORARILY_REJECTED
+
+
+@pytest.mark.parametrize("message_id", [0.5, -1.0, 1e9, math.nan, math.inf, 32.0, 105.0, 70000.0])
+def test_rule_31_a_message_that_is_not_ours_is_unsupported(message_id):
+    session, who, asked = served()
+    said = command(session, who, SET_INTERVAL, param1=message_id, param2=1e5)
+    assert result(said) == UNSUPPORTED
+    if message_id != 0.5:
+        assert result(command(session, who, REQUEST, param1=message_id)) == UNSUPPORTED
+    assert asked == []
+
+
+def test_rule_31_an_interval_is_set_reported_and_given_back():
+    session, who, _ = served()
+
+    def interval():
+        said = command(session, who, REQUEST, param1=IDS["MESSAGE_INTERVAL"], param2=ODOMETRY)
+        assert said[0].message_id == ODOMETRY
+        return said[0].interval_us
+
+    assert interval() == 33_333
+    for interval_us, told, rate in ((50_000.0, 50_000, 20.0), (-1.0, -1, 0.0), (0.0, 33_333, 30.0)):
+        for _ in range(2):  # a repeated command changes nothing more
+            said = command(session, who, SET_INTERVAL, param1=ODOMETRY, param2=interval_us)
+            assert result(said) == ACCEPTED
+            assert session.events() == [IntervalSet("ODOMETRY", rate)]
+        assert interval() == told
+        assert session.commands.rate("ODOMETRY") == rate
+
+
+@pytest.mark.parametrize("interval_us", [19_999.0, 1.0, -2.0, math.nan, math.inf, 1e30])
+def test_rule_22_a_rate_that_the_autopilot_cannot_use_is_denied(interval_us):
+    session, who, _ = served()
+    said = command(session, who, SET_INTERVAL, param1=ODOMETRY, param2=interval_us)
+    assert result(said) == DENIED
+    assert session.commands.rate("ODOMETRY") == 30.0
+    assert session.events() == []
+
+
+def test_rule_31_what_we_never_send_has_no_interval():
+    session, who, _ = served()
+    for message_id in (32, 105, 65535):
+        said = command(session, who, REQUEST, param1=IDS["MESSAGE_INTERVAL"], param2=message_id)
+        assert said[0].interval_us == 0
+
+
+@given(
+    st.sampled_from(["COMMAND_LONG", "COMMAND_INT"]),
+    st.sampled_from([SET_INTERVAL, REQUEST, ARM]),
+    st.lists(st.floats(width=32), min_size=7, max_size=7),
+)
+def test_rule_31_no_command_raises_and_each_is_answered_once(name, number, values):
+    session, who, _ = served()
+    count = 7 if name == "COMMAND_LONG" else 4
+    fields = {f"param{k + 1}": value for k, value in enumerate(values[:count])}
+    said = command(session, who, number, name=name, **fields)
+    assert [type(m).__name__ for m in said].count("COMMAND_ACK") == 1

@@ -1,0 +1,175 @@
+"""What stamps make of time, message by message: wraps, wild fields, and those of sending."""
+
+import random
+
+import pytest
+
+from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.decode import Decoder, DecoderOptions, Family
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.nav.measurements import GnssFix, HeadingSample, ImuSample, Restart
+
+MS = 1_000_000
+WRAP_MS = 1 << 32
+WIDEST = {"time_usec": 2**64 - 1, "time_boot_ms": WRAP_MS - 1, "time_unix_usec": 2**64 - 1}
+STAMPED = {
+    "HIGHRES_IMU": "time_usec",
+    "RAW_IMU": "time_usec",
+    "SCALED_IMU2": "time_boot_ms",
+    "SCALED_PRESSURE": "time_boot_ms",
+    "GLOBAL_POSITION_INT": "time_boot_ms",
+    "ATTITUDE": "time_boot_ms",
+    "SYSTEM_TIME": "time_boot_ms",
+    "GPS_RAW_INT": "time_usec",
+}
+
+
+class Peer:
+    """A decoder, and the messages of an autopilot whose clock is said."""
+
+    def __init__(self, family=Family.ARDUPILOT, **options):
+        self.decoder = Decoder(family, DecoderOptions(**options))
+        self._sender = Sender(1, 1)
+
+    def say(self, name, **fields):
+        (frame,) = Splitter().feed(self._sender.message(name, **fields))
+        return self.decoder.decode(frame)
+
+    def highres(self, t_us, **fields):
+        return self.say(
+            "HIGHRES_IMU", time_usec=t_us, zacc=-9.81, fields_updated=0x1FF, xmag=0.3, **fields
+        )
+
+    def everything(self, t_us):
+        """Give what all of an autopilot's messages of one moment say."""
+        t_ms, place = t_us // 1000 % WRAP_MS, {"lat": 473977635 + t_us % 97, "lon": 85455780}
+        return [
+            *self.highres(t_us, ymag=t_us % 97 * 1e-4),
+            *self.say("RAW_IMU", time_usec=t_us, zacc=-1000),
+            *self.say("SCALED_IMU2", time_boot_ms=t_ms, zacc=-1000),
+            *self.say("SCALED_PRESSURE", time_boot_ms=t_ms, press_abs=950.0),
+            *self.say("GLOBAL_POSITION_INT", time_boot_ms=t_ms, hdg=9000, **place),
+            *self.say("ATTITUDE", time_boot_ms=t_ms, yaw=1.0),
+            *self.say("SYSTEM_TIME", time_unix_usec=1_700_000_000_000_000, time_boot_ms=t_ms),
+            *self.say("GPS_RAW_INT", time_usec=t_us, fix_type=3, **place),
+        ]
+
+
+def only(kind, measurements):
+    return [one for one in measurements if type(one) is kind]
+
+
+def test_a_vehicle_that_runs_across_the_wrap_goes_on_in_all_its_messages():
+    """Rule 11: milliseconds go round after 49.7 days, microseconds do not."""
+    peer = Peer()
+    for t_us in range((WRAP_MS - 2000) * 1000, (WRAP_MS + 2000) * 1000, 100_000):
+        said = peer.everything(t_us)
+        assert not only(Restart, said)
+        assert {one.t_ns // MS * 1000 for one in said} == {t_us}
+        if t_us > (WRAP_MS - 1800) * 1000:
+            assert {ImuSample, HeadingSample, GnssFix} <= set(map(type, said))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_wild_stamps_in_any_message_neither_restart_nor_say_anything(seed):
+    """Rule 12: whatever a field holds once, the clock goes on."""
+    rng = random.Random(seed)
+    peer = Peer()
+    for n in range(300):
+        t_us = 50_000_000 + 100_000 * n
+        said = peer.everything(t_us)
+        assert not only(Restart, said)
+        assert len(only(ImuSample, said)) == 1
+        name, field = rng.choice(list(STAMPED.items()))
+        wild = rng.randrange(WIDEST[field] + 1) >> rng.randrange(32)
+        near = abs(wild * (1 if field == "time_usec" else 1000) - t_us) < 20_000_000
+        if near:
+            continue
+        fields = {"fix_type": 3, "lat": 1, "lon": 1} if name == "GPS_RAW_INT" else {}
+        fields |= {"zacc": -1000} if name.endswith(("IMU", "IMU2")) else {}
+        assert only(ImuSample, peer.say(name, **{field: wild}, **fields)) == []
+    assert peer.decoder.clock.latest_us == t_us
+
+
+def test_a_wild_system_time_moves_no_fix_and_no_heading():
+    peer = Peer(Family.PX4)
+    unix_us = 1_700_000_000_000_000
+    peer.highres(unix_us)
+    peer.say("SYSTEM_TIME", time_unix_usec=unix_us, time_boot_ms=60_000)
+    peer.say("SYSTEM_TIME", time_unix_usec=unix_us + 10**12, time_boot_ms=60_000)
+    (heading,) = peer.say("ATTITUDE", time_boot_ms=60_010, yaw=0.5)
+    assert heading.t_ns == (unix_us + 10_000) * 1000
+
+
+def test_an_old_packet_is_refused_and_counted():
+    """Rule 10: what is more than a second old leaps back, and nothing confirms it."""
+    peer = Peer()
+    for t_us in range(50_000_000, 53_000_000, 4000):
+        peer.highres(t_us)
+    assert peer.highres(51_000_000) == []
+    assert peer.decoder.refused == {"HIGHRES_IMU: stamp leaps": 1}
+
+
+# Stamps of sending
+
+
+def sent(seed=1, count=4000):
+    """Give stamps of every second turn of a 400 Hz loop, sent up to 1.8 ms later, us."""
+    rng = random.Random(seed)
+    return [10**8 + 5000 * n + min(int(rng.expovariate(1 / 300.0)), 1800) for n in range(count)]
+
+
+def samples(peer, stamps):
+    """Give the stamps, us, of the samples of HIGHRES_IMU messages."""
+    return [one.t_ns / 1000 for t in stamps for one in only(ImuSample, peer.highres(t))]
+
+
+def test_stamps_of_sending_are_brought_back_to_the_loops_turns():
+    """Rule 10: RAW and SCALED stamps are de-jittered, and ArduPilot's HIGHRES_IMU."""
+    peer, stamps = Peer(), sent()
+    found = samples(peer, stamps)
+    assert peer.decoder.is_dejittered
+    late = [t - (10**8 + 5000 * n) for n, t in enumerate(found)][2000:]
+    assert max(late) - min(late) < 400.0
+    assert max(stamps[n] - 10**8 - 5000 * n for n in range(2000, 4000)) == 1800
+
+
+def test_what_comes_with_a_sample_is_stamped_as_the_sample():
+    peer, stamps = Peer(), sent()
+    samples(peer, stamps)
+    imu, mag = peer.highres(stamps[-1] + 5900, ymag=0.1)
+    assert imu.t_ns == mag.t_ns < (stamps[-1] + 5900) * 1000
+
+
+@pytest.mark.parametrize("family", [Family.PX4, Family.UNKNOWN])
+def test_stamps_of_sampling_are_left_alone(family):
+    """Rule 10: PX4 stamps HIGHRES_IMU with the time of the sample."""
+    peer, stamps = Peer(family), sent()
+    assert samples(peer, stamps) == stamps
+    assert not peer.decoder.is_dejittered
+
+
+def test_nobody_need_have_stamps_moved():
+    stamps = sent()
+    assert samples(Peer(is_dejittered=False), stamps) == stamps
+
+
+def test_the_same_frames_give_the_same_stamps_and_a_reboot_begins_anew():
+    """Live is replay: no time of arrival enters."""
+    stamps = sent()
+    first = samples(Peer(), stamps)
+    peer = Peer()
+    assert samples(peer, stamps) == first
+    again = [t - 99_000_000 for t in stamps]  # after a reboot
+    after = samples(peer, again)
+    refused = len(again) - len(after)
+    assert 0 < refused <= 52  # a quarter of a second
+    assert after == samples(Peer(), again[refused:])
+
+
+def test_a_sample_out_of_order_is_refused_while_stamps_are_moved():
+    """Rule 10: its place among stamps that were moved is not known."""
+    peer, stamps = Peer(), sent()
+    samples(peer, stamps)
+    assert samples(peer, [stamps[-3]]) == []
+    assert peer.decoder.refused["IMU: out of order"] == 1

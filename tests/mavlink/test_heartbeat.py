@@ -1,0 +1,83 @@
+"""Our heartbeat, and somebody else's under our ids."""
+
+from itertools import pairwise
+
+import pytest
+
+from ekf_companion.mavlink.encode import SystemStatus
+from ekf_companion.mavlink.event import Clash
+from ekf_companion.mavlink.guard import GuardOptions
+from ekf_companion.mavlink.session import Session
+from ekf_companion.nav.state import Status
+from tests.mavlink.conversation import MS, OURS, SECOND, Voice, met, sent
+
+STREAMING = GuardOptions(mode="always")
+
+
+@pytest.mark.parametrize("stall", [2.1, 10.0])
+def test_rule_2_a_stall_of_the_filter_is_silent_and_is_not_made_up_for(stall):
+    session, beats, now_ns = Session(), [], 0
+    for step in range(120):
+        now_ns += round(stall * 1e9) if step == 50 else 100 * MS
+        session.tick(now_ns)
+        beats += [now_ns for _ in sent(session, "HEARTBEAT")]
+    gaps = [after - before for before, after in pairwise(beats)]
+    assert sum(gap > 1.1 * SECOND for gap in gaps) == 1
+    assert all(gap >= 900 * MS for gap in gaps)
+
+
+def test_rule_2_it_says_what_we_are_and_how_we_are():
+    session = Session()
+    session.set_state(SystemStatus.CRITICAL, Status.DEAD_RECKONING)
+    session.tick(0)
+    (beat,) = sent(session, "HEARTBEAT")
+    assert (beat.type, beat.autopilot, beat.base_mode) == (18, 8, 0)
+    assert (beat.system_status, beat.custom_mode) == (5, 5)
+
+
+def test_rule_4_the_echo_of_our_own_heartbeats_is_no_clash():
+    session, _ = met(guard=STREAMING)
+    for now_ns in range(0, 60 * SECOND, SECOND):
+        session.tick(now_ns)
+        frames = session.data_to_send()
+        for frame in frames + frames:
+            session.receive(frame, now_ns + 3 * MS)
+    assert not [event for event in session.events() if type(event) is Clash]
+    assert session.may_stream
+
+
+def test_rule_4_a_foreign_heartbeat_under_our_ids_stops_odometry_and_is_named_twice_a_minute():
+    session, autopilot = met(guard=STREAMING)
+    other = Voice(*OURS)
+    other.sender.sequence = 77
+    told = []
+    for now_ns in range(0, 60 * SECOND, SECOND):
+        session.receive(autopilot.heartbeat(), now_ns)
+        session.tick(now_ns)
+        session.receive(other.heartbeat(type=18, autopilot=8), now_ns)
+        assert not session.may_stream
+        told += [event for event in session.events() if type(event) is Clash]
+    assert told == [Clash(*OURS)] * 2
+    session.tick(64 * SECOND)
+    assert not session.may_stream
+    session.tick(64 * SECOND + 100 * MS)
+    assert session.may_stream
+
+
+def test_rule_4_another_of_us_that_says_the_same_is_told_by_its_numbers():
+    session, _ = met(guard=STREAMING)
+    twin = Session()
+    twin.outbox._sender.sequence = 100
+    for now_ns in range(0, 5 * SECOND, SECOND):
+        session.tick(now_ns)
+        twin.tick(now_ns)
+        for frame in twin.data_to_send():
+            session.receive(frame, now_ns)
+    assert not session.may_stream
+
+
+def test_rule_4_our_heartbeats_in_a_recording_are_no_clash():
+    session, _ = met(guard=STREAMING)
+    session.receive(Voice(*OURS).heartbeat(type=18, autopilot=8), SECOND)
+    assert session.may_stream
+    assert session.events() == []

@@ -1,0 +1,129 @@
+"""What is asked of an autopilot, and what becomes of it."""
+
+import pytest
+
+from ekf_companion.mavlink.event import Answered, Versioned
+from ekf_companion.mavlink.request import ACCEPTED
+from ekf_companion.mavlink.session import RATES, Session, SessionOptions
+from sim_autopilot.autopilot import Autopilot, Kind
+from sim_autopilot.config import SimConfig
+from sim_autopilot.flight import Flight
+from tests.mavlink.conversation import ARDUPILOT, MS, PX4, SECOND, asked, met, sent
+
+
+def converse(kind, duration=2.0):
+    """Give a session that has flown with a simulated autopilot, and its events."""
+    config = SimConfig()
+    session, autopilot, events = Session(), Autopilot(config, kind), []
+    for cycle in Flight.plan("hover", config, duration=duration).cycles():
+        autopilot.cycle(cycle)
+        session.receive(b"".join(autopilot.data_to_send()), cycle.t_ns)
+        session.tick(cycle.t_ns)
+        for data in session.data_to_send():
+            autopilot.receive(data, cycle.t_ns)
+        events += session.events()
+    return session, autopilot, events
+
+
+@pytest.mark.parametrize(("kind", "version"), [(Kind.PX4, "1.16.0"), (Kind.ARDUPILOT, "4.6.0")])
+def test_rule_5_an_autopilot_is_asked_for_its_messages_and_its_version(kind, version):
+    session, autopilot, events = converse(kind)
+    commands = [m.fields for m in autopilot.received() if m.name == "COMMAND_LONG"]
+    assert [asked(m) for m in commands if m.command == 511][: len(RATES)][0] == "HIGHRES_IMU"
+    assert {asked(m) for m in commands if m.command == 511} >= set(RATES)
+    assert session.results["HIGHRES_IMU"] == ACCEPTED
+    assert Versioned(version) in events
+    assert session.requests.version == version
+
+
+@pytest.mark.parametrize(
+    ("result", "words"),
+    [
+        (6, "cancelled"),
+        (7, "only as COMMAND_LONG"),
+        (8, "only as COMMAND_INT"),
+        (9, "unsupported frame"),
+        (10, "not in control"),
+        (11, "result 11"),
+    ],
+)
+def test_rule_5_every_answer_has_its_words(result, words):
+    session, autopilot = met(rates={"ATTITUDE": 10.0})
+    session.tick(0)
+    session.receive(autopilot.say("COMMAND_ACK", command=511, result=result), 0)
+    assert session.events() == [Answered("ATTITUDE", words)]
+
+
+@pytest.mark.parametrize("answer", [None, 3])
+def test_rule_5_an_autopilot_that_cannot_tell_its_version_is_not_complained_of(answer):
+    session, autopilot = met(ARDUPILOT, rates={"ATTITUDE": 10.0})
+    session.tick(0)
+    session.receive(autopilot.say("COMMAND_ACK", command=511), 0)
+    session.events()
+    requests = []
+    for now_ns in range(0, 6 * SECOND, 100 * MS):
+        session.receive(autopilot.heartbeat(), now_ns)
+        session.tick(now_ns)
+        requests += [m for m in sent(session, "COMMAND_LONG") if m.command == 512]
+        if answer is not None:
+            session.receive(autopilot.say("COMMAND_ACK", command=512, result=answer), now_ns)
+    assert [m.confirmation for m in requests] == ([0, 1, 2] if answer is None else [0])
+    assert session.events() == []
+    assert session.requests.version == ""
+
+
+def answered(family, results, rates):
+    """Give what is asked in the old way of an autopilot that answers so."""
+    session, autopilot = met(family, rates=rates)
+    streams = []
+    for now_ns in range(0, 30 * SECOND, 100 * MS):
+        session.receive(autopilot.heartbeat(), now_ns)
+        session.tick(now_ns)
+        for message in sent(session, "COMMAND_LONG", "REQUEST_DATA_STREAM"):
+            if type(message).__name__ == "REQUEST_DATA_STREAM":
+                streams.append((now_ns, message.req_stream_id, message.req_message_rate))
+            elif (result := results.get(asked(message))) is not None:
+                data = autopilot.say("COMMAND_ACK", command=message.command, result=result)
+                session.receive(data, now_ns)
+    return streams
+
+
+OLD = {"HIGHRES_IMU": 50.0, "GPS_RAW_INT": 10.0, "ATTITUDE": 10.0}
+
+
+def test_rule_7_an_ardupilot_that_grants_nothing_is_asked_by_groups():
+    streams = answered(ARDUPILOT, {}, OLD)
+    # It sends none of them either, so that the inertial group is asked for again, ever less often
+    assert {stream[1:] for stream in streams} == {(1, 50), (2, 10), (10, 10)}
+
+
+def test_rule_7_only_the_groups_are_asked_of_which_nothing_is_granted():
+    denied = dict.fromkeys(("HIGHRES_IMU", "RAW_IMU"), 2)
+    granted = dict.fromkeys(("GPS_RAW_INT", "ATTITUDE", "AUTOPILOT_VERSION"), 0)
+    assert {stream[1] for stream in answered(ARDUPILOT, denied | granted, OLD)} == {1}
+    assert answered(PX4, denied | granted, OLD) == []
+    assert answered(ARDUPILOT, {**granted, "HIGHRES_IMU": 2, "RAW_IMU": 0}, OLD) == []
+    # A group would change the rate of what was granted out of it
+    with_baro = OLD | {"SCALED_PRESSURE": 10.0}
+    assert answered(ARDUPILOT, denied | granted | {"SCALED_PRESSURE": 0}, with_baro) == []
+
+
+def test_rule_12_after_a_reboot_the_version_is_asked_again():
+    session, autopilot = met(rates={"ATTITUDE": 10.0})
+    for now_ns in (0, SECOND):
+        session.tick(now_ns)
+        while commands := sent(session, "COMMAND_LONG"):
+            last = commands[-1]
+            session.receive(autopilot.say("COMMAND_ACK", command=last.command), now_ns)
+        assert last.command == 512
+        stamp = 60_000_000 if now_ns == 0 else 1_000_000
+        for step in range(2):
+            data = autopilot.say("HIGHRES_IMU", time_usec=stamp + step, zacc=-9.8)
+            session.receive(data, now_ns)
+
+
+def test_options_without_rates_ask_nothing():
+    session, _ = met(rates={})
+    session.tick(0)
+    assert sent(session, "COMMAND_LONG", "REQUEST_DATA_STREAM") == []
+    assert SessionOptions(rates={}).rates == {}
