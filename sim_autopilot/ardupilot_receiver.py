@@ -53,6 +53,14 @@ def judge(m: Any, values: Mapping[str, float], before: History, source_set: int)
     if before.time_us is not None and (now_ms - before.time_us // 1000) % 2**32 < _INTERVAL_MS:
         return judged(["less than 20 ms after the one before: thrown away"], NOTHING, after)
 
+    return _written(m, values, before, after, source_set)
+
+
+def _written(
+    m: Any, values: Mapping[str, float], before: History, after: History, source_set: int
+) -> Judgement:
+    """Say what the filter fuses of a message that is written to it."""
+    is_other = before.time_us is not None and m.reset_counter != before.reset_counter
     fused = _aided_by_external(values, source_set)
     reasons = []
     if not fused:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.fusion import Verdict
+from ekf_companion.mavlink.verdict import Verdict
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,12 @@ Sources: PX4, parameters EKF2_EV_CTRL, EKF2_GPS_CTRL (1.14 and later), EKF2_AID_
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Literal
 
 from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.verdict import Verdict, streamed, withheld
 
 Mode = Literal["auto", "always", "never"]
 Parameters = Mapping[str, float | None]
@@ -49,32 +50,6 @@ _ALL_VELOCITIES = 1
 """Of EK3_SRC_OPTIONS, set by default: external velocities of every set are fused in every set."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
-    """Whether ODOMETRY is sent, and why."""
-
-    is_streaming: bool
-    reason: str
-    """A sentence without its full stop."""
-    remedy: str = ""
-    """What to change, parameter and value; empty: nothing need be."""
-    text: str = ""
-    """Both for the pilot, so short that our name before it leaves it one STATUSTEXT."""
-    parameters: Mapping[str, float]
-    """The autopilot's that decide, as read."""
-    is_warning: bool = False
-    """Whether a human should look."""
-    is_settled: bool = True
-    """Whether all that decides has been answered, or asked for in vain."""
-
-    @property
-    def sentence(self) -> str:
-        """All of it for the log."""
-        said = "streamed" if self.is_streaming else "withheld"
-        remedy = f"; {self.remedy}" if self.remedy else ""
-        return f"ODOMETRY is {said}: {self.reason}{remedy}"
-
-
 def decide(
     family: Family,
     parameters: Parameters,
@@ -93,18 +68,18 @@ def decide(
     """
     read = {name: value for name, value in parameters.items() if value is not None}
     if mode == "never":
-        return _withheld("output.odometry.mode is never", "", "ODOMETRY is switched off", read)
+        return withheld("output.odometry.mode is never", "", "ODOMETRY is switched off", read)
     if mode == "always":
         reason = "output.odometry.mode is always: nothing guards against counting GNSS twice"
-        unguarded = _streamed(reason, "ODOMETRY is streamed unguarded", read)
+        unguarded = streamed(reason, "ODOMETRY is streamed unguarded", read)
         return replace(unguarded, is_warning=True)
     if independent:
-        return _streamed("our sensors are our own (output.odometry.independent)", "", read)
+        return streamed("our sensors are our own (output.odometry.independent)", "", read)
     if family is Family.UNKNOWN:
-        return _streamed("who listens is neither PX4 nor ArduPilot", "", read)
+        return streamed("who listens is neither PX4 nor ArduPilot", "", read)
     if not is_complete and (unread := missing(family, parameters)):
         reason = f"the autopilot is being asked for {_listed(unread)}"
-        return replace(_withheld(reason, "", "", read), is_settled=False)
+        return replace(withheld(reason, "", "", read), is_settled=False)
     if family is Family.ARDUPILOT:
         return _by_ardupilot(parameters, read)
     if read.get(_VISION) is None and read.get(_GNSS) is None and _MASK in read:
@@ -142,13 +117,14 @@ def _by_px4(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
     vision = parameters[_VISION]
     ours = _bits(vision, _EV_BITS)
     if vision is None or not ours:
-        return _streamed(_says(_VISION, vision, "the autopilot fuses nothing of ours"), "", read)
+        return streamed(_says(_VISION, vision, "the autopilot fuses nothing of ours"), "", read)
     if _GNSS not in parameters:
         return _unread((_GNSS,), read)
     theirs = _bits(parameters[_GNSS], _GNSS_BITS)
     if not theirs:
-        return _streamed(_says(_GNSS, parameters[_GNSS], "the autopilot fuses no GNSS"), "", read)
-    return _withheld(
+        reason = _says(_GNSS, parameters[_GNSS], "the autopilot fuses ours, and no GNSS")
+        return replace(streamed(reason, "", read), is_fused=True)
+    return withheld(
         f"{_VISION} is {vision:g} and {_GNSS} is {parameters[_GNSS]:g}: the autopilot would fuse "
         f"our {_listed(ours)} together with the {_listed(theirs)} of the GNSS that is in it",
         f"set {_GNSS} to 0 to fly on our estimate, or {_VISION} to 0 to fly on GNSS",
@@ -162,10 +138,10 @@ def _by_old_px4(read: Mapping[str, float]) -> Verdict:
     mask = int(read[_MASK])
     ours, theirs = _bits(mask, _AID_EV_BITS), _bits(mask, _AID_GNSS_BITS)
     if not ours:
-        return _streamed(f"{_MASK} is {mask}: the autopilot fuses nothing of ours", "", read)
+        return streamed(f"{_MASK} is {mask}: the autopilot fuses nothing of ours", "", read)
     if theirs:
         lone = mask & ~sum(_AID_GNSS_BITS)
-        return _withheld(
+        return withheld(
             f"{_MASK} is {mask}: the autopilot would fuse our {_listed(ours)} together with the "
             f"{_listed(theirs)} of the GNSS that is in it",
             f"set {_MASK} to {lone} to fly on our estimate, or to {mask & ~sum(_AID_EV_BITS)} to "
@@ -176,14 +152,15 @@ def _by_old_px4(read: Mapping[str, float]) -> Verdict:
     if _HEIGHT not in read:
         return _unread((_HEIGHT,), read)
     if read[_HEIGHT] == _GNSS_HEIGHT:
-        return _withheld(
+        return withheld(
             f"{_HEIGHT} is 1 and {_MASK} is {mask}: the autopilot would fuse our {_listed(ours)} "
             "together with the height of the GNSS that is in it",
             f"set {_HEIGHT} to 3 (vision) or 0 (barometer), and reboot",
             f"no ODOMETRY: set {_HEIGHT} 3",
             read,
         )
-    return _streamed(f"{_MASK} is {mask}: the autopilot fuses no GNSS", "", read)
+    reason = f"{_MASK} is {mask}: the autopilot fuses ours, and no GNSS"
+    return replace(streamed(reason, "", read), is_fused=True)
 
 
 # ArduPilot
@@ -192,7 +169,7 @@ def _by_old_px4(read: Mapping[str, float]) -> Verdict:
 def _by_ardupilot(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
     if not parameters.get(_DRIVER, 1):
         reason = _says(_DRIVER, parameters[_DRIVER], "the autopilot takes no ODOMETRY")
-        return _streamed(reason, "", read)
+        return streamed(reason, "", read)
     unread = _unanswered(_ARDUPILOT, parameters)
     if unread:
         return _unread(unread, read)
@@ -206,8 +183,9 @@ def _by_ardupilot(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
         if ours and theirs:
             return _double(own, ours, theirs, read)
     if not is_taken:
-        return _streamed("no EK3_SRCn_* is 6: the autopilot fuses nothing of ours", "", read)
-    return _streamed("no EK3_SRCn set has both our estimate and GNSS", "", read)
+        return streamed("no EK3_SRCn_* is 6: the autopilot fuses nothing of ours", "", read)
+    reason = "the autopilot fuses ours, and no EK3_SRCn set has GNSS too"
+    return replace(streamed(reason, "", read), is_fused=True)
 
 
 def _double(
@@ -224,7 +202,7 @@ def _double(
         said += f", {_OPTIONS} {read[_OPTIONS]:g}"
         remedy = f"set {_OPTIONS} to {lone}, so that only the set in use is fused"
         text = f"no ODOMETRY: set {_OPTIONS} {lone}"
-    return _withheld(
+    return withheld(
         f"the autopilot would fuse it together with the GNSS that is in it: {said}",
         f"{remedy}, or {_DRIVER} to 0 to fly on GNSS",
         text,
@@ -247,34 +225,17 @@ def _is_of_gnss(name: str, value: float | None) -> bool:
 # Words
 
 
-def _streamed(reason: str, text: str, read: Mapping[str, float]) -> Verdict:
-    return Verdict(
-        is_streaming=True, reason=reason, text=text or "ODOMETRY is streamed", parameters=read
-    )
-
-
-def _withheld(reason: str, remedy: str, text: str, read: Mapping[str, float]) -> Verdict:
-    return Verdict(
-        is_streaming=False,
-        reason=reason,
-        remedy=remedy,
-        text=text,
-        parameters=read,
-        is_warning=bool(remedy),
-    )
-
-
 def _unread(names: tuple[str, ...], read: Mapping[str, float]) -> Verdict:
     """Withhold, as it cannot be known; say whether nothing at all was answered."""
     question = "cannot find out whether the autopilot would fuse it together with GNSS"
     if not read:
-        return _withheld(
+        return withheld(
             f"{question}: it answers no request for a parameter",
             "check that it hears us on this link, or set output.odometry.mode to always",
             "no ODOMETRY: no parameter is answered",
             read,
         )
-    return _withheld(
+    return withheld(
         f"{question}: it did not answer for {_listed(names)}",
         f"look for {names[0]} in a ground station; where this firmware has none, set "
         "output.odometry.mode to always",

@@ -16,11 +16,12 @@ from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Emit, GuardChanged, PeerFound
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.mavlink.fusion import NAMES, Mode, Verdict, decide, missing, watched
+from ekf_companion.mavlink.fusion import NAMES, Mode, decide, missing, watched
 from ekf_companion.mavlink.layout import IDS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.mavlink.verdict import Verdict
 
 _TIMEOUT_NS = SECOND_NS
 _TRIES = 3
@@ -212,6 +213,3 @@ class Guard(Service):
                 is_settled=False,
             )
         return decide(Family.UNKNOWN, {}, options.mode, options.independent)
-
-
-__all__ = ["Guard", "GuardOptions", "Verdict"]

@@ -37,7 +37,7 @@ OURS, GNSS, NONE = (6, 6, 6, 6, 6), (3, 3, 1, 3, 1), (0, 0, 1, 0, 0)
         (PX4, px4(0, 7), True, "EKF2_EV_CTRL is 0: the autopilot fuses nothing of ours"),
         (PX4, {"EKF2_EV_CTRL": 0.0}, True, "EKF2_EV_CTRL is 0"),
         (PX4, {"EKF2_EV_CTRL": None}, True, "EKF2_EV_CTRL does not exist"),
-        (PX4, px4(15, 0), True, "EKF2_GPS_CTRL is 0: the autopilot fuses no GNSS"),
+        (PX4, px4(15, 0), True, "EKF2_GPS_CTRL is 0: the autopilot fuses ours, and no GNSS"),
         (PX4, {"EKF2_EV_CTRL": 15.0, "EKF2_GPS_CTRL": None}, True, "EKF2_GPS_CTRL does not exist"),
         (PX4, px4(15, 7), False, "set EKF2_GPS_CTRL to 0 to fly on our estimate"),
         (PX4, px4(1, 1), False, "our horizontal position together with the position"),
@@ -55,7 +55,7 @@ OURS, GNSS, NONE = (6, 6, 6, 6, 6), (3, 3, 1, 3, 1), (0, 0, 1, 0, 0)
         (PX4, {"EKF2_AID_MASK": 281.0}, False, "set EKF2_AID_MASK to 280 to fly on our estimate"),
         (PX4, {"EKF2_AID_MASK": 136.0}, False, "set EKF2_AID_MASK to 8 "),
         (PX4, {"EKF2_AID_MASK": 280.0}, False, "it did not answer for EKF2_HGT_MODE"),
-        (PX4, {"EKF2_AID_MASK": 280.0, "EKF2_HGT_MODE": 3.0}, True, "fuses no GNSS"),
+        (PX4, {"EKF2_AID_MASK": 280.0, "EKF2_HGT_MODE": 3.0}, True, "fuses ours, and no GNSS"),
         (PX4, {"EKF2_AID_MASK": 280.0, "EKF2_HGT_MODE": 1.0}, False, "set EKF2_HGT_MODE to 3"),
         # 1.14 still has the old mask, which decides nothing any more
         (PX4, {**px4(15, 7), "EKF2_AID_MASK": 1.0}, False, "EKF2_EV_CTRL is 15"),
@@ -71,7 +71,12 @@ OURS, GNSS, NONE = (6, 6, 6, 6, 6), (3, 3, 1, 3, 1), (0, 0, 1, 0, 0)
             "set EK3_SRC1_VELXY and EK3_SRC1_VELZ to 6 to fly on our estimate, or VISO_TYPE to 0",
         ),
         (ARDUPILOT, ardupilot(VISO_TYPE=1.0, EK3_SRC1_YAW=6.0), False, "EK3_SRC1_YAW 6"),
-        (ARDUPILOT, ardupilot(VISO_TYPE=3.0, **source_set(1, *OURS)), True, "no EK3_SRCn set has"),
+        (
+            ARDUPILOT,
+            ardupilot(VISO_TYPE=3.0, **source_set(1, *OURS)),
+            True,
+            "no EK3_SRCn set has GNSS too",
+        ),
         (
             ARDUPILOT,
             ardupilot(VISO_TYPE=1.0, **source_set(1, 6, 6, 6, 6, 2)),
@@ -83,7 +88,7 @@ OURS, GNSS, NONE = (6, 6, 6, 6, 6), (3, 3, 1, 3, 1), (0, 0, 1, 0, 0)
             ARDUPILOT,
             ardupilot(VISO_TYPE=1.0, EK3_SRC_OPTIONS=0.0, **source_set(2, *OURS)),
             True,
-            "no EK3_SRCn set has both",
+            "no EK3_SRCn set has GNSS too",
         ),
         (
             ARDUPILOT,
@@ -95,7 +100,7 @@ OURS, GNSS, NONE = (6, 6, 6, 6, 6), (3, 3, 1, 3, 1), (0, 0, 1, 0, 0)
             ARDUPILOT,
             ardupilot(VISO_TYPE=1.0, **source_set(2, 6, 0, 6, 0, 6)),
             True,
-            "no EK3_SRCn set has both",
+            "no EK3_SRCn set has GNSS too",
         ),
         (
             ARDUPILOT,
@@ -172,7 +177,9 @@ def test_where_px4_fuses_ours_beside_gnss_nothing_is_sent():
     streamed = 0
     for vision, gnss, frame_id in itertools.product(range(16), range(16), (1, 20)):
         fused = would_accept(two(frame_id), Stack.PX4, px4(vision, gnss)).fused
-        is_streaming = decide(PX4, px4(vision, gnss)).is_streaming
+        verdict = decide(PX4, px4(vision, gnss))
+        is_streaming = verdict.is_streaming
+        assert verdict.is_fused is (is_streaming and bool(fused))
         assert not (is_streaming and fused and gnss)
         assert is_streaming or (vision and gnss)
         streamed += is_streaming
@@ -190,10 +197,13 @@ def test_where_ardupilot_fuses_ours_beside_gnss_in_any_set_nothing_is_sent():
         for number in (1, 2, 3):
             values = [OURS, GNSS, NONE, rng.choice([0, 3, 6], 5)][int(rng.integers(0, 4))]
             parameters |= source_set(number, *map(float, values))
-        is_streaming = decide(ARDUPILOT, parameters).is_streaming
+        verdict, in_any = decide(ARDUPILOT, parameters), False
+        is_streaming = verdict.is_streaming
         found[is_streaming] += 1
         for number in (1, 2, 3):
             fused = would_accept(data, Stack.ARDUPILOT, parameters, source_set=number).fused
             has_gnss = any(parameters[f"EK3_SRC{number}_{part}"] == 3 for part in PARTS)
             assert not (is_streaming and fused and has_gnss), parameters
+            in_any = in_any or bool(fused)
+        assert verdict.is_fused is (is_streaming and in_any)
     assert min(found.values()) > 300

@@ -1,0 +1,53 @@
+"""What the guard has decided, in words for the log, the pilot and the status."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """Whether ODOMETRY is sent, and why."""
+
+    is_streaming: bool
+    reason: str
+    """A sentence without its full stop."""
+    remedy: str = ""
+    """What to change, parameter and value; empty: nothing need be."""
+    text: str = ""
+    """Both for the pilot, so short that our name before it leaves it one STATUSTEXT."""
+    parameters: Mapping[str, float]
+    """The autopilot's that decide, as read."""
+    is_warning: bool = False
+    """Whether a human should look."""
+    is_fused: bool = False
+    """Whether the autopilot fuses what is streamed: what it then says of itself is partly ours."""
+    is_settled: bool = True
+    """Whether all that decides has been answered, or asked for in vain."""
+
+    @property
+    def sentence(self) -> str:
+        """All of it for the log."""
+        said = "streamed" if self.is_streaming else "withheld"
+        remedy = f"; {self.remedy}" if self.remedy else ""
+        return f"ODOMETRY is {said}: {self.reason}{remedy}"
+
+
+def streamed(reason: str, text: str, read: Mapping[str, float]) -> Verdict:
+    """Let it be sent."""
+    return Verdict(
+        is_streaming=True, reason=reason, text=text or "ODOMETRY is streamed", parameters=read
+    )
+
+
+def withheld(reason: str, remedy: str, text: str, read: Mapping[str, float]) -> Verdict:
+    """Keep it back; a human should look where something can be done."""
+    return Verdict(
+        is_streaming=False,
+        reason=reason,
+        remedy=remedy,
+        text=text,
+        parameters=read,
+        is_warning=bool(remedy),
+    )
