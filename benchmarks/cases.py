@@ -91,7 +91,7 @@ def recorded(path: Path) -> Recording:
         return convert.READERS[suffix](path)
     report = convert.Report(log=str(path))
     source = convert._open(path, Config(), report)  # a .tlog becomes events only by a session
-    tables = [events for _, events in convert._tables(source)]
+    tables = [events for _, events, _ in convert._tables(source)]
     return Recording(
         family=report.family,
         # in the order in which they came: merge keeps it where arrivals are equal

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Hashable
-from dataclasses import replace
 from functools import partial
 
 from ekf_companion.bulletin import Bulletin
 from ekf_companion.checkpoint import Clocks, Vehicle
-from ekf_companion.config import Config
+from ekf_companion.config import Config, LinkConfig, TimesyncConfig
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.clock import TimesyncOptions
 from ekf_companion.mavlink.commands import Stream
@@ -26,6 +25,7 @@ from ekf_companion.mavlink.signing import Signing
 from ekf_companion.nav.measurements import ImuSample, Measurement
 from ekf_companion.pipeline import Arrival, Pipeline
 from ekf_companion.publisher import STREAMS, Publisher, default_rate, largest_rate
+from ekf_companion.reload import Reload
 from ekf_companion.resumption import Resumption
 from ekf_companion.tuning import Tuning, parameters
 
@@ -40,12 +40,7 @@ def session_options(
     config: Config, is_recording: bool, expected: Vehicle | None = None
 ) -> SessionOptions:
     """Give a session what the configuration says of the link, and whom it may expect there."""
-    link, timesync = config.link, config.timesync
-    rates = dict(RATES)
-    rates["HIGHRES_IMU"] = link.imu_rate
-    rates["GPS_RAW_INT"] = link.gnss_rate
-    rates["ATTITUDE"] = link.heading_rate
-    rates["SCALED_PRESSURE"] = link.baro_rate
+    link = config.link
     return SessionOptions(
         system_id=link.system_id,
         component_id=link.component_id,
@@ -53,16 +48,30 @@ def session_options(
         allow_systems=link.allow_systems,
         allow_components=link.allow_components,
         accept_unsigned=config.signing.accept_unsigned,
-        rates=rates,
+        rates=_rates(link),
         expected=None if expected is None else PeerFound(*expected[1:], Family(expected.family)),
         is_recording=is_recording,
         parameters=parameters(config),
-        timesync=TimesyncOptions(
-            respond=timesync.respond,
-            request=timesync.request,
-            largest_rtt_ms=timesync.largest_rtt * 1e3,
-        ),
+        timesync=_timesync_options(config.timesync),
         guard=_guard_options(config),
+    )
+
+
+def _rates(link: LinkConfig) -> dict[str, float]:
+    return {
+        **RATES,
+        "HIGHRES_IMU": link.imu_rate,
+        "GPS_RAW_INT": link.gnss_rate,
+        "ATTITUDE": link.heading_rate,
+        "SCALED_PRESSURE": link.baro_rate,
+    }
+
+
+def _timesync_options(timesync: TimesyncConfig) -> TimesyncOptions:
+    return TimesyncOptions(
+        respond=timesync.respond,
+        request=timesync.request,
+        largest_rtt_ms=timesync.largest_rtt * 1e3,
     )
 
 
@@ -104,10 +113,10 @@ class Companion:
         ``sender`` tells apart who sends datagrams to one socket.
         """
         self._bytes += len(data)
-        for measurement in self.session.receive(data, now_ns, sender):
+        for measurements in self.session.steps(data, now_ns, sender):
             self._heed_events()
-            self._process(measurement, now_ns)
-        self._heed_events()
+            for measurement in measurements:
+                self._process(measurement, now_ns)
 
     def tick(self, now_ns: int) -> None:
         """Do what time brings: heartbeats, requests, time-outs."""
@@ -198,11 +207,19 @@ class Companion:
                 case IntervalSet(message, rate) if self._publisher is not None:
                     self._publisher.set_rate(message, rate)
 
+    def reload(self, config: Config) -> Reload:
+        """Take from a new configuration what can be taken in flight."""
+        found = self.tuning.reload(config)
+        self._tune(self.tuning.config)
+        return found
+
     def _tune(self, config: Config) -> None:
         """Go on with what somebody has turned."""
         self._config = config
-        timesync = self.session.timesync
-        timesync.options = replace(timesync.options, respond=config.timesync.respond)
+        if self.pipeline is not None:
+            self.pipeline.retune(config)
+        self.session.timesync.options = _timesync_options(config.timesync)
+        self.session.requests.retune(_rates(config.link))
         self.session.guard.retune(_guard_options(config))
         self._offer()
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ekf_companion.companion import session_options
 from ekf_companion.config import Config
+from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters.solution import Solution
 from ekf_companion.logs import broad, csv, dataflash, openshoe, tlog, tlog_trajectory, ulog
@@ -18,7 +19,8 @@ from ekf_companion.logs.recording import Counted, Recording
 from ekf_companion.logs.writer import CsvWriter, create
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.session import PeerFound, Session
+from ekf_companion.mavlink.event import ParameterSet, PeerFound
+from ekf_companion.mavlink.session import Session
 from ekf_companion.nav.measurements import Events, Kind, Row, merge
 from ekf_companion.nav.state import Table, Trajectory, join
 from ekf_companion.pipeline import Arrival, Pipeline
@@ -26,6 +28,7 @@ from ekf_companion.publisher import Publisher
 from ekf_companion.report import Report, account, conclude, summary
 from ekf_companion.selection import run_filter
 from ekf_companion.smoothing import Smoothing
+from ekf_companion.tuning import Tuning
 
 Progress = Callable[[int, int], None]
 """Told how much is done, of how much."""
@@ -166,7 +169,7 @@ def read(
     path, report = Path(path), Report(log=str(path))
     source = _open(path, config or Config(), report)
     tables = []
-    for done, events in _tables(source):
+    for done, events, _ in _tables(source):
         tables.append(events)
         if progress is not None:
             progress(done, source.size)
@@ -196,7 +199,9 @@ class _Telemetry:
 
     def __init__(self, log: tlog.Tlog, config: Config, report: Report) -> None:
         self._log = log
-        self._session = Session(replace(session_options(config, is_recording=False), guard=None))
+        self._session = Session(session_options(config, is_recording=False))
+        self._tuning = Tuning(config)
+        self._is_turned = False
         self._report = report
         self.size = len(log)
         self.delay: float | None = None
@@ -213,17 +218,25 @@ class _Telemetry:
     def truth(self) -> Trajectory | None:
         return tlog_trajectory.truth(self._log)
 
-    def records(self) -> Iterator[tuple[int, bytes, list[Row]]]:
-        """Give stamp, frame and what it measured, in the order of the file."""
+    def records(self) -> Iterator[tuple[int, bytes, list[Row], Config | None]]:
+        """Give stamp, frame and what it measured, in the order of the file.
+
+        And the configuration from here on, where somebody turned a parameter in flight.
+        """
         session = self._session
         for stamp_us, raw in self._log.frames():
             measured = session.receive(raw, stamp_us * 1000)
+            session.data_to_send()
             for event in session.events():
                 if isinstance(event, PeerFound) and not self.system_id:
                     self.system_id = event.system_id
                     self._report.family = event.family.value
-            yield stamp_us, raw, [measurement.row() for measurement in measured]
-        session.data_to_send()
+                elif isinstance(event, ParameterSet):
+                    self._tuning.set(event.key, event.value)
+                    self._is_turned = True
+            turned = self._tuning.config if self._is_turned and self.system_id else None
+            self._is_turned = self._is_turned and turned is None
+            yield stamp_us, raw, [measurement.row() for measurement in measured], turned
         self._report.refused = {
             name: count for name, count in session.counters().items() if count and name != "frames"
         }
@@ -243,13 +256,13 @@ class _Columns:
         report.family = recording.family
         report.notes += recording.notes
 
-    def records(self) -> Iterator[tuple[int, bytes, list[Row]]]:
-        """Give each event with its stamp; there is no frame."""
+    def records(self) -> Iterator[tuple[int, bytes, list[Row], Config | None]]:
+        """Give each event with its stamp; there is no frame, and nobody to turn anything."""
         events = self.events
         for t_ns, kind, values in zip(
             events.t_ns.tolist(), events.kind.tolist(), events.values.tolist(), strict=True
         ):
-            yield t_ns // 1000, b"", [(t_ns, kind, tuple(values))]
+            yield t_ns // 1000, b"", [(t_ns, kind, tuple(values))], None
 
 
 def _open(path: Path, config: Config, report: Report) -> _Telemetry | _Columns:
@@ -261,30 +274,34 @@ def _open(path: Path, config: Config, report: Report) -> _Telemetry | _Columns:
     return _Columns(READERS[suffix](path), report)
 
 
-def _tables(source: _Telemetry | _Columns) -> Iterator[tuple[int, Events]]:
-    """Give the events in chunks, and how many records are done."""
+def _tables(
+    source: _Telemetry | _Columns,
+) -> Iterator[tuple[int, Events, FilterSettings | None]]:
+    """Give how many records are done, the events in chunks, and the settings from then on."""
     if isinstance(source, _Columns):
         for start in range(0, source.size, CHUNK):
             chosen = np.arange(start, min(start + CHUNK, source.size))
-            yield int(chosen[-1]) + 1, source.events.take(chosen)
+            yield int(chosen[-1]) + 1, source.events.take(chosen), None
         return
     rows: list[Row] = []
-    for done, (_, _, measured) in enumerate(source.records(), 1):
-        rows += measured
-        if len(rows) >= CHUNK:
-            yield done, Events.from_rows(rows)
+    for done, (_, _, measured, turned) in enumerate(source.records(), 1):
+        if turned is not None or len(rows) >= CHUNK:
+            yield done - 1, Events.from_rows(rows), turned
             rows = []
-    yield source.size, Events.from_rows(rows)
+        rows += measured
+    yield source.size, Events.from_rows(rows), None
 
 
 def _estimates(
     source: _Telemetry | _Columns, config: Config, report: Report, progress: Progress | None
 ) -> Iterator[Table]:
     pipeline: Pipeline | None = None
-    for done, events in _tables(source):
+    for done, events, turned in _tables(source):
         if pipeline is None:
             pipeline = Pipeline(config, report.family, source.delay)
         table = pipeline.run(events)
+        if turned is not None:
+            pipeline.retune(turned)
         account(report, events, table)
         if progress is not None:
             progress(done, source.size)
@@ -302,10 +319,12 @@ def _smoothed(
 ) -> Iterator[Table]:
     """Give the smoothed estimates; those of the live filter go to the list, if there is one."""
     smoothing: Smoothing | None = None
-    for done, events in _tables(source):
+    for done, events, turned in _tables(source):
         if smoothing is None:
             smoothing = Smoothing(config, report.family, source.delay)
         table = smoothing.run(events)
+        if turned is not None:
+            smoothing.pipeline.retune(turned)
         account(report, events, table)
         if live is not None:
             live.append(table)
@@ -333,7 +352,10 @@ def _messages(
     ours: list[bytes] = []
     taken: list[Row] = []
     tables: list[tuple[int, np.ndarray]] = []
-    for done, (stamp_us, frame, rows) in enumerate(source.records(), 1):
+    for done, (stamp_us, frame, rows, turned) in enumerate(source.records(), 1):
+        if turned is not None and pipeline is not None and publisher is not None:
+            pipeline.retune(turned)
+            publisher.retune(turned)
         if frame and not _is_from(frame, sender.component_id):
             yield stamp_us, frame
         for row in rows:

@@ -61,7 +61,7 @@ def heartbeat_ns(session: Session) -> int | None:
 
 def asked_rates(session: Session) -> dict[str, float]:
     """Give the rates that were asked for, Hz, by message."""
-    rates = dict(session.options.rates)
+    rates = dict(session.requests.rates)
     if "RAW_IMU" in session.results:  # asked in its place where it was refused
         rates["RAW_IMU"] = rates.get("HIGHRES_IMU", 0.0)
     return rates

@@ -66,13 +66,18 @@ class Publisher:
     """Turns a pipeline's estimates into messages, each at its rate."""
 
     def __init__(self, config: Config, pipeline: Pipeline, family: Family) -> None:
-        self._pipeline = pipeline
+        self._pipeline, self._family = pipeline, family
         self._due = {name: Due(default_rate(name, config, family)) for name in STREAMS}
         self._account = Due(1.0)
         odometry = config.output.odometry
         self.label = label(family, odometry.frame, odometry.estimator_type)
         """What every ODOMETRY says of itself."""
         self._was_invalid = False
+
+    def retune(self, config: Config) -> None:
+        """Send each at the rate of another configuration."""
+        for name in STREAMS:
+            self.set_rate(name, default_rate(name, config, self._family))
 
     def set_rate(self, name: str, rate: float) -> None:
         """Send a message at this rate, Hz; 0: only when asked."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import logging
 import signal
 import sys
+import threading
 import time
-from dataclasses import replace
+from collections.abc import Callable
 
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
@@ -37,18 +39,17 @@ LAST_WORDS = 0.1
 """Seconds for the last message to leave a serial port, whose closing throws away what waits."""
 
 
-def run(config: Config, url: str | None = None) -> None:
-    """Serve with this configuration, on another link where one is named.
+def run(read: Callable[[], Config]) -> None:
+    """Serve with the configuration that is read, now and again at every SIGHUP.
 
     Raises:
         LinkError: The URL names no link.
-        ConfigError: The recording or the checkpoints have no place.
+        ConfigError: The configuration is wrong, or the recording or the checkpoints have no place.
         CompanionError: A bug; its traceback is in the log.
     """
-    if url is not None:
-        config = replace(config, link=replace(config.link, url=url))
+    config = read()
     try:
-        asyncio.run(serve(config))
+        asyncio.run(serve(config, read))
     except Exception as error:  # noqa: BLE001  # the one place; systemd starts us again
         cause: BaseException = error
         # A task group wraps what its tasks raise
@@ -62,17 +63,18 @@ def run(config: Config, url: str | None = None) -> None:
         ) from None
 
 
-async def serve(config: Config) -> None:
-    """Run until SIGTERM or SIGINT.
+async def serve(config: Config, read: Callable[[], Config]) -> None:
+    """Run until SIGTERM or SIGINT; take at SIGHUP what has changed, and can be taken in flight.
 
     Raises:
         LinkError: The link's URL names no link.
         ConfigError: The recording or the checkpoints have no place.
     """
-    stop = asyncio.Event()
+    stop, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
-        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+        loop.add_signal_handler(number, stop.set)
     with Daemon(config) as daemon:
+        loop.add_signal_handler(signal.SIGHUP, daemon.reload, read)
         async with TaskGroup() as group:
             pump = group.create_task(daemon.link.run())
             tick = group.create_task(daemon.tick())
@@ -94,6 +96,10 @@ class Daemon:
             LinkError: The link's URL names no link.
             ConfigError: The recording or the checkpoints have no place, or the key none may use.
         """
+        self.reloads = 0
+        """How often the configuration was read again."""
+        self.last_reload = ""
+        """What became of it the last time."""
         self._keyring = keyring = open_keyring(config)
         self.link = open_link(
             config.link.url,
@@ -158,6 +164,33 @@ class Daemon:
             due = time.monotonic() + TICK
             await asyncio.sleep(TICK)
             self._observer.late(time.monotonic() - due)
+
+    def reload(self, read: Callable[[], Config]) -> None:
+        """Read the configuration again, beside the loop, and take what can be taken."""
+        loop = asyncio.get_running_loop()
+
+        def read_beside() -> None:
+            answer: Config | CompanionError
+            try:
+                answer = read()
+            except CompanionError as error:
+                answer = error
+            with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+                loop.call_soon_threadsafe(self._take, answer)
+
+        self._systemd.reloading()
+        threading.Thread(target=read_beside, name="reload", daemon=True).start()
+
+    def _take(self, read: Config | CompanionError) -> None:
+        """Go on with what was read, or as before."""
+        if isinstance(read, CompanionError):
+            words = f"{read}; all stays as it was"
+            _log.error("Reload: %s", words, extra={"EKF_EVENT": "reload", "EKF_REASON": "refused"})
+        else:
+            words = str(self._companion.reload(read))
+            _log.info("Reload: %s", words, extra={"EKF_EVENT": "reload", "EKF_REASON": "taken"})
+        self.reloads, self.last_reload = self.reloads + 1, words
+        self._systemd.tell("READY=1")
 
     def say_goodbye(self) -> None:
         """Send the last heartbeat, when nothing else can be said any more."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any
 
@@ -17,6 +17,7 @@ import msgspec
 from ekf_companion.config import Config, describe_config, parse_config
 from ekf_companion.errors import ConfigError
 from ekf_companion.mavlink.parameters import Parameter
+from ekf_companion.reload import Reload, reload, with_value
 
 _log = logging.getLogger(__name__)
 
@@ -122,8 +123,7 @@ def apply(config: Config, key: str, number: float) -> Config:
         raise ConfigError(f"{key}: is no parameter; known are {', '.join(_BY_KEY)}")
     if not tunable.lowest <= number <= tunable.highest:
         raise ConfigError(f"{key}: {number} is not in {tunable.lowest} to {tunable.highest}")
-    changed: Config = _replace(config, key.split("."), tunable.value(number))
-    return changed
+    return with_value(config, key, tunable.value(number))
 
 
 class Tuning:
@@ -160,13 +160,28 @@ class Tuning:
         """
         self.config = apply(self.config, key, number)
         if self._keep is not None:
-            changed = {
-                tunable.key: value
-                for tunable in TABLE
-                if (value := _get(self.config, tunable.key)) != _get(self._file_config, tunable.key)
-            }
-            self._keep(msgspec.json.format(msgspec.json.encode(changed)) + b"\n")
+            self._keep(msgspec.json.format(msgspec.json.encode(self._kept())) + b"\n")
         return self.config
+
+    def reload(self, config: Config) -> Reload:
+        """Take from the user's file, which has changed, what can be taken in flight.
+
+        What was set over MAVLink goes before it still.
+        """
+        kept = self._kept()
+        found = reload(self._file_config, config)
+        self._file_config = self.config = found.config
+        for key, value in kept.items():
+            self.config = with_value(self.config, key, value)
+        return found
+
+    def _kept(self) -> dict[str, object]:
+        """Give what differs from the user's file."""
+        return {
+            tunable.key: value
+            for tunable in TABLE
+            if (value := _get(self.config, tunable.key)) != _get(self._file_config, tunable.key)
+        }
 
     def _recall(self, data: bytes, name: str) -> None:
         try:
@@ -191,13 +206,6 @@ def _get(config: Config, key: str) -> object:
     for part in key.split("."):
         value = getattr(value, part)
     return value
-
-
-def _replace(section: Any, path: list[str], value: object) -> Any:
-    """Give a copy of nested dataclasses with one field changed."""
-    name, *rest = path
-    inner = _replace(getattr(section, name), rest, value) if rest else value
-    return replace(section, **{name: inner})
 
 
 def _set(config: Config, key: str, value: object, name: str) -> Config:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ import typer
 import yaml
 
 from ekf_companion.cli.terminal import ConfigOption, load, sentences
-from ekf_companion.config import describe_config, load_config
+from ekf_companion.config import Config, describe_config, load_config
 from ekf_companion.errors import ConfigError
 
 
@@ -29,21 +30,25 @@ def run(
     log_level: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
 ) -> None:
     """Run the daemon until SIGTERM."""
-    from dataclasses import replace
-
     from ekf_companion import journal, service
+
+    def read() -> Config:
+        """Give the file's configuration with what the command line says of it."""
+        settings = load(config)
+        if link is not None:
+            settings = replace(settings, link=replace(settings.link, url=link))
+        if record is not None:
+            settings = replace(settings, record=replace(settings.record, path=record))
+        if checkpoint is not None:
+            settings = replace(settings, checkpoint=replace(settings.checkpoint, file=checkpoint))
+        return settings
 
     level = logging.getLevelName(log_level.upper())
     with sentences():
         if not isinstance(level, int):
             raise ConfigError(f"--log-level: {log_level!r}: use DEBUG, INFO, WARNING or ERROR")
         journal.set_up(level)
-        settings = load(config)
-        if record is not None:
-            settings = replace(settings, record=replace(settings.record, path=record))
-        if checkpoint is not None:
-            settings = replace(settings, checkpoint=replace(settings.checkpoint, file=checkpoint))
-        service.run(settings, link)
+        service.run(read)
 
 
 def check_config(

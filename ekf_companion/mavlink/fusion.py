@@ -123,7 +123,8 @@ def _by_px4(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
     theirs = _bits(parameters[_GNSS], _GNSS_BITS)
     if not theirs:
         reason = _says(_GNSS, parameters[_GNSS], "the autopilot fuses ours, and no GNSS")
-        return replace(streamed(reason, "", read), is_fused=True)
+        is_yaw_fused = _EV_BITS[8] in ours
+        return replace(streamed(reason, "", read), is_fused=True, is_yaw_fused=is_yaw_fused)
     return withheld(
         f"{_VISION} is {vision:g} and {_GNSS} is {parameters[_GNSS]:g}: the autopilot would fuse "
         f"our {_listed(ours)} together with the {_listed(theirs)} of the GNSS that is in it",
@@ -160,7 +161,8 @@ def _by_old_px4(read: Mapping[str, float]) -> Verdict:
             read,
         )
     reason = f"{_MASK} is {mask}: the autopilot fuses ours, and no GNSS"
-    return replace(streamed(reason, "", read), is_fused=True)
+    is_yaw_fused = _AID_EV_BITS[16] in ours
+    return replace(streamed(reason, "", read), is_fused=True, is_yaw_fused=is_yaw_fused)
 
 
 # ArduPilot
@@ -185,7 +187,8 @@ def _by_ardupilot(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
     if not is_taken:
         return streamed("no EK3_SRCn_* is 6: the autopilot fuses nothing of ours", "", read)
     reason = "the autopilot fuses ours, and no EK3_SRCn set has GNSS too"
-    return replace(streamed(reason, "", read), is_fused=True)
+    is_yaw_fused = any(read.get(names[-1]) == _EXTERNAL for names in _SETS.values())
+    return replace(streamed(reason, "", read), is_fused=True, is_yaw_fused=is_yaw_fused)
 
 
 def _double(

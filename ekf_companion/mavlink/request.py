@@ -84,6 +84,15 @@ class Requests(Service):
         """Ask for nothing: nobody would hear."""
         self._wanted.clear()
 
+    def retune(self, rates: Mapping[str, float]) -> None:
+        """Ask for other rates from now on, Hz, by message."""
+        changed = [name for name in rates if rates[name] != self.rates.get(name)]
+        self.rates = rates
+        if self._peer is not None:
+            for name in changed:
+                is_refused = name == "HIGHRES_IMU" and "RAW_IMU" in self.results
+                self.ask_again("RAW_IMU" if is_refused else name)
+
     @property
     def is_busy(self) -> bool:
         """Whether a request is under way."""

@@ -13,7 +13,7 @@ at start where it is recorded.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 
 from ekf_companion.mavlink.admission import Admission
 from ekf_companion.mavlink.audit import Audit
@@ -88,7 +88,7 @@ class Session:
             is_recording=options.is_recording,
         )
         self._events: list[Event] = []
-        emit = self._events.append
+        emit = self._emit
 
         self.discovery = Discovery(
             emit,
@@ -128,19 +128,26 @@ class Session:
     def receive(self, data: bytes, now_ns: int, sender: Hashable = None) -> list[Measurement]:
         """Take bytes that were read at a time of ours; give what they say, in order.
 
-        ``sender`` tells apart who sends datagrams to one socket. What is not admitted is not
-        recorded either: a stranger neither fills the disk nor speaks in a replay, which so needs
-        no key.
+        ``sender`` tells apart who sends datagrams to one socket.
         """
-        measurements: list[Measurement] = []
+        steps = self.steps(data, now_ns, sender)
+        return [measurement for measurements in steps for measurement in measurements]
+
+    def steps(
+        self, data: bytes, now_ns: int, sender: Hashable = None
+    ) -> Iterator[list[Measurement]]:
+        """Do the same frame by frame: what a frame makes happen comes before what it measured.
+
+        What is not admitted is not recorded either: a stranger neither fills the disk nor speaks
+        in a replay, which so needs no key.
+        """
         for frame in self._splitter.feed(data, sender):
             if frame.message_id != JUNK and self.admission.refuse(frame, now_ns):
                 continue
             if self.options.is_recording:
                 self.outbox.record(frame.raw, now_ns)
             if frame.message_id != JUNK:
-                measurements += self._take(frame, now_ns)
-        return measurements
+                yield self._take(frame, now_ns)
 
     def _take(self, frame: Frame, now_ns: int) -> list[Measurement]:
         # Leave out what bears our own name: an echo, or somebody who must not
@@ -187,6 +194,11 @@ class Session:
             handler(message, frame, now_ns)
 
     # What changes
+
+    def _emit(self, event: Event) -> None:
+        if isinstance(event, GuardChanged):
+            self.decoder.beware(event.verdict.is_fused, event.verdict.is_yaw_fused)
+        self._events.append(event)
 
     def _begin(self, peer: PeerFound) -> None:
         """Begin every conversation anew: the autopilot knows nothing of us."""

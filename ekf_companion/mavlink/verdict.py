@@ -23,6 +23,8 @@ class Verdict:
     """Whether a human should look."""
     is_fused: bool = False
     """Whether the autopilot fuses what is streamed: what it then says of itself is partly ours."""
+    is_yaw_fused: bool = False
+    """Whether our yaw too: its own heading is then partly ours."""
     is_settled: bool = True
     """Whether all that decides has been answered, or asked for in vain."""
 

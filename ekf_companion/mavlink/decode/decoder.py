@@ -56,6 +56,10 @@ class Decoder:
         ):
             reader.forget()
 
+    def beware(self, is_ours: bool, is_yaw_ours: bool) -> None:
+        """Refuse the autopilot's own position, or its yaw, while it is made of our ODOMETRY."""
+        self._door.is_ours, self._door.is_yaw_ours = is_ours, is_yaw_ours
+
     @property
     def is_armed(self) -> bool:
         """Whether the autopilot's last heartbeat said that it is armed."""

@@ -54,6 +54,8 @@ class Door:
         """
         self.family = family
         self.options = options
+        self.is_ours = self.is_yaw_ours = False
+        """Whether the autopilot's own position, and its yaw, are made of our ODOMETRY."""
         self.clock = TimeBase()
         self.refused: Counter[str] = Counter()
         """How often, by reason: ``message: why``."""

@@ -47,6 +47,8 @@ class Heading:
         """Add a heading in rad, where its source is in use and its turn has come."""
         if not math.isfinite(heading):
             self._door.refuse("heading: not a number")
+        elif self._door.is_yaw_ours:
+            self._door.refuse("heading: made of our own")
         elif self.sources.admit(rank, t_ns) and self._pace.admit(t_ns):
             out.append(
                 HeadingSample(

@@ -149,6 +149,9 @@ class Position:
         if not _is_place(m.lat, m.lon):
             self._door.refuse("GLOBAL_POSITION_INT: no position")
             return out
+        if self._door.is_ours:
+            self._door.refuse("GLOBAL_POSITION_INT: made of our own")
+            return out
         if not self._derived_pace.admit(t_ns):
             return out
         std_h, std_v, std_vel = self._std
