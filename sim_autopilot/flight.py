@@ -65,6 +65,8 @@ class Fix(NamedTuple):
     """m/s."""
     yaw: float
     """rad; NaN: none."""
+    fix_type: int = 3
+    """As in GPS_RAW_INT: 0 is none, 3 one in three dimensions."""
 
 
 class Cycle(NamedTuple):
@@ -86,6 +88,14 @@ class Cycle(NamedTuple):
     """The autopilot's own."""
     is_armed: bool
     is_landed: bool
+    flight_ns: int
+    """The same time on a clock that nothing happens to: the world's."""
+    gyro_bias_b: Vector = (0.0, 0.0, 0.0)
+    """What of the gyro is slow error: the autopilot's filter comes near to it, rad/s."""
+    accel_bias_b: Vector = (0.0, 0.0, 0.0)
+    """m/s^2."""
+    has_imu: bool = True
+    """Whether there is an inertial sample at all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -199,25 +209,32 @@ class Flight:
                 t[part].tolist(),
                 self.imu.gyro_b[part].tolist(),
                 self.imu.accel_b[part].tolist(),
+                self.imu.gyro_bias_b[part].tolist(),
+                self.imu.accel_bias_b[part].tolist(),
                 _motions(truth),
                 _motions(self._estimate(truth, self.estimate_error[part])),
                 is_armed,
                 is_landed,
                 strict=True,
             )
-            for number, (now, gyro, accel, true, believed, armed, landed) in enumerate(rows, start):
+            for number, row in enumerate(rows, start):
+                now, gyro, accel, gyro_bias, accel_bias, true, believed, armed, landed = row
+                now_ns = self.to_ns(now)
                 yield Cycle(
-                    number,
-                    self.to_ns(now),
-                    tuple(gyro),
-                    tuple(accel),
-                    mag.get(number),
-                    baro.get(number),
-                    fixes.get(number),
-                    true,
-                    believed,
-                    armed,
-                    landed,
+                    number=number,
+                    t_ns=now_ns,
+                    gyro_b=tuple(gyro),
+                    accel_b=tuple(accel),
+                    mag_b=mag.get(number),
+                    baro=baro.get(number),
+                    fix=fixes.get(number),
+                    truth=true,
+                    estimate=believed,
+                    is_armed=armed,
+                    is_landed=landed,
+                    flight_ns=now_ns,
+                    gyro_bias_b=tuple(gyro_bias),
+                    accel_bias_b=tuple(accel_bias),
                 )
 
     def _fixes(self) -> Iterator[Fix]:

@@ -7,6 +7,8 @@ from typing import Any
 
 from rich.table import Table
 
+from sim_autopilot.reception import sentence
+
 TITLES = {
     "horizontal_m": "horizontal, m",
     "vertical_m": "vertical, m",
@@ -51,4 +53,6 @@ def sentences(score: dict[str, Any]) -> list[str]:
             f"inertial sample out to its ODOMETRY in: {latency['p50']:.2f} ms in the median, "
             f"{latency['p99']:.2f} ms at 99 %"
         )
+    if "autopilot" in score:
+        found.append(sentence(score["autopilot"]))
     return found
