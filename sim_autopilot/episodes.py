@@ -113,7 +113,7 @@ def episode(
 def episodes(errors: Course, faults: list[Fault], limits: Limits) -> list[tuple[Fault, Episode]]:
     """Look at each fault, up to the next one, in order of time."""
     ordered = sorted(faults, key=lambda fault: fault.start)
-    ends = [*(fault.start for fault in ordered[1:]), math.inf]
+    ends = [*(fault.start for fault in ordered), math.inf][1:]
     return [
         (fault, episode(errors, fault.start, fault.end, limits, until=until))
         for fault, until in zip(ordered, ends, strict=True)

@@ -150,9 +150,8 @@ class Flight:
         t: Array = np.asarray(skip + period * np.arange(1, count + 1), dtype=np.float64)
         fix_count = int(duration * config.gnss.rate + 1e-9)
         fix_t = skip + np.arange(1, fix_count + 1) / config.gnss.rate
-        noise = rng["estimate"].standard_normal((count, 9))
         e = config.estimate
-        sigmas = [e.position] * 3 + [e.velocity] * 3 + [e.tilt] * 2 + [e.yaw]
+        sigmas = np.array([e.position] * 3 + [e.velocity] * 3 + [e.tilt] * 2 + [e.yaw])
         return cls(
             scenario=scenario,
             config=config,
@@ -168,7 +167,7 @@ class Flight:
             baro=sensors.baro(
                 trajectory, config.baro, rng["baro"], _every(t, period, config.baro.rate)
             ),
-            estimate_error=sensors.gauss_markov(noise, period, e.time) * sigmas,
+            estimate_error=sensors.wandering(rng["estimate"], count, sigmas, period, e.time),
         )
 
     def __len__(self) -> int:

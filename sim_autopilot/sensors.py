@@ -210,6 +210,26 @@ def pressure(alt: Value) -> Value:
     return found
 
 
+def wandering(
+    rng: np.random.Generator, count: int, sigmas: Array, period: float, correlation: float
+) -> Array:
+    """Give a slow error per column, shape (count, len(sigmas)), as ``gauss_markov`` of one draw.
+
+    Drawn piece by piece: an hour's noise is never in memory beside what becomes of it.
+    """
+    found = np.empty((count, len(sigmas)))
+    keep = np.exp(-period / correlation)
+    state = np.zeros((1, len(sigmas)))
+    for start in range(0, count, _CHUNK):
+        white = rng.standard_normal((min(_CHUNK, count - start), len(sigmas)))
+        drive = np.sqrt(1.0 - keep * keep) * white
+        if not start:
+            drive[0] = white[0]
+        part, state = lfilter([1.0], [1.0, -keep], drive, axis=0, zi=state)
+        found[start : start + _CHUNK] = part * sigmas
+    return found
+
+
 def gauss_markov(white: Array, period: float, correlation: float) -> Array:
     """Colour unit white noise, shape (n, m), into a stationary process of unit variance."""
     keep = np.exp(-period / correlation)
