@@ -11,7 +11,7 @@ Rooms
     flight     all of it laid out in order of time, one cycle of the autopilot's loop at a time
     events     the same as the estimator's events, without the wire
     telemetry  what each message says of a cycle
-    personality  whom it passes for: the habits, and the traps, of the real firmware
+    personality, firmware   whom it passes for: the habits, and the traps, of the real ones
     habits, rates, parameters, reception   what it says of its sensors, how often, and what it takes
     acceptance the autopilots' own rules for the ODOMETRY that they get
     autopilot  the MAVLink peer: bytes and times in, bytes out

@@ -17,15 +17,17 @@ from ekf_companion.errors import CompanionError
 from sim_autopilot import demo as demonstration
 from sim_autopilot import replay as replaying
 from sim_autopilot.config import load
+from sim_autopilot.episodes import account
 from sim_autopilot.faults.fault import KINDS, Number
 from sim_autopilot.faults.fault import parse as parse_fault
+from sim_autopilot.firmware import PERSONALITIES
+from sim_autopilot.firmware import parse as parse_personality
 from sim_autopilot.flight import Flight
 from sim_autopilot.fly import fly as fly_over
 from sim_autopilot.fly import over, play
 from sim_autopilot.loop import Asker, Bench
 from sim_autopilot.pace import run
-from sim_autopilot.personality import PERSONALITIES, Kind, Personality
-from sim_autopilot.personality import parse as parse_personality
+from sim_autopilot.personality import Kind, Personality
 from sim_autopilot.recording import TlogWriter, write_truth
 from sim_autopilot.report import sentences, table
 from sim_autopilot.scenarios import SCENARIOS
@@ -118,7 +120,7 @@ def fly(
             "personality": flown.autopilot.personality.name if whom else f"ideal {autopilot.value}",
             **flown.autopilot.reception.summary(),
         }
-        result["faults"] = [str(one) for one in faults]
+        result["faults"] = account(flown.witness, flight, faults)
         if score is not None:
             score.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     _report(result, {})

@@ -12,10 +12,11 @@ from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
 from ekf_companion.mavlink.layout import IDS, LAYOUTS
 from sim_autopilot.config import SimConfig
+from sim_autopilot.firmware import IDEAL
 from sim_autopilot.flight import Cycle
 from sim_autopilot.habits import Board
 from sim_autopilot.parameters import ParameterServer
-from sim_autopilot.personality import FAILED, IDEAL, UNSUPPORTED, Kind, Personality
+from sim_autopilot.personality import FAILED, UNSUPPORTED, Kind, Personality
 from sim_autopilot.rates import ACCEPTED, GNSS, GROUPS, Streams
 from sim_autopilot.reception import Reception
 from sim_autopilot.telemetry import BUILDERS, Fields

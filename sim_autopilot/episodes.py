@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +42,10 @@ class Limits:
     """m/s."""
     attitude: float
     """rad."""
+
+
+USUAL = Limits(position=4.0, velocity=1.0, attitude=math.radians(6.0))
+"""For a single-frequency receiver and a compass: four of its sigmas."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,6 +124,43 @@ def episodes(errors: Course, faults: list[Fault], limits: Limits) -> list[tuple[
         (fault, episode(errors, fault.start, fault.end, limits, until=until))
         for fault, until in zip(ordered, ends, strict=True)
     ]
+
+
+def account(
+    witness: Witness, flight: Flight, faults: list[Fault], limits: Limits | None = None
+) -> list[dict[str, Any]]:
+    """Give what each fault did, as JSON has it; null: nothing was heard, or it never got right."""
+    found = episodes(course(witness, flight), faults, limits or USUAL)
+    return [
+        {
+            "fault": str(fault),
+            "odometry": one.count,
+            "position_m": _finite(one.position),
+            "velocity_mps": _finite(one.velocity),
+            "attitude_deg": _finite(math.degrees(one.attitude)),
+            "recovery_s": _finite(one.recovery),
+        }
+        for fault, one in found
+    ]
+
+
+def sentence(account: Mapping[str, Any]) -> str:
+    """Say one line of an account."""
+    said = f"{account['fault']}: "
+    if account["odometry"]:
+        said += (
+            f"errors up to {account['position_m']:.1f} m, {account['velocity_mps']:.1f} m/s, "
+            f"{account['attitude_deg']:.0f} deg"
+        )
+    else:
+        said += "no ODOMETRY"
+    if account["recovery_s"] is None:
+        return said + "; not right again"
+    return said + f"; right again {account['recovery_s']:.1f} s after it"
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 3) if math.isfinite(value) else None
 
 
 def _recovery(errors: Course, end: float, limits: Limits, until: float, hold: float) -> float:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -151,7 +151,7 @@ class Flight:
         fix_count = int(duration * config.gnss.rate + 1e-9)
         fix_t = skip + np.arange(1, fix_count + 1) / config.gnss.rate
         e = config.estimate
-        sigmas = np.array([e.position] * 3 + [e.velocity] * 3 + [e.tilt] * 2 + [e.yaw])
+        sigmas = np.repeat([e.position, e.velocity, e.tilt, e.yaw], [3, 3, 2, 1])
         return cls(
             scenario=scenario,
             config=config,
@@ -217,8 +217,8 @@ class Flight:
                 strict=True,
             )
             for number, row in enumerate(rows, start):
-                now, gyro, accel, gyro_bias, accel_bias, true, believed, armed, landed = row
-                now_ns = self.to_ns(now)
+                t_s, gyro, accel, gyro_bias, accel_bias, true, believed, armed, landed = row
+                now_ns = self.to_ns(t_s)
                 yield Cycle(
                     number=number,
                     t_ns=now_ns,
@@ -252,8 +252,8 @@ class Flight:
     def _estimate(self, truth: Truth, error: Array) -> Truth:
         pos_n, euler = truth.pos_n + error[:, :3], truth.euler + error[:, 6:]
         lat, lon, alt = self.trajectory.frame.to_geodetic(pos_n)
-        return Truth(
-            t=truth.t,
+        return replace(
+            truth,
             pos_n=pos_n,
             lat=lat,
             lon=lon,
@@ -261,9 +261,6 @@ class Flight:
             vel_n=truth.vel_n + error[:, 3:6],
             q_nb=so3.from_euler(euler[:, 0], euler[:, 1], euler[:, 2]),
             euler=euler,
-            rate_nb_b=truth.rate_nb_b,
-            gyro_b=truth.gyro_b,
-            accel_b=truth.accel_b,
         )
 
 

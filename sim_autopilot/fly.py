@@ -70,9 +70,8 @@ async def fly(
     pace = Pace(flight.first_ns, speed)
 
     def send() -> None:
-        # What left in this turn leaves now, however late the turn was
         now_ns = pace.now_ns()
-        while (item := rig.pop(max(now_ns, rig.autopilot.turn_ns))) is not None:
+        while (item := rig.pop(now_ns)) is not None:
             link.send(item[1])
             if log is not None:
                 log.write(now_ns, item[1])
@@ -95,6 +94,9 @@ async def fly(
             await pace.until(cycle.flight_ns)
             witness.sent(pace.now_ns())
             rig.cycle(cycle)
+            if rig.autopilot.turn_ns > cycle.flight_ns:
+                # A turn of the loop that comes late stamps so: nothing may arrive before its stamp
+                await pace.until(rig.autopilot.turn_ns)
             send()
             hear()
         await asyncio.sleep(_LAST_WORDS)

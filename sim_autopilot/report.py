@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.table import Table
 
-from sim_autopilot.reception import sentence
+from sim_autopilot import episodes, reception
 
 TITLES = {
     "horizontal_m": "horizontal, m",
@@ -54,5 +54,6 @@ def sentences(score: dict[str, Any]) -> list[str]:
             f"{latency['p99']:.2f} ms at 99 %"
         )
     if "autopilot" in score:
-        found.append(sentence(score["autopilot"]))
+        found.append(reception.sentence(score["autopilot"]))
+    found += [episodes.sentence(one) for one in score.get("faults", [])]
     return found

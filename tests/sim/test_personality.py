@@ -15,9 +15,9 @@ from ekf_companion.nav.atmosphere import pressure_altitude
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import SimConfig
 from sim_autopilot.faults.fault import parse as fault
+from sim_autopilot.firmware import PERSONALITIES, parse
 from sim_autopilot.flight import Flight
 from sim_autopilot.loop import Asker, Bench
-from sim_autopilot.personality import PERSONALITIES, parse
 from sim_autopilot.reception import sentence
 from tests.sim.wire import US, ask, command, named, read
 
