@@ -13,8 +13,9 @@ Rooms
     telemetry  what each message says of a cycle
     personality, firmware   whom it passes for: the habits, and the traps, of the real ones
     habits, rates, parameters, reception   what it says of its sensors, how often, and what it takes
-    acceptance the autopilots' own rules for the ODOMETRY that they get
     autopilot  the MAVLink peer: bytes and times in, bytes out
+    acceptance what either autopilot would do with an ODOMETRY (judgement, px4_receiver,
+               ardupilot_receiver)
     faults     what goes wrong: on the wire, in the sensors, with the clock
     spec       how a personality and a fault are written
     rig        the autopilot with everything that goes wrong around it

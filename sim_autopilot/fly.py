@@ -78,8 +78,8 @@ async def fly(
 
     async def listen() -> None:
         while True:
-            data, read_ns = await link.receive()
-            rig.receive(data, pace.shown_ns(read_ns))
+            read = await link.receive()
+            rig.receive(read.data, pace.shown_ns(read.now_ns))
             send()
             hear()
 

@@ -1,0 +1,139 @@
+"""What PX4 does with an ODOMETRY message.
+
+Sources, for their behaviour: ``mavlink_receiver.cpp``, ``EKF2.cpp`` and
+``EKF/aid_sources/external_vision``, 1.14 and later; 1.11 to 1.13 where ``is_old`` is said.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from sim_autopilot.judgement import NOTHING, History, Judgement, Quantity, judged, refused
+
+_TAKEN_TYPES = (0, 1, 2, 3)
+_MOCAP = 6
+_NED, _ENU, _FRD, _FLU = 1, 4, 20, 21
+_POSE_FRAMES = (_NED, _ENU, _FRD, _FLU)
+_TWIST_FRAMES = (*_POSE_FRAMES, 8, 9, 12)
+_BODY_FRD = 12
+_UNIT = 1e-5
+"""How far from one the quaternion's norm may be."""
+_EV_INTERVAL_US = 200_000
+"""So close must two samples be for fusion to begin; it ends after twice that."""
+_EV_BITS = {
+    1: {Quantity.POSITION},
+    2: {Quantity.HEIGHT},
+    4: {Quantity.VELOCITY, Quantity.CLIMB},
+    8: {Quantity.YAW},
+}
+_AID_BITS = {8: {Quantity.POSITION}, 16: {Quantity.YAW}, 256: {Quantity.VELOCITY, Quantity.CLIMB}}
+_VISION = 3
+"""EKF2_HGT_MODE."""
+
+
+def judge(m: Any, values: Mapping[str, float], before: History, *, is_old: bool) -> Judgement:
+    """Say what becomes of a message, with all parameters at hand."""
+    if (refusal := _refusal(m, before, is_old=is_old)) is not None:
+        return refusal
+    wanted, has_gnss = _aided_by_vision(values, is_old=is_old)
+    offered, lacks = _offered(m, _TWIST_FRAMES if not is_old else (_BODY_FRD,))
+    reasons = list(lacks)
+    if not wanted:
+        name = "EKF2_AID_MASK" if is_old else "EKF2_EV_CTRL"
+        reasons.append(f"{name} fuses nothing of it")
+    # Beside GNSS a yaw counts only from a frame that is aligned with north
+    if Quantity.YAW in wanted and has_gnss and m.frame_id not in (_NED, _ENU) and not is_old:
+        offered -= {Quantity.YAW}
+        reasons.append("beside GNSS, yaw is fused from LOCAL_NED only")
+
+    least = 0 if is_old else values["EKF2_EV_QMIN"]
+    return _in_time(m, wanted & offered, reasons, before, least)
+
+
+def _in_time(
+    m: Any, usable: frozenset[Quantity], reasons: list[str], before: History, least: float
+) -> Judgement:
+    """Say what is fused of the usable parts, by quality and by the time since the one before."""
+    is_good = least <= 0 or m.quality >= least
+    if not is_good:
+        reasons.append(f"quality {m.quality} is below EKF2_EV_QMIN {least:g}")
+    if before.time_us is None:
+        reasons.append("it is the first: fusion begins with the second")
+        return judged(reasons, NOTHING, _remember(m, before, NOTHING, is_good=is_good))
+    gap = m.time_usec - before.time_us
+    if gap <= 0:
+        reasons.append("its stamp is not later than the one before")
+        return judged(reasons, NOTHING, before)
+    running = before.fused if gap <= 2 * _EV_INTERVAL_US else NOTHING
+    may_begin = gap < _EV_INTERVAL_US and (least <= 0 or before.quality >= least)
+    if not may_begin and not running:
+        reasons.append(f"{gap / 1000:.0f} ms after the one before: fusion begins below 200 ms")
+    continued = usable if may_begin else usable & running
+    fused = continued if is_good else NOTHING
+    is_reset = m.reset_counter != before.reset_counter and bool(fused)
+    history = _remember(m, before, fused if is_good else running, is_good=is_good)
+    return judged(reasons, fused, history, is_reset=is_reset)
+
+
+def _remember(m: Any, before: History, fused: frozenset[Quantity], *, is_good: bool) -> History:
+    """Give the history after a message: of a poor one only what goes on is kept."""
+    if is_good:
+        return History(m.time_usec, m.quality, m.reset_counter, fused)
+    return replace(before, fused=fused)
+
+
+def _refusal(m: Any, before: History, *, is_old: bool) -> Judgement | None:
+    """Say what the receiver refuses, before any filter sees it."""
+    kind = m.estimator_type
+    if kind == _MOCAP:
+        return judged(["motion capture goes to nobody: EKF2 does not read it"], NOTHING, before)
+    if kind not in _TAKEN_TYPES or (is_old and kind == 1):
+        text = "" if is_old else f"ODOMETRY: estimator_type {kind} unsupported"
+        return refused(f"estimator_type {kind} is refused", before, text)
+    if is_old and m.frame_id not in (_NED, _FRD):
+        return refused(f"frame_id {m.frame_id} is not LOCAL_NED or LOCAL_FRD", before)
+    return None
+
+
+def _aided_by_vision(
+    values: Mapping[str, float], *, is_old: bool
+) -> tuple[frozenset[Quantity], bool]:
+    """Give what of the message the parameters ask for, and whether GNSS positions are fused."""
+    if not is_old:
+        bits = int(values["EKF2_EV_CTRL"])
+        wanted = frozenset().union(*(q for bit, q in _EV_BITS.items() if bits & bit))
+        return wanted, bool(int(values["EKF2_GPS_CTRL"]) & 1)
+    bits = int(values["EKF2_AID_MASK"])
+    wanted = frozenset().union(*(q for bit, q in _AID_BITS.items() if bits & bit))
+    # Without one of its bits set, the old filter reads no vision at all, not for the height either
+    if wanted and values["EKF2_HGT_MODE"] == _VISION:
+        wanted |= {Quantity.HEIGHT}
+    return wanted, bool(bits & 1)
+
+
+def _offered(m: Any, twist_frames: tuple[int, ...]) -> tuple[frozenset[Quantity], list[str]]:
+    """Give the parts that the message holds, and why the others are lacking."""
+    parts: frozenset[Quantity] = NOTHING
+    lacks = []
+    if not all(map(math.isfinite, (m.x, m.y, m.z))):
+        lacks.append("the position is not finite")
+    elif m.frame_id not in _POSE_FRAMES:
+        lacks.append(f"frame_id {m.frame_id} is none that it knows: no position")
+    else:
+        parts |= {Quantity.POSITION, Quantity.HEIGHT}
+    if not all(map(math.isfinite, (m.vx, m.vy, m.vz))):
+        lacks.append("the velocity is not finite")
+    elif m.child_frame_id not in twist_frames:
+        lacks.append(f"child_frame_id {m.child_frame_id} is none that it knows: no velocity")
+    else:
+        parts |= {Quantity.VELOCITY, Quantity.CLIMB}
+    if not all(map(math.isfinite, m.q)):
+        lacks.append("the attitude is not finite")
+    elif abs(1.0 - math.sqrt(sum(v * v for v in m.q))) > _UNIT:
+        lacks.append("the attitude's norm is further than 1e-5 from one")
+    else:
+        parts |= {Quantity.YAW}
+    return parts, lacks
