@@ -249,11 +249,11 @@ def _plan(
         known = ", ".join(SCENARIOS)
         raise typer.BadParameter(f"{scenario!r}: no such scenario; there are {known}")
     numbers = load(config)
+    if personality is not None:
+        numbers = personality.suited(numbers)
     if imu_rate is not None:
         imu = dataclasses.replace(numbers.imu, rate=imu_rate)
         numbers = dataclasses.replace(numbers, imu=imu)
-    if personality is not None:
-        numbers = personality.suited(numbers)
     return Flight.plan(scenario, numbers, seed=seed, duration=duration, skip=skip)
 
 

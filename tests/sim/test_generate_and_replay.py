@@ -212,6 +212,12 @@ def test_personalities_and_faults_are_generated_and_repeat(tmp_path):
     assert ((stamps > 5.0) & (stamps < 8.0)).sum() > 740
 
 
+def test_the_rate_that_is_asked_for_goes_before_the_personalitys(tmp_path):
+    path, _ = generated(tmp_path, "--personality", "ardupilot", "--imu-rate", 250)
+    stamps = np.array([m.time_usec for m in messages(replay.frames(path), "HIGHRES_IMU")])
+    assert ((stamps - 20_000_000) % 4000 <= 2000).all()  # samples of 4 ms, each sent late
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
