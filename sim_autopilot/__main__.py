@@ -16,12 +16,18 @@ from rich.table import Table
 from ekf_companion.errors import CompanionError
 from sim_autopilot import demo as demonstration
 from sim_autopilot import replay as replaying
-from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import load
+from sim_autopilot.episodes import account
+from sim_autopilot.faults.fault import KINDS, Number
+from sim_autopilot.faults.fault import parse as parse_fault
+from sim_autopilot.firmware import PERSONALITIES
+from sim_autopilot.firmware import parse as parse_personality
 from sim_autopilot.flight import Flight
 from sim_autopilot.fly import fly as fly_over
 from sim_autopilot.fly import over, play
+from sim_autopilot.loop import Asker, Bench
 from sim_autopilot.pace import run
+from sim_autopilot.personality import Kind, Personality
 from sim_autopilot.recording import TlogWriter, write_truth
 from sim_autopilot.report import sentences, table
 from sim_autopilot.scenarios import SCENARIOS
@@ -34,6 +40,16 @@ app = typer.Typer(
 )
 _console = Console()
 _errors = Console(stderr=True)
+_ASKED = {
+    "HIGHRES_IMU": 250.0,
+    "GPS_RAW_INT": 10.0,
+    "ATTITUDE": 10.0,
+    "GLOBAL_POSITION_INT": 5.0,
+    "SCALED_PRESSURE": 10.0,
+    "SYSTEM_TIME": 1.0,
+    "EXTENDED_SYS_STATE": 1.0,
+}
+"""Hz: what the companion asks for."""
 
 SCENARIO = typer.Option("figure-eight", help="Which motion; `scenarios` lists them.")
 LINK = typer.Option(..., help="Where to: udpout:127.0.0.1:14540, udpin:, tcp:, tcpin:, serial:")
@@ -46,7 +62,13 @@ IMU_RATE = typer.Option(None, help="Inertial samples, Hz.", min=1.0, max=1000.0)
 SPEED = typer.Option(1.0, help="How many times as fast as real time.", min=0.01, max=1000.0)
 TRUTH = typer.Option(None, help="Write the true motion to this CSV file.")
 CONFIG = typer.Option(None, help="YAML that says what differs from the defaults.")
-AUTOPILOT = typer.Option(Kind.PX4, help="Which autopilot to pass for.")
+AUTOPILOT = typer.Option(Kind.PX4, help="Which autopilot to pass for, without its traps.")
+PERSONALITY = typer.Option(
+    None, help="Which autopilot to pass for, with its traps; `personalities` lists them."
+)
+FAULT = typer.Option(
+    [], help="What goes wrong: KIND[:start=20,duration=5,...]; `faults` lists them. Repeatable."
+)
 
 
 @app.command()
@@ -65,10 +87,14 @@ def fly(
     wait: float = typer.Option(0.0, help="Call so many seconds for an answer first.", min=0.0),
     config: Path | None = CONFIG,
     autopilot: Kind = AUTOPILOT,
+    personality: str | None = PERSONALITY,
+    fault: list[str] = FAULT,
 ) -> None:
     """Fly a scenario over a link, in real time, and score the ODOMETRY that comes back."""
     with _spoken(), ExitStack() as stack:
-        flight = _plan(scenario, config, imu_rate, seed, duration, skip)
+        whom = None if personality is None else parse_personality(personality)
+        flight = _plan(scenario, config, imu_rate, seed, duration, skip, whom)
+        faults = [parse_fault(text, flight.duration) for text in fault]
         if truth is not None:
             write_truth(truth, flight)
         writer = None
@@ -78,11 +104,23 @@ def fly(
             over(
                 link,
                 lambda opened: fly_over(
-                    flight, opened, kind=autopilot, speed=speed, log=writer, wait=wait
+                    flight,
+                    opened,
+                    kind=autopilot,
+                    personality=whom,
+                    faults=faults,
+                    speed=speed,
+                    log=writer,
+                    wait=wait,
                 ),
             )
         )
         result = flown.witness.score(score_after)
+        result["autopilot"] = {
+            "personality": flown.autopilot.personality.name if whom else f"ideal {autopilot.value}",
+            **flown.autopilot.reception.summary(),
+        }
+        result["faults"] = account(flown.witness, flight, faults)
         if score is not None:
             score.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     _report(result, {})
@@ -99,22 +137,28 @@ def generate(
     imu_rate: float | None = IMU_RATE,
     config: Path | None = CONFIG,
     autopilot: Kind = AUTOPILOT,
+    personality: str | None = PERSONALITY,
+    fault: list[str] = FAULT,
 ) -> None:
-    """Write a scenario to a .tlog at once, without a link: the same frames that `fly` sends."""
+    """Write a scenario to a .tlog at once, without a link: the same frames that `fly` sends.
+
+    With a personality, somebody asks for the messages that the companion asks for.
+    """
     with _spoken():
         if output.suffix != ".tlog":
             raise typer.BadParameter(f"{output}: unknown kind of output; name it .tlog")
-        flight = _plan(scenario, config, imu_rate, seed, duration, skip)
+        whom = None if personality is None else parse_personality(personality)
+        flight = _plan(scenario, config, imu_rate, seed, duration, skip, whom)
+        faults = [parse_fault(text, flight.duration) for text in fault]
         if truth is not None:
             write_truth(truth, flight)
-        peer = Autopilot(flight.config, autopilot, is_wing=flight.scenario.is_wing)
+        asker = None if whom is None else Asker(_ASKED)
+        bench = Bench(flight, asker, kind=autopilot, personality=whom, faults=faults)
         count = 0
         with TlogWriter(output, flight.config.home.unix) as writer:
-            for cycle in flight.cycles():
-                peer.cycle(cycle)
-                for frame in peer.data_to_send():
-                    writer.write(cycle.t_ns, frame)
-                    count += 1
+            for t_ns, frame in bench.frames():
+                writer.write(t_ns, frame)
+                count += 1
     _console.print(f"{output}: {count} messages, {flight.duration:.1f} s of {scenario}")
 
 
@@ -139,6 +183,38 @@ def scenarios() -> None:
     for scenario in SCENARIOS.values():
         listing.add_row(scenario.name, f"{scenario.duration:.0f}", scenario.summary)
     _console.print(listing)
+
+
+@app.command()
+def personalities() -> None:
+    """List the autopilots that can be passed for, and what each habit is set to."""
+    listing = Table(box=None, pad_edge=False)
+    listing.add_column("personality")
+    listing.add_column("what")
+    for one in PERSONALITIES.values():
+        listing.add_row(one.name, one.summary)
+    _console.print(listing)
+    _console.print(
+        "\nNAME:key=value,... changes a number (loop_rate=50, gcs_rate=4, link_rate=5760, "
+        "missing=0.1) or, in capitals, a parameter (EKF2_AID_MASK=9).",
+        highlight=False,
+    )
+
+
+@app.command()
+def faults() -> None:
+    """List what can go wrong, and the values of each."""
+    listing = Table(box=None, pad_edge=False)
+    for title in ("fault", "seconds", "values", "what"):
+        listing.add_column(title, justify="right" if title == "seconds" else "left")
+    for kind in KINDS.values():
+        values = [
+            f"{key}={value.default:g}" if isinstance(value, Number) else f"{key}={value}"
+            for key, value in kind.values.items()
+        ]
+        listing.add_row(kind.name, f"{kind.duration:.0f}", "\n".join(values), kind.summary)
+    _console.print(listing)
+    _console.print("\nEvery fault takes start=0 and duration=seconds too.", highlight=False)
 
 
 @app.command()
@@ -167,11 +243,14 @@ def _plan(
     seed: int,
     duration: float | None,
     skip: float,
+    personality: Personality | None,
 ) -> Flight:
     if scenario not in SCENARIOS:
         known = ", ".join(SCENARIOS)
         raise typer.BadParameter(f"{scenario!r}: no such scenario; there are {known}")
     numbers = load(config)
+    if personality is not None:
+        numbers = personality.suited(numbers)
     if imu_rate is not None:
         imu = dataclasses.replace(numbers.imu, rate=imu_rate)
         numbers = dataclasses.replace(numbers, imu=imu)

@@ -5,78 +5,33 @@ No socket and no clock: ``now_ns`` is the autopilot's own time, and whoever call
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
-from enum import Enum
 from typing import Any, NamedTuple
 
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
 from ekf_companion.mavlink.layout import IDS, LAYOUTS
 from sim_autopilot.config import SimConfig
-from sim_autopilot.flight import Cycle, Fix
-from sim_autopilot.telemetry import (
-    BAROMETER,
-    BUILDERS,
-    INERTIAL_AND_TEMPERATURE,
-    MAGNETOMETER,
-    gps_raw_int,
-    highres_imu,
-)
+from sim_autopilot.firmware import IDEAL
+from sim_autopilot.flight import Cycle
+from sim_autopilot.habits import Board
+from sim_autopilot.parameters import ParameterServer
+from sim_autopilot.personality import FAILED, UNSUPPORTED, Kind, Personality
+from sim_autopilot.rates import ACCEPTED, GNSS, GROUPS, Streams
+from sim_autopilot.reception import Reception
+from sim_autopilot.telemetry import BUILDERS, Fields
+
+__all__ = ["COMPONENT_ID", "Autopilot", "Kind", "Received"]
 
 COMPONENT_ID = 1
 SET_MESSAGE_INTERVAL = 511
 REQUEST_MESSAGE = 512
-ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 _ARMED, _CUSTOM_MODE = 128, 1
 _STANDBY, _ACTIVE = 3, 4
-_INT32, _REAL32 = 6, 9
-
-
-class Kind(str, Enum):
-    """Which autopilot it passes itself off as."""
-
-    PX4 = "px4"
-    ARDUPILOT = "ardupilot"
-
-
-class _Habits(NamedTuple):
-    autopilot: int
-    custom_mode: int
-    version: int
-    timesync_ns: int
-    """Between its own requests."""
-    no_such_stream: int
-    """Its answer to SET_MESSAGE_INTERVAL for a message that it does not have."""
-    parameters: dict[str, float]
-    """Of the firmware's defaults, those that decide what it fuses."""
-
-
-_HABITS = {
-    Kind.PX4: _Habits(
-        12,
-        4 << 16 | 3 << 24,
-        0x011000FF,
-        100_000_000,
-        FAILED,
-        {"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7},
-    ),
-    Kind.ARDUPILOT: _Habits(
-        3,
-        4,
-        0x040600FF,
-        10_000_000_000,
-        DENIED,
-        {
-            "VISO_TYPE": 0,
-            "EK3_SRC1_POSXY": 3,
-            "EK3_SRC1_VELXY": 3,
-            "EK3_SRC1_POSZ": 1,
-            "EK3_SRC1_VELZ": 3,
-            "EK3_SRC1_YAW": 1,
-        },
-    ),
-}
+_CRITICAL = 2
+_GCS_NS = 10_000_000_000
+"""A ground station sets its rates so often."""
+_INERTIAL = frozenset({"HIGHRES_IMU", "RAW_IMU", "SCALED_IMU2"})
 
 
 class Received(NamedTuple):
@@ -93,58 +48,92 @@ class Received(NamedTuple):
 class Autopilot:
     """One autopilot on one link."""
 
-    def __init__(self, config: SimConfig, kind: Kind = Kind.PX4, *, is_wing: bool = False) -> None:
-        self.parameters = {**_HABITS[kind].parameters, **config.parameters}
+    def __init__(
+        self,
+        config: SimConfig,
+        kind: Kind = Kind.PX4,
+        *,
+        is_wing: bool = False,
+        personality: Personality | None = None,
+        seed: int = 1,
+    ) -> None:
+        """Start it.
+
+        Args:
+            config: Every number.
+            kind: Which autopilot it passes for, without traps.
+            is_wing: A fixed wing, else a multicopter.
+            personality: Which autopilot it passes for, with its habits; goes before ``kind``.
+            seed: Of what chance decides in its habits.
+        """
+        self.personality = personality or IDEAL[kind]
+        self.parameters = {**self.personality.parameters, **config.parameters}
         self.round_trips_ns: list[int] = []
         """Of TIMESYNC."""
+        self.reception = Reception(self.personality.rules, self.parameters)
+        """What became of the ODOMETRY that it got."""
+        self.reboots = 0
+        self.turn_ns = 0
+        """Of the last turn of the loop, on the world's clock: what it sent left then."""
         self._config = config
-        self._kind = kind
-        self._habits = _HABITS[kind]
+        self._seed = seed
         self._type = 1 if is_wing else 2
-        self._sender = Sender(config.system_id, COMPONENT_ID)
-        self._splitter = Splitter()
         self._out: list[bytes] = []
         self._received: list[Received] = []
-        self._last: Cycle | None = None
-        self._fix: Fix | None = None
-        self._fix_count = 0
-        self._mag_b = (0.0, 0.0, 0.0)
-        self._baro = (0.0, 0.0)
-        self._fields_updated = INERTIAL_AND_TEMPERATURE
-        self._next_timesync_ns = 0
-        streams = config.streams
-        # Cycles from one message to the next (of GPS_RAW_INT: fixes); 0: none
-        self._every = {
-            name: self._divide(name, getattr(streams, name)) for name in streams.__slots__
-        }
+        self._server = ParameterServer(
+            self.parameters, self._send, is_bytewise=self.personality.kind is Kind.PX4
+        )
         self._handlers: dict[str, Callable[[Frame, Any, int], None]] = {
             "COMMAND_LONG": self._command,
-            "TIMESYNC": self._timesync,
-            "PARAM_REQUEST_READ": self._param_request_read,
+            "HEARTBEAT": self._heard,
+            "ODOMETRY": self._odometry,
+            "PARAM_REQUEST_LIST": lambda *_: self._server.tell_all(),
+            "PARAM_REQUEST_READ": lambda frame, request, now_ns: self._server.read(request),
             "PARAM_SET": self._param_set,
+            "REQUEST_DATA_STREAM": self._data_stream,
+            "TIMESYNC": self._timesync,
         }
+        self._start()
+
+    def reboot(self) -> None:
+        """Begin anew: the requests, the sequence and the sensors are forgotten, not the parameters.
+
+        The clock begins anew with the cycles that come next.
+        """
+        self.reboots += 1
+        self._out.clear()
+        self._start()
+
+    def _start(self) -> None:
+        self._sender = Sender(self._config.system_id, COMPONENT_ID)
+        self._splitter = Splitter()
+        self._streams = Streams(self.personality, self._config, self.parameters)
+        self._board = Board(self._config, self.personality, self._seed + self.reboots)
+        self._last: Cycle | None = None
+        self._has_fix = False
+        self._next_timesync_ns = 0
+        self._next_gcs_ns = 0
+        self._companion = (0, 0)
 
     def cycle(self, cycle: Cycle) -> None:
-        """Take one turn of the loop: read the sensors, send what is due."""
-        self._last = cycle
-        if cycle.mag_b is not None:
-            self._mag_b = cycle.mag_b
-            self._fields_updated |= MAGNETOMETER
-        if cycle.baro is not None:
-            self._baro = cycle.baro
-            self._fields_updated |= BAROMETER
-        for name, every in self._every.items():
-            if name != "GPS_RAW_INT" and every and cycle.number % every == 0:
-                self._stream(name, cycle)
-        if cycle.fix is not None:
-            self._fix = cycle.fix
-            self._fix_count += 1
-            every = self._every["GPS_RAW_INT"]
-            if every and self._fix_count % every == 0:
-                self._stream("GPS_RAW_INT", cycle)
-        if cycle.t_ns >= self._next_timesync_ns:
-            self._next_timesync_ns = cycle.t_ns + self._habits.timesync_ns
-            self._send("TIMESYNC", tc1=0, ts1=cycle.t_ns)
+        """Read the sensors; where the loop comes round, send what is due."""
+        turn = self._board.read(cycle)
+        self._has_fix = self._has_fix or cycle.fix is not None
+        if turn is None:
+            return
+        has_fix, self._has_fix = self._has_fix, False
+        self._last = turn
+        self.turn_ns = turn.flight_ns
+        for name in self._streams.due(turn.number, turn.flight_ns, has_fix):
+            self._stream(name, turn)
+        if self._streams.is_wanted(GNSS) and (marker := self._board.marker(turn)) is not None:
+            self._send(GNSS, **marker)
+        if turn.flight_ns >= self._next_timesync_ns:
+            self._next_timesync_ns = turn.flight_ns + round(1e9 / self.personality.timesync_rate)
+            self._send_timesync(0, turn.t_ns, self._companion)
+        if self.personality.gcs_rate and turn.flight_ns >= self._next_gcs_ns:
+            self._next_gcs_ns = turn.flight_ns + _GCS_NS
+            self._streams.ask_group(0, self.personality.gcs_rate)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes from the link, and answer them."""
@@ -163,9 +152,9 @@ class Autopilot:
         self._send(
             "HEARTBEAT",
             type=self._type,
-            autopilot=self._habits.autopilot,
+            autopilot=12 if self.personality.kind is Kind.PX4 else 3,
             base_mode=_CUSTOM_MODE | (_ARMED if is_armed else 0),
-            custom_mode=self._habits.custom_mode,
+            custom_mode=self.personality.custom_mode,
             system_status=_ACTIVE if is_armed else _STANDBY,
             mavlink_version=3,
         )
@@ -185,36 +174,43 @@ class Autopilot:
         component = getattr(fields, "target_component", 0)
         return system in (0, self._config.system_id) and component in (0, COMPONENT_ID)
 
-    def _divide(self, name: str, rate: float) -> int:
-        """Give the whole number of turns that comes nearest to a rate (Hz; 0: none)."""
-        source = self._config.gnss.rate if name == "GPS_RAW_INT" else self._config.imu.rate
-        return max(1, round(source / rate)) if rate > 0.0 else 0
-
     def _send(self, name: str, **fields: Any) -> None:
         self._out.append(self._sender.message(name, **fields))
 
-    def _stream(self, name: str, cycle: Cycle) -> None:
+    def _stream(self, name: str, turn: Cycle) -> None:
         if name == "HEARTBEAT":
-            self.heartbeat(is_armed=cycle.is_armed)
-        elif name == "HIGHRES_IMU":
-            updated, self._fields_updated = self._fields_updated, INERTIAL_AND_TEMPERATURE
-            fields = highres_imu(cycle, self._config, self._mag_b, self._baro, updated)
-            self._send(name, **fields)
-        elif name == "GPS_RAW_INT":
-            if self._fix is not None:
-                self._send(name, **gps_raw_int(self._config, self._fix))
+            self.heartbeat(is_armed=turn.is_armed)
         elif name == "AUTOPILOT_VERSION":
-            version = self._habits.version
+            version = self.personality.version
             self._send(
                 name, capabilities=8192 | 8, flight_sw_version=version, uid=self._config.system_id
             )
-        else:
-            self._send(name, **BUILDERS[name](self._config, cycle))
+        elif (fields := self._fields(name, turn)) is not None:
+            self._send(name, **fields)
+
+    def _fields(self, name: str, turn: Cycle) -> Fields | None:
+        """Give a message of the sensors or of the estimate; None: it is not sent now."""
+        board = self._board
+        if name in _INERTIAL and (not turn.has_imu or board.is_missing()):
+            return None
+        if name == "HIGHRES_IMU":
+            return board.highres_imu(turn)
+        if name == "RAW_IMU":
+            return board.raw_imu(turn)
+        if name == "SCALED_IMU2":
+            return board.scaled_imu(turn)
+        if name == "SCALED_PRESSURE":
+            return board.scaled_pressure(turn)
+        if name == GNSS:
+            return board.gps_raw_int(turn)
+        if name == "GPS_GLOBAL_ORIGIN" and not board.has_origin(turn.flight_ns):
+            return None
+        return BUILDERS[name](self._config, turn)
 
     def _command(self, frame: Frame, command: Any, now_ns: int) -> None:
         message = LAYOUTS[int(command.param1)].name if int(command.param1) in LAYOUTS else ""
         if command.command == SET_MESSAGE_INTERVAL:
-            result = self._set_interval(message, command.param2)
+            result = self._streams.ask(message, command.param2)
         elif command.command == REQUEST_MESSAGE:
             result = self._request(message)
         else:
@@ -227,69 +223,46 @@ class Autopilot:
             target_component=frame.component_id,
         )
 
-    def _set_interval(self, message: str, interval_us: float) -> int:
-        if message not in self._every:
-            return self._habits.no_such_stream
-        if interval_us > 0.0:
-            self._every[message] = self._divide(message, 1e6 / interval_us)
-        elif interval_us == 0.0:
-            self._every[message] = self._divide(message, getattr(self._config.streams, message))
-        else:
-            self._every[message] = 0
-        return ACCEPTED
-
     def _request(self, message: str) -> int:
-        if message not in self._every and message != "AUTOPILOT_VERSION":
+        some = self.personality.requestable
+        if message not in self._streams and message != "AUTOPILOT_VERSION":
+            return UNSUPPORTED
+        if some is not None and message not in some:
             return UNSUPPORTED
         if self._last is None:
             return FAILED
         self._stream(message, self._last)
         return ACCEPTED
 
+    def _data_stream(self, frame: Frame, request: Any, now_ns: int) -> None:
+        if self.personality.kind is Kind.ARDUPILOT and request.req_stream_id in (0, *GROUPS):
+            rate = request.req_message_rate if request.start_stop else 0
+            self._streams.ask_group(request.req_stream_id, rate)
+
+    def _heard(self, frame: Frame, heartbeat: Any, now_ns: int) -> None:
+        if self.personality.is_timesync_targeted and self.personality.streams is not None:
+            self._companion = (frame.system_id, frame.component_id)
+
+    def _odometry(self, frame: Frame, odometry: Any, now_ns: int) -> None:
+        text = self.reception.take(odometry)
+        if text:
+            self._send("STATUSTEXT", severity=_CRITICAL, text=text.encode()[:50])
+
     def _timesync(self, frame: Frame, sync: Any, now_ns: int) -> None:
         if sync.tc1 == 0:
-            self._send(
-                "TIMESYNC",
-                tc1=now_ns,
-                ts1=sync.ts1,
-                target_system=frame.system_id,
-                target_component=frame.component_id,
-            )
+            is_targeted = self.personality.is_timesync_targeted
+            theirs = (frame.system_id, frame.component_id) if is_targeted else (0, 0)
+            self._send_timesync(now_ns, sync.ts1, theirs)
         else:
             self.round_trips_ns.append(now_ns - sync.ts1)
 
-    def _param_request_read(self, frame: Frame, request: Any, now_ns: int) -> None:
-        names = list(self.parameters)
-        index = request.param_index
-        name = names[index] if 0 <= index < len(names) else request.param_id.decode()
-        if name in self.parameters:
-            self._param_value(name)
+    def _send_timesync(self, tc1: int, ts1: int, target: tuple[int, int]) -> None:
+        system, component = target
+        self._send("TIMESYNC", tc1=tc1, ts1=ts1, target_system=system, target_component=component)
 
     def _param_set(self, frame: Frame, request: Any, now_ns: int) -> None:
-        name = request.param_id.decode()
-        if name in self.parameters:
-            self.parameters[name] = self._param_decoded(request.param_value, request.param_type)
-            self._param_value(name)
-
-    def _param_value(self, name: str) -> None:
-        value = self.parameters[name]
-        is_integer = float(value).is_integer()
-        if is_integer and self._kind is Kind.PX4:
-            # PX4 lays the integer's bytes where the float's would be
-            value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
-        self._send(
-            "PARAM_VALUE",
-            param_id=name.encode(),
-            param_value=value,
-            param_type=_INT32 if is_integer else _REAL32,
-            param_count=len(self.parameters),
-            param_index=list(self.parameters).index(name),
-        )
-
-    def _param_decoded(self, value: float, param_type: int) -> float:
-        if param_type == _INT32 and self._kind is Kind.PX4:
-            return float(struct.unpack("<i", struct.pack("<f", value))[0])
-        return value
+        if self._server.set(request):
+            self._streams.lay_out()
 
 
 assert set(SimConfig().streams.__slots__) <= IDS.keys()

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,6 +65,8 @@ class Fix(NamedTuple):
     """m/s."""
     yaw: float
     """rad; NaN: none."""
+    fix_type: int = 3
+    """As in GPS_RAW_INT: 0 is none, 3 one in three dimensions."""
 
 
 class Cycle(NamedTuple):
@@ -86,6 +88,14 @@ class Cycle(NamedTuple):
     """The autopilot's own."""
     is_armed: bool
     is_landed: bool
+    flight_ns: int
+    """The same time on a clock that nothing happens to: the world's."""
+    gyro_bias_b: Vector = (0.0, 0.0, 0.0)
+    """What of the gyro is slow error: the autopilot's filter comes near to it, rad/s."""
+    accel_bias_b: Vector = (0.0, 0.0, 0.0)
+    """m/s^2."""
+    has_imu: bool = True
+    """Whether there is an inertial sample at all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -140,9 +150,8 @@ class Flight:
         t: Array = np.asarray(skip + period * np.arange(1, count + 1), dtype=np.float64)
         fix_count = int(duration * config.gnss.rate + 1e-9)
         fix_t = skip + np.arange(1, fix_count + 1) / config.gnss.rate
-        noise = rng["estimate"].standard_normal((count, 9))
         e = config.estimate
-        sigmas = [e.position] * 3 + [e.velocity] * 3 + [e.tilt] * 2 + [e.yaw]
+        sigmas = np.repeat([e.position, e.velocity, e.tilt, e.yaw], [3, 3, 2, 1])
         return cls(
             scenario=scenario,
             config=config,
@@ -158,7 +167,7 @@ class Flight:
             baro=sensors.baro(
                 trajectory, config.baro, rng["baro"], _every(t, period, config.baro.rate)
             ),
-            estimate_error=sensors.gauss_markov(noise, period, e.time) * sigmas,
+            estimate_error=sensors.wandering(rng["estimate"], count, sigmas, period, e.time),
         )
 
     def __len__(self) -> int:
@@ -199,25 +208,32 @@ class Flight:
                 t[part].tolist(),
                 self.imu.gyro_b[part].tolist(),
                 self.imu.accel_b[part].tolist(),
+                self.imu.gyro_bias_b[part].tolist(),
+                self.imu.accel_bias_b[part].tolist(),
                 _motions(truth),
                 _motions(self._estimate(truth, self.estimate_error[part])),
                 is_armed,
                 is_landed,
                 strict=True,
             )
-            for number, (now, gyro, accel, true, believed, armed, landed) in enumerate(rows, start):
+            for number, row in enumerate(rows, start):
+                t_s, gyro, accel, gyro_bias, accel_bias, true, believed, armed, landed = row
+                now_ns = self.to_ns(t_s)
                 yield Cycle(
-                    number,
-                    self.to_ns(now),
-                    tuple(gyro),
-                    tuple(accel),
-                    mag.get(number),
-                    baro.get(number),
-                    fixes.get(number),
-                    true,
-                    believed,
-                    armed,
-                    landed,
+                    number=number,
+                    t_ns=now_ns,
+                    gyro_b=tuple(gyro),
+                    accel_b=tuple(accel),
+                    mag_b=mag.get(number),
+                    baro=baro.get(number),
+                    fix=fixes.get(number),
+                    truth=true,
+                    estimate=believed,
+                    is_armed=armed,
+                    is_landed=landed,
+                    flight_ns=now_ns,
+                    gyro_bias_b=tuple(gyro_bias),
+                    accel_bias_b=tuple(accel_bias),
                 )
 
     def _fixes(self) -> Iterator[Fix]:
@@ -236,8 +252,8 @@ class Flight:
     def _estimate(self, truth: Truth, error: Array) -> Truth:
         pos_n, euler = truth.pos_n + error[:, :3], truth.euler + error[:, 6:]
         lat, lon, alt = self.trajectory.frame.to_geodetic(pos_n)
-        return Truth(
-            t=truth.t,
+        return replace(
+            truth,
             pos_n=pos_n,
             lat=lat,
             lon=lon,
@@ -245,9 +261,6 @@ class Flight:
             vel_n=truth.vel_n + error[:, 3:6],
             q_nb=so3.from_euler(euler[:, 0], euler[:, 1], euler[:, 2]),
             euler=euler,
-            rate_nb_b=truth.rate_nb_b,
-            gyro_b=truth.gyro_b,
-            accel_b=truth.accel_b,
         )
 
 

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 from ekf_companion.errors import CompanionError
 from ekf_companion.link import Link, open_link
 from sim_autopilot.autopilot import Autopilot, Kind
+from sim_autopilot.faults.fault import Fault
 from sim_autopilot.flight import Flight
 from sim_autopilot.pace import Pace
+from sim_autopilot.personality import Personality
 from sim_autopilot.recording import TlogWriter
+from sim_autopilot.rig import Rig
 from sim_autopilot.score import Witness
 
 T = TypeVar("T")
@@ -39,6 +42,8 @@ async def fly(
     link: Link,
     *,
     kind: Kind = Kind.PX4,
+    personality: Personality | None = None,
+    faults: Sequence[Fault] = (),
     speed: float = 1.0,
     log: TlogWriter | None = None,
     wait: float = 0.0,
@@ -48,7 +53,9 @@ async def fly(
     Args:
         flight: What is flown.
         link: Where to.
-        kind: Which autopilot it passes itself off as.
+        kind: Which autopilot it passes itself off as, without traps.
+        personality: With its traps; goes before ``kind``.
+        faults: What goes wrong.
         speed: Of the autopilot's clock against ours.
         log: Takes every frame out and in.
         wait: Call so long for somebody to answer before the flight begins, s.
@@ -56,37 +63,44 @@ async def fly(
     Raises:
         CompanionError: Nobody answered.
     """
-    autopilot = Autopilot(flight.config, kind, is_wing=flight.scenario.is_wing)
-    witness = Witness(flight)
+    rig = Rig(flight, kind=kind, personality=personality, faults=faults)
+    witness = Witness(flight, rig.clock.true_ns)
     if wait > 0.0:
-        await _call(autopilot, link, wait)
+        await _call(rig.autopilot, link, wait)
     pace = Pace(flight.first_ns, speed)
 
     def send() -> None:
-        for frame in autopilot.data_to_send():
-            link.send(frame)
+        now_ns = pace.now_ns()
+        while (item := rig.pop(now_ns)) is not None:
+            link.send(item[1])
             if log is not None:
-                log.write(pace.now_ns(), frame)
+                log.write(now_ns, item[1])
 
     async def listen() -> None:
         while True:
-            data, read_ns, _ = await link.receive()
-            now_ns = pace.shown_ns(read_ns)
-            autopilot.receive(data, now_ns)
+            read = await link.receive()
+            rig.receive(read.data, pace.shown_ns(read.now_ns))
             send()
-            for message in autopilot.received():
-                witness.hear(message)
-                if log is not None:
-                    log.write(now_ns, message.frame)
+            hear()
+
+    def hear() -> None:
+        for message in rig.heard():
+            witness.hear(message)
+            if log is not None:
+                log.write(message.now_ns, message.frame)
 
     async with _beside(listen()):
         for cycle in flight.cycles():
-            await pace.until(cycle.t_ns)
+            await pace.until(cycle.flight_ns)
             witness.sent(pace.now_ns())
-            autopilot.cycle(cycle)
+            rig.cycle(cycle)
+            if rig.autopilot.turn_ns > cycle.flight_ns:
+                # A turn of the loop that comes late stamps so: nothing may arrive before its stamp
+                await pace.until(rig.autopilot.turn_ns)
             send()
+            hear()
         await asyncio.sleep(_LAST_WORDS)
-    return Flown(flight, autopilot, witness, pace)
+    return Flown(flight, rig.autopilot, witness, pace)
 
 
 async def _call(autopilot: Autopilot, link: Link, wait: float) -> None:

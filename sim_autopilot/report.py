@@ -7,6 +7,8 @@ from typing import Any
 
 from rich.table import Table
 
+from sim_autopilot import episodes, reception
+
 TITLES = {
     "horizontal_m": "horizontal, m",
     "vertical_m": "vertical, m",
@@ -51,4 +53,7 @@ def sentences(score: dict[str, Any]) -> list[str]:
             f"inertial sample out to its ODOMETRY in: {latency['p50']:.2f} ms in the median, "
             f"{latency['p99']:.2f} ms at 99 %"
         )
+    if "autopilot" in score:
+        found.append(reception.sentence(score["autopilot"]))
+    found += [episodes.sentence(one) for one in score.get("faults", [])]
     return found

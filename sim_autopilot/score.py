@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections import Counter
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +23,9 @@ POSE_DIAGONAL = (0, 6, 11, 15, 18, 20)
 LOCAL_NED, BODY_NED, BODY_FRD, LOCAL_FRD = 1, 8, 12, 20
 _FRAMES = {(LOCAL_NED, BODY_FRD), (LOCAL_FRD, BODY_FRD), (LOCAL_NED, BODY_NED)}
 """Pairs that mean north-east-down and forward-right-down here."""
+
+_ROW = 21
+"""Numbers kept of each message."""
 
 
 class Estimate(NamedTuple):
@@ -51,7 +55,14 @@ class Error(NamedTuple):
 class Witness:
     """Hears what the estimator says about one flight, and compares."""
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: Flight, true_ns: Callable[[int, int], int] | None = None) -> None:
+        """Begin.
+
+        Args:
+            flight: The truth.
+            true_ns: Gives the time on the flight's clock of a stamp on the autopilot's, from it and
+                from when it arrived, ns; None: the clocks are one.
+        """
         self.frames: Counter[tuple[int, int]] = Counter()
         """ODOMETRY by frame and child frame."""
         self.not_scored = 0
@@ -60,9 +71,10 @@ class Witness:
         """ODOMETRY whose stamp is not after the one before."""
         self._flight = flight
         self._sent_ns = array("q")
-        self._rows: list[tuple[float, ...]] = []
+        self._true_ns = true_ns or (lambda stamp_ns, now_ns: stamp_ns)
+        self._rows = array("d")
         self._origins: list[LocalFrame] = []
-        self._latencies_ns: list[int] = []
+        self._latencies_ns = array("q")
         self._resets = 0
         self._reset_counter: int | None = None
 
@@ -82,14 +94,14 @@ class Witness:
     @property
     def count(self) -> int:
         """Give the number of messages that can be scored."""
-        return len(self._rows)
+        return len(self._rows) // _ROW
 
     def estimate(self, after: float = 0.0) -> Estimate:
         """Give what came, valid at ``after`` seconds of flight or later.
 
         Positions are moved to the flight's own origin where theirs is known.
         """
-        rows = np.array(self._rows, dtype=float).reshape(-1, 22)
+        rows = np.array(self._rows, dtype=float).reshape(-1, _ROW)
         rows = rows[rows[:, 0] * 1000 >= self._flight.first_ns + after * 1e9]
         t_ns = np.asarray(rows[:, 0], dtype=np.int64) * 1000
         home = self._flight.trajectory.frame
@@ -173,16 +185,15 @@ class Witness:
         if frames not in _FRAMES or not all(map(math.isfinite, numbers[:10])):
             self.not_scored += 1
             return
-        if self._rows and fields.time_usec <= self._rows[-1][0]:
+        t_ns = self._true_ns(fields.time_usec * 1000, now_ns)
+        if self._rows and t_ns // 1000 <= self._rows[-_ROW]:
             self.repeated += 1
             return
-        self._rows.append(
-            (fields.time_usec, max(len(self._origins) - 1, 0), *numbers, fields.reset_counter)
-        )
+        self._rows.extend((t_ns // 1000, max(len(self._origins) - 1, 0), *numbers))
         if self._reset_counter not in (None, fields.reset_counter):
             self._resets += 1
         self._reset_counter = fields.reset_counter
-        number = (fields.time_usec * 1000 - self._flight.first_ns) / self._flight.period_ns
+        number = (t_ns - self._flight.first_ns) / self._flight.period_ns
         if 0 <= round(number) < len(self._sent_ns):
             self._latencies_ns.append(now_ns - self._sent_ns[round(number)])
 

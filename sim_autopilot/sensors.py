@@ -7,6 +7,7 @@ the others as it was. Times are seconds since the start of the flight.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,7 @@ from sim_autopilot.config import BaroConfig, CompassConfig, GnssConfig, ImuConfi
 from sim_autopilot.truth import Trajectory
 
 Array = npt.NDArray[np.float64]
+Value = TypeVar("Value", float, npt.NDArray[np.float64])
 
 GAUSS_LEGENDRE = 4
 """Points per inertial interval: exact for polynomials up to degree 7."""
@@ -182,9 +184,12 @@ def compass(
 def magnetic_field(trajectory: Trajectory, config: CompassConfig) -> Array:
     """Give the Earth's field at the start, north, east, down, gauss (World Magnetic Model)."""
     frame = trajectory.frame
-    field = GeoMag().calculate(
-        np.degrees(frame.lat), np.degrees(frame.lon), frame.alt * 1e-3, config.year
-    )
+    return earth_field(frame.lat, frame.lon, frame.alt, config.year)
+
+
+def earth_field(lat: float, lon: float, alt: float, year: float) -> Array:
+    """Give the Earth's field at a place (rad, rad, m), north, east, down, gauss."""
+    field = GeoMag().calculate(np.degrees(lat), np.degrees(lon), alt * 1e-3, year)
     return np.array([field.x, field.y, field.z]) * _NANOTESLA
 
 
@@ -196,8 +201,33 @@ def baro(
     drift = config.drift * slow[:, 0]
     alt = trajectory.at(t).alt + drift
     alt += config.noise * rng.standard_normal(len(t))
-    pressure = 1013.25 * (1.0 - alt / 44330.769) ** 5.25588
-    return BaroData(t=t, alt=alt, pressure=pressure, drift=drift)
+    return BaroData(t=t, alt=alt, pressure=pressure(alt), drift=drift)
+
+
+def pressure(alt: Value) -> Value:
+    """Give the pressure of the standard atmosphere at an altitude (m), hPa."""
+    found: Value = 1013.25 * (1.0 - alt / 44330.769) ** 5.25588
+    return found
+
+
+def wandering(
+    rng: np.random.Generator, count: int, sigmas: Array, period: float, correlation: float
+) -> Array:
+    """Give a slow error per column, shape (count, len(sigmas)), as ``gauss_markov`` of one draw.
+
+    Drawn piece by piece: an hour's noise is never in memory beside what becomes of it.
+    """
+    found = np.empty((count, len(sigmas)))
+    keep = np.exp(-period / correlation)
+    state = np.zeros((1, len(sigmas)))
+    for start in range(0, count, _CHUNK):
+        white = rng.standard_normal((min(_CHUNK, count - start), len(sigmas)))
+        drive = np.sqrt(1.0 - keep * keep) * white
+        if not start:
+            drive[0] = white[0]
+        part, state = lfilter([1.0], [1.0, -keep], drive, axis=0, zi=state)
+        found[start : start + _CHUNK] = part * sigmas
+    return found
 
 
 def gauss_markov(white: Array, period: float, correlation: float) -> Array:

@@ -6,8 +6,12 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
+from ekf_companion.nav import so3
+from ekf_companion.nav.earth import STANDARD_GRAVITY
 from sim_autopilot.config import SimConfig
-from sim_autopilot.flight import Cycle, Fix, Motion
+from sim_autopilot.flight import Cycle, Fix, Motion, Vector
 
 Fields = dict[str, Any]
 Builder = Callable[[SimConfig, Cycle], Fields]
@@ -23,7 +27,7 @@ GEOID = 47.0
 def highres_imu(
     cycle: Cycle,
     config: SimConfig,
-    mag_b: tuple[float, float, float],
+    mag_b: Vector,
     baro: tuple[float, float],
     fields_updated: int,
 ) -> Fields:
@@ -52,7 +56,7 @@ def gps_raw_int(config: SimConfig, fix: Fix) -> Fields:
     north, east, _ = fix.vel_n
     return {
         "time_usec": fix.t_ns // 1000,
-        "fix_type": 3,
+        "fix_type": fix.fix_type,
         "lat": _degE7(fix.lat),
         "lon": _degE7(fix.lon),
         "alt": round(fix.alt * 1e3),
@@ -60,7 +64,7 @@ def gps_raw_int(config: SimConfig, fix: Fix) -> Fields:
         "epv": 110,
         "vel": round(math.hypot(north, east) * 1e2),
         "cog": _centidegrees(math.atan2(east, north)),
-        "satellites_visible": 17,
+        "satellites_visible": 17 if fix.fix_type else 0,
         "alt_ellipsoid": round((fix.alt + GEOID) * 1e3),
         "h_acc": round(math.hypot(gnss.noise_h, gnss.slow_h) * 1e3),
         "v_acc": round(math.hypot(gnss.noise_v, gnss.slow_v) * 1e3),
@@ -69,6 +73,75 @@ def gps_raw_int(config: SimConfig, fix: Fix) -> Fields:
         # 0 means that there is none, so north is 36000
         "yaw": (_centidegrees(fix.yaw) or 36000) if gnss.yaw else 0,
     }
+
+
+def no_gps() -> Fields:
+    """Give what GPS_RAW_INT says where there is no receiver (PX4): a marker for each number."""
+    unknown = dict.fromkeys(("eph", "epv", "vel", "cog"), 65535)
+    return {"time_usec": 0, "fix_type": 0, "satellites_visible": 255, **unknown}
+
+
+def raw_imu(cycle: Cycle, mag_b: Vector) -> Fields:
+    """Give RAW_IMU as ArduPilot scales it: mG, mrad/s and mgauss, cut to whole numbers."""
+    return {"time_usec": cycle.t_ns // 1000, **_whole_units(cycle, mag_b)}
+
+
+def scaled_imu(cycle: Cycle, mag_b: Vector) -> Fields:
+    """Give SCALED_IMU2, whose stamp is whole milliseconds."""
+    return {"time_boot_ms": _boot_ms(cycle), **_whole_units(cycle, mag_b)}
+
+
+def _whole_units(cycle: Cycle, mag_b: Vector) -> Fields:
+    groups = (
+        ("acc", cycle.accel_b, 1e3 / STANDARD_GRAVITY),
+        ("gyro", cycle.gyro_b, 1e3),
+        ("mag", mag_b, 1e3),
+    )
+    return {
+        f"{axis}{what}": _int16(value * scale)
+        for what, vector, scale in groups
+        for axis, value in zip("xyz", vector, strict=True)
+    }
+
+
+def _int16(value: float) -> int:
+    return int(max(-32768.0, min(32767.0, value))) if math.isfinite(value) else 0
+
+
+def scaled_pressure(cycle: Cycle, config: SimConfig, pressure: float) -> Fields:
+    """Give SCALED_PRESSURE of the static pressure, hPa."""
+    return {
+        "time_boot_ms": _boot_ms(cycle),
+        "press_abs": pressure,
+        "temperature": round(config.baro.temperature * 1e2),
+    }
+
+
+def _odometry(config: SimConfig, cycle: Cycle) -> Fields:
+    """Give the autopilot's own estimate as PX4 does: only the diagonals are numbers."""
+    believed, e = cycle.estimate, config.estimate
+    q_nb = so3.from_euler(*believed.euler)
+    vel_b = so3.rotate(so3.conjugate(q_nb), np.array(believed.vel_n))
+    return {
+        "time_usec": cycle.t_ns // 1000,
+        "frame_id": 1,
+        "child_frame_id": 12,
+        **dict(zip("xyz", believed.pos_n, strict=True)),
+        "q": tuple(q_nb.tolist()),
+        **dict(zip(("vx", "vy", "vz"), vel_b.tolist(), strict=True)),
+        **dict(zip(("rollspeed", "pitchspeed", "yawspeed"), believed.rate_b, strict=True)),
+        "pose_covariance": _diagonal(*[e.position] * 3, *[e.tilt] * 2, e.yaw),
+        "velocity_covariance": _diagonal(*[e.velocity] * 3, *[math.nan] * 3),
+        "estimator_type": 8,
+    }
+
+
+def _diagonal(*sigmas: float) -> tuple[float, ...]:
+    """Give the upper right triangle of a 6 x 6 covariance, NaN beside the diagonal."""
+    triangle = [math.nan] * 21
+    for place, sigma in zip((0, 6, 11, 15, 18, 20), sigmas, strict=True):
+        triangle[place] = sigma * sigma
+    return tuple(triangle)
 
 
 def _attitude(config: SimConfig, cycle: Cycle) -> Fields:
@@ -124,7 +197,7 @@ def _sim_state(config: SimConfig, cycle: Cycle) -> Fields:
 
 def _system_time(config: SimConfig, cycle: Cycle) -> Fields:
     return {
-        "time_unix_usec": round(config.home.unix * 1e6) + cycle.t_ns // 1000,
+        "time_unix_usec": round(config.home.unix * 1e6) + cycle.flight_ns // 1000,
         "time_boot_ms": _boot_ms(cycle),
     }
 
@@ -164,5 +237,6 @@ BUILDERS: dict[str, Builder] = {
     "SYSTEM_TIME": _system_time,
     "EXTENDED_SYS_STATE": _extended_sys_state,
     "GPS_GLOBAL_ORIGIN": _gps_global_origin,
+    "ODOMETRY": _odometry,
 }
 """Messages that a cycle alone decides."""

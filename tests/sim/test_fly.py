@@ -1,8 +1,12 @@
 import asyncio
+import contextlib
+import json
 import socket
+import threading
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from ekf_companion.errors import CompanionError
 from ekf_companion.link import open_link
@@ -11,7 +15,9 @@ from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.layout import IDS
 from ekf_companion.nav import so3
+from sim_autopilot.__main__ import app
 from sim_autopilot.config import SimConfig
+from sim_autopilot.firmware import parse as parse_personality
 from sim_autopilot.flight import Flight
 from sim_autopilot.fly import fly, over, play
 from sim_autopilot.pace import run
@@ -138,3 +144,41 @@ def test_recorded_frames_are_played_at_their_spacing():
     assert count == 21
     # 200 ms at twice the speed; later only where the machine is busy
     assert 0.09e9 < received[-1].now_ns - received[0].now_ns < 0.5e9
+
+
+def test_what_the_autopilot_refused_and_what_went_wrong_is_in_the_score(tmp_path):
+    port, score = free_port(), tmp_path / "score.json"
+    personality = parse_personality("px4")
+    flight = Flight.plan("figure-eight", personality.suited(CONFIG), duration=2.0, skip=14.0)
+    oracle = Oracle(flight, f"udpin:127.0.0.1:{port}")
+
+    def answer():
+        loop = asyncio.SelectorEventLoop()
+        task = loop.create_task(oracle.run())
+        loop.call_later(30.0, task.cancel)
+        stop.append(lambda: loop.call_soon_threadsafe(task.cancel))
+        with contextlib.suppress(asyncio.CancelledError):
+            loop.run_until_complete(task)
+        loop.close()
+
+    stop = []
+    thread = threading.Thread(target=answer)
+    thread.start()
+    result = CliRunner().invoke(
+        app,
+        ["fly", "--link", f"udpout:127.0.0.1:{port}", "--skip", "14", "--duration", "2",
+         "--personality", "px4", "--score", str(score), "--score-after", "0", "--wait", "5",
+         "--fault", "cut:start=0.5,duration=0.5"],
+    )  # fmt: skip
+    stop[0]()
+    thread.join()
+    assert result.exit_code == 0, result.output
+    found = json.loads(score.read_text())
+    assert found["autopilot"]["personality"] == "px4"
+    (cut,) = found["faults"]
+    assert cut["fault"] == "cut:start=0.5,duration=0.5,way=both"
+    assert cut["odometry"] < 20  # of 25
+    assert "right again" in result.output
+    accepted = found["autopilot"]["accepted"]
+    assert 20 <= accepted <= 110  # 50 Hz of two seconds without the cut
+    assert f"odometry: accepted {accepted}, refused 0" in result.output

@@ -191,3 +191,50 @@ def test_a_log_that_counts_from_1970_begins_like_an_autopilot():
 def test_what_cannot_be_replayed_is_refused_with_what_can():
     with pytest.raises(LogError, match=r"\.tlog, \.bin, \.ulg, \.csv"):
         replay.frames(Path("flight.mcap"))
+
+
+def test_personalities_and_faults_are_generated_and_repeat(tmp_path):
+    files = []
+    for name in ("one", "again"):
+        (tmp_path / name).mkdir()
+        files.append(
+            generated(
+                tmp_path / name,
+                *("--personality", "ardupilot", "--fault", "loss:start=2,duration=3,share=0.5"),
+                *("--fault", "gnss-outage:start=4,duration=2"),
+            )[0]
+        )
+    assert files[0].read_bytes() == files[1].read_bytes()
+    frames = list(replay.frames(files[0]))
+    stamps = np.array([m.time_usec for m in messages(frames, "HIGHRES_IMU")]) * 1e-6 - 20.0
+    inside = ((stamps > 2.0) & (stamps < 5.0)).sum()
+    assert 300 < inside < 450  # of 750: somebody asked, and half of it was lost
+    assert ((stamps > 5.0) & (stamps < 8.0)).sum() > 740
+
+
+def test_the_rate_that_is_asked_for_goes_before_the_personalitys(tmp_path):
+    path, _ = generated(tmp_path, "--personality", "ardupilot", "--imu-rate", 250)
+    stamps = np.array([m.time_usec for m in messages(replay.frames(path), "HIGHRES_IMU")])
+    assert ((stamps - 20_000_000) % 4000 <= 2000).all()  # samples of 4 ms, each sent late
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--personality", "px5"), "no such personality"),
+        (("--fault", "fire"), "no such fault"),
+        (("--fault", "cut:start=99"), "flight ends at 8 s"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(tmp_path, options, words):
+    result = command("generate", "-o", tmp_path / "a.tlog", "--duration", 8, *options)
+    assert result.exit_code == 2
+    assert words in " ".join(result.output.split())
+    assert not any(tmp_path.iterdir())
+
+
+def test_personalities_and_faults_are_listed():
+    assert "px4-old" in command("personalities").output
+    listed = command("faults").output
+    assert "gnss-drag" in listed
+    assert "speed=1" in listed

@@ -1,0 +1,184 @@
+"""What a fault did to the estimate, and when that was over."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.nav import so3
+from sim_autopilot.faults.fault import Fault
+from sim_autopilot.flight import Flight
+from sim_autopilot.score import Witness
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Course:
+    """Errors over the time of validity of the ODOMETRY, each array of shape (n,)."""
+
+    t: Array
+    """Since the start of the flight, s, ascending."""
+    position: Array
+    """Length of the error, m."""
+    velocity: Array
+    """m/s."""
+    attitude: Array
+    """Angle of the error's rotation, rad."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Inside all of them, the estimate is right."""
+
+    position: float
+    """m."""
+    velocity: float
+    """m/s."""
+    attitude: float
+    """rad."""
+
+
+USUAL = Limits(position=4.0, velocity=1.0, attitude=math.radians(6.0))
+"""For a single-frequency receiver and a compass: four of its sigmas."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Episode:
+    """One window of a flight: its largest errors, and how long they stayed after it."""
+
+    start: float
+    end: float
+    """s."""
+    count: int
+    """ODOMETRY in it."""
+    position: float
+    """Largest in it, m; NaN: there was none."""
+    velocity: float
+    """m/s."""
+    attitude: float
+    """rad."""
+    recovery: float
+    """From the end until all errors are inside the limits and stay so for ``hold``, s; inf: they
+    never did. No ODOMETRY is no recovery."""
+
+
+def course(witness: Witness, flight: Flight) -> Course:
+    """Give the errors of everything that a witness heard.
+
+    Without an origin on the wire the mean offset is taken off, as in the score.
+    """
+    estimate = witness.estimate()
+    error = witness.error(estimate)
+    truth = flight.truth_at(estimate.t_ns)
+    turn = so3.log(so3.multiply(so3.conjugate(truth.q_nb), estimate.q_nb))
+    return Course(
+        t=estimate.t,
+        position=np.linalg.norm(error.pos_n, axis=1),
+        velocity=np.linalg.norm(error.vel_n, axis=1),
+        attitude=np.linalg.norm(turn, axis=-1),
+    )
+
+
+def episode(
+    errors: Course,
+    start: float,
+    end: float,
+    limits: Limits,
+    *,
+    until: float = math.inf,
+    hold: float = 2.0,
+) -> Episode:
+    """Look at one window.
+
+    Args:
+        errors: Of the flight.
+        start: s.
+        end: s; itself not in it.
+        limits: What is right again.
+        until: What comes from here on is another fault's, s.
+        hold: The errors must stay inside the limits for so long, or up to ``until``, s.
+    """
+    inside = (errors.t >= start) & (errors.t < end)
+    return Episode(
+        start=start,
+        end=end,
+        count=int(inside.sum()),
+        position=_largest(errors.position[inside]),
+        velocity=_largest(errors.velocity[inside]),
+        attitude=_largest(errors.attitude[inside]),
+        recovery=_recovery(errors, end, limits, until, hold),
+    )
+
+
+def episodes(errors: Course, faults: list[Fault], limits: Limits) -> list[tuple[Fault, Episode]]:
+    """Look at each fault, up to the next one, in order of time."""
+    ordered = sorted(faults, key=lambda fault: fault.start)
+    ends = [*(fault.start for fault in ordered), math.inf][1:]
+    return [
+        (fault, episode(errors, fault.start, fault.end, limits, until=until))
+        for fault, until in zip(ordered, ends, strict=True)
+    ]
+
+
+def account(
+    witness: Witness, flight: Flight, faults: list[Fault], limits: Limits | None = None
+) -> list[dict[str, Any]]:
+    """Give what each fault did, as JSON has it; null: nothing was heard, or it never got right."""
+    found = episodes(course(witness, flight), faults, limits or USUAL)
+    return [
+        {
+            "fault": str(fault),
+            "odometry": one.count,
+            "position_m": _finite(one.position),
+            "velocity_mps": _finite(one.velocity),
+            "attitude_deg": _finite(math.degrees(one.attitude)),
+            "recovery_s": _finite(one.recovery),
+        }
+        for fault, one in found
+    ]
+
+
+def sentence(account: Mapping[str, Any]) -> str:
+    """Say one line of an account."""
+    said = f"{account['fault']}: "
+    if account["odometry"]:
+        said += (
+            f"errors up to {account['position_m']:.1f} m, {account['velocity_mps']:.1f} m/s, "
+            f"{account['attitude_deg']:.0f} deg"
+        )
+    else:
+        said += "no ODOMETRY"
+    if account["recovery_s"] is None:
+        return said + "; not right again"
+    return said + f"; right again {account['recovery_s']:.1f} s after it"
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 3) if math.isfinite(value) else None
+
+
+def _recovery(errors: Course, end: float, limits: Limits, until: float, hold: float) -> float:
+    after = (errors.t >= end) & (errors.t < until)
+    t = errors.t[after]
+    is_right = (
+        (errors.position[after] <= limits.position)
+        & (errors.velocity[after] <= limits.velocity)
+        & (errors.attitude[after] <= limits.attitude)
+    )
+    if not len(t):
+        return math.inf
+    # From each right one, the next wrong one must be far enough, or not come any more
+    wrong = np.append(t[~is_right], math.inf)
+    following = wrong[np.searchsorted(wrong, t)]
+    good = is_right & ((following - t >= hold) & (t[-1] - t >= min(hold, t[-1] - t[0])))
+    return float(t[good][0] - end) if good.any() else math.inf
+
+
+def _largest(values: Array) -> float:
+    return float(values.max()) if len(values) else math.nan

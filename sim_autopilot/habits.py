@@ -1,0 +1,221 @@
+"""What an autopilot knows of its sensors, and what it says of them: habit by habit.
+
+The habits, and where each is from: :class:`sim_autopilot.personality.Personality`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ekf_companion.nav import so3
+from sim_autopilot import telemetry
+from sim_autopilot.config import SimConfig
+from sim_autopilot.flight import Cycle, Fix, Vector
+from sim_autopilot.personality import Personality
+from sim_autopilot.sensors import earth_field
+from sim_autopilot.telemetry import (
+    BAROMETER,
+    INERTIAL_AND_TEMPERATURE,
+    MAGNETOMETER,
+    Fields,
+)
+
+_SECOND_NS = 1_000_000_000
+_LATEST = 2e-3
+"""A turn of the loop is never later than this, s."""
+_BIAS_GAIN = 0.1
+"""Of a step of the autopilot's bias estimate towards the bias."""
+_BIAS_NOISE = (3e-5, 5e-3)
+"""One sigma of such a step, rad/s and m/s^2: assumed."""
+_METRES_PER_RADIAN = 6371e3
+_ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+class Board:
+    """The sensors as the firmware sees them, from one start of it to the next."""
+
+    def __init__(self, config: SimConfig, personality: Personality, seed: int) -> None:
+        """Know nothing yet; ``seed`` decides lateness, gaps and steps."""
+        self._config = config
+        self._habits = personality
+        late, gaps, steps = np.random.SeedSequence(seed, spawn_key=(100,)).spawn(3)
+        self._late, self._gaps, self._steps = map(np.random.default_rng, (late, gaps, steps))
+        self._loop_every = _whole(config.imu.rate, personality.loop_rate)
+        self._mean_every = _whole(config.imu.rate, personality.vehicle_imu_rate)
+        self._sum: list[Vector] = []
+        self._bias_gyro, self._bias_accel = np.zeros(3), np.zeros(3)
+        self._next_step_ns = 0
+        self._mag_b = _ZERO
+        self._baro = (0.0, 0.0)
+        self._ground_pressure: float | None = None
+        self._updated = INERTIAL_AND_TEMPERATURE
+        self._fix: Fix | None = None
+        self._fix_ns: int | None = None
+        self._begin_ns: int | None = None
+        """When the first fix came, on the world's clock, as the two beside it."""
+        self._next_marker_ns = 0
+        self._declination = 0.0
+        if personality.origin_after:
+            home = config.home
+            north, east, _ = earth_field(
+                math.radians(home.lat), math.radians(home.lon), home.alt, config.compass.year
+            )
+            self._declination = math.atan2(east, north)
+
+    def read(self, cycle: Cycle) -> Cycle | None:
+        """Take a sample of everything; give it as this turn of the loop has it, None: no turn."""
+        self._note(cycle)
+        cycle = self._averaged(self._corrected(cycle))
+        every = max(self._mean_every, self._loop_every)
+        if every > 1:
+            if (cycle.number + 1) % every:
+                return None
+            cycle = cycle._replace(number=cycle.number // every)
+        if late_ns := self._lateness_ns():
+            cycle = cycle._replace(t_ns=cycle.t_ns + late_ns, flight_ns=cycle.flight_ns + late_ns)
+        return cycle if self.has_origin(cycle.flight_ns) else self._by_compass(cycle)
+
+    def has_origin(self, now_ns: int) -> bool:
+        """Whether the origin is set."""
+        wait = self._habits.origin_after
+        return not wait or (self._begin_ns is not None and now_ns - self._begin_ns >= wait * 1e9)
+
+    def is_missing(self) -> bool:
+        """Whether the next inertial message never leaves."""
+        share = self._habits.missing
+        return bool(share) and bool(self._gaps.random() < share)
+
+    def highres_imu(self, cycle: Cycle) -> Fields:
+        """Give HIGHRES_IMU with the latest magnetometer and barometer samples, new or not."""
+        habits = self._habits
+        updated, self._updated = self._updated, INERTIAL_AND_TEMPERATURE
+        if habits.is_always_updated:
+            updated |= MAGNETOMETER | BAROMETER
+        x, y, z = self._mag_b
+        mag_b = (x * habits.mag_scale, y * habits.mag_scale, z * habits.mag_scale)
+        pressure, alt = self._baro
+        fields = telemetry.highres_imu(
+            cycle, self._config, mag_b, (pressure * habits.pressure_scale, alt), updated
+        )
+        if habits.has_ground_pressure and self._ground_pressure is not None:
+            fields["diff_pressure"] = pressure - self._ground_pressure
+        return fields
+
+    def raw_imu(self, cycle: Cycle) -> Fields:
+        """Give RAW_IMU."""
+        return telemetry.raw_imu(cycle, self._mag_b)
+
+    def scaled_imu(self, cycle: Cycle) -> Fields:
+        """Give SCALED_IMU2."""
+        return telemetry.scaled_imu(cycle, self._mag_b)
+
+    def scaled_pressure(self, cycle: Cycle) -> Fields:
+        """Give SCALED_PRESSURE."""
+        return telemetry.scaled_pressure(cycle, self._config, self._baro[0])
+
+    def gps_raw_int(self, cycle: Cycle) -> Fields | None:
+        """Give GPS_RAW_INT of the newest fix; None: there is nothing to say."""
+        fix, habits = self._fix, self._habits
+        if fix is None:
+            return self._before_the_first(cycle) if habits.stray else None
+        if habits.is_fix_repeated:
+            is_lost = self._is_lost(cycle.flight_ns)
+            fix = fix._replace(
+                t_ns=fix.t_ns // 1_000_000 * 1_000_000, fix_type=0 if is_lost else fix.fix_type
+            )
+        fields = telemetry.gps_raw_int(self._config, fix)
+        if self._begin_ns is None or cycle.flight_ns - self._begin_ns < habits.utc_after * 1e9:
+            fields["time_usec"] = 0
+        return fields
+
+    def marker(self, cycle: Cycle) -> Fields | None:
+        """Give the GPS_RAW_INT that stands for a receiver that says nothing, once a second."""
+        if (
+            self._habits.is_fix_repeated
+            or not self._is_lost(cycle.flight_ns)
+            or cycle.flight_ns < self._next_marker_ns
+        ):
+            return None
+        self._next_marker_ns = cycle.flight_ns + _SECOND_NS
+        return telemetry.no_gps()
+
+    def _note(self, cycle: Cycle) -> None:
+        """Keep what is new of the slow sensors."""
+        if cycle.mag_b is not None:
+            self._mag_b = cycle.mag_b
+            self._updated |= MAGNETOMETER
+        if cycle.baro is not None:
+            self._baro = cycle.baro
+            self._updated |= BAROMETER
+            if self._ground_pressure is None:
+                self._ground_pressure = cycle.baro[0]
+        if self._fix_ns is None:
+            self._fix_ns = cycle.flight_ns
+        if cycle.fix is not None:
+            self._fix, self._fix_ns = cycle.fix, cycle.flight_ns
+            if self._begin_ns is None and cycle.fix.fix_type >= 3:
+                self._begin_ns = cycle.flight_ns
+
+    def _is_lost(self, now_ns: int) -> bool:
+        after = self._habits.no_gps_after
+        return bool(after) and self._fix_ns is not None and now_ns - self._fix_ns > after * 1e9
+
+    def _before_the_first(self, cycle: Cycle) -> Fields:
+        home = self._config.home
+        off = self._habits.stray / _METRES_PER_RADIAN
+        lat, lon = math.radians(home.lat) - off, math.radians(home.lon)
+        fix = Fix(cycle.t_ns // 1_000_000 * 1_000_000, lat, lon, home.alt, _ZERO, math.nan, 1)
+        return telemetry.gps_raw_int(self._config, fix)
+
+    def _corrected(self, cycle: Cycle) -> Cycle:
+        """Take off what the autopilot's own filter believes to be bias."""
+        if not self._habits.bias_step:
+            return cycle
+        if cycle.flight_ns >= self._next_step_ns:
+            self._next_step_ns = cycle.flight_ns + round(self._habits.bias_step * 1e9)
+            noise = self._steps.standard_normal((2, 3)) * np.array(_BIAS_NOISE)[:, None]
+            self._bias_gyro += _BIAS_GAIN * (cycle.gyro_bias_b - self._bias_gyro) + noise[0]
+            self._bias_accel += _BIAS_GAIN * (cycle.accel_bias_b - self._bias_accel) + noise[1]
+        return cycle._replace(
+            gyro_b=_minus(cycle.gyro_b, self._bias_gyro),
+            accel_b=_minus(cycle.accel_b, self._bias_accel),
+        )
+
+    def _averaged(self, cycle: Cycle) -> Cycle:
+        """Give the mean over the interval that ends here."""
+        if self._mean_every == 1:
+            return cycle
+        self._sum += [cycle.gyro_b, cycle.accel_b]
+        if (cycle.number + 1) % self._mean_every:
+            return cycle
+        gyro_b, accel_b = np.mean(self._sum[::2], axis=0), np.mean(self._sum[1::2], axis=0)
+        self._sum.clear()
+        return cycle._replace(gyro_b=_vector(gyro_b), accel_b=_vector(accel_b))
+
+    def _by_compass(self, cycle: Cycle) -> Cycle:
+        """Turn its own heading to magnetic north."""
+        roll, pitch, yaw = cycle.estimate.euler
+        magnetic = float(so3.wrap(yaw - self._declination))
+        return cycle._replace(estimate=cycle.estimate._replace(euler=(roll, pitch, magnetic)))
+
+    def _lateness_ns(self) -> int:
+        mean = self._habits.loop_jitter
+        if not mean:
+            return 0
+        return round(min(float(self._late.exponential(mean)), _LATEST) * 1e6) * 1000
+
+
+def _whole(rate: float, slower: float) -> int:
+    return max(1, round(rate / slower)) if slower else 1
+
+
+def _minus(vector: Vector, bias: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Vector:
+    x, y, z = vector
+    return x - bias.item(0), y - bias.item(1), z - bias.item(2)
+
+
+def _vector(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Vector:
+    x, y, z = values.tolist()
+    return x, y, z

@@ -1,0 +1,63 @@
+"""The parameter microservice of the fake autopilot: read, list and set."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+Send = Callable[..., None]
+_INT32, _REAL32 = 6, 9
+
+
+class ParameterServer:
+    """Parameters by name; kept over a reboot, as the real ones are."""
+
+    def __init__(self, values: dict[str, float], send: Send, *, is_bytewise: bool) -> None:
+        """Serve ``values``; ``is_bytewise``: as PX4 lays an integer where the float would be."""
+        self.values = values
+        self._send = send
+        self._is_bytewise = is_bytewise
+
+    def read(self, request: Any) -> None:
+        """Answer PARAM_REQUEST_READ, by index or by name; silence where there is none."""
+        names = list(self.values)
+        index = request.param_index
+        name = (
+            names[index] if 0 <= index < len(names) else request.param_id.decode("ascii", "replace")
+        )
+        if name in self.values:
+            self._tell(name)
+
+    def tell_all(self) -> None:
+        """Answer PARAM_REQUEST_LIST."""
+        for name in self.values:
+            self._tell(name)
+
+    def set(self, request: Any) -> bool:
+        """Take PARAM_SET, and say what holds then; give whether there is such a parameter."""
+        name = request.param_id.decode("ascii", "replace")
+        if name not in self.values:
+            return False
+        self.values[name] = self._decoded(request.param_value, request.param_type)
+        self._tell(name)
+        return True
+
+    def _tell(self, name: str) -> None:
+        value = self.values[name]
+        is_integer = float(value).is_integer()
+        if is_integer and self._is_bytewise:
+            value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
+        self._send(
+            "PARAM_VALUE",
+            param_id=name.encode(),
+            param_value=value,
+            param_type=_INT32 if is_integer else _REAL32,
+            param_count=len(self.values),
+            param_index=list(self.values).index(name),
+        )
+
+    def _decoded(self, value: float, param_type: int) -> float:
+        if param_type == _INT32 and self._is_bytewise:
+            return float(struct.unpack("<i", struct.pack("<f", value))[0])
+        return value

@@ -1,0 +1,97 @@
+"""The autopilot with everything that goes wrong around it: cycles and bytes in, bytes out.
+
+Times are on the world's clock, the one that flights are planned on; the autopilot's own may differ
+from it by what :mod:`sim_autopilot.faults.clock` does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sim_autopilot.autopilot import Autopilot, Kind, Received
+from sim_autopilot.faults.clock import Clock
+from sim_autopilot.faults.fault import Fault
+from sim_autopilot.faults.sensors import SensorFaults
+from sim_autopilot.faults.wire import Wire
+from sim_autopilot.flight import Cycle, Flight
+from sim_autopilot.personality import Personality
+
+
+class Rig:
+    """One autopilot, its sensors, its clock and both directions of its link."""
+
+    def __init__(
+        self,
+        flight: Flight,
+        *,
+        kind: Kind = Kind.PX4,
+        personality: Personality | None = None,
+        faults: Sequence[Fault] = (),
+        latency: float = 0.0,
+    ) -> None:
+        """Put it together.
+
+        Args:
+            flight: What is flown.
+            kind: Which autopilot it passes for, without traps.
+            personality: With its traps; goes before ``kind``.
+            faults: What goes wrong, counted from the start of the flight.
+            latency: Of the link, each way, s.
+        """
+        zero_ns = flight.first_ns - flight.period_ns
+        self.autopilot = Autopilot(
+            flight.config,
+            kind,
+            is_wing=flight.scenario.is_wing,
+            personality=personality,
+            seed=flight.seed,
+        )
+        self.clock = Clock(faults, zero_ns)
+        self._sensors = SensorFaults(faults, zero_ns)
+        self._out = Wire(faults, flight.seed, zero_ns, "out", latency)
+        self._in = Wire(faults, flight.seed, zero_ns, "in", latency)
+        self._heard: list[Received] = []
+
+    def cycle(self, cycle: Cycle) -> None:
+        """Take one turn of the autopilot's loop."""
+        now_ns = cycle.flight_ns
+        self._advance(now_ns)
+        cycle = self._sensors.apply(cycle)
+        if self.clock.boot(now_ns) > self.autopilot.reboots:
+            self.autopilot.reboot()
+        if self.clock.is_silent(now_ns):
+            return
+        fix = cycle.fix
+        if fix is not None:
+            fix = fix._replace(t_ns=self.clock.shown_ns(fix.t_ns))
+        self.autopilot.cycle(cycle._replace(t_ns=self.clock.shown_ns(now_ns), fix=fix))
+        self._send(self.autopilot.turn_ns)
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Take bytes that the companion sent at a time."""
+        self._in.push(now_ns, data)
+        self._advance(now_ns)
+
+    def pop(self, now_ns: int) -> tuple[int, bytes] | None:
+        """Give the next frame that has reached the companion by a time, and when it did."""
+        self._advance(now_ns)
+        return self._out.pop(now_ns)
+
+    def heard(self) -> list[Received]:
+        """Give the messages that reached the autopilot since then, with the world's time."""
+        messages, self._heard = self._heard, []
+        return messages
+
+    def _advance(self, now_ns: int) -> None:
+        """Let the autopilot have what has come by now."""
+        while (item := self._in.pop(now_ns)) is not None:
+            at_ns, data = item
+            if self.clock.boot(at_ns) > self.autopilot.reboots or self.clock.is_silent(at_ns):
+                continue
+            self.autopilot.receive(data, self.clock.shown_ns(at_ns))
+            self._heard += [one._replace(now_ns=at_ns) for one in self.autopilot.received()]
+            self._send(at_ns)
+
+    def _send(self, now_ns: int) -> None:
+        for frame in self.autopilot.data_to_send():
+            self._out.push(now_ns, frame)

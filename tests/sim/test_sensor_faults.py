@@ -1,0 +1,126 @@
+import functools
+import math
+
+import numpy as np
+import pytest
+
+from ekf_companion.nav.earth import LocalFrame
+from sim_autopilot.config import SimConfig
+from sim_autopilot.faults.fault import KINDS, Layer, parse
+from sim_autopilot.faults.sensors import SensorFaults
+from sim_autopilot.flight import Flight
+
+WHEN = "start=2,duration=3"
+INSIDE = range(499, 1249)
+"""Cycles of the fault: those whose time is in [2, 5) s."""
+
+
+@functools.cache
+def flight():
+    return Flight.plan("figure-eight", SimConfig(), duration=8.0, skip=15.0)
+
+
+@functools.cache
+def right():
+    return list(flight().cycles())
+
+
+@functools.cache
+def faulty(*texts):
+    faults = SensorFaults([parse(text) for text in texts], flight().first_ns - flight().period_ns)
+    return [faults.apply(cycle) for cycle in right()]
+
+
+def offsets(text):
+    """Give fix by fix how far it was moved: time, north, east, down."""
+    home = SimConfig().home
+    frame = LocalFrame(math.radians(home.lat), math.radians(home.lon), home.alt)
+    rows = []
+    for was, now in zip(right(), faulty(text), strict=True):
+        if was.fix is not None and now.fix is not None:
+            ned = [
+                frame.to_ned(*(np.array([value]) for value in (fix.lat, fix.lon, fix.alt)))[0]
+                for fix in (was.fix, now.fix)
+            ]
+            rows.append(((was.number + 1) * 0.004, *(ned[1] - ned[0])))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("kind", [k for k, v in KINDS.items() if v.layer is Layer.SENSOR])
+def test_a_fault_leaves_alone_what_is_before_and_after_it_and_changes_what_is_inside(kind):
+    differing = [
+        was.number for was, now in zip(right(), faulty(f"{kind}:{WHEN}"), strict=True) if was != now
+    ]
+    assert differing
+    assert set(differing) <= set(INSIDE)
+
+
+def test_an_outage_is_silent_or_says_so():
+    assert all(faulty(f"gnss-outage:{WHEN}")[k].fix is None for k in INSIDE)
+    said = [faulty(f"gnss-outage:{WHEN},how=nofix")[k].fix for k in INSIDE]
+    were = [right()[k].fix for k in INSIDE]
+    for fix, was in zip(said, were, strict=True):
+        assert fix == (None if was is None else was._replace(fix_type=0))
+
+
+def test_a_jump_moves_the_fixes_by_metres():
+    rows = offsets(f"gnss-jump:{WHEN},north=-3,east=50,down=2")
+    moved = rows[(rows[:, 0] >= 2) & (rows[:, 0] < 5)]
+    np.testing.assert_allclose(moved[:, 1:], [[-3, 50, 2]] * len(moved), atol=0.01)
+
+
+def test_a_drag_grows_with_time_and_its_velocity_agrees():
+    text = f"gnss-drag:{WHEN},speed=2,course=180"
+    rows = offsets(text)
+    moved = rows[(rows[:, 0] >= 2) & (rows[:, 0] < 5)]
+    np.testing.assert_allclose(moved[:, 1], -2 * (moved[:, 0] - 2), atol=0.01)
+    for k in INSIDE:
+        was, now = right()[k].fix, faulty(text)[k].fix
+        if was is not None and now is not None:
+            assert now.vel_n == pytest.approx((was.vel_n[0] - 2, was.vel_n[1], was.vel_n[2]))
+
+
+def test_a_frozen_fix_goes_on_in_time_or_not():
+    last = [c.fix for c in right()[:499] if c.fix is not None][-1]
+    for time in ("advancing", "same"):
+        text = f"gnss-frozen:{WHEN},time={time}"
+        fixes = [faulty(text)[k].fix for k in INSIDE if right()[k].fix is not None]
+        assert len(fixes) == 15
+        assert {fix._replace(t_ns=0) for fix in fixes} == {last._replace(t_ns=0)}
+        assert len({fix.t_ns for fix in fixes}) == (15 if time == "advancing" else 1)
+
+
+def test_saturation_ends_the_scale():
+    clipped = [faulty(f"imu-saturation:{WHEN},gyro=0.2,accel=9")[k] for k in INSIDE]
+    gyro, accel = (np.array([getattr(c, n) for c in clipped]) for n in ("gyro_b", "accel_b"))
+    assert np.abs(gyro).max() == 0.2
+    assert np.abs(accel).max() == 9.0
+
+
+def test_stuck_samples_repeat_the_last_right_one():
+    found = {(c.gyro_b, c.accel_b) for c in (faulty(f"imu-stuck:{WHEN}")[k] for k in INSIDE)}
+    assert found == {(right()[498].gyro_b, right()[498].accel_b)}
+
+
+def test_samples_can_be_no_numbers_or_none_at_all():
+    for k in INSIDE:
+        assert all(map(math.isnan, faulty(f"imu-nan:{WHEN}")[k].gyro_b))
+        assert all(map(math.isnan, faulty(f"imu-nan:{WHEN}")[k].accel_b))
+        assert not faulty(f"imu-gap:{WHEN}")[k].has_imu
+
+
+def test_the_field_and_the_pressure_are_shifted():
+    fields = [(right()[k].mag_b, faulty(f"mag-disturbance:{WHEN}")[k].mag_b) for k in INSIDE]
+    for was, now in fields:
+        if was is not None:
+            assert now == pytest.approx((was[0] + 0.3, was[1], was[2]))
+    steps = [(right()[k].baro, faulty(f"baro-step:{WHEN}")[k].baro) for k in INSIDE]
+    for was, now in steps:
+        if was is not None:
+            assert now[1] == was[1] + 20.0
+            assert was[0] - now[0] == pytest.approx(2.25, abs=0.1)  # hPa in 20 m at 500 m
+
+
+def test_faults_can_overlap():
+    both = faulty(f"imu-nan:{WHEN}", f"gnss-outage:{WHEN}")
+    assert all(math.isnan(both[k].gyro_b[0]) and both[k].fix is None for k in INSIDE)
