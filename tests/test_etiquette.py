@@ -1,6 +1,7 @@
 """How the companion behaves on the link, in flights of the simulated autopilot."""
 
 import itertools
+import logging
 
 import pytest
 
@@ -9,9 +10,12 @@ from ekf_companion.config import Config, OdometryConfig, OutputConfig
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.layout import IDS, LAYOUTS
+from ekf_companion.nav.state import Status
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
+from sim_autopilot.firmware import parse
 from sim_autopilot.flight import Flight
+from sim_autopilot.loop import Bench
 from tests.test_companion import named
 
 ALLOWED = {
@@ -229,3 +233,17 @@ def test_rule_7_a_switch_of_the_inertial_source_counts_as_a_reset_and_is_told():
     after = named("ODOMETRY", part)
     assert after[-1].reset_counter > before
     assert "Companion: IMU is RAW_IMU, was HIGHRES_IMU" in "".join(texts(part))
+
+
+def test_rule_7_an_ardupilot_with_a_slow_loop_is_asked_for_less_until_it_grants_it(caplog):
+    """A Plane's loop of 50 Hz: 40 Hz at the most, and nobody says so."""
+    caplog.set_level(logging.INFO)
+    personality = parse("ardupilot-old:loop_rate=50")
+    flight = Flight.plan("figure-eight", personality.suited(SimConfig()), duration=15.0)
+    companion = Companion(Config())
+    Bench(flight, companion, personality=personality).run()
+    assert companion.session.results["HIGHRES_IMU"] == "denied"
+    assert companion.session.requests.asked("RAW_IMU") == 40.0
+    assert companion.pipeline.health().status is Status.OK
+    words = "RAW_IMU is granted at 40 Hz, and 250 were asked for: raise SCHED_LOOP_RATE"
+    assert caplog.text.count(words) == 1

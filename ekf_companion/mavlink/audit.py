@@ -72,13 +72,12 @@ class Audit(Service):
             self._judge(now_ns)
 
     def _judge(self, now_ns: int) -> None:
-        asked = self._requests.rates
         inertial = max((self.rates.get(name, 0.0) for name in INERTIAL), default=0.0)
         name = "RAW_IMU" if "RAW_IMU" in self._requests.results else "HIGHRES_IMU"
-        wanted = asked.get("HIGHRES_IMU", 0.0)
+        wanted = self._requests.asked(name)
         if wanted > 0.0:
             self._see_to(name, wanted, inertial, inertial < _SHARE * wanted, now_ns)
-        if (wanted := asked.get(_GNSS, 0.0)) > 0.0:
+        if (wanted := self._requests.asked(_GNSS)) > 0.0:
             # Its rate is the receiver's affair; only silence is ours
             fixes = self.rates.get(_GNSS, 0.0)
             self._see_to(_GNSS, wanted, fixes, fixes == 0.0, now_ns)

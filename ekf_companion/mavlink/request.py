@@ -10,7 +10,7 @@ from typing import Any
 
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.event import Answered, Emit, PeerFound, Versioned
+from ekf_companion.mavlink.event import Answered, Emit, Noted, PeerFound, Versioned
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.layout import IDS
 from ekf_companion.mavlink.outbox import Outbox
@@ -41,6 +41,12 @@ _GROUPS: Mapping[str, int] = MappingProxyType(
 """MAV_DATA_STREAM of each message, as an ArduPilot from before SET_MESSAGE_INTERVAL knows it."""
 
 
+_INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
+_STEPS = (100.0, 50.0, 40.0, 25.0, 10.0)
+"""Hz; an ArduPilot denies more than 0.8 of its loop's rate, and does not say what that is."""
+_NO_ANSWER = "no answer"
+
+
 @dataclass(slots=True)
 class _Request:
     """One command: SET_MESSAGE_INTERVAL, or REQUEST_MESSAGE where there is no rate."""
@@ -64,6 +70,7 @@ class Requests(Service):
         """The last answer to the request for each message."""
         self.rates = rates
         """What is asked for, Hz."""
+        self._granted: dict[str, float] = {}
         self.version = ""
         """Of the autopilot's firmware, as in ``1.16.0``; empty: not told."""
         self._outbox = outbox
@@ -76,6 +83,7 @@ class Requests(Service):
         """Ask for everything."""
         self._peer = peer
         self.results.clear()
+        self._granted.clear()
         self._wanted = deque(_Request(name, rate) for name, rate in self.rates.items())
         if self._wanted:
             self._wanted.append(_Request("AUTOPILOT_VERSION", None))
@@ -88,6 +96,7 @@ class Requests(Service):
         """Ask for other rates from now on, Hz, by message."""
         changed = [name for name in rates if rates[name] != self.rates.get(name)]
         self.rates = rates
+        self._granted.clear()
         if self._peer is not None:
             for name in changed:
                 is_refused = name == "HIGHRES_IMU" and "RAW_IMU" in self.results
@@ -101,7 +110,11 @@ class Requests(Service):
     def ask_again(self, name: str) -> None:
         """Ask once more for a message that ought to come at its rate."""
         if all(request.name != name for request in self._wanted):
-            self._wanted.append(_Request(name, self._rate(name)))
+            self._wanted.append(_Request(name, self.asked(name)))
+
+    def asked(self, name: str) -> float:
+        """Give the rate that is expected of a message, Hz: what was granted, else what we want."""
+        return self._granted.get(name, self._rate(name))
 
     def tick(self, now_ns: int) -> None:
         """Send the request that is first in line, again where its time is over."""
@@ -110,7 +123,7 @@ class Requests(Service):
             if request.sent and now_ns < request.deadline_ns:
                 return
             if request.sent == _TRIES:
-                self._settle("no answer")
+                self._settle(_NO_ANSWER)
                 continue
             self._send(request, self._peer, now_ns)
             return
@@ -176,6 +189,22 @@ class Requests(Service):
             self.results[request.name] = result
             self._emit(Answered(request.name, result))
         self._has_fallen_back = False
-        is_ardupilot = self._peer is not None and self._peer.family is Family.ARDUPILOT
-        if request.name == "HIGHRES_IMU" and result != ACCEPTED and is_ardupilot:
-            self._wanted.appendleft(_Request("RAW_IMU", request.rate))
+        if request.name in _INERTIAL and self._peer and self._peer.family is Family.ARDUPILOT:
+            self._settle_inertial(request.name, request.rate, result)
+
+    def _settle_inertial(self, name: str, rate: float, result: str) -> None:
+        """Ask an ArduPilot for the coarser message where it refuses the finer, then for less."""
+        lower = [step for step in _STEPS if step < rate]
+        if result == ACCEPTED:
+            self._granted[name] = rate
+            if rate < self._rate(name):
+                self._emit(
+                    Noted(
+                        f"{name} is granted at {rate:g} Hz, and {self._rate(name):g} were asked "
+                        "for: raise SCHED_LOOP_RATE, of which 0.8 is the most"
+                    )
+                )
+        elif name == "HIGHRES_IMU":
+            self._wanted.appendleft(_Request("RAW_IMU", rate))
+        elif result != _NO_ANSWER and lower:
+            self._wanted.appendleft(_Request("HIGHRES_IMU", lower[0]))
