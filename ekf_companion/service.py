@@ -34,7 +34,9 @@ else:
 _log = logging.getLogger(__name__)
 
 TICK = 0.1
-"""Seconds between two looks at what time brings."""
+"""Seconds between two looks at what time brings while nothing comes."""
+LEAST_NS = 20_000_000
+"""Between two looks while much comes."""
 LAST_WORDS = 0.1
 """Seconds for the last message to leave a serial port, whose closing throws away what waits."""
 
@@ -96,6 +98,7 @@ class Daemon:
             LinkError: The link's URL names no link.
             ConfigError: The recording or the checkpoints have no place, or the key none may use.
         """
+        self._due_ns = 0
         self.reloads = 0
         """How often the configuration was read again."""
         self.last_reload = ""
@@ -155,7 +158,10 @@ class Daemon:
                 peers.pin(sender, now_ns)
             elif session.admission.admitted != admitted:
                 peers.answer(sender)
-        self._do_what_is_due(now_ns)
+        if now_ns >= self._due_ns:
+            self._do_what_is_due(now_ns)
+        else:
+            self._send(now_ns)
 
     async def tick(self) -> None:
         """Keep time while nothing comes."""
@@ -195,8 +201,9 @@ class Daemon:
     def say_goodbye(self) -> None:
         """Send the last heartbeat, when nothing else can be said any more."""
         self._systemd.tell("STOPPING=1")
-        self._companion.close(unix_clock())
-        self._send()
+        now_ns = unix_clock()
+        self._companion.close(now_ns)
+        self._send(now_ns)
         self._keep()
 
     def _greet(self, is_open: bool) -> None:
@@ -205,22 +212,23 @@ class Daemon:
             self._do_what_is_due(unix_clock())
 
     def _do_what_is_due(self, now_ns: int) -> None:
+        self._due_ns = now_ns + LEAST_NS
         companion = self._companion
         if self.link.opened:
             companion.tick(now_ns)
-            self._send()
-        self._observer.beat(now_ns)
+        self._send(now_ns)
         if self._keeper is not None and self._keeper.is_due(now_ns, companion.resets):
             self._keep()
         if self._keyring is not None:
             self._keyring.keep(now_ns)
         self._systemd.beat(now_ns)
 
-    def _send(self) -> None:
+    def _send(self, now_ns: int) -> None:
         for frame in self._companion.data_to_send():
             self.link.send(frame)
         if self._recorder is not None:
             self._recorder.write(self._companion.session.take_record())
+        self._observer.beat(now_ns)
 
     def _recorded(self) -> tuple[int, int]:
         """Give the bytes that were recorded, and those that should have been."""
