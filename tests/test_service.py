@@ -82,6 +82,10 @@ class Daemon:
     def wait(self):
         return self._process.wait(20.0)
 
+    def hang_up(self):
+        """Ask it to read its configuration again."""
+        self._process.send_signal(signal.SIGHUP)
+
     def stop(self, number=signal.SIGTERM):
         """Ask it to end; give its exit code and how long that took, s."""
         begin = time.monotonic()
