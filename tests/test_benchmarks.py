@@ -66,7 +66,9 @@ def test_the_reference_keeps_a_covariance():
 
 
 def test_the_daemon_answers_what_the_benchmark_sends():
-    results = {result.name: result for result in daemon.measure(duration=1.0, starts=1)}
+    results = {
+        result.name: result for result in daemon.measure(duration=1.0, starts=1, sustained=1.0)
+    }
 
     assert results["samples answered by an ODOMETRY"].value > 50.0
     assert results["daemon's resident memory, largest"].value > 1.0
