@@ -36,6 +36,9 @@ class Arrival(IntEnum):
     """The newest inertial sample: there is an estimate for its stamp."""
 
 
+_ARRIVALS = tuple(Arrival)
+
+
 class Verdict(IntEnum):
     """What became of an aid when the filter came to it."""
 
@@ -155,7 +158,7 @@ class Pipeline:
         t_ns, kind, values = self._field.complete(row)
 
         # Refuse what no sensor can say, put the rest in its place in time, redo what came after
-        return Arrival(self._timeline.insert(t_ns, kind, values))
+        return _ARRIVALS[self._timeline.insert(t_ns, kind, values)]
 
     def run(self, events: Events) -> Table:
         """Take a whole recording by the same steps, and give an estimate per inertial sample."""

@@ -19,6 +19,9 @@ LAT, LON, DECLINATION, FLAGS, FIELD = 0, 1, 9, 10, 11
 """Where a GNSS row holds them (nav.measurements.GnssFix.row)."""
 
 
+_IMU = int(Kind.IMU)
+
+
 class Field:
     """Completes measurements by what is known of magnetism before any filter sees them."""
 
@@ -30,6 +33,8 @@ class Field:
     def complete(self, row: Row) -> Row:
         """Give a fix the field of its place, and take the vehicle's own off a magnetometer's."""
         t_ns, kind, values = row
+        if kind == _IMU:
+            return row
         if kind == Kind.MAG and self._has_iron:
             return t_ns, kind, (*self._bare(*values[:3]), *values[3:])
         if kind != Kind.GNSS or not math.isnan(values[DECLINATION]):

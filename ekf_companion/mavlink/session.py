@@ -248,6 +248,8 @@ class Session:
 
     def events(self) -> list[Event]:
         """Give what has happened, and forget it."""
+        if not self._events:
+            return []
         events = self._events[:]
         self._events.clear()  # the services hold on to the list
         return events
