@@ -23,6 +23,8 @@ class Verdict:
     """Whether a human should look."""
     is_fused: bool = False
     """Whether the autopilot fuses what is streamed: what it then says of itself is partly ours."""
+    is_double: bool = False
+    """Whether the autopilot would fuse it together with the GNSS that is in it."""
     is_settled: bool = True
     """Whether all that decides has been answered, or asked for in vain."""
 
@@ -41,7 +43,9 @@ def streamed(reason: str, text: str, read: Mapping[str, float]) -> Verdict:
     )
 
 
-def withheld(reason: str, remedy: str, text: str, read: Mapping[str, float]) -> Verdict:
+def withheld(
+    reason: str, remedy: str, text: str, read: Mapping[str, float], *, is_double: bool = False
+) -> Verdict:
     """Keep it back; a human should look where something can be done."""
     return Verdict(
         is_streaming=False,
@@ -50,4 +54,5 @@ def withheld(reason: str, remedy: str, text: str, read: Mapping[str, float]) -> 
         text=text,
         parameters=read,
         is_warning=bool(remedy),
+        is_double=is_double,
     )

@@ -58,7 +58,7 @@ def test_a_flying_autopilot_is_found_well_and_sooner_than_the_seconds_given():
     assert report["autopilot"]["version"] == "1.16.0"
     assert {stage["verdict"] for stage in stages.values()} == {"ok"}, stages
     assert code == 0
-    assert "EKF2_EV_CTRL = 0" in stages["fused"]["saw"]
+    assert "EKF2_EV_CTRL is 0" in stages["fused"]["saw"]
 
 
 def test_a_guarded_link_is_found_over_a_socket(tmp_path):
@@ -80,7 +80,7 @@ def test_a_guarded_link_is_found_over_a_socket(tmp_path):
         flying.wait()
     assert code == 5
     assert first_trouble(stages)["stage"] == "sent"
-    assert "EKF2_GPS_CTRL = 0" in stages["sent"]["troubles"][0]["remedy"]
+    assert "Set EKF2_GPS_CTRL to 0" in stages["sent"]["troubles"][0]["remedy"]
     # The autopilot's own record: asked it was, and got nothing that it could fuse
     heard = [(f.component_id, f.message_id) for f in Splitter().feed(record.read_bytes())]
     assert (194, IDS["PARAM_REQUEST_READ"]) in heard
