@@ -29,8 +29,8 @@ _LEAST = 6.0
 """Seconds at least before all being well is believed: requests, parameters, TIMESYNC, alignment."""
 _STEADY = 2.0
 """Seconds for which it must have been well."""
-_HOPELESS = 1.0
-"""Seconds after which a link that does not open is given up."""
+_HOPELESS = 0.6
+"""Seconds after which a link that does not open is given up: it has been tried twice."""
 _RECORDS = 4096
 
 

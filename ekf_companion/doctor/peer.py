@@ -5,18 +5,23 @@ from __future__ import annotations
 from ekf_companion.doctor.evidence import Evidence, Means, Source
 from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, warning
 from ekf_companion.mavlink import admission, signing
+from ekf_companion.mavlink.audit import INERTIAL
 
 _GROUND_STATION = 6
 _KINDS = {3: "ArduPilot", 12: "PX4"}
-INERTIAL = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
 NORTH = ("ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD")
 
 
 def source(evidence: Evidence) -> Finding:
     """Judge whose heartbeats there are, and which autopilot is listened to."""
     pilots = [source for source in evidence.sources if source.is_autopilot]
-    saw = "; ".join(_describe(source) for source in evidence.sources if source.heartbeats)
+    saw = "; ".join(
+        _describe(source) + ("" if _is_let_in(evidence, source) else ", refused")
+        for source in evidence.sources
+        if source.heartbeats
+    )
     link = evidence.config.link
+    rivals = {pilot.system_id for pilot in pilots if _is_let_in(evidence, pilot)}
     if evidence.peer is None:
         trouble = _nobody(evidence, pilots)
         return found(Stage.SOURCE, saw or f"no heartbeat in {evidence.seconds:.0f} s", [trouble])
@@ -44,7 +49,7 @@ def source(evidence: Evidence) -> Finding:
                 f"{evidence.peer.system_id}, is listened to.",
                 f"Set link.autopilot = {evidence.peer.system_id}, or that of the right one.",
             )
-            if link.autopilot is None and len({pilot.system_id for pilot in pilots}) > 1
+            if link.autopilot is None and len(rivals) > 1
             else None,
         ],
     )
@@ -56,6 +61,16 @@ def _describe(source: Source) -> str:
     else:
         what = "ground station" if source.type == _GROUND_STATION else "no autopilot"
     return f"{source.system_id}/{source.component_id} {what}"
+
+
+def _is_let_in(evidence: Evidence, source: Source) -> bool:
+    link, wanted = evidence.config.link, evidence.config.signing
+    must_sign = wanted.key_file and not wanted.accept_unsigned
+    return (
+        (not link.allow_systems or source.system_id in link.allow_systems)
+        and (not link.allow_components or source.component_id in link.allow_components)
+        and (not must_sign or source.signed > 0 or evidence.means is Means.RECORDING)
+    )
 
 
 def _nobody(evidence: Evidence, pilots: list[Source]) -> Trouble:

@@ -11,7 +11,7 @@ from statistics import median
 from ekf_companion.bulletin import DECIMATED
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
-from ekf_companion.doctor.peer import INERTIAL
+from ekf_companion.mavlink.audit import INERTIAL
 from ekf_companion.snapshot import MessageState
 
 SLOWEST = 25.0
