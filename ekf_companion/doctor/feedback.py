@@ -143,7 +143,7 @@ def _double(evidence: Evidence) -> Trouble | None:
         return None
     say, taken = failed if evidence.sent.count else warning, evidence.taken
     return say(
-        f"The same GNSS would count twice: {taken.reason}.",
+        f"The same GNSS would count twice, for {taken.reason}.",
         f"{_sentence(taken.remedy)}{_own_sensors(evidence)}",
     )
 

@@ -9,7 +9,9 @@ from ekf_companion.config import Config, LinkConfig, OdometryConfig, OutputConfi
 from ekf_companion.doctor.diagnosis import diagnose, first_failure
 from ekf_companion.doctor.evidence import Means
 from ekf_companion.doctor.finding import Mark
+from ekf_companion.mavlink.audit import probable_cause
 from ekf_companion.mavlink.codec import Sender, pack
+from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.signing import Signing
 from sim_autopilot.autopilot import Kind
@@ -224,9 +226,18 @@ def at_4_hz(autopilot_rate=100):
     )
 
 
+def by_the_daemon(evidence):
+    """Give the cause that the daemon would log of the same rates."""
+    measured = {name: state.rate for name, state in evidence.messages.items()}
+    asked = {name: state.asked for name, state in evidence.messages.items()}
+    return probable_cause(measured, asked, Family(evidence.peer.family))
+
+
 def test_all_streams_at_4_hz_are_a_ground_stations():
     """Rule 6."""
-    found = stage(examine(kind=Kind.ARDUPILOT, config=SLOW, change=at_4_hz()), "rates")
+    evidence = examine(kind=Kind.ARDUPILOT, config=SLOW, change=at_4_hz())
+    found = stage(evidence, "rates")
+    assert "a ground station sets" in by_the_daemon(evidence)
     assert found.mark is Mark.FAILED
     assert "a ground station sets them" in words(found)
     assert "SERIALn_OPTIONS + 4096" in words(found)
@@ -234,7 +245,9 @@ def test_all_streams_at_4_hz_are_a_ground_stations():
 
 def test_40_hz_is_the_most_of_a_loop_of_50():
     sim = simulated(rate=40.0, parameters={"SCHED_LOOP_RATE": 50})
-    found = stage(examine(sim, Kind.ARDUPILOT, config=SLOW), "rates")
+    evidence = examine(sim, Kind.ARDUPILOT, config=SLOW)
+    assert "raise SCHED_LOOP_RATE" in by_the_daemon(evidence)
+    found = stage(evidence, "rates")
     assert found.mark is Mark.WARNING
     assert "0.8 of SCHED_LOOP_RATE = 50" in words(found)
     assert "SCHED_LOOP_RATE = 150" in words(found)
@@ -256,7 +269,9 @@ def test_streams_scaled_by_one_factor_are_the_links_budget():
         HIGHRES_IMU=3, ATTITUDE=3, GLOBAL_POSITION_INT=3, EXTENDED_SYS_STATE=3, SYSTEM_TIME=3
     )
     config = Config(link=LinkConfig(imu_rate=100.0, heading_rate=20.0))
-    found = stage(examine(sim, config=config, change=scaled), "rates")
+    evidence = examine(sim, config=config, change=scaled)
+    assert "so the link is full; raise MAV_n_RATE" in by_the_daemon(evidence)
+    found = stage(evidence, "rates")
     assert found.mark is Mark.WARNING
     assert "the link's budget is spent" in words(found)
     assert "MAV_0_RATE = 1200 now" in words(found)
