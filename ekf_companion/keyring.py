@@ -5,6 +5,7 @@ The secret stands in no log, no status and no complaint: only the name of its fi
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import stat
@@ -12,13 +13,15 @@ from pathlib import Path
 
 from ekf_companion.config import Config
 from ekf_companion.errors import ConfigError
-from ekf_companion.keeper import Slot
+from ekf_companion.keeper import LARGEST, Slot
 from ekf_companion.mavlink.signing import KEY_SIZE, Signing
 
 INTERVAL_NS = 1_000_000_000
 """Between two times kept; what a crash loses, the margin of the next start makes good."""
 SUFFIX = ".signing"
 """Behind the checkpoint's name."""
+BORROWED_LINK = 1
+"""Link id of who signs beside or after the daemon, whose own is 0."""
 CREDENTIALS = "CREDENTIALS_DIRECTORY"
 """Where systemd puts what LoadCredential= names."""
 _HEX = re.compile(rb"[0-9A-Fa-f]{%d}\n?" % (2 * KEY_SIZE))
@@ -66,6 +69,26 @@ def open_keyring(config: Config) -> Keyring | None:
     file = config.checkpoint.file
     slot = None if not file else Slot(Path(file + SUFFIX), "a restart would sign from the clock")
     return Keyring(signing, slot)
+
+
+def borrow_signing(config: Config) -> Signing | None:
+    """Read the secret and the times that the daemon keeps, of which nothing is written.
+
+    What is signed with it is a stream of its own, of another link id than the daemon's: neither
+    makes the other's frames old. What the autopilot says meanwhile is forgotten, as is what it
+    says while no daemon runs: its next frame is newer than all of that.
+
+    Raises:
+        ConfigError: The file holds no secret, or others may read it.
+    """
+    if not config.signing.key_file:
+        return None
+    signing = Signing(read_key(config.signing.key_file), link_id=BORROWED_LINK)
+    if config.checkpoint.file:
+        # Without them it begins from the clock
+        with contextlib.suppress(OSError), Path(config.checkpoint.file + SUFFIX).open("rb") as file:
+            signing.restore(file.read(LARGEST))
+    return signing
 
 
 def read_key(name: str) -> bytes:

@@ -15,31 +15,20 @@ from itertools import accumulate
 
 from ekf_companion.board import Board
 from ekf_companion.companion import Companion
-from ekf_companion.config import Config
 from ekf_companion.link import Link
 from ekf_companion.mavlink.layout import IDS
-from ekf_companion.nav.measurements import Kind
 from ekf_companion.parts import (
     age,
     asked_rates,
-    firmware,
     frames,
-    guard_state,
-    heartbeat_ns,
+    link_state,
+    output_state,
     part,
-    refused_datagrams,
+    peer_state,
     sent_by_name,
     time_state,
 )
-from ekf_companion.pipeline import Health
-from ekf_companion.snapshot import (
-    LinkState,
-    MessageState,
-    OutputState,
-    PeerState,
-    ProcessState,
-    Snapshot,
-)
+from ekf_companion.snapshot import MessageState, OutputState, ProcessState, Snapshot
 from ekf_companion.version import __version__
 
 _SECOND_NS = 1_000_000_000
@@ -93,7 +82,6 @@ class Observer:
 
     def __init__(
         self,
-        config: Config,
         link: Link,
         companion: Companion,
         clock: Callable[[], int],
@@ -102,14 +90,13 @@ class Observer:
         """Begin to watch.
 
         Args:
-            config: What was asked for.
             link: The bytes.
             companion: All that is made of them.
             clock: That of the link's stamps, ns: unix time that never steps.
             recorded: Gives the bytes that were recorded, and those that should have been.
         """
         self.latency = Latency()
-        self._config, self._link, self._companion = config, link, companion
+        self._link, self._companion = link, companion
         self._clock, self._recorded = clock, recorded
         self._sent = sent_by_name(companion.session)
         self._odometries = 0
@@ -183,9 +170,9 @@ class Observer:
         counters = session.counters()
         return Snapshot(
             unix_ns=now_ns,
-            link=self._link_state(now_ns),
+            link=link_state(self._link, age(self._heard_ns, now_ns)),
             frames=frames(counters),
-            peer=self._peer_state(health, now_ns),
+            peer=None if self._peer is None else peer_state(self._companion, self._peer, now_ns),
             messages=self._messages(now_ns),
             refused=part(counters, "refused: "),
             time=time_state(session.timesync, session.decoder, now_ns),
@@ -201,36 +188,6 @@ class Observer:
         if not self._looks:
             return None, 0.0
         return self._looks[0], (now_ns - self._looks[0].now_ns) * 1e-9
-
-    def _link_state(self, now_ns: int) -> LinkState:
-        link = self._link
-        return LinkState(
-            url=str(link.address),
-            is_open=link.is_open,
-            opened=link.opened,
-            bytes_in=link.bytes_in,
-            bytes_out=link.bytes_out,
-            dropped=link.dropped,
-            unsent=link.unsent,
-            silent_s=age(self._heard_ns, now_ns),
-            refused=refused_datagrams(link),
-        )
-
-    def _peer_state(self, health: Health | None, now_ns: int) -> PeerState | None:
-        if self._peer is None:
-            return None
-        session = self._companion.session
-        restarts = {} if health is None else health.arrivals[Kind.RESTART]
-        return PeerState(
-            system_id=self._peer[0],
-            component_id=self._peer[1],
-            family=session.decoder.family.value,
-            version=firmware(session),
-            is_heard=session.peer is not None,
-            silent_s=age(heartbeat_ns(session), now_ns),
-            is_armed=session.decoder.is_armed,
-            reboots=sum(restarts.values()),
-        )
 
     def _messages(self, now_ns: int) -> dict[str, MessageState]:
         session, (first, seconds) = self._companion.session, self._span(now_ns)
@@ -250,16 +207,7 @@ class Observer:
     def _output(self, now_ns: int) -> OutputState:
         first, _ = self._span(now_ns)
         before = 0 if first is None else first.odometries
-        mode, guard = self._config.output.odometry.mode, guard_state(self._companion)
-        return OutputState(
-            mode=mode,
-            is_streaming=self._sent.get(_ODOMETRY, 0) > before,
-            reason=guard.reason,
-            remedy=guard.remedy,
-            parameters=guard.parameters,
-            sent=dict(self._sent),
-            withheld=guard.withheld,
-        )
+        return output_state(self._companion, is_streaming=self._sent.get(_ODOMETRY, 0) > before)
 
     def _process(self, board: Board, now_ns: int) -> ProcessState:
         first, seconds = self._span(now_ns)

@@ -1,62 +1,71 @@
 """What each part of the daemon has to tell, in the words of the Snapshot.
 
-Each function is the one place where its part is asked; what no part keeps yet is told as unknown.
+Each function is the one place where its part is asked, for the status and for the doctor.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 from ekf_companion.companion import Companion
 from ekf_companion.link import Link
 from ekf_companion.mavlink.clock import Timesync
 from ekf_companion.mavlink.decode import Decoder
 from ekf_companion.mavlink.session import Session
-from ekf_companion.snapshot import FrameState, TimeState
+from ekf_companion.nav.measurements import Kind
+from ekf_companion.snapshot import FrameState, LinkState, OutputState, PeerState, TimeState
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GuardState:
-    """Whether the estimate is sent, and why."""
-
-    reason: str = ""
-    remedy: str = ""
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    withheld: int = 0
-
-
-def guard_state(companion: Companion) -> GuardState:
-    """Give the guard's verdict on sending ODOMETRY."""
-    session = companion.session
-    verdict = session.guard.verdict
-    return GuardState(
-        reason=verdict.reason,
-        remedy=verdict.remedy,
-        parameters=verdict.parameters,
-        withheld=session.outbox.withheld["ODOMETRY"],
+def link_state(link: Link, silent_s: float = math.nan) -> LinkState:
+    """Give the descriptor and its bytes; the last of them came so many seconds ago."""
+    return LinkState(
+        url=str(link.address),
+        is_open=link.is_open,
+        opened=link.opened,
+        bytes_in=link.bytes_in,
+        bytes_out=link.bytes_out,
+        dropped=link.dropped,
+        unsent=link.unsent,
+        silent_s=silent_s,
+        refused=dict(link.refused),
     )
 
 
-def refused_datagrams(link: Link) -> Mapping[str, int]:
-    """Give the datagrams that the link did not let in, by reason."""
-    return link.refused
+def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> PeerState:
+    """Give the autopilot that was heard last, by its system and component id."""
+    session, pipeline = companion.session, companion.pipeline
+    restarts = {} if pipeline is None else pipeline.health().arrivals[Kind.RESTART]
+    return PeerState(
+        system_id=peer[0],
+        component_id=peer[1],
+        family=session.decoder.family.value,
+        version=session.requests.version,
+        is_heard=session.peer is not None,
+        silent_s=age(session.heard_ns or None, now_ns),
+        is_armed=session.decoder.is_armed,
+        reboots=sum(restarts.values()),
+    )
 
 
-def firmware(session: Session) -> str:
-    """Give the version of the autopilot's firmware; empty: it has not been told."""
-    return session.requests.version
+def output_state(companion: Companion, *, is_streaming: bool) -> OutputState:
+    """Give the guard's verdict on ODOMETRY, and what was sent."""
+    session = companion.session
+    verdict = session.guard.verdict
+    return OutputState(
+        mode=session.guard.options.mode,
+        is_streaming=is_streaming,
+        reason=verdict.reason,
+        remedy=verdict.remedy,
+        parameters=verdict.parameters,
+        sent=dict(session.sent),
+        withheld=session.outbox.withheld["ODOMETRY"],
+    )
 
 
 def sent_by_name(session: Session) -> Mapping[str, int]:
     """Give the counter of our messages, which goes on counting."""
     return session.sent
-
-
-def heartbeat_ns(session: Session) -> int | None:
-    """Give when the autopilot's last heartbeat came, our clock; None: none has."""
-    return session.heard_ns or None
 
 
 def asked_rates(session: Session) -> dict[str, float]:
@@ -97,7 +106,7 @@ def frames(counters: Mapping[str, int]) -> FrameState:
         incompatible=counters["incompatible"],
         junk_bytes=counters["junk_bytes"],
         lost=counters["lost"],
-        late=counters["late"],
+        late=counters["late"] + counters["duplicate"],
         signed=counters["signed"],
         refused={**part(counters, "ignored: "), **part(counters, "not admitted: ")},
     )

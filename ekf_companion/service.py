@@ -18,8 +18,9 @@ from ekf_companion.endpoint import open_endpoint
 from ekf_companion.errors import CompanionError
 from ekf_companion.keeper import clocks, open_keeper, open_memory
 from ekf_companion.keyring import open_keyring
-from ekf_companion.link import Peers, Received, open_link
+from ekf_companion.link import Received
 from ekf_companion.observer import Observer
+from ekf_companion.reception import hear, open_reception, unix_clock
 from ekf_companion.recorder import open_recorder
 from ekf_companion.resumption import Resumption
 from ekf_companion.supervision import Systemd
@@ -104,13 +105,8 @@ class Daemon:
         self.last_reload = ""
         """What became of it the last time."""
         self._keyring = keyring = open_keyring(config)
-        self.link = open_link(
-            config.link.url,
-            peer=config.link.peer,
-            clock=unix_clock,
-            peers=Peers(is_signed=keyring is not None and not config.signing.accept_unsigned),
-            on_state=self._greet,
-            on_read=self.receive,
+        self.link = open_reception(
+            config, is_signed=keyring is not None, on_read=self.receive, on_state=self._greet
         )
         self._recorder = open_recorder(config.record)
         self._keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
@@ -122,9 +118,7 @@ class Daemon:
         if memory is not None:
             tuning = Tuning(config, memory.read(), str(memory.path), memory.keep)
         self._companion = Companion(config, self._recorder is not None, resumption, signing, tuning)
-        self._observer = Observer(
-            config, self.link, self._companion, unix_clock, recorded=self._recorded
-        )
+        self._observer = Observer(self.link, self._companion, unix_clock, recorded=self._recorded)
         self._endpoint = open_endpoint(config.http, self._observer, asyncio.get_running_loop())
         self._systemd = Systemd()
 
@@ -149,15 +143,8 @@ class Daemon:
 
     def receive(self, received: Received) -> None:
         """Take what was read, send what follows from it, and say whom to go on listening to."""
-        data, now_ns, sender = received
-        session, peers = self._companion.session, self.link.peers
-        heard, admitted = session.heard, session.admission.admitted
-        self._companion.receive(data, now_ns, sender)
-        if sender is not None:
-            if session.heard != heard:
-                peers.pin(sender, now_ns)
-            elif session.admission.admitted != admitted:
-                peers.answer(sender)
+        companion, now_ns = self._companion, received.now_ns
+        hear(received, companion.receive, companion.session, self.link.peers)
         if now_ns >= self._due_ns:
             self._do_what_is_due(now_ns)
         else:
@@ -239,11 +226,3 @@ class Daemon:
     def _keep(self) -> None:
         if self._keeper is not None and (data := self._companion.checkpoint(clocks())) is not None:
             self._keeper.keep(data)
-
-
-def unix_clock() -> int:
-    """Give unix time, ns, that never steps: the monotonic clock, set once."""
-    return time.monotonic_ns() + _BOOT_NS
-
-
-_BOOT_NS = time.time_ns() - time.monotonic_ns()

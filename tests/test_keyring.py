@@ -7,10 +7,10 @@ import pytest
 
 from ekf_companion.config import describe_config, parse_config
 from ekf_companion.errors import ConfigError
-from ekf_companion.keyring import open_keyring, read_key
+from ekf_companion.keyring import borrow_signing, open_keyring, read_key
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.signing import REPLAYED
+from ekf_companion.mavlink.signing import REPLAYED, Signing
 
 KEY = bytes(range(200, 232))
 
@@ -129,6 +129,36 @@ def test_the_times_of_another_secret_are_put_aside(write, tmp_path, caplog):
     assert (tmp_path / "checkpoint.signing.foreign").read_bytes() == b"something else"
     assert "it is now checkpoint.signing.foreign" in caplog.text
     assert open_keyring(config_of(write(KEY), str(tmp_path / "checkpoint"))) is not None
+
+
+def test_who_borrows_the_secret_knows_the_times_writes_none_and_signs_a_stream_of_its_own(
+    write, tmp_path
+):
+    """Rule 34."""
+    now_ns = time.time_ns()
+    config = config_of(write(KEY), str(tmp_path / "checkpoint"))
+    heard = next(iter(Splitter().feed(Sender(1, 1, Signing(KEY)).frame("HEARTBEAT", b"", now_ns))))
+    keyring = open_keyring(config)
+    assert keyring.signing.verify(heard, now_ns) == ""
+    ours = Sender(1, 194, keyring.signing).frame("HEARTBEAT", b"", now_ns + 3600 * 10**9)
+    keyring.close()
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+
+    signing = borrow_signing(config)
+    assert signing.verify(heard, now_ns) == REPLAYED
+    # An autopilot that has heard the daemon an hour ahead hears who borrows all the same
+    theirs = Signing(KEY)
+    again = Sender(1, 194, signing).frame("HEARTBEAT", b"", now_ns)
+    for data in (ours, again, Sender(1, 194, keyring.signing).frame("HEARTBEAT", b"")):
+        assert theirs.verify(next(iter(Splitter().feed(data))), now_ns) == ""
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_without_a_file_of_times_who_borrows_begins_from_the_clock(write, tmp_path):
+    assert borrow_signing(config_of("")) is None
+    signing = borrow_signing(config_of(write(KEY), str(tmp_path / "nowhere" / "checkpoint")))
+    assert signing.verified == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["key"]
 
 
 def test_the_printed_configuration_names_the_file_alone(write):

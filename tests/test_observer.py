@@ -27,7 +27,7 @@ class Watched:
         self.delay_ns = delay_ns
         self.link = open_link("udpin:127.0.0.1:14550")
         self.companion = Companion(Config())
-        self.observer = Observer(Config(), self.link, self.companion, lambda: self.now_ns)
+        self.observer = Observer(self.link, self.companion, lambda: self.now_ns)
 
     def feed(self, flight):
         begin_ns = None

@@ -101,7 +101,7 @@ def _timesync(evidence: Evidence) -> list[Trouble | None]:
     state, wanted = evidence.time, evidence.config.timesync
     if evidence.means is not Means.LIVE or not wanted.request or evidence.seconds < 6.0:
         return []
-    slow = state.refused.get("round trip too long", 0)
+    slow = state.refused.get("slow", 0)
     return [
         warning(
             f"TIMESYNC takes too long: {state.rtt_p50_ms:.0f} ms there and back.",

@@ -10,10 +10,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from ekf_companion.companion import Companion
 from ekf_companion.config import Config
+from ekf_companion.mavlink.verdict import Verdict
 from ekf_companion.pipeline import Health
-from ekf_companion.snapshot import FrameState, LinkState, MessageState, OutputState, TimeState
+from ekf_companion.snapshot import (
+    FrameState,
+    LinkState,
+    MessageState,
+    OutputState,
+    PeerState,
+    TimeState,
+)
 
 
 class Means(str, Enum):
@@ -79,20 +86,6 @@ class Source:
     def is_autopilot(self) -> bool:
         """Whether its heartbeat says that it flies a vehicle."""
         return self.heartbeats > 0 and self.autopilot != 8 and self.type != 6
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Peer:
-    """The autopilot that is listened to."""
-
-    system_id: int
-    component_id: int
-    family: str
-    """``px4``, ``ardupilot`` or ``unknown``."""
-    version: str = ""
-    """As in ``1.16.0``; empty: not told."""
-    is_heard: bool = True
-    reboots: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,6 +164,7 @@ _NO_TIME = TimeState(
 _NO_OUTPUT = OutputState(
     mode="auto", is_streaming=False, reason="", remedy="", parameters={}, sent={}, withheld=0
 )
+_NOT_ASKED = Verdict(is_streaming=False, reason="", parameters={}, is_settled=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,7 +189,10 @@ class Evidence:
     mismatched: Mapping[str, int] = field(default_factory=dict)
     """Frames that are whole but whose checksum is not that of our definition, by message."""
     sources: tuple[Source, ...] = ()
-    peer: Peer | None = None
+    peer: PeerState | None = None
+    """The autopilot that is listened to."""
+    is_clash: bool = False
+    """Whether somebody else speaks under our ids."""
     messages: Mapping[str, MessageState] = field(default_factory=dict)
     """The autopilot's, by name."""
     bytes_rate: float = 0.0
@@ -209,35 +206,10 @@ class Evidence:
     receiver: Receiver = Receiver()
     estimator: Health | None = None
     output: OutputState = _NO_OUTPUT
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """The autopilot's, as far as they were told."""
     asked_parameters: frozenset[str] = frozenset()
+    taken: Verdict = _NOT_ASKED
+    """What the guard decides, or would if it were asked, from these parameters alone."""
     sent: Sent = Sent()
     feedback: Feedback = Feedback()
-
-
-def frame_state(companion: Companion, signed: int) -> FrameState:
-    """Give what the session's splitter and its sequence numbers counted."""
-    counters = companion.session.counters()
-    names = ("frames", "bad_crc", "unknown_id", "incompatible", "junk_bytes", "lost", "late")
-    return FrameState(
-        **{name: counters[name] for name in names},
-        signed=signed,
-        refused=dict(companion.session.ignored),
-    )
-
-
-def time_state(companion: Companion, now_ns: int, trips_ms: list[float]) -> TimeState:
-    """Give what is known of the autopilot's clock; ``trips_ms`` are TIMESYNC's round trips."""
-    sync, clock = companion.session.timesync, companion.session.decoder.clock
-    peer_ns = sync.peer_ns(now_ns)
-    trips = sorted(trips_ms)
-    base = "unknown" if clock.latest_us is None else "unix" if clock.is_unix else "boot"
-    return TimeState(
-        base=base,
-        is_locked=sync.is_locked,
-        offset_s=math.nan if peer_ns is None else (peer_ns - now_ns) * 1e-9,
-        skew_ppm=sync.skew * 1e6,
-        rtt_p50_ms=trips[len(trips) // 2] if trips else math.nan,
-        rtt_p95_ms=trips[len(trips) * 95 // 100] if trips else math.nan,
-        answers=len(trips),
-        refused=dict(sync.refused),
-    )

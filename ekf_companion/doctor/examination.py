@@ -16,9 +16,11 @@ from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Evidence, Holder, Means, Opening
 from ekf_companion.doctor.finding import Mark
 from ekf_companion.doctor.witness import Witness
-from ekf_companion.link import Address, Kind, Link, Received, open_link
+from ekf_companion.keyring import borrow_signing
+from ekf_companion.link import Address, Kind, Link, Received
 from ekf_companion.logs import tlog
-from ekf_companion.snapshot import LinkState
+from ekf_companion.parts import link_state
+from ekf_companion.reception import hear, open_reception, unix_clock
 
 Progress = Callable[[int, int], None]
 
@@ -27,8 +29,8 @@ _LEAST = 6.0
 """Seconds at least before all being well is believed: requests, parameters, TIMESYNC, alignment."""
 _STEADY = 2.0
 """Seconds for which it must have been well."""
-_HOPELESS = 1.0
-"""Seconds after which a link that does not open is given up."""
+_HOPELESS = 0.6
+"""Seconds after which a link that does not open is given up: it has been tried twice."""
 _RECORDS = 4096
 
 
@@ -45,6 +47,7 @@ def examine_link(
 
     Raises:
         LinkError: The URL names no link.
+        ConfigError: The file of the key is none that may be used.
     """
     return asyncio.run(_examine(config, seconds, listen=listen, progress=progress))
 
@@ -53,13 +56,14 @@ async def _examine(
     config: Config, seconds: float, *, listen: bool, progress: Progress | None
 ) -> Evidence:
     means = Means.LISTENING if listen else Means.LIVE
-    witness = Witness(config, means)
+    signing = borrow_signing(config)
+    witness = Witness(config, means, signing)
 
     def receive(received: Received) -> None:
-        witness.receive(received.data, received.now_ns)
+        hear(received, witness.receive, witness.companion.session, link.peers)
         _answer(link, witness, received.now_ns)
 
-    link = open_link(config.link.url, peer=config.link.peer, on_read=receive)
+    link = open_reception(config, is_signed=signing is not None, on_read=receive)
     pump = asyncio.create_task(link.run())
     work = asyncio.create_task(_converse(link, witness))
     begin = time.monotonic()
@@ -75,12 +79,12 @@ async def _examine(
                 break
             if over < _LEAST - _STEADY:
                 continue
-            evidence = witness.evidence(time.monotonic_ns(), _opening(link), _state(link))
+            evidence = witness.evidence(unix_clock(), _opening(link), link_state(link))
             is_well = all(finding.mark is Mark.OK for finding in diagnose(evidence))
             well_since = (well_since or over) if is_well and witness.reader.is_done else None
             if well_since is not None and over - well_since >= _STEADY:
                 break
-        evidence = witness.evidence(time.monotonic_ns(), _opening(link), _state(link))
+        evidence = witness.evidence(unix_clock(), _opening(link), link_state(link))
         span = time.monotonic() - begin
         return replace(evidence, seconds=span, bytes_rate=link.bytes_in / span)
     finally:
@@ -93,7 +97,7 @@ async def _examine(
 async def _converse(link: Link, witness: Witness) -> None:
     """Send what is due, ten times a second at least."""
     while True:
-        _answer(link, witness, time.monotonic_ns())
+        _answer(link, witness, unix_clock())
         await asyncio.sleep(_TICK)
 
 
@@ -101,20 +105,6 @@ def _answer(link: Link, witness: Witness, now_ns: int) -> None:
     witness.tick(now_ns)
     for frame in witness.data_to_send(now_ns):
         link.send(frame)
-
-
-def _state(link: Link) -> LinkState:
-    return LinkState(
-        url=str(link.address),
-        is_open=link.is_open,
-        opened=link.opened,
-        bytes_in=link.bytes_in,
-        bytes_out=link.bytes_out,
-        dropped=link.dropped,
-        unsent=link.unsent,
-        silent_s=float("nan"),
-        refused=link.refused,
-    )
 
 
 def _opening(link: Link) -> Opening:

@@ -6,11 +6,9 @@ Sources: PX4's and ArduPilot's documentation of external position estimates.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
-from ekf_companion.doctor.parameters import DECIDING, Fusion, fusion
 from ekf_companion.mavlink.encode import Frame
 from ekf_companion.nav.state import Status
 from ekf_companion.pipeline import QUALITY
@@ -18,6 +16,11 @@ from ekf_companion.pipeline import QUALITY
 _ARDUPILOT_FRAMES = (Frame.LOCAL_FRD, Frame.BODY_FRD)
 _SLOWEST = 10.0
 """Hz: PX4 fuses no external position that comes more rarely than every 0.1 to 0.2 s."""
+_HOW = {
+    "px4": "EKF2_EV_CTRL = 15 and EKF2_GPS_CTRL = 0",
+    "ardupilot": "VISO_TYPE = 1 and EK3_SRC1_* = 6",
+}
+"""How each family takes ours and nothing else."""
 _HEIGHT_GNSS, _HEIGHT_OURS = 1, 3
 """Of EKF2_HGT_REF."""
 _GNSS_HEIGHT, _VISION_HEIGHT = 2, 2
@@ -49,24 +52,19 @@ def sent(evidence: Evidence) -> Finding:
 
 
 def _withheld(evidence: Evidence) -> Trouble | None:
+    output = evidence.output
     if evidence.sent.count:
         return None
-    if evidence.output.withheld:
-        family = _family(evidence)
-        taken = fusion(evidence.output.parameters, family)
-        if taken is not None and taken.is_double:
-            return failed(
-                "ODOMETRY is withheld, for the autopilot would count the same GNSS twice: it takes "
-                f"{_list(taken)}.",
-                _choose(family),
-            )
-        missing = [n for n in DECIDING.get(family, ()) if n not in evidence.output.parameters]
+    if evidence.is_clash:
         return failed(
-            "ODOMETRY is withheld: the autopilot does not say what it would do with it "
-            f"({', '.join(missing)}: no answer).",
-            "Let PARAM_REQUEST_READ and PARAM_VALUE pass the router. A firmware without these "
-            "parameters takes no ODOMETRY: output.odometry.mode = always then does no harm.",
+            "ODOMETRY is withheld while somebody else speaks under our ids.",
+            "See the stage `source`.",
         )
+    if output.withheld:
+        remedy = "Look again for longer: --seconds 60."
+        if output.remedy:
+            remedy = f"{_sentence(output.remedy)}{_own_sensors(evidence)}"
+        return failed(f"ODOMETRY is withheld: {output.reason}.", remedy)
     health = evidence.estimator
     if health is None or health.status < Status.OK:
         return failed("There is no estimate to send.", "Mend the first failing stage above.")
@@ -74,6 +72,16 @@ def _withheld(evidence: Evidence) -> Trouble | None:
         "The estimate is there, and no ODOMETRY goes out.",
         "Look at output.odometry in the configuration.",
     )
+
+
+def _own_sensors(evidence: Evidence) -> str:
+    if not evidence.taken.is_double:
+        return ""
+    return " Where our receiver is our own: output.odometry.independent = true."
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}."
 
 
 def _frame(evidence: Evidence) -> Trouble | None:
@@ -98,82 +106,45 @@ def _rate(evidence: Evidence) -> Trouble | None:
 
 def fused(evidence: Evidence) -> Finding:
     """Judge what the autopilot does, or would do, with our ODOMETRY."""
-    family, output = _family(evidence), evidence.output
-    if family not in DECIDING:
+    taken, refusal = evidence.taken, _refusal(evidence)
+    is_kept_back = evidence.output.withheld > 0 and not evidence.sent.count
+    if _family(evidence) not in _HOW:
         return unknown(Stage.FUSED, "an autopilot of a family that is not known")
-    taken = fusion(output.parameters, family)
-    told = _told(output.parameters, family)
-    refusal = _refusal(evidence)
-    if taken is None:
-        if not evidence.asked_parameters and refusal is None:
-            return unknown(Stage.FUSED, "its parameters were not asked")
-        trouble = warning(
-            "The autopilot did not tell its parameters, so nobody knows what it does with "
-            "ODOMETRY.",
-            "Let PARAM_REQUEST_READ and PARAM_VALUE pass the router; look yourself at "
-            f"{', '.join(DECIDING[family])}.",
-        )
-        if evidence.output.withheld and not evidence.sent.count and refusal is None:
-            return unknown(Stage.FUSED, "its parameters were asked, and not told")
-        return found(Stage.FUSED, told or "no parameter was told", [refusal, trouble])
-    if not taken.ours:
-        how = (
-            "EKF2_EV_CTRL = 15 and EKF2_GPS_CTRL = 0"
-            if family == "px4"
-            else "VISO_TYPE = 1 and EK3_SRC1_* = 6"
-        )
-        saw = f"takes nothing of ours ({told}); it would with {how}"
+    if not taken.is_settled and not evidence.asked_parameters and refusal is None:
+        return unknown(Stage.FUSED, "its parameters were not asked")
+    if refusal is None and is_kept_back and not taken.is_streaming:
+        return unknown(Stage.FUSED, "nothing is sent to it")
+    if taken.is_double:
+        return found(Stage.FUSED, _beginning(taken.reason), [refusal, _double(evidence)])
+    if not taken.is_streaming:
+        return found(Stage.FUSED, "its parameters are not known", [refusal, _unread(evidence)])
+    if not taken.is_fused:
+        saw = f"{taken.reason}; it would with {_HOW[_family(evidence)]}"
         return found(Stage.FUSED, saw, [refusal])
-    if taken.is_double and output.withheld and not evidence.sent.count:
-        return unknown(Stage.FUSED, f"takes {_list(taken)}: nothing is sent to it")
-    return found(
-        Stage.FUSED,
-        f"takes {_list(taken)}",
-        [
-            refusal,
-            _double(evidence, taken),
-            _quality(evidence),
-            _height(evidence),
-            _delay(evidence),
-            _rejects(evidence),
-        ],
+    judges = (_quality, _height, _delay, _rejects)
+    return found(Stage.FUSED, taken.reason, [refusal, *(judge(evidence) for judge in judges)])
+
+
+def _beginning(reason: str) -> str:
+    """Give the parameters alone, which stand first: the sentence follows below."""
+    return reason.split(":")[0]
+
+
+def _unread(evidence: Evidence) -> Trouble:
+    return warning(
+        "The autopilot did not tell its parameters, so nobody knows what it does with ODOMETRY.",
+        "Let PARAM_REQUEST_READ and PARAM_VALUE pass the router; look yourself at "
+        + ("EKF2_EV_CTRL and EKF2_GPS_CTRL." if _family(evidence) == "px4" else "EK3_SRC1_*."),
     )
 
 
-def _told(parameters: Mapping[str, float], family: str) -> str:
-    """Give the parameters that decide; where the first is 0, ArduPilot's others decide nothing."""
-    names = [name for name in DECIDING[family] if name in parameters]
-    if family == "ardupilot" and parameters.get(names[0] if names else "") == 0.0:
-        del names[1:]
-    return ", ".join(f"{name} = {parameters[name]:g}" for name in names)
-
-
-def _list(taken: Fusion) -> str:
-    ours = f"ours ({', '.join(taken.ours)})"
-    return f"{ours} together with its own GNSS ({', '.join(taken.gnss)})" if taken.gnss else ours
-
-
-def _choose(family: str) -> str:
-    if family == "px4":
-        return (
-            "Choose one: EKF2_GPS_CTRL = 0 (and EKF2_HGT_REF = 0 or 3) lets ours alone count, "
-            "EKF2_EV_CTRL = 0 the autopilot's GNSS. Where our receiver is our own: "
-            "output.odometry.independent = true."
-        )
-    return (
-        "Choose one: EK3_SRC1_POSXY, _VELXY, _POSZ, _VELZ all without 3 (GPS) let ours alone "
-        "count, all without 6 (ExternalNav), or VISO_TYPE = 0, the autopilot's GNSS. "
-        "Where our receiver is our own: output.odometry.independent = true."
-    )
-
-
-def _double(evidence: Evidence, taken: Fusion) -> Trouble | None:
-    if not taken.is_double or evidence.config.output.odometry.independent:
+def _double(evidence: Evidence) -> Trouble | None:
+    if evidence.config.output.odometry.independent:
         return None
-    say = failed if evidence.sent.count else warning
+    say, taken = failed if evidence.sent.count else warning, evidence.taken
     return say(
-        f"The autopilot would count the same GNSS twice: it takes {_list(taken)}.",
-        _choose(_family(evidence)),
+        f"The same GNSS would count twice, for {taken.reason}.",
+        f"{_sentence(taken.remedy)}{_own_sensors(evidence)}",
     )
 
 
@@ -189,7 +160,7 @@ def _refusal(evidence: Evidence) -> Trouble | None:
 
 def _quality(evidence: Evidence) -> Trouble | None:
     name = "EKF2_EV_QMIN" if _family(evidence) == "px4" else "VISO_QUAL_MIN"
-    least = evidence.output.parameters.get(name, 0.0)
+    least = evidence.parameters.get(name, 0.0)
     reached = QUALITY[Status.DEGRADED]
     if least <= reached:
         return None
@@ -202,7 +173,7 @@ def _quality(evidence: Evidence) -> Trouble | None:
 
 def _height(evidence: Evidence) -> Trouble | None:
     """PX4's height reference must be a source that it is told to fuse."""
-    parameters = evidence.output.parameters
+    parameters = evidence.parameters
     reference = parameters.get("EKF2_HGT_REF")
     fused = {
         _HEIGHT_GNSS: ("EKF2_GPS_CTRL", _GNSS_HEIGHT),
@@ -222,7 +193,7 @@ def _height(evidence: Evidence) -> Trouble | None:
 
 def _delay(evidence: Evidence) -> Trouble | None:
     """Our ODOMETRY is stamped in the autopilot's time: no delay is left to take off."""
-    delay = evidence.output.parameters.get("EKF2_EV_DELAY", 0.0)
+    delay = evidence.parameters.get("EKF2_EV_DELAY", 0.0)
     if delay <= _DELAY:
         return None
     return warning(

@@ -4,31 +4,33 @@ from __future__ import annotations
 
 from ekf_companion.doctor.evidence import Evidence, Means, Source
 from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, warning
+from ekf_companion.mavlink import admission, signing
+from ekf_companion.mavlink.audit import INERTIAL
 
 _GROUND_STATION = 6
 _KINDS = {3: "ArduPilot", 12: "PX4"}
-INERTIAL = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
 NORTH = ("ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD")
 
 
 def source(evidence: Evidence) -> Finding:
     """Judge whose heartbeats there are, and which autopilot is listened to."""
     pilots = [source for source in evidence.sources if source.is_autopilot]
-    saw = "; ".join(_describe(source) for source in evidence.sources if source.heartbeats)
+    saw = "; ".join(
+        _describe(source) + ("" if _is_let_in(evidence, source) else ", refused")
+        for source in evidence.sources
+        if source.heartbeats
+    )
     link = evidence.config.link
+    rivals = {pilot.system_id for pilot in pilots if _is_let_in(evidence, pilot)}
     if evidence.peer is None:
         trouble = _nobody(evidence, pilots)
         return found(Stage.SOURCE, saw or f"no heartbeat in {evidence.seconds:.0f} s", [trouble])
     ours = (link.system_id or evidence.peer.system_id, link.component_id)
-    clash = evidence.means is Means.LIVE and any(
-        (source.system_id, source.component_id) == ours and source.heartbeats
-        for source in evidence.sources
-    )
     return found(
         Stage.SOURCE,
         saw,
         [
-            _refused(evidence, pilots),
+            _mute(evidence, pilots),
             failed(
                 "The autopilot's heartbeat has stopped.",
                 "Look at its power and the wire; it sends one a second.",
@@ -37,17 +39,17 @@ def source(evidence: Evidence) -> Finding:
             else None,
             failed(
                 f"Somebody else on this link has our ids, {ours[0]}/{ours[1]}: the daemon itself, "
-                "another program, or an echo.",
+                "or another program.",
                 "Stop the other, or set link.component_id to a free one, 191 to 194.",
             )
-            if clash
+            if evidence.is_clash and evidence.means is Means.LIVE
             else None,
             warning(
                 f"Several autopilots speak here; the first that was heard, "
                 f"{evidence.peer.system_id}, is listened to.",
                 f"Set link.autopilot = {evidence.peer.system_id}, or that of the right one.",
             )
-            if link.autopilot is None and len({pilot.system_id for pilot in pilots}) > 1
+            if link.autopilot is None and len(rivals) > 1
             else None,
         ],
     )
@@ -59,6 +61,16 @@ def _describe(source: Source) -> str:
     else:
         what = "ground station" if source.type == _GROUND_STATION else "no autopilot"
     return f"{source.system_id}/{source.component_id} {what}"
+
+
+def _is_let_in(evidence: Evidence, source: Source) -> bool:
+    link, wanted = evidence.config.link, evidence.config.signing
+    must_sign = wanted.key_file and not wanted.accept_unsigned
+    return (
+        (not link.allow_systems or source.system_id in link.allow_systems)
+        and (not link.allow_components or source.component_id in link.allow_components)
+        and (not must_sign or source.signed > 0 or evidence.means is Means.RECORDING)
+    )
 
 
 def _nobody(evidence: Evidence, pilots: list[Source]) -> Trouble:
@@ -93,28 +105,60 @@ def _nobody(evidence: Evidence, pilots: list[Source]) -> Trouble:
 
 def _refused(evidence: Evidence, pilots: list[Source]) -> Trouble | None:
     """Say why an autopilot that is there is not listened to: allow-lists and signatures."""
-    link, signing = evidence.config.link, evidence.config.signing
+    link, refused = evidence.config.link, evidence.frames.refused
     for pilot in pilots:
-        if evidence.peer is not None and pilot.system_id != evidence.peer.system_id:
-            continue
-        for allowed, own, key in (
-            (link.allow_systems, pilot.system_id, "link.allow_systems"),
-            (link.allow_components, pilot.component_id, "link.allow_components"),
+        for why, allowed, own, key in (
+            (admission.SYSTEM, link.allow_systems, pilot.system_id, "link.allow_systems"),
+            (
+                admission.COMPONENT,
+                *(link.allow_components, pilot.component_id, "link.allow_components"),
+            ),
         ):
-            if allowed and own not in allowed:
+            if refused.get(why) and allowed and own not in allowed:
                 return failed(f"{key} leaves out the autopilot's {own}.", f"Add {own} to {key}.")
-        if signing.key_file and not signing.accept_unsigned and not pilot.signed:
-            return failed(
-                "The autopilot does not sign its frames, and unsigned ones are refused.",
-                "Set up the same key in the autopilot (Mission Planner: Signing), or "
-                "signing.accept_unsigned = true.",
-            )
-        if pilot.signed and not signing.key_file:
-            return warning(
-                "The autopilot signs its frames, and so believes none of ours.",
-                "Set signing.key_file to a file with its key.",
-            )
-    return None
+    is_signing = any(pilot.signed for pilot in pilots)
+    troubles = (
+        trouble
+        for why, trouble in _UNBELIEVED.items()
+        if refused.get(why) and is_signing == (why != admission.UNSIGNED)
+    )
+    return next(troubles, None) if pilots else None
+
+
+_UNBELIEVED = {
+    signing.WRONG: failed(
+        "The autopilot signs its frames with another secret than ours.",
+        "Set up the key of signing.key_file in the autopilot (Mission Planner: Signing), or name "
+        "the file that holds the autopilot's.",
+    ),
+    admission.UNSIGNED: failed(
+        "The autopilot does not sign its frames, and unsigned ones are refused.",
+        "Set up the same key in the autopilot (Mission Planner: Signing), or "
+        "signing.accept_unsigned = true.",
+    ),
+    signing.OLD: failed(
+        "The autopilot's signatures are over a minute old by this board's clock.",
+        "Set the clocks: look at `timedatectl` here; the autopilot's own comes with a GNSS fix.",
+    ),
+    signing.REPLAYED: failed(
+        "Signed frames come that are not newer than those before: two paths bring them, somebody "
+        "plays back what he recorded, or the autopilot's clock went back.",
+        "Let only one router endpoint lead here; give the autopilot a GNSS fix, whose time it "
+        "takes.",
+    ),
+}
+"""What a signature is not believed for."""
+
+
+def _mute(evidence: Evidence, pilots: list[Source]) -> Trouble | None:
+    """Say that the autopilot believes signed frames alone, and ours are none."""
+    is_signing = any(pilot.signed for pilot in pilots)
+    if not is_signing or evidence.config.signing.key_file or evidence.means is Means.RECORDING:
+        return None
+    return warning(
+        "The autopilot signs its frames, and so believes none of ours.",
+        "Set signing.key_file to a file with its key.",
+    )
 
 
 def messages(evidence: Evidence) -> Finding:

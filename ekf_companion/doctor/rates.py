@@ -11,7 +11,7 @@ from statistics import median
 from ekf_companion.bulletin import DECIMATED
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
-from ekf_companion.doctor.peer import INERTIAL
+from ekf_companion.mavlink.audit import INERTIAL
 from ekf_companion.snapshot import MessageState
 
 SLOWEST = 25.0
@@ -94,7 +94,7 @@ def _loop_rate(evidence: Evidence, state: MessageState) -> tuple[str, str] | Non
     """ArduPilot streams no faster than 0.8 of its loop: 40 Hz for planes and rovers."""
     if _family(evidence) != "ardupilot":
         return None
-    loop = evidence.output.parameters.get("SCHED_LOOP_RATE", _PLANE_LOOP)
+    loop = evidence.parameters.get("SCHED_LOOP_RATE", _PLANE_LOOP)
     ceiling = _LOOP_SHARE * loop
     if abs(state.rate - ceiling) > 0.05 * ceiling or state.asked < 1.1 * ceiling:
         return None
@@ -160,7 +160,7 @@ def _budget(evidence: Evidence, state: MessageState) -> tuple[str, str] | None:
     if _family(evidence) == "px4":
         limits = {
             name: value
-            for name, value in sorted(evidence.output.parameters.items())
+            for name, value in sorted(evidence.parameters.items())
             if name.startswith("MAV_") and name.endswith("_RATE")
         }
         told = ", ".join(f"{name} = {value:.0f}" for name, value in limits.items())
@@ -204,7 +204,7 @@ def _is_whole_division(evidence: Evidence, state: MessageState) -> bool:
     """PX4 leaves out whole samples: 200 asked of 250 gives 125, and that is as it should be."""
     if _family(evidence) != "px4" or not state.asked:
         return False
-    base = evidence.output.parameters.get("IMU_INTEG_RATE", _PX4_IMU)
+    base = evidence.parameters.get("IMU_INTEG_RATE", _PX4_IMU)
     parts = max(1, math.ceil(base / state.asked - 0.05))
     return abs(state.rate - base / parts) <= 0.08 * base / parts
 

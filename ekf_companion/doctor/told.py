@@ -12,55 +12,43 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Frame
 
 _TEXTS = 16
-_TRIPS = 256
 _CRITICAL = 2
 _FIX_3D = 3
-_LATE_NS = 5_000_000_000
-"""An answer to TIMESYNC so late is none of ours."""
 
 
 class Told:
-    """The autopilot's version, receiver, filter, texts, and round trips of TIMESYNC."""
+    """The autopilot's receiver, filter and texts."""
 
     def __init__(self) -> None:
-        self.version = ""
-        """As in ``1.16.0``; empty: not told."""
         self.receiver = Receiver()
-        self.trips_ms: deque[float] = deque(maxlen=_TRIPS)
         self._texts: deque[str] = deque(maxlen=_TEXTS)
         self._flags: int | None = None
         self._worst_ratio = math.nan
-        self._handlers: dict[str, Callable[[Any, int], None]] = {
-            "AUTOPILOT_VERSION": self._take_version,
+        self._handlers: dict[str, Callable[[Any], None]] = {
             "EKF_STATUS_REPORT": self._take_ekf_status,
             "ESTIMATOR_STATUS": self._take_estimator_status,
             "GPS_RAW_INT": self._take_receiver,
             "STATUSTEXT": self._take_text,
-            "TIMESYNC": self._take_timesync,
         }
 
-    def take(self, name: str, frame: Frame, now_ns: int) -> None:
+    def take(self, name: str, frame: Frame) -> None:
         """Take a frame of the autopilot's, by its message's name."""
         if (handler := self._handlers.get(name)) is not None:
-            handler(unpack(frame), now_ns)
+            handler(unpack(frame))
 
     def feedback(self) -> Feedback:
         """Give what it says of its filter and of our messages."""
         return Feedback(texts=tuple(self._texts), flags=self._flags, worst_ratio=self._worst_ratio)
 
-    def _take_version(self, m: Any, now_ns: int) -> None:
-        version = m.flight_sw_version
-        self.version = ".".join(str(version >> shift & 0xFF) for shift in (24, 16, 8))
-
-    def _take_ekf_status(self, m: Any, now_ns: int) -> None:
+    def _take_ekf_status(self, m: Any) -> None:
         self._flags = m.flags
         self._worst_ratio = _largest(m.velocity_variance, m.pos_horiz_variance, m.pos_vert_variance)
 
-    def _take_estimator_status(self, m: Any, now_ns: int) -> None:
+    def _take_estimator_status(self, m: Any) -> None:
         self._flags = m.flags
         self._worst_ratio = _largest(m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
 
-    def _take_receiver(self, m: Any, now_ns: int) -> None:
+    def _take_receiver(self, m: Any) -> None:
         has_fix = m.fix_type >= _FIX_3D
         self.receiver = Receiver(
             messages=self.receiver.messages + 1,
@@ -70,14 +58,10 @@ class Told:
             without_time=self.receiver.without_time + (has_fix and m.time_usec == 0),
         )
 
-    def _take_text(self, m: Any, now_ns: int) -> None:
+    def _take_text(self, m: Any) -> None:
         text = m.text.decode("utf-8", "replace")
         if (m.severity <= _CRITICAL or "ODOMETRY" in text) and text not in self._texts:
             self._texts.append(text)
-
-    def _take_timesync(self, m: Any, now_ns: int) -> None:
-        if m.tc1 != 0 and 0 <= now_ns - m.ts1 < _LATE_NS:
-            self.trips_ms.append((now_ns - m.ts1) * 1e-6)
 
 
 def _largest(*ratios: float) -> float:

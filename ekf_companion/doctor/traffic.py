@@ -39,11 +39,6 @@ class Traffic:
         """The first bytes that were no frame."""
         self._speakers: dict[tuple[int, int], _Speaker] = {}
 
-    @property
-    def signed(self) -> int:
-        """Frames with a signature, right or wrong."""
-        return sum(speaker.signed for speaker in self._speakers.values())
-
     def sources(self) -> tuple[Source, ...]:
         """Give who speaks, in the order in which they were heard first."""
         return tuple(

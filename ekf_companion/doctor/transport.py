@@ -46,22 +46,25 @@ def bytes_(evidence: Evidence) -> Finding:
             "Stop what else uses the processor, or lower link.imu_rate.",
         )
         wire = f", {share:.0%} of the wire" if share else ""
+        strange = f"; datagrams not heard: {_reasons(evidence)}" if _reasons(evidence) else ""
         return found(
             Stage.BYTES,
-            f"{evidence.bytes_in} bytes, {rate / 1e3:.1f} kB/s{wire}",
+            f"{evidence.bytes_in} bytes, {rate / 1e3:.1f} kB/s{wire}{strange}",
             [full, dropped if slow else None],
         )
     refused = sum(state.refused.values()) if state else 0
     if refused:
-        reasons = ", ".join(
-            f"{why}: {count}" for why, count in (state.refused if state else {}).items()
-        )
         trouble = failed(
-            f"Datagrams came, and were refused ({reasons}).",
+            f"Datagrams came, and were refused ({_reasons(evidence)}).",
             'Set link.peer to who sends them, or to "".',
         )
         return found(Stage.BYTES, f"{refused} datagrams, none taken", [trouble])
     return found(Stage.BYTES, f"none in {evidence.seconds:.0f} s", [_silence(evidence)])
+
+
+def _reasons(evidence: Evidence) -> str:
+    refused = evidence.link.refused if evidence.link else {}
+    return ", ".join(f"{count} {why}" for why, count in refused.items())
 
 
 def _silence(evidence: Evidence) -> Trouble:

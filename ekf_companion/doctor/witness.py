@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
+from typing import Any
+
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
-from ekf_companion.doctor.evidence import (
-    Evidence,
-    Means,
-    Opening,
-    Peer,
-    Sent,
-    frame_state,
-    time_state,
-)
-from ekf_companion.doctor.parameters import Reader, fusion
+from ekf_companion.doctor.evidence import Evidence, Means, Opening, Sent
+from ekf_companion.doctor.parameters import Reader
 from ekf_companion.doctor.tally import StampTally, Tally
 from ekf_companion.doctor.told import Told
 from ekf_companion.doctor.traffic import Traffic
 from ekf_companion.mavlink import encode
-from ekf_companion.mavlink.codec import pack, unpack
+from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
+from ekf_companion.mavlink.fusion import decide
+from ekf_companion.mavlink.guard import DOES_NOT_EXIST, value_of
 from ekf_companion.mavlink.layout import IDS, LAYOUTS
-from ekf_companion.nav.measurements import Kind
-from ekf_companion.pipeline import Arrival, Health
-from ekf_companion.snapshot import LinkState, MessageState, OutputState
+from ekf_companion.mavlink.signing import Signing
+from ekf_companion.mavlink.verdict import Verdict
+from ekf_companion.parts import frames, output_state, part, peer_state, time_state
+from ekf_companion.snapshot import LinkState, MessageState
 
-_REQUEST_MESSAGE = 512
 _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress")
 _IN_PROGRESS = 5
 _ODOMETRY, _COMMAND_LONG = IDS["ODOMETRY"], IDS["COMMAND_LONG"]
@@ -40,8 +38,6 @@ _STAMPS = {
 """Bytes of the stamp that an inertial message begins with, and its unit, us."""
 _PARAMETERS = 64
 """More names of a recording's requests are not kept."""
-
-
 _FRAMES = 8
 """More pairs of frames in ODOMETRY are not told apart."""
 
@@ -49,8 +45,8 @@ _FRAMES = 8
 class Witness:
     """Runs a companion, and sees what it does not keep."""
 
-    def __init__(self, config: Config, means: Means) -> None:
-        self.companion = Companion(config)
+    def __init__(self, config: Config, means: Means, signing: Signing | None = None) -> None:
+        self.companion = Companion(config, signing=signing)
         self.reader = Reader()
         self._config = config
         self._means = means
@@ -63,8 +59,8 @@ class Witness:
         self._odometry_frames: set[tuple[int, int]] = set()
         self._found: tuple[int, int] | None = None
         self._asking = ""
-        self._has_asked_version = False
-        self._bytes = self._withheld = self._last_ns = 0
+        self._asked_parameters: set[str] = set()
+        self._bytes = self._last_ns = 0
         self._first_ns: int | None = None
 
     @property
@@ -73,20 +69,23 @@ class Witness:
         return self.companion.session.peer
 
     @property
-    def _family(self) -> str:
-        return self.companion.session.decoder.family.value
+    def _family(self) -> Family:
+        return self.companion.session.decoder.family
 
     # What goes in, and what comes out
 
-    def receive(self, data: bytes, now_ns: int) -> None:
-        """Take bytes that were read at a time of ours, or that a recording holds."""
+    def receive(self, data: bytes, now_ns: int, sender: Hashable = None) -> None:
+        """Take bytes that were read at a time of ours, or that a recording holds.
+
+        ``sender`` tells apart who sends datagrams to one socket.
+        """
         if self._first_ns is None:
             self._first_ns = now_ns
         self._last_ns = now_ns
         self._bytes += len(data)
-        self.companion.receive(data, now_ns)
+        self.companion.receive(data, now_ns, sender)
         self._found = self.peer or self._found
-        for frame in self._splitter.feed(data):
+        for frame in self._splitter.feed(data, sender):
             if frame.message_id == JUNK:
                 self._traffic.take_junk(frame.raw)
             else:
@@ -94,49 +93,24 @@ class Witness:
                 self._take(frame, now_ns)
 
     def tick(self, now_ns: int) -> None:
-        """Do what time brings: also ask for the version, and the parameters that decide."""
+        """Do what time brings: also ask for parameters that the guard does not read."""
         self.companion.tick(now_ns)
         peer, session = self.peer, self.companion.session
         if peer is None or self._means is not Means.LIVE:
             return
-        self.reader.begin(self._family, now_ns)
+        self.reader.begin(self._family, is_deciding=not session.guard.is_reading)
         payload = self.reader.request(*peer, now_ns)
         if payload is not None:
             session.send("PARAM_REQUEST_READ", payload, now_ns)
-        if not self._has_asked_version and not self._told.version:
-            self._has_asked_version = True
-            payload = pack(
-                "COMMAND_LONG",
-                target_system=peer[0],
-                target_component=peer[1],
-                command=_REQUEST_MESSAGE,
-                param1=float(IDS["AUTOPILOT_VERSION"]),
-            )
-            session.send("COMMAND_LONG", payload, now_ns)
 
     def data_to_send(self, now_ns: int) -> list[bytes]:
-        """Give what is to be sent, one frame an item; ODOMETRY only where that is safe."""
+        """Give what is to be sent, one frame an item; nothing where we only listen."""
         waiting = self.companion.data_to_send()
         if self._means is not Means.LIVE:
             return []
-        out = []
-        splitter = Splitter()
-        for data in waiting:
-            for frame in splitter.feed(data):
-                if frame.message_id == _ODOMETRY and not self._may_stream():
-                    self._withheld += 1
-                    continue
-                self._take_ours(frame, now_ns)
-                out.append(data)
-        return out
-
-    def _may_stream(self) -> bool:
-        """Whether ODOMETRY may go out: never where the same fixes would count twice."""
-        odometry = self._config.output.odometry
-        if odometry.mode != "auto" or odometry.independent:
-            return odometry.mode != "never"
-        taken = fusion(self.reader.values, self._family)
-        return not taken.is_double if taken is not None else self._family == "unknown"
+        for frame in Splitter().feed(b"".join(waiting)):
+            self._take_ours(frame, now_ns)
+        return waiting
 
     # What passes by
 
@@ -152,15 +126,19 @@ class Witness:
             return
         name = LAYOUTS[frame.message_id].name
         self._tally(name).add(len(frame.raw), now_ns)
-        self._told.take(name, frame, now_ns)
+        self._told.take(name, frame)
         if name in _STAMPS:
             size, unit = _STAMPS[name]
             stamp = int.from_bytes(frame.payload[:size], "little")
             self._stamps.setdefault(name, StampTally(name)).add(stamp * unit)
         elif name == "PARAM_VALUE":
             m = unpack(frame)
-            parameter = m.param_id.decode("ascii", "replace")
-            self.reader.take(parameter, m.param_value, m.param_type, self._family)
+            if (value := value_of(m, frame, self._family)) is not None:
+                self.reader.take(_name(m), value, self._family)
+        elif name == "PARAM_ERROR":
+            m = unpack(frame)
+            if m.error == DOES_NOT_EXIST:
+                self.reader.take(_name(m), None, self._family)
         elif name == "COMMAND_ACK":
             m = unpack(frame)
             if m.command == encode.SET_MESSAGE_INTERVAL and m.result != _IN_PROGRESS:
@@ -194,8 +172,8 @@ class Witness:
             if self._asking != layout.name:
                 self._asking = layout.name
                 tally.restart()
-        elif frame.message_id == _PARAM_REQUEST_READ and len(self.reader.asked) < _PARAMETERS:
-            self.reader.asked.setdefault(unpack(frame).param_id.decode("ascii", "replace"), 1)
+        elif frame.message_id == _PARAM_REQUEST_READ and len(self._asked_parameters) < _PARAMETERS:
+            self._asked_parameters.add(_name(unpack(frame)))
 
     # What has been seen
 
@@ -207,9 +185,9 @@ class Witness:
         damaged: int = 0,
     ) -> Evidence:
         """Give everything, frozen, at a time of ours."""
-        pipeline, traffic = self.companion.pipeline, self._traffic
+        companion, session, traffic = self.companion, self.companion.session, self._traffic
+        counters = session.counters()
         span = max(self._last_ns - (self._first_ns or 0), 1) * 1e-9
-        health = None if pipeline is None else pipeline.health()
         return Evidence(
             means=self._means,
             seconds=span if self._first_ns is not None else 0.0,
@@ -218,22 +196,25 @@ class Witness:
             link=link,
             bytes_in=self._bytes,
             sample=traffic.sample,
-            frames=frame_state(self.companion, traffic.signed),
+            frames=frames(counters),
             damaged=damaged,
             first_version=traffic.first_version,
             mismatched=dict(traffic.mismatched),
             sources=traffic.sources(),
-            peer=self._peer_state(health),
+            peer=None if self._found is None else peer_state(companion, self._found, now_ns),
+            is_clash=session.clash.is_clash,
             messages=self._messages(now_ns),
             bytes_rate=self._bytes / span,
             stream_requests=traffic.stream_requests,
-            refused=dict(self.companion.session.decoder.refused),
-            time=time_state(self.companion, now_ns, list(self._told.trips_ms)),
+            refused=part(counters, "refused: "),
+            time=time_state(session.timesync, session.decoder, now_ns),
             stamps=self._stamps_in_use().state(),
             receiver=self._told.receiver,
-            estimator=health,
-            output=self._output(),
-            asked_parameters=frozenset(self.reader.asked),
+            estimator=None if companion.pipeline is None else companion.pipeline.health(),
+            output=output_state(companion, is_streaming=self._odometry.count > 0),
+            parameters=self.reader.values,
+            asked_parameters=frozenset(self._asked_parameters),
+            taken=self._taken(),
             sent=Sent(
                 count=self._odometry.count,
                 rate=self._odometry.rate(),
@@ -260,25 +241,14 @@ class Witness:
             source = max(self._stamps, key=lambda name: self._tally(name).count)
         return self._stamps.get(source, StampTally(""))
 
-    def _output(self) -> OutputState:
-        return OutputState(
-            mode=self._config.output.odometry.mode,
-            is_streaming=self._odometry.count > 0,
-            reason="",
-            remedy="",
-            parameters=dict(self.reader.values),
-            sent={"ODOMETRY": self._odometry.count},
-            withheld=self._withheld,
-        )
+    def _taken(self) -> Verdict:
+        """Give the guard's decision; where it asks nothing, the same one by what was told."""
+        is_live, guard = self._means is Means.LIVE, self.companion.session.guard
+        if is_live and guard.is_reading:
+            return guard.verdict
+        is_complete = is_live and self.reader.is_done
+        return decide(self._family, self.reader.answers, is_complete=is_complete)
 
-    def _peer_state(self, health: Health | None) -> Peer | None:
-        if self._found is None or health is None:
-            return None
-        return Peer(
-            system_id=self._found[0],
-            component_id=self._found[1],
-            family=self._family,
-            version=self._told.version,
-            is_heard=self.peer is not None,
-            reboots=health.arrivals[Kind.RESTART][Arrival.RESTARTED],
-        )
+
+def _name(message: Any) -> str:
+    return str(message.param_id.decode("ascii", "replace"))

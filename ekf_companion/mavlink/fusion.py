@@ -131,6 +131,7 @@ def _by_px4(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
         f"set {_GNSS} to 0 to fly on our estimate, or {_VISION} to 0 to fly on GNSS",
         f"no ODOMETRY: set {_GNSS} 0",
         read,
+        is_double=True,
     )
 
 
@@ -149,6 +150,7 @@ def _by_old_px4(read: Mapping[str, float]) -> Verdict:
             "fly on GNSS, and reboot",
             f"no ODOMETRY: set {_MASK} {lone}",
             read,
+            is_double=True,
         )
     if _HEIGHT not in read:
         return _unread((_HEIGHT,), read)
@@ -159,6 +161,7 @@ def _by_old_px4(read: Mapping[str, float]) -> Verdict:
             f"set {_HEIGHT} to 3 (vision) or 0 (barometer), and reboot",
             f"no ODOMETRY: set {_HEIGHT} 3",
             read,
+            is_double=True,
         )
     reason = f"{_MASK} is {mask}: the autopilot fuses ours, and no GNSS"
     is_yaw_fused = _AID_EV_BITS[16] in ours
@@ -210,6 +213,7 @@ def _double(
         f"{remedy}, or {_DRIVER} to 0 to fly on GNSS",
         text,
         read,
+        is_double=True,
     )
 
 

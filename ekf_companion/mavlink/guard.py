@@ -32,7 +32,8 @@ _SLOWEST_NS = SECOND_NS // 2
 """Between two readings where few are watched."""
 
 _REAL32 = 9
-_DOES_NOT_EXIST = 1
+DOES_NOT_EXIST = 1
+"""In PARAM_ERROR."""
 _INT32 = Struct("<i")
 
 
@@ -106,7 +107,7 @@ class Guard(Service):
 
     def tick(self, now_ns: int) -> None:
         """Ask for what is missing, then read again what could change."""
-        if not self._is_reading:
+        if not self.is_reading:
             return
         for name in missing(self._family, self._answers):
             self._ask_for(name, now_ns)
@@ -121,20 +122,16 @@ class Guard(Service):
     # What is answered
 
     def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
-        name = message.param_id.decode("ascii", "replace")
-        value = message.param_value
-        if self._family is Family.PX4 and message.param_type != _REAL32:
-            # It lays the integer's bytes where the float's would be
-            (value,) = _INT32.unpack(frame.payload.ljust(4, b"\0")[:4])
-        if math.isfinite(value):
-            self._note(name, float(value), now_ns)
+        value = value_of(message, frame, self._family)
+        if value is not None:
+            self._note(message.param_id.decode("ascii", "replace"), value, now_ns)
 
     def _take_error(self, message: Any, frame: Frame, now_ns: int) -> None:
-        if message.error == _DOES_NOT_EXIST:
+        if message.error == DOES_NOT_EXIST:
             self._note(message.param_id.decode("ascii", "replace"), None, now_ns)
 
     def _note(self, name: str, value: float | None, now_ns: int) -> None:
-        if not self._is_reading or name not in NAMES[self._family]:
+        if not self.is_reading or name not in NAMES[self._family]:
             return
         self._answers[name] = value
         self._questions.pop(name, None)
@@ -181,7 +178,7 @@ class Guard(Service):
         return Family.UNKNOWN if self._peer is None else self._peer.family
 
     @property
-    def _is_reading(self) -> bool:
+    def is_reading(self) -> bool:
         """Whether the answer depends on any parameter."""
         is_asked = self.options.mode == "auto" and not self.options.independent
         return is_asked and bool(NAMES[self._family])
@@ -213,3 +210,15 @@ class Guard(Service):
                 is_settled=False,
             )
         return decide(Family.UNKNOWN, {}, options.mode, options.independent)
+
+
+def value_of(message: Any, frame: Frame, family: Family) -> float | None:
+    """Give the number in an autopilot's PARAM_VALUE; None: it is none.
+
+    Source: MAVLink guide, "Parameter Protocol", on both encodings of the value.
+    """
+    value = message.param_value
+    if family is Family.PX4 and message.param_type != _REAL32:
+        # It lays the integer's bytes where the float's would be
+        (value,) = _INT32.unpack(frame.payload.ljust(4, b"\0")[:4])
+    return float(value) if math.isfinite(value) else None

@@ -25,6 +25,8 @@ class Verdict:
     """Whether the autopilot fuses what is streamed: what it then says of itself is partly ours."""
     is_yaw_fused: bool = False
     """Whether our yaw too: its own heading is then partly ours."""
+    is_double: bool = False
+    """Whether the autopilot would fuse it together with the GNSS that is in it."""
     is_settled: bool = True
     """Whether all that decides has been answered, or asked for in vain."""
 
@@ -43,7 +45,9 @@ def streamed(reason: str, text: str, read: Mapping[str, float]) -> Verdict:
     )
 
 
-def withheld(reason: str, remedy: str, text: str, read: Mapping[str, float]) -> Verdict:
+def withheld(
+    reason: str, remedy: str, text: str, read: Mapping[str, float], *, is_double: bool = False
+) -> Verdict:
     """Keep it back; a human should look where something can be done."""
     return Verdict(
         is_streaming=False,
@@ -52,4 +56,5 @@ def withheld(reason: str, remedy: str, text: str, read: Mapping[str, float]) -> 
         text=text,
         parameters=read,
         is_warning=bool(remedy),
+        is_double=is_double,
     )

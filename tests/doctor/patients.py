@@ -17,6 +17,15 @@ LINK_MS = 1_000_000
 """Each way, ns."""
 UDP = Opening(url="udpin:0.0.0.0:14540", kind="udpin")
 
+_PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
+ARDUPILOT_OURS = {
+    "VISO_TYPE": 1,
+    "EK3_SRC_OPTIONS": 0,
+    **{f"EK3_SRC1_{part}": 6 for part in _PARTS},
+    **{f"EK3_SRC{k}_{part}": 0 for k in (2, 3) for part in _PARTS},
+}
+"""All that decides, so that ours alone counts."""
+
 
 def simulated(rate=100.0, **options):
     return SimConfig(imu=ImuConfig(rate=rate), gnss=GnssConfig(rate=5.0), **options)
@@ -28,6 +37,8 @@ def examine(
     *,
     config=None,
     means=Means.LIVE,
+    signing=None,
+    begin_ns=0,
     seconds=8.0,
     scenario="hover",
     change=None,
@@ -37,6 +48,8 @@ def examine(
     """Give the evidence of a conversation.
 
     Args:
+        signing: Ours.
+        begin_ns: Our clock where the autopilot's is 0.
         change: Takes the name and fields (a dict) of what the autopilot sends, and gives name and
             fields, changed, or None: it is lost.
         hears: Whether the autopilot hears a message of ours, by its name and fields.
@@ -45,23 +58,23 @@ def examine(
     sim = sim or simulated()
     config = config or Config()
     autopilot = Autopilot(sim, kind)
-    witness = Witness(config, means)
+    witness = Witness(config, means, signing)
     wire, sender = Splitter(), Sender(sim.system_id, 1)
     ours = Splitter()
-    now_ns = 0
+    now_ns = begin_ns
     for cycle in Flight.plan(scenario, sim, duration=seconds).cycles():
-        now_ns = cycle.t_ns
+        now_ns = begin_ns + cycle.t_ns
         autopilot.cycle(cycle)
         data = b"".join(autopilot.data_to_send())
         if change is not None:
             data = b"".join(changed(wire.feed(data), change, sender))
-        data += b"".join(aside(now_ns))
+        data += b"".join(aside(cycle.t_ns))
         if data:
             witness.receive(data, now_ns + LINK_MS)
         witness.tick(now_ns + LINK_MS)
         for frame in ours.feed(b"".join(witness.data_to_send(now_ns + LINK_MS))):
             if hears(LAYOUTS[frame.message_id].name, unpack(frame)):
-                autopilot.receive(frame.raw, now_ns + 2 * LINK_MS)
+                autopilot.receive(frame.raw, cycle.t_ns + 2 * LINK_MS)
     return witness.evidence(now_ns + 2 * LINK_MS, UDP if means is not Means.RECORDING else None)
 
 

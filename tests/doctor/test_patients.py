@@ -1,6 +1,7 @@
 """Each fault, as the fake autopilot or the way between has it: which stage is named, and what."""
 
 from dataclasses import replace
+from itertools import count
 
 import pytest
 
@@ -8,10 +9,15 @@ from ekf_companion.config import Config, LinkConfig, OdometryConfig, OutputConfi
 from ekf_companion.doctor.diagnosis import diagnose, first_failure
 from ekf_companion.doctor.evidence import Means
 from ekf_companion.doctor.finding import Mark
-from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.audit import probable_cause
+from ekf_companion.mavlink.codec import Sender, pack
+from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.mavlink.signing import Signing
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import StreamConfig
 from tests.doctor.patients import (
+    ARDUPILOT_OURS,
     examine,
     is_request,
     simulated,
@@ -39,7 +45,7 @@ def test_where_nothing_is_wrong_nothing_is_found(kind):
     assert [f for f in diagnose(evidence) if f.mark is not Mark.OK] == []
     assert evidence.sent.frames == {(20, 12)}
     assert evidence.sent.rate == pytest.approx(30.0, rel=0.1)
-    assert "takes nothing of ours" in stage(evidence, "fused").saw
+    assert "; it would with" in stage(evidence, "fused").saw
 
 
 def test_who_only_listens_sends_nothing_and_says_so():
@@ -104,13 +110,73 @@ def test_another_with_our_ids_is_a_clash():
     [
         (link(allow_systems=(7,)), "Add 1 to link.allow_systems"),
         (link(allow_components=(190, 191)), "Add 1 to link.allow_components"),
-        (replace(SLOW, signing=SigningConfig(key_file="key")), "signing.accept_unsigned"),
     ],
 )
-def test_an_autopilot_that_is_refused_is_named_with_the_key_that_refuses_it(config, remedy):
-    evidence = replace(examine(config=SLOW, seconds=2.0), config=config)
+def test_an_autopilot_that_is_not_allowed_is_named_with_the_key_that_refuses_it(config, remedy):
+    evidence = examine(config=config, seconds=2.0)
     assert remedy in words(stage(evidence, "source"))
     assert first_failure(diagnose(evidence)).stage.value == "source"
+
+
+SECRET, OTHER = bytes(32), bytes(range(32))
+SECOND = 1_000_000_000
+HOUR = 3600 * SECOND
+NOON_NS = 1_800_000_000 * SECOND
+"""Unix time, when a simulated flight begins."""
+
+
+def signed(secret, ahead_s=0):
+    """Give a change that signs what the autopilot sends, by a clock so far ahead of ours."""
+    clock, sender = count(NOON_NS + ahead_s * SECOND, SECOND // 100), Sender(1, 1, Signing(secret))
+    return lambda name, fields: sender.frame(name, pack(name, **fields), next(clock))
+
+
+def from_later():
+    """Give a secret in use that has heard the autopilot an hour from now."""
+    frame = Sender(1, 1, Signing(SECRET)).frame("HEARTBEAT", pack("HEARTBEAT"), NOON_NS + HOUR)
+    signing = Signing(SECRET)
+    assert signing.verify(next(iter(Splitter().feed(frame))), NOON_NS) == ""
+    return signing
+
+
+@pytest.mark.parametrize(
+    ("ours", "change", "said"),
+    [
+        (lambda: Signing(SECRET), None, "signing.accept_unsigned"),
+        (lambda: Signing(SECRET), signed(OTHER), "another secret"),
+        (lambda: Signing(SECRET), signed(SECRET, ahead_s=-3600), "over a minute old"),
+        (from_later, signed(SECRET), "clock went back"),
+    ],
+)
+def test_signatures_that_are_not_believed_are_told_apart(ours, change, said):
+    """Rule 34."""
+    config = replace(SLOW, signing=SigningConfig(key_file="read by the command"))
+    evidence = examine(config=config, signing=ours(), change=change, begin_ns=NOON_NS, seconds=2.0)
+    found = stage(evidence, "source")
+    assert found.mark is Mark.FAILED
+    assert said in words(found)
+
+
+def test_an_autopilot_that_shares_the_secret_is_found_and_hears_signed_frames():
+    """Rule 34."""
+    config = replace(SLOW, signing=SigningConfig(key_file="read by the command"))
+    evidence = examine(
+        config=config,
+        signing=Signing(SECRET, link_id=1),
+        change=signed(SECRET),
+        begin_ns=NOON_NS,
+        seconds=4.0,
+    )
+    assert stage(evidence, "source").mark is Mark.OK
+    assert evidence.frames.signed > 100
+    assert evidence.messages["HIGHRES_IMU"].answer == "accepted"
+
+
+def test_who_hears_signed_frames_and_has_no_secret_is_told_that_ours_are_not_believed():
+    """Rule 34."""
+    found = stage(examine(config=SLOW, change=signed(SECRET), seconds=2.0), "source")
+    assert found.mark is Mark.WARNING
+    assert "Set signing.key_file" in words(found)
 
 
 # Which messages
@@ -160,9 +226,18 @@ def at_4_hz(autopilot_rate=100):
     )
 
 
+def by_the_daemon(evidence):
+    """Give the cause that the daemon would log of the same rates."""
+    measured = {name: state.rate for name, state in evidence.messages.items()}
+    asked = {name: state.asked for name, state in evidence.messages.items()}
+    return probable_cause(measured, asked, Family(evidence.peer.family))
+
+
 def test_all_streams_at_4_hz_are_a_ground_stations():
     """Rule 6."""
-    found = stage(examine(kind=Kind.ARDUPILOT, config=SLOW, change=at_4_hz()), "rates")
+    evidence = examine(kind=Kind.ARDUPILOT, config=SLOW, change=at_4_hz())
+    found = stage(evidence, "rates")
+    assert "a ground station sets" in by_the_daemon(evidence)
     assert found.mark is Mark.FAILED
     assert "a ground station sets them" in words(found)
     assert "SERIALn_OPTIONS + 4096" in words(found)
@@ -170,7 +245,9 @@ def test_all_streams_at_4_hz_are_a_ground_stations():
 
 def test_40_hz_is_the_most_of_a_loop_of_50():
     sim = simulated(rate=40.0, parameters={"SCHED_LOOP_RATE": 50})
-    found = stage(examine(sim, Kind.ARDUPILOT, config=SLOW), "rates")
+    evidence = examine(sim, Kind.ARDUPILOT, config=SLOW)
+    assert "raise SCHED_LOOP_RATE" in by_the_daemon(evidence)
+    found = stage(evidence, "rates")
     assert found.mark is Mark.WARNING
     assert "0.8 of SCHED_LOOP_RATE = 50" in words(found)
     assert "SCHED_LOOP_RATE = 150" in words(found)
@@ -192,7 +269,9 @@ def test_streams_scaled_by_one_factor_are_the_links_budget():
         HIGHRES_IMU=3, ATTITUDE=3, GLOBAL_POSITION_INT=3, EXTENDED_SYS_STATE=3, SYSTEM_TIME=3
     )
     config = Config(link=LinkConfig(imu_rate=100.0, heading_rate=20.0))
-    found = stage(examine(sim, config=config, change=scaled), "rates")
+    evidence = examine(sim, config=config, change=scaled)
+    assert "so the link is full; raise MAV_n_RATE" in by_the_daemon(evidence)
+    found = stage(evidence, "rates")
     assert found.mark is Mark.WARNING
     assert "the link's budget is spent" in words(found)
     assert "MAV_0_RATE = 1200 now" in words(found)
@@ -230,11 +309,13 @@ def test_a_fix_on_another_clock_needs_system_time():
 
 def test_a_reboot_is_told():
     """Rule 12."""
-    turns = iter(range(10**6))
+    turns = count()
 
     def change(name, fields):
-        if name == "HIGHRES_IMU":
-            fields["time_usec"] -= 15_000_000 if next(turns) > 300 else 0
+        is_over = next(turns) > 400
+        for field, unit in (("time_usec", 1), ("time_boot_ms", 1000)):
+            if field in fields and is_over:
+                fields[field] -= 15_000_000 // unit
         return name, fields
 
     found = stage(examine(config=SLOW, change=change, seconds=5.0), "time")
@@ -321,7 +402,7 @@ def test_stale_inertial_values_are_refused_by_their_bits():
 
 DOUBLE = {
     Kind.PX4: {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 7},
-    Kind.ARDUPILOT: {"VISO_TYPE": 1, "EK3_SRC1_POSXY": 6, "EK3_SRC1_VELXY": 3},
+    Kind.ARDUPILOT: {**ARDUPILOT_OURS, "EK3_SRC1_VELXY": 3},
 }
 
 
@@ -337,8 +418,9 @@ def test_no_odometry_goes_where_the_same_fixes_would_count_twice(kind):
     )
     found = marks(evidence)
     assert (found["sent"], found["fused"]) == ("failed", "unknown")
-    assert "would count the same GNSS twice" in words(stage(evidence, "sent"))
-    assert list(DOUBLE[kind])[-1] in words(stage(evidence, "fused"))
+    assert "together with" in words(stage(evidence, "sent"))
+    assert "Set EK" in stage(evidence, "sent").troubles[0].remedy
+    assert "output.odometry.independent = true" in words(stage(evidence, "sent"))
 
 
 def test_what_is_always_sent_and_counted_twice_fails():
@@ -346,14 +428,15 @@ def test_what_is_always_sent_and_counted_twice_fails():
     sim = simulated(parameters=DOUBLE[Kind.PX4])
     found = first_failure(diagnose(examine(sim, config=config, seconds=5.0)))
     assert found.stage.value == "fused"
-    assert "EKF2_GPS_CTRL = 0" in words(found)
+    assert "The same GNSS would count twice" in words(found)
+    assert "Set EKF2_GPS_CTRL to 0" in words(found)
 
 
 def test_where_ours_alone_counts_all_is_well():
     sim = simulated(parameters={"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0})
     evidence = examine(sim, config=SLOW)
     assert marks(evidence)["fused"] == "ok"
-    assert stage(evidence, "fused").saw == "takes ours (EKF2_EV_CTRL = 15)"
+    assert "the autopilot fuses ours, and no GNSS" in stage(evidence, "fused").saw
     assert evidence.sent.count > 50
 
 
@@ -362,7 +445,7 @@ def test_an_autopilot_that_tells_no_parameter_gets_no_odometry():
         config=SLOW, seconds=6.0, hears=lambda name, _: name not in ("PARAM_REQUEST_READ",)
     )
     assert evidence.sent.count == 0
-    assert "does not say what it would do" in words(stage(evidence, "sent"))
+    assert "it answers no request for a parameter" in words(stage(evidence, "sent"))
     assert marks(evidence)["fused"] == "unknown"
 
 

@@ -1,0 +1,72 @@
+"""What is read, and whom to go on listening to: the daemon and the doctor hear alike.
+
+Datagrams are heard of whoever the session takes for the autopilot, see :mod:`~.link.peers`; a
+session that refuses a frame, by its ids or its signature, so keeps its sender from being answered.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from ekf_companion.config import Config
+from ekf_companion.link import Link, Peers, Received, open_link
+from ekf_companion.mavlink.session import Session
+
+
+def open_reception(
+    config: Config,
+    *,
+    is_signed: bool,
+    on_read: Callable[[Received], None],
+    on_state: Callable[[bool], None] | None = None,
+) -> Link:
+    """Give the link of a configuration; what it reads must be given to :func:`hear`.
+
+    Args:
+        config: Whose ``link`` is opened.
+        is_signed: Whether there is a secret by which frames are verified.
+        on_read: Called with what is read, at once.
+        on_state: Called with True when the link has opened and with False when it is closed.
+
+    Raises:
+        LinkError: The URL names no link, or the peer nobody.
+    """
+    return open_link(
+        config.link.url,
+        peer=config.link.peer,
+        clock=unix_clock,
+        peers=Peers(is_signed=is_signed and not config.signing.accept_unsigned),
+        on_state=on_state,
+        on_read=on_read,
+    )
+
+
+def hear(
+    received: Received, take: Callable[[bytes, int, Any], None], session: Session, peers: Peers
+) -> None:
+    """Hand on what was read, and say by what the session makes of it whom to listen to.
+
+    Args:
+        received: Bytes, when they were read, and who sent them.
+        take: Gives them to the session.
+        session: Of the link.
+        peers: Likewise.
+    """
+    data, now_ns, sender = received
+    heard, admitted = session.heard, session.admission.admitted
+    take(data, now_ns, sender)
+    if sender is not None:
+        if session.heard != heard:
+            peers.pin(sender, now_ns)
+        elif session.admission.admitted != admitted:
+            peers.answer(sender)
+
+
+def unix_clock() -> int:
+    """Give unix time, ns, that never steps: the monotonic clock, set once."""
+    return time.monotonic_ns() + _BOOT_NS
+
+
+_BOOT_NS = time.time_ns() - time.monotonic_ns()
