@@ -7,41 +7,78 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 from ekf_companion.companion import Companion
 from ekf_companion.link import Link
 from ekf_companion.mavlink.clock import Timesync
 from ekf_companion.mavlink.decode import Decoder
 from ekf_companion.mavlink.session import Session
-from ekf_companion.snapshot import FrameState, TimeState
+from ekf_companion.snapshot import (
+    FrameState,
+    ImuState,
+    LinkState,
+    MessageState,
+    OutputState,
+    ReloadState,
+    TimeState,
+)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GuardState:
-    """Whether the estimate is sent, and why."""
-
-    reason: str = ""
-    remedy: str = ""
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    withheld: int = 0
-
-
-def guard_state(companion: Companion) -> GuardState:
-    """Give the guard's verdict on sending ODOMETRY."""
-    session = companion.session
-    verdict = session.guard.verdict
-    return GuardState(
-        reason=verdict.reason,
-        remedy=verdict.remedy,
-        parameters=verdict.parameters,
-        withheld=session.outbox.withheld["ODOMETRY"],
+def link_state(link: Link, silent_s: float) -> LinkState:
+    """Give the descriptor and the bytes, of which the last came so long ago; NaN: none has."""
+    pinned = link.peers.pinned
+    return LinkState(
+        url=str(link.address),
+        is_open=link.is_open,
+        opened=link.opened,
+        bytes_in=link.bytes_in,
+        bytes_out=link.bytes_out,
+        dropped=link.dropped,
+        unsent=link.unsent,
+        silent_s=silent_s,
+        refused=dict(link.refused),
+        peer="" if pinned is None else f"{pinned[0]} port {pinned[1]}",
     )
 
 
-def refused_datagrams(link: Link) -> Mapping[str, int]:
-    """Give the datagrams that the link did not let in, by reason."""
-    return link.refused
+def output_state(session: Session, new: int, rate: float) -> OutputState:
+    """Give what is sent, and why; of ODOMETRY so many are new, at a rate, Hz."""
+    verdict, is_clash = session.guard.verdict, session.clash.is_clash
+    reason, remedy = verdict.reason, verdict.remedy
+    if is_clash:
+        reason = "somebody else speaks under our system and component id"
+        remedy = "give one of us another link.component_id"
+    return OutputState(
+        mode=session.guard.options.mode,
+        is_streaming=new > 0,
+        rate=rate,
+        is_allowed=session.may_stream,
+        is_settled=verdict.is_settled,
+        is_clash=is_clash,
+        reason=reason,
+        remedy=remedy,
+        parameters=dict(verdict.parameters),
+        sent=dict(session.sent),
+        withheld=session.outbox.withheld["ODOMETRY"],
+        texts_dropped=session.statustext.dropped,
+    )
+
+
+def imu_state(decoder: Decoder, messages: Mapping[str, MessageState]) -> ImuState:
+    """Give where the inertial samples come from, by the messages that are heard."""
+    message = messages.get(decoder.imu_source)
+    return ImuState(
+        message=decoder.imu_source,
+        instance=decoder.imu_instance,
+        rate=0.0 if message is None else message.rate,
+        is_dejittered=decoder.is_dejittered,
+    )
+
+
+def reload_state(companion: Companion) -> ReloadState:
+    """Give how often the configuration was read anew, and what became of it."""
+    last = getattr(companion, "last_reload", "")
+    return ReloadState(count=getattr(companion, "reloads", 0), words=str(last or ""))
 
 
 def firmware(session: Session) -> str:
@@ -61,7 +98,7 @@ def heartbeat_ns(session: Session) -> int | None:
 
 def asked_rates(session: Session) -> dict[str, float]:
     """Give the rates that were asked for, Hz, by message."""
-    rates = dict(session.options.rates)
+    rates = dict(session.requests.rates)
     if "RAW_IMU" in session.results:  # asked in its place where it was refused
         rates["RAW_IMU"] = rates.get("HIGHRES_IMU", 0.0)
     return rates
@@ -79,6 +116,7 @@ def time_state(timesync: Timesync, decoder: Decoder, now_ns: int) -> TimeState:
         skew_ppm=timesync.skew * 1e6,
         rtt_p50_ms=_ms(quality.rtt_p50_ns),
         rtt_p95_ms=_ms(quality.rtt_p95_ns),
+        residual_us=math.nan if quality.residual is None else quality.residual * 1e6,
         answers=quality.answers,
         refused=dict(timesync.refused),
     )
@@ -98,8 +136,10 @@ def frames(counters: Mapping[str, int]) -> FrameState:
         junk_bytes=counters["junk_bytes"],
         lost=counters["lost"],
         late=counters["late"],
+        duplicates=counters["duplicate"],
         signed=counters["signed"],
-        refused={**part(counters, "ignored: "), **part(counters, "not admitted: ")},
+        refused=part(counters, "not admitted: "),
+        ignored=part(counters, "ignored: "),
     )
 
 

@@ -113,9 +113,7 @@ class Daemon:
         if memory is not None:
             tuning = Tuning(config, memory.read(), str(memory.path), memory.keep)
         self._companion = Companion(config, self._recorder is not None, resumption, signing, tuning)
-        self._observer = Observer(
-            config, self.link, self._companion, unix_clock, recorded=self._recorded
-        )
+        self._observer = Observer(self.link, self._companion, unix_clock, recorded=self._recorded)
         self._endpoint = open_endpoint(config.http, self._observer, asyncio.get_running_loop())
         self._systemd = Systemd()
 
@@ -182,6 +180,7 @@ class Daemon:
         if self._keyring is not None:
             self._keyring.keep(now_ns)
         self._systemd.beat(now_ns)
+        self._systemd.report(now_ns, self._observer.words)
 
     def _send(self) -> None:
         for frame in self._companion.data_to_send():

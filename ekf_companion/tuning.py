@@ -160,13 +160,17 @@ class Tuning:
         """
         self.config = apply(self.config, key, number)
         if self._keep is not None:
-            changed = {
-                tunable.key: value
-                for tunable in TABLE
-                if (value := _get(self.config, tunable.key)) != _get(self._file_config, tunable.key)
-            }
-            self._keep(msgspec.json.format(msgspec.json.encode(changed)) + b"\n")
+            self._keep(msgspec.json.format(msgspec.json.encode(self.changed)) + b"\n")
         return self.config
+
+    @property
+    def changed(self) -> dict[str, object]:
+        """Give dotted key and value of what differs from the user's file."""
+        return {
+            tunable.key: value
+            for tunable in TABLE
+            if (value := _get(self.config, tunable.key)) != _get(self._file_config, tunable.key)
+        }
 
     def _recall(self, data: bytes, name: str) -> None:
         try:

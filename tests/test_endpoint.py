@@ -16,7 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families as parse
 
 from ekf_companion import endpoint
 from ekf_companion.endpoint import CONNECTIONS, open_endpoint
-from ekf_companion.metrics import PREFIX
+from ekf_companion.families import PREFIX
 from ekf_companion.sections import HttpConfig
 from ekf_companion.service import unix_clock
 from sim_autopilot.autopilot import Kind

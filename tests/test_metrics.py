@@ -11,16 +11,16 @@ from prometheus_client.openmetrics.exposition import generate_latest as generate
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_open
 from prometheus_client.parser import text_string_to_metric_families as parse
 
-from ekf_companion.metrics import PREFIX, families, registry_of
+from ekf_companion.families import PREFIX
+from ekf_companion.metrics import families, registry_of
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.pipeline import Aid, Verdict
-from tests.test_companion import cycles
 from tests.test_observer import Watched
 
 
 @pytest.fixture(scope="module")
 def snapshot():
-    return Watched().feed(cycles(8.0)).snapshot()
+    return Watched().fly(8.0).snapshot()
 
 
 @pytest.fixture(scope="module")
@@ -98,8 +98,10 @@ def test_the_latency_is_a_histogram_in_seconds(snapshot, samples):
 
 
 def test_what_is_not_known_has_no_row(snapshot, samples):
-    assert math.isnan(snapshot.time.offset_s)
-    assert ("clock_offset_seconds",) not in samples
+    unheard = Watched().snapshot()
+    assert math.isnan(unheard.time.offset_s)
+    assert ("clock_offset_seconds",) not in read(generate_latest(registry_of(unheard)).decode())
+    assert samples["clock_offset_seconds",] == snapshot.time.offset_s
     assert not any(math.isnan(value) for value in samples.values())
 
 

@@ -18,9 +18,8 @@ from typer.testing import CliRunner
 from ekf_companion import endpoint
 from ekf_companion.cli import app
 from ekf_companion.cli.status_view import view
+from ekf_companion.finding import to_json
 from ekf_companion.pipeline import Aid
-from ekf_companion.snapshot import to_json
-from tests.test_companion import cycles
 from tests.test_endpoint import listening, serving
 from tests.test_observer import Watched
 from tests.test_service import Daemon, free_port
@@ -45,7 +44,7 @@ def test_a_healthy_daemon_is_shown_and_is_exit_code_0(daemon):
     result = status("--url", daemon)
     assert result.exit_code == 0, result.output
     words = " ".join(result.output.split())
-    assert words.startswith("ok: nothing is estimated yet; not a byte has come over the link")
+    assert words.startswith("ok: waiting for an autopilot; not a byte has come over the link")
     for stage in ("link", "frames", "autopilot", "time", "estimate", "output", "process"):
         assert f"\n{stage} " in result.output.replace("\n ", "\n")
     assert "HIGHRES_IMU" in words
@@ -126,7 +125,7 @@ def test_a_daemon_that_is_stuck_is_exit_code_1(monkeypatch):
 
 @pytest.fixture(scope="module")
 def data():
-    return json.loads(to_json(Watched().feed(cycles(8.0)).snapshot()))
+    return json.loads(to_json(Watched().fly(8.0).snapshot()))
 
 
 def page(data, width=200):

@@ -221,7 +221,8 @@ def frame_state(companion: Companion, signed: int) -> FrameState:
     return FrameState(
         **{name: counters[name] for name in names},
         signed=signed,
-        refused=dict(companion.session.ignored),
+        refused=dict(companion.session.admission.refused),
+        ignored=dict(companion.session.ignored),
     )
 
 
