@@ -2,20 +2,24 @@
 
 import json
 import math
+import os
 from dataclasses import replace
 
 import pytest
 
 from ekf_companion.board import Board, read_board
 from ekf_companion.companion import Companion
-from ekf_companion.config import Config
+from ekf_companion.config import Config, LinkConfig, OdometryConfig, OutputConfig
 from ekf_companion.finding import judge, to_json
 from ekf_companion.latency import BUCKETS_MS, Latency
 from ekf_companion.link import open_link
+from ekf_companion.mavlink.codec import Sender
 from ekf_companion.nav.state import Status
 from ekf_companion.observer import Observer
+from ekf_companion.reload import reload
+from ekf_companion.snapshot import ReloadState
 from sim_autopilot.autopilot import Autopilot
-from sim_autopilot.config import SimConfig
+from sim_autopilot.config import ImuConfig, SimConfig, StreamConfig
 from sim_autopilot.flight import Flight
 from tests.test_companion import cycles
 
@@ -26,13 +30,13 @@ MS = 1_000_000
 class Watched:
     """A companion that is fed as the service does it, on a clock of its own."""
 
-    def __init__(self, delay_ns=MS // 4):
+    def __init__(self, delay_ns=MS // 4, config=None):
         self.now_ns = 1_000 * MS
         self.delay_ns = delay_ns
         self.begin_ns = None
         self.last_ns = 0
         self.link = open_link("udpin:127.0.0.1:14550")
-        self.companion = Companion(Config())
+        self.companion = Companion(config or Config())
         self.observer = Observer(self.link, self.companion, lambda: self.now_ns)
 
     def fly(self, duration, **options):
@@ -62,6 +66,11 @@ class Watched:
         self.companion.tick(read_ns)
         self.now_ns += self.delay_ns
         self.observer.beat(read_ns)
+
+    def hear(self, *frames):
+        """Feed what somebody else says."""
+        self.companion.receive(b"".join(frames), self.now_ns)
+        return self
 
     def snapshot(self):
         return self.observer.snapshot(BOARD)
@@ -144,7 +153,7 @@ def test_the_stages_are_counted_from_bytes_to_what_is_sent(flown):
     assert snapshot.estimator.status is Status.OK
     assert snapshot.sample_age_s < 0.5
     assert snapshot.resets == {}
-    assert snapshot.process.rss_mb == 50.0
+    assert (snapshot.process.rss_mb, snapshot.process.pid) == (50.0, os.getpid())
 
 
 def test_a_reset_is_counted_under_its_reason():
@@ -163,6 +172,99 @@ def later(flight, seconds):
         first = t_ns if first is None else first
         if t_ns - first >= seconds * 1e9:
             yield t_ns, data
+
+
+# What the services have learnt
+
+
+def test_the_guards_verdict_is_told_with_what_it_read():
+    """Rule 25: why ODOMETRY is withheld, and the parameter to change."""
+    watched = Watched().fly(8.0, parameters={"EKF2_EV_CTRL": 15.0, "EKF2_GPS_CTRL": 7.0})
+    output = watched.snapshot().output
+    assert (output.is_allowed, output.is_streaming, output.is_settled) == (False, False, True)
+    assert output.parameters == {"EKF2_EV_CTRL": 15.0, "EKF2_GPS_CTRL": 7.0}
+    assert output.withheld > 100
+    assert output.rate == 0.0
+    watched.link._port = object()  # open
+    words = judge(watched.snapshot()).words
+    assert words == (
+        f"ok: the estimate is OK, 250 Hz IMU, ODOMETRY withheld: {output.reason}; {output.remedy}"
+    )
+    assert "EKF2_" in output.remedy
+
+
+def test_somebody_else_under_our_ids_is_told_as_the_reason():
+    other = Sender(1, Config().link.component_id)
+    watched = Watched().fly(3.0).hear(other.message("HEARTBEAT", type=18, autopilot=8))
+    output = watched.snapshot().output
+    assert (output.is_clash, output.is_allowed) == (True, False)
+    assert output.reason == "somebody else speaks under our system and component id"
+    assert "link.component_id" in output.remedy
+
+
+def test_a_rate_that_is_asked_for_in_vain_is_told_with_its_cause():
+    slow = Watched().fly(45.0, imu=ImuConfig(rate=50.0), streams=StreamConfig(HIGHRES_IMU=50.0))
+    message = slow.snapshot().messages["HIGHRES_IMU"]
+    assert message.rate == pytest.approx(50.0, rel=0.05)
+    assert "lower link.imu_rate" in message.cause
+    slow.link._port = object()  # open
+    assert f"; HIGHRES_IMU at 50 of 250 Hz: {message.cause}" in judge(slow.snapshot()).words
+
+
+def test_who_is_not_admitted_is_counted_apart_from_who_is_not_ours():
+    config = Config(link=LinkConfig(allow_systems=(1, 255)))
+    stranger, station = Sender(9, 1), Sender(255, 190)
+    watched = Watched(config=config).fly(1.0)
+    before = watched.snapshot().frames
+    again = station.message("HEARTBEAT", type=6)
+    frames = watched.hear(stranger.message("HEARTBEAT", type=2), again).snapshot().frames
+    assert frames.refused == {"system is not in link.allow_systems": 1}
+    assert sum(frames.ignored.values()) == sum(before.ignored.values()) + 1
+    assert frames.signed == 0
+
+
+def test_what_was_set_over_mavlink_is_told_by_its_key():
+    watched = Watched().fly(0.5)
+    assert watched.snapshot().tuned == {}
+    station = Sender(255, 190)
+    for name, value in ((b"EC_GPS_DELAY", 0.125), (b"EC_ODOM_MODE", 2.0)):
+        fields = {"target_system": 1, "target_component": Config().link.component_id}
+        request = {**fields, "param_id": name, "param_value": value, "param_type": 9}
+        watched.hear(station.message("PARAM_SET", **request))
+    snapshot = watched.snapshot()
+    assert snapshot.tuned == {"gnss.delay": 0.125, "output.odometry.mode": "never"}
+    assert snapshot.output.mode == "never"
+
+
+def test_a_clock_that_is_known_is_told_with_how_well(flown):
+    _, snapshot = flown
+    assert snapshot.time.is_locked
+    assert snapshot.time.residual_us < 1e3
+    assert snapshot.time.rtt_p50_ms == pytest.approx(4.0)
+
+
+def test_the_inertial_source_is_told(flown):
+    _, snapshot = flown
+    assert (snapshot.imu.message, snapshot.imu.instance) == ("HIGHRES_IMU", 0)
+    assert snapshot.imu.rate == snapshot.messages["HIGHRES_IMU"].rate
+    assert not snapshot.imu.is_dejittered
+
+
+def test_the_last_reload_is_told_in_its_words():
+    watched = Watched()
+    assert watched.snapshot().reload == ReloadState()
+    changed = Config(output=OutputConfig(odometry=OdometryConfig(rate=10.0)))
+    watched.companion.reloads, watched.companion.last_reload = 2, reload(Config(), changed)
+    told = ReloadState(count=2, words="Taken: output.odometry.rate: 30.0 -> 10.0")
+    assert watched.snapshot().reload == told
+
+
+def test_a_bug_in_what_is_only_told_stops_no_flight(caplog):
+    watched = Watched()
+    assert watched.observer.words() == judge(watched.snapshot()).words
+    watched.observer._link = None
+    assert [watched.observer.words() for _ in range(3)] == ["", "", ""]
+    assert caplog.text.count("cannot be told how we are") == 1
 
 
 # Judged

@@ -137,14 +137,17 @@ def page(data, width=200):
 
 def test_the_page_shows_rates_against_what_was_asked_and_every_aid(data):
     text = page(data)
-    row = next(line for line in text.splitlines() if "HIGHRES_IMU" in line).split()
+    row = next(line for line in text.splitlines() if line.startswith(" HIGHRES_IMU")).split()
     assert float(row[2]) == pytest.approx(250.0, rel=0.02)
     assert row[3] == "250"
     aids = [line.split()[0] for line in text.splitlines() if line.strip()][-len(Aid) :]
     assert aids == [aid.name.lower() for aid in Aid]
     assert "estimate" in text
     assert "OK, start cold" in text
-    assert "ODOMETRY streams" in text
+    assert "ODOMETRY streams at 30.0 Hz" in text
+    assert "auto, ODOMETRY streamed: " in text
+    assert "(EKF2_EV_CTRL 0, EKF2_GPS_CTRL 7)" in text
+    assert "HIGHRES_IMU, sensor 0, 250." in text
     assert "99.9 % within 0.3 ms" in text
 
 
@@ -155,3 +158,16 @@ def test_the_page_fits_a_narrow_terminal(data):
 def test_words_in_brackets_are_shown_as_they_are(data):
     odd = {**data, "output": {**data["output"], "reason": "[red]because[/red] [link]"}}
     assert "[red]because[/red] [link]" in page(odd)
+
+
+def test_the_page_shows_what_differs_from_the_file_and_what_comes_in_vain(data):
+    slow = {**data["messages"]["HIGHRES_IMU"], "cause": "the link is full"}
+    told = {
+        **data,
+        "messages": {**data["messages"], "HIGHRES_IMU": slow},
+        "tuned": {"gnss.delay": 0.1},
+        "reload": {"count": 2, "words": "Nothing to take"},
+    }
+    text = " ".join(page(told).split())
+    assert "gnss.delay 0.1 over MAVLink; reloaded 2 times, last: Nothing to take" in text
+    assert "the link is full" in text
