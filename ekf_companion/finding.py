@@ -69,7 +69,10 @@ def _silence(snapshot: Snapshot) -> str:
     """Say what has not come for too long, beginning at the wire: the rest follows from that."""
     link, peer = snapshot.link, snapshot.peer
     if not link.is_open:
-        return f"the link {link.url} is closed: check the device or the host that it names"
+        if not link.opened and not link.failure:
+            return f"the link {link.url} is being opened"
+        why = f" ({link.failure})" if link.failure else ""
+        return f"the link {link.url} is closed{why}: check the device or the host that it names"
     if math.isnan(link.silent_s):
         return "not a byte has come over the link: check the wire, the port and the rate"
     if link.silent_s > SILENCE_S:

@@ -26,11 +26,12 @@ from ekf_companion.snapshot import (
 
 def link_state(link: Link, silent_s: float) -> LinkState:
     """Give the descriptor and the bytes, of which the last came so long ago; NaN: none has."""
-    pinned = link.peers.pinned
+    pinned, failure = link.peers.pinned, link.failure
     return LinkState(
         url=str(link.address),
         is_open=link.is_open,
         opened=link.opened,
+        failure="" if failure is None else failure.strerror or str(failure),
         bytes_in=link.bytes_in,
         bytes_out=link.bytes_out,
         dropped=link.dropped,

@@ -22,6 +22,8 @@ class LinkState:
     is_open: bool
     opened: int
     """How often it has been opened."""
+    failure: str = ""
+    """Why the last attempt to open it failed; empty: it did not, or there was none yet."""
     bytes_in: int
     bytes_out: int
     dropped: int

@@ -1,5 +1,6 @@
 """What the daemon knows of itself, counted while a companion is fed, by a clock that is said."""
 
+import errno
 import json
 import math
 import os
@@ -273,7 +274,16 @@ def test_a_bug_in_what_is_only_told_stops_no_flight(caplog):
 def test_a_silent_link_is_told_and_is_no_fault_of_the_process():
     finding = judge(Watched().snapshot())
     assert finding.is_healthy
-    assert "waiting for an autopilot; the link udpin:127.0.0.1:14550 is closed" in finding.words
+    assert finding.words == (
+        "ok: waiting for an autopilot; the link udpin:127.0.0.1:14550 is being opened"
+    )
+
+
+def test_a_link_that_does_not_open_is_told_with_the_reason():
+    watched = Watched()
+    watched.link.failure = FileNotFoundError(errno.ENOENT, "No such file or directory")
+    words = judge(watched.snapshot()).words
+    assert "14550 is closed (No such file or directory): check the device" in words
 
 
 def test_a_filter_that_does_not_go_round_is_stalled():

@@ -62,6 +62,7 @@ def _stages(data: Data) -> Table:
 
 def _link(link: Data) -> str:
     state = "open" if link["is_open"] else "closed"
+    state += f" ({link['failure']})" if link["failure"] else ""
     words = f"{link['url']} {state}, {link['bytes_in']} bytes in, {link['bytes_out']} out"
     words += f", silent for {_number(link['silent_s'], 's', 1)}"
     words += f", from {link['peer']}" if link["peer"] else ""
