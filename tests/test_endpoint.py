@@ -66,7 +66,7 @@ def served(tmp_path_factory):
     config = f"http: {{port: {http_port}}}\noutput: {{odometry: {{mode: always}}}}\n"
     with Daemon(folder, "--link", f"udpin:127.0.0.1:{port}", config=config) as daemon:
         daemon.wait_for(f"Status on http://127.0.0.1:{http_port}/")
-        fly_over(f"udpout:127.0.0.1:{port}", plan(9.0, boot=20.0), Kind.PX4)
+        fly_over(f"udpout:127.0.0.1:{port}", plan(7.5, boot=20.0), Kind.PX4)
         yield daemon, f"http://127.0.0.1:{http_port}"
 
 
