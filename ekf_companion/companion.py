@@ -25,7 +25,6 @@ from ekf_companion.mavlink.signing import Signing
 from ekf_companion.nav.measurements import ImuSample, Measurement
 from ekf_companion.pipeline import Arrival, Pipeline
 from ekf_companion.publisher import STREAMS, Publisher, default_rate, largest_rate
-from ekf_companion.reload import Reload
 from ekf_companion.resumption import Resumption
 from ekf_companion.tuning import Tuning, parameters
 
@@ -96,6 +95,10 @@ class Companion:
         self._resumption = resumption or Resumption()
         self._expected = self._resumption.expected
         self._has_sample = False
+        self.reloads = 0
+        """How often the configuration was read again."""
+        self.last_reload = ""
+        """What became of it the last time."""
         options = session_options(self._config, is_recording, self._expected)
         self.session = Session(options, signing)
         self.pipeline: Pipeline | None = None
@@ -207,11 +210,18 @@ class Companion:
                 case IntervalSet(message, rate) if self._publisher is not None:
                     self._publisher.set_rate(message, rate)
 
-    def reload(self, config: Config) -> Reload:
-        """Take from a new configuration what can be taken in flight."""
-        found = self.tuning.reload(config)
-        self._tune(self.tuning.config)
-        return found
+    def reload(self, read: Config | str) -> str:
+        """Take from a new configuration what can be taken in flight; give what became of it.
+
+        ``read`` may also say why there is none: all then stays as it was.
+        """
+        self.reloads += 1
+        if isinstance(read, str):
+            self.last_reload = f"{read}; all stays as it was"
+        else:
+            self.last_reload = str(self.tuning.reload(read))
+            self._tune(self.tuning.config)
+        return self.last_reload
 
     def _tune(self, config: Config) -> None:
         """Go on with what somebody has turned."""

@@ -23,9 +23,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ekf_companion.board import Board, read_board
+from ekf_companion.finding import judge, to_json
 from ekf_companion.observer import Observer
 from ekf_companion.sections import HttpConfig
-from ekf_companion.snapshot import Snapshot, judge, to_json
+from ekf_companion.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from wsgiref.simple_server import WSGIServer

@@ -6,63 +6,44 @@ a second a copy of the counters, from which rates over the last five seconds fol
 
 from __future__ import annotations
 
+import logging
+import os
 import time
-from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import accumulate
 
 from ekf_companion.board import Board
 from ekf_companion.companion import Companion
+from ekf_companion.finding import judge
+from ekf_companion.latency import Latency
 from ekf_companion.link import Link
 from ekf_companion.mavlink.layout import IDS
 from ekf_companion.parts import (
     age,
     asked_rates,
     frames,
+    imu_state,
     link_state,
     output_state,
     part,
     peer_state,
+    reload_state,
     sent_by_name,
     time_state,
 )
 from ekf_companion.snapshot import MessageState, OutputState, ProcessState, Snapshot
 from ekf_companion.version import __version__
 
+_log = logging.getLogger(__name__)
+
 _SECOND_NS = 1_000_000_000
-BUCKETS_MS = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-"""Bounds of the latency's histogram, ms."""
 PERIOD_NS = _SECOND_NS // 2
 """Between two looks at the counters."""
 _LOOKS = 11
 """Kept: they span five seconds."""
 _ODOMETRY = "ODOMETRY"
 _NAMES = {message_id: name for name, message_id in IDS.items()}
-
-
-class Latency:
-    """Time from a read to the estimate sent, as a histogram."""
-
-    def __init__(self) -> None:
-        self._bounds_ns = [round(bound * 1e6) for bound in BUCKETS_MS]
-        self._counts = [0] * (len(BUCKETS_MS) + 1)
-        self.sum_ns = 0
-
-    def take(self, took_ns: int, times: int = 1) -> None:
-        """Count estimates that left so long after what they are of was read."""
-        self._counts[bisect_left(self._bounds_ns, took_ns)] += times
-        self.sum_ns += took_ns * times
-
-    @property
-    def count(self) -> int:
-        """Give how many were counted."""
-        return sum(self._counts)
-
-    def cumulative(self) -> dict[float, int]:
-        """Give how many took no longer than each bound, ms."""
-        return dict(zip(BUCKETS_MS, accumulate(self._counts), strict=False))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,6 +92,7 @@ class Observer:
         self._peer: tuple[int, int] | None = None
         self._resets: Counter[str] = Counter()
         self._resets_seen = 0
+        self._has_complained = False
 
     # In the loop, all the time
 
@@ -157,6 +139,16 @@ class Observer:
 
     # In the loop, when somebody asks
 
+    def words(self) -> str:
+        """Say in one line how we are; empty: what is only told had a bug, and stops no flight."""
+        try:
+            return judge(self.snapshot(Board())).words
+        except Exception:  # noqa: BLE001  # as where a page asks
+            if not self._has_complained:
+                _log.exception("The service manager cannot be told how we are")
+            self._has_complained = True
+            return ""
+
     def snapshot(self, board: Board) -> Snapshot:
         """Give all of it at this moment; about 0.1 ms.
 
@@ -167,20 +159,23 @@ class Observer:
         self._notice(now_ns)
         pipeline = self._companion.pipeline
         health = None if pipeline is None else pipeline.health()
-        counters = session.counters()
+        counters, messages = session.counters(), self._messages(now_ns)
         return Snapshot(
             unix_ns=now_ns,
             link=link_state(self._link, age(self._heard_ns, now_ns)),
             frames=frames(counters),
             peer=None if self._peer is None else peer_state(self._companion, self._peer, now_ns),
-            messages=self._messages(now_ns),
+            messages=messages,
             refused=part(counters, "refused: "),
+            imu=imu_state(session.decoder, messages),
             time=time_state(session.timesync, session.decoder, now_ns),
             estimator=health,
             output=self._output(now_ns),
             process=self._process(board, now_ns),
             sample_age_s=age(self._sampled_ns, now_ns),
             resets=dict(self._resets),
+            tuned=self._companion.tuning.changed,
+            reload=reload_state(self._companion),
         )
 
     def _span(self, now_ns: int) -> tuple[_Look | None, float]:
@@ -200,14 +195,15 @@ class Observer:
                 rate=(counts.get(name, 0) - before.get(name, 0)) / seconds if seconds else 0.0,
                 asked=asked.get(name, 0.0),
                 answer=session.results.get(name, ""),
+                cause=session.audit.in_vain.get(name, ""),
             )
             for name in sorted({*counts, *asked, *session.results})
         }
 
     def _output(self, now_ns: int) -> OutputState:
-        first, _ = self._span(now_ns)
-        before = 0 if first is None else first.odometries
-        return output_state(self._companion, is_streaming=self._sent.get(_ODOMETRY, 0) > before)
+        first, seconds = self._span(now_ns)
+        new = self._sent.get(_ODOMETRY, 0) - (0 if first is None else first.odometries)
+        return output_state(self._companion.session, new, new / seconds if seconds else 0.0)
 
     def _process(self, board: Board, now_ns: int) -> ProcessState:
         first, seconds = self._span(now_ns)
@@ -215,6 +211,7 @@ class Observer:
         recorded, unrecorded = self._recorded()
         return ProcessState(
             version=__version__,
+            pid=os.getpid(),
             uptime_s=(now_ns - self._begin_ns) * 1e-9,
             cpu_share=cpu_s / seconds if seconds else 0.0,
             rss_mb=board.rss_mb,

@@ -14,21 +14,33 @@ from ekf_companion.mavlink.clock import Timesync
 from ekf_companion.mavlink.decode import Decoder
 from ekf_companion.mavlink.session import Session
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.snapshot import FrameState, LinkState, OutputState, PeerState, TimeState
+from ekf_companion.snapshot import (
+    FrameState,
+    ImuState,
+    LinkState,
+    MessageState,
+    OutputState,
+    PeerState,
+    ReloadState,
+    TimeState,
+)
 
 
 def link_state(link: Link, silent_s: float = math.nan) -> LinkState:
-    """Give the descriptor and its bytes; the last of them came so many seconds ago."""
+    """Give the descriptor and the bytes, of which the last came so long ago; NaN: none has."""
+    pinned, failure = link.peers.pinned, link.failure
     return LinkState(
         url=str(link.address),
         is_open=link.is_open,
         opened=link.opened,
+        failure="" if failure is None else failure.strerror or str(failure),
         bytes_in=link.bytes_in,
         bytes_out=link.bytes_out,
         dropped=link.dropped,
         unsent=link.unsent,
         silent_s=silent_s,
         refused=dict(link.refused),
+        peer="" if pinned is None else f"{pinned[0]} port {pinned[1]}",
     )
 
 
@@ -48,19 +60,43 @@ def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> Peer
     )
 
 
-def output_state(companion: Companion, *, is_streaming: bool) -> OutputState:
-    """Give the guard's verdict on ODOMETRY, and what was sent."""
-    session = companion.session
-    verdict = session.guard.verdict
+def output_state(session: Session, new: int, rate: float) -> OutputState:
+    """Give what is sent, and why; of ODOMETRY so many are new, at a rate, Hz."""
+    verdict, is_clash = session.guard.verdict, session.clash.is_clash
+    reason, remedy = verdict.reason, verdict.remedy
+    if is_clash:
+        reason = "somebody else speaks under our system and component id"
+        remedy = "give one of us another link.component_id"
     return OutputState(
         mode=session.guard.options.mode,
-        is_streaming=is_streaming,
-        reason=verdict.reason,
-        remedy=verdict.remedy,
-        parameters=verdict.parameters,
+        is_streaming=new > 0,
+        rate=rate,
+        is_allowed=session.may_stream,
+        is_settled=verdict.is_settled,
+        is_clash=is_clash,
+        reason=reason,
+        remedy=remedy,
+        parameters=dict(verdict.parameters),
         sent=dict(session.sent),
         withheld=session.outbox.withheld["ODOMETRY"],
+        texts_dropped=session.statustext.dropped,
     )
+
+
+def imu_state(decoder: Decoder, messages: Mapping[str, MessageState]) -> ImuState:
+    """Give where the inertial samples come from, by the messages that are heard."""
+    message = messages.get(decoder.imu_source)
+    return ImuState(
+        message=decoder.imu_source,
+        instance=decoder.imu_instance,
+        rate=0.0 if message is None else message.rate,
+        is_dejittered=decoder.is_dejittered,
+    )
+
+
+def reload_state(companion: Companion) -> ReloadState:
+    """Give how often the configuration was read anew, and what became of it."""
+    return ReloadState(count=companion.reloads, words=companion.last_reload)
 
 
 def sent_by_name(session: Session) -> Mapping[str, int]:
@@ -88,6 +124,7 @@ def time_state(timesync: Timesync, decoder: Decoder, now_ns: int) -> TimeState:
         skew_ppm=timesync.skew * 1e6,
         rtt_p50_ms=_ms(quality.rtt_p50_ns),
         rtt_p95_ms=_ms(quality.rtt_p95_ns),
+        residual_us=math.nan if quality.residual is None else quality.residual * 1e6,
         answers=quality.answers,
         refused=dict(timesync.refused),
     )
@@ -106,9 +143,11 @@ def frames(counters: Mapping[str, int]) -> FrameState:
         incompatible=counters["incompatible"],
         junk_bytes=counters["junk_bytes"],
         lost=counters["lost"],
-        late=counters["late"] + counters["duplicate"],
+        late=counters["late"],
+        duplicates=counters["duplicate"],
         signed=counters["signed"],
-        refused={**part(counters, "ignored: "), **part(counters, "not admitted: ")},
+        refused=part(counters, "not admitted: "),
+        ignored=part(counters, "ignored: "),
     )
 
 

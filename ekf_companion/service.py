@@ -100,10 +100,6 @@ class Daemon:
             ConfigError: The recording or the checkpoints have no place, or the key none may use.
         """
         self._due_ns = 0
-        self.reloads = 0
-        """How often the configuration was read again."""
-        self.last_reload = ""
-        """What became of it the last time."""
         self._keyring = keyring = open_keyring(config)
         self.link = open_reception(
             config, is_signed=keyring is not None, on_read=self.receive, on_state=self._greet
@@ -176,13 +172,10 @@ class Daemon:
 
     def _take(self, read: Config | CompanionError) -> None:
         """Go on with what was read, or as before."""
-        if isinstance(read, CompanionError):
-            words = f"{read}; all stays as it was"
-            _log.error("Reload: %s", words, extra={"EKF_EVENT": "reload", "EKF_REASON": "refused"})
-        else:
-            words = str(self._companion.reload(read))
-            _log.info("Reload: %s", words, extra={"EKF_EVENT": "reload", "EKF_REASON": "taken"})
-        self.reloads, self.last_reload = self.reloads + 1, words
+        is_wrong = isinstance(read, CompanionError)
+        words = self._companion.reload(str(read) if isinstance(read, CompanionError) else read)
+        level, reason = (logging.ERROR, "refused") if is_wrong else (logging.INFO, "taken")
+        _log.log(level, "Reload: %s", words, extra={"EKF_EVENT": "reload", "EKF_REASON": reason})
         self._systemd.tell("READY=1")
 
     def say_goodbye(self) -> None:
@@ -209,6 +202,7 @@ class Daemon:
         if self._keyring is not None:
             self._keyring.keep(now_ns)
         self._systemd.beat(now_ns)
+        self._systemd.report(now_ns, self._observer.words)
 
     def _send(self, now_ns: int) -> None:
         for frame in self._companion.data_to_send():

@@ -8,20 +8,10 @@ and what the autopilot does with that.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
-from enum import Enum
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-import msgspec
-
-from ekf_companion.nav.state import Status
 from ekf_companion.pipeline import Health
-
-STALL_S = 2.0
-"""The filter's task goes round ten times a second at least."""
-SILENCE_S = 2.0
-"""A link without a byte for so long is said to be silent: heartbeats come once a second."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +22,8 @@ class LinkState:
     is_open: bool
     opened: int
     """How often it has been opened."""
+    failure: str = ""
+    """Why the last attempt to open it failed; empty: it did not, or there was none yet."""
     bytes_in: int
     bytes_out: int
     dropped: int
@@ -42,6 +34,8 @@ class LinkState:
     """Since the last byte, s; NaN: none has come."""
     refused: Mapping[str, int]
     """Datagrams refused, by reason."""
+    peer: str = ""
+    """Host and port that the autopilot's datagrams come from, and no others; empty: not pinned."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,11 +50,15 @@ class FrameState:
     lost: int
     """Frames of the autopilot that never came, by its sequence numbers."""
     late: int
-    """Frames that came twice or after their successors."""
+    """Frames that came after their successors."""
+    duplicates: int = 0
+    """Frames that came twice in a row."""
     signed: int
     """Frames with a signature that was right."""
     refused: Mapping[str, int]
-    """Frames not listened to, by reason: ids, signatures, our own."""
+    """Frames not admitted, by reason: ids that may not speak, signatures."""
+    ignored: Mapping[str, int] = field(default_factory=dict)
+    """Frames not listened to further, by whose they are: not the autopilot's, our own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,6 +90,23 @@ class MessageState:
     """Hz; 0: nobody asked."""
     answer: str
     """To the request; empty: none was made."""
+    cause: str = ""
+    """Why it probably comes so rarely, however often it is asked for, and what to change; empty:
+    it comes, or there is hope."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuState:
+    """Where the inertial samples come from."""
+
+    message: str
+    """``HIGHRES_IMU``, or what is taken in its place."""
+    instance: int
+    """The sensor in use, as HIGHRES_IMU numbers them."""
+    rate: float
+    """Of the message over the last seconds, Hz."""
+    is_dejittered: bool
+    """Whether stamps are being brought back to when the samples were taken."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,6 +122,8 @@ class TimeState:
     """How much faster it runs."""
     rtt_p50_ms: float
     rtt_p95_ms: float
+    residual_us: float = math.nan
+    """RMS distance of the believed answers from the line through them, us; NaN: too few."""
     answers: int
     """Good ones."""
     refused: Mapping[str, int]
@@ -120,9 +137,17 @@ class OutputState:
     mode: str
     """``auto``, ``always`` or ``never``."""
     is_streaming: bool
-    """Whether ODOMETRY is being sent."""
+    """Whether ODOMETRY was sent in the last seconds."""
+    rate: float = 0.0
+    """Of ODOMETRY over the last seconds, Hz."""
+    is_allowed: bool = True
+    """The guard's verdict: whether it may be sent now."""
+    is_settled: bool = True
+    """Whether the verdict rests on all that decides, answered or asked for in vain."""
+    is_clash: bool = False
+    """Whether somebody else speaks under our system and component id."""
     reason: str
-    """Why it is, or is not."""
+    """Of the verdict."""
     remedy: str
     """The parameter to change; empty: nothing need be."""
     parameters: Mapping[str, float]
@@ -131,6 +156,8 @@ class OutputState:
     """Messages by name."""
     withheld: int
     """ODOMETRY messages not sent by the guard."""
+    texts_dropped: int = 0
+    """STATUSTEXT messages that waited behind too many others."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,6 +165,7 @@ class ProcessState:
     """The daemon."""
 
     version: str
+    pid: int = 0
     uptime_s: float
     cpu_share: float
     """Of one processor, over the last seconds."""
@@ -157,6 +185,16 @@ class ProcessState:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ReloadState:
+    """The configuration, read anew while running."""
+
+    count: int = 0
+    """How often it was."""
+    words: str = ""
+    """What became of the last: keys taken and keys that wait for a restart; empty: none was."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
     """All of it, at one moment."""
 
@@ -169,6 +207,7 @@ class Snapshot:
     """By name."""
     refused: Mapping[str, int]
     """What the autopilot's messages said and nobody can mean, ``message: why``."""
+    imu: ImuState
     time: TimeState
     estimator: Health | None
     """None: nothing is estimated yet."""
@@ -178,74 +217,6 @@ class Snapshot:
     """Since the newest inertial sample, s: what the estimate is old; NaN: none has come."""
     resets: Mapping[str, int] = field(default_factory=dict)
     """The estimate's, by reason."""
-
-
-class Finding(NamedTuple):
-    """Whether the daemon does its work."""
-
-    is_healthy: bool
-    words: str
-    """What is so, and where it is not as it should be, the remedy."""
-
-
-def judge(snapshot: Snapshot) -> Finding:
-    """Say whether the filter ticks and can be used; a silent link is told, and is no fault here."""
-    stuck_s, health = snapshot.process.tick_age_s, snapshot.estimator
-    if stuck_s > STALL_S:
-        return Finding(False, f"stalled: the filter's task has not gone round for {stuck_s:.1f} s")
-    if health is not None and health.status is Status.INVALID:
-        return Finding(
-            False,
-            "invalid: the error has passed its limit; /status says which aids it lacks",
-        )
-    words = "ok: nothing is estimated yet"
-    if health is not None:
-        words = f"ok: the estimate is {health.status.name}"
-    return Finding(True, "; ".join([words, *_silences(snapshot)]))
-
-
-def _silences(snapshot: Snapshot) -> list[str]:
-    """Say what has not come for too long, beginning at the wire; the rest follows from that."""
-    link, peer = snapshot.link, snapshot.peer
-    if not link.is_open:
-        return [f"the link {link.url} is closed: check the device or the host that it names"]
-    if math.isnan(link.silent_s):
-        return ["not a byte has come over the link: check the wire, the port and the rate"]
-    if link.silent_s > SILENCE_S:
-        return [f"the link has been silent for {link.silent_s:.1f} s: check the wire"]
-    if peer is None:
-        return ["no autopilot has been heard: check the baud rate and link.autopilot"]
-    if not peer.is_heard:
-        return [f"the autopilot has been silent for {peer.silent_s:.1f} s"]
-    if math.isnan(snapshot.sample_age_s):
-        return ["no inertial sample has come: see the answers to our requests in /status"]
-    if snapshot.sample_age_s > SILENCE_S:
-        return [f"no inertial sample has come for {snapshot.sample_age_s:.1f} s"]
-    return []
-
-
-def to_plain(value: Any) -> Any:
-    """Give data as plain tables and lists: enums by their names in small letters."""
-    if isinstance(value, Enum):
-        return value.name.lower()
-    if isinstance(value, (float, int, str)):
-        return value
-    if is_dataclass(value):
-        return {entry.name: to_plain(getattr(value, entry.name)) for entry in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(to_plain(key)): to_plain(content) for key, content in value.items()}
-    return [to_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
-
-
-def to_json(snapshot: Snapshot, breathe: Callable[[], None] = lambda: None) -> bytes:
-    """Give a snapshot, and ``health``: what is found of it, as JSON; null: not known.
-
-    Args:
-        snapshot: What is told.
-        breathe: Called between two stages: lets others run while the text is made.
-    """
-    plain: dict[str, Any] = {"health": judge(snapshot)._asdict()}
-    for entry in fields(snapshot):
-        plain[entry.name] = to_plain(getattr(snapshot, entry.name))
-        breathe()
-    return msgspec.json.encode(plain)
+    tuned: Mapping[str, object] = field(default_factory=dict)
+    """Keys and values that were set over MAVLink and differ from the user's file."""
+    reload: ReloadState = field(default_factory=ReloadState)

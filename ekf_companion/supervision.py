@@ -6,8 +6,13 @@ import logging
 import os
 import socket
 import time
+from collections.abc import Callable
 
 _log = logging.getLogger(__name__)
+
+
+REPORT_NS = 1_000_000_000
+"""Between two reports of how we are."""
 
 
 class Systemd:
@@ -20,7 +25,7 @@ class Systemd:
         address = os.environ.get("NOTIFY_SOCKET", "")
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._period_ns = int(os.environ.get("WATCHDOG_USEC") or 0) * 1000 // 2
-        self._next_ns = 0
+        self._next_ns = self._report_ns = 0
         self._status = ""
         self._has_complained = False
 
@@ -41,6 +46,12 @@ class Systemd:
         if self._period_ns and now_ns >= self._next_ns:
             self._next_ns = now_ns + self._period_ns
             self.tell("WATCHDOG=1")
+
+    def report(self, now_ns: int, words: Callable[[], str]) -> None:
+        """Say once a second how we are; the words are asked for when they are due, and needed."""
+        if self._address and now_ns >= self._report_ns:
+            self._report_ns = now_ns + REPORT_NS
+            self.status(words())
 
     def status(self, text: str) -> None:
         """Say in one line how we are, for ``systemctl status``; the same is not said twice."""

@@ -160,7 +160,7 @@ class Tuning:
         """
         self.config = apply(self.config, key, number)
         if self._keep is not None:
-            self._keep(msgspec.json.format(msgspec.json.encode(self._kept())) + b"\n")
+            self._keep(msgspec.json.format(msgspec.json.encode(self.changed)) + b"\n")
         return self.config
 
     def reload(self, config: Config) -> Reload:
@@ -168,15 +168,16 @@ class Tuning:
 
         What was set over MAVLink goes before it still.
         """
-        kept = self._kept()
+        kept = self.changed
         found = reload(self._file_config, config)
         self._file_config = self.config = found.config
         for key, value in kept.items():
             self.config = with_value(self.config, key, value)
         return found
 
-    def _kept(self) -> dict[str, object]:
-        """Give what differs from the user's file."""
+    @property
+    def changed(self) -> dict[str, object]:
+        """Give dotted key and value of what differs from the user's file."""
         return {
             tunable.key: value
             for tunable in TABLE

@@ -16,7 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families as parse
 
 from ekf_companion import endpoint
 from ekf_companion.endpoint import CONNECTIONS, open_endpoint
-from ekf_companion.metrics import PREFIX
+from ekf_companion.families import PREFIX
 from ekf_companion.sections import HttpConfig
 from ekf_companion.service import unix_clock
 from sim_autopilot.autopilot import Kind
@@ -66,7 +66,7 @@ def served(tmp_path_factory):
     config = f"http: {{port: {http_port}}}\noutput: {{odometry: {{mode: always}}}}\n"
     with Daemon(folder, "--link", f"udpin:127.0.0.1:{port}", config=config) as daemon:
         daemon.wait_for(f"Status on http://127.0.0.1:{http_port}/")
-        fly_over(f"udpout:127.0.0.1:{port}", plan(9.0, boot=20.0), Kind.PX4)
+        fly_over(f"udpout:127.0.0.1:{port}", plan(7.5, boot=20.0), Kind.PX4)
         yield daemon, f"http://127.0.0.1:{http_port}"
 
 

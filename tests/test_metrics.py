@@ -11,16 +11,16 @@ from prometheus_client.openmetrics.exposition import generate_latest as generate
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_open
 from prometheus_client.parser import text_string_to_metric_families as parse
 
-from ekf_companion.metrics import PREFIX, families, registry_of
+from ekf_companion.families import PREFIX
+from ekf_companion.metrics import families, registry_of
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.pipeline import Aid, Verdict
-from tests.test_companion import cycles
 from tests.test_observer import Watched
 
 
 @pytest.fixture(scope="module")
 def snapshot():
-    return Watched().feed(cycles(8.0)).snapshot()
+    return Watched().fly(8.0).snapshot()
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +72,21 @@ def test_every_stage_is_told_as_the_snapshot_has_it(snapshot, samples):
     assert samples["messages_sent_total", ("message", "ODOMETRY")] > 100
 
 
+def test_what_the_services_learnt_is_told(snapshot, samples):
+    assert samples["odometry_allowed",] == 1.0
+    assert samples["odometry_rate_hertz",] == snapshot.output.rate == pytest.approx(30.0, rel=0.05)
+    assert samples["guard_parameter", ("parameter", "EKF2_GPS_CTRL")] == 7.0
+    assert samples["timesync_residual_seconds",] == snapshot.time.residual_us * 1e-6
+    source = ("inertial_source_info", ("instance", "0"), ("message", "HIGHRES_IMU"))
+    assert samples[source] == 1.0
+    assert samples["reloads_total",] == 0.0
+    message = replace(snapshot.messages["HIGHRES_IMU"], cause="the link is full")
+    told = replace(snapshot, messages={"HIGHRES_IMU": message}, tuned={"baro.use": False})
+    changed = read(generate_latest(registry_of(told)).decode())
+    assert changed["message_in_vain", ("message", "HIGHRES_IMU")] == 1.0
+    assert changed["tuned", ("key", "baro.use"), ("value", "False")] == 1.0
+
+
 def test_one_status_holds(samples):
     held = {key[1][1]: value for key, value in samples.items() if key[0] == "status"}
     assert held.pop("ok") == 1.0
@@ -98,8 +113,10 @@ def test_the_latency_is_a_histogram_in_seconds(snapshot, samples):
 
 
 def test_what_is_not_known_has_no_row(snapshot, samples):
-    assert math.isnan(snapshot.time.offset_s)
-    assert ("clock_offset_seconds",) not in samples
+    unheard = Watched().snapshot()
+    assert math.isnan(unheard.time.offset_s)
+    assert ("clock_offset_seconds",) not in read(generate_latest(registry_of(unheard)).decode())
+    assert samples["clock_offset_seconds",] == snapshot.time.offset_s
     assert not any(math.isnan(value) for value in samples.values())
 
 

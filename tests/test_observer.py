@@ -1,18 +1,26 @@
 """What the daemon knows of itself, counted while a companion is fed, by a clock that is said."""
 
+import errno
 import json
 import math
+import os
 from dataclasses import replace
 
 import pytest
 
 from ekf_companion.board import Board, read_board
 from ekf_companion.companion import Companion
-from ekf_companion.config import Config
+from ekf_companion.config import Config, LinkConfig, OdometryConfig, OutputConfig
+from ekf_companion.finding import judge, to_json
+from ekf_companion.latency import BUCKETS_MS, Latency
 from ekf_companion.link import open_link
+from ekf_companion.mavlink.codec import Sender
 from ekf_companion.nav.state import Status
-from ekf_companion.observer import BUCKETS_MS, Latency, Observer
-from ekf_companion.snapshot import judge, to_json
+from ekf_companion.observer import Observer
+from ekf_companion.snapshot import ReloadState
+from sim_autopilot.autopilot import Autopilot
+from sim_autopilot.config import ImuConfig, SimConfig, StreamConfig
+from sim_autopilot.flight import Flight
 from tests.test_companion import cycles
 
 BOARD = Board(rss_mb=50.0, temperatures={"cpu": 61.5})
@@ -22,24 +30,46 @@ MS = 1_000_000
 class Watched:
     """A companion that is fed as the service does it, on a clock of its own."""
 
-    def __init__(self, delay_ns=MS // 4):
+    def __init__(self, delay_ns=MS // 4, config=None):
         self.now_ns = 1_000 * MS
         self.delay_ns = delay_ns
+        self.begin_ns = None
+        self.last_ns = 0
         self.link = open_link("udpin:127.0.0.1:14550")
-        self.companion = Companion(Config())
+        self.companion = Companion(config or Config())
         self.observer = Observer(self.link, self.companion, lambda: self.now_ns)
 
+    def fly(self, duration, **options):
+        """Feed what an autopilot says, which hears what we say and answers it."""
+        config = SimConfig(**options)
+        autopilot = Autopilot(config)
+        for cycle in Flight.plan("hover", config, duration=duration).cycles():
+            autopilot.cycle(cycle)
+            self._turn(cycle.t_ns, b"".join(autopilot.data_to_send()))
+            autopilot.receive(b"".join(self.companion.data_to_send()), cycle.t_ns)
+        return self
+
     def feed(self, flight):
-        begin_ns = None
+        """Feed stamps and bytes of somebody who is deaf to what we say."""
         for t_ns, data in flight:
-            begin_ns = self.now_ns - t_ns if begin_ns is None else begin_ns
-            self.now_ns = read_ns = t_ns + begin_ns
-            self.link.bytes_in += len(data)
-            self.companion.receive(data, read_ns)
-            self.companion.tick(read_ns)
+            self._turn(t_ns, data)
             self.companion.data_to_send()
-            self.now_ns += self.delay_ns
-            self.observer.beat(read_ns)
+        return self
+
+    def _turn(self, t_ns, data):
+        if self.begin_ns is None or t_ns < self.last_ns:
+            self.begin_ns = self.now_ns - t_ns
+        self.last_ns = t_ns
+        self.now_ns = read_ns = t_ns + self.begin_ns
+        self.link.bytes_in += len(data)
+        self.companion.receive(data, read_ns)
+        self.companion.tick(read_ns)
+        self.now_ns += self.delay_ns
+        self.observer.beat(read_ns)
+
+    def hear(self, *frames):
+        """Feed what somebody else says."""
+        self.companion.receive(b"".join(frames), self.now_ns)
         return self
 
     def snapshot(self):
@@ -48,7 +78,7 @@ class Watched:
 
 @pytest.fixture(scope="module")
 def flown():
-    watched = Watched().feed(cycles(12.0))
+    watched = Watched().fly(12.0)
     return watched, watched.snapshot()
 
 
@@ -114,7 +144,7 @@ def test_the_stages_are_counted_from_bytes_to_what_is_sent(flown):
     watched, snapshot = flown
     assert snapshot.link.bytes_in == watched.link.bytes_in > 100_000
     heard = sum(message.count for message in snapshot.messages.values())
-    assert snapshot.frames.frames == heard + sum(snapshot.frames.refused.values()) > 3000
+    assert snapshot.frames.frames == heard + sum(snapshot.frames.ignored.values()) > 3000
     assert (snapshot.frames.bad_crc, snapshot.frames.lost) == (0, 0)
     assert (snapshot.peer.system_id, snapshot.peer.family) == (1, "px4")
     assert snapshot.peer.is_heard
@@ -123,7 +153,7 @@ def test_the_stages_are_counted_from_bytes_to_what_is_sent(flown):
     assert snapshot.estimator.status is Status.OK
     assert snapshot.sample_age_s < 0.5
     assert snapshot.resets == {}
-    assert snapshot.process.rss_mb == 50.0
+    assert (snapshot.process.rss_mb, snapshot.process.pid) == (50.0, os.getpid())
 
 
 def test_a_reset_is_counted_under_its_reason():
@@ -144,13 +174,116 @@ def later(flight, seconds):
             yield t_ns, data
 
 
+# What the services have learnt
+
+
+def test_the_guards_verdict_is_told_with_what_it_read():
+    """Rule 25: why ODOMETRY is withheld, and the parameter to change."""
+    watched = Watched().fly(8.0, parameters={"EKF2_EV_CTRL": 15.0, "EKF2_GPS_CTRL": 7.0})
+    output = watched.snapshot().output
+    assert (output.is_allowed, output.is_streaming, output.is_settled) == (False, False, True)
+    assert output.parameters == {"EKF2_EV_CTRL": 15.0, "EKF2_GPS_CTRL": 7.0}
+    assert output.withheld > 100
+    assert output.rate == 0.0
+    watched.link._port = object()  # open
+    words = judge(watched.snapshot()).words
+    assert words == (
+        f"ok: the estimate is OK, 250 Hz IMU, ODOMETRY withheld: {output.reason}; {output.remedy}"
+    )
+    assert "EKF2_" in output.remedy
+
+
+def test_somebody_else_under_our_ids_is_told_as_the_reason():
+    other = Sender(1, Config().link.component_id)
+    watched = Watched().fly(3.0).hear(other.message("HEARTBEAT", type=18, autopilot=8))
+    output = watched.snapshot().output
+    assert (output.is_clash, output.is_allowed) == (True, False)
+    assert output.reason == "somebody else speaks under our system and component id"
+    assert "link.component_id" in output.remedy
+
+
+def test_a_rate_that_is_asked_for_in_vain_is_told_with_its_cause():
+    slow = Watched().fly(45.0, imu=ImuConfig(rate=50.0), streams=StreamConfig(HIGHRES_IMU=50.0))
+    message = slow.snapshot().messages["HIGHRES_IMU"]
+    assert message.rate == pytest.approx(50.0, rel=0.05)
+    assert "lower link.imu_rate" in message.cause
+    slow.link._port = object()  # open
+    assert f"; HIGHRES_IMU at 50 of 250 Hz: {message.cause}" in judge(slow.snapshot()).words
+
+
+def test_who_is_not_admitted_is_counted_apart_from_who_is_not_ours():
+    config = Config(link=LinkConfig(allow_systems=(1, 255)))
+    stranger, station = Sender(9, 1), Sender(255, 190)
+    watched = Watched(config=config).fly(1.0)
+    before = watched.snapshot().frames
+    again = station.message("HEARTBEAT", type=6)
+    frames = watched.hear(stranger.message("HEARTBEAT", type=2), again).snapshot().frames
+    assert frames.refused == {"system is not in link.allow_systems": 1}
+    assert sum(frames.ignored.values()) == sum(before.ignored.values()) + 1
+    assert frames.signed == 0
+
+
+def test_what_was_set_over_mavlink_is_told_by_its_key():
+    watched = Watched().fly(0.5)
+    assert watched.snapshot().tuned == {}
+    station = Sender(255, 190)
+    for name, value in ((b"EC_GPS_DELAY", 0.125), (b"EC_ODOM_MODE", 2.0)):
+        fields = {"target_system": 1, "target_component": Config().link.component_id}
+        request = {**fields, "param_id": name, "param_value": value, "param_type": 9}
+        watched.hear(station.message("PARAM_SET", **request))
+    snapshot = watched.snapshot()
+    assert snapshot.tuned == {"gnss.delay": 0.125, "output.odometry.mode": "never"}
+    assert snapshot.output.mode == "never"
+
+
+def test_a_clock_that_is_known_is_told_with_how_well(flown):
+    _, snapshot = flown
+    assert snapshot.time.is_locked
+    assert snapshot.time.residual_us < 1e3
+    assert snapshot.time.rtt_p50_ms == pytest.approx(4.0)
+
+
+def test_the_inertial_source_is_told(flown):
+    _, snapshot = flown
+    assert (snapshot.imu.message, snapshot.imu.instance) == ("HIGHRES_IMU", 0)
+    assert snapshot.imu.rate == snapshot.messages["HIGHRES_IMU"].rate
+    assert not snapshot.imu.is_dejittered
+
+
+def test_the_last_reload_is_told_in_its_words():
+    watched = Watched()
+    assert watched.snapshot().reload == ReloadState()
+    changed = Config(output=OutputConfig(odometry=OdometryConfig(rate=10.0)))
+    watched.companion.reload("a.yaml: cannot be read")
+    watched.companion.reload(changed)
+    told = ReloadState(count=2, words="Taken: output.odometry.rate: 30.0 -> 10.0")
+    assert watched.snapshot().reload == told
+
+
+def test_a_bug_in_what_is_only_told_stops_no_flight(caplog):
+    watched = Watched()
+    assert watched.observer.words() == judge(watched.snapshot()).words
+    watched.observer._link = None
+    assert [watched.observer.words() for _ in range(3)] == ["", "", ""]
+    assert caplog.text.count("cannot be told how we are") == 1
+
+
 # Judged
 
 
 def test_a_silent_link_is_told_and_is_no_fault_of_the_process():
     finding = judge(Watched().snapshot())
     assert finding.is_healthy
-    assert "nothing is estimated yet; the link udpin:127.0.0.1:14550 is closed" in finding.words
+    assert finding.words == (
+        "ok: waiting for an autopilot; the link udpin:127.0.0.1:14550 is being opened"
+    )
+
+
+def test_a_link_that_does_not_open_is_told_with_the_reason():
+    watched = Watched()
+    watched.link.failure = FileNotFoundError(errno.ENOENT, "No such file or directory")
+    words = judge(watched.snapshot()).words
+    assert "14550 is closed (No such file or directory): check the device" in words
 
 
 def test_a_filter_that_does_not_go_round_is_stalled():
@@ -165,7 +298,8 @@ def test_a_filter_that_does_not_go_round_is_stalled():
 def test_an_invalid_estimate_is_not_healthy(flown):
     _, snapshot = flown
     link = replace(snapshot.link, is_open=True)
-    assert judge(replace(snapshot, link=link)) == (True, "ok: the estimate is OK")
+    words = "ok: the estimate is OK, 250 Hz IMU, ODOMETRY 30 Hz"
+    assert judge(replace(snapshot, link=link)) == (True, words)
     invalid = replace(snapshot.estimator, status=Status.INVALID)
     finding = judge(replace(snapshot, estimator=invalid))
     assert not finding.is_healthy
@@ -184,8 +318,9 @@ def test_json_holds_all_of_it_and_null_for_what_is_not_known(flown):
     assert data["estimator"]["arrivals"]["imu"]["estimated"] > 2000
     assert data["messages"]["HIGHRES_IMU"]["rate"] == snapshot.messages["HIGHRES_IMU"].rate
     assert data["process"]["latency"]["0.3"] == snapshot.process.latency_count
-    assert math.isnan(snapshot.time.offset_s)
-    assert data["time"]["offset_s"] is None
+    unheard = Watched().snapshot()
+    assert math.isnan(unheard.time.offset_s)
+    assert json.loads(to_json(unheard))["time"]["offset_s"] is None
     assert set(data) == {"health", *type(snapshot).__dataclass_fields__}
 
 

@@ -18,9 +18,8 @@ from typer.testing import CliRunner
 from ekf_companion import endpoint
 from ekf_companion.cli import app
 from ekf_companion.cli.status_view import view
+from ekf_companion.finding import to_json
 from ekf_companion.pipeline import Aid
-from ekf_companion.snapshot import to_json
-from tests.test_companion import cycles
 from tests.test_endpoint import listening, serving
 from tests.test_observer import Watched
 from tests.test_service import Daemon, free_port
@@ -45,7 +44,7 @@ def test_a_healthy_daemon_is_shown_and_is_exit_code_0(daemon):
     result = status("--url", daemon)
     assert result.exit_code == 0, result.output
     words = " ".join(result.output.split())
-    assert words.startswith("ok: nothing is estimated yet; not a byte has come over the link")
+    assert words.startswith("ok: waiting for an autopilot; not a byte has come over the link")
     for stage in ("link", "frames", "autopilot", "time", "estimate", "output", "process"):
         assert f"\n{stage} " in result.output.replace("\n ", "\n")
     assert "HIGHRES_IMU" in words
@@ -126,7 +125,7 @@ def test_a_daemon_that_is_stuck_is_exit_code_1(monkeypatch):
 
 @pytest.fixture(scope="module")
 def data():
-    return json.loads(to_json(Watched().feed(cycles(8.0)).snapshot()))
+    return json.loads(to_json(Watched().fly(8.0).snapshot()))
 
 
 def page(data, width=200):
@@ -138,14 +137,17 @@ def page(data, width=200):
 
 def test_the_page_shows_rates_against_what_was_asked_and_every_aid(data):
     text = page(data)
-    row = next(line for line in text.splitlines() if "HIGHRES_IMU" in line).split()
+    row = next(line for line in text.splitlines() if line.startswith(" HIGHRES_IMU")).split()
     assert float(row[2]) == pytest.approx(250.0, rel=0.02)
     assert row[3] == "250"
     aids = [line.split()[0] for line in text.splitlines() if line.strip()][-len(Aid) :]
     assert aids == [aid.name.lower() for aid in Aid]
     assert "estimate" in text
     assert "OK, start cold" in text
-    assert "ODOMETRY streams" in text
+    assert "ODOMETRY streams at 30.0 Hz" in text
+    assert "auto, ODOMETRY streamed: " in text
+    assert "(EKF2_EV_CTRL 0, EKF2_GPS_CTRL 7)" in text
+    assert "HIGHRES_IMU, sensor 0, 250." in text
     assert "99.9 % within 0.3 ms" in text
 
 
@@ -156,3 +158,16 @@ def test_the_page_fits_a_narrow_terminal(data):
 def test_words_in_brackets_are_shown_as_they_are(data):
     odd = {**data, "output": {**data["output"], "reason": "[red]because[/red] [link]"}}
     assert "[red]because[/red] [link]" in page(odd)
+
+
+def test_the_page_shows_what_differs_from_the_file_and_what_comes_in_vain(data):
+    slow = {**data["messages"]["HIGHRES_IMU"], "cause": "the link is full"}
+    told = {
+        **data,
+        "messages": {**data["messages"], "HIGHRES_IMU": slow},
+        "tuned": {"gnss.delay": 0.1},
+        "reload": {"count": 2, "words": "Nothing to take"},
+    }
+    text = " ".join(page(told).split())
+    assert "gnss.delay 0.1 over MAVLink; reloaded 2 times, last: Nothing to take" in text
+    assert "the link is full" in text

@@ -2,6 +2,9 @@
 
 import itertools
 import signal
+import socket
+import subprocess
+import sys
 import threading
 import time
 
@@ -111,6 +114,30 @@ def reloaded(tmp_path_factory):
         assert daemon.stop()[0] == 0
         words = daemon.words.read_text()
     return pilot.land(), Record(folder / "flight.tlog", daemon.config), words, moments
+
+
+def command(*words):
+    """Give exit code and words of a command."""
+    done = subprocess.run(
+        [sys.executable, "-m", "ekf_companion", *words], capture_output=True, text=True
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_the_command_prints_what_was_taken_and_says_where_nobody_is(tmp_path):
+    link, port = free_port(), free_port(socket.SOCK_STREAM)
+    url = ("--url", f"http://127.0.0.1:{port}")
+    text = f"http: {{port: {port}}}\n"
+    with Daemon(tmp_path, "--link", f"udpin:127.0.0.1:{link}", config=text) as daemon:
+        daemon.wait_for("Status on")
+        daemon.config.write_text(text + "baro: {std: 1.0}\n")
+        assert command("reload", *url) == (0, "Taken: baro.std: 0.5 -> 1.0\n")
+        daemon.config.write_text("baro: {std: -1.0}\n")
+        code, words = command("reload", *url)
+        assert (code, "baro.std: -1.0" in words, "all stays as it was" in words) == (1, True, True)
+        assert daemon.stop()[0] == 0
+    code, words = command("reload", *url)
+    assert (code, "nothing answers" in words) == (4, True)
 
 
 def rate(record, begin, end):

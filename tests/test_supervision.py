@@ -96,6 +96,18 @@ def test_the_status_is_one_line_and_said_when_it_changes(listened):
     assert said(listened, 3) == ["STATUS=OK, 30 Hz", "STATUS=degraded: no fix", "READY=1"]
 
 
+def test_how_we_are_is_asked_for_once_a_second_and_only_where_it_is_told(listened, monkeypatch):
+    asked = []
+    words = lambda: asked.append(1) or f"OK, {len(asked)}"  # noqa: E731
+    systemd = Systemd()
+    for tick in range(25):
+        systemd.report(tick * 100_000_000, words)
+    assert said(listened, 3) == ["STATUS=OK, 1", "STATUS=OK, 2", "STATUS=OK, 3"]
+    monkeypatch.delenv("NOTIFY_SOCKET")
+    Systemd().report(10_000_000_000, words)
+    assert len(asked) == 3
+
+
 def test_a_reload_says_when_it_began(listened):
     before = time.monotonic_ns() // 1000
     Systemd().reloading()

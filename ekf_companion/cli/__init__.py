@@ -16,6 +16,7 @@ from ekf_companion.cli.compare import compare
 from ekf_companion.cli.convert import convert
 from ekf_companion.cli.doctor import doctor
 from ekf_companion.cli.observability import observability
+from ekf_companion.cli.reload import reload
 from ekf_companion.cli.service import check_config, run
 from ekf_companion.cli.status import status
 from ekf_companion.version import __version__
@@ -45,6 +46,7 @@ def main(
 
 app.command()(run)
 app.command()(status)
+app.command()(reload)
 app.command()(convert)
 app.command()(compare)
 app.add_typer(calibrate, name="calibrate")

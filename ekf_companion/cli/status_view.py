@@ -47,10 +47,13 @@ def _stages(data: Data) -> Table:
         ("link", _link(data["link"])),
         ("frames", _frames(data["frames"])),
         ("autopilot", _peer(data["peer"])),
-        ("time", _time(data["time"])),
         ("refused", _counts(data["refused"])),
+        ("inertial", _inertial(data["imu"])),
+        ("time", _time(data["time"])),
         ("estimate", _estimate(data)),
         ("output", _output(data["output"])),
+        ("guard", _guard(data["output"])),
+        ("settings", _settings(data)),
         ("process", _process(data["process"])),
     ):
         table.add_row(name, escape(words or "-"))
@@ -59,17 +62,22 @@ def _stages(data: Data) -> Table:
 
 def _link(link: Data) -> str:
     state = "open" if link["is_open"] else "closed"
+    state += f" ({link['failure']})" if link["failure"] else ""
     words = f"{link['url']} {state}, {link['bytes_in']} bytes in, {link['bytes_out']} out"
     words += f", silent for {_number(link['silent_s'], 's', 1)}"
+    words += f", from {link['peer']}" if link["peer"] else ""
     losses = {"dropped": link["dropped"], "unsent": link["unsent"], **link["refused"]}
     return _with(words, losses)
 
 
 def _frames(frames: Data) -> str:
-    names = ("bad_crc", "unknown_id", "incompatible", "junk_bytes", "lost", "late")
+    names = (
+        *("bad_crc", "unknown_id", "incompatible", "junk_bytes"),
+        *("lost", "late", "duplicates"),
+    )
     losses = {name.replace("_", " "): frames[name] for name in names}
     words = f"{frames['frames']} good, {frames['signed']} signed"
-    return _with(words, {**losses, **frames["refused"]})
+    return _with(words, {**losses, **frames["refused"], **frames["ignored"]})
 
 
 def _peer(peer: Data | None) -> str:
@@ -84,8 +92,14 @@ def _peer(peer: Data | None) -> str:
     return words
 
 
+def _inertial(imu: Data) -> str:
+    words = f"{imu['message']}, sensor {imu['instance']}, {imu['rate']:.1f} Hz"
+    return f"{words}, stamps brought back to the samples" if imu["is_dejittered"] else words
+
+
 def _time(time: Data) -> str:
     words = f"base {time['base']}, {'locked' if time['is_locked'] else 'not locked'}"
+    words += f" within {_number(time['residual_us'], 'us', 0)}" if time["is_locked"] else ""
     words += f", skew {_number(time['skew_ppm'], 'ppm', 1)}"
     trips = f"{_number(time['rtt_p50_ms'], 'ms', 2)} and {_number(time['rtt_p95_ms'], 'ms', 2)}"
     return _with(f"{words}, round trip {trips} (half, 95 %)", time["refused"])
@@ -104,19 +118,41 @@ def _estimate(data: Data) -> str:
 
 
 def _output(output: Data) -> str:
-    words = f"{output['mode']}, ODOMETRY {'streams' if output['is_streaming'] else 'is not sent'}"
+    words = "ODOMETRY is not sent"
+    if output["is_streaming"]:
+        words = f"ODOMETRY streams at {output['rate']:.1f} Hz"
+    losses = {"withheld": output["withheld"], "texts dropped": output["texts_dropped"]}
+    return _with(f"{words}, sent {_counts(output['sent']) or 'nothing'}", losses)
+
+
+def _guard(output: Data) -> str:
+    """Say what the guard found, and by which of the autopilot's parameters."""
+    words = f"{output['mode']}, ODOMETRY {'streamed' if output['is_allowed'] else 'withheld'}"
+    words += "" if output["is_settled"] else ", for now"
     words += f": {output['reason']}" if output["reason"] else ""
     words += f"; {output['remedy']}" if output["remedy"] else ""
-    return _with(f"{words}, sent {_counts(output['sent'])}", {"withheld": output["withheld"]})
+    read = ", ".join(f"{name} {value:g}" for name, value in output["parameters"].items())
+    return f"{words} ({read})" if read else words
+
+
+def _settings(data: Data) -> str:
+    """Say what differs from the file that was read at the start."""
+    words = [f"{key} {value} over MAVLink" for key, value in data["tuned"].items()]
+    if (reload := data["reload"])["count"]:
+        words.append(f"reloaded {reload['count']} times, last: {reload['words']}")
+    return "; ".join(words)
 
 
 def _process(process: Data) -> str:
-    words = f"version {process['version']}, up {_number(process['uptime_s'], 's', 0)}"
+    words = f"version {process['version']}, pid {process['pid']}"
+    words += f", up {_number(process['uptime_s'], 's', 0)}"
     words += f", {process['cpu_share']:.1%} of a processor, {process['rss_mb']:.0f} MB"
     words += f", loop lag {_number(process['loop_lag_ms'], 'ms', 1)}"
     if process["latency_count"]:
         mean = process["latency_sum_ms"] / process["latency_count"]
         words += f", latency {mean:.2f} ms in the mean, {_share(process)}"
+    if process["recorded_bytes"]:
+        words += f", {process['recorded_bytes'] / 1e6:.1f} MB recorded"
     heat = {name: f"{celsius:.0f} degC" for name, celsius in process["temperatures"].items()}
     words += "".join(f", {name} {celsius}" for name, celsius in heat.items())
     return _with(words, {"unrecorded bytes": process["unrecorded_bytes"]})
@@ -139,7 +175,7 @@ def _rates(messages: Mapping[str, Data]) -> Table:
         asked = f"{message['asked']:g}" if message["asked"] else ""
         style = "yellow" if is_slow else None
         rate = f"{message['rate']:.1f}"
-        answer = escape(message["answer"])
+        answer = escape(message["cause"] or message["answer"])
         table.add_row(name, str(message["count"]), rate, asked, answer, style=style)
     return table
 

@@ -223,7 +223,7 @@ def _share_lost(evidence: Evidence) -> float:
 
 def _lost(share: float, evidence: Evidence) -> Trouble | None:
     counted = evidence.frames
-    if counted.late > 0.5 * counted.frames:
+    if counted.late + counted.duplicates > 0.5 * counted.frames:
         return warning(
             "The frames' sequence numbers stand still: whoever made them numbers none, so losses "
             "cannot be seen.",

@@ -211,7 +211,7 @@ class Witness:
             stamps=self._stamps_in_use().state(),
             receiver=self._told.receiver,
             estimator=None if companion.pipeline is None else companion.pipeline.health(),
-            output=output_state(companion, is_streaming=self._odometry.count > 0),
+            output=output_state(session, self._odometry.count, self._odometry.rate()),
             parameters=self.reader.values,
             asked_parameters=frozenset(self._asked_parameters),
             taken=self._taken(),

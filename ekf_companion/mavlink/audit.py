@@ -37,6 +37,8 @@ class Audit(Service):
     def __init__(self, received: Counter[int], requests: Requests, emit: Emit) -> None:
         self.rates: dict[str, float] = {}
         """Of each message of the autopilot over the last five seconds, Hz."""
+        self.in_vain: dict[str, str] = {}
+        """The probable cause by message, of those that come too rarely however often asked for."""
         self._received = received
         self._requests = requests
         self._emit = emit
@@ -52,6 +54,7 @@ class Audit(Service):
         self._steps.clear()
         self._settled = 0
         self._tries.clear()
+        self.in_vain.clear()
         self._next_ns.clear()
 
     def tick(self, now_ns: int) -> None:
@@ -85,12 +88,14 @@ class Audit(Service):
     def _see_to(self, name: str, asked: float, measured: float, is_low: bool, now_ns: int) -> None:
         if not is_low:
             self._tries.pop(name, None)
+            self.in_vain.pop(name, None)
             return
         if now_ns < self._next_ns.get(name, now_ns):
             return
         self._tries[name] += 1
         if self._tries[name] == _TRIES + 1:
             cause = probable_cause(self.rates, self._requests.rates, self._family)
+            self.in_vain[name] = cause
             self._emit(RateInVain(name, asked, measured, cause))
         self._next_ns[name] = now_ns + (_AGAIN_NS if self._tries[name] <= _TRIES else _RESIGNED_NS)
         self._requests.ask_again(name)
