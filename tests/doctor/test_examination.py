@@ -88,7 +88,7 @@ def live(tmp_path_factory):
     """Two at once, from the first test to the last, as they wait most of their time."""
     with ExitStack() as stack:
         well = Examined(stack, tmp_path_factory.mktemp("well"), "{}", 40)
-        guarded = Examined(stack, tmp_path_factory.mktemp("guarded"), GUARDED, 7)
+        guarded = Examined(stack, tmp_path_factory.mktemp("guarded"), GUARDED, 16)
         yield {"well": well, "guarded": guarded}
 
 
