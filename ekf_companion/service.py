@@ -19,6 +19,7 @@ from ekf_companion.errors import CompanionError
 from ekf_companion.keeper import clocks, open_keeper, open_memory
 from ekf_companion.keyring import open_keyring
 from ekf_companion.link import Peers, Received, open_link
+from ekf_companion.mavlink.outbox import is_replaceable
 from ekf_companion.observer import Observer
 from ekf_companion.recorder import open_recorder
 from ekf_companion.resumption import Resumption
@@ -225,7 +226,7 @@ class Daemon:
 
     def _send(self, now_ns: int) -> None:
         for frame in self._companion.data_to_send():
-            self.link.send(frame)
+            self.link.send(frame, is_replaceable=is_replaceable(frame))
         if self._recorder is not None:
             self._recorder.write(self._companion.session.take_record())
         self._observer.beat(now_ns)

@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from ekf_companion.link.address import DATAGRAMS, Address, Kind, parse_peer, parse_url
+from ekf_companion.link.backlog import Backlog, Waiting
 from ekf_companion.link.peers import Peers, Sender
 from ekf_companion.link.port import Port, SerialPort, TcpPort, open_server, open_tcp, open_udp
 
@@ -20,8 +21,6 @@ _log = logging.getLogger(__package__)
 
 QUEUE_LENGTH = 1024
 """Reads that wait for the caller; the oldest is dropped beyond."""
-PENDING_BYTES = 1 << 16
-"""Bytes that wait for a slow serial or TCP link; the oldest message is dropped beyond."""
 FIRST_DELAY, LAST_DELAY = 0.5, 1.0
 """Seconds from one attempt to open a link to the next; doubled each time that nothing was heard.
 What has come back is taken up within that time, and its patience."""
@@ -71,7 +70,8 @@ class Link:
         self._waiter: asyncio.Future[None] | None = None
         self._port: Port | None = None
         self._broken: asyncio.Future[str] | None = None
-        self._pending: deque[bytes] = deque()
+        self._backlog = Backlog()
+        self._timer: asyncio.TimerHandle | None = None
         self._server: socket.socket | None = None
         self._last_complaint = ""
 
@@ -116,14 +116,27 @@ class Link:
             if received.sender is None or self.peers.listen(received.sender, received.now_ns):
                 return received
 
-    def send(self, data: bytes) -> None:
-        """Send a message now, or as soon as a stream has room; never waits."""
-        if self._port is None:
+    def send(self, data: bytes, *, is_replaceable: bool = False) -> None:
+        """Send a message now, or as soon as a stream has room; never waits.
+
+        Args:
+            data: The message, whole.
+            is_replaceable: Whether it is worthless once the next of its kind is there: while the
+                stream has no room, only the newest such message waits, and not for long.
+        """
+        port = self._port
+        if port is None:
             self.unsent += 1
-        elif self._pending:
-            self._enqueue(data)
-        else:
-            self._write(self._port, data)
+            return
+        now_ns = self._clock()
+        if self._backlog:
+            self.unsent += self._backlog.add(data, now_ns, is_replaceable=is_replaceable)
+        elif (written := self._write(port, data)) < len(data):
+            if port.is_stream:
+                self._backlog.put_back(Waiting(data, now_ns, is_replaceable), written)
+                self._await_room(port)
+            else:
+                self.unsent += 1
 
     async def _run_once(self) -> str:
         """Open, pump and close; give the reason why it is over."""
@@ -157,8 +170,9 @@ class Link:
             loop.remove_writer(descriptor)
             port.close()
             self._port = None
-            self.unsent += len(self._pending)
-            self._pending.clear()
+            if self._timer is not None:
+                self._timer.cancel()
+            self.unsent += self._backlog.clear()
             self._say(is_open=False)
 
     def _say(self, *, is_open: bool) -> None:
@@ -203,38 +217,36 @@ class Link:
         if self._waiter is not None and not self._waiter.done():
             self._waiter.set_result(None)
 
-    def _write(self, port: Port, data: bytes) -> None:
+    def _write(self, port: Port, data: bytes) -> int:
+        """Give how many bytes were written; what breaks the link is counted as if all were."""
         try:
             written = port.write(data)
         except BlockingIOError:
-            written = 0
+            return 0
         except OSError as error:
             self.unsent += 1
             self._break(_sentence(error))
-            return
+            return len(data)
         self.bytes_out += written
-        if written == len(data):
-            return
-        if not port.is_stream:
-            self.unsent += 1
-            return
-        # The rest of a message that has begun must follow, whatever else is dropped
-        self._pending.appendleft(data[written:])
-        asyncio.get_running_loop().add_writer(port.fileno(), self._writable, port)
+        return written
 
-    def _enqueue(self, data: bytes) -> None:
-        self._pending.append(data)
-        while sum(map(len, self._pending)) > PENDING_BYTES and len(self._pending) > 1:
-            del self._pending[1]
-            self.unsent += 1
+    def _await_room(self, port: Port) -> None:
+        loop = asyncio.get_running_loop()
+        if wait := port.wait():
+            self._timer = loop.call_later(wait, self._writable, port)
+        else:
+            loop.add_writer(port.fileno(), self._writable, port)
 
     def _writable(self, port: Port) -> None:
         asyncio.get_running_loop().remove_writer(port.fileno())
-        while self._pending:
-            data = self._pending.popleft()
-            waiting = len(self._pending)
-            self._write(port, data)
-            if len(self._pending) > waiting or (self._broken and self._broken.done()):
+        self.unsent += self._backlog.expire(self._clock())
+        while (first := self._backlog.take()) is not None:
+            written = self._write(port, first.data)
+            if self._broken is not None and self._broken.done():
+                return
+            if written < len(first.data):
+                self._backlog.put_back(first, written)
+                self._await_room(port)
                 return
 
     async def _open(self) -> Port:
