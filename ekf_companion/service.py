@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from ekf_companion.bandwidth import overloads
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.endpoint import open_endpoint
@@ -99,6 +100,8 @@ class Daemon:
             LinkError: The link's URL names no link.
             ConfigError: The recording or the checkpoints have no place, or the key none may use.
         """
+        for words in overloads(config):
+            _log.warning("%s", words)
         self._due_ns = 0
         self.reloads = 0
         """How often the configuration was read again."""
