@@ -24,6 +24,13 @@ QUEUE_LENGTH = 1024
 FIRST_DELAY, LAST_DELAY = 0.5, 1.0
 """Seconds from one attempt to open a link to the next; doubled each time that nothing was heard.
 What has come back is taken up within that time, and its patience."""
+LOST = 1.0
+"""Seconds without a way for our datagrams after which the socket is opened anew: its own address
+may be gone, which is chosen once, when it is opened."""
+SILENT = 1.0
+"""Seconds without a byte from a TCP client after which another may take its place: an autopilot
+sends its heartbeat once a second, and much else oftener."""
+NOT_FIRST = "another client is connected"
 PATIENCE = 2.0
 """Seconds that a connection may take: the kernel asks twice in them."""
 
@@ -73,6 +80,9 @@ class Link:
         self._backlog = Backlog()
         self._timer: asyncio.TimerHandle | None = None
         self._server: socket.socket | None = None
+        self._newcomer: socket.socket | None = None
+        self._heard = 0.0
+        self._stuck: float | None = None
         self._last_complaint = ""
 
     @property
@@ -82,7 +92,7 @@ class Link:
 
     @property
     def refused(self) -> Counter[str]:
-        """Datagrams not heard, by reason."""
+        """Datagrams not heard and clients not let in, by reason."""
         return self.peers.refused
 
     async def run(self) -> None:
@@ -102,8 +112,9 @@ class Link:
                 await asyncio.sleep(max(begin + delay - loop.time(), 0.0))
                 delay = min(2.0 * delay, LAST_DELAY)
         finally:
-            if self._server is not None:
-                self._server.close()
+            for part in (self._server, self._newcomer):
+                if part is not None:
+                    part.close()
 
     async def receive(self) -> Received:
         """Give the oldest read that waits, or wait for one."""
@@ -153,13 +164,13 @@ class Link:
         descriptor = port.fileno()
         self._broken = loop.create_future()
         self._port = port
+        self._heard, self._stuck = loop.time(), None
         self.opened += 1
         _log.info("%s: open", self.address)
         self._last_complaint = ""
         loop.add_reader(descriptor, self._readable, port)
         if self._server is not None:
-            # The newest client is the one that is alive
-            loop.add_reader(self._server, self._break, "another client came")
+            loop.add_reader(self._server, self._knock, self._server)
         self._say(is_open=True)
         try:
             return await self._broken
@@ -183,6 +194,22 @@ class Link:
         if self._broken is not None and not self._broken.done():
             self._broken.set_result(reason)
 
+    def _knock(self, server: socket.socket) -> None:
+        """Let another client in only where the present one has fallen silent."""
+        try:
+            stream, _ = server.accept()
+        except OSError:
+            return  # it is gone again
+        is_silent = asyncio.get_running_loop().time() - self._heard >= SILENT
+        if is_silent and self._newcomer is None:
+            self._newcomer = stream
+            self._break("another client takes the place of a silent one")
+            return
+        stream.close()
+        if not self.refused[NOT_FIRST]:
+            _log.warning("%s: another client is sent away while the first speaks", self.address)
+        self.refused[NOT_FIRST] += 1
+
     def _readable(self, port: Port) -> None:
         # Once: where there is more, the loop comes back at once
         try:
@@ -200,6 +227,8 @@ class Link:
         if sender is not None and not self.peers.listen(sender, now_ns):
             return
         self.bytes_in += len(data)
+        if self._server is not None:
+            self._heard = asyncio.get_running_loop().time()
         if self._on_read is None:
             self._enter(Received(data, now_ns, sender))
             return
@@ -224,11 +253,23 @@ class Link:
         except BlockingIOError:
             return 0
         except OSError as error:
-            self.unsent += 1
-            self._break(_sentence(error))
-            return len(data)
+            if port.is_stream:
+                self.unsent += 1
+                self._break(_sentence(error))
+                return len(data)
+            self._lament(error)
+            return 0
+        self._stuck = None
         self.bytes_out += written
         return written
+
+    def _lament(self, error: OSError) -> None:
+        """Open a socket anew whose datagrams have had no way for a while."""
+        now = asyncio.get_running_loop().time()
+        if self._stuck is None:
+            self._stuck = now
+        elif now - self._stuck >= LOST:
+            self._break(_sentence(error))
 
     def _await_room(self, port: Port) -> None:
         loop = asyncio.get_running_loop()
@@ -259,7 +300,9 @@ class Link:
             return await open_tcp(address, PATIENCE)
         if self._server is None:
             self._server = await open_server(address)
-        stream, _ = await asyncio.get_running_loop().sock_accept(self._server)
+        stream, self._newcomer = self._newcomer, None
+        if stream is None:
+            stream, _ = await asyncio.get_running_loop().sock_accept(self._server)
         return TcpPort(stream)
 
 

@@ -189,11 +189,17 @@ class UdpPort:
         return data
 
     def write(self, data: bytes) -> int:
-        """Send one; give 0 where there is nobody to send to."""
-        # Nobody listens, or no way there for now: lost like any datagram, and no reason to reopen
-        with contextlib.suppress(OSError):
-            if self._is_connected:
+        """Send one; give 0 where there is nobody to send to.
+
+        A connected socket keeps the address of ours that it was opened with: that there is no way
+        from it is raised, since only another socket may find one.
+        """
+        if self._is_connected:
+            with contextlib.suppress(ConnectionRefusedError):  # nobody listens there yet
                 return self._datagrams.send(data)
+            return 0
+        # No way there for now: lost like any datagram, and no reason to reopen
+        with contextlib.suppress(OSError):
             if (target := self._peers.target) is not None:
                 return self._datagrams.sendto(data, target)
         return 0
