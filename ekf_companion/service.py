@@ -155,12 +155,12 @@ class Daemon:
         """Take what was read, send what follows from it, and say whom to go on listening to."""
         data, now_ns, sender = received
         session, peers = self._companion.session, self.link.peers
-        heard, admitted = session.heard, session.admission.admitted
+        heard, believed = session.heard, session.believed
         self._companion.receive(data, now_ns, sender)
         if sender is not None:
             if session.heard != heard:
                 peers.pin(sender, now_ns)
-            elif session.admission.admitted != admitted:
+            elif session.believed != believed:
                 peers.answer(sender)
         if now_ns >= self._due_ns:
             self._do_what_is_due(now_ns)
