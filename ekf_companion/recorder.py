@@ -2,8 +2,7 @@
 
 The loop hands over whole records four times a second and never waits. The thread writes them at
 once and forces them to the disk twice a second: at a kill or a power cut less than a second is
-lost. How much the disk may hold of ours is decided by the names of files: those that
-``record.path`` can make are ours.
+lost. Which files are ours, to make room, is decided by ``shelf``.
 """
 
 from __future__ import annotations
@@ -208,7 +207,7 @@ class Recorder:
                 self._rotate()
                 self._looked = time.monotonic()
             if self._total > self._total_size or not self._held:
-                self._total = sum(size for _, _, size in self._shelf.files())
+                self._total = sum(size for _, size in self._shelf.files())
                 self._total -= self._shelf.free(self._total - self._total_size)
             disk = os.statvfs(self._shelf.folder)
             wanted = self._free_space + (SLACK if self._is_full else 0)
