@@ -41,7 +41,7 @@ def guard_state(companion: Companion) -> GuardState:
 
 def refused_datagrams(link: Link) -> Mapping[str, int]:
     """Give the datagrams that the link did not let in, by reason."""
-    return link.refused
+    return dict(link.refused)
 
 
 def firmware(session: Session) -> str:

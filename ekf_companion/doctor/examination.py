@@ -113,7 +113,7 @@ def _state(link: Link) -> LinkState:
         dropped=link.dropped,
         unsent=link.unsent,
         silent_s=float("nan"),
-        refused=link.refused,
+        refused=dict(link.refused),
     )
 
 
