@@ -36,7 +36,7 @@ LOOK = 5.0
 SLACK = 16 * MB
 """Bytes more than ``record.free_space`` before a recording that stopped begins again."""
 PATIENCE = 0.6
-"""Seconds that a slow disk may take for the end of the recording."""
+"""Seconds that a slow disk may take for the end of the recording, where nobody says until when."""
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -105,9 +105,17 @@ class Recorder:
 
     def close(self) -> None:
         """Write what is left, if the disk lets us."""
+        self.finish()
+        self.join(time.monotonic() + PATIENCE)
+
+    def finish(self) -> None:
+        """Have written what is left; does not wait."""
         self._hand_over()
         self._batches.put(b"")
-        self._thread.join(PATIENCE)
+
+    def join(self, end_s: float) -> None:
+        """Wait until that is done, or until a time of the monotonic clock, s."""
+        self._thread.join(max(end_s - time.monotonic(), 0.0))
         if self._thread.is_alive():
             _log.warning("%s: the disk is too slow; the end is not recorded", self.path)
         elif self.unrecorded_bytes:
