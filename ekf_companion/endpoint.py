@@ -179,11 +179,19 @@ class Endpoint:
 
     def close(self) -> None:
         """Stop listening."""
+        self.finish()
+        self.join(time.monotonic() + _POLL)
+
+    def finish(self) -> None:
+        """Stop listening; does not wait."""
         self._stop.set()
         if self._server is not None:
             with contextlib.suppress(OSError):
                 self._server.socket.shutdown(socket.SHUT_RDWR)  # ends its wait
-        self._thread.join(_POLL)
+
+    def join(self, end_s: float) -> None:
+        """Wait until that is done, or until a time of the monotonic clock, s."""
+        self._thread.join(max(end_s - time.monotonic(), 0.0))
 
     def _run(self) -> None:
         if self._stop.wait(HEAD_START):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import threading
 import time
@@ -18,8 +19,7 @@ _log = logging.getLogger(__name__)
 LARGEST = 1 << 20
 """Bytes; no checkpoint comes near."""
 PATIENCE = 0.6
-"""Seconds that a slow disk may take for the last one: with the recording's, no more than 2 s pass
-from SIGTERM to the end."""
+"""Seconds that a slow disk may take for the last one, where nobody says until when."""
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -62,16 +62,18 @@ class Slot:
     """Keeps the newest bytes under one name; a disk that is slow or full holds up nobody.
 
     They are written beside and renamed, so that whoever reads finds the old ones or the new ones
-    whole. Nothing is forced to the disk: the system's cache outlives the daemon, and after a loss
-    of power the autopilot has rebooted too.
+    whole. Nothing is forced to the disk, but for a copy where that is asked: the system's cache
+    outlives the daemon, and after a loss of power the autopilot has rebooted too.
     """
 
-    def __init__(self, path: Path, loss: str) -> None:
+    def __init__(self, path: Path, loss: str, *, force_s: float | None = None) -> None:
         """Try the folder, and start the thread.
 
         Args:
             path: The file.
             loss: What it means that nothing can be kept, for the log.
+            force_s: Seconds after which a copy is forced to the disk, to be read where a loss of
+                power has taken the file; None: there is none.
 
         Raises:
             ConfigError: It cannot be a file of ours.
@@ -79,6 +81,9 @@ class Slot:
         self.path = path
         self._loss = loss
         self._beside = path.with_name(path.name + ".new")
+        self._copy = path.with_name(path.name + ".copy")
+        self._force_s = force_s
+        self._forced_s = -math.inf
         self._is_failing = False
         self._try()
         self._data: bytes | None = None
@@ -89,13 +94,20 @@ class Slot:
 
     def read(self) -> bytes | None:
         """Give what the last run left, if anything."""
+        return self._read(self.path)
+
+    def read_copy(self) -> bytes | None:
+        """Give what was last forced to the disk, if anything."""
+        return self._read(self._copy)
+
+    def _read(self, path: Path) -> bytes | None:
         try:
-            with self.path.open("rb") as file:
+            with path.open("rb") as file:
                 return file.read(LARGEST)
         except FileNotFoundError:
             return None
         except OSError as error:
-            _log.warning("%s: cannot be read: %s; %s", self.path, error.strerror, self._loss)
+            _log.warning("%s: cannot be read: %s; %s", path, error.strerror, self._loss)
             return None
 
     def put_aside(self, what: str) -> None:
@@ -115,9 +127,17 @@ class Slot:
 
     def close(self) -> None:
         """Write the last, if the disk lets us."""
+        self.finish()
+        self.join(time.monotonic() + PATIENCE)
+
+    def finish(self) -> None:
+        """Have the last written; does not wait."""
         self._is_closed = True
         self._wake.set()
-        self._thread.join(PATIENCE)
+
+    def join(self, end_s: float) -> None:
+        """Wait until that is done, or until a time of the monotonic clock, s."""
+        self._thread.join(max(end_s - time.monotonic(), 0.0))
         if self._thread.is_alive():
             _log.warning("%s: the disk is too slow; the last state may be missing", self.path)
 
@@ -141,19 +161,36 @@ class Slot:
             self._wake.clear()
             is_last, data = self._is_closed, self._data
             if data is not None and data is not written:
-                self._write(data)
+                self._write(data, is_last=is_last)
                 written = data
             if is_last:
                 return
 
-    def _write(self, data: bytes) -> None:
+    def _write(self, data: bytes, *, is_last: bool) -> None:
         try:
             self._beside.write_bytes(data)
             self._beside.replace(self.path)
+            if self._force_s is not None:
+                now_s = time.monotonic()
+                if is_last or now_s >= self._forced_s + self._force_s:
+                    self._forced_s = now_s
+                    self._force(data)
         except OSError as error:
             self._complain(error)
         else:
             self._is_failing = False
+
+    def _force(self, data: bytes) -> None:
+        """Put a copy on the disk that a loss of power leaves whole."""
+        with self._beside.open("wb", buffering=0) as file:
+            file.write(data)
+            os.fdatasync(file)
+        self._beside.replace(self._copy)
+        folder = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
     def _complain(self, error: OSError) -> None:
         """Say once per trouble that there is nothing to go on from."""

@@ -6,18 +6,25 @@ The secret stands in no log, no status and no complaint: only the name of its fi
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import re
 import stat
+import time
 from pathlib import Path
 
 from ekf_companion.config import Config
 from ekf_companion.errors import ConfigError
-from ekf_companion.keeper import LARGEST, Slot
+from ekf_companion.keeper import LARGEST, PATIENCE, Slot
 from ekf_companion.mavlink.signing import KEY_SIZE, Signing
+
+_log = logging.getLogger(__name__)
 
 INTERVAL_NS = 1_000_000_000
 """Between two times kept; what a crash loses, the margin of the next start makes good."""
+FORCE = 60.0
+"""Seconds between two copies forced to the disk: what is lost with the power is so much, and as old
+may the first frame of a stream be in any case."""
 SUFFIX = ".signing"
 """Behind the checkpoint's name."""
 BORROWED_LINK = 1
@@ -40,9 +47,23 @@ class Keyring:
         self.signing = signing
         self._slot = slot
         self._next_ns = 0
-        if slot is not None and (state := slot.read()) and not signing.restore(state):
+        if slot is not None:
+            self._restore(slot)
+
+    def _restore(self, slot: Slot) -> None:
+        """Go on from the times of the last run, and from the copy that outlives a loss of power."""
+        copy, state = slot.read_copy(), slot.read()
+        is_restored = [self.signing.restore(found) for found in (copy, state) if found]
+        if state and not is_restored[-1]:
             # Another secret, whose times are worth nothing, or no file of ours
             slot.put_aside("record of this secret's times")
+        elif b"" in (copy, state) and not any(is_restored):
+            _log.warning(
+                "%s: is empty, as a loss of power leaves it: the times of the last run are lost, "
+                "and until this board knows what time it is, it believes signed frames that "
+                "somebody has recorded and sends again; set its clock",
+                slot.path,
+            )
 
     def keep(self, now_ns: int) -> None:
         """Hand the times over to be written, where that is due; never waits."""
@@ -52,9 +73,19 @@ class Keyring:
 
     def close(self) -> None:
         """Write the last times, if the disk lets us."""
+        self.finish()
+        self.join(time.monotonic() + PATIENCE)
+
+    def finish(self) -> None:
+        """Have the last times written; does not wait."""
         if self._slot is not None:
             self._slot.keep(self.signing.state())
-            self._slot.close()
+            self._slot.finish()
+
+    def join(self, end_s: float) -> None:
+        """Wait until that is done, or until a time of the monotonic clock, s."""
+        if self._slot is not None:
+            self._slot.join(end_s)
 
 
 def open_keyring(config: Config) -> Keyring | None:
@@ -67,7 +98,8 @@ def open_keyring(config: Config) -> Keyring | None:
         return None
     signing = Signing(read_key(config.signing.key_file))
     file = config.checkpoint.file
-    slot = None if not file else Slot(Path(file + SUFFIX), "a restart would sign from the clock")
+    loss = "a restart would sign from the clock"
+    slot = Slot(Path(file + SUFFIX), loss, force_s=FORCE) if file else None
     return Keyring(signing, slot)
 
 

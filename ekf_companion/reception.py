@@ -55,12 +55,12 @@ def hear(
         peers: Likewise.
     """
     data, now_ns, sender = received
-    heard, admitted = session.heard, session.admission.admitted
+    heard, believed = session.heard, session.believed
     take(data, now_ns, sender)
     if sender is not None:
         if session.heard != heard:
             peers.pin(sender, now_ns)
-        elif session.admission.admitted != admitted:
+        elif session.believed != believed:
             peers.answer(sender)
 
 

@@ -2,8 +2,7 @@
 
 The loop hands over whole records four times a second and never waits. The thread writes them at
 once and forces them to the disk twice a second: at a kill or a power cut less than a second is
-lost. How much the disk may hold of ours is decided by the names of files: those that
-``record.path`` can make are ours.
+lost. Which files are ours, to make room, is decided by ``shelf``.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ LOOK = 5.0
 SLACK = 16 * MB
 """Bytes more than ``record.free_space`` before a recording that stopped begins again."""
 PATIENCE = 0.6
-"""Seconds that a slow disk may take for the end of the recording."""
+"""Seconds that a slow disk may take for the end of the recording, where nobody says until when."""
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -106,9 +105,17 @@ class Recorder:
 
     def close(self) -> None:
         """Write what is left, if the disk lets us."""
+        self.finish()
+        self.join(time.monotonic() + PATIENCE)
+
+    def finish(self) -> None:
+        """Have written what is left; does not wait."""
         self._hand_over()
         self._batches.put(b"")
-        self._thread.join(PATIENCE)
+
+    def join(self, end_s: float) -> None:
+        """Wait until that is done, or until a time of the monotonic clock, s."""
+        self._thread.join(max(end_s - time.monotonic(), 0.0))
         if self._thread.is_alive():
             _log.warning("%s: the disk is too slow; the end is not recorded", self.path)
         elif self.unrecorded_bytes:
@@ -208,7 +215,7 @@ class Recorder:
                 self._rotate()
                 self._looked = time.monotonic()
             if self._total > self._total_size or not self._held:
-                self._total = sum(size for _, _, size in self._shelf.files())
+                self._total = sum(size for _, size in self._shelf.files())
                 self._total -= self._shelf.free(self._total - self._total_size)
             disk = os.statvfs(self._shelf.folder)
             wanted = self._free_space + (SLACK if self._is_full else 0)

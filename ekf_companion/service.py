@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from ekf_companion.bandwidth import overloads
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.endpoint import open_endpoint
@@ -19,6 +20,7 @@ from ekf_companion.errors import CompanionError
 from ekf_companion.keeper import clocks, open_keeper, open_memory
 from ekf_companion.keyring import open_keyring
 from ekf_companion.link import Received
+from ekf_companion.mavlink.outbox import is_replaceable
 from ekf_companion.observer import Observer
 from ekf_companion.reception import hear, open_reception, unix_clock
 from ekf_companion.recorder import open_recorder
@@ -40,6 +42,10 @@ LEAST_NS = 20_000_000
 """Between two looks while much comes."""
 LAST_WORDS = 0.1
 """Seconds for the last message to leave a serial port, whose closing throws away what waits."""
+
+CLOSING = 1.2
+"""Seconds that all our threads have to end, however many disks hang: with the last words, and the
+interpreter's own end, no more than 2 s pass from SIGTERM."""
 
 
 def run(read: Callable[[], Config]) -> None:
@@ -99,6 +105,8 @@ class Daemon:
             LinkError: The link's URL names no link.
             ConfigError: The recording or the checkpoints have no place, or the key none may use.
         """
+        for words in overloads(config):
+            _log.warning("%s", words)
         self._due_ns = 0
         self._keyring = keyring = open_keyring(config)
         self.link = open_reception(
@@ -126,16 +134,13 @@ class Daemon:
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._endpoint is not None:
-            self._endpoint.close()
-        if self._keeper is not None:
-            self._keeper.close()
-        if self._memory is not None:
-            self._memory.close()
-        if self._keyring is not None:
-            self._keyring.close()
-        if self._recorder is not None:
-            self._recorder.close()
+        parts = (self._endpoint, self._keeper, self._memory, self._keyring, self._recorder)
+        running = [part for part in parts if part is not None]
+        for part in running:
+            part.finish()
+        end_s = time.monotonic() + CLOSING
+        for part in running:
+            part.join(end_s)
 
     def receive(self, received: Received) -> None:
         """Take what was read, send what follows from it, and say whom to go on listening to."""
@@ -206,7 +211,7 @@ class Daemon:
 
     def _send(self, now_ns: int) -> None:
         for frame in self._companion.data_to_send():
-            self.link.send(frame)
+            self.link.send(frame, is_replaceable=is_replaceable(frame))
         if self._recorder is not None:
             self._recorder.write(self._companion.session.take_record())
         self._observer.beat(now_ns)

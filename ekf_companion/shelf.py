@@ -1,4 +1,9 @@
-"""The folder of recordings: which files are ours, how the next is called, which goes first."""
+"""The folder of recordings: which files are ours, how the next is called, which goes first.
+
+A board without a clock begins anew at 1970 or at its last shutdown, so that neither the times of
+files nor the times in their names say which is the oldest. A list beside them does: a line for
+each file that was begun, in that order.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +18,8 @@ from pathlib import Path
 
 _log = logging.getLogger(__name__)
 
+LIST_SIZE = 1 << 16
+"""Bytes of the list beyond which the names of files that are gone are left out."""
 _START = "%Y%m%dT%H%M%SZ"
 
 
@@ -25,10 +32,13 @@ class Shelf:
         self.folder = first.parent
         self._stem, self._suffix = first.stem, first.suffix
         kind = Path(path)
+        self._list = self.folder / f".{kind.name}.list"
+        self._begun: list[str] = []
         stem, suffix = (
             re.escape(part).replace("%s", r"\d{8}T\d{6}Z") for part in (kind.stem, kind.suffix)
         )
         self._ours = re.compile(rf"{stem}(?:-\d+)?{suffix}", re.ASCII)
+        self._has_time = "%s" in kind.name
         self._number = 0
 
     def create(self) -> tuple[Path, int]:
@@ -52,28 +62,34 @@ class Shelf:
             self._number = number
             with suppress(OSError):  # not every file system has locks
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._note(path.name)
             return path, descriptor
 
-    def files(self) -> list[tuple[int, str, int]]:
-        """Give when each file of ours was last written, ns, its name and its bytes; oldest first.
+    def files(self) -> list[tuple[str, int]]:
+        """Give the name of each file of ours and its bytes; the oldest first.
+
+        Ours are those in the list, and where the name says the time of start, all of such names:
+        they come first, by when they were last written. A name without a time could be anybody's.
 
         Raises:
             OSError: The folder cannot be read.
         """
+        place = {name: k for k, name in enumerate([*self._listed(), *self._begun])}
         found = []
         with os.scandir(self.folder) as entries:
             for entry in entries:
-                if self._ours.fullmatch(entry.name):
+                if entry.name in place or (self._has_time and self._ours.fullmatch(entry.name)):
                     with suppress(FileNotFoundError):
                         status = entry.stat(follow_symlinks=False)
                         if stat.S_ISREG(status.st_mode):
-                            found.append((status.st_mtime_ns, entry.name, status.st_size))
-        return sorted(found)
+                            order = place.get(entry.name, -1), status.st_mtime_ns
+                            found.append((order, entry.name, status.st_size))
+        return [(name, size) for _, name, size in sorted(found)]
 
     def free(self, size: int) -> int:
         """Delete our oldest files that nobody writes, until so many bytes are free; give those."""
         freed = 0
-        for _, name, held in self.files() if size > 0 else ():
+        for name, held in self.files() if size > 0 else ():
             if freed >= size:
                 break
             with suppress(OSError):
@@ -83,12 +99,35 @@ class Shelf:
         return freed
 
     def sync(self) -> None:
-        """Force the names in the folder to the disk."""
-        descriptor = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        """Force our list, and the names in the folder, to the disk.
+
+        A flight usually ends with a loss of power: that it was the last must be known after it.
+        """
+        with suppress(FileNotFoundError):
+            _force(self._list, os.O_RDONLY)
+        _force(self.folder, os.O_RDONLY | os.O_DIRECTORY)
+
+    def _note(self, name: str) -> None:
+        """Write down that a file was begun; a disk that takes no line still has it in this run."""
+        self._begun.append(name)
         try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+            if self._list.exists() and self._list.stat().st_size > LIST_SIZE:
+                beside = self._list.with_name(self._list.name + ".new")
+                kept = [one for one in self._listed() if (self.folder / one).exists()]
+                beside.write_text("".join(f"{one}\n" for one in kept), encoding="utf-8")
+                beside.replace(self._list)
+            with self._list.open("a", encoding="utf-8") as lines:
+                lines.write(f"{name}\n")
+        except OSError as error:
+            _log.warning("%s: %s; a later run may not know our files", self._list, error.strerror)
+
+    def _listed(self) -> list[str]:
+        """Give the names in the list that our name can make, whatever else stands there."""
+        try:
+            lines = self._list.read_text(encoding="utf-8", errors="replace").splitlines()
+        except OSError:
+            return []
+        return [line for line in lines if self._ours.fullmatch(line)]
 
     def _last(self) -> int:
         """Give the largest number behind this run's name that is taken; 0: none."""
@@ -108,3 +147,11 @@ class Shelf:
         finally:
             os.close(descriptor)
         return True
+
+
+def _force(path: Path, flags: int) -> None:
+    descriptor = os.open(path, flags | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

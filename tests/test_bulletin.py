@@ -62,6 +62,7 @@ CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
 def test_rule_29_what_happens_on_the_link_is_logged_and_told_where_the_pilot_can_act(
     caplog, event, logged, severity, told
 ):
+    """Rule 29."""
     caplog.set_level(logging.INFO)
     session, _ = met()
     Bulletin(session.statustext).heed(event)

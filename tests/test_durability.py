@@ -114,18 +114,37 @@ def test_a_disk_that_hangs_holds_up_no_writer_and_what_is_lost_is_counted(
     ours._thread.join()
 
 
-def test_sigterm_ends_it_within_two_seconds_while_the_disk_hangs(tmp_path):
-    """Rule 36, where neither recording nor checkpoint can be finished."""
+HUNG = """
+import os, pathlib, time
+
+os.fdatasync = os.replace = os.rename = lambda *_: time.sleep(60)
+pathlib.Path.replace = lambda *_: time.sleep(60)
+from ekf_companion.companion import Companion
+
+Companion.checkpoint = lambda *_: b"state"  # as if something had been estimated
+"""
+ALL_HUNG = """
+from ekf_companion.endpoint import Endpoint
+from ekf_companion.keeper import Slot
+
+Endpoint._run = Slot._run = lambda _: time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("hung", [HUNG, HUNG + ALL_HUNG], ids=["disk", "everything"])
+def test_sigterm_ends_it_within_two_seconds_while_the_disk_hangs(tmp_path, hung):
+    """Rule 36, where nothing can be finished: recording, checkpoint, parameters, times, status."""
     port = free_port()
-    code = (
-        "import os, pathlib, time\n"
-        "os.fdatasync = os.replace = os.rename = lambda *_: time.sleep(60)\n"
-        "pathlib.Path.replace = lambda *_: time.sleep(60)\n"
-        "from ekf_companion.companion import Companion\n"
-        "Companion.checkpoint = lambda *_: b'state'\n"  # as if something had been estimated
+    (tmp_path / "secret").write_bytes(bytes(32))
+    (tmp_path / "secret").chmod(0o600)
+    (tmp_path / "config.yaml").write_text(
+        f"signing: {{key_file: {tmp_path}/secret, accept_unsigned: true}}\n"
+        f"http: {{port: {free_port(socket.SOCK_STREAM)}}}\n"
+    )
+    code = hung + (
         "from ekf_companion.cli import app\n"
         f"app(['run', '--link', 'udpin:127.0.0.1:{port}', '--record', '{tmp_path}/flight.tlog',"
-        f" '--checkpoint', '{tmp_path}/checkpoint'])\n"
+        f" '--checkpoint', '{tmp_path}/checkpoint', '--config', '{tmp_path}/config.yaml'])\n"
     )
     with (
         subprocess.Popen(
@@ -151,7 +170,10 @@ def test_sigterm_ends_it_within_two_seconds_while_the_disk_hangs(tmp_path):
         assert time.monotonic() - begin < 2.0
         words = process.stderr.read()
     assert "the disk is too slow; the end is not recorded" in words
-    assert "the disk is too slow; the last state may be missing" in words
+    assert "checkpoint: the disk is too slow; the last state may be missing" in words
+    assert "checkpoint.signing: the disk is too slow; the last state may be missing" in words
+    # The same sentence of the third is counted there
+    assert ("(1 more like it before, left out)" in words) == ("Slot" in hung)
 
 
 # Each file of a flight can be converted, and together they are one recording

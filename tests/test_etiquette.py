@@ -96,6 +96,7 @@ def periods(said, name="ODOMETRY"):
 
 @pytest.mark.parametrize("kind", Kind)
 def test_rule_26_nothing_is_said_that_only_an_autopilot_may_say(kind):
+    """Rule 26."""
     flown = Flown(5.0, kind)
     flown.fly(2.0)
     # Somebody asks for every message that there is, in both ways, and for all parameters
@@ -113,6 +114,7 @@ def test_rule_26_nothing_is_said_that_only_an_autopilot_may_say(kind):
 
 @pytest.mark.parametrize(("kind", "rate"), [(Kind.ARDUPILOT, 50.0), (Kind.PX4, 100.0)])
 def test_rule_22_an_ardupilot_is_sent_no_more_than_it_takes(kind, rate):
+    """Rule 22."""
     config = Config(output=OutputConfig(odometry=OdometryConfig(rate=100.0)))
     stamps = [m.time_usec for m in named("ODOMETRY", Flown(4.0, kind, config).fly(4.0))]
     assert (len(stamps) - 1) / (stamps[-1] - stamps[0]) * 1e6 == pytest.approx(rate, rel=0.01)
@@ -124,6 +126,7 @@ def without_fixes(frames):
 
 
 def test_rule_22_nothing_is_sent_before_there_is_a_position():
+    """Rule 22."""
     flown = Flown(4.0)
     flown.fly(2.0, change=without_fixes)
     wish = once(flown.command(512, IDS["ODOMETRY"]))
@@ -133,6 +136,7 @@ def test_rule_22_nothing_is_sent_before_there_is_a_position():
 
 
 def test_rule_21_no_stamp_is_repeated_however_often_it_is_asked_for():
+    """Rule 21."""
     flown = Flown(4.0)
     flown.fly(2.0)
     wish = flown.command(512, IDS["ODOMETRY"])
@@ -144,6 +148,7 @@ def test_rule_21_no_stamp_is_repeated_however_often_it_is_asked_for():
 
 
 def test_rule_31_an_interval_is_obeyed_at_once():
+    """Rule 31."""
     flown = Flown(6.0)
     flown.fly(2.0)
     part = flown.fly(3.0, once(flown.command(511, IDS["ODOMETRY"], 100_000.0)))
@@ -155,6 +160,7 @@ def test_rule_31_an_interval_is_obeyed_at_once():
 
 
 def test_rule_30_a_parameter_is_obeyed_at_once_and_told():
+    """Rule 30."""
     flown = Flown(4.0)
     flown.fly(2.0)
     part = flown.fly(3.0, once(flown.set_parameter("EC_ODOM_RATE", 10.0)))
@@ -165,6 +171,7 @@ def test_rule_30_a_parameter_is_obeyed_at_once_and_told():
 
 
 def test_rule_30_the_mode_is_obeyed_at_once():
+    """Rule 30."""
     flown = Flown(5.0)
     flown.fly(2.0)
     part = flown.fly(3.0, once(flown.set_parameter("EC_ODOM_MODE", 2.0)))
@@ -174,6 +181,7 @@ def test_rule_30_the_mode_is_obeyed_at_once():
 
 
 def test_rule_4_no_odometry_is_sent_while_somebody_else_speaks_as_us():
+    """Rule 4."""
     flown = Flown(13.0)
     flown.fly(2.0)
     assert named("ODOMETRY", flown.said)
@@ -191,6 +199,7 @@ def test_rule_4_no_odometry_is_sent_while_somebody_else_speaks_as_us():
 
 
 def test_rule_29_the_pilot_is_told_what_changes_and_only_that():
+    """Rule 29."""
     flown = Flown(14.0)
     flown.fly(6.0)
     assert texts(flown.said).count("Companion: estimate OK") == 1
@@ -223,6 +232,7 @@ def as_raw(frames):
 
 
 def test_rule_7_a_switch_of_the_inertial_source_counts_as_a_reset_and_is_told():
+    """Rule 7."""
     flown = Flown(14.0, Kind.ARDUPILOT)
     flown.fly(4.0)
     before = named("ODOMETRY", flown.said)[-1].reset_counter
@@ -236,7 +246,7 @@ def test_rule_7_a_switch_of_the_inertial_source_counts_as_a_reset_and_is_told():
 
 
 def test_rule_7_an_ardupilot_with_a_slow_loop_is_asked_for_less_until_it_grants_it(caplog):
-    """A Plane's loop of 50 Hz: 40 Hz at the most, and nobody says so."""
+    """Rule 7: A Plane's loop of 50 Hz: 40 Hz at the most, and nobody says so."""
     caplog.set_level(logging.INFO)
     personality = parse("ardupilot-old:loop_rate=50")
     flight = Flight.plan("figure-eight", personality.suited(SimConfig()), duration=15.0)

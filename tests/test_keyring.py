@@ -10,7 +10,7 @@ from ekf_companion.errors import ConfigError
 from ekf_companion.keyring import borrow_signing, open_keyring, read_key
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.signing import REPLAYED, Signing
+from ekf_companion.mavlink.signing import OLD, REPLAYED, Signing, time_of
 
 KEY = bytes(range(200, 232))
 
@@ -166,3 +166,73 @@ def test_the_printed_configuration_names_the_file_alone(write):
     words = repr(describe_config(config_of(path))) + repr(config_of(path))
     assert path in words
     assert KEY.hex() not in words
+
+
+def state_of(time_ns):
+    theirs = Signing(KEY)
+    theirs.sign(b"", time_ns)
+    return theirs.state()
+
+
+def test_times_that_a_loss_of_power_took_are_told_and_the_copy_counts_rule_34(
+    write, tmp_path, caplog
+):
+    """Rule 34: a board without a clock, whose file is empty, believes no frame of yesterday."""
+    config = config_of(write(KEY), str(tmp_path / "checkpoint"))
+    now_ns, day_ns = 1_800_000_000 * 10**9, 86_400 * 10**9
+    (old,) = Splitter().feed(Sender(1, 1, Signing(KEY)).frame("HEARTBEAT", b"", now_ns - day_ns))
+    (tmp_path / "checkpoint.signing").touch()
+    keyring = open_keyring(config)
+    assert caplog.text.count("checkpoint.signing: is empty, as a loss of power leaves it") == 1
+    assert keyring.signing.verify(old, 0) == ""  # nothing better is known
+    keyring.close()
+
+    caplog.clear()
+    (tmp_path / "checkpoint.signing").write_bytes(b"")
+    (tmp_path / "checkpoint.signing.copy").write_bytes(state_of(now_ns))
+    keyring = open_keyring(config)
+    assert keyring.signing.verify(old, 0) == OLD
+    assert caplog.text == ""
+    keyring.close()
+
+
+def test_of_the_file_and_its_copy_the_later_times_count(write, tmp_path):
+    config = config_of(write(KEY), str(tmp_path / "checkpoint"))
+    now_ns = 1_800_000_000 * 10**9
+    for later in ("checkpoint.signing", "checkpoint.signing.copy"):
+        for name in ("checkpoint.signing", "checkpoint.signing.copy"):
+            known_ns = now_ns + (10**9 if name == later else 0)
+            (tmp_path / name).write_bytes(state_of(known_ns))
+        keyring = open_keyring(config)
+        time_now = int.from_bytes(keyring.signing.sign(b"", 0)[-12:-6], "little")
+        assert time_now > time_of(now_ns + 10**9)
+        keyring.close()
+
+
+def test_a_copy_is_forced_to_the_disk_at_the_start_and_the_end_and_once_a_minute(
+    write, tmp_path, monkeypatch
+):
+    forced, real = [], os.fdatasync
+    monkeypatch.setattr(os, "fdatasync", lambda file: (forced.append(file.name), real(file)))
+    keyring = open_keyring(config_of(write(KEY), str(tmp_path / "checkpoint")))
+    path = tmp_path / "checkpoint.signing"
+
+    def keep(k):
+        path.unlink(missing_ok=True)
+        keyring.signing.sign(b"", k * 10**9)
+        keyring.keep(k * 10**9)
+        end = time.monotonic() + 10.0
+        while not path.exists():
+            assert time.monotonic() < end
+            time.sleep(0.001)
+
+    for k in range(1, 6):
+        keep(k)
+    assert len(forced) == 1
+    keyring._slot._forced_s -= 60.0
+    for k in range(6, 11):
+        keep(k)
+    keyring.close()
+    assert len(forced) == 3
+    assert Signing(KEY).restore((tmp_path / "checkpoint.signing.copy").read_bytes())
+    assert (tmp_path / "checkpoint.signing.copy").read_bytes() == path.read_bytes()

@@ -198,7 +198,9 @@ def test_tcp_carries_both_ways_and_comes_back_when_either_end_restarts():
     asyncio.run(scenario())
 
 
-def test_a_new_tcp_client_takes_the_place_of_a_silent_one():
+def test_a_new_tcp_client_takes_the_place_of_a_silent_one(monkeypatch):
+    monkeypatch.setattr(link_module, "SILENT", 0.2)
+
     async def scenario():
         port = free_port(socket.SOCK_STREAM)
         server = open_link(f"tcpin:127.0.0.1:{port}")
@@ -212,6 +214,29 @@ def test_a_new_tcp_client_takes_the_place_of_a_silent_one():
                 second.send(b"alive")
                 assert await read_exactly(server, 5) == b"alive"
             first.close()
+
+    asyncio.run(scenario())
+
+
+def test_a_tcp_client_that_speaks_keeps_its_place_and_strangers_are_counted(caplog):
+    async def scenario():
+        port = free_port(socket.SOCK_STREAM)
+        server = open_link(f"tcpin:127.0.0.1:{port}")
+        async with running(server):
+            await until(lambda: server._server is not None)
+            with socket.create_connection(("127.0.0.1", port)) as autopilot:
+                autopilot.settimeout(5.0)
+                for k in range(1, 6):
+                    autopilot.send(b"beat")
+                    assert await read_exactly(server, 4) == b"beat"
+                    with socket.create_connection(("127.0.0.1", port)) as stranger:
+                        await until(lambda k=k: server.refused[link_module.NOT_FIRST] == k)
+                        stranger.settimeout(5.0)
+                        assert stranger.recv(100) == b""  # sent away
+                server.send(b"odometry")
+                assert autopilot.recv(100) == b"odometry"
+            assert server.opened == 1
+        assert caplog.text.count("another client is sent away") == 1
 
     asyncio.run(scenario())
 

@@ -50,6 +50,7 @@ class Station:
 
 
 def test_rule_30_a_parameter_that_was_set_counts_after_a_restart_and_the_file_stays(tmp_path):
+    """Rule 30."""
     port = free_port()
     checkpoint = tmp_path / "checkpoint"
     options = ("--link", f"udpin:127.0.0.1:{port}", "--checkpoint", str(checkpoint))

@@ -154,16 +154,10 @@ def ends(tmp_path, kind):
     return f"{kind}:127.0.0.1:{port}", other
 
 
-async def wake(link):
-    while True:
-        await asyncio.sleep(0.1)
-        link.wake()
-
-
 async def serve(link):
     """Answer as the daemon does: hear whom the session believes, and let time pass."""
     session = Session()
-    tasks = [asyncio.create_task(link.run()), asyncio.create_task(wake(link))]
+    pump = asyncio.create_task(link.run())
     try:
         while True:
             data, now_ns, sender = await link.receive()
@@ -175,9 +169,8 @@ async def serve(link):
             for frame in session.data_to_send():
                 link.send(frame)
     finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        pump.cancel()
+        await asyncio.gather(pump, return_exceptions=True)
 
 
 def report(kind, times, counts):

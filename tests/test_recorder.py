@@ -7,7 +7,7 @@ from collections import namedtuple
 
 import pytest
 
-from ekf_companion import recorder
+from ekf_companion import recorder, shelf
 from ekf_companion.errors import ConfigError
 from ekf_companion.recorder import MB, open_recorder
 from ekf_companion.sections import RecordConfig
@@ -45,7 +45,8 @@ def write(ours, stamped):
 
 
 def names(folder):
-    return sorted(path.name for path in folder.iterdir())
+    """Give the files that a user sees."""
+    return sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
 
 
 # Names
@@ -97,7 +98,7 @@ def test_a_full_file_is_followed_by_the_next_at_a_whole_record(tmp_path):
     for k in range(0, 1000, 30):
         write(ours, sent[k : k + 30])
     ours.close()
-    paths = sorted(tmp_path.iterdir(), key=lambda path: int(path.stem.partition("-")[2] or 1))
+    paths = sorted(tmp_path.glob("*.tlog"), key=lambda path: int(path.stem.partition("-")[2] or 1))
     assert [path.name for path in paths[:3]] == ["flight.tlog", "flight-2.tlog", "flight-3.tlog"]
     assert len(paths) == 11  # 30 records at a time, in files of at most 100
     assert all(path.stat().st_size <= 0.01 * MB for path in paths)
@@ -121,6 +122,60 @@ def test_beyond_the_total_the_oldest_of_ours_go_and_no_foreign_file(tmp_path):
         ours.close()
     # 121 kB were too much, the locked one included; the oldest that could go went
     assert names(tmp_path) == sorted([*kept, *old[1:], ours.path.name])
+
+
+def record_run(path, count=1, total=0.1):
+    """Give the name of the first file of a run that begins several."""
+    ours = open_recorder(settings(path, file=0.01, total=total))
+    first = ours.path.name
+    for _ in range(count):
+        write(ours, records(0, 100))
+    ours.close()
+    return first
+
+
+def test_on_a_board_without_a_clock_the_oldest_go_by_the_order_in_which_they_were_begun(
+    tmp_path, monkeypatch
+):
+    """Rule 39: each start is in 1970 again, one second earlier than the last."""
+    began = []
+    for k in range(12):
+        monkeypatch.setattr(
+            time, "gmtime", lambda k=k: time.struct_time((1970, 1, 1, 0, 0, 50 - k, 3, 1, 0))
+        )
+        began.append(record_run(tmp_path / "%s.tlog", total=0.1))
+        for path in tmp_path.glob("*.tlog"):
+            seconds = int(path.name[13:15])
+            os.utime(path, (seconds, seconds))
+    left = [name for name in began if (tmp_path / name).exists()]
+    assert left == began[-len(left) :]
+    assert 8 <= len(left) < 12
+
+
+def test_a_users_file_of_a_like_name_is_never_deleted(tmp_path):
+    """Rule 39: without a time in the name, ours are those that we have begun."""
+    for name in ("flight-2025.tlog", "flight.tlog", "flight-9.tlog"):
+        (tmp_path / name).write_bytes(bytes(60_000))
+        os.utime(tmp_path / name, (1.0, 1.0))
+    for _ in range(3):
+        record_run(tmp_path / "flight.tlog", count=20)
+    assert {"flight-2025.tlog", "flight.tlog", "flight-9.tlog"} <= set(names(tmp_path))
+    ours = [int(name[7:-5]) for name in names(tmp_path) if name != "flight.tlog"]
+    ours = sorted(number for number in ours if number > 2025)
+    assert ours[-1] == 2025 + 60
+    assert ours == list(range(ours[0], 2025 + 61))
+    assert len(ours) <= 11
+
+
+def test_the_list_does_not_grow_for_ever_and_names_nothing_elsewhere(tmp_path, monkeypatch):
+    monkeypatch.setattr(shelf, "LIST_SIZE", 200)
+    (tmp_path / "other.txt").write_bytes(bytes(60_000))
+    (tmp_path / ".flight.tlog.list").write_text("other.txt\n../flight.tlog\nflight-7.tlog\n")
+    for _ in range(3):
+        record_run(tmp_path / "flight.tlog", count=20)
+    assert (tmp_path / ".flight.tlog.list").stat().st_size < 500
+    assert (tmp_path / "other.txt").exists()
+    assert 8 <= len(list(tmp_path.glob("*.tlog"))) <= 11
 
 
 class Disk:

@@ -457,6 +457,7 @@ def assert_same_as_its_messages(record):
 
 
 def test_the_converted_recording_gives_the_same_estimates(flown):
+    """Rule 38: live is replay, to the bit."""
     assert len(assert_same_as_its_estimates(flown.record)) > 1000
 
 
@@ -467,6 +468,7 @@ def test_the_converted_recording_does_not_depend_on_how_it_is_cut(flown, tmp_pat
 
 
 def test_the_converted_recording_gives_the_same_messages(flown):
+    """Rule 38: live is replay, to the bit."""
     assert_same_as_its_messages(flown.record)
 
 
@@ -578,10 +580,12 @@ def test_a_serial_line_that_was_unplugged_is_taken_up_again(wired):
 
 
 def test_the_serial_recording_gives_the_same_estimates(wired):
+    """Rule 38: live is replay, to the bit."""
     assert len(assert_same_as_its_estimates(wired.record)) > 200
 
 
 def test_the_serial_recording_gives_the_same_messages(wired):
+    """Rule 38: live is replay, to the bit."""
     assert_same_as_its_messages(wired.record)
 
 

@@ -108,6 +108,26 @@ def test_the_daemon_hears_who_knows_the_secret_and_nobody_twice(setup):
     assert KEY.hex() not in words
 
 
+def test_who_does_not_know_the_secret_is_not_answered_before_the_autopilot_speaks(setup):
+    """A telemetry radio signs nothing, and its status is let in: it says not where to send."""
+    folder, config, port, options = setup
+    radio = dialect.MAVLink(None, srcSystem=51, srcComponent=68)
+    status = radio.radio_status_encode(1, 1, 1, 1, 1, 0, 0).pack(radio)
+    with (
+        Autopilot(port) as stranger,
+        Autopilot(port) as theirs,
+        Daemon(folder, *options, config=config) as daemon,
+    ):
+        daemon.wait_for(": open")
+        end = time.monotonic() + 2.0  # two of our heartbeats
+        while time.monotonic() < end:
+            stranger.send(status)
+            with pytest.raises(OSError, match="timed out"):
+                stranger._socket.recv(1000)
+        assert theirs.answers(3)
+        assert daemon.stop()[0] == 0
+
+
 def test_a_secret_that_others_can_read_ends_the_start_with_a_sentence(setup):
     folder, config, _, options = setup
     (folder / "secret").chmod(0o644)

@@ -19,6 +19,7 @@ def get(config, key):
 
 
 def test_rule_30_the_table_is_small_and_its_names_fit():
+    """Rule 30."""
     names = [tunable.name for tunable in TABLE]
     assert 8 <= len(names) <= 15
     assert len(set(names)) == len({tunable.key for tunable in TABLE}) == len(names)

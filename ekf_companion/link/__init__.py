@@ -9,10 +9,10 @@ A link runs in the caller's task group and ends when that task is cancelled::
 
 What is read is stamped at once and waits in a bounded queue, or, to save a turn of the loop, is
 handed to ``on_read`` and waits in the system's own; what cannot be sent now is dropped
-(UDP, or no link) or waits in a bounded queue (serial and TCP). Everything dropped is counted.
+(UDP, or no link) or waits, but not for long (serial and TCP). Everything dropped is counted.
 
-``address`` reads URLs, ``port`` holds the open descriptors, ``peers`` says which senders of
-datagrams are heard, ``link`` keeps it all open.
+``address`` reads URLs, ``port`` holds the open descriptors, ``backlog`` what they had no room for,
+``peers`` says which senders of datagrams are heard, ``link`` keeps it all open.
 """
 
 from ekf_companion.link.address import DEFAULT_BAUD, Address, Kind, parse_peer, parse_url

@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from ekf_companion.link.address import DATAGRAMS, Address, Kind, parse_peer, parse_url
+from ekf_companion.link.backlog import Backlog, Waiting
 from ekf_companion.link.peers import Peers, Sender
 from ekf_companion.link.port import Port, SerialPort, TcpPort, open_server, open_tcp, open_udp
 
@@ -20,11 +21,16 @@ _log = logging.getLogger(__package__)
 
 QUEUE_LENGTH = 1024
 """Reads that wait for the caller; the oldest is dropped beyond."""
-PENDING_BYTES = 1 << 16
-"""Bytes that wait for a slow serial or TCP link; the oldest message is dropped beyond."""
 FIRST_DELAY, LAST_DELAY = 0.5, 1.0
 """Seconds from one attempt to open a link to the next; doubled each time that nothing was heard.
 What has come back is taken up within that time, and its patience."""
+LOST = 1.0
+"""Seconds without a way for our datagrams after which the socket is opened anew: its own address
+may be gone, which is chosen once, when it is opened."""
+SILENT = 1.0
+"""Seconds without a byte from a TCP client after which another may take its place: an autopilot
+sends its heartbeat once a second, and much else oftener."""
+NOT_FIRST = "another client is connected"
 PATIENCE = 2.0
 """Seconds that a connection may take: the kernel asks twice in them."""
 
@@ -71,8 +77,12 @@ class Link:
         self._waiter: asyncio.Future[None] | None = None
         self._port: Port | None = None
         self._broken: asyncio.Future[str] | None = None
-        self._pending: deque[bytes] = deque()
+        self._backlog = Backlog()
+        self._timer: asyncio.TimerHandle | None = None
         self._server: socket.socket | None = None
+        self._newcomer: socket.socket | None = None
+        self._heard = 0.0
+        self._stuck: float | None = None
         self._last_complaint = ""
 
     @property
@@ -82,7 +92,7 @@ class Link:
 
     @property
     def refused(self) -> Counter[str]:
-        """Datagrams not heard, by reason."""
+        """Datagrams not heard and clients not let in, by reason."""
         return self.peers.refused
 
     async def run(self) -> None:
@@ -102,8 +112,9 @@ class Link:
                 await asyncio.sleep(max(begin + delay - loop.time(), 0.0))
                 delay = min(2.0 * delay, LAST_DELAY)
         finally:
-            if self._server is not None:
-                self._server.close()
+            for part in (self._server, self._newcomer):
+                if part is not None:
+                    part.close()
 
     async def receive(self) -> Received:
         """Give the oldest read that waits, or wait for one."""
@@ -116,14 +127,27 @@ class Link:
             if received.sender is None or self.peers.listen(received.sender, received.now_ns):
                 return received
 
-    def send(self, data: bytes) -> None:
-        """Send a message now, or as soon as a stream has room; never waits."""
-        if self._port is None:
+    def send(self, data: bytes, *, is_replaceable: bool = False) -> None:
+        """Send a message now, or as soon as a stream has room; never waits.
+
+        Args:
+            data: The message, whole.
+            is_replaceable: Whether it is worthless once the next of its kind is there: while the
+                stream has no room, only the newest such message waits, and not for long.
+        """
+        port = self._port
+        if port is None:
             self.unsent += 1
-        elif self._pending:
-            self._enqueue(data)
-        else:
-            self._write(self._port, data)
+            return
+        now_ns = self._clock()
+        if self._backlog:
+            self.unsent += self._backlog.add(data, now_ns, is_replaceable=is_replaceable)
+        elif (written := self._write(port, data)) < len(data):
+            if port.is_stream:
+                self._backlog.put_back(Waiting(data, now_ns, is_replaceable), written)
+                self._await_room(port)
+            else:
+                self.unsent += 1
 
     async def _run_once(self) -> str:
         """Open, pump and close; give the reason why it is over."""
@@ -140,13 +164,13 @@ class Link:
         descriptor = port.fileno()
         self._broken = loop.create_future()
         self._port = port
+        self._heard, self._stuck = loop.time(), None
         self.opened += 1
         _log.info("%s: open", self.address)
         self._last_complaint = ""
         loop.add_reader(descriptor, self._readable, port)
         if self._server is not None:
-            # The newest client is the one that is alive
-            loop.add_reader(self._server, self._break, "another client came")
+            loop.add_reader(self._server, self._knock, self._server)
         self._say(is_open=True)
         try:
             return await self._broken
@@ -157,8 +181,9 @@ class Link:
             loop.remove_writer(descriptor)
             port.close()
             self._port = None
-            self.unsent += len(self._pending)
-            self._pending.clear()
+            if self._timer is not None:
+                self._timer.cancel()
+            self.unsent += self._backlog.clear()
             self._say(is_open=False)
 
     def _say(self, *, is_open: bool) -> None:
@@ -168,6 +193,22 @@ class Link:
     def _break(self, reason: str) -> None:
         if self._broken is not None and not self._broken.done():
             self._broken.set_result(reason)
+
+    def _knock(self, server: socket.socket) -> None:
+        """Let another client in only where the present one has fallen silent."""
+        try:
+            stream, _ = server.accept()
+        except OSError:
+            return  # it is gone again
+        is_silent = asyncio.get_running_loop().time() - self._heard >= SILENT
+        if is_silent and self._newcomer is None:
+            self._newcomer = stream
+            self._break("another client takes the place of a silent one")
+            return
+        stream.close()
+        if not self.refused[NOT_FIRST]:
+            _log.warning("%s: another client is sent away while the first speaks", self.address)
+        self.refused[NOT_FIRST] += 1
 
     def _readable(self, port: Port) -> None:
         # Once: where there is more, the loop comes back at once
@@ -186,6 +227,8 @@ class Link:
         if sender is not None and not self.peers.listen(sender, now_ns):
             return
         self.bytes_in += len(data)
+        if self._server is not None:
+            self._heard = asyncio.get_running_loop().time()
         if self._on_read is None:
             self._enter(Received(data, now_ns, sender))
             return
@@ -203,38 +246,48 @@ class Link:
         if self._waiter is not None and not self._waiter.done():
             self._waiter.set_result(None)
 
-    def _write(self, port: Port, data: bytes) -> None:
+    def _write(self, port: Port, data: bytes) -> int:
+        """Give how many bytes were written; what breaks the link is counted as if all were."""
         try:
             written = port.write(data)
         except BlockingIOError:
-            written = 0
+            return 0
         except OSError as error:
-            self.unsent += 1
-            self._break(_sentence(error))
-            return
+            if port.is_stream:
+                self.unsent += 1
+                self._break(_sentence(error))
+                return len(data)
+            self._lament(error)
+            return 0
+        self._stuck = None
         self.bytes_out += written
-        if written == len(data):
-            return
-        if not port.is_stream:
-            self.unsent += 1
-            return
-        # The rest of a message that has begun must follow, whatever else is dropped
-        self._pending.appendleft(data[written:])
-        asyncio.get_running_loop().add_writer(port.fileno(), self._writable, port)
+        return written
 
-    def _enqueue(self, data: bytes) -> None:
-        self._pending.append(data)
-        while sum(map(len, self._pending)) > PENDING_BYTES and len(self._pending) > 1:
-            del self._pending[1]
-            self.unsent += 1
+    def _lament(self, error: OSError) -> None:
+        """Open a socket anew whose datagrams have had no way for a while."""
+        now = asyncio.get_running_loop().time()
+        if self._stuck is None:
+            self._stuck = now
+        elif now - self._stuck >= LOST:
+            self._break(_sentence(error))
+
+    def _await_room(self, port: Port) -> None:
+        loop = asyncio.get_running_loop()
+        if wait := port.wait():
+            self._timer = loop.call_later(wait, self._writable, port)
+        else:
+            loop.add_writer(port.fileno(), self._writable, port)
 
     def _writable(self, port: Port) -> None:
         asyncio.get_running_loop().remove_writer(port.fileno())
-        while self._pending:
-            data = self._pending.popleft()
-            waiting = len(self._pending)
-            self._write(port, data)
-            if len(self._pending) > waiting or (self._broken and self._broken.done()):
+        self.unsent += self._backlog.expire(self._clock())
+        while (first := self._backlog.take()) is not None:
+            written = self._write(port, first.data)
+            if self._broken is not None and self._broken.done():
+                return
+            if written < len(first.data):
+                self._backlog.put_back(first, written)
+                self._await_room(port)
                 return
 
     async def _open(self) -> Port:
@@ -247,7 +300,9 @@ class Link:
             return await open_tcp(address, PATIENCE)
         if self._server is None:
             self._server = await open_server(address)
-        stream, _ = await asyncio.get_running_loop().sock_accept(self._server)
+        stream, self._newcomer = self._newcomer, None
+        if stream is None:
+            stream, _ = await asyncio.get_running_loop().sock_accept(self._server)
         return TcpPort(stream)
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import fcntl
 import os
 import socket
+import struct
 import termios
 import threading
 from typing import Any, Protocol
@@ -21,6 +23,13 @@ RECEIVE_BUFFER = 1 << 20
 UNANSWERED_MS = 3000
 """Bytes of ours that a TCP peer has not confirmed for so long: the network has lost it. Without
 this the kernel would go on trying, ever more seldom, for a quarter of an hour."""
+BITS = 10
+"""On the wire for each byte: 8N1."""
+QUEUED = 0.05
+"""Seconds of sending that the system may hold for a tty: what waits there cannot be taken back,
+and without a bound that is 4 KiB, 0.7 s at 57600 baud."""
+UNSENT = 4096
+"""Bytes that the system may hold for a TCP peer before they are sent."""
 _READ_SIZE = 65536
 
 
@@ -41,6 +50,9 @@ class Port(Protocol):
     def write(self, data: bytes) -> int:
         """Write and give how much was; BlockingIOError: nothing now, OSError: it is broken."""
 
+    def wait(self) -> float:
+        """Give the seconds until there is room, once there was none; 0: the descriptor tells."""
+
     def close(self) -> None:
         """Give the descriptor back."""
 
@@ -54,6 +66,8 @@ class SerialPort:
     def __init__(self, device: str, baud: int) -> None:
         self._tty = serial.Serial(device, baud, timeout=0, exclusive=True)
         self._descriptor: int = self._tty.fileno()
+        self._rate = baud / BITS
+        self._most = max(QUEUED * self._rate, 64.0)
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
             # An FTDI chip else holds bytes back for 16 ms; not every tty has the flag
             self._tty.set_low_latency_mode(True)
@@ -79,8 +93,23 @@ class SerialPort:
         return data
 
     def write(self, data: bytes) -> int:
-        """Write as much as there is room for."""
+        """Write as much as there is room for, while little waits to leave."""
+        if self._queued() >= self._most:
+            raise BlockingIOError(errno.EAGAIN, "the line is slow")
         return os.write(self._descriptor, data)
+
+    def wait(self) -> float:
+        """Give how long half of what may wait takes to leave, s; 0: less waits."""
+        queued = self._queued()
+        return 0.0 if queued < self._most else (queued - self._most / 2) / self._rate
+
+    def _queued(self) -> int:
+        """Give the bytes that the system holds; 0 too where the driver does not say."""
+        try:
+            answer = fcntl.ioctl(self._descriptor, termios.TIOCOUTQ, bytes(4))
+        except OSError:
+            return 0
+        return int(struct.unpack("=i", answer)[0])
 
     def close(self) -> None:
         """Give the descriptor back."""
@@ -101,6 +130,7 @@ class TcpPort:
         stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         stream.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNANSWERED_MS)
+        stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
         self._stream = stream
 
     def fileno(self) -> int:
@@ -117,6 +147,10 @@ class TcpPort:
     def write(self, data: bytes) -> int:
         """Write as much as there is room for."""
         return self._stream.send(data)
+
+    def wait(self) -> float:
+        """Leave it to the descriptor."""
+        return 0.0
 
     def close(self) -> None:
         """Give the descriptor back."""
@@ -155,14 +189,24 @@ class UdpPort:
         return data
 
     def write(self, data: bytes) -> int:
-        """Send one; give 0 where there is nobody to send to."""
-        # Nobody listens, or no way there for now: lost like any datagram, and no reason to reopen
-        with contextlib.suppress(OSError):
-            if self._is_connected:
+        """Send one; give 0 where there is nobody to send to.
+
+        A connected socket keeps the address of ours that it was opened with: that there is no way
+        from it is raised, since only another socket may find one.
+        """
+        if self._is_connected:
+            with contextlib.suppress(ConnectionRefusedError):  # nobody listens there yet
                 return self._datagrams.send(data)
+            return 0
+        # No way there for now: lost like any datagram, and no reason to reopen
+        with contextlib.suppress(OSError):
             if (target := self._peers.target) is not None:
                 return self._datagrams.sendto(data, target)
         return 0
+
+    def wait(self) -> float:
+        """Never: a datagram does not wait."""
+        return 0.0
 
     def close(self) -> None:
         """Give the descriptor back."""

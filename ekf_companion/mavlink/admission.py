@@ -52,6 +52,10 @@ class Admission:
         """How many frames had a signature that was right."""
         return 0 if self._signing is None else self._signing.verified
 
+    def is_proven(self, frame: Frame) -> bool:
+        """Whether an admitted frame says who sent it as surely as is asked of all."""
+        return self._signing is None or self._accept_unsigned or frame.is_signed
+
     def refuse(self, frame: Frame, now_ns: int) -> str | None:
         """Say why a frame is not let in; None: it is.
 

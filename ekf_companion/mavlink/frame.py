@@ -26,10 +26,12 @@ JUNK = -1
 """The message id of a run of bytes that is no frame."""
 SIGNED = 0x01
 """The one incompatibility flag that is known: 13 bytes of signature follow."""
+HEADER_SIZE = 12
+"""Bytes of a MAVLink 2 frame around its payload: ten before, and the checksum."""
 SIGNATURE_SIZE = 13
 SENDERS = 16
 """Streams whose unfinished frames are kept; beyond, the one that was left longest is given up."""
-LARGEST_FRAME = 12 + 255 + SIGNATURE_SIZE
+LARGEST_FRAME = HEADER_SIZE + 255 + SIGNATURE_SIZE
 """Bytes; so many, less one, may wait for their rest at most."""
 
 _STARTS = (STX_1, STX_2)

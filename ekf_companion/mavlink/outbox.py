@@ -9,6 +9,8 @@ from ekf_companion.mavlink.frame import encode_frame
 from ekf_companion.mavlink.layout import IDS
 from ekf_companion.mavlink.stamp import quantise
 
+_ODOMETRY = IDS["ODOMETRY"].to_bytes(3, "little")
+
 
 class Outbox:
     """Frames of ours that wait to be sent."""
@@ -71,3 +73,8 @@ class Outbox:
         """Give stamp (us) and bytes of all that went in and out, in order, and forget it."""
         record, self._record = self._record, []
         return record
+
+
+def is_replaceable(frame: bytes) -> bool:
+    """Whether a frame of ours is worthless once the next of its kind is there."""
+    return frame[7:10] == _ODOMETRY

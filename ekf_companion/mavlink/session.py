@@ -64,6 +64,11 @@ __all__ = [
 ]
 
 
+JUNK_BYTES = 1 << 16
+"""Of what is no frame, recorded beyond as many bytes as of frames: enough to see a wrong baud rate,
+and no way to fill a disk, where the oldest recordings make room for it."""
+
+
 class Session:
     """One autopilot: found, asked, listened to and answered."""
 
@@ -80,6 +85,8 @@ class Session:
         """Frames of the autopilot by message id."""
         self.heard = 0
         """Frames of the autopilot."""
+        self.believed = 0
+        """Frames of others, signed where that is asked: who sent one may be answered."""
         self.ignored: Counter[str] = Counter()
         """Frames that are not the autopilot's, by whose they are."""
         self.sequence = Sequence()
@@ -122,6 +129,8 @@ class Session:
         self._all_routes = _routes(self._with_all)
         self._peer_routes = _routes(self._with_peer)
         self._splitter = Splitter()
+        self._junk_left = JUNK_BYTES
+        self._autopilot_sender: Hashable = None
 
     # What goes in
 
@@ -142,12 +151,26 @@ class Session:
         in a replay, which so needs no key.
         """
         for frame in self._splitter.feed(data, sender):
-            if frame.message_id != JUNK and self.admission.refuse(frame, now_ns):
+            if frame.message_id == JUNK:
+                self._record_junk(frame.raw, now_ns, sender)
+                continue
+            if self.admission.refuse(frame, now_ns):
                 continue
             if self.options.is_recording:
                 self.outbox.record(frame.raw, now_ns)
-            if frame.message_id != JUNK:
-                yield self._take(frame, now_ns)
+                self._junk_left = min(self._junk_left + len(frame.raw), JUNK_BYTES)
+            heard = self.heard
+            measurements = self._take(frame, now_ns)
+            if self.heard != heard:
+                self._autopilot_sender = sender
+            yield measurements
+
+    def _record_junk(self, raw: bytes, now_ns: int, sender: Hashable) -> None:
+        """Keep what was no frame, if the autopilot may have said it, and no more than of frames."""
+        is_single = sender is None  # there is but one other end
+        if (is_single or sender == self._autopilot_sender) and len(raw) <= self._junk_left:
+            self._junk_left -= len(raw)
+            self.outbox.record(raw, now_ns)
 
     def _take(self, frame: Frame, now_ns: int) -> list[Measurement]:
         # Leave out what bears our own name: an echo, or somebody who must not
@@ -156,6 +179,9 @@ class Session:
             self.ignored["our own"] += 1
             self.clash.hear(frame, now_ns)
             return []
+
+        if self.admission.is_proven(frame):
+            self.believed += 1
 
         # Hear what anybody may say
         if (handlers := self._all_routes.get(frame.message_id)) is not None:

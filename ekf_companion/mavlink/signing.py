@@ -105,7 +105,10 @@ class Signing:
         return data + self._digest(data)[:_TAG_SIZE]
 
     def restore(self, state: bytes) -> bool:
-        """Go on from a state; False: it is damaged, or of another secret, and nothing was taken."""
+        """Go on from a state; False: it is damaged, or of another secret, and nothing was taken.
+
+        Of several states the latest time of each stream counts.
+        """
         data, tag = state[:-_TAG_SIZE], state[-_TAG_SIZE:]
         if not hmac.compare_digest(self._digest(data)[:_TAG_SIZE], tag):
             return False
@@ -117,8 +120,10 @@ class Signing:
         if magic != _MAGIC or count != len(streams):
             return False
         self._time = max(self._time, min(time + MARGIN, LARGEST))
-        for system, component, link, last in streams[:STREAMS]:
-            self._streams[system, component, link] = last
+        for system, component, link, last in streams:
+            stream = system, component, link
+            if stream in self._streams or len(self._streams) < STREAMS:
+                self._streams[stream] = max(last, self._streams.get(stream, 0))
         return True
 
     def _digest(self, data: bytes) -> bytes:

@@ -44,6 +44,7 @@ def listen(duration, rates, family=PX4, change=None, then=None):
 
 
 def test_rule_6_what_comes_as_asked_is_left_in_peace():
+    """Rule 6."""
     usual = RATES | {"HIGHRES_IMU": 130.0, "GPS_RAW_INT": 5.0, "ATTITUDE": 1.0}
     again, events, session = listen(40.0, usual)
     assert (again, events) == ([], [])
@@ -52,6 +53,7 @@ def test_rule_6_what_comes_as_asked_is_left_in_peace():
 
 
 def test_rule_6_what_comes_at_less_than_half_is_asked_again_every_ten_seconds_then_named_once():
+    """Rule 6."""
     slow = RATES | {"HIGHRES_IMU": 100.0}
     again, events, _ = listen(170.0, slow)
     assert {name for _, name in again} == {"HIGHRES_IMU"}
@@ -67,6 +69,7 @@ def test_rule_6_what_comes_at_less_than_half_is_asked_again_every_ten_seconds_th
 
 
 def test_rule_6_what_recovers_is_forgiven():
+    """Rule 6."""
     slow = RATES | {"HIGHRES_IMU": 100.0}
     again, events, _ = listen(60.0, slow, change=(12.0, RATES))
     assert len(again) == 1
@@ -74,6 +77,7 @@ def test_rule_6_what_recovers_is_forgiven():
 
 
 def test_rule_6_two_short_troubles_are_not_one_long_one():
+    """Rule 6."""
     slow = RATES | {"HIGHRES_IMU": 100.0}
     again, events, _ = listen(80.0, slow, change=(28.0, RATES), then=(50.0, slow))
     assert len(again) > 4
@@ -81,6 +85,7 @@ def test_rule_6_two_short_troubles_are_not_one_long_one():
 
 
 def test_rule_6_fixes_that_cease_are_asked_for_again():
+    """Rule 6."""
     silent = {name: rate for name, rate in RATES.items() if name != "GPS_RAW_INT"}
     again, _, _ = listen(30.0, RATES, change=(10.0, silent))
     assert again
@@ -88,6 +93,7 @@ def test_rule_6_fixes_that_cease_are_asked_for_again():
 
 
 def test_rule_6_nothing_is_asked_of_an_autopilot_that_is_lost():
+    """Rule 6."""
     session, autopilot = met(rates=RATES)
     asked_at = []
     for now in range(0, 60 * SECOND, 100 * MS):
@@ -122,4 +128,5 @@ AT_4 = dict.fromkeys(("RAW_IMU", "ATTITUDE", "GLOBAL_POSITION_INT", "SCALED_PRES
     ],
 )
 def test_rule_6_the_probable_cause_is_named(measured, family, words):
+    """Rule 6."""
     assert words in probable_cause(measured, RATES, family)

@@ -43,6 +43,7 @@ def result(messages):
 
 @pytest.mark.parametrize("name", ["COMMAND_LONG", "COMMAND_INT"])
 def test_rule_31_a_command_to_us_is_always_answered_to_who_sent_it(name):
+    """Rule 31."""
     session, who, _ = served()
     for number in (ARM, 0, 65535, 246):
         (ack,) = command(session, who, number, name=name)
@@ -52,6 +53,7 @@ def test_rule_31_a_command_to_us_is_always_answered_to_who_sent_it(name):
 
 @pytest.mark.parametrize("component", [0, 1, 195])
 def test_rule_31_a_command_to_all_or_to_others_is_not_ours_to_refuse(component):
+    """Rule 31."""
     session, who, _ = served()
     assert command(session, who, ARM, component) == []
     assert command(session, who, SET_INTERVAL, component, param1=ODOMETRY, param2=1e5) == []
@@ -64,6 +66,7 @@ def test_rule_31_a_command_to_all_or_to_others_is_not_ours_to_refuse(component):
 @pytest.mark.parametrize("component", [194, 0])
 @pytest.mark.parametrize("message", ["HEARTBEAT", "AUTOPILOT_VERSION", "MESSAGE_INTERVAL"])
 def test_rule_31_a_message_that_needs_no_estimate_comes_at_once(name, component, message):
+    """Rule 31."""
     session, who, _ = served()
     said = command(session, who, REQUEST, component, name, param1=IDS[message])
     assert [type(m).__name__ for m in said] == [message, "COMMAND_ACK"]
@@ -71,6 +74,7 @@ def test_rule_31_a_message_that_needs_no_estimate_comes_at_once(name, component,
 
 
 def test_rule_31_a_message_of_the_estimate_is_asked_of_the_filter():
+    """Rule 31."""
     session, who, asked = served()
     assert result(command(session, who, REQUEST, param1=ODOMETRY)) == ACCEPTED
     assert asked == ["ODOMETRY"]
@@ -80,6 +84,7 @@ def test_rule_31_a_message_of_the_estimate_is_asked_of_the_filter():
 
 @pytest.mark.parametrize("message_id", [0.5, -1.0, 1e9, math.nan, math.inf, 32.0, 105.0, 70000.0])
 def test_rule_31_a_message_that_is_not_ours_is_unsupported(message_id):
+    """Rule 31."""
     session, who, asked = served()
     said = command(session, who, SET_INTERVAL, param1=message_id, param2=1e5)
     assert result(said) == UNSUPPORTED
@@ -89,6 +94,7 @@ def test_rule_31_a_message_that_is_not_ours_is_unsupported(message_id):
 
 
 def test_rule_31_an_interval_is_set_reported_and_given_back():
+    """Rule 31."""
     session, who, _ = served()
 
     def interval():
@@ -108,6 +114,7 @@ def test_rule_31_an_interval_is_set_reported_and_given_back():
 
 @pytest.mark.parametrize("interval_us", [19_999.0, 1.0, -2.0, math.nan, math.inf, 1e30])
 def test_rule_22_a_rate_that_the_autopilot_cannot_use_is_denied(interval_us):
+    """Rule 22."""
     session, who, _ = served()
     said = command(session, who, SET_INTERVAL, param1=ODOMETRY, param2=interval_us)
     assert result(said) == DENIED
@@ -116,6 +123,7 @@ def test_rule_22_a_rate_that_the_autopilot_cannot_use_is_denied(interval_us):
 
 
 def test_rule_31_what_we_never_send_has_no_interval():
+    """Rule 31."""
     session, who, _ = served()
     for message_id in (32, 105, 65535):
         said = command(session, who, REQUEST, param1=IDS["MESSAGE_INTERVAL"], param2=message_id)
@@ -128,6 +136,7 @@ def test_rule_31_what_we_never_send_has_no_interval():
     st.lists(st.floats(width=32), min_size=7, max_size=7),
 )
 def test_rule_31_no_command_raises_and_each_is_answered_once(name, number, values):
+    """Rule 31."""
     session, who, _ = served()
     count = 7 if name == "COMMAND_LONG" else 4
     fields = {f"param{k + 1}": value for k, value in enumerate(values[:count])}

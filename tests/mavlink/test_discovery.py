@@ -13,6 +13,7 @@ IMU = {"zacc": -9.81, "fields_updated": 63}
 
 
 def test_rule_1_the_first_of_several_autopilots_is_kept_and_the_choice_is_named_once():
+    """Rule 1."""
     session, first = met()
     second = Voice(system_id=2)
     for now_ns in range(0, 10 * SECOND, SECOND):
@@ -29,12 +30,14 @@ def test_rule_1_the_first_of_several_autopilots_is_kept_and_the_choice_is_named_
     [(1, {"system_id": 2}), (None, {"system_id": 1, "component_id": 2})],
 )
 def test_rule_1_a_choice_that_was_made_or_that_is_none_is_not_named(wanted, other):
+    """Rule 1."""
     session, _ = met(autopilot_system_id=wanted)
     session.receive(Voice(**other).heartbeat(), 0)
     assert session.events() == []
 
 
 def test_rule_1_a_ground_station_is_no_second_autopilot():
+    """Rule 1."""
     session, _ = met()
     session.receive(Voice(255, 190).heartbeat(type=6, autopilot=8), 0)
     session.receive(Voice(254, 190).heartbeat(type=6, autopilot=3), 0)
@@ -42,6 +45,7 @@ def test_rule_1_a_ground_station_is_no_second_autopilot():
 
 
 def test_rule_3_what_was_sent_in_a_silence_is_not_counted_as_lost():
+    """Rule 3."""
     sequence = Sequence()
     for number, now_ns, lost in (
         (0, 0, 0),
@@ -54,6 +58,7 @@ def test_rule_3_what_was_sent_in_a_silence_is_not_counted_as_lost():
 
 
 def test_rule_3_an_autopilot_that_returns_is_counted_anew():
+    """Rule 3."""
     session, autopilot = met()
     session.tick(6 * SECOND)
     autopilot.sender.sequence = 90
@@ -62,6 +67,7 @@ def test_rule_3_an_autopilot_that_returns_is_counted_anew():
 
 
 def test_rule_33_a_peer_that_speaks_mavlink_1_is_understood_and_answered_in_2():
+    """Rule 33."""
     mav = dialect.MAVLink(None, 7, 1)
     heartbeat = mav.heartbeat_encode(2, 3, 0, 0, 4).pack(mav, force_mavlink1=True)
     imu = dialect.MAVLink_raw_imu_message(1_000_000, 0, 0, -1000, 1, 0, 0, 0, 0, 0)

@@ -53,6 +53,7 @@ def test_a_monitor_gets_the_north_east_down_frame():
 
 
 def test_the_reset_counter_starts_at_one_and_never_says_zero():
+    """Rule 23: one more at each jump, and after 255 it is 1."""
     said = [odometry(estimate(reset_count=count)).reset_counter for count in range(600)]
     assert said[0] == 1
     assert said[253:257] == [254, 255, 1, 2]

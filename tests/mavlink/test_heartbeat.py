@@ -16,6 +16,7 @@ STREAMING = GuardOptions(mode="always")
 
 @pytest.mark.parametrize("stall", [2.1, 10.0])
 def test_rule_2_a_stall_of_the_filter_is_silent_and_is_not_made_up_for(stall):
+    """Rule 2."""
     session, beats, now_ns = Session(), [], 0
     for step in range(120):
         now_ns += round(stall * 1e9) if step == 50 else 100 * MS
@@ -27,6 +28,7 @@ def test_rule_2_a_stall_of_the_filter_is_silent_and_is_not_made_up_for(stall):
 
 
 def test_rule_2_it_says_what_we_are_and_how_we_are():
+    """Rule 2."""
     session = Session()
     session.set_state(SystemStatus.CRITICAL, Status.DEAD_RECKONING)
     session.tick(0)
@@ -36,6 +38,7 @@ def test_rule_2_it_says_what_we_are_and_how_we_are():
 
 
 def test_rule_4_the_echo_of_our_own_heartbeats_is_no_clash():
+    """Rule 4."""
     session, _ = met(guard=STREAMING)
     for now_ns in range(0, 60 * SECOND, SECOND):
         session.tick(now_ns)
@@ -47,6 +50,7 @@ def test_rule_4_the_echo_of_our_own_heartbeats_is_no_clash():
 
 
 def test_rule_4_a_foreign_heartbeat_under_our_ids_stops_odometry_and_is_named_twice_a_minute():
+    """Rule 4."""
     session, autopilot = met(guard=STREAMING)
     other = Voice(*OURS)
     other.sender.sequence = 77
@@ -65,6 +69,7 @@ def test_rule_4_a_foreign_heartbeat_under_our_ids_stops_odometry_and_is_named_tw
 
 
 def test_rule_4_another_of_us_that_says_the_same_is_told_by_its_numbers():
+    """Rule 4."""
     session, _ = met(guard=STREAMING)
     twin = Session()
     twin.outbox._sender.sequence = 100
@@ -77,6 +82,7 @@ def test_rule_4_another_of_us_that_says_the_same_is_told_by_its_numbers():
 
 
 def test_rule_4_our_heartbeats_in_a_recording_are_no_clash():
+    """Rule 4."""
     session, _ = met(guard=STREAMING)
     session.receive(Voice(*OURS).heartbeat(type=18, autopilot=8), SECOND)
     assert session.may_stream

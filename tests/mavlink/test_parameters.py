@@ -39,6 +39,7 @@ def put(session, who, name, value, param_type=9):
 
 @pytest.mark.parametrize("target", [ALL, OURS, (1, 0), (0, 194)])
 def test_rule_30_a_list_is_told_whole_in_order_and_slowly(target):
+    """Rule 30."""
     session, who = served()
     ask(session, who, "PARAM_REQUEST_LIST", target)
     told = []
@@ -55,6 +56,7 @@ def test_rule_30_a_list_is_told_whole_in_order_and_slowly(target):
 
 
 def test_rule_30_many_who_ask_for_the_list_get_it_once():
+    """Rule 30."""
     session, who = served()
     for _ in range(1000):
         ask(session, who, "PARAM_REQUEST_LIST")
@@ -66,6 +68,7 @@ def test_rule_30_many_who_ask_for_the_list_get_it_once():
 
 
 def test_rule_30_one_is_read_by_name_or_by_place():
+    """Rule 30."""
     session, who = served()
     by_name = ask(session, who, "PARAM_REQUEST_READ", param_id=b"EC_SIXTEEN_CHARS", param_index=-1)
     by_place = ask(session, who, "PARAM_REQUEST_READ", param_index=1)
@@ -75,6 +78,7 @@ def test_rule_30_one_is_read_by_name_or_by_place():
 
 @pytest.mark.parametrize("fields", [{"param_id": b"NOPE", "param_index": -1}, {"param_index": 3}])
 def test_rule_30_what_there_is_not_is_an_error_for_who_asked_us_and_silence_for_all(fields):
+    """Rule 30."""
     session, who = served()
     (error,) = ask(session, who, "PARAM_REQUEST_READ", **fields)
     assert type(error).__name__ == "PARAM_ERROR"
@@ -86,6 +90,7 @@ def test_rule_30_what_there_is_not_is_an_error_for_who_asked_us_and_silence_for_
 
 
 def test_rule_30_a_value_in_range_is_taken_and_told_to_all():
+    """Rule 30."""
     session, who = served()
     (told,) = put(session, who, "EC_NOISE", 0.1)
     assert told.param_value == pytest.approx(0.1)
@@ -110,6 +115,7 @@ def test_rule_30_a_value_in_range_is_taken_and_told_to_all():
     ],
 )
 def test_rule_30_what_is_refused_is_answered_with_the_old_value(name, value, param_type):
+    """Rule 30."""
     session, who = served()
     (told,) = put(session, who, name, value, param_type)
     assert type(told).__name__ == "PARAM_VALUE"
@@ -118,6 +124,7 @@ def test_rule_30_what_is_refused_is_answered_with_the_old_value(name, value, par
 
 
 def test_rule_30_what_is_for_others_is_theirs():
+    """Rule 30."""
     session, who = served()
     assert ask(session, who, "PARAM_REQUEST_READ", OTHERS, param_index=0) == []
     fields = {"param_id": b"EC_RATE", "param_value": 50.0, "param_type": 9}
@@ -128,6 +135,7 @@ def test_rule_30_what_is_for_others_is_theirs():
 
 
 def test_rule_30_without_a_table_nothing_is_served():
+    """Rule 30."""
     session, _ = met()
     who = station()
     ask(session, who, "PARAM_REQUEST_LIST")
@@ -142,6 +150,7 @@ def test_rule_30_without_a_table_nothing_is_served():
     st.binary(max_size=40),
 )
 def test_rule_30_no_request_raises_or_leaves_the_range(name, payload):
+    """Rule 30."""
     session, who = served()
     session.receive(who.sender.frame(name, payload), 0)
     session.tick(0)

@@ -27,6 +27,7 @@ def converse(kind, duration=2.0):
 
 @pytest.mark.parametrize(("kind", "version"), [(Kind.PX4, "1.16.0"), (Kind.ARDUPILOT, "4.6.0")])
 def test_rule_5_an_autopilot_is_asked_for_its_messages_and_its_version(kind, version):
+    """Rule 5."""
     session, autopilot, events = converse(kind)
     commands = [m.fields for m in autopilot.received() if m.name == "COMMAND_LONG"]
     assert [asked(m) for m in commands if m.command == 511][: len(RATES)][0] == "HIGHRES_IMU"
@@ -48,6 +49,7 @@ def test_rule_5_an_autopilot_is_asked_for_its_messages_and_its_version(kind, ver
     ],
 )
 def test_rule_5_every_answer_has_its_words(result, words):
+    """Rule 5."""
     session, autopilot = met(rates={"ATTITUDE": 10.0})
     session.tick(0)
     session.receive(autopilot.say("COMMAND_ACK", command=511, result=result), 0)
@@ -56,6 +58,7 @@ def test_rule_5_every_answer_has_its_words(result, words):
 
 @pytest.mark.parametrize("answer", [None, 3])
 def test_rule_5_an_autopilot_that_cannot_tell_its_version_is_not_complained_of(answer):
+    """Rule 5."""
     session, autopilot = met(ARDUPILOT, rates={"ATTITUDE": 10.0})
     session.tick(0)
     session.receive(autopilot.say("COMMAND_ACK", command=511), 0)
@@ -92,12 +95,14 @@ OLD = {"HIGHRES_IMU": 50.0, "GPS_RAW_INT": 10.0, "ATTITUDE": 10.0}
 
 
 def test_rule_7_an_ardupilot_that_grants_nothing_is_asked_by_groups():
+    """Rule 7."""
     streams = answered(ARDUPILOT, {}, OLD)
     # It sends none of them either, so that the inertial group is asked for again, ever less often
     assert {stream[1:] for stream in streams} == {(1, 50), (2, 10), (10, 10)}
 
 
 def test_rule_7_only_the_groups_are_asked_of_which_nothing_is_granted():
+    """Rule 7."""
     denied = dict.fromkeys(("HIGHRES_IMU", "RAW_IMU"), 2)
     granted = dict.fromkeys(("GPS_RAW_INT", "ATTITUDE", "AUTOPILOT_VERSION"), 0)
     assert {stream[1] for stream in answered(ARDUPILOT, denied | granted, OLD)} == {1}
@@ -109,6 +114,7 @@ def test_rule_7_only_the_groups_are_asked_of_which_nothing_is_granted():
 
 
 def test_rule_12_after_a_reboot_the_version_is_asked_again():
+    """Rule 12."""
     session, autopilot = met(rates={"ATTITUDE": 10.0})
     for now_ns in (0, SECOND):
         session.tick(now_ns)

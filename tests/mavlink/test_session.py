@@ -17,6 +17,7 @@ from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.frame import JUNK, Splitter
 from ekf_companion.mavlink.layout import LAYOUTS
 from ekf_companion.mavlink.session import (
+    JUNK_BYTES,
     RATES,
     Answered,
     PeerFound,
@@ -26,6 +27,7 @@ from ekf_companion.mavlink.session import (
     SessionOptions,
     quantise,
 )
+from ekf_companion.mavlink.signing import Signing
 from ekf_companion.nav.measurements import ImuSample, Kind, Restart
 
 MS = 1_000_000
@@ -403,6 +405,58 @@ def test_a_recording_holds_every_byte_in_and_out_in_order():
     assert [raw for _, raw in record] == [b"noise", first, *session.data_to_send(), second]
     assert [stamp for stamp, _ in record] == [1_234_564, 1_234_564, 1_300_000, 1_400_000]
     assert session.take_record() == []
+
+
+def recorded(session):
+    return b"".join(raw for _, raw in session.take_record())
+
+
+def test_junk_of_strangers_is_not_recorded_and_the_autopilots_is():
+    """Rule 39: whoever can send datagrams does not fill the disk."""
+    session, autopilot = Session(SessionOptions(is_recording=True)), Autopilot()
+    unknown = bytearray(autopilot.heartbeat())
+    unknown[7:10] = b"\xff\xff\xff"
+    session.receive(bytes(unknown) + b"noise", 0, "stranger")
+    session.receive(b"noise", 0, "autopilot")  # whose it is nobody knows yet
+    assert recorded(session) == b""
+    heartbeat = autopilot.heartbeat()
+    session.receive(heartbeat, 0, "autopilot")
+    session.receive(b"static", 0, "autopilot")
+    session.receive(b"noise", 0, "stranger")
+    assert recorded(session) == heartbeat + b"static"
+
+
+def test_a_line_of_noise_is_recorded_until_it_is_enough_and_again_after_frames():
+    """Rule 39: a wrong baud rate can be seen in the recording, and does not fill the disk."""
+    session, autopilot = Session(SessionOptions(is_recording=True)), Autopilot()
+    for _ in range(1000):
+        session.receive(bytes(1000), 0)
+    assert JUNK_BYTES - 1000 < len(recorded(session)) <= JUNK_BYTES
+    for _ in range(100):
+        session.receive(autopilot.heartbeat(), 0)
+    session.take_record()
+    session.receive(bytes(1000), 0)
+    session.receive(bytes(2000), 0)
+    assert recorded(session) == bytes(1000)
+
+
+def test_where_all_is_signed_a_radio_proves_nobody_and_neither_does_our_echo():
+    """Rule 34: only who knows the secret says where our answers go."""
+    key, now_ns = bytes(range(32)), 1_800_000_000 * SECOND
+    radio = Sender(51, 68).message("RADIO_STATUS", rssi=1)
+    session = Session(SessionOptions(), Signing(key))
+    session.receive(radio, now_ns)
+    session.tick(now_ns)
+    for echo in session.data_to_send():
+        session.receive(echo, now_ns)
+    assert (session.admission.admitted, session.believed) == (2, 0)
+    theirs = Sender(1, 1, Signing(key))
+    session.receive(theirs.frame("HEARTBEAT", bytes(9), now_ns), now_ns)
+    assert session.believed == 1
+    for options, signing in ((SessionOptions(), None), (SessionOptions(accept_unsigned=True), 1)):
+        open_one = Session(options, signing and Signing(key))
+        open_one.receive(radio, now_ns)
+        assert open_one.believed == 1
 
 
 # Whatever comes

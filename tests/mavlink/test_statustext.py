@@ -23,6 +23,7 @@ def hear(session, autopilot, duration, say=None):
 
 
 def test_rule_29_the_same_text_is_said_once_a_second_at_most():
+    """Rule 29."""
     session, autopilot = met()
     texts = session.statustext
     heard = hear(session, autopilot, 5.0, lambda now: texts.say(Severity.WARNING, "GNSS lost"))
@@ -32,6 +33,7 @@ def test_rule_29_the_same_text_is_said_once_a_second_at_most():
 
 
 def test_rule_29_what_flaps_ends_with_what_is_true():
+    """Rule 29."""
     session, autopilot = met()
     for text in ("lost", "found", "lost"):
         session.statustext.say(Severity.INFO, text)
@@ -42,6 +44,7 @@ def test_rule_29_what_flaps_ends_with_what_is_true():
 
 
 def test_rule_29_a_flood_is_bounded_and_the_newest_is_said():
+    """Rule 29."""
     session, autopilot = met()
     for number in range(1000):
         session.statustext.say(Severity.INFO, f"number {number}")
@@ -52,6 +55,7 @@ def test_rule_29_a_flood_is_bounded_and_the_newest_is_said():
 
 
 def test_rule_29_nothing_is_said_while_nobody_is_heard():
+    """Rule 29."""
     session, autopilot = met()
     session.tick(6 * SECOND)
     session.statustext.say(Severity.INFO, "nobody hears")
@@ -61,6 +65,7 @@ def test_rule_29_nothing_is_said_while_nobody_is_heard():
 
 
 def test_rule_29_a_long_text_comes_in_numbered_pieces_of_one_number():
+    """Rule 29."""
     session, _ = met()
     texts = ["a" * 60, "b" * 120]
     for text in texts:
@@ -74,6 +79,7 @@ def test_rule_29_a_long_text_comes_in_numbered_pieces_of_one_number():
 
 @given(st.text(alphabet=st.characters(exclude_categories=["Cs"]), max_size=300))
 def test_rule_29_no_piece_ends_inside_a_character_or_before_its_end(text):
+    """Rule 29."""
     pieces = chunks(text)
     assert all(len(piece) == 50 for piece in pieces[:-1])
     assert len(pieces[-1]) < 50 or len(pieces) == 1
