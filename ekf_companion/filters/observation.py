@@ -18,6 +18,9 @@ from ekf_companion.nav import so3
 
 Array = npt.NDArray[np.float64]
 
+STEEPEST = 0.1
+"""Share of its length that a direction must have over ground to show an azimuth."""
+
 
 class Observation(Protocol):
     """Something measured, with the model of it."""
@@ -108,6 +111,11 @@ class Azimuth:
     """One sigma, rad."""
     aid: str = "heading"
 
+    def is_seen(self, state: Nominal) -> bool:
+        """Say whether it is far enough from the vertical to point anywhere over ground."""
+        seen_n = so3.to_matrix(state.q_nb) @ self.seen_b
+        return bool(np.hypot(seen_n[0], seen_n[1]) > STEEPEST * np.linalg.norm(seen_n))
+
     def about(self, state: Nominal) -> Azimuth:
         """Give the same as an azimuth that was misread of a thing seen in its place.
 
@@ -134,42 +142,33 @@ class Azimuth:
         return so3.wrap(self.azimuth - np.arctan2(seen_n[..., 1:2], seen_n[..., :1]))
 
     def jacobian(self, state: Nominal) -> Array:
-        """Give the Jacobian, shape (1, 15)."""
+        """Give the Jacobian, shape (1, 15); of a direction that is not seen, that of a turn alone.
+
+        See :meth:`is_seen`.
+        """
         C_nb = so3.to_matrix(state.q_nb)
+        H = np.zeros((1, N))
+        if not self.is_seen(state):
+            H[0, ATT] = C_nb[2]
+            return H
         north, east, _ = (C_nb @ self.seen_b).tolist()
         turned = -C_nb @ skew(self.seen_b)
-        H = np.zeros((1, N))
         H[0, ATT] = (north * turned[1] - east * turned[0]) / (north * north + east * east)
         return H
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Sighting:
-    """A vector known in n and seen in b: the Earth's field, the way to a beacon.
+def reset_gain(aid: Observation, state: Nominal) -> Array:
+    """Give the gain that takes what an aid shows from it alone, shape (15, m).
 
-    Unlike :class:`Azimuth` it bends with the heading: an error of psi shows as sin(psi).
+    With it the update is that of a filter that knew nothing of this block: position, velocity or
+    the turn about down, in the axes that were told. The other states do not move, whatever P ties
+    them to it, and what the block owes to them (a lever arm, a tilt) stays tied.
     """
-
-    seen_b: Array
-    """What is seen, shape (3,)."""
-    known_n: Array
-    """What it is, in the same unit, shape (3,)."""
-    std: float
-    """One sigma per axis, in that unit."""
-    aid: str = "heading"
-
-    def covariance(self) -> Array:
-        """Give that of its noise, shape (3, 3)."""
-        return self.std * self.std * np.eye(3)
-
-    def innovation(self, state: Nominal) -> Array:
-        """Give measured minus predicted, shape (3,)."""
-        return np.asarray(
-            self.seen_b - np.swapaxes(so3.to_matrix(state.q_nb), -1, -2) @ self.known_n
-        )
-
-    def jacobian(self, state: Nominal) -> Array:
-        """Give the Jacobian, shape (3, 15)."""
-        H = np.zeros((3, N))
-        H[:, ATT] = skew(so3.to_matrix(state.q_nb).T @ self.known_n)
-        return H
+    H = aid.jacobian(state)
+    shown = np.zeros((len(H) if aid.aid == "velocity" else 3, N))
+    if aid.aid == "heading":
+        shown = np.zeros((1, N))
+        shown[0, ATT] = so3.to_matrix(state.q_nb)[2]
+    else:
+        shown[:, POS if aid.aid == "position" else VEL] = np.eye(3)[: len(shown)]
+    return np.asarray(shown.T @ np.linalg.pinv(H @ shown.T))

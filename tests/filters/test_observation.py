@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from ekf_companion.filters.observation import Azimuth, Position, Sighting, Velocity
+from benchmarks.sighting import Sighting
+from ekf_companion.filters.observation import Azimuth, Position, Velocity, reset_gain
 from ekf_companion.filters.strapdown import ATT, N
 from ekf_companion.nav import so3
 from tests.filters.differences import central, some_state
@@ -58,3 +59,26 @@ def test_about_a_state_an_azimuth_says_the_same_of_it_without_the_noise_in_its_j
     clean = exact.jacobian(state)
     assert np.abs(noisy.jacobian(state) - clean).max() > 0.05
     np.testing.assert_allclose(about.jacobian(state), clean, atol=0.005)  # its length: 5 % squared
+
+
+@pytest.mark.parametrize("aid", AIDS[:4], ids=lambda aid: aid.aid + str(len(aid.covariance())))
+def test_after_a_reset_an_aid_is_fulfilled_and_nothing_else_has_moved(aid):
+    state = some_state()
+    K = reset_gain(aid, state)
+    dx = K @ aid.innovation(state)
+    moved = state.plus(dx)
+    np.testing.assert_allclose(aid.innovation(moved), 0.0, atol=1e-12)
+    block = {"position": slice(6, 9), "velocity": slice(3, 6), "heading": ATT}[aid.aid]
+    assert np.abs(np.delete(dx, block)).max() == 0.0
+    down = [so3.to_matrix(one.q_nb)[2] for one in (state, moved)]
+    np.testing.assert_allclose(down[0], down[1], atol=1e-12)
+
+
+def test_a_field_along_the_vertical_shows_no_azimuth_and_divides_by_nothing():
+    state = some_state()
+    down_b = so3.to_matrix(state.q_nb)[2]
+    for seen_b in (down_b, 0.0 * down_b):
+        aid = Azimuth(seen_b=seen_b, azimuth=0.3, std=0.05)
+        assert not aid.is_seen(state)
+        assert np.isfinite(aid.jacobian(state)).all()
+    assert AIDS[3].is_seen(state)
