@@ -125,9 +125,8 @@ def _clock(times: np.ndarray) -> tuple[np.ndarray, bool, int]:
         for cut in np.flatnonzero(np.diff(off) > HOLE) + 1
         if np.median(off[cut : cut + MANY]) - np.median(off[max(cut - MANY, 0) : cut]) > HOLE
     ]
-    parts = [part for part in np.split(known, holes) if len(part) > 1]
-    spans = np.array([_ends(part, times[part]) for part in parts])
-    step = float(spans[:, 0].sum() / spans[:, 1].sum())
+    spans = [_drift(part, times[part] - usual * part) for part in np.split(known, holes)]
+    step = usual + sum(span[0] for span in spans) / max(sum(span[1] for span in spans), 1.0)
     stamps = index * step
     for cut in holes:
         before, after = known[max(cut - FEW, 0) : cut], known[cut : cut + FEW]
@@ -142,8 +141,10 @@ def _slope(rows: np.ndarray, times: np.ndarray) -> float:
     return float(np.median((times[apart:] - times[:-apart]) / (rows[apart:] - rows[:-apart])))
 
 
-def _ends(rows: np.ndarray, times: np.ndarray) -> tuple[float, float]:
-    """Give the time from the first rows to the last, s, and how many rows lie between."""
-    few = max(min(len(rows) // 2, 100), 1)
-    ends = [float(np.median(each[-few:]) - np.median(each[:few])) for each in (times, rows)]
-    return ends[0], ends[1]
+def _drift(rows: np.ndarray, off: np.ndarray) -> tuple[float, float]:
+    """Give by how much the host's time goes off from the first rows to the last, s, and how far."""
+    few = min(len(rows) // 2, 100)
+    if few == 0:
+        return 0.0, 0.0
+    gone, apart = (float(np.median(each[-few:]) - np.median(each[:few])) for each in (off, rows))
+    return gone, apart
