@@ -200,6 +200,34 @@ def test_time_is_counted_by_the_samples_that_a_filter_went_through(flight):
     assert contest.passed(recording, solution) == pytest.approx(samples, abs=3)
 
 
+SLOW_PACKAGE = """
+import time
+import numpy as np
+begin = time.process_time()
+while time.process_time() < begin + 0.4:
+    pass
+
+class VQF:
+    def __init__(self, step):
+        pass
+
+    def updateBatch(self, gyro, accel, mag):
+        n = len(gyro)
+        quat = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+        return {"quat9D": quat, "bias": 0.0 * gyro, "restDetected": np.zeros(n)}
+"""
+
+
+def test_what_a_filter_imports_is_not_its_cost(tmp_path, monkeypatch):
+    (tmp_path / "vqf.py").write_text(SLOW_PACKAGE)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "vqf", raising=False)
+    events, _ = swing(Swing(seconds=20.0))
+    (entry,) = contest.hold(Recording(family="unknown", events=events), ["vqf"], FilterSettings())
+    assert entry.us < 1e6 * 0.2 / 2000
+    monkeypatch.delitem(sys.modules, "vqf", raising=False)
+
+
 def test_what_is_before_time_zero_is_drawn_too(tmp_path):
     pytest.importorskip("matplotlib")
     events, truth = swing(Swing(seconds=20.0))

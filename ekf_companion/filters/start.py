@@ -7,7 +7,7 @@ section 5.6.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -80,12 +80,7 @@ def find_start(
     speeds = [aid for aid in recent if isinstance(aid, Velocity)]
     is_rest = _is_rest(gyro[rows], accel[rows], speeds, settings.align)
     level = levelled(accel[rows].mean(axis=0))
-    azimuths = [aid for aid in recent if isinstance(aid, Azimuth)]
-    unturned = Nominal(q_nb=level, vel_n=np.zeros(3), pos_n=np.zeros(3))
-    # Those that point to the vertical show nothing; where all do, the last is as bad as any
-    azimuths = [aid for aid in azimuths if aid.is_seen(unturned)] or azimuths[-1:]
-    turns = np.array([float(aid.innovation(unturned)[0]) for aid in azimuths])
-    yaw = float(np.arctan2(np.sin(turns).mean(), np.cos(turns).mean()))
+    yaw, north = _north(level, [aid for aid in recent if isinstance(aid, Azimuth)])
     q_nb = so3.multiply(so3.from_euler(0.0, 0.0, yaw), level)
     vel_n, vel_std = np.zeros(3), np.full(3, UNKNOWN_VELOCITY)
     if speeds:
@@ -115,7 +110,7 @@ def find_start(
         ]
     )
     P = np.diag(np.square(own))
-    P[np.ix_(_LEVELLED, _LEVELLED)] = _levelled(state, azimuths[-1], tilt, settings.imu.accel_bias)
+    P[np.ix_(_LEVELLED, _LEVELLED)] = _levelled(state, north, tilt, settings.imu.accel_bias)
     return Start(t_ns=now, state=state, P=P)
 
 
@@ -142,6 +137,19 @@ def _find(t_ns: Stamps, aids: Sequence[tuple[int, Observation]], window_ns: int)
             "after them"
         )
     return int(at[np.argmax(is_begun)])
+
+
+def _north(level: Array, azimuths: Sequence[Azimuth]) -> tuple[float, Azimuth]:
+    """Give the yaw that azimuths show to a levelled attitude, and the last of them.
+
+    One that points to the vertical shows none; where all do, any yaw is as good.
+    """
+    unturned = Nominal(q_nb=level, vel_n=np.zeros(3), pos_n=np.zeros(3))
+    seen = [aid for aid in azimuths if aid.is_seen(unturned)]
+    if not seen:
+        return 0.0, replace(azimuths[-1], std=np.pi)
+    turns = np.array([float(aid.innovation(unturned)[0]) for aid in seen])
+    return float(np.arctan2(np.sin(turns).mean(), np.cos(turns).mean())), seen[-1]
 
 
 def _is_rest(
