@@ -165,9 +165,9 @@ def reset_gain(aid: Observation, state: Nominal) -> Array:
     them to it, and what the block owes to them (a lever arm, a tilt) stays tied.
     """
     H = aid.jacobian(state)
-    shown = np.zeros((len(H) if aid.aid == "velocity" else 3, N))
+    # Its directions in the error state
+    shown = np.zeros((1 if aid.aid == "heading" else len(H), N))
     if aid.aid == "heading":
-        shown = np.zeros((1, N))
         shown[0, ATT] = so3.to_matrix(state.q_nb)[2]
     else:
         shown[:, POS if aid.aid == "position" else VEL] = np.eye(3)[: len(shown)]
