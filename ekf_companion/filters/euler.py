@@ -36,7 +36,7 @@ from ekf_companion.filters.euler_motion import (
     van_loan,
 )
 from ekf_companion.filters.gate import Trust
-from ekf_companion.filters.observation import Observation, reset_gain
+from ekf_companion.filters.observation import Observation, reset
 from ekf_companion.filters.solution import Solution
 from ekf_companion.filters.strapdown import Interval, N, Noise, Nominal
 from ekf_companion.nav.measurements import Events
@@ -102,12 +102,14 @@ class Euler:
             if trust is Trust.REFUSED:
                 continue
             if trust is Trust.RESET:
-                K = by_turn(self.x) @ reset_gain(aid, now)
+                anew = reset(aid, now, self._setup.gate.patience(aid.aid))
+                T = by_turn(self.x)
+                K, doubt = T @ anew.gain, T @ anew.doubt @ T.T
             else:
-                K = np.linalg.solve(S, H @ self.P).T
+                K, doubt = np.linalg.solve(S, H @ self.P).T, np.zeros((N, N))
             L = np.eye(N) - K @ H
             self.x = self.x + K @ z
-            self.P = L @ self.P @ L.T + K @ R @ K.T
+            self.P = L @ self.P @ L.T + K @ R @ K.T + doubt
             refuse_steep(self.x, self._limit)
 
     def covariance(self) -> Array:

@@ -59,6 +59,10 @@ class Gate:
         """
         return self.judges(aid, t_ns, float(z @ np.linalg.solve(S, z)), len(z))
 
+    def patience(self, aid: str) -> float:
+        """Give how long an aid may be refused, s."""
+        return self._patience[aid]
+
     def allows(self, nis: float, dof: int) -> bool:
         """Say whether a normalised innovation squared is one that a good measurement has."""
         return nis <= self._limits[dof - 1]

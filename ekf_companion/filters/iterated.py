@@ -24,7 +24,7 @@ from ekf_companion.filters.course import Course, Setup
 from ekf_companion.filters.course import run as run_filter
 from ekf_companion.filters.gate import Trust
 from ekf_companion.filters.gauss_newton import MAX_ITERATIONS, Correction, Form, Manifold, Rows
-from ekf_companion.filters.observation import Observation, reset_gain
+from ekf_companion.filters.observation import Observation, reset
 from ekf_companion.filters.solution import Solution
 from ekf_companion.filters.strapdown import Interval, N, Nominal, in_n
 from ekf_companion.nav.measurements import Events
@@ -129,11 +129,14 @@ class Iterated:
         T = np.eye(len(self.P))
         T[:N] = self._x.in_n_jacobian()[:, self._active]
         z, H, R = self._rows([aid], self._x)[:3]
-        K = np.linalg.solve(T, np.eye(len(T), N) @ reset_gain(aid, self.state))
+        anew = reset(aid, self.state, self._setup.gate.patience(aid.aid))
+        back = np.linalg.solve(T, np.eye(len(T), N))
+        K, doubt = back @ anew.gain, back @ anew.doubt @ back.T
         left = np.eye(len(self.P)) - K @ H
         before, self._x = self._x, self._x.plus(self._full(K @ z))
         self.P = gauss_newton.reset(
-            left @ self.P @ left.T + K @ R @ K.T, self._manifold.jacobian(self._x, before)
+            left @ self.P @ left.T + K @ R @ K.T + doubt,
+            self._manifold.jacobian(self._x, before),
         )
 
     def _judge(self, t_ns: int, aid: Observation) -> Trust:

@@ -16,7 +16,7 @@ from ekf_companion.errors import LogError
 from ekf_companion.filters.course import Setup
 from ekf_companion.filters.gate import Trust
 from ekf_companion.filters.observability_motion import Track
-from ekf_companion.filters.observation import Azimuth, Observation, Velocity, reset_gain
+from ekf_companion.filters.observation import Azimuth, Observation, Velocity, reset
 from ekf_companion.filters.strapdown import ATT, Earth, Interval, N, Nominal, move, transition
 from ekf_companion.nav import so3
 
@@ -140,13 +140,15 @@ class Walk:
         if trust is Trust.REFUSED and self._is_gated:
             return
         is_reset = trust is Trust.RESET and self._is_gated
-        K = reset_gain(aid, self._state) if is_reset else np.linalg.solve(S, toward.T).T
+        anew = reset(aid, self._state, self._setup.gate.patience(aid.aid))
+        K = anew.gain if is_reset else np.linalg.solve(S, toward.T).T
         self.first_ns.setdefault(aid.aid, t_ns)
         whiten = np.linalg.inv(np.linalg.cholesky(R))
         white = whiten @ H
         self._rest.correct(whiten, aid, self._state)
         if is_reset:
             self._own.weigh(K, H, R)
+            self._own.P += anew.doubt
         else:
             self._own.correct(white)
         self._full.correct(white)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from ekf_companion.filters.strapdown import ATT, POS, VEL, N, Nominal, skew
 from ekf_companion.nav import so3
+from ekf_companion.nav.earth import STANDARD_GRAVITY
 
 Array = npt.NDArray[np.float64]
 
@@ -157,18 +158,39 @@ class Azimuth:
         return H
 
 
-def reset_gain(aid: Observation, state: Nominal) -> Array:
-    """Give the gain that takes what an aid shows from it alone, shape (15, m).
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Reset:
+    """How an aid is taken that the estimate has not agreed with for too long."""
 
-    With it the update is that of a filter that knew nothing of this block: position, velocity or
-    the turn about down, in the axes that were told. The other states do not move, whatever P ties
-    them to it, and what the block owes to them (a lever arm, a tilt) stays tied.
+    gain: Array
+    """Takes what the aid shows from it alone, shape (15, m)."""
+    doubt: Array
+    """What is added to the covariance of the error state, shape (15, 15)."""
+
+
+def reset(aid: Observation, state: Nominal, seconds: float) -> Reset:
+    """Give the update of a filter that knew nothing of what an aid shows.
+
+    That block is position, velocity or the turn about down, in the axes that were told. The other
+    states do not move, whatever P ties them to it, and what the block owes to them (a lever arm, a
+    tilt) stays tied. A velocity does not go astray by itself: it was carried there by an attitude
+    that is wrong, which is doubted by as much.
+
+    Args:
+        aid: What was measured.
+        state: The estimate, with the wrong innovation.
+        seconds: How long the estimate has gone without this aid.
     """
     H = aid.jacobian(state)
     # Its directions in the error state
     shown = np.zeros((1 if aid.aid == "heading" else len(H), N))
+    doubt = np.zeros((N, N))
     if aid.aid == "heading":
         shown[0, ATT] = so3.to_matrix(state.q_nb)[2]
     else:
         shown[:, POS if aid.aid == "position" else VEL] = np.eye(3)[: len(shown)]
-    return np.asarray(shown.T @ np.linalg.pinv(H @ shown.T))
+    if aid.aid == "velocity":
+        astray = float(np.linalg.norm(aid.innovation(state)))
+        tilt = min(astray / (STANDARD_GRAVITY * seconds), 1.0)
+        doubt[ATT, ATT] = tilt * tilt * np.eye(3)
+    return Reset(gain=np.asarray(shown.T @ np.linalg.pinv(H @ shown.T)), doubt=doubt)

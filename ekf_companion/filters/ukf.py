@@ -22,7 +22,7 @@ from ekf_companion.filters import cloud, course
 from ekf_companion.filters.cloud import Draw
 from ekf_companion.filters.course import Course, Setup
 from ekf_companion.filters.gate import Trust
-from ekf_companion.filters.observation import Observation, reset_gain
+from ekf_companion.filters.observation import Observation, reset
 from ekf_companion.filters.solution import Solution
 from ekf_companion.filters.strapdown import Interval, Nominal, in_n
 from ekf_companion.nav import so3
@@ -73,13 +73,15 @@ class Unscented:
         trust = self._setup.gate.admits(aid.aid, t_ns, z, S)
         if trust is Trust.REFUSED:
             return
+        doubt = 0.0 * self.P
         if trust is Trust.RESET:
-            K, z = reset_gain(aid, self.state), aid.innovation(self.state)
+            anew = reset(aid, self.state, self._setup.gate.patience(aid.aid))
+            K, doubt, z = anew.gain, anew.doubt, aid.innovation(self.state)
         else:
             K = np.linalg.solve(S, weighted.T @ points.dx).T
         # What is left of every point's error, and what the sensor's noise brings: no difference of
         # covariances, so none that could turn negative
-        self.P = _covariance(points.dx - dy @ K.T, points) + K @ R @ K.T
+        self.P = _covariance(points.dx - dy @ K.T, points) + K @ R @ K.T + doubt
         self._settle(K @ z)
 
     def _settle(self, dx: Array) -> None:
