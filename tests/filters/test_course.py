@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,8 +12,11 @@ from ekf_companion.core.settings import (
 )
 from ekf_companion.errors import LogError
 from ekf_companion.filters import iterated
-from ekf_companion.filters.course import Course
+from ekf_companion.filters.course import Course, run
+from ekf_companion.filters.euler import Euler
+from ekf_companion.filters.iterated import Iterated
 from ekf_companion.filters.observation import Azimuth, Position, Velocity
+from ekf_companion.filters.ukf import Unscented
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
@@ -253,3 +258,23 @@ def test_a_jump_of_the_fixes_is_taken_after_the_time_out_and_tilts_nothing(name)
     assert solution.table.column("reset_count")[-1] == 1.0
     assert "position was taken anew 1 times" in " ".join(solution.notes)
     assert np.abs(solution.table.column("vel_n")[t > 6.0]).max() < 3.0
+
+
+@pytest.mark.parametrize("make", [Euler, Iterated, Unscented])
+def test_a_sure_but_tilted_start_finds_level_again_by_the_reset_of_the_velocity(make):
+    config = SimConfig(imu=ImuConfig(rate=50.0), gnss=GnssConfig(rate=5.0, delay=0.0))
+    flight = Flight.plan("hover", config, seed=4, duration=40.0)
+    course = Course(wire.events(flight, has_vel_down=True), matched(config))
+    setup = course.setup()
+    tilted = so3.multiply(setup.start.state.q_nb, so3.exp(np.radians([15.0, 0.0, 0.0])))
+    P = setup.start.P.copy()
+    P[:3, :] = P[:, :3] = 0.0
+    P[:3, :3] = np.radians(0.5) ** 2 * np.eye(3)
+    start = replace(setup.start, state=replace(setup.start.state, q_nb=tilted), P=P)
+    setup = replace(setup, start=start)
+    table = run("tried", make(setup), course, setup).table
+    assert setup.gate.resets.get("velocity", 0) >= 1
+    truth = flight.truth_at(table.stamp_ns[-50:])
+    q_nb = np.stack([table.column(f"q_{one}")[-50:] for one in "wxyz"], axis=1)
+    off = so3.log(so3.multiply(truth.q_nb, so3.conjugate(q_nb)))
+    assert np.degrees(np.abs(off[:, :2]).max()) < 1.0
