@@ -14,6 +14,7 @@ from ekf_companion.core.settings import HeadingSettings
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import merge
 from ekf_companion.nav.state import Table, Trajectory
+from ekf_companion.source import READERS, open_source, tables
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,15 +88,15 @@ def estimate(path: Path, heading: str = "auto") -> Estimated:
 def recorded(path: Path) -> Recording:
     """Read a log as events and what to compare them with, whatever its format."""
     suffix = path.suffix.lower()
-    if suffix in convert.READERS:
-        return convert.READERS[suffix](path)
+    if suffix in READERS:
+        return READERS[suffix](path)
     report = convert.Report(log=str(path))
-    source = convert._open(path, Config(), report)  # a .tlog becomes events only by a session
-    tables = [events for _, events, _ in convert._tables(source)]
+    source = open_source(path, Config(), report)  # a .tlog becomes events only by a session
+    parts = [events for _, events, _ in tables(source)]
     return Recording(
         family=report.family,
         # in the order in which they came: merge keeps it where arrivals are equal
-        events=merge(*tables, arrival_ns=[np.zeros(len(one), dtype=np.int64) for one in tables]),
+        events=merge(*parts, arrival_ns=[np.zeros(len(one), dtype=np.int64) for one in parts]),
         reference=source.reference,
         truth=source.truth,
         gnss_delay=source.delay,

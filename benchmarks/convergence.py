@@ -14,11 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.matched import matched
+from benchmarks.sighting import Sighting
 from ekf_companion.core.settings import GateSettings
 from ekf_companion.filters.course import Course, Setup
-from ekf_companion.filters.gate import Gate
+from ekf_companion.filters.gate import Gate, Trust
 from ekf_companion.filters.iterated import Iterated
-from ekf_companion.filters.observation import Azimuth, Observation, Position, Sighting
+from ekf_companion.filters.observation import Azimuth, Observation, Position
 from ekf_companion.filters.start import Start
 from ekf_companion.filters.strapdown import (
     ATT,
@@ -54,8 +55,8 @@ CARRIER_STD = 0.01
 class Open(Gate):
     """Believes everything: a linear step would refuse what it cannot explain."""
 
-    def judges(self, aid: str, t_ns: int, nis: float, dof: int) -> bool:
-        """Give True."""
+    def judges(self, aid: str, t_ns: int, nis: float, dof: int) -> Trust:
+        """Give that it is to be fused."""
         return super().judges(aid, t_ns, 0.0 * nis, dof)
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pyulog import ULog
 
 from benchmarks.cases import AUTOPILOT, HOVER, TRUTH, estimate
-from ekf_companion import convert
+from ekf_companion import source
 from ekf_companion.errors import LogError
 from ekf_companion.nav import so3
 from ekf_companion.nav.magnetic import magnetic_field
@@ -38,7 +38,7 @@ def magnetometers(data: Path) -> Iterator[str]:
 
 
 def _field(path: Path) -> str:
-    events = convert.READERS[path.suffix](path).events
+    events = source.READERS[path.suffix](path).events
     table = estimate(path)[0]
     fixes, samples = (events.take(events.kind == kind) for kind in (Kind.GNSS, Kind.MAG))
     lat, lon = np.median(fixes.values[:, :2], axis=0)

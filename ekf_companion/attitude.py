@@ -6,7 +6,6 @@ estimation", Data 6(7), section 4: no alignment of any kind before the errors ar
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy.typing as npt
 
 from ekf_companion.logs.recording import Counted
 from ekf_companion.nav import so3
+from ekf_companion.nav.interpolation import between
 from ekf_companion.nav.state import Status, Table, Trajectory
 
 Array = npt.NDArray[np.float64]
@@ -60,10 +60,13 @@ def errors(table: Table, truth: Trajectory) -> AttitudeErrors:
     stamps = table.stamp_ns[valid]
     q_nb = np.stack([table.column(name)[valid] for name in QUATERNION], axis=1)
     rows = np.isfinite(truth.q_nb).all(axis=1)
-    t_ns, is_near, estimate = _at(stamps, q_nb, truth.att_t_ns[rows])
-    error = so3.normalise(
-        so3.multiply(estimate, so3.conjugate(truth.q_nb[rows][is_near])).reshape(-1, 4)
-    )
+    t_ns, true = truth.att_t_ns[rows], truth.q_nb[rows]
+    if len(stamps) < 2:
+        t_ns, true, estimate = t_ns[:0], true[:0], q_nb[:0]
+    else:
+        found = between(stamps, t_ns, LONGEST_GAP_NS)
+        t_ns, true, estimate = t_ns[found.wanted], true[found.wanted], found.rotations(q_nb)
+    error = so3.normalise(so3.multiply(estimate, so3.conjugate(true)))
     w, z = error[:, 0], error[:, 3]
     across = np.hypot(error[:, 1], error[:, 2])
     return AttitudeErrors(
@@ -92,31 +95,5 @@ def score(table: Table, truth: Trajectory, counted: Counted | None = None) -> At
     )
 
 
-def table(scores: Mapping[str, AttitudeScore]) -> list[str]:
-    """Give scores as lines to read, in degrees, one per name."""
-    width = max(map(len, scores), default=0)
-    lines = [f"{'':{width}}  total  heading  inclination (RMS, deg)"]
-    for name, each in scores.items():
-        total, heading, inclination = np.degrees([each.total, each.heading, each.inclination])
-        lines.append(f"{name:{width}}  {total:5.2f}  {heading:7.2f}  {inclination:11.2f}")
-    return lines
-
-
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
-
-
-def _at(
-    stamps: npt.NDArray[np.int64], q_nb: Array, t_ns: npt.NDArray[np.int64]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_], Array]:
-    """Give the times with an estimate at or on both sides of them, which those are, and it."""
-    if not len(stamps):
-        return t_ns[:0], np.zeros(len(t_ns), dtype=bool), np.zeros((0, 4))
-    after = np.minimum(np.searchsorted(stamps, t_ns), len(stamps) - 1)
-    before = np.where(stamps[after] == t_ns, after, np.maximum(after - 1, 0))
-    low, high = stamps[before], stamps[after]
-    is_near = (low <= t_ns) & (t_ns <= high) & (high - low <= LONGEST_GAP_NS)
-    before, after, low, high = (each[is_near] for each in (before, after, low, high))
-    share = (t_ns[is_near] - low) / np.maximum(high - low, 1)
-    turn = so3.log(so3.multiply(so3.conjugate(q_nb[before]), q_nb[after]))
-    return t_ns[is_near], is_near, so3.multiply(q_nb[before], so3.exp(turn * share[:, None]))

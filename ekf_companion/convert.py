@@ -9,40 +9,24 @@ from pathlib import Path
 
 import numpy as np
 
-from ekf_companion.companion import session_options
 from ekf_companion.config import Config
-from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters.solution import Solution
-from ekf_companion.logs import broad, csv, dataflash, openshoe, tlog, tlog_trajectory, ulog
-from ekf_companion.logs.recording import Counted, Recording
+from ekf_companion.logs.recording import Recording, one_course
 from ekf_companion.logs.writer import CsvWriter, create
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.event import ParameterSet, PeerFound
-from ekf_companion.mavlink.session import Session
-from ekf_companion.nav.measurements import Events, Kind, Row, merge
+from ekf_companion.nav.measurements import Events, Row, merge
 from ekf_companion.nav.state import Table, Trajectory, join
 from ekf_companion.pipeline import Arrival, Pipeline
 from ekf_companion.publisher import Publisher
 from ekf_companion.report import Report, account, conclude, summary
 from ekf_companion.selection import run_filter
 from ekf_companion.smoothing import Smoothing
-from ekf_companion.tuning import Tuning
+from ekf_companion.source import CHUNK, Columns, Source, open_source, tables
 
 Progress = Callable[[int, int], None]
 """Told how much is done, of how much."""
-
-CHUNK = 20_000
-"""Events between two words on progress."""
-READERS = {
-    ".bin": dataflash.read,
-    ".ulg": ulog.read,
-    ".csv": csv.read,
-    ".txt": openshoe.read,
-    ".mat": broad.read,
-}
-FORMATS = ".tlog, .bin, .ulg, .csv, .txt (OpenShoe), .mat (BROAD)"
 
 
 def convert(
@@ -79,7 +63,7 @@ def convert(
     if out.resolve() == path.resolve():
         raise LogError(f"{out}: is the log itself; name another file")
     report = Report(log=str(path))
-    source = _open(path, config, report)
+    source = open_source(path, config, report)
     if out.suffix == ".csv":
         with CsvWriter(out) as writer:
             last_ns: int | None = None
@@ -89,7 +73,7 @@ def convert(
                 writer.write(kept.stamp_ns, kept.values)
                 last_ns = int(table.stamp_ns[-1]) if len(table) else last_ns
     else:
-        if isinstance(source, _Columns) and source.events.t_ns.min(initial=0) < 0:
+        if isinstance(source, Columns) and source.events.t_ns.min(initial=0) < 0:
             raise LogError(f"{path}: has times before zero, which a .tlog cannot hold; name a .csv")
         with closing(create(out)) as file:
             for stamp_us, frame in _messages(source, config, report, progress):
@@ -131,10 +115,10 @@ def estimate(
         LogError: As :func:`convert`.
     """
     report = Report(log=str(path))
-    source = _open(path, config, report)
-    tables = list(_estimates(source, config, report, progress))
+    source = open_source(path, config, report)
+    found = list(_estimates(source, config, report, progress))
     conclude(report, path)
-    return join(tables), report, source.reference, source.truth
+    return join(found), report, source.reference, source.truth
 
 
 def estimate_and_smooth(
@@ -146,7 +130,7 @@ def estimate_and_smooth(
         LogError: As :func:`convert`.
     """
     report = Report(log=str(path))
-    source = _open(path, config, report)
+    source = open_source(path, config, report)
     live: list[Table] = []
     smoothed = list(_smoothed(source, config, report, progress, live))
     conclude(report, path)
@@ -167,136 +151,32 @@ def read(
         LogError: The log cannot be read, or holds no event at all.
     """
     path, report = Path(path), Report(log=str(path))
-    source = _open(path, config or Config(), report)
-    tables = []
-    for done, events, _ in _tables(source):
-        tables.append(events)
+    source = open_source(path, config or Config(), report)
+    parts = []
+    for done, events, _ in tables(source):
+        parts.append(events)
         if progress is not None:
             progress(done, source.size)
-    if not sum(map(len, tables)):
+    if not sum(map(len, parts)):
         raise LogError(f"{path}: holds no measurement; ask the autopilot to log or stream them")
-    arrival = [np.zeros(len(part), dtype=np.int64) for part in tables]
-    events = merge(*tables, arrival_ns=arrival)
-    pieces = np.split(np.arange(len(events)), np.flatnonzero(events.kind == Kind.RESTART))
-    longest = events.take(max(pieces, key=len))
-    if len(pieces) > 1:
-        report.notes.append(
-            "the autopilot's clock begins anew in this log; the longest part counts"
-        )
+    arrival = [np.zeros(len(part), dtype=np.int64) for part in parts]
+    events, notes = one_course(merge(*parts, arrival_ns=arrival))
     return Recording(
         family=report.family,
-        events=longest.take(longest.kind != Kind.RESTART),
+        events=events,
         reference=source.reference,
         truth=source.truth,
         counted=source.counted,
         gnss_delay=source.delay,
-        notes=tuple(report.notes),
+        notes=(*report.notes, *notes),
     )
 
 
-class _Telemetry:
-    """A .tlog as a source of events: the daemon's own session over its frames."""
-
-    def __init__(self, log: tlog.Tlog, config: Config, report: Report) -> None:
-        self._log = log
-        self._session = Session(session_options(config, is_recording=False))
-        self._tuning = Tuning(config)
-        self._is_turned = False
-        self._report = report
-        self.size = len(log)
-        self.delay: float | None = None
-        self.counted: Counted | None = None
-        self.system_id = 0
-        """Of the autopilot; 0: not heard yet."""
-        report.notes += log.notes
-
-    @property
-    def reference(self) -> Trajectory | None:
-        return tlog_trajectory.reference(self._log)
-
-    @property
-    def truth(self) -> Trajectory | None:
-        return tlog_trajectory.truth(self._log)
-
-    def records(self) -> Iterator[tuple[int, bytes, list[Row], Config | None]]:
-        """Give stamp, frame and what it measured, in the order of the file.
-
-        And the configuration from here on, where somebody turned a parameter in flight.
-        """
-        session = self._session
-        for stamp_us, raw in self._log.frames():
-            measured = session.receive(raw, stamp_us * 1000)
-            session.data_to_send()
-            for event in session.events():
-                if isinstance(event, PeerFound) and not self.system_id:
-                    self.system_id = event.system_id
-                    self._report.family = event.family.value
-                elif isinstance(event, ParameterSet):
-                    self._tuning.set(event.key, event.value)
-                    self._is_turned = True
-            turned = self._tuning.config if self._is_turned and self.system_id else None
-            self._is_turned = self._is_turned and turned is None
-            yield stamp_us, raw, [measurement.row() for measurement in measured], turned
-        self._report.refused = {
-            name: count for name, count in session.counters().items() if count and name != "frames"
-        }
-
-
-class _Columns:
-    """A log of columns as a source of events."""
-
-    def __init__(self, recording: Recording, report: Report) -> None:
-        self.events = recording.events
-        self.reference = recording.reference
-        self.truth = recording.truth
-        self.counted = recording.counted
-        self.delay = recording.gnss_delay
-        self.system_id = 1
-        self.size = len(recording.events)
-        report.family = recording.family
-        report.notes += recording.notes
-
-    def records(self) -> Iterator[tuple[int, bytes, list[Row], Config | None]]:
-        """Give each event with its stamp; there is no frame, and nobody to turn anything."""
-        events = self.events
-        for t_ns, kind, values in zip(
-            events.t_ns.tolist(), events.kind.tolist(), events.values.tolist(), strict=True
-        ):
-            yield t_ns // 1000, b"", [(t_ns, kind, tuple(values))], None
-
-
-def _open(path: Path, config: Config, report: Report) -> _Telemetry | _Columns:
-    suffix = path.suffix.lower()
-    if suffix == ".tlog":
-        return _Telemetry(tlog.read(path), config, report)
-    if suffix not in READERS:
-        raise LogError(f"{path}: unknown kind of log; known are {FORMATS}")
-    return _Columns(READERS[suffix](path), report)
-
-
-def _tables(
-    source: _Telemetry | _Columns,
-) -> Iterator[tuple[int, Events, FilterSettings | None]]:
-    """Give how many records are done, the events in chunks, and the settings from then on."""
-    if isinstance(source, _Columns):
-        for start in range(0, source.size, CHUNK):
-            chosen = np.arange(start, min(start + CHUNK, source.size))
-            yield int(chosen[-1]) + 1, source.events.take(chosen), None
-        return
-    rows: list[Row] = []
-    for done, (_, _, measured, turned) in enumerate(source.records(), 1):
-        if turned is not None or len(rows) >= CHUNK:
-            yield done - 1, Events.from_rows(rows), turned
-            rows = []
-        rows += measured
-    yield source.size, Events.from_rows(rows), None
-
-
 def _estimates(
-    source: _Telemetry | _Columns, config: Config, report: Report, progress: Progress | None
+    source: Source, config: Config, report: Report, progress: Progress | None
 ) -> Iterator[Table]:
     pipeline: Pipeline | None = None
-    for done, events, turned in _tables(source):
+    for done, events, turned in tables(source):
         if pipeline is None:
             pipeline = Pipeline(config, report.family, source.delay)
         table = pipeline.run(events)
@@ -311,7 +191,7 @@ def _estimates(
 
 
 def _smoothed(
-    source: _Telemetry | _Columns,
+    source: Source,
     config: Config,
     report: Report,
     progress: Progress | None,
@@ -319,7 +199,7 @@ def _smoothed(
 ) -> Iterator[Table]:
     """Give the smoothed estimates; those of the live filter go to the list, if there is one."""
     smoothing: Smoothing | None = None
-    for done, events, turned in _tables(source):
+    for done, events, turned in tables(source):
         if smoothing is None:
             smoothing = Smoothing(config, report.family, source.delay)
         table = smoothing.run(events)
@@ -343,7 +223,7 @@ def _smoothed(
 
 
 def _messages(
-    source: _Telemetry | _Columns, config: Config, report: Report, progress: Progress | None
+    source: Source, config: Config, report: Report, progress: Progress | None
 ) -> Iterator[tuple[int, bytes]]:
     """Give the original frames and, behind the sample that makes them due, our messages."""
     pipeline: Pipeline | None = None
@@ -351,7 +231,7 @@ def _messages(
     sender = Sender(1, config.link.component_id)
     ours: list[bytes] = []
     taken: list[Row] = []
-    tables: list[tuple[int, np.ndarray]] = []
+    made: list[tuple[int, np.ndarray]] = []
     for done, (stamp_us, frame, rows, turned) in enumerate(source.records(), 1):
         if turned is not None and pipeline is not None and publisher is not None:
             pipeline.retune(turned)
@@ -366,14 +246,14 @@ def _messages(
                 publisher = Publisher(config, pipeline, family)
             if pipeline.insert(row) is Arrival.ESTIMATED:
                 publisher.publish(lambda name, payload: ours.append(sender.frame(name, payload)))
-                tables.append((pipeline.stamp_ns, pipeline.estimate()))
+                made.append((pipeline.stamp_ns, pipeline.estimate()))
             taken.append(row)
         for message in ours:
             yield stamp_us, message
         ours.clear()
         if len(taken) >= CHUNK or done == source.size:
-            account(report, Events.from_rows(taken), _stack(tables))
-            taken, tables = [], []
+            account(report, Events.from_rows(taken), _stack(made))
+            taken, made = [], []
             if progress is not None:
                 progress(done, source.size)
     if pipeline is not None:

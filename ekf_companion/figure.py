@@ -176,7 +176,7 @@ def _draw_speed(axis: Any, one: Trajectory, scale: _Scale, look: dict[str, Any])
 def _draw_errors(
     axes: dict[str, Any], one: Trajectory, other: Trajectory, scale: _Scale, look: dict[str, Any]
 ) -> None:
-    end = np.iinfo(np.int64).max
+    begin, end = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 
     def draw(name: str, t_ns: npt.NDArray[np.int64], size: Array) -> None:
         if name not in axes:
@@ -184,14 +184,14 @@ def _draw_errors(
         some = _some(t_ns)
         axes[name].semilogy(scale.seconds(t_ns[some]), size[some], **look)
 
-    if scale.frame and (found := pair(one.pos_t_ns, other.pos_t_ns, 0, end)):
+    if scale.frame and (found := pair(one.pos_t_ns, other.pos_t_ns, begin, end)):
         mine, theirs = (scale.frame.to_ned(each.lat, each.lon, each.alt) for each in (one, other))
         error = found.difference(mine, theirs)
         draw("position error", found.at_ns, np.hypot(error[:, 0], error[:, 1]))
-    if found := pair(one.vel_t_ns, other.vel_t_ns, 0, end):
+    if found := pair(one.vel_t_ns, other.vel_t_ns, begin, end):
         error = np.nan_to_num(found.difference(one.vel_n, other.vel_n))
         draw("velocity error", found.at_ns, np.linalg.norm(error, axis=1))
-    if found := pair(one.att_t_ns, other.att_t_ns, 0, end):
+    if found := pair(one.att_t_ns, other.att_t_ns, begin, end):
         mine, theirs = found.rotations(one.q_nb, other.q_nb)
         turn = so3.log(so3.multiply(so3.conjugate(mine), theirs))
         draw("attitude error", found.at_ns, np.rad2deg(np.linalg.norm(turn, axis=1)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from ekf_companion.core import layout as at
 from ekf_companion.core.field import Field
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings import FilterSettings, delays_ns
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters import (
     ahrs,
@@ -23,7 +23,7 @@ from ekf_companion.filters import (
 )
 from ekf_companion.filters.detector import Detector
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
-from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.recording import Recording, one_course
 from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.state import Status, join
 from ekf_companion.pipeline import Aid, Pipeline, Verdict
@@ -62,9 +62,12 @@ def run_filter(
         LogError: The recording lacks what the filter needs.
     """
     label, option = choose(name)
-    filter_name = name.partition(":")[0]
-    found = FILTERS[filter_name].run(recording, settings or FilterSettings(), option)
-    return replace(found, name=label)
+    # A filter knows one course of time only
+    events, notes = one_course(recording.events)
+    recording = replace(recording, events=events)
+    run = FILTERS[label.partition(":")[0]].run
+    found = run(recording, settings or FilterSettings(), option)
+    return replace(found, name=label, notes=(*found.notes, *notes))
 
 
 def choose(name: str) -> tuple[str, str]:
@@ -123,8 +126,8 @@ def _euler(recording: Recording, settings: FilterSettings, option: str) -> Solut
 
 
 def _zupt(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    del settings
-    return zupt.run(recording.events, detector=Detector(option))
+    events = _completed(recording, settings)
+    return zupt.run(events, detector=Detector(option), gap=settings.imu.gap_reset)
 
 
 def _iterated(recording: Recording, settings: FilterSettings, option: str) -> Solution:
@@ -144,23 +147,26 @@ def _ahrs(recording: Recording, settings: FilterSettings, option: str) -> Soluti
     events = _completed(recording, settings)
     if option == "error-state":
         return ahrs.run(events)
-    return ahrs_article.run(events, "article" if option == "article" else "corrected")
+    preset: ahrs_article.Preset = "article" if option == "article" else "corrected"
+    return ahrs_article.run(events, preset, gap=settings.imu.gap_reset)
 
 
 def _mahony(recording: Recording, settings: FilterSettings, option: str) -> Solution:
     del option
-    return mahony.run(_completed(recording, settings))
+    return mahony.run(_completed(recording, settings), gap=settings.imu.gap_reset)
 
 
 def _vqf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
     del option
-    return vqf_adapter.run(_completed(recording, settings))
+    return vqf_adapter.run(_completed(recording, settings), gap=settings.imu.gap_reset)
 
 
 def _completed(recording: Recording, settings: FilterSettings) -> Events:
-    """Give the events with the declination of their place, and without the vehicle's own iron."""
-    values = Field(settings.heading).complete_all(recording.events)
-    return replace(recording.events, values=values)
+    """Give the events when they were true, with the declination, without the vehicle's own iron."""
+    events = recording.events
+    late_ns = delays_ns(settings, recording.family, recording.gnss_delay)
+    values = Field(settings.heading).complete_all(events)
+    return replace(events, t_ns=events.t_ns - late_ns[events.kind], values=values)
 
 
 FILTERS: Mapping[str, Filter] = {

@@ -18,10 +18,11 @@ FASTEST = 0.5
 
 
 def plot(path: Path, solutions: Sequence[Solution], title: str) -> None:
-    """Draw walks over each other into a PNG, PDF or SVG file.
+    """Draw walks over each other into a PNG, PDF or SVG file; attitude alone is no walk.
 
     Raises:
-        CompanionError: matplotlib is not installed, or the file cannot be written.
+        CompanionError: matplotlib is not installed, the file cannot be written, or no solution has
+            a position.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -33,10 +34,12 @@ def plot(path: Path, solutions: Sequence[Solution], title: str) -> None:
     sheet = Figure(figsize=(12.0, 8.0), layout="constrained")
     FigureCanvasAgg(sheet)
     axes = dict(zip(("track", "height", "stance"), _panels(sheet), strict=True))
-    starts = [one.table.stamp_ns[0] for one in solutions if len(one.table)]
+    solutions = [one for one in solutions if np.isfinite(one.table.column("pos_n")).any()]
+    if not solutions:
+        raise CompanionError(f"{path}: none of the filters has a position to draw")
+    starts = [one.table.stamp_ns[0] for one in solutions]
     for index, one in enumerate(solutions):
-        if len(one.table):
-            _draw(axes, one, int(min(starts)), index)
+        _draw(axes, one, int(min(starts)), index)
     labels = (
         ("track", "north-east track, stances marked", "east, m", "north, m"),
         ("height", "height, stances marked", "time, s", "above the start, m"),

@@ -3,20 +3,25 @@
 import json
 import math
 import re
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from ekf_companion import contest, open_log, run_filter
+from ekf_companion import contest, figure, open_log, run_filter
 from ekf_companion.cli import app
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.logs.estimate import of_table
+from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.selection import FILTERS
 from sim_autopilot.__main__ import app as simulator
 from tests.calibrate.recordings import without
+from tests.filters.swings import Swing, swing
 from tests.filters.walks import make
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "data"
@@ -160,6 +165,80 @@ def test_attitude_alone_is_scored_where_the_truth_is_of_nothing_else():
 def test_every_filter_says_what_it_is():
     assert {"eskf", "euler", "iterated", "ukf", "zupt", "ahrs", "mahony", "vqf"} == set(FILTERS)
     assert all(entry.says for entry in FILTERS.values())
+
+
+def test_a_filter_whose_package_is_missing_says_so_in_its_row(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "vqf", None)
+    events, truth = swing(Swing(seconds=20.0))
+    recording = Recording(family="unknown", events=events, truth=truth)
+    missing, there = contest.judge(
+        contest.hold(recording, ["vqf", "mahony"], FilterSettings()), truth, 0.0, None
+    )
+    assert missing.solution is None
+    assert "pip install vqf" in missing.note
+    assert there.rms["turn in all"] < 90.0
+    with pytest.raises(LogError, match="pip install vqf"):
+        contest.hold(recording, ["vqf"], FilterSettings())
+
+
+def test_blanks_about_a_name_do_not_count():
+    events, _ = swing(Swing(seconds=5.0))
+    found = run_filter(Recording(family="unknown", events=events), " mahony ")
+    assert found.name == "mahony"
+
+
+def test_time_is_counted_by_the_samples_that_a_filter_went_through(flight):
+    """A heading that comes late makes few estimates, but the samples before it cost too."""
+    recording = open_log(flight[0])
+    events = recording.events
+    begin = int(events.t_ns[0])
+    is_north = np.isin(events.kind, (Kind.MAG, Kind.HEADING))
+    late = events.take(~(is_north & (events.t_ns < begin + 30_000_000_000)))
+    solution = run_filter(replace(recording, events=late), "iterated")
+    samples = np.count_nonzero(events.kind == Kind.IMU)
+    assert len(solution.table) < 0.4 * samples
+    assert contest.passed(recording, solution) == pytest.approx(samples, abs=3)
+
+
+SLOW_PACKAGE = """
+import time
+import numpy as np
+begin = time.process_time()
+while time.process_time() < begin + 0.4:
+    pass
+
+class VQF:
+    def __init__(self, step):
+        pass
+
+    def updateBatch(self, gyro, accel, mag):
+        n = len(gyro)
+        quat = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+        return {"quat9D": quat, "bias": 0.0 * gyro, "restDetected": np.zeros(n)}
+"""
+
+
+def test_what_a_filter_imports_is_not_its_cost(tmp_path, monkeypatch):
+    (tmp_path / "vqf.py").write_text(SLOW_PACKAGE)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "vqf", raising=False)
+    events, _ = swing(Swing(seconds=20.0))
+    (entry,) = contest.hold(Recording(family="unknown", events=events), ["vqf"], FilterSettings())
+    assert entry.us < 1e6 * 0.2 / 2000
+    monkeypatch.delitem(sys.modules, "vqf", raising=False)
+
+
+def test_what_is_before_time_zero_is_drawn_too(tmp_path):
+    pytest.importorskip("matplotlib")
+    events, truth = swing(Swing(seconds=20.0))
+    table = run_filter(Recording(family="unknown", events=events), "mahony").table
+    drawn = []
+    for shift in (0, 100_000_000_000):
+        early = replace(truth, att_t_ns=truth.att_t_ns - shift)
+        estimate = of_table(replace(table, stamp_ns=table.stamp_ns - shift), "mahony")
+        figure.plot(tmp_path / "all.png", [estimate, early], with_errors=True)
+        drawn.append((tmp_path / "all.png").read_bytes())
+    assert drawn[0] == drawn[1]
 
 
 @pytest.mark.parametrize("option", ["--json", "--plot"])

@@ -3,7 +3,7 @@ import pytest
 
 from ekf_companion import walk
 from ekf_companion.errors import CompanionError
-from ekf_companion.filters import zupt
+from ekf_companion.filters import mahony, zupt
 from tests.filters import walks
 
 
@@ -22,3 +22,14 @@ def test_a_figure_without_a_folder_is_refused(tmp_path, solution):
     pytest.importorskip("matplotlib")
     with pytest.raises(CompanionError, match="the figure cannot be written"):
         walk.plot(tmp_path / "none" / "walk.png", [solution], "a walk")
+
+
+def test_attitude_alone_is_no_walk(tmp_path, solution):
+    pytest.importorskip("matplotlib")
+    events = walks.make(np.random.default_rng(0), rate=100.0, strides=2).events
+    turning = mahony.run(events)
+    walk.plot(tmp_path / "alone.png", [solution], "a walk")
+    walk.plot(tmp_path / "both.png", [solution, turning], "a walk")
+    assert (tmp_path / "both.png").read_bytes() == (tmp_path / "alone.png").read_bytes()
+    with pytest.raises(CompanionError, match="has a position to draw"):
+        walk.plot(tmp_path / "none.png", [turning], "a walk")

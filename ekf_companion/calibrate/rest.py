@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.core.settings import AlignSettings
+from ekf_companion.filters.samples import inertial
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind
 
@@ -34,8 +35,6 @@ SAME_FORCE = 0.15
 """Likewise of the specific force, m/s^2."""
 BUMP = 2.5
 """A window so many times as noisy as its stretch is somebody's touch."""
-LARGEST = np.repeat([200.0, 2000.0], 3)
-"""rad/s and m/s^2 that a sensor can say."""
 LARGEST_BIAS = 0.1
 """rad/s; no gyro of today has it."""
 LEVEL, SPEED, VELOCITY_STD, FLAGS = 0.1, slice(3, 5), 8, 10
@@ -61,11 +60,8 @@ class Stretch:
 
 def samples(events: Events) -> tuple[Stamps, Array]:
     """Give stamps and values of all inertial samples in order of time, shapes (n,) and (n, 6)."""
-    imu = events.kind == Kind.IMU
-    t_ns, first = np.unique(events.t_ns[imu], return_index=True)
-    values = events.values[imu][first, :6]
-    good = (np.abs(values) < LARGEST).all(axis=1)
-    return t_ns[good], values[good]
+    imu = inertial(events)
+    return imu.t_ns, imu.values[:, :6]
 
 
 def rate(events: Events) -> float:

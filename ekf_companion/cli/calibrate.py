@@ -14,10 +14,8 @@ from ekf_companion.cli.terminal import (
     LogArgument,
     PlotOption,
     bar,
-    keep_apart,
-    load,
-    read,
-    sentences,
+    figure_path,
+    opened,
     write_json,
 )
 
@@ -41,12 +39,7 @@ def calibrate_noise(
     """Noise of the inertial sensors, at rest, and of the receiver: Allan deviation, scatter."""
     from ekf_companion.calibrate import noise, noise_report
 
-    with sentences():
-        keep_apart(
-            {"the log": log, "the configuration": config}, {"--plot": plot, "--json": json_file}
-        )
-        settings = load(config)
-        recording = read(log, settings)
+    with opened(log, config, plot, json_file) as (recording, settings):
         found = noise.measure(recording, settings, str(log))
         result = noise_report.result(found, settings).after(recording.notes)
         _tell("noise", log, plot, json_file, result, partial(noise_report.draw, found))
@@ -62,12 +55,7 @@ def calibrate_delay(
     """Delay of the receiver's fixes: the one under which they are the likeliest."""
     from ekf_companion.calibrate import delay, delay_report
 
-    with sentences():
-        keep_apart(
-            {"the log": log, "the configuration": config}, {"--plot": plot, "--json": json_file}
-        )
-        settings = load(config)
-        recording = read(log, settings)
+    with opened(log, config, plot, json_file) as (recording, settings):
         with bar(f"{log.name}: delays") as progress:
             found = delay.measure(recording, settings, str(log), progress)
         result = delay_report.result(found).after(recording.notes)
@@ -84,12 +72,7 @@ def calibrate_mag(
     """The vehicle's own magnetism, hard and soft iron, by the ellipsoid that the field draws."""
     from ekf_companion.calibrate import mag, mag_report
 
-    with sentences():
-        keep_apart(
-            {"the log": log, "the configuration": config}, {"--plot": plot, "--json": json_file}
-        )
-        settings = load(config)
-        recording = read(log, settings)
+    with opened(log, config, plot, json_file) as (recording, settings):
         found = mag.measure(recording, settings, str(log))
         result = mag_report.result(found).after(recording.notes)
         _tell("mag", log, plot, json_file, result, partial(mag_report.draw, found))
@@ -105,8 +88,7 @@ def _tell(
     for line in lines(f"ekf-companion calibrate {kind} {log}", result):
         typer.echo(line)
     write_json(json_file, result.to_dict(str(log)))
-    figure = plot if plot is not None else Path(f"{log.stem}.{kind}.png")
-    if plot is None and not plotter.has_matplotlib():
+    if (figure := figure_path(log, kind, plot)) is None:
         typer.echo("# no figure: install ekf-companion with the extra: plot")
         return
     plotter.write(figure, f"calibrate {kind} {log.name}", draw)

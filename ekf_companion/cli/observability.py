@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,10 +12,8 @@ from ekf_companion.cli.terminal import (
     LogArgument,
     PlotOption,
     bar,
-    keep_apart,
-    load,
-    read,
-    sentences,
+    figure_path,
+    opened,
     write_json,
 )
 from ekf_companion.errors import LogError
@@ -33,17 +30,11 @@ def observability(
 ) -> None:
     """When each bias, tilt and heading becomes observable along a flight, and why not before."""
     from ekf_companion import observability_figure
-    from ekf_companion.calibrate.plot import has_matplotlib
     from ekf_companion.filters import observability as analysis
     from ekf_companion.filters import observability_report as report
     from ekf_companion.filters.course import Course
 
-    with sentences():
-        keep_apart(
-            {"the log": log, "the configuration": config}, {"--plot": plot, "--json": json_file}
-        )
-        settings = load(config)
-        recording = read(log, settings)
+    with opened(log, config, plot, json_file) as (recording, settings):
         try:
             course = Course(recording.events, settings, recording.family, recording.gnss_delay)
             with bar(f"{log.name}: observability") as progress:
@@ -55,8 +46,7 @@ def observability(
         for line in (*recording.notes, *report.lines(found)):
             typer.echo(line)
         write_json(json_file, {"log": str(log), **report.to_dict(found)})
-        figure = plot if plot is not None else Path(f"{log.stem}.observability.png")
-        if plot is None and not has_matplotlib():
+        if (figure := figure_path(log, "observability", plot)) is None:
             typer.echo("no figure: install ekf-companion with the extra: plot")
             return
         observability_figure.plot(figure, found, f"observability {log.name}")

@@ -114,3 +114,27 @@ def read(log: Path, config: Config) -> Recording:
 
     with bar(log.name) as progress:
         return converter.read(log, config, progress)
+
+
+@contextmanager
+def opened(
+    log: Path, config: Path | None, plot: Path | None, json_file: Path | None
+) -> Iterator[tuple[Recording, Config]]:
+    """Give a log and the configuration to a command that draws and tells what it finds.
+
+    What is raised on purpose in it, or because a file would be written over, is a sentence.
+    """
+    with sentences():
+        inputs = {"the log": log, "the configuration": config}
+        keep_apart(inputs, {"--plot": plot, "--json": json_file})
+        settings = load(config)
+        yield read(log, settings), settings
+
+
+def figure_path(log: Path, kind: str, plot: Path | None) -> Path | None:
+    """Give where a figure goes; None: nobody asked for one, and there is nothing to draw with."""
+    from ekf_companion.calibrate.plot import has_matplotlib
+
+    if plot is None and not has_matplotlib():
+        return None
+    return plot if plot is not None else Path(f"{log.stem}.{kind}.png")

@@ -13,6 +13,7 @@ frame i, rest and the recovery after a disturbance.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +37,8 @@ def run(events: Events, settings: AhrsSettings = USUAL) -> Solution:
     Raises:
         LogError: There are no inertial samples.
     """
-    taken = readings.read(events)
+    # A gap is doubted, not integrated: what comes after it is known again
+    taken = readings.read(events, math.inf)
     found = track(taken, settings)
     # What calibration leaves in gravity does not become less by looking on
     floor = np.diag([settings.gravity_sigma**2, settings.gravity_sigma**2, 0.0])

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from ekf_companion.filters import readings
 from ekf_companion.filters.readings import Readings, first_attitude, known_rows
+from ekf_companion.filters.samples import LONGEST
 from ekf_companion.filters.solution import Solution
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events
@@ -51,7 +52,10 @@ class ArticleSettings:
 
 
 def run(
-    events: Events, preset: Preset = "corrected", settings: ArticleSettings = ArticleSettings()
+    events: Events,
+    preset: Preset = "corrected",
+    settings: ArticleSettings = ArticleSettings(),
+    gap: float = LONGEST,
 ) -> Solution:
     """Estimate attitude over a recording; the calibration of the magnetometer knows all of it.
 
@@ -59,11 +63,12 @@ def run(
         events: The recording.
         preset: ``article`` has the two slips.
         settings: The variances.
+        gap: Silence of the inertial sensor beyond which only the longest part counts, s.
 
     Raises:
         LogError: There are no inertial samples.
     """
-    taken = readings.read(events)
+    taken = readings.read(events, gap)
     mag_b, note = calibrated(taken.mag_b)
     angles, variances = _filter(taken, mag_b, settings, has_slips=preset == "article")
     turn = so3.to_matrix(so3.from_euler(0.0, 0.0, angles[:, 2]))

@@ -77,33 +77,60 @@ def of_fixes(
 def azimuths(ordered: Events, rows: Events, settings: FilterSettings) -> list[Timed]:
     """Give what shows north: of the sources that speak, the best.
 
+    Another speaks where all that are better have been silent for ``gate.timeout_heading``.
+
+    Args:
+        ordered: The recording, stamps ascending.
+        rows: Its fixes, of which the first says how the field of the place is.
+        settings: Which sources, floors of the noise, time-out.
+
     Raises:
         LogError: None speaks.
     """
     wanted = settings.heading.source
+    patience_ns = round(settings.gate.timeout_heading * 1e9)
+    found: list[Timed] = []
+    # Before its first word a source counts as silent since the recording began
+    heard_ns = np.zeros(0, dtype=np.int64)
     for source in HeadingSource:
-        if wanted in ("auto", source.name.lower()) and (
-            found := _azimuths_of(source, ordered, rows, settings)
-        ):
-            return found
-    raise LogError(
-        "no heading: a magnetometer or another source of it is needed here "
-        "(heading.source); eskf finds north from the motion"
-    )
+        if wanted not in ("auto", source.name.lower()):
+            continue
+        ways = [_headings(source, ordered, settings)]
+        if source is HeadingSource.MAGNETOMETER:
+            ways.append(_fields(ordered, rows, settings))
+        for timed in ways:
+            since = np.concatenate([ordered.t_ns[:1], heard_ns])
+            chosen = [
+                (t, aid)
+                for t, aid in timed
+                if not len(heard_ns)
+                or t - since[np.searchsorted(heard_ns, t, side="right")] > patience_ns
+            ]
+            found += chosen
+            heard_ns = np.array(sorted(t for t, _ in found), dtype=np.int64)
+    if not found:
+        raise LogError(
+            "no heading: a magnetometer or another source of it is needed here "
+            "(heading.source); eskf finds north from the motion"
+        )
+    return sorted(found, key=lambda one: one[0])
 
 
-def _azimuths_of(
-    source: HeadingSource, ordered: Events, fixes: Events, settings: FilterSettings
-) -> list[Timed]:
-    heading = settings.heading
+def _headings(source: HeadingSource, ordered: Events, settings: FilterSettings) -> list[Timed]:
+    """Give the headings that a source tells."""
     rows = ordered.take((ordered.kind == Kind.HEADING) & (ordered.values[:, 2] == source))
+    rows = rows.take(np.flatnonzero(np.isfinite(rows.values[:, :2]).all(axis=1)))
+    floor = settings.heading.heading_std
     forward = np.array([1.0, 0.0, 0.0])
-    found: list[Timed] = [
-        (t, Azimuth(seen_b=forward, azimuth=angle, std=max(std, heading.heading_std)))
+    return [
+        (t, Azimuth(seen_b=forward, azimuth=angle, std=max(std, floor)))
         for t, (angle, std) in zip(rows.t_ns.tolist(), rows.values[:, :2].tolist(), strict=True)
     ]
-    if found or source is not HeadingSource.MAGNETOMETER:
-        return found
+
+
+def _fields(ordered: Events, fixes: Events, settings: FilterSettings) -> list[Timed]:
+    """Give the directions of the fields that are the Earth's by their strength."""
+    heading = settings.heading
     declination, _, dip, strength = fixes.values[0, 9:13].tolist()
     mag = ordered.take(ordered.kind == Kind.MAG)
     size = np.linalg.norm(mag.values[:, :3], axis=1)
@@ -112,6 +139,7 @@ def _azimuths_of(
         is_earths &= np.abs(size / strength - 1.0) <= heading.field_strength
     level = np.cos(dip) if np.isfinite(dip) else 0.5
     azimuth = declination if np.isfinite(declination) else 0.0
+    found: list[Timed] = []
     for t, field, total in zip(
         mag.t_ns[is_earths].tolist(), mag.values[is_earths, :3], size[is_earths], strict=True
     ):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,17 +54,3 @@ def stances(solution: Solution) -> list[tuple[int, int]]:
         else:
             found.append((first, last))
     return found
-
-
-def table(closures: Sequence[Closure]) -> list[str]:
-    """Give a line per solution, a line of names above them."""
-    width = max([len(one.name) for one in closures], default=0)
-    head = f"{'':{width}}  horizontal  3-D      path     stances"
-    return [
-        head,
-        *(
-            f"{one.name:{width}}  {one.horizontal:7.3f} m  {one.distance:7.3f} m"
-            f"  {one.path:6.1f} m  {one.stances:5d}"
-            for one in closures
-        ),
-    ]

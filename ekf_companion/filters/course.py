@@ -16,20 +16,18 @@ import numpy.typing as npt
 from ekf_companion.core.field import Field
 from ekf_companion.core.settings import HABITS, FilterSettings, delays_ns
 from ekf_companion.errors import FilterError, LogError
-from ekf_companion.filters import aiding
+from ekf_companion.filters import aiding, samples
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.observation import Azimuth, Observation
 from ekf_companion.filters.solution import Recorder, Solution
 from ekf_companion.filters.start import Start, find_start
 from ekf_companion.filters.strapdown import Earth, Interval, Noise, Nominal
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.nav.measurements import Events
 
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
 
-LARGEST_RATE, LARGEST_FORCE = 200.0, 2000.0
-"""rad/s, m/s^2: what the daemon takes for a reading."""
 AROUND_NS = 2_000_000_000
 """How far from the inertial samples a fix or a heading is still of the same part."""
 
@@ -96,22 +94,17 @@ class Course:
             LogError: There are no inertial samples, no fixes or no heading.
         """
         self._settings = settings
-        samples = settings.imu.samples
-        self.is_mean = (HABITS[family].imu_samples if samples == "auto" else samples) == "mean"
+        told = settings.imu.samples
+        self.is_mean = (HABITS[family].imu_samples if told == "auto" else told) == "mean"
         """An inertial sample is the mean since the one before."""
         t_ns = events.t_ns - delays_ns(settings, family, gnss_delay)[events.kind]
         values = Field(settings.heading).complete_all(events)
         order = np.lexsort((events.kind, t_ns))
         ordered = Events(t_ns=t_ns[order], kind=events.kind[order], values=values[order])
-        imu = ordered.take(ordered.kind == Kind.IMU)
-        # What no sensor can say is none: NaN is not below a limit either
-        is_good = (np.abs(imu.values[:, :3]) <= LARGEST_RATE).all(axis=1)
-        is_good &= (np.abs(imu.values[:, 3:6]) <= LARGEST_FORCE).all(axis=1)
-        is_good &= np.diff(imu.t_ns, prepend=np.iinfo(np.int64).min // 2) > 0
-        imu = imu.take(is_good)
+        imu = samples.inertial(ordered)
         if len(imu) < 2:
             raise LogError("no inertial samples: nothing can be integrated")
-        imu, self.notes = _unbroken(imu, settings.imu.gap_reset)
+        imu, self.notes = samples.unbroken(imu, settings.imu.gap_reset)
         is_near = (ordered.t_ns > imu.t_ns[0] - AROUND_NS) & (
             ordered.t_ns < imu.t_ns[-1] + AROUND_NS
         )
@@ -190,29 +183,17 @@ class Course:
         )
 
 
-def _unbroken(imu: Events, longest: float) -> tuple[Events, tuple[str, ...]]:
-    """Give the longest part of samples without a gap that no filter can bridge, and a note."""
-    gaps = np.diff(imu.t_ns)
-    cuts = np.flatnonzero(gaps > longest * 1e9) + 1
-    if not len(cuts):
-        return imu, ()
-    parts = np.split(np.arange(len(imu)), cuts)
-    kept = imu.take(max(parts, key=len))
-    begin, end = (int(t) * 1e-9 for t in (kept.t_ns[0], kept.t_ns[-1]))
-    return kept, (
-        f"the inertial samples have {len(cuts)} gaps of more than {longest:g} s, the longest of "
-        f"{gaps.max() * 1e-9:.1f} s: only the part from {begin:.1f} to {end:.1f} s is estimated; "
-        "eskf goes on after a gap",
-    )
-
-
 def advance(tried: NavigationFilter, step: Step) -> None:
     """Take a filter over an interval, and correct it at the end."""
     if step.over is not None:
         tried.predict(step.over)
     if step.aids:
         now = tried.state
-        aids = [aid.about(now) if isinstance(aid, Azimuth) else aid for aid in step.aids]
+        aids = [
+            aid.about(now) if isinstance(aid, Azimuth) else aid
+            for aid in step.aids
+            if not isinstance(aid, Azimuth) or aid.is_seen(now)
+        ]
         tried.correct(step.t_ns, aids)
 
 
@@ -233,7 +214,12 @@ def run(name: str, tried: NavigationFilter, course: Course, setup: Setup) -> Sol
             notes = (*notes, stopped(step.t_ns, why))
             break
         if step.is_sample:
-            recorder.add(step.t_ns, tried.state, tried.covariance())
+            resets = sum(setup.gate.resets.values())
+            recorder.add(step.t_ns, tried.state, tried.covariance(), resets)
+    notes += tuple(
+        f"{aid} was taken anew {count} times: for too long none had agreed with the estimate"
+        for aid, count in setup.gate.resets.items()
+    )
     return recorder.solution(counts=setup.gate.counts, notes=notes)
 
 

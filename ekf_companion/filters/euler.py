@@ -35,7 +35,8 @@ from ekf_companion.filters.euler_motion import (
     to_nominal,
     van_loan,
 )
-from ekf_companion.filters.observation import Observation
+from ekf_companion.filters.gate import Trust
+from ekf_companion.filters.observation import Observation, reset
 from ekf_companion.filters.solution import Solution
 from ekf_companion.filters.strapdown import Interval, N, Noise, Nominal
 from ekf_companion.nav.measurements import Events
@@ -97,12 +98,18 @@ class Euler:
             H = aid.jacobian(now) @ np.linalg.inv(by_turn(self.x))
             z, R = aid.innovation(now), aid.covariance()
             S = H @ self.P @ H.T + R
-            if not self._setup.gate.admits(aid.aid, t_ns, z, S):
+            trust = self._setup.gate.admits(aid.aid, t_ns, z, S)
+            if trust is Trust.REFUSED:
                 continue
-            K = np.linalg.solve(S, H @ self.P).T
+            if trust is Trust.RESET:
+                anew = reset(aid, now, self._setup.gate.patience(aid.aid))
+                T = by_turn(self.x)
+                K, doubt = T @ anew.gain, T @ anew.doubt @ T.T
+            else:
+                K, doubt = np.linalg.solve(S, H @ self.P).T, np.zeros((N, N))
             L = np.eye(N) - K @ H
             self.x = self.x + K @ z
-            self.P = L @ self.P @ L.T + K @ R @ K.T
+            self.P = L @ self.P @ L.T + K @ R @ K.T + doubt
             refuse_steep(self.x, self._limit)
 
     def covariance(self) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,17 @@ import numpy.typing as npt
 from ekf_companion.core.settings import GateSettings, chi_square_quantile
 
 Array = npt.NDArray[np.float64]
+
+
+class Trust(Enum):
+    """What is to be done with a measurement."""
+
+    REFUSED = 0
+    """Leave it out."""
+    FUSED = 1
+    """Weigh it against the estimate."""
+    RESET = 2
+    """Take what it shows from it alone: for too long the estimate has agreed with none."""
 
 
 class Gate:
@@ -22,16 +34,22 @@ class Gate:
             "velocity": settings.timeout_velocity,
             "heading": settings.timeout_heading,
         }
-        self._refused_ns: dict[str, int] = {}
+        self._accepted_ns: dict[str, int] = {}
         self._counts: dict[str, list[int]] = {}
+        self._resets: dict[str, int] = {}
 
     @property
     def counts(self) -> Mapping[str, tuple[int, int]]:
-        """Give how many of each aid were fused, and how many refused."""
-        return {aid: (fused, refused) for aid, (fused, refused) in self._counts.items()}
+        """Give how many of each aid were taken, and how many refused."""
+        return {aid: (taken, refused) for aid, (taken, refused) in self._counts.items()}
 
-    def admits(self, aid: str, t_ns: int, z: Array, S: Array) -> bool:
-        """Judge an innovation; after a time-out all are believed, until one is good.
+    @property
+    def resets(self) -> Mapping[str, int]:
+        """Give how many of each aid were taken after a time-out, without a look at the estimate."""
+        return dict(self._resets)
+
+    def admits(self, aid: str, t_ns: int, z: Array, S: Array) -> Trust:
+        """Judge an innovation; the first that fails after a time-out resets what it shows.
 
         Args:
             aid: Whose it is.
@@ -41,17 +59,26 @@ class Gate:
         """
         return self.judges(aid, t_ns, float(z @ np.linalg.solve(S, z)), len(z))
 
+    def patience(self, aid: str) -> float:
+        """Give how long an aid may be refused, s."""
+        return self._patience[aid]
+
     def allows(self, nis: float, dof: int) -> bool:
         """Say whether a normalised innovation squared is one that a good measurement has."""
         return nis <= self._limits[dof - 1]
 
-    def judges(self, aid: str, t_ns: int, nis: float, dof: int) -> bool:
+    def judges(self, aid: str, t_ns: int, nis: float, dof: int) -> Trust:
         """Judge an innovation by its normalised square, as :meth:`admits` does."""
         counts = self._counts.setdefault(aid, [0, 0])
-        since_ns = self._refused_ns.setdefault(aid, t_ns)
-        is_good = self.allows(nis, dof)
-        if is_good:
-            del self._refused_ns[aid]
-        is_believed = is_good or (t_ns - since_ns) * 1e-9 > self._patience[aid]
-        counts[0 if is_believed else 1] += 1
-        return is_believed
+        # The first is waited for as if the one before had been good
+        since_ns = self._accepted_ns.setdefault(aid, t_ns)
+        trust = Trust.FUSED
+        if not self.allows(nis, dof):
+            is_over = (t_ns - since_ns) * 1e-9 > self._patience[aid]
+            trust = Trust.RESET if is_over else Trust.REFUSED
+        if trust is Trust.RESET:
+            self._resets[aid] = self._resets.get(aid, 0) + 1
+        if trust is not Trust.REFUSED:
+            self._accepted_ns[aid] = t_ns
+        counts[1 if trust is Trust.REFUSED else 0] += 1
+        return trust

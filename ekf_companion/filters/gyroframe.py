@@ -9,6 +9,24 @@ import math
 
 Rows = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
+Quaternion = tuple[float, float, float, float]
+
+
+def turned(q: Quaternion, wx: float, wy: float, wz: float, dt: float) -> Quaternion:
+    """Turn an attitude of unit norm by a rate in b, rad/s, over a time, s."""
+    half = 0.5 * dt * math.sqrt(wx * wx + wy * wy + wz * wz)
+    s = 0.5 * dt * (math.sin(half) / half if half > 1e-8 else 1.0)
+    c, sx, sy, sz = math.cos(half), s * wx, s * wy, s * wz
+    w, x, y, z = q
+    w, x, y, z = (
+        w * c - x * sx - y * sy - z * sz,
+        w * sx + x * c + y * sz - z * sy,
+        w * sy - x * sz + y * c + z * sx,
+        w * sz + x * sy - y * sx + z * c,
+    )
+    size = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)  # one step of Newton to unit norm
+    return w * size, x * size, y * size, z * size
+
 
 class Strapdown:
     """The body in frame i, and what is summed up there over a step."""
@@ -33,18 +51,7 @@ class Strapdown:
         """Turn the body by a rate over a time."""
         wx, wy, wz = gyro[0] - bias[0], gyro[1] - bias[1], gyro[2] - bias[2]
         rate2 = wx * wx + wy * wy + wz * wz
-        half = 0.5 * dt * math.sqrt(rate2)
-        s = 0.5 * dt * (math.sin(half) / half if half > 1e-8 else 1.0)
-        c, sx, sy, sz = math.cos(half), s * wx, s * wy, s * wz
-        w, x, y, z = self.q_ib
-        w, x, y, z = (
-            w * c - x * sx - y * sy - z * sz,
-            w * sx + x * c + y * sz - z * sy,
-            w * sy - x * sz + y * c + z * sx,
-            w * sz + x * sy - y * sx + z * c,
-        )
-        size = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)  # one step of Newton to unit norm
-        w, x, y, z = self.q_ib = (w * size, x * size, y * size, z * size)
+        w, x, y, z = self.q_ib = turned(self.q_ib, wx, wy, wz, dt)
         self.rows = (
             (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
             (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),

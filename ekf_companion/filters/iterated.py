@@ -22,8 +22,9 @@ from ekf_companion.filters import gauss_newton
 from ekf_companion.filters.anchored import ANCHOR_ATT, ANCHOR_POS, DOWN, FULL, Anchored
 from ekf_companion.filters.course import Course, Setup
 from ekf_companion.filters.course import run as run_filter
+from ekf_companion.filters.gate import Trust
 from ekf_companion.filters.gauss_newton import MAX_ITERATIONS, Correction, Form, Manifold, Rows
-from ekf_companion.filters.observation import Observation
+from ekf_companion.filters.observation import Observation, reset
 from ekf_companion.filters.solution import Solution
 from ekf_companion.filters.strapdown import Interval, N, Nominal, in_n
 from ekf_companion.nav.measurements import Events
@@ -110,16 +111,35 @@ class Iterated:
 
     def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
         """Fuse those aids of one time that the gate lets through, together."""
-        if not (believed := [aid for aid in aids if self._believes(t_ns, aid)]):
-            return
-        found = self._solve(believed)
-        self._x, self.P, self.is_settled = found.state, found.P, found.is_settled
-        if self._frame == "robocentric":
+        trusted = [(aid, self._judge(t_ns, aid)) for aid in aids]
+        resets = [aid for aid, trust in trusted if trust is Trust.RESET]
+        believed = [aid for aid, trust in trusted if trust is Trust.FUSED]
+        for aid in resets:
+            self._reset(aid)
+        if believed:
+            found = self._solve(believed)
+            self._x, self.P, self.is_settled = found.state, found.P, found.is_settled
+        if self._frame == "robocentric" and (believed or resets):
             self._x, G = self._x.re_anchored()
             G = G[self._active_by_active]
             self.P = G @ self.P @ G.T
 
-    def _believes(self, t_ns: int, aid: Observation) -> bool:
+    def _reset(self, aid: Observation) -> None:
+        """Take what an aid shows from it alone; in n, where it is a block of the error state."""
+        T = np.eye(len(self.P))
+        T[:N] = self._x.in_n_jacobian()[:, self._active]
+        z, H, R = self._rows([aid], self._x)[:3]
+        anew = reset(aid, self.state, self._setup.gate.patience(aid.aid))
+        back = np.linalg.solve(T, np.eye(len(T), N))
+        K, doubt = back @ anew.gain, back @ anew.doubt @ back.T
+        left = np.eye(len(self.P)) - K @ H
+        before, self._x = self._x, self._x.plus(self._full(K @ z))
+        self.P = gauss_newton.reset(
+            left @ self.P @ left.T + K @ R @ K.T + doubt,
+            self._manifold.jacobian(self._x, before),
+        )
+
+    def _judge(self, t_ns: int, aid: Observation) -> Trust:
         """Judge an aid by its innovation or, where it bends, by what is left of it at best."""
         z, H, R = self._rows([aid], self._x)[:3]
         nis = float(z @ np.linalg.solve(H @ self.P @ H.T + R, z))

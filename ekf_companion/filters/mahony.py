@@ -15,14 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_companion.filters import readings
+from ekf_companion.filters.gyroframe import Quaternion, turned
 from ekf_companion.filters.readings import first_attitude, known_rows
+from ekf_companion.filters.samples import LONGEST
 from ekf_companion.filters.solution import Solution
 from ekf_companion.nav.measurements import Events
 
 NAME = "mahony"
 
 Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,13 +38,20 @@ class MahonySettings:
     """Weight of the field beside that of gravity."""
 
 
-def run(events: Events, settings: MahonySettings = MahonySettings()) -> Solution:
+def run(
+    events: Events, settings: MahonySettings = MahonySettings(), gap: float = LONGEST
+) -> Solution:
     """Estimate attitude and gyro bias over a recording, each from what came before.
+
+    Args:
+        events: The recording.
+        settings: The gains.
+        gap: Silence of the inertial sensor beyond which only the longest part counts, s.
 
     Raises:
         LogError: There are no inertial samples.
     """
-    taken = readings.read(events)
+    taken = readings.read(events, gap)
     w, x, y, z = first_attitude(taken).tolist()
     q: Quaternion = (w, x, y, z)
     bias: Vector = (0.0, 0.0, 0.0)
@@ -64,7 +72,7 @@ def run(events: Events, settings: MahonySettings = MahonySettings()) -> Solution
             ex, ey, ez = ex + w * mx, ey + w * my, ez + w * mz
         kp, ki = settings.proportional, settings.integral * dt
         bias = (bias[0] - ki * ex, bias[1] - ki * ey, bias[2] - ki * ez)
-        q = _turned(
+        q = turned(
             q,
             gyro[0] - bias[0] + kp * ex,
             gyro[1] - bias[1] + kp * ey,
@@ -112,20 +120,3 @@ def _field_error(q: Quaternion, mag: list[float]) -> Vector:
     by = 2.0 * (x * y - w * z) * level + 2.0 * (y * z + w * x) * down
     bz = 2.0 * (x * z + w * y) * level + (1.0 - 2.0 * (x * x + y * y)) * down
     return my * bz - mz * by, mz * bx - mx * bz, mx * by - my * bx
-
-
-def _turned(q: Quaternion, wx: float, wy: float, wz: float, dt: float) -> Quaternion:
-    """Turn an attitude by a rate in b over a time."""
-    rate = math.sqrt(wx * wx + wy * wy + wz * wz)
-    half = 0.5 * dt * rate
-    s = 0.5 * dt * (math.sin(half) / half if half > 1e-8 else 1.0)
-    c, x2, y2, z2 = math.cos(half), s * wx, s * wy, s * wz
-    w, x, y, z = q
-    w, x, y, z = (
-        w * c - x * x2 - y * y2 - z * z2,
-        w * x2 + x * c + y * z2 - z * y2,
-        w * y2 - x * z2 + y * c + z * x2,
-        w * z2 + x * y2 - y * x2 + z * c,
-    )
-    size = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
-    return w * size, x * size, y * size, z * size

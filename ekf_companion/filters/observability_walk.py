@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.filters.course import Setup
+from ekf_companion.filters.gate import Trust
 from ekf_companion.filters.observability_motion import Track
-from ekf_companion.filters.observation import Azimuth, Observation, Velocity
+from ekf_companion.filters.observation import Azimuth, Observation, Velocity, reset
 from ekf_companion.filters.strapdown import ATT, Earth, Interval, N, Nominal, move, transition
 from ekf_companion.nav import so3
 
@@ -77,6 +78,11 @@ class Covariance:
             toward = self.P @ h
             self.P = self.P - np.outer(toward, toward / (1.0 + h @ toward))
 
+    def weigh(self, K: Array, H: Array, R: Array) -> None:
+        """Fuse rows by a gain that is not the one of least variance."""
+        left = np.eye(N) - K @ H
+        self.P = left @ self.P @ left.T + K @ R @ K.T
+
 
 class Walk:
     """The filter on its way."""
@@ -124,23 +130,33 @@ class Walk:
         """Fuse an aid, unless the gate refuses it: then it shows nothing."""
         self._catch_up()
         if isinstance(aid, Azimuth):
+            if not aid.is_seen(self._state):
+                return
             aid = self._calm(aid)
         z, H, R = aid.innovation(self._state), aid.jacobian(self._state), aid.covariance()
         toward = self._own.P @ H.T
         S = H @ toward + R
-        if not self._setup.gate.admits(aid.aid, t_ns, z, S) and self._is_gated:
+        trust = self._setup.gate.admits(aid.aid, t_ns, z, S)
+        if trust is Trust.REFUSED and self._is_gated:
             return
+        is_reset = trust is Trust.RESET and self._is_gated
+        anew = reset(aid, self._state, self._setup.gate.patience(aid.aid))
+        K = anew.gain if is_reset else np.linalg.solve(S, toward.T).T
         self.first_ns.setdefault(aid.aid, t_ns)
         whiten = np.linalg.inv(np.linalg.cholesky(R))
         white = whiten @ H
         self._rest.correct(whiten, aid, self._state)
-        self._own.correct(white)
+        if is_reset:
+            self._own.weigh(K, H, R)
+            self._own.P += anew.doubt
+        else:
+            self._own.correct(white)
         self._full.correct(white)
         if not isinstance(aid, Azimuth):
             self._free.correct(white)
         seen = white @ self._Phi_cell
         self._W += seen.T @ seen
-        self._state = self._state.plus(toward @ np.linalg.solve(S, z))
+        self._state = self._state.plus(K @ z)
 
     def close(self, t_ns: int) -> None:
         """Note the motion at an inertial sample, and end a step that is long enough.

@@ -15,8 +15,12 @@ import numpy.typing as npt
 
 from ekf_companion.filters.strapdown import ATT, POS, VEL, N, Nominal, skew
 from ekf_companion.nav import so3
+from ekf_companion.nav.earth import STANDARD_GRAVITY
 
 Array = npt.NDArray[np.float64]
+
+STEEPEST = 0.1
+"""Share of its length that a direction must have over ground to show an azimuth."""
 
 
 class Observation(Protocol):
@@ -108,6 +112,11 @@ class Azimuth:
     """One sigma, rad."""
     aid: str = "heading"
 
+    def is_seen(self, state: Nominal) -> bool:
+        """Say whether it is far enough from the vertical to point anywhere over ground."""
+        seen_n = so3.to_matrix(state.q_nb) @ self.seen_b
+        return bool(np.hypot(seen_n[0], seen_n[1]) > STEEPEST * np.linalg.norm(seen_n))
+
     def about(self, state: Nominal) -> Azimuth:
         """Give the same as an azimuth that was misread of a thing seen in its place.
 
@@ -134,42 +143,54 @@ class Azimuth:
         return so3.wrap(self.azimuth - np.arctan2(seen_n[..., 1:2], seen_n[..., :1]))
 
     def jacobian(self, state: Nominal) -> Array:
-        """Give the Jacobian, shape (1, 15)."""
+        """Give the Jacobian, shape (1, 15); of a direction that is not seen, that of a turn alone.
+
+        See :meth:`is_seen`.
+        """
         C_nb = so3.to_matrix(state.q_nb)
+        H = np.zeros((1, N))
+        if not self.is_seen(state):
+            H[0, ATT] = C_nb[2]
+            return H
         north, east, _ = (C_nb @ self.seen_b).tolist()
         turned = -C_nb @ skew(self.seen_b)
-        H = np.zeros((1, N))
         H[0, ATT] = (north * turned[1] - east * turned[0]) / (north * north + east * east)
         return H
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Sighting:
-    """A vector known in n and seen in b: the Earth's field, the way to a beacon.
+class Reset:
+    """How an aid is taken that the estimate has not agreed with for too long."""
 
-    Unlike :class:`Azimuth` it bends with the heading: an error of psi shows as sin(psi).
+    gain: Array
+    """Takes what the aid shows from it alone, shape (15, m)."""
+    doubt: Array
+    """What is added to the covariance of the error state, shape (15, 15)."""
+
+
+def reset(aid: Observation, state: Nominal, seconds: float) -> Reset:
+    """Give the update of a filter that knew nothing of what an aid shows.
+
+    That block is position, velocity or the turn about down, in the axes that were told. The other
+    states do not move, whatever P ties them to it, and what the block owes to them (a lever arm, a
+    tilt) stays tied. A velocity does not go astray by itself: it was carried there by an attitude
+    that is wrong, which is doubted by as much.
+
+    Args:
+        aid: What was measured.
+        state: The estimate, with the wrong innovation.
+        seconds: How long the estimate has gone without this aid.
     """
-
-    seen_b: Array
-    """What is seen, shape (3,)."""
-    known_n: Array
-    """What it is, in the same unit, shape (3,)."""
-    std: float
-    """One sigma per axis, in that unit."""
-    aid: str = "heading"
-
-    def covariance(self) -> Array:
-        """Give that of its noise, shape (3, 3)."""
-        return self.std * self.std * np.eye(3)
-
-    def innovation(self, state: Nominal) -> Array:
-        """Give measured minus predicted, shape (3,)."""
-        return np.asarray(
-            self.seen_b - np.swapaxes(so3.to_matrix(state.q_nb), -1, -2) @ self.known_n
-        )
-
-    def jacobian(self, state: Nominal) -> Array:
-        """Give the Jacobian, shape (3, 15)."""
-        H = np.zeros((3, N))
-        H[:, ATT] = skew(so3.to_matrix(state.q_nb).T @ self.known_n)
-        return H
+    H = aid.jacobian(state)
+    # Its directions in the error state
+    shown = np.zeros((1 if aid.aid == "heading" else len(H), N))
+    doubt = np.zeros((N, N))
+    if aid.aid == "heading":
+        shown[0, ATT] = so3.to_matrix(state.q_nb)[2]
+    else:
+        shown[:, POS if aid.aid == "position" else VEL] = np.eye(3)[: len(shown)]
+    if aid.aid == "velocity":
+        astray = float(np.linalg.norm(aid.innovation(state)))
+        tilt = min(astray / (STANDARD_GRAVITY * seconds), 1.0)
+        doubt[ATT, ATT] = tilt * tilt * np.eye(3)
+    return Reset(gain=np.asarray(shown.T @ np.linalg.pinv(H @ shown.T)), doubt=doubt)

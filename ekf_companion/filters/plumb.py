@@ -95,7 +95,7 @@ class Plumb:
         stray = length - self.gravity
         self.gravity += dt / (self._learnt + self._memory) * stray
         share = dt / self._spread_memory
-        self._variance += share * ((stray / self.gravity) ** 2 - self._variance)
+        self._variance += share * ((stray / max(self.gravity, 1.0)) ** 2 - self._variance)
         return math.sqrt(self._variance)
 
 

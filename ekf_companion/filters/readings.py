@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.errors import LogError
-from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
+from ekf_companion.filters.samples import LONGEST, inertial, levelled, unbroken
+from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution, euler_sigmas
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import COLUMNS, Status, Table
@@ -47,25 +48,28 @@ class Readings:
         return np.concatenate([[np.median(gaps) if len(gaps) else 0.01], gaps])
 
 
-def read(events: Events) -> Readings:
+def read(events: Events, gap: float = LONGEST) -> Readings:
     """Lay the inertial samples and the field side by side.
+
+    Args:
+        events: In any order.
+        gap: Silence of the inertial sensor beyond which only the longest part counts, s.
 
     Raises:
         LogError: There are no inertial samples.
     """
-    imu = events.take(events.kind == Kind.IMU)
-    imu = imu.take(known_rows(imu.values[:, :6]))
+    imu = inertial(events)
     if not len(imu):
         raise LogError(
             "the log holds no inertial samples, without which there is no attitude; "
             "ask the autopilot to log or stream its gyro and accelerometer"
         )
-    t_ns, first = np.unique(imu.t_ns, return_index=True)
-    values = imu.values[first]
+    imu, broken = unbroken(imu, gap)
+    t_ns, values = imu.t_ns, imu.values
     mag_b = _carried(events.take(events.kind == Kind.MAG), t_ns, values[:, :3])
     fixes = events.values[events.kind == Kind.GNSS, DECLINATION]
     known = fixes[np.isfinite(fixes)]
-    notes = []
+    notes = [*broken]
     if not np.isfinite(mag_b).any():
         notes.append("no magnetometer: yaw begins at zero and drifts")
     elif not len(known):
@@ -89,7 +93,7 @@ def _carried(mag: Events, t_ns: Stamps, gyro_b: Array) -> Array:
     """Turn each field into the body at the next inertial sample; of several, give the mean."""
     fields = mag.values[:, :3]
     at = np.searchsorted(t_ns, mag.t_ns)
-    good = known_rows(fields) & (at < len(t_ns))
+    good = known_rows(fields) & (at < len(t_ns)) & (mag.t_ns >= t_ns[0] - LONGEST_CARRY * 1e9)
     fields, at, stamps = fields[good], at[good], mag.t_ns[good]
     wait = (t_ns[at] - stamps) * 1e-9
     near = wait <= LONGEST_CARRY
@@ -143,7 +147,7 @@ def solution(
             "ij,njk,lk->nil", so3.to_matrix(turn), covariance, so3.to_matrix(turn)
         )
         for column, sigma in zip(
-            ("sd_roll", "sd_pitch", "sd_yaw"), _euler_sigmas(angles, covariance), strict=True
+            ("sd_roll", "sd_pitch", "sd_yaw"), euler_sigmas(angles, covariance).T, strict=True
         ):
             put[column][:] = sigma
     seen = np.flatnonzero(known_rows(readings.mag_b))
@@ -170,30 +174,12 @@ def _every(t_ns: Stamps, period_ns: int) -> npt.NDArray[np.int64]:
     return np.unique((t_ns - t_ns[0]) // period_ns, return_index=True)[1]
 
 
-def _euler_sigmas(angles: Array, covariance: Array) -> tuple[Array, Array, Array]:
-    """Give one sigma of roll, pitch and yaw of the covariance of a turn in n, rad."""
-    pitch, yaw = angles[:, 1], angles[:, 2]
-    sine, cosine, zero = np.sin(yaw), np.cos(yaw), np.zeros(len(yaw))
-    level = np.maximum(np.cos(pitch), 1e-3)
-    along = np.stack([cosine, sine, zero], axis=1)
-    rows = (
-        along / level[:, None],
-        np.stack([-sine, cosine, zero], axis=1),
-        along * (np.sin(pitch) / level)[:, None] + np.array([0.0, 0.0, 1.0]),
-    )
-    roll, pitch_, yaw_ = (
-        np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", row, covariance, row), 0.0)) for row in rows
-    )
-    return roll, pitch_, yaw_
-
-
 def first_attitude(readings: Readings) -> Array:
     """Give q_nb of the first sample's specific force and the first field, from magnetic north."""
-    fx, fy, fz = readings.accel_b[0]
-    roll, pitch = np.arctan2(-fy, -fz), np.arctan2(fx, np.hypot(fy, fz))
+    level = levelled(readings.accel_b[0])
     seen = np.flatnonzero(known_rows(readings.mag_b))
     yaw = 0.0
     if len(seen):
-        level = so3.rotate(so3.from_euler(roll, pitch, 0.0), readings.mag_b[seen[0]])
-        yaw = -np.arctan2(level[1], level[0])
-    return so3.from_euler(roll, pitch, yaw)
+        field = so3.rotate(level, readings.mag_b[seen[0]])
+        yaw = -float(np.arctan2(field[1], field[0]))
+    return so3.multiply(so3.from_euler(0.0, 0.0, yaw), level)

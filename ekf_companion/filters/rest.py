@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.filters.detector import moving_variance, runs
-from ekf_companion.nav import so3
+from ekf_companion.filters.samples import levelled
 from ekf_companion.nav.measurements import Events
 
 Array = npt.NDArray[np.float64]
@@ -24,6 +24,8 @@ GYRO = 0.03
 """Largest deviation at rest, root mean square, rad/s: a standing person sways by a third."""
 ACCEL = 0.2
 """Largest deviation at rest, root mean square, m/s^2: five times a small sensor's noise."""
+LIGHTEST, HEAVIEST = 5.0, 15.0
+"""m/s^2; what an accelerometer reads at rest may be off by its scale, not by half."""
 SLOWEST = 50.0
 """Samples per second below which a stride cannot be followed, Hz."""
 
@@ -54,7 +56,7 @@ def find(imu: Events) -> Rest:
     """Find the first rest of inertial samples with ascending stamps.
 
     Raises:
-        LogError: There are too few samples, or they move from the start.
+        LogError: There are too few samples, they move from the start, or they do not feel gravity.
     """
     if len(imu) < 2:
         raise LogError(
@@ -89,15 +91,19 @@ def find(imu: Events) -> Rest:
 
 def _rest(gyro: Array, accel: Array, first: int, period: float, start: float) -> Rest:
     mean = accel.mean(axis=0)
-    roll = np.arctan2(-mean[1], -mean[2])
-    pitch = np.arctan2(mean[0], np.hypot(mean[1], mean[2]))
+    gravity = float(np.linalg.norm(mean))
+    if not LIGHTEST < gravity < HEAVIEST:
+        raise LogError(
+            f"the accelerometer reads {gravity:.2f} m/s^2 at rest, where gravity is 9.8: it is "
+            "dead, or the log has another unit"
+        )
     late = f"the first {start:.1f} s, before the sensor came to rest, were left out"
     return Rest(
         first=first,
         period=period,
-        gravity=float(np.linalg.norm(mean)),
+        gravity=gravity,
         gyro=gyro.mean(axis=0),
-        q_nb=so3.from_euler(roll, pitch, 0.0),
+        q_nb=levelled(mean),
         gyro_noise=float(np.sqrt(gyro.var(axis=0).sum())),
         accel_noise=float(np.sqrt(accel.var(axis=0).sum())),
         notes=(late,) if first else (),

@@ -71,6 +71,8 @@ class Recorder:
         self._stamps: list[int] = []
         self._states: list[Nominal] = []
         self._sigmas: list[Array] = []
+        self._turns: list[Array] = []
+        self._resets: list[int] = []
         self._kept_ns: list[int] = []
         self._kept: list[Array] = []
 
@@ -78,11 +80,13 @@ class Recorder:
         """Give how many estimates it has."""
         return len(self._stamps)
 
-    def add(self, t_ns: int, state: Nominal, P: Array) -> None:
-        """Take an estimate and its covariance, ordered as :attr:`Solution.covariance`."""
+    def add(self, t_ns: int, state: Nominal, P: Array, resets: int = 0) -> None:
+        """Take an estimate, its covariance, ordered as :attr:`Solution.covariance`, and resets."""
         self._stamps.append(t_ns)
         self._states.append(state)
         self._sigmas.append(np.sqrt(np.maximum(np.diagonal(P), 0.0)))
+        self._turns.append(P[:3, :3].copy())
+        self._resets.append(resets)
         if not self._kept_ns or t_ns - self._kept_ns[-1] >= COVARIANCE_PERIOD_NS:
             self._kept_ns.append(t_ns)
             self._kept.append(P.copy())
@@ -101,7 +105,8 @@ class Recorder:
         if n:
             q_nb = np.array([one.q_nb for one in self._states])
             pos_n = np.array([one.pos_n for one in self._states])
-            _fill(put, "roll pitch yaw", so3.to_euler(q_nb))
+            angles = so3.to_euler(q_nb)
+            _fill(put, "roll pitch yaw", angles)
             _fill(put, "q_w q_x q_y q_z", so3.normalise(q_nb))
             _fill(put, "pos_n pos_e pos_d", pos_n)
             _fill(put, "vel_n vel_e vel_d", np.array([one.vel_n for one in self._states]))
@@ -111,7 +116,7 @@ class Recorder:
             sigmas = np.array(self._sigmas)
             _fill(put, "sd_pos_n sd_pos_e sd_pos_d", sigmas[:, 6:9])
             _fill(put, "sd_vel_n sd_vel_e sd_vel_d", sigmas[:, 3:6])
-            _fill(put, "sd_roll sd_pitch sd_yaw", _euler_sigmas(q_nb, sigmas[:, :3]))
+            _fill(put, "sd_roll sd_pitch sd_yaw", euler_sigmas(angles, np.array(self._turns)))
             if self._frame is not None:
                 lat, lon, alt = self._frame.to_geodetic(pos_n)
                 put["lat_deg"][:], put["lon_deg"][:], put["alt_m"][:] = (
@@ -120,7 +125,7 @@ class Recorder:
                     alt,
                 )
             put["status"][:] = Status.OK
-            put["reset_count"][:] = 0.0
+            put["reset_count"][:] = self._resets
         return Solution(
             name=self._name,
             table=Table(stamp_ns=np.array(self._stamps, dtype=np.int64), values=values),
@@ -137,19 +142,21 @@ def _fill(put: Mapping[str, Array], names: str, columns: Array) -> None:
         put[name][:] = columns[:, index]
 
 
-def _euler_sigmas(q_nb: Array, sigmas: Array) -> Array:
-    """Give one sigma of roll, pitch, yaw from those about north, east, down, taken as independent.
+def euler_sigmas(angles: Array, covariance: Array) -> Array:
+    """Give one sigma of roll, pitch and yaw, rad, shape (n, 3).
 
-    A turn by theta (in n) changes yaw by theta_d + tan(pitch) (cos(yaw) theta_n + sin(yaw)
-    theta_e), pitch by cos(yaw) theta_e - sin(yaw) theta_n, and roll by the rest over cos(pitch).
+    Args:
+        angles: Roll, pitch, yaw, rad, shape (n, 3).
+        covariance: Of the rotation vector in n, rad^2, shape (n, 3, 3).
     """
-    angles = so3.to_euler(q_nb)
     pitch, yaw = angles[:, 1], angles[:, 2]
-    north, east, down = np.square(sigmas).T
-    c2, s2 = np.square(np.cos(yaw)), np.square(np.sin(yaw))
-    across = c2 * north + s2 * east
-    level = np.maximum(np.square(np.cos(pitch)), 1e-6)
-    roll2 = across / level
-    pitch2 = s2 * north + c2 * east
-    yaw2 = down + np.square(np.tan(pitch)) * across
-    return np.asarray(np.sqrt(np.stack([roll2, pitch2, yaw2], axis=1)))
+    sine, cosine, zero = np.sin(yaw), np.cos(yaw), np.zeros(len(yaw))
+    level = np.maximum(np.cos(pitch), 1e-3)
+    along = np.stack([cosine, sine, zero], axis=1)
+    rows = (
+        along / level[:, None],
+        np.stack([-sine, cosine, zero], axis=1),
+        along * (np.sin(pitch) / level)[:, None] + np.array([0.0, 0.0, 1.0]),
+    )
+    squares = [np.einsum("ni,nij,nj->n", row, covariance, row) for row in rows]
+    return np.asarray(np.sqrt(np.maximum(np.stack(squares, axis=1), 0.0)))

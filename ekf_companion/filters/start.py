@@ -7,22 +7,28 @@ section 5.6.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings import AlignSettings, FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.observation import Azimuth, Observation, Position, Velocity
+from ekf_companion.filters.samples import levelled
 from ekf_companion.filters.strapdown import ATT, BA, Nominal
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 
 Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
 
 MOVING_TILT = 0.2
 """One sigma of a level that was taken in motion, rad: a turn at 2 m/s^2."""
+LARGEST_BIAS = 0.1
+"""rad/s; no gyro of today has such a bias, so what is faster is a turn."""
+SMALLEST_FORCE, LARGEST_FORCE = 0.9, 1.1
+"""Shares of gravity between which a specific force may be one at rest."""
 STANDING = 0.5
 """m/s; a receiver at rest says less."""
 UNKNOWN_VELOCITY = 10.0
@@ -48,7 +54,7 @@ def find_start(
     settings: FilterSettings,
     rate_n: Array | None = None,
 ) -> Start:
-    """Begin as soon as a window of samples, a fix and a heading are known.
+    """Begin at the first fix that has a window of samples, and a heading in it, behind it.
 
     Where the sensor rests in the window, the mean of the gyro is its bias, and the variance of both
     sensors says how sure bias and level are.
@@ -62,35 +68,19 @@ def find_start(
         rate_n: The Earth's rotation, rad/s; None: it does not turn.
 
     Raises:
-        LogError: The recording ends before.
+        LogError: The recording ends before, or right there.
     """
     rate_n = np.zeros(3) if rate_n is None else rate_n
     window_ns = round(settings.align.time * 1e9)
-    seen = [
-        next((t for t, aid in aids if isinstance(aid, kind)), None) for kind in (Position, Azimuth)
-    ]
-    if seen[0] is None or seen[1] is None:
-        raise LogError("no fix or no heading: there is nothing to begin from")
-    last = int(np.searchsorted(t_ns, max(int(t_ns[0]) + window_ns, seen[0], seen[1])))
-    if last >= len(t_ns):
-        raise LogError("the recording ends before level, north and position are known")
+    last = _find(t_ns, aids, window_ns)
     now = int(t_ns[last])
     rows = slice(int(np.searchsorted(t_ns, now - window_ns)), last + 1)
-    known = [aid for t, aid in aids if t <= now]
     recent = [aid for t, aid in aids if now - window_ns <= t <= now]
-    fix = [aid for aid in known if isinstance(aid, Position)][-1]
-    speeds = [aid for aid in known if isinstance(aid, Velocity)]
-    is_rest = (
-        float(np.linalg.norm(gyro[rows].std(axis=0))) < settings.align.rest_gyro
-        and float(np.linalg.norm(accel[rows].std(axis=0))) < settings.align.rest_accel
-        and not (speeds and float(np.linalg.norm(speeds[-1].vel_n)) > STANDING)
-    )
-    level = _level(accel[rows].mean(axis=0))
-    azimuths = [aid for aid in recent if isinstance(aid, Azimuth)]
-    azimuths = azimuths or [aid for aid in known if isinstance(aid, Azimuth)][-1:]
-    unturned = Nominal(q_nb=level, vel_n=np.zeros(3), pos_n=np.zeros(3))
-    turns = np.array([float(aid.innovation(unturned)[0]) for aid in azimuths])
-    yaw = float(np.arctan2(np.sin(turns).mean(), np.cos(turns).mean()))
+    fix = [aid for aid in recent if isinstance(aid, Position)][-1]
+    speeds = [aid for aid in recent if isinstance(aid, Velocity)]
+    is_rest = _is_rest(gyro[rows], accel[rows], speeds, settings.align)
+    level = levelled(accel[rows].mean(axis=0))
+    yaw, north = _north(level, [aid for aid in recent if isinstance(aid, Azimuth)])
     q_nb = so3.multiply(so3.from_euler(0.0, 0.0, yaw), level)
     vel_n, vel_std = np.zeros(3), np.full(3, UNKNOWN_VELOCITY)
     if speeds:
@@ -120,8 +110,64 @@ def find_start(
         ]
     )
     P = np.diag(np.square(own))
-    P[np.ix_(_LEVELLED, _LEVELLED)] = _levelled(state, azimuths[-1], tilt, settings.imu.accel_bias)
+    P[np.ix_(_LEVELLED, _LEVELLED)] = _levelled(state, north, tilt, settings.imu.accel_bias)
     return Start(t_ns=now, state=state, P=P)
+
+
+def _find(t_ns: Stamps, aids: Sequence[tuple[int, Observation]], window_ns: int) -> int:
+    """Give the first sample after a whole window, at a fix, with a heading in the window.
+
+    Raises:
+        LogError: There is none, or none behind which a sample is left to estimate.
+    """
+    fixes = np.array([t for t, aid in aids if isinstance(aid, Position)], dtype=np.int64)
+    norths = np.array([t for t, aid in aids if isinstance(aid, Azimuth)], dtype=np.int64)
+    if not len(fixes) or not len(norths):
+        raise LogError("no fix or no heading: there is nothing to begin from")
+    # A fix in motion is soon of another place, so the start is at one
+    at = np.searchsorted(t_ns, np.maximum(fixes, int(t_ns[0]) + window_ns))
+    at = at[at < len(t_ns) - 1]
+    now, seen = t_ns[at], np.searchsorted(norths, t_ns[at], side="right") - 1
+    is_begun = (seen >= 0) & (norths[np.maximum(seen, 0)] >= now - window_ns)
+    is_begun &= fixes[: len(at)] >= now - window_ns
+    if not is_begun.any():
+        raise LogError(
+            "the recording ends before level, north and position are known: a fix and a heading "
+            f"within {window_ns * 1e-9:g} s (align.time) of each other are needed, and motion "
+            "after them"
+        )
+    return int(at[np.argmax(is_begun)])
+
+
+def _north(level: Array, azimuths: Sequence[Azimuth]) -> tuple[float, Azimuth]:
+    """Give the yaw that azimuths show to a levelled attitude, and the last of them.
+
+    One that points to the vertical shows none; where all do, any yaw is as good.
+    """
+    unturned = Nominal(q_nb=level, vel_n=np.zeros(3), pos_n=np.zeros(3))
+    seen = [aid for aid in azimuths if aid.is_seen(unturned)]
+    if not seen:
+        return 0.0, replace(azimuths[-1], std=np.pi)
+    turns = np.array([float(aid.innovation(unturned)[0]) for aid in seen])
+    return float(np.arctan2(np.sin(turns).mean(), np.cos(turns).mean())), seen[-1]
+
+
+def _is_rest(
+    gyro: Array, accel: Array, speeds: Sequence[Velocity], settings: AlignSettings
+) -> bool:
+    """Say whether the sensor stands still: quiet, not turning, one g, and no fix says more.
+
+    A slow and steady turn is as quiet as a rest.
+    """
+    if speeds and float(np.linalg.norm(speeds[-1].vel_n)) > STANDING:
+        return False
+    force = float(np.linalg.norm(accel.mean(axis=0))) / STANDARD_GRAVITY
+    return (
+        float(np.linalg.norm(gyro.std(axis=0))) < settings.rest_gyro
+        and float(np.linalg.norm(accel.std(axis=0))) < settings.rest_accel
+        and float(np.linalg.norm(gyro.mean(axis=0))) < LARGEST_BIAS
+        and SMALLEST_FORCE < force < LARGEST_FORCE
+    )
 
 
 _LEVELLED = np.r_[ATT, BA]
@@ -153,9 +199,3 @@ def _levelled(state: Nominal, azimuth: Azimuth, tilt: float, accel_bias: float) 
     errors[3:, :3] = np.eye(3)
     errors[:, :3] *= accel_bias
     return np.asarray(errors @ errors.T)
-
-
-def _level(force_b: Array) -> Array:
-    """Give the attitude with yaw 0 in which the specific force points up."""
-    x, y, z = force_b.tolist()
-    return so3.from_euler(np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), 0.0)

@@ -21,7 +21,8 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.filters import cloud, course
 from ekf_companion.filters.cloud import Draw
 from ekf_companion.filters.course import Course, Setup
-from ekf_companion.filters.observation import Observation
+from ekf_companion.filters.gate import Trust
+from ekf_companion.filters.observation import Observation, reset
 from ekf_companion.filters.solution import Solution
 from ekf_companion.filters.strapdown import Interval, Nominal, in_n
 from ekf_companion.nav import so3
@@ -69,12 +70,18 @@ class Unscented:
         z = so3.wrap(z) if is_angle else z
         weighted = points.covariance[:, None] * dy
         S = dy.T @ weighted + R
-        if not self._setup.gate.admits(aid.aid, t_ns, z, S):
+        trust = self._setup.gate.admits(aid.aid, t_ns, z, S)
+        if trust is Trust.REFUSED:
             return
-        K = np.linalg.solve(S, weighted.T @ points.dx).T
+        doubt = 0.0 * self.P
+        if trust is Trust.RESET:
+            anew = reset(aid, self.state, self._setup.gate.patience(aid.aid))
+            K, doubt, z = anew.gain, anew.doubt, aid.innovation(self.state)
+        else:
+            K = np.linalg.solve(S, weighted.T @ points.dx).T
         # What is left of every point's error, and what the sensor's noise brings: no difference of
         # covariances, so none that could turn negative
-        self.P = _covariance(points.dx - dy @ K.T, points) + K @ R @ K.T
+        self.P = _covariance(points.dx - dy @ K.T, points) + K @ R @ K.T + doubt
         self._settle(K @ z)
 
     def _settle(self, dx: Array) -> None:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ekf_companion.errors import ConfigError
 from ekf_companion.filters import readings
+from ekf_companion.filters.samples import LONGEST
 from ekf_companion.filters.solution import Solution
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events
@@ -25,15 +26,19 @@ UNEVEN = 0.2
 """Share of the samples' steps that may differ from the usual one by half of it."""
 
 
-def run(events: Events) -> Solution:
+def run(events: Events, gap: float = LONGEST) -> Solution:
     """Run VQF with its own settings; it takes the samples as evenly spaced.
+
+    Args:
+        events: The recording.
+        gap: Silence of the inertial sensor beyond which only the longest part counts, s.
 
     Raises:
         LogError: There are no inertial samples.
         ConfigError: The package is not installed.
     """
     package = _package()
-    taken = readings.read(events)
+    taken = readings.read(events, gap)
     steps = taken.steps
     step = float(np.median(steps))
     estimator = package.VQF(step)

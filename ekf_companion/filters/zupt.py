@@ -18,9 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ekf_companion.errors import LogError
 from ekf_companion.filters import detector as stance
 from ekf_companion.filters import rest as beginning
-from ekf_companion.filters import strapdown
+from ekf_companion.filters import samples, strapdown
 from ekf_companion.filters.detector import Array, Detector, Limits, Mask
 from ekf_companion.filters.rest import Rest
 from ekf_companion.filters.solution import Recorder, Solution
@@ -36,7 +37,7 @@ from ekf_companion.filters.strapdown import (
     skew,
 )
 from ekf_companion.nav import so3
-from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.nav.measurements import Events
 
 LEVER = slice(15, 18)
 SIZE = 18
@@ -90,6 +91,7 @@ def run(
     events: Events,
     settings: ZuptSettings = ZuptSettings(),
     detector: Detector = Detector.SHOE,
+    gap: float = samples.LONGEST,
 ) -> Solution:
     """Walk through a recording.
 
@@ -98,6 +100,7 @@ def run(
             any way.
         settings: What sensor and foot are like.
         detector: What finds the stances.
+        gap: Silence of the sensor beyond which only the longest part counts, s.
 
     Returns:
         An estimate per inertial sample from the first rest on: metres from the start, yaw from
@@ -106,11 +109,11 @@ def run(
     Raises:
         LogError: Too few inertial samples, or no rest at the start.
     """
-    imu = events.take(events.kind == Kind.IMU)
-    imu = imu.take(np.argsort(imu.t_ns, kind="stable"))
-    later = np.diff(np.maximum.accumulate(imu.t_ns), prepend=np.iinfo(np.int64).min) > 0
-    imu = imu.take(later & np.isfinite(imu.values[:, :6]).all(axis=1))
-    rest = beginning.find(imu)
+    imu, broken = samples.unbroken(samples.inertial(events), gap)
+    try:
+        rest = beginning.find(imu)
+    except LogError as error:
+        raise LogError("; ".join([*broken, str(error)])) from error
     imu = imu.take(np.arange(rest.first, len(imu)))
     is_still = phases(imu, rest, settings, detector)
     name = f"zupt, {detector.value}, {15 if settings.has_biases else 9} errors"
@@ -118,7 +121,7 @@ def run(
     walk = _Walk(rest, settings, recorder)
     fused, refused = walk.go(imu, is_still)
     return recorder.solution(
-        is_still=is_still, counts={"zero velocity": (fused, refused)}, notes=rest.notes
+        is_still=is_still, counts={"zero velocity": (fused, refused)}, notes=broken + rest.notes
     )
 
 

@@ -6,7 +6,8 @@ of the host (s since 1970), a rate (Hz) and the magnetic field. Only the first s
 place that is certain. The sensor's z axis points up: x stays forward, y and z change their sign.
 
 The host's times jitter by milliseconds, the sensor does not: samples are laid an equal time apart,
-that of the host's times from first to last, or 4 ms where there are none.
+that of the host's times from first to last, or 4 ms where there are none; where samples are
+missing, they leave a gap.
 
 Source: header of the file; Nilsson, Skog, Haendel, Hari 2012, "Foot-mounted INS for everybody".
 """
@@ -31,7 +32,13 @@ NOMINAL = 0.004
 EPOCH = (1e9, 1e10)
 """Between these a number is a time of the host, s: 2001 to 2286; a counter has no point."""
 LONGEST = 0.1
-"""A mean step of the host's times beyond this, or none, is not the sensor's, s."""
+"""A usual step of the host's times beyond this, or none, is not the sensor's, s."""
+HOLE = 0.1
+"""By which the host's time must run on alone for samples to be missing, s: it jitters by less."""
+MANY = 250
+"""Samples to either side by which it is told apart from a host that was late once."""
+FEW = 50
+"""Samples to either side by which its length is measured."""
 
 
 def read(path: Path) -> Recording:
@@ -55,15 +62,17 @@ def read(path: Path) -> Recording:
             times.append(_time(fields))
     if not samples:
         raise LogError(f"{path}: none of {len(rows)} rows is whole; record or download it again")
-    step, is_measured = _step(np.array(times))
+    stamps, is_measured, holes = _clock(np.array(times))
     notes = []
     if cut := len(rows) - len(samples):
         notes.append(f"{cut} rows that were cut short or damaged were dropped")
     if not is_measured:
         notes.append(f"no times of the host: samples taken to be {1.0 / NOMINAL:g} per second")
+    if holes:
+        notes.append(f"samples are missing at {holes} places, where the host's time ran on alone")
     values = np.array(samples)
     turn = np.array([1.0, -1.0, -1.0])
-    t_ns = np.rint(np.arange(len(values)) * step * 1e9).astype(np.int64)
+    t_ns = np.rint(stamps * 1e9).astype(np.int64)
     events = Events.from_columns(
         t_ns, Kind.IMU, *(values[:, 3:6] * turn).T, *(values[:, 0:3] * turn * STANDARD_GRAVITY).T
     )
@@ -96,13 +105,46 @@ def _time(fields: list[bytes]) -> float:
     return float("nan")
 
 
-def _step(times: np.ndarray) -> tuple[float, bool]:
-    """Give the time from one sample to the next, s, and whether it was measured."""
+def _clock(times: np.ndarray) -> tuple[np.ndarray, bool, int]:
+    """Give the stamps of the samples, s, whether they were measured, and how many holes there are.
+
+    Args:
+        times: Of the host by sample, s; NaN: none.
+    """
+    index = np.arange(len(times))
     known = np.flatnonzero(np.isfinite(times))
     if len(known) < 2:
-        return NOMINAL, False
-    few = min(len(known) // 2, 100)
-    first, last = known[:few], known[-few:]
-    across = float(np.median(last) - np.median(first))
-    step = float(np.median(times[last]) - np.median(times[first])) / across
-    return (step, True) if 0.0 < step < LONGEST else (NOMINAL, False)
+        return index * NOMINAL, False, 0
+    usual = _slope(known, times[known])
+    if not 0.0 < usual < LONGEST:
+        return index * NOMINAL, False, 0
+    # Where the host's time goes on beside the samples, and stays so, samples are missing
+    off = times[known] - usual * known
+    holes = [
+        cut
+        for cut in np.flatnonzero(np.diff(off) > HOLE) + 1
+        if np.median(off[cut : cut + MANY]) - np.median(off[max(cut - MANY, 0) : cut]) > HOLE
+    ]
+    spans = [_drift(part, times[part] - usual * part) for part in np.split(known, holes)]
+    step = usual + sum(span[0] for span in spans) / max(sum(span[1] for span in spans), 1.0)
+    stamps = index * step
+    for cut in holes:
+        before, after = known[max(cut - FEW, 0) : cut], known[cut : cut + FEW]
+        gone = np.median(times[after] - step * after) - np.median(times[before] - step * before)
+        stamps[known[cut] :] += gone
+    return stamps, True, len(holes)
+
+
+def _slope(rows: np.ndarray, times: np.ndarray) -> float:
+    """Give the usual time from one row to the next, s: a hole is in few of the pairs."""
+    apart = min(max(len(rows) // 8, 1), MANY)
+    return float(np.median((times[apart:] - times[:-apart]) / (rows[apart:] - rows[:-apart])))
+
+
+def _drift(rows: np.ndarray, off: np.ndarray) -> tuple[float, float]:
+    """Give by how much the host's time goes off from the first rows to the last, s, and how far."""
+    few = min(len(rows) // 2, 100)
+    if few == 0:
+        return 0.0, 0.0
+    gone, apart = (float(np.median(each[-few:]) - np.median(each[:few])) for each in (off, rows))
+    return gone, apart

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.nav.measurements import Events
+from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Trajectory
 
 
@@ -44,3 +44,14 @@ class Recording:
     """Delay of the receiver that the log itself declares (a parameter of the autopilot), s."""
     notes: tuple[str, ...] = field(default=())
     """What the reader saw and the user should know, one sentence each."""
+
+
+def one_course(events: Events) -> tuple[Events, tuple[str, ...]]:
+    """Give the longest part of events within which the autopilot's clock goes on, and a note."""
+    restarts = np.flatnonzero(events.kind == Kind.RESTART)
+    if not len(restarts):
+        return events, ()
+    longest = events.take(max(np.split(np.arange(len(events)), restarts), key=len))
+    return longest.take(longest.kind != Kind.RESTART), (
+        "the autopilot's clock begins anew in this log; the longest part counts",
+    )

@@ -1,6 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from benchmarks.matched import matched
 from ekf_companion.core.settings import (
     FilterSettings,
     GnssSettings,
@@ -8,9 +11,16 @@ from ekf_companion.core.settings import (
     ImuSettings,
 )
 from ekf_companion.errors import LogError
-from ekf_companion.filters.course import Course
+from ekf_companion.filters import iterated
+from ekf_companion.filters.course import Course, run
+from ekf_companion.filters.euler import Euler
+from ekf_companion.filters.iterated import Iterated
 from ekf_companion.filters.observation import Azimuth, Position, Velocity
+from ekf_companion.filters.ukf import Unscented
+from ekf_companion.logs.recording import Recording
+from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
+from ekf_companion.selection import run_filter
 from sim_autopilot import events as wire
 from sim_autopilot.config import GnssConfig, ImuConfig, SimConfig
 from sim_autopilot.flight import Flight
@@ -181,3 +191,90 @@ def test_what_no_sensor_can_say_is_no_sample(column, value):
     samples.values[1, column] = value
     course = Course(merge(samples, fixes([5]), headings([5])), FilterSettings())
     assert (course.t_ns // MS).tolist() == [0, 20, 30]
+
+
+def test_a_heading_that_is_no_number_is_not_heard():
+    bad = headings([2, 4])
+    bad.values[0, 0] = np.nan
+    bad.values[1, 1] = np.nan
+    with pytest.raises(LogError, match="no heading"):
+        Course(merge(imu([0, 10]), fixes([1]), bad), FilterSettings())
+    course = Course(merge(imu([0, 10]), fixes([1]), bad, headings([6])), FilterSettings())
+    assert [t // MS for t, a in course.aids if isinstance(a, Azimuth)] == [6]
+
+
+def test_where_the_better_source_falls_silent_another_speaks():
+    stamps = range(0, 30_000, 100)
+    events = merge(
+        imu(stamps),
+        fixes([1]),
+        headings(range(0, 30_000, 1000), HeadingSource.AUTOPILOT, 1.0),
+        headings([500, 1500, 2500, 25_500], HeadingSource.GNSS, 2.0),
+    )
+    found = [
+        (t // MS, a.azimuth) for t, a in Course(events, FilterSettings()).aids if a.aid == "heading"
+    ]
+    better = [(t, 2.0) for t in (500, 1500, 2500, 25_500)]
+    other = [(t, 1.0) for t in range(13_000, 26_000, 1000)]
+    assert found == sorted(better + other)
+
+
+def test_a_field_along_the_vertical_is_passed_over():
+    config = SimConfig(imu=ImuConfig(rate=50.0), gnss=GnssConfig(rate=5.0))
+    events = wire.events(Flight.plan("hover", config, seed=1, duration=6.0), has_vel_down=True)
+    values = events.values.copy()
+    late = (events.kind == Kind.MAG) & (events.t_ns > events.t_ns[0] + 3_000_000_000)
+    size = np.linalg.norm(values[late, :3], axis=1)
+    values[late, :3] = np.column_stack([0.0 * size, 0.0 * size, size])
+    spoiled = Events(t_ns=events.t_ns, kind=events.kind, values=values)
+    solution = iterated.run(spoiled, FilterSettings())
+    fused, refused = solution.counts["heading"]
+    # Level as it is, it takes those of the first seconds for all there are
+    assert fused + refused < 0.7 * (events.kind == Kind.MAG).sum()
+    assert np.isfinite(solution.table.column("yaw")).all()
+
+
+@pytest.mark.parametrize("name", ["euler", "iterated", "iterated:robocentric", "ukf"])
+def test_a_jump_of_the_fixes_is_taken_after_the_time_out_and_tilts_nothing(name):
+    config = SimConfig(imu=ImuConfig(rate=50.0), gnss=GnssConfig(rate=5.0, delay=0.0))
+    flight = Flight.plan("hover", config, seed=4, duration=20.0)
+    events = wire.events(flight, has_vel_down=True)
+    jumped = (events.kind == Kind.GNSS) & (events.t_ns > events.t_ns[0] + 6_000_000_000)
+    values = events.values.copy()
+    values[jumped, 0] += 300.0 / 6.371e6
+    recording = Recording(
+        family="unknown", events=Events(t_ns=events.t_ns, kind=events.kind, values=values)
+    )
+    solution = run_filter(recording, name, matched(config))
+    t = (solution.table.stamp_ns - events.t_ns[0]) * 1e-9
+    north = solution.table.column("pos_n")
+    assert np.abs(north[(t > 6.0) & (t < 12.0)]).max() < 20.0
+    assert north[t > 15.0] == pytest.approx(300.0, abs=10.0)
+    truth = flight.truth_at(solution.table.stamp_ns)
+    q_nb = np.stack([solution.table.column(f"q_{one}") for one in "wxyz"], axis=1)
+    down = [so3.to_matrix(q)[:, 2, :] for q in (q_nb, truth.q_nb)]
+    tilt = np.degrees(np.arccos(np.clip((down[0] * down[1]).sum(axis=1), -1.0, 1.0)))
+    assert tilt[t > 6.0].max() < 2.0
+    assert solution.table.column("reset_count")[-1] == 1.0
+    assert "position was taken anew 1 times" in " ".join(solution.notes)
+    assert np.abs(solution.table.column("vel_n")[t > 6.0]).max() < 3.0
+
+
+@pytest.mark.parametrize("make", [Euler, Iterated, Unscented])
+def test_a_sure_but_tilted_start_finds_level_again_by_the_reset_of_the_velocity(make):
+    config = SimConfig(imu=ImuConfig(rate=50.0), gnss=GnssConfig(rate=5.0, delay=0.0))
+    flight = Flight.plan("hover", config, seed=4, duration=20.0)
+    course = Course(wire.events(flight, has_vel_down=True), matched(config))
+    setup = course.setup()
+    tilted = so3.multiply(setup.start.state.q_nb, so3.exp(np.radians([25.0, 0.0, 0.0])))
+    P = setup.start.P.copy()
+    P[:3, :] = P[:, :3] = 0.0
+    P[:3, :3] = np.radians(0.5) ** 2 * np.eye(3)
+    start = replace(setup.start, state=replace(setup.start.state, q_nb=tilted), P=P)
+    setup = replace(setup, start=start)
+    table = run("tried", make(setup), course, setup).table
+    assert setup.gate.resets.get("velocity", 0) >= 1
+    truth = flight.truth_at(table.stamp_ns[-50:])
+    q_nb = np.stack([table.column(f"q_{one}")[-50:] for one in "wxyz"], axis=1)
+    off = so3.log(so3.multiply(truth.q_nb, so3.conjugate(q_nb)))
+    assert np.degrees(np.abs(off[:, :2]).max()) < 1.0

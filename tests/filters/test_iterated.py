@@ -16,12 +16,13 @@ from benchmarks.convergence import (
 )
 from benchmarks.filter_consistency import squares
 from benchmarks.matched import matched
+from benchmarks.sighting import Sighting
 from ekf_companion.core.settings import FilterSettings, GateSettings
 from ekf_companion.filters.anchored import FULL, Anchored
 from ekf_companion.filters.course import Course, Setup, advance
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.iterated import Iterated, run
-from ekf_companion.filters.observation import Position, Sighting
+from ekf_companion.filters.observation import Position
 from ekf_companion.filters.start import Start
 from ekf_companion.filters.strapdown import ATT, Earth, Interval, N, Noise, Nominal
 from ekf_companion.nav import so3

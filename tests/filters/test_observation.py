@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from ekf_companion.filters.observation import Azimuth, Position, Sighting, Velocity
+from benchmarks.sighting import Sighting
+from ekf_companion.filters.observation import Azimuth, Position, Velocity, reset
 from ekf_companion.filters.strapdown import ATT, N
 from ekf_companion.nav import so3
 from tests.filters.differences import central, some_state
@@ -58,3 +59,37 @@ def test_about_a_state_an_azimuth_says_the_same_of_it_without_the_noise_in_its_j
     clean = exact.jacobian(state)
     assert np.abs(noisy.jacobian(state) - clean).max() > 0.05
     np.testing.assert_allclose(about.jacobian(state), clean, atol=0.005)  # its length: 5 % squared
+
+
+@pytest.mark.parametrize("aid", AIDS[:4], ids=lambda aid: aid.aid + str(len(aid.covariance())))
+def test_after_a_reset_an_aid_is_fulfilled_and_nothing_else_has_moved(aid):
+    state = some_state()
+    K = reset(aid, state, 7.0).gain
+    dx = K @ aid.innovation(state)
+    moved = state.plus(dx)
+    np.testing.assert_allclose(aid.innovation(moved), 0.0, atol=1e-12)
+    block = {"position": slice(6, 9), "velocity": slice(3, 6), "heading": ATT}[aid.aid]
+    assert np.abs(np.delete(dx, block)).max() == 0.0
+    down = [so3.to_matrix(one.q_nb)[2] for one in (state, moved)]
+    np.testing.assert_allclose(down[0], down[1], atol=1e-12)
+
+
+def test_a_field_along_the_vertical_shows_no_azimuth_and_divides_by_nothing():
+    state = some_state()
+    down_b = so3.to_matrix(state.q_nb)[2]
+    for seen_b in (down_b, 0.0 * down_b):
+        aid = Azimuth(seen_b=seen_b, azimuth=0.3, std=0.05)
+        assert not aid.is_seen(state)
+        assert np.isfinite(aid.jacobian(state)).all()
+    assert AIDS[3].is_seen(state)
+
+
+def test_a_velocity_astray_doubts_the_attitude_that_led_there():
+    state = some_state()
+    tilt, seconds = 0.2, 7.0
+    vel_n = state.vel_n + np.array([tilt * 9.80665 * seconds, 0.0, 0.0])
+    gone = Velocity(vel_n=vel_n, std=0.2, swing_b=np.zeros(3))
+    doubt = reset(gone, state, seconds).doubt
+    np.testing.assert_allclose(np.sqrt(np.diag(doubt)[ATT]), tilt, rtol=1e-9)
+    assert np.abs(np.diag(doubt)[3:]).max() == 0.0
+    assert np.abs(reset(AIDS[0], state, seconds).doubt).max() == 0.0

@@ -122,3 +122,53 @@ def test_headings_about_south_are_averaged_there():
     found = [one for one in aids(rng) if not isinstance(one[1], Azimuth)]
     start = find_start(*readings(rng), sorted(both + found, key=lambda one: one[0]), SETTINGS)
     assert abs(so3.to_euler(start.state.q_nb)[2]) == pytest.approx(np.pi, abs=1e-3)
+
+
+@pytest.mark.parametrize("rate", [0.15, 0.3])
+def test_a_slow_steady_turn_is_no_bias(rate):
+    rng = np.random.default_rng(8)
+    t_ns, gyro, accel = readings(rng)
+    start = find_start(t_ns, gyro + np.array([0.0, 0.0, rate]), accel, aids(rng), SETTINGS, RATE_N)
+    assert (start.state.gyro_bias == 0.0).all()
+    assert np.sqrt(start.P[BG, BG].max()) == pytest.approx(SETTINGS.imu.gyro_bias)
+
+
+def test_a_steady_push_is_no_rest():
+    rng = np.random.default_rng(9)
+    t_ns, gyro, accel = readings(rng)
+    start = find_start(t_ns, gyro, 1.2 * accel, aids(rng), SETTINGS, RATE_N)
+    assert (start.state.gyro_bias == 0.0).all()
+
+
+def test_what_is_older_than_the_window_is_not_begun_from():
+    rng = np.random.default_rng(10)
+    t_ns, gyro, accel = readings(rng)
+    norths = [one for one in aids(rng) if isinstance(one[1], Azimuth)]
+    std = np.ones(3)
+
+    def fix(t, north, speed):
+        pos_n = np.array([north, 0.0, 0.0])
+        vel_n = np.array([speed, 0.0, 0.0])
+        return [
+            (t, Position(pos_n=pos_n, std=std, lever_b=np.zeros(3))),
+            (t, Velocity(vel_n=vel_n, std=0.1, swing_b=np.zeros(3))),
+        ]
+
+    # The only heading comes long after the first fix
+    late = [(t + 1_900_000_000, aid) for t, aid in norths[:5]]
+    early = fix(100_000_000, 0.0, 50.0)
+    with pytest.raises(LogError, match="within 1 s"):
+        find_start(t_ns, gyro, accel, sorted(early + late, key=lambda o: o[0]), SETTINGS)
+    both = sorted(early + late + fix(2_600_000_000, 70.0, 0.0), key=lambda o: o[0])
+    start = find_start(t_ns, gyro, accel, both, SETTINGS)
+    assert start.t_ns == 2_600_000_000
+    assert start.state.pos_n[0] == 70.0
+    assert start.state.vel_n[0] == 0.0
+
+
+def test_a_start_at_the_last_sample_leaves_nothing_to_estimate():
+    rng = np.random.default_rng(11)
+    t_ns, gyro, accel = readings(rng)
+    with pytest.raises(LogError, match="ends before"):
+        find_start(t_ns[:121], gyro[:121], accel[:121], aids(rng), SETTINGS)
+    assert find_start(t_ns[:122], gyro[:122], accel[:122], aids(rng), SETTINGS).t_ns == t_ns[120]

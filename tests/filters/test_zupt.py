@@ -166,9 +166,3 @@ def test_xio_closes_over_the_ground_as_its_authors_do_in_space():
     # It climbs 18 mm a stride, of a cause not found (docs/filters/zupt.md).
     assert end.distance <= 0.35
     assert end.path == pytest.approx(25.0, abs=1.0)
-
-
-def test_a_table_has_a_line_per_walk():
-    lines = closure.table([closed(walk(rate=100.0, strides=1).events)])
-    assert len(lines) == 2
-    assert "zupt, shoe, 15 errors" in lines[1]

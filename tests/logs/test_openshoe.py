@@ -51,6 +51,26 @@ def test_the_hosts_times_say_how_fast_the_sensor_was(read):
     assert np.diff(events.t_ns) == pytest.approx(5_000_000, abs=2)
 
 
+@pytest.mark.parametrize(("count", "at"), [(2000, 700), (400, 200), (3000, 2950)])
+def test_a_hole_in_the_hosts_times_is_a_gap_and_stretches_nothing(read, count, at):
+    rng = np.random.default_rng(1)
+    index = np.arange(count)
+    times = 1274439406.0 + 0.004 * index + 6.0 * (index >= at)
+    times += np.abs(rng.normal(0.0, 0.003, count))
+    # The host was late once, for 0.3 s, and lost nothing
+    times[at // 4 : at // 4 + 25] += np.linspace(0.3, 0.0, 25)
+    text = HEAD + "".join(
+        ROW.format(sum="0x1377", number=k + 1, time=f"{time:.6f}") for k, time in enumerate(times)
+    )
+    recording = read(text)
+    steps = np.diff(recording.events.t_ns) * 1e-9
+    assert steps[at - 1] == pytest.approx(6.004, abs=0.01)
+    assert np.delete(steps, at - 1) == pytest.approx(0.004, rel=0.005)
+    assert recording.notes == (
+        "samples are missing at 1 places, where the host's time ran on alone",
+    )
+
+
 def test_a_blank_checksum_shifts_nothing_that_counts(read):
     shifted, whole = read(HEAD + rows(50, blank=range(0, 50, 3))), read(HEAD + rows(50))
     assert shifted.events.t_ns.tolist() == whole.events.t_ns.tolist()
