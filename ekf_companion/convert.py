@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ekf_companion.companion import session_options
 from ekf_companion.config import Config
-from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters.solution import Solution
 from ekf_companion.logs import broad, csv, dataflash, openshoe, tlog, tlog_trajectory, ulog
@@ -168,23 +168,32 @@ def read(
     """
     path, report = Path(path), Report(log=str(path))
     source = _open(path, config or Config(), report)
-    tables = []
-    for done, events, _ in _tables(source):
-        tables.append(events)
+    tables: list[Events] = []
+    families: list[str] = []
+    cuts: list[int] = []
+    peer: PeerFound | None = None
+    for part in _parts(source):
+        if part.peer != peer:
+            cuts.append(len(families))
+            peer = part.peer
+        tables.append(part.events)
+        families += [part.family] * len(part.events)
         if progress is not None:
-            progress(done, source.size)
+            progress(part.done, source.size)
     if not sum(map(len, tables)):
         raise LogError(f"{path}: holds no measurement; ask the autopilot to log or stream them")
     arrival = [np.zeros(len(part), dtype=np.int64) for part in tables]
     events = merge(*tables, arrival_ns=arrival)
-    pieces = np.split(np.arange(len(events)), np.flatnonzero(events.kind == Kind.RESTART))
-    longest = events.take(max(pieces, key=len))
+    cuts += np.flatnonzero(events.kind == Kind.RESTART).tolist()
+    pieces = np.split(np.arange(len(events)), sorted(set(cuts) - {0}))
+    chosen = max(pieces, key=len)
+    longest = events.take(chosen)
     if len(pieces) > 1:
         report.notes.append(
-            "the autopilot's clock begins anew in this log; the longest part counts"
+            "the autopilot or its clock begins anew in this log; the longest part counts"
         )
     return Recording(
-        family=report.family,
+        family=families[chosen[-1]],
         events=longest.take(longest.kind != Kind.RESTART),
         reference=source.reference,
         truth=source.truth,
@@ -192,6 +201,35 @@ def read(
         gnss_delay=source.delay,
         notes=tuple(report.notes),
     )
+
+
+class _Record(NamedTuple):
+    """One step of a log."""
+
+    stamp_us: int
+    frame: bytes
+    """Empty: the log has none."""
+    rows: list[Row]
+    """What it measured."""
+    turned: Config | None
+    """The configuration from here on, where somebody turned a parameter in flight."""
+    peer: PeerFound | None
+    """Whose it is; None: nobody's yet."""
+
+
+class _Part(NamedTuple):
+    """Events of one autopilot, up to where something changes."""
+
+    done: int
+    """Records up to here."""
+    events: Events
+    turned: Config | None
+    """The configuration from their end on."""
+    peer: PeerFound | None
+
+    @property
+    def family(self) -> str:
+        return (Family.UNKNOWN if self.peer is None else self.peer.family).value
 
 
 class _Telemetry:
@@ -206,8 +244,7 @@ class _Telemetry:
         self.size = len(log)
         self.delay: float | None = None
         self.counted: Counted | None = None
-        self.system_id = 0
-        """Of the autopilot; 0: not heard yet."""
+        self._peer: PeerFound | None = None
         report.notes += log.notes
 
     @property
@@ -218,28 +255,34 @@ class _Telemetry:
     def truth(self) -> Trajectory | None:
         return tlog_trajectory.truth(self._log)
 
-    def records(self) -> Iterator[tuple[int, bytes, list[Row], Config | None]]:
-        """Give stamp, frame and what it measured, in the order of the file.
-
-        And the configuration from here on, where somebody turned a parameter in flight.
-        """
+    def records(self) -> Iterator[_Record]:
+        """Give each frame and what it measured, in the order of the file."""
         session = self._session
         for stamp_us, raw in self._log.frames():
             measured = session.receive(raw, stamp_us * 1000)
             session.data_to_send()
             for event in session.events():
-                if isinstance(event, PeerFound) and not self.system_id:
-                    self.system_id = event.system_id
-                    self._report.family = event.family.value
+                if isinstance(event, PeerFound):
+                    self._meet(event)
                 elif isinstance(event, ParameterSet):
                     self._tuning.set(event.key, event.value)
                     self._is_turned = True
-            turned = self._tuning.config if self._is_turned and self.system_id else None
+            turned = self._tuning.config if self._is_turned and self._peer else None
             self._is_turned = self._is_turned and turned is None
-            yield stamp_us, raw, [measurement.row() for measurement in measured], turned
+            rows = [measurement.row() for measurement in measured]
+            yield _Record(stamp_us, raw, rows, turned, self._peer)
         self._report.refused = {
             name: count for name, count in session.counters().items() if count and name != "frames"
         }
+
+    def _meet(self, peer: PeerFound) -> None:
+        if self._peer not in (None, peer):
+            self._report.notes.append(
+                f"the autopilot is another from some time on: system {peer.system_id}, component "
+                f"{peer.component_id}, {peer.family.value}; the estimate begins anew there"
+            )
+        self._peer = peer
+        self._report.family = peer.family.value
 
 
 class _Columns:
@@ -251,18 +294,22 @@ class _Columns:
         self.truth = recording.truth
         self.counted = recording.counted
         self.delay = recording.gnss_delay
-        self.system_id = 1
+        self._peer = PeerFound(1, 1, Family(recording.family))
         self.size = len(recording.events)
         report.family = recording.family
         report.notes += recording.notes
 
-    def records(self) -> Iterator[tuple[int, bytes, list[Row], Config | None]]:
+    def records(self) -> Iterator[_Record]:
         """Give each event with its stamp; there is no frame, and nobody to turn anything."""
         events = self.events
         for t_ns, kind, values in zip(
             events.t_ns.tolist(), events.kind.tolist(), events.values.tolist(), strict=True
         ):
-            yield t_ns // 1000, b"", [(t_ns, kind, tuple(values))], None
+            yield _Record(t_ns // 1000, b"", [(t_ns, kind, tuple(values))], None, self._peer)
+
+    def part(self, chosen: np.ndarray) -> _Part:
+        """Give some of the events."""
+        return _Part(int(chosen[-1]) + 1, self.events.take(chosen), None, self._peer)
 
 
 def _open(path: Path, config: Config, report: Report) -> _Telemetry | _Columns:
@@ -274,37 +321,39 @@ def _open(path: Path, config: Config, report: Report) -> _Telemetry | _Columns:
     return _Columns(READERS[suffix](path), report)
 
 
-def _tables(
-    source: _Telemetry | _Columns,
-) -> Iterator[tuple[int, Events, FilterSettings | None]]:
-    """Give how many records are done, the events in chunks, and the settings from then on."""
+def _parts(source: _Telemetry | _Columns) -> Iterator[_Part]:
+    """Give the events in chunks, a new one also where something changes."""
     if isinstance(source, _Columns):
         for start in range(0, source.size, CHUNK):
-            chosen = np.arange(start, min(start + CHUNK, source.size))
-            yield int(chosen[-1]) + 1, source.events.take(chosen), None
+            yield source.part(np.arange(start, min(start + CHUNK, source.size)))
         return
     rows: list[Row] = []
-    for done, (_, _, measured, turned) in enumerate(source.records(), 1):
-        if turned is not None or len(rows) >= CHUNK:
-            yield done - 1, Events.from_rows(rows), turned
+    peer: PeerFound | None = None
+    for done, record in enumerate(source.records(), 1):
+        is_other = peer not in (None, record.peer)
+        if record.turned is not None or is_other or len(rows) >= CHUNK:
+            yield _Part(done - 1, Events.from_rows(rows), record.turned, peer)
             rows = []
-        rows += measured
-    yield source.size, Events.from_rows(rows), None
+        peer = record.peer
+        rows += record.rows
+    yield _Part(source.size, Events.from_rows(rows), None, peer)
 
 
 def _estimates(
     source: _Telemetry | _Columns, config: Config, report: Report, progress: Progress | None
 ) -> Iterator[Table]:
     pipeline: Pipeline | None = None
-    for done, events, turned in _tables(source):
-        if pipeline is None:
-            pipeline = Pipeline(config, report.family, source.delay)
-        table = pipeline.run(events)
-        if turned is not None:
-            pipeline.retune(turned)
-        account(report, events, table)
+    peer: PeerFound | None = None
+    for part in _parts(source):
+        if pipeline is None or part.peer != peer:
+            pipeline, peer = Pipeline(config, part.family, source.delay), part.peer
+        table = pipeline.run(part.events)
+        if part.turned is not None:
+            config = part.turned
+            pipeline.retune(config)
+        account(report, part.events, table)
         if progress is not None:
-            progress(done, source.size)
+            progress(part.done, source.size)
         yield table
     if pipeline is not None:
         report.health = pipeline.health()
@@ -318,28 +367,30 @@ def _smoothed(
     live: list[Table] | None = None,
 ) -> Iterator[Table]:
     """Give the smoothed estimates; those of the live filter go to the list, if there is one."""
-    smoothing: Smoothing | None = None
-    for done, events, turned in _tables(source):
-        if smoothing is None:
-            smoothing = Smoothing(config, report.family, source.delay)
-        table = smoothing.run(events)
-        if turned is not None:
-            smoothing.pipeline.retune(turned)
-        account(report, events, table)
+    runs: list[Smoothing] = []
+    peer: PeerFound | None = None
+    for part in _parts(source):
+        if not runs or part.peer != peer:
+            runs.append(Smoothing(config, part.family, source.delay))
+            peer = part.peer
+        table = runs[-1].run(part.events)
+        if part.turned is not None:
+            config = part.turned
+            runs[-1].pipeline.retune(config)
+        account(report, part.events, table)
         if live is not None:
             live.append(table)
         if progress is not None:
-            progress(done, 2 * source.size)
-    if smoothing is None:
-        return
-    report.health = smoothing.pipeline.health()
+            progress(part.done, 2 * source.size)
 
     def halfway(done: int, total: int) -> None:
         if progress is not None:
             progress(total + done, 2 * total)
 
-    with smoothing:
-        yield from smoothing.tables(halfway)
+    for run in runs:
+        report.health = run.pipeline.health()
+        with run:
+            yield from run.tables(halfway)
 
 
 def _messages(
@@ -348,28 +399,33 @@ def _messages(
     """Give the original frames and, behind the sample that makes them due, our messages."""
     pipeline: Pipeline | None = None
     publisher: Publisher | None = None
+    peer: PeerFound | None = None
     sender = Sender(1, config.link.component_id)
     ours: list[bytes] = []
     taken: list[Row] = []
     tables: list[tuple[int, np.ndarray]] = []
-    for done, (stamp_us, frame, rows, turned) in enumerate(source.records(), 1):
-        if turned is not None and pipeline is not None and publisher is not None:
-            pipeline.retune(turned)
-            publisher.retune(turned)
-        if frame and not _is_from(frame, sender.component_id):
-            yield stamp_us, frame
-        for row in rows:
+    for done, record in enumerate(source.records(), 1):
+        if record.turned is not None:
+            config = record.turned
+        if record.peer is not None and record.peer != peer:
+            peer = record.peer
+            sender.system_id = config.link.system_id or peer.system_id
+            pipeline = Pipeline(config, peer.family.value, source.delay)
+            publisher = Publisher(config, pipeline, peer.family)
+        elif record.turned is not None and pipeline is not None and publisher is not None:
+            pipeline.retune(config)
+            publisher.retune(config)
+        if record.frame and not _is_from(record.frame, sender.component_id):
+            yield record.stamp_us, record.frame
+        for row in record.rows:
             if pipeline is None or publisher is None:
-                family = Family(report.family)
-                sender.system_id = config.link.system_id or source.system_id
-                pipeline = Pipeline(config, report.family, source.delay)
-                publisher = Publisher(config, pipeline, family)
+                break
             if pipeline.insert(row) is Arrival.ESTIMATED:
                 publisher.publish(lambda name, payload: ours.append(sender.frame(name, payload)))
                 tables.append((pipeline.stamp_ns, pipeline.estimate()))
             taken.append(row)
         for message in ours:
-            yield stamp_us, message
+            yield record.stamp_us, message
         ours.clear()
         if len(taken) >= CHUNK or done == source.size:
             account(report, Events.from_rows(taken), _stack(tables))

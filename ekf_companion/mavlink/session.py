@@ -94,6 +94,7 @@ class Session:
             emit,
             self._begin,
             self._end,
+            self._share,
             wanted=options.autopilot_system_id,
             expected=options.expected,
         )
@@ -122,6 +123,8 @@ class Session:
         self._all_routes = _routes(self._with_all)
         self._peer_routes = _routes(self._with_peer)
         self._splitter = Splitter()
+        self._vehicle: PeerFound | None = None
+        """The one begun with last; kept when it is lost."""
 
     # What goes in
 
@@ -202,12 +205,18 @@ class Session:
 
     def _begin(self, peer: PeerFound) -> None:
         """Begin every conversation anew: the autopilot knows nothing of us."""
+        if self._vehicle not in (None, peer):
+            self.decoder.begin()
+        self._vehicle = peer
         self.decoder.family = peer.family
         if self.options.system_id is None:
             self.outbox.adopt(peer.system_id)
         self.sequence.begin()
         for service in (*self._with_all, *self._with_peer):
             service.begin(peer)
+
+    def _share(self, other_id: int | None) -> None:
+        self.guard.share(other_id)
 
     def _end(self) -> None:
         for service in (*self._with_all, *self._with_peer):
