@@ -30,11 +30,11 @@ class GuardState:
 def guard_state(companion: Companion) -> GuardState:
     """Give the guard's verdict on sending ODOMETRY."""
     session = companion.session
-    verdict = session.guard.verdict
+    state = session.stream_state
     return GuardState(
-        reason=verdict.reason,
-        remedy=verdict.remedy,
-        parameters=verdict.parameters,
+        reason=state.reason,
+        remedy=state.remedy,
+        parameters=session.guard.verdict.parameters,
         withheld=session.outbox.withheld["ODOMETRY"],
     )
 

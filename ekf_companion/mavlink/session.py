@@ -47,6 +47,7 @@ from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import quantise
 from ekf_companion.mavlink.statustext import StatusText
 from ekf_companion.mavlink.timesync import TimesyncService
+from ekf_companion.mavlink.verdict import StreamState, stream_state
 from ekf_companion.nav.measurements import Measurement, Restart
 
 __all__ = [
@@ -278,8 +279,14 @@ class Session:
 
     @property
     def may_stream(self) -> bool:
-        """Whether ODOMETRY may be sent: the guard lets it, and nobody else speaks as us."""
+        """Whether ODOMETRY may be sent, if only when asked for: by the guard, and no other is us."""
         return self.guard.is_streaming and not self.clash.is_clash
+
+    @property
+    def stream_state(self) -> StreamState:
+        """Whether ODOMETRY is sent, why, and what would change it."""
+        twin = self.outbox.ids if self.clash.is_clash else None
+        return stream_state(self.guard.verdict, twin, self.commands.silenced_by("ODOMETRY"))
 
     @property
     def results(self) -> Mapping[str, str]:
