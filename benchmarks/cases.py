@@ -14,7 +14,8 @@ from ekf_companion.core.settings import HeadingSettings
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import merge
 from ekf_companion.nav.state import Table, Trajectory
-from ekf_companion.source import READERS, open_source, tables
+from ekf_companion.source import READERS, open_source
+from ekf_companion.source import parts as parts_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +93,7 @@ def recorded(path: Path) -> Recording:
         return READERS[suffix](path)
     report = convert.Report(log=str(path))
     source = open_source(path, Config(), report)  # a .tlog becomes events only by a session
-    parts = [events for _, events, _ in tables(source)]
+    parts = [part.events for part in parts_of(source)]
     return Recording(
         family=report.family,
         # in the order in which they came: merge keeps it where arrivals are equal

@@ -13,6 +13,7 @@ from ekf_companion.mavlink.event import (
     IntervalSet,
     Noted,
     ParameterSet,
+    PeerChanged,
     PeerFound,
     PeerLost,
     RateInVain,
@@ -52,6 +53,10 @@ class Bulletin:
         self._resets = 0
         self._is_decimated = False
         self._imu_source = ""
+
+    def begin(self) -> None:
+        """Begin with an estimator that begins anew."""
+        self._resets, self._imu_source = 0, ""
 
     def tell(self, severity: Severity, text: str) -> None:
         """Tell the pilot, who should know from whom it is."""
@@ -143,6 +148,16 @@ class Bulletin:
                     *(system_id, other_id, system_id),
                 )
                 self.tell(Severity.WARNING, f"several autopilots, using {system_id}")
+            case PeerChanged(was, now, is_lost):
+                reason = "which has fallen silent" if is_lost else "which is no autopilot's own"
+                _log.warning(
+                    "Listening to system %d, component %d instead of system %d, component %d, %s; "
+                    "link.autopilot names the one that is meant",
+                    *(*now, *was, reason),
+                )
+                self.tell(
+                    Severity.WARNING, f"using autopilot {now[0]}/{now[1]}, not {was[0]}/{was[1]}"
+                )
             case Clash(system_id, component_id):
                 _log.warning(
                     "Somebody else speaks as system %d, component %d: no ODOMETRY until it stops; "

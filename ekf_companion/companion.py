@@ -93,13 +93,13 @@ class Companion:
         self.tuning = tuning or Tuning(config)
         self._config = self.tuning.config
         self._resumption = resumption or Resumption()
-        self._expected = self._resumption.expected
+        self._vehicle: Vehicle | None = None
         self._has_sample = False
         self.reloads = 0
         """How often the configuration was read again."""
         self.last_reload = ""
         """What became of it the last time."""
-        options = session_options(self._config, is_recording, self._expected)
+        options = session_options(self._config, is_recording, self._resumption.expected)
         self.session = Session(options, signing)
         self.pipeline: Pipeline | None = None
         self._publisher: Publisher | None = None
@@ -168,10 +168,11 @@ class Companion:
             self.session.send(name, payload, now_ns)
 
     def _begin(self, peer: PeerFound) -> None:
-        """Begin to estimate, or anew where the autopilot is not of the family expected."""
+        """Begin to estimate, or anew where it is another autopilot, or of another family."""
         vehicle = Vehicle(peer.family.value, peer.system_id, peer.component_id)
-        if self.pipeline is not None and self._expected in (None, vehicle):
+        if vehicle == self._vehicle:
             return
+        self._vehicle = vehicle
         self.pipeline = Pipeline(self._config, peer.family.value)
         self._publisher = Publisher(self._config, self.pipeline, peer.family)
         self._family = peer.family
@@ -179,8 +180,7 @@ class Companion:
         for warning in self._publisher.label.warnings:
             _log.warning("%s", warning)
         self._resumption.meet(vehicle, self.pipeline, self.session.decoder)
-        if self._expected != vehicle:
-            self._expected = None
+        self._bulletin.begin()
 
     def _complain(self, now_ns: int) -> None:
         """Say once that no autopilot has been heard, and what to look at."""

@@ -12,18 +12,18 @@ import numpy as np
 from ekf_companion.config import Config
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters.solution import Solution
-from ekf_companion.logs.recording import Recording, one_course
+from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.writer import CsvWriter, create
 from ekf_companion.mavlink.codec import Sender
-from ekf_companion.mavlink.decode import Family
-from ekf_companion.nav.measurements import Events, Row, merge
+from ekf_companion.mavlink.event import PeerFound
+from ekf_companion.nav.measurements import Events, Kind, Row, merge
 from ekf_companion.nav.state import Table, Trajectory, join
 from ekf_companion.pipeline import Arrival, Pipeline
 from ekf_companion.publisher import Publisher
 from ekf_companion.report import Report, account, conclude, summary
 from ekf_companion.selection import run_filter
 from ekf_companion.smoothing import Smoothing
-from ekf_companion.source import CHUNK, Columns, Source, open_source, tables
+from ekf_companion.source import CHUNK, Columns, Source, open_source, parts
 
 Progress = Callable[[int, int], None]
 """Told how much is done, of how much."""
@@ -116,9 +116,9 @@ def estimate(
     """
     report = Report(log=str(path))
     source = open_source(path, config, report)
-    found = list(_estimates(source, config, report, progress))
+    tables = list(_estimates(source, config, report, progress))
     conclude(report, path)
-    return join(found), report, source.reference, source.truth
+    return join(tables), report, source.reference, source.truth
 
 
 def estimate_and_smooth(
@@ -152,23 +152,38 @@ def read(
     """
     path, report = Path(path), Report(log=str(path))
     source = open_source(path, config or Config(), report)
-    parts = []
-    for done, events, _ in tables(source):
-        parts.append(events)
+    tables: list[Events] = []
+    families: list[str] = []
+    cuts: list[int] = []
+    peer: PeerFound | None = None
+    for part in parts(source):
+        if part.peer != peer:
+            cuts.append(len(families))
+            peer = part.peer
+        tables.append(part.events)
+        families += [part.family] * len(part.events)
         if progress is not None:
-            progress(done, source.size)
-    if not sum(map(len, parts)):
+            progress(part.done, source.size)
+    if not sum(map(len, tables)):
         raise LogError(f"{path}: holds no measurement; ask the autopilot to log or stream them")
-    arrival = [np.zeros(len(part), dtype=np.int64) for part in parts]
-    events, notes = one_course(merge(*parts, arrival_ns=arrival))
+    arrival = [np.zeros(len(part), dtype=np.int64) for part in tables]
+    events = merge(*tables, arrival_ns=arrival)
+    cuts += np.flatnonzero(events.kind == Kind.RESTART).tolist()
+    pieces = np.split(np.arange(len(events)), sorted(set(cuts) - {0}))
+    chosen = max(pieces, key=len)
+    longest = events.take(chosen)
+    if len(pieces) > 1:
+        report.notes.append(
+            "the autopilot or its clock begins anew in this log; the longest part counts"
+        )
     return Recording(
-        family=report.family,
-        events=events,
+        family=families[chosen[-1]],
+        events=longest.take(longest.kind != Kind.RESTART),
         reference=source.reference,
         truth=source.truth,
         counted=source.counted,
         gnss_delay=source.delay,
-        notes=(*report.notes, *notes),
+        notes=tuple(report.notes),
     )
 
 
@@ -176,15 +191,17 @@ def _estimates(
     source: Source, config: Config, report: Report, progress: Progress | None
 ) -> Iterator[Table]:
     pipeline: Pipeline | None = None
-    for done, events, turned in tables(source):
-        if pipeline is None:
-            pipeline = Pipeline(config, report.family, source.delay)
-        table = pipeline.run(events)
-        if turned is not None:
-            pipeline.retune(turned)
-        account(report, events, table)
+    peer: PeerFound | None = None
+    for part in parts(source):
+        if pipeline is None or part.peer != peer:
+            pipeline, peer = Pipeline(config, part.family, source.delay), part.peer
+        table = pipeline.run(part.events)
+        if part.turned is not None:
+            config = part.turned
+            pipeline.retune(config)
+        account(report, part.events, table)
         if progress is not None:
-            progress(done, source.size)
+            progress(part.done, source.size)
         yield table
     if pipeline is not None:
         report.health = pipeline.health()
@@ -198,28 +215,30 @@ def _smoothed(
     live: list[Table] | None = None,
 ) -> Iterator[Table]:
     """Give the smoothed estimates; those of the live filter go to the list, if there is one."""
-    smoothing: Smoothing | None = None
-    for done, events, turned in tables(source):
-        if smoothing is None:
-            smoothing = Smoothing(config, report.family, source.delay)
-        table = smoothing.run(events)
-        if turned is not None:
-            smoothing.pipeline.retune(turned)
-        account(report, events, table)
+    runs: list[Smoothing] = []
+    peer: PeerFound | None = None
+    for part in parts(source):
+        if not runs or part.peer != peer:
+            runs.append(Smoothing(config, part.family, source.delay))
+            peer = part.peer
+        table = runs[-1].run(part.events)
+        if part.turned is not None:
+            config = part.turned
+            runs[-1].pipeline.retune(config)
+        account(report, part.events, table)
         if live is not None:
             live.append(table)
         if progress is not None:
-            progress(done, 2 * source.size)
-    if smoothing is None:
-        return
-    report.health = smoothing.pipeline.health()
+            progress(part.done, 2 * source.size)
 
     def halfway(done: int, total: int) -> None:
         if progress is not None:
             progress(total + done, 2 * total)
 
-    with smoothing:
-        yield from smoothing.tables(halfway)
+    for run in runs:
+        report.health = run.pipeline.health()
+        with run:
+            yield from run.tables(halfway)
 
 
 def _messages(
@@ -228,32 +247,37 @@ def _messages(
     """Give the original frames and, behind the sample that makes them due, our messages."""
     pipeline: Pipeline | None = None
     publisher: Publisher | None = None
+    peer: PeerFound | None = None
     sender = Sender(1, config.link.component_id)
     ours: list[bytes] = []
     taken: list[Row] = []
-    made: list[tuple[int, np.ndarray]] = []
-    for done, (stamp_us, frame, rows, turned) in enumerate(source.records(), 1):
-        if turned is not None and pipeline is not None and publisher is not None:
-            pipeline.retune(turned)
-            publisher.retune(turned)
-        if frame and not _is_from(frame, sender.component_id):
-            yield stamp_us, frame
-        for row in rows:
+    tables: list[tuple[int, np.ndarray]] = []
+    for done, record in enumerate(source.records(), 1):
+        if record.turned is not None:
+            config = record.turned
+        if record.peer is not None and record.peer != peer:
+            peer = record.peer
+            sender.system_id = config.link.system_id or peer.system_id
+            pipeline = Pipeline(config, peer.family.value, source.delay)
+            publisher = Publisher(config, pipeline, peer.family)
+        elif record.turned is not None and pipeline is not None and publisher is not None:
+            pipeline.retune(config)
+            publisher.retune(config)
+        if record.frame and not _is_from(record.frame, sender.component_id):
+            yield record.stamp_us, record.frame
+        for row in record.rows:
             if pipeline is None or publisher is None:
-                family = Family(report.family)
-                sender.system_id = config.link.system_id or source.system_id
-                pipeline = Pipeline(config, report.family, source.delay)
-                publisher = Publisher(config, pipeline, family)
+                break
             if pipeline.insert(row) is Arrival.ESTIMATED:
                 publisher.publish(lambda name, payload: ours.append(sender.frame(name, payload)))
-                made.append((pipeline.stamp_ns, pipeline.estimate()))
+                tables.append((pipeline.stamp_ns, pipeline.estimate()))
             taken.append(row)
         for message in ours:
-            yield stamp_us, message
+            yield record.stamp_us, message
         ours.clear()
         if len(taken) >= CHUNK or done == source.size:
-            account(report, Events.from_rows(taken), _stack(made))
-            taken, made = [], []
+            account(report, Events.from_rows(taken), _stack(tables))
+            taken, tables = [], []
             if progress is not None:
                 progress(done, source.size)
     if pipeline is not None:

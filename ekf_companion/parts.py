@@ -62,20 +62,16 @@ def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> Peer
 
 def output_state(session: Session, new: int, rate: float) -> OutputState:
     """Give what is sent, and why; of ODOMETRY so many are new, at a rate, Hz."""
-    verdict, is_clash = session.guard.verdict, session.clash.is_clash
-    reason, remedy = verdict.reason, verdict.remedy
-    if is_clash:
-        reason = "somebody else speaks under our system and component id"
-        remedy = "give one of us another link.component_id"
+    verdict, state = session.guard.verdict, session.stream_state
     return OutputState(
         mode=session.guard.options.mode,
         is_streaming=new > 0,
         rate=rate,
-        is_allowed=session.may_stream,
+        is_allowed=state.is_streaming,
         is_settled=verdict.is_settled,
-        is_clash=is_clash,
-        reason=reason,
-        remedy=remedy,
+        is_clash=session.clash.is_clash,
+        reason=state.reason,
+        remedy=state.remedy,
         parameters=dict(verdict.parameters),
         sent=dict(session.sent),
         withheld=session.outbox.withheld["ODOMETRY"],

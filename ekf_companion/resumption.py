@@ -72,7 +72,12 @@ class Resumption:
         It may be met again as another, when its heartbeat gives the lie to what was expected.
         """
         if self._vehicle is not None:
-            self._refuse(foreign(self._vehicle, vehicle))
+            was = self._vehicle
+            if self._found is not None or self._steady_from_ns is not None:
+                self._refuse(foreign(was, vehicle))
+            else:
+                self._start = f"cold: another autopilot, was {was}"
+            self._steady_from_ns = None
         self._vehicle = vehicle
         if self._found is not None:
             refusal = self._found.refuse_vehicle(vehicle, pipeline.fingerprint)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ekf_companion.companion import session_options
 from ekf_companion.config import Config
-from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.logs import broad, csv, dataflash, openshoe, tlog, tlog_trajectory, ulog
 from ekf_companion.logs.recording import Counted, Recording
+from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import ParameterSet, PeerFound
 from ekf_companion.mavlink.session import Session
 from ekf_companion.nav.measurements import Events, Row
@@ -32,6 +33,36 @@ READERS = {
 FORMATS = ".tlog, .bin, .ulg, .csv, .txt (OpenShoe), .mat (BROAD)"
 
 
+class Record(NamedTuple):
+    """One step of a log."""
+
+    stamp_us: int
+    frame: bytes
+    """Empty: the log has none."""
+    rows: list[Row]
+    """What it measured."""
+    turned: Config | None
+    """The configuration from here on, where somebody turned a parameter in flight."""
+    peer: PeerFound | None
+    """Whose it is; None: nobody's yet."""
+
+
+class Part(NamedTuple):
+    """Events of one autopilot, up to where something changes."""
+
+    done: int
+    """Records up to here."""
+    events: Events
+    turned: Config | None
+    """The configuration from their end on."""
+    peer: PeerFound | None
+
+    @property
+    def family(self) -> str:
+        """The autopilot's; settles what is ``auto``."""
+        return (Family.UNKNOWN if self.peer is None else self.peer.family).value
+
+
 class Telemetry:
     """A .tlog as a source of events: the daemon's own session over its frames."""
 
@@ -45,8 +76,7 @@ class Telemetry:
         self.size = len(log)
         self.delay: float | None = None
         self.counted: Counted | None = None
-        self.system_id = 0
-        """Of the autopilot; 0: not heard yet."""
+        self._peer: PeerFound | None = None
         report.notes += log.notes
 
     @property
@@ -59,28 +89,34 @@ class Telemetry:
         """The simulator's."""
         return tlog_trajectory.truth(self._log)
 
-    def records(self) -> Iterator[tuple[int, bytes, list[Row], Config | None]]:
-        """Give stamp, frame and what it measured, in the order of the file.
-
-        And the configuration from there on, where somebody turned a parameter in flight.
-        """
+    def records(self) -> Iterator[Record]:
+        """Give each frame and what it measured, in the order of the file."""
         session = self._session
         for stamp_us, raw in self._log.frames():
             measured = session.receive(raw, stamp_us * 1000)
             session.data_to_send()
             for event in session.events():
-                if isinstance(event, PeerFound) and not self.system_id:
-                    self.system_id = event.system_id
-                    self._report.family = event.family.value
+                if isinstance(event, PeerFound):
+                    self._meet(event)
                 elif isinstance(event, ParameterSet):
                     self._tuning.set(event.key, event.value)
                     self._is_turned = True
-            turned = self._tuning.config if self._is_turned and self.system_id else None
+            turned = self._tuning.config if self._is_turned and self._peer else None
             self._is_turned = self._is_turned and turned is None
-            yield stamp_us, raw, [measurement.row() for measurement in measured], turned
+            rows = [measurement.row() for measurement in measured]
+            yield Record(stamp_us, raw, rows, turned, self._peer)
         self._report.refused = {
             name: count for name, count in session.counters().items() if count and name != "frames"
         }
+
+    def _meet(self, peer: PeerFound) -> None:
+        if self._peer not in (None, peer):
+            self._report.notes.append(
+                f"the autopilot is another from some time on: system {peer.system_id}, component "
+                f"{peer.component_id}, {peer.family.value}; the estimate begins anew there"
+            )
+        self._peer = peer
+        self._report.family = peer.family.value
 
 
 class Columns:
@@ -93,18 +129,22 @@ class Columns:
         self.truth = recording.truth
         self.counted = recording.counted
         self.delay = recording.gnss_delay
-        self.system_id = 1
+        self._peer = PeerFound(1, 1, Family(recording.family))
         self.size = len(recording.events)
         report.family = recording.family
         report.notes += recording.notes
 
-    def records(self) -> Iterator[tuple[int, bytes, list[Row], Config | None]]:
+    def records(self) -> Iterator[Record]:
         """Give each event with its stamp; there is no frame, and nobody to turn anything."""
         events = self.events
         for t_ns, kind, values in zip(
             events.t_ns.tolist(), events.kind.tolist(), events.values.tolist(), strict=True
         ):
-            yield t_ns // 1000, b"", [(t_ns, kind, tuple(values))], None
+            yield Record(t_ns // 1000, b"", [(t_ns, kind, tuple(values))], None, self._peer)
+
+    def part(self, chosen: np.ndarray) -> Part:
+        """Give some of the events."""
+        return Part(int(chosen[-1]) + 1, self.events.take(chosen), None, self._peer)
 
 
 Source = Telemetry | Columns
@@ -124,17 +164,19 @@ def open_source(path: Path, config: Config, report: Report) -> Source:
     return Columns(READERS[suffix](path), report)
 
 
-def tables(source: Source) -> Iterator[tuple[int, Events, FilterSettings | None]]:
-    """Give how many records are done, the events in chunks, and the settings from then on."""
+def parts(source: Source) -> Iterator[Part]:
+    """Give the events in chunks, a new one also where something changes."""
     if isinstance(source, Columns):
         for start in range(0, source.size, CHUNK):
-            chosen = np.arange(start, min(start + CHUNK, source.size))
-            yield int(chosen[-1]) + 1, source.events.take(chosen), None
+            yield source.part(np.arange(start, min(start + CHUNK, source.size)))
         return
     rows: list[Row] = []
-    for done, (_, _, measured, turned) in enumerate(source.records(), 1):
-        if turned is not None or len(rows) >= CHUNK:
-            yield done - 1, Events.from_rows(rows), turned
+    peer: PeerFound | None = None
+    for done, record in enumerate(source.records(), 1):
+        is_other = peer not in (None, record.peer)
+        if record.turned is not None or is_other or len(rows) >= CHUNK:
+            yield Part(done - 1, Events.from_rows(rows), record.turned, peer)
             rows = []
-        rows += measured
-    yield source.size, Events.from_rows(rows), None
+        peer = record.peer
+        rows += record.rows
+    yield Part(source.size, Events.from_rows(rows), None, peer)

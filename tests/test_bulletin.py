@@ -11,6 +11,7 @@ from ekf_companion.mavlink.event import (
     Clash,
     IntervalSet,
     ParameterSet,
+    PeerChanged,
     PeerFound,
     PeerLost,
     RateInVain,
@@ -37,6 +38,12 @@ CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
             "listening to system 1; set link.autopilot",
             Severity.WARNING,
             "several autopilots, using 1",
+        ),
+        (
+            PeerChanged((1, 154), (1, 1), is_lost=False),
+            "Listening to system 1, component 1 instead of system 1, component 154, which is no",
+            Severity.WARNING,
+            "using autopilot 1/1, not 1/154",
         ),
         (
             Clash(1, 194),

@@ -7,10 +7,12 @@ import pytest
 
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config, OdometryConfig, OutputConfig
-from ekf_companion.convert import convert
+from ekf_companion.convert import convert, estimate, estimate_and_smooth, read
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import Sender, unpack
+from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.mavlink.fusion import NAMES
 from ekf_companion.mavlink.layout import IDS
 from sim_autopilot.acceptance import DEFAULTS, Stack
 from sim_autopilot.autopilot import Autopilot, Kind
@@ -221,6 +223,45 @@ def test_a_reboot_is_waited_for_and_asked_about_anew(cycles):
     assert not link.verdict.is_streaming
 
 
+@pytest.mark.parametrize("kinds", [(Kind.ARDUPILOT, Kind.PX4), (Kind.PX4, Kind.ARDUPILOT)])
+def test_another_make_of_autopilot_on_the_same_wire_begins_all_anew_and_so_in_a_replay(
+    cycles, tmp_path, kinds
+):
+    first, second = kinds
+    link = Link(first)
+    link.fly(cycles[:1100])
+    pipeline, other = link.companion.pipeline, Link(second)
+    link.autopilot = other.autopilot
+    link.fly(cycles[1100:])
+    companion = link.companion
+    assert companion.pipeline is not pipeline
+    assert companion.session.guard.verdict.parameters.keys() & set(NAMES[Family(second.value)])
+    sent = [unpack(frame) for _, frame in link.sent if frame.message_id == IDS["ODOMETRY"]]
+    types = [message.estimator_type for message in sent]
+    expected = {Kind.PX4: 3, Kind.ARDUPILOT: 5}
+    assert (types[0], types[-1]) == (expected[first], expected[second])
+
+    path, out = tmp_path / "swap.tlog", tmp_path / "again.tlog"
+    path.write_bytes(b"".join(stamp.to_bytes(8, "big") + data for stamp, data in link.record))
+    report = convert(path, out, Config())
+    assert report.family == second.value
+    assert any("the estimate begins anew there" in note for note in report.notes)
+    again = [
+        [
+            frame.payload
+            for _, raw in tlog.read(log).frames()
+            for frame in Splitter().feed(raw)
+            if frame.message_id == IDS["ODOMETRY"] and frame.component_id == US
+        ]
+        for log in (path, out)
+    ]
+    assert again[0] == again[1]
+    # A row for each estimate, whichever way it is converted
+    rows = [len(estimate(path, Config())[0]), len(estimate_and_smooth(path, Config())[1])]
+    assert rows[0] == rows[1] > 1900
+    assert read(path).family == first.value  # the longer part
+
+
 def test_an_autopilot_that_was_lost_is_asked_anew(cycles):
     link = Link(Kind.PX4).fly(cycles)
     assert link.verdict.is_streaming
@@ -257,6 +298,7 @@ def test_a_parameter_that_cannot_be_read_is_named(cycles, said, kind, name):
     assert f"look for {name} in a ground station" in said.text
 
 
+@pytest.mark.skipif("PARAM_ERROR" not in IDS, reason="this dialect has no PARAM_ERROR")
 @KINDS
 def test_a_parameter_that_is_said_not_to_exist_fuses_nothing(cycles, said, kind):
     name = {Kind.PX4: "EKF2_EV_CTRL", Kind.ARDUPILOT: "VISO_TYPE"}[kind]

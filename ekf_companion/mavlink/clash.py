@@ -1,4 +1,8 @@
-"""Somebody else under our ids: two of us would take turns to jump in the autopilot's eyes."""
+"""Somebody else under our ids: two of us would take turns to jump in the autopilot's eyes.
+
+One heartbeat that is not ours says nothing: it may be the last run's, on its way still. Who is
+there beats again.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from ekf_companion.mavlink.event import Clash, Emit
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.heartbeat import Heartbeat
 from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.presence import Presence
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS, quantise
 
@@ -20,12 +25,15 @@ class ClashWatch(Service):
     """Tells foreign heartbeats under our ids from the echo of our own."""
 
     def __init__(self, emit: Emit, heartbeat: Heartbeat) -> None:
-        self.is_clash = False
-        """Whether somebody else speaks as us now."""
         self._emit = emit
         self._heartbeat = heartbeat
-        self._heard_ns = 0
+        self._other = Presence(_GONE_NS)
         self._told_ns: int | None = None
+
+    @property
+    def is_clash(self) -> bool:
+        """Whether somebody else speaks as us now."""
+        return self._other.is_there
 
     def hear(self, frame: Frame, now_ns: int) -> None:
         """Take a frame that came in under our ids."""
@@ -33,12 +41,12 @@ class ClashWatch(Service):
             return
         if self._heartbeat.is_echo(frame):
             return
-        self.is_clash, self._heard_ns = True, quantise(now_ns)
-        if self._told_ns is None or self._heard_ns - self._told_ns >= _AGAIN_NS:
-            self._told_ns = self._heard_ns
+        self._other.hear(now_ns)
+        now_ns = quantise(now_ns)
+        if self.is_clash and (self._told_ns is None or now_ns - self._told_ns >= _AGAIN_NS):
+            self._told_ns = now_ns
             self._emit(Clash(frame.system_id, frame.component_id))
 
     def tick(self, now_ns: int) -> None:
         """Notice that the other has gone."""
-        if self.is_clash and quantise(now_ns) - self._heard_ns > _GONE_NS:
-            self.is_clash = False
+        self._other.tick(now_ns)

@@ -13,12 +13,13 @@ from typing import Any
 
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import pack
-from ekf_companion.mavlink.event import Emit, IntervalSet
+from ekf_companion.mavlink.event import Emit, IntervalSet, PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.heartbeat import Heartbeat
 from ekf_companion.mavlink.layout import LAYOUTS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
+from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.version import __version__
 
 _MAVLINK_2 = 8192
@@ -27,6 +28,8 @@ _PARAM_C_CAST = 131072
 _UNKNOWN_PROGRESS = 255
 _SLOWEST = 1.0 / 3600.0
 """Hz: rarer is a mistake."""
+_GONE_NS = 30 * SECOND_NS
+"""Without a heartbeat of the commander for so long, what it commanded counts no more."""
 
 
 class Result(IntEnum):
@@ -50,16 +53,36 @@ class Stream:
     """Has it sent with the next estimate; False: there is none to send."""
 
 
+@dataclass(slots=True)
+class _Wish:
+    """A rate that somebody has commanded."""
+
+    rate: float
+    """Hz."""
+    commander: tuple[int, int]
+    """System and component id."""
+    heard_ns: int | None = None
+    """When its last heartbeat came since; None: it sends none, and is not missed."""
+
+
 class Commands(Service):
-    """Obeys and answers, whoever commands."""
+    """Obeys and answers, whoever commands.
+
+    A commanded rate holds while its commander and the autopilot are there: it ends when either is
+    lost, and when the autopilot reboots.
+    """
 
     def __init__(self, outbox: Outbox, emit: Emit, heartbeat: Heartbeat) -> None:
-        self.handles = {"COMMAND_LONG": self._take_long, "COMMAND_INT": self._take_int}
+        self.handles = {
+            "COMMAND_LONG": self._take,
+            "COMMAND_INT": self._take,
+            "HEARTBEAT": self._take_heartbeat,
+        }
         self._outbox = outbox
         self._emit = emit
         self._heartbeat = heartbeat
         self._streams: dict[str, Stream] = {}
-        self._chosen: dict[str, float] = {}
+        self._wishes: dict[str, _Wish] = {}
 
     def offer(self, name: str, stream: Stream) -> None:
         """Let a message be asked for, or change what is offered."""
@@ -68,13 +91,41 @@ class Commands(Service):
     def rate(self, name: str) -> float:
         """Give the rate of an offered message, Hz: as asked for, or by default; 0: off."""
         stream = self._streams[name]
-        return min(self._chosen.get(name, stream.rate), stream.largest)
+        wish = self._wishes.get(name)
+        return min(stream.rate if wish is None else wish.rate, stream.largest)
 
-    def _take_long(self, command: Any, frame: Frame, now_ns: int) -> None:
-        self._take(command, frame, now_ns)
+    def silenced_by(self, name: str) -> tuple[int, int] | None:
+        """Give who has switched a message off, system and component id; None: nobody has."""
+        wish = self._wishes.get(name)
+        return wish.commander if wish is not None and wish.rate == 0.0 else None
 
-    def _take_int(self, command: Any, frame: Frame, now_ns: int) -> None:
-        self._take(command, frame, now_ns)
+    def begin(self, peer: PeerFound) -> None:
+        """Go back to the rates by default."""
+        self._forget(list(self._wishes))
+
+    def end(self) -> None:
+        """Likewise."""
+        self._forget(list(self._wishes))
+
+    def tick(self, now_ns: int) -> None:
+        """Notice that a commander has gone."""
+        self._forget(
+            [
+                name
+                for name, wish in self._wishes.items()
+                if wish.heard_ns is not None and now_ns - wish.heard_ns > _GONE_NS
+            ]
+        )
+
+    def _forget(self, names: list[str]) -> None:
+        for name in names:
+            del self._wishes[name]
+            self._emit(IntervalSet(name, self.rate(name)))
+
+    def _take_heartbeat(self, heartbeat: Any, frame: Frame, now_ns: int) -> None:
+        for wish in self._wishes.values():
+            if wish.commander == frame[1:3]:
+                wish.heard_ns = now_ns
 
     def _take(self, command: Any, frame: Frame, now_ns: int) -> None:
         is_direct = command.target_component == self._outbox.ids[1]
@@ -83,7 +134,7 @@ class Commands(Service):
         if command.command == encode.REQUEST_MESSAGE:
             result = self._request(message, command.param2, now_ns)
         elif command.command == encode.SET_MESSAGE_INTERVAL and is_direct:
-            result = self._set_interval(message, command.param2)
+            result = self._set_interval(message, command.param2, frame[1:3])
         if result is Result.UNSUPPORTED and not is_direct:
             return  # everybody was told, and it is somebody else's to answer
         payload = pack(
@@ -98,7 +149,8 @@ class Commands(Service):
 
     def _request(self, message: str, param2: float, now_ns: int) -> Result:
         if message == "HEARTBEAT":
-            self._heartbeat.beat(now_ns)
+            is_sent = self._heartbeat.request(now_ns)
+            return Result.ACCEPTED if is_sent else Result.TEMPORARILY_REJECTED
         elif message == "AUTOPILOT_VERSION":
             self._outbox.send(message, _version(), now_ns)
         elif message == "MESSAGE_INTERVAL":
@@ -119,18 +171,18 @@ class Commands(Service):
             interval_us = round(1e6 / rate) if rate > 0.0 else -1
         return pack("MESSAGE_INTERVAL", message_id=max(message_id, 0), interval_us=interval_us)
 
-    def _set_interval(self, name: str, interval_us: float) -> Result:
+    def _set_interval(self, name: str, interval_us: float, commander: tuple[int, int]) -> Result:
         if name not in self._streams:
             return Result.UNSUPPORTED
         stream = self._streams[name]
         if interval_us == 0.0:
-            self._chosen.pop(name, None)
+            self._wishes.pop(name, None)
         elif interval_us == -1.0:
-            self._chosen[name] = 0.0
+            self._wishes[name] = _Wish(0.0, commander)
         elif not _SLOWEST <= (rate := _rate(interval_us)) <= stream.largest:
             return Result.DENIED
         else:
-            self._chosen[name] = rate
+            self._wishes[name] = _Wish(rate, commander)
         self._emit(IntervalSet(name, self.rate(name)))
         return Result.ACCEPTED
 

@@ -57,6 +57,17 @@ class SeveralAutopilots:
 
 
 @dataclass(frozen=True, slots=True)
+class PeerChanged:
+    """Another autopilot is listened to from now on; that it was found is said too."""
+
+    was: tuple[int, int]
+    """System and component id."""
+    now: tuple[int, int]
+    is_lost: bool
+    """Whether the one before had fallen silent; else it was no autopilot's component 1."""
+
+
+@dataclass(frozen=True, slots=True)
 class Versioned:
     """The autopilot told its firmware."""
 
@@ -118,6 +129,7 @@ Event = (
     | Rebooted
     | Answered
     | SeveralAutopilots
+    | PeerChanged
     | Versioned
     | Clash
     | RateInVain

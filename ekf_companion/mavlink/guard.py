@@ -8,7 +8,7 @@ comes to be read again.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from struct import Struct
 from typing import Any
 
@@ -30,6 +30,10 @@ _ROUND_NS = SECOND_NS * 3 // 2
 """In which every parameter that is watched is read again: a change counts within two seconds."""
 _SLOWEST_NS = SECOND_NS // 2
 """Between two readings where few are watched."""
+_STALE_NS = 5 * SECOND_NS
+_UNANSWERED = 10
+"""Without any answer for so long, and to so many questions, nothing is known any more. On a link
+that loses a tenth of all frames so many in a row have no answer once in a hundred days."""
 
 _REAL32 = 9
 DOES_NOT_EXIST = 1
@@ -74,6 +78,10 @@ class Guard(Service):
         self._questions: dict[str, _Question] = {}
         self._turn = 0
         self._next_ns = 0
+        self._answered_ns: int | None = None
+        self._unanswered = 0
+        self._is_silent = False
+        self._other_id: int | None = None
         self._told: tuple[bool, str, str] | None = None
         self.verdict: Verdict = self._nobody()
 
@@ -89,6 +97,7 @@ class Guard(Service):
         if options == self.options:
             return
         self.options = options
+        self._told = None  # each choice is answered aloud
         if self._peer is None:
             self.verdict = self._nobody()
         else:
@@ -99,6 +108,12 @@ class Guard(Service):
         self._forget()
         self._peer = peer
         self._judge(is_complete=False)
+
+    def share(self, other_id: int | None) -> None:
+        """Learn that another system's autopilot is on the link too, or (None) is no more."""
+        self._other_id = other_id
+        if self._peer is not None:
+            self._judge(is_complete=self.verdict.is_settled)
 
     def end(self) -> None:
         """Nobody is there: what has been read says nothing of who comes next."""
@@ -117,7 +132,17 @@ class Guard(Service):
             names = watched(self._family, self._answers)
             self._next_ns = now_ns + min(_ROUND_NS // len(names), _SLOWEST_NS)
             self._turn += 1
+            self._unanswered += 1
+            self._notice_silence(now_ns)
             self._send(names[self._turn % len(names)], now_ns)
+
+    def _notice_silence(self, now_ns: int) -> None:
+        """Count no more on answers that are too old."""
+        if self._is_silent or self._answered_ns is None or self._unanswered <= _UNANSWERED:
+            return
+        if now_ns - self._answered_ns > _STALE_NS:
+            self._is_silent = True
+            self._judge(is_complete=True)
 
     # What is answered
 
@@ -135,6 +160,7 @@ class Guard(Service):
             return
         self._answers[name] = value
         self._questions.pop(name, None)
+        self._answered_ns, self._unanswered, self._is_silent = now_ns, 0, False
         self._judge(is_complete=self._is_complete(now_ns))
         self.tick(now_ns)
 
@@ -185,9 +211,16 @@ class Guard(Service):
 
     def _judge(self, *, is_complete: bool) -> None:
         options = self.options
-        self.verdict = verdict = decide(
+        verdict = decide(
             self._family, self._answers, options.mode, options.independent, is_complete
         )
+        if options.mode == "auto" and not options.independent and verdict.is_streaming:
+            # Whether it fuses what it gets stays as it was
+            if self._is_silent:
+                verdict = replace(verdict, **_SILENT)
+            elif self._other_id is not None:
+                verdict = replace(verdict, **_shared(self._other_id))
+        self.verdict = verdict
         said = (verdict.is_streaming, verdict.reason, verdict.remedy)
         if verdict.is_settled and said != self._told:
             self._told = said
@@ -199,6 +232,7 @@ class Guard(Service):
         self._questions.clear()
         self._turn = 0
         self._next_ns = 0
+        self._answered_ns, self._unanswered, self._is_silent = None, 0, False
 
     def _nobody(self) -> Verdict:
         options = self.options
@@ -222,3 +256,25 @@ def value_of(message: Any, frame: Frame, family: Family) -> float | None:
         # It lays the integer's bytes where the float's would be
         (value,) = _INT32.unpack(frame.payload.ljust(4, b"\0")[:4])
     return float(value) if math.isfinite(value) else None
+
+
+_SILENT: dict[str, Any] = {
+    "is_streaming": False,
+    "is_warning": True,
+    "reason": "the autopilot answers no request for a parameter any more, and what it fuses by now "
+    "cannot be known",
+    "remedy": "check that it still hears us on this link, or set output.odometry.mode to always",
+    "text": "no ODOMETRY: no parameter is answered",
+}
+
+
+def _shared(other_id: int) -> dict[str, Any]:
+    """Say that what has no address would be taken by others too."""
+    return {
+        "is_streaming": False,
+        "is_warning": True,
+        "reason": f"the autopilot of system {other_id} is on this link too: ODOMETRY bears no "
+        "address, and that one was not asked whether it fuses GNSS",
+        "remedy": "give each autopilot a link of its own, or set output.odometry.mode to always",
+        "text": f"no ODOMETRY: system {other_id} on the link",
+    }

@@ -11,8 +11,10 @@ from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
 
-_ECHOES = 16
+_ECHOES = 32
 """So many heartbeats old may an echo be: no router holds one back for longer."""
+_APART_NS = SECOND_NS // 4
+"""Between one that is asked for and the last: with those in turn, the echoes of 6 s are known."""
 
 
 class Heartbeat(Service):
@@ -24,6 +26,7 @@ class Heartbeat(Service):
         """``custom_mode``: the ``nav.state.Status`` of the estimate."""
         self._outbox = outbox
         self._next_ns: int | None = None
+        self._last_ns: int | None = None
         self._beats: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES)
 
     def tick(self, now_ns: int) -> None:
@@ -35,8 +38,16 @@ class Heartbeat(Service):
         self._next_ns = (now_ns if is_stalled else self._next_ns or 0) + SECOND_NS
         self.beat(now_ns)
 
+    def request(self, now_ns: int) -> bool:
+        """Send one out of turn; False: one was sent a moment ago."""
+        if self._last_ns is not None and now_ns - self._last_ns < _APART_NS:
+            return False
+        self.beat(now_ns)
+        return True
+
     def beat(self, now_ns: int) -> None:
-        """Send one, out of turn."""
+        """Send one."""
+        self._last_ns = now_ns
         payload = encode.heartbeat(self.status, self.mode)
         self._beats.append((self._outbox.sequence, payload.rstrip(b"\0")))
         self._outbox.send("HEARTBEAT", payload, now_ns)

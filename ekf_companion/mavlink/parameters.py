@@ -16,6 +16,7 @@ from typing import Any
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.event import Emit, ParameterSet
 from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.layout import IDS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
@@ -109,8 +110,11 @@ class ParameterServer(Service):
         self._outbox.send("PARAM_VALUE", payload, now_ns)
 
     def _refuse(self, request: Any, frame: Frame, now_ns: int) -> None:
-        """Say that there is no such parameter, unless everybody was asked."""
-        if not self._table or request.target_component == 0:
+        """Say that there is no such parameter, unless everybody was asked.
+
+        A dialect from before PARAM_ERROR (pymavlink before 2.4.50) has no words for it: silence.
+        """
+        if not self._table or request.target_component == 0 or "PARAM_ERROR" not in IDS:
             return
         payload = pack(
             "PARAM_ERROR",

@@ -47,6 +47,7 @@ from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import quantise
 from ekf_companion.mavlink.statustext import StatusText
 from ekf_companion.mavlink.timesync import TimesyncService
+from ekf_companion.mavlink.verdict import StreamState, stream_state
 from ekf_companion.nav.measurements import Measurement, Restart
 
 __all__ = [
@@ -101,6 +102,7 @@ class Session:
             emit,
             self._begin,
             self._end,
+            self._share,
             wanted=options.autopilot_system_id,
             expected=options.expected,
         )
@@ -131,6 +133,8 @@ class Session:
         self._splitter = Splitter()
         self._junk_left = JUNK_BYTES
         self._autopilot_sender: Hashable = None
+        self._vehicle: PeerFound | None = None
+        """The one begun with last; kept when it is lost."""
 
     # What goes in
 
@@ -228,12 +232,18 @@ class Session:
 
     def _begin(self, peer: PeerFound) -> None:
         """Begin every conversation anew: the autopilot knows nothing of us."""
+        if self._vehicle not in (None, peer):
+            self.decoder.begin()
+        self._vehicle = peer
         self.decoder.family = peer.family
         if self.options.system_id is None:
             self.outbox.adopt(peer.system_id)
         self.sequence.begin()
         for service in (*self._with_all, *self._with_peer):
             service.begin(peer)
+
+    def _share(self, other_id: int | None) -> None:
+        self.guard.share(other_id)
 
     def _end(self) -> None:
         for service in (*self._with_all, *self._with_peer):
@@ -297,8 +307,14 @@ class Session:
 
     @property
     def may_stream(self) -> bool:
-        """Whether ODOMETRY may be sent: the guard lets it, and nobody else speaks as us."""
+        """Whether ODOMETRY may be sent, if only when asked for: the guard lets it, and no clash."""
         return self.guard.is_streaming and not self.clash.is_clash
+
+    @property
+    def stream_state(self) -> StreamState:
+        """Whether ODOMETRY is sent, why, and what would change it."""
+        twin = self.outbox.ids if self.clash.is_clash else None
+        return stream_state(self.guard.verdict, twin, self.commands.silenced_by("ODOMETRY"))
 
     @property
     def results(self) -> Mapping[str, str]:

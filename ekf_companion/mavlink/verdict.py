@@ -38,6 +38,17 @@ class Verdict:
         return f"ODOMETRY is {said}: {self.reason}{remedy}"
 
 
+@dataclass(frozen=True, slots=True)
+class StreamState:
+    """Whether ODOMETRY is sent, all things considered: guard, clash of ids, commanded rate."""
+
+    is_streaming: bool
+    reason: str
+    """A sentence without its full stop."""
+    remedy: str = ""
+    """What to change; empty: nothing need be."""
+
+
 def streamed(reason: str, text: str, read: Mapping[str, float]) -> Verdict:
     """Let it be sent."""
     return Verdict(
@@ -58,3 +69,25 @@ def withheld(
         is_warning=bool(remedy),
         is_double=is_double,
     )
+
+
+def stream_state(
+    verdict: Verdict, twin: tuple[int, int] | None, silencer: tuple[int, int] | None
+) -> StreamState:
+    """Give whether ODOMETRY is sent, and why.
+
+    Args:
+        verdict: The guard's.
+        twin: Our system and component id where somebody else bears them too; None: nobody does.
+        silencer: Who has switched ODOMETRY off; None: nobody has.
+    """
+    if twin is not None:
+        reason = f"somebody else speaks as system {twin[0]}, component {twin[1]}"
+        return StreamState(False, reason, "give one of us another link.component_id")
+    if verdict.is_streaming and silencer is not None:
+        return StreamState(
+            False,
+            f"system {silencer[0]}, component {silencer[1]} has switched it off",
+            "send SET_MESSAGE_INTERVAL of ODOMETRY with 0 for the rate by default",
+        )
+    return StreamState(verdict.is_streaming, verdict.reason, verdict.remedy)

@@ -8,8 +8,9 @@ from hypothesis import given
 
 from ekf_companion.mavlink.commands import Stream
 from ekf_companion.mavlink.event import IntervalSet
+from ekf_companion.mavlink.guard import GuardOptions
 from ekf_companion.mavlink.layout import IDS
-from tests.mavlink.conversation import met, sent, station
+from tests.mavlink.conversation import SECOND, Voice, met, sent, station
 
 ARM, SET_INTERVAL, REQUEST = 400, 511, 512
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3
@@ -110,6 +111,41 @@ def test_rule_31_an_interval_is_set_reported_and_given_back():
             assert session.events() == [IntervalSet("ODOMETRY", rate)]
         assert interval() == told
         assert session.commands.rate("ODOMETRY") == rate
+
+
+def switched_off():
+    session, who, _ = served()
+    session.guard.retune(GuardOptions(mode="always"))
+    session.receive(Voice().heartbeat(), 0)
+    command(session, who, SET_INTERVAL, param1=ODOMETRY, param2=-1.0)
+    assert session.commands.rate("ODOMETRY") == 0.0
+    assert not session.stream_state.is_streaming
+    assert "system 255, component 190 has switched it off" in session.stream_state.reason
+    session.events()
+    return session, who
+
+
+def test_rule_31_an_interval_ends_when_the_autopilot_is_lost():
+    session, _ = switched_off()
+    session.tick(6 * SECOND)
+    assert IntervalSet("ODOMETRY", 30.0) in session.events()
+    session.receive(Voice().heartbeat(), 7 * SECOND)
+    assert session.stream_state.is_streaming
+
+
+@pytest.mark.parametrize(("is_beating", "rate"), [(True, 30.0), (False, 0.0)])
+def test_rule_31_an_interval_ends_when_its_commander_is_lost(is_beating, rate):
+    """One that sends no heartbeats is not missed."""
+    session, who = switched_off()
+    for now_ns in range(0, 100 * SECOND, SECOND):
+        session.receive(Voice().heartbeat(), now_ns)
+        if is_beating and now_ns < 60 * SECOND:
+            session.receive(who.heartbeat(type=6, autopilot=8), now_ns)
+        session.tick(now_ns)
+        if now_ns < 80 * SECOND:
+            assert session.commands.rate("ODOMETRY") == 0.0
+    assert session.commands.rate("ODOMETRY") == rate
+    assert session.stream_state.is_streaming is (rate > 0.0)
 
 
 @pytest.mark.parametrize("interval_us", [19_999.0, 1.0, -2.0, math.nan, math.inf, 1e30])

@@ -3,11 +3,13 @@
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from ekf_companion.mavlink.event import PeerFound, SeveralAutopilots
+from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.event import PeerChanged, PeerFound, PeerLost, SeveralAutopilots
+from ekf_companion.mavlink.guard import GuardOptions
 from ekf_companion.mavlink.sequence import Sequence
 from ekf_companion.mavlink.session import Session, SessionOptions
 from ekf_companion.nav.measurements import ImuSample
-from tests.mavlink.conversation import SECOND, Voice, met, sent
+from tests.mavlink.conversation import ARDUPILOT, PX4, SECOND, Voice, met, sent
 
 IMU = {"zacc": -9.81, "fields_updated": 63}
 
@@ -87,3 +89,84 @@ def test_a_session_alone_speaks_of_nothing_but_itself():
     for now_ns in range(0, 30 * SECOND, SECOND // 10):
         session.tick(now_ns)
     assert {type(message).__name__ for message in sent(session)} == {"HEARTBEAT"}
+
+
+GENERIC = 0
+
+
+def found(session):
+    return [event for event in session.events() if type(event) is PeerFound]
+
+
+def test_rule_1_the_autopilot_goes_before_another_component_that_calls_itself_one():
+    gimbal, autopilot = Voice(1, 154, GENERIC), Voice()
+    session = Session(SessionOptions(rates={}))
+    session.receive(gimbal.heartbeat(), 0)
+    session.events()
+    session.receive(autopilot.heartbeat() + gimbal.heartbeat(), SECOND)
+    assert session.events() == [
+        PeerChanged((1, 154), (1, 1), is_lost=False),
+        PeerFound(1, 1, Family.PX4),
+    ]
+    assert session.peer == (1, 1)
+    # And it is waited for when it is silent: the gimbal does not stand in for it
+    session.tick(7 * SECOND)
+    session.receive(gimbal.heartbeat(), 8 * SECOND)
+    assert session.peer is None
+    session.receive(autopilot.heartbeat(), 9 * SECOND)
+    assert session.peer == (1, 1)
+
+
+def test_rule_1_one_stray_heartbeat_does_not_blind_it_for_ever():
+    stray, autopilot = Voice(7, 1, ARDUPILOT), Voice()
+    session = Session(SessionOptions(rates={}))
+    session.receive(stray.heartbeat(), 0)
+    for k in range(1, 8):
+        session.receive(autopilot.heartbeat(), k * SECOND)
+    assert [type(e) for e in session.events()] == [
+        *(PeerFound, SeveralAutopilots, PeerLost, PeerChanged, PeerFound)
+    ]
+    assert session.peer == (1, 1)
+    # What it measures begins a new course of time
+    imu = autopilot.say("HIGHRES_IMU", time_usec=1000, **IMU)
+    assert [type(m) for m in session.receive(imu, 8 * SECOND)] == [ImuSample]
+
+
+def test_rule_1_the_one_that_is_named_is_waited_for():
+    session, _ = met(autopilot_system_id=1)
+    for k in range(1, 20):
+        session.receive(Voice(2).heartbeat(), k * SECOND)
+    assert session.peer is None
+    assert not found(session)
+
+
+@pytest.mark.parametrize("others", [(GENERIC, PX4), (GENERIC, ARDUPILOT), (ARDUPILOT, PX4, PX4)])
+def test_another_family_begins_everything_anew(others):
+    """A bootloader's heartbeat before the firmware's, or another autopilot on the wire."""
+    first, *later = others
+    session, autopilot = met(first, guard=GuardOptions())
+    session.receive(autopilot.say("HIGHRES_IMU", time_usec=10**9, **IMU), 0)
+    for k, family in enumerate(later, 1):
+        session.receive(autopilot.heartbeat(autopilot=family), k * SECOND)
+    family = {PX4: Family.PX4, ARDUPILOT: Family.ARDUPILOT}[later[-1]]
+    assert found(session) == [PeerFound(1, 1, family)]
+    assert session.decoder.family is family
+    # Of the old one's clock nothing is known
+    assert session.decoder.clock.latest_us is None
+    session.tick(k * SECOND)
+    asked = {m.param_id.decode() for m in sent(session, "PARAM_REQUEST_READ")}
+    assert {"EKF2_EV_CTRL"} <= asked or {"VISO_TYPE"} <= asked
+    assert not session.may_stream
+
+
+def test_a_known_family_stays_for_a_heartbeat_that_names_none_and_for_a_single_other():
+    session, autopilot = met(PX4)
+    for k, family in enumerate((GENERIC, GENERIC, PX4, ARDUPILOT, PX4, ARDUPILOT, PX4), 1):
+        session.receive(autopilot.heartbeat(autopilot=family), k * SECOND)
+    assert session.decoder.family is Family.PX4
+    session.tick(20 * SECOND)
+    session.receive(autopilot.heartbeat(autopilot=GENERIC), 21 * SECOND)
+    assert session.decoder.family is Family.PX4
+    session.tick(30 * SECOND)
+    session.receive(autopilot.heartbeat(autopilot=ARDUPILOT), 31 * SECOND)
+    assert session.decoder.family is Family.ARDUPILOT

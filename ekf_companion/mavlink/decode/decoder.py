@@ -56,6 +56,11 @@ class Decoder:
         ):
             reader.forget()
 
+    def begin(self) -> None:
+        """Begin anew with another autopilot, of whose clock nothing is known."""
+        self._door.clock = TimeBase()
+        self._forget()
+
     def beware(self, is_ours: bool, is_yaw_ours: bool) -> None:
         """Refuse the autopilot's own position, or its yaw, while it is made of our ODOMETRY."""
         self._door.is_ours, self._door.is_yaw_ours = is_ours, is_yaw_ours

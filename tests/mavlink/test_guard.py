@@ -1,0 +1,87 @@
+"""Rule 25: the guard in time, and beside others on the link."""
+
+import numpy as np
+import pytest
+
+from ekf_companion.mavlink.event import GuardChanged
+from ekf_companion.mavlink.guard import GuardOptions
+from tests.mavlink.conversation import MS, PX4, SECOND, Voice, met, sent
+
+GENERIC = 0
+
+
+def answer(autopilot):
+    """Give that nothing of ours is fused."""
+    return autopilot.say("PARAM_VALUE", param_id=b"EKF2_EV_CTRL", param_type=6)
+
+
+def watched(minutes, is_answered):
+    """Give the session, and what was decided after each tenth of a second."""
+    session, autopilot = met(PX4, guard=GuardOptions())
+    session.receive(answer(autopilot), 0)
+    streaming = []
+    for now_ns in range(0, minutes * 60 * SECOND, 100 * MS):
+        if now_ns % SECOND == 0:
+            session.receive(autopilot.heartbeat(), now_ns)
+        session.tick(now_ns)
+        for _ in sent(session, "PARAM_REQUEST_READ"):
+            if is_answered(now_ns):
+                session.receive(answer(autopilot), now_ns + 20 * MS)
+        streaming.append(session.may_stream)
+    return session, streaming
+
+
+def test_without_any_answer_for_five_seconds_it_is_withheld_until_the_next():
+    session, streaming = watched(1, lambda now_ns: not 20 * SECOND <= now_ns < 40 * SECOND)
+    first, last = streaming.index(False), len(streaming) - streaming[::-1].index(False) - 1
+    assert 245 <= first <= 260
+    assert 395 <= last <= 405
+    assert not any(streaming[first:last])
+    changes = [event.verdict for event in session.events() if type(event) is GuardChanged]
+    assert [verdict.is_streaming for verdict in changes] == [True, False, True]
+    assert "answers no request for a parameter any more" in changes[1].reason
+
+
+def test_a_link_that_loses_a_tenth_of_all_frames_withholds_nothing():
+    rng = np.random.default_rng(1)
+    _, streaming = watched(60, lambda now_ns: rng.random() < 0.9 * 0.9)
+    assert all(streaming)
+
+
+def fused_by_none(guard, other, until=20 * SECOND):
+    """Give whether it streams, after each second, beside somebody else's heartbeats until then."""
+    session, autopilot = met(PX4, guard=guard)
+    streaming = []
+    for now_ns in range(SECOND, 40 * SECOND, SECOND):
+        session.receive(autopilot.heartbeat() + answer(autopilot), now_ns)
+        if now_ns <= until:
+            session.receive(other.heartbeat(), now_ns + 10 * MS)
+        session.tick(now_ns + 20 * MS)
+        streaming.append(session.may_stream)
+    return session, streaming
+
+
+def test_rule_25_another_autopilot_on_the_link_is_guarded_too():
+    session, streaming = fused_by_none(GuardOptions(), Voice(2))
+    # From its second heartbeat on, until it has been silent for ten seconds
+    assert streaming == [True, *[False] * 28, *[True] * 10]
+    session, streaming = fused_by_none(GuardOptions(), Voice(2), until=40 * SECOND)
+    assert "system 2 is on this link too" in session.guard.verdict.reason
+    assert "a link of its own" in session.guard.verdict.remedy
+
+
+@pytest.mark.parametrize(
+    ("guard", "other"),
+    [
+        (GuardOptions(mode="always"), Voice(2)),
+        (GuardOptions(independent=True), Voice(2)),
+        (GuardOptions(), Voice(2, family=GENERIC)),
+        (GuardOptions(), Voice(255, family=8)),
+    ],
+)
+def test_rule_25_a_choice_that_was_made_or_who_is_no_such_autopilot_withholds_nothing(guard, other):
+    assert all(fused_by_none(guard, other)[1])
+
+
+def test_rule_25_one_stray_heartbeat_of_another_withholds_nothing():
+    assert all(fused_by_none(GuardOptions(), Voice(2), until=SECOND)[1])
