@@ -41,6 +41,9 @@ _EV_BITS = {1: "horizontal position", 2: "height", 4: "velocity", 8: "yaw"}
 _GNSS_BITS = {1: "position", 2: "height", 4: "velocity", 8: "yaw"}
 _AID_EV_BITS = {8: "horizontal position", 16: "yaw", 256: "velocity"}
 _AID_GNSS_BITS = {1: "position and velocity", 128: "yaw"}
+_AID_OTHER_BITS = {2: "flow", 4: "no IMU bias", 32: "drag", 64: "a turned frame"}
+_BITS = 1 << 32
+"""All that a parameter can have."""
 _GNSS_HEIGHT = 1
 """Of EKF2_HGT_MODE: the old filter then takes the height from GNSS, whatever the mask says."""
 _EXTERNAL, _GPS = 6, 3
@@ -103,7 +106,7 @@ def watched(family: Family, parameters: Parameters) -> tuple[str, ...]:
     """Give the parameters whose change would change the verdict."""
     if family is Family.PX4:
         return _PX4_NEW if parameters.get(_VISION) is not None else NAMES[family]
-    if family is Family.ARDUPILOT and parameters.get(_DRIVER, 1) == 0:
+    if family is Family.ARDUPILOT and not parameters.get(_DRIVER, 1):
         return (_DRIVER,)
     return NAMES[family]
 
@@ -137,16 +140,19 @@ def _by_px4(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
 
 def _by_old_px4(read: Mapping[str, float]) -> Verdict:
     """Decide by the mask that held both before 1.14."""
-    mask = int(read[_MASK])
-    ours, theirs = _bits(mask, _AID_EV_BITS), _bits(mask, _AID_GNSS_BITS)
+    mask = int(read[_MASK]) % _BITS
+    # A bit that nobody knows may mean either
+    ours = _bits(mask, _AID_EV_BITS, {**_AID_GNSS_BITS, **_AID_OTHER_BITS})
+    theirs = _bits(mask, _AID_GNSS_BITS, {**_AID_EV_BITS, **_AID_OTHER_BITS})
+    known = sum((*_AID_EV_BITS, *_AID_GNSS_BITS, *_AID_OTHER_BITS))
     if not ours:
         return streamed(f"{_MASK} is {mask}: the autopilot fuses nothing of ours", "", read)
     if theirs:
-        lone = mask & ~sum(_AID_GNSS_BITS)
+        lone, alone = mask & known & ~sum(_AID_GNSS_BITS), mask & known & ~sum(_AID_EV_BITS)
         return withheld(
             f"{_MASK} is {mask}: the autopilot would fuse our {_listed(ours)} together with the "
             f"{_listed(theirs)} of the GNSS that is in it",
-            f"set {_MASK} to {lone} to fly on our estimate, or to {mask & ~sum(_AID_EV_BITS)} to "
+            f"set {_MASK} to {lone} to fly on our estimate, or to {alone} to "
             "fly on GNSS, and reboot",
             f"no ODOMETRY: set {_MASK} {lone}",
             read,
@@ -260,8 +266,14 @@ def _unanswered(names: tuple[str, ...], parameters: Parameters) -> tuple[str, ..
     return tuple(name for name in names if name not in parameters)
 
 
-def _bits(value: float | None, meanings: Mapping[int, str]) -> list[str]:
-    return [meaning for bit, meaning in meanings.items() if int(value or 0) & bit]
+def _bits(
+    value: float | None, meanings: Mapping[int, str], others: Mapping[int, str] | None = None
+) -> list[str]:
+    """Give what is set: bits that nobody knows too, as a later firmware may fuse by them."""
+    mask = int(value or 0) % _BITS
+    unknown = mask & ~sum(meanings) & ~sum(others or {})
+    known = [meaning for bit, meaning in meanings.items() if mask & bit]
+    return [*known, *([f"something unknown ({unknown})"] if unknown else [])]
 
 
 def _listed(names: list[str] | tuple[str, ...]) -> str:

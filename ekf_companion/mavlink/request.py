@@ -18,6 +18,8 @@ from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
 
 _TIMEOUT_NS = SECOND_NS
+_LONGEST_NS = 4 * SECOND_NS
+"""The time for an answer grows with how long they take, up to here."""
 _TRIES = 3
 _IN_PROGRESS = 5
 ACCEPTED = "accepted"
@@ -54,6 +56,9 @@ class _Request:
     name: str
     rate: float | None
     sent: int = 0
+    first_ns: int = 0
+    """When it was sent first, and last."""
+    last_ns: int = 0
     deadline_ns: int = 0
 
     @property
@@ -62,7 +67,14 @@ class _Request:
 
 
 class Requests(Service):
-    """Asks for every message at its rate, and notes the answers."""
+    """Asks for every message at its rate, and notes the answers.
+
+    COMMAND_ACK names the command only, not the message. So one request is under way at a time, and
+    after one that was sent more than once the next waits until its other answers have come, as
+    late as the first did: what comes meanwhile is not taken for the next one's. What comes after
+    all three tries were given up, or is an answer to somebody else without an address, may still
+    mislead us; then the audit finds that the message does not come, and it is asked for again.
+    """
 
     def __init__(self, outbox: Outbox, emit: Emit, rates: Mapping[str, float]) -> None:
         self.handles = {"COMMAND_ACK": self._take, "AUTOPILOT_VERSION": self._take_version}
@@ -78,12 +90,16 @@ class Requests(Service):
         self._peer: PeerFound | None = None
         self._wanted: deque[_Request] = deque()
         self._has_fallen_back = False
+        self._timeout_ns = _TIMEOUT_NS
+        self._quiet_ns = 0
+        """Until then answers to what is settled may come."""
 
     def begin(self, peer: PeerFound) -> None:
         """Ask for everything."""
         self._peer = peer
         self.results.clear()
         self._granted.clear()
+        self._timeout_ns, self._quiet_ns = _TIMEOUT_NS, 0
         self._wanted = deque(_Request(name, rate) for name, rate in self.rates.items())
         if self._wanted:
             self._wanted.append(_Request("AUTOPILOT_VERSION", None))
@@ -120,7 +136,7 @@ class Requests(Service):
         """Send the request that is first in line, again where its time is over."""
         while self._wanted and self._peer:
             request = self._wanted[0]
-            if request.sent and now_ns < request.deadline_ns:
+            if now_ns < (request.deadline_ns if request.sent else self._quiet_ns):
                 return
             if request.sent == _TRIES:
                 self._settle(_NO_ANSWER)
@@ -139,8 +155,9 @@ class Requests(Service):
             payload = encode.set_message_interval(
                 message_id, request.rate, confirmation=confirmation, **target
             )
-        request.sent += 1
-        request.deadline_ns = now_ns + _TIMEOUT_NS
+        request.first_ns = request.first_ns if request.sent else now_ns
+        request.sent, request.last_ns = request.sent + 1, now_ns
+        request.deadline_ns = now_ns + self._timeout_ns
         self._outbox.send("COMMAND_LONG", payload, now_ns)
 
     def _fall_back(self, peer: PeerFound, now_ns: int) -> None:
@@ -169,10 +186,19 @@ class Requests(Service):
         if ack.command != self._wanted[0].command:
             return
         if ack.result == _IN_PROGRESS:
-            self._wanted[0].deadline_ns = now_ns + _TIMEOUT_NS
+            self._wanted[0].deadline_ns = now_ns + self._timeout_ns
             return
+        self._expect_others(now_ns, self._wanted[0])
         self._settle(_RESULTS[ack.result] if ack.result < len(_RESULTS) else f"result {ack.result}")
         self.tick(now_ns)
+
+    def _expect_others(self, now_ns: int, request: _Request) -> None:
+        """Wait for the other answers to what was sent more than once, and longer from now on."""
+        if request.sent == 1:
+            return
+        took_ns = now_ns - request.first_ns
+        self._timeout_ns = min(max(self._timeout_ns, took_ns * 3 // 2), _LONGEST_NS)
+        self._quiet_ns = request.last_ns + took_ns * 3 // 2
 
     def _take_version(self, message: Any, frame: Frame, now_ns: int) -> None:
         version = ".".join(str(byte) for byte in message.flight_sw_version.to_bytes(4, "big")[:3])

@@ -307,7 +307,7 @@ class Session:
 
     @property
     def may_stream(self) -> bool:
-        """Whether ODOMETRY may be sent, if only when asked for: the guard lets it, and no clash."""
+        """Whether ODOMETRY may be sent, if only when asked for: the guard lets it, nobody is us."""
         return self.guard.is_streaming and not self.clash.is_clash
 
     @property

@@ -173,3 +173,17 @@ def test_a_sample_out_of_order_is_refused_while_stamps_are_moved():
     samples(peer, stamps)
     assert samples(peer, [stamps[-3]]) == []
     assert peer.decoder.refused["IMU: out of order"] == 1
+
+
+@pytest.mark.parametrize("first", ["ATTITUDE", "SCALED_PRESSURE", "SCALED_IMU2"])
+def test_a_reboot_is_told_also_by_a_message_whose_own_time_is_not_known_any_more(first):
+    """Rule 12: the inertial stamps are unix time, the first to confirm the leap is since boot."""
+    peer, unix_us = Peer(Family.UNKNOWN), 1_800_000_000_000_000
+    for k in range(100):
+        peer.highres(unix_us + 10_000 * k)
+        peer.say("SYSTEM_TIME", time_unix_usec=unix_us + 10_000 * k, time_boot_ms=600_000 + 10 * k)
+    said = []
+    for k in range(100):
+        said += peer.say(first, time_boot_ms=2000 + 10 * k)
+    assert [type(one) for one in said] == [Restart]
+    assert peer.decoder.refused[f"{'SCALED_IMU' if 'IMU' in first else first}: time base unknown"]

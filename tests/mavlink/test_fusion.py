@@ -48,12 +48,19 @@ OURS, GNSS, NONE = (6, 6, 6, 6, 6), (3, 3, 1, 3, 1), (0, 0, 1, 0, 0)
         (PX4, {"EKF2_EV_CTRL": 15.0}, False, "it did not answer for EKF2_GPS_CTRL"),
         (PX4, {"EKF2_GPS_CTRL": 7.0}, False, "it did not answer for EKF2_EV_CTRL"),
         (PX4, {}, False, "it answers no request for a parameter"),
-        # A bit that nobody knows is no fusion
-        (PX4, px4(16, 7), True, "EKF2_EV_CTRL is 16"),
+        # A bit that nobody knows may be fusion
+        (PX4, px4(16, 7), False, "our something unknown (16) together with the position"),
+        (PX4, px4(17, 7), False, "our horizontal position and something unknown (16) together"),
+        (PX4, px4(15, 16), False, "together with the something unknown (16) of the GNSS"),
+        (PX4, px4(-1, 7), False, "EKF2_EV_CTRL is -1"),
+        (PX4, px4(16, 0), True, "fuses ours, and no GNSS"),
         # Before 1.14
         (PX4, {"EKF2_AID_MASK": 1.0}, True, "EKF2_AID_MASK is 1: the autopilot fuses nothing"),
         (PX4, {"EKF2_AID_MASK": 281.0}, False, "set EKF2_AID_MASK to 280 to fly on our estimate"),
         (PX4, {"EKF2_AID_MASK": 136.0}, False, "set EKF2_AID_MASK to 8 "),
+        (PX4, {"EKF2_AID_MASK": 513.0}, False, "set EKF2_AID_MASK to 0 "),
+        (PX4, {"EKF2_AID_MASK": 512.0}, False, "our something unknown (512) together"),
+        (PX4, {"EKF2_AID_MASK": 103.0}, True, "the autopilot fuses nothing of ours"),
         (PX4, {"EKF2_AID_MASK": 280.0}, False, "it did not answer for EKF2_HGT_MODE"),
         (PX4, {"EKF2_AID_MASK": 280.0, "EKF2_HGT_MODE": 3.0}, True, "fuses ours, and no GNSS"),
         (PX4, {"EKF2_AID_MASK": 280.0, "EKF2_HGT_MODE": 1.0}, False, "set EKF2_HGT_MODE to 3"),
@@ -152,7 +159,9 @@ def test_nothing_is_sent_before_the_answers_are_there(family):
 def test_what_decides_is_watched_and_no_more():
     assert watched(PX4, px4(0, 7)) == ("EKF2_EV_CTRL", "EKF2_GPS_CTRL")
     assert watched(PX4, {"EKF2_AID_MASK": 1.0}) == NAMES[PX4]
-    assert watched(ARDUPILOT, {"VISO_TYPE": 0.0}) == ("VISO_TYPE",)
+    for nothing in (0.0, None):  # it takes none, or was built without
+        assert watched(ARDUPILOT, {"VISO_TYPE": nothing}) == ("VISO_TYPE",)
+        assert missing(ARDUPILOT, {"VISO_TYPE": nothing}) == ()
     assert watched(ARDUPILOT, ardupilot(VISO_TYPE=1.0)) == NAMES[ARDUPILOT]
 
 

@@ -133,3 +133,30 @@ def test_options_without_rates_ask_nothing():
     session.tick(0)
     assert sent(session, "COMMAND_LONG", "REQUEST_DATA_STREAM") == []
     assert SessionOptions(rates={}).rates == {}
+
+
+@pytest.mark.parametrize("delay_ms", [40, 700, 1300, 1900])
+@pytest.mark.parametrize("lost", [set(), {0}, {1, 4}])
+def test_rule_5_a_late_answer_is_not_taken_for_that_to_the_next_request(delay_ms, lost):
+    """COMMAND_ACK names the command, not the message."""
+    session, autopilot = met(ARDUPILOT, rates=RATES)
+    waiting, answers = [], 0
+    for now_ns in range(0, 60 * SECOND, 50 * MS):
+        if now_ns % SECOND == 0:
+            session.receive(autopilot.heartbeat(), now_ns)
+        session.tick(now_ns)
+        for message in sent(session, "COMMAND_LONG"):
+            if message.command == 511:
+                result = 2 if asked(message) in ("HIGHRES_IMU", "ATTITUDE") else 0
+                ack = autopilot.to_us("COMMAND_ACK", command=511, result=result)
+                if answers not in lost:
+                    waiting.append((now_ns + delay_ms * MS, ack))
+                answers += 1
+        while waiting and waiting[0][0] <= now_ns:
+            session.receive(waiting.pop(0)[1], now_ns)
+        if session.results.keys() >= RATES.keys() | {"RAW_IMU"}:
+            break
+    denied = {name for name, result in session.results.items() if result == "denied"}
+    accepted = {name for name, result in session.results.items() if result == "accepted"}
+    assert denied == {"HIGHRES_IMU", "ATTITUDE"}
+    assert accepted == {"RAW_IMU", *RATES} - denied

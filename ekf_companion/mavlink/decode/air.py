@@ -66,10 +66,9 @@ class Barometer:
     def scaled_pressure(self, frame: Frame) -> Measurements:
         """Read SCALED_PRESSURE."""
         m = unpack(frame)
-        followed = self._door.follow_ms(m.time_boot_ms, "SCALED_PRESSURE")
-        if followed is None:
-            return []
-        out, t_ns = followed
+        out, t_ns = self._door.follow_ms(m.time_boot_ms, "SCALED_PRESSURE")
+        if t_ns is None:
+            return out
         self.add(out, 1, t_ns, m.press_abs)
         return out
 

@@ -2,29 +2,96 @@
 
 from __future__ import annotations
 
-SECOND_NS = 1_000_000_000
+from ekf_companion.mavlink.stamp import SECOND_NS
+
 ABSENT_NS = 3 * SECOND_NS
 """So long the better source must be silent before the next one is used."""
+STEADY_NS = SECOND_NS
+"""So long a better source must speak steadily before it is used instead of a worse one."""
+_SHARE = 0.5
+"""Of the messages of the source in use, and no fewer, the better one must bring: one that somebody
+asked for once, or once a second, is none to fly on."""
+_BURST = 8
+"""Messages of the source in use behind one another; a steady source has spoken in between."""
+
+
+class _Challenger:
+    """A source that is not in use, since it began to speak."""
+
+    __slots__ = ("count", "first_ns", "since", "used")
+
+    def __init__(self, t_ns: int, used: int) -> None:
+        self.first_ns, self.count = t_ns, 1
+        self.used = self.since = used
+        """Messages of the source in use until it began, and until it last spoke."""
 
 
 class Preference:
-    """Of several sources of one thing, the best that has been heard in the last three seconds."""
+    """Of several sources of one thing, the best that speaks steadily; all by their own stamps.
 
-    __slots__ = ("_heard_ns", "rank")
+    At the start the best is waited for.
+    """
 
-    def __init__(self) -> None:
+    __slots__ = ("_challengers", "_starving", "_used", "_waiting_ns", "rank")
+
+    def __init__(self, starving: float = 0.0) -> None:
+        """Begin with the best.
+
+        Args:
+            starving: A source in use that brings less than this share of the messages of a worse
+                one, for three seconds, counts as silent.
+        """
         self.rank = 0
         """Of the source in use: 0 is the best."""
-        self._heard_ns: int | None = None
+        self._starving = starving
+        self._used = 0
+        self._waiting_ns: int | None = None
+        """When a worse source first spoke since the one in use last did.
+
+        Counted from there, so that a link's silence speaks against no source.
+        """
+        self._challengers: dict[int, _Challenger] = {}
 
     def admit(self, rank: int, t_ns: int) -> bool:
-        """Whether to use a source now, by its rank and its own stamp; the best is waited for."""
-        if self._heard_ns is None:
-            self._heard_ns = t_ns
-        if rank > self.rank and t_ns - self._heard_ns <= ABSENT_NS:
+        """Whether to use a source now, by its rank and its own stamp."""
+        if rank == self.rank:
+            self._used += 1
+            self._waiting_ns = None
+            return True
+        one = self._challengers.get(rank)
+        if one is None or t_ns < one.first_ns:
+            one = self._challengers[rank] = _Challenger(t_ns, self._used)
+        else:
+            one.count += 1
+        is_taken = self._is_steady(one, t_ns) if rank < self.rank else self._is_needed(one, t_ns)
+        if is_taken:
+            self.rank, self._used = rank, 0
+            self._waiting_ns = None
+            self._challengers.clear()
+        return is_taken
+
+    def _is_steady(self, one: _Challenger, t_ns: int) -> bool:
+        """Whether a better source has spoken long and often enough; else see it anew."""
+        used, is_burst = self._used - one.used, self._used - one.since > _BURST
+        one.since = self._used
+        if not is_burst and t_ns - one.first_ns < STEADY_NS:
             return False
-        self.rank, self._heard_ns = rank, t_ns
-        return True
+        if not is_burst and one.count > _SHARE * used:
+            return True
+        one.first_ns, one.count, one.used = t_ns, 1, self._used
+        return False
+
+    def _is_needed(self, one: _Challenger, t_ns: int) -> bool:
+        """Whether the source in use is silent, or as good as silent beside a worse one."""
+        if self._waiting_ns is None or t_ns < self._waiting_ns:
+            self._waiting_ns = t_ns
+        if t_ns - self._waiting_ns > ABSENT_NS:
+            return True
+        if t_ns - one.first_ns <= ABSENT_NS:
+            return False
+        is_starving = self._used - one.used < self._starving * one.count
+        one.first_ns, one.count, one.used = t_ns, 1, self._used
+        return is_starving
 
 
 class Pace:

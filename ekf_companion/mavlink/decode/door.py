@@ -92,10 +92,11 @@ class Door:
         step = self.clock.advance(stamp_us)
         return [] if step is Step.FOLLOWED else self._leapt(step, message)
 
-    def follow_ms(self, boot_ms: int, message: str) -> tuple[Measurements, int] | None:
-        """Let the clock follow milliseconds since boot; give that and the time, ns.
+    def follow_ms(self, boot_ms: int, message: str) -> tuple[Measurements, int | None]:
+        """Let the clock follow milliseconds since boot; give what that says of a reboot, and ns.
 
-        None: as above, or nothing relates the milliseconds to the inertial stamps yet.
+        None for the time: as above, or nothing relates the milliseconds to the inertial stamps:
+        not yet, or since the reboot no more.
         """
         out: Measurements = []
         # 0 is no time, so it says nothing of a reboot
@@ -104,12 +105,11 @@ class Door:
             if step is not Step.FOLLOWED:
                 leapt = self._leapt(step, message)
                 if leapt is None:
-                    return None
+                    return [], None
                 out = leapt
         t_ns = self.clock.from_boot_ms(boot_ms)
         if t_ns is None:
             self.refuse(f"{message}: time base unknown")
-            return None
         return out, t_ns
 
     def relate(self, unix_us: int, boot_ms: int) -> Measurements:

@@ -28,10 +28,9 @@ class Heading:
     def attitude(self, frame: Frame) -> Measurements:
         """Read ATTITUDE."""
         m = unpack(frame)
-        followed = self._door.follow_ms(m.time_boot_ms, "ATTITUDE")
-        if followed is None:
-            return []
-        out, t_ns = followed
+        out, t_ns = self._door.follow_ms(m.time_boot_ms, "ATTITUDE")
+        if t_ns is None:
+            return out
         self.add(out, 0, t_ns, m.yaw)
         return out
 

@@ -23,6 +23,8 @@ _PRESSURE = 0x200
 """Bits of HIGHRES_IMU.fields_updated."""
 _MILLI_G = STANDARD_GRAVITY * 1e-3
 _MILLISECOND_US = 1000
+_STARVING = 0.25
+"""A finer sensor at less than a quarter of the rate of a coarser one misses more than it shows."""
 
 
 class Inertial:
@@ -36,7 +38,7 @@ class Inertial:
 
     def forget(self) -> None:
         """Begin anew after a reboot."""
-        self.sources = Preference()
+        self.sources = Preference(_STARVING)
         self.instance = self._door.options.imu_id
         """The sensor in use, as HIGHRES_IMU numbers them."""
         self._instance_us = -1  # when it last spoke
@@ -115,10 +117,9 @@ class Inertial:
     def scaled_imu(self, frame: Frame) -> Measurements:
         """Read SCALED_IMU, SCALED_IMU2 or SCALED_IMU3."""
         m = unpack(frame)
-        followed = self._door.follow_ms(m.time_boot_ms, "SCALED_IMU")
-        if followed is None:
-            return []
-        out, t_ns = followed
+        out, t_ns = self._door.follow_ms(m.time_boot_ms, "SCALED_IMU")
+        if t_ns is None:
+            return out
         if t_ns == 0:
             return self._door.refuse("SCALED_IMU: no time")
         self._add_integers(out, self._ranks[frame.message_id], t_ns // 1000, m)
@@ -184,5 +185,6 @@ class Inertial:
 
     def _note_source(self, was: int, now: int) -> None:
         self.begin_stream()
-        why = "speaks again" if now < was else f"is used: {SOURCES[was]} has been silent for 3 s"
+        away = f"is used: {SOURCES[was]} has been silent, or much slower, for 3 s"
+        why = "speaks steadily" if now < was else away
         self._door.tell(f"{SOURCES[now]} {why}")

@@ -140,10 +140,9 @@ class Position:
     def global_position_int(self, frame: Frame) -> Measurements:
         """Read GLOBAL_POSITION_INT: marked, so that the filter takes it only if told to."""
         m = unpack(frame)
-        followed = self._door.follow_ms(m.time_boot_ms, "GLOBAL_POSITION_INT")
-        if followed is None:
-            return []
-        out, t_ns = followed
+        out, t_ns = self._door.follow_ms(m.time_boot_ms, "GLOBAL_POSITION_INT")
+        if t_ns is None:
+            return out
         if m.hdg <= NORTH_CDEG:
             self._heading.add(out, 1, t_ns, math.radians(m.hdg * 1e-2))
         if not _is_place(m.lat, m.lon):
