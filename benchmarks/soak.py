@@ -83,7 +83,7 @@ def _episode(errors: Errors, fault: Fault, until: float, limits: Array, seed: in
         seed=seed,
         largest=errors.size[own].max(axis=0) if own.any() else np.full(4, math.nan),
         recovery=recovery,
-        resets=int((np.diff(counts) % 256).sum()) if len(counts) else 0,
+        resets=int(counts.max() - counts.min()) if len(counts) else 0,
     )
 
 

@@ -45,7 +45,7 @@ class Errors:
     size: Array
     """Position, m; velocity, m/s; tilt and yaw, rad; shape (n, 4)."""
     resets: npt.NDArray[np.int64]
-    """The reset_counter, which goes round after 255."""
+    """How often the reset_counter has gone on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,6 +106,8 @@ class Ear(Witness):
     def errors(self) -> Errors:
         """Compare all with the truth."""
         rows = self._table[: self._length]
+        # in order of arrival, and no longer round at 256
+        rows[:, 11] = np.cumsum(np.diff(rows[:, 11], prepend=rows[:1, 11]) % 256)
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
         flight = self._bench.flight
         truth = flight.truth_at(flight.first_ns + np.round(rows[:, 0] * 1e9).astype(np.int64))

@@ -80,6 +80,7 @@ class Timeline:
     epoch: cython.longlong
     has_epoch: cython.bint
     is_restored: cython.bint
+    is_set: cython.bint
     newest: cython.double
     oldest: cython.double
     stamp: cython.longlong
@@ -126,6 +127,7 @@ class Timeline:
         self.counters = np.zeros((len(self.delay), 6), dtype=np.int64)
         self.has_epoch = False
         self.is_restored = False
+        self.is_set = False
         self.epoch = 0
         self.lost = 0
         self.reruns = 0
@@ -159,10 +161,29 @@ class Timeline:
         self.x[at.X_RESET_REASON] = at.RESET_CLOCK
         self.has_epoch = False
         self.is_restored = False
+        self.is_set = False
         self.lost = 0
         self.start[:] = self.x
         self.stretch += 1
         self.clear()
+
+    @cython.cfunc
+    def set_clock(self, t_ns: cython.longlong) -> cython.void:
+        """Go on by a clock that was set: its first inertial sample follows the newest of the old.
+
+        How long there was between the two nobody knows; it is taken for the usual interval. What
+        was heard by the old clock stays as it is, and no event goes behind it.
+        """
+        self.is_set = False
+        self.hand_over(self.cursor)
+        self.epoch = (
+            t_ns
+            - self.delay[6]
+            - cython.cast(cython.longlong, self.x[at.X_T] + 1e9 * self.x[at.X_DT])
+        )
+        self.start[:] = self.x
+        self.stretch += 1
+        self.begin_from(self.x[at.X_T], t_ns)
 
     def restore(
         self,
@@ -191,6 +212,7 @@ class Timeline:
         self.epoch = epoch_ns
         self.has_epoch = True
         self.is_restored = True
+        self.is_set = False
         self.lost = 0
         self.begin_from(self.x[at.X_T], stamp_ns)
         for i in range(count):
@@ -229,7 +251,10 @@ class Timeline:
         """Do the work of insert, and count the result by kind."""
         result: cython.int = MALFORMED
         if kind == RESTART:
-            self.restart()
+            if values[0] != 0.0 and self.newest >= 0.0:
+                self.is_set = True
+            else:
+                self.restart()
             result = RESTARTED
         elif kind < self.delay.shape[0] and is_sane(kind, values):
             result = self.place(t_ns, kind, values)
@@ -251,6 +276,11 @@ class Timeline:
             # the same whichever event comes first, and near enough for exact doubles
             self.epoch = t_ns // EPOCH_STEP * EPOCH_STEP
             self.has_epoch = True
+        if self.is_set:
+            # which time it is now, the next inertial sample says
+            if kind != IMU:
+                return STALE
+            self.set_clock(t_ns)
         t = cython.cast(cython.double, t_ns - self.delay[kind] - self.epoch)
 
         # Too old to go back to?

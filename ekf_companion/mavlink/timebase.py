@@ -43,6 +43,8 @@ class Step(Enum):
     """A leap that nothing has confirmed: what it stamps is of no known time."""
     BEGUN = "begun"
     """The clock began anew."""
+    SET = "set"
+    """The clock was set back by less than a second; the stamps since then are to be taken anew."""
 
 
 class Count:
@@ -84,8 +86,8 @@ class Count:
             self.behind_us = stamp_us
         if stamp_us - self.behind_us < SURE_US:
             return Step.FOLLOWED
-        self.latest_us, self.behind_us = stamp_us, None
-        return Step.BEGUN
+        self.latest_us, self.behind_us = self.behind_us - 1, None
+        return Step.SET
 
 
 class TimeBase:
@@ -109,6 +111,11 @@ class TimeBase:
         return None if latest is None else latest * 1000
 
     @property
+    def is_behind(self) -> bool:
+        """Whether the last stamps were all behind: late, or of a clock that was set back."""
+        return self._main.behind_us is not None
+
+    @property
     def is_unix(self) -> bool:
         """Whether the inertial messages are stamped in unix time."""
         latest = self._main.latest_us
@@ -126,7 +133,7 @@ class TimeBase:
     def advance(self, stamp_us: int) -> Step:
         """Take a stamp that the base follows."""
         step = self._main.take(stamp_us)
-        if step is Step.BEGUN:
+        if step in (Step.BEGUN, Step.SET):
             # What is known of the milliseconds was so of the old clock
             self._boot = Count()
             self._unix_minus_boot_us = self._held_relation_us = None
@@ -136,7 +143,7 @@ class TimeBase:
         """Take a stamp in milliseconds since boot."""
         if self.is_unix:
             step = self._boot.take(_unwrapped(boot_ms, self._boot.latest_us))
-            if step is Step.BEGUN:
+            if step in (Step.BEGUN, Step.SET):
                 self._unix_minus_boot_us = self._held_relation_us = None
             return step
         leap = self._main.leap_us
