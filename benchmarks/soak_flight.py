@@ -13,13 +13,12 @@ from benchmarks.fuzz import resident_mb
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.nav import so3
-from ekf_companion.nav.earth import LocalFrame
 from sim_autopilot.autopilot import Received
 from sim_autopilot.config import SimConfig
 from sim_autopilot.faults.fault import Fault
+from sim_autopilot.firmware import PERSONALITIES
 from sim_autopilot.flight import Flight
 from sim_autopilot.loop import Bench
-from sim_autopilot.firmware import PERSONALITIES
 from sim_autopilot.score import Witness
 
 Array = npt.NDArray[np.float64]
@@ -81,7 +80,6 @@ class Ear(Witness):
         self._bench = bench
         self._table = np.ones((round(bench.flight.duration * LARGEST_RATE), _ROW + 1))
         self._length = 0
-        self._home: list[LocalFrame] = []
 
     def sent(self, now_ns: int) -> None:
         """Nothing is kept."""
@@ -109,25 +107,30 @@ class Ear(Witness):
         # in order of arrival, and no longer round at 256
         rows[:, 11] = np.cumsum(np.diff(rows[:, 11], prepend=rows[:1, 11]) % 256)
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
-        flight = self._bench.flight
-        truth = flight.truth_at(flight.first_ns + np.round(rows[:, 0] * 1e9).astype(np.int64))
         pos_n = rows[:, 1:4].copy()
         for index, origin in enumerate(self._origins):
             of_it = rows[:, _ROW] == index
-            pos_n[of_it] = flight.trajectory.frame.to_ned(*origin.to_geodetic(pos_n[of_it]))
-        q_nb = rows[:, 4:8]
-        # of the error's rotation in n: about the vertical it is yaw, the rest is tilt
-        turn_n = so3.log(so3.multiply(q_nb, so3.conjugate(truth.q_nb)))
-        size = np.stack(
-            [
-                np.linalg.norm(pos_n - truth.pos_n, axis=1),
-                np.linalg.norm(so3.rotate(q_nb, rows[:, 8:11]) - truth.vel_n, axis=1),
-                np.hypot(turn_n[:, 0], turn_n[:, 1]),
-                np.abs(turn_n[:, 2]),
-            ],
-            axis=1,
-        )
-        return Errors(t=rows[:, 0], size=size, resets=rows[:, 11].astype(np.int64))
+            home = self._bench.flight.trajectory.frame
+            pos_n[of_it] = home.to_ned(*origin.to_geodetic(pos_n[of_it]))
+        q_nb, t = rows[:, 4:8], rows[:, 0]
+        size = sizes(self._bench.flight, t, pos_n, so3.rotate(q_nb, rows[:, 8:11]), q_nb)
+        return Errors(t=t, size=size, resets=rows[:, 11].astype(np.int64))
+
+
+def sizes(flight: Flight, t: Array, pos_n: Array, vel_n: Array, q_nb: Array) -> Array:
+    """Compare with the truth; give the errors as ``Errors.size`` has them, shape (n, 4)."""
+    truth = flight.truth_at(flight.first_ns + np.round(t * 1e9).astype(np.int64))
+    # of the error's rotation in n: about the vertical it is yaw, the rest is tilt
+    turn_n = so3.log(so3.multiply(q_nb, so3.conjugate(truth.q_nb)))
+    return np.stack(
+        [
+            np.linalg.norm(pos_n - truth.pos_n, axis=1),
+            np.linalg.norm(vel_n - truth.vel_n, axis=1),
+            np.hypot(turn_n[:, 0], turn_n[:, 1]),
+            np.abs(turn_n[:, 2]),
+        ],
+        axis=1,
+    )
 
 
 def fly(
@@ -139,9 +142,7 @@ def fly(
 ) -> Flown:
     """Fly, with all that goes wrong, and look at memory and queues now and then."""
     nature = PERSONALITIES[personality]
-    config = SimConfig()
-    config = nature.suited(replace(config, imu=replace(config.imu, rate=RATE)))
-    flight = Flight.plan(scenario, config, seed=seed, duration=duration)
+    flight = plan(personality, seed, duration, scenario)
     companion = Companion(asking())
     bench = Bench(flight, companion, personality=nature, faults=faults, latency=LATENCY)
     bench.witness = ear = Ear(bench)
@@ -152,6 +153,15 @@ def fly(
             next_ns = at_ns + round(LOOK_EVERY * 1e9)
             looks.append(look(companion, (at_ns - flight.first_ns) * 1e-9))
     return Flown(errors=ear.errors(), looks=looks, companion=companion)
+
+
+def plan(personality: str, seed: int, duration: float, scenario: str = "figure-eight") -> Flight:
+    """Plan a flight with an autopilot's rates and delays, and inertial samples at 250 Hz."""
+    config = SimConfig()
+    config = replace(config, imu=replace(config.imu, rate=RATE))
+    return Flight.plan(
+        scenario, PERSONALITIES[personality].suited(config), seed=seed, duration=duration
+    )
 
 
 def asking() -> Config:

@@ -179,6 +179,14 @@ def orient(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+def known(variance: cython.double, std: cython.double) -> cython.double:
+    """Give the variance of what may have been learnt before; none, or a worse one, counts not."""
+    return variance if 0.0 < variance < std * std else std * std
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
 def begin_filter(
     x: cython.double[::1],
     k: cython.double[::1],
@@ -189,9 +197,15 @@ def begin_filter(
 ) -> cython.void:
     """Set the covariance of an attitude just found, by the sigmas of tilt and gyro bias.
 
-    A levelled attitude is wrong by the accelerometer's bias, so the two are correlated:
-    ``theta_N = (C ba)_E / g``, ``theta_E = -(C ba)_N / g``.
+    A levelled attitude is wrong by what is not known of the accelerometer's bias, so the two are
+    correlated: ``theta_N = (C ba)_E / g``, ``theta_E = -(C ba)_N / g``. Biases, hard iron and the
+    receiver's delay stay as they are, the last two with their variances: none, or what was learnt
+    before the clock began anew.
     """
+    delay: cython.double = x[at.X_COV + at.E_DELAY * (at.N + 1)]
+    iron: cython.double = x[at.X_COV + at.E_IRON * (at.N + 1)]
+    iron1: cython.double = x[at.X_COV + (at.E_IRON + 1) * (at.N + 1)]
+    iron2: cython.double = x[at.X_COV + (at.E_IRON + 2) * (at.N + 1)]
     i: cython.Py_ssize_t
     variance: cython.double = k[at.K_ACCEL_BIAS] * k[at.K_ACCEL_BIAS]
     g: cython.double = k[at.K_GRAVITY]
@@ -208,17 +222,17 @@ def begin_filter(
         x[at.X_COV + (at.E_BA + i) * at.N + 1] = x[at.X_COV + at.N + at.E_BA + i]
     forget(x, at.E_VEL, 3, 0.01)
     forget(x, at.E_POS, 3, 1.0)
-    forget(x, at.E_DELAY, 1, k[at.K_DELAY_STD] * k[at.K_DELAY_STD])
+    forget(x, at.E_DELAY, 1, known(delay, k[at.K_DELAY_STD]))
     x[at.X_HEADING] = 0.0
     x[at.X_HAS_YAW] = 0.0
     x[at.X_COV + 2 * (at.N + 1)] = UNKNOWN_YAW
     for i in range(3):
         x[at.X_VEL + i] = 0.0
         x[at.X_POS + i] = 0.0
-        x[at.X_BA + i] = 0.0
         x[at.X_SLOW + i] = 0.0
-        x[at.X_IRON + i] = 0.0
-    forget(x, at.E_IRON, 3, k[at.K_IRON_STD] * k[at.K_IRON_STD])
+    forget(x, at.E_IRON, 1, known(iron, k[at.K_IRON_STD]))
+    forget(x, at.E_IRON + 1, 1, known(iron1, k[at.K_IRON_STD]))
+    forget(x, at.E_IRON + 2, 1, known(iron2, k[at.K_IRON_STD]))
     forget(x, at.E_HEADING, 1, x[at.X_HEADING_STD] * x[at.X_HEADING_STD])
     x[at.X_MODE] = at.MODE_ATTITUDE
     if (
@@ -246,12 +260,13 @@ def begin_filter(
 @cython.exceptval(check=False)
 def orient_up(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
     """Set the attitude so that the window's mean specific force points up."""
+    n: cython.double = x[at.X_LEVEL + at.L_N]
     orient(
         x,
         w,
-        x[at.X_LEVEL + at.L_ACCEL],
-        x[at.X_LEVEL + at.L_ACCEL + 1],
-        x[at.X_LEVEL + at.L_ACCEL + 2],
+        x[at.X_LEVEL + at.L_ACCEL] - n * x[at.X_BA],
+        x[at.X_LEVEL + at.L_ACCEL + 1] - n * x[at.X_BA + 1],
+        x[at.X_LEVEL + at.L_ACCEL + 2] - n * x[at.X_BA + 2],
         0.0,
         0.0,
         -1.0,
@@ -476,12 +491,9 @@ def level_in_motion(
     std: cython.double,
 ) -> cython.bint:
     """Begin the filter at a fix, with an attitude found in motion; False: not yet."""
-    i: cython.Py_ssize_t
     tilt: cython.double = find_down(x, k, w, t, vn, ve, vd, std)
     if tilt == 0.0:
         return False
-    for i in range(3):
-        x[at.X_BG + i] = 0.0
     begin_filter(x, k, w, t, tilt, k[at.K_GYRO_BIAS])
     return True
 

@@ -150,13 +150,30 @@ class Timeline:
         self.stamp = 0
 
     def restart(self) -> None:
-        """Begin anew on a clock that began anew: only the count of resets lives on."""
+        """Begin anew on a clock that began anew.
+
+        Beside the count of resets, what was learnt of what did not begin anew lives on: the
+        receiver's delay and the vehicle's own field as well as they were known, the biases, which
+        an autopilot may correct otherwise now, as a guess that is no surer than at any start.
+        """
+        e: cython.Py_ssize_t
         resets: cython.double = self.x[at.X_RESETS]
         i: cython.Py_ssize_t
         started: cython.bint = self.x[at.X_MODE] != at.MODE_INIT
         self.hand_over(self.cursor)
+        self.y[:] = self.x
         for i in range(at.BLOCK):
             self.x[i] = 0.0
+        if self.y[at.X_MODE] == at.MODE_NAVIGATE:
+            self.x[at.X_DELAY] = within(self.y[at.X_DELAY], self.k[at.K_DELAY_STD])
+            for e in range(at.N):
+                if e == at.E_DELAY or e >= at.E_IRON:
+                    i = at.X_COV + e * (at.N + 1)
+                    self.x[i] = self.y[i]
+            for i in range(3):
+                self.x[at.X_BG + i] = within(self.y[at.X_BG + i], self.k[at.K_GYRO_BIAS])
+                self.x[at.X_BA + i] = within(self.y[at.X_BA + i], self.k[at.K_ACCEL_BIAS])
+                self.x[at.X_IRON + i] = within(self.y[at.X_IRON + i], self.k[at.K_IRON_STD])
         self.x[at.X_RESETS] = resets + 1.0 if started else resets
         self.x[at.X_RESET_REASON] = at.RESET_CLOCK
         self.has_epoch = False
@@ -509,6 +526,16 @@ class Timeline:
     def arrivals(self) -> np.ndarray:
         """How many events of each kind (rows) met each result (columns)."""
         return np.array(self.counters)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def within(value: cython.double, sigma: cython.double) -> cython.double:
+    """Bring what was learnt to within two sigmas of what is expected where nothing is known."""
+    largest: cython.double = 2.0 * sigma
+    value = value if value < largest else largest
+    return value if value > -largest else -largest
 
 
 @cython.cfunc

@@ -52,8 +52,8 @@ class Door:
         Args:
             family: Whose habits apply.
             options: How messages that leave something open are read.
-            forget: Called when the autopilot's clock began anew or was set, after the clock took the
-                new time.
+            forget: Called when the autopilot's clock began anew or was set, after the clock took
+                the new time.
         """
         self.family = family
         self.options = options

@@ -19,6 +19,8 @@ _CHANCE = math.log(1e-12)
 """Of a run: one false alarm in some years of samples at 250 Hz, were they independent."""
 _MEMORY = 2048
 """Pairs, after which what has been counted weighs half."""
+_FEWEST = 64
+"""Pairs that anything is concluded from."""
 _RATE = 0.1
 """rad/s; no range ends so soon. No gyro of today has such a bias, so it says that it turns, too."""
 _FORCE = 2.0
@@ -36,7 +38,7 @@ class Repetition:
     __slots__ = ("_equal", "_last", "_pairs", "_runs", "_since_us")
 
     def __init__(self) -> None:
-        self._last: Sample = (math.nan,) * 6  # type: ignore[assignment]
+        self._last: Sample = (math.nan,) * 6
         self._runs = [0] * 6
         self._equal = [0] * 6
         self._pairs = 0
@@ -71,8 +73,10 @@ class Repetition:
     def _is_silent(self, axis: int) -> bool:
         """Whether an axis has been the same for longer than chance explains."""
         run = self._runs[axis]
-        share = (self._equal[axis] - run + 1) / (self._pairs - run + 2) if run else 1.0
-        return share < 1.0 and run * math.log(share) < _CHANCE
+        known = self._pairs - run
+        if not run or known < _FEWEST:
+            return False
+        return run * math.log((self._equal[axis] - run + 1) / (known + 2)) < _CHANCE
 
     def _may_stand(self, t_us: int, sample: Sample) -> bool:
         rate, force = math.hypot(*sample[:3]), math.hypot(*sample[3:])
