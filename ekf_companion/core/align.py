@@ -179,9 +179,18 @@ def orient(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def known(variance: cython.double, std: cython.double) -> cython.double:
-    """Give the variance of what may have been learnt before; none, or a worse one, counts not."""
-    return variance if 0.0 < variance < std * std else std * std
+def learnt(
+    x: cython.double[::1], first: cython.Py_ssize_t, count: cython.Py_ssize_t, std: cython.double
+) -> cython.double:
+    """Give the variance of some states while levelling: what is left of before, or the sigma's."""
+    i: cython.Py_ssize_t
+    variance: cython.double = 0.0
+    for i in range(first, first + count):
+        if x[at.X_COV + i * (at.N + 1)] > variance:
+            variance = x[at.X_COV + i * (at.N + 1)]
+    if x[at.X_MODE] == at.MODE_LEVEL and 0.0 < variance < std * std:
+        return variance
+    return std * std
 
 
 @cython.cfunc
@@ -199,21 +208,20 @@ def begin_filter(
 
     A levelled attitude is wrong by what is not known of the accelerometer's bias, so the two are
     correlated: ``theta_N = (C ba)_E / g``, ``theta_E = -(C ba)_N / g``. Biases, hard iron and the
-    receiver's delay stay as they are, the last two with their variances: none, or what was learnt
+    receiver's delay stay as they are, with the variances that there are: none, or what was learnt
     before the clock began anew.
     """
-    delay: cython.double = x[at.X_COV + at.E_DELAY * (at.N + 1)]
-    iron: cython.double = x[at.X_COV + at.E_IRON * (at.N + 1)]
-    iron1: cython.double = x[at.X_COV + (at.E_IRON + 1) * (at.N + 1)]
-    iron2: cython.double = x[at.X_COV + (at.E_IRON + 2) * (at.N + 1)]
     i: cython.Py_ssize_t
-    variance: cython.double = k[at.K_ACCEL_BIAS] * k[at.K_ACCEL_BIAS]
+    variance: cython.double = learnt(x, at.E_BA, 3, k[at.K_ACCEL_BIAS])
+    rate: cython.double = learnt(x, at.E_BG, 3, gyro_bias)
+    delay: cython.double = learnt(x, at.E_DELAY, 1, k[at.K_DELAY_STD])
+    iron: cython.double = learnt(x, at.E_IRON, 3, k[at.K_IRON_STD])
     g: cython.double = k[at.K_GRAVITY]
     for i in range(at.N * at.N):
         x[at.X_COV + i] = 0.0
     forget(x, at.E_ATT, 2, tilt * tilt + variance / (g * g))
     forget(x, at.E_BA, 3, variance)
-    forget(x, at.E_BG, 3, gyro_bias * gyro_bias)
+    forget(x, at.E_BG, 3, rate)
     matrix(x, at.X_Q, w)
     for i in range(3):
         x[at.X_COV + at.E_BA + i] = variance * w[at.W_C_NB + 3 + i] / g
@@ -222,7 +230,7 @@ def begin_filter(
         x[at.X_COV + (at.E_BA + i) * at.N + 1] = x[at.X_COV + at.N + at.E_BA + i]
     forget(x, at.E_VEL, 3, 0.01)
     forget(x, at.E_POS, 3, 1.0)
-    forget(x, at.E_DELAY, 1, known(delay, k[at.K_DELAY_STD]))
+    forget(x, at.E_DELAY, 1, delay)
     x[at.X_HEADING] = 0.0
     x[at.X_HAS_YAW] = 0.0
     x[at.X_COV + 2 * (at.N + 1)] = UNKNOWN_YAW
@@ -230,9 +238,7 @@ def begin_filter(
         x[at.X_VEL + i] = 0.0
         x[at.X_POS + i] = 0.0
         x[at.X_SLOW + i] = 0.0
-    forget(x, at.E_IRON, 1, known(iron, k[at.K_IRON_STD]))
-    forget(x, at.E_IRON + 1, 1, known(iron1, k[at.K_IRON_STD]))
-    forget(x, at.E_IRON + 2, 1, known(iron2, k[at.K_IRON_STD]))
+    forget(x, at.E_IRON, 3, iron)
     forget(x, at.E_HEADING, 1, x[at.X_HEADING_STD] * x[at.X_HEADING_STD])
     x[at.X_MODE] = at.MODE_ATTITUDE
     if (

@@ -164,11 +164,12 @@ def follow(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) 
         x[at.X_DELAY] = delay
     else:
         # learnt by a wrong attitude
-        x[at.X_COV + at.E_DELAY * (at.N + 1)] = 0.0
         for i in range(3):
             x[at.X_BA + i] = 0.0
             x[at.X_IRON + i] = 0.0
-            x[at.X_COV + (at.E_IRON + i) * (at.N + 1)] = 0.0
+    for i in range(3):
+        # the bank has its own
+        x[at.X_COV + (at.E_BG + i) * (at.N + 1)] = 0.0
     x[at.X_LEVEL + at.L_HAS_REF] = 0.0
     align.begin_filter(x, k, w, x[at.X_T], x[at.X_BANK + at.B_TILT], x[at.X_BANK + at.B_BG_STD])
     x[at.X_HAS_YAW] = 1.0

@@ -153,8 +153,9 @@ class Timeline:
         """Begin anew on a clock that began anew.
 
         Beside the count of resets, what was learnt of what did not begin anew lives on: the
-        receiver's delay and the vehicle's own field as well as they were known, the biases, which
-        an autopilot may correct otherwise now, as a guess that is no surer than at any start.
+        receiver's delay and how white its errors are, and the vehicle's own field, as well as they
+        were known; the biases too, or, where the autopilot may correct them otherwise now, as a
+        guess that is no surer than at any start.
         """
         e: cython.Py_ssize_t
         resets: cython.double = self.x[at.X_RESETS]
@@ -167,10 +168,17 @@ class Timeline:
         if self.y[at.X_MODE] == at.MODE_NAVIGATE:
             self.x[at.X_DELAY] = within(self.y[at.X_DELAY], self.k[at.K_DELAY_STD])
             for e in range(at.N):
-                if e == at.E_DELAY or e >= at.E_IRON:
+                if (
+                    e == at.E_DELAY
+                    or e >= at.E_IRON
+                    or (at.E_BG <= e < at.E_BARO and self.k[at.K_KEEPS_BIAS] != 0.0)
+                ):
                     i = at.X_COV + e * (at.N + 1)
                     self.x[i] = self.y[i]
             for i in range(3):
+                self.x[at.X_WHITE + i] = self.y[at.X_WHITE + i]
+                self.x[at.X_NIS_SUM + i] = self.y[at.X_NIS_SUM + i]
+                self.x[at.X_NIS_N + i] = self.y[at.X_NIS_N + i]
                 self.x[at.X_BG + i] = within(self.y[at.X_BG + i], self.k[at.K_GYRO_BIAS])
                 self.x[at.X_BA + i] = within(self.y[at.X_BA + i], self.k[at.K_ACCEL_BIAS])
                 self.x[at.X_IRON + i] = within(self.y[at.X_IRON + i], self.k[at.K_IRON_STD])

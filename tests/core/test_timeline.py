@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -179,9 +180,12 @@ def test_a_clock_that_is_set_moves_the_stamps_and_nothing_else():
     assert straight.stamp_ns - moved.stamp_ns == 500_000_000
 
 
-def test_what_was_learnt_of_the_sensors_lives_on_after_a_reboot_as_a_guess():
+@pytest.mark.parametrize("family", ["ardupilot", "px4"])
+def test_what_did_not_reboot_is_known_after_it(family):
+    """The receiver and the vehicle's field; the biases where the autopilot does not change them."""
+    told = FilterSettings()
     events, _ = flight("figure-eight", duration=40.0, rate=100.0)
-    timeline = a_timeline()
+    timeline = Timeline(parameters(told, family), delays_ns(told, family), WINDOW_NS)
     put(timeline, events)
     learnt = timeline.block()
     timeline.insert(0, Kind.RESTART, np.zeros(13))
@@ -191,6 +195,13 @@ def test_what_was_learnt_of_the_sensors_lives_on_after_a_reboot_as_a_guess():
         assert np.array_equal(guess[first : first + 3], np.clip(known, -2 * sigma, 2 * sigma))
         assert known.any()
     assert guess[at.X_MODE] == at.MODE_INIT
+    kept = [at.E_DELAY, *range(at.E_IRON, at.N)]
+    kept += range(at.E_BG, at.E_BARO) if family == "ardupilot" else []
+    was, now = (x[at.X_COV :].reshape(at.N, at.N) for x in (learnt, guess))
+    assert np.array_equal(now, np.diag([was[e, e] if e in kept else 0.0 for e in range(at.N)]))
+    assert guess[at.X_DELAY] == learnt[at.X_DELAY]
+    white = slice(at.X_WHITE, at.X_WHITE + 3)
+    assert np.array_equal(guess[white], learnt[white])
 
 
 def test_events_that_wait_for_a_sample_do_not_fill_the_memory():
