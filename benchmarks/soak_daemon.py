@@ -41,7 +41,7 @@ class Minute:
     has_exited: bool
 
 
-def minute(personality: str = "px4", seed: int = 1, duration: float = 90.0) -> Minute:
+def minute(personality: str = "px4", seed: int = 1, duration: float = 95.0) -> Minute:
     """Fly it against a daemon, which must be alive at the end."""
     limits = normal(fly(personality, seed, QUIET).errors)
     faults = schedule(KINDS, seed, duration, GAP, first=20.0)
