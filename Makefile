@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 KERNEL := $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore lint types contracts check demo bench accuracy filters fuzz e2e reconnect endurance wheel install uninstall installcheck clean
+.PHONY: setup test explore lint types contracts check demo bench accuracy filters fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -66,6 +66,10 @@ e2e: $(STAMP) $(VENV)-e2e/.installed
 
 endurance: $(STAMP)
 	$(BIN)/python -m benchmarks.endurance
+
+# Every fault again and again for hours of flight, then against the daemon; forty minutes
+soak: $(STAMP)
+	$(BIN)/python -m benchmarks.soak --daemon
 
 # A hundred times unplugged and restarted, links and the daemon; eight minutes
 reconnect: $(STAMP)

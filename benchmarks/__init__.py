@@ -17,6 +17,11 @@ lies         receivers that are wrong
 arrival      order, number and delay of messages
 compassless  flight without a compass, or with a wrong one
 
+What it withstands: ``make soak``, the tables of docs/RELIABILITY.md.
+
+soak         hours of flight with all that goes wrong
+soak_flight  one of them, and what the process kept; soak_daemon: the daemon, in real time
+
 How the rival filters do beside ours: ``make filters``, the tables of docs/FILTERS.md.
 
 filters      the parts: recorded, seed, campaign, attitude, walks

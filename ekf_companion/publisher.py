@@ -73,6 +73,7 @@ class Publisher:
         self.label = label(family, odometry.frame, odometry.estimator_type)
         """What every ODOMETRY says of itself."""
         self._was_invalid = False
+        self._origin: tuple[float, float, float] | None = None
 
     def retune(self, config: Config) -> None:
         """Send each at the rate of another configuration."""
@@ -97,14 +98,23 @@ class Publisher:
     def publish(self, send: Callable[[str, bytes], None]) -> Health | None:
         """Send what is due at the newest stamp; once a second give the filter's account."""
         t_ns = self._pipeline.stamp_ns
-        if self._due["ODOMETRY"].is_due(t_ns):
+        if is_due := self._due["ODOMETRY"].is_due(t_ns):
+            self._notice_origin()
+        if self._due["GPS_GLOBAL_ORIGIN"].is_due(t_ns) and (origin := self._pipeline.origin):
+            send("GPS_GLOBAL_ORIGIN", encode.gps_global_origin(*origin, t_ns=t_ns))
+        if is_due:
             self._publish_odometry(send)
         if self._due["ESTIMATOR_STATUS"].is_due(t_ns) and self._pipeline.origin is not None:
             health = _judge(self._pipeline.health(), t_ns)
             send("ESTIMATOR_STATUS", encode.estimator_status(health))
-        if self._due["GPS_GLOBAL_ORIGIN"].is_due(t_ns) and (origin := self._pipeline.origin):
-            send("GPS_GLOBAL_ORIGIN", encode.gps_global_origin(*origin, t_ns=t_ns))
         return self._pipeline.health() if self._account.is_due(t_ns) else None
+
+    def _notice_origin(self) -> None:
+        """Have a new origin sent before the first ODOMETRY that is about it."""
+        origin = self._pipeline.origin
+        if origin is not None and origin != self._origin:
+            self._due["GPS_GLOBAL_ORIGIN"].ask()
+        self._origin = origin
 
     def _publish_odometry(self, send: Callable[[str, bytes], None]) -> None:
         odometry = self._pipeline.odometry()

@@ -77,7 +77,11 @@ def test_a_flight_is_answered_at_the_rates_of_its_stamps():
     assert {after - before for before, after in itertools.pairwise(stamps)} == {40_000}
     status = [m.time_usec for m in named("ESTIMATOR_STATUS", said)]
     assert {after - before for before, after in itertools.pairwise(status)} == {1_000_000}
-    assert len(named("GPS_GLOBAL_ORIGIN", said)) == len(status)
+    origins = [m.time_usec for m in named("GPS_GLOBAL_ORIGIN", said)]
+    assert origins[0] == stamps[0], "the first estimate is about an origin that nobody was told"
+    assert origins[1:] == status
+    names = [name for name, _ in said]
+    assert names.index("GPS_GLOBAL_ORIGIN") < names.index("ODOMETRY")
 
 
 def test_an_invalid_estimate_is_said_to_be_so_once():

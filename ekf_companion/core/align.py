@@ -179,6 +179,23 @@ def orient(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
+def learnt(
+    x: cython.double[::1], first: cython.Py_ssize_t, count: cython.Py_ssize_t, std: cython.double
+) -> cython.double:
+    """Give the variance of some states while levelling: what is left of before, or the sigma's."""
+    i: cython.Py_ssize_t
+    variance: cython.double = 0.0
+    for i in range(first, first + count):
+        if x[at.X_COV + i * (at.N + 1)] > variance:
+            variance = x[at.X_COV + i * (at.N + 1)]
+    if x[at.X_MODE] == at.MODE_LEVEL and 0.0 < variance < std * std:
+        return variance
+    return std * std
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
 def begin_filter(
     x: cython.double[::1],
     k: cython.double[::1],
@@ -189,17 +206,22 @@ def begin_filter(
 ) -> cython.void:
     """Set the covariance of an attitude just found, by the sigmas of tilt and gyro bias.
 
-    A levelled attitude is wrong by the accelerometer's bias, so the two are correlated:
-    ``theta_N = (C ba)_E / g``, ``theta_E = -(C ba)_N / g``.
+    A levelled attitude is wrong by what is not known of the accelerometer's bias, so the two are
+    correlated: ``theta_N = (C ba)_E / g``, ``theta_E = -(C ba)_N / g``. Biases, hard iron and the
+    receiver's delay stay as they are, with the variances that there are: none, or what was learnt
+    before the clock began anew.
     """
     i: cython.Py_ssize_t
-    variance: cython.double = k[at.K_ACCEL_BIAS] * k[at.K_ACCEL_BIAS]
+    variance: cython.double = learnt(x, at.E_BA, 3, k[at.K_ACCEL_BIAS])
+    rate: cython.double = learnt(x, at.E_BG, 3, gyro_bias)
+    delay: cython.double = learnt(x, at.E_DELAY, 1, k[at.K_DELAY_STD])
+    iron: cython.double = learnt(x, at.E_IRON, 3, k[at.K_IRON_STD])
     g: cython.double = k[at.K_GRAVITY]
     for i in range(at.N * at.N):
         x[at.X_COV + i] = 0.0
     forget(x, at.E_ATT, 2, tilt * tilt + variance / (g * g))
     forget(x, at.E_BA, 3, variance)
-    forget(x, at.E_BG, 3, gyro_bias * gyro_bias)
+    forget(x, at.E_BG, 3, rate)
     matrix(x, at.X_Q, w)
     for i in range(3):
         x[at.X_COV + at.E_BA + i] = variance * w[at.W_C_NB + 3 + i] / g
@@ -208,17 +230,15 @@ def begin_filter(
         x[at.X_COV + (at.E_BA + i) * at.N + 1] = x[at.X_COV + at.N + at.E_BA + i]
     forget(x, at.E_VEL, 3, 0.01)
     forget(x, at.E_POS, 3, 1.0)
-    forget(x, at.E_DELAY, 1, k[at.K_DELAY_STD] * k[at.K_DELAY_STD])
+    forget(x, at.E_DELAY, 1, delay)
     x[at.X_HEADING] = 0.0
     x[at.X_HAS_YAW] = 0.0
     x[at.X_COV + 2 * (at.N + 1)] = UNKNOWN_YAW
     for i in range(3):
         x[at.X_VEL + i] = 0.0
         x[at.X_POS + i] = 0.0
-        x[at.X_BA + i] = 0.0
         x[at.X_SLOW + i] = 0.0
-        x[at.X_IRON + i] = 0.0
-    forget(x, at.E_IRON, 3, k[at.K_IRON_STD] * k[at.K_IRON_STD])
+    forget(x, at.E_IRON, 3, iron)
     forget(x, at.E_HEADING, 1, x[at.X_HEADING_STD] * x[at.X_HEADING_STD])
     x[at.X_MODE] = at.MODE_ATTITUDE
     if (
@@ -246,12 +266,13 @@ def begin_filter(
 @cython.exceptval(check=False)
 def orient_up(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
     """Set the attitude so that the window's mean specific force points up."""
+    n: cython.double = x[at.X_LEVEL + at.L_N]
     orient(
         x,
         w,
-        x[at.X_LEVEL + at.L_ACCEL],
-        x[at.X_LEVEL + at.L_ACCEL + 1],
-        x[at.X_LEVEL + at.L_ACCEL + 2],
+        x[at.X_LEVEL + at.L_ACCEL] - n * x[at.X_BA],
+        x[at.X_LEVEL + at.L_ACCEL + 1] - n * x[at.X_BA + 1],
+        x[at.X_LEVEL + at.L_ACCEL + 2] - n * x[at.X_BA + 2],
         0.0,
         0.0,
         -1.0,
@@ -476,12 +497,9 @@ def level_in_motion(
     std: cython.double,
 ) -> cython.bint:
     """Begin the filter at a fix, with an attitude found in motion; False: not yet."""
-    i: cython.Py_ssize_t
     tilt: cython.double = find_down(x, k, w, t, vn, ve, vd, std)
     if tilt == 0.0:
         return False
-    for i in range(3):
-        x[at.X_BG + i] = 0.0
     begin_filter(x, k, w, t, tilt, k[at.K_GYRO_BIAS])
     return True
 

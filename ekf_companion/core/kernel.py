@@ -217,9 +217,11 @@ def begin(x: cython.double[::1], t: cython.double) -> cython.void:
     x[at.X_MODE] = at.MODE_LEVEL
     x[at.X_Q] = 1.0
     x[at.X_DECLINATION] = NAN
-    x[at.X_WHITE + at.AID_POS] = FIRST_SHARE
-    x[at.X_WHITE + at.AID_HGT] = FIRST_SHARE
-    x[at.X_WHITE + at.AID_VEL] = 1.0
+    if x[at.X_WHITE + at.AID_POS] == 0.0:
+        # of a receiver that nothing is known of from before
+        x[at.X_WHITE + at.AID_POS] = FIRST_SHARE
+        x[at.X_WHITE + at.AID_HGT] = FIRST_SHARE
+        x[at.X_WHITE + at.AID_VEL] = 1.0
     x[at.X_ARMED] = NAN
     x[at.X_LANDED] = NAN
     x[at.X_T_FIX] = NEVER
@@ -313,6 +315,7 @@ def start_over(x: cython.double[::1], t: cython.double, reason: cython.double) -
     for i in range(3):
         x[at.X_NOISE_G + i] = 0.0
         x[at.X_NOISE_A + i] = 0.0
+        x[at.X_WHITE + i] = 0.0
     x[at.X_RESETS] += 1.0
     x[at.X_RESET_REASON] = reason
     armed: cython.double = x[at.X_ARMED]

@@ -220,7 +220,8 @@ cdef enum:
     K_REST_ACCEL = 50
     K_USE_REST = 51
     K_GRAVITY = 52
-    PARAMETERS = 53
+    K_KEEPS_BIAS = 53
+    PARAMETERS = 54
     HEADING_AUTO = 0
     HEADING_GNSS = 1
     HEADING_MAG = 2

@@ -155,9 +155,21 @@ def nis_of(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) 
 @cython.exceptval(check=False)
 def follow(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
     """Begin, or begin anew, at a fix with the attitude that explains the motion."""
+    i: cython.Py_ssize_t
     yaw: cython.double = x[at.X_BANK + at.B_STD]
+    delay: cython.double = x[at.X_DELAY]
     x[at.X_DELTA + 6] += rescue.excess(x)
     rescue.adopt(x)
+    if x[at.X_MODE] == at.MODE_LEVEL:
+        x[at.X_DELAY] = delay
+    else:
+        # learnt by a wrong attitude
+        for i in range(3):
+            x[at.X_BA + i] = 0.0
+            x[at.X_IRON + i] = 0.0
+    for i in range(3):
+        # the bank has its own
+        x[at.X_COV + (at.E_BG + i) * (at.N + 1)] = 0.0
     x[at.X_LEVEL + at.L_HAS_REF] = 0.0
     align.begin_filter(x, k, w, x[at.X_T], x[at.X_BANK + at.B_TILT], x[at.X_BANK + at.B_BG_STD])
     x[at.X_HAS_YAW] = 1.0

@@ -40,6 +40,8 @@ class Habit:
     """What a sample is: the mean since the one before, or a reading at its time."""
     mag_delay: float
     """A magnetic field is older than its stamp by this, s."""
+    keeps_bias: bool
+    """The biases of what it sends are the sensors' own, and the same after it has rebooted."""
 
 
 HABITS = {
@@ -53,14 +55,26 @@ HABITS = {
         imu_lag=0.0115,
         imu_samples="instant",
         mag_delay=0.06,
+        keeps_bias=True,
     ),
+    # PX4 takes its own filter's biases off, which begin anew with it.
     # PX4 sends means and stamps a fix on arrival: no delay in its simulator, 0.06 to 0.11 s with
     # receivers.
     "px4": Habit(
-        gnss_delay=0.05, gnss_delay_std=0.06, imu_lag=0.002, imu_samples="mean", mag_delay=0.0
+        gnss_delay=0.05,
+        gnss_delay_std=0.06,
+        imu_lag=0.002,
+        imu_samples="mean",
+        mag_delay=0.0,
+        keeps_bias=False,
     ),
     "unknown": Habit(
-        gnss_delay=0.0, gnss_delay_std=0.05, imu_lag=0.0, imu_samples="mean", mag_delay=0.0
+        gnss_delay=0.0,
+        gnss_delay_std=0.05,
+        imu_lag=0.0,
+        imu_samples="mean",
+        mag_delay=0.0,
+        keeps_bias=False,
     ),
 }
 """What ``auto`` means, by the autopilot's family."""
@@ -313,6 +327,7 @@ def parameters(settings: FilterSettings, family: str, gnss_delay: float | None =
     k[at.K_TIMEOUT_YAW] = gate.timeout_heading
     k[at.K_LIMIT_POS] = gate.limit_position
     k[at.K_GRAVITY] = STANDARD_GRAVITY
+    k[at.K_KEEPS_BIAS] = habit.keeps_bias
     return k
 
 

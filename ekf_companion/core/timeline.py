@@ -80,6 +80,7 @@ class Timeline:
     epoch: cython.longlong
     has_epoch: cython.bint
     is_restored: cython.bint
+    is_set: cython.bint
     newest: cython.double
     oldest: cython.double
     stamp: cython.longlong
@@ -126,6 +127,7 @@ class Timeline:
         self.counters = np.zeros((len(self.delay), 6), dtype=np.int64)
         self.has_epoch = False
         self.is_restored = False
+        self.is_set = False
         self.epoch = 0
         self.lost = 0
         self.reruns = 0
@@ -148,21 +150,65 @@ class Timeline:
         self.stamp = 0
 
     def restart(self) -> None:
-        """Begin anew on a clock that began anew: only the count of resets lives on."""
+        """Begin anew on a clock that began anew.
+
+        Beside the count of resets, what was learnt of what did not begin anew lives on: the
+        receiver's delay and how white its errors are, and the vehicle's own field, as well as they
+        were known; the biases too, or, where the autopilot may correct them otherwise now, as a
+        guess that is no surer than at any start.
+        """
+        e: cython.Py_ssize_t
         resets: cython.double = self.x[at.X_RESETS]
         i: cython.Py_ssize_t
         started: cython.bint = self.x[at.X_MODE] != at.MODE_INIT
         self.hand_over(self.cursor)
+        self.y[:] = self.x
         for i in range(at.BLOCK):
             self.x[i] = 0.0
+        if self.y[at.X_MODE] == at.MODE_NAVIGATE:
+            self.x[at.X_DELAY] = within(self.y[at.X_DELAY], self.k[at.K_DELAY_STD])
+            for e in range(at.N):
+                if (
+                    e == at.E_DELAY
+                    or e >= at.E_IRON
+                    or (at.E_BG <= e < at.E_BARO and self.k[at.K_KEEPS_BIAS] != 0.0)
+                ):
+                    i = at.X_COV + e * (at.N + 1)
+                    self.x[i] = self.y[i]
+            for i in range(3):
+                self.x[at.X_WHITE + i] = self.y[at.X_WHITE + i]
+                self.x[at.X_NIS_SUM + i] = self.y[at.X_NIS_SUM + i]
+                self.x[at.X_NIS_N + i] = self.y[at.X_NIS_N + i]
+                self.x[at.X_BG + i] = within(self.y[at.X_BG + i], self.k[at.K_GYRO_BIAS])
+                self.x[at.X_BA + i] = within(self.y[at.X_BA + i], self.k[at.K_ACCEL_BIAS])
+                self.x[at.X_IRON + i] = within(self.y[at.X_IRON + i], self.k[at.K_IRON_STD])
         self.x[at.X_RESETS] = resets + 1.0 if started else resets
         self.x[at.X_RESET_REASON] = at.RESET_CLOCK
         self.has_epoch = False
         self.is_restored = False
+        self.is_set = False
         self.lost = 0
         self.start[:] = self.x
         self.stretch += 1
         self.clear()
+
+    @cython.cfunc
+    def set_clock(self, t_ns: cython.longlong) -> cython.void:
+        """Go on by a clock that was set: its first inertial sample follows the newest of the old.
+
+        How long there was between the two nobody knows; it is taken for the usual interval. What
+        was heard by the old clock stays as it is, and no event goes behind it.
+        """
+        self.is_set = False
+        self.hand_over(self.cursor)
+        self.epoch = (
+            t_ns
+            - self.delay[6]
+            - cython.cast(cython.longlong, self.x[at.X_T] + 1e9 * self.x[at.X_DT])
+        )
+        self.start[:] = self.x
+        self.stretch += 1
+        self.begin_from(self.x[at.X_T], t_ns)
 
     def restore(
         self,
@@ -191,6 +237,7 @@ class Timeline:
         self.epoch = epoch_ns
         self.has_epoch = True
         self.is_restored = True
+        self.is_set = False
         self.lost = 0
         self.begin_from(self.x[at.X_T], stamp_ns)
         for i in range(count):
@@ -229,7 +276,10 @@ class Timeline:
         """Do the work of insert, and count the result by kind."""
         result: cython.int = MALFORMED
         if kind == RESTART:
-            self.restart()
+            if values[0] != 0.0 and self.newest >= 0.0:
+                self.is_set = True
+            else:
+                self.restart()
             result = RESTARTED
         elif kind < self.delay.shape[0] and is_sane(kind, values):
             result = self.place(t_ns, kind, values)
@@ -251,6 +301,11 @@ class Timeline:
             # the same whichever event comes first, and near enough for exact doubles
             self.epoch = t_ns // EPOCH_STEP * EPOCH_STEP
             self.has_epoch = True
+        if self.is_set:
+            # which time it is now, the next inertial sample says
+            if kind != IMU:
+                return STALE
+            self.set_clock(t_ns)
         t = cython.cast(cython.double, t_ns - self.delay[kind] - self.epoch)
 
         # Too old to go back to?
@@ -479,6 +534,16 @@ class Timeline:
     def arrivals(self) -> np.ndarray:
         """How many events of each kind (rows) met each result (columns)."""
         return np.array(self.counters)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def within(value: cython.double, sigma: cython.double) -> cython.double:
+    """Bring what was learnt to within two sigmas of what is expected where nothing is known."""
+    largest: cython.double = 2.0 * sigma
+    value = value if value < largest else largest
+    return value if value > -largest else -largest
 
 
 @cython.cfunc

@@ -207,7 +207,8 @@ class Session:
         measurements = self.decoder.decode(frame)
         while self.decoder.notes:
             self._events.append(Noted(self.decoder.notes.popleft()))
-        if measurements and type(measurements[0]) is Restart:
+        first = measurements[0] if measurements else None
+        if type(first) is Restart and not first.goes_on:
             self._events.append(Rebooted())
             self._begin(PeerFound(*sender, self.discovery.family))
         return measurements

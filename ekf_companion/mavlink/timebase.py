@@ -8,6 +8,10 @@ One stamp far from the others says nothing: it may be an old packet, or a field 
 set. So a leap is held back until a second stamp goes on from it: forward, that was a gap; back
 (or to the other base, or by more than an hour), the clock began anew, if for a quarter of a second
 nothing else is heard.
+
+A step back by less than a second is at first taken for packets that were overtaken. Those have
+others before and after them that are not; where all stamps stay behind while they go on by a
+quarter of a second, the clock itself was set back.
 """
 
 from __future__ import annotations
@@ -21,7 +25,8 @@ LAST_US = 4_000_000_000_000_000
 WRAP_US = (1 << 32) * 1000
 """The milliseconds since boot go round."""
 BACK_US = 1_000_000
-"""A clock that goes back by more has begun anew; by less, packets overtook one another."""
+"""A clock that goes back by more has begun anew; by less, it may be that packets overtook one
+another."""
 AHEAD_US = 10_000_000
 """A link may be silent for so long without a doubt about the next stamp."""
 GAP_US = 3_600_000_000
@@ -38,15 +43,19 @@ class Step(Enum):
     """A leap that nothing has confirmed: what it stamps is of no known time."""
     BEGUN = "begun"
     """The clock began anew."""
+    SET = "set"
+    """The clock was set back by less than a second; the stamps since then are to be taken anew."""
 
 
 class Count:
     """A count of microseconds, from stamps that may come late, or mean nothing."""
 
-    __slots__ = ("latest_us", "leap_us")
+    __slots__ = ("behind_us", "latest_us", "leap_us")
 
     def __init__(self) -> None:
         self.latest_us: int | None = None
+        self.behind_us: int | None = None
+        """The first of the stamps that have all been behind the latest; None: it is not so."""
         self.leap_us: int | None = None
         """The first stamp after a leap that is held back."""
 
@@ -57,18 +66,28 @@ class Count:
             return Step.FOLLOWED
         step = stamp_us - self.latest_us
         if -BACK_US <= step <= AHEAD_US:
-            if step > 0:
-                self.latest_us = stamp_us
             self.leap_us = None
-            return Step.FOLLOWED
+            return self._follow(stamp_us, step)
         if self.leap_us is None or not -BACK_US <= stamp_us - self.leap_us <= AHEAD_US:
             self.leap_us = stamp_us
             return Step.HELD
         is_gap = 0 < step <= GAP_US
         if stamp_us - self.leap_us < (1 if is_gap else SURE_US):
             return Step.HELD
-        self.latest_us, self.leap_us = stamp_us, None
+        self.latest_us, self.leap_us, self.behind_us = stamp_us, None, None
         return Step.FOLLOWED if is_gap else Step.BEGUN
+
+    def _follow(self, stamp_us: int, step: int) -> Step:
+        """Take a stamp that goes on, or is behind: late, or of a clock that was set back."""
+        if step >= 0:
+            self.latest_us, self.behind_us = stamp_us, None
+            return Step.FOLLOWED
+        if self.behind_us is None or stamp_us < self.behind_us:
+            self.behind_us = stamp_us
+        if stamp_us - self.behind_us < SURE_US:
+            return Step.FOLLOWED
+        self.latest_us, self.behind_us = self.behind_us - 1, None
+        return Step.SET
 
 
 class TimeBase:
@@ -92,6 +111,11 @@ class TimeBase:
         return None if latest is None else latest * 1000
 
     @property
+    def is_behind(self) -> bool:
+        """Whether the last stamps were all behind: late, or of a clock that was set back."""
+        return self._main.behind_us is not None
+
+    @property
     def is_unix(self) -> bool:
         """Whether the inertial messages are stamped in unix time."""
         latest = self._main.latest_us
@@ -103,13 +127,13 @@ class TimeBase:
         latest = main.latest_us
         if latest is None or main.leap_us is not None or not 0 < stamp_us - latest <= AHEAD_US:
             return False
-        main.latest_us = stamp_us
+        main.latest_us, main.behind_us = stamp_us, None
         return True
 
     def advance(self, stamp_us: int) -> Step:
         """Take a stamp that the base follows."""
         step = self._main.take(stamp_us)
-        if step is Step.BEGUN:
+        if step in (Step.BEGUN, Step.SET):
             # What is known of the milliseconds was so of the old clock
             self._boot = Count()
             self._unix_minus_boot_us = self._held_relation_us = None
@@ -119,7 +143,7 @@ class TimeBase:
         """Take a stamp in milliseconds since boot."""
         if self.is_unix:
             step = self._boot.take(_unwrapped(boot_ms, self._boot.latest_us))
-            if step is Step.BEGUN:
+            if step in (Step.BEGUN, Step.SET):
                 self._unix_minus_boot_us = self._held_relation_us = None
             return step
         leap = self._main.leap_us

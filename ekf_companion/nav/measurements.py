@@ -29,7 +29,7 @@ class Kind(IntEnum):
     """What an event is. At one time they are taken in this order, the inertial sample last."""
 
     RESTART = 0
-    """The autopilot's clock began anew: nothing before it can be compared. No values."""
+    """The autopilot's clock began anew, or was set. Row: 1 if all else goes on, or 0."""
     GNSS = 1
     HEADING = 2
     MAG = 3
@@ -70,14 +70,17 @@ _REST_OF_SAMPLE = (0.0,) * (WIDTH - 6)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Restart:
-    """The autopilot rebooted or its clock jumped: all stamps from here on are of a new time."""
+    """The autopilot rebooted or its clock was set: all stamps from here on are of a new time."""
 
     t_ns: int = 0
     """Not used."""
+    goes_on: bool = False
+    """Only the clock was set: the next inertial sample follows the last. False: nothing from before
+    can be compared."""
 
     def row(self) -> Row:
-        """Give the event as a row without values."""
-        return _row(self.t_ns, Kind.RESTART)
+        """Give [goes on]."""
+        return _row(self.t_ns, Kind.RESTART, float(self.goes_on))
 
 
 class ImuSample(NamedTuple):

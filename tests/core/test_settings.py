@@ -25,7 +25,7 @@ def test_gates_are_chi_square_quantiles(dof, probability):
 def test_every_parameter_is_given():
     k = parameters(FilterSettings(), "unknown")
     names = [name for name in vars(at) if name.startswith("K_")]
-    may_be_zero = {"K_LAG", "K_LEVER", "K_HEADING"}
+    may_be_zero = {"K_LAG", "K_LEVER", "K_HEADING", "K_KEEPS_BIAS"}
     learnt = {"K_WHITE_SHARE"}
     assert [name for name in names if np.isnan(k[getattr(at, name)])] == [*learnt]
     assert [name for name in names if k[getattr(at, name)] == 0.0 and name not in may_be_zero] == []

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -149,8 +150,8 @@ def test_a_clock_that_went_back_is_found_out_by_the_samples_themselves():
     assert timeline.block()[at.X_RESETS] >= 1
 
 
-def test_a_restart_forgets_all_but_the_count_of_resets():
-    events = some_events()
+def test_a_restart_before_anything_was_learnt_forgets_all_but_the_count_of_resets():
+    events = some_events(0.5)
     timeline = a_timeline()
     put(timeline, events)
     assert timeline.insert(0, Kind.RESTART, np.zeros(13)) == Arrival.RESTARTED
@@ -160,6 +161,47 @@ def test_a_restart_forgets_all_but_the_count_of_resets():
     told = [at.X_RESETS, at.X_RESET_REASON]
     a[told] = b[told] = 0.0
     assert a.tobytes() == b.tobytes()
+
+
+def test_a_clock_that_is_set_moves_the_stamps_and_nothing_else():
+    """Whatever the clock shows from some sample on, the estimate is the same to the bit."""
+    events = some_events().take(np.flatnonzero(some_events().kind == Kind.IMU))
+    regular = events.t_ns[0] + np.arange(len(events)) * 10_000_000
+    half = len(events) // 2
+    straight, moved = a_timeline(), a_timeline()
+    for timeline, by in ((straight, 0), (moved, -500_000_000)):
+        for n, values in enumerate(events.values):
+            if n == half and by:
+                goes_on = np.array([1.0] + [0.0] * 12)
+                assert timeline.insert(0, Kind.RESTART, goes_on) == Arrival.RESTARTED
+            stamp = int(regular[n]) + (by if n >= half else 0)
+            assert timeline.insert(stamp, Kind.IMU, values) == Arrival.ESTIMATED
+    assert moved.block().tobytes() == straight.block().tobytes()
+    assert straight.stamp_ns - moved.stamp_ns == 500_000_000
+
+
+@pytest.mark.parametrize("family", ["ardupilot", "px4"])
+def test_what_did_not_reboot_is_known_after_it(family):
+    """The receiver and the vehicle's field; the biases where the autopilot does not change them."""
+    told = FilterSettings()
+    events, _ = flight("figure-eight", duration=40.0, rate=100.0)
+    timeline = Timeline(parameters(told, family), delays_ns(told, family), WINDOW_NS)
+    put(timeline, events)
+    learnt = timeline.block()
+    timeline.insert(0, Kind.RESTART, np.zeros(13))
+    guess = timeline.block()
+    for first, sigma in ((at.X_BG, 0.02), (at.X_BA, 0.2), (at.X_IRON, 0.01)):
+        known = learnt[first : first + 3]
+        assert np.array_equal(guess[first : first + 3], np.clip(known, -2 * sigma, 2 * sigma))
+        assert known.any()
+    assert guess[at.X_MODE] == at.MODE_INIT
+    kept = [at.E_DELAY, *range(at.E_IRON, at.N)]
+    kept += range(at.E_BG, at.E_BARO) if family == "ardupilot" else []
+    was, now = (x[at.X_COV :].reshape(at.N, at.N) for x in (learnt, guess))
+    assert np.array_equal(now, np.diag([was[e, e] if e in kept else 0.0 for e in range(at.N)]))
+    assert guess[at.X_DELAY] == learnt[at.X_DELAY]
+    white = slice(at.X_WHITE, at.X_WHITE + 3)
+    assert np.array_equal(guess[white], learnt[white])
 
 
 def test_events_that_wait_for_a_sample_do_not_fill_the_memory():

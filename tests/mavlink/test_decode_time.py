@@ -187,3 +187,39 @@ def test_a_reboot_is_told_also_by_a_message_whose_own_time_is_not_known_any_more
         said += peer.say(first, time_boot_ms=2000 + 10 * k)
     assert [type(one) for one in said] == [Restart]
     assert peer.decoder.refused[f"{'SCALED_IMU' if 'IMU' in first else first}: time base unknown"]
+
+
+# A clock that is set back
+
+HALF_US = 500_000
+PERIOD_US = 4000
+
+
+def numbered(peer, stamps):
+    """Give what HIGHRES_IMU of these stamps say, the rate counting them."""
+    return [found for n, t in enumerate(stamps) for found in peer.highres(t, xgyro=n * 1e-3)]
+
+
+@pytest.mark.parametrize("family", [Family.PX4, Family.ARDUPILOT])
+def test_rule_12_a_clock_set_back_by_half_a_second_goes_on_without_a_sample_lost(family):
+    peer = Peer(family)
+    before = [1_000_000 + PERIOD_US * n for n in range(100)]
+    after = [before[-1] - HALF_US + PERIOD_US * n for n in range(1, 100)]
+    assert len(only(ImuSample, numbered(peer, before))) == len(before)
+    found = numbered(peer, after)
+    assert [type(one) for one in found].count(Restart) == 1
+    assert isinstance(found[0], Restart)
+    assert found[0].goes_on
+    told = only(ImuSample, found)
+    assert [one.gyro_x for one in told] == pytest.approx([n * 1e-3 for n in range(len(after))])
+    assert [round(one.t_ns, -6) for one in told] == [round(t * 1000, -6) for t in after]
+    assert peer.decoder.refused["clock set back"] == 1
+
+
+def test_a_late_sample_is_given_with_the_next_that_is_not():
+    peer = Peer(Family.PX4)
+    stamps = [1_000_000 + PERIOD_US * n for n in range(50)]
+    stamps.insert(40, stamps.pop(20))
+    found = numbered(peer, stamps)
+    assert [one.t_ns // 1000 for one in only(ImuSample, found)] == stamps
+    assert not only(Restart, found)

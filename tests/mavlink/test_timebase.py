@@ -99,6 +99,14 @@ NO_REBOOTS = {
             *(NOW + 4000 * (10 * n + k) - 2 * SECOND_US for k in range(10)),
         )
     ],
+    "a way that is slower by half a second": [
+        stamp for n in range(400) for stamp in (NOW + 4000 * n, NOW + 4000 * n - SECOND_US // 2)
+    ],
+    "a fifth of a second of packets that were overtaken": [
+        NOW + SECOND_US,
+        *(NOW + SECOND_US // 2 + 4000 * n for n in range(50)),
+        NOW + SECOND_US + 4000,
+    ],
     "a link that was silent for half an hour": [NOW + GAP_US // 2 + 4000 * n for n in range(9)],
     "a link that was silent for nine seconds": [NOW + 9 * SECOND_US],
 }
@@ -118,12 +126,25 @@ def test_a_clock_that_began_anew_is_believed_within_a_second_and_once(case):
     assert abs(clock.latest_us - newest) <= 1000  # of a millisecond
 
 
+@pytest.mark.parametrize("back_us", [260_000, 500_000, 999_000])
+def test_a_clock_that_is_set_back_by_less_than_a_second_is_found_out_once(back_us):
+    """Rule 12: too little for a reboot, and too long for packets that overtook one another."""
+    clock = at(NOW)
+    new = [NOW - back_us + 4000 * n for n in range(1, 200)]
+    found = steps(clock, new)
+    assert found.count(Step.SET) == 1
+    assert 0 <= found.index(Step.SET) * 4000 - SURE_US < 4000
+    assert set(found) == {Step.FOLLOWED, Step.SET}
+    first = found.index(Step.SET)
+    assert steps(at(new[0] - 1), new[: first + 1]) == [Step.FOLLOWED] * (first + 1)
+
+
 @pytest.mark.parametrize("case", NO_REBOOTS)
 def test_what_is_no_reboot_is_taken_for_none(case):
     """Rule 12: neither one wild stamp nor a packet of a slower way is the autopilot's clock."""
     clock = at(NOW)
     found = steps(clock, NO_REBOOTS[case])
-    assert Step.BEGUN not in found
+    assert not {Step.BEGUN, Step.SET} & set(found)
     assert found[-1] is Step.FOLLOWED or case.startswith(("wild", "the same", "a second"))
     true = [stamp for stamp in NO_REBOOTS[case] if isinstance(stamp, int)]
     true = [stamp for stamp in true if NOW <= stamp <= NOW + GAP_US]

@@ -8,6 +8,7 @@ Rooms
     door        what the readers share: the family, the clock, what was refused, what is to be told
     choice      of several sources the best that speaks; a stream thinned to a rate
     inertial    HIGHRES_IMU, RAW_IMU, SCALED_IMU
+    repetition  inertial samples of a sensor that hangs or is at the end of its range
     air         magnetometer and barometer, whichever message brings them
     position    GPS_RAW_INT, GLOBAL_POSITION_INT
     heading     the autopilot's own heading

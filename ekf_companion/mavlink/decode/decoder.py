@@ -13,7 +13,11 @@ from ekf_companion.mavlink.decode.position import Position
 from ekf_companion.mavlink.decode.vehicle import Vehicle
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.layout import by_name
-from ekf_companion.mavlink.timebase import TimeBase
+from ekf_companion.mavlink.timebase import Step, TimeBase
+from ekf_companion.nav.measurements import Restart
+
+HELD = 1024
+"""Frames that wait for what the clock has done, at most; in a quarter of a second come fewer."""
 
 
 class Decoder:
@@ -48,18 +52,20 @@ class Decoder:
             }.items()
         }
 
-    def _forget(self) -> None:
+        self._held: list[tuple[Frame, Measurements]] = []
+
+    def _forget(self, step: Step) -> None:
         """Begin anew after a reboot; the clock has already taken the new time."""
-        for reader in (
-            *(self._inertial, self._mag, self._baro),
-            *(self._heading, self._vehicle, self._position),
-        ):
+        for reader in (self._inertial, self._mag, self._baro, self._heading, self._position):
             reader.forget()
+        if step is Step.BEGUN:
+            self._vehicle.forget()
 
     def begin(self) -> None:
         """Begin anew with another autopilot, of whose clock nothing is known."""
         self._door.clock = TimeBase()
-        self._forget()
+        self._held.clear()
+        self._forget(Step.BEGUN)
 
     def beware(self, is_ours: bool, is_yaw_ours: bool) -> None:
         """Refuse the autopilot's own position, or its yaw, while it is made of our ODOMETRY."""
@@ -129,6 +135,26 @@ class Decoder:
         self._heading.sources.rank = heading
 
     def decode(self, frame: Frame) -> Measurements:
-        """Give what a frame of the autopilot says: nothing, one or several measurements."""
+        """Give what a frame of the autopilot says: nothing, one or several measurements.
+
+        What is behind the newest stamp waits until it is known why: late, it is given with the next
+        that is not; of a clock that was set back, it is read anew by that.
+        """
+        out = self._read(frame)
+        if out and type(out[0]) is Restart:
+            held, self._held = self._held, []
+            if out[0].goes_on:
+                frames = [*(one for one, _ in held), frame]
+                return [out[0], *(found for one in frames for found in self._read(one))]
+            return out
+        if self._door.clock.is_behind and len(self._held) < HELD:
+            self._held.append((frame, out))
+            return []
+        if self._held:
+            out = [*(found for _, late in self._held for found in late), *out]
+            self._held = []
+        return out
+
+    def _read(self, frame: Frame) -> Measurements:
         function = self._decoders.get(frame.message_id)
         return function(frame) if function else []

@@ -44,13 +44,16 @@ class DecoderOptions:
 class Door:
     """The one place that messages come in by."""
 
-    def __init__(self, family: Family, options: DecoderOptions, forget: Callable[[], None]) -> None:
+    def __init__(
+        self, family: Family, options: DecoderOptions, forget: Callable[[Step], None]
+    ) -> None:
         """Open it.
 
         Args:
             family: Whose habits apply.
             options: How messages that leave something open are read.
-            forget: Called when the autopilot's clock began anew, after the clock took the new time.
+            forget: Called when the autopilot's clock began anew or was set, after the clock took
+                the new time.
         """
         self.family = family
         self.options = options
@@ -121,5 +124,8 @@ class Door:
         if step is Step.HELD:
             self.refuse(f"{message}: stamp leaps")
             return None
-        self._forget()
-        return [Restart()]
+        self._forget(step)
+        if step is Step.SET:
+            self.refused["clock set back"] += 1
+            self.tell("The autopilot's clock was set back by less than a second; going on by it")
+        return [Restart(goes_on=step is Step.SET)]

@@ -9,6 +9,7 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
 from ekf_companion.mavlink.decode.choice import ABSENT_NS, Preference
 from ekf_companion.mavlink.decode.door import Door, Family, Measurements
+from ekf_companion.mavlink.decode.repetition import Repetition
 from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.layout import by_name
@@ -43,6 +44,7 @@ class Inertial:
         """The sensor in use, as HIGHRES_IMU numbers them."""
         self._instance_us = -1  # when it last spoke
         self._last_us = -1
+        self._repetition = Repetition()
         self.begin_stream()
 
     def begin_stream(self) -> None:
@@ -79,6 +81,13 @@ class Inertial:
         t_ns = t_us * 1000
         if updated & _ACCEL_GYRO != _ACCEL_GYRO:
             door.refuse("HIGHRES_IMU: accel or gyro not updated")
+        elif t_us > self._last_us and (
+            why := self._repetition.judge(t_us, (gx, gy, gz, ax, ay, az))
+        ):
+            self._tell_silence(why)
+            self._last_us = t_us
+            # the compass turned with a vehicle whose turning nobody saw
+            return out
         else:
             t_ns = self._add(out, 0, t_us, gx, gy, gz, ax, ay, az)
         if updated & _MAG == _MAG:
@@ -86,6 +95,13 @@ class Inertial:
         if updated & _PRESSURE:
             self._baro.add(out, 0, t_ns, pressure)
         return out
+
+    def _tell_silence(self, why: str) -> None:
+        self._door.refuse(f"HIGHRES_IMU: {why}")
+        self._door.tell_once(
+            f"Inertial sensor {self.instance} is {why}: it says the same again and again, which is "
+            "not used; check the sensor, its mounting and its range"
+        )
 
     def _follow_instance(self, instance: int, t_us: int) -> bool:
         """Whether to use another sensor from now on: the configured one, or one for a silent one.

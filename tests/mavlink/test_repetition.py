@@ -1,0 +1,63 @@
+"""Samples of a sensor that hangs or is at the end of its range, and samples that repeat for other
+reasons."""
+
+import numpy as np
+import pytest
+
+from ekf_companion.mavlink.decode.repetition import LIMITED, STUCK, Repetition
+
+PERIOD_US = 4000
+STILL = (0.0, 0.0, 0.0, 0.0, 0.0, -9.80665)
+TURNING = (0.1, -0.3, 1.2, 0.5, -2.0, -11.4)
+
+
+def noisy(count, seed=1, mean=TURNING):
+    rng = np.random.default_rng(seed)
+    return [tuple(row) for row in (mean + 0.01 * rng.standard_normal((count, 6))).tolist()]
+
+
+def judge(samples, repetition=None):
+    repetition = repetition or Repetition()
+    return [repetition.judge(PERIOD_US * (n + 1), one) for n, one in enumerate(samples)]
+
+
+def test_noise_measures_something():
+    assert set(judge(noisy(20_000))) == {None}
+
+
+@pytest.mark.parametrize("mean", [TURNING, STILL])
+def test_a_sensor_that_hangs_is_found_within_a_few_samples_and_believed_when_it_speaks(mean):
+    before = noisy(2000, mean=mean)
+    found = judge([*before, *[before[-1]] * 500, *noisy(100, seed=2)])
+    assert set(found[:2003]) == {None}
+    assert set(found[2008:2500]) == {STUCK}
+    assert set(found[2500:]) == {None}
+
+
+def test_an_axis_at_the_end_of_its_range_is_found():
+    cut = [(gx, gy, 0.5, ax, ay, az) for gx, gy, _, ax, ay, az in noisy(300, seed=2)]
+    found = judge([*noisy(2000), *cut, *noisy(100, seed=3)])
+    assert set(found[2010:2300]) == {LIMITED}
+    assert set(found[2300:]) == {None}
+
+
+def test_a_simulator_without_noise_is_believed():
+    """It stands, and turns evenly, for as long as it likes."""
+    assert set(judge([STILL] * 3000 + [TURNING] * 3000)) == {None}
+
+
+def test_an_axis_that_never_says_anything_does_not_silence_the_others():
+    flat = [(gx, gy, 0.0, ax, ay, az) for gx, gy, _, ax, ay, az in noisy(5000)]
+    assert set(judge(flat)) == {None}
+
+
+def test_whole_numbers_in_disguise_are_believed():
+    rng = np.random.default_rng(1)
+    coarse = np.round(rng.normal((0, 0, 200, 0, 0, -1000), 0.4, size=(20_000, 6)))
+    assert set(judge([tuple(row) for row in coarse.tolist()])) == {None}
+
+
+def test_a_noiseless_vehicle_that_lands_is_believed_after_five_seconds():
+    found = judge([*noisy(5000), *[STILL] * 3000])
+    assert set(found[5010:6200]) == {STUCK}
+    assert set(found[6300:]) == {None}
