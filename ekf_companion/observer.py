@@ -18,6 +18,7 @@ from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.link import Link
 from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.parts import (
     age,
@@ -42,10 +43,9 @@ from ekf_companion.snapshot import (
 )
 from ekf_companion.version import __version__
 
-_SECOND_NS = 1_000_000_000
 BUCKETS_MS = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 """Bounds of the latency's histogram, ms."""
-PERIOD_NS = _SECOND_NS // 2
+PERIOD_NS = SECOND_NS // 2
 """Between two looks at the counters."""
 _LOOKS = 11
 """Kept: they span five seconds."""
