@@ -22,6 +22,7 @@ from ekf_companion.mavlink.event import IntervalSet, ParameterSet, PeerFound
 from ekf_companion.mavlink.guard import GuardOptions
 from ekf_companion.mavlink.session import RATES, Session, SessionOptions
 from ekf_companion.mavlink.signing import Signing
+from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.measurements import ImuSample, Measurement
 from ekf_companion.pipeline import Arrival, Pipeline
 from ekf_companion.publisher import STREAMS, Publisher, default_rate, largest_rate
@@ -30,8 +31,7 @@ from ekf_companion.tuning import Tuning, parameters
 
 _log = logging.getLogger(__name__)
 
-_SECOND_NS = 1_000_000_000
-SILENCE_NS = 10 * _SECOND_NS
+SILENCE_NS = 10 * SECOND_NS
 """Without an autopilot for so long, a human should look: it sends its heartbeat once a second."""
 
 

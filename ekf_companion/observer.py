@@ -19,6 +19,7 @@ from ekf_companion.finding import judge
 from ekf_companion.latency import Latency
 from ekf_companion.link import Link
 from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.parts import (
     age,
     asked_rates,
@@ -37,8 +38,7 @@ from ekf_companion.version import __version__
 
 _log = logging.getLogger(__name__)
 
-_SECOND_NS = 1_000_000_000
-PERIOD_NS = _SECOND_NS // 2
+PERIOD_NS = SECOND_NS // 2
 """Between two looks at the counters."""
 _LOOKS = 11
 """Kept: they span five seconds."""

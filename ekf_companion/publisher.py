@@ -10,10 +10,10 @@ from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import EstimatorHealth, StatusFlag
 from ekf_companion.mavlink.label import label
+from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.state import Status
 from ekf_companion.pipeline import Aid, Health, Pipeline
 
-_SECOND_NS = 1_000_000_000
 STREAMS = ("ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN")
 """What is sent of an estimate, and may be asked for."""
 _LARGEST = {Family.ARDUPILOT: 50.0}
@@ -43,7 +43,7 @@ class Due:
 
     def set_rate(self, rate: float) -> None:
         """Go on at another rate, Hz; 0: only when asked."""
-        self._period_ns = round(_SECOND_NS / rate) if rate > 0.0 else 0
+        self._period_ns = round(SECOND_NS / rate) if rate > 0.0 else 0
 
     def ask(self) -> None:
         """Have it due at the next stamp, out of turn."""

@@ -92,6 +92,10 @@ TABLE = (
 )
 """The gate is told in sigmas of one axis; noises as in the configuration."""
 
+_TRANSIENT = {"output.odometry.mode": "always"}
+"""What counts in this run only: no stranger's PARAM_SET may lift the guard for good. The user's
+file may."""
+
 _BY_KEY = {tunable.key: tunable for tunable in TABLE}
 
 
@@ -160,7 +164,8 @@ class Tuning:
         """
         self.config = apply(self.config, key, number)
         if self._keep is not None:
-            self._keep(msgspec.json.format(msgspec.json.encode(self.changed)) + b"\n")
+            kept = {key: value for key, value in self.changed.items() if not _ends(key, value)}
+            self._keep(msgspec.json.format(msgspec.json.encode(kept)) + b"\n")
         return self.config
 
     def reload(self, config: Config) -> Reload:
@@ -194,12 +199,22 @@ class Tuning:
             if key not in _BY_KEY:
                 _log.warning("%s: %s: is no parameter any more; dropped", name, key)
                 continue
+            if _ends(key, value):
+                _log.warning(
+                    "%s: %s: %s counts in the run that it is set in; dropped", name, key, value
+                )
+                continue
             try:
                 self.config = _set(self.config, key, value, name)
             except ConfigError as error:
                 _log.warning("%s; dropped", error)
             else:
                 _log.info("%s: %s is %s, as set over MAVLink", name, key, value)
+
+
+def _ends(key: str, value: object) -> bool:
+    """Whether a value ends with the run that it was set in."""
+    return key in _TRANSIENT and _TRANSIENT[key] == value
 
 
 def _get(config: Config, key: str) -> object:

@@ -86,6 +86,25 @@ def test_what_was_set_is_kept_for_the_next_run_and_only_that():
     assert (third.config.baro.std, third.config.baro.use) == (2.5, False)
 
 
+def test_a_guard_that_was_lifted_over_the_link_is_set_again_at_the_next_start(caplog):
+    kept = []
+    tuning = Tuning(Config(), keep=kept.append)
+    tuning.set("baro.std", 2.5)
+    tuning.set("output.odometry.mode", 1.0)
+    assert tuning.config.output.odometry.mode == "always"
+    again = Tuning(Config(), kept[-1], "kept").config
+    assert (again.output.odometry.mode, again.baro.std) == ("auto", 2.5)
+    # Not by what an earlier version kept either
+    data = b'{"output.odometry.mode": "always"}'
+    assert Tuning(Config(), data, "kept").config == Config()
+    assert "always counts in the run that it is set in; dropped" in caplog.text
+    # The user's file may lift it, and the safer choice is kept
+    always = parse_config({"output": {"odometry": {"mode": "always"}}}, "file")
+    assert Tuning(always, kept[-1], "kept").config.output.odometry.mode == "always"
+    tuning.set("output.odometry.mode", 2.0)
+    assert Tuning(Config(), kept[-1], "kept").config.output.odometry.mode == "never"
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from ekf_companion.doctor.evidence import Stamps
+from ekf_companion.mavlink.stamp import SECOND_NS
 
-_SECOND_NS = 1_000_000_000
-PAUSE_NS = 3 * _SECOND_NS
+PAUSE_NS = 3 * SECOND_NS
 """A longer silence is a pause, and counts for no rate."""
 
 

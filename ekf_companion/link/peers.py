@@ -15,15 +15,16 @@ from collections import Counter
 from collections.abc import Collection
 from typing import Any
 
+from ekf_companion.mavlink.stamp import SECOND_NS
+
 _log = logging.getLogger(__package__)
 
 Sender = tuple[Any, ...]
 """Host (numeric) and port; two more numbers with IPv6."""
 
-_SECOND_NS = 1_000_000_000
-SAME_HOST_NS = _SECOND_NS
+SAME_HOST_NS = SECOND_NS
 """Silence of the autopilot after which other ports of its host are heard."""
-LET_GO_NS = 5 * _SECOND_NS
+LET_GO_NS = 5 * SECOND_NS
 """Silence after which anybody is: five heartbeats."""
 NOT_NAMED = "not from link.peer"
 NOT_PINNED = "not from the autopilot's address"

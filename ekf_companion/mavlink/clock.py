@@ -11,6 +11,7 @@ import math
 from collections import Counter, deque
 from dataclasses import dataclass
 
+from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.mavlink.timebase import LAST_US
 
 
@@ -43,17 +44,17 @@ class TimesyncQuality:
     """RMS distance of the believed answers from the line through them, s; None: too few."""
 
 
-_FAST_NS = 100_000_000
-_SLOW_NS = 1_000_000_000
+_FAST_NS = SECOND_NS // 10
+_SLOW_NS = SECOND_NS
 _OUTSTANDING = 16
 _LOCK = 20
 """Good answers to lock on: 2 s at 10 Hz."""
 _WINDOW = 100
-_LOST_NS = 10_000_000_000
+_LOST_NS = 10 * SECOND_NS
 """The lock is lost without a good answer for so long: at 100 ppm the clocks are 1 ms apart then."""
 _JUMPS = 5
 """So many answers in a row of another clock, and it is another clock; PX4's number."""
-_SKEW_SPAN_NS = 10_000_000_000
+_SKEW_SPAN_NS = 10 * SECOND_NS
 """A rate is fitted over no shorter span: at 0.1 ms of jitter it would be worse than none."""
 _LARGEST_SKEW = 500e-6
 """Crystals are better than 100 ppm; more is jitter."""
@@ -67,9 +68,12 @@ class Timesync:
         self.refused: Counter[str] = Counter()
         """Answers refused: ``foreign`` (not asked for by us), ``no time``, ``slow`` (a round trip
         too long), ``jump`` (another clock than before)."""
-        self._largest_rtt_ns = self.options.largest_rtt_ms * 1e6
         self._outstanding: deque[int] = deque(maxlen=_OUTSTANDING)
         self.reset()
+
+    @property
+    def _largest_rtt_ns(self) -> float:
+        return self.options.largest_rtt_ms * 1e6
 
     def reset(self) -> None:
         """Forget the peer's clock: it rebooted or was lost."""

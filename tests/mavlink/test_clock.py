@@ -1,5 +1,7 @@
 """TIMESYNC between two clocks that differ."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -218,3 +220,12 @@ def test_a_reboot_forgets_everything_of_the_old_clock():
     assert ours.refused == {"foreign": 1}
     assert ours.quality.answers == 0
     assert not ours.is_locked
+
+
+def test_the_largest_round_trip_is_taken_in_flight():
+    timesync = Timesync()
+    for number, largest_rtt_ms in enumerate((10.0, 60.0, 10.0)):
+        timesync.options = replace(timesync.options, largest_rtt_ms=largest_rtt_ms)
+        sent_ns = timesync.request(number * 1_000_000_000)
+        timesync.receive(sent_ns + 5, sent_ns, sent_ns + 50_000_000)
+    assert (timesync.answers, timesync.refused["slow"]) == (1, 2)

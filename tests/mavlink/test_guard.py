@@ -3,11 +3,33 @@
 import numpy as np
 import pytest
 
+from ekf_companion.companion import Companion
+from ekf_companion.config import Config
+from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.event import GuardChanged
+from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.guard import GuardOptions
-from tests.mavlink.conversation import MS, PX4, SECOND, Voice, met, sent
+from ekf_companion.mavlink.layout import IDS
+from tests.mavlink.conversation import MS, PX4, SECOND, Voice, met, sent, station
 
 GENERIC = 0
+
+
+def test_each_time_that_the_guard_is_lifted_the_pilot_is_warned():
+    companion, autopilot = Companion(Config()), Voice()
+    texts = []
+    for now_ns in range(0, 20 * SECOND, 100 * MS):
+        if now_ns % SECOND == 0:
+            mode = now_ns // (2 * SECOND) % 2
+            said = station().to_us(
+                "PARAM_SET", param_id=b"EC_ODOM_MODE", param_value=float(mode), param_type=9
+            )
+            companion.receive(autopilot.heartbeat() + said, now_ns)
+        companion.tick(now_ns)
+        frames = Splitter().feed(b"".join(companion.data_to_send()))
+        texts += [unpack(f) for f in frames if f.message_id == IDS["STATUSTEXT"]]
+    warned = [one for one in texts if one.text == b"Companion: ODOMETRY is streamed unguarded"]
+    assert [one.severity for one in warned] == [4] * 5  # though no answer came in between
 
 
 def answer(autopilot):
