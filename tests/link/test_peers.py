@@ -11,7 +11,7 @@ from ekf_companion.config import parse_config
 from ekf_companion.errors import ConfigError, LinkError
 from ekf_companion.link import Peers, open_link
 from ekf_companion.link.peers import LET_GO_NS, NOT_NAMED, NOT_PINNED, SAME_HOST_NS
-from ekf_companion.parts import refused_datagrams
+from ekf_companion.parts import link_state
 
 A, A2, B = ("10.0.0.2", 14550), ("10.0.0.2", 14551), ("10.0.0.9", 14550)
 
@@ -151,7 +151,7 @@ def test_a_peer_is_a_host_and_perhaps_a_port(peer, meant):
 def test_what_is_told_of_the_refused_is_a_copy_and_no_counter_that_goes_on():
     link = open_link("udpin:127.0.0.1:14540", peers=pinned_to(A))
     link.peers.listen(B, 1)
-    told = refused_datagrams(link)
+    told = link_state(link).refused
     link.peers.refused["another reason"] += 1
     assert told == {NOT_PINNED: 1}
 
