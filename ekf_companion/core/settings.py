@@ -41,7 +41,7 @@ class Habit:
     mag_delay: float
     """A magnetic field is older than its stamp by this, s."""
     keeps_bias: bool
-    """The biases of what it sends are the sensors' own, and the same after it has rebooted."""
+    """The biases of what it sends are the sensors' own, and the same after a reboot in flight."""
 
 
 HABITS = {
@@ -57,9 +57,8 @@ HABITS = {
         mag_delay=0.06,
         keeps_bias=True,
     ),
-    # PX4 takes its own filter's biases off, which begin anew with it.
-    # PX4 sends means and stamps a fix on arrival: no delay in its simulator, 0.06 to 0.11 s with
-    # receivers.
+    # PX4 takes its own filter's biases off, which begin anew with it. It sends means and stamps a
+    # fix on arrival: no delay in its simulator, 0.06 to 0.11 s with receivers.
     "px4": Habit(
         gnss_delay=0.05,
         gnss_delay_std=0.06,

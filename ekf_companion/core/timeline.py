@@ -45,6 +45,8 @@ SNAPSHOT_EVERY = cython.declare(cython.Py_ssize_t, 16)
 """Inertial samples between two snapshots: at 250 Hz a late event re-runs 32 ms more at the most."""
 LOST_AFTER = cython.declare(cython.Py_ssize_t, 250)
 """So many inertial samples in a row too old for the window mean that the clock itself went back."""
+REBOOT_TIME = cython.declare(cython.double, 100.0)
+"""So long a bias is taken to have walked over a reboot, s: ten times what one lasts."""
 LARGEST_RATE = cython.declare(cython.double, 200.0)
 """rad/s; no gyro of a vehicle reaches it."""
 LARGEST_FORCE = cython.declare(cython.double, 2000.0)
@@ -152,12 +154,8 @@ class Timeline:
     def restart(self) -> None:
         """Begin anew on a clock that began anew.
 
-        Beside the count of resets, what was learnt of what did not begin anew lives on: the
-        receiver's delay and how white its errors are, and the vehicle's own field, as well as they
-        were known; the biases too, or, where the autopilot may correct them otherwise now, as a
-        guess that is no surer than at any start.
+        Beside the count of resets lives on what was learnt of what did not begin anew.
         """
-        e: cython.Py_ssize_t
         resets: cython.double = self.x[at.X_RESETS]
         i: cython.Py_ssize_t
         started: cython.bint = self.x[at.X_MODE] != at.MODE_INIT
@@ -166,22 +164,7 @@ class Timeline:
         for i in range(at.BLOCK):
             self.x[i] = 0.0
         if self.y[at.X_MODE] == at.MODE_NAVIGATE:
-            self.x[at.X_DELAY] = within(self.y[at.X_DELAY], self.k[at.K_DELAY_STD])
-            for e in range(at.N):
-                if (
-                    e == at.E_DELAY
-                    or e >= at.E_IRON
-                    or (at.E_BG <= e < at.E_BARO and self.k[at.K_KEEPS_BIAS] != 0.0)
-                ):
-                    i = at.X_COV + e * (at.N + 1)
-                    self.x[i] = self.y[i]
-            for i in range(3):
-                self.x[at.X_WHITE + i] = self.y[at.X_WHITE + i]
-                self.x[at.X_NIS_SUM + i] = self.y[at.X_NIS_SUM + i]
-                self.x[at.X_NIS_N + i] = self.y[at.X_NIS_N + i]
-                self.x[at.X_BG + i] = within(self.y[at.X_BG + i], self.k[at.K_GYRO_BIAS])
-                self.x[at.X_BA + i] = within(self.y[at.X_BA + i], self.k[at.K_ACCEL_BIAS])
-                self.x[at.X_IRON + i] = within(self.y[at.X_IRON + i], self.k[at.K_IRON_STD])
+            keep(self.x, self.y, self.k)
         self.x[at.X_RESETS] = resets + 1.0 if started else resets
         self.x[at.X_RESET_REASON] = at.RESET_CLOCK
         self.has_epoch = False
@@ -534,6 +517,41 @@ class Timeline:
     def arrivals(self) -> np.ndarray:
         """How many events of each kind (rows) met each result (columns)."""
         return np.array(self.counters)
+
+
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+def keep(x: cython.double[::1], y: cython.double[::1], k: cython.double[::1]) -> cython.void:
+    """Give an empty block x what a block y knows that outlives a reboot of the autopilot.
+
+    The receiver does not reboot, nor does the vehicle's own field change: its delay, how white its
+    errors are, and hard iron are as they were. The biases are where they are the sensors' own
+    (layout.K_KEEPS_BIAS), give or take what they have walked meanwhile; but a gyro is calibrated by
+    an autopilot that starts on the ground. Of an autopilot that takes its own estimate of the
+    biases off, the accelerometer's is a guess, no surer than at any start.
+    """
+    i: cython.Py_ssize_t
+    e: cython.Py_ssize_t = at.X_COV + at.E_DELAY * (at.N + 1)
+    is_flown: cython.bint = y[at.X_ARMED] == 1.0 and y[at.X_LANDED] != 1.0
+    x[at.X_DELAY] = within(y[at.X_DELAY], k[at.K_DELAY_STD])
+    x[e] = y[e]
+    for i in range(3):
+        x[at.X_WHITE + i] = y[at.X_WHITE + i]
+        x[at.X_NIS_SUM + i] = y[at.X_NIS_SUM + i]
+        x[at.X_NIS_N + i] = y[at.X_NIS_N + i]
+        x[at.X_IRON + i] = within(y[at.X_IRON + i], k[at.K_IRON_STD])
+        e = at.X_COV + (at.E_IRON + i) * (at.N + 1)
+        x[e] = y[e]
+        x[at.X_BA + i] = within(y[at.X_BA + i], k[at.K_ACCEL_BIAS])
+        if k[at.K_KEEPS_BIAS] == 0.0:
+            continue
+        e = at.X_COV + (at.E_BA + i) * (at.N + 1)
+        x[e] = y[e] + k[at.K_ACCEL_WALK] * k[at.K_ACCEL_WALK] * REBOOT_TIME
+        if is_flown:
+            x[at.X_BG + i] = within(y[at.X_BG + i], k[at.K_GYRO_BIAS])
+            e = at.X_COV + (at.E_BG + i) * (at.N + 1)
+            x[e] = y[e] + k[at.K_GYRO_WALK] * k[at.K_GYRO_WALK] * REBOOT_TIME
 
 
 @cython.cfunc

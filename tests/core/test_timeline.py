@@ -180,25 +180,34 @@ def test_a_clock_that_is_set_moves_the_stamps_and_nothing_else():
     assert straight.stamp_ns - moved.stamp_ns == 500_000_000
 
 
+@pytest.mark.parametrize("is_flown", [True, False])
 @pytest.mark.parametrize("family", ["ardupilot", "px4"])
-def test_what_did_not_reboot_is_known_after_it(family):
-    """The receiver and the vehicle's field; the biases where the autopilot does not change them."""
+def test_what_did_not_reboot_is_known_after_it(family, is_flown):
+    """The receiver and the vehicle's field; biases where the autopilot does not change them."""
     told = FilterSettings()
     events, _ = flight("figure-eight", duration=40.0, rate=100.0)
     timeline = Timeline(parameters(told, family), delays_ns(told, family), WINDOW_NS)
     put(timeline, events)
+    armed = np.array([float(is_flown), 0.0] + [0.0] * 11)
+    timeline.insert(int(events.t_ns.max()) + 1, Kind.VEHICLE, armed)
+    sample = events.values[np.flatnonzero(events.kind == Kind.IMU)[-1]]
+    timeline.insert(int(events.t_ns.max()) + 100_000_000, Kind.IMU, sample)
     learnt = timeline.block()
     timeline.insert(0, Kind.RESTART, np.zeros(13))
     guess = timeline.block()
-    for first, sigma in ((at.X_BG, 0.02), (at.X_BA, 0.2), (at.X_IRON, 0.01)):
+    keeps_gyro = family == "ardupilot" and is_flown
+    for first, sigma in ((at.X_BG, 0.02 * keeps_gyro), (at.X_BA, 0.2), (at.X_IRON, 0.01)):
         known = learnt[first : first + 3]
         assert np.array_equal(guess[first : first + 3], np.clip(known, -2 * sigma, 2 * sigma))
         assert known.any()
     assert guess[at.X_MODE] == at.MODE_INIT
-    kept = [at.E_DELAY, *range(at.E_IRON, at.N)]
-    kept += range(at.E_BG, at.E_BARO) if family == "ardupilot" else []
-    was, now = (x[at.X_COV :].reshape(at.N, at.N) for x in (learnt, guess))
-    assert np.array_equal(now, np.diag([was[e, e] if e in kept else 0.0 for e in range(at.N)]))
+    was, now = (np.diag(x[at.X_COV :].reshape(at.N, at.N)) for x in (learnt, guess))
+    assert now[at.E_DELAY] == was[at.E_DELAY]
+    assert np.array_equal(now[at.E_IRON :], was[at.E_IRON :])
+    accel, gyro = slice(at.E_BA, at.E_BARO), slice(at.E_BG, at.E_BA)
+    assert now[accel] == pytest.approx((was[accel] + 5e-3**2) * (family == "ardupilot"))
+    assert now[gyro] == pytest.approx((was[gyro] + 5e-4**2) * keeps_gyro)
+    assert np.count_nonzero(now) == 4 + 3 * (family == "ardupilot") + 3 * keeps_gyro
     assert guess[at.X_DELAY] == learnt[at.X_DELAY]
     white = slice(at.X_WHITE, at.X_WHITE + 3)
     assert np.array_equal(guess[white], learnt[white])
