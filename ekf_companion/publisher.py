@@ -19,6 +19,8 @@ STREAMS = ("ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN")
 _LARGEST = {Family.ARDUPILOT: 50.0}
 """Of ODOMETRY, Hz: its EKF throws away what comes faster."""
 _ANY = 1000.0
+_BUSY = (math.inf, -math.inf)
+"""A span that no stamp is in."""
 
 
 def largest_rate(name: str, family: Family) -> float:
@@ -49,6 +51,15 @@ class Due:
         """Have it due at the next stamp, out of turn."""
         self._is_asked = True
 
+    @property
+    def idle_ns(self) -> tuple[float, float]:
+        """From and until which stamp nothing is due, while nobody asks."""
+        if not self._period_ns:
+            return -math.inf, math.inf
+        if self._next_ns is None:
+            return _BUSY
+        return self._next_ns - self._period_ns, self._next_ns
+
     def is_due(self, t_ns: int) -> bool:
         """Whether a period has passed; a stamp far from the plan makes a new plan."""
         if self._is_asked or not self._period_ns:
@@ -73,6 +84,7 @@ class Publisher:
         self.label = label(family, odometry.frame, odometry.estimator_type)
         """What every ODOMETRY says of itself."""
         self._was_invalid = False
+        self._idle_ns = _BUSY
         self._origin: tuple[float, float, float] | None = None
 
     def retune(self, config: Config) -> None:
@@ -83,6 +95,7 @@ class Publisher:
     def set_rate(self, name: str, rate: float) -> None:
         """Send a message at this rate, Hz; 0: only when asked."""
         self._due[name].set_rate(rate)
+        self._idle_ns = _BUSY
 
     def ask(self, name: str) -> bool:
         """Have a message sent with the next estimate; False: there is none."""
@@ -93,11 +106,15 @@ class Publisher:
             has_one = self._pipeline.origin is not None
         if has_one:
             self._due[name].ask()
+            self._idle_ns = _BUSY
         return has_one
 
     def publish(self, send: Callable[[str, bytes], None]) -> Health | None:
         """Send what is due at the newest stamp; once a second give the filter's account."""
         t_ns = self._pipeline.stamp_ns
+        begin_ns, end_ns = self._idle_ns
+        if begin_ns <= t_ns < end_ns:
+            return None
         if is_due := self._due["ODOMETRY"].is_due(t_ns):
             self._notice_origin()
         if self._due["GPS_GLOBAL_ORIGIN"].is_due(t_ns) and (origin := self._pipeline.origin):
@@ -107,7 +124,10 @@ class Publisher:
         if self._due["ESTIMATOR_STATUS"].is_due(t_ns) and self._pipeline.origin is not None:
             health = _judge(self._pipeline.health(), t_ns)
             send("ESTIMATOR_STATUS", encode.estimator_status(health))
-        return self._pipeline.health() if self._account.is_due(t_ns) else None
+        is_account_due = self._account.is_due(t_ns)
+        spans = [due.idle_ns for due in (*self._due.values(), self._account)]
+        self._idle_ns = max(begin for begin, _ in spans), min(end for _, end in spans)
+        return self._pipeline.health() if is_account_due else None
 
     def _notice_origin(self) -> None:
         """Have a new origin sent before the first ODOMETRY that is about it."""

@@ -38,8 +38,8 @@ _log = logging.getLogger(__name__)
 
 TICK = 0.1
 """Seconds between two looks at what time brings while nothing comes."""
-LEAST_NS = 20_000_000
-"""Between two looks while much comes."""
+LEAST_NS = 50_000_000
+"""Between two looks while much comes: each costs as much as several samples."""
 LAST_WORDS = 0.1
 """Seconds for the last message to leave a serial port, whose closing throws away what waits."""
 
@@ -154,7 +154,8 @@ class Daemon:
     async def tick(self) -> None:
         """Keep time while nothing comes."""
         while True:
-            self._do_what_is_due(unix_clock())
+            if (now_ns := unix_clock()) >= self._due_ns:
+                self._do_what_is_due(now_ns)
             due = time.monotonic() + TICK
             await asyncio.sleep(TICK)
             self._observer.late(time.monotonic() - due)
