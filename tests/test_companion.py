@@ -12,7 +12,6 @@ from ekf_companion.core.settings import GateSettings
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.layout import LAYOUTS
-from ekf_companion.publisher import Due
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import SimConfig, StreamConfig
 from sim_autopilot.flight import Flight
@@ -153,20 +152,3 @@ def test_the_last_heartbeat_says_goodbye():
     companion.close(0)
     ((name, message),) = messages(companion)
     assert (name, message.system_status) == ("HEARTBEAT", 7)
-
-
-def test_what_is_due_keeps_its_rate_over_uneven_stamps():
-    due = Due(10.0)
-    stamps = [k * 7_000_000 for k in range(1000)]
-    kept = [t for t in stamps if due.is_due(t)]
-    assert abs(len(kept) - 70) <= 1
-    assert all(93_000_000 <= b - a <= 107_000_000 for a, b in itertools.pairwise(kept))
-
-
-@pytest.mark.parametrize("leap_ns", [-3600 * SECOND_NS, 3600 * SECOND_NS])
-def test_what_is_due_follows_a_clock_that_begins_anew(leap_ns):
-    due = Due(10.0)
-    assert due.is_due(5_000_000_000)
-    assert not due.is_due(5_050_000_000)
-    assert due.is_due(5_050_000_000 + leap_ns)
-    assert not due.is_due(5_100_000_000 + leap_ns)
