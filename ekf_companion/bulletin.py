@@ -29,6 +29,8 @@ _log = logging.getLogger("ekf_companion.companion")
 
 DECIMATED = 80.0
 """Inertial samples below this rate miss what a multicopter does, Hz."""
+_PATIENCE = 5
+"""Accounts, one a second, until that is said: at first an autopilot streams as it likes."""
 
 _TOLD = {
     Status.OK: (Severity.INFO, "estimate OK"),
@@ -51,7 +53,7 @@ class Bulletin:
         self._statustext = statustext
         self._status = Status.INIT
         self._resets = 0
-        self._is_decimated = False
+        self._decimated = 0
         self._imu_source = ""
 
     def begin(self) -> None:
@@ -66,14 +68,14 @@ class Bulletin:
         """Take the filter's account of itself, and where its inertial samples come from."""
         if health.resets != self._resets:
             self._report_reset(health)
-        if 0.0 < health.imu_rate < DECIMATED and not self._is_decimated:
+        self._decimated = self._decimated + 1 if 0.0 < health.imu_rate < DECIMATED else 0
+        if self._decimated == _PATIENCE:
             _log.warning(
                 "Inertial samples come at %.0f Hz: fast motion is missed, so the noise is taken "
                 "for larger; ask for %.0f Hz or more",
                 health.imu_rate,
                 DECIMATED,
             )
-        self._is_decimated = 0.0 < health.imu_rate < DECIMATED
         if self._imu_source and imu_source != self._imu_source:
             _log.warning("Inertial samples are of %s, were of %s", imu_source, self._imu_source)
             self.tell(Severity.WARNING, f"IMU is {imu_source}, was {self._imu_source}")

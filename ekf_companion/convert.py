@@ -51,7 +51,8 @@ def convert(
 
     Raises:
         LogError: The log cannot be read, or nothing can be estimated from it.
-        ConfigError: Smoothed estimates are asked for as a .tlog.
+        ConfigError: The output is the log itself, or of no known kind; smoothed estimates are
+            asked for as a .tlog.
     """
     if is_smoothed and out.suffix == ".tlog":
         raise ConfigError(
@@ -59,9 +60,9 @@ def convert(
             "name a .csv for smoothed estimates"
         )
     if out.suffix not in (".csv", ".tlog"):
-        raise LogError(f"{out}: unknown kind of output; name it .csv or .tlog")
+        raise ConfigError(f"{out}: unknown kind of output; name it .csv or .tlog")
     if out.resolve() == path.resolve():
-        raise LogError(f"{out}: is the log itself; name another file")
+        raise ConfigError(f"{out}: is the log itself; name another file")
     report = Report(log=str(path))
     source = open_source(path, config, report)
     if out.suffix == ".csv":
@@ -89,11 +90,12 @@ def convert_by(
 
     Raises:
         LogError: As :func:`convert`, or the log lacks what the filter needs.
+        ConfigError: As :func:`convert`.
     """
     if out.resolve() == path.resolve():
-        raise LogError(f"{out}: is the log itself; name another file")
+        raise ConfigError(f"{out}: is the log itself; name another file")
     if out.suffix != ".csv":
-        raise LogError(f"{out}: estimates of {name} are written as .csv; name such a file")
+        raise ConfigError(f"{out}: estimates of {name} are written as .csv; name such a file")
     recording = read(path, config)
     try:
         solution = run_filter(recording, name, config)

@@ -34,6 +34,9 @@ class Report:
     derived: int = 0
     """Positions of the autopilot's own, which stand in while GNSS is silent."""
     rates: dict[Kind, float] = field(default_factory=dict)
+    """Hz, in the middle of all chunks: a stream may begin at another rate."""
+    steps: dict[Kind, list[float]] = field(default_factory=dict)
+    """From one event to the next, ns: the median of each chunk."""
     seconds: dict[Status, float] = field(default_factory=dict)
     estimates: int = 0
     health: Health | None = None
@@ -75,10 +78,11 @@ def account(report: Report, events: Events, table: Table) -> None:
         chosen = (events.kind == kind) & ~derived
         count = int(np.count_nonzero(chosen))
         report.counts[kind] += count
-        if count > 1 and kind not in report.rates:
-            steps = np.diff(np.unique(events.t_ns[chosen]))
-            if len(steps):
-                report.rates[kind] = 1e9 / float(np.median(steps))
+        steps = np.diff(np.unique(events.t_ns[chosen]))
+        if len(steps):
+            medians = report.steps.setdefault(kind, [])
+            medians.append(float(np.median(steps)))
+            report.rates[kind] = 1e9 / float(np.median(medians))
     report.estimates += len(table)
     if len(table) > 1:
         status = table.column("status")[1:]

@@ -32,6 +32,7 @@ def test_what_leaves_nothing_to_compare_is_named(flown):
     result = command("compare", flown, "--skip", 8, "--until", 5)
     assert result.exit_code == 3
     assert "and before 5 s; leave out less with --skip and --until" in result.stderr
+    assert command("compare", flown, "--skip", 8, "--until", 8).exit_code == 3
     result = command("compare", flown, "--skip", 80)
     assert result.exit_code == 3
     assert result.stderr.endswith("after the first 80 s; leave out fewer with --skip\n")

@@ -81,11 +81,13 @@ def test_an_address_that_is_none_is_nobody(url):
     assert result.stderr.startswith(f"ekf-companion: {url.rstrip('/')}/status: ")
 
 
+@pytest.mark.parametrize("code", [200, 404, 503])
 @pytest.mark.parametrize("body", [b"hello", b"[]", b"{}", b'{"health": 1}', b"\xff"])
-def test_something_else_that_answers_is_nobody(body):
+def test_something_else_that_answers_is_nobody(body, code):
     class Other(BaseHTTPRequestHandler):
         def do_GET(self):
-            self.send_response(200)
+            self.send_response(code)
+            self.send_header("Content-Type", "text/html")
             self.end_headers()
             self.wfile.write(body)
 
@@ -118,6 +120,19 @@ def test_a_daemon_that_is_stuck_is_exit_code_1(monkeypatch):
     asyncio.run(body())
     assert results[0].exit_code == 1
     assert "ekf-companion: stalled: the loop has not answered for 1 s" in results[0].stderr
+
+
+def test_what_is_watched_through_a_pipe_comes_out_of_it():
+    """As through ``tee``, where there is no terminal to draw on."""
+    command = [sys.executable, "-m", "ekf_companion", "status", "--watch", "--url"]
+    with subprocess.Popen(
+        [*command, "http://127.0.0.1:9"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    ) as process:
+        try:
+            assert process.stderr.readline().startswith(b"ekf-companion: http://127.0.0.1:9/status")
+            assert process.poll() is None
+        finally:
+            process.kill()
 
 
 # The page

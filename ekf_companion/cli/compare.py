@@ -139,7 +139,8 @@ def _compare_ours(
     begin = int(estimate.att_t_ns[0]) if len(estimate.att_t_ns) else 0
     end = None if until is None else begin + round(until * 1e9)
     scores = [comparer.score(estimate, against, seconds, end_ns=end)]
-    if scores[0].horizontal is None and scores[0].tilt is None:
+    has_any = scores[0].horizontal is not None or scores[0].tilt is not None
+    if not has_any or scores[0].end_ns <= scores[0].start_ns:
         said = f"after the first {seconds:g} s" + (
             "; leave out fewer with --skip"
             if until is None

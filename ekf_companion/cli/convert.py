@@ -45,8 +45,7 @@ def convert(
     with sentences(), bar(log.name) as progress:
         inputs = {"the log": log, "the configuration": config, "what --out writes": out}
         keep_apart(inputs, {"--json": json_file})
-        if config is not None and out.resolve() == config.resolve():
-            raise ConfigError(f"--out: {out}: is the configuration; name another file")
+        keep_apart({"the log": log, "the configuration": config}, {"--out": out})
         chosen = _choose(name, [preset, frame, detector])
         if chosen != "eskf":
             if smooth:

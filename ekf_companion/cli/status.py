@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from typing import Annotated, Any, NamedTuple
 
@@ -17,6 +18,7 @@ PERIOD = 1.0
 """Seconds between two looks of ``--watch``."""
 UNHEALTHY, NOBODY = 1, 4
 """Exit codes."""
+_FOREIGN = "{}: what answers is no ekf-companion; name its address with --url"
 
 
 class Heard(NamedTuple):
@@ -59,10 +61,11 @@ def fetch(url: str) -> Heard:
         health = data["health"]
         return Heard(0 if health["is_healthy"] else UNHEALTHY, health["words"], data)
     except HTTPError as error:
+        if error.headers.get_content_type() != "text/plain":
+            return Heard(NOBODY, _FOREIGN.format(where), {})
         return Heard(UNHEALTHY, error.read().decode(errors="replace").strip(), {})
     except (ValueError, LookupError, TypeError, HTTPException):
-        words = f"{where}: what answers is no ekf-companion; name its address with --url"
-        return Heard(NOBODY, words, {})
+        return Heard(NOBODY, _FOREIGN.format(where), {})
     except OSError as error:
         reason = getattr(error, "reason", error)
         words = (
@@ -86,16 +89,20 @@ def _print(heard: Heard, as_json: bool) -> None:
 
 def _watch(url: str, as_json: bool) -> Heard:
     """Show it every second until Ctrl-C; give what was heard last."""
+    from rich.console import Console
     from rich.live import Live
     from rich.text import Text
 
     heard = fetch(url)
     try:
-        if as_json:
-            while True:
+        while as_json or not Console().is_terminal:
+            if as_json:
                 typer.echo(json.dumps(heard.data or {"words": heard.words}))
-                time.sleep(PERIOD)
-                heard = fetch(url)
+            else:
+                _print(heard, as_json)
+                sys.stdout.flush()
+            time.sleep(PERIOD)
+            heard = fetch(url)
         with Live(auto_refresh=False) as live:
             while True:
                 live.update(view(heard.data) if heard.data else Text(heard.words), refresh=True)
