@@ -81,8 +81,8 @@ FAKE_INTERVAL = cython.declare(cython.double, 2e8)
 """Between two assumptions that the vehicle is not going anywhere, while it has no GNSS, ns."""
 FIRST_SHARE = cython.declare(cython.double, 0.3)
 """Share of the variance that a receiver states for its position that is white, to begin with."""
-VAGUE_YAW = cython.declare(cython.double, 0.0305)
-"""Variance of the yaw beyond which it wants an aid, rad^2: 10 degrees."""
+VAGUE = cython.declare(cython.double, 0.0305)
+"""Variance of an angle beyond which the attitude is not well known, rad^2: 10 degrees."""
 LOST = cython.declare(cython.double, 100.0)
 """So many times the limit (as variances), a position is not worth keeping."""
 LONGEST_OUTAGE = cython.declare(cython.double, 60.0)
@@ -633,6 +633,7 @@ def take_baro(
 def status(x: cython.double[::1], k: cython.double[::1]) -> cython.int:
     """Say how far the state can be trusted now."""
     late: cython.double
+    e: cython.Py_ssize_t
     if x[at.X_MODE] == at.MODE_INIT:
         return INIT
     if x[at.X_MODE] == at.MODE_LEVEL:
@@ -652,9 +653,10 @@ def status(x: cython.double[::1], k: cython.double[::1]) -> cython.int:
         return DEGRADED
     if account.is_timed_out(x, at.AID_POS, late + 1.0):
         return DEGRADED
-    if account.is_timed_out(x, at.AID_YAW, 5.0) and (
-        x[at.X_HEADING_SOURCE] != 0.0 or x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] > VAGUE_YAW
-    ):
+    for e in range(at.E_ATT, at.E_ATT + 3):
+        if x[at.X_COV + e * (at.N + 1)] > VAGUE:
+            return DEGRADED
+    if account.is_timed_out(x, at.AID_YAW, 5.0) and x[at.X_HEADING_SOURCE] != 0.0:
         # where there never was a compass, turns show the heading as well
         return DEGRADED
     if account.is_timed_out(x, at.AID_HGT, late + 1.0) and account.is_timed_out(

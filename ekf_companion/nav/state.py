@@ -25,7 +25,7 @@ class Status(IntEnum):
     """Everything is estimated and aided."""
     DEGRADED = 4
     """Estimated, but one of position, velocity, height or heading goes without its aid, or the
-    attitude is being found anew after a gap."""
+    attitude is being found anew after a gap and not known to 10 degrees (one sigma) yet."""
     DEAD_RECKONING = 5
     """No position or velocity aid for a second or more: the error grows."""
     INVALID = 6
