@@ -227,9 +227,10 @@ class Requests(Service):
     def _settle_inertial(self, name: str, rate: float, result: str) -> None:
         """Ask an ArduPilot for the coarser message where it refuses the finer, then for less."""
         lower = [step for step in _STEPS if step < rate]
-        self._granted.clear()  # of the inertial messages one is wanted
+        if result != _NO_ANSWER:
+            self._granted.pop(name, None)
         if result == ACCEPTED:
-            self._granted[name] = rate
+            self._granted = {name: rate}  # one is enough
             if rate < self._rate(name):
                 self._emit(
                     Noted(
