@@ -21,6 +21,7 @@ from ekf_companion.mavlink.event import (
     SeveralAutopilots,
     Versioned,
 )
+from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.mavlink.statustext import Severity, StatusText
 from ekf_companion.nav.state import Status
 from ekf_companion.pipeline import Health
@@ -55,6 +56,8 @@ class Bulletin:
         self._resets = 0
         self._decimated = 0
         self._imu_source = ""
+        self._next_ns: dict[str, int] = {}
+        self._waiting: dict[str, Event] = {}
 
     def begin(self) -> None:
         """Begin with an estimator that begins anew."""
@@ -110,8 +113,23 @@ class Bulletin:
         )
         self._resets = health.resets
 
-    def heed(self, event: Event) -> None:
-        """Tell what has happened on the link."""
+    def heed(self, event: Event, now_ns: int) -> None:
+        """Tell what has happened on the link; what anybody can make happen, once a second."""
+        subject = _subject(event)
+        if subject and now_ns < self._next_ns.get(subject, now_ns):
+            self._waiting[subject] = event
+            return
+        if subject:
+            self._next_ns[subject] = now_ns + SECOND_NS
+        self._tell_of(event)
+
+    def tick(self, now_ns: int) -> None:
+        """Tell how what came too often has ended."""
+        due = [subject for subject in self._waiting if now_ns >= self._next_ns[subject]]
+        for subject in due:
+            self.heed(self._waiting.pop(subject), now_ns)
+
+    def _tell_of(self, event: Event) -> None:
         match event:
             case PeerFound(system_id, component_id, family):
                 _log.info(
@@ -181,10 +199,24 @@ class Bulletin:
                     extra=_fields("guard", "streaming" if verdict.is_streaming else "withheld"),
                 )
                 self.tell(Severity.WARNING if is_bad else Severity.INFO, verdict.text)
-            case ParameterSet(name, key, value):
-                _log.info("Parameter %s set to %g (%s)", name, value, key)
-                self.tell(Severity.INFO, f"{name} is {value:g}")
+            case ParameterSet(name, key, value, is_late):
+                since = " from the next start" if is_late else ""
+                _log.info("Parameter %s set to %g (%s)%s", name, value, key, since)
+                self.tell(Severity.INFO, f"{name} is {value:g}{since}")
             case IntervalSet(message, rate):
                 _log.info("%s asked for at %g Hz", message, rate)
             case _:
                 pass
+
+
+def _subject(event: Event) -> str:
+    """Give what an event is about, where a command can bring it about; empty: none can."""
+    match event:
+        case ParameterSet(name=name):
+            return name
+        case IntervalSet(message=message):
+            return message
+        case GuardChanged():
+            return "guard"
+        case _:
+            return ""

@@ -25,7 +25,13 @@ from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.measurements import ImuSample, Measurement
 from ekf_companion.pipeline import Arrival, Pipeline
-from ekf_companion.publisher import STREAMS, Publisher, default_rate, largest_rate
+from ekf_companion.publisher import (
+    STREAMS,
+    Publisher,
+    default_rate,
+    largest_rate,
+    smallest_rate,
+)
 from ekf_companion.resumption import Resumption
 from ekf_companion.tuning import Tuning, parameters
 
@@ -117,14 +123,15 @@ class Companion:
         """
         self._bytes += len(data)
         for measurements in self.session.steps(data, now_ns, sender):
-            self._heed_events()
+            self._heed_events(now_ns)
             for measurement in measurements:
                 self._process(measurement, now_ns)
 
     def tick(self, now_ns: int) -> None:
         """Do what time brings: heartbeats, requests, time-outs."""
         self.session.tick(now_ns)
-        self._heed_events()
+        self._heed_events(now_ns)
+        self._bulletin.tick(now_ns)
         self._complain(now_ns)
 
     def data_to_send(self) -> list[bytes]:
@@ -199,9 +206,9 @@ class Companion:
         else:
             _log.warning("Nothing heard for 10 s; check the wire, the port and the autopilot's")
 
-    def _heed_events(self) -> None:
+    def _heed_events(self, now_ns: int) -> None:
         for event in self.session.events():
-            self._bulletin.heed(event)
+            self._bulletin.heed(event, now_ns)
             match event:
                 case PeerFound():
                     self._begin(event)
@@ -231,6 +238,7 @@ class Companion:
         self.session.timesync.options = _timesync_options(config.timesync)
         self.session.requests.retune(_rates(config.link))
         self.session.guard.retune(_guard_options(config))
+        self.session.parameters.retune(parameters(config))
         self._offer()
 
     def _offer(self) -> None:
@@ -239,6 +247,7 @@ class Companion:
         for name in STREAMS:
             stream = Stream(
                 rate=default_rate(name, self._config, self._family),
+                smallest=smallest_rate(name),
                 largest=largest_rate(name, self._family),
                 request=partial(self._ask, name),
             )

@@ -20,6 +20,8 @@ LARGEST = 1 << 20
 """Bytes; no checkpoint comes near."""
 PATIENCE = 0.6
 """Seconds that a slow disk may take for the last one, where nobody says until when."""
+REST = 1.0
+"""Seconds between two files of parameters: anybody on the link may set one again and again."""
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -55,7 +57,7 @@ def open_memory(file: str) -> Slot | None:
         ConfigError: The name cannot be meant.
     """
     loss = "what is set over MAVLink is forgotten at a restart"
-    return Slot(Path(f"{file}.parameters"), loss) if file else None
+    return Slot(Path(f"{file}.parameters"), loss, rest_s=REST) if file else None
 
 
 class Slot:
@@ -66,7 +68,9 @@ class Slot:
     outlives the daemon, and after a loss of power the autopilot has rebooted too.
     """
 
-    def __init__(self, path: Path, loss: str, *, force_s: float | None = None) -> None:
+    def __init__(
+        self, path: Path, loss: str, *, force_s: float | None = None, rest_s: float = 0.0
+    ) -> None:
         """Try the folder, and start the thread.
 
         Args:
@@ -74,6 +78,7 @@ class Slot:
             loss: What it means that nothing can be kept, for the log.
             force_s: Seconds after which a copy is forced to the disk, to be read where a loss of
                 power has taken the file; None: there is none.
+            rest_s: Seconds to wait after each file before the next, which then is the newest.
 
         Raises:
             ConfigError: It cannot be a file of ours.
@@ -82,12 +87,12 @@ class Slot:
         self._loss = loss
         self._beside = path.with_name(path.name + ".new")
         self._copy = path.with_name(path.name + ".copy")
-        self._force_s = force_s
+        self._force_s, self._rest_s = force_s, rest_s
         self._forced_s = -math.inf
         self._is_failing = False
         self._try()
         self._data: bytes | None = None
-        self._is_closed = False
+        self._closed = threading.Event()
         self._wake = threading.Event()
         self._thread = threading.Thread(target=self._run, name="keeper", daemon=True)
         self._thread.start()
@@ -132,7 +137,7 @@ class Slot:
 
     def finish(self) -> None:
         """Have the last written; does not wait."""
-        self._is_closed = True
+        self._closed.set()
         self._wake.set()
 
     def join(self, end_s: float) -> None:
@@ -159,12 +164,13 @@ class Slot:
         while True:
             self._wake.wait()
             self._wake.clear()
-            is_last, data = self._is_closed, self._data
+            is_last, data = self._closed.is_set(), self._data
             if data is not None and data is not written:
                 self._write(data, is_last=is_last)
                 written = data
             if is_last:
                 return
+            self._closed.wait(self._rest_s)
 
     def _write(self, data: bytes, *, is_last: bool) -> None:
         try:

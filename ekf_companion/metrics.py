@@ -67,7 +67,7 @@ def families(snapshot: Snapshot) -> Iterator[Metric]:
     refused = [tuple(key.partition(": ")[::2]) for key in snapshot.refused]
     yield counters(
         "messages_refused",
-        "Messages that said what nobody can mean, or that were corrected.",
+        "Messages that nobody can mean, that were corrected, or that are not for us.",
         ("message", "reason"),
         zip(refused, snapshot.refused.values(), strict=True),
     )

@@ -103,7 +103,8 @@ def sent_by_name(session: Session) -> Mapping[str, int]:
 def asked_rates(session: Session) -> dict[str, float]:
     """Give the rates that were asked for, Hz, by message."""
     rates = dict(session.requests.rates)
-    if "RAW_IMU" in session.results:  # asked in its place where it was refused
+    is_refused = session.requests.inertial != "HIGHRES_IMU"
+    if is_refused and "RAW_IMU" in session.results:  # asked in its place
         rates["RAW_IMU"] = rates.get("HIGHRES_IMU", 0.0)
     return rates
 

@@ -16,8 +16,10 @@ from ekf_companion.pipeline import Aid, Health, Pipeline
 
 STREAMS = ("ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN")
 """What is sent of an estimate, and may be asked for."""
-_LARGEST = {Family.ARDUPILOT: 50.0}
-"""Of ODOMETRY, Hz: its EKF throws away what comes faster."""
+_LARGEST = {Family.ARDUPILOT: 50.0, Family.PX4: 50.0}
+"""Of ODOMETRY, Hz: ArduPilot's EKF throws away what comes faster, PX4's guide asks for no more."""
+_SMALLEST = {"ODOMETRY": 1.0}
+_SELDOM = 0.1
 _ANY = 1000.0
 _BUSY = (math.inf, -math.inf)
 """A span that no stamp is in."""
@@ -26,6 +28,11 @@ _BUSY = (math.inf, -math.inf)
 def largest_rate(name: str, family: Family) -> float:
     """Give the rate above which a message is of no use to the autopilot, Hz."""
     return _LARGEST.get(family, _ANY) if name == "ODOMETRY" else _ANY
+
+
+def smallest_rate(name: str) -> float:
+    """Give the rate below which a message is as good as switched off, Hz."""
+    return _SMALLEST.get(name, _SELDOM)
 
 
 def default_rate(name: str, config: Config, family: Family) -> float:

@@ -206,7 +206,7 @@ class Snapshot:
     messages: Mapping[str, MessageState]
     """By name."""
     refused: Mapping[str, int]
-    """What the autopilot's messages said and nobody can mean, ``message: why``."""
+    """What messages said and nobody can mean, or was not for us, ``message: why``."""
     imu: ImuState
     time: TimeState
     estimator: Health | None

@@ -17,7 +17,7 @@ import msgspec
 from ekf_companion.config import Config, describe_config, parse_config
 from ekf_companion.errors import ConfigError
 from ekf_companion.mavlink.parameters import Parameter
-from ekf_companion.reload import Reload, reload, with_value
+from ekf_companion.reload import SAFE, Reload, reload, with_value
 
 _log = logging.getLogger(__name__)
 
@@ -111,6 +111,7 @@ def parameters(config: Config) -> tuple[Parameter, ...]:
             lowest=tunable.lowest,
             highest=tunable.highest,
             is_whole=bool(tunable.choices),
+            is_late=tunable.key not in SAFE,
         )
         for tunable in TABLE
     )

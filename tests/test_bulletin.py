@@ -20,7 +20,7 @@ from ekf_companion.mavlink.event import (
     Versioned,
 )
 from ekf_companion.mavlink.statustext import LARGEST, Severity
-from tests.mavlink.conversation import met, sent
+from tests.mavlink.conversation import MS, SECOND, met, sent
 
 CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
 
@@ -63,6 +63,12 @@ CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
             Severity.INFO,
             "EC_BARO_NSE is 2.5",
         ),
+        (
+            ParameterSet("EC_GPS_DELAY", "gnss.delay", 0.3, is_late=True),
+            "EC_GPS_DELAY set to 0.3 (gnss.delay) from the next start",
+            Severity.INFO,
+            "EC_GPS_DELAY is 0.3 from the next start",
+        ),
         (IntervalSet("ODOMETRY", 10.0), "ODOMETRY asked for at 10 Hz", None, ""),
     ],
 )
@@ -72,10 +78,28 @@ def test_rule_29_what_happens_on_the_link_is_logged_and_told_where_the_pilot_can
     """Rule 29."""
     caplog.set_level(logging.INFO)
     session, _ = met()
-    Bulletin(session.statustext).heed(event)
+    Bulletin(session.statustext).heed(event, 0)
     session.tick(0)
     pieces = sent(session, "STATUSTEXT")
     assert logged in caplog.text
     assert b"".join(piece.text for piece in pieces).decode() == (told and f"Companion: {told}")
     assert {piece.severity for piece in pieces} == ({severity} if severity else set())
     assert sum(len(piece.text) for piece in pieces) < LARGEST
+
+
+def test_what_anybody_can_make_happen_is_told_once_a_second_and_how_it_ended(caplog):
+    caplog.set_level(logging.INFO)
+    session, _ = met()
+    bulletin = Bulletin(session.statustext)
+    for number in range(250):
+        now_ns = number * 10 * MS
+        bulletin.heed(ParameterSet("EC_BARO_NSE", "baro.std", 1.0 + number), now_ns)
+        bulletin.heed(IntervalSet("ODOMETRY", 1.0 + number % 40), now_ns)
+        bulletin.tick(now_ns)
+    assert len(caplog.records) == 6
+    bulletin.tick(3 * SECOND)
+    bulletin.tick(4 * SECOND)
+    assert [record.getMessage() for record in caplog.records[6:]] == [
+        "Parameter EC_BARO_NSE set to 250 (baro.std)",
+        "ODOMETRY asked for at 10 Hz",
+    ]

@@ -10,7 +10,9 @@ from ekf_companion.config import Config, OdometryConfig, OutputConfig
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.layout import IDS, LAYOUTS
+from ekf_companion.mavlink.statustext import Severity
 from ekf_companion.nav.state import Status
+from ekf_companion.reload import with_value
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
 from sim_autopilot.firmware import parse
@@ -22,7 +24,7 @@ ALLOWED = {
     *("HEARTBEAT", "ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN", "TIMESYNC", "STATUSTEXT"),
     *("COMMAND_LONG", "COMMAND_ACK", "REQUEST_DATA_STREAM", "PARAM_VALUE", "PARAM_ERROR"),
     "PARAM_REQUEST_READ",
-    *("AUTOPILOT_VERSION", "MESSAGE_INTERVAL"),
+    *("AUTOPILOT_VERSION", "COMPONENT_INFORMATION_BASIC", "PROTOCOL_VERSION", "MESSAGE_INTERVAL"),
 }
 """What we may say: nothing that an autopilot says of itself."""
 
@@ -112,12 +114,12 @@ def test_rule_26_nothing_is_said_that_only_an_autopilot_may_say(kind):
     assert not names & (impersonating | {"HIGHRES_IMU"})
 
 
-@pytest.mark.parametrize(("kind", "rate"), [(Kind.ARDUPILOT, 50.0), (Kind.PX4, 100.0)])
-def test_rule_22_an_ardupilot_is_sent_no_more_than_it_takes(kind, rate):
+@pytest.mark.parametrize("kind", [Kind.ARDUPILOT, Kind.PX4])
+def test_rule_22_an_autopilot_is_sent_no_more_than_it_takes(kind):
     """Rule 22."""
     config = Config(output=OutputConfig(odometry=OdometryConfig(rate=100.0)))
     stamps = [m.time_usec for m in named("ODOMETRY", Flown(4.0, kind, config).fly(4.0))]
-    assert (len(stamps) - 1) / (stamps[-1] - stamps[0]) * 1e6 == pytest.approx(rate, rel=0.01)
+    assert (len(stamps) - 1) / (stamps[-1] - stamps[0]) * 1e6 == pytest.approx(50.0, rel=0.01)
 
 
 def without_fixes(frames):
@@ -168,6 +170,49 @@ def test_rule_30_a_parameter_is_obeyed_at_once_and_told():
     assert max(periods(part)) == 100_000
     assert "Companion: EC_ODOM_RATE is 10" in texts(part)
     assert flown.companion.tuning.config.output.odometry.rate == 10.0
+
+
+def test_rule_30_a_parameter_is_told_as_it_counts_after_a_reload_too():
+    """Rule 30."""
+    flown = Flown(4.0)
+    flown.fly(1.0)
+    usual = Config().baro.std
+    flown.companion.reload(with_value(Config(), "baro.std", 7.0))
+    part = flown.fly(2.0)
+    assert [m.param_value for m in named("PARAM_VALUE", part)] == [7.0]
+    part = flown.fly(3.0, once(flown.set_parameter("EC_BARO_NSE", usual)))
+    assert [m.param_value for m in named("PARAM_VALUE", part)] == [usual]
+    assert flown.companion.tuning.config.baro.std == usual
+
+
+def test_rule_30_what_counts_from_the_next_start_only_is_said_to():
+    """Rule 30."""
+    flown = Flown(3.0)
+    flown.fly(1.0)
+    part = flown.fly(2.0, once(flown.set_parameter("EC_GPS_DELAY", 0.3)))
+    assert [m.param_value for m in named("PARAM_VALUE", part)] == [pytest.approx(0.3)]
+    assert "Companion: EC_GPS_DELAY is 0.3 from the next start" in texts(part)
+
+
+def test_rule_29_a_flood_of_settings_drowns_nothing_that_matters(caplog):
+    """Rule 29."""
+    caplog.set_level(logging.INFO)
+    flown = Flown(8.0)
+    flown.fly(2.0)
+    numbers = itertools.count()
+    bulletin = flown.companion.session.statustext
+
+    def flood(now_ns):
+        number = next(numbers)
+        if number == 500:
+            bulletin.say(Severity.CRITICAL, "Companion: all is lost")
+        return flown.set_parameter("EC_BARO_NSE", 1.0 + 0.01 * number)
+
+    part = flown.fly(7.0, flood)
+    assert next(numbers) > 1000
+    assert "Companion: all is lost" in texts(part)
+    assert bulletin.dropped == 0
+    assert 3 <= caplog.text.count("Parameter EC_BARO_NSE set to") <= 7
 
 
 def test_rule_30_the_mode_is_obeyed_at_once():

@@ -9,7 +9,7 @@ import pytest
 
 from ekf_companion.checkpoint import MAGIC
 from ekf_companion.errors import ConfigError
-from ekf_companion.keeper import Keeper, clocks, open_keeper
+from ekf_companion.keeper import Keeper, clocks, open_keeper, open_memory
 
 SECOND_NS = 1_000_000_000
 OLD, NEW = MAGIC + b"old" * 1000, MAGIC + b"new" * 1500
@@ -65,6 +65,22 @@ def test_handing_over_does_not_wait_for_the_disk(tmp_path):
     with (tmp_path / "checkpoint.new").open("rb") as pipe:
         assert pipe.read() == NEW
     keeper.close()
+
+
+def test_parameters_set_again_and_again_make_few_files_and_the_last_is_kept(tmp_path):
+    memory = open_memory(str(tmp_path / "state"))
+    written, end_s = set(), time.monotonic() + 0.5
+    number = 0
+    while time.monotonic() < end_s:
+        number += 1
+        memory.keep(b"%d" % number)
+        if memory.path.exists():
+            written.add(memory.path.stat().st_ino)
+        time.sleep(0.001)
+    assert number > 50
+    assert len(written) == 1  # the first at once, the next a second later
+    memory.close()
+    assert memory.read() == b"%d" % number
 
 
 def test_a_disk_that_never_answers_does_not_hold_up_the_end(tmp_path, caplog):

@@ -134,3 +134,13 @@ def test_the_page_on_the_link_names_every_parameter_and_its_key():
     page = (Path(__file__).parents[1] / "docs" / "LINK_MANNERS.md").read_text(encoding="utf-8")
     for tunable in TABLE:
         assert f"| {tunable.name} | `{tunable.key}` |" in page
+
+
+def test_what_counts_from_the_next_start_only_is_marked_on_the_page_and_nothing_else():
+    page = (Path(__file__).parents[1] / "docs" / "LINK_MANNERS.md").read_text(encoding="utf-8")
+    rows = {
+        line.split(" | ")[0][2:]: line for line in page.splitlines() if line.startswith("| EC_")
+    }
+    late = {parameter.name for parameter in parameters(Config()) if parameter.is_late}
+    assert late == {"EC_GPS_DELAY"}
+    assert {name for name, row in rows.items() if "from the next start" in row} == late

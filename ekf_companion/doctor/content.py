@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
+from ekf_companion.mavlink.session import MISADDRESSED
 from ekf_companion.pipeline import Aid, Verdict
 
 _MANY = 0.05
@@ -139,6 +140,7 @@ def values(evidence: Evidence) -> Finding:
         for why, count in refused.items()
         if why not in ("IMU: a better source speaks", "GPS_RAW_INT: first after none")
         and "time base unknown" not in why
+        and not why.endswith(MISADDRESSED)
     }
     if strange:
         worst = sorted(strange.items(), key=lambda item: -item[1])[:3]

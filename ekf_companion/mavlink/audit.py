@@ -9,13 +9,19 @@ from statistics import median
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Emit, PeerFound, RateInVain
 from ekf_companion.mavlink.layout import LAYOUTS
-from ekf_companion.mavlink.request import Requests
+from ekf_companion.mavlink.request import ACCEPTED, Requests
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS, quantise
 
 INERTIAL = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
 """Messages that inertial samples may come in."""
 _GNSS = "GPS_RAW_INT"
+
+_RECEIVER = {
+    Family.ARDUPILOT: "GPS1_TYPE (GPS_TYPE), SERIALn_PROTOCOL 5, SRn_EXT_STAT",
+    Family.PX4: "GPS_1_CONFIG, SER_GPS1_BAUD, MAV_n_MODE",
+}
+"""Parameters that decide whether there is a receiver, and whether what it says is streamed."""
 
 _STEP_NS = SECOND_NS
 _STEPS = 5
@@ -75,11 +81,13 @@ class Audit(Service):
             self._judge(now_ns)
 
     def _judge(self, now_ns: int) -> None:
-        inertial = max((self.rates.get(name, 0.0) for name in INERTIAL), default=0.0)
-        name = "RAW_IMU" if "RAW_IMU" in self._requests.results else "HIGHRES_IMU"
+        in_use = max(INERTIAL, key=lambda name: self.rates.get(name, 0.0))
+        inertial = self.rates.get(in_use, 0.0)
+        name = self._requests.inertial or (in_use if in_use == "RAW_IMU" else "HIGHRES_IMU")
         wanted = self._requests.asked(name)
         if wanted > 0.0:
-            self._see_to(name, wanted, inertial, inertial < _SHARE * wanted, now_ns)
+            is_low = inertial < _SHARE * wanted
+            self._see_to(name, wanted, self.rates.get(name, 0.0), is_low, now_ns)
         if (wanted := self._requests.asked(_GNSS)) > 0.0:
             # Its rate is the receiver's affair; only silence is ours
             fixes = self.rates.get(_GNSS, 0.0)
@@ -94,11 +102,27 @@ class Audit(Service):
             return
         self._tries[name] += 1
         if self._tries[name] == _TRIES + 1:
-            cause = probable_cause(self.rates, self._requests.rates, self._family)
+            cause = (
+                silence_cause(self._requests.results.get(name, ""), self._family)
+                if name == _GNSS
+                else probable_cause(self.rates, self._requests.rates, self._family)
+            )
             self.in_vain[name] = cause
             self._emit(RateInVain(name, asked, measured, cause))
         self._next_ns[name] = now_ns + (_AGAIN_NS if self._tries[name] <= _TRIES else _RESIGNED_NS)
         self._requests.ask_again(name)
+
+
+def silence_cause(result: str, family: Family) -> str:
+    """Say why no GNSS message probably comes, and what to look at.
+
+    Args:
+        result: What was answered to the last request for it; empty: nothing was asked.
+        family: Whose parameters to name.
+    """
+    setting = _RECEIVER.get(family, "the receiver's port and this link's streams")
+    answer = "" if result in ("", ACCEPTED) else f" (request: {result})"
+    return f"no receiver, or its stream is off{answer}; see {setting}"
 
 
 def probable_cause(

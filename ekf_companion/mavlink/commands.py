@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from ekf_companion.mavlink import encode
+from ekf_companion.mavlink import encode, identity
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.event import Emit, IntervalSet, PeerFound
 from ekf_companion.mavlink.frame import Frame
@@ -20,14 +20,9 @@ from ekf_companion.mavlink.layout import LAYOUTS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
-from ekf_companion.version import __version__
+from ekf_companion.mavlink.verdict import Slowed
 
-_MAVLINK_2 = 8192
-_COMMAND_INT = 8
-_PARAM_C_CAST = 131072
 _UNKNOWN_PROGRESS = 255
-_SLOWEST = 1.0 / 3600.0
-"""Hz: rarer is a mistake."""
 _GONE_NS = 30 * SECOND_NS
 """Without a heartbeat of the commander for so long, what it commanded counts no more."""
 
@@ -47,6 +42,8 @@ class Stream:
 
     rate: float
     """By default, Hz."""
+    smallest: float
+    """Hz; rarer is a mistake, and what should not come is switched off."""
     largest: float
     """Hz."""
     request: Callable[[], bool]
@@ -94,10 +91,14 @@ class Commands(Service):
         wish = self._wishes.get(name)
         return min(stream.rate if wish is None else wish.rate, stream.largest)
 
-    def silenced_by(self, name: str) -> tuple[int, int] | None:
-        """Give who has switched a message off, system and component id; None: nobody has."""
+    def slowed_by(self, name: str) -> Slowed | None:
+        """Give who has commanded less of a message than comes by default; None: nobody has."""
         wish = self._wishes.get(name)
-        return wish.commander if wish is not None and wish.rate == 0.0 else None
+        if wish is None:
+            return None
+        rate, stream = self.rate(name), self._streams[name]
+        is_less = rate < min(stream.rate, stream.largest)
+        return Slowed(*wish.commander, rate) if is_less else None
 
     def begin(self, peer: PeerFound) -> None:
         """Go back to the rates by default."""
@@ -151,8 +152,8 @@ class Commands(Service):
         if message == "HEARTBEAT":
             is_sent = self._heartbeat.request(now_ns)
             return Result.ACCEPTED if is_sent else Result.TEMPORARILY_REJECTED
-        elif message == "AUTOPILOT_VERSION":
-            self._outbox.send(message, _version(), now_ns)
+        elif message in identity.MESSAGES:
+            self._outbox.send(message, identity.MESSAGES[message], now_ns)
         elif message == "MESSAGE_INTERVAL":
             self._outbox.send(message, self._interval(_whole(param2)), now_ns)
         elif message not in self._streams:
@@ -179,7 +180,7 @@ class Commands(Service):
             self._wishes.pop(name, None)
         elif interval_us == -1.0:
             self._wishes[name] = _Wish(0.0, commander)
-        elif not _SLOWEST <= (rate := _rate(interval_us)) <= stream.largest:
+        elif not stream.smallest <= (rate := _rate(interval_us)) <= stream.largest:
             return Result.DENIED
         else:
             self._wishes[name] = _Wish(rate, commander)
@@ -195,13 +196,3 @@ def _rate(interval_us: float) -> float:
 def _whole(number: float) -> int:
     """Give a message id out of a float, which a stranger may have made anything; -1: none."""
     return int(number) if 0.0 <= number <= 65535.0 else -1
-
-
-def _version() -> bytes:
-    parts = [int(part) if part.isdigit() else 0 for part in __version__.split(".")[:3]]
-    major, minor, patch = [*parts, 0, 0, 0][:3]
-    return pack(
-        "AUTOPILOT_VERSION",
-        capabilities=_MAVLINK_2 | _COMMAND_INT | _PARAM_C_CAST,
-        flight_sw_version=major << 24 | minor << 16 | patch << 8 | 255,
-    )

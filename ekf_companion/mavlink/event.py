@@ -105,6 +105,8 @@ class ParameterSet:
     """Of the configuration, dotted."""
     value: float
     """As it is told over MAVLink."""
+    is_late: bool = False
+    """Whether it counts from the next start only."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ def label(
     """Give the label that was configured, but never a type that the autopilot refuses.
 
     PX4 answers GPS_INS with a critical text, message by message; ArduPilot drops every frame of
-    the pose but LOCAL_FRD without a word.
+    the pose but LOCAL_FRD without a word. An autopilot of unknown family is an autopilot still.
     """
     warnings = []
     estimator = estimator_type(family) if chosen == "auto" else EstimatorType[chosen]

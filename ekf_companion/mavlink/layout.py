@@ -37,6 +37,24 @@ _TYPE_NAMES = {
 _EXTENSIONS = {"TIMESYNC": (("target_system", "B", 0), ("target_component", "B", 0))}
 """Extension fields that the definitions have gained since the packaged pymavlink was made."""
 
+_MISSING = (
+    (
+        300,
+        "PROTOCOL_VERSION",
+        217,
+        "H version, H min_version, H max_version, 8B spec_version_hash, 8B library_version_hash",
+    ),
+    (
+        396,
+        "COMPONENT_INFORMATION_BASIC",
+        50,
+        "Q capabilities, I time_boot_ms, "
+        "I time_manufacture_s, 32s vendor_name, 32s model_name, 24s software_version, "
+        "24s hardware_version, 32s serial_number",
+    ),
+)
+"""Messages of the common definitions that no packaged dialect has: id, name, CRC_EXTRA, fields."""
+
 
 @dataclass(frozen=True, slots=True)
 class Field:
@@ -139,7 +157,8 @@ class _Layouts(Mapping[int, Layout]):
     """Layouts by message id, each made when first asked for."""
 
     def __init__(self) -> None:
-        self._made: dict[int, Layout] = {}
+        self._made = {missing[0]: _from_words(*missing) for missing in _MISSING}
+        self._ids = tuple({**dialect.mavlink_map, **self._made})
 
     def __getitem__(self, message_id: int) -> Layout:
         if message_id not in self._made:
@@ -147,10 +166,20 @@ class _Layouts(Mapping[int, Layout]):
         return self._made[message_id]
 
     def __iter__(self) -> Iterator[int]:
-        return iter(dialect.mavlink_map)
+        return iter(self._ids)
 
     def __len__(self) -> int:
-        return len(dialect.mavlink_map)
+        return len(self._ids)
+
+
+def _from_words(message_id: int, name: str, crc_extra: int, words: str) -> Layout:
+    fields = [field.split(" ") for field in words.split(", ")]
+    return Layout(
+        message_id,
+        name,
+        crc_extra,
+        tuple(Field(field, kind[-1], int(kind[:-1] or 0)) for kind, field in fields),
+    )
 
 
 def _from_definition(definition: Any) -> Layout:
@@ -172,13 +201,14 @@ LAYOUTS: Mapping[int, Layout] = _Layouts()
 """Every known message by id."""
 
 IDS: Mapping[str, int] = {
-    definition.msgname: message_id for message_id, definition in dialect.mavlink_map.items()
+    **{definition.msgname: number for number, definition in dialect.mavlink_map.items()},
+    **{name: number for number, name, _, _ in _MISSING},
 }
 """Message id by name."""
 
 CRC_EXTRAS: Mapping[int, bytes] = {
-    message_id: bytes([definition.crc_extra])
-    for message_id, definition in dialect.mavlink_map.items()
+    **{number: bytes([definition.crc_extra]) for number, definition in dialect.mavlink_map.items()},
+    **{number: bytes([seed]) for number, _, seed, _ in _MISSING},
 }
 """Seed of the checksum by message id, as the byte that is appended."""
 

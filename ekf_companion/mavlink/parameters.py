@@ -7,7 +7,7 @@ into a float do not matter. The table is fixed: names, order and count stay as t
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from struct import Struct
@@ -16,7 +16,7 @@ from typing import Any
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.event import Emit, ParameterSet
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.layout import IDS, LAYOUTS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
@@ -42,6 +42,8 @@ class Parameter:
     highest: float
     is_whole: bool = False
     """Whether it counts or chooses, rather than measures."""
+    is_late: bool = False
+    """Whether what is set counts from the next start only."""
 
     def accepts(self, value: float) -> bool:
         """Whether a value, as a float32 holds it, is in range."""
@@ -59,10 +61,12 @@ class ParameterServer(Service):
             "PARAM_REQUEST_READ": self._read,
             "PARAM_SET": self._set,
         }
+        self.refused: Counter[str] = Counter()
+        """Requests that were not followed, ``message: why``."""
         self._outbox = outbox
         self._emit = emit
         self._table = tuple(table)
-        self._values = [parameter.value for parameter in table]
+        self._values = [_written(parameter.value) for parameter in table]
         self._index = {parameter.name: index for index, parameter in enumerate(table)}
         self._listed: deque[int] = deque()
         self._next_ns = 0
@@ -72,6 +76,15 @@ class ParameterServer(Service):
         if self._listed and now_ns >= self._next_ns:
             self._next_ns = now_ns + _PACE_NS
             self._tell(self._listed.popleft(), now_ns)
+
+    def retune(self, table: Sequence[Parameter]) -> None:
+        """Go on with the values of the same table; tell those that have changed."""
+        for index, parameter in enumerate(table):
+            value = _written(parameter.value)
+            if value != self._values[index]:
+                self._values[index] = value
+                if index not in self._listed:
+                    self._listed.append(index)
 
     def _list(self, request: Any, frame: Frame, now_ns: int) -> None:
         self._listed = deque(range(len(self._table)))
@@ -91,11 +104,13 @@ class ParameterServer(Service):
             self._refuse(request, frame, now_ns)
             return
         parameter, value = self._table[index], float(request.param_value)
-        is_new = value != _float32(self._values[index])
-        if request.param_type == _REAL32 and parameter.accepts(value) and is_new:
-            # As a person would write it, not as a float32 holds it
-            self._values[index] = float(f"{value:.7g}")
-            self._emit(ParameterSet(parameter.name, parameter.key, self._values[index]))
+        if request.param_type != _REAL32:
+            self.refused["PARAM_SET: is no REAL32"] += 1
+        elif not parameter.accepts(value):
+            self.refused["PARAM_SET: out of range"] += 1
+        elif value != _float32(self._values[index]):
+            self._values[index] = value = _written(value)
+            self._emit(ParameterSet(parameter.name, parameter.key, value, parameter.is_late))
         self._tell(index, now_ns)  # the old value, where the new one is refused
 
     def _tell(self, index: int, now_ns: int) -> None:
@@ -114,7 +129,10 @@ class ParameterServer(Service):
 
         A dialect from before PARAM_ERROR (pymavlink before 2.4.50) has no words for it: silence.
         """
-        if not self._table or request.target_component == 0 or "PARAM_ERROR" not in IDS:
+        if not self._table or request.target_component == 0:
+            return
+        self.refused[f"{LAYOUTS[frame.message_id].name}: no such parameter"] += 1
+        if "PARAM_ERROR" not in IDS:
             return
         payload = pack(
             "PARAM_ERROR",
@@ -130,6 +148,11 @@ class ParameterServer(Service):
 def _name(request: Any) -> str:
     name: str = request.param_id.decode("ascii", errors="replace")
     return name
+
+
+def _written(value: float) -> float:
+    """Give a number as a person would write it, not as a float32 holds it."""
+    return float(f"{value:.7g}")
 
 
 def _float32(value: float) -> float:

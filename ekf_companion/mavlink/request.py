@@ -112,16 +112,22 @@ class Requests(Service):
         """Ask for other rates from now on, Hz, by message."""
         changed = [name for name in rates if rates[name] != self.rates.get(name)]
         self.rates = rates
-        self._granted.clear()
+        inertial = self.inertial
+        if "HIGHRES_IMU" in changed:
+            self._granted.clear()
         if self._peer is not None:
             for name in changed:
-                is_refused = name == "HIGHRES_IMU" and "RAW_IMU" in self.results
-                self.ask_again("RAW_IMU" if is_refused else name)
+                self.ask_again(inertial or name if name == "HIGHRES_IMU" else name)
 
     @property
     def is_busy(self) -> bool:
         """Whether a request is under way."""
         return bool(self._wanted)
+
+    @property
+    def inertial(self) -> str:
+        """The inertial message that an ArduPilot has granted; empty: none, or another autopilot."""
+        return next((name for name in _INERTIAL if name in self._granted), "")
 
     def ask_again(self, name: str) -> None:
         """Ask once more for a message that ought to come at its rate."""
@@ -221,8 +227,10 @@ class Requests(Service):
     def _settle_inertial(self, name: str, rate: float, result: str) -> None:
         """Ask an ArduPilot for the coarser message where it refuses the finer, then for less."""
         lower = [step for step in _STEPS if step < rate]
+        if result != _NO_ANSWER:
+            self._granted.pop(name, None)
         if result == ACCEPTED:
-            self._granted[name] = rate
+            self._granted = {name: rate}  # one is enough
             if rate < self._rate(name):
                 self._emit(
                     Noted(

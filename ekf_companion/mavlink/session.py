@@ -36,7 +36,7 @@ from ekf_companion.mavlink.event import (
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import Heartbeat
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.layout import IDS, LAYOUTS
 from ekf_companion.mavlink.options import RATES, SessionOptions
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.parameters import ParameterServer
@@ -65,6 +65,8 @@ __all__ = [
 ]
 
 
+MISADDRESSED = "addressed to another"
+"""Of a message of a kind that we answer: why it was not."""
 JUNK_BYTES = 1 << 16
 """Of what is no frame, recorded beyond as many bytes as of frames: enough to see a wrong baud rate,
 and no way to fill a disk, where the oldest recordings make room for it."""
@@ -90,6 +92,8 @@ class Session:
         """Frames of others, signed where that is asked: who sent one may be answered."""
         self.ignored: Counter[str] = Counter()
         """Frames that are not the autopilot's, by whose they are."""
+        self.misaddressed: Counter[int] = Counter()
+        """Messages of a kind that we answer, addressed to another, by message id."""
         self.sequence = Sequence()
         self.outbox = Outbox(
             Sender(options.system_id or 1, options.component_id, signing),
@@ -217,9 +221,9 @@ class Session:
         """Give a message to who handles it, if it is for us."""
         message = unpack(frame)
         ours = self.outbox.ids
-        if getattr(message, "target_system", 0) not in (0, ours[0]):
-            return
-        if getattr(message, "target_component", 0) not in (0, ours[1]):
+        is_system = getattr(message, "target_system", 0) in (0, ours[0])
+        if not is_system or getattr(message, "target_component", 0) not in (0, ours[1]):
+            self.misaddressed[frame.message_id] += 1
             return
         for handler in handlers:
             handler(message, frame, now_ns)
@@ -315,7 +319,7 @@ class Session:
     def stream_state(self) -> StreamState:
         """Whether ODOMETRY is sent, why, and what would change it."""
         twin = self.outbox.ids if self.clash.is_clash else None
-        return stream_state(self.guard.verdict, twin, self.commands.silenced_by("ODOMETRY"))
+        return stream_state(self.guard.verdict, twin, self.commands.slowed_by("ODOMETRY"))
 
     @property
     def results(self) -> Mapping[str, str]:
@@ -336,8 +340,17 @@ class Session:
             "signed": self.admission.signed,
             **{f"not admitted: {why}": count for why, count in self.admission.refused.items()},
             **{f"ignored: {whose}": count for whose, count in self.ignored.items()},
-            **{f"refused: {why}": count for why, count in self.decoder.refused.items()},
+            **{f"refused: {why}": count for why, count in self.refused.items()},
         }
+
+    @property
+    def refused(self) -> Mapping[str, int]:
+        """How often what a message said was not taken, or not as it was, ``message: why``."""
+        misaddressed = {
+            f"{LAYOUTS[number].name}: {MISADDRESSED}": count
+            for number, count in self.misaddressed.items()
+        }
+        return {**self.decoder.refused, **self.parameters.refused, **misaddressed}
 
 
 def _routes(services: Iterable[Service]) -> dict[int, tuple[Handler, ...]]:

@@ -17,7 +17,7 @@ CHUNK = 50
 LARGEST = 4 * CHUNK
 """Bytes of a text; the rest is in the log."""
 _WAITING = 16
-"""Texts that may wait; of more, the oldest is no news any more."""
+"""Texts that may wait; of more, the least severe is left out, and of those the oldest."""
 _PACE_NS = SECOND_NS // 5
 """Between any two texts."""
 _LARGEST_ID = 65535
@@ -67,10 +67,10 @@ class StatusText(Service):
         said = _Text(severity, text)
         if said in self._waiting:
             self._waiting.remove(said)
-        if len(self._waiting) == _WAITING:
-            self._waiting.popleft()
-            self.dropped += 1
         self._waiting.append(said)
+        if len(self._waiting) > _WAITING:
+            self._waiting.remove(max(self._waiting, key=lambda text: text.severity))
+            self.dropped += 1
 
     def tick(self, now_ns: int) -> None:
         """Send the first in line; a text that was said in the last second waits."""

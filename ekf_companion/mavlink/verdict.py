@@ -39,6 +39,16 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
+class Slowed:
+    """Somebody wants less of a message than comes by default."""
+
+    system_id: int
+    component_id: int
+    rate: float
+    """Hz; 0: not at all."""
+
+
+@dataclass(frozen=True, slots=True)
 class StreamState:
     """Whether ODOMETRY is sent, all things considered: guard, clash of ids, commanded rate."""
 
@@ -72,22 +82,24 @@ def withheld(
 
 
 def stream_state(
-    verdict: Verdict, twin: tuple[int, int] | None, silencer: tuple[int, int] | None
+    verdict: Verdict, twin: tuple[int, int] | None, slowed: Slowed | None
 ) -> StreamState:
     """Give whether ODOMETRY is sent, and why.
 
     Args:
         verdict: The guard's.
         twin: Our system and component id where somebody else bears them too; None: nobody does.
-        silencer: Who has switched ODOMETRY off; None: nobody has.
+        slowed: Who has commanded less ODOMETRY than comes by default; None: nobody has.
     """
     if twin is not None:
         reason = f"somebody else speaks as system {twin[0]}, component {twin[1]}"
         return StreamState(False, reason, "give one of us another link.component_id")
-    if verdict.is_streaming and silencer is not None:
+    if verdict.is_streaming and slowed is not None:
+        who = f"system {slowed.system_id}, component {slowed.component_id}"
+        is_on = slowed.rate > 0.0
         return StreamState(
-            False,
-            f"system {silencer[0]}, component {silencer[1]} has switched it off",
+            is_on,
+            f"{who} has commanded {slowed.rate:g} Hz" if is_on else f"{who} has switched it off",
             "send SET_MESSAGE_INTERVAL of ODOMETRY with 0 for the rate by default",
         )
     return StreamState(verdict.is_streaming, verdict.reason, verdict.remedy)

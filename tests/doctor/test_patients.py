@@ -48,6 +48,14 @@ def test_where_nothing_is_wrong_nothing_is_found(kind):
     assert "; it would with" in stage(evidence, "fused").saw
 
 
+def test_what_is_said_to_others_is_no_strange_value():
+    evidence = examine(config=SLOW, seconds=2.0)
+    told = replace(evidence, refused={"COMMAND_ACK: addressed to another": 500})
+    assert stage(told, "values").saw == stage(replace(evidence, refused={}), "values").saw
+    strange = replace(evidence, refused={"PARAM_SET: out of range": 5})
+    assert "PARAM_SET: out of range (5)" in stage(strange, "values").saw
+
+
 def test_who_only_listens_sends_nothing_and_says_so():
     evidence = examine(config=SLOW, means=Means.LISTENING, hears=pytest.fail)
     found = marks(evidence)

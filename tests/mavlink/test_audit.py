@@ -7,7 +7,8 @@ import pytest
 from ekf_companion.mavlink.audit import probable_cause
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import RateInVain
-from tests.mavlink.conversation import MS, PX4, SECOND, asked, met, sent
+from ekf_companion.mavlink.statustext import LARGEST
+from tests.mavlink.conversation import ARDUPILOT, MS, PX4, SECOND, asked, met, sent
 
 RATES = {
     "HIGHRES_IMU": 250.0,
@@ -18,10 +19,13 @@ RATES = {
 }
 
 
-def listen(duration, rates, family=PX4, change=None, then=None):
-    """Hear messages at rates (Hz) and grant all; give when which was asked again, and events."""
+def listen(duration, rates, family=PX4, change=None, then=None, cap=1e3, unknown=()):
+    """Hear messages at rates (Hz); give when which was asked again, and events.
+
+    All is granted, but what is unknown, and rates above a cap (Hz).
+    """
     session, autopilot = met(family, rates=RATES)
-    again, events, counts, now = [], [], dict.fromkeys(RATES, 0.0), 0
+    again, events, counts, now = [], [], dict.fromkeys({*RATES, *rates}, 0.0), 0
     for now in range(0, int(duration * SECOND), 50 * MS):
         for at, changed in filter(None, (change, then)):
             rates = changed if now >= at * SECOND else rates
@@ -37,7 +41,9 @@ def listen(duration, rates, family=PX4, change=None, then=None):
             for command in commands:
                 if command.command == 511:
                     again.append((now // SECOND, asked(command)))
-                data = autopilot.say("COMMAND_ACK", command=command.command)
+                is_denied = command.command == 511 and cap * command.param2 < 1e6
+                result = 3 if asked(command) in unknown else 2 if is_denied else 0
+                data = autopilot.say("COMMAND_ACK", command=command.command, result=result)
                 session.receive(data, now)
         events += [event for event in session.events() if type(event) is RateInVain]
     return again[len(RATES) :], events, session
@@ -90,6 +96,56 @@ def test_rule_6_fixes_that_cease_are_asked_for_again():
     again, _, _ = listen(30.0, RATES, change=(10.0, silent))
     assert again
     assert {name for _, name in again} == {"GPS_RAW_INT"}
+
+
+@pytest.mark.parametrize(
+    ("family", "setting"), [(PX4, "GPS_1_CONFIG, SER_GPS1_BAUD"), (ARDUPILOT, "GPS1_TYPE")]
+)
+def test_rule_6_that_no_fix_comes_is_laid_to_the_receiver_and_its_stream(family, setting):
+    """Rule 6: the inertial samples come as asked, so neither loop nor link is slow."""
+    silent = {name: rate for name, rate in RATES.items() if name != "GPS_RAW_INT"}
+    _, events, _ = listen(60.0, silent, family)
+    (event,) = events
+    assert (event.message, event.measured) == ("GPS_RAW_INT", 0.0)
+    assert event.cause.startswith("no receiver, or its stream is off; see ")
+    assert setting in event.cause
+    words = f"Companion: GPS_RAW_INT 0 of 10 Hz: {event.cause}"
+    assert len(words) <= LARGEST
+    _, events, _ = listen(60.0, silent, family, unknown=("GPS_RAW_INT",))
+    assert "(request: unsupported)" in events[0].cause
+
+
+@pytest.mark.parametrize(("loop", "granted"), [(50.0, 40.0), (200.0, 100.0), (300.0, 100.0)])
+def test_rule_6_what_was_granted_is_judged_and_no_other_message(loop, granted):
+    """Rule 6: HIGHRES_IMU comes as granted, and RAW_IMU, which was denied, need not come."""
+    session_rates = RATES | {"HIGHRES_IMU": granted}
+    again, events, session = listen(130.0, session_rates, ARDUPILOT, cap=0.8 * loop)
+    assert session.results["RAW_IMU"] == "denied"
+    assert session.requests.inertial == "HIGHRES_IMU"
+    assert session.requests.asked("HIGHRES_IMU") == granted
+    assert events == []
+    assert all(now < 10 for now, _ in again)
+
+
+def test_rule_6_what_was_granted_stays_so_whatever_else_is_turned():
+    """Rule 6."""
+    session_rates = RATES | {"HIGHRES_IMU": 100.0}
+    _, _, session = listen(10.0, session_rates, ARDUPILOT, cap=160.0)
+    session.requests.retune(RATES | {"ATTITUDE": 20.0})
+    assert session.requests.asked("HIGHRES_IMU") == 100.0
+    session.requests.retune(RATES | {"HIGHRES_IMU": 50.0})
+    assert session.requests.asked("HIGHRES_IMU") == 50.0
+
+
+def test_rule_6_the_message_that_is_in_use_is_named():
+    """Rule 6: neither was granted, and the stream of old brings RAW_IMU."""
+    slow = {"RAW_IMU": 10.0, "GPS_RAW_INT": 5.0}
+    unknown = ("HIGHRES_IMU", "RAW_IMU")
+    again, events, _ = listen(80.0, slow, ARDUPILOT, unknown=unknown)
+    (event,) = events
+    assert (event.message, event.asked) == ("RAW_IMU", 250.0)
+    assert event.measured == pytest.approx(10.0, rel=0.1)
+    assert again
 
 
 def test_rule_6_nothing_is_asked_of_an_autopilot_that_is_lost():

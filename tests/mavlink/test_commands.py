@@ -10,6 +10,7 @@ from ekf_companion.mavlink.commands import Stream
 from ekf_companion.mavlink.event import IntervalSet
 from ekf_companion.mavlink.guard import GuardOptions
 from ekf_companion.mavlink.layout import IDS
+from ekf_companion.version import __version__
 from tests.mavlink.conversation import SECOND, Voice, met, sent, station
 
 ARM, SET_INTERVAL, REQUEST = 400, 511, 512
@@ -24,6 +25,7 @@ def served(has_estimate=True):
     for name, rate, largest in (("ODOMETRY", 30.0, 50.0), ("ESTIMATOR_STATUS", 1.0, 1000.0)):
         stream = Stream(
             rate=rate,
+            smallest=1.0 if name == "ODOMETRY" else 0.1,
             largest=largest,
             request=lambda name=name: asked.append(name) or has_estimate,
         )
@@ -65,7 +67,13 @@ def test_rule_31_a_command_to_all_or_to_others_is_not_ours_to_refuse(component):
 
 @pytest.mark.parametrize("name", ["COMMAND_LONG", "COMMAND_INT"])
 @pytest.mark.parametrize("component", [194, 0])
-@pytest.mark.parametrize("message", ["HEARTBEAT", "AUTOPILOT_VERSION", "MESSAGE_INTERVAL"])
+@pytest.mark.parametrize(
+    "message",
+    [
+        *("HEARTBEAT", "AUTOPILOT_VERSION", "MESSAGE_INTERVAL"),
+        *("COMPONENT_INFORMATION_BASIC", "PROTOCOL_VERSION"),
+    ],
+)
 def test_rule_31_a_message_that_needs_no_estimate_comes_at_once(name, component, message):
     """Rule 31."""
     session, who, _ = served()
@@ -148,7 +156,9 @@ def test_rule_31_an_interval_ends_when_its_commander_is_lost(is_beating, rate):
     assert session.stream_state.is_streaming is (rate > 0.0)
 
 
-@pytest.mark.parametrize("interval_us", [19_999.0, 1.0, -2.0, math.nan, math.inf, 1e30])
+@pytest.mark.parametrize(
+    "interval_us", [19_999.0, 1.0, -2.0, math.nan, math.inf, 1e30, 1.1e6, 2e9, 3e9]
+)
 def test_rule_22_a_rate_that_the_autopilot_cannot_use_is_denied(interval_us):
     """Rule 22."""
     session, who, _ = served()
@@ -164,6 +174,45 @@ def test_rule_31_what_we_never_send_has_no_interval():
     for message_id in (32, 105, 65535):
         said = command(session, who, REQUEST, param1=IDS["MESSAGE_INTERVAL"], param2=message_id)
         assert said[0].interval_us == 0
+
+
+def test_rule_31_who_commands_less_than_comes_by_default_is_named():
+    """Rule 31: One that sends no heartbeats is not missed, so the status says whom to ask."""
+    session, who, _ = served()
+    session.guard.retune(GuardOptions(mode="always"))
+    session.receive(Voice().heartbeat(), 0)
+    usual = session.stream_state
+    command(session, who, SET_INTERVAL, param1=ODOMETRY, param2=5e5)
+    state = session.stream_state
+    assert state.is_streaming
+    assert state.reason == "system 255, component 190 has commanded 2 Hz"
+    assert "SET_MESSAGE_INTERVAL of ODOMETRY with 0" in state.remedy
+    command(session, who, SET_INTERVAL, param1=ODOMETRY, param2=25_000.0)
+    assert session.stream_state == usual
+
+
+def test_rule_31_what_we_are_is_told_in_the_messages_that_the_dialect_lacks():
+    """Rule 31, and section 4.5 of the notes on the protocol: 396 and 300."""
+    session, who, _ = served()
+    basic, _ = command(session, who, REQUEST, param1=396.0)
+    assert (basic.software_version.decode(), basic.capabilities & 8192) == (__version__, 8192)
+    protocol, _ = command(session, who, REQUEST, param1=300.0)
+    assert (protocol.min_version, protocol.version, protocol.max_version) == (100, 200, 200)
+
+
+@given(
+    st.sampled_from([float(ODOMETRY), float(STATUS), 0.0, 244.0]),
+    st.floats(width=32) | st.sampled_from([2e9, 3e9, 1e6, 1e7, -1.0, 0.0]),
+    st.floats(width=32),
+)
+def test_rule_31_whatever_interval_was_commanded_can_be_told(message, interval_us, asked):
+    """Rule 31."""
+    session, who, _ = served()
+    command(session, who, SET_INTERVAL, param1=message, param2=interval_us)
+    for wanted in (float(ODOMETRY), float(STATUS), asked):
+        told, ack = command(session, who, REQUEST, param1=244.0, param2=wanted)
+        assert ack.result == ACCEPTED
+        assert -1 <= told.interval_us <= 10_000_000
 
 
 @given(

@@ -372,6 +372,18 @@ def test_pressure_is_hectopascal_or_pascal_by_what_air_can_have(pressure):
     assert baro.alt == pytest.approx(1000.0, abs=0.05)  # the standard's table, to 0.1 Pa
 
 
+def test_pressure_in_pascal_is_said_once():
+    peer = Peer()
+    for number in range(3):
+        t_us = 4_000 * (number + 1)
+        peer.highres(t_us, abs_pressure=101_325.0 + number, fields_updated=ACCEL_GYRO | BARO)
+    (note,) = peer.decoder.notes
+    assert "pressure comes in Pa" in note
+    other = Peer()
+    other.highres(4_000, abs_pressure=1013.25, fields_updated=ACCEL_GYRO | BARO)
+    assert not other.decoder.notes
+
+
 @pytest.mark.parametrize("pressure", [1.0, 5000.0, 2e5, -900.0, math.nan, math.inf])
 def test_a_pressure_that_air_cannot_have_is_refused(pressure):
     peer = Peer()

@@ -4,6 +4,7 @@ import math
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 
 import hypothesis.strategies as st
 import pytest
@@ -184,3 +185,39 @@ def test_rule_30_no_request_raises_or_leaves_the_range(name, payload):
     for message in sent(session, "PARAM_VALUE"):
         parameter = TABLE[message.param_index]
         assert parameter.lowest * 0.999 <= message.param_value <= parameter.highest
+
+
+def test_rule_30_what_another_way_has_turned_is_told_and_can_be_set_back():
+    """Rule 30: a reload of the file turns parameters too."""
+    session, who = served()
+    turned = replace(RATE, value=70.0)
+    session.parameters.retune((turned, MODE, NOISE))
+    session.tick(0)
+    session.tick(SECOND)
+    (told,) = sent(session, "PARAM_VALUE")
+    assert (told.param_id, told.param_value) == (b"EC_RATE", 70.0)
+    assert put(session, who, "EC_RATE", 30.0)[0].param_value == 30.0
+    assert session.events() == [ParameterSet("EC_RATE", "output.rate", 30.0)]
+    session.parameters.retune((RATE, MODE, NOISE))
+    session.tick(2 * SECOND)
+    assert sent(session, "PARAM_VALUE") == []
+
+
+def test_rule_30_what_is_not_followed_is_counted_by_reason():
+    """Rule 30."""
+    session, who = served()
+    put(session, who, "EC_RATE", 0.5)
+    put(session, who, "EC_RATE", math.nan)
+    put(session, who, "EC_RATE", 50.0, param_type=6)
+    put(session, who, "NOPE", 1.0)
+    ask(session, who, "PARAM_REQUEST_READ", param_index=3)
+    ask(session, who, "PARAM_REQUEST_READ", OTHERS, param_index=0)
+    put(session, who, "EC_RATE", 60.0)  # and this one is followed
+    counters = session.counters()
+    assert {name: n for name, n in counters.items() if name.startswith("refused: ")} == {
+        "refused: PARAM_SET: out of range": 2,
+        "refused: PARAM_SET: is no REAL32": 1,
+        "refused: PARAM_SET: no such parameter": 1,
+        "refused: PARAM_REQUEST_READ: no such parameter": 1,
+        "refused: PARAM_REQUEST_READ: addressed to another": 1,
+    }

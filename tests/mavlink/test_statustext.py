@@ -54,6 +54,20 @@ def test_rule_29_a_flood_is_bounded_and_the_newest_is_said():
     assert session.statustext.dropped == 1000 - 16
 
 
+def test_rule_29_a_flood_drops_the_least_severe_first():
+    """Rule 29."""
+    session, autopilot = met()
+    session.statustext.say(Severity.CRITICAL, "estimate invalid, not sent")
+    for number in range(20):
+        session.statustext.say(Severity.WARNING, f"warning {number}")
+        session.statustext.say(Severity.INFO, f"number {number}")
+    heard = [m.text for _, m in hear(session, autopilot, 20.0)]
+    assert heard == [
+        b"estimate invalid, not sent",
+        *(f"warning {number}".encode() for number in range(5, 20)),
+    ]
+
+
 def test_rule_29_nothing_is_said_while_nobody_is_heard():
     """Rule 29."""
     session, autopilot = met()

@@ -77,9 +77,14 @@ class Barometer:
         if pressure == 0.0 or not self.sources.admit(rank, t_ns) or pressure == self._last:
             return
         self._last = pressure
-        if 300.0 <= pressure <= 1200.0:
+        is_pascal = _LOWEST <= pressure <= _HIGHEST
+        if not is_pascal:
             pressure *= 100.0
         if not _LOWEST <= pressure <= _HIGHEST:
             self._door.refuse("baro: no pressure of the air")
             return
+        if is_pascal:
+            self._door.tell_once(
+                "The pressure comes in Pa, where MAVLink means hPa; it is taken as it is meant"
+            )
         out.append(BaroSample(t_ns=t_ns, alt=pressure_altitude(pressure)))
