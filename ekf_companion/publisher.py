@@ -16,10 +16,11 @@ from ekf_companion.pipeline import Aid, Health, Pipeline
 
 STREAMS = ("ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN")
 """What is sent of an estimate, and may be asked for."""
-_LARGEST = {Family.ARDUPILOT: 50.0, Family.PX4: 50.0}
-"""Of ODOMETRY, Hz: ArduPilot's EKF throws away what comes faster, PX4's guide asks for no more."""
+_LARGEST = {Family.ARDUPILOT: 50.0}
+"""Of ODOMETRY, Hz: its EKF throws away what comes faster."""
 _SMALLEST = {"ODOMETRY": 1.0}
 _SELDOM = 0.1
+"""Hz; more rarely is as good as never."""
 _ANY = 1000.0
 _BUSY = (math.inf, -math.inf)
 """A span that no stamp is in."""

@@ -75,7 +75,7 @@ class OdometryConfig:
     """Whether our GNSS and inertial sensor are our own, not the autopilot's: nothing is then
     counted twice, and auto always streams."""
     rate: Annotated[float, Meta(ge=1.0, le=1000.0)] = 30.0
-    """Hz; never more than one per inertial sample, nor than 50 to PX4 and ArduPilot."""
+    """Hz; never more than one per inertial sample, nor than 50 to ArduPilot."""
     frame: Literal["LOCAL_FRD", "LOCAL_NED"] = "LOCAL_FRD"
     """Frame of the pose. ArduPilot takes LOCAL_FRD only; the numbers are the same in both."""
     estimator_type: Literal["auto", "GPS_INS", "VIO"] = "auto"
