@@ -145,7 +145,7 @@ class Daemon:
     def receive(self, received: Received) -> None:
         """Take what was read, send what follows from it, and say whom to go on listening to."""
         companion, now_ns = self._companion, received.now_ns
-        hear(received, companion.receive, companion.session, self.link.peers)
+        hear(received, companion.receive, companion.session, self.link)
         if now_ns >= self._due_ns:
             self._do_what_is_due(now_ns)
         else:
