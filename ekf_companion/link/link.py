@@ -176,7 +176,8 @@ class Link:
         self.opened += 1
         _log.info("%s: open", self.address)
         self._last_complaint = ""
-        loop.add_reader(descriptor, self._readable, port)
+        if not self.address.is_deaf:
+            loop.add_reader(descriptor, self._readable, port)
         if self._server is not None:
             loop.add_reader(self._server, self._knock, self._server)
         self._say(is_open=True)
