@@ -16,7 +16,16 @@ from ekf_companion.mavlink.layout import IDS
 from sim_autopilot.autopilot import Kind as Stack
 from sim_autopilot.config import HomeConfig, SimConfig
 from sim_autopilot.flight import Flight
-from tests.test_service import POWEROFF, SYSTEM, US, Daemon, Record, fly_over, free_port
+from tests.test_service import (
+    POWEROFF,
+    SYSTEM,
+    US,
+    Daemon,
+    Record,
+    assert_same_as_its_messages,
+    fly_over,
+    free_port,
+)
 
 WITHHELD = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 7}
 NAMES = ("HEARTBEAT", "ODOMETRY", "GPS_GLOBAL_ORIGIN", "ESTIMATOR_STATUS")
@@ -146,6 +155,11 @@ def test_what_a_monitor_says_is_neither_heard_nor_recorded(flown):
     assert {frame.system_id for frame in flown.record.frames} == {SYSTEM, 1}
     assert "Several autopilots" not in flown.words
     assert len(flown.record.of("ESTIMATOR_STATUS")) < 20  # ours, once
+
+
+def test_nothing_else_is_estimated_or_recorded_because_somebody_looks_on(flown):
+    """Rule 38: live is replay, to the bit."""
+    assert_same_as_its_messages(flown.record)
 
 
 def test_an_address_where_nobody_listens_holds_nothing_up(flown):
