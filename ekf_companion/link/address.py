@@ -151,8 +151,8 @@ def parse_monitor(url: str, link: Address) -> Address:
             theirs.add((address.host, link.port))
     if (address.host, address.port) in theirs:
         raise LinkError(
-            f"{url}: is the autopilot's own link ({link}), where the guard decides on ODOMETRY; name "
-            "another listener in output.monitors, or none"
+            f"{url}: is the autopilot's own link ({link}), where the guard decides on ODOMETRY; "
+            "name another listener in output.monitors, or none"
         )
     return replace(address, is_deaf=True)
 
