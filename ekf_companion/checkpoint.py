@@ -27,7 +27,7 @@ from ekf_companion.version import __version__
 Array = npt.NDArray[np.float64]
 
 MAGIC = b"\x89EKFCKPT"
-FORMAT = 1
+FORMAT = 2
 LIMIT = 30.0
 """Age beyond which a checkpoint is stale unless told otherwise, s."""
 DISAGREEMENT_NS = 2_000_000_000
@@ -39,7 +39,7 @@ LARGEST = 1e12
 MOST_STARTS = 5
 """So many restarts, each within :data:`STEADY_NS` of the one before: the state may be the cause."""
 STEADY_NS = 60_000_000_000
-_HEADER = struct.Struct("<8sI8s8s32s12s2B4BH4q16s2I")
+_HEADER = struct.Struct("<8sI8s8s32s12s2B4BH5q16s2I")
 _LARGEST_RANK = 4
 
 
@@ -121,6 +121,9 @@ class State:
     """Events that waited for the next sample, shape (n, ROW)."""
     settings: bytes
     """Fingerprint of the numbers that the estimator runs with, 8 bytes."""
+    began_ns: int
+    """Stamp of the first inertial sample since the last cold start, ns: what the count of resets
+    that is told begins from."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -208,6 +211,7 @@ def encode(checkpoint: Checkpoint) -> bytes:
         min(checkpoint.starts, 0xFFFF),
         state.epoch_ns,
         state.stamp_ns,
+        state.began_ns,
         *checkpoint.clocks,
         len(state.block),
         len(state.waiting),
@@ -235,7 +239,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
     (_, form, layout, settings, version, family, system_id, component_id, *rest) = (
         _HEADER.unpack_from(data)
     )
-    *sources, starts, epoch_ns, stamp_ns, unix_ns, boot_ns, boot_id, size, count = rest
+    *sources, starts, epoch_ns, stamp_ns, began_ns, unix_ns, boot_ns, boot_id, size, count = rest
     wrote = version.rstrip(b"\0").decode(errors="replace")
     if (form, layout, wrote) != (FORMAT, LAYOUT, __version__[:32]):
         return Refusal(
@@ -253,6 +257,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         block=numbers[:size],
         waiting=numbers[size:].reshape(count, at.ROW),
         settings=settings,
+        began_ns=began_ns,
     )
     if max(sources) > _LARGEST_RANK or vehicle.family not in HABITS:
         return Refusal(Why.DAMAGED, "it names what there is not; please report it")

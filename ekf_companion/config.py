@@ -11,7 +11,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -20,7 +20,7 @@ import yaml
 
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LinkError
-from ekf_companion.link import parse_peer, parse_url
+from ekf_companion.link import parse_monitor, parse_peer, parse_url
 from ekf_companion.sections import (
     CheckpointConfig,
     HttpConfig,
@@ -98,9 +98,14 @@ def parse_config(data: object, name: str) -> Config:
     except LinkError as error:
         raise ConfigError(f"{name}: link.url: {error}") from error
     try:
-        parse_peer(config.link.peer, address)
+        address = replace(address, peer=parse_peer(config.link.peer, address))
     except LinkError as error:
         raise ConfigError(f"{name}: link.peer: {error}") from error
+    try:
+        for url in config.output.monitors:
+            parse_monitor(url, address)
+    except LinkError as error:
+        raise ConfigError(f"{name}: output.monitors: {error}") from error
     return config
 
 

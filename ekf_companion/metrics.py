@@ -202,6 +202,9 @@ def _output(output: OutputState) -> Iterator[Metric]:
     yield counter(
         "texts_dropped", "STATUSTEXT that waited behind too many others.", output.texts_dropped
     )
+    yield counters(
+        "monitor_unheard", "Datagrams that found nobody.", ("address",), rows(output.unheard)
+    )
     yield counters("messages_sent", "Ours.", ("message",), rows(output.sent))
 
 

@@ -67,6 +67,7 @@ class Observer:
         companion: Companion,
         clock: Callable[[], int],
         recorded: Callable[[], tuple[int, int]] = lambda: (0, 0),
+        unheard: Callable[[], Mapping[str, int]] = dict,
     ) -> None:
         """Begin to watch.
 
@@ -75,10 +76,11 @@ class Observer:
             companion: All that is made of them.
             clock: That of the link's stamps, ns: unix time that never steps.
             recorded: Gives the bytes that were recorded, and those that should have been.
+            unheard: Gives the datagrams that found no monitor, by its address.
         """
         self.latency = Latency()
         self._link, self._companion = link, companion
-        self._clock, self._recorded = clock, recorded
+        self._clock, self._recorded, self._unheard = clock, recorded, unheard
         self._sent = sent_by_name(companion.session)
         self._odometries = 0
         self._longest_ns = 0
@@ -203,7 +205,8 @@ class Observer:
     def _output(self, now_ns: int) -> OutputState:
         first, seconds = self._span(now_ns)
         new = self._sent.get(_ODOMETRY, 0) - (0 if first is None else first.odometries)
-        return output_state(self._companion.session, new, new / seconds if seconds else 0.0)
+        rate = new / seconds if seconds else 0.0
+        return output_state(self._companion.session, new, rate, self._unheard())
 
     def _process(self, board: Board, now_ns: int) -> ProcessState:
         first, seconds = self._span(now_ns)

@@ -60,7 +60,9 @@ def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> Peer
     )
 
 
-def output_state(session: Session, new: int, rate: float) -> OutputState:
+def output_state(
+    session: Session, new: int, rate: float, unheard: Mapping[str, int] | None = None
+) -> OutputState:
     """Give what is sent, and why; of ODOMETRY so many are new, at a rate, Hz."""
     verdict, state = session.guard.verdict, session.stream_state
     return OutputState(
@@ -76,6 +78,7 @@ def output_state(session: Session, new: int, rate: float) -> OutputState:
         sent=dict(session.sent),
         withheld=session.outbox.withheld["ODOMETRY"],
         texts_dropped=session.statustext.dropped,
+        unheard=unheard or {},
     )
 
 

@@ -9,7 +9,7 @@ from ekf_companion.config import Config
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import EstimatorHealth, StatusFlag
-from ekf_companion.mavlink.label import label
+from ekf_companion.mavlink.label import Label, label
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.state import Status
 from ekf_companion.pipeline import Aid, Health, Pipeline
@@ -84,12 +84,22 @@ class Due:
 class Publisher:
     """Turns a pipeline's estimates into messages, each at its rate."""
 
-    def __init__(self, config: Config, pipeline: Pipeline, family: Family) -> None:
+    def __init__(
+        self, config: Config, pipeline: Pipeline, family: Family, ours: Label | None = None
+    ) -> None:
+        """Begin with nothing published.
+
+        Args:
+            config: The rates, and what ODOMETRY is to say of itself.
+            pipeline: Whose estimates.
+            family: The listener's.
+            ours: What ODOMETRY says of itself, whatever the configuration says.
+        """
         self._pipeline, self._family = pipeline, family
         self._due = {name: Due(default_rate(name, config, family)) for name in STREAMS}
         self._account = Due(1.0)
         odometry = config.output.odometry
-        self.label = label(family, odometry.frame, odometry.estimator_type)
+        self.label = ours or label(family, odometry.frame, odometry.estimator_type)
         """What every ODOMETRY says of itself."""
         self._was_invalid = False
         self._idle_ns = _BUSY

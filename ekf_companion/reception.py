@@ -1,7 +1,8 @@
 """What is read, and whom to go on listening to: the daemon and the doctor hear alike.
 
 Datagrams are heard of whoever the session takes for the autopilot, see :mod:`~.link.peers`; a
-session that refuses a frame, by its ids or its signature, so keeps its sender from being answered.
+session that refuses a frame, by its ids or its signature, so keeps its sender from being answered,
+and a TCP client that sends nothing else from keeping its place.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def open_reception(
 
 
 def hear(
-    received: Received, take: Callable[[bytes, int, Any], None], session: Session, peers: Peers
+    received: Received, take: Callable[[bytes, int, Any], None], session: Session, link: Link
 ) -> None:
     """Hand on what was read, and say by what the session makes of it whom to listen to.
 
@@ -52,16 +53,20 @@ def hear(
         received: Bytes, when they were read, and who sent them.
         take: Gives them to the session.
         session: Of the link.
-        peers: Likewise.
+        link: That it was read from.
     """
     data, now_ns, sender = received
     heard, believed = session.heard, session.believed
     take(data, now_ns, sender)
-    if sender is not None:
-        if session.heard != heard:
-            peers.pin(sender, now_ns)
-        elif session.believed != believed:
-            peers.answer(sender)
+    if session.heard == heard and session.believed == believed:
+        return
+    link.believe()
+    if sender is None:
+        return
+    if session.heard != heard:
+        link.peers.pin(sender, now_ns)
+    else:
+        link.peers.answer(sender)
 
 
 def unix_clock() -> int:

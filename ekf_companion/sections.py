@@ -87,6 +87,9 @@ class OutputConfig:
     """What is streamed back."""
 
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
+    monitors: tuple[str, ...] = ()
+    """Listeners that are no autopilot, ``udpout:HOST:PORT`` or ``udpbcast:HOST:PORT``: each is sent
+    our heartbeat and, whatever ``odometry.mode`` and the guard say, the estimate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

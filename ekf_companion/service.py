@@ -19,8 +19,9 @@ from ekf_companion.endpoint import open_endpoint
 from ekf_companion.errors import CompanionError
 from ekf_companion.keeper import clocks, open_keeper, open_memory
 from ekf_companion.keyring import open_keyring
-from ekf_companion.link import Received
+from ekf_companion.link import Link, Received
 from ekf_companion.mavlink.outbox import is_replaceable
+from ekf_companion.monitors import Monitors
 from ekf_companion.observer import Observer
 from ekf_companion.reception import hear, open_reception, unix_clock
 from ekf_companion.recorder import open_recorder
@@ -85,13 +86,14 @@ async def serve(config: Config, read: Callable[[], Config]) -> None:
     with Daemon(config) as daemon:
         loop.add_signal_handler(signal.SIGHUP, daemon.reload, read)
         async with TaskGroup() as group:
-            pump = group.create_task(daemon.link.run())
+            pumps = [group.create_task(link.run()) for link in daemon.links]
             tick = group.create_task(daemon.tick())
             await stop.wait()
             tick.cancel()
             daemon.say_goodbye()
             await asyncio.sleep(LAST_WORDS)
-            pump.cancel()
+            for pump in pumps:
+                pump.cancel()
     _log.info("Stopped")
 
 
@@ -112,17 +114,22 @@ class Daemon:
         self.link = open_reception(
             config, is_signed=keyring is not None, on_read=self.receive, on_state=self._greet
         )
+        signing = None if keyring is None else keyring.signing
+        self._monitors: Monitors | None = None
+        if config.output.monitors:
+            self._monitors = Monitors(config, self.link, signing)
         self._recorder = open_recorder(config.record)
         self._keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
         found = None if self._keeper is None else self._keeper.read()
         resumption = Resumption(found, clocks(), unix_clock(), config.checkpoint.limit)
-        signing = None if keyring is None else keyring.signing
         self._memory = memory = open_memory(config.checkpoint.file)
         tuning = Tuning(config)
         if memory is not None:
             tuning = Tuning(config, memory.read(), str(memory.path), memory.keep)
         self._companion = Companion(config, self._recorder is not None, resumption, signing, tuning)
-        self._observer = Observer(self.link, self._companion, unix_clock, recorded=self._recorded)
+        self._observer = Observer(
+            self.link, self._companion, unix_clock, self._recorded, self._unheard
+        )
         self._endpoint = open_endpoint(config.http, self._observer, asyncio.get_running_loop())
         self._systemd = Systemd()
 
@@ -142,10 +149,15 @@ class Daemon:
         for part in running:
             part.join(end_s)
 
+    @property
+    def links(self) -> list[Link]:
+        """All that are to be run: the autopilot's, and the monitors'."""
+        return [self.link, *([] if self._monitors is None else self._monitors.links)]
+
     def receive(self, received: Received) -> None:
         """Take what was read, send what follows from it, and say whom to go on listening to."""
         companion, now_ns = self._companion, received.now_ns
-        hear(received, companion.receive, companion.session, self.link.peers)
+        hear(received, companion.receive, companion.session, self.link)
         if now_ns >= self._due_ns:
             self._do_what_is_due(now_ns)
         else:
@@ -189,6 +201,8 @@ class Daemon:
         self._systemd.tell("STOPPING=1")
         now_ns = unix_clock()
         self._companion.close(now_ns)
+        if self._monitors is not None:
+            self._monitors.say_goodbye()
         self._send(now_ns)
         self._keep()
 
@@ -213,6 +227,8 @@ class Daemon:
     def _send(self, now_ns: int) -> None:
         for frame in self._companion.data_to_send():
             self.link.send(frame, is_replaceable=is_replaceable(frame))
+        if self._monitors is not None:
+            self._monitors.serve(self._companion, now_ns)
         if self._recorder is not None:
             self._recorder.write(self._companion.session.take_record())
         self._observer.beat(now_ns)
@@ -222,6 +238,10 @@ class Daemon:
         if self._recorder is None:
             return 0, 0
         return self._recorder.recorded_bytes, self._recorder.unrecorded_bytes
+
+    def _unheard(self) -> dict[str, int]:
+        """Give the datagrams that found no monitor, by its address."""
+        return {} if self._monitors is None else self._monitors.unsent
 
     def _keep(self) -> None:
         if self._keeper is not None and (data := self._companion.checkpoint(clocks())) is not None:

@@ -158,6 +158,8 @@ class OutputState:
     """ODOMETRY messages not sent by the guard."""
     texts_dropped: int = 0
     """STATUSTEXT messages that waited behind too many others."""
+    unheard: Mapping[str, int] = field(default_factory=dict)
+    """Datagrams that found no monitor, by its address."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

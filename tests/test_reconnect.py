@@ -19,6 +19,7 @@ from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.layout import IDS
 from ekf_companion.mavlink.session import Session
+from ekf_companion.reception import hear
 from tests.test_service import Daemon
 
 _log = logging.getLogger("reconnect")
@@ -160,12 +161,9 @@ async def serve(link):
     pump = asyncio.create_task(link.run())
     try:
         while True:
-            data, now_ns, sender = await link.receive()
-            heard = session.heard
-            session.receive(data, now_ns, sender)
-            if sender is not None and session.heard != heard:
-                link.peers.pin(sender, now_ns)
-            session.tick(now_ns)
+            received = await link.receive()
+            hear(received, session.receive, session, link)
+            session.tick(received.now_ns)
             for frame in session.data_to_send():
                 link.send(frame)
     finally:

@@ -60,7 +60,7 @@ async def _examine(
     witness = Witness(config, means, signing)
 
     def receive(received: Received) -> None:
-        hear(received, witness.receive, witness.companion.session, link.peers)
+        hear(received, witness.receive, witness.companion.session, link)
         _answer(link, witness, received.now_ns)
 
     link = open_reception(config, is_signed=signing is not None, on_read=receive)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from ekf_companion.errors import LinkError
@@ -34,6 +34,8 @@ class Address:
     """Whom to send to before anyone was heard (``udp://bind@remote``)."""
     peer: tuple[str, int] | None = None
     """Whom datagrams must come from, host and port; port 0: any."""
+    is_deaf: bool = False
+    """Whether datagrams are only sent there."""
     device: str = ""
     baud: int = DEFAULT_BAUD
     warning: str = ""
@@ -125,6 +127,34 @@ def parse_peer(peer: str, address: Address) -> tuple[str, int] | None:
     if match[3] is not None and not 0 < port < 65536:
         raise LinkError(f"{peer}: {port} is no port; leave it out to hear any port of that host")
     return match[1] or match[2], port
+
+
+def parse_monitor(url: str, link: Address) -> Address:
+    """Read where a listener is that is no autopilot, and only sent to.
+
+    Raises:
+        LinkError: The URL names none, or the link over which an autopilot is heard.
+    """
+    address = parse_url(url)
+    if address.kind not in (Kind.UDP_OUT, Kind.UDP_BROADCAST):
+        raise LinkError(
+            f"{url}: a monitor is sent datagrams; write udpout:HOST:PORT, or udpbcast:HOST:PORT "
+            "for all of a network"
+        )
+    theirs = {link.remote, link.peer}
+    if link.kind in (Kind.UDP_OUT, Kind.UDP_BROADCAST):
+        theirs.add((link.host, link.port))
+    if link.kind in (Kind.UDP_IN, Kind.UDP_BROADCAST) and address.port == link.port:
+        # Our own ears
+        theirs |= {(link.host, link.port), ("127.0.0.1", link.port), ("localhost", link.port)}
+        if address.kind is Kind.UDP_BROADCAST:
+            theirs.add((address.host, link.port))
+    if (address.host, address.port) in theirs:
+        raise LinkError(
+            f"{url}: is the autopilot's own link ({link}), where the guard decides on ODOMETRY; "
+            "name another listener in output.monitors, or none"
+        )
+    return replace(address, is_deaf=True)
 
 
 def _parse_serial(url: str, rest: str) -> Address:

@@ -28,8 +28,8 @@ LOST = 1.0
 """Seconds without a way for our datagrams after which the socket is opened anew: its own address
 may be gone, which is chosen once, when it is opened."""
 SILENT = 1.0
-"""Seconds without a byte from a TCP client after which another may take its place: an autopilot
-sends its heartbeat once a second, and much else oftener."""
+"""Seconds without anything believed from a TCP client after which another may take its place: an
+autopilot sends its heartbeat once a second, and much else oftener."""
 NOT_FIRST = "another client is connected"
 PATIENCE = 2.0
 """Seconds that a connection may take: the kernel asks twice in them."""
@@ -127,6 +127,14 @@ class Link:
             if received.sender is None or self.peers.listen(received.sender, received.now_ns):
                 return received
 
+    def believe(self) -> None:
+        """Say that what was just read is believed: by that a TCP client keeps its place.
+
+        Without guarded peers every byte is.
+        """
+        if self._server is not None:
+            self._heard = asyncio.get_running_loop().time()
+
     def send(self, data: bytes, *, is_replaceable: bool = False) -> None:
         """Send a message now, or as soon as a stream has room; never waits.
 
@@ -168,7 +176,8 @@ class Link:
         self.opened += 1
         _log.info("%s: open", self.address)
         self._last_complaint = ""
-        loop.add_reader(descriptor, self._readable, port)
+        if not self.address.is_deaf:
+            loop.add_reader(descriptor, self._readable, port)
         if self._server is not None:
             loop.add_reader(self._server, self._knock, self._server)
         self._say(is_open=True)
@@ -227,8 +236,8 @@ class Link:
         if sender is not None and not self.peers.listen(sender, now_ns):
             return
         self.bytes_in += len(data)
-        if self._server is not None:
-            self._heard = asyncio.get_running_loop().time()
+        if not self.peers.is_guarded:
+            self.believe()
         if self._on_read is None:
             self._enter(Received(data, now_ns, sender))
             return

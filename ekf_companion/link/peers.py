@@ -47,7 +47,7 @@ class Peers:
         """From whom the autopilot is heard."""
         self.refused: Counter[str] = Counter()
         """Datagrams by the reason why they were not heard."""
-        self._is_guarded = is_guarded
+        self.is_guarded = is_guarded
         self._is_signed = is_signed
         self._hosts: Collection[str] = ()
         self._port = 0
@@ -74,7 +74,7 @@ class Peers:
             self.refused[reason] += 1
             self._complain(sender, reason)
             return False
-        if not self._is_guarded:
+        if not self.is_guarded:
             self.target = sender
         return True
 

@@ -237,7 +237,7 @@ async def open_udp(address: Address, peers: Peers) -> UdpPort:
         datagrams.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         if address.kind is Kind.UDP_BROADCAST:
             datagrams.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        elif address.kind is Kind.UDP_OUT:
+        if address.kind is Kind.UDP_OUT or address.is_deaf:
             port.connect(where)
         else:
             datagrams.bind(where)

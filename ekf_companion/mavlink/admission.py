@@ -8,11 +8,15 @@ from collections.abc import Collection
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.layout import IDS
 from ekf_companion.mavlink.signing import Signing
+from ekf_companion.mavlink.stamp import SECOND_NS
 
 _SETUP_SIGNING = IDS["SETUP_SIGNING"]
 _RADIO_STATUS = IDS["RADIO_STATUS"]
 _RADIO = 68
 """MAV_COMP_ID_TELEMETRY_RADIO."""
+
+RADIO_NS = SECOND_NS // 10
+"""Between two frames of a telemetry radio, at least: it sends one or two a second."""
 
 SYSTEM = "system is not in link.allow_systems"
 COMPONENT = "component is not in link.allow_components"
@@ -46,6 +50,7 @@ class Admission:
         self._components = frozenset(components)
         self._signing = signing
         self._accept_unsigned = accept_unsigned
+        self._radio_ns = -RADIO_NS
 
     @property
     def signed(self) -> int:
@@ -56,14 +61,17 @@ class Admission:
         """Whether an admitted frame says who sent it as surely as is asked of all."""
         return self._signing is None or self._accept_unsigned or frame.is_signed
 
-    def refuse(self, frame: Frame, now_ns: int) -> str | None:
+    def refuse(self, frame: Frame, now_ns: int, *, is_beside_autopilot: bool = False) -> str | None:
         """Say why a frame is not let in; None: it is.
 
         Args:
             frame: With a right checksum.
             now_ns: Unix time, ns, for the age of a signature.
+            is_beside_autopilot: Whether it came by the way on which the autopilot is heard.
         """
         reason = self._judge(frame, now_ns)
+        if reason == UNSIGNED and is_beside_autopilot and self._is_of_radio(frame, now_ns):
+            reason = ""
         if reason:
             self.refused[reason] += 1
             return reason
@@ -82,9 +90,16 @@ class Admission:
             return ""
         if frame.is_signed:
             return self._signing.verify(frame, now_ns)
-        if self._accept_unsigned:
-            return ""
-        if frame.message_id == _RADIO_STATUS and frame.component_id == _RADIO:
-            # A telemetry radio knows no secret; what it says of itself decides nothing here
-            return ""
-        return UNSIGNED
+        return "" if self._accept_unsigned else UNSIGNED
+
+    def _is_of_radio(self, frame: Frame, now_ns: int) -> bool:
+        """Whether it is what a telemetry radio says of itself, and not oftener than one does.
+
+        It knows no secret, and what it says decides nothing here.
+        """
+        if frame.message_id != _RADIO_STATUS or frame.component_id != _RADIO:
+            return False
+        if 0 <= now_ns - self._radio_ns < RADIO_NS:
+            return False
+        self._radio_ns = now_ns
+        return True

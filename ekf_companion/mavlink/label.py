@@ -19,6 +19,10 @@ class Label:
     """What of the configuration was not, or in vain, done; each a sentence without full stop."""
 
 
+MONITOR = Label(Frame.LOCAL_NED, EstimatorType.GPS_INS, ())
+"""Towards a listener that is no autopilot: as it is."""
+
+
 def label(
     family: Family,
     frame: Literal["LOCAL_FRD", "LOCAL_NED"],

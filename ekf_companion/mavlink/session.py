@@ -162,7 +162,8 @@ class Session:
             if frame.message_id == JUNK:
                 self._record_junk(frame.raw, now_ns, sender)
                 continue
-            if self.admission.refuse(frame, now_ns):
+            is_beside = sender == self._autopilot_sender and self.peer is not None
+            if self.admission.refuse(frame, now_ns, is_beside_autopilot=is_beside):
                 continue
             if self.options.is_recording:
                 self.outbox.record(frame.raw, now_ns)

@@ -17,6 +17,7 @@ class Odometry(NamedTuple):
     roll, pitch, yaw; the same of velocity in b and the rates. A covariance that begins with NaN is
     not known."""
     reset_count: int
-    """Discontinuities so far, >= 0."""
+    """One more at each discontinuity, from a number, of any sign, that differs from one cold start
+    to the next."""
     quality: int
     """-1 failed, 0 not known, 1 to 100 per cent."""

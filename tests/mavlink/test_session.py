@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ekf_companion.mavlink import encode
-from ekf_companion.mavlink.codec import Sender, unpack
+from ekf_companion.mavlink.codec import Sender, pack, unpack
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.frame import JUNK, Splitter
@@ -440,19 +440,39 @@ def test_a_line_of_noise_is_recorded_until_it_is_enough_and_again_after_frames()
     assert recorded(session) == bytes(1000)
 
 
+def test_where_all_is_signed_only_the_autopilots_own_radio_is_recorded_and_no_flood_of_it():
+    """Rule 34, rule 39: a stranger who needs no signature does not fill the disk."""
+    key, now_ns = bytes(range(32)), 1_800_000_000 * SECOND
+    session = Session(SessionOptions(is_recording=True), Signing(key))
+    theirs, radio = Sender(1, 1, Signing(key)), Sender(51, 68)
+
+    def flood(sender):
+        for k in range(1000):
+            session.receive(radio.message("RADIO_STATUS", rssi=1), now_ns + k * MS, sender)
+        return len(session.take_record())
+
+    assert [flood(None), flood("stranger")] == [0, 0]  # no autopilot is heard
+    heartbeat = theirs.frame("HEARTBEAT", pack("HEARTBEAT", autopilot=12), now_ns)
+    session.receive(heartbeat, now_ns, "autopilot")
+    session.take_record()
+    assert [flood("stranger"), flood("autopilot")] == [0, 10]
+    assert session.admission.refused == {"not signed": 4000 - 10}
+
+
 def test_where_all_is_signed_a_radio_proves_nobody_and_neither_does_our_echo():
     """Rule 34: only who knows the secret says where our answers go."""
     key, now_ns = bytes(range(32)), 1_800_000_000 * SECOND
     radio = Sender(51, 68).message("RADIO_STATUS", rssi=1)
     session = Session(SessionOptions(), Signing(key))
-    session.receive(radio, now_ns)
     session.tick(now_ns)
     for echo in session.data_to_send():
         session.receive(echo, now_ns)
-    assert (session.admission.admitted, session.believed) == (2, 0)
+    assert (session.admission.admitted, session.believed) == (1, 0)
     theirs = Sender(1, 1, Signing(key))
-    session.receive(theirs.frame("HEARTBEAT", bytes(9), now_ns), now_ns)
+    session.receive(theirs.frame("HEARTBEAT", pack("HEARTBEAT", autopilot=12), now_ns), now_ns)
     assert session.believed == 1
+    session.receive(radio, now_ns)
+    assert (session.admission.admitted, session.believed) == (3, 1)
     for options, signing in ((SessionOptions(), None), (SessionOptions(accept_unsigned=True), 1)):
         open_one = Session(options, signing and Signing(key))
         open_one.receive(radio, now_ns)

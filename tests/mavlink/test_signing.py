@@ -235,8 +235,13 @@ def test_a_signed_frame_is_accepted_where_there_is_no_key():
 
 def test_a_telemetry_radio_needs_no_signature_but_the_autopilot_does():
     admission = Admission(signing=Signing(KEY))
-    for component, reason in ((68, None), (1, UNSIGNED)):
-        assert refuse(admission, Sender(51, component).message("RADIO_STATUS", rssi=9)) == reason
+    for component, is_beside, reason in (
+        (68, False, UNSIGNED),
+        (68, True, None),
+        (1, True, UNSIGNED),
+    ):
+        frame = framed(Sender(51, component).message("RADIO_STATUS", rssi=9))
+        assert admission.refuse(frame, NOW_NS, is_beside_autopilot=is_beside) == reason
 
 
 def test_only_those_on_the_lists_may_speak():
