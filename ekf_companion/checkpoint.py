@@ -64,6 +64,9 @@ class Refusal:
     why: Why
     words: str
     """Why, and what would do or why it does no harm; to stand behind a colon."""
+    resets: int = 0
+    """From which count of resets to go on all the same, where the autopilot may have heard of it:
+    it must see that all has moved."""
 
 
 class Vehicle(NamedTuple):
@@ -121,9 +124,13 @@ class State:
     """Events that waited for the next sample, shape (n, ROW)."""
     settings: bytes
     """Fingerprint of the numbers that the estimator runs with, 8 bytes."""
-    began_ns: int
-    """Stamp of the first inertial sample since the last cold start, ns: what the count of resets
-    that is told begins from."""
+    resets_before: int = 0
+    """Resets that were told before this state was begun with, >= 0."""
+
+    @property
+    def next_reset(self) -> int:
+        """The count of resets that nobody has been told yet."""
+        return self.resets_before + int(self.block[at.X_RESETS]) + 1
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -144,7 +151,7 @@ class Checkpoint:
             return foreign(self.vehicle, vehicle)
         if self.state.settings != settings:
             words = "the estimator's settings are others now; harmless: it begins with them"
-            return Refusal(Why.SETTINGS, words)
+            return Refusal(Why.SETTINGS, words, self.state.next_reset)
         return None
 
     def refuse_time(self, stamp_ns: int, now: Clocks, limit: float = LIMIT) -> Refusal | None:
@@ -162,12 +169,14 @@ class Checkpoint:
                 Why.STALE,
                 f"it is {lost:.1f} s old by the autopilot's clock, and checkpoint.limit is "
                 f"{limit:g} s; harmless: by now the vehicle can be anywhere and lie anyhow",
+                self.state.next_reset,
             )
         if abs(passed - lost) * 1e9 > DISAGREEMENT_NS:
             return Refusal(
                 Why.CLOCKS,
                 f"{lost:.1f} s have passed since by the autopilot's clock, {passed:.1f} s by ours: "
                 "it has rebooted, our clock was set, or a simulator is faster than time; harmless",
+                self.state.next_reset,
             )
         return None
 
@@ -211,7 +220,7 @@ def encode(checkpoint: Checkpoint) -> bytes:
         min(checkpoint.starts, 0xFFFF),
         state.epoch_ns,
         state.stamp_ns,
-        state.began_ns,
+        state.resets_before,
         *checkpoint.clocks,
         len(state.block),
         len(state.waiting),
@@ -239,7 +248,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
     (_, form, layout, settings, version, family, system_id, component_id, *rest) = (
         _HEADER.unpack_from(data)
     )
-    *sources, starts, epoch_ns, stamp_ns, began_ns, unix_ns, boot_ns, boot_id, size, count = rest
+    *sources, starts, epoch_ns, stamp_ns, before, unix_ns, boot_ns, boot_id, size, count = rest
     wrote = version.rstrip(b"\0").decode(errors="replace")
     if (form, layout, wrote) != (FORMAT, LAYOUT, __version__[:32]):
         return Refusal(
@@ -257,7 +266,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         block=numbers[:size],
         waiting=numbers[size:].reshape(count, at.ROW),
         settings=settings,
-        began_ns=began_ns,
+        resets_before=before,
     )
     if max(sources) > _LARGEST_RANK or vehicle.family not in HABITS:
         return Refusal(Why.DAMAGED, "it names what there is not; please report it")
@@ -268,6 +277,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
             Why.LOOP,
             f"{starts} restarts came within a minute of each other, and the state may be their "
             "cause; harmless now, but look above for what ended the daemon",
+            state.next_reset,
         )
     return Checkpoint(
         state=state,

@@ -72,7 +72,6 @@ QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Statu
 if COMPILED_BLOCK != at.BLOCK:
     raise ImportError("the compiled kernel is older than its source; build it anew: make setup")
 
-_SECOND_NS = 1_000_000_000
 RESET_REASONS = (
     *("none", "position", "velocity", "height", "heading", "inertial gap", "clock"),
     *("state out of bounds", "heading against the motion", "restart"),
@@ -146,9 +145,10 @@ class Pipeline:
         self._timeline = Timeline(
             k, late, round(settings.window * 1e9), keeps_history=keeps_history
         )
-        self._began_ns: int | None = None
         self.start = "cold"
         """How it began, as :attr:`Health.start` says."""
+        self.resets_before = 0
+        """Resets that a run before has told, whose state this one does not go on from."""
 
     def process(self, measurement: Measurement) -> Arrival:
         """Take one measurement; ESTIMATED says that :meth:`estimate` is that of its stamp."""
@@ -158,8 +158,6 @@ class Pipeline:
         """Take one measurement as a row; :meth:`process` says what comes of it."""
         # Add what the place knows: its magnetic field; take off the vehicle's own
         t_ns, kind, values = self._field.complete(row)
-        if self._began_ns is None and kind == Kind.IMU:
-            self._began_ns = t_ns
 
         # Refuse what no sensor can say, put the rest in its place in time, redo what came after
         return _ARRIVALS[self._timeline.insert(t_ns, kind, values)]
@@ -170,8 +168,6 @@ class Pipeline:
         stamps = np.zeros(samples, dtype=np.int64)
         out = np.empty((samples, at.OUT))
         values = self._field.complete_all(events)
-        if self._began_ns is None and samples:
-            self._began_ns = int(events.t_ns[events.kind == Kind.IMU][0])
         n = self._timeline.run_log(events.t_ns, events.kind, values, stamps, out)
         return Table(stamp_ns=stamps[:n], values=out[:n])
 
@@ -201,7 +197,7 @@ class Pipeline:
             block=self._timeline.block(),
             waiting=self._timeline.waiting(),
             settings=self._fingerprint,
-            began_ns=self._began_ns or 0,
+            resets_before=self.resets_before,
         )
 
     def restore(self, state: State) -> None:
@@ -210,7 +206,7 @@ class Pipeline:
         Whether the state may be believed is not asked here (:mod:`ekf_companion.checkpoint`).
         """
         self._timeline.restore(state.block, state.waiting, state.epoch_ns, state.stamp_ns)
-        self._began_ns = state.began_ns
+        self.resets_before = state.resets_before
         self.start = "warm"
 
     @property
@@ -228,15 +224,11 @@ class Pipeline:
         return np.asarray(self._timeline.describe())
 
     def odometry(self) -> Odometry | None:
-        """Give what is to be told of the estimate of now; None while there is no position.
-
-        Its count of resets begins lower by one for each second that the first inertial sample is
-        later. So a cold start in flight moves it, though it knows nothing of the run before.
-        """
+        """Give what is to be told of the estimate of now; None while there is no position."""
         status, resets, numbers = self._timeline.tell()
         if status < Status.OK:
             return None
-        count = resets - (self._began_ns or 0) // _SECOND_NS
+        count = self.resets_before + resets
         return Odometry(self.stamp_ns, numbers, count, QUALITY[Status(status)])
 
     def health(self) -> Health:

@@ -53,7 +53,7 @@ class Resumption:
         self._steady_from_ns: int | None = None
         self._vehicle: Vehicle | None = None
         self._found: Checkpoint | None = None
-        self._start = "cold"
+        self._start, self._resets = "cold", 0
         if data is not None:
             found = decode(data)
             if isinstance(found, Refusal):
@@ -76,16 +76,16 @@ class Resumption:
             if self._found is not None or self._steady_from_ns is not None:
                 self._refuse(foreign(was, vehicle))
             else:
-                self._start = f"cold: another autopilot, was {was}"
+                self._start, self._resets = f"cold: another autopilot, was {was}", 0
             self._steady_from_ns = None
         self._vehicle = vehicle
-        if self._found is not None:
-            refusal = self._found.refuse_vehicle(vehicle, pipeline.fingerprint)
+        if (found := self._found) is not None:
+            refusal = found.refuse_vehicle(vehicle, pipeline.fingerprint)
             if refusal is None:
-                decoder.prefer(*self._found.sources)
+                decoder.prefer(*found.sources)
             else:
                 self._refuse(refusal)
-        pipeline.start = self._start
+        pipeline.start, pipeline.resets_before = self._start, self._resets
 
     def resume(self, pipeline: Pipeline, stamp_ns: int, now_ns: int) -> None:
         """Go on from what was found, before the first inertial sample is taken."""
@@ -95,7 +95,7 @@ class Resumption:
         refusal = found.refuse_time(stamp_ns, now, self._limit)
         if refusal is not None:
             self._refuse(refusal)
-            pipeline.start = self._start
+            pipeline.start, pipeline.resets_before = self._start, self._resets
             return
         pipeline.restore(found.state)
         lost = (stamp_ns - found.state.stamp_ns) * 1e-9
@@ -124,5 +124,5 @@ class Resumption:
     def _refuse(self, refusal: Refusal) -> None:
         level = logging.INFO if refusal.why in USUAL else logging.WARNING
         _log.log(level, "The checkpoint is not used: %s", refusal.words)
-        self._start = f"cold: {refusal.words}"
+        self._start, self._resets = f"cold: {refusal.words}", refusal.resets
         self._found = None

@@ -59,7 +59,7 @@ def estimator_type(family: Family) -> EstimatorType:
 
 
 def reset_counter(count: int) -> int:
-    """Give a count of resets, of any sign, as 1 to 255: 0 would say that none is kept."""
+    """Give a count of resets as 1 to 255, from 1: 0 would say that none is kept."""
     return count % 255 + 1
 
 

@@ -17,7 +17,6 @@ class Odometry(NamedTuple):
     roll, pitch, yaw; the same of velocity in b and the rates. A covariance that begins with NaN is
     not known."""
     reset_count: int
-    """One more at each discontinuity, from a number, of any sign, that differs from one cold start
-    to the next."""
+    """Discontinuities so far, >= 0."""
     quality: int
     """-1 failed, 0 not known, 1 to 100 per cent."""
