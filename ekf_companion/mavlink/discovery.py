@@ -37,6 +37,11 @@ illuminator, gripper, radio."""
 _FAMILIES = {3: Family.ARDUPILOT, 12: Family.PX4}
 
 
+def is_autopilot(autopilot: int, kind: int) -> bool:
+    """Whether a heartbeat's MAV_AUTOPILOT and MAV_TYPE say that its sender flies a vehicle."""
+    return autopilot != _NO_AUTOPILOT and kind not in _NO_VEHICLES
+
+
 class Discovery(Service):
     """Finds one autopilot and keeps to it while it is there."""
 
@@ -132,7 +137,7 @@ class Discovery(Service):
             self._share(other_id)
 
     def _take(self, heartbeat: Any, frame: Frame, now_ns: int) -> None:
-        if heartbeat.autopilot == _NO_AUTOPILOT or heartbeat.type in _NO_VEHICLES:
+        if not is_autopilot(heartbeat.autopilot, heartbeat.type):
             return
         self.tick(now_ns)
         sender = frame[1:3]
