@@ -324,6 +324,17 @@ def test_answers_that_come_late_are_taken(cycles):
     assert 5 * SECOND_NS < first < 7 * SECOND_NS
 
 
+def test_who_answers_late_is_asked_for_all_the_rest_at_once(cycles):
+    """Rule 25: seventeen questions that were all given up before."""
+    link = Link(Kind.ARDUPILOT, BOTH[Kind.ARDUPILOT] | {"EK3_SRC1_POSZ": 1, "EK3_SRC1_VELZ": 6})
+    link.is_deaf_to = set(NAMES[Family.ARDUPILOT])
+    link.fly(cycles[:1500])
+    assert "answers no request" in link.verdict.reason
+    link.is_deaf_to = set()
+    link.fly(cycles[1500:])
+    assert set(link.verdict.parameters) == set(NAMES[Family.ARDUPILOT])
+
+
 def test_what_others_say_of_parameters_does_not_count(cycles):
     link = Link(Kind.PX4, BOTH[Kind.PX4])
     lie = Sender(1, 100).message("PARAM_VALUE", param_id=b"EKF2_EV_CTRL", param_type=6)
