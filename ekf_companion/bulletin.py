@@ -169,7 +169,9 @@ class Bulletin:
                 )
                 self.tell(Severity.WARNING, f"several autopilots, using {system_id}")
             case PeerChanged(was, now, is_lost):
-                reason = "which has fallen silent" if is_lost else "which is no autopilot's own"
+                reason = (
+                    "which has fallen silent" if is_lost else "which is less likely the vehicle's"
+                )
                 _log.warning(
                     "Listening to system %d, component %d instead of system %d, component %d, %s; "
                     "link.autopilot names the one that is meant",

@@ -58,7 +58,7 @@ def session_options(
         is_recording=is_recording,
         parameters=parameters(config),
         timesync=_timesync_options(config.timesync),
-        guard=_guard_options(config),
+        guard=guard_options(config),
     )
 
 
@@ -80,7 +80,8 @@ def _timesync_options(timesync: TimesyncConfig) -> TimesyncOptions:
     )
 
 
-def _guard_options(config: Config) -> GuardOptions:
+def guard_options(config: Config) -> GuardOptions:
+    """Give the guard what the configuration says of ODOMETRY."""
     odometry = config.output.odometry
     return GuardOptions(mode=odometry.mode, independent=odometry.independent)
 
@@ -237,7 +238,7 @@ class Companion:
             self.pipeline.retune(config)
         self.session.timesync.options = _timesync_options(config.timesync)
         self.session.requests.retune(_rates(config.link))
-        self.session.guard.retune(_guard_options(config))
+        self.session.guard.retune(guard_options(config))
         self.session.parameters.retune(parameters(config))
         self._offer()
 

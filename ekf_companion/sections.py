@@ -24,7 +24,8 @@ class LinkConfig:
     system_id: Identifier | None = None
     """Ours; null: the autopilot's."""
     autopilot: Identifier | None = None
-    """System id of the one autopilot to listen to; null: the first that is heard."""
+    """System id of the one autopilot to listen to; null: the first that is heard, PX4
+    and ArduPilot before any other."""
     imu_rate: Rate = 250.0
     """Inertial samples to ask for, Hz."""
     gnss_rate: Rate = 10.0

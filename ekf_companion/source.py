@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ekf_companion.companion import session_options
+from ekf_companion.companion import guard_options, session_options
 from ekf_companion.config import Config
 from ekf_companion.errors import LogError
 from ekf_companion.logs import broad, csv, dataflash, openshoe, tlog, tlog_trajectory, ulog
@@ -99,7 +99,7 @@ class Telemetry:
                 if isinstance(event, PeerFound):
                     self._meet(event)
                 elif isinstance(event, ParameterSet):
-                    self._tuning.set(event.key, event.value)
+                    session.guard.retune(guard_options(self._tuning.set(event.key, event.value)))
                     self._is_turned = True
             turned = self._tuning.config if self._is_turned and self._peer else None
             self._is_turned = self._is_turned and turned is None

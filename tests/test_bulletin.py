@@ -41,7 +41,7 @@ CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
         ),
         (
             PeerChanged((1, 154), (1, 1), is_lost=False),
-            "Listening to system 1, component 1 instead of system 1, component 154, which is no",
+            "Listening to system 1, component 1 instead of system 1, component 154, which is less",
             Severity.WARNING,
             "using autopilot 1/1, not 1/154",
         ),

@@ -14,6 +14,7 @@ from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.fusion import NAMES
 from ekf_companion.mavlink.layout import IDS
+from ekf_companion.reload import with_value
 from sim_autopilot.acceptance import DEFAULTS, Stack
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig, StreamConfig
@@ -49,13 +50,16 @@ def said(caplog):
 class Link:
     """An autopilot and a companion who hear each other, and what went over the link."""
 
-    def __init__(self, kind=Kind.PX4, parameters=(), *, streams=None, **odometry):
+    def __init__(self, kind=Kind.PX4, parameters=(), *, streams=None, heading="auto", **odometry):
         self.autopilot = Autopilot(SimConfig(streams=streams or StreamConfig()), kind)
         self.autopilot.parameters.clear()
         self.autopilot.parameters.update(DEFAULTS[Stack(kind.value)])
         self.autopilot.parameters.update(dict(parameters))
-        config = Config(output=OutputConfig(odometry=OdometryConfig(**odometry)))
-        self.companion = Companion(config, is_recording=True)
+        self.config = with_value(
+            Config(output=OutputConfig(odometry=OdometryConfig(**odometry))),
+            *("heading.source", heading),
+        )
+        self.companion = Companion(self.config, is_recording=True)
         self.sent = []
         """Time and frame of what the companion sends, in order."""
         self.record = []
@@ -320,6 +324,17 @@ def test_answers_that_come_late_are_taken(cycles):
     assert 5 * SECOND_NS < first < 7 * SECOND_NS
 
 
+def test_who_answers_late_is_asked_for_all_the_rest_at_once(cycles):
+    """Rule 25: seventeen questions that were all given up before."""
+    link = Link(Kind.ARDUPILOT, BOTH[Kind.ARDUPILOT] | {"EK3_SRC1_POSZ": 1, "EK3_SRC1_VELZ": 6})
+    link.is_deaf_to = set(NAMES[Family.ARDUPILOT])
+    link.fly(cycles[:1500])
+    assert "answers no request" in link.verdict.reason
+    link.is_deaf_to = set()
+    link.fly(cycles[1500:])
+    assert set(link.verdict.parameters) == set(NAMES[Family.ARDUPILOT])
+
+
 def test_what_others_say_of_parameters_does_not_count(cycles):
     link = Link(Kind.PX4, BOTH[Kind.PX4])
     lie = Sender(1, 100).message("PARAM_VALUE", param_id=b"EKF2_EV_CTRL", param_type=6)
@@ -343,8 +358,60 @@ def test_the_configuration_goes_before(cycles, said, kind, odometry, is_streamin
     link = Link(kind, BOTH[kind], **odometry).fly(cycles)
     assert bool(link.times("ODOMETRY")) is is_streaming
     assert said.text.count(words) == 1
-    assert link.asked() == []
+    # What is sent into the autopilot's own estimate is to be known
+    assert bool(link.asked()) is is_streaming
     assert link.times("ESTIMATOR_STATUS")
+
+
+ALONE = {
+    Kind.PX4: {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0},
+    Kind.ARDUPILOT: {
+        "VISO_TYPE": 1,
+        **{f"EK3_SRC1_{part}": 6 for part in ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")},
+    },
+}
+"""With these all that is fused is ours."""
+
+
+def own_refused(link):
+    """Give how many headings and positions were refused since the autopilot's are made of ours."""
+    refused = link.companion.session.decoder.refused
+    return {
+        name: refused[f"{name}: made of our own"] for name in ("heading", "GLOBAL_POSITION_INT")
+    }
+
+
+@KINDS
+@pytest.mark.parametrize("odometry", [{"mode": "always"}, {"independent": True}])
+def test_rule_16_where_all_is_sent_our_own_echo_is_still_no_measurement(cycles, kind, odometry):
+    """Rules 16 and 25: whatever the mode; and what is streamed stays as the mode says."""
+    link = Link(kind, **odometry).fly(cycles)
+    assert own_refused(link)["heading"] == 0
+    for parameters in (ALONE[kind], BOTH[kind] | {"EK3_SRC1_YAW": 6}):
+        link = Link(kind, parameters, **odometry).fly(cycles)
+        assert min(own_refused(link).values()) > 30
+        assert len(link.times("ODOMETRY")) > 50
+
+
+@KINDS
+def test_rule_16_who_does_not_say_what_it_fuses_may_fuse_ours(cycles, kind):
+    """Rules 16 and 25: an autopilot that answers nothing, and is sent to all the same."""
+    link = Link(kind, mode="always")
+    link.is_deaf_to = set(NAMES[Family(kind.value)])
+    link.fly(cycles)
+    assert link.times("ODOMETRY")
+    assert min(own_refused(link).values()) > 15
+    link = Link(kind, mode="never").fly(cycles)
+    assert max(own_refused(link).values()) == 0
+
+
+def test_rule_16_what_it_fuses_from_now_on_counts_within_two_seconds(cycles):
+    """Rules 16 and 25: a change that nobody tells."""
+    link = Link(Kind.PX4, mode="always").fly(cycles[:1000])
+    assert own_refused(link)["heading"] == 0
+    link.autopilot.parameters.update(ALONE[Kind.PX4])
+    link.fly(cycles[1000:])
+    assert own_refused(link)["heading"] >= 10 * (4 - 2)
 
 
 def test_a_pilot_may_lift_and_set_it_by_our_own_parameter(cycles, said):
@@ -415,9 +482,17 @@ def test_watching_costs_little_of_the_link(cycles, kind, parameters, most):
 def test_a_recorded_flight_converts_to_the_odometry_that_was_withheld(cycles, tmp_path):
     link = Link(Kind.PX4, BOTH[Kind.PX4])
     link.fly(cycles, {5.0: link.set(LIFTED[Kind.PX4])})
+    assert_converts_to_the_same(link, tmp_path)
+    assert len(link.recorded("ODOMETRY")) > len(link.times("ODOMETRY")) > 0
+
+
+def assert_converts_to_the_same(link, tmp_path):
+    """Compare every ODOMETRY and every refusal, live and in a replay."""
     path, out = tmp_path / "flight.tlog", tmp_path / "again.tlog"
     path.write_bytes(b"".join(stamp.to_bytes(8, "big") + data for stamp, data in link.record))
-    convert(path, out, Config())
+    report = convert(path, out, link.config)
+    refused = link.companion.session.decoder.refused
+    assert {name: report.refused.get(f"refused: {name}") for name in refused} == dict(refused)
     ours = [
         [
             frame.payload
@@ -428,4 +503,35 @@ def test_a_recorded_flight_converts_to_the_odometry_that_was_withheld(cycles, tm
         for log in (path, out)
     ]
     assert ours[0] == ours[1]
-    assert len(ours[0]) > len(link.times("ODOMETRY")) > 0
+    assert len(ours[0]) > 50
+
+
+@pytest.mark.parametrize("mode", ["auto", "always"])
+@pytest.mark.parametrize("deaf", [{"EKF2_EV_CTRL", "EKF2_GPS_CTRL"}, set(NAMES[Family.PX4])])
+def test_rule_38_what_is_never_answered_is_given_up_at_the_same_frame_in_a_replay(
+    cycles, tmp_path, mode, deaf
+):
+    """Rule 38: the heading that the autopilot makes of ours is refused from that frame on."""
+    link = Link(Kind.PX4, heading="autopilot", mode=mode)
+    link.autopilot.parameters.clear()
+    link.autopilot.parameters.update(EKF2_AID_MASK=24, EKF2_HGT_MODE=3)
+    link.is_deaf_to = deaf
+    link.fly(cycles)
+    assert (own_refused(link)["heading"] > 0) is (mode == "always" or len(deaf) == 2)
+    assert_converts_to_the_same(link, tmp_path)
+
+
+def test_rule_38_a_mode_that_was_set_in_flight_is_set_in_a_replay(cycles, tmp_path):
+    """Rule 38: with it goes what the autopilot is asked for, and what is refused."""
+    link = Link(Kind.PX4, ALONE[Kind.PX4], heading="autopilot")
+    never = Sender(255, 190).message(
+        "PARAM_SET",
+        target_system=1,
+        target_component=US,
+        param_id=b"EC_ODOM_MODE",
+        param_value=2.0,
+        param_type=9,
+    )
+    link.fly(cycles, {4.0: lambda: link.foreign.append(never)})
+    assert 0 < own_refused(link)["heading"] < 70
+    assert_converts_to_the_same(link, tmp_path)

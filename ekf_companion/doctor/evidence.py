@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from ekf_companion.config import Config
+from ekf_companion.mavlink.discovery import is_autopilot
 from ekf_companion.mavlink.verdict import Verdict
 from ekf_companion.pipeline import Health
 from ekf_companion.snapshot import (
@@ -85,7 +86,7 @@ class Source:
     @property
     def is_autopilot(self) -> bool:
         """Whether its heartbeat says that it flies a vehicle."""
-        return self.heartbeats > 0 and self.autopilot != 8 and self.type != 6
+        return self.heartbeats > 0 and is_autopilot(self.autopilot, self.type)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

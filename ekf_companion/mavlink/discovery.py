@@ -1,7 +1,10 @@
 """Whom the session listens to: the autopilot, found by its heartbeat, and missed without it.
 
-One stray heartbeat must not blind it for ever: where the peer is lost another may take its place,
-and component 1 goes before any other of its system.
+Nobody is waited for: the first autopilot that is heard is taken, and a choice is corrected as soon
+as a better one beats steadily. A stack that is known goes before one that is not, and component 1
+before any other of its system. One stray heartbeat must not blind us for ever: who is lost is
+waited for while it may be rebooting, if it has ever beaten steadily; then another may take its
+place, until it is back.
 """
 
 from __future__ import annotations
@@ -17,13 +20,26 @@ from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS, quantise
 
 _PEER_TIMEOUT_NS = 5 * SECOND_NS
+_REBOOT_NS = 30 * SECOND_NS
+"""So long after its last heartbeat a vehicle may be back: a bootloader, a self-test, a start."""
+_SOON_NS = 300 * SECOND_NS
+"""One that was given up is returned to if it is back by then; later, another was put in its place.
+"""
 _OTHER_TIMEOUT_NS = 10 * SECOND_NS
 """Longer than for the peer: a thin link must not make another come and go."""
 _NO_AUTOPILOT = 8
 _AUTOPILOT = 1
 """MAV_COMP_ID_AUTOPILOT1."""
-_GROUND_STATION = 6
+_NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48, 49))
+"""MAV_TYPE of what is on a vehicle or beside it: ground station, onboard controller, gimbal, ADS-B,
+camera, charging station, FLARM, servo, remote id, battery, parachute, log, OSD, IMU, GPS, winch,
+illuminator, gripper, radio."""
 _FAMILIES = {3: Family.ARDUPILOT, 12: Family.PX4}
+
+
+def is_autopilot(autopilot: int, kind: int) -> bool:
+    """Whether a heartbeat's MAV_AUTOPILOT and MAV_TYPE say that its sender flies a vehicle."""
+    return autopilot != _NO_AUTOPILOT and kind not in _NO_VEHICLES
 
 
 class Discovery(Service):
@@ -47,7 +63,7 @@ class Discovery(Service):
             end: Called when it is lost.
             share: Called with the system of another PX4 or ArduPilot that is heard too, and with
                 None when it is no more.
-            wanted: System id of the one to listen to; None: the first that is heard.
+            wanted: System id of the one to listen to; None: the best that is heard.
             expected: One known from an earlier run, found by whatever it says first.
         """
         self.handles = {"HEARTBEAT": self._take}
@@ -67,10 +83,18 @@ class Discovery(Service):
         """Whether a heartbeat has said the family."""
         self._doubt: Family | None = None
         """Another one than is known, as the last heartbeat said."""
-        self._others = Presence(_OTHER_TIMEOUT_NS)
-        self._other_id = 0
-        self._is_shared = False
+        self._beats: dict[int, Presence] = {}
+        """Of each system whose autopilot was heard."""
+        self._known: set[int] = set()
+        """Those of them that are PX4 or ArduPilot."""
+        self._other_id: int | None = None
         self._has_told_others = False
+        self._awaited_ns = 0
+        """Until when the peer that is lost is waited for."""
+        self._given_up: tuple[int, int] | None = None
+        """Who was not waited for any longer."""
+        self._returns_ns = 0
+        """Until when it is returned to."""
 
     def recognise(self, sender: tuple[int, int], now_ns: int) -> None:
         """Take the sender for the autopilot if it is the one expected."""
@@ -84,28 +108,47 @@ class Discovery(Service):
 
     def tick(self, now_ns: int) -> None:
         """Notice that the autopilot has fallen silent, or another."""
-        self._others.tick(now_ns)
-        if self._is_shared != self._others.is_there:
-            self._is_shared = self._others.is_there
-            self._share(self._other_id if self._is_shared else None)
-        if self.peer is None or self.is_lost:
+        if self.peer is not None and not self.is_lost:
+            self._miss(self.peer, now_ns)
+        for beat in self._beats.values():
+            beat.tick(now_ns)
+        self._tell_share()
+
+    def _miss(self, peer: tuple[int, int], now_ns: int) -> None:
+        if quantise(now_ns) - self.heard_ns <= _PEER_TIMEOUT_NS:
             return
-        if quantise(now_ns) - self.heard_ns > _PEER_TIMEOUT_NS:
-            self.is_lost = True
-            self._end()
-            self._emit(PeerLost(self.heard_ns))
+        self.is_lost = True
+        beat = self._beats.get(peer[0])
+        is_steady = beat is not None and beat.is_there
+        self._awaited_ns = self.heard_ns + (_REBOOT_NS if is_steady else 0)
+        self._end()
+        self._emit(PeerLost(self.heard_ns))
+
+    def _tell_share(self) -> None:
+        """Say which other system's autopilot is on the link, where that changes."""
+        others = [
+            system_id
+            for system_id in self._known
+            if self._beats[system_id].is_there and (self.peer is None or system_id != self.peer[0])
+        ]
+        other_id = min(others, default=None)
+        if other_id != self._other_id:
+            self._other_id = other_id
+            self._share(other_id)
 
     def _take(self, heartbeat: Any, frame: Frame, now_ns: int) -> None:
-        if heartbeat.autopilot == _NO_AUTOPILOT or heartbeat.type == _GROUND_STATION:
+        if not is_autopilot(heartbeat.autopilot, heartbeat.type):
             return
         self.tick(now_ns)
         sender = frame[1:3]
         family = _FAMILIES.get(heartbeat.autopilot, Family.UNKNOWN)
+        self._note(sender[0], family, now_ns)
         if sender != self.peer:
-            if not self._is_better(sender, family):
-                self._hear_other(frame.system_id, family, now_ns)
+            if not self._is_better(sender, family, now_ns):
+                self._hear_other(sender[0])
                 return
             self._change(sender)
+        self._tell_share()
         self.heard_ns = quantise(now_ns)
         if self._is_new(family) or self.is_lost:
             # A stack that is known stays so for a heartbeat that names none: a bootloader's
@@ -113,25 +156,38 @@ class Discovery(Service):
             self._find(family if is_named else self.family, now_ns)
         self._is_sure = True
 
-    def _is_better(self, sender: tuple[int, int], family: Family) -> bool:
+    def _note(self, system_id: int, family: Family, now_ns: int) -> None:
+        """Take an autopilot's heartbeat for its system's."""
+        self._beats.setdefault(system_id, Presence(_OTHER_TIMEOUT_NS)).hear(now_ns)
+        if family is not Family.UNKNOWN:
+            self._known.add(system_id)
+
+    def _is_better(self, sender: tuple[int, int], family: Family, now_ns: int) -> bool:
         """Whether to listen to somebody who is not the peer from now on."""
         if self._wanted not in (None, sender[0]):
             return False
         if self.peer is None:
             return True
-        is_of_it = sender[0] == self.peer[0]
-        if not self.is_lost:
-            return is_of_it and sender[1] == _AUTOPILOT
-        # A gimbal that calls itself an autopilot does not stand in for the vehicle's
-        ranks = [
-            (one is not Family.UNKNOWN, ids[1] == _AUTOPILOT)
-            for one, ids in ((family, sender), (self.family, self.peer))
-        ]
-        return not is_of_it or ranks[0] >= ranks[1]
+        known, is_known = (one is not Family.UNKNOWN for one in (self.family, family))
+        if sender[0] == self.peer[0]:
+            if not self.is_lost:
+                return sender[1] == _AUTOPILOT
+            # A gimbal that calls itself an autopilot does not stand in for the vehicle's
+            ours = (known, self.peer[1] == _AUTOPILOT)
+            return (is_known, sender[1] == _AUTOPILOT) >= ours
+        if self._beats[sender[0]].is_there:
+            if is_known and not known and sender[1] == _AUTOPILOT:
+                return True
+            if sender == self._given_up and quantise(now_ns) <= self._returns_ns:
+                return is_known or not known
+        return self.is_lost and quantise(now_ns) > self._awaited_ns
 
     def _change(self, sender: tuple[int, int]) -> None:
         """Turn to somebody else, as if nobody had been heard before."""
         if self.peer is not None:
+            is_given_up = self.is_lost and self._awaited_ns > self.heard_ns
+            self._given_up = self.peer if is_given_up else None
+            self._returns_ns = self.heard_ns + _SOON_NS
             if not self.is_lost:
                 self._end()
             self._emit(PeerChanged(self.peer, sender, self.is_lost))
@@ -150,14 +206,11 @@ class Discovery(Service):
         self._doubt = None
         return True
 
-    def _hear_other(self, other_id: int, family: Family, now_ns: int) -> None:
-        """Note that another autopilot is there, and say once that there is a choice to make."""
+    def _hear_other(self, other_id: int) -> None:
+        """Say once that there is a choice to make, where another system's autopilot is there."""
+        self._tell_share()
         if self.peer is None or other_id == self.peer[0]:
             return
-        if family is not Family.UNKNOWN:
-            self._others.hear(now_ns)
-            self._other_id = other_id
-            self.tick(now_ns)
         if self._wanted is None and not self._has_told_others:
             self._has_told_others = True
             self._emit(SeveralAutopilots(self.peer[0], other_id))

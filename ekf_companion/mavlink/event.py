@@ -64,7 +64,8 @@ class PeerChanged:
     """System and component id."""
     now: tuple[int, int]
     is_lost: bool
-    """Whether the one before had fallen silent; else it was no autopilot's component 1."""
+    """Whether the one before had fallen silent; else it goes after the other: no component 1, of no
+    known stack, or taken only while the other was silent."""
 
 
 @dataclass(frozen=True, slots=True)

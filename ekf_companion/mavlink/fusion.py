@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.verdict import Verdict, streamed, withheld
+from ekf_companion.mavlink.verdict import Verdict, listed, says, streamed, withheld
 
 Mode = Literal["auto", "always", "never"]
 Parameters = Mapping[str, float | None]
@@ -69,6 +69,16 @@ def decide(
         independent: Whether our sensors are none of the autopilot's.
         is_complete: Whether nothing more is waited for.
     """
+    verdict = _decide(family, parameters, mode, independent, is_complete)
+    if not verdict.is_streaming:
+        return verdict
+    is_fused, is_yaw_fused = _taken(family, parameters)
+    return replace(verdict, is_fused=is_fused, is_yaw_fused=is_yaw_fused)
+
+
+def _decide(
+    family: Family, parameters: Parameters, mode: Mode, independent: bool, is_complete: bool
+) -> Verdict:
     read = {name: value for name, value in parameters.items() if value is not None}
     if mode == "never":
         return withheld("output.odometry.mode is never", "", "ODOMETRY is switched off", read)
@@ -81,7 +91,7 @@ def decide(
     if family is Family.UNKNOWN:
         return streamed("who listens is neither PX4 nor ArduPilot", "", read)
     if not is_complete and (unread := missing(family, parameters)):
-        reason = f"the autopilot is being asked for {_listed(unread)}"
+        reason = f"the autopilot is being asked for {listed(unread)}"
         return replace(withheld(reason, "", "", read), is_settled=False)
     if family is Family.ARDUPILOT:
         return _by_ardupilot(parameters, read)
@@ -102,6 +112,28 @@ def missing(family: Family, parameters: Parameters) -> tuple[str, ...]:
     return ()
 
 
+def _taken(family: Family, parameters: Parameters) -> tuple[bool, bool]:
+    """Give whether the autopilot fuses what it gets of ours, and our yaw; unread, it fuses both."""
+    if family is Family.UNKNOWN:
+        return False, False
+    if family is Family.ARDUPILOT:
+        if not parameters.get(_DRIVER, 1):
+            return False, False
+        if _unanswered(_ARDUPILOT, parameters):
+            return True, True
+        own = {name for names in _SETS.values() for name in names if parameters[name] == _EXTERNAL}
+        return bool(own), any(name.endswith("YAW") for name in own)
+    if parameters.get(_VISION) is not None:
+        ours = _bits(parameters[_VISION], _EV_BITS)
+        return bool(ours), _EV_BITS[8] in ours
+    mask = parameters.get(_MASK)
+    if mask is not None and parameters.get(_GNSS) is None:
+        ours = _bits(mask, _AID_EV_BITS, {**_AID_GNSS_BITS, **_AID_OTHER_BITS})
+        return bool(ours), _AID_EV_BITS[16] in ours
+    is_unread = _VISION not in parameters
+    return is_unread, is_unread
+
+
 def watched(family: Family, parameters: Parameters) -> tuple[str, ...]:
     """Give the parameters whose change would change the verdict."""
     if family is Family.PX4:
@@ -120,17 +152,16 @@ def _by_px4(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
     vision = parameters[_VISION]
     ours = _bits(vision, _EV_BITS)
     if vision is None or not ours:
-        return streamed(_says(_VISION, vision, "the autopilot fuses nothing of ours"), "", read)
+        return streamed(says(_VISION, vision, "the autopilot fuses nothing of ours"), "", read)
     if _GNSS not in parameters:
         return _unread((_GNSS,), read)
     theirs = _bits(parameters[_GNSS], _GNSS_BITS)
     if not theirs:
-        reason = _says(_GNSS, parameters[_GNSS], "the autopilot fuses ours, and no GNSS")
-        is_yaw_fused = _EV_BITS[8] in ours
-        return replace(streamed(reason, "", read), is_fused=True, is_yaw_fused=is_yaw_fused)
+        reason = says(_GNSS, parameters[_GNSS], "the autopilot fuses ours, and no GNSS")
+        return streamed(reason, "", read)
     return withheld(
         f"{_VISION} is {vision:g} and {_GNSS} is {parameters[_GNSS]:g}: the autopilot would fuse "
-        f"our {_listed(ours)} together with the {_listed(theirs)} of the GNSS that is in it",
+        f"our {listed(ours)} together with the {listed(theirs)} of the GNSS that is in it",
         f"set {_GNSS} to 0 to fly on our estimate, or {_VISION} to 0 to fly on GNSS",
         f"no ODOMETRY: set {_GNSS} 0",
         read,
@@ -150,8 +181,8 @@ def _by_old_px4(read: Mapping[str, float]) -> Verdict:
     if theirs:
         lone, alone = mask & known & ~sum(_AID_GNSS_BITS), mask & known & ~sum(_AID_EV_BITS)
         return withheld(
-            f"{_MASK} is {mask}: the autopilot would fuse our {_listed(ours)} together with the "
-            f"{_listed(theirs)} of the GNSS that is in it",
+            f"{_MASK} is {mask}: the autopilot would fuse our {listed(ours)} together with the "
+            f"{listed(theirs)} of the GNSS that is in it",
             f"set {_MASK} to {lone} to fly on our estimate, or to {alone} to "
             "fly on GNSS, and reboot",
             f"no ODOMETRY: set {_MASK} {lone}",
@@ -162,16 +193,14 @@ def _by_old_px4(read: Mapping[str, float]) -> Verdict:
         return _unread((_HEIGHT,), read)
     if read[_HEIGHT] == _GNSS_HEIGHT:
         return withheld(
-            f"{_HEIGHT} is 1 and {_MASK} is {mask}: the autopilot would fuse our {_listed(ours)} "
+            f"{_HEIGHT} is 1 and {_MASK} is {mask}: the autopilot would fuse our {listed(ours)} "
             "together with the height of the GNSS that is in it",
             f"set {_HEIGHT} to 3 (vision) or 0 (barometer), and reboot",
             f"no ODOMETRY: set {_HEIGHT} 3",
             read,
             is_double=True,
         )
-    reason = f"{_MASK} is {mask}: the autopilot fuses ours, and no GNSS"
-    is_yaw_fused = _AID_EV_BITS[16] in ours
-    return replace(streamed(reason, "", read), is_fused=True, is_yaw_fused=is_yaw_fused)
+    return streamed(f"{_MASK} is {mask}: the autopilot fuses ours, and no GNSS", "", read)
 
 
 # ArduPilot
@@ -179,7 +208,7 @@ def _by_old_px4(read: Mapping[str, float]) -> Verdict:
 
 def _by_ardupilot(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
     if not parameters.get(_DRIVER, 1):
-        reason = _says(_DRIVER, parameters[_DRIVER], "the autopilot takes no ODOMETRY")
+        reason = says(_DRIVER, parameters[_DRIVER], "the autopilot takes no ODOMETRY")
         return streamed(reason, "", read)
     unread = _unanswered(_ARDUPILOT, parameters)
     if unread:
@@ -195,9 +224,7 @@ def _by_ardupilot(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
             return _double(own, ours, theirs, read)
     if not is_taken:
         return streamed("no EK3_SRCn_* is 6: the autopilot fuses nothing of ours", "", read)
-    reason = "the autopilot fuses ours, and no EK3_SRCn set has GNSS too"
-    is_yaw_fused = any(read.get(names[-1]) == _EXTERNAL for names in _SETS.values())
-    return replace(streamed(reason, "", read), is_fused=True, is_yaw_fused=is_yaw_fused)
+    return streamed("the autopilot fuses ours, and no EK3_SRCn set has GNSS too", "", read)
 
 
 def _double(
@@ -206,7 +233,7 @@ def _double(
     """Say what is fused beside what in one of the source sets."""
     said = ", ".join(f"{name} {read[name]:g}" for name in (*ours, *theirs))
     if own:
-        remedy = f"set {_listed(theirs)} to 6 to fly on our estimate"
+        remedy = f"set {listed(theirs)} to 6 to fly on our estimate"
         text = f"no ODOMETRY: set {theirs[0]} 6"
     else:
         # The sets are alternatives, but for the velocities
@@ -249,17 +276,12 @@ def _unread(names: tuple[str, ...], read: Mapping[str, float]) -> Verdict:
             read,
         )
     return withheld(
-        f"{question}: it did not answer for {_listed(names)}",
+        f"{question}: it did not answer for {listed(names)}",
         f"look for {names[0]} in a ground station; where this firmware has none, set "
         "output.odometry.mode to always",
         f"no ODOMETRY: {names[0]} unread",
         read,
     )
-
-
-def _says(name: str, value: float | None, meaning: str) -> str:
-    is_what = "does not exist" if value is None else f"is {value:g}"
-    return f"{name} {is_what}: {meaning}"
 
 
 def _unanswered(names: tuple[str, ...], parameters: Parameters) -> tuple[str, ...]:
@@ -274,11 +296,3 @@ def _bits(
     unknown = mask & ~sum(meanings) & ~sum(others or {})
     known = [meaning for bit, meaning in meanings.items() if mask & bit]
     return [*known, *([f"something unknown ({unknown})"] if unknown else [])]
-
-
-def _listed(names: list[str] | tuple[str, ...]) -> str:
-    """Give a list in words; of a long one, how many more."""
-    shown = list(names[:5])
-    if len(names) > len(shown):
-        return f"{', '.join(shown)} and {len(names) - len(shown)} more"
-    return " and ".join([", ".join(shown[:-1]), shown[-1]] if len(shown) > 1 else shown)

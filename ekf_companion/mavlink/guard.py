@@ -3,12 +3,17 @@
 Until the answers are there, nothing is sent; what does not answer is not told. A change that a
 ground station makes counts when its PARAM_VALUE comes by, and otherwise when the parameter's turn
 comes to be read again.
+
+What is fused is read in every mode that may send: while ODOMETRY flows into the autopilot's own
+estimate, that is no measurement. Whether an answer is still waited for goes by what is heard and
+when it came, never by ``tick``: a replay decides the same.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from struct import Struct
 from typing import Any
 
@@ -20,12 +25,14 @@ from ekf_companion.mavlink.fusion import NAMES, Mode, decide, missing, watched
 from ekf_companion.mavlink.layout import IDS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Handler, Service
-from ekf_companion.mavlink.stamp import SECOND_NS
-from ekf_companion.mavlink.verdict import Verdict
+from ekf_companion.mavlink.stamp import SECOND_NS, quantise
+from ekf_companion.mavlink.verdict import Verdict, shared, silent
 
 _TIMEOUT_NS = SECOND_NS
 _TRIES = 3
 _IN_FLIGHT = 4
+_GIVE_UP_NS = _TRIES * _TIMEOUT_NS
+"""Without an answer that is new for so long, what is missing is not waited for."""
 _ROUND_NS = SECOND_NS * 3 // 2
 """In which every parameter that is watched is read again: a change counts within two seconds."""
 _SLOWEST_NS = SECOND_NS // 2
@@ -59,25 +66,43 @@ class _Question:
         """Whether an answer may still come."""
         return self.tries > 0 and now_ns < self.deadline_ns
 
-    def is_given_up(self, now_ns: int) -> bool:
-        return self.tries >= _TRIES and now_ns >= self.deadline_ns
-
 
 class Guard(Service):
     """Decides whether ODOMETRY is sent."""
 
-    def __init__(self, outbox: Outbox, emit: Emit, options: GuardOptions | None = None) -> None:
+    def __init__(
+        self,
+        outbox: Outbox,
+        emit: Emit,
+        beware: Callable[[bool, bool], None],
+        options: GuardOptions | None = None,
+    ) -> None:
+        """Begin with nobody.
+
+        Args:
+            outbox: Takes the questions.
+            emit: Takes what has happened.
+            beware: Called with whether the autopilot's own position, and its yaw, are made of our
+                ODOMETRY, as soon as that is known.
+            options: What the configuration says.
+        """
         self.options = options or GuardOptions()
         # A dialect from before PARAM_ERROR lacks its layout, and silence says the same
         handlers: dict[str, Handler] = {"PARAM_VALUE": self._take, "PARAM_ERROR": self._take_error}
         self.handles = {name: handler for name, handler in handlers.items() if name in IDS}
         self._outbox = outbox
         self._emit = emit
+        self._beware = beware
         self._peer: PeerFound | None = None
         self._answers: dict[str, float | None] = {}
         self._questions: dict[str, _Question] = {}
         self._turn = 0
         self._next_ns = 0
+        self.is_waiting = False
+        """Whether answers that decide are waited for: ``hear`` what the autopilot says."""
+        self._learned_ns: int | None = None
+        """When the last of them came, or the first frame that was heard without one."""
+        self._is_given_up = False
         self._answered_ns: int | None = None
         self._unanswered = 0
         self._is_silent = False
@@ -107,13 +132,13 @@ class Guard(Service):
         """Ask anew: a reboot may have changed anything."""
         self._forget()
         self._peer = peer
-        self._judge(is_complete=False)
+        self._judge()
 
     def share(self, other_id: int | None) -> None:
         """Learn that another system's autopilot is on the link too, or (None) is no more."""
         self._other_id = other_id
         if self._peer is not None:
-            self._judge(is_complete=self.verdict.is_settled)
+            self._judge()
 
     def end(self) -> None:
         """Nobody is there: what has been read says nothing of who comes next."""
@@ -122,13 +147,11 @@ class Guard(Service):
 
     def tick(self, now_ns: int) -> None:
         """Ask for what is missing, then read again what could change."""
-        if not self.is_reading:
+        if not self._is_asking:
             return
         for name in missing(self._family, self._answers):
             self._ask_for(name, now_ns)
-        if not self.verdict.is_settled and self._is_complete(now_ns):
-            self._judge(is_complete=True)
-        if self.verdict.is_settled and now_ns >= self._next_ns:
+        if not self.is_waiting and now_ns >= self._next_ns:
             names = watched(self._family, self._answers)
             self._next_ns = now_ns + min(_ROUND_NS // len(names), _SLOWEST_NS)
             self._turn += 1
@@ -142,7 +165,16 @@ class Guard(Service):
             return
         if now_ns - self._answered_ns > _STALE_NS:
             self._is_silent = True
-            self._judge(is_complete=True)
+            self._judge()
+
+    def hear(self, now_ns: int) -> None:
+        """Take that the autopilot has said something, while it is waited for."""
+        now_ns = quantise(now_ns)
+        if self._learned_ns is None:
+            self._learned_ns = now_ns
+        elif now_ns - self._learned_ns >= _GIVE_UP_NS:
+            self._is_given_up = True
+            self._judge()
 
     # What is answered
 
@@ -156,18 +188,23 @@ class Guard(Service):
             self._note(message.param_id.decode("ascii", "replace"), None, now_ns)
 
     def _note(self, name: str, value: float | None, now_ns: int) -> None:
-        if not self.is_reading or name not in NAMES[self._family]:
+        if not self._is_asking or name not in NAMES[self._family]:
             return
+        if name not in self._answers:
+            self._learned_ns = quantise(now_ns)
+            if self._is_given_up:  # it answers after all: the rest is worth asking for again
+                self._questions.clear()
+                self._is_given_up = False
         self._answers[name] = value
         self._questions.pop(name, None)
         self._answered_ns, self._unanswered, self._is_silent = now_ns, 0, False
-        self._judge(is_complete=self._is_complete(now_ns))
+        self._judge()
         self.tick(now_ns)
 
     # How it is asked
 
     def _ask_for(self, name: str, now_ns: int) -> None:
-        question = self._question(name)
+        question = self._questions.get(name, _Question())
         in_flight = sum(other.is_open(now_ns) for other in self._questions.values())
         if question.tries >= _TRIES or question.is_open(now_ns) or in_flight >= _IN_FLIGHT:
             return
@@ -188,15 +225,6 @@ class Guard(Service):
         )
         self._outbox.send("PARAM_REQUEST_READ", payload, now_ns)
 
-    def _is_complete(self, now_ns: int) -> bool:
-        """Whether all is answered or given up; of who answers nothing, the first is enough."""
-        wanted = missing(self._family, self._answers)
-        given_up = [self._question(name).is_given_up(now_ns) for name in wanted]
-        return all(given_up) or (any(given_up) and not self._answers)
-
-    def _question(self, name: str) -> _Question:
-        return self._questions.get(name, _Question())
-
     # What follows
 
     @property
@@ -209,18 +237,28 @@ class Guard(Service):
         is_asked = self.options.mode == "auto" and not self.options.independent
         return is_asked and bool(NAMES[self._family])
 
-    def _judge(self, *, is_complete: bool) -> None:
+    @property
+    def _is_asking(self) -> bool:
+        """Whether anything does: the answer, or what the autopilot's own estimate is made of."""
+        return self.options.mode != "never" and bool(NAMES[self._family])
+
+    def _judge(self) -> None:
         options = self.options
+        is_open = self._is_asking and bool(missing(self._family, self._answers))
+        self.is_waiting = is_open and not self._is_given_up
         verdict = decide(
-            self._family, self._answers, options.mode, options.independent, is_complete
+            *(self._family, self._answers, options.mode, options.independent),
+            is_complete=not self.is_waiting,
         )
         if options.mode == "auto" and not options.independent and verdict.is_streaming:
             # Whether it fuses what it gets stays as it was
             if self._is_silent:
-                verdict = replace(verdict, **_SILENT)
+                verdict = silent(verdict)
             elif self._other_id is not None:
-                verdict = replace(verdict, **_shared(self._other_id))
+                verdict = shared(verdict, self._other_id)
         self.verdict = verdict
+        if not self.is_waiting:
+            self._beware(verdict.is_fused, verdict.is_yaw_fused)
         said = (verdict.is_streaming, verdict.reason, verdict.remedy)
         if verdict.is_settled and said != self._told:
             self._told = said
@@ -232,6 +270,7 @@ class Guard(Service):
         self._questions.clear()
         self._turn = 0
         self._next_ns = 0
+        self.is_waiting, self._learned_ns, self._is_given_up = False, None, False
         self._answered_ns, self._unanswered, self._is_silent = None, 0, False
 
     def _nobody(self) -> Verdict:
@@ -256,25 +295,3 @@ def value_of(message: Any, frame: Frame, family: Family) -> float | None:
         # It lays the integer's bytes where the float's would be
         (value,) = _INT32.unpack(frame.payload.ljust(4, b"\0")[:4])
     return float(value) if math.isfinite(value) else None
-
-
-_SILENT: dict[str, Any] = {
-    "is_streaming": False,
-    "is_warning": True,
-    "reason": "the autopilot answers no request for a parameter any more, and what it fuses by now "
-    "cannot be known",
-    "remedy": "check that it still hears us on this link, or set output.odometry.mode to always",
-    "text": "no ODOMETRY: no parameter is answered",
-}
-
-
-def _shared(other_id: int) -> dict[str, Any]:
-    """Say that what has no address would be taken by others too."""
-    return {
-        "is_streaming": False,
-        "is_warning": True,
-        "reason": f"the autopilot of system {other_id} is on this link too: ODOMETRY bears no "
-        "address, and that one was not asked whether it fuses GNSS",
-        "remedy": "give each autopilot a link of its own, or set output.odometry.mode to always",
-        "text": f"no ODOMETRY: system {other_id} on the link",
-    }

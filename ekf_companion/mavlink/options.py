@@ -35,7 +35,7 @@ class SessionOptions:
     component_id: int = 194
     """Ours: MAV_COMP_ID_ONBOARD_COMPUTER4."""
     autopilot_system_id: int | None = None
-    """The one autopilot to listen to; None: the first that is heard."""
+    """The one autopilot to listen to; None: the best that is heard."""
     allow_systems: tuple[int, ...] = ()
     """System ids that may speak; empty: all."""
     allow_components: tuple[int, ...] = ()

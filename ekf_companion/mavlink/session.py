@@ -100,7 +100,7 @@ class Session:
             is_recording=options.is_recording,
         )
         self._events: list[Event] = []
-        emit = self._emit
+        emit = self._events.append
 
         self.discovery = Discovery(
             emit,
@@ -115,7 +115,8 @@ class Session:
         self.commands = Commands(self.outbox, emit, self.heartbeat)
         self.parameters = ParameterServer(self.outbox, emit, options.parameters)
         self.requests = Requests(self.outbox, emit, options.rates)
-        self.guard = Guard(self.outbox, emit, options.guard or GuardOptions(mode="never"))
+        guard = options.guard or GuardOptions(mode="never")
+        self.guard = Guard(self.outbox, emit, self.decoder.beware, guard)
         self.audit = Audit(self.received, self.requests, emit)
         self.statustext = StatusText(self.outbox)
 
@@ -207,6 +208,8 @@ class Session:
         self.sequence.count(frame.sequence, now_ns)
         if (handlers := self._peer_routes.get(frame.message_id)) is not None:
             self._hand(handlers, frame, now_ns)
+        if self.guard.is_waiting:
+            self.guard.hear(now_ns)
 
         # Take what it measured
         measurements = self.decoder.decode(frame)
@@ -230,11 +233,6 @@ class Session:
             handler(message, frame, now_ns)
 
     # What changes
-
-    def _emit(self, event: Event) -> None:
-        if isinstance(event, GuardChanged):
-            self.decoder.beware(event.verdict.is_fused, event.verdict.is_yaw_fused)
-        self._events.append(event)
 
     def _begin(self, peer: PeerFound) -> None:
         """Begin every conversation anew: the autopilot knows nothing of us."""

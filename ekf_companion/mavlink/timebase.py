@@ -5,9 +5,10 @@ boot that wrap after 49.7 days. The base is the one that the inertial messages u
 stamped on the other is moved over by SYSTEM_TIME, which names both.
 
 One stamp far from the others says nothing: it may be an old packet, or a field that was never
-set. So a leap is held back until a second stamp goes on from it: forward, that was a gap; back
-(or to the other base, or by more than an hour), the clock began anew, if for a quarter of a second
-nothing else is heard.
+set. So a leap is held back until a second stamp goes on from it: forward, that was a gap, which so
+costs one message; back (or to the other base, or by more than an hour), the clock began anew, if
+for a quarter of a second nothing else is heard. What is far is measured by the pace of the stamps:
+where they come more rarely than once a second, two of their steps are not.
 
 A step back by less than a second is at first taken for packets that were overtaken. Those have
 others before and after them that are not; where all stamps stay behind while they go on by a
@@ -27,8 +28,13 @@ WRAP_US = (1 << 32) * 1000
 BACK_US = 1_000_000
 """A clock that goes back by more has begun anew; by less, it may be that packets overtook one
 another."""
-AHEAD_US = 10_000_000
+AHEAD_US = 1_000_000
 """A link may be silent for so long without a doubt about the next stamp."""
+SLOW_US = AHEAD_US // 2
+"""A step above is that of a stream which may be silent for longer: for two such steps."""
+LONG_US = 10_000_000
+"""From a stamp that is held back another goes on if it is no further away; at no pace is more
+taken unseen."""
 GAP_US = 3_600_000_000
 """A leap of more than an hour is another clock, not a gap."""
 SURE_US = 250_000
@@ -50,10 +56,12 @@ class Step(Enum):
 class Count:
     """A count of microseconds, from stamps that may come late, or mean nothing."""
 
-    __slots__ = ("behind_us", "latest_us", "leap_us")
+    __slots__ = ("ahead_us", "behind_us", "latest_us", "leap_us")
 
     def __init__(self) -> None:
         self.latest_us: int | None = None
+        self.ahead_us = AHEAD_US
+        """How far ahead the next may be without a doubt."""
         self.behind_us: int | None = None
         """The first of the stamps that have all been behind the latest; None: it is not so."""
         self.leap_us: int | None = None
@@ -65,22 +73,24 @@ class Count:
             self.latest_us = stamp_us
             return Step.FOLLOWED
         step = stamp_us - self.latest_us
-        if -BACK_US <= step <= AHEAD_US:
+        if -BACK_US <= step <= self.ahead_us:
             self.leap_us = None
             return self._follow(stamp_us, step)
-        if self.leap_us is None or not -BACK_US <= stamp_us - self.leap_us <= AHEAD_US:
+        if self.leap_us is None or not -BACK_US <= stamp_us - self.leap_us <= LONG_US:
             self.leap_us = stamp_us
             return Step.HELD
         is_gap = 0 < step <= GAP_US
-        if stamp_us - self.leap_us < (1 if is_gap else SURE_US):
+        step = stamp_us - self.leap_us
+        if step < (1 if is_gap else SURE_US):
             return Step.HELD
         self.latest_us, self.leap_us, self.behind_us = stamp_us, None, None
+        self.ahead_us = _ahead(step)
         return Step.FOLLOWED if is_gap else Step.BEGUN
 
     def _follow(self, stamp_us: int, step: int) -> Step:
         """Take a stamp that goes on, or is behind: late, or of a clock that was set back."""
         if step >= 0:
-            self.latest_us, self.behind_us = stamp_us, None
+            self.latest_us, self.behind_us, self.ahead_us = stamp_us, None, _ahead(step)
             return Step.FOLLOWED
         if self.behind_us is None or stamp_us < self.behind_us:
             self.behind_us = stamp_us
@@ -88,6 +98,11 @@ class Count:
             return Step.FOLLOWED
         self.latest_us, self.behind_us = self.behind_us - 1, None
         return Step.SET
+
+
+def _ahead(step_us: int) -> int:
+    """Give how far ahead a stamp may be after a step."""
+    return min(max(AHEAD_US, 2 * step_us), LONG_US)
 
 
 class TimeBase:
@@ -125,9 +140,9 @@ class TimeBase:
         """Take a stamp that the base follows, if it is the next; else leave it to ``advance``."""
         main = self._main
         latest = main.latest_us
-        if latest is None or main.leap_us is not None or not 0 < stamp_us - latest <= AHEAD_US:
+        if latest is None or main.leap_us is not None or not 0 < stamp_us - latest <= SLOW_US:
             return False
-        main.latest_us, main.behind_us = stamp_us, None
+        main.latest_us, main.behind_us, main.ahead_us = stamp_us, None, AHEAD_US
         return True
 
     def advance(self, stamp_us: int) -> Step:
@@ -207,4 +222,4 @@ def _unwrapped(boot_ms: int, latest_us: int | None) -> int:
 def _agrees(boot_ms: int, stamp_us: int) -> bool:
     """Whether milliseconds may be of a clock in microseconds, after any number of wraps."""
     away = (boot_ms * 1000 - stamp_us + WRAP_US // 2) % WRAP_US - WRAP_US // 2
-    return abs(away) <= AHEAD_US
+    return abs(away) <= LONG_US

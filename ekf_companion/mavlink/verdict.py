@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +22,8 @@ class Verdict:
     is_warning: bool = False
     """Whether a human should look."""
     is_fused: bool = False
-    """Whether the autopilot fuses what is streamed: what it then says of itself is partly ours."""
+    """Whether the autopilot fuses what is streamed, or does not say so: what it then says of itself
+    is partly ours."""
     is_yaw_fused: bool = False
     """Whether our yaw too: its own heading is then partly ours."""
     is_double: bool = False
@@ -81,6 +82,32 @@ def withheld(
     )
 
 
+def silent(verdict: Verdict) -> Verdict:
+    """Give the verdict on an autopilot that answers no more; what it fused, it may still."""
+    return replace(
+        verdict,
+        is_streaming=False,
+        is_warning=True,
+        reason="the autopilot answers no request for a parameter any more, and what it fuses by "
+        "now cannot be known",
+        remedy="check that it still hears us on this link, or set output.odometry.mode to always",
+        text="no ODOMETRY: no parameter is answered",
+    )
+
+
+def shared(verdict: Verdict, other_id: int) -> Verdict:
+    """Give the verdict where another system's autopilot would take what has no address."""
+    return replace(
+        verdict,
+        is_streaming=False,
+        is_warning=True,
+        reason=f"the autopilot of system {other_id} is on this link too: ODOMETRY bears no "
+        "address, and that one was not asked whether it fuses GNSS",
+        remedy="give each autopilot a link of its own, or set output.odometry.mode to always",
+        text=f"no ODOMETRY: system {other_id} on the link",
+    )
+
+
 def stream_state(
     verdict: Verdict, twin: tuple[int, int] | None, slowed: Slowed | None
 ) -> StreamState:
@@ -103,3 +130,17 @@ def stream_state(
             "send SET_MESSAGE_INTERVAL of ODOMETRY with 0 for the rate by default",
         )
     return StreamState(verdict.is_streaming, verdict.reason, verdict.remedy)
+
+
+def says(name: str, value: float | None, meaning: str) -> str:
+    """Give what a parameter is, and what that means."""
+    is_what = "does not exist" if value is None else f"is {value:g}"
+    return f"{name} {is_what}: {meaning}"
+
+
+def listed(names: list[str] | tuple[str, ...]) -> str:
+    """Give a list in words; of a long one, how many more."""
+    shown = list(names[:5])
+    if len(names) > len(shown):
+        return f"{', '.join(shown)} and {len(names) - len(shown)} more"
+    return " and ".join([", ".join(shown[:-1]), shown[-1]] if len(shown) > 1 else shown)

@@ -16,6 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ekf_companion.cli import app
+from ekf_companion.doctor.evidence import Source
 from ekf_companion.mavlink.codec import Sender, pack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.layout import IDS
@@ -361,3 +362,14 @@ def test_a_guarded_link_is_found_over_a_socket(live):
     ]
     assert (194, IDS["PARAM_REQUEST_READ"]) in heard
     assert (194, IDS["ODOMETRY"]) not in heard
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "kind", "is_one"),
+    [(12, 2, True), (0, 0, True), (8, 2, False), (3, 6, False), (12, 26, False), (0, 18, False)],
+)
+def test_rule_1_who_counts_as_an_autopilot_is_the_daemons_own_choice(autopilot, kind, is_one):
+    source = Source(
+        system_id=1, component_id=1, frames=9, heartbeats=1, autopilot=autopilot, type=kind
+    )
+    assert source.is_autopilot is is_one

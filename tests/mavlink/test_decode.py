@@ -104,17 +104,33 @@ def test_an_autopilot_that_goes_over_to_another_instance_is_followed():
     """Rule 7: ArduPilot's HIGHRES_IMU is of the first sensor that works, and that may change."""
     peer = Peer(Family.ARDUPILOT)
     assert imu_times(peer, 0, range(1000, 2000, 4))[0] == 1000
-    assert imu_times(peer, 1, range(2000, 8000, 4))[0] == 5000  # 3 s after 1996
+    assert imu_times(peer, 1, range(2000, 8000, 4))[0] == 5004  # after more than 3 s
     assert peer.decoder.imu_instance == 1
     assert list(peer.decoder.notes) == [
-        "Inertial sensor 1 is used: 0 has been silent for 3 s; its biases are other ones"
+        "Inertial sensor 1 is used: 0 has been silent, or much slower, for 3 s; its biases are "
+        "other ones"
     ]
     peer.decoder.notes.clear()
-    assert imu_times(peer, 0, range(8000, 8100, 4)) == list(range(8000, 8100, 4))
+    assert imu_times(peer, 0, range(8000, 9100, 4)) == list(range(9000, 9100, 4))
     assert peer.decoder.imu_instance == 0
-    assert imu_times(peer, 1, range(8100, 9000, 4)) == []
-    assert len(peer.decoder.notes) == 1
+    assert imu_times(peer, 1, range(9100, 9900, 4)) == []
+    assert list(peer.decoder.notes) == [
+        "Inertial sensor 0 speaks steadily; its biases are other ones"
+    ]
     assert peer.refused["HIGHRES_IMU: instance changed"] == 2
+
+
+@pytest.mark.parametrize("period_ms", [400, 1000, 2000])
+@pytest.mark.parametrize("begin_ms", [0, 10_000])
+def test_a_configured_instance_that_hardly_speaks_does_not_starve_the_other(period_ms, begin_ms):
+    """Rule 7: it is neither waited for again and again, nor taken for its single samples."""
+    peer = Peer(Family.ARDUPILOT)
+    imu_times(peer, 0, range(1000, 1000 + begin_ms, 4))
+    times = range(1000 + begin_ms, 31_000 + begin_ms, 4)
+    taken = [t for t in times if imu_times(peer, 0 if t % period_ms == 0 else 1, [t])]
+    assert len(taken) > 0.89 * len(times)  # of 30 s, 3 s of waiting for the configured one
+    assert peer.decoder.imu_instance == 1
+    assert len(peer.decoder.notes) == 1
 
 
 def test_of_two_instances_that_both_stream_the_configured_one_is_used():
@@ -197,8 +213,8 @@ RAW = {"zacc": -1001, "xgyro": 2, "ygyro": -3, "zgyro": 4, "xmag": 182, "ymag": 
 
 def test_ardupilots_raw_imu_is_in_milli_units():
     peer = Peer(Family.ARDUPILOT)
-    peer.say("raw_imu", time_usec=1_000_000, **RAW)
-    measured = peer.say("raw_imu", time_usec=5_000_000, **RAW)
+    for t_us in range(1_000_000, 5_000_000, 500_000):
+        measured = peer.say("raw_imu", time_usec=t_us, **RAW)
     (imu,) = only(ImuSample, measured)
     assert imu.accel_z == pytest.approx(-1.001 * 9.80665)
     assert (imu.gyro_x, imu.gyro_y, imu.gyro_z) == pytest.approx((0.002, -0.003, 0.004))

@@ -101,6 +101,17 @@ def test_a_wild_system_time_moves_no_fix_and_no_heading():
     assert heading.t_ns == (unix_us + 10_000) * 1000
 
 
+def test_a_single_attitude_that_is_five_seconds_ahead_costs_itself_only():
+    """Rule 12: no sample behind it is refused, and nothing begins anew."""
+    peer, taken = Peer(Family.PX4), 0
+    for n in range(500):
+        taken += len(only(ImuSample, peer.highres(1_000_000 + 4000 * n)))
+        if n == 250:
+            assert peer.say("ATTITUDE", time_boot_ms=7000, yaw=1.0) == []
+    assert taken == 500
+    assert peer.decoder.refused == {"ATTITUDE: stamp leaps": 1}
+
+
 def test_an_old_packet_is_refused_and_counted():
     """Rule 10: what is more than a second old leaps back, and nothing confirms it."""
     peer = Peer()

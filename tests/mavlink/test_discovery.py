@@ -132,6 +132,102 @@ def test_rule_1_one_stray_heartbeat_does_not_blind_it_for_ever():
     assert [type(m) for m in session.receive(imu, 8 * SECOND)] == [ImuSample]
 
 
+def talk(session, voices, seconds):
+    """Let the voices beat once a second in these seconds, while time goes on."""
+    for now_ns in range(seconds.start * SECOND, seconds.stop * SECOND, SECOND // 10):
+        if now_ns % SECOND == 0:
+            for voice in voices:
+                session.receive(voice.heartbeat(), now_ns)
+        session.tick(now_ns)
+
+
+def chosen(session):
+    return [(e.system_id, e.component_id) for e in found(session)]
+
+
+@pytest.mark.parametrize("kind", [6, 18, 26, 27, 30, 31, 34, 36, 42, 49])
+def test_rule_1_what_is_no_vehicle_is_no_autopilot(kind):
+    session = Session(SessionOptions(rates={}))
+    for family in (GENERIC, PX4):
+        session.receive(Voice(42, 100).heartbeat(type=kind, autopilot=family), 0)
+    assert session.events() == []
+
+
+@pytest.mark.parametrize("first", [(42, 100), (42, 1), (1, 100)])
+def test_rule_1_a_known_stack_takes_the_place_of_an_unknown_one_that_was_heard_first(first):
+    session = Session(SessionOptions(rates={}, guard=GuardOptions()))
+    talk(session, [Voice(*first, GENERIC), Voice()], range(60))
+    assert chosen(session) == [first, (1, 1)]
+    assert not session.may_stream  # before it has answered
+    # One heartbeat is none, and no third takes its place in turn
+    talk(session, [Voice(3, 1, ARDUPILOT)], range(60, 61))
+    talk(session, [Voice(*first, GENERIC), Voice(), Voice(3, 1, ARDUPILOT)], range(61, 90))
+    assert chosen(session) == []
+
+
+def test_rule_1_a_stray_heartbeat_of_a_known_stack_does_not_take_the_place_of_an_unknown_one():
+    session, autopilot = met(GENERIC)
+    talk(session, [autopilot, Voice(7)], range(1, 2))
+    talk(session, [autopilot], range(2, 20))
+    assert session.peer == (1, 1)
+
+
+def test_rule_1_where_the_one_is_named_no_known_stack_takes_its_place():
+    session, autopilot = met(GENERIC, autopilot_system_id=1)
+    talk(session, [autopilot, Voice(7)], range(1, 20))
+    assert session.peer == (1, 1)
+
+
+@pytest.mark.parametrize("away", [7, 15, 29])
+def test_rule_1_a_vehicle_is_waited_for_while_it_reboots(away):
+    session, first = met()
+    second = Voice(2)
+    talk(session, [first, second], range(1, 11))
+    talk(session, [second], range(11, 10 + away))
+    assert session.peer is None
+    talk(session, [first, second], range(10 + away, 60 + away))
+    assert session.peer == (1, 1)
+    assert chosen(session) == [(1, 1)]
+
+
+def test_rule_1_a_vehicle_that_was_given_up_is_returned_to_when_it_is_back_soon():
+    session, first = met()
+    second = Voice(2)
+    talk(session, [first], range(1, 10))
+    talk(session, [second], range(10, 60))
+    assert session.peer == (2, 1)
+    talk(session, [first, second], range(60, 62))
+    assert session.peer == (1, 1)
+    assert chosen(session) == [(2, 1), (1, 1)]
+    # And then kept
+    talk(session, [first, second], range(62, 90))
+    assert chosen(session) == []
+
+
+def test_rule_1_where_another_was_put_in_its_place_the_first_is_not_returned_to():
+    session, first = met()
+    second = Voice(2)
+    talk(session, [first], range(1, 10))
+    talk(session, [second], range(10, 400))
+    talk(session, [first, second], range(400, 420))
+    assert session.peer == (2, 1)
+
+
+@pytest.mark.parametrize("ours", [PX4, GENERIC])
+def test_rule_25_the_vehicle_that_is_turned_to_is_not_taken_for_another_beside_it(ours):
+    """It is streamed to as soon as it has answered; while the other beats too, it is not."""
+    session, _ = met(ours, guard=GuardOptions())
+    talk(session, [Voice(family=ours)], range(1, 10))
+    second = Voice(2)
+    talk(session, [second], range(10, 50))
+    assert session.peer == (2, 1)
+    answer = second.say("PARAM_VALUE", param_id=b"EKF2_EV_CTRL", param_type=6)
+    session.receive(answer, 50 * SECOND)
+    assert session.may_stream
+    talk(session, [second, Voice(3)], range(51, 54))
+    assert not session.may_stream
+
+
 def test_rule_1_the_one_that_is_named_is_waited_for():
     session, _ = met(autopilot_system_id=1)
     for k in range(1, 20):

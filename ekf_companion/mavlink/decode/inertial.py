@@ -7,7 +7,7 @@ from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
-from ekf_companion.mavlink.decode.choice import ABSENT_NS, Preference
+from ekf_companion.mavlink.decode.choice import Preference
 from ekf_companion.mavlink.decode.door import Door, Family, Measurements
 from ekf_companion.mavlink.decode.repetition import Repetition
 from ekf_companion.mavlink.dejitter import Dejitter
@@ -42,7 +42,7 @@ class Inertial:
         self.sources = Preference(_STARVING)
         self.instance = self._door.options.imu_id
         """The sensor in use, as HIGHRES_IMU numbers them."""
-        self._instance_us = -1  # when it last spoke
+        self._instances = Preference(_STARVING)
         self._last_us = -1
         self._repetition = Repetition()
         self.begin_stream()
@@ -74,11 +74,14 @@ class Inertial:
         out = door.follow_us(t_us, "HIGHRES_IMU")
         if out is None:
             return []
-        if instance != self.instance and not self._follow_instance(instance, t_us):
+        t_ns = t_us * 1000
+        # The configured one goes first
+        rank, was = (0 if instance == door.options.imu_id else instance + 1), self._instances.rank
+        if not self._instances.admit(rank, t_ns):
             door.refused["HIGHRES_IMU: another instance"] += 1
             return out
-        self._instance_us = t_us
-        t_ns = t_us * 1000
+        if rank != was:
+            self._note_instance(instance, is_better=rank < was)
         if updated & _ACCEL_GYRO != _ACCEL_GYRO:
             door.refuse("HIGHRES_IMU: accel or gyro not updated")
         elif t_us > self._last_us and (
@@ -103,21 +106,16 @@ class Inertial:
             "not used; check the sensor, its mounting and its range"
         )
 
-    def _follow_instance(self, instance: int, t_us: int) -> bool:
-        """Whether to use another sensor from now on: the configured one, or one for a silent one.
+    def _note_instance(self, instance: int, *, is_better: bool) -> None:
+        """Use another sensor from now on.
 
         ArduPilot sends the first sensor that works, and that may change in flight.
         """
-        is_configured = instance == self._door.options.imu_id
-        if self._instance_us < 0:
-            self._instance_us = t_us
-        if not is_configured and (t_us - self._instance_us) * 1000 <= ABSENT_NS:
-            return False
-        why = "speaks" if is_configured else f"is used: {self.instance} has been silent for 3 s"
+        away = f"is used: {self.instance} has been silent, or much slower, for 3 s"
+        why = "speaks steadily" if is_better else away
         self._door.refused["HIGHRES_IMU: instance changed"] += 1
         self._door.tell(f"Inertial sensor {instance} {why}; its biases are other ones")
         self.instance = instance
-        return True
 
     def raw_imu(self, frame: Frame) -> Measurements:
         """Read RAW_IMU, which has units on ArduPilot only."""
