@@ -115,6 +115,10 @@ class Receiver:
     """Whether h_acc says anything."""
     without_time: int = 0
     """Messages with time_usec 0."""
+    still_s: float = 0.0
+    """For how long the last of them has come again and again, s."""
+    longest_still_s: float = 0.0
+    """Likewise the longest that any fix has, s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

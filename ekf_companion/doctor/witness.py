@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Hashable
 from typing import Any
 
@@ -40,6 +41,9 @@ _PARAMETERS = 64
 """More names of a recording's requests are not kept."""
 _FRAMES = 8
 """More pairs of frames in ODOMETRY are not told apart."""
+_EARLY = 4096
+"""Frames kept from before the first heartbeat, which comes once a second: whose they are shows
+then. A recording of a daemon that went on from a checkpoint has its answers there."""
 
 
 class Witness:
@@ -58,6 +62,7 @@ class Witness:
         self._odometry = Tally()
         self._odometry_frames: set[tuple[int, int]] = set()
         self._found: tuple[int, int] | None = None
+        self._early: deque[tuple[Frame, int]] = deque(maxlen=_EARLY)
         self._asking = ""
         self._asked_parameters: set[str] = set()
         self._bytes = self._last_ns = 0
@@ -90,7 +95,10 @@ class Witness:
                 self._traffic.take_junk(frame.raw)
             else:
                 self._traffic.take(frame)
-                self._take(frame, now_ns)
+                self._early.append((frame, now_ns))
+        if self._found is not None:
+            while self._early:
+                self._take(*self._early.popleft())
 
     def tick(self, now_ns: int) -> None:
         """Do what time brings: also ask for parameters that the guard does not read."""
@@ -126,7 +134,7 @@ class Witness:
             return
         name = LAYOUTS[frame.message_id].name
         self._tally(name).add(len(frame.raw), now_ns)
-        self._told.take(name, frame)
+        self._told.take(name, frame, now_ns)
         if name in _STAMPS:
             size, unit = _STAMPS[name]
             stamp = int.from_bytes(frame.payload[:size], "little")

@@ -380,6 +380,45 @@ def test_a_fix_that_never_changes_is_named():
     assert "The same fix comes again and again" in words(found)
 
 
+@pytest.mark.parametrize("is_timed", [True, False])
+def test_a_fix_that_stands_still_from_the_middle_on_is_named(is_timed):
+    """Rule 13: a receiver that hangs, while its time goes on or not."""
+    seen = []
+
+    def change(name, fields):
+        if name == "GPS_RAW_INT":
+            seen.append({key: fields[key] for key in ("lat", "lon", "alt", "vel", "cog")})
+            if len(seen) > 20:
+                fields |= {**seen[19], "vel": 536}
+                fields["time_usec"] *= is_timed
+        return name, fields
+
+    found = first_failure(diagnose(examine(config=SLOW, change=change, seconds=10.0)))
+    assert found.stage.value == "values"
+    assert "The same fix comes again and again, now for" in words(found)
+
+
+def test_a_receiver_that_holds_its_place_at_rest_is_well():
+    still = with_fields("GPS_RAW_INT", lat=473_977_420, lon=85_455_940, alt=488_000, vel=0, cog=0)
+    assert "again and again" not in words(stage(examine(config=SLOW, change=still), "values"))
+
+
+def test_a_receiver_that_hung_for_a_while_is_a_warning():
+    """Rule 13."""
+    since = []
+
+    def change(name, fields):
+        if name == "GPS_RAW_INT":
+            since.append(fields["time_usec"])
+            if len(since) in range(10, 30):
+                fields["time_usec"] = since[9]
+        return name, fields
+
+    found = stage(examine(config=SLOW, change=change), "values")
+    assert found.mark is Mark.WARNING
+    assert "again and again, at the longest for 4 s" in words(found)
+
+
 def test_a_fix_without_time_or_accuracy_is_a_warning():
     """Rule 13."""
     poor = with_fields("GPS_RAW_INT", time_usec=0, h_acc=0)
