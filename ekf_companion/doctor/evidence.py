@@ -198,7 +198,11 @@ class Evidence:
     is_clash: bool = False
     """Whether somebody else speaks under our ids."""
     messages: Mapping[str, MessageState] = field(default_factory=dict)
-    """The autopilot's, by name."""
+    """The autopilot's, by name; what was asked is what was asked first."""
+    granted: Mapping[str, float] = field(default_factory=dict)
+    """Rates that it granted us, which after a refusal are less than was asked, Hz."""
+    overruled: float = 0.0
+    """Hz at which streams came alike after they had been granted otherwise; 0: they never did."""
     bytes_rate: float = 0.0
     """Of all frames that came, bytes/s."""
     stream_requests: int = 0
