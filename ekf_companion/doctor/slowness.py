@@ -87,30 +87,27 @@ def loop_rate(evidence: Evidence, state: MessageState) -> Cause | None:
     """ArduPilot grants no more than 0.8 of its loop's rate: 40 Hz for planes and rovers."""
     if family(evidence) != "ardupilot":
         return None
-    told, granted = (
-        evidence.parameters.get("SCHED_LOOP_RATE"),
-        promised(evidence, evidence.stamps.message),
-    )
-    ceiling = _LOOP_SHARE * (told or _PLANE_LOOP)
+    told = evidence.parameters.get("SCHED_LOOP_RATE")
+    granted = promised(evidence, evidence.stamps.message)
+    loop = told or _PLANE_LOOP
+    ceiling = _LOOP_SHARE * loop
     is_denied = granted < state.asked and (told is None or ceiling < state.asked)
     is_at_it = abs(state.rate - ceiling) <= 0.05 * ceiling and state.asked >= 1.1 * ceiling
     if not (is_denied or is_at_it):
         return None
     if is_at_it:
-        own = f"SCHED_LOOP_RATE = {told or _PLANE_LOOP:.0f}" + ("" if told else " of a plane")
+        own = f"SCHED_LOOP_RATE = {loop:.0f}" if told else f"a SCHED_LOOP_RATE of {loop:.0f}"
         why = f"that is 0.8 of {own}, the most that ArduPilot streams."
     else:
-        own = "SCHED_LOOP_RATE" + (f" = {told:.0f}" if told else "")
+        own = f"SCHED_LOOP_RATE = {told:.0f}" if told else "SCHED_LOOP_RATE"
         why = (
             f"{granted:.0f} Hz were granted, and {state.asked:.0f} denied: ArduPilot streams no "
             f"more than 0.8 of {own}."
         )
     # The interval is in whole milliseconds
     wanted = 50.0 * math.ceil(state.asked / _LOOP_SHARE / 50.0)
-    most = f"{_LARGEST_LOOP:.0f}"
-    return Cause(
-        why, f"Set SCHED_LOOP_RATE = {min(wanted, _LARGEST_LOOP):.0f} (up to {most}) and reboot."
-    )
+    wanted = min(wanted, _LARGEST_LOOP)
+    return Cause(why, f"Set SCHED_LOOP_RATE = {wanted:.0f} (up to {_LARGEST_LOOP:.0f}) and reboot.")
 
 
 def budget(evidence: Evidence, state: MessageState, lost: float) -> Cause | None:

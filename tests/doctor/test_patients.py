@@ -278,7 +278,7 @@ def test_a_ground_station_that_overrules_us_is_named_before_the_loop():
     station, loop = found.troubles
     assert "then came at about 4.0 Hz alike: a ground station overrules us" in station.cause
     assert "SERIALn_OPTIONS + 4096" in station.remedy
-    assert "0.8 of SCHED_LOOP_RATE" in loop.cause
+    assert "0.8 of a SCHED_LOOP_RATE of 50" in loop.cause
     assert "BAUD" not in words(found)
 
 
