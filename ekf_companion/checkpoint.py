@@ -124,13 +124,13 @@ class State:
     """Events that waited for the next sample, shape (n, ROW)."""
     settings: bytes
     """Fingerprint of the numbers that the estimator runs with, 8 bytes."""
-    resets_before: int = 0
+    told_before: int = 0
     """Resets that were told before this state was begun with, >= 0."""
 
     @property
     def next_reset(self) -> int:
         """The count of resets that nobody has been told yet."""
-        return self.resets_before + int(self.block[at.X_RESETS]) + 1
+        return self.told_before + int(self.block[at.X_RESETS]) + 1
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -220,7 +220,7 @@ def encode(checkpoint: Checkpoint) -> bytes:
         min(checkpoint.starts, 0xFFFF),
         state.epoch_ns,
         state.stamp_ns,
-        state.resets_before,
+        state.told_before,
         *checkpoint.clocks,
         len(state.block),
         len(state.waiting),
@@ -266,7 +266,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         block=numbers[:size],
         waiting=numbers[size:].reshape(count, at.ROW),
         settings=settings,
-        resets_before=before,
+        told_before=before,
     )
     if max(sources) > _LARGEST_RANK or vehicle.family not in HABITS:
         return Refusal(Why.DAMAGED, "it names what there is not; please report it")

@@ -64,7 +64,8 @@ def _estimator(health: Health) -> Iterator[Metric]:
     )
     yield gauges(
         "nis",
-        "Mean normalised innovation squared over its degrees of freedom: 1 if all is well.",
+        "Mean normalised innovation squared over its degrees of freedom, of the last 20 s: 1 if "
+        "all is well.",
         ("aid",),
         rows({aid.name.lower(): nis for aid, nis in health.nis.items()}),
     )

@@ -14,12 +14,15 @@ from typing import Any, NamedTuple
 import msgspec
 
 from ekf_companion.nav.state import Status
+from ekf_companion.progress import BARREN_S
 from ekf_companion.snapshot import OutputState, Snapshot
 
 STALL_S = 2.0
 """The filter's task goes round ten times a second at least."""
 SILENCE_S = 2.0
 """A link without a byte for so long is said to be silent: heartbeats come once a second."""
+MANY_UNSENT = 0.5
+"""Hz of ODOMETRY that the link throws away; one now and then is none's fault."""
 
 
 class Finding(NamedTuple):
@@ -35,6 +38,12 @@ def judge(snapshot: Snapshot) -> Finding:
     stuck_s, health = snapshot.process.tick_age_s, snapshot.estimator
     if stuck_s > STALL_S:
         return Finding(False, f"stalled: the filter's task has not gone round for {stuck_s:.1f} s")
+    if snapshot.barren_s > BARREN_S:
+        return Finding(
+            False,
+            f"stalled: inertial samples have come for {snapshot.barren_s:.1f} s, and the filter "
+            "makes no estimate of them; see what became of them in /status",
+        )
     if health is not None and health.status is Status.INVALID:
         return Finding(
             False,
@@ -52,7 +61,13 @@ def judge(snapshot: Snapshot) -> Finding:
 
 def _odometry(output: OutputState) -> str:
     if output.is_allowed:
-        return f"ODOMETRY {output.rate:.0f} Hz" if output.is_streaming else "no ODOMETRY"
+        words = f"ODOMETRY {output.rate:.0f} Hz" if output.is_streaming else "no ODOMETRY"
+        if output.unsent_rate < MANY_UNSENT:
+            return words
+        return (
+            f"{words}, {output.unsent_rate:.0f} Hz thrown away as the link takes no more: check "
+            "RTS and CTS, raise the rate of the line or lower output.odometry.rate"
+        )
     remedy = f"; {output.remedy}" if output.remedy else ""
     return f"ODOMETRY withheld: {output.reason}{remedy}"
 

@@ -74,7 +74,10 @@ def families(snapshot: Snapshot) -> Iterator[Metric]:
     yield from _inertial(snapshot.imu)
     yield from _time(snapshot.time)
     yield gauge("sample_age_seconds", "Since the newest inertial sample.", snapshot.sample_age_s)
-    yield counters("resets", "The estimate's jumps on purpose.", ("reason",), rows(snapshot.resets))
+    yield gauge("barren_seconds", "Samples came, and no estimate was made.", snapshot.barren_s)
+    yield counters(
+        "resets", "The estimate's jumps on purpose in this run.", ("reason",), rows(snapshot.resets)
+    )
     yield from filter_metrics.families(snapshot.estimator)
     yield from _output(snapshot.output)
     yield from _process(snapshot.process)
@@ -192,6 +195,7 @@ def _output(output: OutputState) -> Iterator[Metric]:
     yield gauge("odometry_streaming", "1 while ODOMETRY is being sent.", output.is_streaming)
     yield gauge("odometry_rate_hertz", "Over the last five seconds.", output.rate)
     yield counter("odometry_withheld", "Not sent by the guard.", output.withheld)
+    yield counter("odometry_unsent", "Found no link, or too slow a one.", output.unsent)
     yield gauges(
         "guard_parameter",
         "The autopilot's that decide, as read.",
@@ -205,7 +209,9 @@ def _output(output: OutputState) -> Iterator[Metric]:
     yield counters(
         "monitor_unheard", "Datagrams that found nobody.", ("address",), rows(output.unheard)
     )
-    yield counters("messages_sent", "Ours.", ("message",), rows(output.sent))
+    yield counters(
+        "messages_sent", "Ours; ODOMETRY as the link took it.", ("message",), rows(output.sent)
+    )
 
 
 def _process(process: ProcessState) -> Iterator[Metric]:
@@ -223,7 +229,7 @@ def _process(process: ProcessState) -> Iterator[Metric]:
     yield gauge("tick_age_seconds", "Since the filter's task went round.", process.tick_age_s)
     yield HistogramMetricFamily(
         f"{PREFIX}odometry_latency_seconds",
-        "From a read to the ODOMETRY sent of it.",
+        "From a read to the ODOMETRY of it taken by the link.",
         buckets=[
             *((f"{ms / 1000:g}", float(count)) for ms, count in process.latency.items()),
             ("+Inf", float(process.latency_count)),

@@ -1,7 +1,8 @@
 """What the daemon knows of itself: counted cheaply as it goes, put together when somebody asks.
 
-In the loop there is one clock reading a round, one search in twelve bounds an ODOMETRY, and twice
-a second a copy of the counters, from which rates over the last five seconds follow.
+In the loop there is one clock reading and one comparison a round, one call and one search in twelve
+bounds an ODOMETRY, and twice a second a copy of the counters, from which rates over the last five
+seconds follow. Of ODOMETRY is counted what the link took, and when: what it threw away, it says.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import os
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ekf_companion.board import Board
 from ekf_companion.companion import Companion
@@ -20,6 +21,7 @@ from ekf_companion.latency import Latency
 from ekf_companion.link import Link
 from ekf_companion.mavlink.layout import IDS
 from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.nis import RecentNis
 from ekf_companion.parts import (
     age,
     asked_rates,
@@ -30,9 +32,10 @@ from ekf_companion.parts import (
     part,
     peer_state,
     reload_state,
-    sent_by_name,
     time_state,
 )
+from ekf_companion.pipeline import Health, Pipeline
+from ekf_companion.progress import BARREN_S, Progress
 from ekf_companion.snapshot import MessageState, OutputState, ProcessState, Snapshot
 from ekf_companion.version import __version__
 
@@ -54,6 +57,9 @@ class _Look:
     cpu_s: float
     received: Mapping[int, int]
     odometries: int
+    """ODOMETRY messages that the link took."""
+    unsent: int
+    """ODOMETRY messages that it threw away."""
     lag_ns: int
     """The longest wait since the look before."""
 
@@ -81,8 +87,8 @@ class Observer:
         self.latency = Latency()
         self._link, self._companion = link, companion
         self._clock, self._recorded, self._unheard = clock, recorded, unheard
-        self._sent = sent_by_name(companion.session)
-        self._odometries = 0
+        self._nis, self._progress = RecentNis(), Progress()
+        self._odometries = self._new_odometries = 0
         self._longest_ns = 0
         self._begin_ns = self._beat_ns = clock()
         self._next_ns = 0
@@ -94,6 +100,7 @@ class Observer:
         self._peer: tuple[int, int] | None = None
         self._resets: Counter[str] = Counter()
         self._resets_seen = 0
+        self._pipeline: Pipeline | None = None
         self._has_complained = False
 
     # In the loop, all the time
@@ -103,13 +110,27 @@ class Observer:
         took_ns = self._clock() - now_ns
         if took_ns > self._longest_ns:
             self._longest_ns = took_ns
-        odometries = self._sent.get(_ODOMETRY, 0)
-        if odometries != self._odometries:
-            self.latency.take(took_ns, odometries - self._odometries)
-            self._odometries = odometries
+        if self._new_odometries:
+            self.latency.take(took_ns, self._new_odometries)
+            self._new_odometries = 0
+        if self._companion.resets != self._resets_seen:
+            self._book_resets()
         self._beat_ns = now_ns
         if now_ns >= self._next_ns:
             self._look(now_ns)
+
+    def sent(self, waited_ns: int) -> None:
+        """Note that the link took an ODOMETRY: at once, or after it had waited for room."""
+        self._odometries += 1
+        if waited_ns:
+            self.latency.take(waited_ns)
+        else:
+            self._new_odometries += 1
+
+    @property
+    def is_barren(self) -> bool:
+        """Whether the filter is given samples and gives no estimate: only a restart helps."""
+        return self._progress.barren_s(self._beat_ns) > BARREN_S
 
     def late(self, seconds: float) -> None:
         """Note by how much a timer of the loop was late."""
@@ -117,11 +138,21 @@ class Observer:
 
     def _look(self, now_ns: int) -> None:
         self._next_ns = now_ns + PERIOD_NS
-        received = dict(self._companion.session.received)
-        look = _Look(now_ns, time.process_time(), received, self._odometries, self._longest_ns)
-        self._looks.append(look)
+        self._looks.append(
+            _Look(
+                now_ns=now_ns,
+                cpu_s=time.process_time(),
+                received=dict(self._companion.session.received),
+                odometries=self._odometries,
+                unsent=self._unsent(),
+                lag_ns=self._longest_ns,
+            )
+        )
         self._longest_ns = 0
         self._notice(now_ns)
+        if (pipeline := self._companion.pipeline) is not None:
+            self._nis.look(pipeline, now_ns)
+            self._progress.look(pipeline, now_ns)
 
     def _notice(self, now_ns: int) -> None:
         """See what has changed since the last look."""
@@ -133,11 +164,18 @@ class Observer:
             return
         if pipeline.stamp_ns not in (self._stamp_ns, 0):
             self._stamp_ns, self._sampled_ns = pipeline.stamp_ns, now_ns
-        if pipeline.resets != self._resets_seen:
-            # Two within half a second count for the second's reason; a new pipeline counts anew
-            new = pipeline.resets - self._resets_seen
-            self._resets[pipeline.health().reset_reason] += new if new > 0 else pipeline.resets
-            self._resets_seen = pipeline.resets
+
+    def _book_resets(self) -> None:
+        """Count what is new since this run began; two that come of one read have one reason."""
+        pipeline = self._companion.pipeline
+        if pipeline is None:
+            return
+        if pipeline is not self._pipeline:
+            self._pipeline, self._resets_seen = pipeline, 0
+        new = pipeline.resets - max(self._resets_seen, pipeline.resets_before)
+        self._resets_seen = pipeline.resets
+        if new > 0:
+            self._resets[pipeline.health().reset_reason] += new
 
     # In the loop, when somebody asks
 
@@ -160,7 +198,7 @@ class Observer:
         now_ns, session = self._clock(), self._companion.session
         self._notice(now_ns)
         pipeline = self._companion.pipeline
-        health = None if pipeline is None else pipeline.health()
+        health = None if pipeline is None else self._health(pipeline)
         counters, messages = session.counters(), self._messages(now_ns)
         return Snapshot(
             unix_ns=now_ns,
@@ -172,6 +210,7 @@ class Observer:
             imu=imu_state(session.decoder, messages),
             time=time_state(session.timesync, session.decoder, now_ns),
             estimator=health,
+            barren_s=self._progress.barren_s(now_ns),
             output=self._output(now_ns),
             process=self._process(board, now_ns),
             sample_age_s=age(self._sampled_ns, now_ns),
@@ -179,6 +218,15 @@ class Observer:
             tuned=self._companion.tuning.changed,
             reload=reload_state(self._companion),
         )
+
+    def _health(self, pipeline: Pipeline) -> Health:
+        """Give the filter's account, its consistency that of the last seconds."""
+        return replace(pipeline.health(), nis=self._nis.mean())
+
+    def _unsent(self) -> int:
+        """Give the ODOMETRY messages that the link has thrown away."""
+        offered = self._companion.session.sent.get(_ODOMETRY, 0)
+        return offered - self._odometries - self._link.replaceable_waiting
 
     def _span(self, now_ns: int) -> tuple[_Look | None, float]:
         """Give the oldest look and the seconds since; 0: there is none to compare with."""
@@ -204,9 +252,20 @@ class Observer:
 
     def _output(self, now_ns: int) -> OutputState:
         first, seconds = self._span(now_ns)
-        new = self._sent.get(_ODOMETRY, 0) - (0 if first is None else first.odometries)
+        unsent, session = self._unsent(), self._companion.session
+        new = self._odometries - (0 if first is None else first.odometries)
+        lost = unsent - (0 if first is None else first.unsent)
         rate = new / seconds if seconds else 0.0
-        return output_state(self._companion.session, new, rate, self._unheard())
+        state = output_state(session, new, rate, self._unheard())
+        sent = dict(state.sent)
+        if _ODOMETRY in sent:
+            sent[_ODOMETRY] = self._odometries
+        return replace(
+            state,
+            sent=sent,
+            unsent=unsent,
+            unsent_rate=lost / seconds if seconds else 0.0,
+        )
 
     def _process(self, board: Board, now_ns: int) -> ProcessState:
         first, seconds = self._span(now_ns)

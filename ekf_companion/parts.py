@@ -98,11 +98,6 @@ def reload_state(companion: Companion) -> ReloadState:
     return ReloadState(count=companion.reloads, words=companion.last_reload)
 
 
-def sent_by_name(session: Session) -> Mapping[str, int]:
-    """Give the counter of our messages, which goes on counting."""
-    return session.sent
-
-
 def asked_rates(session: Session) -> dict[str, float]:
     """Give the rates that were asked for, Hz, by message."""
     rates = dict(session.requests.rates)

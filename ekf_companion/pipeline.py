@@ -96,7 +96,8 @@ class Health:
     """What the last reset moved: position n e d (m), velocity n e d (m/s), yaw (rad)."""
     nis: Mapping[Aid, float]
     """Mean normalised innovation squared over its degrees of freedom: 1 if all is well; NaN: none
-    yet."""
+    yet. Over all of the filter's life; a :class:`~.snapshot.Snapshot` has that of the last seconds.
+    """
     imu_rate: float
     """Inertial samples as they come, Hz; 0: none yet."""
     gnss_delay: float
@@ -148,6 +149,8 @@ class Pipeline:
         self.start = "cold"
         """How it began, as :attr:`Health.start` says."""
         self.resets_before = 0
+        """How many of its resets were those of the runs before, whose state it goes on from."""
+        self.told_before = 0
         """Resets that a run before has told, whose state this one does not go on from."""
 
     def process(self, measurement: Measurement) -> Arrival:
@@ -197,7 +200,7 @@ class Pipeline:
             block=self._timeline.block(),
             waiting=self._timeline.waiting(),
             settings=self._fingerprint,
-            resets_before=self.resets_before,
+            told_before=self.told_before,
         )
 
     def restore(self, state: State) -> None:
@@ -206,8 +209,9 @@ class Pipeline:
         Whether the state may be believed is not asked here (:mod:`ekf_companion.checkpoint`).
         """
         self._timeline.restore(state.block, state.waiting, state.epoch_ns, state.stamp_ns)
-        self.resets_before = state.resets_before
+        self.told_before = state.told_before
         self.start = "warm"
+        self.resets_before = int(state.block[at.X_RESETS])
 
     @property
     def resets(self) -> int:
@@ -219,6 +223,17 @@ class Pipeline:
         """Stamp of the estimate: that of the newest inertial sample, ns."""
         return int(self._timeline.stamp_ns)
 
+    @property
+    def given(self) -> int:
+        """Inertial samples that it was given and that can be meant, used or not."""
+        counts = self._timeline.arrivals[Kind.IMU]
+        return int(counts.sum() - counts[Arrival.MALFORMED])
+
+    def nis_sums(self) -> tuple[Array, Array]:
+        """Give the sum of the normalised innovations squared, and how many, by aid, shape (6,)."""
+        x = self._timeline.block()
+        return x[at.X_NIS_SUM : at.X_NIS_SUM + len(Aid)], x[at.X_NIS_N : at.X_NIS_N + len(Aid)]
+
     def estimate(self) -> Array:
         """Give the estimate of now: ``nav.state.COLUMNS`` without the time, shape (33,)."""
         return np.asarray(self._timeline.describe())
@@ -228,7 +243,7 @@ class Pipeline:
         status, resets, numbers = self._timeline.tell()
         if status < Status.OK:
             return None
-        count = self.resets_before + resets
+        count = self.told_before + resets
         return Odometry(self.stamp_ns, numbers, count, QUALITY[Status(status)])
 
     def health(self) -> Health:

@@ -22,6 +22,7 @@ def open_reception(
     is_signed: bool,
     on_read: Callable[[Received], None],
     on_state: Callable[[bool], None] | None = None,
+    on_sent: Callable[[int], None] | None = None,
 ) -> Link:
     """Give the link of a configuration; what it reads must be given to :func:`hear`.
 
@@ -30,6 +31,7 @@ def open_reception(
         is_signed: Whether there is a secret by which frames are verified.
         on_read: Called with what is read, at once.
         on_state: Called with True when the link has opened and with False when it is closed.
+        on_sent: Called when an ODOMETRY has been written, with how long it waited for room, ns.
 
     Raises:
         LinkError: The URL names no link, or the peer nobody.
@@ -41,6 +43,7 @@ def open_reception(
         peers=Peers(is_signed=is_signed and not config.signing.accept_unsigned),
         on_state=on_state,
         on_read=on_read,
+        on_sent=on_sent,
     )
 
 

@@ -85,7 +85,7 @@ class Resumption:
                 decoder.prefer(*found.sources)
             else:
                 self._refuse(refusal)
-        pipeline.start, pipeline.resets_before = self._start, self._resets
+        pipeline.start, pipeline.told_before = self._start, self._resets
 
     def resume(self, pipeline: Pipeline, stamp_ns: int, now_ns: int) -> None:
         """Go on from what was found, before the first inertial sample is taken."""
@@ -95,7 +95,7 @@ class Resumption:
         refusal = found.refuse_time(stamp_ns, now, self._limit)
         if refusal is not None:
             self._refuse(refusal)
-            pipeline.start, pipeline.resets_before = self._start, self._resets
+            pipeline.start, pipeline.told_before = self._start, self._resets
             return
         pipeline.restore(found.state)
         lost = (stamp_ns - found.state.stamp_ns) * 1e-9

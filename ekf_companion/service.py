@@ -112,7 +112,11 @@ class Daemon:
         self._due_ns = 0
         self._keyring = keyring = open_keyring(config)
         self.link = open_reception(
-            config, is_signed=keyring is not None, on_read=self.receive, on_state=self._greet
+            config,
+            is_signed=keyring is not None,
+            on_read=self.receive,
+            on_state=self._greet,
+            on_sent=self._note_sent,
         )
         signing = None if keyring is None else keyring.signing
         self._monitors: Monitors | None = None
@@ -221,7 +225,8 @@ class Daemon:
             self._keep()
         if self._keyring is not None:
             self._keyring.keep(now_ns)
-        self._systemd.beat(now_ns)
+        if not self._observer.is_barren:
+            self._systemd.beat(now_ns)
         self._systemd.report(now_ns, self._observer.words)
 
     def _send(self, now_ns: int) -> None:
@@ -232,6 +237,9 @@ class Daemon:
         if self._recorder is not None:
             self._recorder.write(self._companion.session.take_record())
         self._observer.beat(now_ns)
+
+    def _note_sent(self, waited_ns: int) -> None:
+        self._observer.sent(waited_ns)
 
     def _recorded(self) -> tuple[int, int]:
         """Give the bytes that were recorded, and those that should have been."""

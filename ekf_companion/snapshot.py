@@ -137,7 +137,7 @@ class OutputState:
     mode: str
     """``auto``, ``always`` or ``never``."""
     is_streaming: bool
-    """Whether ODOMETRY was sent in the last seconds."""
+    """Whether ODOMETRY was sent in the last seconds, and taken by the link."""
     rate: float = 0.0
     """Of ODOMETRY over the last seconds, Hz."""
     is_allowed: bool = True
@@ -153,7 +153,11 @@ class OutputState:
     parameters: Mapping[str, float]
     """The autopilot's that decide, as read."""
     sent: Mapping[str, int]
-    """Messages by name."""
+    """Messages by name; of ODOMETRY those that the link took."""
+    unsent: int = 0
+    """ODOMETRY messages that the link threw away: there was none, or it is too slow."""
+    unsent_rate: float = 0.0
+    """Of these over the last seconds, Hz."""
     withheld: int
     """ODOMETRY messages not sent by the guard."""
     texts_dropped: int = 0
@@ -175,7 +179,8 @@ class ProcessState:
     loop_lag_ms: float
     """The largest wait of the loop in the last seconds."""
     latency: Mapping[float, int]
-    """From a read to the estimate sent: how many took no longer than so many ms; cumulative."""
+    """From a read to the estimate taken by the link: how many took no longer than so many ms;
+    cumulative."""
     latency_sum_ms: float
     latency_count: int
     temperatures: Mapping[str, float]
@@ -212,13 +217,15 @@ class Snapshot:
     imu: ImuState
     time: TimeState
     estimator: Health | None
-    """None: nothing is estimated yet."""
+    """None: nothing is estimated yet. Its ``nis`` is the mean over the last twenty seconds."""
     output: OutputState
     process: ProcessState
     sample_age_s: float = math.nan
     """Since the newest inertial sample, s: what the estimate is old; NaN: none has come."""
+    barren_s: float = 0.0
+    """For how long inertial samples have come of which the filter made no estimate, s."""
     resets: Mapping[str, int] = field(default_factory=dict)
-    """The estimate's, by reason."""
+    """The estimate's in this run, by reason."""
     tuned: Mapping[str, object] = field(default_factory=dict)
     """Keys and values that were set over MAVLink and differ from the user's file."""
     reload: ReloadState = field(default_factory=ReloadState)

@@ -9,14 +9,17 @@ from dataclasses import replace
 import pytest
 
 from ekf_companion.board import Board, read_board
+from ekf_companion.checkpoint import Clocks
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config, LinkConfig, OdometryConfig, OutputConfig
 from ekf_companion.finding import judge, to_json
 from ekf_companion.latency import BUCKETS_MS, Latency
 from ekf_companion.link import open_link
 from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.outbox import is_replaceable
 from ekf_companion.nav.state import Status
 from ekf_companion.observer import Observer
+from ekf_companion.resumption import Resumption
 from ekf_companion.snapshot import ReloadState
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import ImuConfig, SimConfig, StreamConfig
@@ -30,13 +33,15 @@ MS = 1_000_000
 class Watched:
     """A companion that is fed as the service does it, on a clock of its own."""
 
-    def __init__(self, delay_ns=MS // 4, config=None):
+    def __init__(self, delay_ns=MS // 4, config=None, url="udpin:127.0.0.1:14550", resumption=None):
         self.now_ns = 1_000 * MS
         self.delay_ns = delay_ns
         self.begin_ns = None
         self.last_ns = 0
-        self.link = open_link("udpin:127.0.0.1:14550")
-        self.companion = Companion(config or Config())
+        self.link = open_link(
+            url, clock=lambda: self.now_ns, on_sent=lambda ns: self.observer.sent(ns)
+        )
+        self.companion = Companion(config or Config(), resumption=resumption)
         self.observer = Observer(self.link, self.companion, lambda: self.now_ns)
 
     def fly(self, duration, **options):
@@ -45,15 +50,14 @@ class Watched:
         autopilot = Autopilot(config)
         for cycle in Flight.plan("hover", config, duration=duration).cycles():
             autopilot.cycle(cycle)
-            self._turn(cycle.t_ns, b"".join(autopilot.data_to_send()))
-            autopilot.receive(b"".join(self.companion.data_to_send()), cycle.t_ns)
+            said = self._turn(cycle.t_ns, b"".join(autopilot.data_to_send()))
+            autopilot.receive(b"".join(said), cycle.t_ns)
         return self
 
     def feed(self, flight):
         """Feed stamps and bytes of somebody who is deaf to what we say."""
         for t_ns, data in flight:
             self._turn(t_ns, data)
-            self.companion.data_to_send()
         return self
 
     def _turn(self, t_ns, data):
@@ -65,7 +69,14 @@ class Watched:
         self.companion.receive(data, read_ns)
         self.companion.tick(read_ns)
         self.now_ns += self.delay_ns
+        said = self.companion.data_to_send()
+        for frame in said:
+            if self.link.is_open:
+                self.link.send(frame, is_replaceable=is_replaceable(frame))
+            elif is_replaceable(frame):
+                self.observer.sent(0)  # as a link says that has room
         self.observer.beat(read_ns)
+        return said
 
     def hear(self, *frames):
         """Feed what somebody else says."""
@@ -163,6 +174,20 @@ def test_a_reset_is_counted_under_its_reason():
     watched.feed(later(cycles(14.0), 8.0))
     assert watched.companion.resets > before
     assert sum(watched.snapshot().resets.values()) == watched.companion.resets
+
+
+def test_after_a_warm_restart_the_resets_are_those_of_this_run_each_under_its_reason():
+    """Rule 40: what was counted before the restart is not booked to the newest reason."""
+    flight, clocks = list(cycles(20.0)), Clocks(1_800_000_000 * 1000 * MS, 0, bytes(16))
+    before = Watched().feed([*flight[:1500], *flight[2000:3000]])
+    assert before.companion.resets >= 1
+    found = before.companion.checkpoint(clocks)
+    begin_ns, after = 1_000 * MS, clocks.later(500 * MS)
+    again = Watched(resumption=Resumption(found, after, begin_ns))
+    again.feed([*flight[3125:3250], *flight[3850:4900]])
+    counts = again.snapshot().resets
+    assert counts["restart"] == 1
+    assert sum(counts.values()) == again.companion.resets - before.companion.resets >= 2
 
 
 def later(flight, seconds):

@@ -121,7 +121,8 @@ def _output(output: Data) -> str:
     words = "ODOMETRY is not sent"
     if output["is_streaming"]:
         words = f"ODOMETRY streams at {output['rate']:.1f} Hz"
-    losses = {"withheld": output["withheld"], "texts dropped": output["texts_dropped"]}
+    losses = {"withheld": output["withheld"], "thrown away by the link": output["unsent"]}
+    losses |= {"texts dropped": output["texts_dropped"]}
     return _with(f"{words}, sent {_counts(output['sent']) or 'nothing'}", losses)
 
 

@@ -11,6 +11,8 @@ _MANY = 0.05
 """Share of measurements refused that is more than chance."""
 _TOO_MUCH_SKEW = 200.0
 """ppm; a crystal has less than 100."""
+_STILL = 3.0
+"""Seconds with one and the same fix: the slowest receiver has another each second."""
 _FIXES = ("no receiver", "no fix", "2-D fix", "3-D fix", "DGPS fix", "RTK float", "RTK fixed")
 
 
@@ -213,8 +215,6 @@ def _gnss(evidence: Evidence) -> list[Trouble | None]:
     refused, receiver = evidence.refused, evidence.receiver
     count = max(receiver.messages, 1)
     none = refused.get("GPS_RAW_INT: no 3-D fix", 0) + refused.get("GPS_RAW_INT: no position", 0)
-    repeated = refused.get("GPS_RAW_INT: repeated", 0)
-    usable = receiver.messages - none
     satellites = f" ({receiver.satellites} satellites)" if receiver.satellites < 255 else ""
     is_without = receiver.messages > 0 and receiver.fix_type < 3
     return [
@@ -230,13 +230,7 @@ def _gnss(evidence: Evidence) -> list[Trouble | None]:
         )
         if none > _MANY * count
         else None,
-        failed(
-            "The same fix comes again and again: the receiver, or the autopilot's reading of it, "
-            "stands still.",
-            "Look at the receiver's wire; ArduPilot repeats the last fix when the receiver is out.",
-        )
-        if usable > 10 and repeated > 0.95 * usable
-        else None,
+        _still(evidence),
         warning(
             f"{receiver.without_time} GPS_RAW_INT hold no time; the newest inertial stamp stands "
             "in, which may be 0.1 s off.",
@@ -254,3 +248,18 @@ def _gnss(evidence: Evidence) -> list[Trouble | None]:
         and evidence.first_version < 0.99 * evidence.frames.frames
         else None,
     ]
+
+
+def _still(evidence: Evidence) -> Trouble | None:
+    """Name a receiver that stands still, now or for a while."""
+    receiver = evidence.receiver
+    is_still = receiver.still_s > _STILL
+    seconds = receiver.still_s if is_still else receiver.longest_still_s
+    if seconds <= _STILL:
+        return None
+    say, when = (failed, "now") if is_still else (warning, "at the longest")
+    return say(
+        f"The same fix comes again and again, {when} for {seconds:.0f} s: the receiver, or the "
+        "autopilot's reading of it, stands still.",
+        "Look at the receiver's wire; ArduPilot repeats the last fix when the receiver is out.",
+    )

@@ -116,6 +116,10 @@ class Receiver:
     """Whether h_acc says anything."""
     without_time: int = 0
     """Messages with time_usec 0."""
+    still_s: float = 0.0
+    """For how long the last of them has come again and again, s."""
+    longest_still_s: float = 0.0
+    """Likewise the longest that any fix has, s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,7 +199,11 @@ class Evidence:
     is_clash: bool = False
     """Whether somebody else speaks under our ids."""
     messages: Mapping[str, MessageState] = field(default_factory=dict)
-    """The autopilot's, by name."""
+    """The autopilot's, by name; what was asked is what was asked first."""
+    granted: Mapping[str, float] = field(default_factory=dict)
+    """Rates that it granted us, which after a refusal are less than was asked, Hz."""
+    overruled: float = 0.0
+    """Hz at which streams came alike after they had been granted otherwise; 0: they never did."""
     bytes_rate: float = 0.0
     """Of all frames that came, bytes/s."""
     stream_requests: int = 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ekf_companion.doctor.evidence import Stamps
+from ekf_companion.mavlink.request import ACCEPTED
 from ekf_companion.mavlink.stamp import SECOND_NS
 
 PAUSE_NS = 3 * SECOND_NS
@@ -16,8 +17,11 @@ class Tally:
         self.count = 0
         self.bytes = 0
         self.asked = 0.0
-        """Hz."""
+        """The most that was: what a refusal is followed by is less, Hz."""
+        self.granted = 0.0
+        """Hz; 0: nothing was."""
         self.answer = ""
+        self._asking = 0.0
         self.last_ns: int | None = None
         self._steps = 0
         self._active_ns = 0
@@ -30,6 +34,19 @@ class Tally:
             self._steps += 1
             self._active_ns += now_ns - self.last_ns
         self.last_ns = now_ns
+
+    def ask(self, rate: float) -> None:
+        """Note that it is asked for, Hz."""
+        self._asking = rate
+        self.asked = max(self.asked, rate)
+        self.answer = self.answer or "no answer"
+
+    def take_answer(self, answer: str) -> None:
+        """Note what was answered; the rate is measured anew."""
+        self.answer = answer
+        if answer == ACCEPTED:
+            self.granted = self._asking
+        self.restart()
 
     def restart(self) -> None:
         """Measure the rate anew: somebody has just set it."""

@@ -14,6 +14,7 @@ from ekf_companion.mavlink.frame import Frame
 _TEXTS = 16
 _CRITICAL = 2
 _FIX_3D = 3
+_UNKNOWN_16 = 65535
 
 
 class Told:
@@ -21,44 +22,64 @@ class Told:
 
     def __init__(self) -> None:
         self.receiver = Receiver()
+        self._fix: tuple[int, tuple[int, ...]] = (0, ())
+        self._fix_ns = 0
         self._texts: deque[str] = deque(maxlen=_TEXTS)
         self._flags: int | None = None
         self._worst_ratio = math.nan
-        self._handlers: dict[str, Callable[[Any], None]] = {
+        self._handlers: dict[str, Callable[[Any, int], None]] = {
             "EKF_STATUS_REPORT": self._take_ekf_status,
             "ESTIMATOR_STATUS": self._take_estimator_status,
             "GPS_RAW_INT": self._take_receiver,
             "STATUSTEXT": self._take_text,
         }
 
-    def take(self, name: str, frame: Frame) -> None:
-        """Take a frame of the autopilot's, by its message's name."""
+    def take(self, name: str, frame: Frame, now_ns: int) -> None:
+        """Take a frame of the autopilot's that came at a time of ours, by its message's name."""
         if (handler := self._handlers.get(name)) is not None:
-            handler(unpack(frame))
+            handler(unpack(frame), now_ns)
 
     def feedback(self) -> Feedback:
         """Give what it says of its filter and of our messages."""
         return Feedback(texts=tuple(self._texts), flags=self._flags, worst_ratio=self._worst_ratio)
 
-    def _take_ekf_status(self, m: Any) -> None:
+    def _take_ekf_status(self, m: Any, now_ns: int) -> None:
         self._flags = m.flags
         self._worst_ratio = _largest(m.velocity_variance, m.pos_horiz_variance, m.pos_vert_variance)
 
-    def _take_estimator_status(self, m: Any) -> None:
+    def _take_estimator_status(self, m: Any, now_ns: int) -> None:
         self._flags = m.flags
         self._worst_ratio = _largest(m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
 
-    def _take_receiver(self, m: Any) -> None:
+    def _take_receiver(self, m: Any, now_ns: int) -> None:
         has_fix = m.fix_type >= _FIX_3D
+        still_s = self._still(m, now_ns) if has_fix else 0.0
         self.receiver = Receiver(
             messages=self.receiver.messages + 1,
             fix_type=m.fix_type,
             satellites=m.satellites_visible,
             has_accuracy=m.h_acc != 0,
             without_time=self.receiver.without_time + (has_fix and m.time_usec == 0),
+            still_s=still_s,
+            longest_still_s=max(self.receiver.longest_still_s, still_s),
         )
 
-    def _take_text(self, m: Any) -> None:
+    def _still(self, m: Any, now_ns: int) -> float:
+        """Give for how long the same fix has come, s: by its time, or by its numbers.
+
+        That they stay the same as it moves says so too, whatever the time; at rest a receiver may
+        hold them.
+        """
+        (time_usec, numbers), fix = self._fix, (m.time_usec, (m.lat, m.lon, m.alt, m.vel, m.cog))
+        self._fix = fix
+        is_timed, is_moving = m.time_usec > 0, 0 < m.vel < _UNKNOWN_16
+        has_time = is_timed and m.time_usec == time_usec
+        has_numbers = fix[1] == numbers and (is_moving or not is_timed)
+        if not (has_time or has_numbers):
+            self._fix_ns = now_ns
+        return (now_ns - self._fix_ns) * 1e-9
+
+    def _take_text(self, m: Any, now_ns: int) -> None:
         text = m.text.decode("utf-8", "replace")
         if (m.severity <= _CRITICAL or "ODOMETRY" in text) and text not in self._texts:
             self._texts.append(text)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Hashable
 from typing import Any
 
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.doctor.evidence import Evidence, Means, Opening, Sent
+from ekf_companion.doctor.overruling import Overruling
 from ekf_companion.doctor.parameters import Reader
 from ekf_companion.doctor.tally import StampTally, Tally
 from ekf_companion.doctor.told import Told
@@ -40,6 +42,9 @@ _PARAMETERS = 64
 """More names of a recording's requests are not kept."""
 _FRAMES = 8
 """More pairs of frames in ODOMETRY are not told apart."""
+_EARLY = 4096
+"""Frames kept from before the first heartbeat, which comes once a second: whose they are shows
+then. A recording of a daemon that went on from a checkpoint has its answers there."""
 
 
 class Witness:
@@ -55,9 +60,11 @@ class Witness:
         self._told = Told()
         self._tallies: dict[str, Tally] = {}
         self._stamps: dict[str, StampTally] = {}
+        self._overruling = Overruling()
         self._odometry = Tally()
         self._odometry_frames: set[tuple[int, int]] = set()
         self._found: tuple[int, int] | None = None
+        self._early: deque[tuple[Frame, int]] = deque(maxlen=_EARLY)
         self._asking = ""
         self._asked_parameters: set[str] = set()
         self._bytes = self._last_ns = 0
@@ -71,6 +78,9 @@ class Witness:
     @property
     def _family(self) -> Family:
         return self.companion.session.decoder.family
+
+    def _granted(self) -> dict[str, float]:
+        return {name: tally.granted for name, tally in self._tallies.items() if tally.granted}
 
     # What goes in, and what comes out
 
@@ -90,7 +100,10 @@ class Witness:
                 self._traffic.take_junk(frame.raw)
             else:
                 self._traffic.take(frame)
-                self._take(frame, now_ns)
+                self._early.append((frame, now_ns))
+        if self._found is not None:
+            while self._early:
+                self._take(*self._early.popleft())
 
     def tick(self, now_ns: int) -> None:
         """Do what time brings: also ask for parameters that the guard does not read."""
@@ -126,7 +139,8 @@ class Witness:
             return
         name = LAYOUTS[frame.message_id].name
         self._tally(name).add(len(frame.raw), now_ns)
-        self._told.take(name, frame)
+        self._overruling.take(name, now_ns, self._granted)
+        self._told.take(name, frame, now_ns)
         if name in _STAMPS:
             size, unit = _STAMPS[name]
             stamp = int.from_bytes(frame.payload[:size], "little")
@@ -151,8 +165,8 @@ class Witness:
         """Note the answer to the request that is under way: there is one at a time."""
         if self._asking:
             tally, self._asking = self._tally(self._asking), ""
-            tally.answer = _RESULTS[result] if result < len(_RESULTS) else f"result {result}"
-            tally.restart()
+            tally.take_answer(_RESULTS[result] if result < len(_RESULTS) else f"result {result}")
+            self._overruling.restart()
 
     def _take_ours(self, frame: Frame, now_ns: int) -> None:
         """Count what we say: live as it leaves, in a recording as it stands there."""
@@ -167,8 +181,8 @@ class Witness:
             if command.command != encode.SET_MESSAGE_INTERVAL or layout is None:
                 return
             tally = self._tally(layout.name)
-            tally.asked = 1e6 / command.param2 if command.param2 > 0.0 else 0.0
-            tally.answer = tally.answer or "no answer"
+            tally.ask(1e6 / command.param2 if command.param2 > 0.0 else 0.0)
+            self._overruling.restart()
             if self._asking != layout.name:
                 self._asking = layout.name
                 tally.restart()
@@ -204,6 +218,8 @@ class Witness:
             peer=None if self._found is None else peer_state(companion, self._found, now_ns),
             is_clash=session.clash.is_clash,
             messages=self._messages(now_ns),
+            granted=self._granted(),
+            overruled=self._overruling.rate,
             bytes_rate=self._bytes / span,
             stream_requests=traffic.stream_requests,
             refused=part(counters, "refused: "),

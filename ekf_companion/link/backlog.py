@@ -39,6 +39,11 @@ class Backlog:
         """Give how many wait."""
         return len(self._waiting)
 
+    @property
+    def replaceable(self) -> int:
+        """How many of them are replaceable."""
+        return sum(one.is_replaceable for one in self._waiting)
+
     def add(self, data: bytes, now_ns: int, *, is_replaceable: bool = False) -> int:
         """Put a message at the end; give how many were dropped for it."""
         before = len(self._waiting)

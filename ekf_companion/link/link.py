@@ -55,6 +55,7 @@ class Link:
         clock: Callable[[], int] = time.monotonic_ns,
         on_state: Callable[[bool], None] | None = None,
         on_read: Callable[[Received], None] | None = None,
+        on_sent: Callable[[int], None] | None = None,
         peers: Peers | None = None,
     ) -> None:
         self.address = address
@@ -73,6 +74,7 @@ class Link:
         self._clock = clock
         self._on_state = on_state
         self._on_read = on_read
+        self._on_sent = on_sent
         self._queue: deque[Received] = deque()
         self._waiter: asyncio.Future[None] | None = None
         self._port: Port | None = None
@@ -89,6 +91,11 @@ class Link:
     def is_open(self) -> bool:
         """Whether the descriptor is open; over UDP that says nothing of the other end."""
         return self._port is not None
+
+    @property
+    def replaceable_waiting(self) -> int:
+        """How many replaceable messages wait for room."""
+        return self._backlog.replaceable
 
     @property
     def refused(self) -> Counter[str]:
@@ -156,6 +163,8 @@ class Link:
                 self._await_room(port)
             else:
                 self.unsent += 1
+        elif is_replaceable:
+            self._report(0)
 
     async def _run_once(self) -> str:
         """Open, pump and close; give the reason why it is over."""
@@ -198,6 +207,15 @@ class Link:
     def _say(self, *, is_open: bool) -> None:
         if self._on_state is not None:
             self._on_state(is_open)
+
+    def _report(self, waited_ns: int) -> None:
+        """Say that a replaceable message has been written whole, unless that broke the link."""
+        if self._on_sent is not None and not self._is_broken:
+            self._on_sent(waited_ns)
+
+    @property
+    def _is_broken(self) -> bool:
+        return self._broken is not None and self._broken.done()
 
     def _break(self, reason: str) -> None:
         if self._broken is not None and not self._broken.done():
@@ -292,12 +310,14 @@ class Link:
         self.unsent += self._backlog.expire(self._clock())
         while (first := self._backlog.take()) is not None:
             written = self._write(port, first.data)
-            if self._broken is not None and self._broken.done():
+            if self._is_broken:
                 return
             if written < len(first.data):
                 self._backlog.put_back(first, written)
                 self._await_room(port)
                 return
+            if first.is_replaceable:
+                self._report(self._clock() - first.since_ns)
 
     async def _open(self) -> Port:
         address = self.address
@@ -322,6 +342,7 @@ def open_link(
     clock: Callable[[], int] = time.monotonic_ns,
     on_state: Callable[[bool], None] | None = None,
     on_read: Callable[[Received], None] | None = None,
+    on_sent: Callable[[int], None] | None = None,
     peers: Peers | None = None,
 ) -> Link:
     """Give the link that a URL names; it opens when ``run`` is awaited.
@@ -333,6 +354,8 @@ def open_link(
         on_state: Called with True when the link has opened and with False when it is closed.
         on_read: Called with what is read, at once, in place of ``receive``; what it raises ends
             ``run``.
+        on_sent: Called when a replaceable message has been written whole, with how long it waited
+            for room, ns; 0: it went at once.
         peers: Whose datagrams to hear, to be told by the caller whom to believe; None: everybody
             is heard, and whoever spoke last is answered.
 
@@ -343,7 +366,9 @@ def open_link(
     address = replace(address, peer=parse_peer(peer, address))
     if address.warning:
         _log.warning("%s", address.warning)
-    return Link(address, clock=clock, on_state=on_state, on_read=on_read, peers=peers)
+    return Link(
+        address, clock=clock, on_state=on_state, on_read=on_read, on_sent=on_sent, peers=peers
+    )
 
 
 def _sentence(error: OSError) -> str:

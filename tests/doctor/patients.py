@@ -11,6 +11,7 @@ from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.layout import IDS, LAYOUTS
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import GnssConfig, ImuConfig, SimConfig
+from sim_autopilot.firmware import parse
 from sim_autopilot.flight import Flight
 
 LINK_MS = 1_000_000
@@ -44,6 +45,8 @@ def examine(
     change=None,
     hears=lambda name, fields: True,
     aside=lambda t_ns: (),
+    personality=None,
+    opening=UDP,
 ):
     """Give the evidence of a conversation.
 
@@ -53,11 +56,16 @@ def examine(
         change: Takes the name and fields (a dict) of what the autopilot sends, and gives name and
             fields, changed, or None: it is lost.
         hears: Whether the autopilot hears a message of ours, by its name and fields.
+        personality: Of the autopilot, with its habits; goes before ``kind``.
+        opening: What came of opening the link; a recording has none.
         aside: Further frames that somebody else sends, at each turn.
     """
     sim = sim or simulated()
     config = config or Config()
-    autopilot = Autopilot(sim, kind)
+    if personality is not None:
+        personality = parse(personality)
+        sim = personality.suited(sim)
+    autopilot = Autopilot(sim, kind, personality=personality)
     witness = Witness(config, means, signing)
     wire, sender = Splitter(), Sender(sim.system_id, 1)
     ours = Splitter()
@@ -75,7 +83,7 @@ def examine(
         for frame in ours.feed(b"".join(witness.data_to_send(now_ns + LINK_MS))):
             if hears(LAYOUTS[frame.message_id].name, unpack(frame)):
                 autopilot.receive(frame.raw, cycle.t_ns + 2 * LINK_MS)
-    return witness.evidence(now_ns + 2 * LINK_MS, UDP if means is not Means.RECORDING else None)
+    return witness.evidence(now_ns + 2 * LINK_MS, opening if means is not Means.RECORDING else None)
 
 
 def changed(frames, change, sender):

@@ -1,13 +1,15 @@
 """Each fault, as the fake autopilot or the way between has it: which stage is named, and what."""
 
+import re
 from dataclasses import replace
 from itertools import count
 
+import numpy as np
 import pytest
 
 from ekf_companion.config import Config, LinkConfig, OdometryConfig, OutputConfig, SigningConfig
 from ekf_companion.doctor.diagnosis import diagnose, first_failure
-from ekf_companion.doctor.evidence import Means
+from ekf_companion.doctor.evidence import Means, Opening
 from ekf_companion.doctor.finding import Mark
 from ekf_companion.mavlink.audit import probable_cause
 from ekf_companion.mavlink.codec import Sender, pack
@@ -15,9 +17,10 @@ from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.signing import Signing
 from sim_autopilot.autopilot import Kind
-from sim_autopilot.config import StreamConfig
+from sim_autopilot.config import SimConfig, StreamConfig
 from tests.doctor.patients import (
     ARDUPILOT_OURS,
+    UDP,
     examine,
     is_request,
     simulated,
@@ -251,14 +254,88 @@ def test_all_streams_at_4_hz_are_a_ground_stations():
     assert "SERIALn_OPTIONS + 4096" in words(found)
 
 
-def test_40_hz_is_the_most_of_a_loop_of_50():
-    sim = simulated(rate=40.0, parameters={"SCHED_LOOP_RATE": 50})
-    evidence = examine(sim, Kind.ARDUPILOT, config=SLOW)
+def of_personality(personality, seconds=8.0, **options):
+    """Give the evidence, and the rates' finding, of a real firmware's habits."""
+    evidence = examine(SimConfig(), personality=personality, seconds=seconds, **options)
+    return evidence, stage(evidence, "rates")
+
+
+@pytest.mark.parametrize("name", ["ardupilot", "ardupilot-old"])
+def test_40_hz_is_the_most_of_a_loop_of_50(name):
+    """Rule 6: it denies more, and what is asked for then is granted."""
+    evidence, found = of_personality(f"{name}:loop_rate=50,SCHED_LOOP_RATE=50")
     assert "raise SCHED_LOOP_RATE" in by_the_daemon(evidence)
-    found = stage(evidence, "rates")
     assert found.mark is Mark.WARNING
-    assert "0.8 of SCHED_LOOP_RATE = 50" in words(found)
-    assert "SCHED_LOOP_RATE = 150" in words(found)
+    assert "40 Hz of 250 asked" in found.saw
+    (trouble,) = found.troubles
+    assert "0.8 of SCHED_LOOP_RATE = 50, the most" in trouble.cause
+    assert trouble.remedy == "Set SCHED_LOOP_RATE = 350 (up to 400) and reboot."
+
+
+def test_a_loop_that_denies_what_was_asked_is_named_though_it_does_not_tell_its_rate():
+    _, found = of_personality("ardupilot:loop_rate=80")
+    (trouble,) = found.troubles
+    assert "50 Hz were granted, and 250 denied" in trouble.cause
+    assert "SCHED_LOOP_RATE = 350" in trouble.remedy
+
+
+def test_a_ground_station_that_overrules_us_is_named_before_the_loop():
+    """Rule 6: what it sets every ten seconds, we ask for anew, so that no mean shows it."""
+    _, found = of_personality("ardupilot-old:loop_rate=50,gcs_rate=4", 18.0)
+    assert found.mark is Mark.WARNING
+    station, loop = found.troubles
+    assert "then came at about 4.0 Hz alike: a ground station overrules us" in station.cause
+    assert "SERIALn_OPTIONS + 4096" in station.remedy
+    assert "0.8 of a SCHED_LOOP_RATE of 50" in loop.cause
+    assert "BAUD" not in words(found)
+
+
+def test_a_ground_station_shows_by_what_it_slowed_though_the_rate_is_ours_again():
+    _, found = of_personality("ardupilot-old:gcs_rate=4", 18.0)
+    (station,) = found.troubles
+    assert "a ground station overrules us" in station.cause
+
+
+@pytest.mark.parametrize("personality", ["ardupilot", "ardupilot-old", "px4"])
+def test_lost_frames_are_named_and_no_budget(personality):
+    """Rule 6: what the link loses is no reason to spend more on it."""
+    rng = np.random.default_rng(3)
+    change = lambda *said: None if rng.random() < 0.22 else said  # noqa: E731
+    _, found = of_personality(personality, change=change)
+    assert found.mark is Mark.WARNING
+    (trouble,) = found.troubles
+    assert re.match(r"2[0-5]% of the autopilot's frames never arrive", trouble.cause)
+    assert "BAUD" not in trouble.remedy
+    assert "RTS" not in trouble.remedy
+
+
+SERIAL = Opening(url="serial:/dev/ttyS0:57600", kind="serial", device="/dev/ttyS0", baud=57600)
+
+
+@pytest.mark.parametrize(
+    ("opening", "said", "unsaid"),
+    [
+        (UDP, "MAV_n_RATE = ", "BAUD"),
+        (SERIAL, "SER_TEL2_BAUD = 921600 and link.url with :921600", "where the link is"),
+    ],
+)
+def test_a_spent_budget_is_raised_where_the_link_has_one(opening, said, unsaid):
+    evidence, found = of_personality("px4:MAV_1_RATE=5760", opening=opening)
+    assert "the link's budget is spent" in words(found)
+    assert said in words(found)
+    assert unsaid not in words(found)
+    recording = replace(evidence, means=Means.RECORDING, opening=None)
+    assert "where the link is serial, SER_TEL2_BAUD" in words(stage(recording, "rates"))
+
+
+@pytest.mark.parametrize("rate", [40.0, 250.0])
+def test_a_rate_that_is_asked_for_is_not_advised_to_be_asked_for(rate):
+    sim = simulated(rate=40.0)
+    config = Config(link=LinkConfig(imu_rate=rate))
+    found = stage(examine(sim, Kind.ARDUPILOT, config=config, seconds=5.0), "rates")
+    is_too_low = rate < 80.0
+    assert ("link.imu_rate = 100" in words(found)) is is_too_low
+    assert "SRn_RAW_SENS" not in words(found)
 
 
 def test_a_whole_division_of_px4s_is_as_it_should_be():
@@ -386,6 +463,45 @@ def test_a_fix_that_never_changes_is_named():
     found = first_failure(diagnose(examine(config=SLOW, change=still)))
     assert found.stage.value == "values"
     assert "The same fix comes again and again" in words(found)
+
+
+@pytest.mark.parametrize("is_timed", [True, False])
+def test_a_fix_that_stands_still_from_the_middle_on_is_named(is_timed):
+    """Rule 13: a receiver that hangs, while its time goes on or not."""
+    seen = []
+
+    def change(name, fields):
+        if name == "GPS_RAW_INT":
+            seen.append({key: fields[key] for key in ("lat", "lon", "alt", "vel", "cog")})
+            if len(seen) > 20:
+                fields |= {**seen[19], "vel": 536}
+                fields["time_usec"] *= is_timed
+        return name, fields
+
+    found = first_failure(diagnose(examine(config=SLOW, change=change, seconds=10.0)))
+    assert found.stage.value == "values"
+    assert "The same fix comes again and again, now for" in words(found)
+
+
+def test_a_receiver_that_holds_its_place_at_rest_is_well():
+    still = with_fields("GPS_RAW_INT", lat=473_977_420, lon=85_455_940, alt=488_000, vel=0, cog=0)
+    assert "again and again" not in words(stage(examine(config=SLOW, change=still), "values"))
+
+
+def test_a_receiver_that_hung_for_a_while_is_a_warning():
+    """Rule 13."""
+    since = []
+
+    def change(name, fields):
+        if name == "GPS_RAW_INT":
+            since.append(fields["time_usec"])
+            if len(since) in range(10, 30):
+                fields["time_usec"] = since[9]
+        return name, fields
+
+    found = stage(examine(config=SLOW, change=change), "values")
+    assert found.mark is Mark.WARNING
+    assert "again and again, at the longest for 4 s" in words(found)
 
 
 def test_a_fix_without_time_or_accuracy_is_a_warning():
