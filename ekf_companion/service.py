@@ -16,7 +16,7 @@ from ekf_companion.bandwidth import overloads
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.endpoint import open_endpoint
-from ekf_companion.errors import CompanionError
+from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.keeper import clocks, open_keeper, open_memory
 from ekf_companion.keyring import open_keyring
 from ekf_companion.link import Received
@@ -82,8 +82,10 @@ async def serve(config: Config, read: Callable[[], Config]) -> None:
     stop, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
-    with Daemon(config) as daemon:
-        loop.add_signal_handler(signal.SIGHUP, daemon.reload, read)
+    daemon = Daemon(config)
+    # Before it says that it is ready: whoever waits for that may reload at once
+    loop.add_signal_handler(signal.SIGHUP, daemon.reload, read)
+    with daemon:
         async with TaskGroup() as group:
             pump = group.create_task(daemon.link.run())
             tick = group.create_task(daemon.tick())
@@ -170,6 +172,9 @@ class Daemon:
                 answer = read()
             except CompanionError as error:
                 answer = error
+            except Exception as error:  # noqa: BLE001  # whoever waits for the reload needs an end
+                _log.exception("The configuration cannot be read, by a bug")
+                answer = ConfigError(f"cannot be read, by a bug: {error!r}; please report it")
             with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
                 loop.call_soon_threadsafe(self._take, answer)
 
