@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from ekf_companion import journal
 from ekf_companion.bandwidth import overloads
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
@@ -53,7 +54,7 @@ def run(read: Callable[[], Config]) -> None:
 
     Raises:
         LinkError: The URL names no link.
-        ConfigError: The configuration is wrong, or the recording or the checkpoints have no place.
+        ConfigError: The configuration is wrong.
         CompanionError: A bug; its traceback is in the log.
     """
     config = read()
@@ -77,7 +78,7 @@ async def serve(config: Config, read: Callable[[], Config]) -> None:
 
     Raises:
         LinkError: The link's URL names no link.
-        ConfigError: The recording or the checkpoints have no place.
+        ConfigError: A name can be none of a file, or the key is none.
     """
     stop, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -105,21 +106,22 @@ class Daemon:
 
         Raises:
             LinkError: The link's URL names no link.
-            ConfigError: The recording or the checkpoints have no place, or the key none may use.
+            ConfigError: A name can be none of a file, or the key is none.
         """
         for words in overloads(config):
             _log.warning("%s", words)
         self._due_ns = 0
+        # What the last run left is read beside while the rest is made ready
+        self._keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
+        self._memory = memory = open_memory(config.checkpoint.file)
         self._keyring = keyring = open_keyring(config)
         self.link = open_reception(
             config, is_signed=keyring is not None, on_read=self.receive, on_state=self._greet
         )
         self._recorder = open_recorder(config.record)
-        self._keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
         found = None if self._keeper is None else self._keeper.read()
         resumption = Resumption(found, clocks(), unix_clock(), config.checkpoint.limit)
         signing = None if keyring is None else keyring.signing
-        self._memory = memory = open_memory(config.checkpoint.file)
         tuning = Tuning(config)
         if memory is not None:
             tuning = Tuning(config, memory.read(), str(memory.path), memory.keep)
@@ -161,6 +163,7 @@ class Daemon:
             due = time.monotonic() + TICK
             await asyncio.sleep(TICK)
             self._observer.late(time.monotonic() - due)
+            journal.tell()
 
     def reload(self, read: Callable[[], Config]) -> None:
         """Read the configuration again, beside the loop, and take what can be taken."""
@@ -222,11 +225,11 @@ class Daemon:
             self._recorder.write(self._companion.session.take_record())
         self._observer.beat(now_ns)
 
-    def _recorded(self) -> tuple[int, int]:
-        """Give the bytes that were recorded, and those that should have been."""
-        if self._recorder is None:
-            return 0, 0
-        return self._recorder.recorded_bytes, self._recorder.unrecorded_bytes
+    def _recorded(self) -> tuple[int, int, str]:
+        """Give the bytes that were recorded, those that should have been, and why they are not."""
+        if (ours := self._recorder) is None:
+            return 0, 0, ""
+        return ours.recorded_bytes, ours.unrecorded_bytes, ours.trouble
 
     def _keep(self) -> None:
         if self._keeper is not None and (data := self._companion.checkpoint(clocks())) is not None:
