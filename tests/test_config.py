@@ -175,6 +175,23 @@ def test_the_printed_configuration_reads_back_the_same(tmp_path):
     assert set(leaves(Config())) == set(keys(msgspec.yaml.decode(printed.stdout)))
 
 
+def test_a_place_that_is_not_there_yet_is_said_before_the_first_flight(tmp_path):
+    path = tmp_path / "some.yaml"
+    path.write_text(
+        f"record: {{path: {tmp_path}/stick/%s.tlog}}\ncheckpoint: {{file: {tmp_path}}}\n"
+    )
+    printed = CliRunner().invoke(app, ["check-config", str(path)])
+    assert printed.exit_code == 0
+    assert load(tmp_path, printed.stdout) == load_config(path)
+    record, checkpoint = printed.stderr.splitlines()
+    assert record.startswith(f"ekf-companion: record.path: {tmp_path}/stick/%s.tlog: there is no ")
+    assert record.endswith("make it, or name another; the daemon would run without it")
+    assert f"checkpoint.file: {tmp_path}: is a folder; name a file in it" in checkpoint
+    path.write_text("record: {path: stick/}\n")
+    result = CliRunner().invoke(app, ["check-config", str(path)])
+    assert (result.exit_code, "'stick/' is no name of a file" in result.stderr) == (2, True)
+
+
 def keys(table, path=""):
     for key, value in table.items():
         if isinstance(value, dict):
