@@ -49,10 +49,22 @@ class Config(FilterSettings):
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as PyYAML reads it, but 1e-3 is a number, and a key stands once."""
+    """YAML as PyYAML reads it, but 1e-3 is a number, a key stands once, and errors have marks."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, LookupError, AttributeError) as error:
+            # What looks like a date or a number and is none, as 2024-13-45 and 0x_
+            kind = node.tag.rpartition(":")[2]
+            raise yaml.constructor.ConstructorError(
+                problem=f"{node.value!r:.40} is no {kind}; put text in quotes",
+                problem_mark=node.start_mark,
+            ) from error
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        pairs = node.value if isinstance(node, yaml.MappingNode) else ()
+        names = [key.value for key, _ in pairs if isinstance(key, yaml.ScalarNode)]
         for name, count in Counter(names).items():
             if count > 1:
                 raise yaml.constructor.ConstructorError(
@@ -74,12 +86,14 @@ def load_config(path: Path) -> Config:
     """
     try:
         data = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+        return parse_config({} if data is None else data, str(path))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a YAML file") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         said = " ".join(str(error).split()).replace(' in "<unicode string>",', " in")
         raise ConfigError(f"{path}: is not YAML: {said}") from error
-    return parse_config({} if data is None else data, str(path))
+    except RecursionError as error:
+        raise ConfigError(f"{path}: a list stands too deep in lists, or in itself") from error
 
 
 def parse_config(data: object, name: str) -> Config:
@@ -150,7 +164,8 @@ def _explain(error: msgspec.ValidationError, data: object, name: str) -> str:
     keys = re.findall(r"[A-Za-z_]+|\d+", place.replace("`", "").lstrip("$"))
     value: Any = data
     for key in keys:
-        value = value[int(key)] if isinstance(value, list) else value[key]
+        if isinstance(value, (list, dict)):
+            value = value[int(key)] if isinstance(value, list) else value[key]
     message = message.replace("`", "")
     if keys and not keys[-1].isdigit() and message.startswith(("Invalid", "Expected float | str")):
         message = f"expected {_choices(keys)}"

@@ -56,7 +56,7 @@ def judge(snapshot: Snapshot) -> Finding:
         return Finding(True, f"{words}; {silence}")
     if health is not None:
         words += f", {snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output)}"
-    return Finding(True, "; ".join([words, *_rates_in_vain(snapshot)]))
+    return Finding(True, "; ".join([words, *_rates_in_vain(snapshot), *_recording(snapshot)]))
 
 
 def _odometry(output: OutputState) -> str:
@@ -78,6 +78,11 @@ def _rates_in_vain(snapshot: Snapshot) -> list[str]:
         for name, message in snapshot.messages.items()
         if message.cause
     ]
+
+
+def _recording(snapshot: Snapshot) -> list[str]:
+    trouble = snapshot.process.recording_trouble
+    return [f"not all is recorded: {trouble}"] if trouble else []
 
 
 def _silence(snapshot: Snapshot) -> str:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import copy
 import logging
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -29,6 +30,7 @@ KINDS = 256
 """Different sentences that are remembered."""
 _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
 _OWN = "EKF_"
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
 
 def set_up(level: int) -> None:
@@ -39,6 +41,13 @@ def set_up(level: int) -> None:
         inner = logging.StreamHandler()
         inner.setFormatter(logging.Formatter(FORMAT))
     logging.basicConfig(level=level, handlers=[CalmHandler(inner)])
+
+
+def tell() -> None:
+    """Say what was left out, of all whose time is over; to be called now and then."""
+    for handler in logging.root.handlers:
+        if isinstance(handler, CalmHandler):
+            handler.flush()
 
 
 def is_journal() -> bool:
@@ -126,9 +135,10 @@ class _Said:
 class CalmHandler(logging.Handler):
     """Hands records on, but the same warning once in ten seconds, with the number left out.
 
-    Warnings are the same by their reason (EKF_REASON) where they give one, and else by their
-    sentence without its numbers; what is less than a warning by its whole text, five times. Errors,
-    and what is for debugging, all pass.
+    Warnings are the same by their reason (EKF_REASON) where they give one, and else by their text
+    without its numbers, of which a pattern may give five; what is less than a warning by its whole
+    text, five times. Errors, and what is for debugging, all pass. Whoever has a loop calls
+    ``flush``: what was left out is then told at the end of its time, though nothing else comes.
     """
 
     def __init__(self, inner: logging.Handler, clock: Callable[[], float] = time.monotonic) -> None:
@@ -142,7 +152,7 @@ class CalmHandler(logging.Handler):
         if record.levelno < logging.INFO or record.levelno >= logging.ERROR:
             self._inner.handle(record)
             return
-        key = _key(record)
+        key = self._key(record, now_s)
         said = self._said.get(key)
         if said is not None and now_s - said.begin_s < SPAN:
             if said.passed >= (1 if record.levelno >= logging.WARNING else BURST):
@@ -157,11 +167,30 @@ class CalmHandler(logging.Handler):
         self._said[key] = _Said(now_s)
         self._inner.handle(_counted(record, said.left_out if said else 0))
 
+    def flush(self) -> None:
+        """Say what was left out, of all whose time is over."""
+        self.acquire()
+        try:
+            self._settle(self._clock() - SPAN)
+        finally:
+            self.release()
+
     def close(self) -> None:
         """Say what was left out, and close what is behind."""
         self._settle(self._clock())
         self._inner.close()
         super().close()
+
+    def _key(self, record: logging.LogRecord, now_s: float) -> tuple[str, ...]:
+        if record.levelno < logging.WARNING:
+            return record.name, "", record.getMessage()
+        pattern = record.name, str(record.msg)
+        if reason := str(getattr(record, "EKF_REASON", "")):
+            return *pattern, reason
+        key = *pattern, _NUMBER.sub("#", record.getMessage())
+        fresh = (known for known, said in self._said.items() if now_s - said.begin_s < SPAN)
+        is_flood = key not in self._said and sum(it[:2] == pattern for it in fresh) >= BURST
+        return pattern if is_flood else key
 
     def _settle(self, before_s: float) -> None:
         """Forget what began before a time, or is too much; say of it what was left out."""
@@ -170,12 +199,6 @@ class CalmHandler(logging.Handler):
                 del self._said[key]
                 if said.last is not None:
                     self._inner.handle(_counted(said.last, said.left_out - 1))
-
-
-def _key(record: logging.LogRecord) -> tuple[str, ...]:
-    if record.levelno < logging.WARNING:
-        return record.name, record.getMessage()
-    return record.name, str(record.msg), str(getattr(record, "EKF_REASON", ""))
 
 
 def _counted(record: logging.LogRecord, left_out: int) -> logging.LogRecord:

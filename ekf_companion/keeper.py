@@ -12,12 +12,14 @@ from functools import cache
 from pathlib import Path
 
 from ekf_companion.checkpoint import Clocks, is_ours
-from ekf_companion.errors import ConfigError
+from ekf_companion.place import check_name
 
 _log = logging.getLogger(__name__)
 
 LARGEST = 1 << 20
 """Bytes; no checkpoint comes near."""
+READING = 2.0
+"""Seconds that a slow disk may take to give what the last run left; then we start without it."""
 PATIENCE = 0.6
 """Seconds that a slow disk may take for the last one, where nobody says until when."""
 REST = 1.0
@@ -45,23 +47,25 @@ def open_keeper(file: str, interval: float) -> Keeper | None:
     """Make a keeper; None: none is wanted.
 
     Raises:
-        ConfigError: The name cannot be meant.
+        ConfigError: The name cannot be one of a file.
     """
-    return Keeper(Path(file), interval) if file else None
+    if not file:
+        return None
+    check_name("checkpoint.file", file)
+    return Keeper(Path(file), interval)
 
 
 def open_memory(file: str) -> Slot | None:
-    """Make the place, beside the checkpoint's file, of what was set over MAVLink; None: nowhere.
-
-    Raises:
-        ConfigError: The name cannot be meant.
-    """
+    """Make the place, beside the checkpoint's file, of what was set over MAVLink; None: nowhere."""
     loss = "what is set over MAVLink is forgotten at a restart"
     return Slot(Path(f"{file}.parameters"), loss, rest_s=REST) if file else None
 
 
 class Slot:
-    """Keeps the newest bytes under one name; a disk that is slow or full holds up nobody.
+    """Keeps the newest bytes under one name; a disk that is away, slow or full holds up nobody.
+
+    All that touches the disk is done by a thread; only for what the last run left is it waited, and
+    not for long.
 
     They are written beside and renamed, so that whoever reads finds the old ones or the new ones
     whole. Nothing is forced to the disk, but for a copy where that is asked: the system's cache
@@ -71,7 +75,7 @@ class Slot:
     def __init__(
         self, path: Path, loss: str, *, force_s: float | None = None, rest_s: float = 0.0
     ) -> None:
-        """Try the folder, and start the thread.
+        """Start the thread, which reads at once.
 
         Args:
             path: The file.
@@ -79,18 +83,21 @@ class Slot:
             force_s: Seconds after which a copy is forced to the disk, to be read where a loss of
                 power has taken the file; None: there is none.
             rest_s: Seconds to wait after each file before the next, which then is the newest.
-
-        Raises:
-            ConfigError: It cannot be a file of ours.
         """
         self.path = path
+        self.is_late = False
+        """Whether the disk has not given in time what the last run left."""
         self._loss = loss
         self._beside = path.with_name(path.name + ".new")
         self._copy = path.with_name(path.name + ".copy")
         self._force_s, self._rest_s = force_s, rest_s
         self._forced_s = -math.inf
         self._is_failing = False
-        self._try()
+        self._found: bytes | None = None
+        self._found_copy: bytes | None = None
+        self._has_read = threading.Event()
+        self._late_s = time.monotonic() + READING
+        self._aside = ""
         self._data: bytes | None = None
         self._closed = threading.Event()
         self._wake = threading.Event()
@@ -98,32 +105,25 @@ class Slot:
         self._thread.start()
 
     def read(self) -> bytes | None:
-        """Give what the last run left, if anything."""
-        return self._read(self.path)
+        """Give what the last run left, if anything, and if the disk is not too slow."""
+        return self._found if self._wait() else None
 
     def read_copy(self) -> bytes | None:
-        """Give what was last forced to the disk, if anything."""
-        return self._read(self._copy)
+        """Give what was last forced to the disk, as ``read``."""
+        return self._found_copy if self._wait() else None
 
-    def _read(self, path: Path) -> bytes | None:
-        try:
-            with path.open("rb") as file:
-                return file.read(LARGEST)
-        except FileNotFoundError:
-            return None
-        except OSError as error:
-            _log.warning("%s: cannot be read: %s; %s", path, error.strerror, self._loss)
-            return None
+    def _wait(self) -> bool:
+        """Wait until it is read; say once if that takes too long."""
+        if not self.is_late and not self._has_read.wait(max(self._late_s - time.monotonic(), 0.0)):
+            self.is_late = True
+            _log.warning(
+                "%s: the disk has not given it within %g s; starting without it", self.path, READING
+            )
+        return not self.is_late
 
     def put_aside(self, what: str) -> None:
-        """Give a file that is none of ours another name, before it is written over."""
-        aside = self.path.with_name(self.path.name + ".foreign")
-        try:
-            self.path.replace(aside)
-        except OSError as error:
-            _log.warning("%s: is no %s; %s", self.path, what, error.strerror)
-        else:
-            _log.warning("%s: is no %s; it is now %s", self.path, what, aside.name)
+        """Have a file that is none of ours given another name, before it is written over."""
+        self._aside = what
 
     def keep(self, data: bytes) -> None:
         """Hand some over to be written; what still waits is not worth it any more."""
@@ -146,31 +146,66 @@ class Slot:
         if self._thread.is_alive():
             _log.warning("%s: the disk is too slow; the last state may be missing", self.path)
 
-    def _try(self) -> None:
-        if self.path.exists() and not self.path.is_file():
-            raise ConfigError(f"checkpoint.file: {self.path}: is no plain file; name another")
-        try:
-            self._beside.touch()
-        except (FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError) as error:
-            raise ConfigError(
-                f"checkpoint.file: {self.path}: {error.strerror}; "
-                "name a file in a folder that can be written to"
-            ) from error
-        except OSError as error:
-            self._complain(error)
+    # The thread's side
 
     def _run(self) -> None:
+        is_usable = self._begin()
+        self._has_read.set()
         written: bytes | None = None
-        while True:
+        while is_usable:
             self._wake.wait()
             self._wake.clear()
             is_last, data = self._closed.is_set(), self._data
             if data is not None and data is not written:
+                self._rename()
                 self._write(data, is_last=is_last)
                 written = data
             if is_last:
                 return
             self._closed.wait(self._rest_s)
+
+    def _begin(self) -> bool:
+        """Read what there is; give whether anything can be kept there, and say if not."""
+        try:
+            if self.path.exists() and not self.path.is_file():
+                _log.warning(
+                    "checkpoint.file: %s: is no plain file; %s; name another", self.path, self._loss
+                )
+                return False
+            self._load()
+            self._beside.touch()
+            self._beside.unlink()
+        except OSError as error:
+            self._complain(error)
+        return True
+
+    def _load(self) -> None:
+        self._found = self._read(self.path)
+        if self._force_s is not None:
+            self._found_copy = self._read(self._copy)
+
+    def _read(self, path: Path) -> bytes | None:
+        try:
+            with path.open("rb") as file:
+                return file.read(LARGEST)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            _log.warning("%s: cannot be read: %s; %s", path, error.strerror, self._loss)
+            return None
+
+    def _rename(self) -> None:
+        """Give a file that is none of ours another name."""
+        if not (what := self._aside):
+            return
+        self._aside = ""
+        aside = self.path.with_name(self.path.name + ".foreign")
+        try:
+            self.path.replace(aside)
+        except OSError as error:
+            _log.warning("%s: is no %s; %s", self.path, what, error.strerror)
+        else:
+            _log.warning("%s: is no %s; it is now %s", self.path, what, aside.name)
 
     def _write(self, data: bytes, *, is_last: bool) -> None:
         try:
@@ -210,26 +245,21 @@ class Keeper(Slot):
     """Keeps the newest checkpoint."""
 
     def __init__(self, path: Path, interval: float) -> None:
-        """Try the folder, and start the thread.
+        """Start the thread, which reads at once.
 
         Args:
             path: The file.
             interval: Between two checkpoints, s.
-
-        Raises:
-            ConfigError: It cannot be a file of ours.
         """
         super().__init__(path, "a restart would align anew")
         self._interval_ns = round(interval * 1e9)
         self._next_ns = 0
         self._resets = 0
 
-    def read(self) -> bytes | None:
-        """Give what the last run left, if anything; what is none of ours is put aside."""
-        data = super().read()
-        if data and not is_ours(data):
+    def _load(self) -> None:
+        super()._load()
+        if self._found and not is_ours(self._found):
             self.put_aside("checkpoint")
-        return data
 
     def is_due(self, now_ns: int, resets: int) -> bool:
         """Whether to keep one now: the interval is over, or the estimate has just been reset.

@@ -57,11 +57,11 @@ class Keyring:
         if state and not is_restored[-1]:
             # Another secret, whose times are worth nothing, or no file of ours
             slot.put_aside("record of this secret's times")
-        elif b"" in (copy, state) and not any(is_restored):
+        elif (slot.is_late or b"" in (copy, state)) and not any(is_restored):
             _log.warning(
-                "%s: is empty, as a loss of power leaves it: the times of the last run are lost, "
-                "and until this board knows what time it is, it believes signed frames that "
-                "somebody has recorded and sends again; set its clock",
+                "%s: is empty, as a loss of power leaves it, or not to be had: the times of the "
+                "last run are lost, and until this board knows what time it is, it believes signed "
+                "frames that somebody has recorded and sends again; set its clock",
                 slot.path,
             )
 

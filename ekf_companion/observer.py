@@ -72,7 +72,7 @@ class Observer:
         link: Link,
         companion: Companion,
         clock: Callable[[], int],
-        recorded: Callable[[], tuple[int, int]] = lambda: (0, 0),
+        recorded: Callable[[], tuple[int, int, str]] = lambda: (0, 0, ""),
         unheard: Callable[[], Mapping[str, int]] = dict,
     ) -> None:
         """Begin to watch.
@@ -81,7 +81,8 @@ class Observer:
             link: The bytes.
             companion: All that is made of them.
             clock: That of the link's stamps, ns: unix time that never steps.
-            recorded: Gives the bytes that were recorded, and those that should have been.
+            recorded: Gives the bytes that were recorded, those that should have been, and why they
+                are not at present.
             unheard: Gives the datagrams that found no monitor, by its address.
         """
         self.latency = Latency()
@@ -270,7 +271,7 @@ class Observer:
     def _process(self, board: Board, now_ns: int) -> ProcessState:
         first, seconds = self._span(now_ns)
         cpu_s = 0.0 if first is None else time.process_time() - first.cpu_s
-        recorded, unrecorded = self._recorded()
+        recorded, unrecorded, trouble = self._recorded()
         return ProcessState(
             version=__version__,
             pid=os.getpid(),
@@ -284,5 +285,6 @@ class Observer:
             temperatures=board.temperatures,
             recorded_bytes=recorded,
             unrecorded_bytes=unrecorded,
+            recording_trouble=trouble,
             tick_age_s=age(self._beat_ns, now_ns),
         )

@@ -1,8 +1,10 @@
 """The recording: what went in and out, in .tlog files that rotate, written by a thread.
 
 The loop hands over whole records four times a second and never waits. The thread writes them at
-once and forces them to the disk twice a second: at a kill or a power cut less than a second is
-lost. Which files are ours, to make room, is decided by ``shelf``.
+once, whatever the disk does: at a kill less than a second is lost. Beside it ``flusher`` forces
+them to the disk twice a second: at a power cut it is the same, and what a slow disk takes for one
+time on top of it. A disk that is away, hangs or is full costs the recording and nothing else; it is
+tried again. Which files are ours, to make room, is decided by ``shelf``.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from ekf_companion.errors import ConfigError
+from ekf_companion.flusher import Flusher
 from ekf_companion.sections import RecordConfig
 from ekf_companion.shelf import Shelf
 
@@ -32,31 +34,33 @@ WAITING = 8 * MB
 SYNC = 0.5
 """Seconds after which what was written is forced to the disk."""
 LOOK = 5.0
-"""Seconds between two looks at what the disk has left."""
+"""Seconds between two looks at what the disk has left; a disk that takes longer does not answer."""
 SLACK = 16 * MB
 """Bytes more than ``record.free_space`` before a recording that stopped begins again."""
+UNFORCED = 8
+"""Files begun that a disk has not taken yet; beyond that, none is begun."""
 PATIENCE = 0.6
 """Seconds that a slow disk may take for the end of the recording, where nobody says until when."""
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
 def open_recorder(config: RecordConfig) -> Recorder | None:
-    """Begin a recording; None: none is wanted. A disk that is out of order stops no flight.
+    """Begin a recording; None: none is wanted.
 
     Raises:
-        ConfigError: The name cannot be meant.
+        ConfigError: The name cannot be one of a file.
     """
     return None if config.path is None else Recorder(config, config.path)
 
 
 class Recorder:
-    """Keeps what went in and out; a disk that is slow or full holds up nobody."""
+    """Keeps what went in and out; a disk that is away, slow or full holds up nobody."""
 
     def __init__(self, config: RecordConfig, path: str) -> None:
-        """Open the first file and start the thread.
+        """Start the thread, which opens the first file.
 
         Raises:
-            ConfigError: No file of that name can be opened, ever.
+            ConfigError: The name cannot be one of a file.
         """
         self._shelf = Shelf(path)
         self._total_size = round(config.total_size * MB)
@@ -74,10 +78,12 @@ class Recorder:
         self._file: int | None = None
         self._held = self._total = 0
         self._is_new = self._is_dirty = self._is_full = self._is_broken = False
+        self._has_made_room = False
         self._trouble = ""
         self._lost_before = 0
-        self._synced, self._looked = 0.0, -LOOK
-        self._open_first(path)
+        self._forced, self._looked = 0.0, -LOOK
+        self._busy_since: float | None = time.monotonic()
+        self._flusher = Flusher(self._shelf.sync)
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -90,6 +96,20 @@ class Recorder:
     def unrecorded_bytes(self) -> int:
         """What a slow, full or broken disk did not take."""
         return self._refused + self._lost
+
+    @property
+    def trouble(self) -> str:
+        """Why not all is recorded at present; empty: all is."""
+        busy_since = self._busy_since
+        if busy_since is not None and time.monotonic() - busy_since > LOOK:
+            return f"{self.path}: the disk does not answer"
+        if self._is_full:
+            return f"{self._shelf.folder}: less than {self._free_space / MB:g} MB free"
+        if self._trouble:
+            return f"{self.path}: {self._trouble}"
+        if self._flusher.late_s > LOOK:
+            return f"{self.path}: the disk is so slow that a loss of power would cost the end"
+        return ""
 
     # The loop's side
 
@@ -116,8 +136,11 @@ class Recorder:
     def join(self, end_s: float) -> None:
         """Wait until that is done, or until a time of the monotonic clock, s."""
         self._thread.join(max(end_s - time.monotonic(), 0.0))
-        if self._thread.is_alive():
-            _log.warning("%s: the disk is too slow; the end is not recorded", self.path)
+        self._flusher.join(end_s)
+        if self._thread.is_alive() or self._flusher.waiting:
+            _log.warning("%s: the disk is too slow; the end may be missing", self.path)
+        elif (error := self._flusher.error()) is not None:
+            _log.warning("%s: %s; the end may be missing", self.path, error.strerror)
         elif self.unrecorded_bytes:
             _log.warning("%s: %d bytes are missing", self.path, self.unrecorded_bytes)
 
@@ -139,24 +162,29 @@ class Recorder:
 
     def _run(self) -> None:
         """Write batch by batch, until an empty one."""
+        self._begin()
         while True:
-            wait = max(0.0, self._synced + SYNC - time.monotonic()) if self._is_dirty else None
+            self._busy_since = None
+            wait = max(0.0, self._forced + SYNC - time.monotonic()) if self._is_dirty else None
             try:
                 batch = self._batches.get(timeout=wait)
             except queue.Empty:
-                self._sync()
+                self._force()
                 continue
             if not batch:
                 break
+            self._busy_since = time.monotonic()
             self._take(batch)
             self._taken += len(batch)
-            if self._is_dirty and time.monotonic() >= self._synced + SYNC:
-                self._sync()
-        self._sync()
+            if self._is_dirty and time.monotonic() >= self._forced + SYNC:
+                self._force()
         if self._file is not None:
-            os.close(self._file)
+            self._flusher.close(self._file, has_new_name=self._is_new)
+        self._flusher.finish()
 
     def _take(self, batch: bytes) -> None:
+        if (error := self._flusher.error()) is not None:
+            self._fail(error)
         if self._held and self._held + len(batch) > self._file_size:
             self._rotate()
         if time.monotonic() >= self._looked + LOOK:
@@ -173,40 +201,37 @@ class Recorder:
                 self._total += written
                 self._recorded += written
                 rest = rest[written:]
+            self._has_made_room = False
         except OSError as error:
             self._lost += len(rest)
             self._fail(error)
 
-    def _sync(self) -> None:
-        if self._file is not None and self._is_dirty:
-            try:
-                os.fdatasync(self._file)
-                if self._is_new:
-                    self._shelf.sync()
-            except OSError as error:
-                self._fail(error)
+    def _force(self) -> None:
+        """Have what was written forced to the disk; not waited for."""
+        self._forced = time.monotonic()
+        if self._file is not None and self._flusher.force(self._file, has_new_name=self._is_new):
             self._is_new = self._is_dirty = False
-        self._synced = time.monotonic()
 
     def _rotate(self) -> None:
         """Begin the next file, or go on with the old one where that cannot be."""
-        self._sync()
+        if self._flusher.waiting > UNFORCED:
+            return
         try:
             path, file = self._shelf.create()
         except OSError as error:
             self._fail(error)
             return
         if self._file is not None:
-            os.close(self._file)
+            self._flusher.close(self._file, has_new_name=self._is_new)
         self.path, self._file = path, file
-        self._held, self._is_new, self._is_broken = 0, True, False
+        self._held, self._is_new, self._is_dirty, self._is_broken = 0, True, False, False
         self._looked = -LOOK
         _log.info("Recording to %s", path)
 
     def _look(self) -> None:
         """See what the disk has left, and make room."""
         self._looked = time.monotonic()
-        if self._lost == self._lost_before:
+        if self._lost == self._lost_before and self._file is not None:
             self._trouble = ""
         self._lost_before = self._lost
         try:
@@ -220,15 +245,15 @@ class Recorder:
             disk = os.statvfs(self._shelf.folder)
             wanted = self._free_space + (SLACK if self._is_full else 0)
             short = wanted - disk.f_bavail * disk.f_frsize
-            self._stop_or_go_on(self._shelf.free(short) < short)
+            self._stop_or_go_on(self._shelf.free(short, or_none=True) < short)
         except OSError as error:
             self._fail(error)
 
     def _stop_or_go_on(self, is_full: bool) -> None:
         if is_full and not self._is_full:
             _log.warning(
-                "%s: less than %g MB free, and no older recording of ours to delete; nothing is "
-                "recorded until there is room: record.free_space",
+                "%s: less than %g MB free, and older recordings of ours could not make room; "
+                "nothing is recorded until there is some: record.free_space",
                 self._shelf.folder,
                 self._free_space / MB,
             )
@@ -236,34 +261,29 @@ class Recorder:
             _log.info("%s: there is room again; recording goes on", self.path)
         self._is_full = is_full
 
-    def _open_first(self, path: str) -> None:
-        """Open the first file; a disk that may come to its senses is tried again later.
-
-        Raises:
-            ConfigError: It never will.
-        """
-        try:
-            self.path, self._file = self._shelf.create()
-        except (FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError) as error:
-            raise ConfigError(
-                f"record.path: {path}: {error.strerror}; name a file in a folder that can be "
-                "written to"
-            ) from error
-        except OSError as error:
-            self._fail(error)
-        else:
-            self._is_new = True
-            _log.info("Recording to %s", self.path)
+    def _begin(self) -> None:
+        """Open the first file; where that cannot be, it is tried again at each look."""
+        self._rotate()
+        if self._file is None:
+            self._looked = time.monotonic()
 
     def _fail(self, error: OSError) -> None:
         """Say once per trouble that not all is recorded; plan the way out of it."""
         words = error.strerror or str(error)
-        if words != self._trouble:
+        if words != self._trouble and self._file is None:
+            _log.warning(
+                "record.path: %s: %s; nothing is recorded, and it is tried again every %.0f s; "
+                "name a file in a folder that can be written to",
+                *(self.path, words, LOOK),
+            )
+        elif words != self._trouble:
             _log.warning("%s: %s; not all is recorded", self.path, words)
         self._trouble = words
         if error.errno in _NO_ROOM:
-            # A quota shows in no count of free space
-            with suppress(OSError):
-                self._shelf.free(1)
+            # A quota shows in no count of free space. What was of no use once goes on being so
+            if not self._has_made_room:
+                self._has_made_room = True
+                with suppress(OSError):
+                    self._shelf.free(BATCH, or_none=True)
         else:
             self._is_broken = True

@@ -114,7 +114,8 @@ class RecordConfig:
     total_size: Annotated[float, Meta(ge=1.0, le=1e7)] = 4096.0
     """The oldest of our files in the folder are deleted beyond so many MB in all."""
     free_space: Annotated[float, Meta(ge=0.0, le=1e7)] = 512.0
-    """MB that the disk keeps free: the oldest files go, and at last nothing is recorded."""
+    """MB that the disk keeps free: the oldest files go; where all would be too few, none does, and
+    nothing is recorded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,11 +12,12 @@ import threading
 import time
 from collections.abc import Callable
 
+from ekf_companion import journal
 from ekf_companion.bandwidth import overloads
 from ekf_companion.companion import Companion
 from ekf_companion.config import Config
 from ekf_companion.endpoint import open_endpoint
-from ekf_companion.errors import CompanionError
+from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.keeper import clocks, open_keeper, open_memory
 from ekf_companion.keyring import open_keyring
 from ekf_companion.link import Link, Received
@@ -54,7 +55,7 @@ def run(read: Callable[[], Config]) -> None:
 
     Raises:
         LinkError: The URL names no link.
-        ConfigError: The configuration is wrong, or the recording or the checkpoints have no place.
+        ConfigError: The configuration is wrong.
         CompanionError: A bug; its traceback is in the log.
     """
     config = read()
@@ -78,13 +79,15 @@ async def serve(config: Config, read: Callable[[], Config]) -> None:
 
     Raises:
         LinkError: The link's URL names no link.
-        ConfigError: The recording or the checkpoints have no place.
+        ConfigError: A name can be none of a file, or the key is none.
     """
     stop, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
-    with Daemon(config) as daemon:
-        loop.add_signal_handler(signal.SIGHUP, daemon.reload, read)
+    daemon = Daemon(config)
+    # Before it says that it is ready: whoever waits for that may reload at once
+    loop.add_signal_handler(signal.SIGHUP, daemon.reload, read)
+    with daemon:
         async with TaskGroup() as group:
             pumps = [group.create_task(link.run()) for link in daemon.links]
             tick = group.create_task(daemon.tick())
@@ -105,11 +108,14 @@ class Daemon:
 
         Raises:
             LinkError: The link's URL names no link.
-            ConfigError: The recording or the checkpoints have no place, or the key none may use.
+            ConfigError: A name can be none of a file, or the key is none.
         """
         for words in overloads(config):
             _log.warning("%s", words)
         self._due_ns = 0
+        # What the last run left is read beside while the rest is made ready
+        self._keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
+        self._memory = memory = open_memory(config.checkpoint.file)
         self._keyring = keyring = open_keyring(config)
         self.link = open_reception(
             config,
@@ -123,10 +129,8 @@ class Daemon:
         if config.output.monitors:
             self._monitors = Monitors(config, self.link, signing)
         self._recorder = open_recorder(config.record)
-        self._keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
         found = None if self._keeper is None else self._keeper.read()
         resumption = Resumption(found, clocks(), unix_clock(), config.checkpoint.limit)
-        self._memory = memory = open_memory(config.checkpoint.file)
         tuning = Tuning(config)
         if memory is not None:
             tuning = Tuning(config, memory.read(), str(memory.path), memory.keep)
@@ -175,6 +179,7 @@ class Daemon:
             due = time.monotonic() + TICK
             await asyncio.sleep(TICK)
             self._observer.late(time.monotonic() - due)
+            journal.tell()
 
     def reload(self, read: Callable[[], Config]) -> None:
         """Read the configuration again, beside the loop, and take what can be taken."""
@@ -186,6 +191,9 @@ class Daemon:
                 answer = read()
             except CompanionError as error:
                 answer = error
+            except Exception as error:  # noqa: BLE001  # whoever waits for the reload needs an end
+                _log.exception("The configuration cannot be read, by a bug")
+                answer = ConfigError(f"cannot be read, by a bug: {error!r}; please report it")
             with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
                 loop.call_soon_threadsafe(self._take, answer)
 
@@ -241,11 +249,11 @@ class Daemon:
     def _note_sent(self, waited_ns: int) -> None:
         self._observer.sent(waited_ns)
 
-    def _recorded(self) -> tuple[int, int]:
-        """Give the bytes that were recorded, and those that should have been."""
-        if self._recorder is None:
-            return 0, 0
-        return self._recorder.recorded_bytes, self._recorder.unrecorded_bytes
+    def _recorded(self) -> tuple[int, int, str]:
+        """Give the bytes that were recorded, those that should have been, and why they are not."""
+        if (ours := self._recorder) is None:
+            return 0, 0, ""
+        return ours.recorded_bytes, ours.unrecorded_bytes, ours.trouble
 
     def _unheard(self) -> dict[str, int]:
         """Give the datagrams that found no monitor, by its address."""

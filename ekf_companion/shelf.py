@@ -13,8 +13,11 @@ import os
 import re
 import stat
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from ekf_companion.place import check_name
 
 _log = logging.getLogger(__name__)
 
@@ -27,7 +30,12 @@ class Shelf:
     """The folder: the next name, the files that are ours, and the oldest of them."""
 
     def __init__(self, path: str) -> None:
-        """Take ``record.path``; ``%s`` becomes now, UTC."""
+        """Take ``record.path``; ``%s`` becomes now, UTC. Nothing is looked at on the disk.
+
+        Raises:
+            ConfigError: It cannot be the name of a file.
+        """
+        check_name("record.path", path)
         first = Path(path.replace("%s", time.strftime(_START, time.gmtime())))
         self.folder = first.parent
         self._stem, self._suffix = first.stem, first.suffix
@@ -86,10 +94,21 @@ class Shelf:
                             found.append((order, entry.name, status.st_size))
         return [(name, size) for _, name, size in sorted(found)]
 
-    def free(self, size: int) -> int:
-        """Delete our oldest files that nobody writes, until so many bytes are free; give those."""
+    def free(self, size: int, *, or_none: bool = False) -> int:
+        """Delete our oldest files that nobody writes, until so many bytes are free; give those.
+
+        Args:
+            size: Bytes.
+            or_none: None is deleted where all of them would be too few: what fills the disk is
+                somebody else's, and would still.
+        """
+        if size <= 0:
+            return 0
+        found = self.files()
+        if or_none and sum(held for name, held in found if self._is_idle(name)) < size:
+            return 0
         freed = 0
-        for name, held in self.files() if size > 0 else ():
+        for name, held in found:
             if freed >= size:
                 break
             with suppress(OSError):
@@ -114,9 +133,11 @@ class Shelf:
             if self._list.exists() and self._list.stat().st_size > LIST_SIZE:
                 beside = self._list.with_name(self._list.name + ".new")
                 kept = [one for one in self._listed() if (self.folder / one).exists()]
-                beside.write_text("".join(f"{one}\n" for one in kept), encoding="utf-8")
+                beside.write_text(
+                    "".join(f"{one}\n" for one in kept), encoding="utf-8", errors="surrogateescape"
+                )
                 beside.replace(self._list)
-            with self._list.open("a", encoding="utf-8") as lines:
+            with self._list.open("a", encoding="utf-8", errors="surrogateescape") as lines:
                 lines.write(f"{name}\n")
         except OSError as error:
             _log.warning("%s: %s; a later run may not know our files", self._list, error.strerror)
@@ -124,7 +145,7 @@ class Shelf:
     def _listed(self) -> list[str]:
         """Give the names in the list that our name can make, whatever else stands there."""
         try:
-            lines = self._list.read_text(encoding="utf-8", errors="replace").splitlines()
+            lines = self._list.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
         except OSError:
             return []
         return [line for line in lines if self._ours.fullmatch(line)]
@@ -138,15 +159,40 @@ class Shelf:
 
     def _remove(self, path: Path) -> bool:
         """Delete a file, unless whoever writes it has locked it."""
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        with _locked(path) as is_ours:
+            if is_ours:
+                path.unlink()
+            return is_ours
+
+    def _is_idle(self, name: str) -> bool:
+        """Whether a file could be deleted."""
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            path.unlink()
-        except BlockingIOError:
+            with _locked(self.folder / name) as is_ours:
+                return is_ours
+        except OSError:
             return False
-        finally:
-            os.close(descriptor)
-        return True
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[bool]:
+    """Give whether nobody writes a file, and nobody begins to meanwhile.
+
+    Raises:
+        OSError: It cannot be opened, or has no locks.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        yield _lock(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _lock(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def _force(path: Path, flags: int) -> None:

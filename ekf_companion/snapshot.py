@@ -187,6 +187,8 @@ class ProcessState:
     """Of the board, degC, by name."""
     recorded_bytes: int
     unrecorded_bytes: int
+    recording_trouble: str = ""
+    """Why not all is recorded at present; empty: all is, or nothing is to be."""
     tick_age_s: float = 0.0
     """Since the filter's task last went round, s: tenths, unless it is stuck."""
 

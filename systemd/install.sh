@@ -8,6 +8,8 @@
 #   PIP_FLAGS  as for a board without a network: --no-index --find-links=FOLDER
 #   PYTHON     python3
 set -eu
+# What root installs the service's user has to read and run, however strict root is with itself
+umask 022
 cd "$(dirname "$0")/.."
 
 root=${DESTDIR:-}
@@ -39,6 +41,22 @@ check() {
     fi
 }
 
+# The unit's ProtectHome= hides these. What stands under DESTDIR is for elsewhere, and is not looked at
+refuse_home() {
+    case $2/ in
+    /home/* | /root/* | /run/user/*) fail "$1: is in $2, and the service sees nobody's home; $3" ;;
+    esac
+}
+
+check_homes() {
+    refuse_home "PREFIX=$prefix" "$(readlink -f "$prefix" || echo "$prefix")" "name a folder elsewhere"
+    python=${PYTHON:-python3}
+    "$place/bin/python" -c '' 2> /dev/null && python=$place/bin/python
+    # The environment leans on the Python that made it
+    home=$("$python" -c 'import os, sys; print(os.path.realpath(sys.base_prefix))')
+    refuse_home "PYTHON=$python" "$home" "name one of the system's, as in PYTHON=/usr/bin/python3"
+}
+
 install_program() {
     "$place/bin/python" -c '' 2> /dev/null || "${PYTHON:-python3}" -m venv --clear "$place"
     pip="$place/bin/python -m pip --quiet --disable-pip-version-check"
@@ -56,6 +74,8 @@ install_program() {
     # The same version may have changed inside; what it needs stays as it is where it will do
     $pip install ${PIP_FLAGS:-} --no-compile --force-reinstall --no-deps "$built"/*.whl
     $pip install ${PIP_FLAGS:-} --no-compile "$built"/*.whl
+    # Of an installation made before, by a stricter root, too
+    chmod -R a+rX "$place"
     # Compiled now: the service cannot write there. Some packages carry files for other versions
     if [ -z "$root" ]; then
         "$place/bin/python" -m compileall -q "$place/lib" > /dev/null || true
@@ -99,6 +119,7 @@ uninstall() {
 check
 case ${1:-} in
 install)
+    [ -n "$root" ] || check_homes
     install_program
     install_files
     ;;

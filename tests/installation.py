@@ -39,6 +39,7 @@ def make(target, **settings):
         text=True,
         check=False,
         env={k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "MAKE"))},
+        preexec_fn=lambda: os.umask(0o077),  # as a strict root has it
     )
     return result.returncode, result.stdout + result.stderr
 
@@ -81,6 +82,14 @@ def test_everything_is_in_its_place(staged):
     assert (share / "config/px4.yaml").exists()
     assert (share / "drop-ins/signing.conf").exists()
     assert (share / "mavlink-router.conf").exists()
+
+
+def test_whoever_runs_the_service_may_read_and_run_it(staged):
+    for path in [staged.root, *staged.root.rglob("*")]:
+        if not path.is_symlink():
+            mode, least = path.stat().st_mode, 0o755 if path.is_dir() else 0o644
+            assert mode & least == least, path
+    assert (staged.place / "bin" / "ekf-companion").stat().st_mode & 0o005 == 0o005
 
 
 def test_nothing_points_back_into_the_folder_that_stood_for_root(staged):
@@ -130,6 +139,31 @@ def test_a_second_time_it_keeps_the_configuration_and_then_leaves_it_behind(stag
     left = [path for path in staged.root.rglob("*") if path.is_file()]
     assert left == [staged.config]
     assert not staged.place.exists()
+
+
+def make_python(folder, home):
+    """Give a Python that lives somewhere, and would make no environment."""
+    path = folder / "python"
+    path.write_text(f'#!/bin/sh\n[ "$1" = -c ] && echo {home}\n')
+    path.chmod(0o755)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("prefix", "home", "words"),
+    [
+        ("/home/pilot/ekf", "/usr", "PREFIX=/home/pilot/ekf: is in /home/pilot/ekf, and the serv"),
+        ("/opt/nowhere/ekf", "/home/pilot/.pyenv/versions/3.12.1", "is in /home/pilot/.pyenv/vers"),
+        ("/opt/nowhere/ekf", "/root/.local/share/uv", "name one of the system's, as in PYTHON="),
+    ],
+)
+def test_what_the_service_cannot_see_is_no_place_for_it(tmp_path, prefix, home, words):
+    """ProtectHome=yes hides it: the unit would fail each second, 203/EXEC."""
+    code, said = make("install", PREFIX=prefix, PYTHON=make_python(tmp_path, home))
+    assert code != 0
+    assert words in said
+    assert "the service sees nobody's home" in said
+    assert not Path(prefix).exists()
 
 
 @pytest.mark.parametrize("target", ["install", "uninstall"])

@@ -120,6 +120,16 @@ def section(text, key):
             "baro:\n  use: true\nbaro:\n  std: 1.0",
             "is not YAML: baro stands 2 times; keep one in line",
         ),
+        ("imu: {gyro_noise: 0x_}", "is not YAML: '0x_' is no int; put text in quotes in line 1"),
+        ("link: {url: 2024-13-45}", "is not YAML: '2024-13-45' is no timestamp; put text in quo"),
+        ("baro: {std: !!float x}", "is not YAML: 'x' is no float; put text in quotes in line 1"),
+        ("baro: {use: !!bool x}", "is not YAML: 'x' is no bool; put text in quotes in line 1"),
+        ("baro: {use: !!timestamp x}", "is not YAML: 'x' is no timestamp; put text in quotes"),
+        ("baro: {std: !!int ''}", "is not YAML: '' is no int; put text in quotes in line 1"),
+        ("baro: !!map x", "is not YAML: expected a mapping node, but found scalar in line 1"),
+        (f"baro: {{std: {'[' * 3000}", "a list stands too deep in lists, or in itself"),
+        ("link: {allow_systems: &a [*a]}", "a list stands too deep in lists, or in itself"),
+        ("link: {allow_systems: !!set {a}}", "link.allow_systems.0: {'a'}: expected int, got str"),
         ("link: {url: com3}", "link.url: com3: not a link; write for example udpin:0.0.0.0:14540"),
     ],
 )
@@ -163,6 +173,23 @@ def test_the_printed_configuration_reads_back_the_same(tmp_path):
     assert printed.exit_code == 0
     assert load(tmp_path, printed.stdout) == load_config(path) != Config()
     assert set(leaves(Config())) == set(keys(msgspec.yaml.decode(printed.stdout)))
+
+
+def test_a_place_that_is_not_there_yet_is_said_before_the_first_flight(tmp_path):
+    path = tmp_path / "some.yaml"
+    path.write_text(
+        f"record: {{path: {tmp_path}/stick/%s.tlog}}\ncheckpoint: {{file: {tmp_path}}}\n"
+    )
+    printed = CliRunner().invoke(app, ["check-config", str(path)])
+    assert printed.exit_code == 0
+    assert load(tmp_path, printed.stdout) == load_config(path)
+    record, checkpoint = printed.stderr.splitlines()
+    assert record.startswith(f"ekf-companion: record.path: {tmp_path}/stick/%s.tlog: there is no ")
+    assert record.endswith("make it, or name another; the daemon would run without it")
+    assert f"checkpoint.file: {tmp_path}: is a folder; name a file in it" in checkpoint
+    path.write_text("record: {path: stick/}\n")
+    result = CliRunner().invoke(app, ["check-config", str(path)])
+    assert (result.exit_code, "'stick/' is no name of a file" in result.stderr) == (2, True)
 
 
 def keys(table, path=""):

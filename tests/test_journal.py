@@ -213,6 +213,33 @@ def test_numbers_make_no_other_warning_but_another_reason_does(calm):
     assert calm.words == ["Reset 0: clock", "Reset 5: height"]
 
 
+def test_different_sentences_of_one_pattern_are_all_said(calm):
+    for name, why in (("a", "No space left"), ("a.parameters", "No space"), ("a.signing", "slow")):
+        calm.log.warning("%s: %s", name, why)
+        calm.log.warning("%s: %s", name, why)
+    assert calm.words == ["a: No space left", "a.parameters: No space", "a.signing: slow"]
+
+
+def test_a_pattern_floods_with_no_texts_either(calm):
+    for k in range(100):
+        calm.log.warning("%s is not heard", "a" * k)
+    assert len(calm.words) == 6
+    calm.handler.close()
+    assert calm.words[-1].endswith("a is not heard (93 more like it before, left out)")
+
+
+def test_what_was_left_out_is_told_when_its_time_is_over_though_nothing_comes(calm):
+    for number in range(3):
+        calm.log.warning("Reset %d", number)
+    calm.now_s += 9.0
+    calm.handler.flush()
+    assert calm.words == ["Reset 0"]
+    calm.now_s += 1.0
+    calm.handler.flush()
+    calm.handler.flush()
+    assert calm.words == ["Reset 0", "Reset 2 (1 more like it before, left out)"]
+
+
 def test_what_was_left_out_is_told_with_whatever_comes_next(calm):
     for number in range(3):
         calm.log.warning("Reset %d", number)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from ekf_companion import keeper as keeper_module
 from ekf_companion.checkpoint import MAGIC
 from ekf_companion.errors import ConfigError
 from ekf_companion.keeper import Keeper, clocks, open_keeper, open_memory
@@ -98,6 +99,7 @@ def test_trouble_is_said_once_and_its_end_is_noticed(tmp_path, caplog):
     folder = tmp_path / "disk"
     folder.mkdir()
     keeper = Keeper(folder / "checkpoint", 1.0)
+    wait_for((folder / "checkpoint.new").exists)
     for _ in range(2):
         (folder / "checkpoint.new").unlink(missing_ok=True)
         (folder / "checkpoint").unlink(missing_ok=True)
@@ -143,17 +145,48 @@ def test_an_empty_file_is_what_a_loss_of_power_leaves(tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("none/checkpoint", "No such file or directory; name a file in a folder that can be"),
-        (".", "is no plain file; name another"),
-        ("pipe", "is no plain file; name another"),
-        ("file/checkpoint", "Not a directory; name a file in a folder"),
+        ("none/checkpoint", "No such file or directory; a restart would align anew"),
+        ("folder", "is no plain file; a restart would align anew; name another"),
+        ("pipe", "is no plain file; a restart would align anew; name another"),
+        ("file/checkpoint", "Not a directory; a restart would align anew"),
     ],
 )
-def test_a_name_that_cannot_be_meant_is_a_sentence(tmp_path, name, words):
+def test_a_place_where_nothing_can_be_kept_is_said_and_stops_nobody(tmp_path, caplog, name, words):
     os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match=r"^checkpoint\.file: .*" + words):
-        open_keeper(str(tmp_path / name), 1.0)
+    keeper = open_keeper(str(tmp_path / name), 1.0)
+    assert keeper.read() is None
+    keeper.keep(NEW)
+    keeper.close()
+    assert caplog.text.count(words) == 1
+    assert (tmp_path / "pipe").is_fifo()
+
+
+@pytest.mark.parametrize("name", ["/", "folder/", "folder/..", "half \ud800", "no\0thing"])
+def test_a_name_that_no_file_can_have_is_a_sentence(name):
+    with pytest.raises(ConfigError, match=r"^checkpoint\.file: .* is no name of a file; name one"):
+        open_keeper(name, 1.0)
+
+
+def test_a_disk_that_does_not_give_the_last_state_holds_up_the_start_for_a_moment_only(
+    tmp_path, monkeypatch, caplog
+):
+    """A folder that hangs, as on a card that is busy or a share that is away."""
+    (tmp_path / "checkpoint").write_bytes(OLD)
+    hang, opened = threading.Event(), Path.open
+    monkeypatch.setattr(Path, "open", lambda *a, **b: hang.wait() and opened(*a, **b))
+    begin = time.monotonic()
+    keepers = [Keeper(tmp_path / "checkpoint", 1.0) for _ in range(3)]
+    assert [keeper.read() for keeper in keepers] == [None, None, None]
+    assert time.monotonic() - begin < keeper_module.READING + 0.5
+    assert caplog.text.count("checkpoint: the disk has not given it within 2 s; starting") == 3
+    # What comes later is not gone on from, but written over
+    hang.set()
+    keepers[0].keep(NEW)
+    keepers[0].close()
+    assert keepers[0].read() is None
+    assert (tmp_path / "checkpoint").read_bytes() == NEW
 
 
 def test_no_name_is_no_keeper():

@@ -337,6 +337,15 @@ def test_an_invalid_estimate_is_not_healthy(flown):
 # Told
 
 
+def test_a_recording_that_misses_something_is_told_and_is_no_fault_of_the_process(flown):
+    _, snapshot = flown
+    process = replace(snapshot.process, recording_trouble="/a.tlog: the disk does not answer")
+    link = replace(snapshot.link, is_open=True)
+    found = judge(replace(snapshot, link=link, process=process))
+    assert found.is_healthy
+    assert found.words.endswith("; not all is recorded: /a.tlog: the disk does not answer")
+
+
 def test_json_holds_all_of_it_and_null_for_what_is_not_known(flown):
     _, snapshot = flown
     data = json.loads(to_json(snapshot))

@@ -75,14 +75,42 @@ def test_the_name_of_a_recording_may_say_when_it_began(tmp_path):
     assert stamp.tm_year >= 2024
 
 
-def test_a_folder_is_no_name_for_a_recording(tmp_path):
-    with pytest.raises(ConfigError, match=r"record\.path: .*none.*name a file in a folder"):
-        open_recorder(settings(tmp_path / "none" / "flight.tlog"))
+@pytest.mark.parametrize("name", ["/", "folder/", "..", "half \ud800", "no\0thing"])
+def test_a_name_that_no_file_can_have_is_a_sentence(name):
+    with pytest.raises(ConfigError, match=r"record\.path: .* is no name of a file; name one"):
+        open_recorder(settings(name))
     assert open_recorder(RecordConfig()) is None
+
+
+def test_a_name_that_is_no_text_is_a_name_all_the_same(tmp_path):
+    for _ in range(2):
+        ours = open_recorder(settings(tmp_path / "flight\udcff.tlog"))
+        ours.close()
+    assert ours.path == tmp_path / "flight\udcff-2.tlog"
+    assert len((tmp_path / ".flight\udcff.tlog.list").read_bytes().splitlines()) == 2
+
+
+def test_a_recording_that_has_no_place_begins_when_it_has_one(tmp_path, monkeypatch, caplog):
+    """A stick that is not there yet, or fell off before a restart in flight."""
+    monkeypatch.setattr(recorder, "LOOK", 0.0)
+    ours = open_recorder(settings(tmp_path / "stick" / "flight.tlog"))
+    for k in range(3):
+        write(ours, records(k, 1))
+    assert ours.unrecorded_bytes == 3 * RECORD
+    assert ours.trouble == f"{tmp_path}/stick/flight.tlog: No such file or directory"
+    assert caplog.text.count("No such file or directory; nothing is recorded, and it is tried") == 1
+    (tmp_path / "stick").mkdir()
+    for k in range(3, 6):
+        write(ours, records(k, 1))
+    monkeypatch.setattr(recorder, "LOOK", 100.0)
+    assert ours.trouble == ""
+    ours.close()
+    assert ours.path.read_bytes() == as_bytes(records(3, 3))
 
 
 def test_the_file_is_for_us_and_our_group_and_for_no_child(tmp_path):
     ours = open_recorder(settings(tmp_path / "flight.tlog"))
+    write(ours, records(0, 1))
     assert ours.path.stat().st_mode & 0o777 == 0o640
     assert not os.get_inheritable(ours._file)
     ours.close()
@@ -127,6 +155,7 @@ def test_beyond_the_total_the_oldest_of_ours_go_and_no_foreign_file(tmp_path):
 def record_run(path, count=1, total=0.1):
     """Give the name of the first file of a run that begins several."""
     ours = open_recorder(settings(path, file=0.01, total=total))
+    wait_until(lambda: ours._file is not None)
     first = ours.path.name
     for _ in range(count):
         write(ours, records(0, 100))
@@ -204,11 +233,13 @@ def test_on_a_full_disk_the_oldest_go_then_it_stops_and_begins_again(tmp_path, m
     disk.free = 41 * MB
     assert names(tmp_path) == ["20260103T000000Z.tlog", ours.path.name]
     assert not [one for one in caplog.records if one.levelname == "WARNING"]
-    # Short of more than there is: the last goes, and nothing is recorded; once is it said
+    # Short of more than ours could give: what fills it is somebody else's. None goes, and nothing
+    # is recorded; once is it said
     disk.free = 30 * MB
     for k in range(5):
         write(ours, records(20 + k, 1))
-    assert names(tmp_path) == [ours.path.name]
+    assert names(tmp_path) == ["20260103T000000Z.tlog", ours.path.name]
+    assert "less than 40 MB free" in ours.trouble
     assert ours.unrecorded_bytes == 5 * RECORD
     # A little room is not enough: it would stop again at once
     disk.free = 41 * MB
@@ -223,6 +254,38 @@ def test_on_a_full_disk_the_oldest_go_then_it_stops_and_begins_again(tmp_path, m
     assert "less than 40 MB free" in warnings[0]
     assert warnings[1].endswith("600 bytes are missing")
     assert "there is room again; recording goes on" in caplog.text
+
+
+def test_a_file_that_another_daemon_writes_gives_no_room(tmp_path, monkeypatch):
+    """Rule 39: nothing is deleted in vain."""
+    disk = Disk(monkeypatch, 50 * MB)
+    for k in range(2):
+        (tmp_path / f"2026010{k + 1}T000000Z.tlog").write_bytes(bytes(MB))
+    with (tmp_path / "20260102T000000Z.tlog").open("rb") as theirs:
+        fcntl.flock(theirs, fcntl.LOCK_EX)
+        ours = open_recorder(settings(tmp_path / "%s.tlog", free=40))
+        write(ours, records(0, 1))
+        disk.free = 40 * MB - 3 * MB // 2
+        write(ours, records(1, 1))
+        assert len(names(tmp_path)) == 3
+        disk.free = 40 * MB + recorder.SLACK - MB // 2
+        write(ours, records(2, 1))
+        assert names(tmp_path) == ["20260102T000000Z.tlog", ours.path.name]
+        ours.close()
+
+
+def test_a_disk_that_stays_full_costs_no_more_of_ours_than_might_have_helped(tmp_path, monkeypatch):
+    """Rule 39: a quota is full, and not of our files."""
+    for k in range(9):
+        (tmp_path / f"2026010{k + 1}T000000Z.tlog").write_bytes(bytes(MB))
+    ours = open_recorder(settings(tmp_path / "%s.tlog"))
+    write(ours, records(0, 1))
+    os.dup2(os.open("/dev/full", os.O_WRONLY), ours._file)
+    for k in range(9):
+        write(ours, records(1 + k, 1))
+    ours.close()
+    assert len(names(tmp_path)) == 9
+    assert ours.unrecorded_bytes == 9 * RECORD
 
 
 def test_a_recording_that_someone_deleted_is_followed_by_a_new_one(tmp_path, monkeypatch):

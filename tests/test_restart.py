@@ -189,9 +189,10 @@ def test_one_that_is_damaged_on_the_disk_is_said_and_stops_nothing(restarted, tm
         assert "The checkpoint is not used: its checksum is wrong" in daemon.words.read_text()
 
 
-def test_a_place_that_there_is_not_is_a_sentence(tmp_path):
-    with Daemon(tmp_path, "--checkpoint", str(tmp_path / "none" / "checkpoint")) as daemon:
-        assert daemon.wait() == 2
-        words = daemon.words.read_text()
-    assert words.startswith(f"ekf-companion: checkpoint.file: {tmp_path}/none/checkpoint: No such")
-    assert words.count("\n") == 1
+def test_a_place_that_there_is_not_is_a_sentence_and_stops_no_flight(tmp_path):
+    options = ("--link", f"udpin:127.0.0.1:{free_port()}")
+    place = tmp_path / "none" / "checkpoint"
+    with Daemon(tmp_path, *options, "--checkpoint", str(place)) as daemon:
+        daemon.wait_for(": open")
+        daemon.wait_for(f"{place}: No such file or directory; a restart would align anew")
+        assert daemon.stop()[0] == 0

@@ -27,6 +27,7 @@ import pytest
 
 from benchmarks.daemon import SO_TIMESTAMPNS
 from ekf_companion import convert
+from ekf_companion.cli.status import fetch
 from ekf_companion.config import load_config
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import Sender, unpack
@@ -686,9 +687,42 @@ def test_a_link_that_is_none_is_a_sentence(tmp_path):
         assert daemon.words.read_text().startswith("ekf-companion: com3: not a link; write for")
 
 
-def test_a_recording_without_a_folder_is_a_sentence(tmp_path):
-    with Daemon(tmp_path, "--record", str(tmp_path / "none" / "flight.tlog")) as daemon:
-        assert daemon.wait() == 2
-        words = daemon.words.read_text()
-        assert words.startswith(f"ekf-companion: record.path: {tmp_path}/none/flight.tlog: No such")
-        assert words.count("\n") == 1
+def test_a_recording_without_a_folder_is_a_sentence_and_stops_no_flight(tmp_path):
+    """Rule 39: the disk is in nobody's way; systemd would start it in vain each second."""
+    link, port = free_port(), free_port(socket.SOCK_STREAM)
+    config = f"http: {{port: {port}}}\n"
+    place = tmp_path / "none" / "flight.tlog"
+    options = ("--link", f"udpin:127.0.0.1:{link}", "--record", str(place))
+    with Daemon(tmp_path, *options, config=config) as daemon:
+        daemon.wait_for(f"record.path: {place}: No such file or directory; nothing is recorded")
+        wire = fly_over(f"udpout:127.0.0.1:{link}", plan(4.0, boot=20.0), Kind.PX4)
+        assert any(frame.message_id == IDS["HEARTBEAT"] for frame in wire.frames())
+        daemon.wait_for("Status on")
+        heard = fetch(f"http://127.0.0.1:{port}").data
+        trouble = f"{place}: No such file or directory"
+        assert heard["process"]["recording_trouble"] == trouble
+        assert heard["process"]["unrecorded_bytes"] > 0
+        assert daemon.stop()[0] == 0
+
+
+HUNG_OPEN = """
+import os, time
+
+real = os.open
+os.open = lambda path, *a, **b: time.sleep(60.0 * (".tlog" in str(path))) or real(path, *a, **b)
+from ekf_companion.cli import app
+
+app(["run", "--link", "udpout:127.0.0.1:{port}", "--record", "{folder}/flight.tlog"])
+"""
+
+
+def test_a_disk_that_does_not_open_the_recording_delays_no_heartbeat(tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        peer.bind(("127.0.0.1", 0))
+        peer.settimeout(20.0)
+        code = HUNG_OPEN.format(port=peer.getsockname()[1], folder=tmp_path)
+        with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE) as process:
+            assert Splitter().feed(peer.recv(1000))[0].message_id == IDS["HEARTBEAT"]
+            process.terminate()
+            assert process.wait(20.0) == 0
+            assert b"the disk is too slow; the end may be missing" in process.stderr.read()

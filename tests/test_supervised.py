@@ -1,6 +1,9 @@
 """The daemon under a service manager: killed and started again, and its configuration reloaded."""
 
+import http.server
 import itertools
+import json
+import os
 import signal
 import socket
 import subprocess
@@ -138,6 +141,83 @@ def test_the_command_prints_what_was_taken_and_says_where_nobody_is(tmp_path):
         assert daemon.stop()[0] == 0
     code, words = command("reload", *url)
     assert (code, "nothing answers" in words) == (4, True)
+
+
+class Elsewhere(http.server.BaseHTTPRequestHandler):
+    """Answers as a daemon in a container does, whose process has there the number of one here."""
+
+    pid = 0
+
+    def do_GET(self):
+        health, process = {"is_healthy": True, "words": "ok"}, {"pid": self.pid}
+        data = {"health": health, "process": process, "reload": {"count": 0, "words": ""}}
+        body = json.dumps(data).encode()
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_):
+        pass
+
+
+def test_no_process_but_the_daemon_itself_is_sent_a_signal():
+    """The number that an answer names is that of another machine, or of a container."""
+    with (
+        http.server.ThreadingHTTPServer(("127.0.0.1", 0), Elsewhere) as server,
+        subprocess.Popen(["sleep", "60"]) as innocent,
+    ):
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        url = ("--url", f"http://127.0.0.1:{server.server_port}")
+        for pid in (innocent.pid, 1 << 30, -1, 0):
+            Elsewhere.pid = pid
+            code, words = command("reload", *url)
+            assert (code, "is no process of this machine" in words) == (4, True), words
+        assert innocent.poll() is None
+        innocent.terminate()
+        server.shutdown()
+
+
+@pytest.mark.parametrize("text", ["baro: {std: !!float x}\n", "baro: {std: !!int ''}\n"])
+def test_a_file_that_cannot_even_be_read_ends_the_reload_too(tmp_path, text):
+    """systemd waits for READY=1 after RELOADING=1; an answer must come, whatever is in the file."""
+    with Daemon(tmp_path, "--link", f"udpin:127.0.0.1:{free_port()}") as daemon:
+        daemon.wait_for(": open")
+        daemon.config.write_text(text)
+        daemon.hang_up()
+        daemon.wait_for("config.yaml: is not YAML: ")
+        daemon.wait_for("all stays as it was")
+        assert daemon.stop()[0] == 0
+        assert "Traceback" not in daemon.words.read_text()
+
+
+BUG = """
+from ekf_companion import service
+from ekf_companion.config import Config, HttpConfig, LinkConfig
+
+config = Config(link=LinkConfig(url="udpin:127.0.0.1:{port}"), http=HttpConfig(port=0))
+reads = iter([config])
+service.run(lambda: next(reads))
+"""
+
+
+def test_a_bug_in_reading_ends_the_reload_too(tmp_path):
+    address = str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(address)
+        manager.settimeout(20.0)
+        command = [sys.executable, "-c", BUG.format(port=free_port())]
+        environment = {**os.environ, "NOTIFY_SOCKET": address}
+        with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as it:
+            said = [manager.recv(1000).partition(b"\n")[0]]
+            it.send_signal(signal.SIGHUP)
+            while b"RELOADING=1" not in said or said[-1] != b"READY=1":
+                said.append(manager.recv(1000).partition(b"\n")[0])
+            it.terminate()
+            assert it.wait(20.0) == 0
+            words = it.stderr.read()
+    assert said[0] == b"READY=1"
+    assert "cannot be read, by a bug: StopIteration(); please report it; all stays" in words
 
 
 def rate(record, begin, end):

@@ -27,6 +27,11 @@ def setting(unit, key):
     return re.search(rf"^{key}=(.*)$", unit.read_text(), flags=re.MULTILINE)[1]
 
 
+def settings(unit, key):
+    """Give the words of a key that may stand several times."""
+    return re.findall(rf"^{key}=(.*)$", unit.read_text(), flags=re.MULTILINE)
+
+
 def analyze(*arguments):
     tool = shutil.which("systemd-analyze")
     if tool is None:
@@ -71,6 +76,15 @@ def test_little_is_left_to_whoever_breaks_in(tmp_path, unit):
     path.write_text(unit.read_text())
     _, words = analyze("security", "--offline=true", path)
     assert float(re.search(r"Overall exposure level for \S+: ([\d.]+)", words)[1]) <= EXPOSURE
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.name)
+def test_ports_on_usb_may_be_opened_whenever_they_are_plugged_in(unit):
+    """systemd.resource-control(5): groups are looked up in /proc/devices once, at the start."""
+    assert "char-tty* rw" in settings(unit, "DeviceAllow")
+    for module in ("cdc_acm", "usbserial"):  # ttyACM, and ttyUSB of every make
+        for key in ("Wants", "After"):
+            assert f"modprobe@{module}.service" in " ".join(settings(unit, key)).split()
 
 
 @pytest.mark.parametrize("unit", UNITS, ids=lambda path: path.name)

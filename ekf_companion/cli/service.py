@@ -13,6 +13,7 @@ import yaml
 from ekf_companion.cli.terminal import ConfigOption, load, sentences
 from ekf_companion.config import Config, describe_config, load_config
 from ekf_companion.errors import ConfigError
+from ekf_companion.place import complaint
 
 
 def run(
@@ -56,5 +57,10 @@ def check_config(
 ) -> None:
     """Check a configuration and print it with all its defaults."""
     with sentences():
-        effective = describe_config(load_config(config))
+        read = load_config(config)
+        places = (("record.path", read.record.path), ("checkpoint.file", read.checkpoint.file))
+        missing = [words for key, name in places if name and (words := complaint(key, name))]
+        effective = describe_config(read)
+    for words in missing:
+        typer.echo(f"ekf-companion: {words}; the daemon would run without it", err=True)
     typer.echo(yaml.safe_dump(dict(effective), sort_keys=False), nl=False)
