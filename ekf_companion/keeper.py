@@ -173,8 +173,10 @@ class Slot:
                 )
                 return False
             self._load()
+            is_there = self._beside.exists()
             self._beside.touch()
-            self._beside.unlink()
+            if not is_there:
+                self._beside.unlink()
         except OSError as error:
             self._complain(error)
         return True
