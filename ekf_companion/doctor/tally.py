@@ -23,6 +23,7 @@ class Tally:
         self.answer = ""
         self._asking = 0.0
         self.last_ns: int | None = None
+        self._is_anew = False
         self._steps = 0
         self._active_ns = 0
 
@@ -30,6 +31,9 @@ class Tally:
         """Count one of so many bytes."""
         self.count += 1
         self.bytes += size
+        if self._is_anew:
+            self._steps = self._active_ns = 0
+            self.last_ns, self._is_anew = None, False
         if self.last_ns is not None and 0 <= now_ns - self.last_ns <= PAUSE_NS:
             self._steps += 1
             self._active_ns += now_ns - self.last_ns
@@ -49,9 +53,8 @@ class Tally:
         self.restart()
 
     def restart(self) -> None:
-        """Measure the rate anew: somebody has just set it."""
-        self._steps = self._active_ns = 0
-        self.last_ns = None
+        """Measure the rate anew, if more comes: somebody has just set it."""
+        self._is_anew = True
 
     def rate(self, now_ns: int | None = None) -> float:
         """Give the rate while it came, Hz; 0: it comes no more at the time given."""

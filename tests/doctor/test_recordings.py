@@ -1,4 +1,4 @@
-"""The recording of a daemon that went on from a checkpoint, and so asked before a heartbeat."""
+"""Recordings that begin before the autopilot's heartbeat, or end after it was switched off."""
 
 from ekf_companion.checkpoint import Clocks
 from ekf_companion.companion import Companion
@@ -38,6 +38,36 @@ def recorded(system_id):
     return record
 
 
+def diagnosed(record):
+    witness = Witness(SLOW, Means.RECORDING)
+    for stamp_us, raw in record:
+        witness.receive(raw, stamp_us * 1000)
+        witness.data_to_send(stamp_us * 1000)
+    return witness.evidence(record[-1][0] * 1000)
+
+
+def test_an_autopilot_switched_off_before_the_board_sent_what_it_sent():
+    sim = simulated(system_id=1)
+    autopilot, companion, record = Autopilot(sim), Companion(SLOW, is_recording=True), []
+    for cycle in Flight.plan("hover", sim, duration=10.0).cycles():
+        now_ns = cycle.t_ns
+        autopilot.cycle(cycle)
+        companion.receive(b"".join(autopilot.data_to_send()), now_ns)
+        companion.tick(now_ns)
+        autopilot.receive(b"".join(companion.data_to_send()), now_ns)
+        record += companion.session.take_record()
+    asked = len(record)
+    for _ in range(300):
+        now_ns += 50_000_000
+        companion.tick(now_ns)
+        record += companion.session.take_record()
+    said = [frame.message_id for _, raw in record[asked:] for frame in Splitter().feed(raw)]
+    assert IDS["COMMAND_LONG"] in said  # it is asked again when it falls silent
+    evidence = diagnosed(record)
+    assert [f.stage.value for f in diagnose(evidence) if f.mark is Mark.FAILED] == []
+    assert evidence.messages["HIGHRES_IMU"].rate > 90.0
+
+
 def test_what_was_answered_before_the_first_heartbeat_is_heard():
     for system_id in (1, 7):
         record = recorded(system_id)
@@ -49,11 +79,7 @@ def test_what_was_answered_before_the_first_heartbeat_is_heard():
         ]
         assert ids.index(IDS["COMMAND_ACK"]) < heartbeats[0]
 
-        witness = Witness(SLOW, Means.RECORDING)
-        for stamp_us, raw in record:
-            witness.receive(raw, stamp_us * 1000)
-            witness.data_to_send(stamp_us * 1000)
-        evidence = witness.evidence(record[-1][0] * 1000)
+        evidence = diagnosed(record)
         assert evidence.messages["HIGHRES_IMU"].answer == "accepted"
         assert evidence.messages["HIGHRES_IMU"].asked == 100.0
         assert [f.stage.value for f in diagnose(evidence) if f.mark is Mark.FAILED] == []
