@@ -24,6 +24,7 @@ from ekf_companion.mavlink.session import RATES, Session, SessionOptions
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.measurements import ImuSample, Measurement
+from ekf_companion.nav.state import Status
 from ekf_companion.pipeline import Arrival, Pipeline
 from ekf_companion.publisher import (
     STREAMS,
@@ -37,6 +38,8 @@ from ekf_companion.tuning import Tuning, parameters
 
 _log = logging.getLogger(__name__)
 
+UNFED_NS = 2 * SECOND_NS
+"""Without an inertial sample for so long, our heartbeat says no more how the last estimate was."""
 SILENCE_NS = 10 * SECOND_NS
 """Without an autopilot for so long, a human should look: it sends its heartbeat once a second."""
 
@@ -113,6 +116,7 @@ class Companion:
         self._bulletin = Bulletin(self.session.statustext)
         self._family = Family.UNKNOWN
         self._begin_ns: int | None = None
+        self._estimated_ns: int | None = None
         self._bytes = 0
         self._has_complained = False
         self._offer()
@@ -134,6 +138,9 @@ class Companion:
         self._heed_events(now_ns)
         self._bulletin.tick(now_ns)
         self._complain(now_ns)
+        if self._estimated_ns is not None and now_ns - self._estimated_ns > UNFED_NS:
+            self._estimated_ns = None
+            self.session.set_state(encode.SYSTEM_STATUS[Status.INIT], Status.INIT)
 
     def data_to_send(self) -> list[bytes]:
         """Give what is to be sent, and forget it."""
@@ -163,6 +170,7 @@ class Companion:
             self._resumption.resume(self.pipeline, measurement.t_ns, now_ns)
         if self.pipeline.process(measurement) is not Arrival.ESTIMATED:
             return
+        self._estimated_ns = now_ns
         health = self._publisher.publish(lambda name, payload: self._send(name, payload, now_ns))
         if health is not None:
             self._bulletin.report(health, self.session.decoder.imu_source)
@@ -199,7 +207,14 @@ class Companion:
         if now_ns - self._begin_ns < SILENCE_NS:
             return
         self._has_complained = True
-        if self._bytes:
+        if refused := self.session.admission.refused:
+            why, count = refused.most_common(1)[0]
+            _log.warning(
+                "No heartbeat of an autopilot was let in: %d frames: %s; see docs/LINK.md",
+                count,
+                why,
+            )
+        elif self._bytes:
             _log.warning(
                 "No heartbeat of an autopilot in %d bytes; check the baud rate and link.autopilot",
                 self._bytes,

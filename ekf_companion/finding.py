@@ -15,7 +15,7 @@ import msgspec
 
 from ekf_companion.nav.state import Status
 from ekf_companion.progress import BARREN_S
-from ekf_companion.snapshot import OutputState, Snapshot
+from ekf_companion.snapshot import LinkState, OutputState, Snapshot
 
 STALL_S = 2.0
 """The filter's task goes round ten times a second at least."""
@@ -53,6 +53,8 @@ def judge(snapshot: Snapshot) -> Finding:
     if health is not None:
         words = f"ok: the estimate is {health.status.name}"
     if silence := _silence(snapshot):
+        if health is not None and snapshot.sample_age_s > SILENCE_S:
+            words = f"ok: no estimate, the last was {health.status.name}"
         return Finding(True, f"{words}; {silence}")
     if health is not None:
         words += f", {snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output)}"
@@ -94,9 +96,12 @@ def _silence(snapshot: Snapshot) -> str:
         why = f" ({link.failure})" if link.failure else ""
         return f"the link {link.url} is closed{why}: check the device or the host that it names"
     if math.isnan(link.silent_s):
-        return "not a byte has come over the link: check the wire, the port and the rate"
+        return f"not a byte has come over the link: check {_other_end(link)}"
     if link.silent_s > SILENCE_S:
-        return f"the link has been silent for {link.silent_s:.1f} s: check the wire"
+        return f"the link has been silent for {link.silent_s:.1f} s: check {_other_end(link)}"
+    if peer is None and snapshot.frames.refused:
+        why, count = max(snapshot.frames.refused.items(), key=lambda entry: entry[1])
+        return f"no autopilot has been let in: {count} frames: {why}; see docs/LINK.md"
     if peer is None:
         return "no autopilot has been heard: check the baud rate and link.autopilot"
     if not peer.is_heard:
@@ -106,6 +111,12 @@ def _silence(snapshot: Snapshot) -> str:
     if snapshot.sample_age_s > SILENCE_S:
         return f"no inertial sample has come for {snapshot.sample_age_s:.1f} s"
     return ""
+
+
+def _other_end(link: LinkState) -> str:
+    if link.url.startswith("serial:"):
+        return "the wire, the port and the baud rate"
+    return "that the other end sends here, its address and port"
 
 
 def to_plain(value: Any) -> Any:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from ekf_companion.companion import SILENCE_NS, Companion
-from ekf_companion.config import Config, OdometryConfig, OutputConfig
+from ekf_companion.config import Config, LinkConfig, OdometryConfig, OutputConfig
 from ekf_companion.core.settings import GateSettings
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Splitter
@@ -145,6 +145,29 @@ def test_a_reboot_is_said_and_the_estimate_begins_anew(caplog):
     assert not named("ODOMETRY", again)
     assert {m.system_status for m in named("HEARTBEAT", again)} <= {2, 4}
     assert named("COMMAND_LONG", again)
+
+
+def test_a_heartbeat_says_no_more_how_an_old_estimate_was():
+    """Two seconds after the last inertial sample; and again how it is, once they come again."""
+    flight = list(cycles(12.0))
+    companion, half = Companion(STREAMING), len(flight) // 2
+    assert named("HEARTBEAT", converse(companion, flight[:half]))[-1].custom_mode == 3
+    last_ns, said = flight[half - 1][0], []
+    for k in range(1, 60):
+        companion.tick(last_ns + k * SECOND_NS // 10)
+        said += messages(companion)
+    assert [m.custom_mode for m in named("HEARTBEAT", said)][-3:] == [0, 0, 0]
+    later = [(t_ns + SECOND_NS, data) for t_ns, data in flight[half:]]
+    assert named("HEARTBEAT", converse(companion, later))[-1].custom_mode in (3, 4)
+
+
+def test_whom_nobody_lets_in_is_missed_for_that_reason(caplog):
+    companion = Companion(Config(link=LinkConfig(allow_systems=[9])))
+    for t_ns, data in cycles(1.0):
+        companion.receive(data, t_ns)
+        companion.tick(t_ns)
+    companion.tick(t_ns + SILENCE_NS)
+    assert "frames: system is not in link.allow_systems; see docs/LINK.md" in caplog.text
 
 
 def test_the_last_heartbeat_says_goodbye():

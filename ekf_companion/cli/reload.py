@@ -15,8 +15,8 @@ from ekf_companion.cli.status import NOBODY, URL, fetch
 
 PATIENCE = 5.0
 """Seconds that reading a configuration may take."""
-REFUSED = 1
-"""Exit code."""
+FAILED, WRONG = 1, 2
+"""Exit codes: it was not done, or the configuration is wrong."""
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _LISTENS = "0A"
 
@@ -39,7 +39,7 @@ def reload(
         os.kill(pid, signal.SIGHUP)
     except PermissionError:
         _end(
-            REFUSED,
+            FAILED,
             f"process {pid} is another user's; run: sudo systemctl reload ekf-companion",
         )
     except ProcessLookupError:
@@ -49,9 +49,9 @@ def reload(
         now = fetch(url).data
         if now and now["reload"]["count"] > before.data["reload"]["count"]:
             words = str(now["reload"]["words"])
-            _end(REFUSED if words.endswith("as it was") else 0, words)
+            _end(WRONG if words.endswith("as it was") else 0, words)
         time.sleep(0.1)
-    _end(REFUSED, f"process {pid} has not reloaded within {PATIENCE:g} s; see its log")
+    _end(FAILED, f"process {pid} has not reloaded within {PATIENCE:g} s; see its log")
 
 
 def _answers(pid: int, url: str) -> bool:
