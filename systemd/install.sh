@@ -42,19 +42,25 @@ check() {
 }
 
 # The unit's ProtectHome= hides these. What stands under DESTDIR is for elsewhere, and is not looked at
-refuse_home() {
-    case $2/ in
-    /home/* | /root/* | /run/user/*) fail "$1: is in $2, and the service sees nobody's home; $3" ;;
+is_hidden() {
+    case $1/ in
+    /home/* | /root/* | /run/user/*) ;;
+    *) return 1 ;;
     esac
 }
 
 check_homes() {
-    refuse_home "PREFIX=$prefix" "$(readlink -f "$prefix" || echo "$prefix")" "name a folder elsewhere"
+    real=$(readlink -f "$prefix" || echo "$prefix")
+    hides="and the service sees nobody's home"
+    ! is_hidden "$real" || fail "PREFIX=$prefix: is in $real, $hides; name a folder elsewhere"
     python=${PYTHON:-python3}
     "$place/bin/python" -c '' 2> /dev/null && python=$place/bin/python
     # The environment leans on the Python that made it
     home=$("$python" -c 'import os, sys; print(os.path.realpath(sys.base_prefix))')
-    refuse_home "PYTHON=$python" "$home" "name one of the system's, as in PYTHON=/usr/bin/python3"
+    is_hidden "$home" || return 0
+    words="PYTHON=$python: is in $home, $hides; name one of the system's, as in PYTHON=/usr/bin/python3"
+    ! is_live || fail "$words"
+    echo "$0: $words" >&2
 }
 
 install_program() {
@@ -69,6 +75,7 @@ install_program() {
         rm -f "$built"/src/ekf_companion/core/*.c "$built"/src/ekf_companion/core/*.so
         $pip wheel ${PIP_FLAGS:-} --no-deps --wheel-dir "$built" "$built/src"
     else
+        [ -f "$WHEEL" ] || fail "WHEEL=$WHEEL: there is no such file; make wheel makes one in dist/"
         cp "$WHEEL" "$built"
     fi
     # The same version may have changed inside; what it needs stays as it is where it will do

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -78,7 +79,8 @@ def test_where_nothing_answers_the_exit_code_is_4_with_the_remedy():
 def test_an_address_that_is_none_is_nobody(url):
     result = status("--url", url)
     assert result.exit_code == 4
-    assert result.stderr.startswith(f"ekf-companion: {url.rstrip('/')}/status: ")
+    assert re.match(rf"ekf-companion: (--url: )?{re.escape(url.rstrip('/'))}", result.stderr)
+    assert ("is no address; write it as in http:" in result.stderr) == (not url.startswith("http:"))
 
 
 @pytest.mark.parametrize("code", [200, 404, 503])

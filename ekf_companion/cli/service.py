@@ -33,8 +33,14 @@ def run(
     """Run the daemon until SIGTERM."""
     from ekf_companion import journal, service
 
+    has_started = False
+
     def read() -> Config:
         """Give the file's configuration with what the command line says of it."""
+        nonlocal has_started
+        if has_started and config is None:
+            raise ConfigError("the daemon was started without --config: no file could have changed")
+        has_started = True
         settings = load(config)
         if link is not None:
             settings = replace(settings, link=replace(settings.link, url=link))

@@ -54,6 +54,8 @@ def fetch(url: str) -> Heard:
     from urllib.request import ProxyHandler, build_opener
 
     where = f"{url.rstrip('/')}/status"
+    if not url.startswith(("http://", "https://")):
+        return Heard(NOBODY, f"--url: {url}: is no address; write it as in {URL}", {})
     try:
         # No proxy: what is asked is this board, or one beside it
         with build_opener(ProxyHandler({})).open(where, timeout=TIMEOUT) as answer:
