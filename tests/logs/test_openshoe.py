@@ -89,6 +89,16 @@ def test_without_times_the_rate_is_taken_and_said(read):
     assert recording.notes == ("no times of the host: samples taken to be 250 per second",)
 
 
+def test_damaged_times_that_run_on_for_centuries_are_none(read):
+    times = np.arange(1200) * 0.004 + np.repeat([1.3e9, 9.2e9, 1.3e9, 9.2e9], 300)
+    lines = "".join(
+        ROW.format(sum="0x1377", number=k + 1, time=f"{time:.6f}") for k, time in enumerate(times)
+    )
+    t_ns = read(HEAD + lines).events.t_ns
+    assert t_ns.max() < 9e18
+    assert (np.diff(t_ns) > 0).all()
+
+
 @pytest.mark.parametrize("text", ["hello\n", "\x00\xff\x01", "1,2,3\n4,5,6\n"])
 def test_other_text_is_refused(read, text):
     with pytest.raises(LogError, match=r"no line begins with 0xcb, so this is no OpenShoe"):
