@@ -132,8 +132,8 @@ def _clock(times: np.ndarray) -> tuple[np.ndarray, bool, int]:
         before, after = known[max(cut - FEW, 0) : cut], known[cut : cut + FEW]
         gone = np.median(times[after] - step * after) - np.median(times[before] - step * before)
         stamps[known[cut] :] += gone
-    if np.abs(stamps).max() > EPOCH[1] - EPOCH[0]:
-        return index * NOMINAL, False, 0  # no host was ever off for so long
+    if not (np.diff(stamps) > 0.0).all() or np.abs(stamps).max() > EPOCH[1] - EPOCH[0]:
+        return index * NOMINAL, False, 0  # no clock goes so
     return stamps, True, len(holes)
 
 
