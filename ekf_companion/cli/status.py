@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
-import time
+from contextlib import nullcontext
+from threading import Event
 from typing import Annotated, Any, NamedTuple
 
 import typer
@@ -39,10 +41,10 @@ def status(
     watch: Annotated[bool, typer.Option("--watch", help="Look again every second.")] = False,
 ) -> None:
     """Show how the daemon is: 0 healthy, 1 it answers but is not, 4 nothing answers."""
-    heard = fetch(url)
     if watch:
         heard = _watch(url, as_json)
     else:
+        heard = fetch(url)
         _print(heard, as_json)
     raise typer.Exit(heard.code)
 
@@ -95,20 +97,22 @@ def _watch(url: str, as_json: bool) -> Heard:
     from rich.live import Live
     from rich.text import Text
 
-    heard = fetch(url)
+    # No exception ends it: one that comes in a finaliser is lost
+    stop = Event()
+    before = signal.signal(signal.SIGINT, lambda *_: stop.set())
+    has_screen = not as_json and Console().is_terminal
     try:
-        while as_json or not Console().is_terminal:
-            if as_json:
-                typer.echo(json.dumps(heard.data or {"words": heard.words}))
-            else:
-                _print(heard, as_json)
-                sys.stdout.flush()
-            time.sleep(PERIOD)
-            heard = fetch(url)
-        with Live(auto_refresh=False) as live:
+        with Live(auto_refresh=False) if has_screen else nullcontext() as live:
             while True:
-                live.update(view(heard.data) if heard.data else Text(heard.words), refresh=True)
-                time.sleep(PERIOD)
                 heard = fetch(url)
-    except KeyboardInterrupt:
-        return heard
+                if live is not None:
+                    live.update(view(heard.data) if heard.data else Text(heard.words), refresh=True)
+                elif as_json:
+                    typer.echo(json.dumps(heard.data or {"words": heard.words}))
+                else:
+                    _print(heard, as_json)
+                    sys.stdout.flush()
+                if stop.wait(PERIOD):
+                    return heard
+    finally:
+        signal.signal(signal.SIGINT, before)
