@@ -65,7 +65,8 @@ def test_the_reference_keeps_a_covariance():
     assert np.linalg.eigvalsh(reference.P).min() > 0.0
 
 
-def test_the_daemon_answers_what_the_benchmark_sends():
+def test_the_daemon_answers_what_the_benchmark_sends(monkeypatch):
+    monkeypatch.setattr(daemon, "WARM_UP", 2.5)
     results = {
         result.name: result for result in daemon.measure(duration=1.0, starts=1, sustained=1.0)
     }
