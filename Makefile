@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 KERNEL := $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore lint types contracts check demo bench accuracy filters fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
+.PHONY: setup test explore lint types contracts check demo bench bits accuracy filters fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -42,6 +42,10 @@ demo: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.run
+
+# Whether a refactoring has changed a bit of any estimate, message or status; five minutes
+bits: $(STAMP)
+	$(BIN)/python -m benchmarks.bits check
 
 accuracy: $(STAMP)
 	$(BIN)/python -m benchmarks.accuracy
