@@ -25,8 +25,8 @@ from benchmarks import (
     seed,
 )
 from benchmarks.cases import AUTOPILOT, POOR, TRUTH, Case, estimate
-from ekf_companion import compare
-from ekf_companion.compare import Score, Spread
+from ekf_companion.analysis import score
+from ekf_companion.analysis.score import Score, Spread
 from ekf_companion.errors import CompanionError
 from ekf_companion.logs.estimate import to_trajectory
 from ekf_companion.nav.state import COLUMNS
@@ -52,9 +52,9 @@ def scores(data: Path, case: Case) -> list[Score]:
     assert against is not None, f"{case.log} holds nothing to compare with"
     skip = case.skip if case.skip is not None else 20.0 if truth is None else 30.0
     end = None if case.until is None else int(ours.att_t_ns[0]) + round(case.until * 1e9)
-    result = [compare.score(ours, against, skip, end_ns=end)]
+    result = [score.score(ours, against, skip, end_ns=end)]
     if truth is not None and own is not None:
-        result.append(compare.score(own, truth, 0.0, start_ns=result[0].start_ns, end_ns=end))
+        result.append(score.score(own, truth, 0.0, start_ns=result[0].start_ns, end_ns=end))
     return result
 
 
@@ -81,7 +81,7 @@ def printed(data: Path) -> Iterator[str]:
     for case in (*AUTOPILOT, *TRUTH):
         if _is_there(data, case.log):
             yield from (f"`{case.command}`", "", "```")
-            yield from compare.table(scores(data, case))
+            yield from score.table(scores(data, case))
             yield from ("```", "")
 
 

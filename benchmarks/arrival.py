@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from benchmarks.campaign import Flown, Snapshot, each, errors, fly, pieces, roster
 from benchmarks.consistency import settings_of
+from ekf_companion.engine.health import Arrival
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.pipeline import Arrival, Pipeline
 
 Array = npt.NDArray[np.float64]
 

@@ -31,22 +31,22 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.board import Board
+from ekf_companion.config.config import Config
+from ekf_companion.daemon.reception import hear
 
 # What follows is all that a refactoring may have to change here
-from ekf_companion.checkpoint import Clocks
-from ekf_companion.companion import Companion
-from ekf_companion.config import Config
-from ekf_companion.convert import convert, estimate, estimate_and_smooth
-from ekf_companion.convert import read as read_recording
+from ekf_companion.engine.checkpoint import Clocks
+from ekf_companion.engine.companion import Companion
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import CompanionError
-from ekf_companion.link import Link, Received
 from ekf_companion.link.address import parse_url
+from ekf_companion.link.link import Link, Received
 from ekf_companion.logs import tlog
-from ekf_companion.observer import Observer
-from ekf_companion.pipeline import Pipeline
-from ekf_companion.reception import hear
-from ekf_companion.selection import FILTERS, run_filter
+from ekf_companion.replay.convert import convert, estimate, estimate_and_smooth
+from ekf_companion.replay.convert import read as read_recording
+from ekf_companion.replay.filters_by_name import FILTERS, run_filter
+from ekf_companion.status.host import Board
+from ekf_companion.status.observer import Observer
 from sim_autopilot.config import SimConfig
 from sim_autopilot.faults.fault import KINDS, VARIETY, parse
 from sim_autopilot.firmware import PERSONALITIES

@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from ekf_companion.core import layout as at
+from ekf_companion.core import state as at
 from ekf_companion.core.settings import FilterSettings, delays_ns, imu_lag
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Table
-from ekf_companion.pipeline import Pipeline
 from sim_autopilot import events as wire
 from sim_autopilot.config import CompassConfig, GnssConfig, ImuConfig, SimConfig
 from sim_autopilot.flight import Flight

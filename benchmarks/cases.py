@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ekf_companion import convert
-from ekf_companion.config import Config
+from ekf_companion.config.config import Config
 from ekf_companion.core.settings import HeadingSettings
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import merge
 from ekf_companion.nav.state import Table, Trajectory
-from ekf_companion.source import READERS, open_source
-from ekf_companion.source import parts as parts_of
+from ekf_companion.replay import convert
+from ekf_companion.replay.log_source import READERS, open_source
+from ekf_companion.replay.log_source import parts as parts_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

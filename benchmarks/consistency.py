@@ -28,9 +28,9 @@ from benchmarks.campaign import (
     pieces,
 )
 from benchmarks.matched import matched
-from ekf_companion.core import layout as at
+from ekf_companion.core import state as at
 from ekf_companion.core.settings import FilterSettings
-from ekf_companion.pipeline import Aid, Health, Verdict
+from ekf_companion.engine.health import Aid, Health, Verdict
 
 Array = npt.NDArray[np.float64]
 

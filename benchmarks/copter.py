@@ -10,10 +10,10 @@ import numpy.typing as npt
 from pymavlink.DFReader import DFReader_binary
 
 from benchmarks.cases import COPTER, NETHERLANDS, NO_GNSS, estimate
-from ekf_companion import source
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Table, Trajectory
+from ekf_companion.replay import log_source
 
 Array = npt.NDArray[np.float64]
 
@@ -130,7 +130,7 @@ def _copter(path: Path) -> tuple[Events, Table, Trajectory]:
 
 
 def _events(path: Path, kind: Kind) -> Events:
-    events: Events = source.READERS[path.suffix](path).events
+    events: Events = log_source.READERS[path.suffix](path).events
     return events.take(events.kind == kind)
 
 

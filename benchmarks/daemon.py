@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.result import Result
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Frame, Splitter
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import ImuConfig, SimConfig
 from sim_autopilot.flight import Flight

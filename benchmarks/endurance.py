@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ekf_companion.core import layout as at
+from ekf_companion.core import state as at
 from ekf_companion.core.settings import FilterSettings
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.pipeline import Pipeline
 from sim_autopilot import events as wire
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight

@@ -11,13 +11,13 @@ import numpy.typing as npt
 from benchmarks import seed
 from benchmarks.seed_flight import FOLDER, NAMES, rmse, truth
 from ekf_companion.core.settings import FilterSettings
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.filters import euler, euler_article, iterated
 from ekf_companion.filters.course import Course, run
 from ekf_companion.filters.euler_article import Constants
 from ekf_companion.logs import csv
 from ekf_companion.nav.earth import SIMULATED
 from ekf_companion.nav.state import Table
-from ekf_companion.pipeline import Pipeline
 
 Array = npt.NDArray[np.float64]
 

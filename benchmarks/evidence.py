@@ -11,13 +11,13 @@ import numpy.typing as npt
 from pyulog import ULog
 
 from benchmarks.cases import AUTOPILOT, HOVER, TRUTH, estimate
-from ekf_companion import source
+from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.errors import LogError
 from ekf_companion.nav import so3
 from ekf_companion.nav.magnetic import magnetic_field
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Table, Trajectory
-from ekf_companion.pipeline import Aid, Verdict
+from ekf_companion.replay import log_source
 
 Array = npt.NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def magnetometers(data: Path) -> Iterator[str]:
 
 
 def _field(path: Path) -> str:
-    events = source.READERS[path.suffix](path).events
+    events = log_source.READERS[path.suffix](path).events
     table = estimate(path)[0]
     fixes, samples = (events.take(events.kind == kind) for kind in (Kind.GNSS, Kind.MAG))
     lat, lon = np.median(fixes.values[:, :2], axis=0)

@@ -17,12 +17,13 @@ from benchmarks.accuracy import DATA, insert
 from benchmarks.campaign import RECEIVERS, SCENARIOS, each, fly
 from benchmarks.cases import TRUTH
 from benchmarks.matched import matched
-from ekf_companion import contest, convert
-from ekf_companion.config import Config
-from ekf_companion.contest import Entry
+from ekf_companion.analysis import comparison
+from ekf_companion.analysis.comparison import Entry
+from ekf_companion.config.config import Config
 from ekf_companion.logs.estimate import read_truth
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.state import Trajectory
+from ekf_companion.replay import convert
 from sim_autopilot.flight import Flight
 
 NAVIGATORS = ("eskf", "euler", "iterated", "iterated:robocentric", "ukf")
@@ -90,8 +91,8 @@ def without(data: Path) -> Iterator[str]:
         yield from (f"**{case.title}**", "")
         rows = []
         for title, settings in cases.items():
-            entries = contest.hold(recording, ["eskf"], settings)
-            rows += contest.judge(entries, recording.truth, SKIP, None)
+            entries = comparison.hold(recording, ["eskf"], settings)
+            rows += comparison.judge(entries, recording.truth, SKIP, None)
             rows[-1] = replace(rows[-1], name=title)
         yield from _table(rows)
         yield ""
@@ -119,8 +120,8 @@ def attitude(data: Path) -> Iterator[str]:
             continue
         recording = convert.read(data / log, Config())
         assert recording.truth is not None
-        entries = contest.hold(recording, ATTITUDES, Config())
-        judged = contest.judge(entries, recording.truth, 0.0, None, recording.counted)
+        entries = comparison.hold(recording, ATTITUDES, Config())
+        judged = comparison.judge(entries, recording.truth, 0.0, None, recording.counted)
         cells = [" / ".join(f"{value:.2f}" for value in one.rms.values()) for one in judged]
         yield f"| {title} | {' | '.join(cells)} |"
 
@@ -133,7 +134,7 @@ def walks(data: Path) -> Iterator[str]:
         if not (data / log).is_file():
             print(f"{log}: absent, left out")
             continue
-        entries = contest.hold(convert.read(data / log, Config()), WALKERS, Config())
+        entries = comparison.hold(convert.read(data / log, Config()), WALKERS, Config())
         cells = [
             f"{one.rms['closure on the ground']:.3f} / {one.rms['closure in space']:.3f}"
             for one in entries
@@ -163,8 +164,8 @@ def fly_all(job: tuple[str, int, str]) -> list[Entry]:
     flown = fly(*job, DURATION)
     settings = matched(flown.nominal, DELAY_STD, HARD_IRON_STD)
     recording = Recording(family="unknown", events=flown.events)
-    entries = contest.hold(recording, NAVIGATORS, settings)
-    judged = contest.judge(entries, _truth(flown.flight), SKIP, None)
+    entries = comparison.hold(recording, NAVIGATORS, settings)
+    judged = comparison.judge(entries, _truth(flown.flight), SKIP, None)
     return [
         Entry(name=e.name, solution=None, trajectory=None, us=e.us, rms=e.rms, nees=e.nees)
         for e in judged
@@ -190,7 +191,7 @@ def _truth(flight: Flight) -> Trajectory:
 def _judged(
     recording: Recording, names: Sequence[str], truth: Trajectory, skip: float = SKIP
 ) -> list[Entry]:
-    return contest.judge(contest.hold(recording, names, Config()), truth, skip, None)
+    return comparison.judge(comparison.hold(recording, names, Config()), truth, skip, None)
 
 
 def _mean(entries: Sequence[Entry]) -> Entry:

@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ekf_companion.companion import Companion
-from ekf_companion.config import Config
-from ekf_companion.core import layout as at
+from ekf_companion.config.config import Config
+from ekf_companion.core import state as at
+from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink.codec import Sender
-from ekf_companion.mavlink.layout import LAYOUTS, Layout
+from ekf_companion.mavlink.messages import LAYOUTS, Layout
 from ekf_companion.nav.state import Status
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import SimConfig

@@ -30,9 +30,9 @@ LARGEST = 100_000
 
 with atheris.instrument_imports(include=["ekf_companion.mavlink", "ekf_companion.logs"]):
     from benchmarks.fuzz import Patient, honest
-    from ekf_companion.config import Config
-    from ekf_companion.convert import read
+    from ekf_companion.config.config import Config
     from ekf_companion.errors import LogError
+    from ekf_companion.replay.convert import read
     from sim_autopilot.autopilot import Autopilot
     from sim_autopilot.config import SimConfig
     from sim_autopilot.flight import Flight

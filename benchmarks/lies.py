@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from benchmarks.campaign import Flown, each, fly, pieces, position_errors, roster
 from benchmarks.consistency import settings_of
+from ekf_companion.engine.health import Aid, Health, Verdict
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind
 from ekf_companion.nav.state import Status
-from ekf_companion.pipeline import Aid, Health, Verdict
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

@@ -8,8 +8,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.result import Result
-from ekf_companion.config import Config
-from ekf_companion.convert import convert
+from ekf_companion.config.config import Config
+from ekf_companion.replay.convert import convert
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight

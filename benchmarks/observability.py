@@ -10,10 +10,10 @@ from pathlib import Path
 
 from benchmarks import seed, seed_flight
 from benchmarks.accuracy import DATA
+from ekf_companion.analysis.observability import Observability, analyse
+from ekf_companion.analysis.observability_figure import plot
+from ekf_companion.analysis.observability_report import lines
 from ekf_companion.filters.course import Course
-from ekf_companion.filters.observability import Observability, analyse
-from ekf_companion.filters.observability_report import lines
-from ekf_companion.observability_figure import plot
 
 
 def of_seed(data: Path) -> Observability:

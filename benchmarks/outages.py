@@ -22,7 +22,7 @@ from benchmarks.campaign import (
 )
 from benchmarks.cases import MISSION, TRUTH, recorded
 from benchmarks.consistency import KINDS, settings_of
-from ekf_companion.core import layout as at
+from ekf_companion.core import state as at
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Trajectory

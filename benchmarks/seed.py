@@ -13,8 +13,8 @@ from benchmarks.campaign import PROCESSES, each
 from benchmarks.seed_flight import Draw, Place, Truth
 from benchmarks.seed_reference import Compass, Reference
 from ekf_companion.core.settings import FilterSettings, GnssSettings, HeadingSettings, ImuSettings
-from ekf_companion.pipeline import Pipeline
-from ekf_companion.smoothing import smooth
+from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.replay.smoothing import smooth
 
 Array = npt.NDArray[np.float64]
 

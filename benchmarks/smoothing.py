@@ -22,7 +22,7 @@ from ekf_companion.core.settings import (
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.state import Table, Trajectory, join
-from ekf_companion.smoothing import Smoothing
+from ekf_companion.replay.smoothing import Smoothing
 from sim_autopilot import events as wireless
 from sim_autopilot.config import ImuConfig, SimConfig
 from sim_autopilot.flight import Flight

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.fuzz import resident_mb
-from ekf_companion.companion import Companion
-from ekf_companion.config import Config
+from ekf_companion.config.config import Config
+from ekf_companion.engine.companion import Companion
 from ekf_companion.nav import so3
 from sim_autopilot.autopilot import Received
 from sim_autopilot.config import SimConfig

@@ -11,10 +11,10 @@ import numpy.typing as npt
 from benchmarks import flights
 from benchmarks.reference import Reference
 from benchmarks.result import Result
-from ekf_companion.checkpoint import Checkpoint, Clocks, Sources, Vehicle, encode
+from ekf_companion.engine.checkpoint import Checkpoint, Clocks, Sources, Vehicle, encode
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Events, Kind, Measurement
-from ekf_companion.pipeline import Pipeline
-from ekf_companion.smoothing import Smoothing
+from ekf_companion.replay.smoothing import Smoothing
 from sim_autopilot import events as wireless
 from sim_autopilot.flight import Flight
 

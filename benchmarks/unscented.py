@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from benchmarks.campaign import PROCESSES, each
 from benchmarks.matched import matched
+from ekf_companion.analysis.consistency import Nees, nees
 from ekf_companion.filters import course
-from ekf_companion.filters.consistency import Nees, nees
 from ekf_companion.filters.course import Course, NavigationFilter, Setup
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.iterated import Iterated

@@ -9,19 +9,22 @@ Conventions, stated once
     Units are SI and radians; a suffix marks the exception, at the border only.
     Time is ``int`` nanoseconds: ``t_ns`` on the autopilot's clock, ``now_ns`` on ours.
 
-Rooms
-    nav       the vocabulary: rotations, the Earth, what a sensor said, what is estimated
-    core      the estimator, compiled ahead of time: one step, in order of time
-    mavlink   bytes and times in, measurements out, and back; no socket and no clock
-    logs      one file per recorded format
-    filters   the rivals: one file per filter of the articles that this grew from
-    pipeline  the heart: measurement in, estimate out
-    selection the filters by name, ours and the rivals
-    smoothing the pipeline over a recording, and back
-    calibrate numbers of the configuration, measured from logs
-    checkpoint, resumption        the state as bytes, and who may go on from it
-    link, keeper, keyring, service, convert, contest, cli   the shells, which alone open, await,
-              sleep, print
+Rooms, from the bottom up; imports point down only
+    nav        the vocabulary: rotations, the Earth, what a sensor said, what is estimated
+    core       the estimator, compiled ahead of time: one step, in order of time
+    mavlink    bytes and times in, measurements out, and back; no socket and no clock
+    filters    the filters of the articles that this grew from, one file each
+    logs       one file per recorded format
+    link       serial, UDP and TCP, kept open
+    config     YAML in, frozen settings out
+    engine     one vehicle's estimator on one link, without I/O
+    replay     logs in, estimates out
+    status     one Snapshot: what the status, the metrics and the doctor read
+    calibrate  numbers of the configuration, measured from logs
+    daemon     the shells of the service: loop, files, HTTP, systemd
+    analysis   what one asks of estimates: scores, comparisons, figures
+    doctor     what is wrong on this link, and what to do
+    cli        the commands
 
 As a library: ``open_log`` reads a recording, ``run_filter`` takes a filter through it.
 """
@@ -33,8 +36,8 @@ from typing import TYPE_CHECKING, Any
 from ekf_companion.version import __version__
 
 if TYPE_CHECKING:
-    from ekf_companion.convert import read as open_log
-    from ekf_companion.selection import run_filter
+    from ekf_companion.replay.convert import read as open_log
+    from ekf_companion.replay.filters_by_name import run_filter
 
 __all__ = ["__version__", "open_log", "run_filter"]
 
@@ -42,11 +45,11 @@ __all__ = ["__version__", "open_log", "run_filter"]
 def __getattr__(name: str) -> Any:
     """Import what a library's user asks for, and not before: the daemon starts without it."""
     if name == "open_log":
-        from ekf_companion.convert import read
+        from ekf_companion.replay.convert import read
 
         return read
     if name == "run_filter":
-        from ekf_companion.selection import run_filter
+        from ekf_companion.replay.filters_by_name import run_filter
 
         return run_filter
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -13,7 +13,7 @@ from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import JUNK, Splitter
-from ekf_companion.mavlink.layout import LAYOUTS
+from ekf_companion.mavlink.messages import LAYOUTS
 from sim_autopilot import ardupilot_receiver, px4_receiver
 from sim_autopilot.judgement import History, Judgement, Quantity, Stack
 

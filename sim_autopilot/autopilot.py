@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
-from ekf_companion.mavlink.layout import IDS, LAYOUTS
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from sim_autopilot.config import SimConfig
 from sim_autopilot.firmware import IDEAL
 from sim_autopilot.flight import Cycle

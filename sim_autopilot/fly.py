@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from ekf_companion.errors import CompanionError
-from ekf_companion.link import Link, open_link
+from ekf_companion.link.link import Link, open_link
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.faults.fault import Fault
 from sim_autopilot.flight import Flight

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import JUNK, Splitter
-from ekf_companion.mavlink.layout import IDS, LAYOUTS
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from sim_autopilot.autopilot import SET_MESSAGE_INTERVAL, Kind, Received
 from sim_autopilot.faults.fault import Fault
 from sim_autopilot.flight import Flight

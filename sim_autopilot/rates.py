@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from ekf_companion.mavlink.layout import by_name
+from ekf_companion.mavlink.messages import by_name
 from sim_autopilot.config import SimConfig
 from sim_autopilot.personality import DENIED, Pacing, Personality
 

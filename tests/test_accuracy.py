@@ -5,7 +5,6 @@ whatever its seeds; the instants of one flight depend on each other and count as
 """
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,14 +14,14 @@ from benchmarks import accuracy, arrival, compassless, consistency, lies, outage
 from benchmarks.campaign import DELAY_STD, SCENARIOS, band, errors, fly, nees, pieces
 from benchmarks.matched import matched
 from benchmarks.seed_reference import Reference
-from ekf_companion.core import layout as at
+from ekf_companion.core import state as at
+from ekf_companion.engine.health import Aid
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.pipeline import Aid
+from tests.paths import DATA
 
-FLIGHTS = Path(__file__).parents[2] / "shared" / "data"
 needs_seed = pytest.mark.skipif(
-    not (FLIGHTS / seed_flight.FOLDER).is_dir(), reason="the seed's flight is not here"
+    not (DATA / seed_flight.FOLDER).is_dir(), reason="the seed's flight is not here"
 )
 
 SURE = 0.999
@@ -226,13 +225,13 @@ def test_a_compass_that_was_wrong_at_first_is_mended():
 
 @needs_seed
 def test_the_seeds_flight_is_within_its_limits():
-    found = seed.ours(seed_flight.truth(FLIGHTS), seed_flight.draw_42(FLIGHTS))
+    found = seed.ours(seed_flight.truth(DATA), seed_flight.draw_42(DATA))
     assert (found <= seed.LIMITS).all(), dict(zip(seed_flight.NAMES, found, strict=True))
 
 
 @needs_seed
 def test_the_seeds_recipe_is_understood():
-    motion, drawn = seed_flight.truth(FLIGHTS), seed_flight.draw_42(FLIGHTS)
+    motion, drawn = seed_flight.truth(DATA), seed_flight.draw_42(DATA)
     for said, true, sigma in (
         (drawn.gyro_b, motion.rate_b, seed_flight.GYRO_NOISE),
         (drawn.accel_b, motion.force_b, seed_flight.ACCEL_NOISE),
@@ -246,7 +245,7 @@ def test_the_seeds_recipe_is_understood():
 
 @needs_seed
 def test_the_reference_reaches_its_bound():
-    motion = seed_flight.truth(FLIGHTS)
+    motion = seed_flight.truth(DATA)
     bound = seed.bound(motion, "vector")
     found = [seed.reference(motion, seed_flight.draw(motion, i), "vector") for i in range(3)]
     # the RMSE of one flight varies by 15 % at the most; of three by 9 %
@@ -257,7 +256,7 @@ def test_the_reference_reaches_its_bound():
 
 @needs_seed
 def test_the_bound_falls_with_what_is_measured():
-    motion = seed_flight.truth(FLIGHTS)
+    motion = seed_flight.truth(DATA)
     vector, azimuth = (Reference(motion, which).bound()[-1] for which in ("vector", "azimuth"))
     assert (vector < azimuth + 1e-12).all()
     assert vector[0] < 0.95 * azimuth[0]

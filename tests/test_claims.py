@@ -1,7 +1,5 @@
 """Claims of docs/ACCURACY.md, held to by samples of its campaigns."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,8 +7,8 @@ from benchmarks import compassless, lies, outages
 from benchmarks.campaign import SCENARIOS, band, fly
 from benchmarks.cases import TRUTH
 from benchmarks.consistency import BLOCKS, account
+from tests.paths import DATA
 
-FLIGHTS = Path(__file__).parents[2] / "shared" / "data"
 SEEDS = 12
 SURE = 0.999
 INSTANTS = (60.0, 80.0, 100.0, 119.0)
@@ -38,9 +36,9 @@ def test_position_and_height_are_as_wrong_as_they_say(receiver):
 
 @pytest.mark.parametrize("case", TRUTH, ids=lambda case: case.title)
 def test_the_drift_of_an_outage_in_a_recorded_flight_is_covered(case):
-    if not (FLIGHTS / case.log).is_file():
+    if not (DATA / case.log).is_file():
         pytest.skip("the recorded flights are not here")
-    found = outages.in_recorded((FLIGHTS / case.log, 10.0))
+    found = outages.in_recorded((DATA / case.log, 10.0))
     # the outages of one flight depend on each other: four of five is enough
     assert np.mean([one[2] for one in found]) >= 0.8
     assert np.mean([one[3] for one in found]) >= 0.8

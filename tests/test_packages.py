@@ -1,9 +1,8 @@
 """What a wheel holds."""
 
 import re
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+from tests.paths import ROOT
 
 
 def test_every_package_is_in_the_wheel():

@@ -12,10 +12,11 @@ from typer.testing import CliRunner
 
 from ekf_companion.cli import app
 from sim_autopilot.autopilot import Kind
+from tests.daemon.test_daemon import Daemon, Record, fly_over, free_port, plan
+from tests.paths import ROOT
 from tests.sandbox import confine, numbers
-from tests.test_service import Daemon, Record, fly_over, free_port, plan
 
-FOLDER = Path(__file__).resolve().parent.parent / "systemd"
+FOLDER = ROOT / "systemd"
 PLAIN, INSTANCE = FOLDER / "ekf-companion.service", FOLDER / "ekf-companion@.service"
 UNITS = [PLAIN, INSTANCE]
 DROP_INS = sorted((FOLDER / "drop-ins").iterdir())

@@ -2,9 +2,10 @@
 
 import configparser
 import re
-from pathlib import Path
 
-FOLDER = Path(__file__).resolve().parent.parent / "systemd"
+from tests.paths import ROOT
+
+FOLDER = ROOT / "systemd"
 
 # The udev rule: spelling and order, as udev(7) has them
 

@@ -29,11 +29,11 @@ from scipy.stats import t
 from ekf_companion.calibrate import rest
 from ekf_companion.calibrate.likelihood import Likelihood
 from ekf_companion.core.settings import FilterSettings, delays_ns
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status, Table
-from ekf_companion.pipeline import Pipeline
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]

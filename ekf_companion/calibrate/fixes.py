@@ -12,12 +12,12 @@ from ekf_companion.calibrate import rest
 from ekf_companion.calibrate.rest import Stretch
 from ekf_companion.calibrate.scatter import Scatter, Series, measure
 from ekf_companion.core.settings import FilterSettings, delays_ns
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import STANDARD_GRAVITY, LocalFrame
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind
 from ekf_companion.nav.state import Status, Table
-from ekf_companion.pipeline import Pipeline
 
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.core.settings import FilterSettings
+from ekf_companion.engine.health import Aid, Verdict
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.recording import Recording
-from ekf_companion.pipeline import Aid, Pipeline, Verdict
 
 Array = npt.NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from ekf_companion.config import Config
+from ekf_companion.config.config import Config
 
 Value = float | Sequence[float] | Sequence[Sequence[float]]
 COMMENT_COLUMN = 30

@@ -19,7 +19,7 @@ from ekf_companion.cli.terminal import (
     sentences,
     write_json,
 )
-from ekf_companion.config import Config
+from ekf_companion.config.config import Config
 from ekf_companion.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
@@ -90,8 +90,8 @@ class _Ours:
 
 def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
     """Run the estimator over a log, or read what it has written."""
-    from ekf_companion import convert as converter
     from ekf_companion.logs.estimate import is_estimate, of_table, read_estimate
+    from ekf_companion.replay import convert as converter
 
     if is_estimate(log):
         if is_smoothed:
@@ -125,8 +125,7 @@ def _compare_ours(
     json_file: Path | None,
 ) -> None:
     """Print how far our estimate is from a truth or from the autopilot's."""
-    from ekf_companion import compare as comparer
-    from ekf_companion import figure
+    from ekf_companion.analysis import figure, score
     from ekf_companion.logs.estimate import read_truth
 
     estimate = ours.estimate
@@ -138,7 +137,7 @@ def _compare_ours(
     seconds = skip if skip is not None else 30.0 if truth is not None else 20.0
     begin = int(estimate.att_t_ns[0]) if len(estimate.att_t_ns) else 0
     end = None if until is None else begin + round(until * 1e9)
-    scores = [comparer.score(estimate, against, seconds, end_ns=end)]
+    scores = [score.score(estimate, against, seconds, end_ns=end)]
     has_any = scores[0].horizontal is not None or scores[0].tilt is not None
     if not has_any or scores[0].end_ns <= scores[0].start_ns:
         said = f"after the first {seconds:g} s" + (
@@ -150,8 +149,8 @@ def _compare_ours(
     own = [ours.own] if truth is not None and ours.own is not None else []
     start = scores[0].start_ns
     for rival in (*ours.live, *own):
-        scores.append(comparer.score(rival, against, 0.0, start_ns=start, end_ns=end))
-    for line in comparer.table(scores):
+        scores.append(score.score(rival, against, 0.0, start_ns=start, end_ns=end))
+    for line in score.table(scores):
         typer.echo(line)
     if plot is not None:
         figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
@@ -168,7 +167,7 @@ def _compare_filters(
     json_file: Path | None,
 ) -> None:
     """Take several filters through a log, and print how far off each is."""
-    from ekf_companion import contest, figure, walk
+    from ekf_companion.analysis import comparison, figure, walk_figure
     from ekf_companion.logs.estimate import is_estimate, read_truth
 
     if is_estimate(log):
@@ -177,7 +176,7 @@ def _compare_filters(
     names = [name.strip() for name in filters.split(",") if name.strip()]
     try:
         with bar(f"{log.name}: filters") as progress:
-            entries = contest.hold(recording, names, config, progress)
+            entries = comparison.hold(recording, names, config, progress)
     except LogError as error:
         raise LogError(f"{log}: {error}") from error
     against = recording.truth if recording.truth is not None else recording.reference
@@ -187,11 +186,11 @@ def _compare_filters(
         skip, until = span
         default = 30.0 if reference is not None or recording.truth is not None else 20.0
         skipped = default if skip is None else skip
-        entries = contest.judge(entries, against, skipped, until, recording.counted)
+        entries = comparison.judge(entries, against, skipped, until, recording.counted)
     elif all(one.is_still is None for one in solutions):
         raise LogError(_WITHOUT_REFERENCE.format(log))
     typer.echo(f"{log}" + (f" against {against.name}" if against is not None else "") + "\n")
-    for line in contest.table(entries):
+    for line in comparison.table(entries):
         typer.echo(line)
     for note in recording.notes:
         typer.echo(f"  note: {log.name}: {note}")
@@ -200,4 +199,4 @@ def _compare_filters(
         lines = [one.trajectory for one in entries if one.trajectory is not None]
         figure.plot(plot, [*lines, against], log.name, events=recording.events, with_errors=True)
     elif plot is not None:
-        walk.plot(plot, solutions, log.name)
+        walk_figure.plot(plot, solutions, log.name)

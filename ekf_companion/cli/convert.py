@@ -40,7 +40,7 @@ def convert(
     detector: Annotated[str | None, typer.Option(help="Of zupt: shoe, mv, mag or are.")] = None,
 ) -> None:
     """Re-run the estimator, or another filter, over a recorded flight."""
-    from ekf_companion import convert as converter
+    from ekf_companion.replay import convert as converter
 
     with sentences(), bar(log.name) as progress:
         inputs = {"the log": log, "the configuration": config, "what --out writes": out}
@@ -64,7 +64,7 @@ def convert(
 
 def _choose(name: str, options: list[str | None]) -> str:
     """Give a filter's name with its option, which may be said as an option of its own."""
-    from ekf_companion.selection import choose
+    from ekf_companion.replay.filters_by_name import choose
 
     given = [option for option in options if option is not None]
     if len(given) + (":" in name) > 1:

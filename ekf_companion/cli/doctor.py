@@ -15,7 +15,7 @@ from ekf_companion.cli.terminal import ConfigOption, bar, load, sentences
 from ekf_companion.errors import ConfigError
 
 if TYPE_CHECKING:
-    from ekf_companion.config import Config
+    from ekf_companion.config.config import Config
     from ekf_companion.doctor.evidence import Evidence
     from ekf_companion.doctor.finding import Finding
 

@@ -29,9 +29,9 @@ def observability(
     ] = 10.0,
 ) -> None:
     """When each bias, tilt and heading becomes observable along a flight, and why not before."""
-    from ekf_companion import observability_figure
-    from ekf_companion.filters import observability as analysis
-    from ekf_companion.filters import observability_report as report
+    from ekf_companion.analysis import observability as analysis
+    from ekf_companion.analysis import observability_figure
+    from ekf_companion.analysis import observability_report as report
     from ekf_companion.filters.course import Course
 
     with opened(log, config, plot, json_file) as (recording, settings):

@@ -11,9 +11,9 @@ import typer
 import yaml
 
 from ekf_companion.cli.terminal import ConfigOption, load, sentences
-from ekf_companion.config import Config, describe_config, load_config
+from ekf_companion.config.config import Config, describe_config, load_config
+from ekf_companion.config.file_name import complaint
 from ekf_companion.errors import ConfigError
-from ekf_companion.place import complaint
 
 
 def run(
@@ -31,7 +31,8 @@ def run(
     log_level: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
 ) -> None:
     """Run the daemon until SIGTERM."""
-    from ekf_companion import journal, service
+    from ekf_companion.daemon import daemon as service
+    from ekf_companion.daemon import logging as journal
 
     has_started = False
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ekf_companion.config import Config, load_config
+from ekf_companion.config.config import Config, load_config
 from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def keep_apart(inputs: dict[str, Path | None], outputs: dict[str, Path | None]) 
 
 def read(log: Path, config: Config) -> Recording:
     """Open a log."""
-    from ekf_companion import convert as converter
+    from ekf_companion.replay import convert as converter
 
     with bar(log.name) as progress:
         return converter.read(log, config, progress)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import cython
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core import state as at
     from cython.cimports.ekf_companion.core.correct import forget
     from cython.cimports.ekf_companion.core.heading import face
     from cython.cimports.ekf_companion.core.observe import azimuth, wrap
@@ -24,7 +24,7 @@ if cython.compiled:
 else:
     from math import atan2, cos, isnan, sin, sqrt
 
-    from ekf_companion.core import layout as at
+    from ekf_companion.core import state as at
     from ekf_companion.core.correct import forget
     from ekf_companion.core.heading import face
     from ekf_companion.core.observe import azimuth, wrap

@@ -13,13 +13,13 @@ from __future__ import annotations
 import cython
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core import state as at
     from cython.cimports.ekf_companion.core.propagate import turn
     from cython.cimports.libc.math import atan2, fabs, sqrt
 else:
     from math import atan2, fabs, sqrt
 
-    from ekf_companion.core import layout as at
+    from ekf_companion.core import state as at
     from ekf_companion.core.propagate import turn
 
 REFUSED = cython.declare(cython.double, 1e30)

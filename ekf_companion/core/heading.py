@@ -11,14 +11,14 @@ from __future__ import annotations
 import cython
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import account, correct, observe, propagate, rescue
-    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core import correct, gate, observe, propagate, yaw_reset
+    from cython.cimports.ekf_companion.core import state as at
     from cython.cimports.libc.math import asin, fabs, isnan, sqrt
 else:
     from math import asin, fabs, isnan, sqrt
 
-    from ekf_companion.core import account, correct, observe, propagate, rescue
-    from ekf_companion.core import layout as at
+    from ekf_companion.core import correct, gate, observe, propagate, yaw_reset
+    from ekf_companion.core import state as at
 
 PREFERRED_AGE = cython.declare(cython.double, 5e9)
 """How long a better source keeps the worse ones out after its last word, ns."""
@@ -175,7 +175,7 @@ def take_field(
 ) -> cython.void:
     """Take the magnetic field: it points to the declination, as far as that is known."""
     if not is_natural(x, k, w, mx, my, mz):
-        account.count(x, at.AID_YAW, at.WHY_DISTURBED)
+        gate.count(x, at.AID_YAW, at.WHY_DISTURBED)
         return
     x[at.X_T_MAG] = x[at.X_T]
     if isnan(x[at.X_DECLINATION]):
@@ -232,33 +232,33 @@ def take_azimuth(
         x[at.X_LEVEL + at.L_REF_V] = bx
         x[at.X_LEVEL + at.L_REF_V + 1] = by
         x[at.X_LEVEL + at.L_REF_V + 2] = bz
-        account.count(x, at.AID_YAW, at.WHY_UNALIGNED)
+        gate.count(x, at.AID_YAW, at.WHY_UNALIGNED)
         return
-    slow = rescue.slow_error(x, slow)
+    slow = yaw_reset.slow_error(x, slow)
     x[at.X_HEADING_STD] = slow
     if source != x[at.X_HEADING_SOURCE]:
         x[at.X_HEADING_SOURCE] = source
         x[at.X_HEADING] = 0.0
         correct.forget(x, at.E_HEADING, 1, slow * slow)
     if not observe.azimuth(x, w, bx, by, bz, target, white, noise, has_iron):
-        account.count(x, at.AID_YAW, at.WHY_UNUSED)
+        gate.count(x, at.AID_YAW, at.WHY_UNUSED)
         return
     if x[at.X_HAS_YAW] == 0.0:
         face(x, w)
-        account.count(x, at.AID_YAW, at.WHY_FUSED)
+        gate.count(x, at.AID_YAW, at.WHY_FUSED)
     elif (
-        not account.fuse(x, k, w, at.AID_YAW, 1)
-        and account.is_timed_out(x, at.AID_YAW, k[at.K_TIMEOUT_YAW])
+        not gate.fuse(x, k, w, at.AID_YAW, 1)
+        and gate.is_timed_out(x, at.AID_YAW, k[at.K_TIMEOUT_YAW])
         and x[at.X_T] - x[at.X_T_REFUSED + at.AID_YAW] >= PROOF
     ):
-        if rescue.agrees(x):
+        if yaw_reset.agrees(x):
             # it is the compass that has jumped: the motion says so
             correct.forget(x, at.E_HEADING, 1, UNKNOWN_HEADING)
             correct.innovate(x, w, 1)
             correct.absorb_yaw(x, w)
-            account.settle(x, at.AID_YAW)
+            gate.settle(x, at.AID_YAW)
             return
-        account.announce(x, at.RESET_YAW)
+        gate.announce(x, at.RESET_YAW)
         if slow > TRUSTED:
             # the compass or our yaw has jumped, and nobody knows which: neither is sure any more
             correct.forget(x, at.E_HEADING, 1, 1.0)
@@ -267,7 +267,7 @@ def take_azimuth(
             correct.innovate(x, w, 1)
             correct.absorb_yaw(x, w)
             x[at.X_DELTA + 6] += w[at.W_DX + at.E_ATT + 2]
-            account.settle(x, at.AID_YAW)
+            gate.settle(x, at.AID_YAW)
         else:
             face(x, w)
 

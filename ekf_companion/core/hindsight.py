@@ -14,13 +14,13 @@ import cython
 
 if cython.compiled:
     from cython.cimports.ekf_companion.core import correct
-    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core import state as at
     from cython.cimports.libc.math import sqrt
 else:
     from math import sqrt
 
     from ekf_companion.core import correct
-    from ekf_companion.core import layout as at
+    from ekf_companion.core import state as at
 
 KNOWN = cython.declare(cython.double, 1e-12)
 """A state of whose variance the others leave no more than this share is known by them."""

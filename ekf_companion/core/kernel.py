@@ -14,35 +14,35 @@ import cython
 
 if cython.compiled:
     from cython.cimports.ekf_companion.core import (
-        account,
         align,
-        bank,
         correct,
-        frame,
+        gate,
+        gnss,
         heading,
         observe,
         propagate,
-        receiver,
         tape,
+        yaw_bank,
+        yaw_frame,
     )
-    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core import state as at
     from cython.cimports.libc.math import asin, atan2, cos, fabs, sin, sqrt
 else:
     from math import asin, atan2, cos, fabs, sin, sqrt
 
     from ekf_companion.core import (
-        account,
         align,
-        bank,
         correct,
-        frame,
+        gate,
+        gnss,
         heading,
         observe,
         propagate,
-        receiver,
         tape,
+        yaw_bank,
+        yaw_frame,
     )
-    from ekf_companion.core import layout as at
+    from ekf_companion.core import state as at
 
 # Kinds of events, as in nav.measurements.Kind
 GNSS = cython.declare(cython.double, 1.0)
@@ -128,7 +128,7 @@ def step(
     # The first sample only says what time it is
     if x[at.X_MODE] == at.MODE_INIT:
         begin(x, t)
-        bank.begin(x, k)
+        yaw_bank.begin(x, k)
         remember(x, rows, last)
         return
     if span <= 0.0:
@@ -152,7 +152,7 @@ def step(
                     tape.moved(x, k, w, dt)
                 if x[at.X_NEEDS_RESET] != 0.0:
                     align.carry(x, w, dt)
-            frame.carry(x, w, dt)
+            yaw_frame.carry(x, w, dt)
             x[at.X_T] = rows[r, at.ROW_T]
         if r < last:
             take(x, k, w, rows, r)
@@ -160,7 +160,7 @@ def step(
                 tape.noted(x, w, False)
     if span > k[at.K_GAP]:
         doubt(x, k, span, span > SLOW_GAP * x[at.X_DT])
-        frame.lose(x)
+        yaw_frame.lose(x)
         if is_taped:
             tape.doubted(x, w)
 
@@ -288,7 +288,7 @@ def recover(
         x[i] = good[i]
     for i in range(3):
         x[at.X_ACC_N + i] = 0.0
-    account.announce(x, at.RESET_BOUNDS)
+    gate.announce(x, at.RESET_BOUNDS)
     x[at.X_T] = t
     x[at.X_T_RESTORED] = t
     doubt(x, k, (t - good[at.X_T]) * 1e-9, False)
@@ -477,7 +477,7 @@ def settle(
         if x[at.X_MODE] == at.MODE_LEVEL:
             if x[at.X_AT_REST] != 0.0:
                 align.level_at_rest(x, k, w)
-                bank.know_bias(x, sqrt(x[at.X_COV + at.E_BG * (at.N + 1)]))
+                yaw_bank.know_bias(x, sqrt(x[at.X_COV + at.E_BG * (at.N + 1)]))
             elif t - x[at.X_LEVEL + at.L_START] > ROUGH_AFTER and t - x[at.X_T_FIX] > ROUGH_AFTER:
                 align.level_roughly(x, k, w)
         elif x[at.X_AT_REST] != 0.0 and k[at.K_USE_REST] != 0.0 and x[at.X_NEEDS_RESET] == 0.0:
@@ -494,7 +494,7 @@ def settle(
             x[at.X_POS + i] = 0.0
     elif (
         x[at.X_MODE] == at.MODE_NAVIGATE
-        and account.is_timed_out(x, at.AID_POS, LONGEST_OUTAGE)
+        and gate.is_timed_out(x, at.AID_POS, LONGEST_OUTAGE)
         and x[at.X_COV + at.E_POS * (at.N + 1)] > LOST * k[at.K_LIMIT_POS] * k[at.K_LIMIT_POS]
     ):
         # so long without GNSS that only the attitude is left to keep
@@ -539,7 +539,7 @@ def stand(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -
         return
     if x[at.X_MODE] == at.MODE_NAVIGATE:
         observe.zero_velocity(x, w, REST_SPEED)
-        if not account.fuse(x, k, w, at.AID_REST, 3):
+        if not gate.fuse(x, k, w, at.AID_REST, 3):
             return
         x[at.X_GROUND] = x[at.X_POS + 2]
         x[at.X_HAS_GROUND] = 1.0
@@ -549,7 +549,7 @@ def stand(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -
     if spread < 0.0:
         spread = 0.0
     observe.zero_rate(x, w, sqrt(spread / n) + REST_RATE)
-    account.fuse(x, k, w, at.AID_REST, 3)
+    gate.fuse(x, k, w, at.AID_REST, 3)
 
 
 @cython.cfunc
@@ -565,7 +565,7 @@ def take(
     """Take one event, at its own time."""
     kind: cython.double = rows[r, at.ROW_KIND]
     if kind == GNSS:
-        if not receiver.take_fix(x, k, w, rows, r):
+        if not gnss.take_fix(x, k, w, rows, r):
             # fixes kept coming and were refused: the attitude or a bias is wrong as well
             start_over(x, x[at.X_T], at.RESET_VELOCITY)
     elif kind == HEADING:
@@ -574,14 +574,14 @@ def take(
                 x, k, w, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], rows[r, at.ROW_V + 2] == 0.0
             )
         else:
-            account.count(x, at.AID_YAW, at.WHY_UNUSED)
+            gate.count(x, at.AID_YAW, at.WHY_UNUSED)
     elif kind == MAG:
         if heading.is_field_used(x, k):
             heading.take_field(
                 x, k, w, rows[r, at.ROW_V], rows[r, at.ROW_V + 1], rows[r, at.ROW_V + 2]
             )
         else:
-            account.count(x, at.AID_YAW, at.WHY_UNUSED)
+            gate.count(x, at.AID_YAW, at.WHY_UNUSED)
     elif kind == BARO:
         take_baro(x, k, w, rows[r, at.ROW_V])
     elif kind == VEHICLE:
@@ -601,7 +601,7 @@ def take_baro(
     down: cython.Py_ssize_t = at.X_COV + (at.E_POS + 2) * at.N
     own: cython.Py_ssize_t = at.X_COV + at.E_BARO * at.N
     if k[at.K_USE_BARO] == 0.0 or x[at.X_MODE] == at.MODE_LEVEL:
-        account.count(x, at.AID_BARO, at.WHY_UNUSED)
+        gate.count(x, at.AID_BARO, at.WHY_UNUSED)
         return
     if x[at.X_HAS_BARO] != 0.0:
         std = k[at.K_BARO_STD]
@@ -612,9 +612,9 @@ def take_baro(
         ):
             std = std + GROUND_EFFECT
         observe.pressure_altitude(x, w, alt, std)
-        if account.fuse(x, k, w, at.AID_BARO, 1):
+        if gate.fuse(x, k, w, at.AID_BARO, 1):
             return
-        if not account.is_timed_out(x, at.AID_BARO, k[at.K_TIMEOUT_HGT]):
+        if not gate.is_timed_out(x, at.AID_BARO, k[at.K_TIMEOUT_HGT]):
             return
     x[at.X_BARO] = alt - (x[at.X_ALT0] - x[at.X_POS + 2])
     for j in range(at.N):
@@ -624,7 +624,7 @@ def take_baro(
     x[at.X_FRESH + at.E_BARO] += 1.0
     x[at.X_HAS_BARO] = 1.0
     x[at.X_T_USED + at.AID_BARO] = x[at.X_T]
-    account.count(x, at.AID_BARO, at.WHY_FUSED)
+    gate.count(x, at.AID_BARO, at.WHY_FUSED)
 
 
 @cython.cfunc
@@ -647,21 +647,19 @@ def status(x: cython.double[::1], k: cython.double[::1]) -> cython.int:
         return INVALID
     # one second beyond the interval at which the receiver speaks, and its delay
     late = 1.0 + (x[at.X_FIX_DT] if x[at.X_FIX_DT] < 2.0 else 2.0)
-    if account.is_timed_out(x, at.AID_POS, late) and account.is_timed_out(x, at.AID_VEL, late):
+    if gate.is_timed_out(x, at.AID_POS, late) and gate.is_timed_out(x, at.AID_VEL, late):
         return DEAD_RECKONING
     if x[at.X_DT] > SLOW_STREAM or x[at.X_NEEDS_RESET] != 0.0:
         return DEGRADED
-    if account.is_timed_out(x, at.AID_POS, late + 1.0):
+    if gate.is_timed_out(x, at.AID_POS, late + 1.0):
         return DEGRADED
     for e in range(at.E_ATT, at.E_ATT + 3):
         if x[at.X_COV + e * (at.N + 1)] > VAGUE:
             return DEGRADED
-    if account.is_timed_out(x, at.AID_YAW, 5.0) and x[at.X_HEADING_SOURCE] != 0.0:
+    if gate.is_timed_out(x, at.AID_YAW, 5.0) and x[at.X_HEADING_SOURCE] != 0.0:
         # where there never was a compass, turns show the heading as well
         return DEGRADED
-    if account.is_timed_out(x, at.AID_HGT, late + 1.0) and account.is_timed_out(
-        x, at.AID_BARO, 2.0
-    ):
+    if gate.is_timed_out(x, at.AID_HGT, late + 1.0) and gate.is_timed_out(x, at.AID_BARO, 2.0):
         return DEGRADED
     return OK
 

@@ -11,13 +11,13 @@ from __future__ import annotations
 import cython
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core import state as at
     from cython.cimports.ekf_companion.core.propagate import matrix
     from cython.cimports.libc.math import atan2, cos, floor, isnan, sin, sqrt
 else:
     from math import atan2, cos, floor, isnan, sin, sqrt
 
-    from ekf_companion.core import layout as at
+    from ekf_companion.core import state as at
     from ekf_companion.core.propagate import matrix
 
 PI = cython.declare(cython.double, 3.14159265358979323846)

@@ -13,12 +13,12 @@ from __future__ import annotations
 import cython
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core import state as at
     from cython.cimports.libc.math import fabs, sqrt
 else:
     from math import fabs, sqrt
 
-    from ekf_companion.core import layout as at
+    from ekf_companion.core import state as at
 
 SHORTEST = cython.declare(cython.double, 3.0)
 """Least time between the first and the last of a run that proves anything, s."""

@@ -12,12 +12,12 @@ from __future__ import annotations
 import cython
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core import state as at
     from cython.cimports.libc.math import cos, sin, sqrt
 else:
     from math import cos, sin, sqrt
 
-    from ekf_companion.core import layout as at
+    from ekf_companion.core import state as at
 
 # WGS-84, as in nav.earth
 A = cython.declare(cython.double, 6378137.0)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
-from ekf_companion.core import layout as at
+from ekf_companion.core import state as at
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Kind
 

@@ -23,10 +23,10 @@ import numpy as np
 
 if cython.compiled:
     from cython.cimports.ekf_companion.core import correct, hindsight, kernel, tape
-    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core import state as at
 else:
     from ekf_companion.core import correct, hindsight, kernel, tape
-    from ekf_companion.core import layout as at
+    from ekf_companion.core import state as at
 
 IMU = cython.declare(cython.double, 6.0)
 

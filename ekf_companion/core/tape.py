@@ -16,10 +16,10 @@ from __future__ import annotations
 import cython
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import layout as at
+    from cython.cimports.ekf_companion.core import state as at
     from cython.cimports.ekf_companion.core.propagate import transition
 else:
-    from ekf_companion.core import layout as at
+    from ekf_companion.core import state as at
     from ekf_companion.core.propagate import transition
 
 

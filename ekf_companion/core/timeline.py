@@ -17,16 +17,14 @@ import cython
 import numpy as np
 
 if cython.compiled:
-    from cython.cimports.ekf_companion.core import kernel
-    from cython.cimports.ekf_companion.core import layout as at
-    from cython.cimports.ekf_companion.core import tell as telling
+    from cython.cimports.ekf_companion.core import kernel, odometry
+    from cython.cimports.ekf_companion.core import state as at
     from cython.cimports.libc.math import fabs, isfinite, isnan
 else:
     from math import fabs, isfinite, isnan
 
-    from ekf_companion.core import kernel
-    from ekf_companion.core import layout as at
-    from ekf_companion.core import tell as telling
+    from ekf_companion.core import kernel, odometry
+    from ekf_companion.core import state as at
 
 IMU = cython.declare(cython.double, 6.0)
 RESTART = cython.declare(cython.int, 0)
@@ -473,7 +471,7 @@ class Timeline:
         """
         i: cython.Py_ssize_t
         status: cython.int = kernel.describe(self.x, self.k, self.y, self.w, self.out)
-        telling.tell(self.x, self.out, self.w, self.told)
+        odometry.tell(self.x, self.out, self.w, self.told)
         for i in range(at.TOLD):
             self.said[i] = self.told[i]
         return status, int(self.x[at.X_RESETS]), bytes(self.said)

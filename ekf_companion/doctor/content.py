@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
+from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.mavlink.session import MISADDRESSED
-from ekf_companion.pipeline import Aid, Verdict
 
 _MANY = 0.05
 """Share of measurements refused that is more than chance."""

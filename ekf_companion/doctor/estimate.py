@@ -6,8 +6,8 @@ import math
 
 from ekf_companion.doctor.evidence import Evidence
 from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
+from ekf_companion.engine.health import Aid, Health, Verdict
 from ekf_companion.nav.state import Status
-from ekf_companion.pipeline import Aid, Health, Verdict
 
 _MANY = 0.05
 """Share of measurements refused that is more than chance."""

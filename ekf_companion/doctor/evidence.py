@@ -1,6 +1,6 @@
 """All that the doctor goes by, at one moment: frozen, and built in one place.
 
-What status and metrics read too is in the words of :mod:`ekf_companion.snapshot`.
+What status and metrics read too is in the words of :mod:`ekf_companion.status.snapshot`.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from ekf_companion.config import Config
+from ekf_companion.config.config import Config
+from ekf_companion.engine.health import Health
 from ekf_companion.mavlink.discovery import is_autopilot
 from ekf_companion.mavlink.verdict import Verdict
-from ekf_companion.pipeline import Health
-from ekf_companion.snapshot import (
+from ekf_companion.status.snapshot import (
     FrameState,
     LinkState,
     MessageState,

@@ -10,17 +10,18 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from ekf_companion.config import Config
+from ekf_companion.config.config import Config
+from ekf_companion.daemon.key_file import borrow_signing
+from ekf_companion.daemon.reception import hear, open_reception, unix_clock
 from ekf_companion.doctor import holder
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Evidence, Holder, Means, Opening
 from ekf_companion.doctor.finding import Mark
 from ekf_companion.doctor.witness import Witness
-from ekf_companion.keyring import borrow_signing
-from ekf_companion.link import Address, Kind, Link, Received
+from ekf_companion.link.address import Address, Kind
+from ekf_companion.link.link import Link, Received
 from ekf_companion.logs import tlog
-from ekf_companion.parts import link_state
-from ekf_companion.reception import hear, open_reception, unix_clock
+from ekf_companion.status.collect import link_state
 
 Progress = Callable[[int, int], None]
 

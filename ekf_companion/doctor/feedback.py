@@ -9,9 +9,9 @@ import math
 
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
+from ekf_companion.engine.pipeline import QUALITY
 from ekf_companion.mavlink.encode import Frame
 from ekf_companion.nav.state import Status
-from ekf_companion.pipeline import QUALITY
 
 _ARDUPILOT_FRAMES = (Frame.LOCAL_FRD, Frame.BODY_FRD)
 _SLOWEST = 10.0

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 
-from ekf_companion.bulletin import DECIMATED
 from ekf_companion.doctor.evidence import Evidence
 from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
 from ekf_companion.doctor.slowness import (
@@ -20,7 +19,8 @@ from ekf_companion.doctor.slowness import (
     more,
     promised,
 )
-from ekf_companion.snapshot import MessageState
+from ekf_companion.engine.announcer import DECIMATED
+from ekf_companion.status.snapshot import MessageState
 
 SLOWEST = 25.0
 """Inertial samples below this follow no flight, Hz."""

@@ -9,10 +9,10 @@ import math
 from statistics import median
 from typing import NamedTuple
 
-from ekf_companion.bulletin import DECIMATED
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.overruling import ALIKE, GROUND, STREAMED
-from ekf_companion.snapshot import MessageState
+from ekf_companion.engine.announcer import DECIMATED
+from ekf_companion.status.snapshot import MessageState
 
 ENOUGH = 0.8
 """Share of the rate asked that is as good as all of it."""

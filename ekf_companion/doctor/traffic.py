@@ -7,7 +7,7 @@ from collections import Counter
 from ekf_companion.doctor.evidence import Source
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import SIGNED, STX_1, STX_2, Frame
-from ekf_companion.mavlink.layout import CRC_EXTRAS, IDS, LAYOUTS
+from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
 
 _SOURCES = 64
 """More who speak are not told apart."""

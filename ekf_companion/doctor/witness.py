@@ -6,25 +6,25 @@ from collections import deque
 from collections.abc import Hashable
 from typing import Any
 
-from ekf_companion.companion import Companion
-from ekf_companion.config import Config
+from ekf_companion.config.config import Config
 from ekf_companion.doctor.evidence import Evidence, Means, Opening, Sent
 from ekf_companion.doctor.overruling import Overruling
 from ekf_companion.doctor.parameters import Reader
 from ekf_companion.doctor.tally import StampTally, Tally
 from ekf_companion.doctor.told import Told
 from ekf_companion.doctor.traffic import Traffic
+from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
 from ekf_companion.mavlink.fusion import decide
 from ekf_companion.mavlink.guard import DOES_NOT_EXIST, value_of
-from ekf_companion.mavlink.layout import IDS, LAYOUTS
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.verdict import Verdict
-from ekf_companion.parts import frames, output_state, part, peer_state, time_state
-from ekf_companion.snapshot import LinkState, MessageState
+from ekf_companion.status.collect import frames, output_state, part, peer_state, time_state
+from ekf_companion.status.snapshot import LinkState, MessageState
 
 _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress")
 _IN_PROGRESS = 5

@@ -21,5 +21,5 @@ The filters
 What a flight shows of the state: observability (observability_walk, _motion, _report).
 
 All are written for clarity, in NumPy, and run over a recording only; the estimator that flies is
-:mod:`ekf_companion.core`. :mod:`ekf_companion.selection` knows them by name.
+:mod:`ekf_companion.core`. :mod:`ekf_companion.replay.filters_by_name` knows them by name.
 """

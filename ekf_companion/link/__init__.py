@@ -14,27 +14,3 @@ handed to ``on_read`` and waits in the system's own; what cannot be sent now is 
 ``address`` reads URLs, ``port`` holds the open descriptors, ``backlog`` what they had no room for,
 ``peers`` says which senders of datagrams are heard, ``link`` keeps it all open.
 """
-
-from ekf_companion.link.address import (
-    DEFAULT_BAUD,
-    Address,
-    Kind,
-    parse_monitor,
-    parse_peer,
-    parse_url,
-)
-from ekf_companion.link.link import Link, Received, open_link
-from ekf_companion.link.peers import Peers
-
-__all__ = [
-    "DEFAULT_BAUD",
-    "Address",
-    "Kind",
-    "Link",
-    "Peers",
-    "Received",
-    "open_link",
-    "parse_monitor",
-    "parse_peer",
-    "parse_url",
-]

@@ -25,7 +25,7 @@ from fastcrc import crc16
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs.source import read_bytes
-from ekf_companion.mavlink.layout import CRC_EXTRAS, IDS, LAYOUTS
+from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
 
 Stamps = npt.NDArray[np.int64]
 Column = npt.NDArray[np.void]

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Collection
 
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import SECOND_NS
 

@@ -8,7 +8,7 @@ from statistics import median
 
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Emit, PeerFound, RateInVain
-from ekf_companion.mavlink.layout import LAYOUTS
+from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.request import ACCEPTED, Requests
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS, quantise

@@ -6,11 +6,11 @@ there beats again.
 
 from __future__ import annotations
 
+from ekf_companion.mavlink.discovery import Presence
 from ekf_companion.mavlink.event import Clash, Emit
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.heartbeat import Heartbeat
-from ekf_companion.mavlink.layout import IDS
-from ekf_companion.mavlink.presence import Presence
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS, quantise
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.mavlink.frame import SIGNED, Frame, encode_frame
-from ekf_companion.mavlink.layout import IDS, LAYOUTS, Layout, by_name
+from ekf_companion.mavlink.messages import IDS, LAYOUTS, Layout, by_name
 from ekf_companion.mavlink.signing import Signing
 
 

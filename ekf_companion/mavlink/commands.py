@@ -6,21 +6,56 @@ Source: mavlink.io, Command Protocol; guide/message_rates.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from types import MappingProxyType
 from typing import Any
 
-from ekf_companion.mavlink import encode, identity
+from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.event import Emit, IntervalSet, PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.heartbeat import Heartbeat
-from ekf_companion.mavlink.layout import LAYOUTS
+from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.mavlink.verdict import Slowed
+from ekf_companion.version import __version__
+
+_MAVLINK_2 = 8192
+_COMMAND_INT = 8
+_PARAM_C_CAST = 131072
+_CAPABILITIES = _MAVLINK_2 | _COMMAND_INT | _PARAM_C_CAST
+_OFFICIAL = 255
+"""FIRMWARE_VERSION_TYPE."""
+
+
+def _version() -> int:
+    parts = [int(part) if part.isdigit() else 0 for part in __version__.split(".")[:3]]
+    major, minor, patch = [*parts, 0, 0, 0][:3]
+    return major << 24 | minor << 16 | patch << 8 | _OFFICIAL
+
+
+_IDENTITY: Mapping[str, bytes] = MappingProxyType(
+    {
+        "AUTOPILOT_VERSION": pack(
+            "AUTOPILOT_VERSION", capabilities=_CAPABILITIES, flight_sw_version=_version()
+        ),
+        # What stands in for AUTOPILOT_VERSION where there is no autopilot
+        "COMPONENT_INFORMATION_BASIC": pack(
+            "COMPONENT_INFORMATION_BASIC",
+            capabilities=_CAPABILITIES,
+            model_name=b"EKF companion",
+            software_version=__version__.encode("ascii", "replace")[:23],
+        ),
+        # MAVLink 1 is heard, and 2 is spoken
+        "PROTOCOL_VERSION": pack("PROTOCOL_VERSION", version=200, min_version=100, max_version=200),
+    }
+)
+"""Payloads by the message that carries them."""
+
 
 _UNKNOWN_PROGRESS = 255
 _GONE_NS = 30 * SECOND_NS
@@ -152,8 +187,8 @@ class Commands(Service):
         if message == "HEARTBEAT":
             is_sent = self._heartbeat.request(now_ns)
             return Result.ACCEPTED if is_sent else Result.TEMPORARILY_REJECTED
-        elif message in identity.MESSAGES:
-            self._outbox.send(message, identity.MESSAGES[message], now_ns)
+        elif message in _IDENTITY:
+            self._outbox.send(message, _IDENTITY[message], now_ns)
         elif message == "MESSAGE_INTERVAL":
             self._outbox.send(message, self._interval(_whole(param2)), now_ns)
         elif message not in self._streams:

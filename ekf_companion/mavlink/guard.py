@@ -22,7 +22,7 @@ from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Emit, GuardChanged, PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.fusion import NAMES, Mode, decide, missing, watched
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.stamp import SECOND_NS, quantise

@@ -6,7 +6,7 @@ from collections import Counter
 
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.frame import encode_frame
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.stamp import quantise
 
 _ODOMETRY = IDS["ODOMETRY"].to_bytes(3, "little")

@@ -16,7 +16,7 @@ from typing import Any
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.event import Emit, ParameterSet
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.mavlink.layout import IDS, LAYOUTS
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS

@@ -12,7 +12,7 @@ from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Answered, Emit, Noted, PeerFound, Versioned
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS

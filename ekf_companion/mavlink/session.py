@@ -18,7 +18,7 @@ from collections.abc import Hashable, Iterable, Iterator, Mapping
 from ekf_companion.mavlink.admission import Admission
 from ekf_companion.mavlink.audit import Audit
 from ekf_companion.mavlink.clash import ClashWatch
-from ekf_companion.mavlink.clock import Timesync
+from ekf_companion.mavlink.clock import Timesync, TimesyncService
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
 from ekf_companion.mavlink.decode import Decoder
@@ -33,20 +33,18 @@ from ekf_companion.mavlink.event import (
     PeerLost,
     Rebooted,
 )
-from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
+from ekf_companion.mavlink.frame import JUNK, Frame, Sequence, Splitter
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import Heartbeat
-from ekf_companion.mavlink.layout import IDS, LAYOUTS
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.options import RATES, SessionOptions
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.parameters import ParameterServer
 from ekf_companion.mavlink.request import Requests
-from ekf_companion.mavlink.sequence import Sequence
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import quantise
 from ekf_companion.mavlink.statustext import StatusText
-from ekf_companion.mavlink.timesync import TimesyncService
 from ekf_companion.mavlink.verdict import StreamState, stream_state
 from ekf_companion.nav.measurements import Measurement, Restart
 

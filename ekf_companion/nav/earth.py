@@ -7,6 +7,7 @@ integrated navigation systems", 2nd edition, chapters 2 and 5.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -114,3 +115,18 @@ SIMULATED = LocalFrame(
 """Where a simulation over a flat Earth that does not turn, with gravity of 9.81 m/s^2 (160 m above
 its sea), is put so that it can be read as a flight. So far north the Earth turns about the vertical
 nearly, which a gyro's bias explains, and an eastward speed weighs little."""
+
+
+SEA_LEVEL_PRESSURE = 101325.0
+"""Pa."""
+_SCALE_HEIGHT = 288.15 / 0.0065
+"""Temperature at sea level over its lapse rate, m."""
+_EXPONENT = 0.0065 * 287.05287 / 9.80665
+
+Value = TypeVar("Value", float, npt.NDArray[np.float64])
+
+
+def pressure_altitude(pressure: Value) -> Value:
+    """Give the altitude, m, at which the standard atmosphere has a pressure (Pa, > 0)."""
+    altitude: Value = _SCALE_HEIGHT * (1.0 - (pressure / SEA_LEVEL_PRESSURE) ** _EXPONENT)
+    return altitude

@@ -7,7 +7,7 @@ import yaml
 from typer.testing import CliRunner
 
 from ekf_companion.cli import app
-from ekf_companion.config import _Loader, parse_config
+from ekf_companion.config.config import _Loader, parse_config
 from sim_autopilot.__main__ import app as simulator
 
 
@@ -94,9 +94,9 @@ def test_a_log_that_is_none_ends_with_3(tmp_path):
 
 
 def test_a_log_with_a_restart_serves_by_its_longest_part(flown, tmp_path):
-    from ekf_companion.config import Config
-    from ekf_companion.convert import read
+    from ekf_companion.config.config import Config
     from ekf_companion.nav.measurements import Kind
+    from ekf_companion.replay.convert import read
 
     twice = tmp_path / "twice.tlog"
     twice.write_bytes(flown["hover"].read_bytes() + flown["static"].read_bytes())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ekf_companion.calibrate import delay, delay_report
-from ekf_companion.config import Config
+from ekf_companion.config.config import Config
 from ekf_companion.core.settings import FilterSettings, GnssSettings
 from ekf_companion.errors import LogError
 from ekf_companion.nav.measurements import Kind
@@ -96,7 +96,7 @@ def test_the_keys_say_the_delay_and_how_sure_it_is():
     ],
 )
 def test_a_recorded_flight_shows_its_delay(flight, name, late, near):
-    from ekf_companion.convert import read
+    from ekf_companion.replay.convert import read
 
     found = delay.measure(read(flight(name), Config()), Config())
     assert found.best == pytest.approx(late, abs=near)

@@ -3,12 +3,12 @@ import pytest
 
 from ekf_companion.calibrate import ellipsoid, mag, mag_report
 from ekf_companion.calibrate.report import lines
-from ekf_companion.config import Config, _Loader, parse_config
+from ekf_companion.config.config import Config, _Loader, parse_config
 from ekf_companion.core.settings import FilterSettings
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.pipeline import Pipeline
 from sim_autopilot import events as wire
 from sim_autopilot.config import CompassConfig, SimConfig
 from sim_autopilot.flight import Flight
@@ -197,7 +197,7 @@ def test_a_recorded_sensor_hardly_turned_is_as_unsure_as_it_says(flight):
 
 
 def test_a_recorded_flight_of_a_simulator_needs_no_correction(flight):
-    from ekf_companion.convert import read
+    from ekf_companion.replay.convert import read
 
     log = flight("sitl-arducopter-bin/flight.bin")
     found = mag.measure(read(log, Config()), Config())

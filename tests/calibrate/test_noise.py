@@ -5,7 +5,7 @@ import pytest
 
 from ekf_companion.calibrate import fixes, noise, noise_report, rest
 from ekf_companion.calibrate.report import lines
-from ekf_companion.config import Config, _Loader, parse_config
+from ekf_companion.config.config import Config, _Loader, parse_config
 from ekf_companion.core.settings import FilterSettings, GnssSettings, ImuSettings
 from ekf_companion.errors import LogError
 from ekf_companion.nav.measurements import Kind
@@ -133,7 +133,7 @@ def test_telemetry_is_not_judged():
 
 
 def test_a_recorded_simulator_has_the_noise_that_it_documents(flight):
-    from ekf_companion.convert import read
+    from ekf_companion.replay.convert import read
 
     log = flight("sitl-px4-ulg/flight.ulg")
     found = noise.measure(read(log, Config()), Config()).receivers[-1]

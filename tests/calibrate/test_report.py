@@ -1,7 +1,7 @@
 import yaml
 
 from ekf_companion.calibrate.report import Finding, Result, is_known, lines, rounded, spelled
-from ekf_companion.config import parse_config
+from ekf_companion.config.config import parse_config
 
 RESULT = Result(
     findings=[

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import ekf_companion.core
 
 NAMES = (
-    *("propagate", "correct", "observe", "proof", "account"),
-    *("frame", "hypothesis", "bank", "rescue", "heading", "align", "receiver"),
-    *("tape", "kernel", "tell", "timeline", "hindsight", "smooth"),
+    *("propagate", "correct", "observe", "proof", "gate"),
+    *("yaw_frame", "yaw_filter", "yaw_bank", "yaw_reset", "heading", "align", "gnss"),
+    *("tape", "kernel", "odometry", "timeline", "hindsight", "smooth"),
 )
 FOLDER = Path(ekf_companion.core.__file__).parent
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core import layout as at
+from ekf_companion.core import state as at
 from tests.core.interpreted import load
 from tests.core.test_observe import a_state
 
@@ -111,7 +111,7 @@ def test_forgetting_leaves_no_correlation():
 
 
 def test_a_log_likelihood_is_that_of_a_normal_distribution_up_to_the_gate():
-    account = load().account
+    account = load().gate
     x, w = np.zeros(at.BLOCK), np.zeros(at.SCRATCH)
     S = np.array([[4.0, 1.0], [1.0, 2.0]])
     L = np.linalg.cholesky(S)

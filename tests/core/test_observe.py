@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core import layout as at
+from ekf_companion.core import state as at
 from ekf_companion.nav import so3
 from tests.core.interpreted import load
 

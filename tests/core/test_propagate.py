@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from ekf_companion.core import layout as at
+from ekf_companion.core import state as at
 from ekf_companion.nav import earth, so3
 from tests.core.interpreted import load
 from tests.core.test_observe import a_state, parameters, plus

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ekf_companion.core import layout as at
+from ekf_companion.core import state as at
 from ekf_companion.core.settings import (
     HABITS,
     FilterSettings,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core import layout as at
+from ekf_companion.core import state as at
 from ekf_companion.core.settings import FilterSettings, GnssSettings, delays_ns, parameters
 from ekf_companion.core.smooth import Smoother
 from ekf_companion.core.timeline import Timeline

@@ -3,11 +3,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ekf_companion.core import layout as at
+from ekf_companion.core import state as at
 from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
 from ekf_companion.core.timeline import Timeline
+from ekf_companion.engine.health import Arrival
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.pipeline import Arrival
 from tests.core.flights import flight
 from tests.core.interpreted import load
 

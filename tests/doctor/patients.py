@@ -1,6 +1,6 @@
 """A fake autopilot and a doctor, face to face without a socket: what ails it is put in between."""
 
-from ekf_companion.config import Config
+from ekf_companion.config.config import Config
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Means, Opening
 from ekf_companion.doctor.finding import Stage
@@ -8,7 +8,7 @@ from ekf_companion.doctor.witness import Witness
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.encode import SET_MESSAGE_INTERVAL
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.layout import IDS, LAYOUTS
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import GnssConfig, ImuConfig, SimConfig
 from sim_autopilot.firmware import parse

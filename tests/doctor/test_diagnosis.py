@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import pytest
 
-from ekf_companion.config import Config, LinkConfig
+from ekf_companion.config.config import Config, LinkConfig
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Evidence, Feedback, Sent, Stamps
 from ekf_companion.doctor.finding import Mark, Stage
 from ekf_companion.doctor.report import lines
 from ekf_companion.doctor.tally import StampTally, Tally
+from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.nav.state import Status
-from ekf_companion.pipeline import Aid, Verdict
 from sim_autopilot.autopilot import Kind
 from tests.doctor.patients import ARDUPILOT_OURS, examine, simulated, stage, words
 

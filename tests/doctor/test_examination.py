@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from contextlib import ExitStack, suppress
-from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -19,11 +18,11 @@ from ekf_companion.cli import app
 from ekf_companion.doctor.evidence import Source
 from ekf_companion.mavlink.codec import Sender, pack
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.signing import Signing
 from sim_autopilot.__main__ import app as simulator
+from tests.paths import DATA
 
-FLIGHTS = Path(__file__).parents[3] / "shared" / "data"
 ENOUGH = slice(250_000)
 REBOOT = slice(300_000, 700_000)
 """Bytes of a recording that tell it; where it is cut, it is damaged."""
@@ -292,10 +291,10 @@ def test_a_secret_is_used_as_the_daemon_would_and_its_file_of_times_is_left_alon
     ],
 )
 def test_recorded_flights_are_judged_as_a_pilot_would(name, part, first_failed, said, tmp_path):
-    if not (FLIGHTS / name).is_file():
+    if not (DATA / name).is_file():
         pytest.skip(f"the recorded flight {name} is not on this machine")
     log = tmp_path / "cut.tlog"
-    log.write_bytes((FLIGHTS / name).read_bytes()[part])
+    log.write_bytes((DATA / name).read_bytes()[part])
     code, stages, _ = doctor("--log", log)
     failed = [stage for stage, finding in stages.items() if finding["verdict"] == "failed"]
     assert failed[:1] == ([first_failed] if first_failed else [])

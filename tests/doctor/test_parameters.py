@@ -7,7 +7,7 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.frame import Splitter, encode_frame
 from ekf_companion.mavlink.fusion import NAMES
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 
 MS = 1_000_000
 

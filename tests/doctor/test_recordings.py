@@ -1,15 +1,15 @@
 """Recordings that begin before the autopilot's heartbeat, or end after it was switched off."""
 
-from ekf_companion.checkpoint import Clocks
-from ekf_companion.companion import Companion
-from ekf_companion.config import Config, LinkConfig
+from ekf_companion.config.config import Config, LinkConfig
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Means
 from ekf_companion.doctor.finding import Mark
 from ekf_companion.doctor.witness import Witness
+from ekf_companion.engine.checkpoint import Clocks
+from ekf_companion.engine.companion import Companion
+from ekf_companion.engine.warm_start import Resumption
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.layout import IDS
-from ekf_companion.resumption import Resumption
+from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.flight import Flight
 from tests.doctor.patients import simulated

@@ -8,14 +8,14 @@ import pytest
 from fastcrc import crc16
 from pymavlink.dialects.v10 import ardupilotmega as first
 
-from ekf_companion.config import Config
+from ekf_companion.config.config import Config
 from ekf_companion.doctor.diagnosis import diagnose, first_failure
 from ekf_companion.doctor.evidence import Evidence, Holder, Means, Opening
 from ekf_companion.doctor.finding import Mark, Stage
 from ekf_companion.doctor.report import lines
 from ekf_companion.doctor.witness import Witness
 from ekf_companion.mavlink.codec import Sender
-from ekf_companion.snapshot import LinkState
+from ekf_companion.status.snapshot import LinkState
 from tests.doctor.patients import UDP, examine, stage, words
 
 TTY = Opening(url="serial:/dev/ttyS7:57600", kind="serial", device="/dev/ttyS7", baud=57600)

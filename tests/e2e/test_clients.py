@@ -18,7 +18,7 @@ import pytest
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from tests.e2e.hub import Hub
 
 CLIENTS = os.environ.get("E2E_CLIENTS", "")

@@ -3,7 +3,7 @@ import time
 import numpy as np
 import pytest
 
-from ekf_companion import attitude
+from ekf_companion.analysis import attitude
 from ekf_companion.errors import LogError
 from ekf_companion.filters import ahrs, mahony, readings
 from ekf_companion.filters.ahrs_estimator import USUAL

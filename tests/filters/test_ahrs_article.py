@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion import attitude
+from ekf_companion.analysis import attitude
 from ekf_companion.errors import LogError
 from ekf_companion.filters import ahrs_article
 from ekf_companion.nav import so3

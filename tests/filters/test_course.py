@@ -20,7 +20,7 @@ from ekf_companion.filters.ukf import Unscented
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
-from ekf_companion.selection import run_filter
+from ekf_companion.replay.filters_by_name import run_filter
 from sim_autopilot import events as wire
 from sim_autopilot.config import GnssConfig, ImuConfig, SimConfig
 from sim_autopilot.flight import Flight

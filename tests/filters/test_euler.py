@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,8 +19,9 @@ from ekf_companion.filters.strapdown import Interval, N, in_n, move, transition
 from ekf_companion.logs import csv
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import SIMULATED
+from tests.paths import DATA
 
-SEED = Path(__file__).parents[3] / "shared" / "data" / "seed-basicekf-sim"
+SEED = DATA / "seed-basicekf-sim"
 with_seed = pytest.mark.skipif(
     not SEED.is_dir(), reason="the seed article's flight is not on this machine"
 )

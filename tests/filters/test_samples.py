@@ -20,7 +20,7 @@ from ekf_companion.filters.strapdown import Nominal
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind, Restart, merge
-from ekf_companion.selection import run_filter
+from ekf_companion.replay.filters_by_name import run_filter
 from tests.filters import walks
 from tests.filters.swings import Swing, swing
 

@@ -6,9 +6,9 @@ from scipy.stats import chi2
 
 from benchmarks.matched import matched
 from benchmarks.unscented import CASES, Case, fly
+from ekf_companion.analysis.consistency import nees
 from ekf_companion.core.settings import GateSettings
 from ekf_companion.filters import cloud, strapdown, ukf
-from ekf_companion.filters.consistency import nees
 from ekf_companion.filters.course import Setup
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.observation import Azimuth, Position, Velocity

@@ -1,28 +1,28 @@
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ekf_companion.config import Config
-from ekf_companion.convert import read
+from ekf_companion.analysis import closure
+from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
-from ekf_companion.filters import closure, rest, zupt
+from ekf_companion.filters import rest, zupt
 from ekf_companion.filters.detector import Detector
 from ekf_companion.filters.zupt import ZuptSettings
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.replay.convert import read
 from tests.filters import walks
+from tests.paths import DATA
 
-RECORDED = Path(__file__).parents[3] / "shared" / "data"
 OPENSHOE = "zupt-openshoe/Measurement_100521_44.txt"
 XIO = "zupt-xio-short-walk/short_walk.csv"
 
 
 def recorded(name):
-    if not (RECORDED / name).is_file():
+    if not (DATA / name).is_file():
         pytest.skip(f"the recorded walk {name} is not on this machine")
-    return read(RECORDED / name, Config()).events
+    return read(DATA / name, Config()).events
 
 
 def closed(events, settings=ZuptSettings(), detector=Detector.SHOE):  # noqa: B008

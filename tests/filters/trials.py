@@ -1,13 +1,13 @@
 """The recorded trials of BROAD, where they are."""
 
 from functools import cache
-from pathlib import Path
 
 import pytest
 
 from ekf_companion.logs import broad
+from tests.paths import DATA
 
-FOLDER = Path(__file__).parents[3] / "shared" / "data" / "broad-attitude"
+FOLDER = DATA / "broad-attitude"
 TRIALS = ("01_undisturbed_slow_rotation_A", "15_undisturbed_fast_translation_A")
 
 

@@ -9,12 +9,12 @@ import termios
 import time
 import tty
 
-from ekf_companion.link import open_link
 from ekf_companion.link.backlog import FRESH_NS, LARGEST, PATIENCE_NS, Backlog
+from ekf_companion.link.link import open_link
 from ekf_companion.mavlink import outbox
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 
 MS = 1_000_000
 

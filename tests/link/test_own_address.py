@@ -13,7 +13,7 @@ ALONE = ["unshare", "--map-root-user", "--net"]
 
 SCRIPT = """
 import asyncio, subprocess, time
-from ekf_companion.link import open_link
+from ekf_companion.link.link import open_link
 
 def ip(words):
     subprocess.run(["ip", *words.split()], check=True)

@@ -7,11 +7,11 @@ import time
 
 import pytest
 
-from ekf_companion.config import parse_config
+from ekf_companion.config.config import parse_config
 from ekf_companion.errors import ConfigError, LinkError
-from ekf_companion.link import Peers, open_link
-from ekf_companion.link.peers import LET_GO_NS, NOT_NAMED, NOT_PINNED, SAME_HOST_NS
-from ekf_companion.parts import link_state
+from ekf_companion.link.link import open_link
+from ekf_companion.link.peers import LET_GO_NS, NOT_NAMED, NOT_PINNED, SAME_HOST_NS, Peers
+from ekf_companion.status.collect import link_state
 
 A, A2, B = ("10.0.0.2", 14550), ("10.0.0.2", 14551), ("10.0.0.9", 14550)
 

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from ekf_companion import convert
-from ekf_companion.config import Config
+from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
 from ekf_companion.logs import broad
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind
+from ekf_companion.replay import convert
 
 RATE = 2000.0 / 7.0
 

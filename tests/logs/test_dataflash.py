@@ -273,14 +273,14 @@ def test_recorded_flights_give_their_events_and_the_autopilots_estimate(
 
 
 def test_the_simulators_truth_agrees_with_what_was_recorded_beside_it(flight):
-    from ekf_companion import compare
+    from ekf_companion.analysis import score
 
     recording = dataflash.read(flight("sitl-arducopter-bin/flight.bin"))
-    truth = compare.read_truth(flight("sitl-arducopter-bin/truth.csv"))
-    score = compare.score(recording.truth, truth)
-    assert score.horizontal.rms < 0.01
-    assert score.yaw.rms < np.deg2rad(0.01)
-    assert abs(score.lag) < 1e-3
+    truth = score.read_truth(flight("sitl-arducopter-bin/truth.csv"))
+    found = score.score(recording.truth, truth)
+    assert found.horizontal.rms < 0.01
+    assert found.yaw.rms < np.deg2rad(0.01)
+    assert abs(found.lag) < 1e-3
     # The attitude of SIM is its quaternion.
     assert np.allclose(np.linalg.norm(recording.truth.q_nb, axis=1), 1.0)
     assert so3.to_euler(recording.truth.q_nb).shape == (1520, 3)

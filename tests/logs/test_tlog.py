@@ -185,15 +185,15 @@ def test_the_boot_clock_is_unwrapped(written):
     [("sitl-arducopter-square", "SIM_STATE"), ("sitl-px4-square", "HIL_STATE_QUATERNION")],
 )
 def test_the_simulators_truth_gets_the_stamp_of_the_sample_before_it(flight, name, message):
-    from ekf_companion import compare
+    from ekf_companion.analysis import score
 
     log = tlog.read(flight(f"{name}/flight.tlog"))
     truth = tlog_trajectory.truth(log)
     assert message in truth.name
-    score = compare.score(truth, compare.read_truth(flight(f"{name}/truth.csv")))
-    assert abs(score.lag) <= 0.004 + 1e-4  # good to one inertial period of PX4's
-    assert score.horizontal.rms < 0.02
-    assert score.tilt.rms < np.deg2rad(0.1)
+    found = score.score(truth, score.read_truth(flight(f"{name}/truth.csv")))
+    assert abs(found.lag) <= 0.004 + 1e-4  # good to one inertial period of PX4's
+    assert found.horizontal.rms < 0.02
+    assert found.tilt.rms < np.deg2rad(0.1)
 
 
 def test_damaged_and_rebooted_telemetry_gives_what_it_has(flight):

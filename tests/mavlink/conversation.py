@@ -2,7 +2,7 @@
 
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.layout import LAYOUTS
+from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.session import Session, SessionOptions
 
 MS = 1_000_000

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ekf_companion.mavlink.codec import Sender, columns, pack, unpack
 from ekf_companion.mavlink.frame import Frame, Splitter, encode_frame
-from ekf_companion.mavlink.layout import LAYOUTS
+from ekf_companion.mavlink.messages import LAYOUTS
 
 
 def same(ours, theirs):

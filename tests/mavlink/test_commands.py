@@ -9,7 +9,7 @@ from hypothesis import given
 from ekf_companion.mavlink.commands import Stream
 from ekf_companion.mavlink.event import IntervalSet
 from ekf_companion.mavlink.guard import GuardOptions
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.version import __version__
 from tests.mavlink.conversation import SECOND, Voice, met, sent, station
 

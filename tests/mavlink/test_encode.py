@@ -9,9 +9,8 @@ from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import EstimatorType, Frame, SystemStatus
-from ekf_companion.mavlink.layout import by_name
-from ekf_companion.nav.odometry import Odometry
-from ekf_companion.nav.state import Status
+from ekf_companion.mavlink.messages import by_name
+from ekf_companion.nav.state import Odometry, Status
 
 NUMBERS = [float(n) for n in range(55)]
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from ekf_companion.companion import Companion
-from ekf_companion.config import Config
+from ekf_companion.config.config import Config
+from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.event import GuardChanged
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.guard import GuardOptions
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from tests.mavlink.conversation import MS, PX4, SECOND, Voice, met, sent, station
 
 GENERIC = 0

@@ -12,7 +12,7 @@ from hypothesis import given
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ekf_companion.mavlink.event import ParameterSet
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.parameters import Parameter
 from tests.mavlink.conversation import MS, SECOND, met, sent, station
 
@@ -97,8 +97,8 @@ def test_rule_30_what_there_is_not_is_an_error_for_who_asked_us_and_silence_for_
 OLD_DIALECT = """
 from pymavlink.dialects.v20 import ardupilotmega
 ardupilotmega.mavlink_map.pop(345, None)
-from ekf_companion.companion import Companion
-from ekf_companion.config import Config
+from ekf_companion.engine.companion import Companion
+from ekf_companion.config.config import Config
 from ekf_companion.mavlink.codec import Sender
 companion, station = Companion(Config()), Sender(255, 190)
 us = {"target_system": 1, "target_component": 194, "param_id": b"NOPE"}

@@ -2,7 +2,6 @@
 
 import random
 from itertools import pairwise
-from pathlib import Path
 
 import hypothesis.strategies as st
 import numpy as np
@@ -15,7 +14,7 @@ from ekf_companion.mavlink.codec import Sender, pack, unpack
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.frame import JUNK, Splitter
-from ekf_companion.mavlink.layout import LAYOUTS
+from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.session import (
     JUNK_BYTES,
     RATES,
@@ -29,11 +28,11 @@ from ekf_companion.mavlink.session import (
 )
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.nav.measurements import ImuSample, Kind, Restart
+from tests.paths import DATA
 
 MS = 1_000_000
 SECOND = 1000 * MS
 ARDUPILOT, PX4 = 3, 12
-DATA = Path(__file__).parents[3] / "shared" / "data"
 
 
 class Autopilot:

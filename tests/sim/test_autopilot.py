@@ -5,7 +5,7 @@ import pytest
 
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.layout import IDS, LAYOUTS
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight

@@ -2,7 +2,7 @@ import numpy as np
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav.measurements import Kind
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import SimConfig

@@ -9,11 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 from ekf_companion.errors import CompanionError
-from ekf_companion.link import open_link
+from ekf_companion.link.link import open_link
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav import so3
 from sim_autopilot.__main__ import app
 from sim_autopilot.config import SimConfig

@@ -11,7 +11,7 @@ from ekf_companion.logs import tlog
 from ekf_companion.logs.recording import Recording
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav.measurements import (
     BaroSample,
     Events,

@@ -9,9 +9,9 @@ import pytest
 
 from ekf_companion.errors import ConfigError
 from ekf_companion.mavlink.codec import Sender
-from ekf_companion.mavlink.layout import IDS
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav import so3
-from ekf_companion.nav.atmosphere import pressure_altitude
+from ekf_companion.nav.earth import pressure_altitude
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import SimConfig
 from sim_autopilot.faults.fault import parse as fault

@@ -2,7 +2,7 @@
 
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import JUNK, Splitter
-from ekf_companion.mavlink.layout import IDS, LAYOUTS
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 
 US, THEM = (1, 194), (1, 1)
 SECOND_NS = 1_000_000_000

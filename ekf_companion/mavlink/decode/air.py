@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.choice import Preference
-from ekf_companion.mavlink.decode.door import Door, Measurements
+from ekf_companion.mavlink.decode.context import Door, Measurements
+from ekf_companion.mavlink.decode.preference import Preference
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.nav.atmosphere import pressure_altitude
+from ekf_companion.nav.earth import pressure_altitude
 from ekf_companion.nav.measurements import BaroSample, MagSample
 
 _WEAKEST, _STRONGEST = 0.15, 0.8

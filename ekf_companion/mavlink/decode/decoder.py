@@ -6,13 +6,13 @@ from collections import Counter, deque
 from collections.abc import Callable
 
 from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
-from ekf_companion.mavlink.decode.door import DecoderOptions, Door, Family, Measurements
+from ekf_companion.mavlink.decode.context import DecoderOptions, Door, Family, Measurements
 from ekf_companion.mavlink.decode.heading import Heading
 from ekf_companion.mavlink.decode.inertial import SOURCES, Inertial
 from ekf_companion.mavlink.decode.position import Position
 from ekf_companion.mavlink.decode.vehicle import Vehicle
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.mavlink.layout import by_name
+from ekf_companion.mavlink.messages import by_name
 from ekf_companion.mavlink.timebase import Step, TimeBase
 from ekf_companion.nav.measurements import Restart
 

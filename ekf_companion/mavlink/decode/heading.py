@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.choice import Pace, Preference
-from ekf_companion.mavlink.decode.door import Door, Measurements
+from ekf_companion.mavlink.decode.context import Door, Measurements
+from ekf_companion.mavlink.decode.preference import Pace, Preference
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.measurements import HeadingSample, HeadingSource
 

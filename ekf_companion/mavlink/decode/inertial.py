@@ -7,12 +7,12 @@ from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
-from ekf_companion.mavlink.decode.choice import Preference
-from ekf_companion.mavlink.decode.door import Door, Family, Measurements
+from ekf_companion.mavlink.decode.context import Door, Family, Measurements
+from ekf_companion.mavlink.decode.preference import Preference
 from ekf_companion.mavlink.decode.repetition import Repetition
 from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.mavlink.layout import by_name
+from ekf_companion.mavlink.messages import by_name
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import ImuSample
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.door import Door, Measurements
+from ekf_companion.mavlink.decode.context import Door, Measurements
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.measurements import VehicleState
 

@@ -1,0 +1,68 @@
+"""What the configured streams need of a serial line, told before they choke it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ekf_companion.config.config import Config
+from ekf_companion.engine.companion import session_options
+from ekf_companion.errors import LinkError
+from ekf_companion.link.address import Kind, parse_url
+from ekf_companion.mavlink.frame import HEADER_SIZE, SIGNATURE_SIZE
+from ekf_companion.mavlink.messages import by_name
+
+SHARE = 0.6
+"""Of the line, that the streams may take: parameters, commands, texts and bursts need the rest."""
+BITS = 10
+"""On the wire for each byte: 8N1."""
+_KEYS = {
+    "HIGHRES_IMU": "link.imu_rate",
+    "GPS_RAW_INT": "link.gnss_rate",
+    "ATTITUDE": "link.heading_rate",
+    "SCALED_PRESSURE": "link.baro_rate",
+    "ODOMETRY": "output.odometry.rate",
+}
+"""What turns each stream that can be turned."""
+_OURS = {"ESTIMATOR_STATUS": 1.0, "GPS_GLOBAL_ORIGIN": 1.0, "HEARTBEAT": 1.0, "TIMESYNC": 1.0}
+"""Hz, besides ODOMETRY."""
+_THEIRS = {"HEARTBEAT": 1.0, "TIMESYNC": 1.0}
+
+
+def overloads(config: Config) -> list[str]:
+    """Say of each direction of a serial link that is too slow what it needs and what to lower.
+
+    Nothing is said of other links, nor of what the autopilot sends unasked.
+    """
+    try:
+        address = parse_url(config.link.url)
+    except LinkError:
+        return []
+    if address.kind is not Kind.SERIAL:
+        return []
+    ours = dict(_OURS)
+    if config.output.odometry.mode != "never":
+        ours["ODOMETRY"] = config.output.odometry.rate
+    theirs = {**_THEIRS, **session_options(config, is_recording=False).rates}
+    is_signed = bool(config.signing.key_file)
+    words = []
+    for direction, rates in (("from the autopilot", theirs), ("to the autopilot", ours)):
+        needs = {name: rate * size(name, is_signed=is_signed) for name, rate in rates.items()}
+        total, limit = sum(needs.values()), SHARE * address.baud / BITS
+        if total > limit:
+            words.append(
+                f"{address}: the streams {direction} need {total:.0f} bytes/s, and of this line "
+                f"they should take no more than {limit:.0f} ({SHARE:.0%}); {_remedy(needs, total)}"
+            )
+    return words
+
+
+def size(name: str, *, is_signed: bool) -> int:
+    """Give the bytes of a message on the wire, at most."""
+    return HEADER_SIZE + by_name(name).size + (SIGNATURE_SIZE if is_signed else 0)
+
+
+def _remedy(needs: Mapping[str, float], total: float) -> str:
+    """Name the keys that make the most of it, the largest first."""
+    largest = sorted((name for name in needs if name in _KEYS), key=lambda name: -needs[name])
+    keys = [_KEYS[name] for name in largest if needs[name] > 0.1 * total]
+    return f"lower {' or '.join(keys)}, or raise the baud rate at both ends"

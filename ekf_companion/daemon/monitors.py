@@ -1,0 +1,103 @@
+"""Listeners that are no autopilot: each is sent the estimate, whatever the guard withholds.
+
+What they are sent bears numbers of its own and is not recorded; what they send is not read. Nothing
+here changes what is estimated or what the autopilot is sent.
+"""
+
+from __future__ import annotations
+
+import logging
+
+from ekf_companion.config.config import Config
+from ekf_companion.engine.companion import Companion
+from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.engine.publisher import Due, Publisher
+from ekf_companion.link.address import parse_monitor
+from ekf_companion.link.link import Link
+from ekf_companion.mavlink import encode
+from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.encode import MONITOR
+from ekf_companion.mavlink.signing import Signing
+
+_log = logging.getLogger(__name__)
+
+
+class Monitors:
+    """All of one configuration."""
+
+    def __init__(self, config: Config, autopilot: Link, signing: Signing | None) -> None:
+        """Make ready.
+
+        Args:
+            config: Its ``output.monitors`` are they.
+            autopilot: The link to the autopilot, which no monitor's may be.
+            signing: What signs; None: nothing is signed.
+
+        Raises:
+            LinkError: An address names no listener.
+        """
+        monitors = config.output.monitors
+        self.links = [Link(parse_monitor(url, autopilot.address)) for url in monitors]
+        """To be run."""
+        self._autopilot = autopilot
+        self._sender = Sender(1, config.link.component_id, signing)
+        self._heartbeat = Due(1.0)
+        self._config: Config | None = None
+        self._pipeline: Pipeline | None = None
+        self._publisher: Publisher | None = None
+        self._has_complained = False
+
+    @property
+    def unsent(self) -> dict[str, int]:
+        """Datagrams that found nobody, by address."""
+        return {str(link.address): link.unsent for link in self.links}
+
+    def serve(self, companion: Companion, now_ns: int) -> None:
+        """Send what is due of the newest estimate."""
+        session = companion.session
+        self._sender.system_id = session.outbox.ids[0]
+        if self._heartbeat.is_due(now_ns):
+            state = session.heartbeat
+            self._send("HEARTBEAT", encode.heartbeat(state.status, state.mode), now_ns)
+        publisher = self._follow(companion)
+        if publisher is not None:
+            publisher.publish(lambda name, payload: self._send(name, payload, now_ns))
+
+    def say_goodbye(self) -> None:
+        """Have the last heartbeat sent with what is sent next."""
+        self._heartbeat.ask()
+
+    def _follow(self, companion: Companion) -> Publisher | None:
+        """Give what publishes the companion's estimate of now, at the rates of now."""
+        pipeline, config = companion.pipeline, companion.tuning.config
+        if pipeline is None or not pipeline.stamp_ns:
+            return None
+        if pipeline is not self._pipeline:
+            self._publisher = Publisher(config, pipeline, Family.UNKNOWN, MONITOR)
+        elif config is not self._config and self._publisher is not None:
+            self._publisher.retune(config)
+        self._pipeline, self._config = pipeline, config
+        return self._publisher
+
+    def _send(self, name: str, payload: bytes, now_ns: int) -> None:
+        frame = self._sender.frame(name, payload, now_ns)
+        for link in self.links:
+            if self._is_autopilot(link):
+                link.unsent += 1
+            else:
+                link.send(frame)
+
+    def _is_autopilot(self, link: Link) -> bool:
+        """Whether the autopilot speaks from that very address: it would hear past the guard."""
+        pinned, address = self._autopilot.peers.pinned, link.address
+        if pinned is None or pinned[:2] != (address.host, address.port):
+            return False
+        if not self._has_complained:
+            _log.warning(
+                "output.monitors: the autopilot speaks from %s, so nothing is sent there; "
+                "leave it out",
+                address,
+            )
+        self._has_complained = True
+        return True

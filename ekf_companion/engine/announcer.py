@@ -1,0 +1,224 @@
+"""What has changed, in words: to the log in full, and to the pilot in short."""
+
+from __future__ import annotations
+
+import logging
+import math
+
+from ekf_companion.engine.health import Health
+from ekf_companion.mavlink.event import (
+    Answered,
+    Clash,
+    Event,
+    GuardChanged,
+    IntervalSet,
+    Noted,
+    ParameterSet,
+    PeerChanged,
+    PeerFound,
+    PeerLost,
+    RateInVain,
+    Rebooted,
+    SeveralAutopilots,
+    Versioned,
+)
+from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.mavlink.statustext import Severity, StatusText
+from ekf_companion.nav.state import Status
+
+_log = logging.getLogger(__name__)
+
+DECIMATED = 80.0
+"""Inertial samples below this rate miss what a multicopter does, Hz."""
+_PATIENCE = 5
+"""Accounts, one a second, until that is said: at first an autopilot streams as it likes."""
+
+_TOLD = {
+    Status.OK: (Severity.INFO, "estimate OK"),
+    Status.DEGRADED: (Severity.NOTICE, "estimate degraded"),
+    Status.DEAD_RECKONING: (Severity.WARNING, "GNSS lost, dead reckoning"),
+    Status.INVALID: (Severity.CRITICAL, "estimate invalid, not sent"),
+}
+"""What the pilot is told of a status; of the others, which come before there is one, nothing."""
+
+
+def _fields(event: str, reason: str) -> dict[str, str]:
+    """Give a log line's fields in the journal."""
+    return {"EKF_EVENT": event, "EKF_REASON": reason}
+
+
+class Bulletin:
+    """Tells transitions, each once."""
+
+    def __init__(self, statustext: StatusText) -> None:
+        self._statustext = statustext
+        self._status = Status.INIT
+        self._resets = 0
+        self._decimated = 0
+        self._imu_source = ""
+        self._next_ns: dict[str, int] = {}
+        self._waiting: dict[str, Event] = {}
+
+    def begin(self) -> None:
+        """Begin with an estimator that begins anew."""
+        self._resets, self._imu_source = 0, ""
+
+    def tell(self, severity: Severity, text: str) -> None:
+        """Tell the pilot, who should know from whom it is."""
+        self._statustext.say(severity, f"Companion: {text}")
+
+    def report(self, health: Health, imu_source: str) -> None:
+        """Take the filter's account of itself, and where its inertial samples come from."""
+        if health.resets != self._resets:
+            self._report_reset(health)
+        self._decimated = self._decimated + 1 if 0.0 < health.imu_rate < DECIMATED else 0
+        if self._decimated == _PATIENCE:
+            _log.warning(
+                "Inertial samples come at %.0f Hz: fast motion is missed, so the noise is taken "
+                "for larger; ask for %.0f Hz or more",
+                health.imu_rate,
+                DECIMATED,
+            )
+        if self._imu_source and imu_source != self._imu_source:
+            _log.warning("Inertial samples are of %s, were of %s", imu_source, self._imu_source)
+            self.tell(Severity.WARNING, f"IMU is {imu_source}, was {self._imu_source}")
+        self._imu_source = imu_source
+        if health.status != self._status:
+            _log.info(
+                "Estimate is %s, was %s",
+                health.status.name,
+                self._status.name,
+                extra=_fields("status", health.status.name.lower()),
+            )
+            self._status = health.status
+            if health.status in _TOLD:
+                self.tell(*_TOLD[health.status])
+
+    def _report_reset(self, health: Health) -> None:
+        moved = health.reset_delta
+        distance, speed = math.hypot(*moved[:3]), math.hypot(*moved[3:6])
+        yaw = math.degrees(moved[6])
+        _log.warning(
+            "Reset %d: %s; moved by %.1f m, %.1f m/s, %.0f deg of yaw",
+            health.resets,
+            health.reset_reason,
+            distance,
+            speed,
+            yaw,
+            extra=_fields("reset", health.reset_reason),
+        )
+        reason = health.reset_reason
+        self.tell(
+            Severity.WARNING, f"reset, {reason}: {distance:.1f} m {speed:.1f} m/s {yaw:.0f} deg"
+        )
+        self._resets = health.resets
+
+    def heed(self, event: Event, now_ns: int) -> None:
+        """Tell what has happened on the link; what anybody can make happen, once a second."""
+        subject = _subject(event)
+        if subject and now_ns < self._next_ns.get(subject, now_ns):
+            self._waiting[subject] = event
+            return
+        if subject:
+            self._next_ns[subject] = now_ns + SECOND_NS
+        self._tell_of(event)
+
+    def tick(self, now_ns: int) -> None:
+        """Tell how what came too often has ended."""
+        due = [subject for subject in self._waiting if now_ns >= self._next_ns[subject]]
+        for subject in due:
+            self.heed(self._waiting.pop(subject), now_ns)
+
+    def _tell_of(self, event: Event) -> None:
+        match event:
+            case PeerFound(system_id, component_id, family):
+                _log.info(
+                    "Autopilot found: system %d, component %d, %s",
+                    system_id,
+                    component_id,
+                    family.value,
+                    extra=_fields("autopilot", "found"),
+                )
+            case PeerLost():
+                _log.warning(
+                    "Autopilot lost: no heartbeat for 5 s; check the link",
+                    extra=_fields("autopilot", "lost"),
+                )
+            case Rebooted():
+                _log.warning(
+                    "Autopilot rebooted: its clock began anew, and so does the estimate",
+                    extra=_fields("autopilot", "rebooted"),
+                )
+            case Noted(text):
+                _log.warning("%s", text)
+            case Answered(message, result):
+                _log.info("Request for %s: %s", message, result)
+            case Versioned(version):
+                _log.info("Autopilot's firmware: %s", version)
+            case _:
+                self._heed_trouble(event)
+
+    def _heed_trouble(self, event: Event) -> None:
+        """Tell what the pilot should hear of too."""
+        match event:
+            case SeveralAutopilots(system_id, other_id):
+                _log.warning(
+                    "Several autopilots heard (systems %d and %d): listening to system %d; set "
+                    "link.autopilot",
+                    *(system_id, other_id, system_id),
+                )
+                self.tell(Severity.WARNING, f"several autopilots, using {system_id}")
+            case PeerChanged(was, now, is_lost):
+                reason = (
+                    "which has fallen silent" if is_lost else "which is less likely the vehicle's"
+                )
+                _log.warning(
+                    "Listening to system %d, component %d instead of system %d, component %d, %s; "
+                    "link.autopilot names the one that is meant",
+                    *(*now, *was, reason),
+                )
+                self.tell(
+                    Severity.WARNING, f"using autopilot {now[0]}/{now[1]}, not {was[0]}/{was[1]}"
+                )
+            case Clash(system_id, component_id):
+                _log.warning(
+                    "Somebody else speaks as system %d, component %d: no ODOMETRY until it stops; "
+                    "give one of us another link.component_id",
+                    *(system_id, component_id),
+                )
+                self.tell(Severity.CRITICAL, f"id {component_id} is taken twice, not sending")
+            case RateInVain(message, asked, measured, cause):
+                _log.warning(
+                    "%s comes at %.1f Hz, asked for %.0f: %s", message, measured, asked, cause
+                )
+                self.tell(Severity.WARNING, f"{message} {measured:.0f} of {asked:.0f} Hz: {cause}")
+            case GuardChanged(verdict):
+                is_bad = verdict.is_warning
+                _log.log(
+                    logging.WARNING if is_bad else logging.INFO,
+                    "%s",
+                    verdict.sentence,
+                    extra=_fields("guard", "streaming" if verdict.is_streaming else "withheld"),
+                )
+                self.tell(Severity.WARNING if is_bad else Severity.INFO, verdict.text)
+            case ParameterSet(name, key, value, is_late):
+                since = " from the next start" if is_late else ""
+                _log.info("Parameter %s set to %g (%s)%s", name, value, key, since)
+                self.tell(Severity.INFO, f"{name} is {value:g}{since}")
+            case IntervalSet(message, rate):
+                _log.info("%s asked for at %g Hz", message, rate)
+            case _:
+                pass
+
+
+def _subject(event: Event) -> str:
+    """Give what an event is about, where a command can bring it about; empty: none can."""
+    match event:
+        case ParameterSet(name=name):
+            return name
+        case IntervalSet(message=message):
+            return message
+        case GuardChanged():
+            return "guard"
+        case _:
+            return ""

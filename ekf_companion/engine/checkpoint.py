@@ -1,0 +1,315 @@
+"""A checkpoint: the filter's whole state as bytes, and whether it may be gone on from.
+
+No file and no clock here. A wrong state is worse than none, which costs a few seconds of alignment:
+so whatever does not fit is refused, with a sentence that says why. What decides is the autopilot's
+own clock. Ours may have been set meanwhile (a board without a clock of its own starts wherever it
+stopped), so within one boot the time since boot is compared, and unix time only across two.
+
+The bytes, little endian: a header, the state block, the rows that wait for a sample, a CRC-32.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+import zlib
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.config.service import CheckpointConfig
+from ekf_companion.core import state as at
+from ekf_companion.core.settings import HABITS
+from ekf_companion.version import __version__
+
+Array = npt.NDArray[np.float64]
+
+MAGIC = b"\x89EKFCKPT"
+FORMAT = 2
+LIMIT = CheckpointConfig().limit
+"""Age beyond which a checkpoint is stale unless told otherwise, s."""
+DISAGREEMENT_NS = 2_000_000_000
+"""Between two clocks' ideas of one span: a stalled link, not a reboot, which takes longer."""
+LARGEST_DELAY_NS = 2_000_000_000
+"""From a sample's stamp to the time when it was true; settings allow 1 s."""
+LARGEST = 1e12
+"""In the motion and its covariance."""
+MOST_STARTS = 5
+"""So many restarts, each within :data:`STEADY_NS` of the one before: the state may be the cause."""
+STEADY_NS = 60_000_000_000
+_HEADER = struct.Struct("<8sI8s8s32s12s2B4BH5q16s2I")
+_LARGEST_RANK = 4
+
+
+class Why(str, Enum):
+    """Why a checkpoint was refused."""
+
+    DAMAGED = "damaged"
+    VERSION = "version"
+    FOREIGN = "foreign"
+    SETTINGS = "settings"
+    ALIGNING = "aligning"
+    REBOOTED = "rebooted"
+    STALE = "stale"
+    CLOCKS = "clocks"
+    LOOP = "loop"
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A checkpoint that is not used."""
+
+    why: Why
+    words: str
+    """Why, and what would do or why it does no harm; to stand behind a colon."""
+    resets: int = 0
+    """From which count of resets to go on all the same, where the autopilot may have heard of it:
+    it must see that all has moved."""
+
+
+class Vehicle(NamedTuple):
+    """Whose state it is."""
+
+    family: str
+    """``px4``, ``ardupilot`` or ``unknown``."""
+    system_id: int
+    component_id: int
+
+    def __str__(self) -> str:
+        return f"{self.family}, system {self.system_id}, component {self.component_id}"
+
+
+class Clocks(NamedTuple):
+    """The companion's clocks at one moment."""
+
+    unix_ns: int
+    boot_ns: int = 0
+    """Since boot, time asleep included."""
+    boot_id: bytes = bytes(16)
+    """Of this boot, 16 bytes; zeros: not known."""
+
+    def later(self, span_ns: int) -> Clocks:
+        """Give them a span later."""
+        return self._replace(unix_ns=self.unix_ns + span_ns, boot_ns=self.boot_ns + span_ns)
+
+    def since(self, before: Clocks) -> int:
+        """Give the time passed since others, ns, by the best clock that both have."""
+        if self.boot_id == before.boot_id != bytes(16):
+            return self.boot_ns - before.boot_ns
+        return self.unix_ns - before.unix_ns
+
+
+class Sources(NamedTuple):
+    """Which message each kind of measurement was taken from, by rank (0: the best)."""
+
+    imu: int = 0
+    mag: int = 0
+    baro: int = 0
+    heading: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class State:
+    """Everything that the estimator needs to go on."""
+
+    epoch_ns: int
+    """What times in the block count from, autopilot clock, ns."""
+    stamp_ns: int
+    """Stamp of the newest inertial sample, ns."""
+    block: Array
+    """As core.layout says, shape (BLOCK,)."""
+    waiting: Array
+    """Events that waited for the next sample, shape (n, ROW)."""
+    settings: bytes
+    """Fingerprint of the numbers that the estimator runs with, 8 bytes."""
+    told_before: int = 0
+    """Resets that were told before this state was begun with, >= 0."""
+
+    @property
+    def next_reset(self) -> int:
+        """The count of resets that nobody has been told yet."""
+        return self.told_before + int(self.block[at.X_RESETS]) + 1
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Checkpoint:
+    """A state, and whose and when it was."""
+
+    state: State
+    vehicle: Vehicle
+    clocks: Clocks
+    """When it was taken, together with the state's stamp."""
+    sources: Sources
+    starts: int = 0
+    """Restarts from checkpoints in a row, none of which lasted a minute."""
+
+    def refuse_vehicle(self, vehicle: Vehicle, settings: bytes) -> Refusal | None:
+        """Say why it is none for this vehicle under these settings; None: it is."""
+        if self.vehicle != vehicle:
+            return foreign(self.vehicle, vehicle)
+        if self.state.settings != settings:
+            words = "the estimator's settings are others now; harmless: it begins with them"
+            return Refusal(Why.SETTINGS, words, self.state.next_reset)
+        return None
+
+    def refuse_time(self, stamp_ns: int, now: Clocks, limit: float = LIMIT) -> Refusal | None:
+        """Say why it is none for a first inertial sample of this stamp, heard now; None: it is."""
+        lost = (stamp_ns - self.state.stamp_ns) * 1e-9
+        passed = now.since(self.clocks) * 1e-9
+        if lost <= 0.0:
+            return Refusal(
+                Why.REBOOTED,
+                f"the autopilot's clock stands {-lost:.1f} s before it, so the autopilot has "
+                "rebooted since; harmless: a new flight begins with a new alignment",
+            )
+        if lost > limit:
+            return Refusal(
+                Why.STALE,
+                f"it is {lost:.1f} s old by the autopilot's clock, and checkpoint.limit is "
+                f"{limit:g} s; harmless: by now the vehicle can be anywhere and lie anyhow",
+                self.state.next_reset,
+            )
+        if abs(passed - lost) * 1e9 > DISAGREEMENT_NS:
+            return Refusal(
+                Why.CLOCKS,
+                f"{lost:.1f} s have passed since by the autopilot's clock, {passed:.1f} s by ours: "
+                "it has rebooted, our clock was set, or a simulator is faster than time; harmless",
+                self.state.next_reset,
+            )
+        return None
+
+
+def foreign(theirs: Vehicle, ours: Vehicle) -> Refusal:
+    """Say that it is another vehicle's."""
+    return Refusal(
+        Why.FOREIGN,
+        f"it is of another vehicle ({theirs}; this is {ours}); "
+        "harmless, but two vehicles want two files (checkpoint.file)",
+    )
+
+
+def layout_fingerprint() -> bytes:
+    """Give 8 bytes that change with any number of core.layout."""
+    numbers = sorted((name, value) for name, value in vars(at).items() if name.isupper())
+    return hashlib.sha256(repr(numbers).encode()).digest()[:8]
+
+
+LAYOUT = layout_fingerprint()
+
+
+def settings_fingerprint(parameters: Array, delays_ns: npt.NDArray[np.int64]) -> bytes:
+    """Give 8 bytes that change with any number that the estimator is told."""
+    return hashlib.sha256(parameters.tobytes() + delays_ns.tobytes()).digest()[:8]
+
+
+def encode(checkpoint: Checkpoint) -> bytes:
+    """Give the bytes to keep."""
+    state = checkpoint.state
+    body = _HEADER.pack(
+        MAGIC,
+        FORMAT,
+        LAYOUT,
+        state.settings,
+        __version__.encode(),
+        checkpoint.vehicle.family.encode(),
+        checkpoint.vehicle.system_id,
+        checkpoint.vehicle.component_id,
+        *checkpoint.sources,
+        min(checkpoint.starts, 0xFFFF),
+        state.epoch_ns,
+        state.stamp_ns,
+        state.told_before,
+        *checkpoint.clocks,
+        len(state.block),
+        len(state.waiting),
+    )
+    body += state.block.astype("<f8").tobytes() + state.waiting.astype("<f8").tobytes()
+    return body + zlib.crc32(body).to_bytes(4, "little")
+
+
+def is_ours(data: bytes) -> bool:
+    """Whether bytes begin as a checkpoint does."""
+    return data[: len(MAGIC)] == MAGIC
+
+
+def decode(data: bytes) -> Checkpoint | Refusal:
+    """Read what :func:`encode` gave; anything else is refused, whatever it is."""
+    if not is_ours(data):
+        words = "it does not begin as a checkpoint; name a file for nothing else"
+        return Refusal(Why.DAMAGED, words)
+    if len(data) < _HEADER.size + 4 or zlib.crc32(data[:-4]) != int.from_bytes(data[-4:], "little"):
+        return Refusal(
+            Why.DAMAGED,
+            "its checksum is wrong: it was cut off or altered on the disk; harmless once, "
+            "but look at the disk if it comes again",
+        )
+    (_, form, layout, settings, version, family, system_id, component_id, *rest) = (
+        _HEADER.unpack_from(data)
+    )
+    *sources, starts, epoch_ns, stamp_ns, before, unix_ns, boot_ns, boot_id, size, count = rest
+    wrote = version.rstrip(b"\0").decode(errors="replace")
+    if (form, layout, wrote) != (FORMAT, LAYOUT, __version__[:32]):
+        return Refusal(
+            Why.VERSION,
+            f"ekf-companion {wrote} wrote it, and this {__version__} lays its state out otherwise; "
+            "harmless: the next one takes its place",
+        )
+    if size != at.BLOCK or len(data) != _HEADER.size + 8 * (size + count * at.ROW) + 4:
+        return Refusal(Why.DAMAGED, "its size does not fit its content; harmless once")
+    numbers = np.frombuffer(data[_HEADER.size : -4], dtype="<f8").astype(np.float64)
+    vehicle = Vehicle(family.rstrip(b"\0").decode(errors="replace"), system_id, component_id)
+    state = State(
+        epoch_ns=epoch_ns,
+        stamp_ns=stamp_ns,
+        block=numbers[:size],
+        waiting=numbers[size:].reshape(count, at.ROW),
+        settings=settings,
+        told_before=before,
+    )
+    if max(sources) > _LARGEST_RANK or vehicle.family not in HABITS:
+        return Refusal(Why.DAMAGED, "it names what there is not; please report it")
+    if refusal := _refuse_state(state):
+        return refusal
+    if starts >= MOST_STARTS:
+        return Refusal(
+            Why.LOOP,
+            f"{starts} restarts came within a minute of each other, and the state may be their "
+            "cause; harmless now, but look above for what ended the daemon",
+            state.next_reset,
+        )
+    return Checkpoint(
+        state=state,
+        vehicle=vehicle,
+        clocks=Clocks(unix_ns, boot_ns, boot_id),
+        sources=Sources(*sources),
+        starts=starts,
+    )
+
+
+def _refuse_state(state: State) -> Refusal | None:
+    """Refuse a state that no filter can be in, or that is not worth going on from."""
+    x = state.block
+    if x[at.X_MODE] in (at.MODE_INIT, at.MODE_LEVEL):
+        return Refusal(Why.ALIGNING, "it had not found its attitude yet; harmless: nothing is lost")
+    P = x[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
+    unknown = [at.X_DECLINATION, at.X_INCLINATION, at.X_FIELD, at.X_ARMED, at.X_LANDED]
+    unknown += range(at.X_LEVEL, at.X_LEVEL + at.L_SIZE)
+    is_possible = (
+        bool(np.isfinite(np.delete(x, unknown)).all())
+        and bool((np.abs(x[at.X_Q : at.X_LAT0]) < LARGEST).all())
+        and bool((np.abs(P) < LARGEST).all())
+        and not np.isinf(x).any()
+        and float(np.diagonal(P).min()) >= 0.0
+        and abs(float(np.linalg.norm(x[at.X_Q : at.X_Q + 4])) - 1.0) < 1e-6
+        and x[at.X_MODE] in (at.MODE_ATTITUDE, at.MODE_NAVIGATE)
+        and 0.0 <= x[at.X_RESETS] < 2.0**53
+        and x[at.X_RESET_REASON] in range(at.RESET_RESTART + 1)
+        and abs(state.stamp_ns - state.epoch_ns - x[at.X_T]) < LARGEST_DELAY_NS
+        and bool(np.isfinite(state.waiting[:, : at.ROW_V]).all())
+    )
+    if not is_possible:
+        return Refusal(Why.DAMAGED, "it holds a state that no vehicle can be in; please report it")
+    return None

@@ -1,0 +1,181 @@
+"""What a conversion found in a log and did with it, for people and as JSON."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ekf_companion.engine.announcer import DECIMATED
+from ekf_companion.engine.health import Aid, Health
+from ekf_companion.errors import LogError
+from ekf_companion.nav.measurements import Events, GnssFlag, Kind
+from ekf_companion.nav.state import Status, Table
+
+SLOW = 20.0
+"""Inertial samples per second below which the motion between them is guesswork, Hz."""
+WITHOUT_NORTH = {Status.INIT, Status.ALIGNING}
+FLAGS = 10
+"""Where a GNSS row holds its flags (nav.measurements.GnssFix.row)."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Report:
+    """What a conversion found and did."""
+
+    log: str
+    family: str = "unknown"
+    notes: list[str] = field(default_factory=list)
+    counts: Counter[Kind] = field(default_factory=Counter)
+    derived: int = 0
+    """Positions of the autopilot's own, which stand in while GNSS is silent."""
+    rates: dict[Kind, float] = field(default_factory=dict)
+    """Hz, in the middle of all chunks: a stream may begin at another rate."""
+    steps: dict[Kind, list[float]] = field(default_factory=dict)
+    """From one event to the next, ns: the median of each chunk."""
+    seconds: dict[Status, float] = field(default_factory=dict)
+    estimates: int = 0
+    health: Health | None = None
+    refused: dict[str, int] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give everything for JSON, names in lower case."""
+        health = self.health
+        return {
+            "log": self.log,
+            "family": self.family,
+            "notes": list(self.notes),
+            "rates_hz": {kind.name.lower(): rate for kind, rate in self.rates.items()},
+            "events": {kind.name.lower(): count for kind, count in self.counts.items()},
+            "derived_positions": self.derived,
+            "estimates": self.estimates,
+            "seconds": {status.name.lower(): spent for status, spent in self.seconds.items()},
+            "resets": health.resets if health else 0,
+            "gaps": health.gaps if health else 0,
+            "late": health.reruns if health else 0,
+            "aids": _names(health.verdicts) if health else {},
+            "arrivals": _names(health.arrivals) if health else {},
+            "refused_by_decoder": self.refused,
+        }
+
+
+def _names(table: Mapping[Any, Mapping[Any, int]]) -> dict[str, dict[str, int]]:
+    return {
+        key.name.lower(): {why.name.lower(): count for why, count in row.items() if count}
+        for key, row in table.items()
+    }
+
+
+def account(report: Report, events: Events, table: Table) -> None:
+    """Add a chunk to the report."""
+    derived = (events.kind == Kind.GNSS) & (events.values[:, FLAGS] == GnssFlag.DERIVED)
+    report.derived += int(np.count_nonzero(derived))
+    for kind in Kind:
+        chosen = (events.kind == kind) & ~derived
+        count = int(np.count_nonzero(chosen))
+        report.counts[kind] += count
+        steps = np.diff(np.unique(events.t_ns[chosen]))
+        if len(steps):
+            medians = report.steps.setdefault(kind, [])
+            medians.append(float(np.median(steps)))
+            report.rates[kind] = 1e9 / float(np.median(medians))
+    report.estimates += len(table)
+    if len(table) > 1:
+        status = table.column("status")[1:]
+        spans = np.diff(table.stamp_ns) * 1e-9
+        spans[(spans < 0.0) | (spans > 5.0)] = 0.0
+        for each in Status:
+            spent = float(spans[status == each].sum())
+            if spent > 0.0:
+                report.seconds[each] = report.seconds.get(each, 0.0) + spent
+
+
+def conclude(report: Report, path: Path) -> None:
+    """Say in sentences what was lacking, and what that leaves.
+
+    Raises:
+        LogError: Nothing could be estimated.
+    """
+    counts = report.counts
+    if counts[Kind.IMU] == 0:
+        raise LogError(
+            f"{path}: holds no inertial samples (HIGHRES_IMU, RAW_IMU, SCALED_IMU, IMU or "
+            "sensor_combined), so nothing can be estimated; ask the autopilot to log or stream them"
+        )
+    rate = report.rates.get(Kind.IMU, 0.0)
+    if rate < SLOW:
+        report.notes.append(
+            f"inertial samples come at {rate:.1f} Hz, below the {SLOW:.0f} Hz that motion can be "
+            "integrated from: position and velocity follow GNSS, attitude is a guess; "
+            "ask for a faster stream"
+        )
+    elif rate < DECIMATED:
+        report.notes.append(
+            f"inertial samples come at {rate:.0f} Hz: fast motion is missed, so the noise is taken "
+            f"for larger; {DECIMATED:.0f} Hz or more would do"
+        )
+    if counts[Kind.GNSS] + report.derived == 0:
+        report.notes.append(
+            "no GNSS fix: attitude is estimated, and height over the start where there is a "
+            "barometer; no position and no velocity"
+        )
+    if counts[Kind.HEADING] + counts[Kind.MAG] == 0:
+        found = bool(set(report.seconds) - {*WITHOUT_NORTH, Status.ATTITUDE})
+        report.notes.append(
+            "no heading (magnetometer, GNSS yaw or the autopilot's): "
+            + (
+                "it was found from the GNSS velocity in the first manoeuvre"
+                if found
+                else "roll and pitch are estimated; position and velocity need one, or GNSS "
+                "velocity and a manoeuvre that changes it by more than 1 m/s"
+            )
+        )
+    elif counts[Kind.GNSS] and set(report.seconds) <= {*WITHOUT_NORTH, Status.ATTITUDE}:
+        report.notes.append(
+            "no heading was accepted, so GNSS could not be used: roll and pitch are estimated. "
+            "A magnetic field that is not the Earth's is refused (heading.field_strength, "
+            "heading.field_dip); heading.source says who is asked"
+        )
+    if report.estimates == 0 or set(report.seconds) <= WITHOUT_NORTH:
+        what = "; ".join(report.notes) or "the log is too short to find down and north in it"
+        raise LogError(f"{path}: nothing could be estimated: {what}")
+
+
+def summary(report: Report) -> list[str]:
+    """Give the report as lines to read."""
+    lines = [f"{report.log}: {report.family} autopilot, {report.estimates} estimates"]
+    rates = ", ".join(
+        f"{kind.name.lower()} {rate:.4g} Hz ({report.counts[kind]})"
+        for kind, rate in report.rates.items()
+    )
+    if report.derived:
+        rates += f", {report.derived} positions of the autopilot's own"
+    lines.append(f"  found: {rates}")
+    if report.health is not None:
+        for aid in Aid:
+            verdicts = report.health.verdicts[aid]
+            if any(verdicts.values()):
+                words = ", ".join(
+                    f"{count} {why.name.lower()}" for why, count in verdicts.items() if count
+                )
+                lines.append(f"  {aid.name.lower()}: {words}")
+        late = report.health.reruns
+        lines.append(
+            f"  resets: {report.health.resets}"
+            + (f" (last: {report.health.reset_reason})" if report.health.resets else "")
+            + f"; gaps: {report.health.gaps}; late measurements: {late}"
+        )
+    spent = ", ".join(f"{each.name.lower()} {s:.1f} s" for each, s in report.seconds.items())
+    lines.append(f"  status: {spent}")
+    link = {why: count for why, count in report.refused.items() if ": " not in why}
+    left = {why.split(": ", 1)[1]: n for why, n in report.refused.items() if ": " in why}
+    for title, table in (("link", link), ("left out or mended", left)):
+        if table:
+            words = ", ".join(f"{count} {why}" for why, count in table.items())
+            lines.append(f"  {title}: {words}")
+    lines += [f"  note: {note}" for note in report.notes]
+    return lines

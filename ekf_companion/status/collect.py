@@ -1,0 +1,160 @@
+"""What each part of the daemon has to tell, in the words of the Snapshot.
+
+Each function is the one place where its part is asked, for the status and for the doctor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from ekf_companion.engine.companion import Companion
+from ekf_companion.link.link import Link
+from ekf_companion.mavlink.clock import Timesync
+from ekf_companion.mavlink.decode import Decoder
+from ekf_companion.mavlink.session import Session
+from ekf_companion.nav.measurements import Kind
+from ekf_companion.status.snapshot import (
+    FrameState,
+    ImuState,
+    LinkState,
+    MessageState,
+    OutputState,
+    PeerState,
+    ReloadState,
+    TimeState,
+)
+
+
+def link_state(link: Link, silent_s: float = math.nan) -> LinkState:
+    """Give the descriptor and the bytes, of which the last came so long ago; NaN: none has."""
+    pinned, failure = link.peers.pinned, link.failure
+    return LinkState(
+        url=str(link.address),
+        is_open=link.is_open,
+        opened=link.opened,
+        failure="" if failure is None else failure.strerror or str(failure),
+        bytes_in=link.bytes_in,
+        bytes_out=link.bytes_out,
+        dropped=link.dropped,
+        unsent=link.unsent,
+        silent_s=silent_s,
+        refused=dict(link.refused),
+        peer="" if pinned is None else f"{pinned[0]} port {pinned[1]}",
+    )
+
+
+def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> PeerState:
+    """Give the autopilot that was heard last, by its system and component id."""
+    session, pipeline = companion.session, companion.pipeline
+    restarts = {} if pipeline is None else pipeline.health().arrivals[Kind.RESTART]
+    return PeerState(
+        system_id=peer[0],
+        component_id=peer[1],
+        family=session.decoder.family.value,
+        version=session.requests.version,
+        is_heard=session.peer is not None,
+        silent_s=age(session.heard_ns or None, now_ns),
+        is_armed=session.decoder.is_armed,
+        reboots=sum(restarts.values()),
+    )
+
+
+def output_state(
+    session: Session, new: int, rate: float, unheard: Mapping[str, int] | None = None
+) -> OutputState:
+    """Give what is sent, and why; of ODOMETRY so many are new, at a rate, Hz."""
+    verdict, state = session.guard.verdict, session.stream_state
+    return OutputState(
+        mode=session.guard.options.mode,
+        is_streaming=new > 0,
+        rate=rate,
+        is_allowed=state.is_streaming,
+        is_settled=verdict.is_settled,
+        is_clash=session.clash.is_clash,
+        reason=state.reason,
+        remedy=state.remedy,
+        parameters=dict(verdict.parameters),
+        sent=dict(session.sent),
+        withheld=session.outbox.withheld["ODOMETRY"],
+        texts_dropped=session.statustext.dropped,
+        unheard=unheard or {},
+    )
+
+
+def imu_state(decoder: Decoder, messages: Mapping[str, MessageState]) -> ImuState:
+    """Give where the inertial samples come from, by the messages that are heard."""
+    message = messages.get(decoder.imu_source)
+    return ImuState(
+        message=decoder.imu_source,
+        instance=decoder.imu_instance,
+        rate=0.0 if message is None else message.rate,
+        is_dejittered=decoder.is_dejittered,
+    )
+
+
+def reload_state(companion: Companion) -> ReloadState:
+    """Give how often the configuration was read anew, and what became of it."""
+    return ReloadState(count=companion.reloads, words=companion.last_reload)
+
+
+def asked_rates(session: Session) -> dict[str, float]:
+    """Give the rates that were asked for, Hz, by message."""
+    rates = dict(session.requests.rates)
+    is_refused = session.requests.inertial != "HIGHRES_IMU"
+    if is_refused and "RAW_IMU" in session.results:  # asked in its place
+        rates["RAW_IMU"] = rates.get("HIGHRES_IMU", 0.0)
+    return rates
+
+
+def time_state(timesync: Timesync, decoder: Decoder, now_ns: int) -> TimeState:
+    """Give what is known of the autopilot's clock."""
+    peer_ns = timesync.peer_ns(now_ns)
+    quality, base = timesync.quality, decoder.clock
+    words = "unix" if base.is_unix else "boot"
+    return TimeState(
+        base="unknown" if base.latest_us is None else words,
+        is_locked=timesync.is_locked,
+        offset_s=math.nan if peer_ns is None else (peer_ns - now_ns) * 1e-9,
+        skew_ppm=timesync.skew * 1e6,
+        rtt_p50_ms=_ms(quality.rtt_p50_ns),
+        rtt_p95_ms=_ms(quality.rtt_p95_ns),
+        residual_us=math.nan if quality.residual is None else quality.residual * 1e6,
+        answers=quality.answers,
+        refused=dict(timesync.refused),
+    )
+
+
+def _ms(ns: int | None) -> float:
+    return math.nan if ns is None else ns * 1e-6
+
+
+def frames(counters: Mapping[str, int]) -> FrameState:
+    """Give what the bytes were, out of ``Session.counters``."""
+    return FrameState(
+        frames=counters["frames"],
+        bad_crc=counters["bad_crc"],
+        unknown_id=counters["unknown_id"],
+        incompatible=counters["incompatible"],
+        junk_bytes=counters["junk_bytes"],
+        lost=counters["lost"],
+        late=counters["late"],
+        duplicates=counters["duplicate"],
+        signed=counters["signed"],
+        refused=part(counters, "not admitted: "),
+        ignored=part(counters, "ignored: "),
+    )
+
+
+def part(counters: Mapping[str, int], prefix: str) -> dict[str, int]:
+    """Give the counters whose names begin so, without that beginning."""
+    return {
+        name.removeprefix(prefix): count
+        for name, count in counters.items()
+        if name.startswith(prefix)
+    }
+
+
+def age(since_ns: int | None, now_ns: int) -> float:
+    """Give the seconds since a time of ours; NaN: it never was."""
+    return math.nan if since_ns is None else max(now_ns - since_ns, 0) * 1e-9

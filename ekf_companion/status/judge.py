@@ -1,0 +1,146 @@
+"""What is found of a snapshot: whether the daemon does its work, in one line; and all as JSON.
+
+The line is the same for ``/healthz``, the status and the service manager.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from typing import Any, NamedTuple
+
+import msgspec
+
+from ekf_companion.nav.state import Status
+from ekf_companion.status.progress import BARREN_S
+from ekf_companion.status.snapshot import LinkState, OutputState, Snapshot
+
+STALL_S = 2.0
+"""The filter's task goes round ten times a second at least."""
+SILENCE_S = 2.0
+"""A link without a byte for so long is said to be silent: heartbeats come once a second."""
+MANY_UNSENT = 0.5
+"""Hz of ODOMETRY that the link throws away; one now and then is none's fault."""
+
+
+class Finding(NamedTuple):
+    """Whether the daemon does its work."""
+
+    is_healthy: bool
+    words: str
+    """What is so, and where it is not as it should be, the remedy."""
+
+
+def judge(snapshot: Snapshot) -> Finding:
+    """Say whether the filter ticks and can be used; what it is not given is told, and no fault."""
+    stuck_s, health = snapshot.process.tick_age_s, snapshot.estimator
+    if stuck_s > STALL_S:
+        return Finding(False, f"stalled: the filter's task has not gone round for {stuck_s:.1f} s")
+    if snapshot.barren_s > BARREN_S:
+        return Finding(
+            False,
+            f"stalled: inertial samples have come for {snapshot.barren_s:.1f} s, and the filter "
+            "makes no estimate of them; see what became of them in /status",
+        )
+    if health is not None and health.status is Status.INVALID:
+        return Finding(
+            False,
+            "invalid: the error has passed its limit; /status says which aids it lacks",
+        )
+    words = "ok: waiting for an autopilot"
+    if health is not None:
+        words = f"ok: the estimate is {health.status.name}"
+    if silence := _silence(snapshot):
+        if health is not None and snapshot.sample_age_s > SILENCE_S:
+            words = f"ok: no estimate, the last was {health.status.name}"
+        return Finding(True, f"{words}; {silence}")
+    if health is not None:
+        words += f", {snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output)}"
+    return Finding(True, "; ".join([words, *_rates_in_vain(snapshot), *_recording(snapshot)]))
+
+
+def _odometry(output: OutputState) -> str:
+    if output.is_allowed:
+        words = f"ODOMETRY {output.rate:.0f} Hz" if output.is_streaming else "no ODOMETRY"
+        if output.unsent_rate < MANY_UNSENT:
+            return words
+        return (
+            f"{words}, {output.unsent_rate:.0f} Hz thrown away as the link takes no more: check "
+            "RTS and CTS, raise the rate of the line or lower output.odometry.rate"
+        )
+    remedy = f"; {output.remedy}" if output.remedy else ""
+    return f"ODOMETRY withheld: {output.reason}{remedy}"
+
+
+def _rates_in_vain(snapshot: Snapshot) -> list[str]:
+    return [
+        f"{name} at {message.rate:.0f} of {message.asked:.0f} Hz: {message.cause}"
+        for name, message in snapshot.messages.items()
+        if message.cause
+    ]
+
+
+def _recording(snapshot: Snapshot) -> list[str]:
+    trouble = snapshot.process.recording_trouble
+    return [f"not all is recorded: {trouble}"] if trouble else []
+
+
+def _silence(snapshot: Snapshot) -> str:
+    """Say what has not come for too long, beginning at the wire: the rest follows from that."""
+    link, peer = snapshot.link, snapshot.peer
+    if not link.is_open:
+        if not link.opened and not link.failure:
+            return f"the link {link.url} is being opened"
+        why = f" ({link.failure})" if link.failure else ""
+        return f"the link {link.url} is closed{why}: check the device or the host that it names"
+    if math.isnan(link.silent_s):
+        return f"not a byte has come over the link: check {_other_end(link)}"
+    if link.silent_s > SILENCE_S:
+        return f"the link has been silent for {link.silent_s:.1f} s: check {_other_end(link)}"
+    if peer is None and snapshot.frames.refused:
+        why, count = max(snapshot.frames.refused.items(), key=lambda entry: entry[1])
+        return f"no autopilot has been let in: {count} frames: {why}; see docs/LINK.md"
+    if peer is None:
+        return "no autopilot has been heard: check the baud rate and link.autopilot"
+    if not peer.is_heard:
+        return f"the autopilot has been silent for {peer.silent_s:.1f} s"
+    if math.isnan(snapshot.sample_age_s):
+        return "no inertial sample has come: see the answers to our requests in /status"
+    if snapshot.sample_age_s > SILENCE_S:
+        return f"no inertial sample has come for {snapshot.sample_age_s:.1f} s"
+    return ""
+
+
+def _other_end(link: LinkState) -> str:
+    if link.url.startswith("serial:"):
+        return "the wire, the port and the baud rate"
+    return "that the other end sends here, its address and port"
+
+
+def to_plain(value: Any) -> Any:
+    """Give data as plain tables and lists: enums by their names in small letters."""
+    if isinstance(value, Enum):
+        return value.name.lower()
+    if isinstance(value, (float, int, str)):
+        return value
+    if is_dataclass(value):
+        return {entry.name: to_plain(getattr(value, entry.name)) for entry in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(to_plain(key)): to_plain(content) for key, content in value.items()}
+    return [to_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
+
+
+def to_json(snapshot: Snapshot, breathe: Callable[[], None] = lambda: None) -> bytes:
+    """Give a snapshot, and ``health``: what is found of it, as JSON; null: not known.
+
+    Args:
+        snapshot: What is told.
+        breathe: Called between two stages: lets others run while the text is made.
+    """
+    plain: dict[str, Any] = {"health": judge(snapshot)._asdict()}
+    for entry in fields(snapshot):
+        plain[entry.name] = to_plain(getattr(snapshot, entry.name))
+        breathe()
+    return msgspec.json.encode(plain)

@@ -1,0 +1,190 @@
+"""``ekf-companion status``: against the real daemon, against nobody, and against something else."""
+
+import asyncio
+import contextlib
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, HTTPServer
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from ekf_companion.cli import app
+from ekf_companion.cli.status_view import view
+from ekf_companion.daemon import http
+from ekf_companion.engine.health import Aid
+from ekf_companion.status.judge import to_json
+from tests.daemon.test_daemon import Daemon, free_port
+from tests.daemon.test_http import listening, serving
+from tests.status.test_observer import Watched
+
+
+def status(*arguments):
+    return CliRunner().invoke(app, ["status", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory):
+    """Give the address of a daemon that nobody flies."""
+    port = free_port(socket.SOCK_STREAM)
+    link = f"udpin:127.0.0.1:{free_port()}"
+    folder = tmp_path_factory.mktemp("status")
+    with Daemon(folder, "--link", link, config=f"http: {{port: {port}}}\n") as daemon:
+        daemon.wait_for("Status on ")
+        yield f"http://127.0.0.1:{port}"
+
+
+def test_a_healthy_daemon_is_shown_and_is_exit_code_0(daemon):
+    result = status("--url", daemon)
+    assert result.exit_code == 0, result.output
+    words = " ".join(result.output.split())
+    assert words.startswith("ok: waiting for an autopilot; not a byte has come over the link")
+    for stage in ("link", "frames", "autopilot", "time", "estimate", "output", "process"):
+        assert f"\n{stage} " in result.output.replace("\n ", "\n")
+    assert "HIGHRES_IMU" in words
+
+
+def test_json_is_what_the_daemon_gave(daemon):
+    result = status("--url", daemon + "/", "--json")
+    assert result.exit_code == 0
+    data = json.loads(result.stdout)
+    assert data["health"]["is_healthy"]
+    assert data["link"]["is_open"]
+
+
+def test_watching_ends_with_the_last_finding(daemon):
+    command = [sys.executable, "-W", "error", "-m", "ekf_companion", "status"]
+    command += ["--url", daemon, "--watch", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        first, second = (json.loads(process.stdout.readline()) for _ in range(2))
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10.0) == 0
+    assert second["unix_ns"] > first["unix_ns"]
+
+
+def test_where_nothing_answers_the_exit_code_is_4_with_the_remedy():
+    result = status("--url", f"http://127.0.0.1:{free_port(socket.SOCK_STREAM)}")
+    assert result.exit_code == 4
+    assert "/status: nothing answers (Connection refused); is the daemon running" in result.stderr
+
+
+@pytest.mark.parametrize("url", ["nonsense", "http://", "file:///etc/passwd", "http://127.0.0.1:x"])
+def test_an_address_that_is_none_is_nobody(url):
+    result = status("--url", url)
+    assert result.exit_code == 4
+    assert re.match(rf"ekf-companion: (--url: )?{re.escape(url.rstrip('/'))}", result.stderr)
+    assert ("is no address; write it as in http:" in result.stderr) == (not url.startswith("http:"))
+
+
+@pytest.mark.parametrize("code", [200, 404, 503])
+@pytest.mark.parametrize("body", [b"hello", b"[]", b"{}", b'{"health": 1}', b"\xff"])
+def test_something_else_that_answers_is_nobody(body, code):
+    class Other(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(code)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_):
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Other) as server:
+        thread = threading.Thread(target=server.handle_request)
+        thread.start()
+        result = status("--url", f"http://127.0.0.1:{server.server_port}")
+        thread.join()
+    assert result.exit_code == 4
+    assert "what answers is no ekf-companion; name its address with --url" in result.stderr
+
+
+def test_a_daemon_that_is_stuck_is_exit_code_1(monkeypatch):
+    monkeypatch.setattr(http, "HEAD_START", 0.0)
+    results = []
+
+    async def body():
+        async with serving(Watched()) as url:
+            await listening(url)
+            thread = threading.Thread(target=lambda: results.append(status("--url", url)))
+            thread.start()
+            end = time.monotonic() + 5.0
+            while not results and time.monotonic() < end:
+                time.sleep(0.05)  # noqa: ASYNC251  # the loop is held up, which is what it is about
+            await asyncio.to_thread(thread.join)
+
+    asyncio.run(body())
+    assert results[0].exit_code == 1
+    assert "ekf-companion: stalled: the loop has not answered for 1 s" in results[0].stderr
+
+
+def test_what_is_watched_through_a_pipe_comes_out_of_it():
+    """As through ``tee``, where there is no terminal to draw on."""
+    command = [sys.executable, "-m", "ekf_companion", "status", "--watch", "--url"]
+    with subprocess.Popen(
+        [*command, "http://127.0.0.1:9"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    ) as process:
+        try:
+            assert process.stderr.readline().startswith(b"ekf-companion: http://127.0.0.1:9/status")
+            assert process.poll() is None
+        finally:
+            process.kill()
+
+
+# The page
+
+
+@pytest.fixture(scope="module")
+def data():
+    return json.loads(to_json(Watched().fly(8.0).snapshot()))
+
+
+def page(data, width=200):
+    console = Console(width=width, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    with contextlib.closing(console.file):
+        console.print(view(data))
+    return console.export_text()
+
+
+def test_the_page_shows_rates_against_what_was_asked_and_every_aid(data):
+    text = page(data)
+    row = next(line for line in text.splitlines() if line.startswith(" HIGHRES_IMU")).split()
+    assert float(row[2]) == pytest.approx(250.0, rel=0.02)
+    assert row[3] == "250"
+    aids = [line.split()[0] for line in text.splitlines() if line.strip()][-len(Aid) :]
+    assert aids == [aid.name.lower() for aid in Aid]
+    assert "estimate" in text
+    assert "OK, start cold" in text
+    assert "ODOMETRY streams at 30.0 Hz" in text
+    assert "auto, ODOMETRY streamed: " in text
+    assert "(EKF2_EV_CTRL 0, EKF2_GPS_CTRL 7)" in text
+    assert "HIGHRES_IMU, sensor 0, 250." in text
+    assert "99.9 % within 0.3 ms" in text
+
+
+def test_the_page_fits_a_narrow_terminal(data):
+    assert max(map(len, page(data, width=60).splitlines())) <= 60
+
+
+def test_words_in_brackets_are_shown_as_they_are(data):
+    odd = {**data, "output": {**data["output"], "reason": "[red]because[/red] [link]"}}
+    assert "[red]because[/red] [link]" in page(odd)
+
+
+def test_the_page_shows_what_differs_from_the_file_and_what_comes_in_vain(data):
+    slow = {**data["messages"]["HIGHRES_IMU"], "cause": "the link is full"}
+    told = {
+        **data,
+        "messages": {**data["messages"], "HIGHRES_IMU": slow},
+        "tuned": {"gnss.delay": 0.1},
+        "reload": {"count": 2, "words": "Nothing to take"},
+    }
+    text = " ".join(page(told).split())
+    assert "gnss.delay 0.1 over MAVLink; reloaded 2 times, last: Nothing to take" in text
+    assert "the link is full" in text

@@ -1,0 +1,218 @@
+"""The configuration: what the files in config/ say, and what is refused with which sentence."""
+
+import re
+from dataclasses import fields, is_dataclass
+
+import msgspec
+import pytest
+from typer.testing import CliRunner
+
+from ekf_companion.cli import app
+from ekf_companion.config.config import Config, load_config, parse_config
+from ekf_companion.errors import ConfigError
+from tests.paths import ROOT
+
+CONFIG = ROOT / "config"
+DEPARTURES = {
+    "sitl.yaml": {},
+    # A vehicle has a wire
+    "px4.yaml": {"link.url": "serial:/dev/serial0:921600"},
+    "ardupilot.yaml": {"link.url": "serial:/dev/serial0:921600"},
+}
+"""What a file says that is not the default."""
+FILES = sorted(DEPARTURES)
+WORDS = ("link.url", "link.peer", "record.path", "checkpoint.file", "signing.key_file", "http.host")
+
+
+def leaves(config, path=""):
+    """Give every key with its value, by its dotted name."""
+    found = {}
+    for field in fields(config):
+        value = getattr(config, field.name)
+        if is_dataclass(value):
+            found |= leaves(value, f"{path}{field.name}.")
+        else:
+            found[path + field.name] = value
+    return found
+
+
+def spelled_out(name):
+    """Give the text of a file with its commented keys in force."""
+    text = (CONFIG / name).read_text()
+    return re.sub(r"^( *)#(\w+:)", r"\1\2", text, flags=re.MULTILINE)
+
+
+def load(tmp_path, text):
+    path = tmp_path / "quad.yaml"
+    path.write_text(text)
+    return load_config(path)
+
+
+def test_no_file_is_untested():
+    assert sorted(path.name for path in CONFIG.iterdir()) == FILES
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_differs_from_the_defaults_only_where_declared(name):
+    ours, defaults = leaves(load_config(CONFIG / name)), leaves(Config())
+    assert {key: value for key, value in ours.items() if value != defaults[key]} == DEPARTURES[name]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_shows_every_key_at_its_value_under_a_comment(name, tmp_path):
+    text = spelled_out(name)
+    assert load(tmp_path, text) == load_config(CONFIG / name)
+    for key in leaves(Config()):
+        lines = section(text, key)
+        indent = "  " * key.count(".")
+        place = [line.startswith(f"{indent}{key.split('.')[-1]}:") for line in lines].index(True)
+        above = [
+            line
+            for line in lines[:place]
+            if not line.startswith((f"{indent}timeout_", f"{indent}velocity_slow_std"))
+        ]
+        assert above[-1].startswith(f"{indent}# "), f"{name}: {key} has no comment"
+
+
+def section(text, key):
+    """Give the lines among which a key stands."""
+    lines = text.splitlines()
+    if "." not in key:
+        return lines
+    start = lines.index(f"{key.split('.')[0]}:")
+    return lines[start:]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("imu: {gyro_nosie: 1.0}", "imu.gyro_nosie: unknown key; did you mean gyro_noise?"),
+        ("autopilot: 1", "autopilot: unknown key; known: align, baro, "),
+        ("1: 2", "1: unknown key; known: "),
+        ("link: {component_id: 300}", "link.component_id: 300: expected int <= 255"),
+        ("link: {component_id: 1.5}", "link.component_id: 1.5: expected int, got float"),
+        ("imu: {gyro_noise: -1}", "imu.gyro_noise: -1: expected float > 0.0"),
+        ("imu: {gyro_noise: fast}", "imu.gyro_noise: 'fast': expected float, got str"),
+        ("imu: {learn_noise: 1}", "imu.learn_noise: 1: expected bool, got int"),
+        ("gnss: {delay: late}", "gnss.delay: 'late': expected auto or a number"),
+        ("gnss: {delay: true}", "gnss.delay: True: expected auto or a number"),
+        ("gnss: {delay: 5}", "gnss.delay: 5: expected float <= 1.0"),
+        ("gnss: {lever_arm: [0.1, 0.2]}", "gnss.lever_arm: [0.1, 0.2]: expected array of length 3"),
+        ("gnss: {lever_arm: [1, 2, x]}", "gnss.lever_arm.2: 'x': expected float, got str"),
+        ("heading: {source: sun}", "heading.source: 'sun': expected auto or gnss or magnetometer"),
+        ("record: {path: 5}", "record.path: 5: expected str | null, got int"),
+        ("imu: {gyro_noise: .nan}", "imu.gyro_noise: nan is no number to work with; give another"),
+        ("window: .inf", "window: inf is no number to work with"),
+        ("gnss: {lever_arm: [1, 2, .nan]}", "gnss.lever_arm: [1, 2, nan] is no number"),
+        (
+            "heading: {soft_iron: [[1, 0, 0], [0, 1, 0], [0, 0, .nan]]}",
+            "heading.soft_iron: [[1, 0, 0], [0, 1, 0], [0, 0, nan]] is no number",
+        ),
+        (
+            "heading: {soft_iron: [[1, 0, 0], [0, 1, 0], [0, 0, 50]]}",
+            "heading.soft_iron.2.2: 50: expected float <= 10.0",
+        ),
+        ("imu: 5", "imu: 5 is not a table; write keys and values"),
+        ("- 1", "the file: [1] is not a table; write keys and values"),
+        ("imu: {gap: 1.0", "is not YAML: while parsing a flow mapping"),
+        ("imu: {[1, 2]: 3}", "is not YAML: while constructing a mapping"),
+        (
+            "baro:\n  use: true\nbaro:\n  std: 1.0",
+            "is not YAML: baro stands 2 times; keep one in line",
+        ),
+        ("imu: {gyro_noise: 0x_}", "is not YAML: '0x_' is no int; put text in quotes in line 1"),
+        ("link: {url: 2024-13-45}", "is not YAML: '2024-13-45' is no timestamp; put text in quo"),
+        ("baro: {std: !!float x}", "is not YAML: 'x' is no float; put text in quotes in line 1"),
+        ("baro: {use: !!bool x}", "is not YAML: 'x' is no bool; put text in quotes in line 1"),
+        ("baro: {use: !!timestamp x}", "is not YAML: 'x' is no timestamp; put text in quotes"),
+        ("baro: {std: !!int ''}", "is not YAML: '' is no int; put text in quotes in line 1"),
+        ("baro: !!map x", "is not YAML: expected a mapping node, but found scalar in line 1"),
+        (f"baro: {{std: {'[' * 3000}", "a list stands too deep in lists, or in itself"),
+        ("link: {allow_systems: &a [*a]}", "a list stands too deep in lists, or in itself"),
+        ("link: {allow_systems: !!set {a}}", "link.allow_systems.0: {'a'}: expected int, got str"),
+        ("link: {url: com3}", "link.url: com3: not a link; write for example udpin:0.0.0.0:14540"),
+    ],
+)
+def test_what_cannot_be_meant_is_named_with_a_remedy(tmp_path, text, sentence):
+    with pytest.raises(ConfigError) as complaint:
+        load(tmp_path, text)
+    assert str(complaint.value).startswith(f"{tmp_path / 'quad.yaml'}: {sentence}")
+
+
+def test_every_number_has_a_range_and_every_word_its_rivals():
+    """No key takes just anything: each is refused a word, a list and a number beyond all sense."""
+    for key, value in leaves(Config()).items():
+        if key in WORDS:
+            continue
+        for nonsense in ("nonsense", [[]], 1e30 if not isinstance(value, bool) else 2):
+            data = nonsense
+            for part in reversed(key.split(".")):
+                data = {part: data}
+            with pytest.raises(ConfigError, match=re.escape(f"quad.yaml: {key}")):
+                parse_config(data, "quad.yaml")
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "imu:\ngnss:\n  # use_velocity: false\n"])
+def test_what_is_left_out_is_at_its_default(tmp_path, text):
+    assert load(tmp_path, text) == Config()
+
+
+@pytest.mark.parametrize("number", ["5e-5", "5E-05", "5.0e-5", "0.00005", "+5e-5"])
+def test_a_number_may_be_spelled_as_anybody_would(tmp_path, number):
+    assert load(tmp_path, f"imu: {{gyro_bias_walk: {number}}}").imu.gyro_bias_walk == 5e-5
+
+
+def test_a_word_that_looks_like_a_number_stays_a_word(tmp_path):
+    assert load(tmp_path, "record: {path: 1e3x}").record.path == "1e3x"
+
+
+def test_the_printed_configuration_reads_back_the_same(tmp_path):
+    path = tmp_path / "some.yaml"
+    path.write_text("gnss: {delay: 0.1, lever_arm: [0.1, 0.0, -0.2]}\nlink: {autopilot: 7}\n")
+    printed = CliRunner().invoke(app, ["check-config", str(path)])
+    assert printed.exit_code == 0
+    assert load(tmp_path, printed.stdout) == load_config(path) != Config()
+    assert set(leaves(Config())) == set(keys(msgspec.yaml.decode(printed.stdout)))
+
+
+def test_a_place_that_is_not_there_yet_is_said_before_the_first_flight(tmp_path):
+    path = tmp_path / "some.yaml"
+    path.write_text(
+        f"record: {{path: {tmp_path}/stick/%s.tlog}}\ncheckpoint: {{file: {tmp_path}}}\n"
+    )
+    printed = CliRunner().invoke(app, ["check-config", str(path)])
+    assert printed.exit_code == 0
+    assert load(tmp_path, printed.stdout) == load_config(path)
+    record, checkpoint = printed.stderr.splitlines()
+    assert record.startswith(f"ekf-companion: record.path: {tmp_path}/stick/%s.tlog: there is no ")
+    assert record.endswith("make it, or name another; the daemon would run without it")
+    assert f"checkpoint.file: {tmp_path}: is a folder; name a file in it" in checkpoint
+    path.write_text("record: {path: stick/}\n")
+    result = CliRunner().invoke(app, ["check-config", str(path)])
+    assert (result.exit_code, "'stick/' is no name of a file" in result.stderr) == (2, True)
+
+
+def keys(table, path=""):
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from keys(value, f"{path}{key}.")
+        else:
+            yield path + key
+
+
+@pytest.mark.parametrize("command", [["run", "--config"], ["check-config"]])
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("imu: {gyro_nosie: 1.0}", "imu.gyro_nosie: unknown key; did you mean gyro_noise?"),
+        (None, "cannot be read: No such file or directory; name a YAML file"),
+    ],
+)
+def test_the_command_line_says_the_sentence_and_exits_with_2(tmp_path, command, text, sentence):
+    path = tmp_path / "quad.yaml"
+    if text is not None:
+        path.write_text(text)
+    result = CliRunner().invoke(app, [*command, str(path)])
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr == f"ekf-companion: {path}: {sentence}\n"

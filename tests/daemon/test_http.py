@@ -1,0 +1,347 @@
+"""Our state over HTTP: the real daemon asked by real requests, and a loop that is held up."""
+
+import asyncio
+import contextlib
+import json
+import signal
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
+from http.client import HTTPException
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families as parse
+
+from ekf_companion.config.service import HttpConfig
+from ekf_companion.daemon import http
+from ekf_companion.daemon.daemon import unix_clock
+from ekf_companion.daemon.http import CONNECTIONS, open_endpoint
+from ekf_companion.status.metrics import PREFIX
+from sim_autopilot.autopilot import Kind
+from tests.daemon.test_daemon import SYSTEM, Daemon, fly_over, free_port, plan
+from tests.engine.test_companion import cycles
+from tests.status.test_observer import Watched
+
+
+def ask(url, path="/", method="GET"):
+    """Give status, headers and body."""
+    request = urllib.request.Request(url + path, method=method)
+    try:
+        with urllib.request.urlopen(request, timeout=10.0) as answer:
+            return answer.status, answer.headers, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.headers, error.read().decode()
+
+
+def scrape(url):
+    """Give value by name, without the prefix, and labels."""
+    _, _, text = ask(url, "/metrics")
+    return {
+        (sample.name.removeprefix(PREFIX), *sorted(sample.labels.items())): sample.value
+        for family in parse(text)
+        for sample in family.samples
+    }
+
+
+def until(condition, seconds=10.0):
+    """Wait for something to be so, and give it."""
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    return found
+
+
+# The daemon
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """Give a daemon that has flown and still runs, and its address."""
+    folder = tmp_path_factory.mktemp("served")
+    port, http_port = free_port(), free_port(socket.SOCK_STREAM)
+    config = f"http: {{port: {http_port}}}\noutput: {{odometry: {{mode: always}}}}\n"
+    with Daemon(folder, "--link", f"udpin:127.0.0.1:{port}", config=config) as daemon:
+        daemon.wait_for(f"Status on http://127.0.0.1:{http_port}/")
+        fly_over(f"udpout:127.0.0.1:{port}", plan(7.5, boot=20.0), Kind.PX4)
+        yield daemon, f"http://127.0.0.1:{http_port}"
+
+
+def test_the_status_goes_from_bytes_to_what_is_sent(served):
+    """Rule 40: the status is JSON, with the counters of every stage."""
+    code, headers, text = ask(served[1], "/status")
+    assert (code, headers["Content-Type"]) == (200, "application/json")
+    data = json.loads(text)
+    assert data["health"]["is_healthy"]
+    assert data["link"]["bytes_in"] > 50_000
+    assert data["link"]["bytes_out"] > 1_000
+    assert data["frames"]["frames"] > 2_000
+    assert data["peer"]["system_id"] == SYSTEM
+    assert data["messages"]["HIGHRES_IMU"]["answer"] == "accepted"
+    assert data["messages"]["HIGHRES_IMU"]["count"] > 1_500
+    assert data["estimator"]["verdicts"]["position"]["fused"] > 0
+    assert data["output"]["sent"]["ODOMETRY"] > 20
+    process = data["process"]
+    assert process["latency"]["100.0"] <= process["latency_count"]
+    assert process["latency_count"] == data["output"]["sent"]["ODOMETRY"]
+    assert 20.0 < process["rss_mb"] < 100.0
+
+
+def test_prometheus_reads_the_metrics(served):
+    """Rule 40: /metrics."""
+    code, headers, _ = ask(served[1], "/metrics")
+    assert (code, headers["Content-Type"].split(";")[0]) == (200, "text/plain")
+    samples = scrape(served[1])
+    assert samples["link_received_bytes_total",] > 50_000
+    assert samples["corrections_total", ("aid", "position"), ("verdict", "fused")] > 0
+    bucket = samples["odometry_latency_seconds_bucket", ("le", "+Inf")]
+    assert bucket == samples["odometry_latency_seconds_count",] > 20
+    assert samples["resident_memory_bytes",] > 20e6
+
+
+def test_it_is_healthy_while_the_filter_ticks_and_tells_of_the_silence(served):
+    """Rule 40: /healthz; the flight is over, so the link is silent, which is no fault here."""
+    code, _, text = until(
+        lambda: (found := ask(served[1], "/healthz"))[2].count("silent") and found
+    )
+    assert code == 200
+    assert text.startswith("ok: no estimate, the last was ")
+    assert "the link has been silent for" in text
+
+
+def test_a_loop_that_was_held_up_says_so_by_its_lag(served):
+    """Rule 37: the loop's lag is exported."""
+    daemon, url = served
+    daemon._process.send_signal(signal.SIGSTOP)
+    time.sleep(0.4)
+    daemon._process.send_signal(signal.SIGCONT)
+    until(lambda: scrape(url)["loop_lag_seconds",] > 0.25, 4.0)
+
+
+def test_pages_are_listed_and_others_are_not_found(served):
+    code, _, text = ask(served[1], "/")
+    assert code == 200
+    assert [line.split()[0] for line in text.splitlines()] == ["/healthz", "/status", "/metrics"]
+    for path in ("/nowhere", "/status/", "/../etc/passwd", "/%00"):
+        assert ask(served[1], path)[0] == 404
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "BREW"])
+def test_nothing_can_be_done_but_to_look(served, method):
+    code, headers, _ = ask(served[1], "/status", method)
+    assert (code, headers["Allow"]) == (405, "GET, HEAD")
+
+
+@pytest.mark.parametrize("path", ["/", "/healthz", "/status", "/metrics"])
+def test_head_gives_the_length_alone(served, path):
+    code, headers, text = ask(served[1], path, "HEAD")
+    assert (code, text) == (200, "")
+    assert int(headers["Content-Length"]) > 10
+
+
+@pytest.mark.parametrize(
+    "request_bytes",
+    [b"GET /" + b"a" * 100_000 + b" HTTP/1.1\r\n\r\n", b"\x16\x03\x01\x02\x00", b"\r\n" * 10],
+)
+def test_what_is_no_request_harms_nobody(served, request_bytes):
+    port = int(served[1].rpartition(":")[2])
+    with (
+        socket.create_connection(("127.0.0.1", port), 10.0) as client,
+        contextlib.suppress(OSError),  # it may have closed already
+    ):
+        client.sendall(request_bytes)
+        client.shutdown(socket.SHUT_WR)
+        while client.recv(10_000):
+            pass
+    assert ask(served[1], "/healthz")[0] == 200
+    assert "Traceback" not in served[0].words.read_text()
+
+
+def test_a_port_that_is_taken_is_told_with_the_remedy_and_ends_nothing(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        taken = other.getsockname()[1]
+        options = ("--link", f"udpin:127.0.0.1:{free_port()}")
+        with Daemon(tmp_path, *options, config=f"http: {{port: {taken}}}\n") as daemon:
+            daemon.wait_for(f"http: 127.0.0.1 port {taken}: Address already in use; flying without")
+            assert daemon.stop()[0] == 0
+            words = daemon.words.read_text()
+    assert "give http.port another number in the configuration" in words
+
+
+# In this process
+
+
+@contextlib.asynccontextmanager
+async def serving(watched, host="127.0.0.1", port=None):
+    """Serve what a companion that is fed here has to tell; give the address."""
+    port = port or free_port(socket.SOCK_STREAM)
+    loop = asyncio.get_running_loop()
+    served = open_endpoint(HttpConfig(host=host, port=port), watched.observer, loop)
+    url = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+    try:
+        yield url
+    finally:
+        served.close()
+
+
+async def listening(url):
+    """Wait until it answers."""
+
+    def is_there():
+        with contextlib.suppress(OSError):
+            return ask(url)[0] == 200
+
+    await asyncio.to_thread(until, is_there)
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    monkeypatch.setattr(http, "HEAD_START", 0.0)
+    watched = Watched().feed(cycles(0.2))
+    watched.observer._clock = unix_clock
+    watched.observer._beat_ns = unix_clock()
+    return watched
+
+
+def test_a_loop_that_is_stuck_is_unavailable(watched):
+    async def body():
+        async with serving(watched) as url:
+            await listening(url)
+            before = await asyncio.to_thread(ask, url, "/healthz")
+            stuck = {}
+            threads = [
+                threading.Thread(target=lambda path=path: stuck.update({path: ask(url, path)}))
+                for path in ("/healthz", "/status", "/metrics")
+            ]
+            await asyncio.sleep(http.FRESH)
+            for thread in threads:
+                thread.start()
+            time.sleep(1.6)  # noqa: ASYNC251  # the loop is held up, which is what this is about
+            for thread in threads:
+                await asyncio.to_thread(thread.join)
+            await asyncio.sleep(http.FRESH)
+            watched.observer.beat(unix_clock())
+            return before, stuck, await asyncio.to_thread(ask, url, "/healthz")
+
+    before, stuck, after = asyncio.run(body())
+    assert (before[0], after[0]) == (200, 200)
+    for code, _, text in stuck.values():
+        assert (code, text) == (503, "stalled: the loop has not answered for 1 s\n")
+
+
+def test_a_filter_that_does_not_go_round_is_unavailable(watched):
+    async def body():
+        async with serving(watched) as url:
+            await listening(url)
+            watched.observer._beat_ns = unix_clock() - 5_000_000_000
+            await asyncio.sleep(http.FRESH)
+            return await asyncio.to_thread(ask, url, "/healthz")
+
+    code, _, text = asyncio.run(body())
+    assert code == 503
+    assert text.startswith("stalled: the filter's task has not gone round for 5.")
+
+
+def test_many_who_ask_at_once_cost_the_loop_one_snapshot(watched):
+    made = []
+    snapshot = watched.observer.snapshot
+    watched.observer.snapshot = lambda board: made.append(1) or snapshot(board)
+
+    async def body():
+        async with serving(watched) as url:
+            await listening(url)
+            begin = time.monotonic()
+            for _ in range(5):
+                answers = [asyncio.to_thread(ask, url, "/status") for _ in range(5)]
+                assert {code for code, _, _ in await asyncio.gather(*answers)} == {200}
+            return time.monotonic() - begin
+
+    assert len(made) <= asyncio.run(body()) / http.FRESH + 2
+
+
+def test_clients_that_dawdle_are_cut_off_and_others_are_served(watched, monkeypatch):
+    monkeypatch.setattr(http, "DEADLINE", 0.6)
+
+    async def body():
+        async with serving(watched) as url:
+            await listening(url)
+            port = int(url.rpartition(":")[2])
+            return await asyncio.to_thread(dawdle, port, url)
+
+    def dawdle(port, url):
+        with contextlib.ExitStack() as stack:
+            slow = [
+                stack.enter_context(socket.create_connection(("127.0.0.1", port), 10.0))
+                for _ in range(CONNECTIONS)
+            ]
+            for client in slow:
+                client.sendall(b"GET / HTTP/1.1\r\nX: ")
+            time.sleep(0.2)
+            with pytest.raises((OSError, HTTPException)):
+                ask(url)
+            begin = time.monotonic()
+            with contextlib.suppress(ConnectionError):
+                while time.monotonic() < begin + 10.0:
+                    slow[0].sendall(b"x")  # a byte now and then is no life
+                    time.sleep(0.05)
+            until(lambda: answers(url))
+            return time.monotonic() - begin
+
+    def answers(url):
+        with contextlib.suppress(OSError, HTTPException):
+            return ask(url)[0] == 200
+
+    assert asyncio.run(body()) < 5.0
+
+
+def test_a_port_that_comes_free_is_taken(watched, monkeypatch):
+    monkeypatch.setattr(http, "RETRY", 0.05)
+
+    async def body():
+        with socket.create_server(("127.0.0.1", 0)) as other:
+            port = other.getsockname()[1]
+            async with serving(watched, port=port) as url:
+                await asyncio.sleep(0.3)
+                other.close()
+                await listening(url)
+
+    asyncio.run(body())
+
+
+def test_it_listens_on_ipv6_too(watched):
+    if not socket.has_ipv6:
+        pytest.skip("this machine has no IPv6")
+    with socket.socket(socket.AF_INET6) as probe:
+        try:
+            probe.bind(("::1", 0))
+        except OSError:
+            pytest.skip("this machine has no address of IPv6")
+
+    async def body():
+        async with serving(watched, host="::1") as url:
+            await listening(url)
+
+    asyncio.run(body())
+
+
+def test_port_zero_is_nobody():
+    async def body():
+        loop = asyncio.get_running_loop()
+        assert open_endpoint(HttpConfig(port=0), Watched().observer, loop) is None
+
+    asyncio.run(body())
+
+
+def test_it_is_closed_at_once(watched):
+    async def body():
+        async with serving(watched) as url:
+            await listening(url)
+            begin = time.monotonic()
+        with pytest.raises(urllib.error.URLError):
+            ask(url)
+        return time.monotonic() - begin
+
+    assert asyncio.run(body()) < 0.4

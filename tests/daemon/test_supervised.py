@@ -1,0 +1,250 @@
+"""The daemon under a service manager: killed and started again, and its configuration reloaded."""
+
+import http.server
+import itertools
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.messages import IDS
+from sim_autopilot.autopilot import Kind
+from sim_autopilot.fly import fly, over
+from sim_autopilot.pace import run
+from tests.daemon.test_daemon import Daemon, Record, Wire, free_port, plan
+
+RESTART_SEC = 1.0
+"""As the unit says."""
+
+
+class Pilot:
+    """A flight in a thread of its own; keeps the wire, and when it heard what."""
+
+    def __init__(self, port, duration, boot=50.0):
+        self.wire = None
+        flight = plan(duration, boot=boot)
+
+        async def body(link):
+            self.wire = Wire(link)
+            await fly(flight, self.wire, kind=Kind.PX4, wait=20.0)
+
+        self._thread = threading.Thread(target=lambda: run(over(f"udpin:127.0.0.1:{port}", body)))
+        self._thread.start()
+
+    def land(self):
+        self._thread.join(60.0)
+        return self.wire
+
+
+def odometry(wire):
+    return [unpack(f) for f in wire.frames() if f.message_id == IDS["ODOMETRY"]]
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """Fly; kill the daemon twice; start it again a second later, as Restart=always does."""
+    folder = tmp_path_factory.mktemp("supervised")
+    port = free_port()
+    pilot, records, kills = Pilot(port, 17.0), [], []
+    options = ("--link", f"udpout:127.0.0.1:{port}", "--checkpoint", str(folder / "checkpoint"))
+    for number in range(3):
+        own = folder / str(number)
+        own.mkdir()
+        record = ("--record", str(own / "flight.tlog"))
+        with Daemon(own, *options, *record, config="http: {port: 0}\n") as daemon:
+            daemon.wait_for("Estimate is OK" if number == 0 else "Going on from a checkpoint")
+            time.sleep(1.5)
+            if number == 2:
+                assert daemon.stop()[0] == 0
+            else:
+                kills.append(time.time_ns() // 1000)
+                assert daemon.stop(signal.SIGKILL)[0] == -signal.SIGKILL
+                time.sleep(RESTART_SEC)
+        records.append(Record(own / "flight.tlog", daemon.config))
+    return pilot.land(), records, kills
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_odometry_is_there_again_three_seconds_after_a_kill(killed, number):
+    _, records, kills = killed
+    first = records[number].of("ODOMETRY")[0][0]
+    assert (first - kills[number - 1]) * 1e-6 < 3.0
+
+
+def test_what_was_recorded_before_a_kill_can_be_read_up_to_its_last_second(killed):
+    _, records, kills = killed
+    for record, kill in zip(records, kills, strict=False):
+        assert kill - record.stamps[-1] < 1_000_000
+        assert len(record.of("HIGHRES_IMU", 1)) > 250
+    assert records[0].convert(".csv").stat().st_size > 10_000
+
+
+def test_every_restart_moves_the_reset_counter(killed):
+    _, records, _ = killed
+    counts = [[m.reset_counter for _, m in record.of("ODOMETRY")] for record in records]
+    assert counts[0][-1] < counts[1][0] <= counts[1][-1] < counts[2][0]
+
+
+@pytest.fixture(scope="module")
+def reloaded(tmp_path_factory):
+    """Fly; change the configuration three times on the way: good, wrong, and good again."""
+    folder = tmp_path_factory.mktemp("reloaded")
+    port = free_port()
+    pilot = Pilot(port, 12.0)
+    options = ("--link", f"udpout:127.0.0.1:{port}", "--record", str(folder / "flight.tlog"))
+    slow = "output: {odometry: {rate: 10, frame: LOCAL_NED}}\ngate: {probability: 0.9999}\n"
+    moments = []
+    with Daemon(folder, *options, config="output: {odometry: {rate: 50}}\n") as daemon:
+        daemon.wait_for("Estimate is OK")
+        for text, words in (
+            (slow, "Reload: Taken: gate.probability: 0.999999 -> 0.9999, output.odometry.rate"),
+            ("output: {odometry: {rate: fast}}\n", "all stays as it was"),
+            ("output: {odometry: {rate: 25}}\n", "output.odometry.rate: 10.0 -> 25.0"),
+        ):
+            time.sleep(2.0)
+            daemon.config.write_text(text)
+            daemon.hang_up()
+            daemon.wait_for(words)
+            moments.append(time.time_ns() // 1000)
+        time.sleep(2.0)
+        assert daemon.stop()[0] == 0
+        words = daemon.words.read_text()
+    return pilot.land(), Record(folder / "flight.tlog", daemon.config), words, moments
+
+
+def command(*words):
+    """Give exit code and words of a command."""
+    done = subprocess.run(
+        [sys.executable, "-m", "ekf_companion", *words], capture_output=True, text=True
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_the_command_prints_what_was_taken_and_says_where_nobody_is(tmp_path):
+    link, port = free_port(), free_port(socket.SOCK_STREAM)
+    url = ("--url", f"http://127.0.0.1:{port}")
+    text = f"http: {{port: {port}}}\n"
+    with Daemon(tmp_path, "--link", f"udpin:127.0.0.1:{link}", config=text) as daemon:
+        daemon.wait_for("Status on")
+        daemon.config.write_text(text + "baro: {std: 1.0}\n")
+        assert command("reload", *url) == (0, "Taken: baro.std: 0.5 -> 1.0\n")
+        daemon.config.write_text("baro: {std: -1.0}\n")
+        code, words = command("reload", *url)
+        assert (code, "baro.std: -1.0" in words, "all stays as it was" in words) == (2, True, True)
+        assert daemon.stop()[0] == 0
+    code, words = command("reload", *url)
+    assert (code, "nothing answers" in words) == (4, True)
+
+
+class Elsewhere(http.server.BaseHTTPRequestHandler):
+    """Answers as a daemon in a container does, whose process has there the number of one here."""
+
+    pid = 0
+
+    def do_GET(self):
+        health, process = {"is_healthy": True, "words": "ok"}, {"pid": self.pid}
+        data = {"health": health, "process": process, "reload": {"count": 0, "words": ""}}
+        body = json.dumps(data).encode()
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_):
+        pass
+
+
+def test_no_process_but_the_daemon_itself_is_sent_a_signal():
+    """The number that an answer names is that of another machine, or of a container."""
+    with (
+        http.server.ThreadingHTTPServer(("127.0.0.1", 0), Elsewhere) as server,
+        subprocess.Popen(["sleep", "60"]) as innocent,
+    ):
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        url = ("--url", f"http://127.0.0.1:{server.server_port}")
+        for pid in (innocent.pid, 1 << 30, -1, 0):
+            Elsewhere.pid = pid
+            code, words = command("reload", *url)
+            assert (code, "is no process of this machine" in words) == (4, True), words
+        assert innocent.poll() is None
+        innocent.terminate()
+        server.shutdown()
+
+
+@pytest.mark.parametrize("text", ["baro: {std: !!float x}\n", "baro: {std: !!int ''}\n"])
+def test_a_file_that_cannot_even_be_read_ends_the_reload_too(tmp_path, text):
+    """systemd waits for READY=1 after RELOADING=1; an answer must come, whatever is in the file."""
+    with Daemon(tmp_path, "--link", f"udpin:127.0.0.1:{free_port()}") as daemon:
+        daemon.wait_for(": open")
+        daemon.config.write_text(text)
+        daemon.hang_up()
+        daemon.wait_for("config.yaml: is not YAML: ")
+        daemon.wait_for("all stays as it was")
+        assert daemon.stop()[0] == 0
+        assert "Traceback" not in daemon.words.read_text()
+
+
+BUG = """
+from ekf_companion.daemon import daemon
+from ekf_companion.config.config import Config, HttpConfig, LinkConfig
+
+config = Config(link=LinkConfig(url="udpin:127.0.0.1:{port}"), http=HttpConfig(port=0))
+reads = iter([config])
+daemon.run(lambda: next(reads))
+"""
+
+
+def test_a_bug_in_reading_ends_the_reload_too(tmp_path):
+    address = str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(address)
+        manager.settimeout(20.0)
+        command = [sys.executable, "-c", BUG.format(port=free_port())]
+        environment = {**os.environ, "NOTIFY_SOCKET": address}
+        with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as it:
+            said = [manager.recv(1000).partition(b"\n")[0]]
+            it.send_signal(signal.SIGHUP)
+            while b"RELOADING=1" not in said or said[-1] != b"READY=1":
+                said.append(manager.recv(1000).partition(b"\n")[0])
+            it.terminate()
+            assert it.wait(20.0) == 0
+            words = it.stderr.read()
+    assert said[0] == b"READY=1"
+    assert "cannot be read, by a bug: StopIteration(); please report it; all stays" in words
+
+
+def rate(record, begin, end):
+    """Give the rate of ODOMETRY between two times (us) but for their edges, Hz."""
+    stamps = [s for s, _ in record.of("ODOMETRY") if begin + 300_000 < s < end - 300_000]
+    return (len(stamps) - 1) / (stamps[-1] - stamps[0]) * 1e6
+
+
+def test_a_changed_rate_is_taken_and_a_wrong_file_changes_nothing(reloaded):
+    """Rule 36: SIGHUP reloads the safe keys."""
+    _, record, _, (first, second, third) = reloaded
+    assert rate(record, first - 2_000_000, first) == pytest.approx(50.0, rel=0.15)
+    assert rate(record, first, second) == pytest.approx(10.0, rel=0.15)
+    assert rate(record, second, third) == pytest.approx(10.0, rel=0.15)
+    assert rate(record, third, third + 2_000_000) == pytest.approx(25.0, rel=0.15)
+
+
+def test_the_rest_is_refused_by_name(reloaded):
+    _, record, words, _ = reloaded
+    assert "only at the next start: output.odometry.frame" in words
+    assert "output.odometry.rate: 'fast'" in words
+    assert {m.frame_id for _, m in record.of("ODOMETRY")} == {20}
+
+
+def test_no_sample_is_dropped_meanwhile(reloaded):
+    wire, record, _, _ = reloaded
+    stamps = [m.time_usec for _, m in record.of("HIGHRES_IMU", 1)]
+    assert len(stamps) > 2000
+    assert max(b - a for a, b in itertools.pairwise(stamps)) <= 4000
+    assert len(odometry(wire)) > 100

@@ -1,0 +1,177 @@
+"""Session and pipeline joined, without a socket and without a clock."""
+
+import itertools
+import logging
+from dataclasses import replace
+
+import pytest
+
+from ekf_companion.config.config import Config, LinkConfig, OdometryConfig, OutputConfig
+from ekf_companion.core.settings import GateSettings
+from ekf_companion.engine.companion import SILENCE_NS, Companion
+from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.mavlink.messages import LAYOUTS
+from sim_autopilot.autopilot import Autopilot
+from sim_autopilot.config import SimConfig, StreamConfig
+from sim_autopilot.flight import Flight
+
+SECOND_NS = 1_000_000_000
+STREAMING = Config(output=OutputConfig(odometry=OdometryConfig(mode="always")))
+"""Where nobody answers what the guard asks."""
+
+
+def cycles(duration, *, without=(), **options):
+    """Give stamp and bytes of each turn of an autopilot's loop, some messages left out."""
+    streams = StreamConfig(**dict.fromkeys(without, 0.0))
+    config = SimConfig(streams=streams)
+    flight = Flight.plan("hover", config, duration=duration, **options)
+    autopilot = Autopilot(config)
+    for cycle in flight.cycles():
+        autopilot.cycle(cycle)
+        yield cycle.t_ns, b"".join(autopilot.data_to_send())
+
+
+def converse(companion, flight):
+    """Feed a flight; give name and message of all that the companion says."""
+    said = []
+    for t_ns, data in flight:
+        companion.receive(data, t_ns)
+        companion.tick(t_ns)
+        said += messages(companion)
+    return said
+
+
+def messages(companion):
+    frames = Splitter().feed(b"".join(companion.data_to_send()))
+    return [(LAYOUTS[frame.message_id].name, unpack(frame)) for frame in frames]
+
+
+def named(name, said):
+    return [message for what, message in said if what == name]
+
+
+@pytest.mark.parametrize(
+    "without",
+    [
+        ("GPS_RAW_INT", "GLOBAL_POSITION_INT"),
+        ("HIGHRES_IMU",),
+        ("HEARTBEAT",),
+    ],
+)
+def test_nothing_is_estimated_where_something_is_missing(without):
+    said = converse(Companion(Config()), cycles(4.0, without=without))
+    assert named("HEARTBEAT", said)
+    assert not named("ODOMETRY", said)
+    assert not named("ESTIMATOR_STATUS", said)
+
+
+def test_a_flight_is_answered_at_the_rates_of_its_stamps():
+    odometry = OdometryConfig(mode="always", rate=25.0, frame="LOCAL_NED")
+    config = Config(output=OutputConfig(odometry=odometry))
+    said = converse(Companion(config), cycles(5.0))
+    odometry = named("ODOMETRY", said)
+    assert {m.frame_id for m in odometry} == {1}
+    stamps = [m.time_usec for m in odometry]
+    assert {after - before for before, after in itertools.pairwise(stamps)} == {40_000}
+    status = [m.time_usec for m in named("ESTIMATOR_STATUS", said)]
+    assert {after - before for before, after in itertools.pairwise(status)} == {1_000_000}
+    origins = [m.time_usec for m in named("GPS_GLOBAL_ORIGIN", said)]
+    assert origins[0] == stamps[0], "the first estimate is about an origin that nobody was told"
+    assert origins[1:] == status
+    names = [name for name, _ in said]
+    assert names.index("GPS_GLOBAL_ORIGIN") < names.index("ODOMETRY")
+
+
+def test_an_invalid_estimate_is_said_to_be_so_once():
+    config = replace(STREAMING, gate=GateSettings(limit_position=1e-3))
+    said = converse(Companion(config), cycles(4.0))
+    assert [m.quality for m in named("ODOMETRY", said)] == [-1]
+    assert {m.flags for m in named("ESTIMATOR_STATUS", said)} == {1}  # attitude
+    assert named("HEARTBEAT", said)[-1].system_status == 5  # critical
+
+
+def test_the_bytes_may_come_in_any_pieces():
+    pieces = b"".join(data for _, data in cycles(4.0))
+    whole, torn = Companion(STREAMING), Companion(STREAMING)
+    whole.receive(pieces, 0)
+    for start in range(0, len(pieces), 101):
+        torn.receive(pieces[start : start + 101], 0)
+    odometry = named("ODOMETRY", messages(whole))
+    assert odometry
+    assert odometry == named("ODOMETRY", messages(torn))
+
+
+def test_an_autopilot_that_falls_silent_is_missed_once(caplog):
+    caplog.set_level(logging.INFO)
+    companion = Companion(Config())
+    last_ns = [t_ns for t_ns, data in cycles(1.5) if not companion.receive(data, t_ns)][-1]
+    for k in range(80):
+        companion.tick(last_ns + k * SECOND_NS // 10)
+    assert caplog.text.count("Autopilot found: system 1, component 1, px4") == 1
+    assert caplog.text.count("Autopilot lost") == 1
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        (b"", "Nothing heard for 10 s; check the wire"),
+        (b"\x55" * 100, "No heartbeat of an autopilot in 100 bytes; check the baud rate"),
+    ],
+)
+def test_an_autopilot_that_is_never_heard_is_missed_once(caplog, data, sentence):
+    companion = Companion(Config())
+    companion.tick(0)
+    companion.receive(data, 0)
+    companion.tick(SILENCE_NS - 1)
+    assert caplog.text == ""
+    companion.tick(SILENCE_NS)
+    companion.tick(2 * SILENCE_NS)
+    assert caplog.text.count(sentence) == 1
+
+
+def test_an_autopilot_that_is_heard_is_not_called_silent(caplog):
+    converse(Companion(Config()), cycles(10.5))
+    assert "heard" not in caplog.text
+
+
+def test_a_reboot_is_said_and_the_estimate_begins_anew(caplog):
+    companion = Companion(STREAMING)
+    said = converse(companion, cycles(4.0))
+    assert named("ODOMETRY", said)
+    # The same stamps again: four seconds back
+    again = converse(companion, cycles(0.8))
+    assert caplog.text.count("Autopilot rebooted") == 1
+    assert not named("ODOMETRY", again)
+    assert {m.system_status for m in named("HEARTBEAT", again)} <= {2, 4}
+    assert named("COMMAND_LONG", again)
+
+
+def test_a_heartbeat_says_no_more_how_an_old_estimate_was():
+    """Two seconds after the last inertial sample; and again how it is, once they come again."""
+    flight = list(cycles(12.0))
+    companion, half = Companion(STREAMING), len(flight) // 2
+    assert named("HEARTBEAT", converse(companion, flight[:half]))[-1].custom_mode == 3
+    last_ns, said = flight[half - 1][0], []
+    for k in range(1, 60):
+        companion.tick(last_ns + k * SECOND_NS // 10)
+        said += messages(companion)
+    assert [m.custom_mode for m in named("HEARTBEAT", said)][-3:] == [0, 0, 0]
+    later = [(t_ns + SECOND_NS, data) for t_ns, data in flight[half:]]
+    assert named("HEARTBEAT", converse(companion, later))[-1].custom_mode in (3, 4)
+
+
+def test_whom_nobody_lets_in_is_missed_for_that_reason(caplog):
+    companion = Companion(Config(link=LinkConfig(allow_systems=[9])))
+    for t_ns, data in cycles(1.0):
+        companion.receive(data, t_ns)
+        companion.tick(t_ns)
+    companion.tick(t_ns + SILENCE_NS)
+    assert "frames: system is not in link.allow_systems; see docs/LINK.md" in caplog.text
+
+
+def test_the_last_heartbeat_says_goodbye():
+    companion = Companion(Config())
+    companion.close(0)
+    ((name, message),) = messages(companion)
+    assert (name, message.system_status) == ("HEARTBEAT", 7)

@@ -1,0 +1,185 @@
+"""Whom the estimator believes: soft and hard gates, proof by motion, rest, a field that is ours."""
+
+import numpy as np
+import pytest
+
+from ekf_companion.core import state as at
+from ekf_companion.core.settings import AlignSettings, FilterSettings, HeadingSettings, parameters
+from ekf_companion.engine.health import RESET_REASONS, Aid, Verdict
+from ekf_companion.nav.measurements import Events, Kind, merge
+from ekf_companion.nav.state import Status
+from tests.core.flights import between, changed, flight, without
+from tests.core.interpreted import load
+from tests.engine.test_pipeline import KNOWN, errors, rms, run, statuses
+
+METRE = 1.0 / 6.367e6
+"""Of latitude, rad."""
+
+
+def fixes(events: Events, start: float, end: float) -> np.ndarray:
+    return between(events, start, end) & (events.kind == Kind.GNSS)
+
+
+def test_good_measurements_meet_the_soft_gate_as_often_as_it_says():
+    counts = np.zeros(3)
+    for seed in (1, 2, 3):
+        _, pipeline = run(flight("figure-eight", duration=60.0, seed=seed, noise=(0.5, 0.0))[0])
+        verdicts = pipeline.health().verdicts
+        for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY):
+            found = verdicts[aid]
+            counts += [found[Verdict.FUSED], found[Verdict.SOFT], found[Verdict.GATED]]
+    fused, soft, gated = counts
+    assert 0.001 < soft / (fused + soft) < 0.03
+    # but for a few at the start, while the receiver's noise is not known yet
+    assert gated <= 0.002 * fused
+
+
+def test_a_doubtful_fix_moves_less_than_it_would_in_full():
+    moved = []
+    for probability in (0.99, 0.999998):
+        settings = FilterSettings(
+            gnss=KNOWN.gnss,
+            gate=type(KNOWN.gate)(soft_probability=probability, probability=0.999999),
+        )
+        events, _ = flight("hover", duration=20.0, noise=(0.5, 0.0))
+        one = np.flatnonzero(fixes(events, 15.0, 20.0))[0]
+        off = changed(events, np.arange(len(events)) == one, 0, 2.1 * METRE)
+        (was, _), (now, _) = run(events, settings), run(off, settings)
+        moved.append(np.abs(now.column("pos_n") - was.column("pos_n"))[-300:].max())
+    assert 0.0 < moved[0] < 0.8 * moved[1]
+
+
+@pytest.mark.parametrize("name", ["hover", "figure-eight"])
+def test_a_jump_is_not_followed_until_it_is_proved_and_then_once(name):
+    events, truth = flight(name, duration=60.0)
+    table, pipeline = run(changed(events, fixes(events, 30.0, 99.0), 0, 300.0 * METRE))
+    t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
+    north = errors(table, truth, 0.0)["pos"][:, 0]
+    health = pipeline.health()
+    assert np.abs(north[(t > 30.0) & (t < 36.0)]).max() < 2.0
+    assert np.abs(north[t > 45.0] - 300.0).max() < 3.0
+    assert (health.resets, health.reset_reason) == (1, "position")
+    assert health.reset_delta[0] == pytest.approx(300.0, abs=3.0)
+
+
+@pytest.mark.parametrize("noise", [(1.0, 0.0), (0.1, 1.0)])
+def test_a_receiver_dragged_off_at_a_walk_is_left_behind(noise):
+    events, truth = flight("hover", duration=80.0, noise=noise)
+    dragged = fixes(events, 40.0, 99.0)
+    t = (events.t_ns - events.t_ns[0]) * 1e-9
+    values = events.values.copy()
+    values[dragged, 0] += (t[dragged] - 40.0) * METRE
+    table, pipeline = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+    assert np.abs(errors(table, truth, 40.0)["pos"][:, 0]).max() < 5.0
+    assert pipeline.health().resets == 0
+    assert Status.DEGRADED in statuses(table)
+
+
+def test_fixes_that_contradict_each_other_prove_nothing():
+    events, truth = flight("hover", duration=60.0)
+    wild = fixes(events, 30.0, 99.0)
+    values = events.values.copy()
+    rng = np.random.default_rng(1)
+    values[wild, 0] += rng.normal(0.0, 200.0, wild.sum()) * METRE
+    table, pipeline = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+    assert np.abs(errors(table, truth, 30.0)["pos"][:, 0]).max() < 4.0
+    assert pipeline.health().resets == 0
+
+
+def test_standing_still_shows_the_gyros_bias_and_holds_the_velocity():
+    events, truth = flight("static", duration=60.0)
+    silent = events.take(~fixes(events, 20.0, 99.0))
+    with_rest, pipeline = run(silent)
+    without_rest, _ = run(
+        silent, FilterSettings(gnss=KNOWN.gnss, align=AlignSettings(use_rest=False))
+    )
+    held, drifted = (errors(table, truth, 50.0) for table in (with_rest, without_rest))
+    assert pipeline.health().verdicts[Aid.REST][Verdict.FUSED] > 50
+    assert rms(held["vel"]) < 0.02
+    assert rms(held["pos"][:, :2]) < 0.2 * rms(drifted["pos"][:, :2])
+
+
+@pytest.mark.parametrize("knows", [True, False])
+@pytest.mark.parametrize("name", ["hover", "loiter"])
+def test_a_flight_is_never_taken_for_rest(name, knows):
+    events, _ = flight(name, duration=60.0)
+    if not knows:
+        events = without(events, Kind.VEHICLE)
+    airborne = events.take(~between(events, 0.0, 0.0))
+    _, before = run(airborne.take(between(airborne, 0.0, 14.0)))
+    _, after = run(airborne)
+    fused = [pipeline.health().verdicts[Aid.REST][Verdict.FUSED] for pipeline in (before, after)]
+    assert fused[0] == fused[1]
+
+
+def test_the_vehicles_own_field_is_found_in_turns():
+    events, truth = flight("figure-eight", duration=90.0)
+    iron = np.array([0.015, -0.012, 0.0])
+    values = events.values.copy()
+    values[events.kind == Kind.MAG, :3] += iron
+    table, pipeline = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+    assert np.allclose(pipeline.health().hard_iron[:2], iron[:2], atol=0.006)
+    late = errors(table, truth, 60.0)
+    assert np.degrees(rms(late["euler"][:, 2])) < 1.5
+
+
+def test_a_passing_magnet_is_not_followed():
+    events, truth = flight("hover", duration=60.0)
+    near = between(events, 30.0, 40.0) & (events.kind == Kind.MAG)
+    values = events.values.copy()
+    values[near, 1] += 0.2
+    table, pipeline = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+    verdicts = pipeline.health().verdicts[Aid.HEADING]
+    assert verdicts[Verdict.DISTURBED] + verdicts[Verdict.GATED] > 400
+    assert np.degrees(np.abs(errors(table, truth, 30.0)["euler"][:, 2]).max()) < 4.0
+
+
+def test_a_compass_that_is_late_is_allowed_for():
+    events, truth = flight("figure-eight", duration=60.0)
+    late = np.where(events.kind == Kind.MAG, 60_000_000, 0)
+    shifted = Events(t_ns=events.t_ns + late, kind=events.kind, values=events.values)
+    found = []
+    for delay in (0.0, 0.06):
+        settings = FilterSettings(
+            gnss=KNOWN.gnss, heading=HeadingSettings(magnetometer_delay=delay)
+        )
+        table, _ = run(shifted, settings)
+        found.append(rms(errors(table, truth, 20.0)["euler"][:, 2]))
+    assert found[1] < 0.7 * found[0]
+
+
+def test_rotors_near_the_ground_do_not_move_the_height():
+    events, truth = flight("hover", duration=40.0)
+    rotors = Events.from_columns(events.t_ns[:1] + 5_000_000_000, Kind.VEHICLE, [1.0], [1.0])
+    low = between(events, 5.0, 9.0) & (events.kind == Kind.BARO)
+    events = merge(without(events, Kind.VEHICLE), rotors)
+    low = between(events, 5.0, 9.0) & (events.kind == Kind.BARO)
+    table, _ = run(changed(events, low, 0, -3.0))
+    t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
+    down = errors(table, truth, 0.0)["pos"][:, 2]
+    sigma = table.column("sd_pos_d")
+    seen = (t > 6.0) & (t < 20.0)
+    assert np.abs(down[seen] / sigma[seen]).max() < 3.5
+
+
+def test_a_state_out_of_bounds_is_restored_from_the_last_good_one_once():
+    kernel = load().kernel
+    events, _ = flight("figure-eight", duration=20.0)
+    _, pipeline = run(events)
+    good = pipeline._timeline.block()
+    k, now = parameters(KNOWN, "unknown"), good[at.X_T] + 64e6
+    broken = good.copy()
+    broken[at.X_VEL] = np.nan
+    broken[at.X_COUNT] += 1.0
+    assert not kernel.is_sound(broken)
+    kernel.recover(broken, k, good, now)
+    assert kernel.is_sound(broken)
+    assert broken[at.X_T] == now
+    assert broken[at.X_RESETS] == good[at.X_RESETS] + 1.0
+    assert RESET_REASONS[int(broken[at.X_RESET_REASON])] == "state out of bounds"
+    assert broken[at.X_COUNT] == good[at.X_COUNT] + 1.0
+    vel = at.X_COV + at.E_VEL * (at.N + 1)
+    assert broken[vel] > good[vel]
+    broken[at.X_POS] = np.inf
+    kernel.recover(broken, k, good, now + 1e9)
+    assert broken[at.X_MODE] == at.MODE_LEVEL

@@ -1,0 +1,146 @@
+"""What may be turned in the field."""
+
+import logging
+
+import pytest
+
+from ekf_companion.config.config import Config, ParametersConfig, describe_config, parse_config
+from ekf_companion.engine.tuning import TABLE, Tuning, apply, parameters
+from ekf_companion.errors import ConfigError
+from ekf_companion.mavlink.parameters import _float32
+from tests.paths import ROOT
+
+
+def get(config, key):
+    value = config
+    for part in key.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def test_rule_30_the_table_is_small_and_its_names_fit():
+    """Rule 30."""
+    names = [tunable.name for tunable in TABLE]
+    assert 8 <= len(names) <= 15
+    assert len(set(names)) == len({tunable.key for tunable in TABLE}) == len(names)
+    assert all(len(name) <= 16 and name.isascii() for name in names)
+
+
+@pytest.mark.parametrize("tunable", TABLE, ids=lambda tunable: tunable.name)
+def test_every_default_and_both_ends_of_every_range_can_be_set(tunable):
+    config = Config()
+    (parameter,) = [one for one in parameters(config) if one.name == tunable.name]
+    assert parameter.accepts(_float32(parameter.value))
+    assert get(apply(config, tunable.key, parameter.value), tunable.key) == pytest.approx(
+        get(config, tunable.key)
+    )
+    for number in (tunable.lowest, tunable.highest):
+        tuned = apply(config, tunable.key, number)
+        (again,) = [one for one in parameters(tuned) if one.name == tunable.name]
+        assert again.value == pytest.approx(number)
+        # A file that says the same is taken as well
+        assert parse_config(describe_config(tuned), "file") == tuned
+
+
+def test_words_are_numbers_and_back():
+    config = apply(Config(), "output.odometry.mode", 2.0)
+    assert config.output.odometry.mode == "never"
+    assert apply(config, "gnss.delay", 0.12).gnss.delay == 0.12
+    assert apply(config, "gnss.delay", -1.0).gnss.delay == "auto"
+    assert apply(config, "baro.use", 0.0).baro.use is False
+    assert apply(config, "gate.probability", 3.0).gate.probability == pytest.approx(
+        0.9973, abs=1e-4
+    )
+
+
+def test_one_key_is_changed_and_nothing_else():
+    tuned = apply(Config(), "baro.std", 2.0)
+    assert tuned != Config()
+    assert apply(tuned, "baro.std", Config().baro.std) == Config()
+
+
+def test_a_key_that_is_no_parameter_is_refused():
+    with pytest.raises(ConfigError, match=r"link\.url: is no parameter"):
+        apply(Config(), "link.url", 1.0)
+
+
+def test_none_are_served_where_the_user_says_so():
+    assert parameters(Config(parameters=ParametersConfig(serve=False))) == ()
+
+
+def test_what_was_set_is_kept_for_the_next_run_and_only_that():
+    kept = []
+    first = Tuning(Config(), keep=kept.append)
+    first.set("baro.std", 2.5)
+    first.set("heading.source", 2.0)
+    first.set("imu.gyro_noise", 0.01)
+    first.set("imu.gyro_noise", Config().imu.gyro_noise)  # and back
+    assert len(kept) == 4
+    assert b"gyro" not in kept[-1]
+    second = Tuning(Config(), kept[-1], "kept", kept.append)
+    assert second.config == first.config
+    assert second.config.heading.source == "magnetometer"
+    # What the earlier run kept is not forgotten by a change in this one
+    second.set("baro.use", 0.0)
+    third = Tuning(Config(), kept[-1], "kept")
+    assert (third.config.baro.std, third.config.baro.use) == (2.5, False)
+
+
+def test_a_guard_that_was_lifted_over_the_link_is_set_again_at_the_next_start(caplog):
+    kept = []
+    tuning = Tuning(Config(), keep=kept.append)
+    tuning.set("baro.std", 2.5)
+    tuning.set("output.odometry.mode", 1.0)
+    assert tuning.config.output.odometry.mode == "always"
+    again = Tuning(Config(), kept[-1], "kept").config
+    assert (again.output.odometry.mode, again.baro.std) == ("auto", 2.5)
+    # Not by what an earlier version kept either
+    data = b'{"output.odometry.mode": "always"}'
+    assert Tuning(Config(), data, "kept").config == Config()
+    assert "always counts in the run that it is set in; dropped" in caplog.text
+    # The user's file may lift it, and the safer choice is kept
+    always = parse_config({"output": {"odometry": {"mode": "always"}}}, "file")
+    assert Tuning(always, kept[-1], "kept").config.output.odometry.mode == "always"
+    tuning.set("output.odometry.mode", 2.0)
+    assert Tuning(Config(), kept[-1], "kept").config.output.odometry.mode == "never"
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "holds no parameters"),
+        (b"\xff\x00", "holds no parameters"),
+        (b"[1]", "holds no parameters"),
+        (b'{"old.key": 1}', "old.key: is no parameter any more; dropped"),
+        (b'{"link.url": "tcp:evil:1"}', "link.url: is no parameter any more; dropped"),
+        (b'{"baro.std": -1.0}', "baro.std: -1.0"),
+        (b'{"baro.use": "perhaps"}', "baro.use: 'perhaps'"),
+        (b'{"baro.std": {"a": 1}}', "baro.std"),
+    ],
+)
+def test_what_cannot_be_meant_is_dropped_and_said(caplog, data, words):
+    assert Tuning(Config(), data, "kept").config == Config()
+    assert words in caplog.text
+
+
+def test_a_dropped_value_leaves_the_others(caplog):
+    caplog.set_level(logging.INFO)
+    tuning = Tuning(Config(), b'{"old.key": 1, "baro.std": 2.0}', "kept")
+    assert tuning.config.baro.std == 2.0
+    assert "baro.std is 2.0, as set over MAVLink" in caplog.text
+
+
+def test_the_page_on_the_link_names_every_parameter_and_its_key():
+    page = (ROOT / "docs" / "LINK_MANNERS.md").read_text(encoding="utf-8")
+    for tunable in TABLE:
+        assert f"| {tunable.name} | `{tunable.key}` |" in page
+
+
+def test_what_counts_from_the_next_start_only_is_marked_on_the_page_and_nothing_else():
+    page = (ROOT / "docs" / "LINK_MANNERS.md").read_text(encoding="utf-8")
+    rows = {
+        line.split(" | ")[0][2:]: line for line in page.splitlines() if line.startswith("| EC_")
+    }
+    late = {parameter.name for parameter in parameters(Config()) if parameter.is_late}
+    assert late == {"EC_GPS_DELAY"}
+    assert {name for name, row in rows.items() if "from the next start" in row} == late

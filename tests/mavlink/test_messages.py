@@ -1,0 +1,56 @@
+"""The layouts against pymavlink's own packers."""
+
+import pytest
+from fastcrc import crc16
+from pymavlink.dialects.v10 import ardupilotmega as dialect_1
+from pymavlink.dialects.v20 import ardupilotmega as dialect_2
+
+from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS, by_name
+
+LAGGING = {"TIMESYNC"}
+MISSING = {300: ("PROTOCOL_VERSION", 217, 22), 396: ("COMPONENT_INFORMATION_BASIC", 50, 160)}
+"""Name, CRC_EXTRA and size by id, as the C headers of the common definitions give them."""
+TYPES = {"B": "uint8_t", "H": "uint16_t", "I": "uint32_t", "Q": "uint64_t", "s": "char"}
+
+
+def length(field):
+    """Give an array's length as CRC_EXTRA is computed over it."""
+    return chr(field.length) if field.length else ""
+
+
+def test_every_message_of_the_dialect_has_a_layout():
+    assert set(LAYOUTS) == {*dialect_2.mavlink_map, *MISSING}
+    assert len(IDS) == len(LAYOUTS) == len(CRC_EXTRAS)
+
+
+@pytest.mark.parametrize("message_id", MISSING)
+def test_a_message_that_the_dialect_lacks_lies_as_it_is_defined(message_id):
+    name, crc_extra, size = MISSING[message_id]
+    layout = by_name(name)
+    assert LAYOUTS[message_id] is layout
+    assert (layout.message_id, layout.crc_extra, layout.size) == (message_id, crc_extra, size)
+    words = f"{name} " + "".join(f"{TYPES[f.code]} {f.name} " + length(f) for f in layout.fields)
+    crc = crc16.mcrf4xx(words.encode("latin-1"))
+    assert crc & 0xFF ^ crc >> 8 == crc_extra
+
+
+@pytest.mark.parametrize("message_id", sorted(dialect_2.mavlink_map))
+def test_a_layout_agrees_with_its_definition(message_id):
+    layout, definition = LAYOUTS[message_id], dialect_2.mavlink_map[message_id]
+    assert layout.name == definition.msgname
+    if layout.name not in LAGGING:
+        assert layout.struct.format == definition.unpacker.format
+        assert list(layout.names) == definition.ordered_fieldnames
+    assert layout.dtype.itemsize == layout.size
+    assert layout.dtype.names == layout.names
+    assert layout.record._fields == layout.names
+
+
+@pytest.mark.parametrize("message_id", sorted(dialect_1.mavlink_map))
+def test_the_base_size_is_what_mavlink_1_carries(message_id):
+    assert LAYOUTS[message_id].base_size == dialect_1.mavlink_map[message_id].unpacker.size
+
+
+def test_timesync_has_its_targets():
+    assert by_name("TIMESYNC").size == 18
+    assert by_name("TIMESYNC").base_size == 16
