@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-KERNEL := $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
+KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
 .PHONY: setup test explore lint types contracts check demo bench bits accuracy filters fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
@@ -12,9 +12,7 @@ setup: $(STAMP)
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
-# All of the kernel is compiled anew: its modules share layout.pxd, whose changes the compiler misses
 $(STAMP): $(VENV)/bin/python pyproject.toml $(KERNEL)
-	rm -rf build ekf_companion/core/*.c ekf_companion/core/*.so
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@
 

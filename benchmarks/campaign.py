@@ -13,8 +13,23 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
-from ekf_companion.core import state as at
-from ekf_companion.core.settings import FilterSettings, delays_ns, imu_lag
+from ekf_companion.core.enums import (
+    E_ATT,
+    E_BA,
+    E_BARO,
+    E_BG,
+    E_DELAY,
+    E_GNSS,
+    E_HEADING,
+    E_IRON,
+    E_POS,
+    E_VEL,
+    Mode,
+)
+from ekf_companion.core.from_settings import delays_ns, imu_lag
+from ekf_companion.core.memory import as_state
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.state import State
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
@@ -111,26 +126,30 @@ def fly(name: str, seed: int, receiver: str = "white", duration: float = 180.0) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """The filter's state block, and when it was true."""
+    """The filter's state, and when it was true."""
 
     t_ns: int
-    x: Array
+    block: Array
+
+    @property
+    def x(self) -> State:
+        """Return it by its fields."""
+        return as_state(self.block)
 
     @property
     def is_navigating(self) -> bool:
         """Whether there is a position."""
-        return bool(self.x[at.X_MODE] == at.MODE_NAVIGATE)
+        return bool(self.x.mode == Mode.NAVIGATE)
 
     @property
     def frame(self) -> LocalFrame:
         """Give the local frame."""
-        return LocalFrame(*self.x[[at.X_LAT0, at.X_LON0, at.X_ALT0]].tolist())
+        origin = self.x.origin
+        return LocalFrame(origin.lat, origin.lon, origin.alt)
 
     def covariance(self, first: int, size: int) -> Array:
         """Give a diagonal block of the covariance."""
-        P = self.x[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
-        P = P[first : first + size, first : first + size].copy()
-        return np.asarray(P)
+        return np.array(self.x.P)[first : first + size, first : first + size]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,23 +203,23 @@ def errors(
         np.array([np.interp(t, flight.imu.t, axis) for axis in bias.T])
         for bias in (flight.imu.gyro_bias_b, flight.imu.accel_bias_b)
     )
-    turn = so3.multiply(now.q_nb[0], so3.conjugate(x[at.X_Q : at.X_Q + 4]))
+    turn = so3.multiply(now.q_nb[0], so3.conjugate(np.array(x.q_nb)))
     told = delays_ns(settings, family)[Kind.GNSS] * 1e-9
     heading = np.interp(t, flight.mag.t, flight.mag.heading_error)
     drift = np.interp(t, flight.baro.t, flight.baro.drift)
     slow_n = np.array([np.interp(t, flight.gnss.t, axis) for axis in flight.gnss.slow_n.T])
     iron = flight.config.compass.hard_iron
     blocks = {
-        "position": (at.E_POS, pos_n - x[at.X_POS : at.X_POS + 3]),
-        "velocity": (at.E_VEL, now.vel_n[0] - x[at.X_VEL : at.X_VEL + 3]),
-        "attitude": (at.E_ATT, so3.log(turn)),
-        "gyro bias": (at.E_BG, bias_g - x[at.X_BG : at.X_BG + 3]),
-        "accel bias": (at.E_BA, bias_a - x[at.X_BA : at.X_BA + 3]),
-        "baro offset": (at.E_BARO, np.array([drift - x[at.X_BARO]])),
-        "GNSS delay": (at.E_DELAY, np.array([flight.config.gnss.delay - told - x[at.X_DELAY]])),
-        "heading offset": (at.E_HEADING, np.array([heading - x[at.X_HEADING]])),
-        "GNSS slow error": (at.E_SLOW, slow_n - x[at.X_SLOW : at.X_SLOW + 3]),
-        "hard iron": (at.E_IRON, np.array(iron) - x[at.X_IRON : at.X_IRON + 3]),
+        "position": (E_POS, pos_n - x.pos_n),
+        "velocity": (E_VEL, now.vel_n[0] - x.vel_n),
+        "attitude": (E_ATT, so3.log(turn)),
+        "gyro bias": (E_BG, bias_g - x.gyro_bias),
+        "accel bias": (E_BA, bias_a - x.accel_bias),
+        "baro offset": (E_BARO, np.array([drift - x.baro_offset])),
+        "GNSS delay": (E_DELAY, np.array([flight.config.gnss.delay - told - x.gnss_delay])),
+        "heading offset": (E_HEADING, np.array([heading - x.heading_offset])),
+        "GNSS slow error": (E_GNSS, slow_n - x.gnss_offset),
+        "hard iron": (E_IRON, np.array(iron) - x.hard_iron),
     }
     known = {name: (e, snapshot.covariance(i, len(e))) for name, (i, e) in blocks.items()}
     return {name: (e, P) for name, (e, P) in known.items() if (np.diag(P) > 0.0).all()}

@@ -28,8 +28,9 @@ from benchmarks.campaign import (
     pieces,
 )
 from benchmarks.matched import matched
-from ekf_companion.core import state as at
+from ekf_companion.core.enums import N
 from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.state import State
 from ekf_companion.engine.health import Aid, Health, Verdict
 
 Array = npt.NDArray[np.float64]
@@ -83,8 +84,8 @@ def account(flown: Flown, kind: str, instants: Sequence[float] = INSTANTS) -> Ac
     stops = [flown.flight.first_ns + round(t * 1e9) for t in instants]
     squares = {name: np.full(len(stops), np.nan) for name in BLOCKS}
     ratios = {name: np.full((len(stops), dof), np.nan) for name, dof in BLOCKS.items()}
-    first: tuple[Health, Array] | None = None
-    health, x = None, np.empty(0)
+    first: tuple[Health, State] | None = None
+    health, x = None, None
     for i, piece in enumerate(pieces(settings, flown.events, stops, family)):
         health, x = piece.pipeline.health(), piece.snapshot.x
         first = first or (health, x)
@@ -95,14 +96,15 @@ def account(flown: Flown, kind: str, instants: Sequence[float] = INSTANTS) -> Ac
             ratios[name][i] = error / np.sqrt(np.diag(P))
     assert health is not None
     assert first is not None
+    assert x is not None
     return Account(squares, ratios, _nis(first[1], x), _verdicts(first[0], health), health.resets)
 
 
-def _nis(before: Array, after: Array) -> dict[Aid, tuple[float, float]]:
+def _nis(before: State, after: State) -> dict[Aid, tuple[float, float]]:
     """Give what the block has summed up in between, if it does."""
-    gained = after - before
     return {
-        aid: (float(gained[at.X_NIS_SUM + aid]), float(gained[at.X_NIS_N + aid])) for aid in Aid
+        aid: (after.nis_sum[aid] - before.nis_sum[aid], after.nis_n[aid] - before.nis_n[aid])
+        for aid in Aid
     }
 
 
@@ -150,7 +152,7 @@ def tables(data: Path, runs: int | None = None) -> Iterator[str]:
         " the instants the mean of the flights lies in the 95 % band: "
         f"{_band(3 * flights)} for three degrees of freedom, {_band(flights)} for one."
     )
-    if rest := at.N - sum(BLOCKS.values()):
+    if rest := N - sum(BLOCKS.values()):
         yield f"\n{rest} further error states are held against nothing."
     for kind in KINDS:
         for receiver in RECEIVERS:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ekf_companion.core import state as at
+from ekf_companion.core.memory import as_state
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Events, Kind
@@ -42,8 +42,8 @@ def main() -> None:
     for count in range(rounds):
         later = Events(t_ns=round_.t_ns + count * length, kind=round_.kind, values=round_.values)
         pipeline.run(later)
-        x = pipeline._timeline.block()
-        P = x[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
+        x = as_state(pipeline._timeline.block())
+        P = np.array(x.P)
         scale = np.sqrt(np.diag(P))
         if not np.array_equal(P, P.T) or not (scale > 0.0).all():
             sys.exit(f"round {count}: P is not symmetric, or has a variance of zero")
@@ -51,10 +51,10 @@ def main() -> None:
         if least <= 0.0:
             sys.exit(f"round {count}: P is not positive definite")
         if (count + 1) % max(1, rounds // 20) == 0:
-            samples = x[at.X_SAMPLES]
+            samples = x.samples
             print(
                 f"{samples:.3g} samples: least eigenvalue of the correlation {least:.2e}, "
-                f"resets {x[at.X_RESETS]:.0f}",
+                f"resets {x.resets:.0f}",
                 flush=True,
             )
 

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from ekf_companion.config.config import Config
-from ekf_companion.core import state as at
+from ekf_companion.core.memory import as_state
 from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.messages import LAYOUTS, Layout
@@ -80,14 +80,12 @@ class Patient:
         pipeline = self.companion.pipeline
         if pipeline is None:
             return
-        x = pipeline._timeline.block()
-        P = x[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
-        assert np.isfinite(x[: at.X_COV]).sum() > 0
+        x = as_state(pipeline._timeline.block())
+        P = np.array(x.P)
         assert np.isfinite(P).all(), "a covariance that is not finite"
         assert (np.diagonal(P) >= 0.0).all(), "a negative variance"
-        for name in ("X_Q", "X_VEL", "X_POS", "X_BG", "X_BA"):
-            start = getattr(at, name)
-            assert np.isfinite(x[start : start + 3]).all(), f"{name} is not finite"
+        for name in ("q_nb", "vel_n", "pos_n", "gyro_bias", "accel_bias"):
+            assert np.isfinite(np.array(getattr(x, name))).all(), f"{name} is not finite"
 
     def recover(self, seed: int) -> Status:
         """Fly on honestly for half a minute, from a reboot of the autopilot."""

@@ -22,7 +22,7 @@ from benchmarks.campaign import (
 )
 from benchmarks.cases import MISSION, TRUTH, recorded
 from benchmarks.consistency import KINDS, settings_of
-from ekf_companion.core import state as at
+from ekf_companion.core.enums import E_POS
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Trajectory
@@ -91,8 +91,8 @@ def in_recorded(job: tuple[Path, float]) -> list[Drift]:
         parts = pieces(FilterSettings(), silent, [end_ns], log.family, log.gnss_delay)
         snapshot = next(parts).snapshot
         if snapshot.is_navigating:
-            error_n = _reference_pos_n(snapshot, reference) - snapshot.x[at.X_POS : at.X_POS + 3]
-            found.append(drift(error_n, snapshot.covariance(at.E_POS, 3)))
+            error_n = _reference_pos_n(snapshot, reference) - snapshot.x.pos_n
+            found.append(drift(error_n, snapshot.covariance(E_POS, 3)))
     return found
 
 

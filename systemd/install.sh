@@ -71,7 +71,7 @@ install_program() {
     if [ -z "${WHEEL:-}" ]; then
         # In a copy: root leaves nothing of its own in the checkout
         mkdir "$built/src"
-        cp -R pyproject.toml README.md LICENSE ekf_companion sim_autopilot "$built/src"
+        cp -R pyproject.toml setup.py README.md LICENSE ekf_companion sim_autopilot "$built/src"
         rm -f "$built"/src/ekf_companion/core/*.c "$built"/src/ekf_companion/core/*.so
         $pip wheel ${PIP_FLAGS:-} --no-deps --wheel-dir "$built" "$built/src"
     else

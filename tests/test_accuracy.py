@@ -14,7 +14,6 @@ from benchmarks import accuracy, arrival, compassless, consistency, lies, outage
 from benchmarks.campaign import DELAY_STD, SCENARIOS, band, errors, fly, nees, pieces
 from benchmarks.matched import matched
 from benchmarks.seed_reference import Reference
-from ekf_companion.core import state as at
 from ekf_companion.engine.health import Aid
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind
@@ -73,7 +72,7 @@ def test_errors_are_of_the_time_of_the_block():
     stop = flown.flight.first_ns + 60_000_000_000
     piece = next(pieces(settings, flown.events, [stop]))
     assert piece.snapshot.t_ns == stop == piece.table.stamp_ns[-1]
-    assert piece.snapshot.x[at.X_T] == stop  # the clock's first epoch begins at zero
+    assert piece.snapshot.x.t == stop  # the clock's first epoch begins at zero
     now = errors(piece.snapshot, flown, settings)
     # the estimate of the same stamp is as far from the truth, as the other way of telling it
     told = np.radians([piece.table.column("lat_deg")[-1], piece.table.column("lon_deg")[-1]])
@@ -93,7 +92,7 @@ def test_the_attitude_error_turns_the_estimate_into_the_truth_in_n():
     snapshot = next(pieces(settings, flown.events, [stop])).snapshot
     theta_n = np.array([0.01, -0.02, 0.03])
     q_nb = flown.flight.truth_at(np.array([stop])).q_nb[0]
-    snapshot.x[at.X_Q : at.X_Q + 4] = so3.multiply(so3.exp(-theta_n), q_nb)
+    snapshot.x.q_nb[:] = so3.multiply(so3.exp(-theta_n), q_nb)
     found = errors(snapshot, flown, settings)["attitude"][0]
     np.testing.assert_allclose(found, theta_n, atol=1e-12)  # rounding
 

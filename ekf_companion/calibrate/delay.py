@@ -28,7 +28,8 @@ from scipy.stats import t
 
 from ekf_companion.calibrate import rest
 from ekf_companion.calibrate.likelihood import Likelihood
-from ekf_companion.core.settings import FilterSettings, delays_ns
+from ekf_companion.core.from_settings import delays_ns
+from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Recording

@@ -1,8 +1,12 @@
-cdef double innovate(double[::1] x, double[::1] w, Py_ssize_t m) noexcept nogil
-cdef void absorb(double[::1] x, double[::1] w, Py_ssize_t m) noexcept nogil
-cdef void absorb_yaw(double[::1] x, double[::1] w) noexcept nogil
-cdef void forget(double[::1] x, Py_ssize_t first, Py_ssize_t count, double variance) noexcept nogil
-cdef void soften(double[::1] w, Py_ssize_t m, double factor) noexcept nogil
-cdef void inject(double[::1] x, double[::1] w) noexcept nogil
-cdef void difference(double[::1] x, double[::1] y, double[::1] w) noexcept nogil
-cdef void rebase(double[::1] y, double[::1] w) noexcept nogil
+from ekf_companion.core.scratch cimport Observation
+from ekf_companion.core.state cimport State
+cdef double innovate(State *x, Observation *o) noexcept nogil
+cdef void inflate_noise(Observation *o, double factor) noexcept nogil
+cdef void apply_update(State *x, Observation *o) noexcept nogil
+cdef void apply_yaw_update(State *x, Observation *o) noexcept nogil
+cdef void inject(State *x, Observation *o) noexcept nogil
+cdef void difference(State *x, State *y, Observation *o) noexcept nogil
+cdef void rebase(State *y, Observation *o) noexcept nogil
+cdef void rotate_back(double *v, Observation *o) noexcept nogil
+cdef void reset_variance(State *x, Py_ssize_t first, Py_ssize_t count, double variance) noexcept nogil
+cdef void copy_nominal(State *x, State *source) noexcept nogil

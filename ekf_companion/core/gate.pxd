@@ -1,9 +1,13 @@
-cdef void count(double[::1] x, Py_ssize_t aid, Py_ssize_t why) noexcept nogil
-cdef bint fuse(double[::1] x, double[::1] k, double[::1] w, Py_ssize_t aid, Py_ssize_t m) noexcept nogil
-cdef bint weigh(
-    double[::1] x, double[::1] k, double[::1] w, Py_ssize_t aid, Py_ssize_t m, double nis
-) noexcept nogil
-cdef bint is_timed_out(double[::1] x, Py_ssize_t aid, double limit) noexcept nogil
-cdef void announce(double[::1] x, double reason) noexcept nogil
-cdef void settle(double[::1] x, Py_ssize_t aid) noexcept nogil
-cdef void score(double[::1] x, double[::1] w, Py_ssize_t m, double nis, double gate) noexcept nogil
+from ekf_companion.core.parameters cimport Parameters
+from ekf_companion.core.scratch cimport Observation
+from ekf_companion.core.state cimport State
+cdef void count_verdict(State *x, Py_ssize_t aid, Py_ssize_t verdict) noexcept nogil
+cdef bint is_timed_out(State *x, Py_ssize_t aid, double limit) noexcept nogil
+cdef bint fuse(State *x, Parameters *k, Observation *o, Py_ssize_t aid) noexcept nogil
+cdef bint fuse_judged(State *x, Parameters *k, Observation *o, Py_ssize_t aid, double nis) noexcept nogil
+cdef void note_used(State *x, Py_ssize_t aid) noexcept nogil
+cdef void score(State *x, Observation *o, double nis, double gate) noexcept nogil
+cdef void begin_reset(State *x, double reason) noexcept nogil
+cdef void add_to_run(State *x, Observation *o, Py_ssize_t aid) noexcept nogil
+cdef void clear_run(State *x, Py_ssize_t aid) noexcept nogil
+cdef bint is_proven(State *x, Py_ssize_t aid, Py_ssize_t rows, double stated, double drift) noexcept nogil

@@ -1,136 +1,182 @@
-# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Whom to believe: gates, what is counted, and what a reset leaves behind.
+"""Whom to believe: gates, the account of each aid, and when one that was refused may have its way.
 
 An innovation inside the soft gate counts in full. Between the soft and the hard gate it counts the
-less the further out it is, as if its noise had been larger. Beyond the hard gate it is refused; an
-aid that goes on being refused has to prove itself (:mod:`ekf_companion.core.proof`).
+less the further out it is, as if its noise had been larger. Beyond the hard gate it is refused.
+
+A receiver that goes on being refused has to prove itself. One that has truly found a new place
+moves from fix to fix as we do: its innovations stay the same. One that is dragged off, or says
+anything at all, moves otherwise. So a run of refused innovations is kept as the sums of a straight
+line; a small slope and a small scatter prove it.
+
+Source: least squares of a line, e.g. Bevington 2003, section 6.3.
 """
 
 from __future__ import annotations
 
 import cython
+from cython.cimports.ekf_companion.core.correct import (
+    apply_update,
+    apply_yaw_update,
+    inflate_noise,
+    innovate,
+)
+from cython.cimports.ekf_companion.core.enums import (
+    AID_HEADING,
+    VERDICT_FUSED,
+    VERDICT_GATED,
+    VERDICT_SOFT,
+)
+from cython.cimports.ekf_companion.core.parameters import Parameters
+from cython.cimports.ekf_companion.core.scratch import Observation
+from cython.cimports.ekf_companion.core.state import State
+from cython.cimports.libc.math import fabs, log, sqrt
 
-if cython.compiled:
-    from cython.cimports.ekf_companion.core import correct, proof
-    from cython.cimports.ekf_companion.core import state as at
-    from cython.cimports.libc.math import log
-else:
-    from math import log
+SHORTEST_RUN = cython.declare(cython.double, 3.0)
+"""Least time between the first and the last of a run that proves anything, s."""
+LONGEST_RUN = cython.declare(cython.double, 30.0)
+"""A run that has not proved itself by then begins anew, s."""
+FEWEST = cython.declare(cython.double, 4.0)
+"""Least number of innovations in a run."""
+LARGEST_SLOPE_STD = cython.declare(cython.double, 0.15)
+"""The slope of a run must be known to this, one sigma per s, before it proves anything."""
+LARGEST_SCATTER = cython.declare(cython.double, 9.0)
+"""How far the scatter about the line may be beyond the stated variance."""
+SIGMAS = cython.declare(cython.double, 3.0)
 
-    from ekf_companion.core import correct, proof
-    from ekf_companion.core import state as at
 
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def count(x: cython.double[::1], aid: cython.Py_ssize_t, why: cython.Py_ssize_t) -> cython.void:
+def count_verdict(x: State, aid: int, verdict: int) -> None:
     """Count what became of one measurement."""
-    x[at.X_COUNT + aid * at.WHYS + why] += 1.0
+    x.count[aid][verdict] += 1.0
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def fuse(
-    x: cython.double[::1],
-    k: cython.double[::1],
-    w: cython.double[::1],
-    aid: cython.Py_ssize_t,
-    m: cython.Py_ssize_t,
-) -> cython.bint:
-    """Absorb m rows if they pass the gate, and keep the account; False: they did not."""
-    return weigh(x, k, w, aid, m, correct.innovate(x, w, m))
+def is_timed_out(x: State, aid: int, limit: float) -> bool:
+    """Return whether an aid has not been used for longer than its limit, s."""
+    return x.t - x.used_t[aid] > limit * 1e9
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def weigh(
-    x: cython.double[::1],
-    k: cython.double[::1],
-    w: cython.double[::1],
-    aid: cython.Py_ssize_t,
-    m: cython.Py_ssize_t,
-    nis: cython.double,
-) -> cython.bint:
-    """Absorb m rows that have been judged, in full or in part, or refuse them."""
-    hard: cython.double = k[at.K_GATE + m - 1]
-    soft: cython.double = k[at.K_SOFT + m - 1]
-    x[at.X_RATIO + aid] = nis / hard
-    x[at.X_NIS_SUM + aid] += (nis if nis < hard else hard) / m
-    x[at.X_NIS_N + aid] += 1.0
+def fuse(x: State, k: Parameters, o: Observation, aid: int) -> bool:
+    """Fuse an observation if it passes the gate, and keep the account; return whether it did."""
+    return fuse_judged(x, k, o, aid, innovate(x, o))
+
+
+def fuse_judged(x: State, k: Parameters, o: Observation, aid: int, nis: float) -> bool:
+    """Fuse an observation that has been judged, in full or in part, or refuse it."""
+    hard = k.gate[o.rows - 1]
+    soft = k.soft_gate[o.rows - 1]
+    x.ratio[aid] = nis / hard
+    x.nis_sum[aid] += (nis if nis < hard else hard) / o.rows
+    x.nis_n[aid] += 1.0
     if nis > hard:
-        count(x, aid, at.WHY_GATED)
-        if x[at.X_T_REFUSED + aid] <= x[at.X_T_USED + aid]:
-            x[at.X_T_REFUSED + aid] = x[at.X_T]
-        if aid < at.AID_YAW:
-            proof.add(x, w, aid, m)
+        count_verdict(x, aid, VERDICT_GATED)
+        if x.refused_t[aid] <= x.used_t[aid]:
+            x.refused_t[aid] = x.t
+        if aid < AID_HEADING:
+            add_to_run(x, o, aid)
         return False
     if nis > soft:
-        correct.soften(w, m, nis / soft)
-        count(x, aid, at.WHY_SOFT)
+        inflate_noise(o, nis / soft)
+        count_verdict(x, aid, VERDICT_SOFT)
     else:
-        count(x, aid, at.WHY_FUSED)
-    if aid == at.AID_YAW:
-        correct.absorb_yaw(x, w)
+        count_verdict(x, aid, VERDICT_FUSED)
+    if aid == AID_HEADING:
+        apply_yaw_update(x, o)
     else:
-        correct.absorb(x, w, m)
-    proof.forgive(x, aid)
-    x[at.X_T_USED + aid] = x[at.X_T]
+        apply_update(x, o)
+    note_used(x, aid)
     return True
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def score(
-    x: cython.double[::1],
-    w: cython.double[::1],
-    m: cython.Py_ssize_t,
-    nis: cython.double,
-    gate: cython.double,
-) -> cython.void:
-    """Add what m judged rows say to the sum of log-likelihoods; an outlier says what a gate does.
+def note_used(x: State, aid: int) -> None:
+    """Note that an aid was fused, or had its way: its run of refusals ends."""
+    if aid < AID_HEADING:
+        x.run[aid].n = 0.0
+    x.used_t[aid] = x.t
+
+
+def score(x: State, o: Observation, nis: float, gate: float) -> None:
+    """Add what a judged observation says to the log-likelihood; an outlier says what a gate does.
 
     Nothing in the filter reads the sum: it compares settings over the same log.
     """
-    i: cython.Py_ssize_t
-    cost: cython.double = nis if nis < gate else gate
+    cost = nis if nis < gate else gate
     if nis >= 1e30:  # no covariance to judge by
         return
-    for i in range(m):
-        cost += 2.0 * log(w[at.W_L + 4 * i])
-    x[at.X_LOGLIK] -= 0.5 * cost
+    for r in range(o.rows):
+        cost += 2.0 * log(o.L[r][r])
+    x.log_likelihood -= 0.5 * cost
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def is_timed_out(
-    x: cython.double[::1], aid: cython.Py_ssize_t, limit: cython.double
-) -> cython.bint:
-    """Say whether an aid has not been used for longer than its limit, s."""
-    return x[at.X_T] - x[at.X_T_USED + aid] > limit * 1e9
+def begin_reset(x: State, reason: float) -> None:
+    """Count a reset; what it moves is added to ``x.moved`` afterwards."""
+    x.resets += 1.0
+    x.reset_reason = reason
+    x.reset_t = x.t
+    for i in range(3):
+        x.moved.pos_n[i] = 0.0
+        x.moved.vel_n[i] = 0.0
+    x.moved.yaw = 0.0
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def announce(x: cython.double[::1], reason: cython.double) -> cython.void:
-    """Open the account of a reset: what it moves is added to X_DELTA."""
-    i: cython.Py_ssize_t
-    x[at.X_RESETS] += 1.0
-    x[at.X_RESET_REASON] = reason
-    x[at.X_T_RESET] = x[at.X_T]
-    for i in range(7):
-        x[at.X_DELTA + i] = 0.0
+def add_to_run(x: State, o: Observation, aid: int) -> None:
+    """Add the innovations that were refused to the run of a receiver's aid."""
+    tau = (x.t - x.run[aid].t0) * 1e-9
+    if x.run[aid].n == 0.0 or tau > LONGEST_RUN:
+        clear_run(x, aid)
+        x.run[aid].t0 = x.t
+        tau = 0.0
+    x.run[aid].n += 1.0
+    x.run[aid].t += tau
+    x.run[aid].tt += tau * tau
+    for r in range(o.rows):
+        x.run[aid].z[r] += o.z[r]
+        x.run[aid].tz[r] += tau * o.z[r]
+        x.run[aid].zz += o.z[r] * o.z[r]
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def settle(x: cython.double[::1], aid: cython.Py_ssize_t) -> cython.void:
-    """Close it for an aid that has had its way."""
-    proof.forgive(x, aid)
-    x[at.X_T_USED + aid] = x[at.X_T]
+def clear_run(x: State, aid: int) -> None:
+    """Forget the run of an aid."""
+    x.run[aid].n = 0.0
+    x.run[aid].t0 = 0.0
+    x.run[aid].t = 0.0
+    x.run[aid].tt = 0.0
+    x.run[aid].zz = 0.0
+    for r in range(3):
+        x.run[aid].z[r] = 0.0
+        x.run[aid].tz[r] = 0.0
+
+
+def is_proven(x: State, aid: int, rows: int, stated: float, drift: float) -> bool:
+    """Return whether the run of a receiver's aid has proved it right.
+
+    Args:
+        x: The state.
+        aid: Whose run.
+        rows: Rows of its observations.
+        stated: Variance that the receiver states for one row.
+        drift: Variance of our own drift, per s^2: what slope says nothing against the aid.
+    """
+    n = x.run[aid].n
+    largest = 0.0
+    scatter = x.run[aid].zz
+    if n < FEWEST or x.t - x.run[aid].t0 < SHORTEST_RUN * 1e9:
+        return False
+    spread = x.run[aid].tt - x.run[aid].t * x.run[aid].t / n
+    if not spread > 0.0:
+        return False
+
+    # The line, and the scatter about it
+    for r in range(rows):
+        slope = x.run[aid].tz[r] - x.run[aid].t * x.run[aid].z[r] / n
+        scatter -= x.run[aid].z[r] * x.run[aid].z[r] / n + slope * slope / spread
+        slope = fabs(slope / spread)
+        largest = slope if slope > largest else largest
+    scatter = scatter / (rows * (n - 2.0))
+    if not scatter <= LARGEST_SCATTER * stated:
+        return False
+
+    # A slope that is none, as far as it is known, and known well enough
+    if scatter < 0.0:
+        scatter = 0.0
+    return scatter / spread <= LARGEST_SLOPE_STD * LARGEST_SLOPE_STD and largest <= SIGMAS * sqrt(
+        scatter / spread + drift
+    )

@@ -1,9 +1,19 @@
-cdef bint is_heading_used(double[::1] x, double[::1] k, double t, double source) noexcept nogil
-cdef bint is_field_used(double[::1] x, double[::1] k) noexcept nogil
-cdef void take_heading(
-    double[::1] x, double[::1] k, double[::1] w, double heading, double std, bint is_antenna
+from ekf_companion.core.parameters cimport Parameters
+from ekf_companion.core.scratch cimport HeadingRow, Observation
+from ekf_companion.core.state cimport Reference, State
+cdef bint is_heading_used(State *x, Parameters *k, Py_ssize_t source) noexcept nogil
+cdef bint is_field_used(State *x, Parameters *k) noexcept nogil
+cdef bint is_natural(State *x, Parameters *k, Observation *o, double *mag_b) noexcept nogil
+cdef bint is_steady(State *x, double size) noexcept nogil
+cdef void fuse_heading(
+    State *x, Parameters *k, Observation *o, Reference *r, HeadingRow *values
 ) noexcept nogil
-cdef void take_field(
-    double[::1] x, double[::1] k, double[::1] w, double mx, double my, double mz
+cdef void fuse_field(
+    State *x, Parameters *k, Observation *o, Reference *r, double *mag_b
 ) noexcept nogil
-cdef void face(double[::1] x, double[::1] w) noexcept nogil
+cdef void fuse_azimuth(
+    State *x, Parameters *k, Observation *o, Reference *r, double slow, double source
+) noexcept nogil
+cdef void keep_reference(State *x, Reference *r) noexcept nogil
+cdef void yield_to_azimuth(State *x, Observation *o, double slow) noexcept nogil
+cdef void reset_yaw(State *x, Observation *o) noexcept nogil

@@ -1,4 +1,3 @@
-# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """North: which of the headings that speak is used, and how it corrects yaw.
 
 The magnetic field of a vehicle is that of the Earth, turned, and its own: three hard-iron states
@@ -9,279 +8,248 @@ judged by: they say whether this is the Earth's field at all.
 from __future__ import annotations
 
 import cython
-
-if cython.compiled:
-    from cython.cimports.ekf_companion.core import correct, gate, observe, propagate, yaw_reset
-    from cython.cimports.ekf_companion.core import state as at
-    from cython.cimports.libc.math import asin, fabs, isnan, sqrt
-else:
-    from math import asin, fabs, isnan, sqrt
-
-    from ekf_companion.core import correct, gate, observe, propagate, yaw_reset
-    from ekf_companion.core import state as at
+from cython import address
+from cython.cimports.ekf_companion.core import observe, yaw_reset
+from cython.cimports.ekf_companion.core.correct import apply_yaw_update, innovate, reset_variance
+from cython.cimports.ekf_companion.core.enums import (
+    AID_HEADING,
+    AZIMUTH_ANTENNA,
+    AZIMUTH_FIELD,
+    AZIMUTH_MAGNETIC,
+    AZIMUTH_OTHER,
+    CHOICE_AUTO,
+    CHOICE_AUTOPILOT,
+    CHOICE_GNSS,
+    CHOICE_MAG,
+    E_ATT,
+    E_HEADING,
+    MODE_ATTITUDE,
+    MODE_LEVEL,
+    RESET_HEADING,
+    VERDICT_DISTURBED,
+    VERDICT_FUSED,
+    VERDICT_UNALIGNED,
+    VERDICT_UNUSED,
+)
+from cython.cimports.ekf_companion.core.gate import (
+    begin_reset,
+    count_verdict,
+    fuse,
+    is_timed_out,
+    note_used,
+)
+from cython.cimports.ekf_companion.core.memory import Vector
+from cython.cimports.ekf_companion.core.parameters import Parameters
+from cython.cimports.ekf_companion.core.rotation import rotate, to_dcm
+from cython.cimports.ekf_companion.core.scratch import HeadingRow, Observation
+from cython.cimports.ekf_companion.core.state import Reference, State
+from cython.cimports.libc.math import asin, fabs, isnan, sqrt
 
 PREFERRED_AGE = cython.declare(cython.double, 5e9)
 """How long a better source keeps the worse ones out after its last word, ns."""
-MOUNTING = cython.declare(cython.double, 0.005)
+MOUNTING_STD = cython.declare(cython.double, 0.005)
 """Slow error of a dual antenna: how well its baseline is mounted, rad."""
-TRUSTED = cython.declare(cython.double, 0.02)
+TRUSTED_STD = cython.declare(cython.double, 0.02)
 """Slow error up to which a heading that has jumped is believed, rad."""
-UNKNOWN_DECLINATION = cython.declare(cython.double, 0.2)
+DECLINATION_STD = cython.declare(cython.double, 0.2)
 """One sigma of the declination before the first fix, rad: most people live within it."""
-WHITE = cython.declare(cython.double, 0.003)
+AZIMUTH_STD = cython.declare(cython.double, 0.003)
 """White error of a magnetic azimuth beside that of the field, rad."""
-PROOF = cython.declare(cython.double, 9e8)
-"""How long a heading must insist before it resets anything, ns: one wild one does not."""
+INSISTENCE = cython.declare(cython.double, 9e8)
+"""How long a heading must be refused before it resets anything, ns: one wild one does not."""
 STEADY = cython.declare(cython.double, 0.1)
 """Share by which the strength of an undisturbed field may differ from its own mean."""
 STEADY_TIME = cython.declare(cython.double, 10.0)
 """Time constant of that mean, s."""
 DISTURBED_TIME = cython.declare(cython.double, 60.0)
 """Time constant while the field differs: a lasting change is the new normal, s."""
-ANTENNA = cython.declare(cython.double, 1.0)
-"""Sources of an azimuth: a dual antenna, another estimate, a field before its declination is known,
-and after."""
-OTHER = cython.declare(cython.double, 2.0)
-MAGNETIC = cython.declare(cython.double, 3.0)
-FIELD = cython.declare(cython.double, 4.0)
 UNKNOWN_HEADING = cython.declare(cython.double, 3.29)
 """Variance of an angle of which nothing is known: pi^2 / 3, rad^2."""
-ANY = cython.declare(cython.double, 100.0)
+ANY_YAW = cython.declare(cython.double, 100.0)
 """Variance of a yaw of which nothing is known, rad^2."""
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def is_heading_used(
-    x: cython.double[::1], k: cython.double[::1], t: cython.double, source: cython.double
-) -> cython.bint:
-    """Say whether a heading is to be used: by order of the user, or the best that still speaks."""
-    i: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, source)
-    j: cython.Py_ssize_t
-    x[at.X_T_HEADING + i] = t
-    if k[at.K_HEADING] == at.HEADING_GNSS:
-        return i == 0
-    if k[at.K_HEADING] == at.HEADING_MAG:
-        return i == 1
-    if k[at.K_HEADING] == at.HEADING_AUTOPILOT:
-        return i == 2
-    if i > 0 and t - x[at.X_T_MAG] < PREFERRED_AGE:
+def is_heading_used(x: State, k: Parameters, source: int) -> bool:
+    """Return whether a heading is to be used: the user's choice, or the best that still speaks."""
+    x.heading_t[source] = x.t
+    if k.heading == CHOICE_GNSS:
+        return source == 0
+    if k.heading == CHOICE_MAG:
+        return source == 1
+    if k.heading == CHOICE_AUTOPILOT:
+        return source == 2
+    if source > 0 and x.t - x.mag_t < PREFERRED_AGE:
         return False
-    for j in range(i):
-        if t - x[at.X_T_HEADING + j] < PREFERRED_AGE:
+    for better in range(source):
+        if x.t - x.heading_t[better] < PREFERRED_AGE:
             return False
     return True
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def is_field_used(x: cython.double[::1], k: cython.double[::1]) -> cython.bint:
-    """Say whether the magnetic field is to be used for heading: not while a dual antenna speaks."""
-    if k[at.K_HEADING] == at.HEADING_AUTO:
-        return x[at.X_T] - x[at.X_T_HEADING] >= PREFERRED_AGE
-    return k[at.K_HEADING] == at.HEADING_MAG
+def is_field_used(x: State, k: Parameters) -> bool:
+    """Return whether the magnetic field gives the heading: not while a dual antenna speaks."""
+    if k.heading == CHOICE_AUTO:
+        return x.t - x.heading_t[0] >= PREFERRED_AGE
+    return k.heading == CHOICE_MAG
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def is_natural(
-    x: cython.double[::1],
-    k: cython.double[::1],
-    w: cython.double[::1],
-    mx: cython.double,
-    my: cython.double,
-    mz: cython.double,
-) -> cython.bint:
-    """Say whether a magnetic field (b, gauss) is the Earth's.
+def is_natural(x: State, k: Parameters, o: Observation, mag_b: Vector) -> bool:
+    """Return whether a magnetic field (gauss) is the Earth's.
 
     By the strength and the dip that the World Magnetic Model gives (the dip once the tilt is
     known), and by its own mean strength, from which a passing piece of iron makes it differ.
     """
-    d: cython.double
-    gain: cython.double
-    memory: cython.double
-    is_steady: cython.bint
-    mx = mx - x[at.X_IRON]
-    my = my - x[at.X_IRON + 1]
-    mz = mz - x[at.X_IRON + 2]
-    size: cython.double = sqrt(mx * mx + my * my + mz * mz)
-    if not size > 0.0:
+    mx = mag_b[0] - x.hard_iron[0]
+    my = mag_b[1] - x.hard_iron[1]
+    mz = mag_b[2] - x.hard_iron[2]
+    size = sqrt(mx * mx + my * my + mz * mz)
+    if not size > 0.0 or not is_steady(x, size):
         return False
-
-    # Its own mean, which follows slowly while it differs
-    if not x[at.X_FIELD_SIZE] > 0.0:
-        x[at.X_FIELD_SIZE] = size
-        x[at.X_T_FIELD] = x[at.X_T]
-        x[at.X_T_FIELD0] = x[at.X_T]
-    is_steady = fabs(size - x[at.X_FIELD_SIZE]) <= STEADY * x[at.X_FIELD_SIZE]
-    gain = (x[at.X_T] - x[at.X_T_FIELD]) * 1e-9
-    memory = DISTURBED_TIME
-    if is_steady:
-        memory = (x[at.X_T] - x[at.X_T_FIELD0]) * 1e-9
-        memory = memory if memory < STEADY_TIME else STEADY_TIME
-    if gain > 0.0:
-        gain = gain / (gain + memory)
-    x[at.X_FIELD_SIZE] += gain * (size - x[at.X_FIELD_SIZE])
-    x[at.X_T_FIELD] = x[at.X_T]
-    if not is_steady:
-        return False
-
-    # The model
-    if x[at.X_FIELD] > 0.0:
-        if fabs(size - x[at.X_FIELD]) > k[at.K_FIELD_STRENGTH] * x[at.X_FIELD]:
+    if x.field.strength > 0.0:
+        if fabs(size - x.field.strength) > k.field_strength * x.field.strength:
             return False
-        if x[at.X_MODE] >= at.MODE_ATTITUDE and x[at.X_NEEDS_RESET] == 0.0:
-            propagate.matrix(x, at.X_Q, w)
-            d = (w[at.W_C_NB + 6] * mx + w[at.W_C_NB + 7] * my + w[at.W_C_NB + 8] * mz) / size
+        if x.mode >= MODE_ATTITUDE and x.needs_reset == 0.0:
+            to_dcm(x.q_nb, o.C_nb)
+            d = (o.C_nb[2][0] * mx + o.C_nb[2][1] * my + o.C_nb[2][2] * mz) / size
             d = 1.0 if d > 1.0 else (-1.0 if d < -1.0 else d)
-            if fabs(asin(d) - x[at.X_INCLINATION]) > k[at.K_FIELD_DIP]:
+            if fabs(asin(d) - x.field.inclination) > k.field_dip:
                 return False
     return True
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def take_heading(
-    x: cython.double[::1],
-    k: cython.double[::1],
-    w: cython.double[::1],
-    heading: cython.double,
-    std: cython.double,
-    is_antenna: cython.bint,
-) -> cython.void:
-    """Take a heading: white from a dual antenna, slowly wrong from another compass or filter."""
-    if std < k[at.K_HEADING_FLOOR]:
-        std = k[at.K_HEADING_FLOOR]
-    if is_antenna:
-        take_azimuth(x, k, w, 1.0, 0.0, 0.0, heading, MOUNTING, std, 0.0, ANTENNA)
+def is_steady(x: State, size: float) -> bool:
+    """Return whether a field is as strong as its own mean, which follows slowly while it is not."""
+    if not x.strength > 0.0:
+        x.strength = size
+        x.strength_t = x.t
+        x.strength_t0 = x.t
+    steady = cython.declare(cython.bint, fabs(size - x.strength) <= STEADY * x.strength)
+    gain = (x.t - x.strength_t) * 1e-9
+    memory = DISTURBED_TIME
+    if steady:
+        memory = (x.t - x.strength_t0) * 1e-9
+        memory = memory if memory < STEADY_TIME else STEADY_TIME
+    if gain > 0.0:
+        gain = gain / (gain + memory)
+    x.strength += gain * (size - x.strength)
+    x.strength_t = x.t
+    return steady
+
+
+def fuse_heading(x: State, k: Parameters, o: Observation, r: Reference, values: HeadingRow) -> None:
+    """Fuse a heading: white from a dual antenna, slowly wrong from another compass or filter."""
+    std = values.std
+    if std < k.heading_floor:
+        std = k.heading_floor
+    r.direction_b[0] = 1.0
+    r.direction_b[1] = 0.0
+    r.direction_b[2] = 0.0
+    r.azimuth = values.heading
+    r.noise = 0.0
+    if values.source == 0.0:
+        r.std = std
+        fuse_azimuth(x, k, o, r, MOUNTING_STD, AZIMUTH_ANTENNA)
     else:
-        take_azimuth(x, k, w, 1.0, 0.0, 0.0, heading, std, k[at.K_HEADING_FLOOR], 0.0, OTHER)
+        r.std = k.heading_floor
+        fuse_azimuth(x, k, o, r, std, AZIMUTH_OTHER)
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def take_field(
-    x: cython.double[::1],
-    k: cython.double[::1],
-    w: cython.double[::1],
-    mx: cython.double,
-    my: cython.double,
-    mz: cython.double,
-) -> cython.void:
-    """Take the magnetic field: it points to the declination, as far as that is known."""
-    if not is_natural(x, k, w, mx, my, mz):
-        gate.count(x, at.AID_YAW, at.WHY_DISTURBED)
+def fuse_field(x: State, k: Parameters, o: Observation, r: Reference, mag_b: Vector) -> None:
+    """Fuse the magnetic field: it points to the declination, as far as that is known."""
+    if not is_natural(x, k, o, mag_b):
+        count_verdict(x, AID_HEADING, VERDICT_DISTURBED)
         return
-    x[at.X_T_MAG] = x[at.X_T]
-    if isnan(x[at.X_DECLINATION]):
-        take_azimuth(
-            x, k, w, mx, my, mz, 0.0, UNKNOWN_DECLINATION, WHITE, k[at.K_MAG_NOISE], MAGNETIC
-        )
+    x.mag_t = x.t
+    for i in range(3):
+        r.direction_b[i] = mag_b[i]
+    r.std = AZIMUTH_STD
+    r.noise = k.mag_noise
+    if isnan(x.field.declination):
+        r.azimuth = 0.0
+        fuse_azimuth(x, k, o, r, DECLINATION_STD, AZIMUTH_MAGNETIC)
     else:
-        take_azimuth(
-            x,
-            k,
-            w,
-            mx,
-            my,
-            mz,
-            x[at.X_DECLINATION],
-            k[at.K_MAG_STD],
-            WHITE,
-            k[at.K_MAG_NOISE],
-            FIELD,
-        )
+        r.azimuth = x.field.declination
+        fuse_azimuth(x, k, o, r, k.mag_std, AZIMUTH_FIELD)
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def take_azimuth(
-    x: cython.double[::1],
-    k: cython.double[::1],
-    w: cython.double[::1],
-    bx: cython.double,
-    by: cython.double,
-    bz: cython.double,
-    target: cython.double,
-    slow: cython.double,
-    white: cython.double,
-    noise: cython.double,
-    source: cython.double,
-) -> cython.void:
-    """Take a direction's azimuth: keep it while levelling, begin or correct yaw by it.
+def fuse_azimuth(
+    x: State, k: Parameters, o: Observation, r: Reference, slow: float, source: float
+) -> None:
+    """Fuse a direction's azimuth: keep it while levelling, begin or correct yaw by it.
 
-    Its error is a slow part and a white one (one sigma each, rad) and the direction's own noise.
+    Its error is a slow part (one sigma, rad) and a white one, and the direction's own noise.
     Another source has another slow error; a field has the vehicle's own in it.
     """
-    has_iron: cython.bint = source >= MAGNETIC
-    if x[at.X_MODE] == at.MODE_LEVEL or x[at.X_NEEDS_RESET] != 0.0:
-        x[at.X_HEADING_STD] = slow
-        x[at.X_HEADING_SOURCE] = source
-        x[at.X_LEVEL + at.L_HAS_REF] = 1.0
-        x[at.X_LEVEL + at.L_REF_T] = x[at.X_T]
-        x[at.X_LEVEL + at.L_REF_TARGET] = target
-        x[at.X_LEVEL + at.L_REF_STD] = white
-        x[at.X_LEVEL + at.L_REF_NOISE] = noise
-        x[at.X_LEVEL + at.L_REF_IRON] = has_iron
-        x[at.X_LEVEL + at.L_REF_V] = bx
-        x[at.X_LEVEL + at.L_REF_V + 1] = by
-        x[at.X_LEVEL + at.L_REF_V + 2] = bz
-        gate.count(x, at.AID_YAW, at.WHY_UNALIGNED)
+    r.has_iron = source >= AZIMUTH_MAGNETIC
+    if x.mode == MODE_LEVEL or x.needs_reset != 0.0:
+        x.heading_std = slow
+        x.azimuth = source
+        keep_reference(x, r)
+        count_verdict(x, AID_HEADING, VERDICT_UNALIGNED)
         return
     slow = yaw_reset.slow_error(x, slow)
-    x[at.X_HEADING_STD] = slow
-    if source != x[at.X_HEADING_SOURCE]:
-        x[at.X_HEADING_SOURCE] = source
-        x[at.X_HEADING] = 0.0
-        correct.forget(x, at.E_HEADING, 1, slow * slow)
-    if not observe.azimuth(x, w, bx, by, bz, target, white, noise, has_iron):
-        gate.count(x, at.AID_YAW, at.WHY_UNUSED)
+    x.heading_std = slow
+    if source != x.azimuth:
+        x.azimuth = source
+        x.heading_offset = 0.0
+        reset_variance(x, E_HEADING, 1, slow * slow)
+    if not observe.azimuth(x, o, r):
+        count_verdict(x, AID_HEADING, VERDICT_UNUSED)
         return
-    if x[at.X_HAS_YAW] == 0.0:
-        face(x, w)
-        gate.count(x, at.AID_YAW, at.WHY_FUSED)
+    if x.has_yaw == 0.0:
+        reset_yaw(x, o)
+        count_verdict(x, AID_HEADING, VERDICT_FUSED)
     elif (
-        not gate.fuse(x, k, w, at.AID_YAW, 1)
-        and gate.is_timed_out(x, at.AID_YAW, k[at.K_TIMEOUT_YAW])
-        and x[at.X_T] - x[at.X_T_REFUSED + at.AID_YAW] >= PROOF
+        not fuse(x, k, o, AID_HEADING)
+        and is_timed_out(x, AID_HEADING, k.timeout_heading)
+        and x.t - x.refused_t[AID_HEADING] >= INSISTENCE
     ):
-        if yaw_reset.agrees(x):
-            # it is the compass that has jumped: the motion says so
-            correct.forget(x, at.E_HEADING, 1, UNKNOWN_HEADING)
-            correct.innovate(x, w, 1)
-            correct.absorb_yaw(x, w)
-            gate.settle(x, at.AID_YAW)
-            return
-        gate.announce(x, at.RESET_YAW)
-        if slow > TRUSTED:
-            # the compass or our yaw has jumped, and nobody knows which: neither is sure any more
-            correct.forget(x, at.E_HEADING, 1, 1.0)
-            x[at.X_COV + (at.E_ATT + 2) * (at.N + 1)] += w[at.W_Z] * w[at.W_Z]
-            x[at.X_FRESH + at.E_ATT + 2] += 1.0
-            correct.innovate(x, w, 1)
-            correct.absorb_yaw(x, w)
-            x[at.X_DELTA + 6] += w[at.W_DX + at.E_ATT + 2]
-            gate.settle(x, at.AID_YAW)
-        else:
-            face(x, w)
+        yield_to_azimuth(x, o, slow)
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def face(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
-    """Set the yaw by the row of :func:`observe.azimuth`; it shares the slow errors from then on."""
-    propagate.turn(x, at.X_Q, 0.0, 0.0, w[at.W_Z])
-    x[at.X_DELTA + 6] += w[at.W_Z]
-    w[at.W_Z] = 0.0
-    correct.forget(x, at.E_ATT + 2, 1, ANY)
-    correct.innovate(x, w, 1)
-    correct.absorb_yaw(x, w)
-    x[at.X_HAS_YAW] = 1.0
-    x[at.X_T_USED + at.AID_YAW] = x[at.X_T]
+def keep_reference(x: State, r: Reference) -> None:
+    """Keep a direction of known azimuth, to find north by."""
+    reference = address(x.alignment.reference)
+    reference.is_known = 1.0
+    reference.t = x.t
+    for i in range(3):
+        reference.direction_b[i] = r.direction_b[i]
+    reference.std = r.std
+    reference.noise = r.noise
+    reference.has_iron = r.has_iron
+    reference.azimuth = r.azimuth
+
+
+def yield_to_azimuth(x: State, o: Observation, slow: float) -> None:
+    """Find out what is wrong where an azimuth has been refused for too long, and correct it."""
+    if yaw_reset.agrees(x):
+        # it is the compass that has jumped: the motion says so
+        reset_variance(x, E_HEADING, 1, UNKNOWN_HEADING)
+        innovate(x, o)
+        apply_yaw_update(x, o)
+        note_used(x, AID_HEADING)
+        return
+    begin_reset(x, RESET_HEADING)
+    if slow > TRUSTED_STD:
+        # the compass or our yaw has jumped, and nobody knows which: neither is sure any more
+        reset_variance(x, E_HEADING, 1, 1.0)
+        x.P[E_ATT + 2][E_ATT + 2] += o.z[0] * o.z[0]
+        x.redrawn[E_ATT + 2] += 1.0
+        innovate(x, o)
+        apply_yaw_update(x, o)
+        x.moved.yaw += o.dx[E_ATT + 2]
+        note_used(x, AID_HEADING)
+    else:
+        reset_yaw(x, o)
+
+
+def reset_yaw(x: State, o: Observation) -> None:
+    """Set the yaw by an observed azimuth; it shares the slow errors from then on."""
+    rotate(x.q_nb, 0.0, 0.0, o.z[0])
+    x.moved.yaw += o.z[0]
+    o.z[0] = 0.0
+    reset_variance(x, E_ATT + 2, 1, ANY_YAW)
+    innovate(x, o)
+    apply_yaw_update(x, o)
+    x.has_yaw = 1.0
+    x.used_t[AID_HEADING] = x.t

@@ -1,8 +1,21 @@
+from ekf_companion.core.parameters cimport Parameters
+from ekf_companion.core.scratch cimport Event, ImuRow, Motion, Scratch
+from ekf_companion.core.state cimport State
 cdef void step(
-    double[::1] x, double[::1] k, double[::1] w, double[:, ::1] rows, Py_ssize_t first, Py_ssize_t last
+    State *x, Parameters *k, Scratch *w, Event *rows, Py_ssize_t first, Py_ssize_t last
 ) noexcept nogil
-cdef int describe(
-    double[::1] x, double[::1] k, double[::1] y, double[::1] w, double[::1] out
+cdef void advance(
+    State *x, Parameters *k, Scratch *w, double t, double begin, double span
 ) noexcept nogil
-cdef bint is_sound(double[::1] x) noexcept nogil
-cdef void recover(double[::1] x, double[::1] k, double[::1] good, double t) noexcept nogil
+cdef void find_interval_motion(
+    State *x, Parameters *k, Motion *m, ImuRow *imu, double span
+) noexcept nogil
+cdef void assume_no_motion(State *x, Parameters *k, Motion *m) noexcept nogil
+cdef void keep_sample(State *x, ImuRow *imu) noexcept nogil
+cdef void start(State *x, double t) noexcept nogil
+cdef bint is_sound(State *x) noexcept nogil
+cdef void recover(State *x, Parameters *k, State *good, double t) noexcept nogil
+cdef void start_over(State *x, double t, double reason) noexcept nogil
+cdef void inflate_after_gap(State *x, Parameters *k, double span, bint is_gap) noexcept nogil
+cdef void apply_event(State *x, Parameters *k, Scratch *w, Event *event) noexcept nogil
+cdef void fuse_baro(State *x, Parameters *k, Scratch *w, double alt) noexcept nogil

@@ -1,12 +1,13 @@
-cdef void position(double[::1] x, double[::1] k, double[::1] w) noexcept nogil
-cdef void height(double[::1] x, double[::1] k, double[::1] w) noexcept nogil
-cdef Py_ssize_t velocity(double[::1] x, double[::1] k, double[::1] w) noexcept nogil
-cdef void zero_velocity(double[::1] x, double[::1] w, double std) noexcept nogil
-cdef bint azimuth(
-    double[::1] x, double[::1] w, double bx, double by, double bz, double target, double std, double noise,
-    bint has_iron
-) noexcept nogil
-cdef void pressure_altitude(double[::1] x, double[::1] w, double alt, double std) noexcept nogil
-cdef double wrap(double angle) noexcept nogil
-cdef void zero_rate(double[::1] x, double[::1] w, double std) noexcept nogil
-cdef void blank(double[::1] w, Py_ssize_t m, double variance) noexcept nogil
+from ekf_companion.core.parameters cimport Parameters
+from ekf_companion.core.scratch cimport Fix, Observation
+from ekf_companion.core.state cimport Reference, State
+cdef void clear(Observation *o, Py_ssize_t rows, double variance) noexcept nogil
+cdef void add_timing_noise(Observation *o, Parameters *k, double *rate) noexcept nogil
+cdef void lever_arm(State *x, Parameters *k, Observation *o) noexcept nogil
+cdef void position(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
+cdef void height(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
+cdef void velocity(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
+cdef void zero_velocity(State *x, Observation *o, double std) noexcept nogil
+cdef void zero_rate(State *x, Observation *o, double *rate, double std) noexcept nogil
+cdef bint azimuth(State *x, Observation *o, Reference *r) noexcept nogil
+cdef void pressure_altitude(State *x, Observation *o, double alt, double std) noexcept nogil

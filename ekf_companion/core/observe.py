@@ -1,7 +1,6 @@
-# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """What each sensor should read, and how that depends on the error: innovation, H and R.
 
-Each function fills w[W_Z], w[W_H] and w[W_R] for :func:`ekf_companion.core.correct.innovate`.
+Each function fills an :class:`~.scratch.Observation` for :func:`.correct.innovate`.
 
 Source: Groves 2013, chapter 14.3 (GNSS with lever arm) and 6.1 (magnetic heading).
 """
@@ -9,289 +8,200 @@ Source: Groves 2013, chapter 14.3 (GNSS with lever arm) and 6.1 (magnetic headin
 from __future__ import annotations
 
 import cython
+from cython.cimports.ekf_companion.core.enums import (
+    E_ATT,
+    E_BARO,
+    E_BG,
+    E_DELAY,
+    E_GNSS,
+    E_HEADING,
+    E_IRON,
+    E_POS,
+    E_VEL,
+    N,
+)
+from cython.cimports.ekf_companion.core.memory import Vector
+from cython.cimports.ekf_companion.core.parameters import Parameters
+from cython.cimports.ekf_companion.core.rotation import to_dcm, wrap
+from cython.cimports.ekf_companion.core.scratch import Fix, Observation
+from cython.cimports.ekf_companion.core.state import Reference, State
+from cython.cimports.libc.math import atan2, cos, isnan, sin, sqrt
 
-if cython.compiled:
-    from cython.cimports.ekf_companion.core import state as at
-    from cython.cimports.ekf_companion.core.propagate import matrix
-    from cython.cimports.libc.math import atan2, cos, floor, isnan, sin, sqrt
-else:
-    from math import atan2, cos, floor, isnan, sin, sqrt
-
-    from ekf_companion.core import state as at
-    from ekf_companion.core.propagate import matrix
-
-PI = cython.declare(cython.double, 3.14159265358979323846)
-RATE = cython.declare(cython.double, 7.292115e-5)
-"""Of the Earth, rad/s."""
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def wrap(angle: cython.double) -> cython.double:
-    """Bring an angle into [-pi, pi)."""
-    return angle - 2.0 * PI * floor((angle + PI) / (2.0 * PI))
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def blank(w: cython.double[::1], m: cython.Py_ssize_t, variance: cython.double) -> cython.void:
-    """Begin m rows: H zero, R diagonal."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    for i in range(m * at.N):
-        w[at.W_H + i] = 0.0
-    for i in range(m):
-        for j in range(m):
-            w[at.W_R + 3 * i + j] = 0.0
-        w[at.W_R + 4 * i] = variance
+EARTH_RATE = cython.declare(cython.double, 7.292115e-5)
+"""rad/s."""
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def hurry(
-    x: cython.double[::1],
-    k: cython.double[::1],
-    w: cython.double[::1],
-    m: cython.Py_ssize_t,
-    rate: cython.Py_ssize_t,
-) -> cython.void:
-    """Add to R what a wrong stamp does to what changes at the rate x[rate:+m]."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    for i in range(m):
-        for j in range(m):
-            w[at.W_R + 3 * i + j] += k[at.K_TIMING] * k[at.K_TIMING] * x[rate + i] * x[rate + j]
+def clear(o: Observation, rows: int, variance: float) -> None:
+    """Begin an observation: H is zero, R diagonal."""
+    o.rows = rows
+    for r in range(rows):
+        for i in range(N):
+            o.H[r][i] = 0.0
+        for c in range(rows):
+            o.R[r][c] = 0.0
+        o.R[r][r] = variance
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def antenna(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
-    """Write the lever arm in n to w[W_ROW:+3] and the antenna's extra velocity to w[W_ROW+3:+3]."""
-    i: cython.Py_ssize_t
-    lx: cython.double = k[at.K_LEVER]
-    ly: cython.double = k[at.K_LEVER + 1]
-    lz: cython.double = k[at.K_LEVER + 2]
-    wx: cython.double = x[at.X_GYRO] - x[at.X_BG]
-    wy: cython.double = x[at.X_GYRO + 1] - x[at.X_BG + 1]
-    wz: cython.double = x[at.X_GYRO + 2] - x[at.X_BG + 2]
-    vx: cython.double = wy * lz - wz * ly
-    vy: cython.double = wz * lx - wx * lz
-    vz: cython.double = wx * ly - wy * lx
-    matrix(x, at.X_Q, w)
+def add_timing_noise(o: Observation, k: Parameters, rate: Vector) -> None:
+    """Add to R what a wrong stamp does to what changes at this rate, a number a row."""
+    for r in range(o.rows):
+        for c in range(o.rows):
+            o.R[r][c] += k.timing_std * k.timing_std * rate[r] * rate[c]
+
+
+def lever_arm(x: State, k: Parameters, o: Observation) -> None:
+    """Write the lever arm in n, and the velocity that the antenna has from the turn."""
+    lx = k.lever_arm_b[0]
+    ly = k.lever_arm_b[1]
+    lz = k.lever_arm_b[2]
+    wx = x.gyro[0] - x.gyro_bias[0]
+    wy = x.gyro[1] - x.gyro_bias[1]
+    wz = x.gyro[2] - x.gyro_bias[2]
+    vx = wy * lz - wz * ly
+    vy = wz * lx - wx * lz
+    vz = wx * ly - wy * lx
+    to_dcm(x.q_nb, o.C_nb)
     for i in range(3):
-        w[at.W_ROW + i] = (
-            w[at.W_C_NB + 3 * i] * lx
-            + w[at.W_C_NB + 3 * i + 1] * ly
-            + w[at.W_C_NB + 3 * i + 2] * lz
-        )
-        w[at.W_ROW + 3 + i] = (
-            w[at.W_C_NB + 3 * i] * vx
-            + w[at.W_C_NB + 3 * i + 1] * vy
-            + w[at.W_C_NB + 3 * i + 2] * vz
-        )
+        o.arm_n[i] = o.C_nb[i][0] * lx + o.C_nb[i][1] * ly + o.C_nb[i][2] * lz
+        o.arm_vel_n[i] = o.C_nb[i][0] * vx + o.C_nb[i][1] * vy + o.C_nb[i][2] * vz
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def position(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
-    """Two rows: north and east of the antenna, by the fix in w[W_FIX]."""
-    late: cython.double = x[at.X_DELAY]
-    lat: cython.double = w[at.W_FIX]
-    lon: cython.double = w[at.W_FIX + 1]
-    blank(w, 2, w[at.W_FIX + 6] * w[at.W_FIX + 6])
-    hurry(x, k, w, 2, at.X_VEL)
-    antenna(x, k, w)
-    w[at.W_Z] = (lat - x[at.X_LAT0]) * x[at.X_SCALE_N] - (
-        x[at.X_POS] + x[at.X_SLOW] + w[at.W_ROW] - late * (x[at.X_VEL] + w[at.W_ROW + 3])
+def position(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
+    """Observe north and east of the antenna: two rows."""
+    late = x.gnss_delay
+    lat = fix.lat
+    lon = fix.lon
+    clear(o, 2, fix.std[0] * fix.std[0])
+    add_timing_noise(o, k, x.vel_n)
+    lever_arm(x, k, o)
+    o.z[0] = (lat - x.origin.lat) * x.origin.scale_n - (
+        x.pos_n[0] + x.gnss_offset[0] + o.arm_n[0] - late * (x.vel_n[0] + o.arm_vel_n[0])
     )
-    w[at.W_Z + 1] = wrap(lon - x[at.X_LON0]) * x[at.X_SCALE_E] - (
-        x[at.X_POS + 1]
-        + x[at.X_SLOW + 1]
-        + w[at.W_ROW + 1]
-        - late * (x[at.X_VEL + 1] + w[at.W_ROW + 4])
+    o.z[1] = wrap(lon - x.origin.lon) * x.origin.scale_e - (
+        x.pos_n[1] + x.gnss_offset[1] + o.arm_n[1] - late * (x.vel_n[1] + o.arm_vel_n[1])
     )
     # theta turns the lever arm r: theta x r
-    w[at.W_H + at.E_ATT + 1] = w[at.W_ROW + 2]
-    w[at.W_H + at.E_ATT + 2] = -w[at.W_ROW + 1]
-    w[at.W_H + at.E_VEL] = -late
-    w[at.W_H + at.E_POS] = 1.0
-    w[at.W_H + at.E_SLOW] = 1.0
-    w[at.W_H + at.E_DELAY] = -(x[at.X_VEL] + w[at.W_ROW + 3])
-    w[at.W_H + at.N + at.E_ATT] = -w[at.W_ROW + 2]
-    w[at.W_H + at.N + at.E_ATT + 2] = w[at.W_ROW]
-    w[at.W_H + at.N + at.E_VEL + 1] = -late
-    w[at.W_H + at.N + at.E_POS + 1] = 1.0
-    w[at.W_H + at.N + at.E_SLOW + 1] = 1.0
-    w[at.W_H + at.N + at.E_DELAY] = -(x[at.X_VEL + 1] + w[at.W_ROW + 4])
+    o.H[0][E_ATT + 1] = o.arm_n[2]
+    o.H[0][E_ATT + 2] = -o.arm_n[1]
+    o.H[0][E_VEL] = -late
+    o.H[0][E_POS] = 1.0
+    o.H[0][E_GNSS] = 1.0
+    o.H[0][E_DELAY] = -(x.vel_n[0] + o.arm_vel_n[0])
+    o.H[1][E_ATT] = -o.arm_n[2]
+    o.H[1][E_ATT + 2] = o.arm_n[0]
+    o.H[1][E_VEL + 1] = -late
+    o.H[1][E_POS + 1] = 1.0
+    o.H[1][E_GNSS + 1] = 1.0
+    o.H[1][E_DELAY] = -(x.vel_n[1] + o.arm_vel_n[1])
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def height(x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]) -> cython.void:
-    """One row: altitude of the antenna above mean sea level, by the fix in w[W_FIX]."""
-    late: cython.double = x[at.X_DELAY]
-    blank(w, 1, w[at.W_FIX + 7] * w[at.W_FIX + 7])
-    hurry(x, k, w, 1, at.X_VEL + 2)
-    antenna(x, k, w)
-    w[at.W_Z] = (x[at.X_ALT0] - w[at.W_FIX + 2]) - (
-        x[at.X_POS + 2]
-        + x[at.X_SLOW + 2]
-        + w[at.W_ROW + 2]
-        - late * (x[at.X_VEL + 2] + w[at.W_ROW + 5])
+def height(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
+    """Observe the altitude of the antenna above mean sea level: one row, down."""
+    late = x.gnss_delay
+    clear(o, 1, fix.std[1] * fix.std[1])
+    o.R[0][0] += k.timing_std * k.timing_std * x.vel_n[2] * x.vel_n[2]
+    lever_arm(x, k, o)
+    o.z[0] = (x.origin.alt - fix.alt) - (
+        x.pos_n[2] + x.gnss_offset[2] + o.arm_n[2] - late * (x.vel_n[2] + o.arm_vel_n[2])
     )
-    w[at.W_H + at.E_ATT] = w[at.W_ROW + 1]
-    w[at.W_H + at.E_ATT + 1] = -w[at.W_ROW]
-    w[at.W_H + at.E_VEL + 2] = -late
-    w[at.W_H + at.E_POS + 2] = 1.0
-    w[at.W_H + at.E_SLOW + 2] = 1.0
-    w[at.W_H + at.E_DELAY] = -(x[at.X_VEL + 2] + w[at.W_ROW + 5])
+    o.H[0][E_ATT] = o.arm_n[1]
+    o.H[0][E_ATT + 1] = -o.arm_n[0]
+    o.H[0][E_VEL + 2] = -late
+    o.H[0][E_POS + 2] = 1.0
+    o.H[0][E_GNSS + 2] = 1.0
+    o.H[0][E_DELAY] = -(x.vel_n[2] + o.arm_vel_n[2])
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def velocity(
-    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1]
-) -> cython.Py_ssize_t:
-    """Two rows, or three where it has a down: velocity of the antenna, by the fix in w[W_FIX].
-
-    Gives their number.
-    """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    m: cython.Py_ssize_t = 2 if isnan(w[at.W_FIX + 5]) else 3
-    late: cython.double = x[at.X_DELAY]
-    blank(w, m, w[at.W_FIX + 8] * w[at.W_FIX + 8])
-    hurry(x, k, w, m, at.X_ACC_N)
-    antenna(x, k, w)
-    for i in range(m):
-        w[at.W_Z + i] = w[at.W_FIX + 3 + i] - (
-            x[at.X_VEL + i] + w[at.W_ROW + 3 + i] - late * x[at.X_ACC_N + i]
-        )
-        w[at.W_H + i * at.N + at.E_VEL + i] = 1.0
-        w[at.W_H + i * at.N + at.E_DELAY] = -x[at.X_ACC_N + i]
+def velocity(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
+    """Observe the velocity of the antenna: two rows, or three where the fix has a down."""
+    late = x.gnss_delay
+    clear(o, 2 if isnan(fix.vel_n[2]) else 3, fix.std[2] * fix.std[2])
+    add_timing_noise(o, k, x.accel_n)
+    lever_arm(x, k, o)
+    for i in range(o.rows):
+        o.z[i] = fix.vel_n[i] - (x.vel_n[i] + o.arm_vel_n[i] - late * x.accel_n[i])
+        o.H[i][E_VEL + i] = 1.0
+        o.H[i][E_DELAY] = -x.accel_n[i]
         # the gyro bias turns the lever arm: C (l x bg)
-        j = at.W_H + i * at.N + at.E_BG
-        w[j] = (
-            w[at.W_C_NB + 3 * i + 1] * k[at.K_LEVER + 2]
-            - w[at.W_C_NB + 3 * i + 2] * k[at.K_LEVER + 1]
-        )
-        w[j + 1] = (
-            w[at.W_C_NB + 3 * i + 2] * k[at.K_LEVER] - w[at.W_C_NB + 3 * i] * k[at.K_LEVER + 2]
-        )
-        w[j + 2] = (
-            w[at.W_C_NB + 3 * i] * k[at.K_LEVER + 1] - w[at.W_C_NB + 3 * i + 1] * k[at.K_LEVER]
-        )
+        o.H[i][E_BG] = o.C_nb[i][1] * k.lever_arm_b[2] - o.C_nb[i][2] * k.lever_arm_b[1]
+        o.H[i][E_BG + 1] = o.C_nb[i][2] * k.lever_arm_b[0] - o.C_nb[i][0] * k.lever_arm_b[2]
+        o.H[i][E_BG + 2] = o.C_nb[i][0] * k.lever_arm_b[1] - o.C_nb[i][1] * k.lever_arm_b[0]
     # theta turns the antenna's extra velocity u: theta x u
-    w[at.W_H + at.E_ATT + 1] = w[at.W_ROW + 5]
-    w[at.W_H + at.E_ATT + 2] = -w[at.W_ROW + 4]
-    w[at.W_H + at.N + at.E_ATT] = -w[at.W_ROW + 5]
-    w[at.W_H + at.N + at.E_ATT + 2] = w[at.W_ROW + 3]
-    if m == 3:
-        w[at.W_H + 2 * at.N + at.E_ATT] = w[at.W_ROW + 4]
-        w[at.W_H + 2 * at.N + at.E_ATT + 1] = -w[at.W_ROW + 3]
-    return m
+    o.H[0][E_ATT + 1] = o.arm_vel_n[2]
+    o.H[0][E_ATT + 2] = -o.arm_vel_n[1]
+    o.H[1][E_ATT] = -o.arm_vel_n[2]
+    o.H[1][E_ATT + 2] = o.arm_vel_n[0]
+    if o.rows == 3:
+        o.H[2][E_ATT] = o.arm_vel_n[1]
+        o.H[2][E_ATT + 1] = -o.arm_vel_n[0]
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def zero_velocity(x: cython.double[::1], w: cython.double[::1], std: cython.double) -> cython.void:
-    """Three rows: the vehicle stands still, give or take std, m/s."""
-    i: cython.Py_ssize_t
-    blank(w, 3, std * std)
+def zero_velocity(x: State, o: Observation, std: float) -> None:
+    """Observe that the vehicle stands still, give or take std, m/s: three rows."""
+    clear(o, 3, std * std)
     for i in range(3):
-        w[at.W_Z + i] = -x[at.X_VEL + i]
-        w[at.W_H + i * at.N + at.E_VEL + i] = 1.0
+        o.z[i] = -x.vel_n[i]
+        o.H[i][E_VEL + i] = 1.0
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def zero_rate(x: cython.double[::1], w: cython.double[::1], std: cython.double) -> cython.void:
-    """Three rows: what the gyro shows at rest, w[W_RATE], is its bias and the turning Earth."""
-    i: cython.Py_ssize_t
-    north: cython.double = 0.0
-    down: cython.double = 0.0
-    lat: cython.double
-    blank(w, 3, std * std)
-    matrix(x, at.X_Q, w)
-    if x[at.X_HAS_ORIGIN] != 0.0:
-        lat = x[at.X_LAT0] + x[at.X_POS] / x[at.X_SCALE_N]
-        north = RATE * cos(lat)
-        down = -RATE * sin(lat)
+def zero_rate(x: State, o: Observation, rate: Vector, std: float) -> None:
+    """Observe that the gyro's rate at rest is its bias and the turning Earth: three rows."""
+    north = 0.0
+    down = 0.0
+    clear(o, 3, std * std)
+    to_dcm(x.q_nb, o.C_nb)
+    if x.origin.is_known != 0.0:
+        lat = x.origin.lat + x.pos_n[0] / x.origin.scale_n
+        north = EARTH_RATE * cos(lat)
+        down = -EARTH_RATE * sin(lat)
     for i in range(3):
-        w[at.W_Z + i] = w[at.W_RATE + i] - (
-            x[at.X_BG + i] + w[at.W_C_NB + i] * north + w[at.W_C_NB + 6 + i] * down
-        )
-        w[at.W_H + i * at.N + at.E_BG + i] = 1.0
+        o.z[i] = rate[i] - (x.gyro_bias[i] + o.C_nb[0][i] * north + o.C_nb[2][i] * down)
+        o.H[i][E_BG + i] = 1.0
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def azimuth(
-    x: cython.double[::1],
-    w: cython.double[::1],
-    bx: cython.double,
-    by: cython.double,
-    bz: cython.double,
-    target: cython.double,
-    std: cython.double,
-    noise: cython.double,
-    has_iron: cython.bint,
-) -> cython.bint:
-    """One row: a direction of the body, (bx, by, bz), points to an azimuth in n (rad).
+def azimuth(x: State, o: Observation, r: Reference) -> bool:
+    """Observe that a direction of the body points to an azimuth: one row.
 
-    The forward axis gives a heading; the magnetic field less the vehicle's own (has_iron) gives a
-    compass, levelled by the filter's own tilt. Its slow error is a state; ``std`` is the white
-    rest, rad, and ``noise`` that of the direction itself, in its units, which counts the more the
-    steeper it is. False: the direction is too near the vertical.
+    The forward axis gives a heading; the magnetic field less the vehicle's own gives a compass,
+    levelled by the filter's own tilt. Its slow error is a state; ``r.std`` is the white rest, and
+    ``r.noise`` that of the direction itself, which counts the more the steeper it is. Return False
+    if the direction is too near the vertical.
     """
-    i: cython.Py_ssize_t
-    blank(w, 1, 0.0)
-    matrix(x, at.X_Q, w)
-    if has_iron:
-        bx = bx - x[at.X_IRON]
-        by = by - x[at.X_IRON + 1]
-        bz = bz - x[at.X_IRON + 2]
-    n: cython.double = w[at.W_C_NB] * bx + w[at.W_C_NB + 1] * by + w[at.W_C_NB + 2] * bz
-    e: cython.double = w[at.W_C_NB + 3] * bx + w[at.W_C_NB + 4] * by + w[at.W_C_NB + 5] * bz
-    d: cython.double = w[at.W_C_NB + 6] * bx + w[at.W_C_NB + 7] * by + w[at.W_C_NB + 8] * bz
-    h2: cython.double = n * n + e * e
+    clear(o, 1, 0.0)
+    to_dcm(x.q_nb, o.C_nb)
+    bx = r.direction_b[0]
+    by = r.direction_b[1]
+    bz = r.direction_b[2]
+    if r.has_iron != 0.0:
+        bx = bx - x.hard_iron[0]
+        by = by - x.hard_iron[1]
+        bz = bz - x.hard_iron[2]
+    n = o.C_nb[0][0] * bx + o.C_nb[0][1] * by + o.C_nb[0][2] * bz
+    e = o.C_nb[1][0] * bx + o.C_nb[1][1] * by + o.C_nb[1][2] * bz
+    d = o.C_nb[2][0] * bx + o.C_nb[2][1] * by + o.C_nb[2][2] * bz
+    h2 = n * n + e * e
     if h2 <= 0.01 * (h2 + d * d):
         return False
     # The slope where the direction should be, not where its noise has put it: or noise times noise
     # would look like hard iron along the field
-    h: cython.double = sqrt(h2)
-    w[at.W_Z] = wrap(target - atan2(e, n) - x[at.X_HEADING])
-    n = cos(target - x[at.X_HEADING])
-    e = sin(target - x[at.X_HEADING])
-    w[at.W_H + at.E_ATT] = -n * d / h
-    w[at.W_H + at.E_ATT + 1] = -e * d / h
-    w[at.W_H + at.E_ATT + 2] = 1.0
-    w[at.W_H + at.E_HEADING] = 1.0
-    if has_iron:
+    h = sqrt(h2)
+    o.z[0] = wrap(r.azimuth - atan2(e, n) - x.heading_offset)
+    n = cos(r.azimuth - x.heading_offset)
+    e = sin(r.azimuth - x.heading_offset)
+    o.H[0][E_ATT] = -n * d / h
+    o.H[0][E_ATT + 1] = -e * d / h
+    o.H[0][E_ATT + 2] = 1.0
+    o.H[0][E_HEADING] = 1.0
+    if r.has_iron != 0.0:
         for i in range(3):
-            w[at.W_H + at.E_IRON + i] = (e * w[at.W_C_NB + i] - n * w[at.W_C_NB + 3 + i]) / h
-    w[at.W_R] = std * std + noise * noise / h2
+            o.H[0][E_IRON + i] = (e * o.C_nb[0][i] - n * o.C_nb[1][i]) / h
+    o.R[0][0] = r.std * r.std + r.noise * r.noise / h2
     return True
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def pressure_altitude(
-    x: cython.double[::1], w: cython.double[::1], alt: cython.double, std: cython.double
-) -> cython.void:
-    """One row: altitude of the standard atmosphere, which differs from ours by a slow offset."""
-    blank(w, 1, std * std)
-    w[at.W_Z] = alt - (x[at.X_ALT0] - x[at.X_POS + 2] + x[at.X_BARO])
-    w[at.W_H + at.E_POS + 2] = -1.0
-    w[at.W_H + at.E_BARO] = 1.0
+def pressure_altitude(x: State, o: Observation, alt: float, std: float) -> None:
+    """Observe the altitude of the standard atmosphere, which has a slow offset: one row."""
+    clear(o, 1, std * std)
+    o.z[0] = alt - (x.origin.alt - x.pos_n[2] + x.baro_offset)
+    o.H[0][E_POS + 2] = -1.0
+    o.H[0][E_BARO] = 1.0

@@ -1,9 +1,15 @@
-cdef void turn(double[::1] x, Py_ssize_t q, double px, double py, double pz) noexcept nogil
-cdef void turn_body(double[::1] x, Py_ssize_t q, double px, double py, double pz) noexcept nogil
-cdef void unit(double[::1] x, Py_ssize_t q) noexcept nogil
-cdef void matrix(double[::1] x, Py_ssize_t q, double[::1] w) noexcept nogil
-cdef void originate(double[::1] x, double lat, double lon, double alt) noexcept nogil
-cdef void move(double[::1] x, double[::1] k, double[::1] w, double dt) noexcept nogil
-cdef void spread(double[::1] x, double[::1] k, double[::1] w, double dt) noexcept nogil
-cdef void fade(double[::1] x, Py_ssize_t e, double g, double level) noexcept nogil
-cdef void transition(double[::1] k, double[::1] w, double dt, Py_ssize_t first) noexcept nogil
+from ekf_companion.core.enums cimport N
+from ekf_companion.core.parameters cimport Parameters
+from ekf_companion.core.scratch cimport Motion
+from ekf_companion.core.state cimport State
+cdef void set_origin(State *x, double lat, double lon, double alt) noexcept nogil
+cdef void integrate_strapdown(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
+cdef void integrate_increments(State *x, Motion *m, double dt) noexcept nogil
+cdef void earth_motion(State *x, Parameters *k, Motion *m) noexcept nogil
+cdef void propagate_covariance(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
+cdef void write_transition_blocks(Motion *m, double dt) noexcept nogil
+cdef void multiply_rows(State *x, Motion *m, double dt) noexcept nogil
+cdef void multiply_columns(State *x, Motion *m, double dt) noexcept nogil
+cdef void add_noise(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
+cdef void decay(State *x, Py_ssize_t e, double g, double level) noexcept nogil
+cdef void write_transition(Parameters *k, Motion *m, double dt, double Phi[N][N]) noexcept nogil

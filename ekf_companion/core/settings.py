@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from statistics import NormalDist
 from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
-
-from ekf_companion.core import state as at
-from ekf_companion.nav.earth import STANDARD_GRAVITY
-from ekf_companion.nav.measurements import Kind
 
 Array = npt.NDArray[np.float64]
 Auto = Literal["auto"]
@@ -245,113 +239,3 @@ class FilterSettings:
     gate: GateSettings = field(default_factory=GateSettings)
     window: Annotated[float, Meta(ge=0.1, le=10.0)] = 2.0
     """How late a measurement may come and still take its place in time, s."""
-
-
-def chi_square_quantile(probability: float, dof: int) -> float:
-    """Give the chi-square value that a share of the probability stays below, dof 1, 2 or 3.
-
-    Source: the closed forms of the distribution function, e.g. Abramowitz and Stegun 26.4.
-    """
-    if dof == 1:
-        return NormalDist().inv_cdf(0.5 + 0.5 * probability) ** 2
-    if dof == 2:
-        return -2.0 * math.log1p(-probability)
-    low, high = 0.0, 200.0
-    for _ in range(100):
-        middle = 0.5 * (low + high)
-        below = math.erf(math.sqrt(0.5 * middle)) - math.sqrt(2.0 * middle / math.pi) * math.exp(
-            -0.5 * middle
-        )
-        low, high = (middle, high) if below < probability else (low, middle)
-    return 0.5 * (low + high)
-
-
-def parameters(settings: FilterSettings, family: str, gnss_delay: float | None = None) -> Array:
-    """Lay the settings out for the kernel, shape (PARAMETERS,).
-
-    Args:
-        settings: What the user told.
-        family: ``px4``, ``ardupilot`` or ``unknown``: what ``auto`` means.
-        gnss_delay: Delay that the log itself declares, s; settles only how sure ``auto`` is.
-    """
-    habit = HABITS[family]
-    imu, gnss, heading, gate = settings.imu, settings.gnss, settings.heading, settings.gate
-    k = np.zeros(at.PARAMETERS)
-    k[at.K_GYRO_NOISE] = imu.gyro_noise
-    k[at.K_ACCEL_NOISE] = imu.accel_noise
-    k[at.K_GYRO_WALK] = imu.gyro_bias_walk
-    k[at.K_ACCEL_WALK] = imu.accel_bias_walk
-    k[at.K_GYRO_BIAS] = imu.gyro_bias
-    k[at.K_ACCEL_BIAS] = imu.accel_bias
-    k[at.K_LEARN_NOISE] = imu.learn_noise
-    samples = habit.imu_samples if imu.samples == "auto" else imu.samples
-    k[at.K_MEAN_SAMPLES] = samples == "mean"
-    k[at.K_LAG] = imu_lag(settings, family)
-    k[at.K_GAP] = imu.gap
-    k[at.K_GAP_RESET] = imu.gap_reset
-    k[at.K_LEVER : at.K_LEVER + 3] = gnss.lever_arm
-    k[at.K_DELAY_STD] = habit.gnss_delay_std if gnss.delay_std == "auto" else gnss.delay_std
-    k[at.K_USE_VEL] = gnss.use_velocity
-    k[at.K_USE_DERIVED] = ("raw", "auto", "global").index(gnss.source)
-    k[at.K_POS_FLOOR] = gnss.position_std
-    k[at.K_HGT_FLOOR] = gnss.height_std
-    k[at.K_VEL_FLOOR] = gnss.velocity_std
-    k[at.K_POS_WALK] = gnss.velocity_slow_std * math.sqrt(2.0 * gnss.velocity_slow_time)
-    k[at.K_TIMING] = gnss.timing_std
-    k[at.K_SLOW_TIME] = gnss.slow_time
-    k[at.K_WHITE_SHARE] = math.nan if gnss.white_share == "auto" else gnss.white_share
-    k[at.K_VEL_DEFAULT] = gnss.velocity_std_unknown
-    k[at.K_HEADING] = ("auto", "gnss", "magnetometer", "autopilot").index(heading.source)
-    k[at.K_MAG_STD] = heading.magnetometer_std
-    k[at.K_MAG_NOISE] = heading.magnetometer_noise
-    k[at.K_IRON_STD] = heading.hard_iron_std
-    k[at.K_IRON_WALK] = heading.hard_iron_walk
-    k[at.K_FIELD_STRENGTH] = heading.field_strength
-    k[at.K_FIELD_DIP] = heading.field_dip
-    k[at.K_HEADING_TIME] = heading.slow_time
-    k[at.K_HEADING_FLOOR] = heading.heading_std
-    k[at.K_USE_BARO] = settings.baro.use
-    k[at.K_BARO_STD] = settings.baro.std
-    k[at.K_BARO_WALK] = settings.baro.walk
-    k[at.K_ALIGN_TIME] = settings.align.time
-    k[at.K_REST_GYRO] = settings.align.rest_gyro
-    k[at.K_REST_ACCEL] = settings.align.rest_accel
-    k[at.K_USE_REST] = settings.align.use_rest
-    for dof in (1, 2, 3):
-        k[at.K_GATE + dof - 1] = chi_square_quantile(gate.probability, dof)
-        k[at.K_SOFT + dof - 1] = chi_square_quantile(gate.soft_probability, dof)
-    k[at.K_TIMEOUT_POS] = gate.timeout_position
-    k[at.K_TIMEOUT_VEL] = gate.timeout_velocity
-    k[at.K_TIMEOUT_HGT] = gate.timeout_height
-    k[at.K_TIMEOUT_YAW] = gate.timeout_heading
-    k[at.K_LIMIT_POS] = gate.limit_position
-    k[at.K_GRAVITY] = STANDARD_GRAVITY
-    k[at.K_KEEPS_BIAS] = habit.keeps_bias
-    return k
-
-
-def imu_lag(settings: FilterSettings, family: str) -> float:
-    """Give how long before its stamp an inertial sample was true, s."""
-    lag = settings.imu.lag
-    return HABITS[family].imu_lag if lag == "auto" else lag
-
-
-def delays_ns(
-    settings: FilterSettings, family: str, gnss_delay: float | None = None
-) -> npt.NDArray[np.int64]:
-    """Give how late the stamps of each kind are, ns, shape (kinds,).
-
-    Args:
-        settings: What the user told.
-        family: What ``auto`` means.
-        gnss_delay: Delay of the receiver that the log itself declares, s; beats ``auto``.
-    """
-    delay = settings.gnss.delay
-    if delay == "auto":
-        delay = HABITS[family].gnss_delay if gnss_delay is None else gnss_delay
-    late = np.zeros(len(Kind), dtype=np.int64)
-    late[Kind.GNSS] = round(delay * 1e9)
-    late[Kind.IMU] = round(imu_lag(settings, family) * 1e9)
-    mag = settings.heading.magnetometer_delay
-    late[Kind.MAG] = round((HABITS[family].mag_delay if mag == "auto" else mag) * 1e9)
-    return late

@@ -1,342 +1,338 @@
-"""Where everything lies in the flat blocks: the filter's state, its parameters, one event.
+"""The filter's memory: all that it knows, and all that it decides by.
 
-``layout.pxd`` says the same to the compiler; a test holds the two together. Times in a block are
-nanoseconds since the timeline's epoch, whole numbers, exact in a double for 104 days.
+One block of doubles without a gap, so that a snapshot is one copy and a checkpoint one write; the
+order of the fields is that of the checkpoints. ``setup.py`` makes ``state.pxd`` from it.
+
+Times are nanoseconds since the timeline's epoch, whole numbers, exact in a double for 104 days.
+Flags are 0 or 1. What is not known is NaN.
 """
 
-# An event: time of validity, kind, then the values of nav.measurements
-ROW_T = 0
-ROW_KIND = 1
-ROW_V = 2
-ROW = 15
+from typing import Annotated
 
-# Error states: attitude (in n), velocity, position, gyro bias, accel bias, baro offset, GNSS delay,
-# heading offset, slow error of the GNSS position (in n), hard iron (in b)
-E_ATT = 0
-E_VEL = 3
-E_POS = 6
-E_BG = 9
-E_BA = 12
-E_BARO = 15
-E_DELAY = 16
-E_HEADING = 17
-E_SLOW = 18
-E_IRON = 21
-N = 24
+from ekf_companion.core.declare import Real, Structs, Vector, doubles, struct
+from ekf_companion.core.enums import AIDS, RUNS, VERDICTS, YAW_FILTERS, YAW_N, N
 
-# What the filter is doing
-MODE_INIT = 0
-MODE_LEVEL = 1
-MODE_ATTITUDE = 2
-MODE_NAVIGATE = 3
 
-# Aids: the order of their accounts in the block
-AID_POS = 0
-AID_HGT = 1
-AID_VEL = 2
-AID_YAW = 3
-AID_BARO = 4
-AID_REST = 5
-AIDS = 6
+@struct
+class Origin:
+    """Origin of the local frame."""
 
-# What became of a measurement: the order of the counters
-WHY_FUSED = 0
-WHY_GATED = 1
-WHY_UNALIGNED = 2
-WHY_UNUSED = 3
-WHY_SOFT = 4
-WHY_SUSPECT = 5
-WHY_DISTURBED = 6
-WHYS = 7
+    lat: Real
+    """rad."""
+    lon: Real
+    """rad."""
+    alt: Real
+    """Above mean sea level, m."""
+    scale_n: Real
+    """Metres north per radian of latitude."""
+    scale_e: Real
+    """Metres east per radian of longitude."""
+    is_known: Real
 
-# What a run of refused measurements remembers: number, first time, and the sums that a straight
-# line through its innovations needs
-C_COUNT = 0
-C_T0 = 1
-C_ST = 2
-C_STT = 3
-C_SZ = 4
-C_STZ = 7
-C_SZZ = 10
-C_SIZE = 11
 
-# The state block
-X_T = 0
-X_MODE = 1
-X_Q = 2
-X_VEL = 6
-X_POS = 9
-X_BG = 12
-X_BA = 15
-X_BARO = 18
-X_DELAY = 19
-X_HEADING = 20
-X_SLOW = 21
-X_IRON = 24
-X_GYRO = 27
-X_ACCEL = 30
-X_DT = 33
-X_LAT0 = 34
-X_LON0 = 35
-X_ALT0 = 36
-X_SCALE_N = 37
-X_SCALE_E = 38
-X_HAS_ORIGIN = 39
-X_DECLINATION = 40
-X_INCLINATION = 41
-X_FIELD = 42
-X_HAS_YAW = 43
-X_HAS_BARO = 44
-X_RESETS = 45
-X_RESET_REASON = 46
-X_T_RESET = 47
-X_DELTA = 48
-X_SAMPLES = 55
-X_NEEDS_RESET = 56
-X_ACC_N = 57
-X_ARMED = 60
-X_LANDED = 61
-X_GROUND = 62
-X_HAS_GROUND = 63
-X_T_FIX = 64
-X_FIX_DT = 65
-X_LAST_FIX = 66
-X_REPEATS = 69
-X_T_HEADING = 70
-X_T_MAG = 73
-X_T_FIELD = 74
-X_T_FIELD0 = 75
-X_FIELD_SIZE = 76
-X_T_RAW_FIX = 77
-X_T_FAKE = 78
-X_AT_REST = 79
-X_REST_G = 80
-X_REST_A = 81
-X_GAPS = 82
-X_T_RESTORED = 83
-X_T_USED = 84
-X_T_REFUSED = 90
-X_RATIO = 96
-X_NIS_SUM = 102
-X_NIS_N = 108
-X_COUNT = 114
-X_HEADING_SOURCE = 156
-X_HEADING_STD = 157
-X_NOISE_G = 158
-X_NOISE_A = 161
-X_BLOCK_SUM = 164
-X_BLOCK_N = 170
-X_BLOCK_DT = 171
-X_BLOCKS = 172
-X_BLOCK1 = 173
-X_BLOCK2 = 179
-X_WHITE = 185
-X_SLOW_POS = 188
-X_SLOW_HGT = 189
-X_LEAN = 190
-X_RUN = 193
-X_LEVEL = 226
-X_LOGLIK = 263
-X_BANK = 264
-X_FRESH = 1029
-X_COV = 1053
-BLOCK = 1629
+@struct
+class Field:
+    """The Earth's magnetic field at the last fix, by the World Magnetic Model."""
 
-# What levelling remembers, from X_LEVEL: sums over a window, the motion since a first fix, and a
-# reference: a direction of the body and its azimuth (NaN: that of the magnetic field)
-L_T0 = 0
-L_N = 1
-L_GYRO = 2
-L_ACCEL = 5
-L_GYRO2 = 8
-L_ACCEL2 = 11
-L_Q = 14
-L_U = 18
-L_HAS_FIX = 21
-L_FIX_T = 22
-L_FIX_V = 23
-L_FIX_STD = 26
-L_HAS_REF = 27
-L_REF_T = 28
-L_REF_V = 29
-L_REF_STD = 32
-L_REF_NOISE = 33
-L_REF_IRON = 34
-L_REF_TARGET = 35
-L_START = 36
-L_SIZE = 37
+    declination: Real
+    """rad, east positive."""
+    inclination: Real
+    """rad, down positive."""
+    strength: Real
+    """gauss."""
 
-# What the bank of yaw filters keeps, from X_BANK: its frame, what it has summed since the last
-# fix, what it concludes, and what it has to say of the main filter
-B_MODE = 0
-B_Q = 1
-B_BG = 5
-B_BG_STD = 8
-B_U = 9
-B_G = 12
-B_DT = 21
-B_A = 22
-B_WHITE = 24
-B_REFUSED = 25
-B_MEAN = 26
-B_MOVED = 28
-B_YAW = 29
-B_STD = 30
-B_TILT = 31
-B_GOOD = 32
-B_NIS = 33
-B_T_FAIL = 34
-B_REPAIRS = 35
-B_T_REPAIR = 36
-B_H = 37
-B_SIZE = 765
 
-# One hypothesis, from B_H + n H_SIZE: weight; state: velocity north and east, yaw of the bank's
-# frame, its tilt about x and y, gyro bias, delay of the receiver; covariance of that
-HYPOTHESES = 8
-H_W = 0
-H_X = 1
-H_P = 10
-H_N = 9
-H_SIZE = 91
+@struct
+class Moved:
+    """What the last reset moved."""
 
-# What the bank is doing (B_MODE)
-BANK_LEVELLING = 0
-BANK_RUNNING = 1
+    pos_n: Annotated[Vector, 3]
+    vel_n: Annotated[Vector, 3]
+    yaw: Real
 
-# Parameters
-K_GYRO_NOISE = 0
-K_ACCEL_NOISE = 1
-K_GYRO_WALK = 2
-K_ACCEL_WALK = 3
-K_GYRO_BIAS = 4
-K_ACCEL_BIAS = 5
-K_LEARN_NOISE = 6
-K_MEAN_SAMPLES = 7
-K_LEVER = 8
-K_DELAY_STD = 11
-K_POS_FLOOR = 12
-K_HGT_FLOOR = 13
-K_VEL_FLOOR = 14
-K_VEL_DEFAULT = 15
-K_USE_VEL = 16
-K_USE_DERIVED = 17
-K_SLOW_TIME = 18
-K_WHITE_SHARE = 19
-K_TIMING = 20
-K_POS_WALK = 21
-K_HEADING = 22
-K_MAG_STD = 23
-K_MAG_NOISE = 24
-K_IRON_STD = 25
-K_IRON_WALK = 26
-K_HEADING_FLOOR = 27
-K_HEADING_TIME = 28
-K_FIELD_STRENGTH = 29
-K_FIELD_DIP = 30
-K_BARO_STD = 31
-K_BARO_WALK = 32
-K_USE_BARO = 33
-K_GATE = 34
-K_SOFT = 37
-K_TIMEOUT_POS = 40
-K_TIMEOUT_VEL = 41
-K_TIMEOUT_HGT = 42
-K_TIMEOUT_YAW = 43
-K_ALIGN_TIME = 44
-K_LAG = 45
-K_GAP = 46
-K_GAP_RESET = 47
-K_LIMIT_POS = 48
-K_REST_GYRO = 49
-K_REST_ACCEL = 50
-K_USE_REST = 51
-K_GRAVITY = 52
-K_KEEPS_BIAS = 53
-PARAMETERS = 54
 
-# Headings that the filter may use (K_HEADING)
-HEADING_AUTO = 0
-HEADING_GNSS = 1
-HEADING_MAG = 2
-HEADING_AUTOPILOT = 3
+@struct
+class NoiseBlock:
+    """Means over blocks of inertial samples, from whose second differences noise is learnt."""
 
-# What a long gap leaves to be done (X_NEEDS_RESET): nothing has been heard of position and
-# velocity since; fixes have come again, but have not shown the attitude yet
-NEEDS_NOTHING = 0
-NEEDS_FIX = 1
-NEEDS_TILT = 2
+    sum: Annotated[Vector, 6]
+    """Of the block that is being filled: rate, specific force."""
+    n: Real
+    dt: Real
+    """Its length, s."""
+    blocks: Real
+    """Full ones in a row."""
+    last: Annotated[Vector, 6]
+    """Mean of the last full block."""
+    before: Annotated[Vector, 6]
+    """Mean of the one before that."""
 
-# Why the filter was reset last (X_RESET_REASON)
-RESET_NONE = 0
-RESET_POSITION = 1
-RESET_VELOCITY = 2
-RESET_HEIGHT = 3
-RESET_YAW = 4
-RESET_GAP = 5
-RESET_CLOCK = 6
-RESET_BOUNDS = 7
-RESET_MOTION = 8
-RESET_RESTART = 9
 
-# Scratch numbers of one step: rows of H, P H', innovation, R, Cholesky factor, error state,
-# direction cosines, velocity increment, two rows, S and S G / 2, noise; rate and force: the mean of
-# the whole interval, of a part, and how fast they change; the fix that is being taken
-W_H = 0
-W_C = 72
-W_Z = 144
-W_R = 147
-W_L = 156
-W_Y = 165
-W_DX = 168
-W_C_NB = 192
-W_DV = 201
-W_ROW = 204
-W_ROW2 = 228
-W_S9 = 252
-W_Q = 270
-W_MEAN = 276
-W_RATE = 282
-W_FORCE = 285
-W_RATE_SLOPE = 288
-W_FORCE_SLOPE = 291
-W_FIX = 294
-SCRATCH = 306
+@struct
+class Run:
+    """A run of refused innovations: the sums that a straight line through them needs."""
 
-# A tape (core/tape.py), if there is one, lies behind the scratch numbers: how many records it has,
-# then these: how each follows from the one before, whether it ends a sample, block, transition
-TAPE_COUNT = 306
-TAPE = 307
-T_LINK = 0
-T_IS_SAMPLE = 1
-T_BLOCK = 2
-T_PHI = 1631
-RECORD = 2207
+    n: Real
+    t0: Real
+    """Time of the first, ns."""
+    t: Real
+    """Sum of the times since then, s."""
+    tt: Real
+    """Sum of their squares."""
+    z: Annotated[Vector, 3]
+    """Sum of the innovations."""
+    tz: Annotated[Vector, 3]
+    """Sum of the innovations times their times."""
+    zz: Real
+    """Sum of the squares of the innovations."""
 
-# How a record follows from the one before
-LINK_SAME = 0
-LINK_MOVED = 1
-LINK_FRESH = 2
-LINK_CUT = 3
 
-# An estimate: nav.state.COLUMNS without the time
-OUT_LLA = 0
-OUT_POS = 3
-OUT_VEL = 6
-OUT_Q = 9
-OUT_EULER = 13
-OUT_BG = 16
-OUT_BA = 19
-OUT_SD = 22
-OUT_STATUS = 31
-OUT_RESETS = 32
-OUT = 33
+@struct
+class RestWindow:
+    """Sums over a window of inertial samples: was the vehicle at rest?"""
 
-# What is told of it: ODOMETRY's numbers, in its order
-TOLD_POS = 0
-TOLD_Q = 3
-TOLD_VEL = 7
-TOLD_RATE = 10
-TOLD_POSE = 13
-TOLD_TWIST = 34
-TOLD = 55
+    t0: Real
+    """Its begin, ns."""
+    n: Real
+    gyro: Annotated[Vector, 3]
+    """Sum of the rates, rad/s."""
+    accel: Annotated[Vector, 3]
+    """Sum of the specific forces, m/s^2."""
+    gyro2: Annotated[Vector, 3]
+    """Sum of the squares of the rates."""
+    accel2: Annotated[Vector, 3]
+    """Sum of the squares of the specific forces."""
+
+
+@struct
+class MotionWindow:
+    """The motion since a fix, to level by: the specific force in a frame that the gyro holds."""
+
+    q: Annotated[Vector, 4]
+    """From b to that frame."""
+    dv: Annotated[Vector, 3]
+    """Integral of the specific force in it, m/s."""
+    has_fix: Real
+    fix_t: Real
+    """ns."""
+    fix_vel: Annotated[Vector, 3]
+    """Velocity of the antenna then, n e d, m/s."""
+    fix_std: Real
+    """One sigma per axis, m/s."""
+
+
+@struct
+class Reference:
+    """A direction of the body whose azimuth is known, to find north by."""
+
+    is_known: Real
+    t: Real
+    """ns."""
+    direction_b: Annotated[Vector, 3]
+    """The forward axis, or the magnetic field in gauss."""
+    std: Real
+    """White error of its azimuth, one sigma, rad."""
+    noise: Real
+    """White noise of the direction itself, in its units."""
+    has_iron: Real
+    """It is a magnetic field, with the vehicle's own in it."""
+    azimuth: Real
+    """In n, rad."""
+
+
+@struct
+class Alignment:
+    """What is gathered to find down and north."""
+
+    rest: RestWindow
+    motion: MotionWindow
+    reference: Reference
+    start_t: Real
+    """When levelling began, ns."""
+
+
+@struct
+class YawFilter:
+    """One filter of the bank: what if the bank's frame s pointed there?"""
+
+    weight: Real
+    """Probability of its being the right one."""
+    x: Annotated[Vector, YAW_N]
+    """Velocity north, east (m/s); yaw of s (rad); tilt of s about x, y (rad); gyro bias (rad/s);
+    delay of the receiver (s)."""
+    P: Annotated[Vector, YAW_N, YAW_N]
+
+
+@struct
+class YawSums:
+    """What the bank has summed in its frame s since the last fix."""
+
+    dv: Annotated[Vector, 3]
+    """Integral of the specific force, m/s."""
+    turn: Annotated[Vector, 3, 3]
+    """Integral of C_sb, s: what a gyro bias does to s."""
+    dt: Real
+    """s."""
+
+
+@struct
+class YawBank:
+    """A bank of yaw filters, with an attitude of its own, independent of the main filter."""
+
+    is_running: Real
+    """0: it still levels its frame."""
+    q_sb: Annotated[Vector, 4]
+    """From b to the frame s: nearly level, pointing anywhere."""
+    gyro_bias: Annotated[Vector, 3]
+    gyro_bias_std: Real
+    sums: YawSums
+    accel: Annotated[Vector, 2]
+    """Horizontal acceleration in s, smoothed, m/s^2: what a late fix has yet to see."""
+    vel_var: Real
+    """Learnt variance of the receiver's velocity, (m/s)^2."""
+    refused: Real
+    """Fixes refused less fixes believed."""
+    vel_mean: Annotated[Vector, 2]
+    """Mean velocity of the last seconds, n e, m/s."""
+    has_moved: Real
+    """The velocity has changed by enough to show a heading."""
+    yaw: Real
+    """Of s against north, rad."""
+    yaw_std: Real
+    tilt_std: Real
+    good: Real
+    """Consecutive fixes with a narrow yaw."""
+    nis: Real
+    """Recent mean of the main filter's velocity NIS, per degree of freedom."""
+    failing_t: Real
+    """Since when that has been too large, ns."""
+    repairs: Real
+    """How often the main filter's yaw was reset by the bank."""
+    repair_t: Real
+    """When it was last, ns."""
+    filter: Annotated[Structs, YawFilter, YAW_FILTERS]
+
+
+@struct
+class State:
+    """Everything that the filter knows, and what decides."""
+
+    t: Real
+    """Of validity, ns."""
+    mode: Real
+    """:class:`Mode`."""
+
+    q_nb: Annotated[Vector, 4]
+    vel_n: Annotated[Vector, 3]
+    """m/s."""
+    pos_n: Annotated[Vector, 3]
+    """From the origin, m."""
+    gyro_bias: Annotated[Vector, 3]
+    """rad/s."""
+    accel_bias: Annotated[Vector, 3]
+    """m/s^2."""
+    baro_offset: Real
+    """Pressure altitude less altitude, m."""
+    gnss_delay: Real
+    """How much later than the configured delay a fix is, s."""
+    heading_offset: Real
+    """Slow error of the heading in use, rad."""
+    gnss_offset: Annotated[Vector, 3]
+    """Slow error of the receiver's position, n e d, m."""
+    hard_iron: Annotated[Vector, 3]
+    """The vehicle's own magnetic field, b, gauss."""
+
+    gyro: Annotated[Vector, 3]
+    """Of the last inertial sample, rad/s."""
+    accel: Annotated[Vector, 3]
+    """Of the last inertial sample, m/s^2."""
+    dt: Real
+    """Usual interval between inertial samples, s."""
+    origin: Origin
+    field: Field
+    has_yaw: Real
+    has_baro: Real
+    resets: Real
+    reset_reason: Real
+    """:class:`Reset`."""
+    reset_t: Real
+    """Time of the last reset of position, ns."""
+    moved: Moved
+    samples: Real
+    """Inertial ones so far."""
+    needs_reset: Real
+    """:class:`NeedsReset`."""
+    accel_n: Annotated[Vector, 3]
+    """Acceleration in n over the last interval, m/s^2."""
+    armed: Real
+    landed: Real
+    ground: Real
+    """Down position of the last rest, m."""
+    has_ground: Real
+    fix_t: Real
+    """Time of the last fix, ns."""
+    fix_dt: Real
+    """Between the last two, s."""
+    last_fix: Annotated[Vector, 3]
+    """Latitude, longitude, altitude."""
+    fix_repeats: Real
+    """How often it has repeated itself to the bit."""
+    heading_t: Annotated[Vector, 3]
+    """When each :class:`~.measurements.HeadingSource` spoke last, ns."""
+    mag_t: Real
+    """When an undisturbed field was seen last, ns."""
+    strength_t: Real
+    """When the mean strength was brought up to date, ns."""
+    strength_t0: Real
+    """Since when there is one, ns."""
+    strength: Real
+    """Mean strength of the measured field, gauss."""
+    raw_fix_t: Real
+    """When the receiver itself spoke last, ns."""
+    fake_t: Real
+    """When zero velocity was last assumed for want of a receiver, ns."""
+    at_rest: Real
+    rest_gyro: Real
+    """Variance of the rate at rest, all axes together, learnt at the start; 0: not seen yet."""
+    rest_accel: Real
+    """Likewise of the specific force."""
+    gaps: Real
+    """Inertial gaps so far."""
+    restored_t: Real
+    """When a good state was last put in the place of one that cannot be, ns."""
+    used_t: Annotated[Vector, AIDS]
+    """When each aid was last fused, ns."""
+    refused_t: Annotated[Vector, AIDS]
+    """Since when each has been refused, ns."""
+    ratio: Annotated[Vector, AIDS]
+    """Last NIS of each aid over its gate."""
+    nis_sum: Annotated[Vector, AIDS]
+    """Of NIS per degree of freedom, each at most its gate."""
+    nis_n: Annotated[Vector, AIDS]
+    count: Annotated[Vector, AIDS, VERDICTS]
+    """What became of how many."""
+    azimuth: Real
+    """:class:`Azimuth` in use; 0: none."""
+    heading_std: Real
+    """One sigma of its slow error, rad."""
+    noise: Annotated[Vector, 6]
+    """Learnt white noise of rate and force, variance times interval: (rad/s)^2 s, (m/s^2)^2 s."""
+    noise_block: NoiseBlock
+    white_share: Annotated[Vector, RUNS]
+    """Learnt share of the receiver's stated variances that is white, by aid."""
+    gnss_offset_var: Annotated[Vector, 2]
+    """Variance of the slow error of its position: horizontal, vertical, m^2."""
+    innovation_mean: Annotated[Vector, 3]
+    """Recent mean of the whitened innovations of its position n e d, sigmas."""
+    run: Annotated[Structs, Run, RUNS]
+    alignment: Alignment
+    log_likelihood: Real
+    """Sum over the receiver's innovations; compares settings, nothing reads it."""
+    yaw_bank: YawBank
+    redrawn: Annotated[Vector, N]
+    """How often each error state was given a new variance, uncorrelated with the others."""
+    P: Annotated[Vector, N, N]
+    """Covariance of the error states, E_ATT to E_IRON."""
+
+
+BLOCK = doubles(State)

@@ -1,90 +1,85 @@
-# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """What the filter did, record by record, for who goes back over it.
 
-A tape lies behind the scratch numbers, where the step finds it if it is there: the filter that runs
-live has none. A record is the state block after something happened, and how its error follows from
-that of the record before:
-
-- it moved: by Phi, which the record holds, and noise;
-- the same: whatever was measured in between, it is the same error of the same true state;
-- fresh: the same, but some states were drawn anew meanwhile (``correct.forget`` counts them);
-- cut: it does not follow, a new stretch begins here.
+The step finds the tape in its scratch memory, if there is one. A record is the state after
+something happened, and how its error follows from that before (:class:`~.enums.Link`).
 """
 
 from __future__ import annotations
 
-import cython
-
-if cython.compiled:
-    from cython.cimports.ekf_companion.core import state as at
-    from cython.cimports.ekf_companion.core.propagate import transition
-else:
-    from ekf_companion.core import state as at
-    from ekf_companion.core.propagate import transition
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def push(x: cython.double[::1], w: cython.double[::1], link: cython.int) -> cython.Py_ssize_t:
-    """Append a record of the block; gives the place in w where it begins."""
-    i: cython.Py_ssize_t
-    count: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, w[at.TAPE_COUNT])
-    first: cython.Py_ssize_t = at.TAPE + count * at.RECORD
-    w[at.TAPE_COUNT] += 1.0
-    w[first + at.T_LINK] = link
-    w[first + at.T_IS_SAMPLE] = 0.0
-    for i in range(at.BLOCK):
-        w[first + at.T_BLOCK + i] = x[i]
-    return first
+from cython import address
+from cython.cimports.ekf_companion.core.enums import (
+    E_ATT,
+    LINK_CUT,
+    LINK_FRESH,
+    LINK_MOVED,
+    LINK_SAME,
+    MODE_ATTITUDE,
+    N,
+)
+from cython.cimports.ekf_companion.core.memory import copy_state
+from cython.cimports.ekf_companion.core.parameters import Parameters
+from cython.cimports.ekf_companion.core.propagate import write_transition
+from cython.cimports.ekf_companion.core.scratch import Scratch
+from cython.cimports.ekf_companion.core.state import State
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def moved(
-    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1], dt: cython.double
-) -> cython.void:
-    """Record that the state moved by dt (s), right after ``propagate.spread``."""
-    transition(k, w, dt, push(x, w, at.LINK_MOVED) + at.T_PHI)
+def append(x: State, w: Scratch, link: int) -> int:
+    """Append a record of the state; return its index."""
+    index = w.tape.length
+    record = address(w.tape.record[index])
+    w.tape.length += 1
+    record.link = link
+    record.is_sample = 0.0
+    copy_state(address(record.state), x)
+    return index
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def doubted(x: cython.double[::1], w: cython.double[::1]) -> cython.void:
+def record_motion(x: State, k: Parameters, w: Scratch, dt: float) -> None:
+    """Record that the state moved by dt (s), right after P was propagated."""
+    index = append(x, w, LINK_MOVED)
+    write_transition(k, address(w.motion), dt, w.tape.record[index].Phi)
+
+
+def record_gap(x: State, w: Scratch) -> None:
     """Record that the error grew where it was: Phi is one."""
-    i: cython.Py_ssize_t
-    first: cython.Py_ssize_t = push(x, w, at.LINK_MOVED) + at.T_PHI
-    for i in range(at.N * at.N):
-        w[first + i] = 0.0
-    for i in range(at.N):
-        w[first + i * (at.N + 1)] = 1.0
+    record = address(w.tape.record[append(x, w, LINK_MOVED)])
+    for i in range(N):
+        for j in range(N):
+            record.Phi[i][j] = 0.0
+        record.Phi[i][i] = 1.0
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def noted(x: cython.double[::1], w: cython.double[::1], is_sample: cython.bint) -> cython.void:
-    """Record the state after an event, or at the end of a sample.
+def record_event(x: State, w: Scratch) -> None:
+    """Record the state after an event."""
+    record_state(x, w, 0.0)
 
-    An attitude, or a part of it, drawn anew turns the axes that all else is told in; and before
-    there was one there is nothing to go back to: both cut.
+
+def record_sample(x: State, w: Scratch) -> None:
+    """Record the state at the end of a sample."""
+    record_state(x, w, 1.0)
+
+
+def record_state(x: State, w: Scratch, is_sample: float) -> None:
+    """Record the state, and how it follows from the one before.
+
+    An attitude, or a part of it, drawn anew turns the axes that all else is expressed in; and
+    before there was one there is nothing to go back to: both cut.
     """
-    i: cython.Py_ssize_t
-    link: cython.int = at.LINK_SAME
-    first: cython.Py_ssize_t = push(x, w, link)
-    before: cython.Py_ssize_t = first - at.RECORD + at.T_BLOCK
-    w[first + at.T_IS_SAMPLE] = 1.0 if is_sample else 0.0
-    if first == at.TAPE:
-        link = at.LINK_CUT
-    elif x[at.X_MODE] < at.MODE_ATTITUDE or w[before + at.X_MODE] < at.MODE_ATTITUDE:
-        link = at.LINK_CUT
+    link = LINK_SAME
+    index = append(x, w, link)
+    record = address(w.tape.record[index])
+    record.is_sample = is_sample
+    if index == 0:
+        link = LINK_CUT
     else:
-        for i in range(at.N):
-            if x[at.X_FRESH + i] != w[before + at.X_FRESH + i]:
-                if at.E_ATT <= i < at.E_ATT + 3:
-                    link = at.LINK_CUT
-                elif link == at.LINK_SAME:
-                    link = at.LINK_FRESH
-    w[first + at.T_LINK] = link
+        before = address(w.tape.record[index - 1].state)
+        if x.mode < MODE_ATTITUDE or before.mode < MODE_ATTITUDE:
+            link = LINK_CUT
+        else:
+            for i in range(N):
+                if x.redrawn[i] != before.redrawn[i]:
+                    if E_ATT <= i < E_ATT + 3:
+                        link = LINK_CUT
+                    elif link == LINK_SAME:
+                        link = LINK_FRESH
+    record.link = link

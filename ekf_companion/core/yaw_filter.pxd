@@ -1,9 +1,15 @@
-cdef void begin(
-    double[::1] x, Py_ssize_t h, double vn, double ve, double variance, double bias, double delay
+from ekf_companion.core.scratch cimport YawUpdate
+from ekf_companion.core.state cimport YawBank, YawFilter
+cdef void start(
+    YawFilter *f, double vn, double ve, double variance, double bias_std, double delay_std
 ) noexcept nogil
-cdef void know(double[::1] x, Py_ssize_t h, Py_ssize_t i, double value, double variance) noexcept nogil
-cdef void predict(double[::1] x, double[::1] k, double[::1] w, Py_ssize_t h) noexcept nogil
-cdef double judge(
-    double[::1] x, double[::1] w, Py_ssize_t h, Py_ssize_t o, double vn, double ve, double variance
+cdef void set_state(YawFilter *f, Py_ssize_t i, double value, double variance) noexcept nogil
+cdef void predict(YawFilter *f, YawBank *b, double gyro_bias_walk, YawUpdate *u) noexcept nogil
+cdef void propagate_covariance(
+    YawFilter *f, YawUpdate *u, double dt, double gyro_bias_walk, double gained
 ) noexcept nogil
-cdef void absorb(double[::1] x, double[::1] w, Py_ssize_t h, Py_ssize_t o) noexcept nogil
+cdef void project(YawFilter *f, YawBank *b, YawUpdate *u) noexcept nogil
+cdef double innovate(
+    YawFilter *f, YawBank *b, YawUpdate *u, Py_ssize_t n, double variance
+) noexcept nogil
+cdef void apply_update(YawFilter *f, YawBank *b, YawUpdate *u, Py_ssize_t n) noexcept nogil

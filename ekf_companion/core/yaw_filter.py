@@ -1,4 +1,3 @@
-# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """One small filter of the bank: what if the bank's frame s pointed there?
 
 Its state is the velocity (north, east), the yaw psi of s against north, the tilt phi of s about
@@ -10,8 +9,6 @@ d. With the sums between two fixes, of force u and of turn G = int C_sb dt, both
 With the acceleration a and the antenna's extra velocity l, both in s, a fix reads
 ``v + R(psi) (l - d a)``.
 
-h is where the hypothesis lies in the state block x; w is scratch.
-
 Source: Groves 2013, chapter 14 (transfer alignment by velocity); second-order term: Maybeck 1982,
 vol. 2, section 12.3.
 """
@@ -19,18 +16,13 @@ vol. 2, section 12.3.
 from __future__ import annotations
 
 import cython
+from cython.cimports.ekf_companion.core.enums import YAW_N
+from cython.cimports.ekf_companion.core.rotation import wrap
+from cython.cimports.ekf_companion.core.scratch import YawUpdate
+from cython.cimports.ekf_companion.core.state import YawBank, YawFilter
+from cython.cimports.libc.math import cos, log, sin
 
-if cython.compiled:
-    from cython.cimports.ekf_companion.core import state as at
-    from cython.cimports.ekf_companion.core.observe import wrap
-    from cython.cimports.libc.math import cos, log, sin
-else:
-    from math import cos, log, sin
-
-    from ekf_companion.core import state as at
-    from ekf_companion.core.observe import wrap
-
-LEVEL_STD = cython.declare(cython.double, 0.3)
+TILT_STD = cython.declare(cython.double, 0.3)
 """One sigma of a tilt taken from the mean force, rad: it may have been in a turn, or taking off."""
 FORCE_NOISE = cython.declare(cython.double, 0.35)
 """White noise of the horizontal force, m/s^2 per square root of Hz: biases, vibration and slow
@@ -41,237 +33,160 @@ YAW_WALK = cython.declare(cython.double, 1e-2)
 """rad per square root of s: the gyro's scale, which its bias does not explain."""
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def begin(
-    x: cython.double[::1],
-    h: cython.Py_ssize_t,
-    vn: cython.double,
-    ve: cython.double,
-    variance: cython.double,
-    bias: cython.double,
-    delay: cython.double,
-) -> cython.void:
-    """Begin at a velocity of this variance, level give or take; sigmas of bias and delay."""
-    i: cython.Py_ssize_t
-    p: cython.Py_ssize_t = h + at.H_P
-    for i in range(at.H_SIZE):
-        x[h + i] = 0.0
-    x[h + at.H_X] = vn
-    x[h + at.H_X + 1] = ve
+def start(
+    f: YawFilter, vn: float, ve: float, variance: float, bias_std: float, delay_std: float
+) -> None:
+    """Begin at a velocity of this variance, level give or take."""
+    f.weight = 0.0
+    for i in range(YAW_N):
+        f.x[i] = 0.0
+        for j in range(YAW_N):
+            f.P[i][j] = 0.0
+    f.x[0] = vn
+    f.x[1] = ve
     for i in range(2):
-        x[p + i * (at.H_N + 1)] = variance
-        x[p + (3 + i) * (at.H_N + 1)] = LEVEL_STD * LEVEL_STD
+        f.P[i][i] = variance
+        f.P[i + 3][i + 3] = TILT_STD * TILT_STD
     for i in range(5, 8):
-        x[p + i * (at.H_N + 1)] = bias * bias
-    x[p + 8 * (at.H_N + 1)] = delay * delay
+        f.P[i][i] = bias_std * bias_std
+    f.P[8][8] = delay_std * delay_std
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def know(
-    x: cython.double[::1],
-    h: cython.Py_ssize_t,
-    i: cython.Py_ssize_t,
-    value: cython.double,
-    variance: cython.double,
-) -> cython.void:
+def set_state(f: YawFilter, i: int, value: float, variance: float) -> None:
     """Set state i, uncorrelated with all others."""
-    j: cython.Py_ssize_t
-    for j in range(at.H_N):
-        x[h + at.H_P + i * at.H_N + j] = 0.0
-        x[h + at.H_P + j * at.H_N + i] = 0.0
-    x[h + at.H_X + i] = value
-    x[h + at.H_P + i * (at.H_N + 1)] = variance
+    for j in range(YAW_N):
+        f.P[i][j] = 0.0
+        f.P[j][i] = 0.0
+    f.x[i] = value
+    f.P[i][i] = variance
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def predict(
-    x: cython.double[::1], k: cython.double[::1], w: cython.double[::1], h: cython.Py_ssize_t
-) -> cython.void:
-    """Carry the hypothesis over the interval that the bank's sums stand for.
-
-    Leaves F - I, five rows of H_N, at w[W_H].
-    """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    g: cython.Py_ssize_t = at.X_BANK + at.B_G
-    f: cython.Py_ssize_t = at.W_H
-    uz: cython.double = x[at.X_BANK + at.B_U + 2]
+def predict(f: YawFilter, b: YawBank, gyro_bias_walk: float, u: YawUpdate) -> None:
+    """Predict over the interval that the bank's sums stand for."""
+    uz = b.sums.dv[2]
     for i in range(3):  # the turn of s by the bias, about x, y and z
-        w[at.W_Y + i] = (
-            x[g + 3 * i] * x[h + at.H_X + 5]
-            + x[g + 3 * i + 1] * x[h + at.H_X + 6]
-            + x[g + 3 * i + 2] * x[h + at.H_X + 7]
+        u.turned[i] = (
+            b.sums.turn[i][0] * f.x[5] + b.sums.turn[i][1] * f.x[6] + b.sums.turn[i][2] * f.x[7]
         )
     # The force in n, by the mean yaw and tilt of the interval
-    yaw: cython.double = x[h + at.H_X + 2] - 0.5 * w[at.W_Y + 2]
-    s: cython.double = sin(yaw)
-    c: cython.double = cos(yaw)
-    ux: cython.double = x[at.X_BANK + at.B_U] + (x[h + at.H_X + 4] - 0.5 * w[at.W_Y + 1]) * uz
-    uy: cython.double = x[at.X_BANK + at.B_U + 1] - (x[h + at.H_X + 3] - 0.5 * w[at.W_Y]) * uz
-    dn: cython.double = c * ux - s * uy
-    de: cython.double = s * ux + c * uy
-    x[h + at.H_X] += dn
-    x[h + at.H_X + 1] += de
-    x[h + at.H_X + 2] = wrap(x[h + at.H_X + 2] - w[at.W_Y + 2])
-    x[h + at.H_X + 3] -= w[at.W_Y]
-    x[h + at.H_X + 4] -= w[at.W_Y + 1]
+    yaw = f.x[2] - 0.5 * u.turned[2]
+    s = sin(yaw)
+    c = cos(yaw)
+    ux = b.sums.dv[0] + (f.x[4] - 0.5 * u.turned[1]) * uz
+    uy = b.sums.dv[1] - (f.x[3] - 0.5 * u.turned[0]) * uz
+    dn = c * ux - s * uy
+    de = s * ux + c * uy
+    f.x[0] += dn
+    f.x[1] += de
+    f.x[2] = wrap(f.x[2] - u.turned[2])
+    f.x[3] -= u.turned[0]
+    f.x[4] -= u.turned[1]
 
     # F - I: velocity by yaw, tilt and (half the interval late) bias; yaw and tilt by bias
-    for i in range(5 * at.H_N):
-        w[f + i] = 0.0
-    w[f + 2] = -de
-    w[f + 3] = s * uz
-    w[f + 4] = c * uz
-    w[f + at.H_N + 2] = dn
-    w[f + at.H_N + 3] = -c * uz
-    w[f + at.H_N + 4] = s * uz
+    for i in range(5):
+        for j in range(YAW_N):
+            u.F[i][j] = 0.0
+    u.F[0][2] = -de
+    u.F[0][3] = s * uz
+    u.F[0][4] = c * uz
+    u.F[1][2] = dn
+    u.F[1][3] = -c * uz
+    u.F[1][4] = s * uz
     for j in range(3):
         for i in range(2):
-            w[f + i * at.H_N + 5 + j] = -0.5 * (
-                w[f + i * at.H_N + 2] * x[g + 6 + j]
-                + w[f + i * at.H_N + 3] * x[g + j]
-                + w[f + i * at.H_N + 4] * x[g + 3 + j]
+            u.F[i][5 + j] = -0.5 * (
+                u.F[i][2] * b.sums.turn[2][j]
+                + u.F[i][3] * b.sums.turn[0][j]
+                + u.F[i][4] * b.sums.turn[1][j]
             )
-        w[f + 2 * at.H_N + 5 + j] = -x[g + 6 + j]
-        w[f + 3 * at.H_N + 5 + j] = -x[g + j]
-        w[f + 4 * at.H_N + 5 + j] = -x[g + 3 + j]
-    widen(x, k, w, h, dn * dn + de * de)
+        u.F[2][5 + j] = -b.sums.turn[2][j]
+        u.F[3][5 + j] = -b.sums.turn[0][j]
+        u.F[4][5 + j] = -b.sums.turn[1][j]
+    propagate_covariance(f, u, b.sums.dt, gyro_bias_walk, dn * dn + de * de)
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def widen(
-    x: cython.double[::1],
-    k: cython.double[::1],
-    w: cython.double[::1],
-    h: cython.Py_ssize_t,
-    gained: cython.double,
-) -> cython.void:
-    """Carry the covariance likewise: F P F' + Q; gained is the square of the velocity gained."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    r: cython.Py_ssize_t
-    f: cython.Py_ssize_t = at.W_H
-    p: cython.Py_ssize_t = h + at.H_P
-    s: cython.double
-    dt: cython.double = x[at.X_BANK + at.B_DT]
-    yaw: cython.double = x[p + 2 * (at.H_N + 1)]
+def propagate_covariance(
+    f: YawFilter, u: YawUpdate, dt: float, gyro_bias_walk: float, gained: float
+) -> None:
+    """Propagate P likewise: F P F' + Q; gained is the square of the velocity gained."""
+    yaw = f.P[2][2]
     # rows, then columns, each from what is still old
     for i in range(5):
-        for j in range(at.H_N):
+        for j in range(YAW_N):
             s = 0.0
             for r in range(2 if i < 2 else 5, 8):
-                s += w[f + i * at.H_N + r] * x[p + r * at.H_N + j]
-            x[p + i * at.H_N + j] += s
-    for i in range(at.H_N):
+                s += u.F[i][r] * f.P[r][j]
+            f.P[i][j] += s
+    for i in range(YAW_N):
         for j in range(5):
             s = 0.0
             for r in range(2 if j < 2 else 5, 8):
-                s += w[f + j * at.H_N + r] * x[p + i * at.H_N + r]
-            x[p + i * at.H_N + j] += s
+                s += u.F[j][r] * f.P[i][r]
+            f.P[i][j] += s
     # what the turn of the force by yaw has of second order is noise to a filter of first order
     s = FORCE_NOISE * FORCE_NOISE * dt + 0.5 * yaw * yaw * gained
-    x[p] += s
-    x[p + at.H_N + 1] += s
-    x[p + 2 * (at.H_N + 1)] += YAW_WALK * YAW_WALK * dt
+    f.P[0][0] += s
+    f.P[1][1] += s
+    f.P[2][2] += YAW_WALK * YAW_WALK * dt
     for i in range(3, 5):
-        x[p + i * (at.H_N + 1)] += TILT_WALK * TILT_WALK * dt
+        f.P[i][i] += TILT_WALK * TILT_WALK * dt
     for i in range(5, 8):
-        x[p + i * (at.H_N + 1)] += k[at.K_GYRO_WALK] * k[at.K_GYRO_WALK] * dt
+        f.P[i][i] += gyro_bias_walk * gyro_bias_walk * dt
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def project(x: cython.double[::1], w: cython.double[::1], h: cython.Py_ssize_t) -> cython.void:
-    """Write what a fix adds to the velocity, R(psi) (l - d a), to w[W_ROW:+2], and P H' to w[W_H].
+def project(f: YawFilter, b: YawBank, u: YawUpdate) -> None:
+    """Write what a fix adds to the velocity, R(psi) (l - d a), and P H'.
 
     ``H = (1, 0, -e, 0 ... -a_n; 0, 1, n, 0 ... -a_e)`` with (n, e) that addition.
     """
-    i: cython.Py_ssize_t
-    r: cython.Py_ssize_t
-    s: cython.double = sin(x[h + at.H_X + 2])
-    c: cython.double = cos(x[h + at.H_X + 2])
-    ax: cython.double = x[at.X_BANK + at.B_A]
-    ay: cython.double = x[at.X_BANK + at.B_A + 1]
-    lx: cython.double = w[at.W_R] - x[h + at.H_X + 8] * ax
-    ly: cython.double = w[at.W_R + 1] - x[h + at.H_X + 8] * ay
-    n: cython.double = c * lx - s * ly
-    e: cython.double = s * lx + c * ly
-    an: cython.double = c * ax - s * ay
-    ae: cython.double = s * ax + c * ay
-    w[at.W_ROW] = n
-    w[at.W_ROW + 1] = e
-    w[at.W_ROW + 2] = an
-    w[at.W_ROW + 3] = ae
-    for i in range(at.H_N):
-        r = h + at.H_P + i * at.H_N
-        w[at.W_H + 2 * i] = x[r] - e * x[r + 2] - an * x[r + 8]
-        w[at.W_H + 2 * i + 1] = x[r + 1] + n * x[r + 2] - ae * x[r + 8]
+    s = sin(f.x[2])
+    c = cos(f.x[2])
+    ax = b.accel[0]
+    ay = b.accel[1]
+    lx = u.arm_vel[0] - f.x[8] * ax
+    ly = u.arm_vel[1] - f.x[8] * ay
+    n = c * lx - s * ly
+    e = s * lx + c * ly
+    an = c * ax - s * ay
+    ae = s * ax + c * ay
+    u.added[0] = n
+    u.added[1] = e
+    u.accel_n[0] = an
+    u.accel_n[1] = ae
+    for i in range(YAW_N):
+        u.PHt[i][0] = f.P[i][0] - e * f.P[i][2] - an * f.P[i][8]
+        u.PHt[i][1] = f.P[i][1] + n * f.P[i][2] - ae * f.P[i][8]
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def judge(
-    x: cython.double[::1],
-    w: cython.double[::1],
-    h: cython.Py_ssize_t,
-    o: cython.Py_ssize_t,
-    vn: cython.double,
-    ve: cython.double,
-    variance: cython.double,
-) -> cython.double:
-    """Give the normalised innovation squared of a velocity (2 degrees of freedom).
+def innovate(f: YawFilter, b: YawBank, u: YawUpdate, n: int, variance: float) -> float:
+    """Return the normalised innovation squared of the velocity ``u.vel_n`` (2 degrees of freedom).
 
-    Leaves at w[o:+6] for :func:`absorb` the innovation, the inverse of its covariance (nn, ne, ee)
-    and the logarithm of the likelihood. The antenna's extra velocity in s, x and y, is at w[W_R].
+    Leaves the innovation of filter n, the inverse of its covariance and its log-likelihood.
     """
-    a: cython.Py_ssize_t = at.W_H
-    d: cython.Py_ssize_t = at.W_ROW
-    nis: cython.double
-    project(x, w, h)
-    nn: cython.double = w[a] - w[d + 1] * w[a + 4] - w[d + 2] * w[a + 16] + variance
-    ne: cython.double = w[a + 1] - w[d + 1] * w[a + 5] - w[d + 2] * w[a + 17]
-    ee: cython.double = w[a + 3] + w[d] * w[a + 5] - w[d + 3] * w[a + 17] + variance
-    det: cython.double = nn * ee - ne * ne
-    w[o] = vn - x[h + at.H_X] - w[d]
-    w[o + 1] = ve - x[h + at.H_X + 1] - w[d + 1]
-    w[o + 2] = ee / det
-    w[o + 3] = -ne / det
-    w[o + 4] = nn / det
-    nis = w[o] * w[o] * w[o + 2] + w[o + 1] * w[o + 1] * w[o + 4]
-    nis += 2.0 * w[o] * w[o + 1] * w[o + 3]
-    w[o + 5] = -0.5 * (nis + log(det))
+    project(f, b, u)
+    nn = u.PHt[0][0] - u.added[1] * u.PHt[2][0] - u.accel_n[0] * u.PHt[8][0] + variance
+    ne = u.PHt[0][1] - u.added[1] * u.PHt[2][1] - u.accel_n[0] * u.PHt[8][1]
+    ee = u.PHt[1][1] + u.added[0] * u.PHt[2][1] - u.accel_n[1] * u.PHt[8][1] + variance
+    det = nn * ee - ne * ne
+    u.z[n][0] = u.vel_n[0] - f.x[0] - u.added[0]
+    u.z[n][1] = u.vel_n[1] - f.x[1] - u.added[1]
+    u.S_inv[n][0] = ee / det
+    u.S_inv[n][1] = -ne / det
+    u.S_inv[n][2] = nn / det
+    nis = u.z[n][0] * u.z[n][0] * u.S_inv[n][0] + u.z[n][1] * u.z[n][1] * u.S_inv[n][2]
+    nis += 2.0 * u.z[n][0] * u.z[n][1] * u.S_inv[n][1]
+    u.log_likelihood[n] = -0.5 * (nis + log(det))
     return nis
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def absorb(
-    x: cython.double[::1], w: cython.double[::1], h: cython.Py_ssize_t, o: cython.Py_ssize_t
-) -> cython.void:
-    """Correct the hypothesis by what :func:`judge` left at w[o]: A = P H', P -= A S^-1 A'."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    p: cython.Py_ssize_t = h + at.H_P
-    a: cython.Py_ssize_t = at.W_H
-    n: cython.double
-    e: cython.double
-    project(x, w, h)
-    for i in range(at.H_N):
-        n = w[a + 2 * i] * w[o + 2] + w[a + 2 * i + 1] * w[o + 3]
-        e = w[a + 2 * i] * w[o + 3] + w[a + 2 * i + 1] * w[o + 4]
-        x[h + at.H_X + i] += n * w[o] + e * w[o + 1]
-        for j in range(i, at.H_N):
-            x[p + i * at.H_N + j] -= n * w[a + 2 * j] + e * w[a + 2 * j + 1]
-            x[p + j * at.H_N + i] = x[p + i * at.H_N + j]
-    x[h + at.H_X + 2] = wrap(x[h + at.H_X + 2])
+def apply_update(f: YawFilter, b: YawBank, u: YawUpdate, n: int) -> None:
+    """Correct filter n by its innovation: P -= (P H') S^-1 (P H')'."""
+    project(f, b, u)
+    for i in range(YAW_N):
+        gain_n = u.PHt[i][0] * u.S_inv[n][0] + u.PHt[i][1] * u.S_inv[n][1]
+        gain_e = u.PHt[i][0] * u.S_inv[n][1] + u.PHt[i][1] * u.S_inv[n][2]
+        f.x[i] += gain_n * u.z[n][0] + gain_e * u.z[n][1]
+        for j in range(i, YAW_N):
+            f.P[i][j] -= gain_n * u.PHt[j][0] + gain_e * u.PHt[j][1]
+            f.P[j][i] = f.P[i][j]
+    f.x[2] = wrap(f.x[2])

@@ -1,5 +1,10 @@
-cdef void lose(double[::1] x) noexcept nogil
-cdef void carry(double[::1] x, double[::1] w, double dt) noexcept nogil
-cdef void restart_sums(double[::1] x) noexcept nogil
-cdef void stand_up(double[::1] x) noexcept nogil
-cdef void antenna(double[::1] x, double[::1] k, double[::1] w) noexcept nogil
+from ekf_companion.core.parameters cimport Parameters
+from ekf_companion.core.scratch cimport Motion, YawUpdate
+from ekf_companion.core.state cimport State, YawBank
+cdef void restart(YawBank *b) noexcept nogil
+cdef void restart_sums(YawBank *b) noexcept nogil
+cdef void integrate(YawBank *b, Motion *m, double dt) noexcept nogil
+cdef void halve_sums(YawBank *b) noexcept nogil
+cdef void rotate_frame(double *q, double px, double py, double pz) noexcept nogil
+cdef void level(YawBank *b) noexcept nogil
+cdef void lever_arm_velocity(State *x, Parameters *k, YawUpdate *u) noexcept nogil

@@ -1,7 +1,8 @@
-cdef bint is_ready(double[::1] x) noexcept nogil
-cdef double excess(double[::1] x) noexcept nogil
-cdef bint agrees(double[::1] x) noexcept nogil
-cdef bint is_needed(double[::1] x, double nis, double dt, double std) noexcept nogil
-cdef void adopt(double[::1] x) noexcept nogil
-cdef void record(double[::1] x) noexcept nogil
-cdef double slow_error(double[::1] x, double stated) noexcept nogil
+from ekf_companion.core.state cimport State
+cdef bint is_ready(State *x) noexcept nogil
+cdef double yaw_error(State *x) noexcept nogil
+cdef bint agrees(State *x) noexcept nogil
+cdef bint is_needed(State *x, double nis, double dt, double std) noexcept nogil
+cdef void take_attitude(State *x) noexcept nogil
+cdef void note_repair(State *x) noexcept nogil
+cdef double slow_error(State *x, double stated) noexcept nogil

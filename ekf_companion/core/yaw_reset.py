@@ -1,4 +1,3 @@
-# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """When the bank's heading is used: to begin with, or against a main filter that is wrong.
 
 The main filter may have begun by a compass that lies by 180 degrees, or have been led astray by one
@@ -11,22 +10,14 @@ Source: the conditions are those asked for in PX4 pull request 27533 and ArduPil
 from __future__ import annotations
 
 import cython
-
-if cython.compiled:
-    from cython.cimports.ekf_companion.core import state as at
-    from cython.cimports.ekf_companion.core.observe import wrap
-    from cython.cimports.ekf_companion.core.propagate import turn
-    from cython.cimports.libc.math import atan2, fabs
-else:
-    from math import atan2, fabs
-
-    from ekf_companion.core import state as at
-    from ekf_companion.core.observe import wrap
-    from ekf_companion.core.propagate import turn
+from cython import address
+from cython.cimports.ekf_companion.core.rotation import rotate, wrap
+from cython.cimports.ekf_companion.core.state import State
+from cython.cimports.libc.math import atan2, fabs
 
 ENOUGH = cython.declare(cython.double, 5.0)
 """Consecutive fixes with a narrow heading after which it is used."""
-FAILING = cython.declare(cython.double, 4.0)
+FAILING_NIS = cython.declare(cython.double, 4.0)
 """Mean normalised innovation squared, per degree, of velocities that contradict the filter."""
 LARGEST_NIS = cython.declare(cython.double, 20.0)
 """What one fix can add to that mean."""
@@ -39,103 +30,91 @@ LEAST_ERROR = cython.declare(cython.double, 0.2617993877991494)
 UNKNOWN_STD = cython.declare(cython.double, 1.8137993642342178)
 """One sigma of an angle of which nothing is known: pi / sqrt(3), rad."""
 MOST_REPAIRS = cython.declare(cython.double, 3.0)
-BETWEEN = cython.declare(cython.double, 5e9)
-"""Time between two of them, ns."""
+BETWEEN_REPAIRS = cython.declare(cython.double, 5e9)
+"""Least time between two of them, ns."""
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def is_ready(x: cython.double[::1]) -> cython.bint:
-    """Say whether the bank's heading can be used."""
-    return x[at.X_BANK + at.B_GOOD] >= ENOUGH
+def is_ready(x: State) -> bool:
+    """Return whether the bank's heading can be used."""
+    return x.yaw_bank.good >= ENOUGH
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def excess(x: cython.double[::1]) -> cython.double:
-    """Give the turn about the vertical that would bring the filter's attitude to the bank's, rad.
+def yaw_error(x: State) -> float:
+    """Return the turn about the vertical that would bring the filter's attitude to the bank's, rad.
 
     Of the turn between the two attitudes it is the part about down, so that it has a meaning in
     any attitude, a dive included.
     """
-    b: cython.Py_ssize_t = at.X_BANK + at.B_Q
-    q: cython.Py_ssize_t = at.X_Q
-    w: cython.double = x[b] * x[q] + x[b + 1] * x[q + 1] + x[b + 2] * x[q + 2] + x[b + 3] * x[q + 3]
-    z: cython.double = x[b + 3] * x[q] - x[b] * x[q + 3] + x[b + 2] * x[q + 1] - x[b + 1] * x[q + 2]
-    return wrap(x[at.X_BANK + at.B_YAW] + 2.0 * atan2(z, w))
+    b = address(x.yaw_bank)
+    w = (
+        b.q_sb[0] * x.q_nb[0]
+        + b.q_sb[1] * x.q_nb[1]
+        + b.q_sb[2] * x.q_nb[2]
+        + b.q_sb[3] * x.q_nb[3]
+    )
+    z = (
+        b.q_sb[3] * x.q_nb[0]
+        - b.q_sb[0] * x.q_nb[3]
+        + b.q_sb[2] * x.q_nb[1]
+        - b.q_sb[1] * x.q_nb[2]
+    )
+    return wrap(b.yaw + 2.0 * atan2(z, w))
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def agrees(x: cython.double[::1]) -> cython.bint:
-    """Say whether the bank has a heading, and it is the filter's."""
-    return is_ready(x) and fabs(excess(x)) <= 3.0 * x[at.X_BANK + at.B_STD]
+def agrees(x: State) -> bool:
+    """Return whether the bank has a heading, and it is the filter's."""
+    return is_ready(x) and fabs(yaw_error(x)) <= 3.0 * x.yaw_bank.yaw_std
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def is_needed(
-    x: cython.double[::1], nis: cython.double, dt: cython.double, std: cython.double
-) -> cython.bint:
-    """Say whether the main filter's heading is wrong beyond doubt, at a velocity just judged.
+def is_needed(x: State, nis: float, dt: float, std: float) -> bool:
+    """Return whether the main filter's heading is wrong beyond doubt, at a velocity just judged.
 
-    Takes its normalised innovation squared per degree, the time since the fix before (s) and the
-    sigma that the receiver states (m/s).
+    Args:
+        x: The state.
+        nis: Normalised innovation squared of the velocity, per degree of freedom.
+        dt: Since the fix before, s.
+        std: What the receiver states for its velocity, m/s.
     """
-    b: cython.Py_ssize_t = at.X_BANK
-    gain: cython.double = dt / (dt + FAIL_TIME * 1e-9)
-    off: cython.double
+    b = address(x.yaw_bank)
+    gain = dt / (dt + FAIL_TIME * 1e-9)
     nis = nis if nis < LARGEST_NIS else LARGEST_NIS
-    x[b + at.B_NIS] += gain * (nis - x[b + at.B_NIS])
-    if x[b + at.B_NIS] < FAILING:
-        x[b + at.B_T_FAIL] = x[at.X_T]
+    b.nis += gain * (nis - b.nis)
+    if b.nis < FAILING_NIS:
+        b.failing_t = x.t
         return False
-    if x[at.X_T] - x[b + at.B_T_FAIL] < FAIL_TIME or std > FAIR_STD or not is_ready(x):
+    if x.t - b.failing_t < FAIL_TIME or std > FAIR_STD or not is_ready(x):
         return False
-    if x[b + at.B_REPAIRS] >= MOST_REPAIRS:
+    if b.repairs >= MOST_REPAIRS:
         return False
-    if x[b + at.B_REPAIRS] > 0.0 and x[at.X_T] - x[b + at.B_T_REPAIR] < BETWEEN:
+    if b.repairs > 0.0 and x.t - b.repair_t < BETWEEN_REPAIRS:
         return False
-    off = fabs(excess(x))
-    return off > LEAST_ERROR and off > 3.0 * x[b + at.B_STD]
+    off = fabs(yaw_error(x))
+    return off > LEAST_ERROR and off > 3.0 * b.yaw_std
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def adopt(x: cython.double[::1]) -> cython.void:
-    """Give the main filter the bank's attitude and gyro bias; its delay was learnt in error."""
-    i: cython.Py_ssize_t
+def take_attitude(x: State) -> None:
+    """Set the filter's attitude and gyro bias to the bank's; its delay was learnt in error."""
     for i in range(4):
-        x[at.X_Q + i] = x[at.X_BANK + at.B_Q + i]
-    turn(x, at.X_Q, 0.0, 0.0, x[at.X_BANK + at.B_YAW])
+        x.q_nb[i] = x.yaw_bank.q_sb[i]
+    rotate(x.q_nb, 0.0, 0.0, x.yaw_bank.yaw)
     for i in range(3):
-        x[at.X_BG + i] = x[at.X_BANK + at.B_BG + i]
-    x[at.X_DELAY] = 0.0
+        x.gyro_bias[i] = x.yaw_bank.gyro_bias[i]
+    x.gnss_delay = 0.0
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def record(x: cython.double[::1]) -> cython.void:
+def note_repair(x: State) -> None:
     """Keep the account of a repair."""
-    x[at.X_BANK + at.B_NIS] = 0.0
-    x[at.X_BANK + at.B_T_FAIL] = x[at.X_T]
-    x[at.X_BANK + at.B_REPAIRS] += 1.0
-    x[at.X_BANK + at.B_T_REPAIR] = x[at.X_T]
+    b = address(x.yaw_bank)
+    b.nis = 0.0
+    b.failing_t = x.t
+    b.repairs += 1.0
+    b.repair_t = x.t
 
 
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-def slow_error(x: cython.double[::1], stated: cython.double) -> cython.double:
-    """Give one sigma of a compass' slow error, rad: of one that lies, as much as it is wrong."""
-    error: cython.double = fabs(wrap(x[at.X_HEADING]))
-    x[at.X_HEADING] = wrap(x[at.X_HEADING])
+def slow_error(x: State, stated: float) -> float:
+    """Return one sigma of a compass's slow error, rad: of one that lies, as much as it is wrong."""
+    error = fabs(wrap(x.heading_offset))
+    x.heading_offset = wrap(x.heading_offset)
     if error < LEAST_ERROR or error < stated:
         return stated
     return error if error < UNKNOWN_STD else UNKNOWN_STD

@@ -4,53 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import IntEnum
 
+from ekf_companion.core.enums import Aid, Arrival, Verdict
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
-
-
-class Arrival(IntEnum):
-    """What became of a measurement on its arrival."""
-
-    TAKEN = 0
-    STALE = 1
-    """Older than the window: nothing can be redone that far back."""
-    DUPLICATE = 2
-    MALFORMED = 3
-    """What no sensor can say."""
-    RESTARTED = 4
-    ESTIMATED = 5
-    """The newest inertial sample: there is an estimate for its stamp."""
-
-
-class Verdict(IntEnum):
-    """What became of an aid when the filter came to it."""
-
-    FUSED = 0
-    GATED = 1
-    UNALIGNED = 2
-    UNUSED = 3
-    """A better source speaks, or the user said no."""
-    SOFT = 4
-    """Fused with less weight: between the soft and the hard gate."""
-    SUSPECT = 5
-    """The receiver itself reports jamming or spoofing."""
-    DISTURBED = 6
-    """A magnetic field that is not the Earth's."""
-
-
-class Aid(IntEnum):
-    """What corrects the inertial solution."""
-
-    POSITION = 0
-    HEIGHT = 1
-    VELOCITY = 2
-    HEADING = 3
-    BARO = 4
-    REST = 5
-    """Standing still."""
-
 
 RESET_REASONS = (
     *("none", "position", "velocity", "height", "heading", "inertial gap", "clock"),
@@ -97,3 +54,6 @@ class Health:
     start: str
     """How it began: ``cold``, ``cold: `` and why a checkpoint was refused, or ``warm: `` and what
     was lost."""
+
+
+__all__ = ["RESET_REASONS", "Aid", "Arrival", "Health", "Verdict"]

@@ -7,9 +7,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.core import state as at
 from ekf_companion.core.field import Field
-from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
+from ekf_companion.core.from_settings import delays_ns, parameters
+from ekf_companion.core.memory import as_estimate, as_state
+from ekf_companion.core.scratch import OUT
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.state import BLOCK
 from ekf_companion.core.timeline import COMPILED_BLOCK, Timeline
 from ekf_companion.engine.checkpoint import State, settings_fingerprint
 from ekf_companion.engine.health import RESET_REASONS, Aid, Arrival, Health, Verdict
@@ -24,7 +27,7 @@ _ARRIVALS = tuple(Arrival)
 
 QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Status.INVALID: -1}
 """Per cent, as ODOMETRY tells it."""
-if COMPILED_BLOCK != at.BLOCK:
+if COMPILED_BLOCK != BLOCK:
     raise ImportError("the compiled kernel is older than its source; build it anew: make setup")
 
 
@@ -78,7 +81,7 @@ class Pipeline:
         """Take a whole recording by the same steps, and give an estimate per inertial sample."""
         samples = int(np.count_nonzero(events.kind == Kind.IMU))
         stamps = np.zeros(samples, dtype=np.int64)
-        out = np.empty((samples, at.OUT))
+        out = np.empty((samples, OUT))
         values = self._field.complete_all(events)
         n = self._timeline.run_log(events.t_ns, events.kind, values, stamps, out)
         return Table(stamp_ns=stamps[:n], values=out[:n])
@@ -88,7 +91,7 @@ class Pipeline:
 
         What a late event makes run again from now on is run by these too.
         """
-        k = parameters(settings, self._family, self._gnss_delay)
+        k = parameters(settings, self._family)
         self._fingerprint = settings_fingerprint(k, self._late)
         self._timeline.retune(k)
 
@@ -120,7 +123,7 @@ class Pipeline:
         self._timeline.restore(state.block, state.waiting, state.epoch_ns, state.stamp_ns)
         self.told_before = state.told_before
         self.start = "warm"
-        self.resets_before = int(state.block[at.X_RESETS])
+        self.resets_before = int(as_state(state.block).resets)
 
     @property
     def resets(self) -> int:
@@ -140,8 +143,8 @@ class Pipeline:
 
     def nis_sums(self) -> tuple[Array, Array]:
         """Give the sum of the normalised innovations squared, and how many, by aid, shape (6,)."""
-        x = self._timeline.block()
-        return x[at.X_NIS_SUM : at.X_NIS_SUM + len(Aid)], x[at.X_NIS_N : at.X_NIS_N + len(Aid)]
+        x = as_state(self._timeline.block())
+        return np.array(x.nis_sum), np.array(x.nis_n)
 
     def estimate(self) -> Array:
         """Give the estimate of now: ``nav.state.COLUMNS`` without the time, shape (33,)."""
@@ -149,7 +152,7 @@ class Pipeline:
 
     def odometry(self) -> Odometry | None:
         """Give what is to be told of the estimate of now; None while there is no position."""
-        status, resets, numbers = self._timeline.tell()
+        status, resets, numbers = self._timeline.odometry()
         if status < Status.OK:
             return None
         count = self.told_before + resets
@@ -157,39 +160,35 @@ class Pipeline:
 
     def health(self) -> Health:
         """Give the filter's own account of itself."""
-        x = self._timeline.block()
-        values = self.estimate()
+        x = as_state(self._timeline.block())
+        now = as_estimate(self.estimate())
         arrivals = self._timeline.arrivals
-        counts = x[at.X_COUNT : at.X_COUNT + at.AIDS * at.WHYS].reshape(at.AIDS, at.WHYS)
         return Health(
-            status=Status(int(values[at.OUT_STATUS])),
-            resets=int(x[at.X_RESETS]),
-            reset_reason=RESET_REASONS[int(x[at.X_RESET_REASON])],
-            samples=int(x[at.X_SAMPLES]),
-            gaps=int(x[at.X_GAPS]),
-            ratios={aid: float(x[at.X_RATIO + aid]) for aid in Aid},
-            verdicts={aid: {why: int(counts[aid, why]) for why in Verdict} for aid in Aid},
+            status=Status(int(now.status)),
+            resets=int(x.resets),
+            reset_reason=RESET_REASONS[int(x.reset_reason)],
+            samples=int(x.samples),
+            gaps=int(x.gaps),
+            ratios={aid: x.ratio[aid] for aid in Aid},
+            verdicts={aid: {why: int(x.count[aid][why]) for why in Verdict} for aid in Aid},
             arrivals={
                 kind: {arrival: int(arrivals[kind, arrival]) for arrival in Arrival}
                 for kind in Kind
             },
-            reruns=int(self._timeline.rerun_count),
-            reset_delta=tuple(x[at.X_DELTA : at.X_DELTA + 7].tolist()),
-            nis={
-                aid: float(x[at.X_NIS_SUM + aid] / n) if (n := x[at.X_NIS_N + aid]) else math.nan
-                for aid in Aid
-            },
-            imu_rate=1.0 / float(x[at.X_DT]) if x[at.X_DT] > 0.0 else 0.0,
-            gnss_delay=float(x[at.X_DELAY]),
+            reruns=int(self._timeline.reruns),
+            reset_delta=(*x.moved.pos_n, *x.moved.vel_n, x.moved.yaw),
+            nis={aid: x.nis_sum[aid] / n if (n := x.nis_n[aid]) else math.nan for aid in Aid},
+            imu_rate=1.0 / x.dt if x.dt > 0.0 else 0.0,
+            gnss_delay=x.gnss_delay,
             white_shares={
-                aid: float(max(x[at.X_WHITE + aid], 0.01))
+                aid: max(x.white_share[aid], 0.01)
                 for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY)
             },
-            hard_iron=(float(x[at.X_IRON]), float(x[at.X_IRON + 1]), float(x[at.X_IRON + 2])),
-            gyro_noise=float(np.sqrt(x[at.X_NOISE_G : at.X_NOISE_G + 3].max())),
-            accel_noise=float(np.sqrt(x[at.X_NOISE_A : at.X_NOISE_A + 3].max())),
-            std_horizontal=float(np.hypot(values[at.OUT_SD], values[at.OUT_SD + 1])),
-            std_vertical=float(values[at.OUT_SD + 2]),
+            hard_iron=tuple(x.hard_iron),
+            gyro_noise=math.sqrt(max(x.noise[:3])),
+            accel_noise=math.sqrt(max(x.noise[3:])),
+            std_horizontal=float(np.hypot(now.std_pos[0], now.std_pos[1])),
+            std_vertical=now.std_pos[2],
             start=self.start,
         )
 
@@ -199,12 +198,10 @@ class Pipeline:
 
         It compares settings over the same log: delays, for one. A number by itself says nothing.
         """
-        return float(self._timeline.block()[at.X_LOGLIK])
+        return float(as_state(self._timeline.block()).log_likelihood)
 
     @property
     def origin(self) -> tuple[float, float, float] | None:
         """Latitude, longitude (rad), altitude (m) of the local frame; None before a fix."""
-        x = self._timeline.block()
-        if x[at.X_HAS_ORIGIN] == 0.0:
-            return None
-        return float(x[at.X_LAT0]), float(x[at.X_LON0]), float(x[at.X_ALT0])
+        origin = as_state(self._timeline.block()).origin
+        return (origin.lat, origin.lon, origin.alt) if origin.is_known else None

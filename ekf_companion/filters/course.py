@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.core.field import Field
-from ekf_companion.core.settings import HABITS, FilterSettings, delays_ns
+from ekf_companion.core.from_settings import delays_ns
+from ekf_companion.core.settings import HABITS, FilterSettings
 from ekf_companion.errors import FilterError, LogError
 from ekf_companion.filters import aiding, samples
 from ekf_companion.filters.gate import Gate

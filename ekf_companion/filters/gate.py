@@ -8,7 +8,8 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.core.settings import GateSettings, chi_square_quantile
+from ekf_companion.core.from_settings import chi_square_quantile
+from ekf_companion.core.settings import GateSettings
 
 Array = npt.NDArray[np.float64]
 

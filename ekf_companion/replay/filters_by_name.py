@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ekf_companion.core import state as at
+from ekf_companion.core.enums import E_ATT, E_POS, E_VEL
 from ekf_companion.core.field import Field
-from ekf_companion.core.settings import FilterSettings, delays_ns
+from ekf_companion.core.from_settings import delays_ns
+from ekf_companion.core.memory import as_state
+from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import ConfigError, LogError
@@ -32,8 +34,7 @@ from ekf_companion.nav.state import Status, join
 Run = Callable[[Recording, FilterSettings, str], Solution]
 """Recording, settings and option in, solution out."""
 
-BLOCKS = [*range(at.E_ATT, at.E_ATT + 3), *range(at.E_VEL, at.E_VEL + 3)]
-BLOCKS += range(at.E_POS, at.E_POS + 3)
+BLOCKS = [first + axis for first in (E_ATT, E_VEL, E_POS) for axis in range(3)]
 """Where the estimator's covariance holds what a solution keeps of it."""
 
 
@@ -100,9 +101,9 @@ def _eskf(recording: Recording, settings: FilterSettings, option: str) -> Soluti
         tables.append(pipeline.run(events.take(rows)))
         state = pipeline.state()
         if len(tables[-1]) and tables[-1].column("status")[-1] >= Status.OK:
-            P = state.block[at.X_COV : at.X_COV + at.N * at.N].reshape(at.N, at.N)
+            P = np.array(as_state(state.block).P)
             stamps.append(pipeline.stamp_ns)
-            kept.append(P[np.ix_(BLOCKS, BLOCKS)].copy())
+            kept.append(P[np.ix_(BLOCKS, BLOCKS)])
     health = pipeline.health()
     return Solution(
         name="eskf",

@@ -16,9 +16,11 @@ from types import TracebackType
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.core import state as at
-from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
-from ekf_companion.core.smooth import Smoother
+from ekf_companion.core.from_settings import delays_ns, parameters
+from ekf_companion.core.rts import Smoother
+from ekf_companion.core.scratch import OUT, ROW, Event
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.state import BLOCK
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.spool import IN_MEMORY, Spool
 from ekf_companion.nav.measurements import Events, Kind
@@ -26,6 +28,7 @@ from ekf_companion.nav.state import Table, join
 
 Array = npt.NDArray[np.float64]
 
+_EVENT = np.dtype(Event)
 STRETCH = 512
 """Rows between two states that are kept: 4 kB of state for 60 kB of rows, a tape of 10 MB."""
 
@@ -70,15 +73,15 @@ class Smoothing:
             in_memory: Bytes of rows, and of results, beyond which a temporary file takes them.
         """
         self.pipeline = Pipeline(settings, family, gnss_delay, keeps_history=True)
-        self._smoother = Smoother(parameters(settings, family, gnss_delay))
+        self._smoother = Smoother(parameters(settings, family))
         self._lag_ns = int(delays_ns(settings, family, gnss_delay)[Kind.IMU])
-        self._rows = Spool(at.ROW, in_memory)
-        self._results = Spool(1 + at.OUT, in_memory)
+        self._rows = Spool(ROW, in_memory)
+        self._results = Spool(1 + OUT, in_memory)
         self._stretches: list[_Stretch] = []
         self._waiting: list[Array] = []
         self._clock = -1
         self._epoch = 0
-        self._block: Array = np.zeros(at.BLOCK)
+        self._block: Array = np.zeros(BLOCK)
 
     def __enter__(self) -> Smoothing:
         """Give the estimator."""
@@ -133,7 +136,8 @@ class Smoothing:
 
     def _keep(self, stretch: _Stretch, rows: Array, blocks: Array) -> None:
         """Put the estimates of a stretch aside, each behind the bits of its stamp."""
-        t = rows[rows[:, at.ROW_KIND] == Kind.IMU, at.ROW_T].astype(np.int64)
+        events = rows.view(_EVENT)[:, 0]
+        t = events["t"][events["kind"] == Kind.IMU].astype(np.int64)
         stamps = t + stretch.epoch + self._lag_ns
         results = np.column_stack([stamps.view(np.float64), self._smoother.describe(blocks)])
         self._results.append(results)
@@ -155,7 +159,7 @@ class Smoothing:
         if not self._waiting:
             return
         rows = np.concatenate(self._waiting)
-        ends = np.flatnonzero(rows[:, at.ROW_KIND] == Kind.IMU) + 1
+        ends = np.flatnonzero(rows.view(_EVENT)["kind"] == Kind.IMU) + 1
         first = 0
         while first < len(rows):
             index = int(np.searchsorted(ends, first + STRETCH))
@@ -175,7 +179,7 @@ class Smoothing:
                 block=self._block,
                 first=len(self._rows),
                 count=len(rows),
-                samples=int(np.count_nonzero(rows[:, at.ROW_KIND] == Kind.IMU)),
+                samples=int(np.count_nonzero(rows.view(_EVENT)["kind"] == Kind.IMU)),
             )
         )
         self._rows.append(rows)

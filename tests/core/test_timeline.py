@@ -3,8 +3,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ekf_companion.core import state as at
-from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
+from ekf_companion.core.enums import E_BA, E_BARO, E_BG, E_DELAY, E_IRON, Mode
+from ekf_companion.core.from_settings import delays_ns, parameters
+from ekf_companion.core.memory import as_state
+from ekf_companion.core.scratch import OUT
+from ekf_companion.core.settings import FilterSettings
 from ekf_companion.core.timeline import Timeline
 from ekf_companion.engine.health import Arrival
 from ekf_companion.nav.measurements import Events, Kind
@@ -17,7 +20,7 @@ WINDOW_NS = 2_000_000_000
 def a_timeline(kind=Timeline, **options) -> Timeline:
     told = FilterSettings()
     late = delays_ns(told, "unknown", 0.12)
-    return kind(parameters(told, "unknown", 0.12), late, WINDOW_NS, **options)
+    return kind(parameters(told, "unknown"), late, WINDOW_NS, **options)
 
 
 def put(timeline, events: Events) -> list[Arrival]:
@@ -82,7 +85,7 @@ def test_interpreted_and_compiled_agree_to_the_last_bit():
         timeline = a_timeline(kind)
         arrivals = put(timeline, late)
         ends.append((arrivals, timeline.block().tobytes(), timeline.describe().tobytes()))
-    assert np.frombuffer(ends[0][1])[at.X_MODE] == at.MODE_NAVIGATE
+    assert as_state(np.frombuffer(ends[0][1]).copy()).mode == Mode.NAVIGATE
     assert ends[0] == ends[1]
 
 
@@ -90,7 +93,7 @@ def test_a_table_and_one_event_at_a_time_give_the_same_estimates():
     events = some_events()
     whole, single = a_timeline(), a_timeline()
     samples = np.count_nonzero(events.kind == Kind.IMU)
-    stamps, out = np.zeros(samples, dtype=np.int64), np.zeros((samples, at.OUT))
+    stamps, out = np.zeros(samples, dtype=np.int64), np.zeros((samples, OUT))
     assert whole.run_log(events.t_ns, events.kind, events.values, stamps, out) == samples
     rows = []
     for t, kind, values in zip(
@@ -147,7 +150,7 @@ def test_a_clock_that_went_back_is_found_out_by_the_samples_themselves():
     arrivals = put(timeline, back)
     assert Arrival.STALE in arrivals
     assert arrivals[-1] is not Arrival.STALE
-    assert timeline.block()[at.X_RESETS] >= 1
+    assert as_state(timeline.block()).resets >= 1
 
 
 def test_a_restart_before_anything_was_learnt_forgets_all_but_the_count_of_resets():
@@ -158,8 +161,8 @@ def test_a_restart_before_anything_was_learnt_forgets_all_but_the_count_of_reset
     fresh = a_timeline()
     assert settled(timeline, events) != settled(fresh, events)
     a, b = timeline.block(), fresh.block()
-    told = [at.X_RESETS, at.X_RESET_REASON]
-    a[told] = b[told] = 0.0
+    for block in (a, b):
+        as_state(block).resets = as_state(block).reset_reason = 0.0
     assert a.tobytes() == b.tobytes()
 
 
@@ -192,25 +195,26 @@ def test_what_did_not_reboot_is_known_after_it(family, is_flown):
     timeline.insert(int(events.t_ns.max()) + 1, Kind.VEHICLE, armed)
     sample = events.values[np.flatnonzero(events.kind == Kind.IMU)[-1]]
     timeline.insert(int(events.t_ns.max()) + 100_000_000, Kind.IMU, sample)
-    learnt = timeline.block()
+    before = timeline.block()
     timeline.insert(0, Kind.RESTART, np.zeros(13))
-    guess = timeline.block()
+    after = timeline.block()
+    learnt, guess = as_state(before), as_state(after)
     keeps_gyro = family == "ardupilot" and is_flown
-    for first, sigma in ((at.X_BG, 0.02 * keeps_gyro), (at.X_BA, 0.2), (at.X_IRON, 0.01)):
-        known = learnt[first : first + 3]
-        assert np.array_equal(guess[first : first + 3], np.clip(known, -2 * sigma, 2 * sigma))
+    sigmas = {"gyro_bias": 0.02 * keeps_gyro, "accel_bias": 0.2, "hard_iron": 0.01}
+    for name, sigma in sigmas.items():
+        known = np.array(getattr(learnt, name))
+        assert np.array_equal(getattr(guess, name), np.clip(known, -2 * sigma, 2 * sigma))
         assert known.any()
-    assert guess[at.X_MODE] == at.MODE_INIT
-    was, now = (np.diag(x[at.X_COV :].reshape(at.N, at.N)) for x in (learnt, guess))
-    assert now[at.E_DELAY] == was[at.E_DELAY]
-    assert np.array_equal(now[at.E_IRON :], was[at.E_IRON :])
-    accel, gyro = slice(at.E_BA, at.E_BARO), slice(at.E_BG, at.E_BA)
+    assert guess.mode == Mode.INIT
+    was, now = (np.diag(np.array(x.P)) for x in (learnt, guess))
+    assert now[E_DELAY] == was[E_DELAY]
+    assert np.array_equal(now[E_IRON:], was[E_IRON:])
+    accel, gyro = slice(E_BA, E_BARO), slice(E_BG, E_BA)
     assert now[accel] == pytest.approx((was[accel] + 5e-3**2) * (family == "ardupilot"))
     assert now[gyro] == pytest.approx((was[gyro] + 5e-4**2) * keeps_gyro)
     assert np.count_nonzero(now) == 4 + 3 * (family == "ardupilot") + 3 * keeps_gyro
-    assert guess[at.X_DELAY] == learnt[at.X_DELAY]
-    white = slice(at.X_WHITE, at.X_WHITE + 3)
-    assert np.array_equal(guess[white], learnt[white])
+    assert guess.gnss_delay == learnt.gnss_delay
+    assert list(guess.white_share) == list(learnt.white_share)
 
 
 def test_events_that_wait_for_a_sample_do_not_fill_the_memory():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core import state as at
+from ekf_companion.core.memory import as_state
 from ekf_companion.core.settings import FilterSettings, GnssSettings
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
@@ -39,7 +39,7 @@ class Run:
 
     @property
     def repairs(self) -> int:
-        return int(self.pipeline._timeline.block()[at.X_BANK + at.B_REPAIRS])
+        return int(as_state(self.pipeline._timeline.block()).yaw_bank.repairs)
 
 
 def lying(events: Events, start: float = 0.0, end: float = np.inf) -> Events:
@@ -117,9 +117,9 @@ def test_a_compass_that_jumps_in_flight_moves_nothing(name):
 def test_a_compass_that_comes_to_its_senses_is_heard_again():
     events, truth = flight("loiter", duration=60.0, rate=50.0)
     run = Run(lying(events, end=15.0), truth)
-    x = run.pipeline._timeline.block()
-    assert abs(np.degrees(x[at.X_HEADING])) < 5.0
-    assert x[at.X_HEADING_STD] == FilterSettings().heading.magnetometer_std
+    x = as_state(run.pipeline._timeline.block())
+    assert abs(np.degrees(x.heading_offset)) < 5.0
+    assert x.heading_std == FilterSettings().heading.magnetometer_std
 
 
 @pytest.mark.parametrize("name", [*FLIGHTS, "hover"])
@@ -150,12 +150,9 @@ def claims(events: Events, truth: Trajectory) -> np.ndarray:
         timeline.insert(*row)
         if row[1] != Kind.GNSS:
             continue
-        x = timeline.block()
-        bank = x[at.X_BANK : at.X_BANK + at.B_SIZE]
-        if bank[at.B_GOOD] >= 5.0:
-            told = so3.multiply(
-                so3.exp(np.array([0.0, 0.0, bank[at.B_YAW]])), bank[at.B_Q : at.B_Q + 4]
-            )
+        bank = as_state(timeline.block()).yaw_bank
+        if bank.good >= 5.0:
+            told = so3.multiply(so3.exp(np.array([0.0, 0.0, bank.yaw])), np.array(bank.q_sb))
             true = truth.q_nb[np.searchsorted(truth.att_t_ns, timeline.stamp_ns)]
             errors.append(so3.log(so3.multiply(told, so3.conjugate(true)))[2])
     return np.abs(np.degrees(errors))
@@ -176,7 +173,7 @@ def test_after_a_gap_the_bank_finds_the_heading_again():
     events = without(events, Kind.MAG)
     gap = (events.kind == Kind.IMU) & between(events, 25.0, 25.5)
     run = Run(events.take(~gap), truth)
-    x = run.pipeline._timeline.block()
-    assert x[at.X_BANK + at.B_GOOD] >= 5.0
-    assert x[at.X_GAPS] == 1.0
+    x = as_state(run.pipeline._timeline.block())
+    assert x.yaw_bank.good >= 5.0
+    assert x.gaps == 1.0
     assert run.error[-1] < 3.0

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from ekf_companion.core.memory import as_state
 from ekf_companion.core.settings import FilterSettings, GateSettings, GnssSettings, HeadingSettings
 from ekf_companion.engine.health import Aid, Arrival, Verdict
 from ekf_companion.engine.pipeline import Pipeline
@@ -301,9 +302,7 @@ def test_an_armed_flight_without_gnss_is_not_taken_for_rest():
 def test_covariance_stays_symmetric_and_positive():
     events, _ = flight("figure-eight", duration=40.0)
     _, pipeline = run(events)
-    from ekf_companion.core import state as at
-
-    P = pipeline._timeline.block()[at.X_COV :].reshape(at.N, at.N)
+    P = np.array(as_state(pipeline._timeline.block()).P)
     assert np.array_equal(P, P.T)
     assert np.linalg.eigvalsh(P).min() > 0.0
 

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core import state as at
-from ekf_companion.core.settings import AlignSettings, FilterSettings, HeadingSettings, parameters
+from ekf_companion.core.enums import AID_POSITION, E_VEL, VERDICT_FUSED, Mode
+from ekf_companion.core.from_settings import parameters
+from ekf_companion.core.memory import as_parameters, as_state
+from ekf_companion.core.settings import AlignSettings, FilterSettings, HeadingSettings
 from ekf_companion.engine.health import RESET_REASONS, Aid, Verdict
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Status
@@ -166,20 +168,20 @@ def test_a_state_out_of_bounds_is_restored_from_the_last_good_one_once():
     kernel = load().kernel
     events, _ = flight("figure-eight", duration=20.0)
     _, pipeline = run(events)
-    good = pipeline._timeline.block()
-    k, now = parameters(KNOWN, "unknown"), good[at.X_T] + 64e6
-    broken = good.copy()
-    broken[at.X_VEL] = np.nan
-    broken[at.X_COUNT] += 1.0
+    block = pipeline._timeline.block()
+    good, broken = as_state(block), as_state(block.copy())
+    k, now = as_parameters(parameters(KNOWN, "unknown")), good.t + 64e6
+    broken.vel_n[0] = np.nan
+    broken.count[AID_POSITION][VERDICT_FUSED] += 1.0
     assert not kernel.is_sound(broken)
     kernel.recover(broken, k, good, now)
     assert kernel.is_sound(broken)
-    assert broken[at.X_T] == now
-    assert broken[at.X_RESETS] == good[at.X_RESETS] + 1.0
-    assert RESET_REASONS[int(broken[at.X_RESET_REASON])] == "state out of bounds"
-    assert broken[at.X_COUNT] == good[at.X_COUNT] + 1.0
-    vel = at.X_COV + at.E_VEL * (at.N + 1)
-    assert broken[vel] > good[vel]
-    broken[at.X_POS] = np.inf
+    assert broken.t == now
+    assert broken.resets == good.resets + 1.0
+    assert RESET_REASONS[int(broken.reset_reason)] == "state out of bounds"
+    fused = [x.count[AID_POSITION][VERDICT_FUSED] for x in (broken, good)]
+    assert fused[0] == fused[1] + 1.0
+    assert broken.P[E_VEL][E_VEL] > good.P[E_VEL][E_VEL]
+    broken.pos_n[0] = np.inf
     kernel.recover(broken, k, good, now + 1e9)
-    assert broken[at.X_MODE] == at.MODE_LEVEL
+    assert broken.mode == Mode.LEVEL

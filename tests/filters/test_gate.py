@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.settings import GateSettings, chi_square_quantile
+from ekf_companion.core.from_settings import chi_square_quantile
+from ekf_companion.core.settings import GateSettings
 from ekf_companion.filters.gate import Gate, Trust
 
 S = np.diag([4.0, 4.0, 9.0])

@@ -2,15 +2,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ekf_companion.core import state as at
-from ekf_companion.core.settings import (
-    HABITS,
-    FilterSettings,
-    GnssSettings,
-    chi_square_quantile,
-    delays_ns,
-    parameters,
-)
+from ekf_companion.core.from_settings import chi_square_quantile, delays_ns, parameters
+from ekf_companion.core.memory import as_parameters
+from ekf_companion.core.settings import HABITS, FilterSettings, GnssSettings
 from ekf_companion.nav.measurements import Kind
 
 
@@ -23,12 +17,11 @@ def test_gates_are_chi_square_quantiles(dof, probability):
 
 
 def test_every_parameter_is_given():
-    k = parameters(FilterSettings(), "unknown")
-    names = [name for name in vars(at) if name.startswith("K_")]
-    may_be_zero = {"K_LAG", "K_LEVER", "K_HEADING", "K_KEEPS_BIAS"}
-    learnt = {"K_WHITE_SHARE"}
-    assert [name for name in names if np.isnan(k[getattr(at, name)])] == [*learnt]
-    assert [name for name in names if k[getattr(at, name)] == 0.0 and name not in may_be_zero] == []
+    k = as_parameters(parameters(FilterSettings(), "unknown"))
+    given = {name: np.ravel(getattr(k, name)) for name, _ in k._fields_}
+    may_be_zero = {"lag", "lever_arm_b", "heading", "keeps_bias"}
+    assert [name for name, one in given.items() if np.isnan(one).any()] == ["white_share"]
+    assert {name for name, one in given.items() if (one == 0.0).any()} == may_be_zero
 
 
 def test_auto_follows_the_family_unless_told_otherwise():

@@ -1,0 +1,176 @@
+"""Numbers that the kernel's modules share: what is enumerated, and where each error state lies.
+
+``setup.py`` makes ``enums.pxd`` from it, where a member is ``PREFIX_MEMBER``: ``MODE_LEVEL``.
+"""
+
+from enum import IntEnum
+
+from ekf_companion.core.declare import enum_member
+from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.state import Status
+
+
+class Aid(IntEnum):
+    """What corrects the inertial solution."""
+
+    POSITION = 0
+    HEIGHT = 1
+    VELOCITY = 2
+    HEADING = 3
+    BARO = 4
+    REST = 5
+    """Standing still."""
+
+
+class Verdict(IntEnum):
+    """What became of an aid when the filter came to it."""
+
+    FUSED = 0
+    GATED = 1
+    UNALIGNED = 2
+    """It came before alignment."""
+    UNUSED = 3
+    """A better source speaks, or the user said no."""
+    SOFT = 4
+    """Fused with less weight: between the soft and the hard gate."""
+    SUSPECT = 5
+    """The receiver itself reports jamming or spoofing."""
+    DISTURBED = 6
+    """A magnetic field that is not the Earth's."""
+
+
+class Arrival(IntEnum):
+    """What became of a measurement on its arrival."""
+
+    TAKEN = 0
+    STALE = 1
+    """Older than the window: nothing can be redone that far back."""
+    DUPLICATE = 2
+    MALFORMED = 3
+    """What no sensor can say."""
+    RESTARTED = 4
+    ESTIMATED = 5
+    """The newest inertial sample: there is an estimate for its stamp."""
+
+
+class Mode(IntEnum):
+    """What the filter is doing."""
+
+    INIT = 0
+    LEVEL = 1
+    """Finding down and north."""
+    ATTITUDE = 2
+    """It has an attitude, and no position yet."""
+    NAVIGATE = 3
+
+
+class NeedsReset(IntEnum):
+    """What a long inertial gap leaves to be done."""
+
+    NOTHING = 0
+    FIX = 1
+    """Nothing has been heard of position and velocity since."""
+    TILT = 2
+    """Fixes have come again, but have not shown the attitude yet."""
+
+
+class HeadingChoice(IntEnum):
+    """Headings that the user lets the filter use."""
+
+    AUTO = 0
+    GNSS = 1
+    MAG = 2
+    AUTOPILOT = 3
+
+
+class Azimuth(IntEnum):
+    """Where the azimuth in use comes from; 0: from nowhere yet."""
+
+    ANTENNA = 1
+    """Two antennas of a receiver."""
+    OTHER = 2
+    """Another estimate."""
+    MAGNETIC = 3
+    """The magnetic field, before its declination is known."""
+    FIELD = 4
+    """The magnetic field, and its declination."""
+
+
+class Reset(IntEnum):
+    """Why the state jumped."""
+
+    NONE = 0
+    POSITION = 1
+    VELOCITY = 2
+    HEIGHT = 3
+    HEADING = 4
+    GAP = 5
+    CLOCK = 6
+    BOUNDS = 7
+    MOTION = 8
+    """The heading contradicted the motion."""
+    RESTART = 9
+
+
+class Link(IntEnum):
+    """How a record of the tape follows from the one before."""
+
+    SAME = 0
+    """Whatever was measured in between, it is the same error of the same true state."""
+    MOVED = 1
+    """By the transition that the record holds, and noise."""
+    FRESH = 2
+    """The same, but some error states were drawn anew meanwhile."""
+    CUT = 3
+    """It does not follow: a new stretch begins."""
+
+
+ENUMS: dict[str, type[IntEnum]] = {
+    "KIND": Kind,
+    "STATUS": Status,
+    "ARRIVAL": Arrival,
+    "MODE": Mode,
+    "AID": Aid,
+    "VERDICT": Verdict,
+    "NEEDS": NeedsReset,
+    "CHOICE": HeadingChoice,
+    "AZIMUTH": Azimuth,
+    "RESET": Reset,
+    "LINK": Link,
+}
+"""Enumerations that the kernel knows, by the prefix of their members: ``MODE_LEVEL``."""
+
+
+def __getattr__(name: str) -> int:
+    """Return a member of an enumeration as the compiled kernel has it: a plain number."""
+    return enum_member(ENUMS, __name__, name)
+
+
+# Where each error state begins, in this order in the covariance
+E_ATT = 0
+"""Attitude: a rotation vector in n."""
+E_VEL = 3
+E_POS = 6
+E_BG = 9
+"""Gyro bias."""
+E_BA = 12
+"""Accelerometer bias."""
+E_BARO = 15
+"""Offset of the barometer."""
+E_DELAY = 16
+"""How much later than its stamp a fix is."""
+E_HEADING = 17
+"""Slow error of the heading in use."""
+E_GNSS = 18
+"""Slow error of the receiver's position, in n."""
+E_IRON = 21
+"""The vehicle's own magnetic field, in b."""
+N = 24
+
+AIDS = 6
+VERDICTS = 7
+RUNS = 3
+"""Aids of the receiver, which have to prove themselves: position, height, velocity."""
+YAW_FILTERS = 8
+YAW_N = 9
+"""States of one yaw filter: velocity (2), yaw, tilt (2), gyro bias (3), delay."""

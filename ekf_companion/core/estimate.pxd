@@ -1,0 +1,10 @@
+from ekf_companion.core.parameters cimport Parameters
+from ekf_companion.core.scratch cimport Estimate, Motion, Scratch
+from ekf_companion.core.state cimport State
+cdef int find_status(State *x, Parameters *k) noexcept nogil
+cdef int write_estimate(
+    State *x, Parameters *k, State *y, Scratch *w, Estimate *out
+) noexcept nogil
+cdef void clear(Estimate *out) noexcept nogil
+cdef void write_axis(State *x, State *y, Estimate *out, Py_ssize_t axis) noexcept nogil
+cdef void write_attitude(State *x, State *y, Motion *m, Estimate *out) noexcept nogil

@@ -1,0 +1,12 @@
+from ekf_companion.core.parameters cimport Parameters
+from ekf_companion.core.scratch cimport Scratch
+from ekf_companion.core.state cimport State
+cdef void begin_window(State *x, double t) noexcept nogil
+cdef void add_to_window(State *x) noexcept nogil
+cdef double largest_at_rest(double learnt, double largest) noexcept nogil
+cdef bint was_at_rest(State *x, Parameters *k) noexcept nogil
+cdef void check_rest(State *x, Parameters *k, Scratch *w) noexcept nogil
+cdef void use_rest_window(State *x, Parameters *k, Scratch *w) noexcept nogil
+cdef bint is_moving(State *x) noexcept nogil
+cdef void fuse_zero_velocity(State *x, Parameters *k, Scratch *w) noexcept nogil
+cdef void fuse_no_travel(State *x, Scratch *w) noexcept nogil

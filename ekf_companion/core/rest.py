@@ -1,0 +1,191 @@
+"""Rest: when the vehicle stands still, and what follows from it."""
+
+from __future__ import annotations
+
+import cython
+from cython import address
+from cython.cimports.ekf_companion.core import align, gate, observe, yaw_bank
+from cython.cimports.ekf_companion.core.correct import apply_update, innovate, reset_variance
+from cython.cimports.ekf_companion.core.enums import (
+    AID_POSITION,
+    AID_REST,
+    E_BG,
+    E_POS,
+    E_VEL,
+    MODE_ATTITUDE,
+    MODE_LEVEL,
+    MODE_NAVIGATE,
+)
+from cython.cimports.ekf_companion.core.parameters import Parameters
+from cython.cimports.ekf_companion.core.scratch import Scratch
+from cython.cimports.ekf_companion.core.state import State
+from cython.cimports.libc.math import sqrt
+
+FEWEST = cython.declare(cython.double, 5.0)
+"""Samples to judge rest by."""
+ROUGH_AFTER = cython.declare(cython.double, 6e9)
+"""Without rest and without GNSS the attitude is taken roughly after this long, ns."""
+FAKE_INTERVAL = cython.declare(cython.double, 2e8)
+"""Between two assumptions that the vehicle is not going anywhere, while it has no GNSS, ns."""
+LOST = cython.declare(cython.double, 100.0)
+"""So many times the limit (as variances), a position is not worth keeping."""
+LONGEST_OUTAGE = cython.declare(cython.double, 60.0)
+"""And after so long without GNSS, s."""
+REST_SPEED = cython.declare(cython.double, 0.05)
+"""One sigma of the velocity of what stands still, m/s."""
+REST_RATE = cython.declare(cython.double, 1e-4)
+"""One sigma of its rate, rad/s, beside noise: the ground gives way, the wind rocks."""
+
+
+def begin_window(x: State, t: float) -> None:
+    """Begin a window of rest statistics at t."""
+    rest = address(x.alignment.rest)
+    rest.t0 = t
+    rest.n = 0.0
+    for i in range(3):
+        rest.gyro[i] = 0.0
+        rest.accel[i] = 0.0
+        rest.gyro2[i] = 0.0
+        rest.accel2[i] = 0.0
+
+
+def add_to_window(x: State) -> None:
+    """Add the newest sample to the rest statistics."""
+    rest = address(x.alignment.rest)
+    rest.n += 1.0
+    for i in range(3):
+        rest.gyro[i] += x.gyro[i]
+        rest.accel[i] += x.accel[i]
+        rest.gyro2[i] += x.gyro[i] * x.gyro[i]
+        rest.accel2[i] += x.accel[i] * x.accel[i]
+
+
+def largest_at_rest(learnt: float, largest: float) -> float:
+    """Return the largest variance at rest: twice the sigma learnt, but no more than the limit."""
+    if learnt > 0.0 and 4.0 * learnt < largest * largest:
+        return 4.0 * learnt
+    return largest * largest
+
+
+def was_at_rest(x: State, k: Parameters) -> bool:
+    """Return whether the window saw the vehicle stand still: quiet, not turning, one g."""
+    rest = address(x.alignment.rest)
+    n = rest.n
+    size = 0.0
+    var_gyro = 0.0
+    var_accel = 0.0
+    rate = 0.0
+    for i in range(3):
+        mean = rest.gyro[i] / n
+        rate += mean * mean
+        var_gyro += rest.gyro2[i] / n - mean * mean
+        mean = rest.accel[i] / n
+        size += mean * mean
+        var_accel += rest.accel2[i] / n - mean * mean
+    size = sqrt(size)
+    if var_gyro > largest_at_rest(x.rest_gyro, k.rest_gyro):
+        return False
+    if var_accel > largest_at_rest(x.rest_accel, k.rest_accel):
+        return False
+    if rate > 0.01:  # 0.1 rad/s: no gyro of today has such a bias
+        return False
+    if size < 0.9 * k.gravity or size > 1.1 * k.gravity:
+        return False
+    if x.mode == MODE_LEVEL and x.alignment.motion.has_fix != 0.0:
+        # a receiver that says we move is believed
+        mean = 0.5 + 3.0 * x.alignment.motion.fix_std
+        rate = 0.0
+        for i in range(2):
+            rate += x.alignment.motion.fix_vel[i] * x.alignment.motion.fix_vel[i]
+        return rate < mean * mean
+    return True
+
+
+def check_rest(x: State, k: Parameters, w: Scratch) -> None:
+    """Level, or fuse rest, when a window of it is full; keep an attitude without GNSS."""
+    rest = address(x.alignment.rest)
+    add_to_window(x)
+    if x.t - rest.t0 >= k.align_time * 1e9 and rest.n >= FEWEST:
+        use_rest_window(x, k, w)
+        begin_window(x, x.t)
+    if x.mode == MODE_ATTITUDE and x.t - x.fake_t >= FAKE_INTERVAL:
+        fuse_no_travel(x, w)
+    elif (
+        x.mode == MODE_NAVIGATE
+        and gate.is_timed_out(x, AID_POSITION, LONGEST_OUTAGE)
+        and x.P[E_POS][E_POS] > LOST * k.limit_pos * k.limit_pos
+    ):
+        # so long without GNSS that only the attitude is left to keep
+        x.mode = MODE_ATTITUDE
+        reset_variance(x, E_VEL, 3, 100.0)
+        for i in range(3):
+            x.vel_n[i] = 0.0
+
+
+def use_rest_window(x: State, k: Parameters, w: Scratch) -> None:
+    """Find out whether the window saw rest; level by it, or fuse it."""
+    # an autopilot that says it flies is believed: a smooth flight looks like rest
+    x.at_rest = 0.0
+    if (x.armed != 1.0 or x.landed == 1.0) and was_at_rest(x, k) and not is_moving(x):
+        x.at_rest = 1.0
+    if x.mode == MODE_LEVEL:
+        if x.at_rest != 0.0:
+            align.level_at_rest(x, k, w)
+            yaw_bank.take_bias(x, sqrt(x.P[E_BG][E_BG]))
+        elif x.t - x.alignment.start_t > ROUGH_AFTER and x.t - x.fix_t > ROUGH_AFTER:
+            align.level_roughly(x, k, w)
+    elif x.at_rest != 0.0 and k.use_rest != 0.0 and x.needs_reset == 0.0:
+        fuse_zero_velocity(x, k, w)
+
+
+def is_moving(x: State) -> bool:
+    """Return whether our own velocity speaks against rest: wings fly as quietly as they stand."""
+    speed = 0.0
+    sigma = 0.0
+    if x.mode != MODE_NAVIGATE or x.landed == 1.0:
+        return False
+    for i in range(3):
+        speed += x.vel_n[i] * x.vel_n[i]
+        sigma += x.P[E_VEL + i][E_VEL + i]
+    # a velocity that is not known speaks against it as well
+    if sigma > 1.0:
+        return True
+    return speed > 0.25 + 9.0 * sigma
+
+
+def fuse_zero_velocity(x: State, k: Parameters, w: Scratch) -> None:
+    """Fuse rest: no velocity, and what the gyro showed over the window is its bias.
+
+    Only where a rest has been seen before, or the autopilot says that it has landed: so a first
+    hover is not taken for one.
+    """
+    rest = address(x.alignment.rest)
+    o = address(w.observation)
+    if not x.rest_gyro > 0.0 and x.landed != 1.0:
+        return
+    if x.mode == MODE_NAVIGATE:
+        observe.zero_velocity(x, o, REST_SPEED)
+        if not gate.fuse(x, k, o, AID_REST):
+            return
+        x.ground = x.pos_n[2]
+        x.has_ground = 1.0
+    variance = 0.0
+    for i in range(3):
+        w.mean_rate[i] = rest.gyro[i] / rest.n
+        variance += rest.gyro2[i] / rest.n - w.mean_rate[i] * w.mean_rate[i]
+    if variance < 0.0:
+        variance = 0.0
+    observe.zero_rate(x, o, w.mean_rate, sqrt(variance / rest.n) + REST_RATE)
+    gate.fuse(x, k, o, AID_REST)
+
+
+def fuse_no_travel(x: State, w: Scratch) -> None:
+    """Fuse that the vehicle goes nowhere, by a lot or by nothing: as gravity, that bounds tilt."""
+    o = address(w.observation)
+    x.fake_t = x.t
+    observe.zero_velocity(x, o, 0.1 if x.at_rest != 0.0 else 30.0)
+    innovate(x, o)
+    apply_update(x, o)
+    reset_variance(x, E_POS, 2, 1.0)
+    for i in range(2):
+        x.pos_n[i] = 0.0

@@ -1,0 +1,91 @@
+"""States and small errors of them, for the tests of the kernel's parts."""
+
+import numpy as np
+
+from ekf_companion.core.enums import (
+    E_ATT,
+    E_BA,
+    E_BARO,
+    E_BG,
+    E_DELAY,
+    E_GNSS,
+    E_HEADING,
+    E_IRON,
+    E_POS,
+    E_VEL,
+    N,
+)
+from ekf_companion.core.parameters import Parameters
+from ekf_companion.core.state import State
+from ekf_companion.nav import so3
+from tests.core.interpreted import load
+
+VECTORS = {
+    "vel_n": E_VEL,
+    "pos_n": E_POS,
+    "gyro_bias": E_BG,
+    "accel_bias": E_BA,
+    "gnss_offset": E_GNSS,
+    "hard_iron": E_IRON,
+}
+"""Parts of the nominal state that are vectors, and where their errors are."""
+NUMBERS = {"baro_offset": E_BARO, "gnss_delay": E_DELAY, "heading_offset": E_HEADING}
+
+
+def array(field) -> np.ndarray:
+    """Return the memory of a field of a struct as an array."""
+    return np.ctypeslib.as_array(field)
+
+
+def copy(struct):
+    """Return a copy of a struct."""
+    return type(struct).from_buffer_copy(struct)
+
+
+def a_state(seed: int) -> State:
+    """Return a state with everything away from zero."""
+    rng = np.random.default_rng(seed)
+    x = State()
+    x.q_nb[:] = so3.exp(rng.normal(0.0, 0.7, 3))
+    x.vel_n[:] = rng.normal(0.0, 8.0, 3)
+    x.pos_n[:] = rng.normal(0.0, 50.0, 3)
+    x.gyro_bias[:] = rng.normal(0.0, 0.02, 3)
+    x.accel_bias[:] = rng.normal(0.0, 0.2, 3)
+    x.baro_offset, x.heading_offset, x.gnss_delay = 12.0, 0.05, 0.03
+    x.gnss_offset[:] = rng.normal(0.0, 1.0, 3)
+    x.hard_iron[:] = rng.normal(0.0, 0.02, 3)
+    x.gyro[:] = rng.normal(0.0, 1.0, 3)
+    x.accel_n[:] = rng.normal(0.0, 3.0, 3)
+    load().propagate.set_origin(x, 0.82, 0.15, 480.0)
+    return x
+
+
+def some_parameters() -> Parameters:
+    """Return parameters with a lever arm."""
+    k = Parameters()
+    k.lever_arm_b[:] = [0.4, -0.3, -0.2]
+    k.gravity, k.heading_time, k.gnss_offset_time = 9.8, 50.0, 80.0
+    return k
+
+
+def plus(x: State, error: np.ndarray) -> State:
+    """Return a state with a small error put into it, as the kernel defines errors."""
+    x = copy(x)
+    x.q_nb[:] = so3.multiply(so3.exp(error[E_ATT : E_ATT + 3]), np.array(x.q_nb))
+    for name, first in VECTORS.items():
+        array(getattr(x, name))[:] += error[first : first + 3]
+    for name, place in NUMBERS.items():
+        setattr(x, name, getattr(x, name) + error[place])
+    return x
+
+
+def minus(y: State, x: State) -> np.ndarray:
+    """Return the error that turns x into y."""
+    error = np.zeros(N)
+    q = so3.multiply(np.array(y.q_nb), so3.conjugate(np.array(x.q_nb)))
+    error[E_ATT : E_ATT + 3] = so3.log(q)
+    for name, first in VECTORS.items():
+        error[first : first + 3] = array(getattr(y, name)) - array(getattr(x, name))
+    for name, place in NUMBERS.items():
+        error[place] = getattr(y, name) - getattr(x, name)
+    return error
