@@ -24,7 +24,8 @@ PlotOption = Annotated[
     Path | None, typer.Option("--plot", help="The figure; by default LOG.KIND.png, here.")
 ]
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", "-c", help="YAML file; config/ holds commented ones.")
+    Path | None,
+    typer.Option("--config", "-c", help="YAML file; config/reference.yaml explains it."),
 ]
 SmoothOption = Annotated[
     bool, typer.Option("--smooth", help="Go back over the flight: each estimate knows all of it.")

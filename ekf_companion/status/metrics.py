@@ -86,17 +86,17 @@ def declared(kind: type = Snapshot, path: Path = ()) -> Iterator[tuple[Metric, P
         metrics = [HEALTH.get(name)] if kind is Health else getattr(hint, "__metadata__", ())
         here = (*path, name)
         yield from ((one, here) for one in metrics if isinstance(one, Metric))
-        for inner in _types(hint):
+        for inner in types_in(hint):
             if is_dataclass(inner):
                 yield from declared(inner, here)
 
 
-def _types(hint: Any) -> Iterator[type]:
+def types_in(hint: Any) -> Iterator[type]:
     """Yield the types in an annotation, however deep."""
     if isinstance(hint, type):
         yield hint
     for argument in get_args(hint):
-        yield from _types(argument)
+        yield from types_in(argument)
 
 
 def _by_name() -> dict[str, list[tuple[Metric, Path]]]:

@@ -111,8 +111,11 @@ class FrameState:
 
     frames: Annotated[int, counter("frames", "MAVLink frames with a right checksum.")]
     bad_crc: Annotated[int, counter(*_FRAME_ERRORS, ("reason=bad_crc",))]
+    """Their checksum is wrong."""
     unknown_id: Annotated[int, counter(*_FRAME_ERRORS, ("reason=unknown_id",))]
+    """Their message is not one that we know."""
     incompatible: Annotated[int, counter(*_FRAME_ERRORS, ("reason=incompatible",))]
+    """They have flags that we do not know."""
     junk_bytes: Annotated[int, counter("junk_bytes", "Bytes of no known frame.")]
     lost: Annotated[int, counter("frames_lost", "The autopilot's that never came.")]
     """By its sequence numbers, as the two that follow."""
@@ -120,7 +123,7 @@ class FrameState:
     duplicates: Annotated[int, counter("frames_duplicate", "Came twice in a row.")] = 0
     signed: Annotated[int, counter("frames_signed", "With a signature that was right.")]
     refused: Annotated[Mapping[str, int], counter("frames_refused", "Not admitted.", ("reason",))]
-    """Ids that may not speak, signatures."""
+    """By reason: ids that may not speak, signatures."""
     ignored: Annotated[
         Mapping[str, int], counter("frames_ignored", "Not the autopilot's.", ("reason",))
     ] = field(default_factory=dict)
@@ -149,6 +152,7 @@ class MessageState:
     """One message of the autopilot's."""
 
     count: Annotated[int, counter("messages_received", "The autopilot's.", ("message",))]
+    """How many have come."""
     rate: Annotated[float, gauge("message_rate_hertz", "Over the last five seconds.", ("message",))]
     """0: it comes no more."""
     asked: Annotated[
@@ -195,7 +199,9 @@ class TimeState:
         gauge("clock_skew_ratio", "How much faster the autopilot's clock runs.", scale=1e-6),
     ]
     rtt_p50_ms: Annotated[float, gauge(*_ROUND_TRIP, ("quantile=0.5",), scale=1e-3)]
+    """The median."""
     rtt_p95_ms: Annotated[float, gauge(*_ROUND_TRIP, ("quantile=0.95",), scale=1e-3)]
+    """95 % are shorter."""
     residual_us: Annotated[
         float,
         gauge(
@@ -206,6 +212,7 @@ class TimeState:
     ] = math.nan
     """Of the believed answers; NaN: too few."""
     answers: Annotated[int, counter("timesync_answers", "Good ones.")]
+    """Answers to our questions."""
     refused: Annotated[
         Mapping[str, int], counter("timesync_refused", "Answers refused.", ("reason",))
     ]
@@ -260,6 +267,7 @@ class ProcessState:
 
     version: Annotated[str, info("build", "What is running.", ("version",))]
     pid: int = 0
+    """Process id."""
     uptime_s: Annotated[float, gauge("uptime_seconds", "Since the start.")]
     cpu_share: Annotated[
         float, gauge("cpu_share_ratio", "Of one processor, over the last five seconds.")
@@ -274,7 +282,9 @@ class ProcessState:
     """From a read to the estimate taken by the link: how many took no longer than so many ms;
     cumulative."""
     latency_sum_ms: float
+    """Of all of them."""
     latency_count: int
+    """How many there were."""
     temperatures: Annotated[
         Mapping[str, float], gauge("temperature_celsius", "Of the board.", ("sensor",))
     ]
@@ -302,6 +312,7 @@ class Snapshot:
     """All of it, at one moment."""
 
     unix_ns: int
+    """When, unix time, ns."""
     link: LinkState
     frames: FrameState
     peer: Annotated[
