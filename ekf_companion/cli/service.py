@@ -12,7 +12,7 @@ import yaml
 
 from ekf_companion.cli.terminal import ConfigOption, load, sentences
 from ekf_companion.config.config import Config, describe_config, load_config
-from ekf_companion.config.file_name import complaint
+from ekf_companion.config.file_name import why_not_writable
 from ekf_companion.errors import ConfigError
 
 
@@ -66,7 +66,7 @@ def check_config(
     with sentences():
         read = load_config(config)
         places = (("record.path", read.record.path), ("checkpoint.file", read.checkpoint.file))
-        missing = [words for key, name in places if name and (words := complaint(key, name))]
+        missing = [words for key, name in places if name and (words := why_not_writable(key, name))]
         effective = describe_config(read)
     for words in missing:
         typer.echo(f"ekf-companion: {words}; the daemon would run without it", err=True)

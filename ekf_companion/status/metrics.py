@@ -109,29 +109,27 @@ def _by_name() -> dict[str, list[tuple[Metric, Path]]]:
 _FAMILIES = _by_name()
 
 
-def registry_of(
-    snapshot: Snapshot, breathe: Callable[[], None] = lambda: None
-) -> CollectorRegistry:
+def registry_of(snapshot: Snapshot, pause: Callable[[], None] = lambda: None) -> CollectorRegistry:
     """Return a registry of its own that holds one snapshot.
 
     Args:
         snapshot: What is exposed.
-        breathe: Called between two families: lets other threads run while the text is made.
+        pause: Called between two families: lets other threads run while the text is made.
     """
     registry = CollectorRegistry()
-    registry.register(_Collector(snapshot, breathe))
+    registry.register(_Collector(snapshot, pause))
     return registry
 
 
 class _Collector(Collector):
-    def __init__(self, snapshot: Snapshot, breathe: Callable[[], None]) -> None:
-        self._snapshot, self._breathe = snapshot, breathe
+    def __init__(self, snapshot: Snapshot, pause: Callable[[], None]) -> None:
+        self._snapshot, self._pause = snapshot, pause
 
     def collect(self) -> Iterator[Family]:
         for family in families(self._snapshot):
             if family.samples:
                 yield family
-            self._breathe()
+            self._pause()
 
     def describe(self) -> list[Family]:
         """Return no names in advance: a test checks them, not each scrape."""
