@@ -21,7 +21,6 @@ from ekf_companion.config.service import (
     CheckpointConfig,
     HttpConfig,
     LinkConfig,
-    OdometryConfig,
     OutputConfig,
     ParametersConfig,
     RecordConfig,
@@ -183,20 +182,3 @@ def describe_config(config: object) -> Mapping[str, Any]:
     """Return the effective configuration as plain tables, ready for YAML."""
     built: dict[str, Any] = msgspec.to_builtins(config)
     return built
-
-
-__all__ = [
-    "CheckpointConfig",
-    "Config",
-    "HttpConfig",
-    "LinkConfig",
-    "OdometryConfig",
-    "OutputConfig",
-    "ParametersConfig",
-    "RecordConfig",
-    "SigningConfig",
-    "TimesyncConfig",
-    "describe_config",
-    "load_config",
-    "parse_config",
-]

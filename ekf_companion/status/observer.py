@@ -19,7 +19,7 @@ from itertools import accumulate
 from typing import NamedTuple
 
 from ekf_companion.engine.companion import Companion
-from ekf_companion.engine.health import Aid, Health
+from ekf_companion.engine.health import Aid
 from ekf_companion.engine.pipeline import Array, Pipeline
 from ekf_companion.link.link import Link
 from ekf_companion.mavlink.messages import IDS
@@ -130,13 +130,18 @@ class _Counters:
 
     now_ns: int
     cpu_s: float
-    received: Mapping[int, int]
+    received: Mapping[str, int]
     odometries: int
     """ODOMETRY messages that the link took."""
     unsent: int
     """ODOMETRY messages that the link threw away."""
     lag_ns: int
     """The longest wait since the copy before."""
+
+    def rate(self, count: float, first: _Counters) -> float:
+        """Return a count since then as a rate, Hz; 0 if no time has passed."""
+        seconds = (self.now_ns - first.now_ns) * 1e-9
+        return count / seconds if seconds else 0.0
 
 
 class Observer:
@@ -212,18 +217,23 @@ class Observer:
         """Note by how much a timer of the loop was late."""
         self._longest_ns = max(self._longest_ns, round(seconds * 1e9))
 
+    def _counters(self, now_ns: int) -> _Counters:
+        """Return the counters as they are now."""
+        session = self._companion.session
+        return _Counters(
+            now_ns=now_ns,
+            cpu_s=time.process_time(),
+            received={_NAMES[number]: count for number, count in session.received.items()},
+            odometries=self._odometries,
+            unsent=session.sent.get(_ODOMETRY, 0)
+            - self._odometries
+            - self._link.replaceable_waiting,
+            lag_ns=self._longest_ns,
+        )
+
     def _keep_counters(self, now_ns: int) -> None:
         self._next_ns = now_ns + PERIOD_NS
-        self._history.append(
-            _Counters(
-                now_ns=now_ns,
-                cpu_s=time.process_time(),
-                received=dict(self._companion.session.received),
-                odometries=self._odometries,
-                unsent=self._unsent(),
-                lag_ns=self._longest_ns,
-            )
-        )
+        self._history.append(self._counters(now_ns))
         self._longest_ns = 0
         self._note_changes(now_ns)
         if (pipeline := self._companion.pipeline) is not None:
@@ -273,9 +283,10 @@ class Observer:
         """
         now_ns, session = self._clock(), self._companion.session
         self._note_changes(now_ns)
-        pipeline = self._companion.pipeline
-        health = None if pipeline is None else self._health(pipeline)
-        counters, messages = session.counters(), self._messages(now_ns)
+        now = self._counters(now_ns)
+        first = self._history[0] if self._history else now
+        pipeline, counters = self._companion.pipeline, session.counters()
+        messages = self._messages(now, first)
         return Snapshot(
             unix_ns=now_ns,
             link=link_state(self._link, seconds_since(self._heard_ns, now_ns)),
@@ -285,75 +296,53 @@ class Observer:
             refused=with_prefix(counters, "refused: "),
             imu=imu_state(session.decoder, messages),
             time=time_state(session.timesync, session.decoder, now_ns),
-            estimator=health,
+            estimator=None
+            if pipeline is None
+            else replace(pipeline.health(), nis=self._nis.mean()),
             barren_s=self._progress.barren_s(now_ns),
-            output=self._output(now_ns),
-            process=self._process(host, now_ns),
+            output=self._output(now, first),
+            process=self._process(host, now, first),
             sample_age_s=seconds_since(self._sampled_ns, now_ns),
             resets=dict(self._resets),
             tuned=self._companion.tuning.changed,
             reload=reload_state(self._companion),
         )
 
-    def _health(self, pipeline: Pipeline) -> Health:
-        """Return the filter's account, with the NIS of the last seconds."""
-        return replace(pipeline.health(), nis=self._nis.mean())
-
-    def _unsent(self) -> int:
-        """Return how many ODOMETRY messages the link has thrown away."""
-        offered = self._companion.session.sent.get(_ODOMETRY, 0)
-        return offered - self._odometries - self._link.replaceable_waiting
-
-    def _span(self, now_ns: int) -> tuple[_Counters | None, float]:
-        """Return the oldest counters and the seconds since then; 0 if there are none."""
-        if not self._history:
-            return None, 0.0
-        return self._history[0], (now_ns - self._history[0].now_ns) * 1e-9
-
-    def _messages(self, now_ns: int) -> dict[str, MessageState]:
-        session, (first, seconds) = self._companion.session, self._span(now_ns)
-        counts = {_NAMES[number]: count for number, count in session.received.items()}
-        before = {} if first is None else {_NAMES[k]: n for k, n in first.received.items()}
+    def _messages(self, now: _Counters, first: _Counters) -> dict[str, MessageState]:
+        session = self._companion.session
         asked = requested_rates(session)
         return {
             name: MessageState(
-                count=counts.get(name, 0),
-                rate=(counts.get(name, 0) - before.get(name, 0)) / seconds if seconds else 0.0,
+                count=now.received.get(name, 0),
+                rate=now.rate(now.received.get(name, 0) - first.received.get(name, 0), first),
                 asked=asked.get(name, 0.0),
                 answer=session.results.get(name, ""),
                 cause=session.audit.in_vain.get(name, ""),
             )
-            for name in sorted({*counts, *asked, *session.results})
+            for name in sorted({*now.received, *asked, *session.results})
         }
 
-    def _output(self, now_ns: int) -> OutputState:
-        first, seconds = self._span(now_ns)
-        unsent, session = self._unsent(), self._companion.session
-        new = self._odometries - (0 if first is None else first.odometries)
-        lost = unsent - (0 if first is None else first.unsent)
-        rate = new / seconds if seconds else 0.0
-        state = output_state(session, new, rate, self._unheard())
-        sent = dict(state.sent)
-        if _ODOMETRY in sent:
-            sent[_ODOMETRY] = self._odometries
+    def _output(self, now: _Counters, first: _Counters) -> OutputState:
+        new = now.odometries - first.odometries
+        rate = now.rate(new, first)
+        state = output_state(self._companion.session, new, rate, self._unheard())
+        taken = {_ODOMETRY: now.odometries} if _ODOMETRY in state.sent else {}
         return replace(
             state,
-            sent=sent,
-            unsent=unsent,
-            unsent_rate=lost / seconds if seconds else 0.0,
+            sent={**state.sent, **taken},
+            unsent=now.unsent,
+            unsent_rate=now.rate(now.unsent - first.unsent, first),
         )
 
-    def _process(self, host: Host, now_ns: int) -> ProcessState:
-        first, seconds = self._span(now_ns)
-        cpu_s = 0.0 if first is None else time.process_time() - first.cpu_s
+    def _process(self, host: Host, now: _Counters, first: _Counters) -> ProcessState:
         recorded, unrecorded, trouble = self._recorded()
         return ProcessState(
             version=__version__,
             pid=os.getpid(),
-            uptime_s=(now_ns - self._begin_ns) * 1e-9,
-            cpu_share=cpu_s / seconds if seconds else 0.0,
+            uptime_s=(now.now_ns - self._begin_ns) * 1e-9,
+            cpu_share=now.rate(now.cpu_s - first.cpu_s, first),
             rss_mb=host.rss_mb,
-            loop_lag_ms=max([self._longest_ns, *(one.lag_ns for one in self._history)]) * 1e-6,
+            loop_lag_ms=max(one.lag_ns for one in (now, *self._history)) * 1e-6,
             latency=self.latency.cumulative(),
             latency_sum_ms=self.latency.sum_ns * 1e-6,
             latency_count=self.latency.count,
@@ -361,5 +350,5 @@ class Observer:
             recorded_bytes=recorded,
             unrecorded_bytes=unrecorded,
             recording_trouble=trouble,
-            tick_age_s=seconds_since(self._tick_ns, now_ns),
+            tick_age_s=seconds_since(self._tick_ns, now.now_ns),
         )

@@ -4,8 +4,9 @@ import logging
 
 import pytest
 
-from ekf_companion.config.config import Config, ParametersConfig, describe_config, parse_config
+from ekf_companion.config.config import Config, describe_config, parse_config
 from ekf_companion.config.keys import KEYS, value_of
+from ekf_companion.config.service import ParametersConfig
 from ekf_companion.engine.tuning import Tuning, apply, parameters
 from ekf_companion.errors import ConfigError
 from ekf_companion.mavlink.parameters import _float32

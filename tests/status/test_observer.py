@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from ekf_companion.config.config import Config, LinkConfig, OdometryConfig, OutputConfig
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfig
 from ekf_companion.engine.checkpoint import Clocks
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.warm_start import Resumption

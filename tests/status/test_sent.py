@@ -8,7 +8,8 @@ import tty
 
 import pytest
 
-from ekf_companion.config.config import Config, OdometryConfig, OutputConfig
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import OdometryConfig, OutputConfig
 from ekf_companion.link.backlog import FRESH_NS
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
