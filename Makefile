@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore lint types contracts check demo bench bits accuracy filters fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
+.PHONY: setup test explore reference lint types contracts check demo bench bits accuracy filters fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -22,6 +22,10 @@ test: $(STAMP)
 # Property tests on examples never tried before
 explore: $(STAMP)
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -W error -m pytest -n 2 --dist loadfile
+
+# config/reference.yaml and the tables of docs/ that repeat what a field of the code says of itself
+reference: $(STAMP)
+	$(BIN)/python -m tests.reference
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .

@@ -45,7 +45,7 @@ from ekf_companion.logs import tlog
 from ekf_companion.replay.convert import convert, estimate, estimate_and_smooth
 from ekf_companion.replay.convert import read as read_recording
 from ekf_companion.replay.filters_by_name import FILTERS, run_filter
-from ekf_companion.status.host import Board
+from ekf_companion.status.host import Host
 from ekf_companion.status.observer import Observer
 from sim_autopilot.config import SimConfig
 from sim_autopilot.faults.fault import KINDS, VARIETY, parse
@@ -164,13 +164,13 @@ class Watched:
         if pipeline is not None and pipeline.stamp_ns != self._stamp_ns:
             self._stamp_ns = pipeline.stamp_ns
             self._digests["table"].add(self._stamp_ns, pipeline.estimate())
-        self._observer.beat(self._now_ns)
+        self._observer.tick(self._now_ns)
         if self._next_ns is None or self._now_ns >= self._next_ns:
             self._next_ns = self._now_ns + STATUS_EVERY_NS
             self._keep()
 
     def _keep(self) -> None:
-        self._status.add(json.dumps(plain(self._observer.snapshot(Board()))).encode())
+        self._status.add(json.dumps(plain(self._observer.snapshot(Host()))).encode())
         if self._companion.pipeline is not None:
             self._digests["state"].add(self._companion.pipeline.state().block)
 

@@ -222,7 +222,7 @@ def demo(
     out: Path = typer.Option(Path("demo"), help="Folder for demo.png, score.json and truth.csv."),
     duration: float = typer.Option(60.0, help="Seconds.", min=12.0, max=1e5),
     seed: int = SEED,
-    daemon_config: Path | None = typer.Option(None, help="The daemon's; config/sitl.yaml."),
+    daemon_config: Path | None = typer.Option(None, help="YAML file for the daemon."),
 ) -> None:
     """Fly figure-eight against the real daemon over UDP, and hold it to its limits."""
     with _spoken():

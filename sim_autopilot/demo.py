@@ -31,7 +31,6 @@ LIMITS = {
     "yaw_deg": 1.5,
 }
 """Of the RMS error after ten seconds."""
-_CONFIG = Path(__file__).resolve().parent.parent / "config" / "sitl.yaml"
 _START = 15.0
 """The daemon answers within this, s."""
 _STOP = 5.0
@@ -60,7 +59,7 @@ def fly(out: Path, *, duration: float, seed: int, daemon_config: Path | None = N
     flight = Flight.plan("figure-eight", config, seed=seed, duration=duration)
     write_truth(out / "truth.csv", flight)
     port = _free_port()
-    with _daemon(daemon_config or _default_config(), port, out / "daemon.log"):
+    with _daemon(daemon_config, port, out / "daemon.log"):
         flown = run(
             over(f"udpout:127.0.0.1:{port}", lambda link: fly_over(flight, link, wait=_START))
         )
@@ -105,11 +104,6 @@ def _daemon(config: Path | None, port: int, log: Path) -> Iterator[None]:
                 process.wait()
             if code is not None:
                 raise CompanionError(f"the daemon ended by itself with exit code {code}; see {log}")
-
-
-def _default_config() -> Path | None:
-    """Give the project's own configuration; None where only the packages are installed."""
-    return _CONFIG if _CONFIG.is_file() else None
 
 
 def _free_port() -> int:

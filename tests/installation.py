@@ -80,7 +80,8 @@ def test_everything_is_in_its_place(staged):
     assert staged.config.read_bytes() == (ROOT / "config/ardupilot.yaml").read_bytes()
     assert staged.rule.read_bytes() == (ROOT / "systemd/70-ekf-companion.rules").read_bytes()
     share = staged.place / "share/ekf-companion"
-    assert (share / "config/px4.yaml").exists()
+    for name in ("px4.yaml", "reference.yaml"):
+        assert (share / "config" / name).exists()
     assert (share / "drop-ins/signing.conf").exists()
     assert (share / "mavlink-router.conf").exists()
 

@@ -1,4 +1,4 @@
-"""The commands; the only place that prints or exits.
+"""The commands. Only they print and exit.
 
 Exit codes: 0 done, 1 a figure cannot be drawn or a bug, 2 the command line or the configuration is
 wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from, 4 ``status``
@@ -38,10 +38,11 @@ def _show_version(value: bool) -> None:
 @app.callback()
 def main(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show it.")
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
-    """Hold what is common to all commands."""
+    """Take the options that are common to all commands."""
 
 
 app.command()(run)

@@ -1,4 +1,4 @@
-"""Numbers of the configuration, measured from logs."""
+"""Measure numbers of the configuration from logs."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ekf_companion.cli.terminal import (
     JsonOption,
     LogArgument,
     PlotOption,
-    bar,
     figure_path,
-    opened,
+    open_log,
+    progress_bar,
     write_json,
 )
 
@@ -36,13 +36,13 @@ def calibrate_noise(
     plot: PlotOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Noise of the inertial sensors, at rest, and of the receiver: Allan deviation, scatter."""
+    """Measure noise: of the inertial sensors at rest (Allan deviation), and of the receiver."""
     from ekf_companion.calibrate import noise, noise_report
 
-    with opened(log, config, plot, json_file) as (recording, settings):
+    with open_log(log, config, plot, json_file) as (recording, settings):
         found = noise.measure(recording, settings, str(log))
         result = noise_report.result(found, settings).after(recording.notes)
-        _tell("noise", log, plot, json_file, result, partial(noise_report.draw, found))
+        _report("noise", log, plot, json_file, result, partial(noise_report.draw, found))
 
 
 @calibrate.command("delay")
@@ -52,14 +52,14 @@ def calibrate_delay(
     plot: PlotOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Delay of the receiver's fixes: the one under which they are the likeliest."""
+    """Measure the delay of the receiver's fixes: the most likely one."""
     from ekf_companion.calibrate import delay, delay_report
 
-    with opened(log, config, plot, json_file) as (recording, settings):
-        with bar(f"{log.name}: delays") as progress:
+    with open_log(log, config, plot, json_file) as (recording, settings):
+        with progress_bar(f"{log.name}: delays") as progress:
             found = delay.measure(recording, settings, str(log), progress)
         result = delay_report.result(found).after(recording.notes)
-        _tell("delay", log, plot, json_file, result, partial(delay_report.draw, found))
+        _report("delay", log, plot, json_file, result, partial(delay_report.draw, found))
 
 
 @calibrate.command("mag")
@@ -69,19 +69,19 @@ def calibrate_mag(
     plot: PlotOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """The vehicle's own magnetism, hard and soft iron, by the ellipsoid that the field draws."""
+    """Measure the vehicle's hard and soft iron, by an ellipsoid fitted to the field."""
     from ekf_companion.calibrate import mag, mag_report
 
-    with opened(log, config, plot, json_file) as (recording, settings):
+    with open_log(log, config, plot, json_file) as (recording, settings):
         found = mag.measure(recording, settings, str(log))
         result = mag_report.result(found).after(recording.notes)
-        _tell("mag", log, plot, json_file, result, partial(mag_report.draw, found))
+        _report("mag", log, plot, json_file, result, partial(mag_report.draw, found))
 
 
-def _tell(
+def _report(
     kind: str, log: Path, plot: Path | None, json_file: Path | None, result: Result, draw: Draw
 ) -> None:
-    """Print what a calibration found, and write its JSON and its figure."""
+    """Print the result of a calibration, and write its JSON and its figure."""
     from ekf_companion.calibrate import plot as plotter
     from ekf_companion.calibrate.report import lines
 

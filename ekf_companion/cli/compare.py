@@ -1,4 +1,4 @@
-"""Estimates beside a truth, beside the autopilot's, beside each other."""
+"""Compare estimates with a truth, with the autopilot's, and with each other."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ekf_companion.cli.terminal import (
     ConfigOption,
     JsonOption,
     SmoothOption,
-    bar,
-    keep_apart,
+    check_outputs,
+    exit_on_error,
     load,
+    progress_bar,
     read,
-    sentences,
     write_json,
 )
 from ekf_companion.config.config import Config
@@ -41,13 +41,13 @@ def compare(
     until: Annotated[
         float | None,
         typer.Option(
-            help="Leave out what is later than so many seconds after the first.", min=0.0, max=1e9
+            help="Leave out what comes later than this, s after the start.", min=0.0, max=1e9
         ),
     ] = None,
     skip: Annotated[
         float | None,
         typer.Option(
-            help="Leave out the first seconds; by default 30 against truth, else 20.",
+            help="Leave out the first seconds; default: 30 against a truth, else 20.",
             min=0.0,
             max=1e9,
         ),
@@ -55,18 +55,18 @@ def compare(
     filters: Annotated[
         str | None,
         typer.Option(
-            help="Several over the same log: eskf,euler,iterated,ukf; zupt; ahrs,mahony,vqf. "
+            help="Run several over the log: eskf,euler,iterated,ukf; zupt; ahrs,mahony,vqf. "
             "docs/FILTERS.md has their options."
         ),
     ] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw all of them into a .png.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw all trajectories into a .png.")] = None,
     smooth: SmoothOption = False,
     json_file: JsonOption = None,
 ) -> None:
-    """Measure our estimate, or several filters', against a truth or the autopilot's own."""
-    with sentences():
+    """Compare our estimate, or several filters', with a truth or the autopilot's own."""
+    with exit_on_error():
         inputs = {"the log": log, "the reference": reference, "the configuration": config}
-        keep_apart(inputs, {"--plot": plot, "--json": json_file})
+        check_outputs(inputs, {"--plot": plot, "--json": json_file})
         if filters is None:
             ours = _ours(log, load(config), is_smoothed=smooth)
             _compare_ours(log, ours, reference, (skip, until), plot, json_file)
@@ -89,7 +89,7 @@ class _Ours:
 
 
 def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
-    """Run the estimator over a log, or read what it has written."""
+    """Run the estimator over a log, or read an estimate that it has written."""
     from ekf_companion.logs.estimate import is_estimate, of_table, read_estimate
     from ekf_companion.replay import convert as converter
 
@@ -100,7 +100,7 @@ def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
             )
         return _Ours(estimate=read_estimate(log), live=[], own=None, truth=None)
     live: list[Trajectory] = []
-    with bar(log.name) as progress:
+    with progress_bar(log.name) as progress:
         if is_smoothed:
             table, smoothed, report, own, truth = converter.estimate_and_smooth(
                 log, config, progress
@@ -124,7 +124,7 @@ def _compare_ours(
     plot: Path | None,
     json_file: Path | None,
 ) -> None:
-    """Print how far our estimate is from a truth or from the autopilot's."""
+    """Print the errors of our estimate against a truth or the autopilot's."""
     from ekf_companion.analysis import figure, score
     from ekf_companion.logs.estimate import read_truth
 
@@ -140,12 +140,12 @@ def _compare_ours(
     scores = [score.score(estimate, against, seconds, end_ns=end)]
     has_any = scores[0].horizontal is not None or scores[0].tilt is not None
     if not has_any or scores[0].end_ns <= scores[0].start_ns:
-        said = f"after the first {seconds:g} s" + (
+        when = f"after the first {seconds:g} s" + (
             "; leave out fewer with --skip"
             if until is None
             else f" and before {until:g} s; leave out less with --skip and --until"
         )
-        raise LogError(f"{log}: {estimate.name} and {against.name} have no time in common {said}")
+        raise LogError(f"{log}: {estimate.name} and {against.name} have no time in common {when}")
     own = [ours.own] if truth is not None and ours.own is not None else []
     start = scores[0].start_ns
     for rival in (*ours.live, *own):
@@ -166,7 +166,7 @@ def _compare_filters(
     plot: Path | None,
     json_file: Path | None,
 ) -> None:
-    """Take several filters through a log, and print how far off each is."""
+    """Run several filters over a log, and print the errors of each."""
     from ekf_companion.analysis import comparison, figure, walk_figure
     from ekf_companion.logs.estimate import is_estimate, read_truth
 
@@ -175,7 +175,7 @@ def _compare_filters(
     recording = read(log, config)
     names = [name.strip() for name in filters.split(",") if name.strip()]
     try:
-        with bar(f"{log.name}: filters") as progress:
+        with progress_bar(f"{log.name}: filters") as progress:
             entries = comparison.hold(recording, names, config, progress)
     except LogError as error:
         raise LogError(f"{log}: {error}") from error

@@ -1,4 +1,4 @@
-"""A log in, estimates out."""
+"""Convert a log to estimates."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ekf_companion.cli.terminal import (
     JsonOption,
     LogArgument,
     SmoothOption,
-    bar,
-    keep_apart,
+    check_outputs,
+    exit_on_error,
     load,
-    sentences,
+    progress_bar,
     write_json,
 )
 from ekf_companion.errors import ConfigError
@@ -26,7 +26,7 @@ def convert(
     out: Annotated[Path, typer.Option("--out", "-o", help=".csv or .tlog, by its suffix.")],
     config: ConfigOption = None,
     rate: Annotated[
-        float | None, typer.Option(min=0.001, help="At most so many rows per second.")
+        float | None, typer.Option(min=0.001, help="Largest number of rows per second.")
     ] = None,
     smooth: SmoothOption = False,
     json_file: JsonOption = None,
@@ -34,18 +34,18 @@ def convert(
         str, typer.Option("--filter", help="NAME or NAME:OPTION; docs/FILTERS.md lists them.")
     ] = "eskf",
     preset: Annotated[
-        str | None, typer.Option(help="Of euler, ahrs: article or corrected.")
+        str | None, typer.Option(help="For euler and ahrs: article or corrected.")
     ] = None,
-    frame: Annotated[str | None, typer.Option(help="Of iterated: robocentric or sphere.")] = None,
-    detector: Annotated[str | None, typer.Option(help="Of zupt: shoe, mv, mag or are.")] = None,
+    frame: Annotated[str | None, typer.Option(help="For iterated: robocentric or sphere.")] = None,
+    detector: Annotated[str | None, typer.Option(help="For zupt: shoe, mv, mag or are.")] = None,
 ) -> None:
     """Re-run the estimator, or another filter, over a recorded flight."""
     from ekf_companion.replay import convert as converter
 
-    with sentences(), bar(log.name) as progress:
+    with exit_on_error(), progress_bar(log.name) as progress:
         inputs = {"the log": log, "the configuration": config, "what --out writes": out}
-        keep_apart(inputs, {"--json": json_file})
-        keep_apart({"the log": log, "the configuration": config}, {"--out": out})
+        check_outputs(inputs, {"--json": json_file})
+        check_outputs({"the log": log, "the configuration": config}, {"--out": out})
         chosen = _choose(name, [preset, frame, detector])
         if chosen != "eskf":
             if smooth:
@@ -63,7 +63,7 @@ def convert(
 
 
 def _choose(name: str, options: list[str | None]) -> str:
-    """Give a filter's name with its option, which may be said as an option of its own."""
+    """Return a filter's name with its option, which may also have been given by itself."""
     from ekf_companion.replay.filters_by_name import choose
 
     given = [option for option in options if option is not None]

@@ -1,4 +1,4 @@
-"""Which stage loses the data, and what to set."""
+"""Find the stage that loses the data, and what to set."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ekf_companion.cli.terminal import ConfigOption, bar, load, sentences
+from ekf_companion.cli.terminal import ConfigOption, exit_on_error, load, progress_bar
 from ekf_companion.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ekf_companion.doctor.finding import Finding
 
 STAGE_FAILED = 5
-"""The exit code where a stage fails."""
+"""Exit code if a stage fails."""
 
 
 def doctor(
@@ -31,17 +31,17 @@ def doctor(
     ] = None,
     log: Annotated[Path | None, typer.Option(help="Examine this .tlog instead of a link.")] = None,
     seconds: Annotated[
-        float, typer.Option(min=1.0, max=3600.0, help="Listen for so long at most.")
+        float, typer.Option(min=1.0, max=3600.0, help="Longest time to listen.")
     ] = 15.0,
     listen: Annotated[
         bool, typer.Option("--listen", help="Send nothing: no heartbeat and no request.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
 ) -> None:
-    """Say which stage of the way loses the data, and which parameter to change."""
+    """Find the stage that loses the data, and the parameter to change."""
     from ekf_companion.doctor.diagnosis import diagnose, first_failure
 
-    with sentences():
+    with exit_on_error():
         if log is not None and (link is not None or listen):
             raise ConfigError("--log: a recording has no link; leave out --link and --listen")
         if log is not None and log.suffix.lower() != ".tlog":
@@ -59,7 +59,7 @@ def doctor(
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the daemon's warnings back: the findings say the same, and what to do."""
+    """Suppress the daemon's warnings: the findings repeat them, with the remedy."""
     logger, nothing = logging.getLogger("ekf_companion"), logging.NullHandler()
     before, logger.propagate = logger.propagate, False
     logger.addHandler(nothing)
@@ -78,11 +78,11 @@ def _examine(
     from ekf_companion.doctor.examination import examine_link, examine_log
 
     if log is not None:
-        with bar(log.name) as progress:
+        with progress_bar(log.name) as progress:
             return examine_log(log, config, progress)
     if link is not None:
         config = replace(config, link=replace(config.link, url=link))
-    with bar(config.link.url) as progress:
+    with progress_bar(config.link.url) as progress:
         return examine_link(config, seconds, listen=listen, progress=progress)
 
 

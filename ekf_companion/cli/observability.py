@@ -1,4 +1,4 @@
-"""What a flight shows of the state, and when."""
+"""Show which states a flight makes observable, and when."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from ekf_companion.cli.terminal import (
     JsonOption,
     LogArgument,
     PlotOption,
-    bar,
     figure_path,
-    opened,
+    open_log,
+    progress_bar,
     write_json,
 )
 from ekf_companion.errors import LogError
@@ -28,16 +28,16 @@ def observability(
         float, typer.Option(min=1.0, max=600.0, help="Length of the sliding windows, s.")
     ] = 10.0,
 ) -> None:
-    """When each bias, tilt and heading becomes observable along a flight, and why not before."""
+    """Show when each bias, tilt and heading becomes observable in a flight, and why not before."""
     from ekf_companion.analysis import observability as analysis
     from ekf_companion.analysis import observability_figure
     from ekf_companion.analysis import observability_report as report
     from ekf_companion.filters.course import Course
 
-    with opened(log, config, plot, json_file) as (recording, settings):
+    with open_log(log, config, plot, json_file) as (recording, settings):
         try:
             course = Course(recording.events, settings, recording.family, recording.gnss_delay)
-            with bar(f"{log.name}: observability") as progress:
+            with progress_bar(f"{log.name}: observability") as progress:
                 found = analysis.analyse(
                     course, course.setup(), settings, window=window, progress=progress
                 )

@@ -1,4 +1,4 @@
-"""A daemon that runs, told to read its configuration again."""
+"""Make a running daemon read its configuration again."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from urllib.parse import urlsplit
 
 import typer
 
-from ekf_companion.cli.status import NOBODY, URL, fetch
+from ekf_companion.cli.status import NO_DAEMON, URL, fetch
 
 PATIENCE = 5.0
-"""Seconds that reading a configuration may take."""
+"""Longest time for the daemon to read it, s."""
 FAILED, WRONG = 1, 2
-"""Exit codes: it was not done, or the configuration is wrong."""
+"""Exit codes: not reloaded; the configuration is wrong."""
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
-_LISTENS = "0A"
+_LISTEN = "0A"
 
 
 def reload(
     url: Annotated[str, typer.Option(help="Where the daemon answers: http.host, http.port.")] = URL,
 ) -> None:
-    """Have the daemon take a changed configuration: rates, gates and noise, in flight."""
+    """Reload the daemon's configuration; rates, gates and noise change in flight."""
     before = fetch(url)
     if not before.data:
-        _end(NOBODY, before.words)
+        _end(NO_DAEMON, before.sentence)
     pid = int(before.data["process"]["pid"])
     try:
-        if not _answers(pid, url):
+        if not _listens(pid, url):
             _end(
-                NOBODY,
+                NO_DAEMON,
                 f"{url}: the daemon that answers there is no process of this machine (it runs on "
                 "another, or in a container); run this command there",
             )
@@ -43,32 +43,32 @@ def reload(
             f"process {pid} is another user's; run: sudo systemctl reload ekf-companion",
         )
     except ProcessLookupError:
-        _end(NOBODY, f"{url}: process {pid} has just ended")
+        _end(NO_DAEMON, f"{url}: process {pid} has just ended")
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         now = fetch(url).data
         if now and now["reload"]["count"] > before.data["reload"]["count"]:
-            words = str(now["reload"]["words"])
-            _end(WRONG if words.endswith("as it was") else 0, words)
+            sentence = str(now["reload"]["words"])
+            _end(WRONG if sentence.endswith("as it was") else 0, sentence)
         time.sleep(0.1)
     _end(FAILED, f"process {pid} has not reloaded within {PATIENCE:g} s; see its log")
 
 
-def _answers(pid: int, url: str) -> bool:
-    """Whether a process of this machine is the one that listens where the URL leads.
+def _listens(pid: int, url: str) -> bool:
+    """Return whether a process of this machine listens at the URL.
 
-    A number that came over the network may be any process here.
+    A process id that came over the network may belong to any process here.
 
     Raises:
         PermissionError: It is another user's.
 
     Source: proc(5), /proc/net/tcp and /proc/pid/fd.
     """
-    place = urlsplit(url)
-    if place.hostname not in _LOOPBACK:
+    address = urlsplit(url)
+    if address.hostname not in _LOOPBACK:
         return False
     try:
-        sockets = {f"socket:[{inode}]" for inode in _listening(place.port or 80)}
+        sockets = {f"socket:[{inode}]" for inode in _listening(address.port or 80)}
         for entry in Path(f"/proc/{pid}/fd").iterdir():
             try:
                 if str(entry.readlink()) in sockets:
@@ -81,16 +81,16 @@ def _answers(pid: int, url: str) -> bool:
 
 
 def _listening(port: int) -> set[str]:
-    """Give the inodes of this machine's sockets that listen at a TCP port."""
+    """Return the inodes of this machine's sockets that listen at a TCP port."""
     found = set()
     for table in ("tcp", "tcp6"):
         for line in Path(f"/proc/net/{table}").read_text(encoding="ascii").splitlines()[1:]:
             _, local, _, state, *rest = line.split()
-            if state == _LISTENS and int(local.rpartition(":")[2], 16) == port:
+            if state == _LISTEN and int(local.rpartition(":")[2], 16) == port:
                 found.add(rest[5])
     return found
 
 
-def _end(code: int, words: str) -> None:
-    typer.echo(words if code == 0 else f"ekf-companion: {words}", err=code != 0)
+def _end(code: int, sentence: str) -> None:
+    typer.echo(sentence if code == 0 else f"ekf-companion: {sentence}", err=code != 0)
     raise typer.Exit(code)

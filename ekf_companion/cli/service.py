@@ -1,4 +1,4 @@
-"""The daemon, and its configuration."""
+"""Run the daemon, and check its configuration."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 import yaml
 
-from ekf_companion.cli.terminal import ConfigOption, load, sentences
+from ekf_companion.cli.terminal import ConfigOption, exit_on_error, load
 from ekf_companion.config.config import Config, describe_config, load_config
-from ekf_companion.config.file_name import complaint
+from ekf_companion.config.file_name import why_not_writable
 from ekf_companion.errors import ConfigError
 
 
@@ -26,7 +26,7 @@ def run(
         str | None, typer.Option(help="Record every byte in and out to this .tlog.")
     ] = None,
     checkpoint: Annotated[
-        str | None, typer.Option(help="Keep the state in this file, and go on from it.")
+        str | None, typer.Option(help="Keep the state in this file, and resume from it.")
     ] = None,
     log_level: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
 ) -> None:
@@ -37,7 +37,7 @@ def run(
     has_started = False
 
     def read() -> Config:
-        """Give the file's configuration with what the command line says of it."""
+        """Return the file's configuration, overridden by the command line."""
         nonlocal has_started
         if has_started and config is None:
             raise ConfigError("the daemon was started without --config: no file could have changed")
@@ -52,7 +52,7 @@ def run(
         return settings
 
     level = logging.getLevelName(log_level.upper())
-    with sentences():
+    with exit_on_error():
         if not isinstance(level, int):
             raise ConfigError(f"--log-level: {log_level!r}: use DEBUG, INFO, WARNING or ERROR")
         journal.set_up(level)
@@ -63,11 +63,11 @@ def check_config(
     config: Annotated[Path, typer.Argument(help="YAML file.")],
 ) -> None:
     """Check a configuration and print it with all its defaults."""
-    with sentences():
+    with exit_on_error():
         read = load_config(config)
-        places = (("record.path", read.record.path), ("checkpoint.file", read.checkpoint.file))
-        missing = [words for key, name in places if name and (words := complaint(key, name))]
+        files = (("record.path", read.record.path), ("checkpoint.file", read.checkpoint.file))
+        warnings = [why_not_writable(key, name) for key, name in files if name]
         effective = describe_config(read)
-    for words in missing:
-        typer.echo(f"ekf-companion: {words}; the daemon would run without it", err=True)
+    for warning in filter(None, warnings):
+        typer.echo(f"ekf-companion: {warning}; the daemon would run without it", err=True)
     typer.echo(yaml.safe_dump(dict(effective), sort_keys=False), nl=False)

@@ -1,4 +1,4 @@
-"""A status as a page for a terminal: the stages that a measurement passes, from top to bottom."""
+"""Lay a status out for a terminal: the stages that a measurement passes, from top to bottom."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 Data = Mapping[str, Any]
 _UNKNOWN = "?"
 _SLOW = 0.5
-"""A message that comes at less than this share of what was asked for is marked."""
+"""A message at less than this share of the requested rate is marked."""
 
 
 def view(data: Data) -> Group:
-    """Lay out what ``/status`` gave."""
+    """Return the page of what ``/status`` answered."""
     from rich.console import Group
     from rich.text import Text
 
@@ -28,13 +28,13 @@ def view(data: Data) -> Group:
     return Group(verdict, *tables)
 
 
-def _table(*columns: str, words: str = "") -> Table:
+def _table(*columns: str) -> Table:
     from rich import box
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, title=words or None, title_justify="left", pad_edge=False)
-    for place, column in enumerate(columns):
-        table.add_column(column, justify="left" if place == 0 else "right", overflow="fold")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
     return table
 
 
@@ -43,7 +43,7 @@ def _stages(data: Data) -> Table:
 
     table = _table("Stage", "")
     table.columns[1].justify = "left"
-    for name, words in (
+    for name, text in (
         ("link", _link(data["link"])),
         ("frames", _frames(data["frames"])),
         ("autopilot", _peer(data["peer"])),
@@ -56,53 +56,50 @@ def _stages(data: Data) -> Table:
         ("settings", _settings(data)),
         ("process", _process(data["process"])),
     ):
-        table.add_row(name, escape(words or "-"))
+        table.add_row(name, escape(text or "-"))
     return table
 
 
 def _link(link: Data) -> str:
     state = "open" if link["is_open"] else "closed"
     state += f" ({link['failure']})" if link["failure"] else ""
-    words = f"{link['url']} {state}, {link['bytes_in']} bytes in, {link['bytes_out']} out"
-    words += f", silent for {_number(link['silent_s'], 's', 1)}"
-    words += f", from {link['peer']}" if link["peer"] else ""
+    text = f"{link['url']} {state}, {link['bytes_in']} bytes in, {link['bytes_out']} out"
+    text += f", silent for {_number(link['silent_s'], 's', 1)}"
+    text += f", from {link['peer']}" if link["peer"] else ""
     losses = {"dropped": link["dropped"], "unsent": link["unsent"], **link["refused"]}
-    return _with(words, losses)
+    return _with_losses(text, losses)
 
 
 def _frames(frames: Data) -> str:
-    names = (
-        *("bad_crc", "unknown_id", "incompatible", "junk_bytes"),
-        *("lost", "late", "duplicates"),
-    )
+    names = ["bad_crc", "unknown_id", "incompatible", "junk_bytes", "lost", "late", "duplicates"]
     losses = {name.replace("_", " "): frames[name] for name in names}
-    words = f"{frames['frames']} good, {frames['signed']} signed"
-    return _with(words, {**losses, **frames["refused"], **frames["ignored"]})
+    text = f"{frames['frames']} good, {frames['signed']} signed"
+    return _with_losses(text, {**losses, **frames["refused"], **frames["ignored"]})
 
 
 def _peer(peer: Data | None) -> str:
     if peer is None:
         return "none heard"
-    words = f"system {peer['system_id']}, component {peer['component_id']}, {peer['family']}"
-    words += f" {peer['version']}" if peer["version"] else ""
-    words += ", armed" if peer["is_armed"] else ", disarmed"
-    words += f", rebooted {peer['reboots']} times" if peer["reboots"] else ""
+    text = f"system {peer['system_id']}, component {peer['component_id']}, {peer['family']}"
+    text += f" {peer['version']}" if peer["version"] else ""
+    text += ", armed" if peer["is_armed"] else ", disarmed"
+    text += f", rebooted {peer['reboots']} times" if peer["reboots"] else ""
     if not peer["is_heard"]:
-        words += f", silent for {_number(peer['silent_s'], 's', 1)}"
-    return words
+        text += f", silent for {_number(peer['silent_s'], 's', 1)}"
+    return text
 
 
 def _inertial(imu: Data) -> str:
-    words = f"{imu['message']}, sensor {imu['instance']}, {imu['rate']:.1f} Hz"
-    return f"{words}, stamps brought back to the samples" if imu["is_dejittered"] else words
+    text = f"{imu['message']}, sensor {imu['instance']}, {imu['rate']:.1f} Hz"
+    return f"{text}, stamps brought back to the samples" if imu["is_dejittered"] else text
 
 
 def _time(time: Data) -> str:
-    words = f"base {time['base']}, {'locked' if time['is_locked'] else 'not locked'}"
-    words += f" within {_number(time['residual_us'], 'us', 0)}" if time["is_locked"] else ""
-    words += f", skew {_number(time['skew_ppm'], 'ppm', 1)}"
+    text = f"base {time['base']}, {'locked' if time['is_locked'] else 'not locked'}"
+    text += f" within {_number(time['residual_us'], 'us', 0)}" if time["is_locked"] else ""
+    text += f", skew {_number(time['skew_ppm'], 'ppm', 1)}"
     trips = f"{_number(time['rtt_p50_ms'], 'ms', 2)} and {_number(time['rtt_p95_ms'], 'ms', 2)}"
-    return _with(f"{words}, round trip {trips} (half, 95 %)", time["refused"])
+    return _with_losses(f"{text}, round trip {trips} (median, 95 %)", time["refused"])
 
 
 def _estimate(data: Data) -> str:
@@ -110,57 +107,57 @@ def _estimate(data: Data) -> str:
     if not estimator:
         return "none yet"
     horizontal = _number(estimator["std_horizontal"], "m", 2)
-    words = f"{estimator['status'].upper()}, start {estimator['start']}"
-    words += f", sigma {horizontal} and {_number(estimator['std_vertical'], 'm', 2)}"
-    words += f", newest sample {_number(data['sample_age_s'], 's', 2)} ago"
-    words += f", {estimator['samples']} samples, {estimator['gaps']} gaps"
-    return _with(words, {f"resets for {reason}": n for reason, n in data["resets"].items()})
+    text = f"{estimator['status'].upper()}, start {estimator['start']}"
+    text += f", sigma {horizontal} and {_number(estimator['std_vertical'], 'm', 2)}"
+    text += f", newest sample {_number(data['sample_age_s'], 's', 2)} ago"
+    text += f", {estimator['samples']} samples, {estimator['gaps']} gaps"
+    return _with_losses(text, {f"resets for {reason}": n for reason, n in data["resets"].items()})
 
 
 def _output(output: Data) -> str:
-    words = "ODOMETRY is not sent"
+    text = "ODOMETRY is not sent"
     if output["is_streaming"]:
-        words = f"ODOMETRY streams at {output['rate']:.1f} Hz"
+        text = f"ODOMETRY streams at {output['rate']:.1f} Hz"
     losses = {"withheld": output["withheld"], "thrown away by the link": output["unsent"]}
     losses |= {"texts dropped": output["texts_dropped"]}
-    return _with(f"{words}, sent {_counts(output['sent']) or 'nothing'}", losses)
+    return _with_losses(f"{text}, sent {_counts(output['sent']) or 'nothing'}", losses)
 
 
 def _guard(output: Data) -> str:
-    """Say what the guard found, and by which of the autopilot's parameters."""
-    words = f"{output['mode']}, ODOMETRY {'streamed' if output['is_allowed'] else 'withheld'}"
-    words += "" if output["is_settled"] else ", for now"
-    words += f": {output['reason']}" if output["reason"] else ""
-    words += f"; {output['remedy']}" if output["remedy"] else ""
+    """Return the guard's verdict, and the autopilot's parameters that it follows from."""
+    text = f"{output['mode']}, ODOMETRY {'streamed' if output['is_allowed'] else 'withheld'}"
+    text += "" if output["is_settled"] else ", for now"
+    text += f": {output['reason']}" if output["reason"] else ""
+    text += f"; {output['remedy']}" if output["remedy"] else ""
     read = ", ".join(f"{name} {value:g}" for name, value in output["parameters"].items())
-    return f"{words} ({read})" if read else words
+    return f"{text} ({read})" if read else text
 
 
 def _settings(data: Data) -> str:
-    """Say what differs from the file that was read at the start."""
-    words = [f"{key} {value} over MAVLink" for key, value in data["tuned"].items()]
+    """Return what differs from the file that was read at the start."""
+    changes = [f"{key} {value} over MAVLink" for key, value in data["tuned"].items()]
     if (reload := data["reload"])["count"]:
-        words.append(f"reloaded {reload['count']} times, last: {reload['words']}")
-    return "; ".join(words)
+        changes.append(f"reloaded {reload['count']} times, last: {reload['words']}")
+    return "; ".join(changes)
 
 
 def _process(process: Data) -> str:
-    words = f"version {process['version']}, pid {process['pid']}"
-    words += f", up {_number(process['uptime_s'], 's', 0)}"
-    words += f", {process['cpu_share']:.1%} of a processor, {process['rss_mb']:.0f} MB"
-    words += f", loop lag {_number(process['loop_lag_ms'], 'ms', 1)}"
+    text = f"version {process['version']}, pid {process['pid']}"
+    text += f", up {_number(process['uptime_s'], 's', 0)}"
+    text += f", {process['cpu_share']:.1%} of a processor, {process['rss_mb']:.0f} MB"
+    text += f", loop lag {_number(process['loop_lag_ms'], 'ms', 1)}"
     if process["latency_count"]:
         mean = process["latency_sum_ms"] / process["latency_count"]
-        words += f", latency {mean:.2f} ms in the mean, {_share(process)}"
+        text += f", latency {mean:.2f} ms in the mean, {_share(process)}"
     if process["recorded_bytes"]:
-        words += f", {process['recorded_bytes'] / 1e6:.1f} MB recorded"
+        text += f", {process['recorded_bytes'] / 1e6:.1f} MB recorded"
     heat = {name: f"{celsius:.0f} degC" for name, celsius in process["temperatures"].items()}
-    words += "".join(f", {name} {celsius}" for name, celsius in heat.items())
-    return _with(words, {"unrecorded bytes": process["unrecorded_bytes"]})
+    text += "".join(f", {name} {celsius}" for name, celsius in heat.items())
+    return _with_losses(text, {"unrecorded bytes": process["unrecorded_bytes"]})
 
 
 def _share(process: Data) -> str:
-    """Say within which bound 99.9 % of the estimates left."""
+    """Return the bound within which 99.9 % of the estimates were sent."""
     for bound, count in process["latency"].items():
         if count >= 0.999 * process["latency_count"]:
             return f"99.9 % within {float(bound):g} ms"
@@ -201,6 +198,6 @@ def _counts(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
-def _with(words: str, losses: Mapping[str, int]) -> str:
-    """Add what was lost, if anything was."""
-    return f"{words}; {lost}" if (lost := _counts(losses)) else words
+def _with_losses(text: str, losses: Mapping[str, int]) -> str:
+    """Return a text with the losses, if there are any."""
+    return f"{text}; {lost}" if (lost := _counts(losses)) else text

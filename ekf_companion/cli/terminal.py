@@ -1,4 +1,4 @@
-"""What the commands share: options, sentences for errors, a progress bar, JSON, a log."""
+"""What the commands share: options, error messages, a progress bar, JSON, reading a log."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ LogArgument = Annotated[
     Path, typer.Argument(help=".tlog, .bin, .ulg, .csv; also .txt (OpenShoe), .mat (BROAD).")
 ]
 PlotOption = Annotated[
-    Path | None, typer.Option("--plot", help="The figure; by default LOG.KIND.png, here.")
+    Path | None, typer.Option("--plot", help="File of the figure; by default LOG.KIND.png, here.")
 ]
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", "-c", help="YAML file; config/ holds commented ones.")
+    Path | None,
+    typer.Option("--config", "-c", help="YAML file; config/reference.yaml explains it."),
 ]
 SmoothOption = Annotated[
-    bool, typer.Option("--smooth", help="Go back over the flight: each estimate knows all of it.")
+    bool, typer.Option("--smooth", help="Smooth: each estimate uses the whole flight.")
 ]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the same as JSON.")]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result as JSON too.")]
 
 
 @contextmanager
-def sentences() -> Iterator[None]:
-    """Turn what is raised on purpose into a sentence and an exit code."""
+def exit_on_error() -> Iterator[None]:
+    """Print an error that is raised on purpose as one sentence, and exit with its code."""
     try:
         yield
     except CompanionError as error:
@@ -45,33 +46,23 @@ def sentences() -> Iterator[None]:
 
 
 def load(path: Path | None) -> Config:
-    """Give the configuration of a file, or the defaults."""
+    """Return the configuration of a file, or the defaults."""
     return Config() if path is None else load_config(path)
 
 
 @contextmanager
-def bar(title: str) -> Iterator[Callable[[int, int], None]]:
+def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar on a terminal, and nothing elsewhere."""
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TaskProgressColumn,
-        TextColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import Progress
 
     with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
         console=Console(stderr=True),
         transient=True,
         disable=not sys.stderr.isatty(),
-    ) as bar:
-        task = bar.add_task(title, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    ) as progress:
+        task = progress.add_task(title, total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
 def write_json(path: Path | None, data: object) -> None:
@@ -87,15 +78,15 @@ def write_json(path: Path | None, data: object) -> None:
             raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def keep_apart(inputs: dict[str, Path | None], outputs: dict[str, Path | None]) -> None:
-    """Refuse to write over what is read or written besides, or where there is no folder.
+def check_outputs(inputs: dict[str, Path | None], outputs: dict[str, Path | None]) -> None:
+    """Refuse an output that is an input or another output, or whose folder does not exist.
 
     Args:
-        inputs: What is read, in words: ``the log``.
-        outputs: What is written, by option.
+        inputs: Files that are read, by what they are: ``the log``.
+        outputs: Files that are written, by option.
 
     Raises:
-        ConfigError: An output is an input or another output, or has no folder to be in.
+        ConfigError: An output is refused.
     """
     taken = {path.resolve(): name for name, path in inputs.items() if path is not None}
     for option, path in outputs.items():
@@ -109,30 +100,31 @@ def keep_apart(inputs: dict[str, Path | None], outputs: dict[str, Path | None]) 
 
 
 def read(log: Path, config: Config) -> Recording:
-    """Open a log."""
+    """Read a log."""
     from ekf_companion.replay import convert as converter
 
-    with bar(log.name) as progress:
+    with progress_bar(log.name) as progress:
         return converter.read(log, config, progress)
 
 
 @contextmanager
-def opened(
+def open_log(
     log: Path, config: Path | None, plot: Path | None, json_file: Path | None
 ) -> Iterator[tuple[Recording, Config]]:
-    """Give a log and the configuration to a command that draws and tells what it finds.
+    """Read a log for a command that prints what it finds, draws it and writes JSON.
 
-    What is raised on purpose in it, or because a file would be written over, is a sentence.
+    Yields:
+        The log and the configuration. Errors become sentences, as by ``exit_on_error``.
     """
-    with sentences():
+    with exit_on_error():
         inputs = {"the log": log, "the configuration": config}
-        keep_apart(inputs, {"--plot": plot, "--json": json_file})
+        check_outputs(inputs, {"--plot": plot, "--json": json_file})
         settings = load(config)
         yield read(log, settings), settings
 
 
 def figure_path(log: Path, kind: str, plot: Path | None) -> Path | None:
-    """Give where a figure goes; None: nobody asked for one, and there is nothing to draw with."""
+    """Return where a figure goes; None if none is wanted and matplotlib is not installed."""
     from ekf_companion.calibrate.plot import has_matplotlib
 
     if plot is None and not has_matplotlib():

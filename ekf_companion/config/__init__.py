@@ -1,5 +1,5 @@
 """The service's configuration: YAML in, frozen settings out, and what a reload may change.
 
-Settings of the estimator stand beside the code that reads them (``core.settings``); no device, no
+The estimator's settings stand in ``core.settings``, beside the code that reads them. No device, no
 socket and no estimate here.
 """

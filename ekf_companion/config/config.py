@@ -1,7 +1,6 @@
-"""YAML in, frozen dataclasses out; every complaint names file, key, value and remedy.
+"""Read a YAML file into frozen dataclasses; every error names file, key, value and remedy.
 
-What a number means stands in ``core/settings.py`` for the estimator, and in ``service.py`` for who
-we are, what we send and what we keep.
+``core/settings.py`` explains the settings of the estimator, ``service.py`` those of the service.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from ekf_companion.config.service import (
     CheckpointConfig,
     HttpConfig,
     LinkConfig,
-    OdometryConfig,
     OutputConfig,
     ParametersConfig,
     RecordConfig,
@@ -49,13 +47,13 @@ class Config(FilterSettings):
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as PyYAML reads it, but 1e-3 is a number, a key stands once, and errors have marks."""
+    """Read YAML as PyYAML does, but 1e-3 is a number, no key comes twice, and errors have marks."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
             return super().construct_object(node, deep)
         except (ValueError, LookupError, AttributeError) as error:
-            # What looks like a date or a number and is none, as 2024-13-45 and 0x_
+            # It looks like a date or a number and is none, such as 2024-13-45 and 0x_
             kind = node.tag.rpartition(":")[2]
             raise yaml.constructor.ConstructorError(
                 problem=f"{node.value!r:.40} is no {kind}; put text in quotes",
@@ -82,7 +80,7 @@ def load_config(path: Path) -> Config:
     """Read a YAML file.
 
     Raises:
-        ConfigError: The file cannot be read, or a key, a type or a value cannot be meant.
+        ConfigError: The file cannot be read, or a key, a type or a value is wrong.
     """
     try:
         data = yaml.load(path.read_text(encoding="utf-8"), _Loader)
@@ -90,14 +88,14 @@ def load_config(path: Path) -> Config:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a YAML file") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        said = " ".join(str(error).split()).replace(' in "<unicode string>",', " in")
-        raise ConfigError(f"{path}: is not YAML: {said}") from error
+        reason = " ".join(str(error).split()).replace(' in "<unicode string>",', " in")
+        raise ConfigError(f"{path}: is not YAML: {reason}") from error
     except RecursionError as error:
         raise ConfigError(f"{path}: a list stands too deep in lists, or in itself") from error
 
 
 def parse_config(data: object, name: str) -> Config:
-    """Turn parsed YAML into a configuration; ``name`` says where it is from in complaints.
+    """Turn parsed YAML into a configuration; errors begin with ``name``.
 
     Raises:
         ConfigError: As :func:`load_config`.
@@ -107,24 +105,21 @@ def parse_config(data: object, name: str) -> Config:
         config = msgspec.convert(table, Config)
     except msgspec.ValidationError as error:
         raise ConfigError(_explain(error, table, name)) from error
+    key = "link.url"
     try:
         address = parse_url(config.link.url)
-    except LinkError as error:
-        raise ConfigError(f"{name}: link.url: {error}") from error
-    try:
+        key = "link.peer"
         address = replace(address, peer=parse_peer(config.link.peer, address))
-    except LinkError as error:
-        raise ConfigError(f"{name}: link.peer: {error}") from error
-    try:
+        key = "output.monitors"
         for url in config.output.monitors:
             parse_monitor(url, address)
     except LinkError as error:
-        raise ConfigError(f"{name}: output.monitors: {error}") from error
+        raise ConfigError(f"{name}: {key}: {error}") from error
     return config
 
 
 def _check_keys(data: object, kind: type, name: str, path: tuple[str, ...]) -> dict[str, Any]:
-    """Refuse keys that nobody reads, and numbers that are none; give the rest.
+    """Return a section as a table; refuse unknown keys, NaN and infinities.
 
     A section whose keys are all commented out is empty.
     """
@@ -159,7 +154,7 @@ def _is_finite(value: object) -> bool:
 
 
 def _explain(error: msgspec.ValidationError, data: object, name: str) -> str:
-    """Say which key and value are wrong, and what would do."""
+    """Return which key and value are wrong, and what would do."""
     message, _, place = str(error).partition(" - at ")
     keys = re.findall(r"[A-Za-z_]+|\d+", place.replace("`", "").lstrip("$"))
     value: Any = data
@@ -173,34 +168,17 @@ def _explain(error: msgspec.ValidationError, data: object, name: str) -> str:
 
 
 def _choices(keys: list[str]) -> str:
-    """Say which words a key may have, and whether a number would do too."""
+    """Return the words that a key takes, and whether a number would do too."""
     hint: Any = Config
     for key in keys:
         hint = get_type_hints(hint)[key]
-    parts = [hint] if get_origin(hint) is Literal else get_args(hint)
-    words = [word for part in parts if get_origin(part) is Literal for word in get_args(part)]
-    others = ["a number"] if any(get_origin(part) is not Literal for part in parts) else []
+    types = [hint] if get_origin(hint) is Literal else get_args(hint)
+    words = [word for one in types if get_origin(one) is Literal for word in get_args(one)]
+    others = ["a number"] if any(get_origin(one) is not Literal for one in types) else []
     return " or ".join(words + others)
 
 
 def describe_config(config: object) -> Mapping[str, Any]:
-    """Give the effective configuration as plain tables, ready for YAML."""
+    """Return the effective configuration as plain tables, ready for YAML."""
     built: dict[str, Any] = msgspec.to_builtins(config)
     return built
-
-
-__all__ = [
-    "CheckpointConfig",
-    "Config",
-    "HttpConfig",
-    "LinkConfig",
-    "OdometryConfig",
-    "OutputConfig",
-    "ParametersConfig",
-    "RecordConfig",
-    "SigningConfig",
-    "TimesyncConfig",
-    "describe_config",
-    "load_config",
-    "parse_config",
-]

@@ -1,4 +1,4 @@
-"""Where files are to be kept: whether a name can be one at all, and what its folder looks like."""
+"""Check names of files that the configuration gives, and the folders that they are in."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from ekf_companion.errors import ConfigError
 
 
 def check_name(key: str, name: str) -> None:
-    """Refuse what can never be the name of a file; the disk is not looked at.
+    """Refuse what can never be the name of a file, without a look at the disk.
 
     Raises:
-        ConfigError: It cannot; the sentence names the key.
+        ConfigError: It is no name of a file; the sentence names the key.
     """
     try:
-        is_one = b"\0" not in os.fsencode(name)
+        is_name = b"\0" not in os.fsencode(name)
     except UnicodeEncodeError:
-        is_one = False
-    if not is_one or not Path(name).name or name.endswith(("/", "/.", "/..")) or name == "..":
+        is_name = False
+    if not is_name or not Path(name).name or name.endswith(("/", "/.", "/..")) or name == "..":
         raise ConfigError(
             f"{key}: {name!r} is no name of a file; name one, and the folder it is in"
         )
 
 
-def complaint(key: str, name: str) -> str | None:
-    """Say why no file of that name could be begun now; None: nothing speaks against it.
+def why_not_writable(key: str, name: str) -> str | None:
+    """Return why no file of that name could be created now, or None if one could.
 
-    Rights are not looked at: the service has another user than whoever asks.
+    Permissions are not checked: the service runs as another user than whoever asks.
 
     Raises:
         ConfigError: No file can ever have that name.
@@ -37,7 +37,7 @@ def complaint(key: str, name: str) -> str | None:
     try:
         if path.parent.is_dir() and not path.is_dir():
             return None
-    except OSError:  # not for us to see
+    except OSError:  # this user may not look there
         return None
     if path.is_dir():
         return f"{key}: {name}: is a folder; name a file in it"

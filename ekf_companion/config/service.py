@@ -7,8 +7,11 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
+from ekf_companion.core.setting import Param, Setting
+
 Identifier = Annotated[int, Meta(ge=1, le=255)]
-Rate = Annotated[float, Meta(gt=0.0, le=1000.0)]
+Rate = Annotated[float, Meta(gt=0.0, le=1000.0), Setting("Hz", reload=True)]
+Megabytes = Annotated[float, Meta(ge=1.0, le=1e7), Setting("MB")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -16,79 +19,104 @@ class LinkConfig:
     """How to reach the autopilot, and who we are on that link."""
 
     url: str = "udpin:0.0.0.0:14540"
-    """``udpin:HOST:PORT``, ``udpout:``, ``tcp:``, ``tcpin:``, ``serial:/dev/ttyX:BAUD``."""
+    """Where the autopilot is: serial:/dev/ttyX:BAUD, udpin:HOST:PORT (listen), udpout:HOST:PORT,
+    tcp:HOST:PORT, tcpin:HOST:PORT (listen). --link overrides it. PX4 in simulation sends to UDP
+    14540 by itself; ArduPilot in simulation listens at tcp:127.0.0.1:5760, or sends here with
+    sim_vehicle.py --out=udpout:127.0.0.1:14540. /dev/serial0 is the header's port of a Raspberry
+    Pi; over USB, which ignores the rate, take the name under /dev/serial/by-id: it stays."""
     component_id: Identifier = 194
-    """Ours: MAV_COMP_ID_ONBOARD_COMPUTER4."""
+    """Our component id: 194 is MAV_COMP_ID_ONBOARD_COMPUTER4. Take another where some other program
+    on this vehicle has it."""
     system_id: Identifier | None = None
-    """Ours; null: the autopilot's."""
+    """Our system id. null: the autopilot's, as MAVLink wants it. An id of our own keeps our
+    ODOMETRY apart from the autopilot's in MAVROS and MAVSDK, which do not look at the component."""
     autopilot: Identifier | None = None
-    """System id of the one autopilot to listen to; null: the first that is heard, PX4
-    and ArduPilot before any other."""
+    """System id of the one autopilot to listen to. null: the first one heard, PX4 and ArduPilot
+    before any other. Set it where several are heard."""
     imu_rate: Rate = 250.0
-    """Inertial samples to ask for, Hz."""
+    """Inertial samples to ask for. More follows fast motion better; below 100 flight at the limits
+    suffers, below 25 all does. PX4 divides its rate by whole numbers: of 250, 200 asked gives 125.
+    ArduPilot knows whole milliseconds (250 is 4 ms) and denies more than 0.8 of SCHED_LOOP_RATE: at
+    a loop of 50 Hz ask for 40. At 250 a serial wire carries 19 kB/s of them, a fifth of 921600; at
+    57600 ask for 50."""
     gnss_rate: Rate = 10.0
-    """GNSS messages to ask for, Hz: twice the receiver's rate halves their wait for a turn."""
+    """GNSS messages to ask for: twice the receiver's rate halves the time that a fix waits."""
     heading_rate: Rate = 10.0
-    """ATTITUDE messages to ask for, Hz."""
+    """ATTITUDE to ask for: the heading of last resort. Lower it on a slow wire."""
     baro_rate: Rate = 10.0
-    """SCALED_PRESSURE messages to ask for, Hz."""
+    """SCALED_PRESSURE to ask for, for autopilots whose inertial message has no pressure."""
     peer: str = ""
-    """HOST or HOST:PORT that UDP datagrams must come from; empty: whoever first sends a valid
-    frame, until silent for 5 s."""
+    """Where UDP datagrams must come from, HOST or HOST:PORT. Empty: whoever first sends a valid
+    frame, until silent for 5 s. Others are counted and not heard."""
     allow_systems: tuple[Identifier, ...] = ()
-    """System ids that may speak; empty: all."""
+    """System ids that may speak, as in [1, 255]. Empty: all."""
     allow_components: tuple[Identifier, ...] = ()
-    """Component ids that may speak; empty: all."""
+    """Component ids that may speak, likewise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SigningConfig:
-    """MAVLink 2 signing."""
+    """MAVLink 2 signing. Both ends must know one secret."""
 
     key_file: str = ""
-    """File of mode 0600 that holds the secret: 32 bytes, or 64 hexadecimal digits. Empty: nothing
-    is signed."""
+    """File of mode 0600, owned by who runs us, with the secret: 32 bytes, or 64 hexadecimal digits
+    (openssl rand -hex 32). Empty: nothing is signed. ${CREDENTIALS_DIRECTORY}/NAME is what
+    systemd's LoadCredential=NAME:FILE gives."""
     accept_unsigned: bool = False
-    """Whether, with a key, frames without a signature are believed too."""
+    """With a key, believe frames without a signature too."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimesyncConfig:
     """How our clock is compared with the autopilot's."""
 
-    request: bool = True
-    """Whether we ask."""
-    respond: bool = True
-    """Whether the autopilot's requests are answered: in its own time, once locked."""
-    largest_rtt: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.01
-    """An answer that took longer says too little, s."""
+    request: Annotated[bool, Setting(reload=True)] = True
+    """Ask the autopilot for its time."""
+    respond: Annotated[bool, Setting(reload=True, param=Param(2, "EC_TSYNC_RESP"))] = True
+    """Answer the autopilot's requests: in its own time, once that is known. false where MAVROS
+    answers them: two clocks on one port confuse it."""
+    largest_rtt: Annotated[float, Meta(gt=0.0, le=1.0), Setting("s", reload=True)] = 0.01
+    """Longest round trip of an answer to be used. Raise it on a radio."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdometryConfig:
-    """The estimate, streamed back."""
+    """ODOMETRY: the estimate."""
 
-    mode: Literal["auto", "always", "never"] = "auto"
-    """auto: unless the autopilot would fuse it together with the GNSS that is in it already."""
-    independent: bool = False
-    """Whether our GNSS and inertial sensor are our own, not the autopilot's: nothing is then
+    mode: Annotated[
+        Literal["auto", "always", "never"], Setting(reload=True, param=Param(1, "EC_ODOM_MODE"))
+    ] = "auto"
+    """auto: streamed unless the autopilot would fuse it together with the GNSS that it came from,
+    which we read from its parameters; the log and the status say why nothing is sent, and which
+    parameter to change. always: whatever the autopilot does with it. never: only health is sent."""
+    independent: Annotated[bool, Setting(reload=True)] = False
+    """true where our GNSS and inertial sensor are our own, not the autopilot's: nothing is then
     counted twice, and auto always streams."""
-    rate: Annotated[float, Meta(ge=1.0, le=1000.0)] = 30.0
-    """Hz; never more than one per inertial sample, nor than 50 to ArduPilot."""
+    rate: Annotated[
+        float,
+        Meta(ge=1.0, le=1000.0),
+        Setting("Hz", reload=True, param=Param(0, "EC_ODOM_RATE", 1.0, 200.0)),
+    ] = 30.0
+    """Rate, at most one message per inertial sample. PX4 wants 30 to 50, and fuses nothing that
+    comes too rarely; ArduPilot wants 4 to 50, and is sent no more."""
     frame: Literal["LOCAL_FRD", "LOCAL_NED"] = "LOCAL_FRD"
-    """Frame of the pose. ArduPilot takes LOCAL_FRD only; the numbers are the same in both."""
+    """Frame of the pose. PX4 takes both, ArduPilot only LOCAL_FRD; a listener that is no autopilot
+    may understand only LOCAL_NED. The numbers are the same."""
     estimator_type: Literal["auto", "GPS_INS", "VIO"] = "auto"
-    """auto: GPS_INS, which is true, but VIO towards PX4, which refuses the true one aloud."""
+    """What ODOMETRY says that it is from. auto: GPS_INS, which is true, but VIO towards PX4, which
+    refuses the true type with a critical message for each frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutputConfig:
-    """What is streamed back."""
+    """What we send back."""
 
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     monitors: tuple[str, ...] = ()
-    """Listeners that are no autopilot, ``udpout:HOST:PORT`` or ``udpbcast:HOST:PORT``: each is sent
-    our heartbeat and, whatever ``odometry.mode`` and the guard say, the estimate."""
+    """Listeners that are no autopilot, as in [udpout:192.168.1.5:14550], or udpbcast:HOST:PORT for
+    all of a network: each is sent our heartbeat and, whatever odometry.mode is and the guard
+    withholds, the estimate (as LOCAL_NED and GPS_INS). Never name what passes it on to an
+    autopilot."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,23 +124,26 @@ class ParametersConfig:
     """Our own parameters, as a ground station sees them."""
 
     serve: bool = True
-    """Whether they can be read and set over MAVLink."""
+    """Let them be read and set over MAVLink. What is set there is kept beside the checkpoint, and
+    this file stays as it is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordConfig:
-    """What is kept."""
+    """What we keep."""
 
     path: str | None = None
-    """A .tlog of every byte in and out, and of the estimate; null: none. ``%s`` in the name becomes
-    the time of start. A file that is there stays as it is: the new one gets a number behind its
-    name."""
-    file_size: Annotated[float, Meta(ge=1.0, le=1e7)] = 256.0
-    """A new file is begun at so many MB."""
-    total_size: Annotated[float, Meta(ge=1.0, le=1e7)] = 4096.0
-    """The oldest of our files in the folder are deleted beyond so many MB in all."""
-    free_space: Annotated[float, Meta(ge=0.0, le=1e7)] = 512.0
-    """MB that the disk keeps free: the oldest files go; where all would be too few, none does, and
+    """A .tlog of every byte in and out, and of the estimate, about 2 MB a minute; null: none. %s in
+    the name becomes the time of start, as in /var/log/ekf-companion/%s.tlog. No file is written
+    over: the new one gets a number behind its name. It is on the disk within a second.
+    `ekf-companion convert` makes the same estimates of it, to the bit."""
+    file_size: Megabytes = 256.0
+    """A new file, with a number behind its name, is begun at this size, or half of total_size."""
+    total_size: Megabytes = 4096.0
+    """The oldest of our files in that folder are deleted beyond this size in all. Ours are those
+    whose names path can make: rename what is to be kept."""
+    free_space: Annotated[float, Meta(ge=0.0, le=1e7), Setting("MB")] = 512.0
+    """What the disk keeps free: the oldest files go; where all would be too few, none does, and
     nothing is recorded."""
 
 
@@ -121,18 +152,22 @@ class CheckpointConfig:
     """What a restart goes on from."""
 
     file: str = ""
-    """Where the state is kept; empty: nowhere, and every start aligns anew."""
-    interval: Annotated[float, Meta(ge=0.1, le=60.0)] = 1.0
-    """Between two checkpoints, s: what is lost at a crash, on top of the time to start."""
-    limit: Annotated[float, Meta(gt=0.0, le=300.0)] = 30.0
-    """Age by the autopilot's clock beyond which one is not used, s."""
+    """Where the estimator's state, 13 kB, is kept for the next start: after a crash it goes on at
+    once instead of aligning, with sigmas grown by the time lost. Empty: nowhere. --checkpoint
+    overrides it, and the systemd unit gives it /var/lib/ekf-companion/checkpoint. A file in /run
+    spares an SD card."""
+    interval: Annotated[float, Meta(ge=0.1, le=60.0), Setting("s")] = 1.0
+    """Between two checkpoints: what a crash loses, on top of the time to start."""
+    limit: Annotated[float, Meta(gt=0.0, le=300.0), Setting("s")] = 30.0
+    """Age by the autopilot's clock beyond which a checkpoint is not used."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HttpConfig:
-    """Where our state can be asked for: ``/status``, ``/metrics`` and ``/healthz``."""
+    """Where our state can be asked for: /status (JSON), /metrics (Prometheus), /healthz."""
 
     host: str = "127.0.0.1"
-    """Whom it listens to: this board only. 0.0.0.0: everybody, and nobody is asked for a name."""
+    """Who may ask: 127.0.0.1 is this board only; 0.0.0.0 is everybody, and nobody is asked for a
+    name."""
     port: Annotated[int, Meta(ge=0, le=65535)] = 9331
     """0: nowhere. Several vehicles on one board need several."""

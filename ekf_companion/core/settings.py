@@ -1,4 +1,4 @@
-"""The numbers that a user may turn, and their place in the kernel's parameters."""
+"""The settings of the estimator, and their place in the kernel's parameters."""
 
 from __future__ import annotations
 
@@ -9,15 +9,22 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
+from ekf_companion.core.setting import (
+    Auto,
+    Declination,
+    DelayStd,
+    Gauss,
+    MatrixRow,
+    NotNegative,
+    Param,
+    Positive,
+    Probability,
+    Seconds,
+    Setting,
+    Share,
+)
+
 Array = npt.NDArray[np.float64]
-Auto = Literal["auto"]
-Seconds = Annotated[float, Meta(ge=-1.0, le=1.0)]
-Positive = Annotated[float, Meta(gt=0.0, le=1e6)]
-NotNegative = Annotated[float, Meta(ge=0.0, le=1e6)]
-Probability = Annotated[float, Meta(gt=0.5, lt=1.0)]
-Gauss = Annotated[float, Meta(ge=-10.0, le=10.0)]
-Factor = Annotated[float, Meta(ge=-10.0, le=10.0)]
-MatrixRow = tuple[Factor, Factor, Factor]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,159 +84,194 @@ HABITS = {
 class ImuSettings:
     """The inertial sensor."""
 
-    gyro_noise: Positive = 2e-3
-    """White noise of the rate, rad/s per square root of Hz. Vibration counts in: PX4's EKF2 takes
+    gyro_noise: Annotated[
+        Positive,
+        Setting("rad/s/sqrt(Hz)", reload=True, param=Param(8, "EC_GYRO_NSE", 1e-5, 0.1)),
+    ] = 2e-3
+    """White noise of the angular rate: the sensor's own, and what vibration adds. PX4's EKF2 takes
     0.015 rad/s at 100 Hz, which is 1.5e-3."""
-    accel_noise: Positive = 3e-2
-    """White noise of the specific force, m/s^2 per square root of Hz (EKF2: 0.35 at 100 Hz)."""
-    gyro_bias_walk: NotNegative = 5e-5
-    """Random walk of the gyro bias, rad/s per square root of s."""
-    accel_bias_walk: NotNegative = 5e-4
-    """Random walk of the accelerometer bias, m/s^2 per square root of s."""
-    gyro_bias: Positive = 0.02
-    """One sigma of the gyro bias where no rest has shown it, rad/s."""
-    accel_bias: Positive = 0.2
-    """One sigma of the accelerometer bias at the start, m/s^2 (0.02 g: a MEMS over temperature)."""
-    learn_noise: bool = True
-    """Raise the white noise to what the differences between samples show."""
-    lag: Seconds | Auto = "auto"
-    """A sample says what was true this long before its stamp, s."""
-    samples: Literal["auto", "mean", "instant"] = "auto"
-    """What a sample is: the mean since the one before, or a reading at its time."""
-    gap: Positive = 0.2
-    """Longest silence to bridge as if nothing had been missed, s."""
-    gap_reset: Positive = 1.0
-    """Silence after which position, velocity and attitude begin anew with the next fixes, s."""
+    accel_noise: Annotated[
+        Positive, Setting("m/s^2/sqrt(Hz)", reload=True, param=Param(9, "EC_ACC_NSE", 1e-4, 5.0))
+    ] = 3e-2
+    """White noise of the specific force, likewise. EKF2: 0.35 m/s^2 at 100 Hz, which is 3.5e-2."""
+    gyro_bias_walk: Annotated[NotNegative, Setting("rad/s/sqrt(s)", reload=True)] = 5e-5
+    """Random walk of the gyro bias. Raise it for a sensor that warms up in flight."""
+    accel_bias_walk: Annotated[NotNegative, Setting("m/s^2/sqrt(s)", reload=True)] = 5e-4
+    """Random walk of the accelerometer bias, likewise."""
+    gyro_bias: Annotated[Positive, Setting("rad/s")] = 0.02
+    """One sigma of the gyro bias at a start in motion; a start at rest measures the bias."""
+    accel_bias: Annotated[Positive, Setting("m/s^2")] = 0.2
+    """One sigma of the accelerometer bias at the start: 0.02 g, a MEMS sensor over temperature.
+    Raise it where nobody has calibrated."""
+    learn_noise: Annotated[bool, Setting(reload=True)] = True
+    """Raise both white noises to what the differences between samples show. false: only the
+    numbers above count."""
+    lag: Annotated[Seconds | Auto, Setting("s", auto="imu_lag")] = "auto"
+    """An inertial sample says what was true this long before its stamp. ArduPilot's was measured
+    with INS_GYRO_FILTER and INS_ACCEL_FILTER at 20 Hz; with 60 Hz give 0.006."""
+    samples: Annotated[Literal["auto", "mean", "instant"], Setting(auto="imu_samples")] = "auto"
+    """What a sample is: the mean since the one before it, or a reading at its time."""
+    gap: Annotated[Positive, Setting("s")] = 0.2
+    """Longest silence to bridge as if nothing had been missed. Raise it on a radio."""
+    gap_reset: Annotated[Positive, Setting("s")] = 1.0
+    """Silence after which position, velocity and attitude begin anew with the next fixes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GnssSettings:
     """The satellite receiver."""
 
-    source: Literal["auto", "raw", "global"] = "auto"
-    """``raw``: GPS_RAW_INT; ``global``: GLOBAL_POSITION_INT, the autopilot's own estimate, which is
-    no independent measurement; ``auto``: the second only while the first is silent for 5 s."""
-    delay: Seconds | Auto = "auto"
-    """A fix is older than its stamp by this, s."""
-    delay_std: Annotated[float, Meta(ge=0.0, le=0.5)] | Auto = "auto"
-    """One sigma of the delay, s: the filter estimates the rest. 0: the delay is known."""
-    timing_std: NotNegative = 0.02
-    """One sigma of what a fix's stamp, and the receiver's own filter, leave of its time, s: counts
-    by the acceleration for the velocity, by the velocity for the position."""
-    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Antenna from the inertial sensor: forward, right, down, m."""
-    use_velocity: bool = True
-    """Use the receiver's velocity beside its position."""
-    white_share: Annotated[float, Meta(ge=0.01, le=1.0)] | Auto = "auto"
-    """Share of the variance that the receiver states for its position that is white noise; the rest
-    is an error that changes slowly. auto: learnt from the fixes."""
-    slow_time: Positive = 100.0
-    """Time constant of the slow error of its position, s."""
-    position_std: NotNegative = 0.1
-    """Least one sigma of the white noise of a horizontal axis, whatever the receiver claims, m."""
-    height_std: NotNegative = 0.2
-    """Least one sigma of that of the height, m."""
-    velocity_std: NotNegative = 0.1
-    """Least one sigma of the velocity per axis, m/s."""
-    velocity_slow_std: NotNegative = 0.03
-    """One sigma of the slow error of the velocity per axis, m/s: its integral drifts from the
-    position's."""
-    velocity_slow_time: Positive = 20.0
-    """Time constant of that, s."""
-    velocity_std_unknown: Positive = 0.3
-    """One sigma of the velocity where the receiver does not say, m/s."""
+    source: Annotated[Literal["auto", "raw", "global"], Setting(reload=True)] = "auto"
+    """raw: GPS_RAW_INT. global: GLOBAL_POSITION_INT, the autopilot's own estimate, which is no
+    independent measurement. auto: the second only while the first has been silent for 5 s."""
+    delay: Annotated[
+        Seconds | Auto, Setting("s", auto="gnss_delay", param=Param(3, "EC_GPS_DELAY", -1.0, 1.0))
+    ] = "auto"
+    """A fix is older than its stamp by this; the filter estimates the rest. What a log declares
+    goes before auto. Give what EKF2_GPS_DELAY (PX4) or GPS1_DELAY_MS (ArduPilot) says, in ms there,
+    if it was set for your receiver; `ekf-companion calibrate delay LOG` measures it."""
+    delay_std: Annotated[DelayStd | Auto, Setting("s", auto="gnss_delay_std")] = "auto"
+    """One sigma of the delay: how far the filter may move it. 0: the delay is known."""
+    timing_std: Annotated[NotNegative, Setting("s", reload=True)] = 0.02
+    """One sigma of the error in time that the stamp of a fix, and the receiver's own filter, leave.
+    It counts in manoeuvres: times the acceleration in the velocity, times the velocity in the
+    position."""
+    lever_arm: Annotated[tuple[float, float, float], Setting("m")] = (0.0, 0.0, 0.0)
+    """The antenna from the inertial sensor: forward, right, down. Measure it to a few centimetres:
+    in a turn of 2 rad/s, 0.3 m of it are 0.6 m/s."""
+    use_velocity: Annotated[bool, Setting(reload=True, param=Param(4, "EC_GPS_VEL_USE"))] = True
+    """Use the receiver's velocity beside its position. false only where that velocity is wrong."""
+    white_share: Annotated[Share | Auto, Setting(reload=True)] = "auto"
+    """Share of the position's variance, as the receiver states it, that is white noise; the rest is
+    an error that changes slowly. auto: learnt from the fixes."""
+    slow_time: Annotated[Positive, Setting("s", reload=True)] = 100.0
+    """Time constant of that slow error."""
+    position_std: Annotated[
+        NotNegative, Setting("m", reload=True, param=Param(5, "EC_GPS_POS_NSE", 0.0, 50.0))
+    ] = 0.1
+    """Least one sigma of the white noise of a horizontal axis, whatever the receiver claims. Raise
+    it among houses and trees; lower it to 0.02 for RTK."""
+    height_std: Annotated[
+        NotNegative, Setting("m", reload=True, param=Param(6, "EC_GPS_HGT_NSE", 0.0, 50.0))
+    ] = 0.2
+    """Least one sigma of the white noise of the height, likewise; 0.04 for RTK."""
+    velocity_std: Annotated[
+        NotNegative, Setting("m/s", reload=True, param=Param(7, "EC_GPS_VEL_NSE", 0.0, 10.0))
+    ] = 0.1
+    """Least one sigma of the velocity per axis."""
+    velocity_slow_std: Annotated[NotNegative, Setting("m/s", reload=True)] = 0.03
+    """One sigma of the slow error of the velocity per axis: its integral drifts from the position
+    by as much."""
+    velocity_slow_time: Annotated[Positive, Setting("s", reload=True)] = 20.0
+    """Time constant of the slow error of the velocity."""
+    velocity_std_unknown: Annotated[Positive, Setting("m/s", reload=True)] = 0.3
+    """One sigma of the velocity per axis where the receiver gives none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeadingSettings:
-    """Where north comes from."""
+    """The sources of heading."""
 
-    source: Literal["auto", "gnss", "magnetometer", "autopilot"] = "auto"
-    """``auto``: the best that speaks: dual-antenna GNSS, magnetometer, autopilot's own."""
-    declination: Annotated[float, Meta(ge=-3.2, le=3.2)] | Auto = "auto"
-    """Of the magnetic field, rad, east positive; auto: World Magnetic Model at the fix."""
-    year: Annotated[float, Meta(ge=2025.0, le=2030.0)] = 2026.0
-    """For the World Magnetic Model, decimal year."""
-    hard_iron: tuple[Gauss, Gauss, Gauss] = (0.0, 0.0, 0.0)
-    """What the vehicle adds to the field: forward, right, down, gauss; taken off first."""
+    source: Annotated[
+        Literal["auto", "gnss", "magnetometer", "autopilot"],
+        Setting(reload=True, param=Param(10, "EC_HDG_SRC")),
+    ] = "auto"
+    """gnss: two antennas. autopilot: its own yaw, where the compass is poor and the autopilot has a
+    better source. auto: the best of the three that speaks."""
+    declination: Annotated[Declination | Auto, Setting("rad, east positive")] = "auto"
+    """Declination of the magnetic field. auto: World Magnetic Model at the place."""
+    year: Annotated[float, Meta(ge=2025.0, le=2030.0), Setting("decimal year")] = 2026.0
+    """Date for the World Magnetic Model. A year off is 0.003 rad at most places."""
+    hard_iron: Annotated[tuple[Gauss, Gauss, Gauss], Setting("gauss")] = (0.0, 0.0, 0.0)
+    """What the vehicle itself adds to the field: forward, right, down. It is subtracted from what
+    the magnetometer says. `ekf-companion calibrate mag LOG` measures it."""
     soft_iron: tuple[MatrixRow, MatrixRow, MatrixRow] = (
         (1.0, 0.0, 0.0),
         (0.0, 1.0, 0.0),
         (0.0, 0.0, 1.0),
     )
-    """What the rest is multiplied by, to be the Earth's field: three rows of a matrix."""
-    magnetometer_std: Positive = 0.02
-    """One sigma of the slow error of a compass heading beside hard iron, rad: declination, scale,
-    mounting."""
-    hard_iron_std: Positive = 0.01
-    """One sigma per axis of the vehicle's own field that calibration leaves, gauss."""
-    hard_iron_walk: NotNegative = 1e-4
-    """Random walk of it, gauss per square root of s: currents."""
-    magnetometer_delay: Seconds | Auto = "auto"
-    """A magnetic field is older than its stamp by this, s."""
-    magnetometer_noise: NotNegative = 0.01
-    """White noise of the field, gauss; counts by the strength of its horizontal part."""
-    field_strength: Positive = 0.25
-    """Largest share by which the field may differ from the World Magnetic Model's strength; beyond,
-    the magnetometer is disturbed or not calibrated, and no heading is taken from it."""
-    field_dip: Positive = 0.26
-    """Largest difference of its dip from the model's, rad."""
-    heading_std: NotNegative = 0.02
-    """Least one sigma of a heading from elsewhere, rad."""
-    slow_time: Positive = 100.0
-    """Time constant of the slow error of a compass or of the autopilot's heading, s."""
+    """Matrix, by rows, that turns the rest into the Earth's field; measured likewise."""
+    magnetometer_std: Annotated[
+        Positive, Setting("rad", reload=True, param=Param(11, "EC_MAG_NSE", 1e-3, 1.0))
+    ] = 0.02
+    """One sigma of the slow error of a compass heading beside hard iron: of the declination, the
+    scale, the mounting."""
+    hard_iron_std: Annotated[Positive, Setting("gauss")] = 0.01
+    """One sigma per axis of the vehicle's own field that calibration leaves. Raise it where motor
+    currents turn the compass. The filter finds it as soon as the vehicle turns."""
+    hard_iron_walk: Annotated[NotNegative, Setting("gauss/sqrt(s)", reload=True)] = 1e-4
+    """Random walk of that field: the currents."""
+    magnetometer_delay: Annotated[Seconds | Auto, Setting("s", auto="mag_delay")] = "auto"
+    """A magnetic field is older than its stamp by this."""
+    magnetometer_noise: Annotated[NotNegative, Setting("gauss", reload=True)] = 0.01
+    """White noise of the field: weighs more where the horizontal field is weak, near the poles."""
+    field_strength: Annotated[Positive, Setting(reload=True)] = 0.25
+    """Largest difference of the field's strength from the World Magnetic Model's, as a share of it.
+    Beyond, the magnetometer is disturbed or not calibrated, and no heading is taken from it."""
+    field_dip: Annotated[Positive, Setting("rad", reload=True)] = 0.26
+    """Largest difference of the field's dip from the model's, likewise."""
+    heading_std: Annotated[NotNegative, Setting("rad", reload=True)] = 0.02
+    """Least one sigma of a heading from GNSS or the autopilot."""
+    slow_time: Annotated[Positive, Setting("s", reload=True)] = 100.0
+    """Time constant of the slow error of a compass or of the autopilot's heading: until GNSS has
+    shown it in motion, yaw is no surer than that error."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaroSettings:
-    """The barometer: its height less ours is an offset that walks."""
+    """The barometer: its height less the estimated one is an offset that walks."""
 
-    use: bool = True
-    """Use the barometer at all."""
-    std: Positive = 0.5
-    """White noise of the pressure altitude, m."""
-    walk: NotNegative = 0.05
-    """Random walk of the offset, m per square root of s: weather, wind, temperature."""
+    use: Annotated[bool, Setting(reload=True, param=Param(12, "EC_BARO_USE"))] = True
+    """Use the barometer. false in a vehicle whose static pressure jumps, with an open cockpit or
+    strong downwash."""
+    std: Annotated[
+        Positive, Setting("m", reload=True, param=Param(13, "EC_BARO_NSE", 0.01, 50.0))
+    ] = 0.5
+    """White noise of the pressure altitude."""
+    walk: Annotated[NotNegative, Setting("m/sqrt(s)", reload=True)] = 0.05
+    """Random walk of the offset: weather, wind, temperature. Raise it in fast flight."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlignSettings:
-    """The start, and standing still."""
+    """The start, which finds down and north before anything is estimated, and standing still."""
 
-    time: Annotated[float, Meta(ge=0.2, le=30.0)] = 1.0
-    """Length of a window of rest, or least stretch of motion, to level from, s."""
-    rest_gyro: Positive = 0.05
-    """Largest spread of the rate at rest, all axes together, rad/s."""
-    rest_accel: Positive = 0.6
-    """Largest spread of the specific force at rest, all axes together, m/s^2."""
-    use_rest: bool = True
-    """Take a vehicle that stands still as one: no velocity, and the gyro shows its bias. Never
-    while the autopilot says that it flies."""
+    time: Annotated[float, Meta(ge=0.2, le=30.0), Setting("s")] = 1.0
+    """Length of rest, or least of motion with fixes, to find down from."""
+    rest_gyro: Annotated[Positive, Setting("rad/s", reload=True)] = 0.05
+    """Largest spread of the rate at rest, all axes together. Raise it on a ship."""
+    rest_accel: Annotated[Positive, Setting("m/s^2", reload=True)] = 0.6
+    """Largest spread of the specific force at rest, all axes together, likewise."""
+    use_rest: Annotated[bool, Setting(reload=True)] = True
+    """Fuse zero velocity while the vehicle stands still, when the gyro shows its bias. Never while
+    the autopilot says that it flies. false on a ship."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GateSettings:
-    """Whom to believe, and for how long not to."""
+    """Which measurements to refuse, and for how long."""
 
-    probability: Probability = 0.999999
-    """Share of good measurements that a gate lets through."""
-    soft_probability: Probability = 0.99
+    probability: Annotated[
+        Probability, Setting(reload=True, param=Param(14, "EC_GATE", 1.0, 6.0, is_sigma=True))
+    ] = 0.999999
+    """Share of good measurements that a gate lets through. Lower it (0.999) to refuse more."""
+    soft_probability: Annotated[Probability, Setting(reload=True)] = 0.99
     """Share of good measurements that count in full; beyond, the further out the less."""
-    timeout_position: Positive = 7.0
-    """After so long without an accepted position the next one resets ours, s."""
-    timeout_velocity: Positive = 7.0
-    """Likewise for the velocity, s."""
-    timeout_height: Positive = 5.0
-    """Likewise for the height, s."""
-    timeout_heading: Positive = 10.0
-    """Likewise for the heading, s."""
-    limit_position: Positive = 100.0
-    """One sigma of the horizontal position beyond which the estimate is called invalid, m."""
+    timeout_position: Annotated[Positive, Setting("s", reload=True)] = 7.0
+    """After this time without an accepted position, the next one resets the estimated position."""
+    timeout_velocity: Annotated[Positive, Setting("s", reload=True)] = 7.0
+    """The same for the velocity."""
+    timeout_height: Annotated[Positive, Setting("s", reload=True)] = 5.0
+    """The same for the height."""
+    timeout_heading: Annotated[Positive, Setting("s", reload=True)] = 10.0
+    """The same for the heading."""
+    limit_position: Annotated[Positive, Setting("m", reload=True)] = 100.0
+    """One sigma of the horizontal position beyond which the estimate is invalid and not sent."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterSettings:
-    """Everything that the estimator may be told."""
+    """The settings of the estimator."""
 
     imu: ImuSettings = field(default_factory=ImuSettings)
     gnss: GnssSettings = field(default_factory=GnssSettings)
@@ -237,5 +279,6 @@ class FilterSettings:
     baro: BaroSettings = field(default_factory=BaroSettings)
     align: AlignSettings = field(default_factory=AlignSettings)
     gate: GateSettings = field(default_factory=GateSettings)
-    window: Annotated[float, Meta(ge=0.1, le=10.0)] = 2.0
-    """How late a measurement may come and still take its place in time, s."""
+    window: Annotated[float, Meta(ge=0.1, le=10.0), Setting("s")] = 2.0
+    """How late a measurement may come and still take its place in time. Longer takes memory and,
+    where measurements are that late, time."""

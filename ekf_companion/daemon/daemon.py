@@ -178,7 +178,7 @@ class Daemon:
                 self._do_what_is_due(now_ns)
             due = time.monotonic() + TICK
             await asyncio.sleep(TICK)
-            self._observer.late(time.monotonic() - due)
+            self._observer.on_late_timer(time.monotonic() - due)
             journal.tell()
 
     def reload(self, read: Callable[[], Config]) -> None:
@@ -235,7 +235,7 @@ class Daemon:
             self._keyring.keep(now_ns)
         if not self._observer.is_barren:
             self._systemd.beat(now_ns)
-        self._systemd.report(now_ns, self._observer.words)
+        self._systemd.report(now_ns, self._observer.health_line)
 
     def _send(self, now_ns: int) -> None:
         for frame in self._companion.data_to_send():
@@ -244,10 +244,10 @@ class Daemon:
             self._monitors.serve(self._companion, now_ns)
         if self._recorder is not None:
             self._recorder.write(self._companion.session.take_record())
-        self._observer.beat(now_ns)
+        self._observer.tick(now_ns)
 
     def _note_sent(self, waited_ns: int) -> None:
-        self._observer.sent(waited_ns)
+        self._observer.on_sent(waited_ns)
 
     def _recorded(self) -> tuple[int, int, str]:
         """Give the bytes that were recorded, those that should have been, and why they are not."""

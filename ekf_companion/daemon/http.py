@@ -23,7 +23,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ekf_companion.config.service import HttpConfig
-from ekf_companion.status.host import Board, read_board
+from ekf_companion.status.host import Host, read_host
 from ekf_companion.status.judge import judge, to_json
 from ekf_companion.status.observer import Observer
 from ekf_companion.status.snapshot import Snapshot
@@ -71,7 +71,7 @@ class Desk:
         self._asked: Future[Snapshot] | None = None
         self._last: Snapshot | None = None
         self._last_s = -FRESH
-        self._board, self._board_s = Board(), -BOARD
+        self._board, self._board_s = Host(), -BOARD
 
     def ask(self) -> Snapshot | None:
         """Give the newest snapshot; None: the loop does not answer."""
@@ -84,7 +84,7 @@ class Desk:
 
     def _fetch(self, now_s: float) -> Snapshot | None:
         if now_s - self._board_s >= BOARD:
-            self._board, self._board_s = read_board(), now_s
+            self._board, self._board_s = read_host(), now_s
         # One question at a time: what a stuck loop did not answer still waits there
         if self._asked is None or self._asked.done():
             self._asked = Future()
@@ -98,7 +98,7 @@ class Desk:
         except LateError:
             return None
 
-    def _answer(self, asked: Future[Snapshot], board: Board) -> None:
+    def _answer(self, asked: Future[Snapshot], board: Host) -> None:
         try:
             asked.set_result(self._observer.snapshot(board))
         except Exception as error:  # noqa: BLE001  # a bug here is the asker's, and stops no flight

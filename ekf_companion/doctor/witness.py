@@ -23,7 +23,13 @@ from ekf_companion.mavlink.guard import DOES_NOT_EXIST, value_of
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.verdict import Verdict
-from ekf_companion.status.collect import frames, output_state, part, peer_state, time_state
+from ekf_companion.status.collect import (
+    frame_state,
+    output_state,
+    peer_state,
+    time_state,
+    with_prefix,
+)
 from ekf_companion.status.snapshot import LinkState, MessageState
 
 _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress")
@@ -210,7 +216,7 @@ class Witness:
             link=link,
             bytes_in=self._bytes,
             sample=traffic.sample,
-            frames=frames(counters),
+            frames=frame_state(counters),
             damaged=damaged,
             first_version=traffic.first_version,
             mismatched=dict(traffic.mismatched),
@@ -222,7 +228,7 @@ class Witness:
             overruled=self._overruling.rate,
             bytes_rate=self._bytes / span,
             stream_requests=traffic.stream_requests,
-            refused=part(counters, "refused: "),
+            refused=with_prefix(counters, "refused: "),
             time=time_state(session.timesync, session.decoder, now_ns),
             stamps=self._stamps_in_use().state(),
             receiver=self._told.receiver,

@@ -10,7 +10,8 @@ import logging
 from collections.abc import Hashable
 from functools import partial
 
-from ekf_companion.config.config import Config, LinkConfig, TimesyncConfig
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import LinkConfig, TimesyncConfig
 from ekf_companion.engine.announcer import Bulletin
 from ekf_companion.engine.checkpoint import Clocks, Vehicle
 from ekf_companion.engine.health import Arrival

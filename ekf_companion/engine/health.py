@@ -20,8 +20,11 @@ class Health:
     """The filter's own account of itself."""
 
     status: Status
+    """How far the estimate can be trusted."""
     resets: int
+    """Jumps on purpose, counted from run to run, as ODOMETRY's ``reset_counter``."""
     reset_reason: str
+    """Of the last."""
     samples: int
     gaps: int
     ratios: Mapping[Aid, float]

@@ -1,4 +1,4 @@
-"""What may be turned in the field: parameters over MAVLink for keys of the configuration.
+"""What may be set in the field: parameters over MAVLink for keys of the configuration.
 
 A change is kept beside the checkpoint, and the user's file stays as it is.
 """
@@ -8,14 +8,15 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any
 
 import msgspec
 
 from ekf_companion.config.config import Config, describe_config, parse_config
-from ekf_companion.config.reload import SAFE, Reload, reload, with_value
+from ekf_companion.config.keys import KEYS, Key, value_of, with_value
+from ekf_companion.config.reload import Reload, reload
+from ekf_companion.core.setting import Param
 from ekf_companion.errors import ConfigError
 from ekf_companion.mavlink.parameters import Parameter
 
@@ -24,115 +25,76 @@ _log = logging.getLogger(__name__)
 AUTO = -1.0
 """Stands for ``auto`` where a number may be given instead."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tunable:
-    """One key of the configuration, as a number."""
-
-    name: str
-    """Of the parameter: at most 16 characters."""
-    key: str
-    lowest: float = 0.0
-    highest: float = 1.0
-    choices: tuple[object, ...] = ()
-    """What 0, 1, 2 ... stand for, where it is no number."""
-    encode: Callable[[Any], float] = float
-    decode: Callable[[float], object] = float
-
-    def number(self, value: object) -> float:
-        """Give a value of the configuration as it is told over MAVLink."""
-        return float(self.choices.index(value)) if self.choices else self.encode(value)
-
-    def value(self, number: float) -> object:
-        """Give what a number means in the configuration."""
-        return self.choices[int(number)] if self.choices else self.decode(number)
-
-
-def _choice(name: str, key: str, *choices: object) -> Tunable:
-    return Tunable(name=name, key=key, highest=len(choices) - 1.0, choices=choices)
-
-
-def _to_sigma(probability: float) -> float:
-    return NormalDist().inv_cdf(0.5 + 0.5 * probability)
-
-
-def _from_sigma(sigma: float) -> float:
-    return math.erf(sigma / math.sqrt(2.0))
-
-
-TABLE = (
-    Tunable(name="EC_ODOM_RATE", key="output.odometry.rate", lowest=1.0, highest=200.0),
-    _choice("EC_ODOM_MODE", "output.odometry.mode", "auto", "always", "never"),
-    _choice("EC_TSYNC_RESP", "timesync.respond", False, True),
-    Tunable(
-        name="EC_GPS_DELAY",
-        key="gnss.delay",
-        lowest=AUTO,
-        encode=lambda delay: AUTO if delay == "auto" else float(delay),
-        decode=lambda number: "auto" if number == AUTO else number,
-    ),
-    _choice("EC_GPS_VEL_USE", "gnss.use_velocity", False, True),
-    Tunable(name="EC_GPS_POS_NSE", key="gnss.position_std", highest=50.0),
-    Tunable(name="EC_GPS_HGT_NSE", key="gnss.height_std", highest=50.0),
-    Tunable(name="EC_GPS_VEL_NSE", key="gnss.velocity_std", highest=10.0),
-    Tunable(name="EC_GYRO_NSE", key="imu.gyro_noise", lowest=1e-5, highest=0.1),
-    Tunable(name="EC_ACC_NSE", key="imu.accel_noise", lowest=1e-4, highest=5.0),
-    _choice("EC_HDG_SRC", "heading.source", "auto", "gnss", "magnetometer", "autopilot"),
-    Tunable(name="EC_MAG_NSE", key="heading.magnetometer_std", lowest=1e-3, highest=1.0),
-    _choice("EC_BARO_USE", "baro.use", False, True),
-    Tunable(name="EC_BARO_NSE", key="baro.std", lowest=0.01, highest=50.0),
-    Tunable(
-        name="EC_GATE",
-        key="gate.probability",
-        lowest=1.0,
-        highest=6.0,
-        encode=_to_sigma,
-        decode=_from_sigma,
-    ),
-)
-"""The gate is told in sigmas of one axis; noises as in the configuration."""
-
 _TRANSIENT = {"output.odometry.mode": "always"}
 """What counts in this run only: no stranger's PARAM_SET may lift the guard for good. The user's
 file may."""
 
-_BY_KEY = {tunable.key: tunable for tunable in TABLE}
+
+def _tunable() -> dict[str, tuple[Key, Param]]:
+    """Return the keys that have a MAVLink parameter, in the order of its index."""
+    found = [(key, key.setting.param) for key in KEYS.values() if key.setting.param is not None]
+    return {key.name: (key, param) for key, param in sorted(found, key=lambda one: one[1].index)}
+
+
+_TUNABLE = _tunable()
+
+
+def _number(key: Key, param: Param, value: Any) -> float:
+    """Return a value of the configuration as the parameter has it."""
+    if key.choices:
+        return float(key.choices.index(value))
+    if value == "auto":
+        return AUTO
+    return NormalDist().inv_cdf(0.5 + 0.5 * value) if param.is_sigma else float(value)
+
+
+def _value(key: Key, param: Param, number: float) -> object:
+    """Return what a parameter's number means in the configuration."""
+    if key.choices:
+        return key.choices[int(number)]
+    if key.setting.auto and number == AUTO:
+        return "auto"
+    return math.erf(number / math.sqrt(2.0)) if param.is_sigma else number
+
+
+def _highest(key: Key, param: Param) -> float:
+    return len(key.choices) - 1.0 if key.choices else param.highest
 
 
 def parameters(config: Config) -> tuple[Parameter, ...]:
-    """Give the table that a ground station sees; empty where none is to be served."""
+    """Return the table that a ground station sees; empty where none is to be served."""
     if not config.parameters.serve:
         return ()
     return tuple(
         Parameter(
-            name=tunable.name,
-            key=tunable.key,
-            value=tunable.number(_get(config, tunable.key)),
-            lowest=tunable.lowest,
-            highest=tunable.highest,
-            is_whole=bool(tunable.choices),
-            is_late=tunable.key not in SAFE,
+            name=param.name,
+            key=name,
+            value=_number(key, param, value_of(config, name)),
+            lowest=param.lowest,
+            highest=_highest(key, param),
+            is_whole=bool(key.choices),
+            is_late=not key.setting.reload,
         )
-        for tunable in TABLE
+        for name, (key, param) in _TUNABLE.items()
     )
 
 
-def apply(config: Config, key: str, number: float) -> Config:
-    """Give the configuration with one key at what a parameter's number, in its range, means.
+def apply(config: Config, name: str, number: float) -> Config:
+    """Return the configuration with one key at what a parameter's number, in its range, means.
 
     Raises:
         ConfigError: No parameter has this key, or the number is out of its range.
     """
-    tunable = _BY_KEY.get(key)
-    if tunable is None:
-        raise ConfigError(f"{key}: is no parameter; known are {', '.join(_BY_KEY)}")
-    if not tunable.lowest <= number <= tunable.highest:
-        raise ConfigError(f"{key}: {number} is not in {tunable.lowest} to {tunable.highest}")
-    return with_value(config, key, tunable.value(number))
+    if name not in _TUNABLE:
+        raise ConfigError(f"{name}: is no parameter; known are {', '.join(_TUNABLE)}")
+    key, param = _TUNABLE[name]
+    if not param.lowest <= number <= (highest := _highest(key, param)):
+        raise ConfigError(f"{name}: {number} is not in {param.lowest} to {highest}")
+    return with_value(config, name, _value(key, param, number))
 
 
 class Tuning:
-    """The configuration as it was turned in the field, in this run or in an earlier one."""
+    """The configuration as it was set in the field, in this run or in an earlier one."""
 
     def __init__(
         self,
@@ -141,24 +103,24 @@ class Tuning:
         name: str = "",
         keep: Callable[[bytes], None] | None = None,
     ) -> None:
-        """Take what an earlier run kept; what cannot be meant any more is left out and logged.
+        """Take over what an earlier run kept; leave out, and log, what is no longer valid.
 
         Args:
-            config: As the user's file says.
-            data: What was handed to ``keep`` there; None: nothing was.
+            config: As in the user's file.
+            data: What that run handed to ``keep``; None if nothing.
             name: Of the file that it was kept in, for the log.
-            keep: Takes, after each change, what the next run should go on with: JSON of dotted
+            keep: Stores, after each change, what the next run should go on with: JSON of dotted
                 keys and values, of those that differ from the user's file.
         """
         self.config = config
-        """As it counts now."""
+        """The configuration in force."""
         self._file_config = config
         self._keep = keep
         if data is not None and config.parameters.serve:
             self._recall(data, name)
 
     def set(self, key: str, number: float) -> Config:
-        """Turn one key to what a parameter's number means; give the configuration then.
+        """Set one key to what a parameter's number means, and return the new configuration.
 
         Raises:
             ConfigError: As :func:`apply`.
@@ -170,24 +132,24 @@ class Tuning:
         return self.config
 
     def reload(self, config: Config) -> Reload:
-        """Take from the user's file, which has changed, what can be taken in flight.
+        """Take from the user's changed file what a flight can take.
 
-        What was set over MAVLink goes before it still.
+        What was set over MAVLink still takes precedence over it.
         """
         kept = self.changed
-        found = reload(self._file_config, config)
-        self._file_config = self.config = found.config
+        reloaded = reload(self._file_config, config)
+        self._file_config = self.config = reloaded.config
         for key, value in kept.items():
             self.config = with_value(self.config, key, value)
-        return found
+        return reloaded
 
     @property
     def changed(self) -> dict[str, object]:
-        """Give dotted key and value of what differs from the user's file."""
+        """Return dotted key and value of what differs from the user's file."""
         return {
-            tunable.key: value
-            for tunable in TABLE
-            if (value := _get(self.config, tunable.key)) != _get(self._file_config, tunable.key)
+            name: value
+            for name in _TUNABLE
+            if (value := value_of(self.config, name)) != value_of(self._file_config, name)
         }
 
     def _recall(self, data: bytes, name: str) -> None:
@@ -197,7 +159,7 @@ class Tuning:
             _log.warning("%s: holds no parameters; those of the configuration count", name)
             return
         for key, value in kept.items():
-            if key not in _BY_KEY:
+            if key not in _TUNABLE:
                 _log.warning("%s: %s: is no parameter any more; dropped", name, key)
                 continue
             if _ends(key, value):
@@ -206,7 +168,10 @@ class Tuning:
                 )
                 continue
             try:
-                self.config = _set(self.config, key, value, name)
+                # Checked as a file is
+                self.config = parse_config(
+                    describe_config(with_value(self.config, key, value)), name
+                )
             except ConfigError as error:
                 _log.warning("%s; dropped", error)
             else:
@@ -216,20 +181,3 @@ class Tuning:
 def _ends(key: str, value: object) -> bool:
     """Whether a value ends with the run that it was set in."""
     return key in _TRANSIENT and _TRANSIENT[key] == value
-
-
-def _get(config: Config, key: str) -> object:
-    value: object = config
-    for part in key.split("."):
-        value = getattr(value, part)
-    return value
-
-
-def _set(config: Config, key: str, value: object, name: str) -> Config:
-    """Give a copy with one key changed, checked as a file is."""
-    table: dict[str, Any] = dict(describe_config(config))
-    section, *parts = table, *key.split(".")
-    for part in parts[:-1]:
-        section = section[part]
-    section[parts[-1]] = value
-    return parse_config(table, name)

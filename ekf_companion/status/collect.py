@@ -1,7 +1,4 @@
-"""What each part of the daemon has to tell, in the words of the Snapshot.
-
-Each function is the one place where its part is asked, for the status and for the doctor.
-"""
+"""Collect the states of the daemon's parts, for the status and for the doctor."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ from ekf_companion.status.snapshot import (
 
 
 def link_state(link: Link, silent_s: float = math.nan) -> LinkState:
-    """Give the descriptor and the bytes, of which the last came so long ago; NaN: none has."""
+    """Return the state of the link; ``silent_s``: since the last byte, NaN if none came."""
     pinned, failure = link.peers.pinned, link.failure
     return LinkState(
         url=str(link.address),
@@ -45,7 +42,7 @@ def link_state(link: Link, silent_s: float = math.nan) -> LinkState:
 
 
 def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> PeerState:
-    """Give the autopilot that was heard last, by its system and component id."""
+    """Return the autopilot that was heard last, given its system and component id."""
     session, pipeline = companion.session, companion.pipeline
     restarts = {} if pipeline is None else pipeline.health().arrivals[Kind.RESTART]
     return PeerState(
@@ -54,7 +51,7 @@ def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> Peer
         family=session.decoder.family.value,
         version=session.requests.version,
         is_heard=session.peer is not None,
-        silent_s=age(session.heard_ns or None, now_ns),
+        silent_s=seconds_since(session.heard_ns or None, now_ns),
         is_armed=session.decoder.is_armed,
         reboots=sum(restarts.values()),
     )
@@ -63,7 +60,14 @@ def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> Peer
 def output_state(
     session: Session, new: int, rate: float, unheard: Mapping[str, int] | None = None
 ) -> OutputState:
-    """Give what is sent, and why; of ODOMETRY so many are new, at a rate, Hz."""
+    """Return what is sent, and why.
+
+    Args:
+        session: That sends it.
+        new: ODOMETRY messages in the last seconds.
+        rate: Of these, Hz.
+        unheard: Datagrams that found no monitor, by its address.
+    """
     verdict, state = session.guard.verdict, session.stream_state
     return OutputState(
         mode=session.guard.options.mode,
@@ -83,7 +87,7 @@ def output_state(
 
 
 def imu_state(decoder: Decoder, messages: Mapping[str, MessageState]) -> ImuState:
-    """Give where the inertial samples come from, by the messages that are heard."""
+    """Return the source of the inertial samples, given the messages that are heard."""
     message = messages.get(decoder.imu_source)
     return ImuState(
         message=decoder.imu_source,
@@ -94,12 +98,12 @@ def imu_state(decoder: Decoder, messages: Mapping[str, MessageState]) -> ImuStat
 
 
 def reload_state(companion: Companion) -> ReloadState:
-    """Give how often the configuration was read anew, and what became of it."""
+    """Return how often the configuration was reloaded, and the result of the last time."""
     return ReloadState(count=companion.reloads, words=companion.last_reload)
 
 
-def asked_rates(session: Session) -> dict[str, float]:
-    """Give the rates that were asked for, Hz, by message."""
+def requested_rates(session: Session) -> dict[str, float]:
+    """Return the rates that were requested, Hz, by message."""
     rates = dict(session.requests.rates)
     is_refused = session.requests.inertial != "HIGHRES_IMU"
     if is_refused and "RAW_IMU" in session.results:  # asked in its place
@@ -108,12 +112,11 @@ def asked_rates(session: Session) -> dict[str, float]:
 
 
 def time_state(timesync: Timesync, decoder: Decoder, now_ns: int) -> TimeState:
-    """Give what is known of the autopilot's clock."""
+    """Return what is known of the autopilot's clock."""
     peer_ns = timesync.peer_ns(now_ns)
     quality, base = timesync.quality, decoder.clock
-    words = "unix" if base.is_unix else "boot"
     return TimeState(
-        base="unknown" if base.latest_us is None else words,
+        base="unknown" if base.latest_us is None else "unix" if base.is_unix else "boot",
         is_locked=timesync.is_locked,
         offset_s=math.nan if peer_ns is None else (peer_ns - now_ns) * 1e-9,
         skew_ppm=timesync.skew * 1e6,
@@ -129,8 +132,8 @@ def _ms(ns: int | None) -> float:
     return math.nan if ns is None else ns * 1e-6
 
 
-def frames(counters: Mapping[str, int]) -> FrameState:
-    """Give what the bytes were, out of ``Session.counters``."""
+def frame_state(counters: Mapping[str, int]) -> FrameState:
+    """Return what the bytes were, out of ``Session.counters``."""
     return FrameState(
         frames=counters["frames"],
         bad_crc=counters["bad_crc"],
@@ -141,13 +144,13 @@ def frames(counters: Mapping[str, int]) -> FrameState:
         late=counters["late"],
         duplicates=counters["duplicate"],
         signed=counters["signed"],
-        refused=part(counters, "not admitted: "),
-        ignored=part(counters, "ignored: "),
+        refused=with_prefix(counters, "not admitted: "),
+        ignored=with_prefix(counters, "ignored: "),
     )
 
 
-def part(counters: Mapping[str, int], prefix: str) -> dict[str, int]:
-    """Give the counters whose names begin so, without that beginning."""
+def with_prefix(counters: Mapping[str, int], prefix: str) -> dict[str, int]:
+    """Return the counters whose names begin with a prefix, without it."""
     return {
         name.removeprefix(prefix): count
         for name, count in counters.items()
@@ -155,6 +158,6 @@ def part(counters: Mapping[str, int], prefix: str) -> dict[str, int]:
     }
 
 
-def age(since_ns: int | None, now_ns: int) -> float:
-    """Give the seconds since a time of ours; NaN: it never was."""
+def seconds_since(since_ns: int | None, now_ns: int) -> float:
+    """Return the seconds since a time on our clock; NaN if it never was."""
     return math.nan if since_ns is None else max(now_ns - since_ns, 0) * 1e-9

@@ -1,4 +1,4 @@
-"""What is found of a snapshot: whether the daemon does its work, in one line; and all as JSON.
+"""Judge by a snapshot whether the daemon does its work, in one line; and write all of it as JSON.
 
 The line is the same for ``/healthz``, the status and the service manager.
 """
@@ -18,56 +18,56 @@ from ekf_companion.status.progress import BARREN_S
 from ekf_companion.status.snapshot import LinkState, OutputState, Snapshot
 
 STALL_S = 2.0
-"""The filter's task goes round ten times a second at least."""
+"""The filter's task runs at least ten times a second."""
 SILENCE_S = 2.0
-"""A link without a byte for so long is said to be silent: heartbeats come once a second."""
+"""A link without a byte for so long is silent: heartbeats come once a second."""
 MANY_UNSENT = 0.5
-"""Hz of ODOMETRY that the link throws away; one now and then is none's fault."""
+"""Hz of ODOMETRY that the link throws away; one now and then is no fault."""
 
 
-class Finding(NamedTuple):
+class HealthCheck(NamedTuple):
     """Whether the daemon does its work."""
 
     is_healthy: bool
-    words: str
-    """What is so, and where it is not as it should be, the remedy."""
+    line: str
+    """The state, and where something is wrong, the remedy."""
 
 
-def judge(snapshot: Snapshot) -> Finding:
-    """Say whether the filter ticks and can be used; what it is not given is told, and no fault."""
+def judge(snapshot: Snapshot) -> HealthCheck:
+    """Return whether the filter runs and can be used; missing input is reported, and no fault."""
     stuck_s, health = snapshot.process.tick_age_s, snapshot.estimator
     if stuck_s > STALL_S:
-        return Finding(False, f"stalled: the filter's task has not gone round for {stuck_s:.1f} s")
+        return HealthCheck(False, f"stalled: the filter's task has not run for {stuck_s:.1f} s")
     if snapshot.barren_s > BARREN_S:
-        return Finding(
+        return HealthCheck(
             False,
             f"stalled: inertial samples have come for {snapshot.barren_s:.1f} s, and the filter "
             "makes no estimate of them; see what became of them in /status",
         )
     if health is not None and health.status is Status.INVALID:
-        return Finding(
+        return HealthCheck(
             False,
             "invalid: the error has passed its limit; /status says which aids it lacks",
         )
-    words = "ok: waiting for an autopilot"
+    line = "ok: waiting for an autopilot"
     if health is not None:
-        words = f"ok: the estimate is {health.status.name}"
+        line = f"ok: the estimate is {health.status.name}"
     if silence := _silence(snapshot):
         if health is not None and snapshot.sample_age_s > SILENCE_S:
-            words = f"ok: no estimate, the last was {health.status.name}"
-        return Finding(True, f"{words}; {silence}")
+            line = f"ok: no estimate, the last was {health.status.name}"
+        return HealthCheck(True, f"{line}; {silence}")
     if health is not None:
-        words += f", {snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output)}"
-    return Finding(True, "; ".join([words, *_rates_in_vain(snapshot), *_recording(snapshot)]))
+        line += f", {snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output)}"
+    return HealthCheck(True, "; ".join([line, *_rates_in_vain(snapshot), *_recording(snapshot)]))
 
 
 def _odometry(output: OutputState) -> str:
     if output.is_allowed:
-        words = f"ODOMETRY {output.rate:.0f} Hz" if output.is_streaming else "no ODOMETRY"
+        line = f"ODOMETRY {output.rate:.0f} Hz" if output.is_streaming else "no ODOMETRY"
         if output.unsent_rate < MANY_UNSENT:
-            return words
+            return line
         return (
-            f"{words}, {output.unsent_rate:.0f} Hz thrown away as the link takes no more: check "
+            f"{line}, {output.unsent_rate:.0f} Hz thrown away as the link takes no more: check "
             "RTS and CTS, raise the rate of the line or lower output.odometry.rate"
         )
     remedy = f"; {output.remedy}" if output.remedy else ""
@@ -88,7 +88,7 @@ def _recording(snapshot: Snapshot) -> list[str]:
 
 
 def _silence(snapshot: Snapshot) -> str:
-    """Say what has not come for too long, beginning at the wire: the rest follows from that."""
+    """Return what has not come for too long, beginning at the wire: the rest follows from that."""
     link, peer = snapshot.link, snapshot.peer
     if not link.is_open:
         if not link.opened and not link.failure:
@@ -101,7 +101,7 @@ def _silence(snapshot: Snapshot) -> str:
         return f"the link has been silent for {link.silent_s:.1f} s: check {_other_end(link)}"
     if peer is None and snapshot.frames.refused:
         why, count = max(snapshot.frames.refused.items(), key=lambda entry: entry[1])
-        return f"no autopilot has been let in: {count} frames: {why}; see docs/LINK.md"
+        return f"no autopilot has been admitted: {count} frames: {why}; see docs/LINK.md"
     if peer is None:
         return "no autopilot has been heard: check the baud rate and link.autopilot"
     if not peer.is_heard:
@@ -120,7 +120,7 @@ def _other_end(link: LinkState) -> str:
 
 
 def to_plain(value: Any) -> Any:
-    """Give data as plain tables and lists: enums by their names in small letters."""
+    """Return data as plain tables and lists, enums by their names in small letters."""
     if isinstance(value, Enum):
         return value.name.lower()
     if isinstance(value, (float, int, str)):
@@ -132,15 +132,16 @@ def to_plain(value: Any) -> Any:
     return [to_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
 
 
-def to_json(snapshot: Snapshot, breathe: Callable[[], None] = lambda: None) -> bytes:
-    """Give a snapshot, and ``health``: what is found of it, as JSON; null: not known.
+def to_json(snapshot: Snapshot, pause: Callable[[], None] = lambda: None) -> bytes:
+    """Return a snapshot, and its check as ``health``, as JSON; null is what is not known.
 
     Args:
-        snapshot: What is told.
-        breathe: Called between two stages: lets others run while the text is made.
+        snapshot: What to write.
+        pause: Called between two stages: lets other threads run while the text is made.
     """
-    plain: dict[str, Any] = {"health": judge(snapshot)._asdict()}
+    check = judge(snapshot)
+    plain: dict[str, Any] = {"health": {"is_healthy": check.is_healthy, "words": check.line}}
     for entry in fields(snapshot):
         plain[entry.name] = to_plain(getattr(snapshot, entry.name))
-        breathe()
+        pause()
     return msgspec.json.encode(plain)

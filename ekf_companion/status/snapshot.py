@@ -2,39 +2,106 @@
 
 The stages are those that a measurement passes: bytes, frames, their checks, whose they are, what
 they are and how often they come, what time they say, what the filter made of them, what was sent,
-and what the autopilot does with that.
+and what the autopilot does with that. A field that Prometheus scrapes carries its metric; the
+metric's help describes the field, and a string below adds what the help leaves open.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Annotated, Any, Literal
 
 from ekf_companion.engine.health import Health
+from ekf_companion.nav.state import Status
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """How Prometheus sees a field of the Snapshot."""
+
+    kind: Literal["counter", "gauge", "info", "histogram"]
+    name: str
+    """Without prefix and ``_total``, in base units: prometheus.io/docs/practices/naming."""
+    help: str
+    labels: tuple[str, ...] = ()
+    """Of the rows. Of a field that is a single row of several, with its value: ``axis=north``."""
+    scale: float = 1.0
+    """Base units in one unit of the field."""
+    rows: Callable[[Any], Any] = lambda value: value
+    """Turns the field into a number, or into a number for each label; NaN: no row."""
+
+
+counter = partial(Metric, "counter")
+gauge = partial(Metric, "gauge")
+info = partial(Metric, "info")
+
+_LINK = ("link", "What we listen to.")
+_FRAME_ERRORS = ("frame_errors", "Frames that were none.")
+_AUTOPILOT = ("autopilot", "Whom we listen to.")
+_INERTIAL_SOURCE = ("inertial_source", "Where the samples come from.")
+_ROUND_TRIP = ("timesync_round_trip_seconds", "Of TIMESYNC.")
+_OUTPUT = ("output", "What is streamed, and why.")
+_MEBI = 1 << 20
+
+
+def _unless_zero(rate: float) -> float:
+    return rate or math.nan
+
+
+def _is_said(words: str) -> float:
+    return 1.0 if words else math.nan
+
+
+def _is_heard(peer: PeerState | None) -> bool:
+    return peer is not None and peer.is_heard
+
+
+def _by_message_and_reason(counts: Mapping[str, int]) -> dict[tuple[str, ...], int]:
+    return {key.partition(": ")[::2]: count for key, count in counts.items()}
+
+
+def _by_key_and_value(tuned: Mapping[str, object]) -> dict[tuple[str, ...], float]:
+    return {(key, str(value)): 1.0 for key, value in tuned.items()}
+
+
+def _latency(process: ProcessState) -> tuple[dict[str, float], float]:
+    """Return the buckets of a histogram by their upper bound, s, and the sum, s."""
+    buckets = {f"{ms / 1000:g}": float(count) for ms, count in process.latency.items()}
+    return buckets | {"+Inf": float(process.latency_count)}, process.latency_sum_ms * 1e-3
+
+
+def _statuses(health: Health | None) -> dict[Status, bool]:
+    """Return which status holds; before anything is estimated, INIT does."""
+    now = Status.INIT if health is None else health.status
+    return {status: status is now for status in Status}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkState:
     """The descriptor, and the bytes."""
 
-    url: str
-    is_open: bool
-    opened: int
-    """How often it has been opened."""
+    url: Annotated[str, info(*_LINK, ("url",))]
+    is_open: Annotated[bool, gauge("link_open", "1 while the descriptor is open.")]
+    opened: Annotated[int, counter("link_opens", "How often the link was opened.")]
     failure: str = ""
     """Why the last attempt to open it failed; empty: it did not, or there was none yet."""
-    bytes_in: int
-    bytes_out: int
-    dropped: int
-    """Reads that the filter was too slow for."""
-    unsent: int
-    """Messages that found no link, or too slow a one."""
-    silent_s: float
-    """Since the last byte, s; NaN: none has come."""
-    refused: Mapping[str, int]
-    """Datagrams refused, by reason."""
-    peer: str = ""
+    bytes_in: Annotated[int, counter("link_received_bytes", "Read from the link.")]
+    bytes_out: Annotated[int, counter("link_sent_bytes", "Written to the link.")]
+    dropped: Annotated[
+        int, counter("link_dropped_reads", "Reads that the filter was too slow for.")
+    ]
+    unsent: Annotated[
+        int, counter("link_unsent_messages", "Messages that found no link, or too slow a one.")
+    ]
+    silent_s: Annotated[float, gauge("link_silent_seconds", "Since the last byte.")]
+    """NaN: none has come."""
+    refused: Annotated[
+        Mapping[str, int], counter("link_refused_datagrams", "Not let in.", ("reason",))
+    ]
+    peer: Annotated[str, info(*_LINK, ("peer",))] = ""
     """Host and port that the autopilot's datagrams come from, and no others; empty: not pinned."""
 
 
@@ -42,55 +109,63 @@ class LinkState:
 class FrameState:
     """What the bytes were."""
 
-    frames: int
-    bad_crc: int
-    unknown_id: int
-    incompatible: int
-    junk_bytes: int
-    lost: int
-    """Frames of the autopilot that never came, by its sequence numbers."""
-    late: int
-    """Frames that came after their successors."""
-    duplicates: int = 0
-    """Frames that came twice in a row."""
-    signed: int
-    """Frames with a signature that was right."""
-    refused: Mapping[str, int]
-    """Frames not admitted, by reason: ids that may not speak, signatures."""
-    ignored: Mapping[str, int] = field(default_factory=dict)
-    """Frames not listened to further, by whose they are: not the autopilot's, our own."""
+    frames: Annotated[int, counter("frames", "MAVLink frames with a right checksum.")]
+    bad_crc: Annotated[int, counter(*_FRAME_ERRORS, ("reason=bad_crc",))]
+    """Their checksum is wrong."""
+    unknown_id: Annotated[int, counter(*_FRAME_ERRORS, ("reason=unknown_id",))]
+    """Their message is not one that we know."""
+    incompatible: Annotated[int, counter(*_FRAME_ERRORS, ("reason=incompatible",))]
+    """They have flags that we do not know."""
+    junk_bytes: Annotated[int, counter("junk_bytes", "Bytes of no known frame.")]
+    lost: Annotated[int, counter("frames_lost", "The autopilot's that never came.")]
+    """By its sequence numbers, as the two that follow."""
+    late: Annotated[int, counter("frames_late", "Came after their successors.")]
+    duplicates: Annotated[int, counter("frames_duplicate", "Came twice in a row.")] = 0
+    signed: Annotated[int, counter("frames_signed", "With a signature that was right.")]
+    refused: Annotated[Mapping[str, int], counter("frames_refused", "Not admitted.", ("reason",))]
+    """By reason: ids that may not speak, signatures."""
+    ignored: Annotated[
+        Mapping[str, int], counter("frames_ignored", "Not the autopilot's.", ("reason",))
+    ] = field(default_factory=dict)
+    """By whose they are: another's, or our own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeerState:
     """The autopilot."""
 
-    system_id: int
-    component_id: int
-    family: str
+    system_id: Annotated[int, info(*_AUTOPILOT, ("system",))]
+    component_id: Annotated[int, info(*_AUTOPILOT, ("component",))]
+    family: Annotated[str, info(*_AUTOPILOT, ("family",))]
     """``px4``, ``ardupilot`` or ``unknown``."""
-    version: str
+    version: Annotated[str, info(*_AUTOPILOT, ("version",))]
     """Of its firmware, as in ``1.16.0``; empty: not told."""
     is_heard: bool
     """Whether its heartbeat came in the last five seconds."""
-    silent_s: float
-    """Since its last heartbeat, s."""
-    is_armed: bool
-    reboots: int
+    silent_s: Annotated[float, gauge("autopilot_silent_seconds", "Since its last heartbeat.")]
+    is_armed: Annotated[bool, gauge("autopilot_armed", "1 while it says that it is armed.")]
+    reboots: Annotated[int, counter("autopilot_reboots", "How often its clock began anew.")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MessageState:
     """One message of the autopilot's."""
 
-    count: int
-    rate: float
-    """Over the last seconds, Hz; 0: it comes no more."""
-    asked: float
-    """Hz; 0: nobody asked."""
+    count: Annotated[int, counter("messages_received", "The autopilot's.", ("message",))]
+    """How many have come."""
+    rate: Annotated[float, gauge("message_rate_hertz", "Over the last five seconds.", ("message",))]
+    """0: it comes no more."""
+    asked: Annotated[
+        float,
+        gauge("message_asked_hertz", "What was asked for.", ("message",), rows=_unless_zero),
+    ]
+    """0: nobody asked."""
     answer: str
     """To the request; empty: none was made."""
-    cause: str = ""
+    cause: Annotated[
+        str,
+        gauge("message_in_vain", "1 if it comes too rarely.", ("message",), rows=_is_said),
+    ] = ""
     """Why it probably comes so rarely, however often it is asked for, and what to change; empty:
     it comes, or there is hope."""
 
@@ -99,106 +174,135 @@ class MessageState:
 class ImuState:
     """Where the inertial samples come from."""
 
-    message: str
+    message: Annotated[str, info(*_INERTIAL_SOURCE, ("message",))]
     """``HIGHRES_IMU``, or what is taken in its place."""
-    instance: int
+    instance: Annotated[int, info(*_INERTIAL_SOURCE, ("instance",))]
     """The sensor in use, as HIGHRES_IMU numbers them."""
     rate: float
     """Of the message over the last seconds, Hz."""
-    is_dejittered: bool
-    """Whether stamps are being brought back to when the samples were taken."""
+    is_dejittered: Annotated[
+        bool, gauge("inertial_dejittered", "1 while stamps are brought back to the samples.")
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimeState:
-    """What time it is there."""
+    """The autopilot's clock."""
 
     base: str
     """``boot``, ``unix`` or ``unknown``: what the inertial messages count from."""
-    is_locked: bool
-    offset_s: float
-    """The autopilot's clock less ours, s; NaN until locked."""
-    skew_ppm: float
-    """How much faster it runs."""
-    rtt_p50_ms: float
-    rtt_p95_ms: float
-    residual_us: float = math.nan
-    """RMS distance of the believed answers from the line through them, us; NaN: too few."""
-    answers: int
-    """Good ones."""
-    refused: Mapping[str, int]
-    """Answers refused, by reason."""
+    is_locked: Annotated[bool, gauge("timesync_locked", "1 while the clocks' offset is known.")]
+    offset_s: Annotated[float, gauge("clock_offset_seconds", "The autopilot's clock less ours.")]
+    """NaN until locked."""
+    skew_ppm: Annotated[
+        float,
+        gauge("clock_skew_ratio", "How much faster the autopilot's clock runs.", scale=1e-6),
+    ]
+    rtt_p50_ms: Annotated[float, gauge(*_ROUND_TRIP, ("quantile=0.5",), scale=1e-3)]
+    """The median."""
+    rtt_p95_ms: Annotated[float, gauge(*_ROUND_TRIP, ("quantile=0.95",), scale=1e-3)]
+    """95 % are shorter."""
+    residual_us: Annotated[
+        float,
+        gauge(
+            "timesync_residual_seconds",
+            "RMS distance of the answers from the line through them.",
+            scale=1e-6,
+        ),
+    ] = math.nan
+    """Of the believed answers; NaN: too few."""
+    answers: Annotated[int, counter("timesync_answers", "Good ones.")]
+    """Answers to our questions."""
+    refused: Annotated[
+        Mapping[str, int], counter("timesync_refused", "Answers refused.", ("reason",))
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutputState:
     """What was sent, and what becomes of it."""
 
-    mode: str
+    mode: Annotated[str, info(*_OUTPUT, ("mode",))]
     """``auto``, ``always`` or ``never``."""
-    is_streaming: bool
-    """Whether ODOMETRY was sent in the last seconds, and taken by the link."""
-    rate: float = 0.0
-    """Of ODOMETRY over the last seconds, Hz."""
-    is_allowed: bool = True
-    """The guard's verdict: whether it may be sent now."""
+    is_streaming: Annotated[bool, gauge("odometry_streaming", "1 while ODOMETRY is being sent.")]
+    """Whether the link took one in the last seconds."""
+    rate: Annotated[float, gauge("odometry_rate_hertz", "Over the last five seconds.")] = 0.0
+    is_allowed: Annotated[
+        bool, gauge("odometry_allowed", "1 while the guard lets ODOMETRY be sent.")
+    ] = True
     is_settled: bool = True
     """Whether the verdict rests on all that decides, answered or asked for in vain."""
-    is_clash: bool = False
-    """Whether somebody else speaks under our system and component id."""
-    reason: str
-    """Of the verdict."""
-    remedy: str
+    is_clash: Annotated[bool, gauge("id_clash", "1 while somebody else speaks under our ids.")] = (
+        False
+    )
+    reason: Annotated[str, info(*_OUTPUT, ("reason",))]
+    """Of the guard's verdict."""
+    remedy: Annotated[str, info(*_OUTPUT, ("remedy",))]
     """The parameter to change; empty: nothing need be."""
-    parameters: Mapping[str, float]
-    """The autopilot's that decide, as read."""
-    sent: Mapping[str, int]
-    """Messages by name; of ODOMETRY those that the link took."""
-    unsent: int = 0
-    """ODOMETRY messages that the link threw away: there was none, or it is too slow."""
+    parameters: Annotated[
+        Mapping[str, float],
+        gauge("guard_parameter", "The autopilot's that decide, as read.", ("parameter",)),
+    ]
+    sent: Annotated[
+        Mapping[str, int],
+        counter("messages_sent", "Ours; ODOMETRY as the link took it.", ("message",)),
+    ]
+    unsent: Annotated[int, counter("odometry_unsent", "Found no link, or too slow a one.")] = 0
     unsent_rate: float = 0.0
     """Of these over the last seconds, Hz."""
-    withheld: int
-    """ODOMETRY messages not sent by the guard."""
-    texts_dropped: int = 0
-    """STATUSTEXT messages that waited behind too many others."""
-    unheard: Mapping[str, int] = field(default_factory=dict)
-    """Datagrams that found no monitor, by its address."""
+    withheld: Annotated[int, counter("odometry_withheld", "Not sent by the guard.")]
+    texts_dropped: Annotated[
+        int, counter("texts_dropped", "STATUSTEXT that waited behind too many others.")
+    ] = 0
+    unheard: Annotated[
+        Mapping[str, int],
+        counter("monitor_unheard", "Datagrams that found nobody.", ("address",)),
+    ] = field(default_factory=dict)
+    """By the monitor's address."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProcessState:
     """The daemon."""
 
-    version: str
+    version: Annotated[str, info("build", "What is running.", ("version",))]
     pid: int = 0
-    uptime_s: float
-    cpu_share: float
-    """Of one processor, over the last seconds."""
-    rss_mb: float
-    loop_lag_ms: float
-    """The largest wait of the loop in the last seconds."""
+    """Process id."""
+    uptime_s: Annotated[float, gauge("uptime_seconds", "Since the start.")]
+    cpu_share: Annotated[
+        float, gauge("cpu_share_ratio", "Of one processor, over the last five seconds.")
+    ]
+    rss_mb: Annotated[float, gauge("resident_memory_bytes", "Of the process.", scale=_MEBI)]
+    """MiB."""
+    loop_lag_ms: Annotated[
+        float,
+        gauge("loop_lag_seconds", "Longest wait of the loop in the last five seconds.", scale=1e-3),
+    ]
     latency: Mapping[float, int]
     """From a read to the estimate taken by the link: how many took no longer than so many ms;
     cumulative."""
     latency_sum_ms: float
+    """Of all of them."""
     latency_count: int
-    temperatures: Mapping[str, float]
-    """Of the board, degC, by name."""
-    recorded_bytes: int
-    unrecorded_bytes: int
+    """How many there were."""
+    temperatures: Annotated[
+        Mapping[str, float], gauge("temperature_celsius", "Of the board.", ("sensor",))
+    ]
+    recorded_bytes: Annotated[int, counter("recorded_bytes", "Written to the recording.")]
+    unrecorded_bytes: Annotated[int, counter("unrecorded_bytes", "Lost to the recording.")]
     recording_trouble: str = ""
     """Why not all is recorded at present; empty: all is, or nothing is to be."""
-    tick_age_s: float = 0.0
-    """Since the filter's task last went round, s: tenths, unless it is stuck."""
+    tick_age_s: Annotated[
+        float, gauge("tick_age_seconds", "Since the filter's task went round.")
+    ] = 0.0
+    """Tenths of a second, unless it is stuck."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReloadState:
     """The configuration, read anew while running."""
 
-    count: int = 0
-    """How often it was."""
+    count: Annotated[int, counter("reloads", "Of the configuration, while running.")] = 0
     words: str = ""
     """What became of the last: keys taken and keys that wait for a restart; empty: none was."""
 
@@ -208,26 +312,71 @@ class Snapshot:
     """All of it, at one moment."""
 
     unix_ns: int
+    """When, unix time, ns."""
     link: LinkState
     frames: FrameState
-    peer: PeerState | None
+    peer: Annotated[
+        PeerState | None,
+        gauge(
+            "autopilot_heard",
+            "1 while its heartbeat came in the last five seconds.",
+            rows=_is_heard,
+        ),
+    ]
     """None: none has been heard."""
     messages: Mapping[str, MessageState]
     """By name."""
-    refused: Mapping[str, int]
-    """What messages said and nobody can mean, or was not for us, ``message: why``."""
+    refused: Annotated[
+        Mapping[str, int],
+        counter(
+            "messages_refused",
+            "Messages that nobody can mean, that were corrected, or that are not for us.",
+            ("message", "reason"),
+            rows=_by_message_and_reason,
+        ),
+    ]
+    """``message: why``."""
     imu: ImuState
     time: TimeState
-    estimator: Health | None
+    estimator: Annotated[
+        Health | None,
+        gauge(
+            "status",
+            "How far the estimate can be trusted: 1 for the one that holds.",
+            ("status",),
+            rows=_statuses,
+        ),
+    ]
     """None: nothing is estimated yet. Its ``nis`` is the mean over the last twenty seconds."""
     output: OutputState
-    process: ProcessState
-    sample_age_s: float = math.nan
-    """Since the newest inertial sample, s: what the estimate is old; NaN: none has come."""
-    barren_s: float = 0.0
-    """For how long inertial samples have come of which the filter made no estimate, s."""
-    resets: Mapping[str, int] = field(default_factory=dict)
-    """The estimate's in this run, by reason."""
-    tuned: Mapping[str, object] = field(default_factory=dict)
-    """Keys and values that were set over MAVLink and differ from the user's file."""
+    process: Annotated[
+        ProcessState,
+        Metric(
+            "histogram",
+            "odometry_latency_seconds",
+            "From a read to the ODOMETRY of it taken by the link.",
+            ("le",),
+            rows=_latency,
+        ),
+    ]
+    sample_age_s: Annotated[
+        float, gauge("sample_age_seconds", "Since the newest inertial sample.")
+    ] = math.nan
+    """So old is the estimate; NaN: none has come."""
+    barren_s: Annotated[
+        float, gauge("barren_seconds", "Samples came, and no estimate was made.")
+    ] = 0.0
+    resets: Annotated[
+        Mapping[str, int],
+        counter("resets", "The estimate's jumps on purpose in this run.", ("reason",)),
+    ] = field(default_factory=dict)
+    tuned: Annotated[
+        Mapping[str, object],
+        gauge(
+            "tuned",
+            "1 for what was set over MAVLink and differs from the user's file.",
+            ("key", "value"),
+            rows=_by_key_and_value,
+        ),
+    ] = field(default_factory=dict)
     reload: ReloadState = field(default_factory=ReloadState)

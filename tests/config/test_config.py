@@ -9,12 +9,15 @@ from typer.testing import CliRunner
 
 from ekf_companion.cli import app
 from ekf_companion.config.config import Config, load_config, parse_config
+from ekf_companion.config.keys import KEYS
 from ekf_companion.errors import ConfigError
 from tests.paths import ROOT
+from tests.reference import pages
 
 CONFIG = ROOT / "config"
+REFERENCE = CONFIG / "reference.yaml"
 DEPARTURES = {
-    "sitl.yaml": {},
+    "reference.yaml": {},
     # A vehicle has a wire
     "px4.yaml": {"link.url": "serial:/dev/serial0:921600"},
     "ardupilot.yaml": {"link.url": "serial:/dev/serial0:921600"},
@@ -36,12 +39,6 @@ def leaves(config, path=""):
     return found
 
 
-def spelled_out(name):
-    """Give the text of a file with its commented keys in force."""
-    text = (CONFIG / name).read_text()
-    return re.sub(r"^( *)#(\w+:)", r"\1\2", text, flags=re.MULTILINE)
-
-
 def load(tmp_path, text):
     path = tmp_path / "quad.yaml"
     path.write_text(text)
@@ -58,29 +55,49 @@ def test_a_file_differs_from_the_defaults_only_where_declared(name):
     assert {key: value for key, value in ours.items() if value != defaults[key]} == DEPARTURES[name]
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_a_file_shows_every_key_at_its_value_under_a_comment(name, tmp_path):
-    text = spelled_out(name)
-    assert load(tmp_path, text) == load_config(CONFIG / name)
-    for key in leaves(Config()):
-        lines = section(text, key)
-        indent = "  " * key.count(".")
-        place = [line.startswith(f"{indent}{key.split('.')[-1]}:") for line in lines].index(True)
-        above = [
-            line
-            for line in lines[:place]
-            if not line.startswith((f"{indent}timeout_", f"{indent}velocity_slow_std"))
-        ]
-        assert above[-1].startswith(f"{indent}# "), f"{name}: {key} has no comment"
+def test_a_vehicle_s_file_is_short():
+    for name in ("px4.yaml", "ardupilot.yaml"):
+        assert len((CONFIG / name).read_text().splitlines()) < 30
 
 
-def section(text, key):
-    """Give the lines among which a key stands."""
-    lines = text.splitlines()
-    if "." not in key:
-        return lines
-    start = lines.index(f"{key.split('.')[0]}:")
-    return lines[start:]
+def test_the_reference_shows_every_key_at_its_default_under_a_text(tmp_path):
+    lines = REFERENCE.read_text().splitlines()
+    spelled_out = [re.sub(r"^( *)#(\w+:)", r"\1\2", line) for line in lines]
+    assert load(tmp_path, "\n".join(spelled_out)) == Config()
+    shown = [place for place, line in enumerate(lines) if re.match(r" *#\w+:", line)]
+    assert len(shown) == len(leaves(Config())) == len(KEYS)
+    for place in shown:
+        above = lines[place - 1].strip()
+        if above.endswith("]") and not above.startswith("# ["):
+            above = lines[place - 2].strip()
+        assert re.match(r"# \[.*|# .*\.$", above), lines[place]
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+def test_what_is_made_from_the_fields_is_as_make_reference_writes_it(page):
+    assert page.read_text(encoding="utf-8") == pages()[page], f"{page}: run make reference"
+
+
+def test_the_reference_says_unit_range_reload_and_parameter():
+    text = " ".join(REFERENCE.read_text().replace("#", "").split())
+    for said in (
+        "[m; 0 or more; reloadable; EC_GPS_POS_NSE 0 to 50] position_std: 0.1",
+        "[s; -1 to 1 or auto; EC_GPS_DELAY -1 auto, to 1] delay: auto",
+        "auto: 0.085 for ArduPilot, 0.05 for PX4, 0 for others. [s;",
+        "[auto, always or never; reloadable; EC_ODOM_MODE 0 auto, 1 always, 2 never] mode: auto",
+        "[above 0.5 and below 1; reloadable; EC_GATE 1 to 6 sigmas of one axis] probability:",
+        "[1 to 255 or null] system_id: null",
+        "[gauss; each -10 to 10] hard_iron: [0.0, 0.0, 0.0]",
+    ):
+        assert said in text
+
+
+def test_every_field_of_the_status_is_explained():
+    """Rule 40: /metrics."""
+    page = next(text for path, text in pages().items() if path.name == "OBSERVABILITY.md")
+    rows = [line.split(" | ") for line in page.splitlines() if line.startswith("| `")]
+    unsaid = [row[0] for row in rows if len(row) == 4 and row[3] == "|"]
+    assert not unsaid
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,11 @@
 """A configuration changed in flight."""
 
-from dataclasses import fields, is_dataclass
-
 import numpy as np
 import pytest
 
 from ekf_companion.config.config import Config, parse_config
-from ekf_companion.config.reload import SAFE, reload, with_value
+from ekf_companion.config.keys import KEYS, with_value
+from ekf_companion.config.reload import reload
 from ekf_companion.core.settings import FilterSettings, GateSettings, ImuSettings
 from ekf_companion.engine.health import Arrival
 from ekf_companion.engine.pipeline import Pipeline
@@ -15,21 +14,21 @@ from sim_autopilot.events import events
 from sim_autopilot.flight import Flight
 
 
-def leaves(config, path=""):
-    for entry in fields(config):
-        value = getattr(config, entry.name)
-        if is_dataclass(value):
-            yield from leaves(value, f"{path}{entry.name}.")
-        else:
-            yield path + entry.name
-
-
 def parsed(**sections):
     return parse_config(sections, "new.yaml")
 
 
-def test_every_safe_key_is_one():
-    assert set(leaves(Config())) >= SAFE
+def test_what_decides_on_the_state_the_link_or_files_waits_for_a_restart():
+    waiting = {name for name, key in KEYS.items() if not key.setting.reload}
+    assert {name.partition(".")[0] for name in waiting} == {
+        *("link", "signing", "output", "parameters", "record", "checkpoint", "http"),
+        *("imu", "gnss", "heading", "align", "window"),
+    }
+    assert {name for name in waiting if name.startswith(("output", "align"))} == {
+        *("output.odometry.frame", "output.odometry.estimator_type", "output.monitors"),
+        "align.time",
+    }
+    assert not any(name.endswith(("_walk", "_noise", "_rate")) for name in waiting)
 
 
 def test_rates_gates_and_noise_are_taken_and_the_rest_is_refused_by_name():

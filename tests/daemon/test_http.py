@@ -202,7 +202,7 @@ def watched(monkeypatch):
     monkeypatch.setattr(http, "HEAD_START", 0.0)
     watched = Watched().feed(cycles(0.2))
     watched.observer._clock = unix_clock
-    watched.observer._beat_ns = unix_clock()
+    watched.observer._tick_ns = unix_clock()
     return watched
 
 
@@ -223,7 +223,7 @@ def test_a_loop_that_is_stuck_is_unavailable(watched):
             for thread in threads:
                 await asyncio.to_thread(thread.join)
             await asyncio.sleep(http.FRESH)
-            watched.observer.beat(unix_clock())
+            watched.observer.tick(unix_clock())
             return before, stuck, await asyncio.to_thread(ask, url, "/healthz")
 
     before, stuck, after = asyncio.run(body())
@@ -236,13 +236,13 @@ def test_a_filter_that_does_not_go_round_is_unavailable(watched):
     async def body():
         async with serving(watched) as url:
             await listening(url)
-            watched.observer._beat_ns = unix_clock() - 5_000_000_000
+            watched.observer._tick_ns = unix_clock() - 5_000_000_000
             await asyncio.sleep(http.FRESH)
             return await asyncio.to_thread(ask, url, "/healthz")
 
     code, _, text = asyncio.run(body())
     assert code == 503
-    assert text.startswith("stalled: the filter's task has not gone round for 5.")
+    assert text.startswith("stalled: the filter's task has not run for 5.")
 
 
 def test_many_who_ask_at_once_cost_the_loop_one_snapshot(watched):

@@ -6,7 +6,8 @@ import socket
 
 import pytest
 
-from ekf_companion.config.config import Config, LinkConfig
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import LinkConfig
 from ekf_companion.daemon.reception import hear, open_reception
 from ekf_companion.link import link as link_module
 from ekf_companion.mavlink.codec import Sender, pack

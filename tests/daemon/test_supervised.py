@@ -193,7 +193,8 @@ def test_a_file_that_cannot_even_be_read_ends_the_reload_too(tmp_path, text):
 
 BUG = """
 from ekf_companion.daemon import daemon
-from ekf_companion.config.config import Config, HttpConfig, LinkConfig
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import HttpConfig, LinkConfig
 
 config = Config(link=LinkConfig(url="udpin:127.0.0.1:{port}"), http=HttpConfig(port=0))
 reads = iter([config])

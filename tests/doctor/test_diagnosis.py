@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from ekf_companion.config.config import Config, LinkConfig
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import LinkConfig
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Evidence, Feedback, Sent, Stamps
 from ekf_companion.doctor.finding import Mark, Stage

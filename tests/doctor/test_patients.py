@@ -7,13 +7,8 @@ from itertools import count
 import numpy as np
 import pytest
 
-from ekf_companion.config.config import (
-    Config,
-    LinkConfig,
-    OdometryConfig,
-    OutputConfig,
-    SigningConfig,
-)
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfig, SigningConfig
 from ekf_companion.doctor.diagnosis import diagnose, first_failure
 from ekf_companion.doctor.evidence import Means, Opening
 from ekf_companion.doctor.finding import Mark

@@ -1,6 +1,7 @@
 """Recordings that begin before the autopilot's heartbeat, or end after it was switched off."""
 
-from ekf_companion.config.config import Config, LinkConfig
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import LinkConfig
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Means
 from ekf_companion.doctor.finding import Mark

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from ekf_companion.config.config import Config, LinkConfig, OdometryConfig, OutputConfig
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfig
 from ekf_companion.core.settings import GateSettings
 from ekf_companion.engine.companion import SILENCE_NS, Companion
 from ekf_companion.mavlink.codec import unpack

@@ -5,8 +5,9 @@ import logging
 
 import pytest
 
-from ekf_companion.config.config import Config, OdometryConfig, OutputConfig
-from ekf_companion.config.reload import with_value
+from ekf_companion.config.config import Config
+from ekf_companion.config.keys import with_value
+from ekf_companion.config.service import OdometryConfig, OutputConfig
 from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter

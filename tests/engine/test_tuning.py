@@ -4,39 +4,44 @@ import logging
 
 import pytest
 
-from ekf_companion.config.config import Config, ParametersConfig, describe_config, parse_config
-from ekf_companion.engine.tuning import TABLE, Tuning, apply, parameters
+from ekf_companion.config.config import Config, describe_config, parse_config
+from ekf_companion.config.keys import KEYS, value_of
+from ekf_companion.config.service import ParametersConfig
+from ekf_companion.engine.tuning import Tuning, apply, parameters
 from ekf_companion.errors import ConfigError
 from ekf_companion.mavlink.parameters import _float32
-from tests.paths import ROOT
 
-
-def get(config, key):
-    value = config
-    for part in key.split("."):
-        value = getattr(value, part)
-    return value
+TABLE = parameters(Config())
 
 
 def test_rule_30_the_table_is_small_and_its_names_fit():
     """Rule 30."""
-    names = [tunable.name for tunable in TABLE]
+    names = [parameter.name for parameter in TABLE]
     assert 8 <= len(names) <= 15
-    assert len(set(names)) == len({tunable.key for tunable in TABLE}) == len(names)
+    assert len(set(names)) == len({parameter.key for parameter in TABLE}) == len(names)
     assert all(len(name) <= 16 and name.isascii() for name in names)
 
 
-@pytest.mark.parametrize("tunable", TABLE, ids=lambda tunable: tunable.name)
-def test_every_default_and_both_ends_of_every_range_can_be_set(tunable):
-    config = Config()
-    (parameter,) = [one for one in parameters(config) if one.name == tunable.name]
+def test_the_order_that_ground_stations_have_read_stays():
+    assert [parameter.name.removeprefix("EC_") for parameter in TABLE] == [
+        *("ODOM_RATE", "ODOM_MODE", "TSYNC_RESP", "GPS_DELAY", "GPS_VEL_USE"),
+        *("GPS_POS_NSE", "GPS_HGT_NSE", "GPS_VEL_NSE", "GYRO_NSE", "ACC_NSE"),
+        *("HDG_SRC", "MAG_NSE", "BARO_USE", "BARO_NSE", "GATE"),
+    ]
+    indices = [key.setting.param.index for key in KEYS.values() if key.setting.param]
+    assert sorted(indices) == list(range(len(TABLE)))
+
+
+@pytest.mark.parametrize("parameter", TABLE, ids=lambda parameter: parameter.name)
+def test_every_default_and_both_ends_of_every_range_can_be_set(parameter):
+    config, key = Config(), parameter.key
     assert parameter.accepts(_float32(parameter.value))
-    assert get(apply(config, tunable.key, parameter.value), tunable.key) == pytest.approx(
-        get(config, tunable.key)
+    assert value_of(apply(config, key, parameter.value), key) == pytest.approx(
+        value_of(config, key)
     )
-    for number in (tunable.lowest, tunable.highest):
-        tuned = apply(config, tunable.key, number)
-        (again,) = [one for one in parameters(tuned) if one.name == tunable.name]
+    for number in (parameter.lowest, parameter.highest):
+        tuned = apply(config, key, number)
+        (again,) = [one for one in parameters(tuned) if one.name == parameter.name]
         assert again.value == pytest.approx(number)
         # A file that says the same is taken as well
         assert parse_config(describe_config(tuned), "file") == tuned
@@ -130,17 +135,5 @@ def test_a_dropped_value_leaves_the_others(caplog):
     assert "baro.std is 2.0, as set over MAVLink" in caplog.text
 
 
-def test_the_page_on_the_link_names_every_parameter_and_its_key():
-    page = (ROOT / "docs" / "LINK_MANNERS.md").read_text(encoding="utf-8")
-    for tunable in TABLE:
-        assert f"| {tunable.name} | `{tunable.key}` |" in page
-
-
-def test_what_counts_from_the_next_start_only_is_marked_on_the_page_and_nothing_else():
-    page = (ROOT / "docs" / "LINK_MANNERS.md").read_text(encoding="utf-8")
-    rows = {
-        line.split(" | ")[0][2:]: line for line in page.splitlines() if line.startswith("| EC_")
-    }
-    late = {parameter.name for parameter in parameters(Config()) if parameter.is_late}
-    assert late == {"EC_GPS_DELAY"}
-    assert {name for name, row in rows.items() if "from the next start" in row} == late
+def test_one_parameter_alone_counts_from_the_next_start():
+    assert {parameter.name for parameter in TABLE if parameter.is_late} == {"EC_GPS_DELAY"}

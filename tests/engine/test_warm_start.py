@@ -6,7 +6,8 @@ from functools import cache
 
 import pytest
 
-from ekf_companion.config.config import Config, LinkConfig, OdometryConfig, OutputConfig
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfig
 from ekf_companion.core.settings import GnssSettings
 from ekf_companion.engine.checkpoint import MOST_STARTS, Clocks, Vehicle, decode, encode
 from ekf_companion.engine.companion import Companion

@@ -7,7 +7,8 @@ import time
 import numpy as np
 import pytest
 
-from ekf_companion.config.config import Config, OdometryConfig, OutputConfig
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import OdometryConfig, OutputConfig
 from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink.codec import Sender
 from sim_autopilot.config import SimConfig

@@ -34,7 +34,7 @@ def fly():
                 values[3:6] = [v + rng.normal(0.0, 1.5) for v in values[3:6]]
         pipeline.insert((t_ns, kind, tuple(values)))
         if t > next_s:
-            recent.look(pipeline, t_ns)
+            recent.update(pipeline, t_ns)
             told[next_s] = pipeline.health().nis, recent.mean()
             next_s += 1
     return told
@@ -63,5 +63,5 @@ def test_at_the_beginning_it_is_that_of_all_and_another_filter_begins_anew(told)
     assert recent[Aid.POSITION] == pytest.approx(life[Aid.POSITION])
     window, empty = RecentNis(), Pipeline(FilterSettings())
     assert all(map(math.isnan, window.mean().values()))
-    window.look(empty, 0)
+    window.update(empty, 0)
     assert all(map(math.isnan, window.mean().values()))

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from ekf_companion.config.config import Config, LinkConfig, OdometryConfig, OutputConfig
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfig
 from ekf_companion.engine.checkpoint import Clocks
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.warm_start import Resumption
@@ -16,7 +17,7 @@ from ekf_companion.link.link import open_link
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.outbox import is_replaceable
 from ekf_companion.nav.state import Status
-from ekf_companion.status.host import Board, read_board
+from ekf_companion.status.host import Host, read_host
 from ekf_companion.status.judge import judge, to_json
 from ekf_companion.status.observer import BUCKETS_MS, Latency, Observer
 from ekf_companion.status.snapshot import ReloadState
@@ -25,7 +26,7 @@ from sim_autopilot.config import ImuConfig, SimConfig, StreamConfig
 from sim_autopilot.flight import Flight
 from tests.engine.test_companion import cycles
 
-BOARD = Board(rss_mb=50.0, temperatures={"cpu": 61.5})
+BOARD = Host(rss_mb=50.0, temperatures={"cpu": 61.5})
 MS = 1_000_000
 
 
@@ -38,7 +39,7 @@ class Watched:
         self.begin_ns = None
         self.last_ns = 0
         self.link = open_link(
-            url, clock=lambda: self.now_ns, on_sent=lambda ns: self.observer.sent(ns)
+            url, clock=lambda: self.now_ns, on_sent=lambda ns: self.observer.on_sent(ns)
         )
         self.companion = Companion(config or Config(), resumption=resumption)
         self.observer = Observer(self.link, self.companion, lambda: self.now_ns)
@@ -73,8 +74,8 @@ class Watched:
             if self.link.is_open:
                 self.link.send(frame, is_replaceable=is_replaceable(frame))
             elif is_replaceable(frame):
-                self.observer.sent(0)  # as a link says that has room
-        self.observer.beat(read_ns)
+                self.observer.on_sent(0)  # as a link says that has room
+        self.observer.tick(read_ns)
         return said
 
     def hear(self, *frames):
@@ -106,7 +107,7 @@ def test_a_message_that_comes_no_more_has_no_rate():
     watched = Watched().feed(cycles(3.0))
     for _ in range(60):
         watched.now_ns += 100 * MS
-        watched.observer.beat(watched.now_ns)
+        watched.observer.tick(watched.now_ns)
     snapshot = watched.snapshot()
     assert snapshot.messages["HIGHRES_IMU"].rate == 0.0
     assert snapshot.messages["HIGHRES_IMU"].count > 700
@@ -128,8 +129,8 @@ def test_every_odometry_is_in_the_histogram_once(flown):
 @pytest.mark.parametrize("bound", BUCKETS_MS)
 def test_a_bound_of_the_histogram_belongs_to_its_bucket(bound):
     latency = Latency()
-    latency.take(round(bound * MS))
-    latency.take(round(bound * MS) + 1)
+    latency.add(round(bound * MS))
+    latency.add(round(bound * MS) + 1)
     assert latency.cumulative()[bound] == 1
     assert list(latency.cumulative()) == list(BUCKETS_MS)
     assert latency.count == 2
@@ -139,13 +140,13 @@ def test_the_longest_wait_is_kept_for_seconds_and_then_forgotten():
     """Rule 37: the loop's lag is exported."""
     watched = Watched()
     watched.now_ns += 80 * MS
-    watched.observer.beat(watched.now_ns - 80 * MS)
+    watched.observer.tick(watched.now_ns - 80 * MS)
     assert watched.snapshot().process.loop_lag_ms == pytest.approx(80.0)
-    watched.observer.late(0.3)
+    watched.observer.on_late_timer(0.3)
     assert watched.snapshot().process.loop_lag_ms == pytest.approx(300.0)
     for _ in range(70):
         watched.now_ns += 100 * MS
-        watched.observer.beat(watched.now_ns)
+        watched.observer.tick(watched.now_ns)
     assert watched.snapshot().process.loop_lag_ms == 0.0
 
 
@@ -210,7 +211,7 @@ def test_the_guards_verdict_is_told_with_what_it_read():
     assert output.withheld > 100
     assert output.rate == 0.0
     watched.link._port = object()  # open
-    words = judge(watched.snapshot()).words
+    words = judge(watched.snapshot()).line
     assert words == (
         f"ok: the estimate is OK, 250 Hz IMU, ODOMETRY withheld: {output.reason}; {output.remedy}"
     )
@@ -235,7 +236,7 @@ def test_a_rate_that_is_asked_for_in_vain_is_told_with_its_cause():
     assert message.rate == pytest.approx(50.0, rel=0.05)
     assert "lower link.imu_rate" in message.cause
     slow.link._port = object()  # open
-    assert f"; HIGHRES_IMU at 50 of 250 Hz: {message.cause}" in judge(slow.snapshot()).words
+    assert f"; HIGHRES_IMU at 50 of 250 Hz: {message.cause}" in judge(slow.snapshot()).line
 
 
 def test_who_is_not_admitted_is_counted_apart_from_who_is_not_ours():
@@ -289,10 +290,10 @@ def test_the_last_reload_is_told_in_its_words():
 
 def test_a_bug_in_what_is_only_told_stops_no_flight(caplog):
     watched = Watched()
-    assert watched.observer.words() == judge(watched.snapshot()).words
+    assert watched.observer.health_line() == judge(watched.snapshot()).line
     watched.observer._link = None
-    assert [watched.observer.words() for _ in range(3)] == ["", "", ""]
-    assert caplog.text.count("cannot be told how we are") == 1
+    assert [watched.observer.health_line() for _ in range(3)] == ["", "", ""]
+    assert caplog.text.count("cannot be told the state") == 1
 
 
 # Judged
@@ -301,7 +302,7 @@ def test_a_bug_in_what_is_only_told_stops_no_flight(caplog):
 def test_a_silent_link_is_told_and_is_no_fault_of_the_process():
     finding = judge(Watched().snapshot())
     assert finding.is_healthy
-    assert finding.words == (
+    assert finding.line == (
         "ok: waiting for an autopilot; the link udpin:127.0.0.1:14550 is being opened"
     )
 
@@ -309,7 +310,7 @@ def test_a_silent_link_is_told_and_is_no_fault_of_the_process():
 def test_a_link_that_does_not_open_is_told_with_the_reason():
     watched = Watched()
     watched.link.failure = FileNotFoundError(errno.ENOENT, "No such file or directory")
-    words = judge(watched.snapshot()).words
+    words = judge(watched.snapshot()).line
     assert "14550 is closed (No such file or directory): check the device" in words
 
 
@@ -319,7 +320,7 @@ def test_a_filter_that_does_not_go_round_is_stalled():
     watched.now_ns += 3_000 * MS
     finding = judge(watched.snapshot())
     assert not finding.is_healthy
-    assert finding.words == "stalled: the filter's task has not gone round for 3.0 s"
+    assert finding.line == "stalled: the filter's task has not run for 3.0 s"
 
 
 def test_an_invalid_estimate_is_not_healthy(flown):
@@ -330,7 +331,7 @@ def test_an_invalid_estimate_is_not_healthy(flown):
     invalid = replace(snapshot.estimator, status=Status.INVALID)
     finding = judge(replace(snapshot, estimator=invalid))
     assert not finding.is_healthy
-    assert finding.words.startswith("invalid: the error has passed its limit")
+    assert finding.line.startswith("invalid: the error has passed its limit")
 
 
 # Told
@@ -342,7 +343,7 @@ def test_a_recording_that_misses_something_is_told_and_is_no_fault_of_the_proces
     link = replace(snapshot.link, is_open=True)
     found = judge(replace(snapshot, link=link, process=process))
     assert found.is_healthy
-    assert found.words.endswith("; not all is recorded: /a.tlog: the disk does not answer")
+    assert found.line.endswith("; not all is recorded: /a.tlog: the disk does not answer")
 
 
 def test_json_holds_all_of_it_and_null_for_what_is_not_known(flown):
@@ -383,7 +384,7 @@ def test_temperatures_are_read_by_name_and_what_is_broken_is_left_out(tmp_path):
     put("hwmon/hwmon1/temp1_input", "39850\n")
     put("hwmon/hwmon1/temp1_label", "Composite\n")
     (tmp_path / "hwmon/hwmon1/temp2_input").mkdir()
-    board = read_board(tmp_path)
+    board = read_host(tmp_path)
     assert board.temperatures == pytest.approx(
         {"cpu-thermal": 48.312, "cpu-thermal 2": 50.0, "rp1_adc": 41.0, "Composite": 39.85}
     )
@@ -395,8 +396,8 @@ def test_a_board_with_a_hundred_sensors_tells_some(tmp_path):
         zone.mkdir(parents=True)
         (zone / "type").write_text("core")
         (zone / "temp").write_text("40000")
-    assert len(read_board(tmp_path).temperatures) == 32
+    assert len(read_host(tmp_path).temperatures) == 32
 
 
 def test_the_memory_is_this_process_own():
-    assert 20.0 < read_board().rss_mb < 2000.0
+    assert 20.0 < read_host().rss_mb < 2000.0

@@ -41,7 +41,7 @@ class Given:
                 row = (stamp(self.now_ns), int(Kind.IMU), (*values, *(0.0,) * 8)[:14])
                 arrival = self.pipeline.insert(row)
             if k % 25 == 0:
-                self.progress.look(self.pipeline, self.now_ns)
+                self.progress.update(self.pipeline, self.now_ns)
                 self.longest_s = max(self.longest_s, self.progress.barren_s(self.now_ns))
         return arrival
 
@@ -83,7 +83,7 @@ def test_a_filter_that_aligns_or_lacks_fixes_is_not_stuck(kinds):
     for t_ns, kind, row in zip(log.t_ns.tolist(), log.kind.tolist(), log.values, strict=True):
         if kind in kinds:
             pipeline.insert((t_ns, kind, tuple(row.tolist())))
-            progress.look(pipeline, t_ns)
+            progress.update(pipeline, t_ns)
             longest_s = max(longest_s, progress.barren_s(t_ns))
     assert pipeline.health().status < 3  # no position yet
     assert longest_s == 0.0

@@ -8,7 +8,8 @@ import tty
 
 import pytest
 
-from ekf_companion.config.config import Config, OdometryConfig, OutputConfig
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import OdometryConfig, OutputConfig
 from ekf_companion.link.backlog import FRESH_NS
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
@@ -78,7 +79,7 @@ def test_what_a_stuck_line_throws_away_was_not_sent():
     assert output.unsent > 300
     assert (output.rate, output.is_streaming) == (0.0, False)
     assert output.unsent_rate == pytest.approx(30.0, rel=0.1)
-    words = judge(snapshot).words
+    words = judge(snapshot).line
     assert "no ODOMETRY, 30 Hz thrown away as the link takes no more" in words
 
 
@@ -111,7 +112,7 @@ def test_without_a_link_nothing_is_sent():
         for frame in watched.companion.data_to_send():
             link.send(frame, is_replaceable=bool(odometries(frame)))
             said += odometries(frame)
-        watched.observer.beat(watched.now_ns)
+        watched.observer.tick(watched.now_ns)
     output = watched.snapshot().output
     assert said > 100
     assert (output.sent["ODOMETRY"], output.unsent) == (0, said)

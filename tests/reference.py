@@ -1,0 +1,214 @@
+"""Write the pages that repeat what the fields of settings and of the Snapshot say of themselves.
+
+``make reference`` writes ``config/reference.yaml``, the table of parameters in docs/LINK_MANNERS.md
+and that of the status in docs/OBSERVABILITY.md; a test compares them with what would be written.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from itertools import pairwise
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+import yaml
+
+from ekf_companion.config.config import Config
+from ekf_companion.config.keys import KEYS, Key, value_of
+from ekf_companion.core.settings import HABITS, FilterSettings
+from ekf_companion.engine.health import Health
+from ekf_companion.status.metrics import declared, types_in
+from ekf_companion.status.snapshot import Snapshot
+from tests.paths import ROOT
+
+_HEAD = """\
+# Every key of the configuration. `make reference` writes this file: look up here, and change
+# px4.yaml, ardupilot.yaml or a file of your own.
+#
+# A line that begins with #key: shows a key at its default. To set it, take the # away. What a file
+# does not name is at its default; `ekf-companion check-config FILE` prints all of them. A wrong key
+# or value ends the start with a sentence and exit code 2.
+#
+# In brackets: the unit; the values that a key takes; "reloadable" where `ekf-companion reload`
+# takes a change in flight (all others wait for the next start); the MAVLink parameter that sets the
+# key, and its values."""
+_WIDTH = 100
+_UNBOUNDED = 1e6
+_METRICS = {".".join(path): metric for metric, path in declared()}
+_SUFFIXES = {"counter": "_total", "info": "_info"}
+_FAMILIES = {"px4": "PX4", "ardupilot": "ArduPilot", "unknown": "others"}
+
+
+def reference() -> str:
+    """Return a YAML file that shows every key at its default, under its text."""
+    service_first = sorted(fields(Config), key=lambda one: hasattr(FilterSettings, one.name))
+    return "\n".join((_HEAD, *_section(Config, "", [one.name for one in service_first]))) + "\n"
+
+
+def parameter_table() -> Iterator[str]:
+    """Yield the rows of a Markdown table of the MAVLink parameters."""
+    found = [(key.setting.param, key) for key in KEYS.values() if key.setting.param is not None]
+    yield "| Parameter | Key | Range |"
+    yield "|---|---|---|"
+    for param, key in sorted(found, key=lambda one: one[0].index):
+        late = "" if key.setting.reload else "; from the next start"
+        values = f"{_parameter_range(key)} {key.setting.unit}".rstrip()
+        yield f"| {param.name} | `{key.name}` | {values}{late} |"
+
+
+def _section(section: Any, path: str, names: list[str]) -> Iterator[str]:
+    indent = "  " * path.count(".")
+    hints, texts = get_type_hints(section), _texts(section)
+    for name in names:
+        if is_dataclass(kind := hints[name]):
+            yield from [] if path else [""]
+            yield from _comment(kind.__doc__ or "", indent)
+            yield f"{indent}{name}:"
+            yield from _section(kind, f"{path}{name}.", [one.name for one in fields(kind)])
+            continue
+        key = KEYS[path + name]
+        yield from [] if path else [""]
+        yield from _comment(texts[name] + _auto(key), indent)
+        facts = _facts(key)
+        yield from _comment(f"[{'; '.join(facts)}]", indent) if facts else ()
+        default = msgspec.to_builtins(value_of(Config(), key.name))
+        written = yaml.safe_dump([default], default_flow_style=True, width=_WIDTH).strip()[1:-1]
+        yield f"{indent}#{name}: {written}"
+
+
+def _texts(section: Any) -> dict[str, str]:
+    """Return the strings below the fields of a dataclass, which only its source has."""
+    found: dict[str, str] = {}
+    for kind in section.__mro__[-2::-1]:
+        tree = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+        for entry, below in pairwise(tree.body if isinstance(tree, ast.ClassDef) else ()):
+            if isinstance(entry, ast.AnnAssign) and isinstance(below, ast.Expr):
+                found[ast.unparse(entry.target)] = inspect.cleandoc(ast.literal_eval(below.value))
+    return found
+
+
+def _comment(text: str, indent: str) -> list[str]:
+    head = f"{indent}# "
+    return textwrap.wrap(
+        " ".join(text.split()),
+        _WIDTH,
+        initial_indent=head,
+        subsequent_indent=head,
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
+
+
+def _auto(key: Key) -> str:
+    """Return what ``auto`` means, where that depends on the autopilot."""
+    if not key.setting.auto:
+        return ""
+    values = {name: getattr(habit, key.setting.auto) for name, habit in HABITS.items()}
+    said = [
+        f"{value if isinstance(value, str) else format(value, 'g')} for {_FAMILIES[name]}"
+        for name, value in values.items()
+    ]
+    return f" auto: {', '.join(said)}."
+
+
+def _facts(key: Key) -> list[str]:
+    """Return unit, values, whether a reload takes it, and the parameter; without what is empty."""
+    setting, values = key.setting, _values(key.hint)
+    facts = [
+        setting.unit,
+        " or ".join(filter(None, (", ".join(values[:-1]), *values[-1:]))),
+        "reloadable" if setting.reload else "",
+        "" if setting.param is None else f"{setting.param.name} {_parameter_range(key)}",
+    ]
+    return [fact for fact in facts if fact]
+
+
+def _values(hint: Any) -> list[str]:
+    """Return what a type takes: words and ranges."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        ranges = [_range(one) for one in arguments if isinstance(one, msgspec.Meta)]
+        return ranges or _values(arguments[0])
+    if origin in (Union, UnionType):
+        return [] if str in arguments else [value for one in arguments for value in _values(one)]
+    if origin is tuple:
+        return [f"each {value}".replace("each each", "each") for value in _values(arguments[0])]
+    return list(arguments) if origin is Literal else ["null"] if hint is NoneType else []
+
+
+def _range(meta: msgspec.Meta) -> str:
+    low = f"{meta.ge:g}" if meta.ge is not None else f"above {meta.gt:g}"
+    high, limit = ("to", meta.le) if meta.le is not None else ("and below", meta.lt)
+    if limit is not None and limit < _UNBOUNDED:
+        return f"{low} {high} {limit:g}"
+    return f"{low} or more" if meta.ge is not None else low
+
+
+def status_table() -> Iterator[str]:
+    """Yield the rows of a Markdown table of the keys of /status, with their metrics."""
+    yield "| key of /status | metric | labels | what |"
+    yield "|---|---|---|---|"
+    yield from _status_rows(Snapshot, "")
+
+
+def _status_rows(kind: Any, path: str) -> Iterator[str]:
+    texts = _texts(kind)
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        here = f"{path}{name}"
+        inner: Any = next(filter(is_dataclass, types_in(hint)), None)
+        metric = _METRICS.get(here.replace(".NAME", ""))
+        said = [metric.help if metric else "", texts.get(name, "")]
+        if metric and kind is Health:
+            said.pop()  # says the same
+        elif metric and metric.kind == "info" and said[1]:
+            said.pop(0)  # of all the labels together
+        if inner:
+            said = [inner.__doc__, said[1], f"The metric: {said[0]}" if metric else ""]
+        what = " ".join(" ".join(said).split()).replace("``", "`")
+        what = what.replace("NaN", "null").replace("None:", "null:")
+        shown = f"`{metric.name}{_SUFFIXES.get(metric.kind, '')}`" if metric else ""
+        labels = ", ".join(metric.labels).replace("=", ": ") if metric else ""
+        yield f"| `{here}` | {shown} | {labels} | {what} |"
+        if inner:
+            of_each = ".NAME" if get_origin(hint) is Mapping else ""
+            yield from _status_rows(inner, f"{here}{of_each}.")
+
+
+def with_table(path: Path, rows: Iterable[str]) -> str:
+    """Return a page in which the table with the same head is replaced."""
+    head, *others = rows
+    before, found, rest = path.read_text(encoding="utf-8").partition(head + "\n")
+    assert found, f"{path}: has no table {head}"
+    return "\n".join((before + head, *others, "", rest.partition("\n\n")[2]))
+
+
+def pages() -> dict[Path, str]:
+    """Return the text that each page is to have."""
+    manners, status = ROOT / "docs" / "LINK_MANNERS.md", ROOT / "docs" / "OBSERVABILITY.md"
+    return {
+        ROOT / "config" / "reference.yaml": reference(),
+        manners: with_table(manners, parameter_table()),
+        status: with_table(status, status_table()),
+    }
+
+
+def _parameter_range(key: Key) -> str:
+    param = key.setting.param
+    assert param is not None
+    if key.choices == (False, True):
+        return "0, 1"
+    if key.choices:
+        return ", ".join(f"{number} {word}" for number, word in enumerate(key.choices))
+    low = f"{param.lowest:g} auto," if key.setting.auto else f"{param.lowest:g}"
+    return f"{low} to {param.highest:g}{' sigmas of one axis' if param.is_sigma else ''}"
+
+
+if __name__ == "__main__":
+    for page, text in pages().items():
+        page.write_text(text, encoding="utf-8")
