@@ -43,8 +43,8 @@ def set_up(level: int) -> None:
     logging.basicConfig(level=level, handlers=[CalmHandler(inner)])
 
 
-def tell() -> None:
-    """Say what was left out, of all whose time is over; to be called now and then."""
+def flush() -> None:
+    """Log how many lines were left out, where their time is over; to be called now and then."""
     for handler in logging.root.handlers:
         if isinstance(handler, CalmHandler):
             handler.flush()

@@ -7,11 +7,11 @@ and a TCP client that sends nothing else from keeping its place.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
 from ekf_companion.config.config import Config
+from ekf_companion.daemon.clock import unix_clock
 from ekf_companion.link.link import Link, Received, open_link
 from ekf_companion.link.peers import Peers
 from ekf_companion.mavlink.session import Session
@@ -71,11 +71,3 @@ def hear(
         link.peers.pin(sender, now_ns)
     else:
         link.peers.answer(sender)
-
-
-def unix_clock() -> int:
-    """Give unix time, ns, that never steps: the monotonic clock, set once."""
-    return time.monotonic_ns() + _BOOT_NS
-
-
-_BOOT_NS = time.time_ns() - time.monotonic_ns()
