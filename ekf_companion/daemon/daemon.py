@@ -20,7 +20,7 @@ from ekf_companion.daemon.clock import read_clocks, unix_clock
 from ekf_companion.daemon.http import open_http_server
 from ekf_companion.daemon.key_file import open_signing
 from ekf_companion.daemon.monitors import Monitors
-from ekf_companion.daemon.reception import hear, open_reception
+from ekf_companion.daemon.reception import deliver, open_reception
 from ekf_companion.daemon.systemd import Systemd
 from ekf_companion.daemon.tlog_recorder import open_recorder
 from ekf_companion.engine.companion import Companion
@@ -166,7 +166,7 @@ class Daemon:
     def receive(self, received: Received) -> None:
         """Process what was read, and send what follows from it."""
         companion, now_ns = self._companion, received.now_ns
-        hear(received, companion.receive, companion.session, self.link)
+        deliver(received, companion.receive, companion.session, self.link)
         if now_ns >= self._due_ns:
             self._run_periodic(now_ns)
         else:

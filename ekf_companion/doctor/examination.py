@@ -13,7 +13,7 @@ from pathlib import Path
 from ekf_companion.config.config import Config
 from ekf_companion.daemon.clock import unix_clock
 from ekf_companion.daemon.key_file import borrow_signing
-from ekf_companion.daemon.reception import hear, open_reception
+from ekf_companion.daemon.reception import deliver, open_reception
 from ekf_companion.doctor import holder
 from ekf_companion.doctor.collector import EvidenceCollector
 from ekf_companion.doctor.diagnosis import diagnose
@@ -62,7 +62,7 @@ async def _examine(
     collector = EvidenceCollector(config, means, signing)
 
     def receive(received: Received) -> None:
-        hear(received, collector.receive, collector.companion.session, link)
+        deliver(received, collector.receive, collector.companion.session, link)
         _answer(link, collector, received.now_ns)
 
     link = open_reception(config, is_signed=signing is not None, on_read=receive)

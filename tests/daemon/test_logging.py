@@ -9,7 +9,13 @@ import time
 
 import pytest
 
-from ekf_companion.daemon.logging import KINDS, CalmHandler, JournalHandler, is_journal, priority
+from ekf_companion.daemon.logging import (
+    KINDS,
+    JournalHandler,
+    RateLimitHandler,
+    is_journal,
+    priority,
+)
 from tests.daemon.test_daemon import free_port
 
 
@@ -184,7 +190,7 @@ class Calm:
     def __init__(self):
         self.now_s = 100.0
         self.kept = Kept()
-        self.handler = CalmHandler(self.kept, lambda: self.now_s)
+        self.handler = RateLimitHandler(self.kept, lambda: self.now_s)
         self.log = logging.Logger("ekf_companion.test")  # noqa: LOG001  # it leaves none behind
         self.log.addHandler(self.handler)
 

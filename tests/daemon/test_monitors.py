@@ -194,4 +194,4 @@ def test_what_is_no_monitor_is_refused_with_a_sentence(url, link, peer, sentence
 
 def test_another_port_of_the_autopilots_host_is_a_monitor():
     address = parse_monitor("udpout:127.0.0.1:14550", parse_url("udpin:127.0.0.1:14540"))
-    assert (address.kind, address.is_deaf) == (Kind.UDP_OUT, True)
+    assert (address.kind, address.is_send_only) == (Kind.UDP_OUT, True)

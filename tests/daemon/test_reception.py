@@ -7,7 +7,7 @@ import socket
 import pytest
 
 from ekf_companion.config.config import Config, LinkConfig
-from ekf_companion.daemon.reception import hear, open_reception
+from ekf_companion.daemon.reception import deliver, open_reception
 from ekf_companion.link import link as link_module
 from ekf_companion.mavlink.codec import Sender, pack
 from ekf_companion.mavlink.session import Session, SessionOptions
@@ -29,7 +29,7 @@ class Server:
         self.link = open_reception(
             Config(link=LinkConfig(url=f"tcpin:127.0.0.1:{self.port}")),
             is_signed=is_signed,
-            on_read=lambda got: hear(got, self.session.receive, self.session, self.link),
+            on_read=lambda got: deliver(got, self.session.receive, self.session, self.link),
         )
 
     def connect(self):

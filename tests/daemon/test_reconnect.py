@@ -14,7 +14,7 @@ import tty
 
 import pytest
 
-from ekf_companion.daemon.reception import hear
+from ekf_companion.daemon.reception import deliver
 from ekf_companion.link.link import open_link
 from ekf_companion.link.peers import Peers
 from ekf_companion.mavlink.codec import Sender
@@ -163,7 +163,7 @@ async def serve(link):
     try:
         while True:
             received = await link.receive()
-            hear(received, session.receive, session, link)
+            deliver(received, session.receive, session, link)
             session.tick(received.now_ns)
             for frame in session.data_to_send():
                 link.send(frame)

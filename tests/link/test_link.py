@@ -237,7 +237,7 @@ def test_a_tcp_client_that_speaks_keeps_its_place_and_strangers_are_counted(capl
                 server.send(b"odometry")
                 assert autopilot.recv(100) == b"odometry"
             assert server.opened == 1
-        assert caplog.text.count("another client is sent away") == 1
+        assert caplog.text.count("another client is refused") == 1
 
     asyncio.run(scenario())
 
