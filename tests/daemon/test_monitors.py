@@ -98,7 +98,7 @@ def flown(tmp_path_factory):
             daemon.wait_for(f"udpin:127.0.0.1:{port}: open")
             url = f"udp://127.0.0.1:{own}@127.0.0.1:{port}"
             wire = fly_over(url, flight, Stack.PX4)
-            assert daemon.stop()[0] == 0
+            assert daemon.stop() == 0
             words = daemon.words.read_text()
     return Flown(Record(folder / "flight.tlog", daemon.config), wire, monitor, crowd, nobody, words)
 
