@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.config.config import Config
-from ekf_companion.daemon.reception import hear
+from ekf_companion.daemon.reception import deliver
 
 # What follows is all that a refactoring may have to change here
 from ekf_companion.engine.checkpoint import Clocks
@@ -136,7 +136,7 @@ class Watched:
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes, as the daemon does."""
         self._now_ns = now_ns
-        hear(
+        deliver(
             Received(data, now_ns, ("127.0.0.1", 14550)),
             self._companion.receive,
             self._companion.session,

@@ -1,14 +1,14 @@
 #!/bin/sh
-# Puts the daemon, its units and its udev rule in their places, or takes them away; `make install`
-# and `make uninstall` call it. Settings, from the environment:
+# Installs the daemon, its units and its udev rule, or removes them; `make install` and
+# `make uninstall` call it. Settings, from the environment:
 #   PREFIX     the daemon's virtual environment, /opt/ekf-companion
 #   DESTDIR    a folder that stands for /, to build a package or an image; needs no root
-#   CONFIG     the configuration to begin with, where there is none: config/px4.yaml
-#   WHEEL      a wheel made before, as by `make wheel`; empty: one is built, which needs gcc
-#   PIP_FLAGS  as for a board without a network: --no-index --find-links=FOLDER
+#   CONFIG     the first configuration, if there is none: config/px4.yaml
+#   WHEEL      a wheel from `make wheel`; if empty, one is built, which needs gcc
+#   PIP_FLAGS  for a board without a network: --no-index --find-links=FOLDER
 #   PYTHON     python3
 set -eu
-# What root installs the service's user has to read and run, however strict root is with itself
+# The service's user must be able to read and run what root installs, whatever root's umask is
 umask 022
 cd "$(dirname "$0")/.."
 
@@ -25,12 +25,12 @@ fail() {
     exit 1
 }
 
-# Whether this is a running system, whose managers are to be told
+# Whether this is a running system, whose systemd and udev must reload
 is_live() {
     [ -z "$root" ] && [ -d /run/systemd/system ]
 }
 
-# A folder is ours where a virtual environment is in it, or nothing
+# Refuse a folder that is neither empty nor a virtual environment
 check() {
     case $prefix in
     /*) ;;
@@ -41,7 +41,7 @@ check() {
     fi
 }
 
-# The unit's ProtectHome= hides these. What stands under DESTDIR is for elsewhere, and is not looked at
+# Whether the unit's ProtectHome= hides a folder; folders under DESTDIR are for another system
 is_hidden() {
     case $1/ in
     /home/* | /root/* | /run/user/*) ;;
@@ -55,7 +55,7 @@ check_homes() {
     ! is_hidden "$real" || fail "PREFIX=$prefix: is in $real, $hides; name a folder elsewhere"
     python=${PYTHON:-python3}
     "$place/bin/python" -c '' 2> /dev/null && python=$place/bin/python
-    # The environment leans on the Python that made it
+    # The environment needs the Python that made it
     home=$("$python" -c 'import os, sys; print(os.path.realpath(sys.base_prefix))')
     is_hidden "$home" || return 0
     words="PYTHON=$python: is in $home, $hides; name one of the system's, as in PYTHON=/usr/bin/python3"
@@ -69,7 +69,7 @@ install_program() {
     built=$(mktemp -d)
     trap 'rm -rf "$built"' EXIT
     if [ -z "${WHEEL:-}" ]; then
-        # In a copy: root leaves nothing of its own in the checkout
+        # In a copy, so that root leaves no files in the checkout
         mkdir "$built/src"
         cp -R pyproject.toml setup.py README.md LICENSE ekf_companion sim_autopilot "$built/src"
         rm -f "$built"/src/ekf_companion/core/*.c "$built"/src/ekf_companion/core/*.so
@@ -78,16 +78,16 @@ install_program() {
         [ -f "$WHEEL" ] || fail "WHEEL=$WHEEL: there is no such file; make wheel makes one in dist/"
         cp "$WHEEL" "$built"
     fi
-    # The same version may have changed inside; what it needs stays as it is where it will do
+    # The same version may have other content; its dependencies stay if they suffice
     $pip install ${PIP_FLAGS:-} --no-compile --force-reinstall --no-deps "$built"/*.whl
     $pip install ${PIP_FLAGS:-} --no-compile "$built"/*.whl
-    # Of an installation made before, by a stricter root, too
+    # Also for an earlier installation with a stricter umask
     chmod -R a+rX "$place"
-    # Compiled now: the service cannot write there. Some packages carry files for other versions
+    # Compiled now: the service cannot write there. Some packages have files for other versions
     if [ -z "$root" ]; then
         "$place/bin/python" -m compileall -q "$place/lib" > /dev/null || true
     else
-        # Programs and scripts name the place where they will be
+        # Programs and scripts contain the path at which they will be
         "$place/bin/python" -m compileall -q -f -s "$root" -p / "$place/lib" > /dev/null || true
         grep -rlIF --exclude-dir=__pycache__ "$place" "$place/bin" "$place/pyvenv.cfg" |
             xargs -r sed -i "s|$place|$prefix|g"

@@ -171,7 +171,7 @@ def test_the_daemon_lives_under_the_units_filter(tmp_path, allowed):
         daemon.wait_for("Estimate is OK")
         maps = Path(f"/proc/{daemon._process.pid}/maps").read_text().splitlines()
         status = Path(f"/proc/{daemon._process.pid}/status").read_text()
-        assert daemon.stop(signal.SIGTERM)[0] == 0
+        assert daemon.stop(signal.SIGTERM) == 0
     assert re.search(r"^Seccomp:\s*2$", status, flags=re.MULTILINE)
     assert [line for line in maps if "wx" in line.split()[1]] == []
     assert len(Record(record, daemon.config).of("ODOMETRY")) > 20

@@ -17,7 +17,7 @@ from ekf_companion.errors import ConfigError
 if TYPE_CHECKING:
     from ekf_companion.config.config import Config
     from ekf_companion.doctor.evidence import Evidence
-    from ekf_companion.doctor.finding import Finding
+    from ekf_companion.doctor.stage import StageResult
 
 STAGE_FAILED = 5
 """Exit code if a stage fails."""
@@ -87,7 +87,7 @@ def _examine(
 
 
 def _print_json(
-    evidence: Evidence, findings: list[Finding], link: str | None, log: Path | None
+    evidence: Evidence, findings: list[StageResult], link: str | None, log: Path | None
 ) -> None:
     peer = evidence.peer
     report = {
@@ -107,12 +107,12 @@ def _print_json(
     typer.echo(json.dumps(report, indent=2, ensure_ascii=False))
 
 
-def _print(findings: list[Finding]) -> None:
+def _print(findings: list[StageResult]) -> None:
     import shutil
 
-    from ekf_companion.doctor.finding import Mark
     from ekf_companion.doctor.report import lines
+    from ekf_companion.doctor.stage import Outcome
 
-    colours = {Mark.WARNING: typer.colors.YELLOW, Mark.FAILED: typer.colors.RED}
+    colours = {Outcome.WARNING: typer.colors.YELLOW, Outcome.FAILED: typer.colors.RED}
     for mark, line in lines(findings, min(shutil.get_terminal_size().columns, 100)):
         typer.secho(line, fg=colours.get(mark))

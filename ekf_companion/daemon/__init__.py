@@ -1,5 +1,5 @@
-"""The shells of the service: one event loop, its link, its files, its HTTP port, systemd.
+"""The service: one event loop with its link, threads for its files and its HTTP port, and systemd.
 
-Only here is opened, awaited, slept and asked what time it is while flying; no equation and no
+In flight, only code in this room opens, awaits, sleeps and reads clocks; it has no equation and no
 MAVLink field.
 """

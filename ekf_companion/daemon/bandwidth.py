@@ -1,4 +1,4 @@
-"""What the configured streams need of a serial line, told before they choke it."""
+"""Whether the configured streams fit a serial line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ekf_companion.mavlink.frame import HEADER_SIZE, SIGNATURE_SIZE
 from ekf_companion.mavlink.messages import by_name
 
 SHARE = 0.6
-"""Of the line, that the streams may take: parameters, commands, texts and bursts need the rest."""
+"""Share of the line for the streams: parameters, commands, texts and bursts need the rest."""
 BITS = 10
 """On the wire for each byte: 8N1."""
 _KEYS = {
@@ -22,16 +22,16 @@ _KEYS = {
     "SCALED_PRESSURE": "link.baro_rate",
     "ODOMETRY": "output.odometry.rate",
 }
-"""What turns each stream that can be turned."""
+"""The key that sets the rate of each stream."""
 _OURS = {"ESTIMATOR_STATUS": 1.0, "GPS_GLOBAL_ORIGIN": 1.0, "HEARTBEAT": 1.0, "TIMESYNC": 1.0}
-"""Hz, besides ODOMETRY."""
+"""Hz, beside ODOMETRY."""
 _THEIRS = {"HEARTBEAT": 1.0, "TIMESYNC": 1.0}
 
 
 def overloads(config: Config) -> list[str]:
-    """Say of each direction of a serial link that is too slow what it needs and what to lower.
+    """Return a warning for each direction in which a serial link is too slow, with what to lower.
 
-    Nothing is said of other links, nor of what the autopilot sends unasked.
+    There is none for other links, and messages that the autopilot sends unasked do not count.
     """
     try:
         address = parse_url(config.link.url)
@@ -57,12 +57,12 @@ def overloads(config: Config) -> list[str]:
 
 
 def size(name: str, *, is_signed: bool) -> int:
-    """Give the bytes of a message on the wire, at most."""
+    """Return the largest size of a message on the wire, bytes."""
     return HEADER_SIZE + by_name(name).size + (SIGNATURE_SIZE if is_signed else 0)
 
 
 def _remedy(needs: Mapping[str, float], total: float) -> str:
-    """Name the keys that make the most of it, the largest first."""
+    """Return which keys to lower, the largest share first."""
     largest = sorted((name for name in needs if name in _KEYS), key=lambda name: -needs[name])
     keys = [_KEYS[name] for name in largest if needs[name] > 0.1 * total]
     return f"lower {' or '.join(keys)}, or raise the baud rate at both ends"

@@ -13,13 +13,14 @@ import time
 from collections.abc import Callable
 
 from ekf_companion.config.config import Config
-from ekf_companion.daemon import logging as journal
+from ekf_companion.daemon import logging as log
 from ekf_companion.daemon.bandwidth import overloads
-from ekf_companion.daemon.checkpoint_file import clocks, open_keeper, open_memory
-from ekf_companion.daemon.http import open_endpoint
-from ekf_companion.daemon.key_file import open_keyring
+from ekf_companion.daemon.checkpoint_file import open_checkpoint_file, open_parameter_file
+from ekf_companion.daemon.clock import read_clocks, unix_clock
+from ekf_companion.daemon.http import open_http_server
+from ekf_companion.daemon.key_file import open_signing
 from ekf_companion.daemon.monitors import Monitors
-from ekf_companion.daemon.reception import hear, open_reception, unix_clock
+from ekf_companion.daemon.reception import deliver, open_reception
 from ekf_companion.daemon.systemd import Systemd
 from ekf_companion.daemon.tlog_recorder import open_recorder
 from ekf_companion.engine.companion import Companion
@@ -39,19 +40,18 @@ else:
 _log = logging.getLogger(__name__)
 
 TICK = 0.1
-"""Seconds between two looks at what time brings while nothing comes."""
+"""Seconds between two periodic runs while nothing comes."""
 LEAST_NS = 50_000_000
-"""Between two looks while much comes: each costs as much as several samples."""
-LAST_WORDS = 0.1
-"""Seconds for the last message to leave a serial port, whose closing throws away what waits."""
-
+"""Between two periodic runs while much comes: each costs as much as several samples."""
+DRAIN = 0.1
+"""Seconds for the last message to leave a serial port, whose closing discards what waits."""
 CLOSING = 1.2
-"""Seconds that all our threads have to end, however many disks hang: with the last words, and the
+"""Seconds that all our threads have to end, however many disks hang: with the drain, and the
 interpreter's own end, no more than 2 s pass from SIGTERM."""
 
 
 def run(read: Callable[[], Config]) -> None:
-    """Serve with the configuration that is read, now and again at every SIGHUP.
+    """Serve with the configuration that ``read`` returns, now and at every SIGHUP.
 
     Raises:
         LinkError: The URL names no link.
@@ -61,7 +61,7 @@ def run(read: Callable[[], Config]) -> None:
     config = read()
     try:
         asyncio.run(serve(config, read))
-    except Exception as error:  # noqa: BLE001  # the one place; systemd starts us again
+    except Exception as error:  # noqa: BLE001  # the one place; systemd restarts us
         cause: BaseException = error
         # A task group wraps what its tasks raise
         while isinstance(cause, BaseExceptionGroup):
@@ -75,17 +75,17 @@ def run(read: Callable[[], Config]) -> None:
 
 
 async def serve(config: Config, read: Callable[[], Config]) -> None:
-    """Run until SIGTERM or SIGINT; take at SIGHUP what has changed, and can be taken in flight.
+    """Run until SIGTERM or SIGINT; at SIGHUP, apply the changes that can be applied in flight.
 
     Raises:
         LinkError: The link's URL names no link.
-        ConfigError: A name can be none of a file, or the key is none.
+        ConfigError: No file can have one of the names, or the key is not one.
     """
     stop, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
     daemon = Daemon(config)
-    # Before it says that it is ready: whoever waits for that may reload at once
+    # Before READY=1: whoever waits for that may reload at once
     loop.add_signal_handler(signal.SIGHUP, daemon.reload, read)
     with daemon:
         async with TaskGroup() as group:
@@ -94,62 +94,63 @@ async def serve(config: Config, read: Callable[[], Config]) -> None:
             await stop.wait()
             tick.cancel()
             daemon.say_goodbye()
-            await asyncio.sleep(LAST_WORDS)
+            await asyncio.sleep(DRAIN)
             for pump in pumps:
                 pump.cancel()
     _log.info("Stopped")
 
 
 class Daemon:
-    """The parts of one run; heart and watchdog beat with the filter or not at all."""
+    """The parts of one run; heartbeat and watchdog stop if the filter does."""
 
     def __init__(self, config: Config) -> None:
-        """Make ready.
+        """Start the threads, and make the rest ready.
 
         Raises:
             LinkError: The link's URL names no link.
-            ConfigError: A name can be none of a file, or the key is none.
+            ConfigError: No file can have one of the names, or the key is not one.
         """
         for words in overloads(config):
             _log.warning("%s", words)
         self._due_ns = 0
-        # What the last run left is read beside while the rest is made ready
-        self._keeper = open_keeper(config.checkpoint.file, config.checkpoint.interval)
-        self._memory = memory = open_memory(config.checkpoint.file)
-        self._keyring = keyring = open_keyring(config)
+        # The state of the last run is read by threads while the rest is made ready
+        self._checkpoint = open_checkpoint_file(config.checkpoint.file, config.checkpoint.interval)
+        self._parameters = parameters = open_parameter_file(config.checkpoint.file)
+        self._signing = open_signing(config)
+        signing = None if self._signing is None else self._signing.signing
         self.link = open_reception(
             config,
-            is_signed=keyring is not None,
+            is_signed=signing is not None,
             on_read=self.receive,
-            on_state=self._greet,
-            on_sent=self._note_sent,
+            on_state=self._on_state,
+            on_sent=self._on_sent,
         )
-        signing = None if keyring is None else keyring.signing
         self._monitors: Monitors | None = None
         if config.output.monitors:
             self._monitors = Monitors(config, self.link, signing)
         self._recorder = open_recorder(config.record)
-        found = None if self._keeper is None else self._keeper.read()
-        resumption = Resumption(found, clocks(), unix_clock(), config.checkpoint.limit)
+        found = None if self._checkpoint is None else self._checkpoint.read()
+        resumption = Resumption(found, read_clocks(), unix_clock(), config.checkpoint.limit)
         tuning = Tuning(config)
-        if memory is not None:
-            tuning = Tuning(config, memory.read(), str(memory.path), memory.keep)
+        if parameters is not None:
+            tuning = Tuning(config, parameters.read(), str(parameters.path), parameters.write)
         self._companion = Companion(config, self._recorder is not None, resumption, signing, tuning)
         self._observer = Observer(
-            self.link, self._companion, unix_clock, self._recorded, self._unheard
+            self.link, self._companion, unix_clock, self._recorded, self._unsent
         )
-        self._endpoint = open_endpoint(config.http, self._observer, asyncio.get_running_loop())
+        self._http = open_http_server(config.http, self._observer, asyncio.get_running_loop())
         self._systemd = Systemd()
 
     def __enter__(self) -> Daemon:
-        # What lives as long as we do need not be looked through for garbage
+        # Objects that live as long as the daemon need no garbage collection
         gc.collect()
         gc.freeze()
-        self._systemd.tell("READY=1")
+        self._systemd.notify("READY=1")
         return self
 
     def __exit__(self, *error: object) -> None:
-        parts = (self._endpoint, self._keeper, self._memory, self._keyring, self._recorder)
+        state = (self._checkpoint, self._parameters, self._signing)
+        parts = (self._http, *state, self._recorder)
         running = [part for part in parts if part is not None]
         for part in running:
             part.finish()
@@ -159,80 +160,80 @@ class Daemon:
 
     @property
     def links(self) -> list[Link]:
-        """All that are to be run: the autopilot's, and the monitors'."""
+        """The links to run: the autopilot's, and the monitors'."""
         return [self.link, *([] if self._monitors is None else self._monitors.links)]
 
     def receive(self, received: Received) -> None:
-        """Take what was read, send what follows from it, and say whom to go on listening to."""
+        """Process what was read, and send what follows from it."""
         companion, now_ns = self._companion, received.now_ns
-        hear(received, companion.receive, companion.session, self.link)
+        deliver(received, companion.receive, companion.session, self.link)
         if now_ns >= self._due_ns:
-            self._do_what_is_due(now_ns)
+            self._run_periodic(now_ns)
         else:
             self._send(now_ns)
 
     async def tick(self) -> None:
-        """Keep time while nothing comes."""
+        """Run what is periodic while nothing comes."""
         while True:
             if (now_ns := unix_clock()) >= self._due_ns:
-                self._do_what_is_due(now_ns)
+                self._run_periodic(now_ns)
             due = time.monotonic() + TICK
             await asyncio.sleep(TICK)
             self._observer.on_late_timer(time.monotonic() - due)
-            journal.tell()
+            log.flush()
 
     def reload(self, read: Callable[[], Config]) -> None:
-        """Read the configuration again, beside the loop, and take what can be taken."""
+        """Read the configuration again, on a thread, and apply what can be applied in flight."""
         loop = asyncio.get_running_loop()
 
-        def read_beside() -> None:
+        def read_again() -> None:
             answer: Config | CompanionError
             try:
                 answer = read()
             except CompanionError as error:
                 answer = error
-            except Exception as error:  # noqa: BLE001  # whoever waits for the reload needs an end
+            except Exception as error:  # noqa: BLE001  # whoever waits for the reload needs an answer
                 _log.exception("The configuration cannot be read, by a bug")
                 answer = ConfigError(f"cannot be read, by a bug: {error!r}; please report it")
             with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
-                loop.call_soon_threadsafe(self._take, answer)
+                loop.call_soon_threadsafe(self._apply, answer)
 
-        self._systemd.reloading()
-        threading.Thread(target=read_beside, name="reload", daemon=True).start()
+        self._systemd.notify_reloading()
+        threading.Thread(target=read_again, name="reload", daemon=True).start()
 
-    def _take(self, read: Config | CompanionError) -> None:
-        """Go on with what was read, or as before."""
+    def _apply(self, read: Config | CompanionError) -> None:
+        """Apply the configuration that was read, or log why there is none."""
         is_wrong = isinstance(read, CompanionError)
         words = self._companion.reload(str(read) if isinstance(read, CompanionError) else read)
         level, reason = (logging.ERROR, "refused") if is_wrong else (logging.INFO, "taken")
         _log.log(level, "Reload: %s", words, extra={"EKF_EVENT": "reload", "EKF_REASON": reason})
-        self._systemd.tell("READY=1")
+        self._systemd.notify("READY=1")
 
     def say_goodbye(self) -> None:
-        """Send the last heartbeat, when nothing else can be said any more."""
-        self._systemd.tell("STOPPING=1")
+        """Send the last heartbeat, and write the last checkpoint."""
+        self._systemd.notify("STOPPING=1")
         now_ns = unix_clock()
         self._companion.close(now_ns)
         if self._monitors is not None:
             self._monitors.say_goodbye()
         self._send(now_ns)
-        self._keep()
+        self._write_checkpoint()
 
-    def _greet(self, is_open: bool) -> None:
-        """Be heard as soon as there is a link."""
+    def _on_state(self, is_open: bool) -> None:
+        """Send a heartbeat as soon as the link is open."""
         if is_open:
-            self._do_what_is_due(unix_clock())
+            self._run_periodic(unix_clock())
 
-    def _do_what_is_due(self, now_ns: int) -> None:
+    def _run_periodic(self, now_ns: int) -> None:
         self._due_ns = now_ns + LEAST_NS
         companion = self._companion
         if self.link.opened:
             companion.tick(now_ns)
         self._send(now_ns)
-        if self._keeper is not None and self._keeper.is_due(now_ns, companion.resets):
-            self._keep()
-        if self._keyring is not None:
-            self._keyring.keep(now_ns)
+        if self._checkpoint is not None and self._checkpoint.is_due(now_ns, companion.resets):
+            self._write_checkpoint()
+        if self._signing is not None:
+            self._signing.write(now_ns)
         if not self._observer.is_barren:
             self._systemd.beat(now_ns)
         self._systemd.report(now_ns, self._observer.health_line)
@@ -246,19 +247,20 @@ class Daemon:
             self._recorder.write(self._companion.session.take_record())
         self._observer.tick(now_ns)
 
-    def _note_sent(self, waited_ns: int) -> None:
+    def _on_sent(self, waited_ns: int) -> None:
         self._observer.on_sent(waited_ns)
 
     def _recorded(self) -> tuple[int, int, str]:
-        """Give the bytes that were recorded, those that should have been, and why they are not."""
-        if (ours := self._recorder) is None:
+        """Return the bytes recorded, the bytes that could not be, and why."""
+        if (recorder := self._recorder) is None:
             return 0, 0, ""
-        return ours.recorded_bytes, ours.unrecorded_bytes, ours.trouble
+        return recorder.recorded_bytes, recorder.unrecorded_bytes, recorder.trouble
 
-    def _unheard(self) -> dict[str, int]:
-        """Give the datagrams that found no monitor, by its address."""
+    def _unsent(self) -> dict[str, int]:
+        """Return how many datagrams reached no monitor, by its address."""
         return {} if self._monitors is None else self._monitors.unsent
 
-    def _keep(self) -> None:
-        if self._keeper is not None and (data := self._companion.checkpoint(clocks())) is not None:
-            self._keeper.keep(data)
+    def _write_checkpoint(self) -> None:
+        data = None if self._checkpoint is None else self._companion.checkpoint(read_clocks())
+        if self._checkpoint is not None and data is not None:
+            self._checkpoint.write(data)

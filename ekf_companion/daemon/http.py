@@ -1,9 +1,7 @@
-"""Where our state can be asked for over HTTP: ``/healthz``, ``/status``, ``/metrics``.
+"""The state over HTTP, served beside the loop: it answers also while the loop stalls, and says so.
 
-The standard library's server runs in a thread of its own. A snapshot is made in the loop, whole and
-at one moment, when somebody asks and not more than five times a second; what becomes of it is made
-in the thread, in steps so short that the loop need not wait. That the loop does not answer is what
-``/healthz`` then says.
+One thread accepts connections, and each is answered on a thread of its own. The snapshot that an
+answer is made of is taken in the loop, whole and at one moment, at most five times a second.
 """
 
 from __future__ import annotations
@@ -12,24 +10,17 @@ import asyncio
 import contextlib
 import logging
 import socket
-import socketserver
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as LateError
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ekf_companion.config.service import HttpConfig
 from ekf_companion.status.host import Host, read_host
-from ekf_companion.status.judge import judge, to_json
 from ekf_companion.status.observer import Observer
 from ekf_companion.status.snapshot import Snapshot
-
-if TYPE_CHECKING:
-    from wsgiref.simple_server import WSGIServer
 
 _log = logging.getLogger(__name__)
 
@@ -40,154 +31,83 @@ RETRY = 30.0
 PATIENCE = 1.0
 """Seconds that the loop has to answer."""
 FRESH = 0.2
-"""Seconds for which one snapshot serves all who ask."""
-BOARD = 2.0
+"""Seconds for which one snapshot serves all requests."""
+HOST_EVERY = 2.0
 """Seconds between two readings of the board."""
 DEADLINE = 5.0
-"""Seconds that one request may take, all in all: a slow client is cut off."""
+"""Seconds that one request may take in all; a slower client is disconnected."""
 CONNECTIONS = 8
-"""At once; others are closed unheard."""
+"""At once; others are closed unanswered."""
 PACE = 0.02
-"""Seconds between two requests: no crowd of clients takes more than a tenth of a processor."""
-BREATH = 3e-4
-"""Seconds of sleep after each small piece of an answer, about 50 us of work: the loop goes first.
-A shorter ``sys.setswitchinterval`` would do the loop harm: it cuts up the loop's work as well."""
+"""Seconds between two connections: many clients take no more than a tenth of a processor."""
 _POLL = 0.5
-_TEXT = "text/plain; charset=utf-8"
-_PAGES = (
-    "/healthz  is it well: 200, or 503 and why\n/status   everything, JSON\n/metrics  Prometheus\n"
+_TAKEN = (
+    "http: %s port %d: %s; flying without status and metrics, trying again every %.0f s; "
+    "give http.port another number in the configuration, or 0 for none"
 )
 
-Answer = tuple[str, str, bytes]
-"""HTTP status, content type and body."""
 
-
-class Desk:
-    """Fetches snapshots out of the loop for any thread."""
+class SnapshotSource:
+    """Takes snapshots in the loop, for any thread."""
 
     def __init__(self, observer: Observer, loop: asyncio.AbstractEventLoop) -> None:
         self._observer, self._loop = observer, loop
         self._lock = threading.Lock()
-        self._asked: Future[Snapshot] | None = None
+        self._request: Future[Snapshot] | None = None
         self._last: Snapshot | None = None
         self._last_s = -FRESH
-        self._board, self._board_s = Host(), -BOARD
+        self._host, self._host_s = Host(), -HOST_EVERY
 
-    def ask(self) -> Snapshot | None:
-        """Give the newest snapshot; None: the loop does not answer."""
+    def read(self) -> Snapshot | None:
+        """Return the newest snapshot, or None if the loop does not answer."""
         with self._lock:
             now_s = time.monotonic()
             if now_s - self._last_s >= FRESH:
-                self._last = self._fetch(now_s)
+                self._last = self._take(now_s)
                 self._last_s = time.monotonic()
             return self._last
 
-    def _fetch(self, now_s: float) -> Snapshot | None:
-        if now_s - self._board_s >= BOARD:
-            self._board, self._board_s = read_host(), now_s
-        # One question at a time: what a stuck loop did not answer still waits there
-        if self._asked is None or self._asked.done():
-            self._asked = Future()
+    def _take(self, now_s: float) -> Snapshot | None:
+        if now_s - self._host_s >= HOST_EVERY:
+            self._host, self._host_s = read_host(), now_s
+        # One request at a time: one that a stalled loop did not answer still waits there
+        if self._request is None or self._request.done():
+            self._request = Future()
             try:
-                self._loop.call_soon_threadsafe(self._answer, self._asked, self._board)
+                self._loop.call_soon_threadsafe(self._answer, self._request, self._host)
             except RuntimeError:  # the loop has ended
-                self._asked = None
+                self._request = None
                 return None
         try:
-            return self._asked.result(PATIENCE)
+            return self._request.result(PATIENCE)
         except LateError:
             return None
 
-    def _answer(self, asked: Future[Snapshot], board: Host) -> None:
+    def _answer(self, request: Future[Snapshot], host: Host) -> None:
         try:
-            asked.set_result(self._observer.snapshot(board))
-        except Exception as error:  # noqa: BLE001  # a bug here is the asker's, and stops no flight
-            asked.set_exception(error)
+            request.set_result(self._observer.snapshot(host))
+        except Exception as error:  # noqa: BLE001  # a bug here must not end a flight
+            request.set_exception(error)
 
 
-class Pages:
-    """The pages, as a WSGI application."""
+class HttpServer:
+    """Accepts connections on a thread, and answers each on another."""
 
-    def __init__(self, ask: Callable[[], Snapshot | None]) -> None:
-        self._ask = ask
-        # Of many clients one at a time competes with the loop
-        self._making = threading.Lock()
-
-    def __call__(self, environ: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
-        """Answer one request."""
-        method, path = environ["REQUEST_METHOD"], environ.get("PATH_INFO", "/")
-        extra: list[tuple[str, str]] = []
-        if method not in ("GET", "HEAD"):
-            status, kind, body = "405 Method Not Allowed", _TEXT, b"only GET and HEAD\n"
-            extra = [("Allow", "GET, HEAD")]
-        else:
-            status, kind, body = self._page(path, environ.get("HTTP_ACCEPT", ""))
-        head = [("Content-Type", kind), ("Content-Length", str(len(body)))]
-        start(status, [*head, ("Cache-Control", "no-store"), *extra])
-        return [] if method == "HEAD" else [body]
-
-    def _page(self, path: str, accept: str) -> Answer:
-        if path == "/":
-            return "200 OK", _TEXT, _PAGES.encode()
-        pages: dict[str, Callable[[Snapshot], Answer]] = {
-            "/healthz": _healthz,
-            "/status": _status,
-            "/metrics": partial(_metrics, accept),
-        }
-        if path not in pages:
-            return "404 Not Found", _TEXT, f"no such page; there are:\n{_PAGES}".encode()
-        snapshot = self._ask()
-        if snapshot is None:
-            words = f"stalled: the loop has not answered for {PATIENCE:.0f} s\n"
-            return "503 Service Unavailable", _TEXT, words.encode()
-        with self._making:
-            return pages[path](snapshot)
-
-
-def _healthz(snapshot: Snapshot) -> Answer:
-    is_healthy, words = judge(snapshot)
-    return "200 OK" if is_healthy else "503 Service Unavailable", _TEXT, f"{words}\n".encode()
-
-
-def _status(snapshot: Snapshot) -> Answer:
-    return "200 OK", "application/json", to_json(snapshot, _breathe)
-
-
-def _metrics(accept: str, snapshot: Snapshot) -> Answer:
-    from prometheus_client.exposition import choose_encoder
-
-    from ekf_companion.status.metrics import registry_of
-
-    encode, kind = choose_encoder(accept)
-    return "200 OK", kind, encode(registry_of(snapshot, _breathe))
-
-
-def _breathe() -> None:
-    time.sleep(BREATH)
-
-
-class Endpoint:
-    """The server's thread."""
-
-    def __init__(self, config: HttpConfig, ask: Callable[[], Snapshot | None]) -> None:
+    def __init__(self, config: HttpConfig, read: Callable[[], Snapshot | None]) -> None:
         """Begin to serve, a moment later."""
-        self._config, self._pages = config, Pages(ask)
+        self._config, self._read = config, read
         self._stop = threading.Event()
-        self._server: WSGIServer | None = None
+        self._listener: socket.socket | None = None
+        self._ends_s: dict[socket.socket, float] = {}
         self._thread = threading.Thread(target=self._run, name="http", daemon=True)
         self._thread.start()
-
-    def close(self) -> None:
-        """Stop listening."""
-        self.finish()
-        self.join(time.monotonic() + _POLL)
 
     def finish(self) -> None:
         """Stop listening; does not wait."""
         self._stop.set()
-        if self._server is not None:
+        if self._listener is not None:
             with contextlib.suppress(OSError):
-                self._server.socket.shutdown(socket.SHUT_RDWR)  # ends its wait
+                self._listener.shutdown(socket.SHUT_RDWR)  # ends its wait
 
     def join(self, end_s: float) -> None:
         """Wait until that is done, or until a time of the monotonic clock, s."""
@@ -196,104 +116,76 @@ class Endpoint:
     def _run(self) -> None:
         if self._stop.wait(HEAD_START):
             return
-        import ekf_companion.status.metrics  # noqa: F401  # now, not at the first scrape
+        from ekf_companion.daemon import pages  # noqa: F401  # now, not at the first request
 
         has_complained = False
         while not self._stop.is_set():
             try:
-                self._server = open_server(self._config.host, self._config.port, self._pages)
+                self._listener = listener = _listen(self._config.host, self._config.port)
             except OSError as error:
                 if not has_complained:
-                    self._complain(error)
+                    words = error.strerror or error
+                    _log.warning(_TAKEN, self._config.host, self._config.port, words, RETRY)
                 has_complained = True
                 self._stop.wait(RETRY)
                 continue
-            self._serve(self._server)
+            host, port = listener.getsockname()[:2]
+            _log.info("Status on http://%s:%d/", f"[{host}]" if ":" in host else host, port)
+            with listener:
+                while not self._stop.is_set():
+                    self._accept(listener)
+                    self._stop.wait(PACE)
 
-    def _serve(self, server: WSGIServer) -> None:
-        host, port = server.server_address[:2]
-        _log.info("Status on http://%s:%d/", f"[{host!s}]" if ":" in str(host) else host, port)
-        with server:
-            while not self._stop.is_set():
-                server.handle_request()
-                server.service_actions()
-                self._stop.wait(PACE)
+    def _accept(self, listener: socket.socket) -> None:
+        """Begin to answer the next connection, and disconnect clients that take too long."""
+        with contextlib.suppress(OSError):  # there is none, or it is gone again
+            client, address = listener.accept()
+            if len(self._ends_s) < CONNECTIONS:
+                self._ends_s[client] = time.monotonic() + DEADLINE
+                threading.Thread(target=self._answer, args=(client, address), daemon=True).start()
+            else:
+                client.close()
+        now_s = time.monotonic()
+        for client, end_s in list(self._ends_s.items()):
+            if now_s > end_s:
+                with contextlib.suppress(OSError):
+                    client.shutdown(socket.SHUT_RDWR)
 
-    def _complain(self, error: OSError) -> None:
-        _log.warning(
-            "http: %s port %d: %s; flying without status and metrics, trying again every %.0f s; "
-            "give http.port another number in the configuration, or 0 for none",
-            self._config.host,
-            self._config.port,
-            error.strerror or error,
-            RETRY,
-        )
+    def _answer(self, client: socket.socket, address: Any) -> None:
+        from ekf_companion.daemon.pages import Handler
+
+        try:
+            client.settimeout(DEADLINE)
+            Handler(client, address, self._read)
+            client.shutdown(socket.SHUT_WR)
+        except OSError as error:
+            _log.debug("http: %s: %s", address[0], error)
+        finally:
+            del self._ends_s[client]
+            client.close()
 
 
-def open_server(host: str, port: int, pages: Pages) -> WSGIServer:
-    """Listen; requests are heard when ``handle_request`` is called.
+def _listen(host: str, port: int) -> socket.socket:
+    """Return a listening socket.
 
     Raises:
         OSError: There is no such host here, or the port is taken.
     """
-    from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
-
-    class Handler(WSGIRequestHandler):
-        timeout = DEADLINE
-
-        def log_message(self, format: str, *args: Any) -> None:
-            """Say nothing: who asks is not news."""
-
-    class Server(socketserver.ThreadingMixIn, WSGIServer):
-        daemon_threads = True
-        request_queue_size = CONNECTIONS
-        timeout = _POLL
-
-        def __init__(self) -> None:
-            self._ends: dict[Any, float] = {}
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-            self.address_family = found[0]
-            super().__init__(found[4][:2], Handler)  # type: ignore[arg-type]
-
-        def server_bind(self) -> None:
-            """Bind without asking for our own name, which may take half a minute."""
-            socketserver.TCPServer.server_bind(self)
-            self.server_name, self.server_port = host, port
-            self.setup_environ()
-
-        def verify_request(self, request: Any, client_address: Any) -> bool:
-            """Admit so many at once."""
-            return len(self._ends) < CONNECTIONS
-
-        def process_request(self, request: Any, client_address: Any) -> None:
-            """Begin a request, and say when it must be over."""
-            self._ends[request] = time.monotonic() + DEADLINE
-            super().process_request(request, client_address)
-
-        def shutdown_request(self, request: Any) -> None:
-            """End it."""
-            self._ends.pop(request, None)
-            super().shutdown_request(request)
-
-        def service_actions(self) -> None:
-            """Cut off who takes too long."""
-            now_s = time.monotonic()
-            for request, end in list(self._ends.items()):
-                if now_s > end:
-                    with contextlib.suppress(OSError):
-                        request.shutdown(socket.SHUT_RDWR)
-
-        def handle_error(self, request: Any, client_address: Any) -> None:
-            """Take a client that went away for what it is."""
-            _log.debug("http: %s: %s", client_address[0], sys.exc_info()[1])
-
-    server = Server()
-    server.set_app(pages)
-    return server
+    family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.settimeout(_POLL)
+        listener.bind(address)
+        listener.listen(CONNECTIONS)
+    except OSError:
+        listener.close()
+        raise
+    return listener
 
 
-def open_endpoint(
+def open_http_server(
     config: HttpConfig, observer: Observer, loop: asyncio.AbstractEventLoop
-) -> Endpoint | None:
-    """Serve what an observer sees; None: it is not wanted."""
-    return Endpoint(config, Desk(observer, loop).ask) if config.port else None
+) -> HttpServer | None:
+    """Serve what an observer sees; return None if no port is wanted."""
+    return HttpServer(config, SnapshotSource(observer, loop).read) if config.port else None

@@ -1,6 +1,6 @@
-"""The log: with fields to systemd's journal where stderr leads there, else as text; never a flood.
+"""The log: to systemd's journal, with fields, if stderr leads there, else as text; never a flood.
 
-A record may carry fields of its own, which become the journal's::
+A record may have fields of its own, which become fields of the journal::
 
     _log.warning("Reset: %s", reason, extra={"EKF_EVENT": "reset", "EKF_REASON": reason})
 
@@ -23,11 +23,11 @@ from pathlib import Path
 FORMAT = "%(levelname)s %(name)s: %(message)s"
 IDENTIFIER = "ekf-companion"
 SPAN = 10.0
-"""Seconds in which one warning is said once."""
+"""Seconds in which a warning is logged once."""
 BURST = 5
-"""Of what is no warning, so often in that time: it is news, until it repeats itself."""
+"""How often a line below a warning is logged in that time."""
 KINDS = 256
-"""Different sentences that are remembered."""
+"""Different lines that are remembered."""
 _PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
 _OWN = "EKF_"
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
@@ -40,18 +40,18 @@ def set_up(level: int) -> None:
     else:
         inner = logging.StreamHandler()
         inner.setFormatter(logging.Formatter(FORMAT))
-    logging.basicConfig(level=level, handlers=[CalmHandler(inner)])
+    logging.basicConfig(level=level, handlers=[RateLimitHandler(inner)])
 
 
-def tell() -> None:
-    """Say what was left out, of all whose time is over; to be called now and then."""
+def flush() -> None:
+    """Log how many lines were left out, where their time is over; to be called now and then."""
     for handler in logging.root.handlers:
-        if isinstance(handler, CalmHandler):
+        if isinstance(handler, RateLimitHandler):
             handler.flush()
 
 
 def is_journal() -> bool:
-    """Whether stderr is connected to the journal: JOURNAL_STREAM then names its device and inode.
+    """Return whether stderr is the journal, whose device and inode JOURNAL_STREAM names.
 
     Source: systemd.exec(5), $JOURNAL_STREAM.
     """
@@ -64,29 +64,29 @@ def is_journal() -> bool:
 
 
 class JournalHandler(logging.Handler):
-    """Sends records as entries with fields; a journal that is slow or away holds up nobody."""
+    """Sends records as entries with fields; a journal that is slow or away delays nobody."""
 
     def __init__(self, path: Path | None = None) -> None:
         """Open a socket.
 
         Args:
-            path: Where the journal listens; None: where it does by default.
+            path: The journal's socket; None: the default one.
         """
         super().__init__()
         from logging_journald import JournaldTransport
 
-        # Each entry is addressed, so that a journal that was started anew is found again
+        # Each entry is addressed, so that a restarted journal gets it too
         self._transport = JournaldTransport(path, connected=False)
         self._transport.socket.setblocking(False)
         self._lost = 0
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Send one entry; where there is no journal, write it to stderr as text."""
+        """Send one entry; if there is no journal, write it to stderr as text."""
         try:
             self._transport.send(self._fields(record))
             self._lost = 0
         except BlockingIOError:
-            self._lost += 1  # told with the next that gets through
+            self._lost += 1  # reported with the next entry
         except OSError:
             sys.stderr.write(f"{record.levelname} {record.name}: {self.format(record)}\n")
 
@@ -112,72 +112,72 @@ class JournalHandler(logging.Handler):
 
 
 def priority(level: int) -> int:
-    """Give syslog's number for a level."""
+    """Return syslog's number for a level."""
     return next((number for bound, number in _PRIORITIES if level >= bound), 7)
 
 
 def _readable(text: str) -> str:
-    """Give text that UTF-8 can hold: half a surrogate in a file's name would else end the entry."""
+    """Return text that UTF-8 can encode: a lone surrogate in a file name would end the entry."""
     return text.encode(errors="replace").decode()
 
 
 @dataclass(slots=True)
-class _Said:
-    """One sentence, and how often it came."""
+class _Line:
+    """One line, and how often it came."""
 
     begin_s: float
     passed: int = 1
     left_out: int = 0
     last: logging.LogRecord | None = None
-    """Of those left out."""
+    """The last one that was left out."""
 
 
-class CalmHandler(logging.Handler):
-    """Hands records on, but the same warning once in ten seconds, with the number left out.
+class RateLimitHandler(logging.Handler):
+    """Passes records on, but the same warning once in ten seconds, with the number left out.
 
-    Warnings are the same by their reason (EKF_REASON) where they give one, and else by their text
-    without its numbers, of which a pattern may give five; what is less than a warning by its whole
-    text, five times. Errors, and what is for debugging, all pass. Whoever has a loop calls
-    ``flush``: what was left out is then told at the end of its time, though nothing else comes.
+    Warnings are the same by their reason (EKF_REASON) if they have one, else by their text without
+    its numbers, and five such texts of one format at most are told apart. Lines below a warning are
+    the same by their whole text, and pass five times. Errors and debugging lines all pass. Call
+    ``flush`` periodically: it logs what was left out when its time is over.
     """
 
     def __init__(self, inner: logging.Handler, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._inner, self._clock = inner, clock
-        self._said: dict[tuple[str, ...], _Said] = {}
+        self._lines: dict[tuple[str, ...], _Line] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Hand one record on, or count it."""
+        """Pass one record on, or count it."""
         now_s = self._clock()
         if record.levelno < logging.INFO or record.levelno >= logging.ERROR:
             self._inner.handle(record)
             return
         key = self._key(record, now_s)
-        said = self._said.get(key)
-        if said is not None and now_s - said.begin_s < SPAN:
-            if said.passed >= (1 if record.levelno >= logging.WARNING else BURST):
-                said.left_out += 1
-                said.last = record
+        line = self._lines.get(key)
+        if line is not None and now_s - line.begin_s < SPAN:
+            if line.passed >= (1 if record.levelno >= logging.WARNING else BURST):
+                line.left_out += 1
+                line.last = record
                 return
-            said.passed += 1
+            line.passed += 1
             self._inner.handle(record)
             return
-        self._said.pop(key, None)
-        self._settle(now_s - SPAN)
-        self._said[key] = _Said(now_s)
-        self._inner.handle(_counted(record, said.left_out if said else 0))
+        self._lines.pop(key, None)
+        self._forget(now_s - SPAN)
+        self._lines[key] = _Line(now_s)
+        self._inner.handle(_counted(record, line.left_out if line else 0))
 
     def flush(self) -> None:
-        """Say what was left out, of all whose time is over."""
+        """Log how many were left out, of all lines whose time is over."""
         self.acquire()
         try:
-            self._settle(self._clock() - SPAN)
+            self._forget(self._clock() - SPAN)
         finally:
             self.release()
 
     def close(self) -> None:
-        """Say what was left out, and close what is behind."""
-        self._settle(self._clock())
+        """Log how many were left out, and close the inner handler."""
+        self._forget(self._clock())
         self._inner.close()
         super().close()
 
@@ -188,21 +188,21 @@ class CalmHandler(logging.Handler):
         if reason := str(getattr(record, "EKF_REASON", "")):
             return *pattern, reason
         key = *pattern, _NUMBER.sub("#", record.getMessage())
-        fresh = (known for known, said in self._said.items() if now_s - said.begin_s < SPAN)
-        is_flood = key not in self._said and sum(it[:2] == pattern for it in fresh) >= BURST
+        fresh = (known for known, line in self._lines.items() if now_s - line.begin_s < SPAN)
+        is_flood = key not in self._lines and sum(it[:2] == pattern for it in fresh) >= BURST
         return pattern if is_flood else key
 
-    def _settle(self, before_s: float) -> None:
-        """Forget what began before a time, or is too much; say of it what was left out."""
-        for key, said in list(self._said.items()):
-            if said.begin_s <= before_s or len(self._said) >= KINDS:
-                del self._said[key]
-                if said.last is not None:
-                    self._inner.handle(_counted(said.last, said.left_out - 1))
+    def _forget(self, before_s: float) -> None:
+        """Forget the lines from before a time, and any too many; log how many were left out."""
+        for key, line in list(self._lines.items()):
+            if line.begin_s <= before_s or len(self._lines) >= KINDS:
+                del self._lines[key]
+                if line.last is not None:
+                    self._inner.handle(_counted(line.last, line.left_out - 1))
 
 
 def _counted(record: logging.LogRecord, left_out: int) -> logging.LogRecord:
-    """Give a record that says how many like it were not handed on."""
+    """Return a record that ends with how many like it were left out."""
     if not left_out:
         return record
     record = copy.copy(record)

@@ -1,17 +1,17 @@
-"""What is read, and whom to go on listening to: the daemon and the doctor hear alike.
+"""The link of a configuration, and whom it accepts, the same for the daemon and the doctor.
 
-Datagrams are heard of whoever the session takes for the autopilot, see :mod:`~.link.peers`; a
-session that refuses a frame, by its ids or its signature, so keeps its sender from being answered,
-and a TCP client that sends nothing else from keeping its place.
+Datagrams are accepted from the address from which the session receives the autopilot, see
+:mod:`~.link.peers`. If the session refuses a frame, by its ids or its signature, its sender is not
+answered, and a TCP client that sends nothing else does not stay.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
 from ekf_companion.config.config import Config
+from ekf_companion.daemon.clock import unix_clock
 from ekf_companion.link.link import Link, Received, open_link
 from ekf_companion.link.peers import Peers
 from ekf_companion.mavlink.session import Session
@@ -25,17 +25,17 @@ def open_reception(
     on_state: Callable[[bool], None] | None = None,
     on_sent: Callable[[int], None] | None = None,
 ) -> Link:
-    """Give the link of a configuration; what it reads must be given to :func:`hear`.
+    """Return the link of a configuration; pass what it reads to :func:`deliver`.
 
     Args:
-        config: Whose ``link`` is opened.
+        config: Its ``link`` is opened.
         is_signed: Whether there is a secret by which frames are verified.
         on_read: Called with what is read, at once.
         on_state: Called with True when the link has opened and with False when it is closed.
-        on_sent: Called when an ODOMETRY has been written, with how long it waited for room, ns.
+        on_sent: Called when an ODOMETRY has been written, with the time for which it waited, ns.
 
     Raises:
-        LinkError: The URL names no link, or the peer nobody.
+        LinkError: The URL names no link, or the peer is not an address.
     """
     return open_link(
         config.link.url,
@@ -48,34 +48,26 @@ def open_reception(
     )
 
 
-def hear(
-    received: Received, take: Callable[[bytes, int, Any], None], session: Session, link: Link
+def deliver(
+    received: Received, receive: Callable[[bytes, int, Any], None], session: Session, link: Link
 ) -> None:
-    """Hand on what was read, and say by what the session makes of it whom to listen to.
+    """Pass on what was read, and pin or answer its sender by what the session makes of it.
 
     Args:
-        received: Bytes, when they were read, and who sent them.
-        take: Gives them to the session.
-        session: Of the link.
-        link: That it was read from.
+        received: Bytes, when they were read, and their sender.
+        receive: Called with the three, to pass them to the session.
+        session: The session of the link.
+        link: The link that they were read from.
     """
     data, now_ns, sender = received
     heard, believed = session.heard, session.believed
-    take(data, now_ns, sender)
+    receive(data, now_ns, sender)
     if session.heard == heard and session.believed == believed:
         return
-    link.believe()
+    link.confirm()
     if sender is None:
         return
     if session.heard != heard:
         link.peers.pin(sender, now_ns)
     else:
-        link.peers.answer(sender)
-
-
-def unix_clock() -> int:
-    """Give unix time, ns, that never steps: the monotonic clock, set once."""
-    return time.monotonic_ns() + _BOOT_NS
-
-
-_BOOT_NS = time.time_ns() - time.monotonic_ns()
+        link.peers.set_target(sender)

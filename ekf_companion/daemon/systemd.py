@@ -1,4 +1,4 @@
-"""The service manager: it is told that we are ready, live, reload and end, and how we are."""
+"""What the service manager is sent: ready, watchdog, reloading, stopping, and a status line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _log = logging.getLogger(__name__)
 
 
 REPORT_NS = 1_000_000_000
-"""Between two reports of how we are."""
+"""Between two status lines."""
 
 
 class Systemd:
@@ -29,8 +29,8 @@ class Systemd:
         self._status = ""
         self._has_complained = False
 
-    def tell(self, state: str) -> None:
-        """Tell it, if there is one; that it does not listen is said once."""
+    def notify(self, state: str) -> None:
+        """Send it a state, if there is one; warn once if it does not listen."""
         if not self._address:
             return
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as ours:
@@ -42,24 +42,24 @@ class Systemd:
                 self._has_complained = True
 
     def beat(self, now_ns: int) -> None:
-        """Say twice in the watchdog's time that we live."""
+        """Feed the watchdog, twice in its period."""
         if self._period_ns and now_ns >= self._next_ns:
             self._next_ns = now_ns + self._period_ns
-            self.tell("WATCHDOG=1")
+            self.notify("WATCHDOG=1")
 
-    def report(self, now_ns: int, words: Callable[[], str]) -> None:
-        """Say once a second how we are; the words are asked for when they are due, and needed."""
+    def report(self, now_ns: int, line: Callable[[], str]) -> None:
+        """Send the status line once a second; ``line`` is called only when it is due."""
         if self._address and now_ns >= self._report_ns:
             self._report_ns = now_ns + REPORT_NS
-            self.status(words())
+            self.status(line())
 
     def status(self, text: str) -> None:
-        """Say in one line how we are, for ``systemctl status``; the same is not said twice."""
+        """Send a line for ``systemctl status``, unless it is the same as before."""
         line = " ".join(text.split())
         if line != self._status:
             self._status = line
-            self.tell(f"STATUS={line}")
+            self.notify(f"STATUS={line}")
 
-    def reloading(self) -> None:
-        """Say that a reload begins; ``tell("READY=1")`` ends it."""
-        self.tell(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
+    def notify_reloading(self) -> None:
+        """Send that a reload begins; ``notify("READY=1")`` ends it."""
+        self.notify(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")

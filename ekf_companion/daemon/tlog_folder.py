@@ -1,7 +1,7 @@
-"""The folder of recordings: which files are ours, how the next is called, which goes first.
+"""The folder of recordings: which files are ours, what the next is called, and which goes first.
 
-A board without a clock begins anew at 1970 or at its last shutdown, so that neither the times of
-files nor the times in their names say which is the oldest. A list beside them does: a line for
+A board without a clock starts in 1970, or at its last shutdown, so that neither the times of files
+nor the times in their names say which is the oldest. A list beside them does: it has a line for
 each file that was begun, in that order.
 """
 
@@ -13,191 +13,158 @@ import os
 import re
 import stat
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 from ekf_companion.config.file_name import check_name
+from ekf_companion.daemon.checkpoint_file import sync
 
 _log = logging.getLogger(__name__)
 
 LIST_SIZE = 1 << 16
 """Bytes of the list beyond which the names of files that are gone are left out."""
-_START = "%Y%m%dT%H%M%SZ"
+_TIME_FORMAT = "%Y%m%dT%H%M%SZ"
+_TIME_PATTERN = r"\d{8}T\d{6}Z"
 
 
-class Shelf:
-    """The folder: the next name, the files that are ours, and the oldest of them."""
+class TlogFolder:
+    """The folder of recordings, of which other files may be in it too."""
 
     def __init__(self, path: str) -> None:
-        """Take ``record.path``; ``%s`` becomes now, UTC. Nothing is looked at on the disk.
+        """Read ``record.path``, where ``%s`` becomes now, UTC; the disk is not touched.
 
         Raises:
-            ConfigError: It cannot be the name of a file.
+            ConfigError: No file can have that name.
         """
         check_name("record.path", path)
-        first = Path(path.replace("%s", time.strftime(_START, time.gmtime())))
-        self.folder = first.parent
+        started = time.strftime(_TIME_FORMAT, time.gmtime())
+        kind, first = Path(path), Path(path.replace("%s", started))
+        self.path = first.parent
         self._stem, self._suffix = first.stem, first.suffix
-        kind = Path(path)
-        self._list = self.folder / f".{kind.name}.list"
-        self._begun: list[str] = []
+        self._has_time = "%s" in kind.name
         stem, suffix = (
-            re.escape(part).replace("%s", r"\d{8}T\d{6}Z") for part in (kind.stem, kind.suffix)
+            re.escape(part).replace("%s", _TIME_PATTERN) for part in (kind.stem, kind.suffix)
         )
         self._ours = re.compile(rf"{stem}(?:-\d+)?{suffix}", re.ASCII)
-        self._has_time = "%s" in kind.name
+        self._list = self.path / f".{kind.name}.list"
+        self._begun: list[str] = []
         self._number = 0
 
     def create(self) -> tuple[Path, int]:
-        """Open a new file of the next number that is free; give its path and descriptor.
+        """Open a new file of the next free number; return its path and descriptor.
 
         Raises:
             OSError: It cannot be opened.
         """
-        self._number = self._number or self._last()
+        self._number = self._number or self._largest_number()
         while True:
-            number = self._number + 1
-            mark = f"-{number}" if number > 1 else ""
-            path = self.folder / f"{self._stem}{mark}{self._suffix}"
-            try:
-                descriptor = os.open(
-                    path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o640
-                )
-            except FileExistsError:
-                self._number = number
-                continue
-            self._number = number
-            with suppress(OSError):  # not every file system has locks
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self._note(path.name)
-            return path, descriptor
+            self._number += 1
+            mark = f"-{self._number}" if self._number > 1 else ""
+            path = self.path / f"{self._stem}{mark}{self._suffix}"
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
+            with suppress(FileExistsError):
+                descriptor = os.open(path, flags, 0o640)
+                break
+        with suppress(OSError):  # not every file system has locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self._add_to_list(path.name)
+        return path, descriptor
 
-    def files(self) -> list[tuple[str, int]]:
-        """Give the name of each file of ours and its bytes; the oldest first.
+    def files(self) -> list[tuple[Path, int]]:
+        """Return path and size of each file of ours, the oldest first.
 
-        Ours are those in the list, and where the name says the time of start, all of such names:
+        Ours are those in the list, and, if the name contains the time of start, all of such names:
         they come first, by when they were last written. A name without a time could be anybody's.
 
         Raises:
             OSError: The folder cannot be read.
         """
-        place = {name: k for k, name in enumerate([*self._listed(), *self._begun])}
+        order = {name: k for k, name in enumerate([*self._listed(), *self._begun])}
         found = []
-        with os.scandir(self.folder) as entries:
-            for entry in entries:
-                if entry.name in place or (self._has_time and self._ours.fullmatch(entry.name)):
-                    with suppress(FileNotFoundError):
-                        status = entry.stat(follow_symlinks=False)
-                        if stat.S_ISREG(status.st_mode):
-                            order = place.get(entry.name, -1), status.st_mtime_ns
-                            found.append((order, entry.name, status.st_size))
-        return [(name, size) for _, name, size in sorted(found)]
+        for name in os.listdir(self.path):
+            if name in order or (self._has_time and self._ours.fullmatch(name)):
+                with suppress(FileNotFoundError):
+                    status = os.lstat(self.path / name)
+                    if stat.S_ISREG(status.st_mode):
+                        found.append(
+                            (order.get(name, -1), status.st_mtime_ns, name, status.st_size)
+                        )
+        return [(self.path / name, size) for _, _, name, size in sorted(found)]
 
     def free(self, size: int, *, or_none: bool = False) -> int:
-        """Delete our oldest files that nobody writes, until so many bytes are free; give those.
+        """Delete our oldest files, but none that is being written; return the bytes freed.
 
         Args:
-            size: Bytes.
-            or_none: None is deleted where all of them would be too few: what fills the disk is
-                somebody else's, and would still.
+            size: Bytes to free; where there are none, nothing is looked at.
+            or_none: Delete nothing where all of ours would be too few: what fills the disk is
+                somebody else's, and still would.
+
+        Raises:
+            OSError: The folder cannot be read.
         """
         if size <= 0:
             return 0
-        found = self.files()
-        if or_none and sum(held for name, held in found if self._is_idle(name)) < size:
+        idle = [(path, held) for path, held in self.files() if _is_idle(path)]
+        if or_none and sum(held for _, held in idle) < size:
             return 0
         freed = 0
-        for name, held in found:
-            if freed >= size:
-                break
-            with suppress(OSError):
-                if self._remove(self.folder / name):
-                    _log.info("%s: deleted, the oldest of ours, to make room", self.folder / name)
+        for path, held in idle:
+            if freed < size:
+                with suppress(OSError):
+                    path.unlink()
                     freed += held
+                    _log.info("%s: deleted to make room, as the oldest of ours", path)
         return freed
 
     def sync(self) -> None:
         """Force our list, and the names in the folder, to the disk.
 
-        A flight usually ends with a loss of power: that it was the last must be known after it.
+        Raises:
+            OSError: The disk fails.
         """
         with suppress(FileNotFoundError):
-            _force(self._list, os.O_RDONLY)
-        _force(self.folder, os.O_RDONLY | os.O_DIRECTORY)
+            sync(self._list)
+        sync(self.path)
 
-    def _note(self, name: str) -> None:
-        """Write down that a file was begun; a disk that takes no line still has it in this run."""
+    def _add_to_list(self, name: str) -> None:
+        """Add a file to the list; if the disk refuses, it is known in this run only."""
         self._begun.append(name)
         try:
             if self._list.exists() and self._list.stat().st_size > LIST_SIZE:
-                beside = self._list.with_name(self._list.name + ".new")
-                kept = [one for one in self._listed() if (self.folder / one).exists()]
-                beside.write_text(
-                    "".join(f"{one}\n" for one in kept), encoding="utf-8", errors="surrogateescape"
-                )
-                beside.replace(self._list)
-            with self._list.open("a", encoding="utf-8", errors="surrogateescape") as lines:
-                lines.write(f"{name}\n")
+                new = self._list.with_name(self._list.name + ".new")
+                kept = [one for one in self._listed() if (self.path / one).exists()]
+                new.write_bytes(os.fsencode("".join(f"{one}\n" for one in kept)))
+                new.replace(self._list)
+            with self._list.open("ab") as lines:
+                lines.write(os.fsencode(f"{name}\n"))
         except OSError as error:
             _log.warning("%s: %s; a later run may not know our files", self._list, error.strerror)
 
     def _listed(self) -> list[str]:
-        """Give the names in the list that our name can make, whatever else stands there."""
+        """Return the names in the list, but only those that ``record.path`` can make."""
         try:
-            lines = self._list.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
+            lines = os.fsdecode(self._list.read_bytes()).splitlines()
         except OSError:
             return []
         return [line for line in lines if self._ours.fullmatch(line)]
 
-    def _last(self) -> int:
-        """Give the largest number behind this run's name that is taken; 0: none."""
+    def _largest_number(self) -> int:
+        """Return the largest number behind this run's name that is taken; 0 if none is."""
         mine = re.compile(rf"{re.escape(self._stem)}(?:-(\d+))?{re.escape(self._suffix)}", re.ASCII)
-        with os.scandir(self.folder) as entries:
-            taken = [found for entry in entries if (found := mine.fullmatch(entry.name))]
+        taken = [found for name in os.listdir(self.path) if (found := mine.fullmatch(name))]
         return max((int(found[1] or 1) for found in taken), default=0)
 
-    def _remove(self, path: Path) -> bool:
-        """Delete a file, unless whoever writes it has locked it."""
-        with _locked(path) as is_ours:
-            if is_ours:
-                path.unlink()
-            return is_ours
 
-    def _is_idle(self, name: str) -> bool:
-        """Whether a file could be deleted."""
-        try:
-            with _locked(self.folder / name) as is_ours:
-                return is_ours
-        except OSError:
-            return False
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[bool]:
-    """Give whether nobody writes a file, and nobody begins to meanwhile.
-
-    Raises:
-        OSError: It cannot be opened, or has no locks.
-    """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+def _is_idle(path: Path) -> bool:
+    """Return whether nobody writes a file: whoever does has locked it."""
     try:
-        yield _lock(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _lock(descriptor: int) -> bool:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except OSError:
+        return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    except OSError:
         return False
-    return True
-
-
-def _force(path: Path, flags: int) -> None:
-    descriptor = os.open(path, flags | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
     finally:
         os.close(descriptor)
+    return True

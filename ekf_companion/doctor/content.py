@@ -1,23 +1,31 @@
-"""What the messages say: what time it is, and which values."""
+"""What the messages contain: their time stamps and their values."""
 
 from __future__ import annotations
 
 from ekf_companion.doctor.evidence import Evidence, Means
-from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
+from ekf_companion.doctor.stage import (
+    Problem,
+    Stage,
+    StageResult,
+    failed,
+    judged,
+    unknown,
+    warning,
+)
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.mavlink.session import MISADDRESSED
 
 _MANY = 0.05
-"""Share of measurements refused that is more than chance."""
+"""Share of refused measurements that is more than chance."""
 _TOO_MUCH_SKEW = 200.0
 """ppm; a crystal has less than 100."""
 _STILL = 3.0
-"""Seconds with one and the same fix: the slowest receiver has another each second."""
+"""Seconds for which a fix may be repeated: the slowest receiver has a new one each second."""
 _FIXES = ("no receiver", "no fix", "2-D fix", "3-D fix", "DGPS fix", "RTK float", "RTK fixed")
 
 
-def time(evidence: Evidence) -> Finding:
-    """Judge stamps and clocks."""
+def time(evidence: Evidence) -> StageResult:
+    """Judge time stamps and clocks."""
     state, stamps = evidence.time, evidence.stamps
     if state.base == "unknown":
         return unknown(Stage.TIME, "nothing that has a time has come")
@@ -28,7 +36,7 @@ def time(evidence: Evidence) -> Finding:
         saw += f", {state.answers} answers to TIMESYNC"
     reboots = evidence.peer.reboots if evidence.peer else 0
     stray = evidence.refused.get("GPS_RAW_INT: stamp far from the inertial samples", 0)
-    return found(
+    return judged(
         Stage.TIME,
         saw,
         [
@@ -57,7 +65,7 @@ def time(evidence: Evidence) -> Finding:
     )
 
 
-def _unrelated(evidence: Evidence) -> Trouble | None:
+def _unrelated(evidence: Evidence) -> Problem | None:
     lost = evidence.refused.get("GPS_RAW_INT: time base unknown", 0)
     if lost <= max(5, evidence.receiver.messages // 2):
         return None
@@ -73,7 +81,7 @@ def _unrelated(evidence: Evidence) -> Trouble | None:
     )
 
 
-def _stamps(evidence: Evidence) -> list[Trouble | None]:
+def _stamps(evidence: Evidence) -> list[Problem | None]:
     stamps = evidence.stamps
     count = max(stamps.count, 1)
     return [
@@ -100,7 +108,7 @@ def _stamps(evidence: Evidence) -> list[Trouble | None]:
     ]
 
 
-def _timesync(evidence: Evidence) -> list[Trouble | None]:
+def _timesync(evidence: Evidence) -> list[Problem | None]:
     state, wanted = evidence.time, evidence.config.timesync
     if evidence.means is not Means.LIVE or not wanted.request or evidence.seconds < 6.0:
         return []
@@ -128,8 +136,8 @@ def _timesync(evidence: Evidence) -> list[Trouble | None]:
     ]
 
 
-def values(evidence: Evidence) -> Finding:
-    """Judge whether what the messages say can be meant."""
+def values(evidence: Evidence) -> StageResult:
+    """Judge whether the values in the messages are plausible."""
     refused = evidence.refused
     receiver = evidence.receiver
     saw = "all can be meant"
@@ -147,10 +155,10 @@ def values(evidence: Evidence) -> Finding:
     if strange:
         worst = sorted(strange.items(), key=lambda item: -item[1])[:3]
         saw += "; " + ", ".join(f"{why} ({count})" for why, count in worst)
-    return found(Stage.VALUES, saw, [*_inertial(evidence), *_magnetic(evidence), *_gnss(evidence)])
+    return judged(Stage.VALUES, saw, [*_inertial(evidence), *_magnetic(evidence), *_gnss(evidence)])
 
 
-def _inertial(evidence: Evidence) -> list[Trouble | None]:
+def _inertial(evidence: Evidence) -> list[Problem | None]:
     stale = evidence.refused.get("HIGHRES_IMU: accel or gyro not updated", 0)
     empty = evidence.refused.get("SCALED_IMU: no sensor behind it", 0)
     other = evidence.refused.get("HIGHRES_IMU: another instance", 0)
@@ -179,7 +187,7 @@ def _inertial(evidence: Evidence) -> list[Trouble | None]:
     ]
 
 
-def _magnetic(evidence: Evidence) -> list[Trouble | None]:
+def _magnetic(evidence: Evidence) -> list[Problem | None]:
     million = evidence.refused.get("mag: unit corrected by 1e6", 0)
     wrong = evidence.refused.get("mag: no field of the Earth", 0)
     heading = evidence.estimator.verdicts[Aid.HEADING] if evidence.estimator else {}
@@ -211,7 +219,7 @@ def _magnetic(evidence: Evidence) -> list[Trouble | None]:
     ]
 
 
-def _gnss(evidence: Evidence) -> list[Trouble | None]:
+def _gnss(evidence: Evidence) -> list[Problem | None]:
     refused, receiver = evidence.refused, evidence.receiver
     count = max(receiver.messages, 1)
     none = refused.get("GPS_RAW_INT: no 3-D fix", 0) + refused.get("GPS_RAW_INT: no position", 0)
@@ -250,15 +258,15 @@ def _gnss(evidence: Evidence) -> list[Trouble | None]:
     ]
 
 
-def _still(evidence: Evidence) -> Trouble | None:
-    """Name a receiver that stands still, now or for a while."""
+def _still(evidence: Evidence) -> Problem | None:
+    """Return a problem if the receiver repeats one fix, now or for a while."""
     receiver = evidence.receiver
     is_still = receiver.still_s > _STILL
     seconds = receiver.still_s if is_still else receiver.longest_still_s
     if seconds <= _STILL:
         return None
-    say, when = (failed, "now") if is_still else (warning, "at the longest")
-    return say(
+    severity, when = (failed, "now") if is_still else (warning, "at the longest")
+    return severity(
         f"The same fix comes again and again, {when} for {seconds:.0f} s: the receiver, or the "
         "autopilot's reading of it, stands still.",
         "Look at the receiver's wire; ArduPilot repeats the last fix when the receiver is out.",

@@ -1,4 +1,4 @@
-"""The stages in their order: evidence in, a finding for each out."""
+"""The stages in their order: evidence in, a result for each out."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 
 from ekf_companion.doctor import content, estimate, feedback, opening, peer, rates, transport
 from ekf_companion.doctor.evidence import Evidence
-from ekf_companion.doctor.finding import Finding, Mark, Stage, unknown
+from ekf_companion.doctor.stage import Outcome, Stage, StageResult, unknown
 
-_JUDGES: dict[Stage, Callable[[Evidence], Finding]] = {
+_JUDGES: dict[Stage, Callable[[Evidence], StageResult]] = {
     Stage.LINK: opening.link,
     Stage.BYTES: transport.bytes_,
     Stage.FRAMES: transport.frames,
@@ -23,23 +23,23 @@ _JUDGES: dict[Stage, Callable[[Evidence], Finding]] = {
     Stage.FUSED: feedback.fused,
 }
 _GATES = (Stage.LINK, Stage.BYTES, Stage.FRAMES, Stage.SOURCE)
-"""Behind these, where they fail, nothing can be seen."""
+"""If one of these fails, nothing can be known about the stages after it."""
 
 
-def diagnose(evidence: Evidence) -> list[Finding]:
-    """Judge every stage, in order; what a failed one hides is unknown."""
-    findings: list[Finding] = []
+def diagnose(evidence: Evidence) -> list[StageResult]:
+    """Judge every stage, in order; those that a failed one hides are unknown."""
+    results: list[StageResult] = []
     is_hidden = False
     for stage, judge in _JUDGES.items():
         if is_hidden:
-            findings.append(unknown(stage, "not reached"))
+            results.append(unknown(stage, "not reached"))
             continue
-        finding = judge(evidence)
-        findings.append(finding)
-        is_hidden = stage in _GATES and finding.mark is Mark.FAILED
-    return findings
+        result = judge(evidence)
+        results.append(result)
+        is_hidden = stage in _GATES and result.outcome is Outcome.FAILED
+    return results
 
 
-def first_failure(findings: Sequence[Finding]) -> Finding | None:
-    """Give the stage at which the data are lost; None: at none."""
-    return next((finding for finding in findings if finding.mark is Mark.FAILED), None)
+def first_failure(results: Sequence[StageResult]) -> StageResult | None:
+    """Return the stage at which the data are lost; None if there is none."""
+    return next((result for result in results if result.outcome is Outcome.FAILED), None)

@@ -1,16 +1,24 @@
-"""What the filter makes of the messages, and which of them it refuses."""
+"""The estimate that the filter makes of the messages, and what it refuses."""
 
 from __future__ import annotations
 
 import math
 
 from ekf_companion.doctor.evidence import Evidence
-from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
+from ekf_companion.doctor.stage import (
+    Problem,
+    Stage,
+    StageResult,
+    failed,
+    judged,
+    unknown,
+    warning,
+)
 from ekf_companion.engine.health import Aid, Health, Verdict
 from ekf_companion.nav.state import Status
 
 _MANY = 0.05
-"""Share of measurements refused that is more than chance."""
+"""Share of refused measurements that is more than chance."""
 _NIS = 3.0
 _AIDS = {
     Aid.POSITION: "position",
@@ -21,8 +29,8 @@ _AIDS = {
 }
 
 
-def estimate(evidence: Evidence) -> Finding:
-    """Judge what the filter makes of it."""
+def estimate(evidence: Evidence) -> StageResult:
+    """Judge the estimate."""
     health = evidence.estimator
     if health is None:
         return unknown(Stage.ESTIMATE, "nothing to estimate from")
@@ -34,10 +42,10 @@ def estimate(evidence: Evidence) -> Finding:
         saw += f", {health.resets} resets (the last: {health.reset_reason})"
     if health.gaps:
         saw += f", {health.gaps} gaps"
-    return found(Stage.ESTIMATE, saw, [_status(evidence, health), *_aids(health), _resets(health)])
+    return judged(Stage.ESTIMATE, saw, [_status(evidence, health), *_aids(health), _resets(health)])
 
 
-def _status(evidence: Evidence, health: Health) -> Trouble | None:
+def _status(evidence: Evidence, health: Health) -> Problem | None:
     if health.status is Status.OK:
         return None
     if health.status is Status.DEGRADED:
@@ -79,8 +87,8 @@ def _fused(health: Health, aid: Aid) -> int:
     return health.verdicts[aid][Verdict.FUSED] + health.verdicts[aid][Verdict.SOFT]
 
 
-def _aids(health: Health) -> list[Trouble | None]:
-    troubles: list[Trouble | None] = []
+def _aids(health: Health) -> list[Problem | None]:
+    problems: list[Problem | None] = []
     for aid, label in _AIDS.items():
         gated, fused = health.verdicts[aid][Verdict.GATED], _fused(health, aid)
         share, nis = gated / max(gated + fused, 1), health.nis[aid]
@@ -90,8 +98,8 @@ def _aids(health: Health) -> list[Trouble | None]:
             cause = f"The {label} scatters {math.sqrt(nis):.1f} times as much as it claims."
         else:
             continue
-        troubles.append(warning(cause, _CURES[aid]))
-    return troubles
+        problems.append(warning(cause, _CURES[aid]))
+    return problems
 
 
 _CURES = {
@@ -106,7 +114,7 @@ _CURES = {
 }
 
 
-def _resets(health: Health) -> Trouble | None:
+def _resets(health: Health) -> Problem | None:
     if not health.resets:
         return None
     cures = {

@@ -1,6 +1,6 @@
-"""All that the doctor goes by, at one moment: frozen, and built in one place.
+"""The evidence: everything that the doctor judges by, at one moment.
 
-What status and metrics read too is in the words of :mod:`ekf_companion.status.snapshot`.
+What status and metrics read too has the types of :mod:`ekf_companion.status.snapshot`.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ from ekf_companion.status.snapshot import (
 
 
 class Means(str, Enum):
-    """How it was examined."""
+    """How the evidence was collected."""
 
     LIVE = "live"
-    """As the daemon: with heartbeats, requests and ODOMETRY."""
+    """On a link, sending what the daemon sends: heartbeats, requests and ODOMETRY."""
     LISTENING = "listening"
-    """A link on which nothing was sent."""
+    """On a link, sending nothing."""
     RECORDING = "recording"
-    """A .tlog."""
+    """From a .tlog."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Holder:
-    """A process that has the device or the port."""
+    """A process that holds the device or the port."""
 
     pid: int
     name: str
     unit: str = ""
-    """The systemd unit that it belongs to; empty: none."""
+    """The systemd unit that it belongs to; empty if there is none."""
     is_daemon: bool = False
-    """Whether it is ours."""
+    """Whether it is the daemon of this project."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Opening:
-    """What came of opening the link."""
+    """The result of opening the link."""
 
     url: str
     kind: str
@@ -57,27 +57,27 @@ class Opening:
     device: str = ""
     baud: int = 0
     failure: str = ""
-    """The system's words; empty: it opened."""
+    """The system's error message; empty if it opened."""
     number: int | None = None
-    """``errno``; None: none was given."""
+    """``errno``; None if there is none."""
     group: str = ""
-    """Of users who may open the device; empty: not known."""
+    """The group that may open the device; empty if not known."""
     present: tuple[str, ...] = ()
-    """Serial devices that this board has."""
+    """Serial devices of this board."""
     holder: Holder | None = None
-    """Who has it; None: nobody, or nobody that we may see."""
+    """The process that holds it; None if there is none that we may see."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """One who speaks on the link."""
+    """One sender on the link."""
 
     system_id: int
     component_id: int
     frames: int
     heartbeats: int = 0
     autopilot: int = 8
-    """MAV_AUTOPILOT of its heartbeat; 8: none."""
+    """MAV_AUTOPILOT of its heartbeat; 8: not an autopilot."""
     type: int = 0
     """MAV_TYPE; 6: a ground station."""
     signed: int = 0
@@ -85,64 +85,64 @@ class Source:
 
     @property
     def is_autopilot(self) -> bool:
-        """Whether its heartbeat says that it flies a vehicle."""
+        """Whether its heartbeat is that of an autopilot."""
         return self.heartbeats > 0 and is_autopilot(self.autopilot, self.type)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stamps:
-    """The stamps of the inertial message in use."""
+    """The time stamps of the inertial message in use."""
 
     message: str = ""
-    """Empty: none has come."""
+    """Empty if none has come."""
     count: int = 0
     repeated: int = 0
     backward: int = 0
     gaps: int = 0
-    """Steps of more than ten usual ones."""
+    """Steps more than ten times the usual one."""
     zero: int = 0
     is_whole_ms: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Receiver:
-    """What the last GPS_RAW_INT said."""
+    """The receiver, by the last GPS_RAW_INT."""
 
     messages: int = 0
     fix_type: int = 0
     satellites: int = 255
-    """255: not told."""
+    """255: not known."""
     has_accuracy: bool = False
-    """Whether h_acc says anything."""
+    """Whether h_acc is not 0."""
     without_time: int = 0
     """Messages with time_usec 0."""
     still_s: float = 0.0
-    """For how long the last of them has come again and again, s."""
+    """For how long the last fix has been repeated, s."""
     longest_still_s: float = 0.0
-    """Likewise the longest that any fix has, s."""
+    """Longest time for which any fix was repeated, s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Feedback:
-    """What the autopilot says of itself and of us."""
+    """What the autopilot reports of its filter and of our messages."""
 
     texts: tuple[str, ...] = ()
     """STATUSTEXT of the severity critical or worse, or about ODOMETRY; the last ones."""
     flags: int | None = None
-    """ESTIMATOR_STATUS or EKF_STATUS_REPORT; None: none has come."""
+    """Of ESTIMATOR_STATUS or EKF_STATUS_REPORT; None if none has come."""
     worst_ratio: float = math.nan
     """Largest innovation test ratio in ESTIMATOR_STATUS, or variance in EKF_STATUS_REPORT."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sent:
-    """ODOMETRY of ours on the link."""
+    """Our ODOMETRY on the link."""
 
     count: int = 0
     rate: float = 0.0
-    """Hz, while it came."""
+    """Hz, while it was sent."""
     frames: frozenset[tuple[int, int]] = frozenset()
-    """``frame_id`` and ``child_frame_id`` that it had."""
+    """Its pairs of ``frame_id`` and ``child_frame_id``."""
 
 
 _NO_FRAMES = FrameState(
@@ -174,51 +174,61 @@ _NOT_ASKED = Verdict(is_streaming=False, reason="", parameters={}, is_settled=Fa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """Everything, at one moment; what a test does not say is as of a link without any trouble."""
+    """Everything, at one moment; the defaults are those of a link without problems."""
 
     means: Means = Means.LIVE
     seconds: float = 0.0
-    """Examined."""
+    """Duration of the examination."""
     config: Config = field(default_factory=Config)
     opening: Opening | None = None
-    """None: a recording."""
+    """None for a recording."""
     link: LinkState | None = None
     bytes_in: int = 0
     sample: bytes = b""
-    """The first bytes that were no frame."""
+    """The first bytes that were not a frame."""
     frames: FrameState = _NO_FRAMES
     damaged: int = 0
-    """Runs of bytes in a recording that were no record."""
+    """Runs of bytes in a recording that are not a record."""
     first_version: int = 0
     """Frames of MAVLink 1."""
     mismatched: Mapping[str, int] = field(default_factory=dict)
-    """Frames that are whole but whose checksum is not that of our definition, by message."""
+    """Whole frames whose checksum does not fit our definition of the message, by message."""
     sources: tuple[Source, ...] = ()
     peer: PeerState | None = None
-    """The autopilot that is listened to."""
+    """The autopilot in use."""
     is_clash: bool = False
-    """Whether somebody else speaks under our ids."""
+    """Whether somebody else sends with our ids."""
     messages: Mapping[str, MessageState] = field(default_factory=dict)
-    """The autopilot's, by name; what was asked is what was asked first."""
+    """The autopilot's messages by name; the rate asked is the highest that was."""
     granted: Mapping[str, float] = field(default_factory=dict)
-    """Rates that it granted us, which after a refusal are less than was asked, Hz."""
-    overruled: float = 0.0
-    """Hz at which streams came alike after they had been granted otherwise; 0: they never did."""
+    """Rates that it granted us, Hz, which after a refusal are lower than was asked."""
+    overridden: float = 0.0
+    """Common rate of streams that had been granted other rates, Hz; 0 if there is none."""
     bytes_rate: float = 0.0
     """Of all frames that came, bytes/s."""
     stream_requests: int = 0
-    """REQUEST_DATA_STREAM of others that were seen: a ground station sets rates."""
+    """REQUEST_DATA_STREAM from others, by which a ground station sets rates."""
     refused: Mapping[str, int] = field(default_factory=dict)
-    """What the autopilot's messages said and nobody can mean, ``message: why``."""
+    """Implausible values in the autopilot's messages, ``message: why``."""
     time: TimeState = _NO_TIME
     stamps: Stamps = Stamps()
     receiver: Receiver = Receiver()
     estimator: Health | None = None
     output: OutputState = _NO_OUTPUT
     parameters: Mapping[str, float] = field(default_factory=dict)
-    """The autopilot's, as far as they were told."""
+    """The autopilot's, as far as they are known."""
     asked_parameters: frozenset[str] = frozenset()
-    taken: Verdict = _NOT_ASKED
-    """What the guard decides, or would if it were asked, from these parameters alone."""
+    decision: Verdict = _NOT_ASKED
+    """The guard's decision, or what it would be from these parameters alone."""
     sent: Sent = Sent()
     feedback: Feedback = Feedback()
+
+    @property
+    def family(self) -> str:
+        """``px4``, ``ardupilot`` or ``unknown``."""
+        return self.peer.family if self.peer else "unknown"
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether the link is a serial port."""
+        return self.opening is not None and self.opening.kind == "serial"

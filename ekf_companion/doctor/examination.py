@@ -1,4 +1,4 @@
-"""The shells: a link listened to for some seconds, and a recording read through."""
+"""The examination of a link, for some seconds, and of a recording."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from ekf_companion.config.config import Config
+from ekf_companion.daemon.clock import unix_clock
 from ekf_companion.daemon.key_file import borrow_signing
-from ekf_companion.daemon.reception import hear, open_reception, unix_clock
+from ekf_companion.daemon.reception import deliver, open_reception
 from ekf_companion.doctor import holder
+from ekf_companion.doctor.collector import EvidenceCollector
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Evidence, Holder, Means, Opening
-from ekf_companion.doctor.finding import Mark
-from ekf_companion.doctor.witness import Witness
+from ekf_companion.doctor.stage import Outcome
 from ekf_companion.link.address import Address, Kind
 from ekf_companion.link.link import Link, Received
 from ekf_companion.logs import tlog
@@ -27,9 +28,9 @@ Progress = Callable[[int, int], None]
 
 _TICK = 0.1
 _LEAST = 6.0
-"""Seconds at least before all being well is believed: requests, parameters, TIMESYNC, alignment."""
+"""Shortest examination, s: requests, parameters, TIMESYNC and alignment take their time."""
 _STEADY = 2.0
-"""Seconds for which it must have been well."""
+"""Seconds for which all stages must have been ok, to end sooner."""
 _HOPELESS = 0.6
 """Seconds after which a link that does not open is given up: it has been tried twice."""
 _RECORDS = 4096
@@ -38,17 +39,17 @@ _RECORDS = 4096
 def examine_link(
     config: Config, seconds: float, *, listen: bool = False, progress: Progress | None = None
 ) -> Evidence:
-    """Listen to the link of a configuration, as the daemon would or without a word.
+    """Examine the link of a configuration, sending what the daemon would send, or nothing.
 
     Args:
-        config: Whose ``link`` is examined.
-        seconds: At most so long; it ends sooner where all is well, or nothing opens.
-        listen: Whether nothing is sent at all.
-        progress: Told how many milliseconds of how many are over.
+        config: Its ``link`` is examined.
+        seconds: Longest examination; it ends sooner if all stages are ok, or nothing opens.
+        listen: Whether to send nothing at all.
+        progress: Called with the milliseconds that are over, and with all of them.
 
     Raises:
         LinkError: The URL names no link.
-        ConfigError: The file of the key is none that may be used.
+        ConfigError: The key file may not be used.
     """
     return asyncio.run(_examine(config, seconds, listen=listen, progress=progress))
 
@@ -58,15 +59,15 @@ async def _examine(
 ) -> Evidence:
     means = Means.LISTENING if listen else Means.LIVE
     signing = borrow_signing(config)
-    witness = Witness(config, means, signing)
+    collector = EvidenceCollector(config, means, signing)
 
     def receive(received: Received) -> None:
-        hear(received, witness.receive, witness.companion.session, link)
-        _answer(link, witness, received.now_ns)
+        deliver(received, collector.receive, collector.companion.session, link)
+        _answer(link, collector, received.now_ns)
 
     link = open_reception(config, is_signed=signing is not None, on_read=receive)
     pump = asyncio.create_task(link.run())
-    work = asyncio.create_task(_converse(link, witness))
+    work = asyncio.create_task(_answer_periodically(link, collector))
     begin = time.monotonic()
     well_since: float | None = None
     try:
@@ -80,12 +81,12 @@ async def _examine(
                 break
             if over < _LEAST - _STEADY:
                 continue
-            evidence = witness.evidence(unix_clock(), _opening(link), link_state(link))
-            is_well = all(finding.mark is Mark.OK for finding in diagnose(evidence))
-            well_since = (well_since or over) if is_well and witness.reader.is_done else None
+            evidence = collector.evidence(unix_clock(), _opening(link), link_state(link))
+            is_well = all(result.outcome is Outcome.OK for result in diagnose(evidence))
+            well_since = (well_since or over) if is_well and collector.parameters.is_done else None
             if well_since is not None and over - well_since >= _STEADY:
                 break
-        evidence = witness.evidence(unix_clock(), _opening(link), link_state(link))
+        evidence = collector.evidence(unix_clock(), _opening(link), link_state(link))
         span = time.monotonic() - begin
         return replace(evidence, seconds=span, bytes_rate=link.bytes_in / span)
     finally:
@@ -95,16 +96,16 @@ async def _examine(
             await pump
 
 
-async def _converse(link: Link, witness: Witness) -> None:
-    """Send what is due, ten times a second at least."""
+async def _answer_periodically(link: Link, collector: EvidenceCollector) -> None:
+    """Send what is due, at least ten times a second."""
     while True:
-        _answer(link, witness, unix_clock())
+        _answer(link, collector, unix_clock())
         await asyncio.sleep(_TICK)
 
 
-def _answer(link: Link, witness: Witness, now_ns: int) -> None:
-    witness.tick(now_ns)
-    for frame in witness.data_to_send(now_ns):
+def _answer(link: Link, collector: EvidenceCollector, now_ns: int) -> None:
+    collector.tick(now_ns)
+    for frame in collector.data_to_send(now_ns):
         link.send(frame)
 
 
@@ -137,17 +138,17 @@ def _holder(address: Address) -> Holder | None:
 
 
 def examine_log(path: Path, config: Config, progress: Progress | None = None) -> Evidence:
-    """Take a .tlog through the same session and estimator as live bytes.
+    """Examine a .tlog, with the same session and estimator as live bytes.
 
     Raises:
-        LogError: The file cannot be read, or holds no frame at all.
+        LogError: The file cannot be read, or contains no frame at all.
     """
-    log, witness = tlog.read(path), Witness(config, Means.RECORDING)
+    log, collector = tlog.read(path), EvidenceCollector(config, Means.RECORDING)
     now_ns = 0
     for done, (stamp_us, raw) in enumerate(log.frames(), 1):
         now_ns = stamp_us * 1000
-        witness.receive(raw, now_ns)
-        witness.data_to_send(now_ns)
+        collector.receive(raw, now_ns)
+        collector.data_to_send(now_ns)
         if progress is not None and done % _RECORDS == 0:
             progress(done, len(log))
-    return witness.evidence(now_ns, damaged=log.damaged)
+    return collector.evidence(now_ns, damaged=log.damaged)

@@ -1,4 +1,4 @@
-"""The last stages: ODOMETRY is sent, and the autopilot takes it.
+"""The last stages: ODOMETRY is sent, and the autopilot fuses it.
 
 Sources: PX4's and ArduPilot's documentation of external position estimates.
 """
@@ -8,21 +8,29 @@ from __future__ import annotations
 import math
 
 from ekf_companion.doctor.evidence import Evidence, Means
-from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
+from ekf_companion.doctor.stage import (
+    Problem,
+    Stage,
+    StageResult,
+    failed,
+    judged,
+    unknown,
+    warning,
+)
 from ekf_companion.engine.pipeline import QUALITY
 from ekf_companion.mavlink.encode import Frame
 from ekf_companion.nav.state import Status
 
 _ARDUPILOT_FRAMES = (Frame.LOCAL_FRD, Frame.BODY_FRD)
 _SLOWEST = 10.0
-"""Hz: PX4 fuses no external position that comes more rarely than every 0.1 to 0.2 s."""
+"""Hz: PX4 fuses no external position that comes less often than every 0.1 to 0.2 s."""
 _HOW = {
     "px4": "EKF2_EV_CTRL = 15 and EKF2_GPS_CTRL = 0",
     "ardupilot": "VISO_TYPE = 1 and EK3_SRC1_* = 6",
 }
-"""How each family takes ours and nothing else."""
+"""The parameters by which each family fuses ODOMETRY and no GNSS of its own."""
 _HEIGHT_GNSS, _HEIGHT_OURS = 1, 3
-"""Of EKF2_HGT_REF."""
+"""Values of EKF2_HGT_REF."""
 _GNSS_HEIGHT, _VISION_HEIGHT = 2, 2
 """Bits of EKF2_GPS_CTRL and of EKF2_EV_CTRL."""
 _DELAY = 20.0
@@ -31,12 +39,8 @@ _CONST_POSITION, _UNINITIALISED = 128, 1024
 """Bits of EKF_STATUS_REPORT.flags."""
 
 
-def _family(evidence: Evidence) -> str:
-    return evidence.peer.family if evidence.peer else "unknown"
-
-
-def sent(evidence: Evidence) -> Finding:
-    """Judge whether ODOMETRY goes out, how often and in which frame."""
+def sent(evidence: Evidence) -> StageResult:
+    """Judge whether ODOMETRY is sent, how often and in which frame."""
     ours, output = evidence.sent, evidence.output
     frames = ", ".join(f"{frame}/{child}" for frame, child in sorted(ours.frames))
     if not ours.count and evidence.means is Means.LISTENING:
@@ -44,14 +48,14 @@ def sent(evidence: Evidence) -> Finding:
     if not ours.count and evidence.means is Means.RECORDING:
         return unknown(Stage.SENT, "no ODOMETRY of ours is in the recording")
     if output.mode == "never":
-        return found(Stage.SENT, "nothing, for output.odometry.mode is never")
+        return judged(Stage.SENT, "nothing, for output.odometry.mode is never")
     saw = f"ODOMETRY {ours.rate:.0f} Hz, frames {frames}" if ours.count else "no ODOMETRY"
     if output.withheld and not ours.count:
         saw += f", {output.withheld} withheld"
-    return found(Stage.SENT, saw, [_withheld(evidence), _frame(evidence), _rate(evidence)])
+    return judged(Stage.SENT, saw, [_withheld(evidence), _frame(evidence), _rate(evidence)])
 
 
-def _withheld(evidence: Evidence) -> Trouble | None:
+def _withheld(evidence: Evidence) -> Problem | None:
     output = evidence.output
     if evidence.sent.count:
         return None
@@ -75,7 +79,7 @@ def _withheld(evidence: Evidence) -> Trouble | None:
 
 
 def _own_sensors(evidence: Evidence) -> str:
-    if not evidence.taken.is_double:
+    if not evidence.decision.is_double:
         return ""
     return " Where our receiver is our own: output.odometry.independent = true."
 
@@ -84,9 +88,9 @@ def _sentence(words: str) -> str:
     return f"{words[:1].upper()}{words[1:]}."
 
 
-def _frame(evidence: Evidence) -> Trouble | None:
+def _frame(evidence: Evidence) -> Problem | None:
     frames = evidence.sent.frames
-    if _family(evidence) == "ardupilot" and frames and _ARDUPILOT_FRAMES not in frames:
+    if evidence.family == "ardupilot" and frames and _ARDUPILOT_FRAMES not in frames:
         return failed(
             "ArduPilot takes ODOMETRY in LOCAL_FRD only, and leaves any other without a word.",
             "Set output.odometry.frame = LOCAL_FRD.",
@@ -94,7 +98,7 @@ def _frame(evidence: Evidence) -> Trouble | None:
     return None
 
 
-def _rate(evidence: Evidence) -> Trouble | None:
+def _rate(evidence: Evidence) -> Problem | None:
     ours = evidence.sent
     if ours.count < 20 or ours.rate >= _SLOWEST or evidence.means is Means.RECORDING:
         return None
@@ -104,51 +108,51 @@ def _rate(evidence: Evidence) -> Trouble | None:
     )
 
 
-def fused(evidence: Evidence) -> Finding:
+def fused(evidence: Evidence) -> StageResult:
     """Judge what the autopilot does, or would do, with our ODOMETRY."""
-    taken, refusal = evidence.taken, _refusal(evidence)
+    decision, refusal = evidence.decision, _refusal(evidence)
     is_kept_back = evidence.output.withheld > 0 and not evidence.sent.count
-    if _family(evidence) not in _HOW:
+    if evidence.family not in _HOW:
         return unknown(Stage.FUSED, "an autopilot of a family that is not known")
-    if not taken.is_settled and not evidence.asked_parameters and refusal is None:
+    if not decision.is_settled and not evidence.asked_parameters and refusal is None:
         return unknown(Stage.FUSED, "its parameters were not asked")
-    if refusal is None and is_kept_back and not taken.is_streaming:
+    if refusal is None and is_kept_back and not decision.is_streaming:
         return unknown(Stage.FUSED, "nothing is sent to it")
-    if taken.is_double:
-        return found(Stage.FUSED, _beginning(taken.reason), [refusal, _double(evidence)])
-    if not taken.is_streaming:
-        return found(Stage.FUSED, "its parameters are not known", [refusal, _unread(evidence)])
-    if not taken.is_fused:
-        saw = f"{taken.reason}; it would with {_HOW[_family(evidence)]}"
-        return found(Stage.FUSED, saw, [refusal])
+    if decision.is_double:
+        return judged(Stage.FUSED, _beginning(decision.reason), [refusal, _double(evidence)])
+    if not decision.is_streaming:
+        return judged(Stage.FUSED, "its parameters are not known", [refusal, _unread(evidence)])
+    if not decision.is_fused:
+        saw = f"{decision.reason}; it would with {_HOW[evidence.family]}"
+        return judged(Stage.FUSED, saw, [refusal])
     judges = (_quality, _height, _delay, _rejects)
-    return found(Stage.FUSED, taken.reason, [refusal, *(judge(evidence) for judge in judges)])
+    return judged(Stage.FUSED, decision.reason, [refusal, *(judge(evidence) for judge in judges)])
 
 
 def _beginning(reason: str) -> str:
-    """Give the parameters alone, which stand first: the sentence follows below."""
+    """Return the parameters alone, which come first: the sentence follows below."""
     return reason.split(":")[0]
 
 
-def _unread(evidence: Evidence) -> Trouble:
+def _unread(evidence: Evidence) -> Problem:
     return warning(
         "The autopilot did not tell its parameters, so nobody knows what it does with ODOMETRY.",
         "Let PARAM_REQUEST_READ and PARAM_VALUE pass the router; look yourself at "
-        + ("EKF2_EV_CTRL and EKF2_GPS_CTRL." if _family(evidence) == "px4" else "EK3_SRC1_*."),
+        + ("EKF2_EV_CTRL and EKF2_GPS_CTRL." if evidence.family == "px4" else "EK3_SRC1_*."),
     )
 
 
-def _double(evidence: Evidence) -> Trouble | None:
+def _double(evidence: Evidence) -> Problem | None:
     if evidence.config.output.odometry.independent:
         return None
-    say, taken = failed if evidence.sent.count else warning, evidence.taken
-    return say(
-        f"The same GNSS would count twice, for {taken.reason}.",
-        f"{_sentence(taken.remedy)}{_own_sensors(evidence)}",
+    severity, decision = failed if evidence.sent.count else warning, evidence.decision
+    return severity(
+        f"The same GNSS would count twice, for {decision.reason}.",
+        f"{_sentence(decision.remedy)}{_own_sensors(evidence)}",
     )
 
 
-def _refusal(evidence: Evidence) -> Trouble | None:
+def _refusal(evidence: Evidence) -> Problem | None:
     for text in evidence.feedback.texts:
         if "estimator_type" in text:
             return failed(
@@ -158,8 +162,8 @@ def _refusal(evidence: Evidence) -> Trouble | None:
     return None
 
 
-def _quality(evidence: Evidence) -> Trouble | None:
-    name = "EKF2_EV_QMIN" if _family(evidence) == "px4" else "VISO_QUAL_MIN"
+def _quality(evidence: Evidence) -> Problem | None:
+    name = "EKF2_EV_QMIN" if evidence.family == "px4" else "VISO_QUAL_MIN"
     least = evidence.parameters.get(name, 0.0)
     reached = QUALITY[Status.DEGRADED]
     if least <= reached:
@@ -171,8 +175,8 @@ def _quality(evidence: Evidence) -> Trouble | None:
     )
 
 
-def _height(evidence: Evidence) -> Trouble | None:
-    """PX4's height reference must be a source that it is told to fuse."""
+def _height(evidence: Evidence) -> Problem | None:
+    """Check that PX4's height reference is a source that it fuses."""
     parameters = evidence.parameters
     reference = parameters.get("EKF2_HGT_REF")
     fused = {
@@ -191,8 +195,8 @@ def _height(evidence: Evidence) -> Trouble | None:
     )
 
 
-def _delay(evidence: Evidence) -> Trouble | None:
-    """Our ODOMETRY is stamped in the autopilot's time: no delay is left to take off."""
+def _delay(evidence: Evidence) -> Problem | None:
+    """Check that PX4 subtracts no delay: our ODOMETRY is stamped in the autopilot's time."""
     delay = evidence.parameters.get("EKF2_EV_DELAY", 0.0)
     if delay <= _DELAY:
         return None
@@ -203,7 +207,7 @@ def _delay(evidence: Evidence) -> Trouble | None:
     )
 
 
-def _rejects(evidence: Evidence) -> Trouble | None:
+def _rejects(evidence: Evidence) -> Problem | None:
     feedback = evidence.feedback
     if not evidence.sent.count:
         return None
@@ -214,7 +218,7 @@ def _rejects(evidence: Evidence) -> Trouble | None:
             "PX4: EKF2_EV_DELAY = 0 where TIMESYNC is locked, EKF2_EV_NOISE_MD = 0. ArduPilot: "
             "VISO_DELAY_MS = 10, and set the origin before take-off.",
         )
-    is_ardupilot = _family(evidence) == "ardupilot"
+    is_ardupilot = evidence.family == "ardupilot"
     if is_ardupilot and feedback.flags is not None:
         if feedback.flags & _UNINITIALISED:
             return warning(

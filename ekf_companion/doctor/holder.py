@@ -1,4 +1,4 @@
-"""Who has a device or a port: what /proc tells of other processes."""
+"""Which process holds a device or a port, from /proc."""
 
 from __future__ import annotations
 
@@ -14,18 +14,22 @@ from ekf_companion.doctor.evidence import Holder
 
 _PROC = Path("/proc")
 _DEVICES = (
-    *("/dev/serial/by-id/*", "/dev/ttyACM*", "/dev/ttyUSB*", "/dev/ttyAMA*", "/dev/ttyTHS*"),
+    "/dev/serial/by-id/*",
+    "/dev/ttyACM*",
+    "/dev/ttyUSB*",
+    "/dev/ttyAMA*",
+    "/dev/ttyTHS*",
     "/dev/serial[0-9]",
 )
 
 
 def of_device(device: str) -> Holder | None:
-    """Give the process that has a device open; None: nobody, or nobody that we may see."""
+    """Return the process that has a device open; None if there is none that we may see."""
     return _find({os.path.realpath(device)})
 
 
 def of_port(protocol: str, port: int) -> Holder | None:
-    """Give the process that is bound to a port of ours; ``protocol`` is ``udp`` or ``tcp``."""
+    """Return the process that is bound to a local port; ``protocol`` is ``udp`` or ``tcp``."""
     inodes = set()
     for table in (protocol, f"{protocol}6"):
         with contextlib.suppress(OSError):
@@ -38,12 +42,12 @@ def of_port(protocol: str, port: int) -> Holder | None:
 
 
 def present_devices() -> tuple[str, ...]:
-    """Give the serial devices that this board has, those whose names stay first."""
+    """Return the serial devices of this board, those with lasting names first."""
     return tuple(name for pattern in _DEVICES for name in sorted(glob.glob(pattern)))
 
 
 def group_of(device: str) -> str:
-    """Give the group that a device belongs to; empty: there is none."""
+    """Return the group that a device belongs to; empty if there is none."""
     try:
         return grp.getgrgid(os.stat(device).st_gid).gr_name
     except (OSError, KeyError):

@@ -1,16 +1,24 @@
-"""The first stage: the link opens, or why it does not."""
+"""The first stage: whether the link opens, and if not, why."""
 
 from __future__ import annotations
 
 import errno
 
 from ekf_companion.doctor.evidence import Evidence, Opening
-from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
+from ekf_companion.doctor.stage import (
+    Problem,
+    Stage,
+    StageResult,
+    failed,
+    judged,
+    unknown,
+    warning,
+)
 
 _BAUD = 921600
 
 
-def link(evidence: Evidence) -> Finding:
+def link(evidence: Evidence) -> StageResult:
     """Judge the opening of the link."""
     opening = evidence.opening
     if opening is None:
@@ -23,12 +31,12 @@ def link(evidence: Evidence) -> Finding:
             "Look at the plug and the power; over USB switch autosuspend off (udev: "
             "power/control = on); over TCP look at who closes it.",
         )
-        return found(Stage.LINK, f"{opening.url} is open", [lost if again else None])
+        return judged(Stage.LINK, f"{opening.url} is open", [lost if again else None])
     judge = _OPENINGS.get(opening.number or 0, _other)
-    return found(Stage.LINK, f"{opening.url}: {opening.failure}", [judge(opening)])
+    return judged(Stage.LINK, f"{opening.url}: {opening.failure}", [judge(opening)])
 
 
-def _missing(opening: Opening) -> Trouble:
+def _missing(opening: Opening) -> Problem:
     present = ", ".join(opening.present)
     return failed(
         f"There is no {opening.device or 'such device'}: not plugged in, not powered, or of "
@@ -41,7 +49,7 @@ def _missing(opening: Opening) -> Trouble:
     )
 
 
-def _forbidden(opening: Opening) -> Trouble:
+def _forbidden(opening: Opening) -> Problem:
     if opening.kind != "serial":
         return failed(
             "This user may not open that port: those below 1024 are root's.",
@@ -55,7 +63,7 @@ def _forbidden(opening: Opening) -> Trouble:
     )
 
 
-def _busy(opening: Opening) -> Trouble:
+def _busy(opening: Opening) -> Problem:
     what = opening.device or "that port"
     holder = opening.holder
     if holder is None:
@@ -83,7 +91,7 @@ def _busy(opening: Opening) -> Trouble:
     )
 
 
-def _unreachable(opening: Opening) -> Trouble:
+def _unreachable(opening: Opening) -> Problem:
     return failed(
         "Nobody listens there, or the network does not reach it.",
         "Start what should listen, and look at host and port in link.url: ArduPilot's simulator "
@@ -91,14 +99,14 @@ def _unreachable(opening: Opening) -> Trouble:
     )
 
 
-def _address(opening: Opening) -> Trouble:
+def _address(opening: Opening) -> Problem:
     return failed(
         "This board has no such address.",
         "Listen at all of them: udpin:0.0.0.0:PORT in link.url.",
     )
 
 
-def _other(opening: Opening) -> Trouble:
+def _other(opening: Opening) -> Problem:
     if opening.kind == "serial":
         return failed(
             f"{opening.device} cannot be set up as a serial port.",

@@ -1,7 +1,7 @@
-"""The autopilot's parameters that the guard does not read, and a doctor wants to know.
+"""The autopilot's parameters that the guard does not read and the doctor needs.
 
-What decides on ODOMETRY is asked here only where the guard asks nothing, as its mode leaves no
-question.
+The parameters that decide on ODOMETRY are requested here only if the guard requests none, because
+its mode needs no decision.
 
 Sources: PX4's and ArduPilot's parameter references.
 """
@@ -24,7 +24,7 @@ FURTHER: Mapping[Family, tuple[str, ...]] = {
     Family.UNKNOWN: (),
 }
 _PERIOD_NS = 40_000_000
-"""Between two requests: a second for all, and little beside the streams."""
+"""Between two requests: a second for all, and little traffic beside the streams."""
 _TIMEOUT_NS = 1_000_000_000
 _TRIES = 3
 
@@ -35,12 +35,12 @@ class _Question:
     deadline_ns: int = 0
 
 
-class Reader:
-    """Keeps what is told, whoever asked; asks for what nobody does. Without a clock."""
+class ParameterReader:
+    """Keeps the values that come, whoever asked, and asks for what nobody does. Without a clock."""
 
     def __init__(self) -> None:
         self.answers: dict[str, float | None] = {}
-        """By name; None: the autopilot has no such parameter."""
+        """Values by name; None: the autopilot has no such parameter."""
         self._family = Family.UNKNOWN
         self._is_deciding = False
         self._questions: dict[str, _Question] = {}
@@ -48,31 +48,31 @@ class Reader:
 
     @property
     def values(self) -> dict[str, float]:
-        """What the autopilot has told."""
+        """The values that the autopilot has sent."""
         return {name: value for name, value in self.answers.items() if value is not None}
 
     @property
     def is_done(self) -> bool:
-        """Whether each that is asked has been answered or given up."""
+        """Whether each one has been answered or given up."""
         return all(question.tries > _TRIES for question in self._open().values())
 
     def begin(self, family: Family, *, is_deciding: bool) -> None:
-        """Ask an autopilot of this family; also for what decides, where that is wanted."""
+        """Ask an autopilot of this family; if ``is_deciding``, also for what the guard needs."""
         self._family, self._is_deciding = family, is_deciding
 
-    def take(self, name: str, value: float | None, family: Family) -> None:
-        """Take an answer, whoever asked; None: there is no such parameter."""
+    def receive(self, name: str, value: float | None, family: Family) -> None:
+        """Keep an answer, whoever asked; None: there is no such parameter."""
         if name in NAMES[family] or name in FURTHER[family]:
             self.answers[name] = value
 
     def request(self, system_id: int, component_id: int, now_ns: int) -> bytes | None:
-        """Give the payload of the PARAM_REQUEST_READ that is due; None: none is."""
+        """Return the payload of the PARAM_REQUEST_READ that is due; None if none is."""
         if now_ns < self._next_ns:
             return None
         for name, question in self._open().items():
             if now_ns < question.deadline_ns or question.tries > _TRIES:
                 continue
-            # The last is only waited for
+            # After the last try only the answer is waited for
             question.tries += 1
             question.deadline_ns = now_ns + _TIMEOUT_NS
             self._questions[name] = question
@@ -89,7 +89,7 @@ class Reader:
         return None
 
     def _open(self) -> dict[str, _Question]:
-        """Give what has not been answered yet."""
+        """Return what has not been answered yet."""
         deciding = missing(self._family, self.answers) if self._is_deciding else ()
         names = (*deciding, *FURTHER[self._family])
         return {

@@ -1,9 +1,9 @@
-"""Whose frames they are, and whether the messages that are needed are among them."""
+"""Who sends the frames, and whether the messages that are needed are among them."""
 
 from __future__ import annotations
 
 from ekf_companion.doctor.evidence import Evidence, Means, Source
-from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, warning
+from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, warning
 from ekf_companion.mavlink import admission, signing
 from ekf_companion.mavlink.audit import INERTIAL
 
@@ -12,8 +12,8 @@ _KINDS = {3: "ArduPilot", 12: "PX4"}
 NORTH = ("ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD")
 
 
-def source(evidence: Evidence) -> Finding:
-    """Judge whose heartbeats there are, and which autopilot is listened to."""
+def source(evidence: Evidence) -> StageResult:
+    """Judge who sends heartbeats, and which autopilot is in use."""
     pilots = [source for source in evidence.sources if source.is_autopilot]
     saw = "; ".join(
         _describe(source) + ("" if _is_let_in(evidence, source) else ", refused")
@@ -23,10 +23,10 @@ def source(evidence: Evidence) -> Finding:
     link = evidence.config.link
     rivals = {pilot.system_id for pilot in pilots if _is_let_in(evidence, pilot)}
     if evidence.peer is None:
-        trouble = _nobody(evidence, pilots)
-        return found(Stage.SOURCE, saw or f"no heartbeat in {evidence.seconds:.0f} s", [trouble])
+        problem = _nobody(evidence, pilots)
+        return judged(Stage.SOURCE, saw or f"no heartbeat in {evidence.seconds:.0f} s", [problem])
     ours = (link.system_id or evidence.peer.system_id, link.component_id)
-    return found(
+    return judged(
         Stage.SOURCE,
         saw,
         [
@@ -73,10 +73,10 @@ def _is_let_in(evidence: Evidence, source: Source) -> bool:
     )
 
 
-def _nobody(evidence: Evidence, pilots: list[Source]) -> Trouble:
+def _nobody(evidence: Evidence, pilots: list[Source]) -> Problem:
     wanted = evidence.config.link.autopilot
-    if (trouble := _refused(evidence, pilots)) is not None:
-        return trouble
+    if (problem := _refused(evidence, pilots)) is not None:
+        return problem
     if pilots and wanted is not None:
         heard = ", ".join(str(pilot.system_id) for pilot in pilots)
         return failed(
@@ -103,26 +103,25 @@ def _nobody(evidence: Evidence, pilots: list[Source]) -> Trouble:
     )
 
 
-def _refused(evidence: Evidence, pilots: list[Source]) -> Trouble | None:
-    """Say why an autopilot that is there is not listened to: allow-lists and signatures."""
+def _refused(evidence: Evidence, pilots: list[Source]) -> Problem | None:
+    """Return why an autopilot that is there is refused: by an allow-list, or by its signature."""
     link, refused = evidence.config.link, evidence.frames.refused
     for pilot in pilots:
-        for why, allowed, own, key in (
-            (admission.SYSTEM, link.allow_systems, pilot.system_id, "link.allow_systems"),
-            (
-                admission.COMPONENT,
-                *(link.allow_components, pilot.component_id, "link.allow_components"),
-            ),
-        ):
+        checks = (
+            (admission.SYSTEM, "systems", link.allow_systems, pilot.system_id),
+            (admission.COMPONENT, "components", link.allow_components, pilot.component_id),
+        )
+        for why, name, allowed, own in checks:
             if refused.get(why) and allowed and own not in allowed:
+                key = f"link.allow_{name}"
                 return failed(f"{key} leaves out the autopilot's {own}.", f"Add {own} to {key}.")
     is_signing = any(pilot.signed for pilot in pilots)
-    troubles = (
-        trouble
-        for why, trouble in _UNBELIEVED.items()
+    problems = (
+        problem
+        for why, problem in _UNBELIEVED.items()
         if refused.get(why) and is_signing == (why != admission.UNSIGNED)
     )
-    return next(troubles, None) if pilots else None
+    return next(problems, None) if pilots else None
 
 
 _UNBELIEVED = {
@@ -147,11 +146,11 @@ _UNBELIEVED = {
         "takes.",
     ),
 }
-"""What a signature is not believed for."""
+"""The problem with a signature, by the reason why it was refused."""
 
 
-def _mute(evidence: Evidence, pilots: list[Source]) -> Trouble | None:
-    """Say that the autopilot believes signed frames alone, and ours are none."""
+def _mute(evidence: Evidence, pilots: list[Source]) -> Problem | None:
+    """Return a problem if the autopilot accepts signed frames only, and ours are not signed."""
     is_signing = any(pilot.signed for pilot in pilots)
     if not is_signing or evidence.config.signing.key_file or evidence.means is Means.RECORDING:
         return None
@@ -161,9 +160,9 @@ def _mute(evidence: Evidence, pilots: list[Source]) -> Trouble | None:
     )
 
 
-def messages(evidence: Evidence) -> Finding:
-    """Judge which of the needed messages come at all, and what was answered to our requests."""
-    come = {name for name, state in evidence.messages.items() if state.count and _comes(state.rate)}
+def messages(evidence: Evidence) -> StageResult:
+    """Judge which of the needed messages come at all, and the answers to our requests."""
+    come = {name for name, state in evidence.messages.items() if state.count and state.rate > 0.0}
     asked = {name: state for name, state in evidence.messages.items() if state.answer}
     silent = [name for name, state in asked.items() if state.answer == "no answer"]
     refused = {
@@ -182,7 +181,7 @@ def messages(evidence: Evidence) -> Finding:
     if refused:
         saw += "; refused: " + ", ".join(f"{name} ({why})" for name, why in refused.items())
     is_one_way = bool(asked) and len(silent) == len(asked)
-    return found(
+    return judged(
         Stage.MESSAGES,
         saw,
         [
@@ -205,11 +204,7 @@ def messages(evidence: Evidence) -> Finding:
     )
 
 
-def _comes(rate: float) -> bool:
-    return rate > 0.0
-
-
-def _one_way(evidence: Evidence) -> Trouble:
+def _one_way(evidence: Evidence) -> Problem:
     return failed(
         "The autopilot answers none of our requests: what we send does not arrive.",
         "Look at the wire from our TX to its RX, and at RTS and CTS: without them "
@@ -218,14 +213,13 @@ def _one_way(evidence: Evidence) -> Trouble:
     )
 
 
-def _no_inertial(evidence: Evidence, refused: dict[str, str]) -> Trouble:
-    family = evidence.peer.family if evidence.peer else "unknown"
+def _no_inertial(evidence: Evidence, refused: dict[str, str]) -> Problem:
     if evidence.means is Means.LISTENING:
         return failed(
             "No inertial message comes by itself.",
             "The daemon asks for it: examine without --listen.",
         )
-    if family == "px4":
+    if evidence.family == "px4":
         return failed(
             "No inertial message comes"
             + (f": HIGHRES_IMU was {refused['HIGHRES_IMU']}." if "HIGHRES_IMU" in refused else "."),
@@ -239,11 +233,10 @@ def _no_inertial(evidence: Evidence, refused: dict[str, str]) -> Trouble:
     )
 
 
-def _no_gnss(evidence: Evidence, come: set[str]) -> Trouble:
-    family = evidence.peer.family if evidence.peer else "unknown"
+def _no_gnss(evidence: Evidence, come: set[str]) -> Problem:
     remedy = (
         "Set GPS_1_CONFIG to the receiver's port, and MAV_n_MODE = 2 (Onboard) for this one."
-        if family == "px4"
+        if evidence.family == "px4"
         else "Set GPS1_TYPE = 1 (GPS_TYPE before 4.6) for the receiver, and SRn_EXT_STAT = 10 "
         "for this port."
     )

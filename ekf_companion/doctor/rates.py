@@ -1,4 +1,4 @@
-"""Whether the messages come often enough, and who keeps them from it.
+"""Whether the messages come often enough, and if not, why.
 
 Sources: MAVLink's guide on message rates; PX4's and ArduPilot's documentation of their streams.
 """
@@ -8,30 +8,37 @@ from __future__ import annotations
 import math
 
 from ekf_companion.doctor.evidence import Evidence
-from ekf_companion.doctor.finding import Finding, Stage, Trouble, failed, found, unknown, warning
 from ekf_companion.doctor.slowness import (
     ENOUGH,
     budget,
-    family,
     ground_station,
     line,
     loop_rate,
     more,
     promised,
 )
+from ekf_companion.doctor.stage import (
+    Problem,
+    Stage,
+    StageResult,
+    failed,
+    judged,
+    unknown,
+    warning,
+)
 from ekf_companion.engine.announcer import DECIMATED
 from ekf_companion.status.snapshot import MessageState
 
 SLOWEST = 25.0
-"""Inertial samples below this follow no flight, Hz."""
+"""Inertial samples needed to follow a flight at all, Hz."""
 _PX4_IMU = 250.0
 _FEW_FIXES = 1.5
 """Hz."""
 _LOST, _MANY_LOST = 0.01, 0.1
 
 
-def rates(evidence: Evidence) -> Finding:
-    """Judge the rates, asked and got, and the frames lost."""
+def rates(evidence: Evidence) -> StageResult:
+    """Judge the rates, asked and received, and the frames lost."""
     name = evidence.stamps.message
     state = evidence.messages.get(name)
     if state is None or not state.rate:
@@ -43,7 +50,7 @@ def rates(evidence: Evidence) -> Finding:
         saw += f", GPS_RAW_INT {_hertz(gnss.rate)}"
     share = _share_lost(evidence)
     saw += f", {share:.1%} lost"
-    return found(
+    return judged(
         Stage.RATES,
         saw + _note(evidence, state),
         [_lost(share, evidence), *_slow(evidence, state, share), _slow_gnss(gnss)],
@@ -54,10 +61,10 @@ def _hertz(rate: float) -> str:
     return f"{rate:.1f} Hz" if rate < 9.95 else f"{rate:.0f} Hz"
 
 
-def _slow(evidence: Evidence, state: MessageState, share: float) -> list[Trouble]:
-    """Name who keeps the inertial message slow; empty: it is as fast as asked, or as can be.
+def _slow(evidence: Evidence, state: MessageState, share: float) -> list[Problem]:
+    """Return why the inertial message is slow; nothing if it is as fast as asked, or as can be.
 
-    What is lost on its way is named already: it is judged by what the autopilot sends.
+    Frames lost on their way are reported already: it is judged by what the autopilot sends.
     """
     name = evidence.stamps.message
     given = promised(evidence, name)
@@ -65,19 +72,21 @@ def _slow(evidence: Evidence, state: MessageState, share: float) -> list[Trouble
     sent = given if is_lost else state.rate
     is_short = sent < ENOUGH * state.asked
     is_well = sent >= DECIMATED and (not is_short or _is_whole_division(evidence, state))
-    say = failed if state.rate < SLOWEST else warning
+    severity = failed if state.rate < SLOWEST else warning
     rate = f"{name} comes at {_hertz(state.rate)}"
     causes = [ground_station(evidence, state), None if is_well else loop_rate(evidence, state)]
     if not is_well and causes == [None, None]:
         causes = [budget(evidence, state, share if is_lost else 0.0)]
-    named = [say(f"{rate}: {cause.why}", cause.remedy) for cause in causes if cause is not None]
+    named = [
+        severity(f"{rate}: {cause.why}", cause.remedy) for cause in causes if cause is not None
+    ]
     if named or sent >= DECIMATED:
-        # Where nobody holds it back, the sensor gives no more
+        # Without another cause, the sensor has no higher rate
         return named
-    return [say(f"{rate}; flight needs {DECIMATED:.0f} or more.", more(evidence, state))]
+    return [severity(f"{rate}; flight needs {DECIMATED:.0f} or more.", more(evidence, state))]
 
 
-def _slow_gnss(gnss: MessageState | None) -> Trouble | None:
+def _slow_gnss(gnss: MessageState | None) -> Problem | None:
     if gnss is None or not 0.0 < gnss.rate < _FEW_FIXES:
         return None
     return warning(
@@ -87,8 +96,8 @@ def _slow_gnss(gnss: MessageState | None) -> Trouble | None:
 
 
 def _is_whole_division(evidence: Evidence, state: MessageState) -> bool:
-    """PX4 leaves out whole samples: 200 asked of 250 gives 125, and that is as it should be."""
-    if family(evidence) != "px4" or not state.asked:
+    """Return whether PX4 divides its rate by a whole number: 200 asked of 250 gives 125."""
+    if evidence.family != "px4" or not state.asked:
         return False
     base = evidence.parameters.get("IMU_INTEG_RATE", _PX4_IMU)
     parts = max(1, math.ceil(base / state.asked - 0.05))
@@ -107,7 +116,7 @@ def _share_lost(evidence: Evidence) -> float:
     return counted.lost / (counted.lost + ours) if ours else 0.0
 
 
-def _lost(share: float, evidence: Evidence) -> Trouble | None:
+def _lost(share: float, evidence: Evidence) -> Problem | None:
     counted = evidence.frames
     if counted.late + counted.duplicates > 0.5 * counted.frames:
         return warning(
@@ -117,14 +126,14 @@ def _lost(share: float, evidence: Evidence) -> Trouble | None:
         )
     if share < _LOST:
         return None
-    say, kind = failed if share > 3.0 * _MANY_LOST else warning, line(evidence)
+    severity, kind = failed if share > 3.0 * _MANY_LOST else warning, line(evidence)
     many = "as over a radio at its limit" if kind == "network" else "as over a damaged or full wire"
     remedies = {
         "serial": "Connect RTS and CTS or lower the streams",
         "network": "Take a cable for the radio, or lower link.imu_rate and other streams",
     }
     either = "Where the link is serial connect RTS and CTS; lower the streams"
-    return say(
+    return severity(
         f"{share:.0%} of the autopilot's frames never arrive"
         + (f", {many}." if share > _MANY_LOST else "."),
         f"{remedies.get(kind, either)}; behind a router that filters, the numbers have gaps though "

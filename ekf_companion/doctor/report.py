@@ -1,4 +1,4 @@
-"""The findings as lines for a terminal: a mark a stage, then what to do."""
+"""The results as lines for a terminal: a line for each stage, then what to do."""
 
 from __future__ import annotations
 
@@ -6,42 +6,50 @@ import textwrap
 from collections.abc import Sequence
 
 from ekf_companion.doctor.diagnosis import first_failure
-from ekf_companion.doctor.finding import Finding, Mark, Stage, Trouble
+from ekf_companion.doctor.stage import Outcome, Problem, Stage, StageResult
 
-MARKS = {Mark.OK: "ok", Mark.WARNING: "warning", Mark.FAILED: "FAILED", Mark.UNKNOWN: "-"}
-"""At the beginning of each line."""
+LABELS = {
+    Outcome.OK: "ok",
+    Outcome.WARNING: "warning",
+    Outcome.FAILED: "FAILED",
+    Outcome.UNKNOWN: "-",
+}
+"""Printed at the beginning of each line."""
 _INDENT = 20
-Line = tuple[Mark, str]
-"""A line, and the mark whose colour it has."""
+Line = tuple[Outcome, str]
+"""A line, and the outcome that decides its colour."""
 
 
-def lines(findings: Sequence[Finding], width: int = 100) -> list[Line]:
-    """Give one line a stage, the remedy of the first that fails, and the warnings."""
+def lines(results: Sequence[StageResult], width: int = 100) -> list[Line]:
+    """Return a line for each stage, the remedy of the first that fails, and the warnings."""
     out: list[Line] = []
-    for finding in findings:
-        head = f"{MARKS[finding.mark]:<9}{finding.stage.value:<{_INDENT - 9}}"
-        out += [(finding.mark, line) for line in _wrapped(head + finding.saw, width, _INDENT)]
-    failure = first_failure(findings)
+    for result in results:
+        head = f"{LABELS[result.outcome]:<9}{result.stage.value:<{_INDENT - 9}}"
+        out += [(result.outcome, line) for line in _wrapped(head + result.saw, width, _INDENT)]
+    failure = first_failure(results)
     if failure is not None:
-        out += _paragraph(failure, failure.troubles[0], width)
-    for finding in findings:
+        out += _paragraph(failure, failure.problems[0], width)
+    for result in results:
         # What the estimate lacks follows from the stage that failed before it
-        if failure is not None and finding.stage is Stage.ESTIMATE:
+        if failure is not None and result.stage is Stage.ESTIMATE:
             continue
-        for trouble in finding.troubles:
-            if trouble.mark is Mark.WARNING:
-                out += _paragraph(finding, trouble, width)
-    if not any(finding.troubles for finding in findings):
-        out += [(Mark.OK, ""), (Mark.OK, "Nothing is wrong at any stage that can be seen here.")]
+        for problem in result.problems:
+            if problem.outcome is Outcome.WARNING:
+                out += _paragraph(result, problem, width)
+    if not any(result.problems for result in results):
+        out += [
+            (Outcome.OK, ""),
+            (Outcome.OK, "Nothing is wrong at any stage that can be seen here."),
+        ]
     return out
 
 
-def _paragraph(finding: Finding, trouble: Trouble, width: int) -> list[Line]:
-    head = f"{finding.stage.value}: {trouble.cause}"
+def _paragraph(result: StageResult, problem: Problem, width: int) -> list[Line]:
+    head = f"{result.stage.value}: {problem.cause}"
     return [
-        (Mark.UNKNOWN, ""),
-        *((trouble.mark, line) for line in _wrapped(head, width, 4)),
-        *((Mark.UNKNOWN, line) for line in _wrapped(f"  -> {trouble.remedy}", width, 5)),
+        (Outcome.UNKNOWN, ""),
+        *((problem.outcome, line) for line in _wrapped(head, width, 4)),
+        *((Outcome.UNKNOWN, line) for line in _wrapped(f"  -> {problem.remedy}", width, 5)),
     ]
 
 

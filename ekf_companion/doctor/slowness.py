@@ -1,4 +1,4 @@
-"""Who keeps the inertial message slower than was asked.
+"""Why the inertial message is slower than was asked.
 
 Sources: MAVLink's guide on message rates; PX4's and ArduPilot's documentation of their streams.
 """
@@ -10,14 +10,14 @@ from statistics import median
 from typing import NamedTuple
 
 from ekf_companion.doctor.evidence import Evidence, Means
-from ekf_companion.doctor.overruling import ALIKE, GROUND, STREAMED
+from ekf_companion.doctor.rate_override import ALIKE, GROUND, STREAMED
 from ekf_companion.engine.announcer import DECIMATED
 from ekf_companion.status.snapshot import MessageState
 
 ENOUGH = 0.8
-"""Share of the rate asked that is as good as all of it."""
+"""Share of the rate asked that is enough."""
 _LOOP_SHARE = 0.8
-"""Of SCHED_LOOP_RATE: ArduPilot streams nothing faster."""
+"""Share of SCHED_LOOP_RATE: ArduPilot streams nothing faster."""
 _PLANE_LOOP = 50.0
 _LARGEST_LOOP = 400.0
 _LINES = {"serial": "serial", "": "unknown"}
@@ -31,23 +31,18 @@ class Cause(NamedTuple):
     remedy: str
 
 
-def family(evidence: Evidence) -> str:
-    """Give ``px4``, ``ardupilot`` or ``unknown``."""
-    return evidence.peer.family if evidence.peer else "unknown"
-
-
 def line(evidence: Evidence) -> str:
-    """Give ``serial``, ``network``, or of a recording, which does not say, ``unknown``."""
+    """Return ``serial`` or ``network``; ``unknown`` for a recording, which does not tell."""
     return _LINES.get(evidence.opening.kind if evidence.opening else "", "network")
 
 
 def promised(evidence: Evidence, name: str) -> float:
-    """Give the rate that a message was granted at, else what was asked for, Hz."""
+    """Return the rate at which a message was granted, else the rate asked for, Hz."""
     return evidence.granted.get(name, evidence.messages[name].asked)
 
 
 def ground_station(evidence: Evidence, state: MessageState) -> Cause | None:
-    """Many streams at one low rate were set by a ground station, typically to 4 Hz."""
+    """Return a cause if many streams have one low rate: a ground station sets 4 Hz, typically."""
     name = evidence.stamps.message
     others = [
         evidence.messages[one].rate
@@ -63,10 +58,10 @@ def ground_station(evidence: Evidence, state: MessageState) -> Cause | None:
             f"{len(alike)} streams come at about {usual:.1f} Hz, so a ground station sets "
             f"them{seen}, or the port's SRn_* parameters do."
         )
-    elif evidence.overruled:
+    elif evidence.overridden:
         why = (
             f"{name} and others were granted their rates, and then came at about "
-            f"{evidence.overruled:.1f} Hz alike: a ground station overrules us{seen}."
+            f"{evidence.overridden:.1f} Hz alike: a ground station overrules us{seen}."
         )
     else:
         return None
@@ -84,8 +79,8 @@ def ground_station(evidence: Evidence, state: MessageState) -> Cause | None:
 
 
 def loop_rate(evidence: Evidence, state: MessageState) -> Cause | None:
-    """ArduPilot grants no more than 0.8 of its loop's rate: 40 Hz for planes and rovers."""
-    if family(evidence) != "ardupilot":
+    """Return a cause if ArduPilot's loop is the limit: it grants no more than 0.8 of its rate."""
+    if evidence.family != "ardupilot":
         return None
     told = evidence.parameters.get("SCHED_LOOP_RATE")
     granted = promised(evidence, evidence.stamps.message)
@@ -111,7 +106,7 @@ def loop_rate(evidence: Evidence, state: MessageState) -> Cause | None:
 
 
 def budget(evidence: Evidence, state: MessageState, lost: float) -> Cause | None:
-    """All that was promised coming slower by one factor, beside a share lost, is the budget."""
+    """Return a cause if all streams are slower by one factor, apart from the share lost."""
     shares = [
         state.rate / (1.0 - lost) / promised(evidence, name)
         for name, state in evidence.messages.items()
@@ -133,7 +128,7 @@ def budget(evidence: Evidence, state: MessageState, lost: float) -> Cause | None
     factor = median(shares) if shares else state.rate / max(state.asked, state.rate)
     need = evidence.bytes_rate / max(factor, 0.01)
     wire = f" of {baud / 10e3:.1f} that the wire carries" if baud else ""
-    is_open = line(evidence) == "network" and family(evidence) != "px4"
+    is_open = line(evidence) == "network" and evidence.family != "px4"
     who = "neither the autopilot nor the network gives more"
     return Cause(
         f"all streams come at about {factor:.0%} of what was asked: "
@@ -146,7 +141,7 @@ def budget(evidence: Evidence, state: MessageState, lost: float) -> Cause | None
 def _more_budget(evidence: Evidence, need: float) -> str:
     kind = line(evidence)
     where = "where the link is serial, " if kind == "unknown" else ""
-    if family(evidence) == "px4":
+    if evidence.family == "px4":
         limits = {
             name: value
             for name, value in sorted(evidence.parameters.items())
@@ -170,14 +165,14 @@ def _more_budget(evidence: Evidence, need: float) -> str:
 
 
 def more(evidence: Evidence, state: MessageState) -> str:
-    """Say what to set where nobody is seen who holds it back."""
+    """Return what to set if no cause is known."""
     if evidence.means is Means.LISTENING:
         return "The daemon asks for link.imu_rate by itself: examine without --listen."
     is_live, wanted = evidence.means is Means.LIVE, evidence.config.link.imu_rate
     if is_live and wanted < DECIMATED:
         return "Set link.imu_rate = 100 or more."
     is_granted = state.answer == "accepted" and state.asked >= DECIMATED
-    if family(evidence) == "px4":
+    if evidence.family == "px4":
         asks = "." if is_granted else ", and link.imu_rate = 100 or more."
         return f"Set IMU_INTEG_RATE = 250 and MAV_n_MODE = 2 (Onboard) for this port{asks}"
     if is_granted:

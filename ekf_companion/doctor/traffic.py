@@ -1,4 +1,4 @@
-"""Who speaks, and what of the bytes is no frame."""
+"""Who sends, and which bytes are not frames."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from collections import Counter
 
 from ekf_companion.doctor.evidence import Source
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.frame import SIGNED, STX_1, STX_2, Frame
+from ekf_companion.mavlink.frame import JUNK, SIGNED, STX_1, STX_2, Frame
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
 
 _SOURCES = 64
-"""More who speak are not told apart."""
+"""Senders told apart; further ones are not counted."""
 _SAMPLE = 2048
 _STARTS = (STX_1, STX_2)
 _HEARTBEAT = IDS["HEARTBEAT"]
 _REQUEST_DATA_STREAM = IDS["REQUEST_DATA_STREAM"]
 
 
-class _Speaker:
-    """The counts of one source."""
+class _Sender:
+    """The counts of one sender."""
 
     def __init__(self) -> None:
         self.frames = self.heartbeats = self.type = self.signed = 0
@@ -26,51 +26,54 @@ class _Speaker:
 
 
 class Traffic:
-    """All frames, whoever sent them, and the bytes between them."""
+    """Counts all frames, whoever sent them, and the bytes between them."""
 
     def __init__(self) -> None:
         self.first_version = 0
         """Frames of MAVLink 1."""
         self.stream_requests = 0
-        """REQUEST_DATA_STREAM: a ground station sets rates."""
+        """REQUEST_DATA_STREAM, by which a ground station sets rates."""
         self.mismatched: Counter[str] = Counter()
-        """Frames whole but for their checksum, by message."""
+        """Frames that are whole but for their checksum, by message."""
         self.sample = b""
-        """The first bytes that were no frame."""
-        self._speakers: dict[tuple[int, int], _Speaker] = {}
+        """The first bytes that were not a frame."""
+        self._senders: dict[tuple[int, int], _Sender] = {}
 
     def sources(self) -> tuple[Source, ...]:
-        """Give who speaks, in the order in which they were heard first."""
+        """Return the senders, in the order in which each was received first."""
         return tuple(
             Source(
                 system_id=system_id,
                 component_id=component_id,
-                frames=speaker.frames,
-                heartbeats=speaker.heartbeats,
-                autopilot=speaker.autopilot,
-                type=speaker.type,
-                signed=speaker.signed,
+                frames=sender.frames,
+                heartbeats=sender.heartbeats,
+                autopilot=sender.autopilot,
+                type=sender.type,
+                signed=sender.signed,
             )
-            for (system_id, component_id), speaker in self._speakers.items()
+            for (system_id, component_id), sender in self._senders.items()
         )
 
-    def take(self, frame: Frame) -> None:
-        """Count a frame."""
+    def add(self, frame: Frame) -> None:
+        """Count a frame, or keep and examine what is not one."""
+        if frame.message_id == JUNK:
+            self._add_junk(frame.raw)
+            return
         self.first_version += frame.version == 1
         self.stream_requests += frame.message_id == _REQUEST_DATA_STREAM
-        sender = frame.system_id, frame.component_id
-        if sender not in self._speakers and len(self._speakers) == _SOURCES:
+        ids = frame.system_id, frame.component_id
+        if ids not in self._senders and len(self._senders) == _SOURCES:
             return
-        speaker = self._speakers.setdefault(sender, _Speaker())
-        speaker.frames += 1
-        speaker.signed += frame.version == 2 and bool(frame.raw[2] & SIGNED)
+        sender = self._senders.setdefault(ids, _Sender())
+        sender.frames += 1
+        sender.signed += frame.is_signed
         if frame.message_id == _HEARTBEAT:
             heartbeat = unpack(frame)
-            speaker.heartbeats += 1
-            speaker.autopilot, speaker.type = heartbeat.autopilot, heartbeat.type
+            sender.heartbeats += 1
+            sender.autopilot, sender.type = heartbeat.autopilot, heartbeat.type
 
-    def take_junk(self, raw: bytes) -> None:
-        """Keep a sample; count the frames in it that are whole but for their checksum."""
+    def _add_junk(self, raw: bytes) -> None:
+        """Keep a sample, and count the frames in it that are whole but for their checksum."""
         if len(self.sample) < _SAMPLE:
             self.sample += raw[: _SAMPLE - len(self.sample)]
         start = 0

@@ -1,22 +1,15 @@
-"""Bytes come, they are frames, and rightly summed."""
+"""Whether bytes come, whether they are frames, and whether their checksums are right."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from ekf_companion.doctor.evidence import Evidence, Means
-from ekf_companion.doctor.finding import (
-    Finding,
-    Stage,
-    Trouble,
-    failed,
-    found,
-    warning,
-)
+from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, warning
 
 _BAUD = 921600
 _PRINTABLE = 0.85
-"""Share of text among the bytes beyond which they are a console's; noise has 0.37."""
+"""Share of text among the bytes beyond which they are from a console; noise has 0.37."""
 _NOISE = 0.001
 _MUCH_NOISE = 0.2
 """Shares of frames whose checksum is wrong."""
@@ -26,8 +19,8 @@ PORT_MODE = (
 )
 
 
-def bytes_(evidence: Evidence) -> Finding:
-    """Judge whether anything comes."""
+def bytes_(evidence: Evidence) -> StageResult:
+    """Judge whether any bytes come."""
     opening, state = evidence.opening, evidence.link
     if evidence.bytes_in:
         rate = evidence.bytes_rate
@@ -47,19 +40,19 @@ def bytes_(evidence: Evidence) -> Finding:
         )
         wire = f", {share:.0%} of the wire" if share else ""
         strange = f"; datagrams not heard: {_reasons(evidence)}" if _reasons(evidence) else ""
-        return found(
+        return judged(
             Stage.BYTES,
             f"{evidence.bytes_in} bytes, {rate / 1e3:.1f} kB/s{wire}{strange}",
             [full, dropped if slow else None],
         )
     refused = sum(state.refused.values()) if state else 0
     if refused:
-        trouble = failed(
+        problem = failed(
             f"Datagrams came, and were refused ({_reasons(evidence)}).",
             'Set link.peer to who sends them, or to "".',
         )
-        return found(Stage.BYTES, f"{refused} datagrams, none taken", [trouble])
-    return found(Stage.BYTES, f"none in {evidence.seconds:.0f} s", [_silence(evidence)])
+        return judged(Stage.BYTES, f"{refused} datagrams, none taken", [problem])
+    return judged(Stage.BYTES, f"none in {evidence.seconds:.0f} s", [_silence(evidence)])
 
 
 def _reasons(evidence: Evidence) -> str:
@@ -67,7 +60,7 @@ def _reasons(evidence: Evidence) -> str:
     return ", ".join(f"{count} {why}" for why, count in refused.items())
 
 
-def _silence(evidence: Evidence) -> Trouble:
+def _silence(evidence: Evidence) -> Problem:
     kind = evidence.opening.kind if evidence.opening else ""
     url = evidence.opening.url if evidence.opening else ""
     listening = (
@@ -104,19 +97,19 @@ def _silence(evidence: Evidence) -> Trouble:
 
 
 def _share_of_wire(evidence: Evidence) -> float:
-    """Give the share of a serial port's capacity (ten bits a byte) that is used; 0: not known."""
+    """Return the share of a serial port's capacity (ten bits a byte) in use; 0 if not known."""
     opening = evidence.opening
     is_wire = opening is not None and opening.kind == "serial" and "ttyACM" not in opening.device
     return evidence.bytes_rate * 10.0 / opening.baud if opening and is_wire else 0.0
 
 
-def frames(evidence: Evidence) -> Finding:
+def frames(evidence: Evidence) -> StageResult:
     """Judge whether the bytes are MAVLink."""
     counted = evidence.frames
     saw = f"{counted.frames} frames"
     if not counted.frames:
-        trouble = _no_frames(evidence)
-        return found(Stage.FRAMES, f"none in {evidence.bytes_in} bytes", [trouble])
+        problem = _no_frames(evidence)
+        return judged(Stage.FRAMES, f"none in {evidence.bytes_in} bytes", [problem])
     if evidence.first_version:
         saw += f", {evidence.first_version} of MAVLink 1"
     if counted.unknown_id:
@@ -127,12 +120,11 @@ def frames(evidence: Evidence) -> Finding:
         "such as GPS accuracies.",
         "ArduPilot: SERIALn_PROTOCOL = 2 (MAVLink 2) for this port. PX4: MAV_PROTO_VER = 2.",
     )
-    return found(Stage.FRAMES, saw, [first if only_first else None])
+    return judged(Stage.FRAMES, saw, [first if only_first else None])
 
 
-def _no_frames(evidence: Evidence) -> Trouble:
+def _no_frames(evidence: Evidence) -> Problem:
     sample = evidence.sample
-    serial = evidence.opening is not None and evidence.opening.kind == "serial"
     text = sum(32 <= byte < 127 or byte in b"\r\n\t\x1b" for byte in sample)
     if evidence.mismatched or evidence.frames.unknown_id or evidence.frames.incompatible:
         return failed(
@@ -157,7 +149,7 @@ def _no_frames(evidence: Evidence) -> Trouble:
             f"Set the port to MAVLink. {PORT_MODE}. On a Raspberry Pi take the console off the "
             "port: remove console=serial0,… from cmdline.txt.",
         )
-    if serial and evidence.opening is not None:
+    if evidence.is_serial and evidence.opening is not None:
         return failed(
             f"Bytes that are no MAVLink: most likely the baud rate is not {evidence.opening.baud}.",
             "Try link.url with :57600, :115200, :460800 and :921600, or set the autopilot's: "
@@ -169,7 +161,7 @@ def _no_frames(evidence: Evidence) -> Trouble:
     )
 
 
-def checksums(evidence: Evidence) -> Finding:
+def checksums(evidence: Evidence) -> StageResult:
     """Judge how many frames are damaged."""
     counted = evidence.frames
     if evidence.means is Means.RECORDING:
@@ -179,33 +171,33 @@ def checksums(evidence: Evidence) -> Finding:
             "Look at the link of whoever recorded it, and at the disk; what is whole is used.",
         )
         saw = f"{evidence.damaged} runs of damaged bytes among {counted.frames} frames"
-        return found(Stage.CHECKSUMS, saw, [damage if share > _NOISE else None])
+        return judged(Stage.CHECKSUMS, saw, [damage if share > _NOISE else None])
     bad = max(counted.bad_crc, sum(evidence.mismatched.values()))
     share = bad / max(bad + counted.frames, 1)
     saw = f"{share:.1%} wrong ({bad} of {bad + counted.frames})"
     name = _foreign(evidence.mismatched, bad)
     if name:
-        trouble = warning(
+        problem = warning(
             f"{name} always has a wrong checksum: the sender defines that message otherwise "
             "(another dialect, or an older definition).",
             f"Update the autopilot's firmware, or do without {name}.",
         )
-        return found(Stage.CHECKSUMS, saw, [trouble])
+        return judged(Stage.CHECKSUMS, saw, [problem])
     remedy = (
         "Shorten and shield the wire, join the grounds, keep it from power leads; connect RTS and "
         "CTS, or lower the baud rate at both ends."
-        if evidence.opening is not None and evidence.opening.kind == "serial"
+        if evidence.is_serial
         else "Look for two senders whose bytes are mixed at one port, or a radio at its limit."
     )
     if share > _MUCH_NOISE:
-        return found(
+        return judged(
             Stage.CHECKSUMS, saw, [failed("Most of what comes is damaged on its way.", remedy)]
         )
     noise = warning("Frames are damaged on their way.", remedy)
-    return found(Stage.CHECKSUMS, saw, [noise if share > _NOISE and bad > 2 else None])
+    return judged(Stage.CHECKSUMS, saw, [noise if share > _NOISE and bad > 2 else None])
 
 
 def _foreign(mismatched: Mapping[str, int], bad: int) -> str:
-    """Give the message that has nearly all the wrong checksums; empty: they are noise."""
+    """Return the message that has nearly all the wrong checksums; empty if there is none."""
     name, count = max(mismatched.items(), key=lambda item: item[1], default=("", 0))
     return name if count >= 5 and count > 0.8 * bad else ""

@@ -1,4 +1,4 @@
-"""A link by its URL: serial, UDP or TCP, opened again for ever, all of one kind to the caller.
+"""Links by their URL, serial, UDP or TCP, with one interface, reopened whenever they fail.
 
 A link runs in the caller's task group and ends when that task is cancelled::
 
@@ -7,10 +7,10 @@ A link runs in the caller's task group and ends when that task is cancelled::
         group.create_task(link.run())
         data, now_ns, sender = await link.receive()
 
-What is read is stamped at once and waits in a bounded queue, or, to save a turn of the loop, is
-handed to ``on_read`` and waits in the system's own; what cannot be sent now is dropped
-(UDP, or no link) or waits, but not for long (serial and TCP). Everything dropped is counted.
+Data is stamped when it is read, and waits in a bounded queue or, to save a turn of the loop, is
+passed to ``on_read``. A message that cannot be sent now is dropped (UDP, or no link), or waits for
+a short time (serial and TCP). Everything dropped is counted.
 
-``address`` reads URLs, ``port`` holds the open descriptors, ``backlog`` what they had no room for,
-``peers`` says which senders of datagrams are heard, ``link`` keeps it all open.
+``address`` reads URLs, ``port`` has the open descriptors, ``backlog`` the messages that wait for
+room, ``peers`` the senders of datagrams that are accepted, ``link`` keeps it all open.
 """

@@ -1,4 +1,4 @@
-"""Where a link leads, read from its URL."""
+"""The address of a link, read from its URL."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ DEFAULT_BAUD = 921600
 
 
 class Kind(str, Enum):
-    """What a link is made of."""
+    """The kind of a link."""
 
     UDP_IN = "udpin"
     UDP_OUT = "udpout"
@@ -24,25 +24,25 @@ class Kind(str, Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Address:
-    """Where a link leads."""
+    """The address of a link."""
 
     kind: Kind
     host: str = ""
-    """Bound (in) or reached (out)."""
+    """Local address to bind (in), or remote one (out)."""
     port: int = 0
     remote: tuple[str, int] | None = None
-    """Whom to send to before anyone was heard (``udp://bind@remote``)."""
+    """Where to send before anything has come (``udp://bind@remote``)."""
     peer: tuple[str, int] | None = None
-    """Whom datagrams must come from, host and port; port 0: any."""
-    is_deaf: bool = False
-    """Whether datagrams are only sent there."""
+    """Where datagrams must come from, host and port; port 0: any."""
+    is_send_only: bool = False
+    """Whether nothing is read."""
     device: str = ""
     baud: int = DEFAULT_BAUD
     warning: str = ""
-    """What the URL left open, and how it was read."""
+    """What was ambiguous in the URL, and how it was read."""
 
     def __str__(self) -> str:
-        """Give the URL in its plain spelling."""
+        """Return the URL in its canonical spelling."""
         if self.kind is Kind.SERIAL:
             return f"serial:{self.device}:{self.baud}"
         host = f"[{self.host}]" if ":" in self.host else self.host
@@ -73,7 +73,7 @@ def parse_url(url: str) -> Address:
     """Read a link's URL in the spellings of pymavlink, MAVSDK, MAVROS and mavlink-router.
 
     Raises:
-        LinkError: The URL names no link; the sentence says what would.
+        LinkError: The URL names no link; the message says what would.
     """
     if url.startswith("/"):
         return _parse_serial(url, url)
@@ -103,12 +103,12 @@ def parse_url(url: str) -> Address:
 
 
 def parse_peer(peer: str, address: Address) -> tuple[str, int] | None:
-    """Read whom the datagrams of a link must come from: HOST or HOST:PORT; None: not said.
+    """Read where the datagrams of a link must come from, HOST or HOST:PORT; None if it is empty.
 
-    The port is 0 where any will do.
+    The port is 0 if any port will do.
 
     Raises:
-        LinkError: It names nobody, or the link is of a kind that has but one other end.
+        LinkError: It is not an address, or a link of this kind has only one other end.
     """
     if not peer:
         return None
@@ -130,10 +130,10 @@ def parse_peer(peer: str, address: Address) -> tuple[str, int] | None:
 
 
 def parse_monitor(url: str, link: Address) -> Address:
-    """Read where a listener is that is no autopilot, and only sent to.
+    """Read the address of a monitor, to which messages are only sent.
 
     Raises:
-        LinkError: The URL names none, or the link over which an autopilot is heard.
+        LinkError: The URL is not such an address, or is the autopilot's own link.
     """
     address = parse_url(url)
     if address.kind not in (Kind.UDP_OUT, Kind.UDP_BROADCAST):
@@ -145,7 +145,7 @@ def parse_monitor(url: str, link: Address) -> Address:
     if link.kind in (Kind.UDP_OUT, Kind.UDP_BROADCAST):
         theirs.add((link.host, link.port))
     if link.kind in (Kind.UDP_IN, Kind.UDP_BROADCAST) and address.port == link.port:
-        # Our own ears
+        # Our own address
         theirs |= {(link.host, link.port), ("127.0.0.1", link.port), ("localhost", link.port)}
         if address.kind is Kind.UDP_BROADCAST:
             theirs.add((address.host, link.port))
@@ -154,7 +154,7 @@ def parse_monitor(url: str, link: Address) -> Address:
             f"{url}: is the autopilot's own link ({link}), where the guard decides on ODOMETRY; "
             "name another listener in output.monitors, or none"
         )
-    return replace(address, is_deaf=True)
+    return replace(address, is_send_only=True)
 
 
 def _parse_serial(url: str, rest: str) -> Address:

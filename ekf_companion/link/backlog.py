@@ -1,8 +1,8 @@
-"""Messages that wait for a slow stream, in the order of sending. No descriptor and no clock.
+"""Messages that wait for a slow stream, in the order of sending, without descriptor and clock.
 
-What waits grows old, and an old estimate does harm: so the time is bounded that a message may
-wait, and of those that a newer one replaces only the newest waits. The order is never changed,
-since frames are numbered and signed in it. A message that has begun is always finished.
+An old estimate does harm: so the waiting time of a message is bounded, and of replaceable messages
+only the newest waits. The order is never changed, since frames are numbered and signed in it. A
+message of which a part has been written is always completed.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from collections import deque
 from dataclasses import dataclass
 
 FRESH_NS = 150_000_000
-"""How long a replaceable message may wait: a delayed estimate is worth less than none."""
+"""Longest wait of a replaceable message: a delayed estimate is worse than none."""
 PATIENCE_NS = 500_000_000
-"""How long any other may: heartbeats, answers and acknowledgements are asked for again at 1 s."""
+"""Longest wait of any other: heartbeats and answers are asked for again after 1 s."""
 LARGEST = 1 << 16
-"""Bytes that wait at most, whoever makes us answer; the oldest message is dropped beyond."""
+"""Bytes that may wait, whoever makes us answer; beyond that the oldest message is dropped."""
 
 
 @dataclass(slots=True)
 class Waiting:
-    """A message, or the rest of one that has begun."""
+    """A message, or the rest of one that is partly written."""
 
     data: bytes
     since_ns: int
@@ -29,14 +29,14 @@ class Waiting:
 
 
 class Backlog:
-    """What could not be sent at once."""
+    """The messages that could not be sent at once."""
 
     def __init__(self) -> None:
         self._waiting: deque[Waiting] = deque()
         self._size = 0
 
     def __len__(self) -> int:
-        """Give how many wait."""
+        """Return how many wait."""
         return len(self._waiting)
 
     @property
@@ -45,7 +45,7 @@ class Backlog:
         return sum(one.is_replaceable for one in self._waiting)
 
     def add(self, data: bytes, now_ns: int, *, is_replaceable: bool = False) -> int:
-        """Put a message at the end; give how many were dropped for it."""
+        """Add a message at the end; return how many were dropped for it."""
         before = len(self._waiting)
         if is_replaceable:
             self._keep([one for one in self._waiting if one.has_begun or not one.is_replaceable])
@@ -53,7 +53,7 @@ class Backlog:
         self._waiting.append(Waiting(data, now_ns, is_replaceable))
         self._size += len(data)
         while self._size > LARGEST and len(self._waiting) > 1:
-            # What has begun stands first, and must follow
+            # A message that is partly written is the first, and must be completed
             oldest = 1 if self._waiting[0].has_begun else 0
             if oldest == len(self._waiting) - 1:
                 break
@@ -62,14 +62,14 @@ class Backlog:
         return before + 1 - len(self._waiting)
 
     def expire(self, now_ns: int) -> int:
-        """Drop what has waited too long; give how many."""
+        """Drop the messages that have waited too long; return how many."""
         before = len(self._waiting)
         if any(_is_old(one, now_ns) for one in self._waiting):
             self._keep([one for one in self._waiting if not _is_old(one, now_ns)])
         return before - len(self._waiting)
 
     def take(self) -> Waiting | None:
-        """Give the first, and forget it; None: nothing waits."""
+        """Remove and return the first; None if nothing waits."""
         if not self._waiting:
             return None
         first = self._waiting.popleft()
@@ -77,14 +77,14 @@ class Backlog:
         return first
 
     def put_back(self, first: Waiting, written: int) -> None:
-        """Let what was taken stand first again, less the bytes that were written of it."""
+        """Put the message that was taken back in front, without the bytes that were written."""
         first.data = first.data[written:]
         first.has_begun |= written > 0
         self._waiting.appendleft(first)
         self._size += len(first.data)
 
     def clear(self) -> int:
-        """Drop everything; give how many."""
+        """Drop everything; return how many."""
         count = len(self._waiting)
         self._keep([])
         return count

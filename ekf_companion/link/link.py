@@ -1,4 +1,4 @@
-"""A link that is kept open."""
+"""A link that is reopened whenever it fails."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from ekf_companion.link.port import Port, SerialPort, TcpPort, open_server, open
 _log = logging.getLogger(__package__)
 
 QUEUE_LENGTH = 1024
-"""Reads that wait for the caller; the oldest is dropped beyond."""
+"""Reads that may wait for the caller; beyond that the oldest is dropped."""
 FIRST_DELAY, LAST_DELAY = 0.5, 1.0
-"""Seconds from one attempt to open a link to the next; doubled each time that nothing was heard.
-What has come back is taken up within that time, and its patience."""
+"""Seconds from one attempt to open a link to the next, doubled each time that nothing came. What
+comes back is opened within that time, plus ``PATIENCE``."""
 LOST = 1.0
-"""Seconds without a way for our datagrams after which the socket is opened anew: its own address
-may be gone, which is chosen once, when it is opened."""
+"""Seconds without a route for our datagrams after which the socket is reopened: its local address,
+which is chosen when it is opened, may be gone."""
 SILENT = 1.0
-"""Seconds without anything believed from a TCP client after which another may take its place: an
-autopilot sends its heartbeat once a second, and much else oftener."""
+"""Seconds without an accepted frame from a TCP client after which another may replace it: an
+autopilot sends its heartbeat once a second, and others more often."""
 NOT_FIRST = "another client is connected"
 PATIENCE = 2.0
-"""Seconds that a connection may take: the kernel asks twice in them."""
+"""Seconds that a connection may take: the kernel tries twice in them."""
 
 
 class Received(NamedTuple):
-    """What one read gave."""
+    """The result of one read."""
 
     data: bytes
     now_ns: int
     """When it was read, on the link's clock."""
     sender: Sender | None = None
-    """Who sent it; None: there is but one other end."""
+    """Its sender; None if there is only one other end."""
 
 
 class Link:
-    """A link that is kept open."""
+    """A link that is reopened whenever it fails."""
 
     def __init__(
         self,
@@ -59,22 +59,22 @@ class Link:
         peers: Peers | None = None,
     ) -> None:
         self.address = address
-        self.peers = peers or Peers(is_guarded=False)
-        """Whose datagrams are heard; others are counted there."""
+        self.peers = peers or Peers(is_pinning=False)
+        """Whose datagrams are accepted; others are counted there."""
         self.dropped = 0
-        """Reads that the caller was too slow for."""
+        """Reads dropped because the caller was too slow."""
         self.unsent = 0
-        """Messages that found no link, or too slow a one."""
+        """Messages dropped because there was no link, or too slow a one."""
         self.opened = 0
         """How often the link has been opened."""
         self.failure: OSError | None = None
-        """Why it is not open; None: it is, or nobody has tried yet."""
+        """Why it is not open; None if it is, or nobody has tried yet."""
         self.bytes_in = 0
         self.bytes_out = 0
         self._clock = clock
-        self._on_state = on_state
-        self._on_read = on_read
-        self._on_sent = on_sent
+        self._on_state = on_state or (lambda _: None)
+        self._on_read = on_read or self._enqueue
+        self._on_sent = on_sent or (lambda _: None)
         self._queue: deque[Received] = deque()
         self._waiter: asyncio.Future[None] | None = None
         self._port: Port | None = None
@@ -82,14 +82,14 @@ class Link:
         self._backlog = Backlog()
         self._timer: asyncio.TimerHandle | None = None
         self._server: socket.socket | None = None
-        self._newcomer: socket.socket | None = None
-        self._heard = 0.0
-        self._stuck: float | None = None
+        self._next_client: socket.socket | None = None
+        self._accepted_s = 0.0
+        self._no_route_s: float | None = None
         self._last_complaint = ""
 
     @property
     def is_open(self) -> bool:
-        """Whether the descriptor is open; over UDP that says nothing of the other end."""
+        """Whether the descriptor is open; with UDP that tells nothing about the other end."""
         return self._port is not None
 
     @property
@@ -99,7 +99,7 @@ class Link:
 
     @property
     def refused(self) -> Counter[str]:
-        """Datagrams not heard and clients not let in, by reason."""
+        """Datagrams and TCP clients refused, by reason."""
         return self.peers.refused
 
     async def run(self) -> None:
@@ -115,40 +115,40 @@ class Link:
                 if reason != self._last_complaint:
                     _log.warning("%s: %s; trying again until it opens", self.address, reason)
                     self._last_complaint = reason
-                # An attempt that took its time has waited already; one that spoke begins anew
+                # The duration of the attempt counts as waiting
                 await asyncio.sleep(max(begin + delay - loop.time(), 0.0))
                 delay = min(2.0 * delay, LAST_DELAY)
         finally:
-            for part in (self._server, self._newcomer):
+            for part in (self._server, self._next_client):
                 if part is not None:
                     part.close()
 
     async def receive(self) -> Received:
-        """Give the oldest read that waits, or wait for one."""
+        """Return the oldest read that waits, or wait for one."""
         while True:
             while not self._queue:
                 self._waiter = asyncio.get_running_loop().create_future()
                 await self._waiter
             received = self._queue.popleft()
-            # Another may have been pinned since it came
-            if received.sender is None or self.peers.listen(received.sender, received.now_ns):
+            # Another sender may have been pinned since it came
+            if received.sender is None or self.peers.accepts(received.sender, received.now_ns):
                 return received
 
-    def believe(self) -> None:
-        """Say that what was just read is believed: by that a TCP client keeps its place.
+    def confirm(self) -> None:
+        """Note that what was just read contained an accepted frame, so that a TCP client stays.
 
-        Without guarded peers every byte is.
+        Without pinning, any bytes count.
         """
         if self._server is not None:
-            self._heard = asyncio.get_running_loop().time()
+            self._accepted_s = asyncio.get_running_loop().time()
 
     def send(self, data: bytes, *, is_replaceable: bool = False) -> None:
         """Send a message now, or as soon as a stream has room; never waits.
 
         Args:
             data: The message, whole.
-            is_replaceable: Whether it is worthless once the next of its kind is there: while the
-                stream has no room, only the newest such message waits, and not for long.
+            is_replaceable: Whether the next of its kind makes it worthless: while the stream has no
+                room, only the newest such message waits, and not for long.
         """
         port = self._port
         if port is None:
@@ -163,11 +163,11 @@ class Link:
                 self._await_room(port)
             else:
                 self.unsent += 1
-        elif is_replaceable:
-            self._report(0)
+        elif is_replaceable and not self._is_broken:
+            self._on_sent(0)
 
     async def _run_once(self) -> str:
-        """Open, pump and close; give the reason why it is over."""
+        """Open, read and write, and close; return the reason why it ended."""
         try:
             port = await self._open()
         except asyncio.TimeoutError:
@@ -181,15 +181,15 @@ class Link:
         descriptor = port.fileno()
         self._broken = loop.create_future()
         self._port = port
-        self._heard, self._stuck = loop.time(), None
+        self._accepted_s, self._no_route_s = loop.time(), None
         self.opened += 1
         _log.info("%s: open", self.address)
         self._last_complaint = ""
-        if not self.address.is_deaf:
-            loop.add_reader(descriptor, self._readable, port)
+        if not self.address.is_send_only:
+            loop.add_reader(descriptor, self._on_readable, port)
         if self._server is not None:
-            loop.add_reader(self._server, self._knock, self._server)
-        self._say(is_open=True)
+            loop.add_reader(self._server, self._on_client, self._server)
+        self._on_state(True)
         try:
             return await self._broken
         finally:
@@ -202,16 +202,7 @@ class Link:
             if self._timer is not None:
                 self._timer.cancel()
             self.unsent += self._backlog.clear()
-            self._say(is_open=False)
-
-    def _say(self, *, is_open: bool) -> None:
-        if self._on_state is not None:
-            self._on_state(is_open)
-
-    def _report(self, waited_ns: int) -> None:
-        """Say that a replaceable message has been written whole, unless that broke the link."""
-        if self._on_sent is not None and not self._is_broken:
-            self._on_sent(waited_ns)
+            self._on_state(False)
 
     @property
     def _is_broken(self) -> bool:
@@ -221,24 +212,24 @@ class Link:
         if self._broken is not None and not self._broken.done():
             self._broken.set_result(reason)
 
-    def _knock(self, server: socket.socket) -> None:
-        """Let another client in only where the present one has fallen silent."""
+    def _on_client(self, server: socket.socket) -> None:
+        """Accept another client only if the present one is silent."""
         try:
             stream, _ = server.accept()
         except OSError:
             return  # it is gone again
-        is_silent = asyncio.get_running_loop().time() - self._heard >= SILENT
-        if is_silent and self._newcomer is None:
-            self._newcomer = stream
-            self._break("another client takes the place of a silent one")
+        is_silent = asyncio.get_running_loop().time() - self._accepted_s >= SILENT
+        if is_silent and self._next_client is None:
+            self._next_client = stream
+            self._break("another client replaces a silent one")
             return
         stream.close()
         if not self.refused[NOT_FIRST]:
-            _log.warning("%s: another client is sent away while the first speaks", self.address)
+            _log.warning("%s: another client is refused while the first one sends", self.address)
         self.refused[NOT_FIRST] += 1
 
-    def _readable(self, port: Port) -> None:
-        # Once: where there is more, the loop comes back at once
+    def _on_readable(self, port: Port) -> None:
+        # One read: if there is more, the loop calls again at once
         try:
             data = port.read()
         except BlockingIOError:
@@ -247,25 +238,22 @@ class Link:
             self._break(_sentence(error))
             return
         if data:
-            self._take(data, port.sender)
+            self._receive(data, port.sender)
 
-    def _take(self, data: bytes, sender: Sender | None) -> None:
+    def _receive(self, data: bytes, sender: Sender | None) -> None:
         now_ns = self._clock()
-        if sender is not None and not self.peers.listen(sender, now_ns):
+        if sender is not None and not self.peers.accepts(sender, now_ns):
             return
         self.bytes_in += len(data)
-        if not self.peers.is_guarded:
-            self.believe()
-        if self._on_read is None:
-            self._enter(Received(data, now_ns, sender))
-            return
+        if not self.peers.is_pinning:
+            self.confirm()
         try:
             self._on_read(Received(data, now_ns, sender))
-        except Exception as error:  # noqa: BLE001  # raised again by run, for whoever awaits it
+        except Exception as error:  # noqa: BLE001  # run raises it again
             if self._broken is not None and not self._broken.done():
                 self._broken.set_exception(error)
 
-    def _enter(self, received: Received) -> None:
+    def _enqueue(self, received: Received) -> None:
         if len(self._queue) == QUEUE_LENGTH:
             self._queue.popleft()
             self.dropped += 1
@@ -274,7 +262,7 @@ class Link:
             self._waiter.set_result(None)
 
     def _write(self, port: Port, data: bytes) -> int:
-        """Give how many bytes were written; what breaks the link is counted as if all were."""
+        """Write; return how many bytes. If that breaks the link, it counts as all of them."""
         try:
             written = port.write(data)
         except BlockingIOError:
@@ -284,28 +272,28 @@ class Link:
                 self.unsent += 1
                 self._break(_sentence(error))
                 return len(data)
-            self._lament(error)
+            self._on_no_route(error)
             return 0
-        self._stuck = None
+        self._no_route_s = None
         self.bytes_out += written
         return written
 
-    def _lament(self, error: OSError) -> None:
-        """Open a socket anew whose datagrams have had no way for a while."""
+    def _on_no_route(self, error: OSError) -> None:
+        """Reopen a socket whose datagrams have had no route for a while."""
         now = asyncio.get_running_loop().time()
-        if self._stuck is None:
-            self._stuck = now
-        elif now - self._stuck >= LOST:
+        if self._no_route_s is None:
+            self._no_route_s = now
+        elif now - self._no_route_s >= LOST:
             self._break(_sentence(error))
 
     def _await_room(self, port: Port) -> None:
         loop = asyncio.get_running_loop()
         if wait := port.wait():
-            self._timer = loop.call_later(wait, self._writable, port)
+            self._timer = loop.call_later(wait, self._on_writable, port)
         else:
-            loop.add_writer(port.fileno(), self._writable, port)
+            loop.add_writer(port.fileno(), self._on_writable, port)
 
-    def _writable(self, port: Port) -> None:
+    def _on_writable(self, port: Port) -> None:
         asyncio.get_running_loop().remove_writer(port.fileno())
         self.unsent += self._backlog.expire(self._clock())
         while (first := self._backlog.take()) is not None:
@@ -317,7 +305,7 @@ class Link:
                 self._await_room(port)
                 return
             if first.is_replaceable:
-                self._report(self._clock() - first.since_ns)
+                self._on_sent(self._clock() - first.since_ns)
 
     async def _open(self) -> Port:
         address = self.address
@@ -329,7 +317,7 @@ class Link:
             return await open_tcp(address, PATIENCE)
         if self._server is None:
             self._server = await open_server(address)
-        stream, self._newcomer = self._newcomer, None
+        stream, self._next_client = self._next_client, None
         if stream is None:
             stream, _ = await asyncio.get_running_loop().sock_accept(self._server)
         return TcpPort(stream)
@@ -345,22 +333,22 @@ def open_link(
     on_sent: Callable[[int], None] | None = None,
     peers: Peers | None = None,
 ) -> Link:
-    """Give the link that a URL names; it opens when ``run`` is awaited.
+    """Return the link that a URL names; it opens when ``run`` is awaited.
 
     Args:
         url: See ``parse_url``.
-        peer: Whom datagrams must come from, see ``parse_peer``; empty: anybody.
-        clock: What time it is, ns, for the stamps of ``receive``.
+        peer: Where datagrams must come from, see ``parse_peer``; empty: anywhere.
+        clock: Returns the time, ns, for the stamps of what is read.
         on_state: Called with True when the link has opened and with False when it is closed.
-        on_read: Called with what is read, at once, in place of ``receive``; what it raises ends
-            ``run``.
-        on_sent: Called when a replaceable message has been written whole, with how long it waited
-            for room, ns; 0: it went at once.
-        peers: Whose datagrams to hear, to be told by the caller whom to believe; None: everybody
-            is heard, and whoever spoke last is answered.
+        on_read: Called with what is read, at once, in place of ``receive``; an exception from it
+            ends ``run``.
+        on_sent: Called when a replaceable message has been written whole, with the time for which
+            it waited for room, ns.
+        peers: The senders to accept, which the caller pins; if None, everybody is accepted, and the
+            last sender is answered.
 
     Raises:
-        LinkError: The URL names no link, or the peer nobody.
+        LinkError: The URL names no link, or ``peer`` is not an address.
     """
     address = parse_url(url)
     address = replace(address, peer=parse_peer(peer, address))

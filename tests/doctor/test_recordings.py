@@ -2,10 +2,10 @@
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import LinkConfig
+from ekf_companion.doctor.collector import EvidenceCollector
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Means
-from ekf_companion.doctor.finding import Mark
-from ekf_companion.doctor.witness import Witness
+from ekf_companion.doctor.stage import Outcome
 from ekf_companion.engine.checkpoint import Clocks
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.warm_start import Resumption
@@ -13,7 +13,7 @@ from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.flight import Flight
-from tests.doctor.patients import simulated
+from tests.doctor.simulated import simulated
 
 SLOW = Config(link=LinkConfig(imu_rate=100.0))
 CLOCKS = Clocks(1_800_000_000_000_000_000, 0, bytes(16))
@@ -22,7 +22,7 @@ BREAK = 815
 
 
 def recorded(system_id):
-    """Give the stamps and frames that the second of two runs recorded."""
+    """Return the stamps and frames that the second of two runs recorded."""
     sim = simulated(system_id=system_id)
     autopilot, companion, record = Autopilot(sim), Companion(SLOW), []
     for number, cycle in enumerate(Flight.plan("hover", sim, duration=16.0).cycles()):
@@ -40,11 +40,11 @@ def recorded(system_id):
 
 
 def diagnosed(record):
-    witness = Witness(SLOW, Means.RECORDING)
+    collector = EvidenceCollector(SLOW, Means.RECORDING)
     for stamp_us, raw in record:
-        witness.receive(raw, stamp_us * 1000)
-        witness.data_to_send(stamp_us * 1000)
-    return witness.evidence(record[-1][0] * 1000)
+        collector.receive(raw, stamp_us * 1000)
+        collector.data_to_send(stamp_us * 1000)
+    return collector.evidence(record[-1][0] * 1000)
 
 
 def test_an_autopilot_switched_off_before_the_board_sent_what_it_sent():
@@ -65,7 +65,7 @@ def test_an_autopilot_switched_off_before_the_board_sent_what_it_sent():
     said = [frame.message_id for _, raw in record[asked:] for frame in Splitter().feed(raw)]
     assert IDS["COMMAND_LONG"] in said  # it is asked again when it falls silent
     evidence = diagnosed(record)
-    assert [f.stage.value for f in diagnose(evidence) if f.mark is Mark.FAILED] == []
+    assert [f.stage.value for f in diagnose(evidence) if f.outcome is Outcome.FAILED] == []
     assert evidence.messages["HIGHRES_IMU"].rate > 90.0
 
 
@@ -83,4 +83,4 @@ def test_what_was_answered_before_the_first_heartbeat_is_heard():
         evidence = diagnosed(record)
         assert evidence.messages["HIGHRES_IMU"].answer == "accepted"
         assert evidence.messages["HIGHRES_IMU"].asked == 100.0
-        assert [f.stage.value for f in diagnose(evidence) if f.mark is Mark.FAILED] == []
+        assert [f.stage.value for f in diagnose(evidence) if f.outcome is Outcome.FAILED] == []

@@ -9,26 +9,27 @@ from fastcrc import crc16
 from pymavlink.dialects.v10 import ardupilotmega as first
 
 from ekf_companion.config.config import Config
+from ekf_companion.doctor.collector import EvidenceCollector
 from ekf_companion.doctor.diagnosis import diagnose, first_failure
 from ekf_companion.doctor.evidence import Evidence, Holder, Means, Opening
-from ekf_companion.doctor.finding import Mark, Stage
 from ekf_companion.doctor.report import lines
-from ekf_companion.doctor.witness import Witness
+from ekf_companion.doctor.stage import Outcome, Stage
 from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.status.snapshot import LinkState
-from tests.doctor.patients import UDP, examine, stage, words
+from tests.doctor.simulated import UDP, examine, stage, words
 
 TTY = Opening(url="serial:/dev/ttyS7:57600", kind="serial", device="/dev/ttyS7", baud=57600)
 OURS = Holder(pid=7, name="ekf-companion", unit="ekf-companion.service", is_daemon=True)
 SECOND = 1_000_000_000
 
 
-def taken(data, opening=TTY):
-    """Give the evidence of bytes alone."""
-    witness = Witness(Config(), Means.LIVE)
+def collect(data, opening=TTY):
+    """Return the evidence of bytes alone."""
+    collector = EvidenceCollector(Config(), Means.LIVE)
     for start in range(0, len(data), 64):
-        witness.receive(data[start : start + 64], start * 1_000_000)
-    return witness.evidence(5 * SECOND, opening)
+        collector.receive(data[start : start + 64], start * 1_000_000)
+    return collector.evidence(5 * SECOND, opening)
 
 
 @pytest.mark.parametrize(
@@ -53,10 +54,10 @@ def taken(data, opening=TTY):
 )
 def test_a_link_that_does_not_open_says_why_and_what_to_do(opening, number, options, said):
     opening = replace(opening, failure="it does not", number=number, **options)
-    findings = diagnose(Evidence(opening=opening))
-    assert first_failure(findings).stage is Stage.LINK
-    assert said in words(findings[0])
-    assert {finding.mark for finding in findings[1:]} == {Mark.UNKNOWN}
+    results = diagnose(Evidence(opening=opening))
+    assert first_failure(results).stage is Stage.LINK
+    assert said in words(results[0])
+    assert {result.outcome for result in results[1:]} == {Outcome.UNKNOWN}
 
 
 @pytest.mark.parametrize(
@@ -96,7 +97,7 @@ def test_a_link_that_comes_and_goes_and_a_full_wire_are_warnings():
     )
     assert "opened again 3 times" in words(stage(evidence, "link"))
     found = stage(evidence, "bytes")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "The wire is full: 5.6 kB/s of 5.8" in words(found)
     assert "too slow to read" in words(found)
 
@@ -111,7 +112,7 @@ def test_a_link_that_comes_and_goes_and_a_full_wire_are_warnings():
     ],
 )
 def test_bytes_that_are_no_mavlink_are_told_apart(data, said):
-    found = first_failure(diagnose(taken(data)))
+    found = first_failure(diagnose(collect(data)))
     assert found.stage is Stage.FRAMES
     assert said in words(found)
 
@@ -127,7 +128,7 @@ def test_a_message_of_another_definition_is_told_from_noise():
         return frame[:-2] + crc16.mcrf4xx(frame[1:-2] + b"\x01").to_bytes(2, "little")
 
     found = stage(examine(change=change, seconds=2.0), "checksums")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "HIGHRES_IMU always has a wrong checksum" in words(found)
 
 
@@ -143,20 +144,20 @@ def test_noise_on_the_wire_is_counted():
 
     evidence = examine(change=change, seconds=3.0)
     found = stage(evidence, "checksums")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "damaged on their way" in words(found)
     worse = replace(evidence, frames=replace(evidence.frames, bad_crc=evidence.frames.frames))
-    assert stage(worse, "checksums").mark is Mark.FAILED
+    assert stage(worse, "checksums").outcome is Outcome.FAILED
 
 
 def test_mavlink_1_alone_is_a_warning():
     """Rule 33."""
     mav = first.MAVLink(None, srcSystem=1, srcComponent=1)
     frames = [mav.heartbeat_encode(2, 3, 0, 0, 3).pack(mav) for _ in range(5)]
-    evidence = taken(b"".join(frames))
-    assert stage(evidence, "source").mark is Mark.OK
+    evidence = collect(b"".join(frames))
+    assert stage(evidence, "source").outcome is Outcome.OK
     found = stage(evidence, "frames")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "SERIALn_PROTOCOL = 2" in words(found)
 
 
@@ -167,3 +168,18 @@ def test_the_report_has_a_line_a_stage_then_the_first_remedy():
     assert said[0][1].startswith("FAILED   link")
     assert max(len(line) for _, line in said) <= 80
     assert sum(line.startswith("  -> ") for _, line in said) == 1
+
+
+def test_what_comes_is_split_into_frames_once(monkeypatch):
+    fed, feed = [], Splitter.feed
+    monkeypatch.setattr(
+        Splitter, "feed", lambda self, data, *who: fed.append(len(data)) or feed(self, data, *who)
+    )
+    sender = Sender(1, 1)
+    data = b"".join(sender.message("HEARTBEAT", type=2, autopilot=12) for _ in range(20))
+    collector = EvidenceCollector(Config(), Means.LISTENING)
+    collector.receive(data + b"\x55" * 30, SECOND)
+    evidence = collector.evidence(SECOND, TTY)
+    assert sum(fed) == evidence.bytes_in == len(data) + 30
+    assert evidence.sources[0].frames == evidence.frames.frames == 20
+    assert evidence.sample == b"\x55" * 30

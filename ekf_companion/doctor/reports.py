@@ -1,4 +1,4 @@
-"""What the autopilot tells of itself, kept as it is told."""
+"""What the autopilot reports of its receiver, of its filter and in texts."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _FIX_3D = 3
 _UNKNOWN_16 = 65535
 
 
-class Told:
-    """The autopilot's receiver, filter and texts."""
+class AutopilotReports:
+    """Keeps the last report of each kind."""
 
     def __init__(self) -> None:
         self.receiver = Receiver()
@@ -28,32 +28,32 @@ class Told:
         self._flags: int | None = None
         self._worst_ratio = math.nan
         self._handlers: dict[str, Callable[[Any, int], None]] = {
-            "EKF_STATUS_REPORT": self._take_ekf_status,
-            "ESTIMATOR_STATUS": self._take_estimator_status,
-            "GPS_RAW_INT": self._take_receiver,
-            "STATUSTEXT": self._take_text,
+            "EKF_STATUS_REPORT": self._on_ekf_status,
+            "ESTIMATOR_STATUS": self._on_estimator_status,
+            "GPS_RAW_INT": self._on_receiver,
+            "STATUSTEXT": self._on_text,
         }
 
-    def take(self, name: str, frame: Frame, now_ns: int) -> None:
-        """Take a frame of the autopilot's that came at a time of ours, by its message's name."""
+    def receive(self, name: str, frame: Frame, now_ns: int) -> None:
+        """Process a frame from the autopilot; ``name`` is that of its message."""
         if (handler := self._handlers.get(name)) is not None:
             handler(unpack(frame), now_ns)
 
     def feedback(self) -> Feedback:
-        """Give what it says of its filter and of our messages."""
+        """Return its reports on its filter and on our messages."""
         return Feedback(texts=tuple(self._texts), flags=self._flags, worst_ratio=self._worst_ratio)
 
-    def _take_ekf_status(self, m: Any, now_ns: int) -> None:
+    def _on_ekf_status(self, m: Any, now_ns: int) -> None:
         self._flags = m.flags
         self._worst_ratio = _largest(m.velocity_variance, m.pos_horiz_variance, m.pos_vert_variance)
 
-    def _take_estimator_status(self, m: Any, now_ns: int) -> None:
+    def _on_estimator_status(self, m: Any, now_ns: int) -> None:
         self._flags = m.flags
         self._worst_ratio = _largest(m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
 
-    def _take_receiver(self, m: Any, now_ns: int) -> None:
+    def _on_receiver(self, m: Any, now_ns: int) -> None:
         has_fix = m.fix_type >= _FIX_3D
-        still_s = self._still(m, now_ns) if has_fix else 0.0
+        still_s = self._repeated_s(m, now_ns) if has_fix else 0.0
         self.receiver = Receiver(
             messages=self.receiver.messages + 1,
             fix_type=m.fix_type,
@@ -64,11 +64,10 @@ class Told:
             longest_still_s=max(self.receiver.longest_still_s, still_s),
         )
 
-    def _still(self, m: Any, now_ns: int) -> float:
-        """Give for how long the same fix has come, s: by its time, or by its numbers.
+    def _repeated_s(self, m: Any, now_ns: int) -> float:
+        """Return for how long the same fix has been repeated, s, by its time or by its numbers.
 
-        That they stay the same as it moves says so too, whatever the time; at rest a receiver may
-        hold them.
+        Equal numbers count, whatever the time, only in motion: at rest a receiver may hold them.
         """
         (time_usec, numbers), fix = self._fix, (m.time_usec, (m.lat, m.lon, m.alt, m.vel, m.cog))
         self._fix = fix
@@ -79,7 +78,7 @@ class Told:
             self._fix_ns = now_ns
         return (now_ns - self._fix_ns) * 1e-9
 
-    def _take_text(self, m: Any, now_ns: int) -> None:
+    def _on_text(self, m: Any, now_ns: int) -> None:
         text = m.text.decode("utf-8", "replace")
         if (m.severity <= _CRITICAL or "ODOMETRY" in text) and text not in self._texts:
             self._texts.append(text)

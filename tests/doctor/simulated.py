@@ -1,10 +1,10 @@
-"""A fake autopilot and a doctor, face to face without a socket: what ails it is put in between."""
+"""The fake autopilot connected to the doctor without a socket; faults are put in between."""
 
 from ekf_companion.config.config import Config
+from ekf_companion.doctor.collector import EvidenceCollector
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Means, Opening
-from ekf_companion.doctor.finding import Stage
-from ekf_companion.doctor.witness import Witness
+from ekf_companion.doctor.stage import Stage
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.encode import SET_MESSAGE_INTERVAL
 from ekf_companion.mavlink.frame import Splitter
@@ -48,7 +48,7 @@ def examine(
     personality=None,
     opening=UDP,
 ):
-    """Give the evidence of a conversation.
+    """Return the evidence of a conversation.
 
     Args:
         signing: Ours.
@@ -66,7 +66,7 @@ def examine(
         personality = parse(personality)
         sim = personality.suited(sim)
     autopilot = Autopilot(sim, kind, personality=personality)
-    witness = Witness(config, means, signing)
+    collector = EvidenceCollector(config, means, signing)
     wire, sender = Splitter(), Sender(sim.system_id, 1)
     ours = Splitter()
     now_ns = begin_ns
@@ -78,16 +78,18 @@ def examine(
             data = b"".join(changed(wire.feed(data), change, sender))
         data += b"".join(aside(cycle.t_ns))
         if data:
-            witness.receive(data, now_ns + LINK_MS)
-        witness.tick(now_ns + LINK_MS)
-        for frame in ours.feed(b"".join(witness.data_to_send(now_ns + LINK_MS))):
+            collector.receive(data, now_ns + LINK_MS)
+        collector.tick(now_ns + LINK_MS)
+        for frame in ours.feed(b"".join(collector.data_to_send(now_ns + LINK_MS))):
             if hears(LAYOUTS[frame.message_id].name, unpack(frame)):
                 autopilot.receive(frame.raw, cycle.t_ns + 2 * LINK_MS)
-    return witness.evidence(now_ns + 2 * LINK_MS, opening if means is not Means.RECORDING else None)
+    return collector.evidence(
+        now_ns + 2 * LINK_MS, opening if means is not Means.RECORDING else None
+    )
 
 
 def changed(frames, change, sender):
-    """Give frames anew, each as ``change`` leaves it; the numbers count what was lost too."""
+    """Return frames anew, each as ``change`` leaves it; the numbers count what was lost too."""
     for frame in frames:
         said = change(LAYOUTS[frame.message_id].name, unpack(frame)._asdict())
         if said is None:
@@ -99,12 +101,12 @@ def changed(frames, change, sender):
 
 
 def without(*names):
-    """Give a change that loses these messages, and leaves no gap in the numbers."""
+    """Return a change that loses these messages, and leaves no gap in the numbers."""
     return lambda name, fields: b"" if name in names else (name, fields)
 
 
 def with_fields(message, **values):
-    """Give a change that sets fields of one message; a function makes a value of the old one."""
+    """Return a change that sets fields of one message; a function makes a value of the old one."""
 
     def change(name, fields):
         if name == message:
@@ -116,7 +118,7 @@ def with_fields(message, **values):
 
 
 def thinned(**kept):
-    """Give a change that lets one in so many of a message through, leaving no gap."""
+    """Return a change that lets one in so many of a message through, leaving no gap."""
     seen = dict.fromkeys(kept, 0)
 
     def change(name, fields):
@@ -135,13 +137,13 @@ def is_request(name, fields):
 
 
 def stage(evidence, which):
-    """Give the finding of one stage."""
-    return next(finding for finding in diagnose(evidence) if finding.stage is Stage(which))
+    """Return the result of one stage."""
+    return next(result for result in diagnose(evidence) if result.stage is Stage(which))
 
 
-def words(finding):
-    """Give all that a finding says."""
-    return " ".join([finding.saw, *(f"{t.cause} {t.remedy}" for t in finding.troubles)])
+def words(result):
+    """Return all that a result says."""
+    return " ".join([result.saw, *(f"{t.cause} {t.remedy}" for t in result.problems)])
 
 
 HEARTBEAT = IDS["HEARTBEAT"]

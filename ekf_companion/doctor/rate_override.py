@@ -1,7 +1,7 @@
-"""Whether somebody sets our streams to a rate of his own, after they were granted to us.
+"""Whether somebody overrides the rates of our streams after they were granted to us.
 
-A ground station asks for all groups of messages at one rate, again and again; what is measured
-over a whole examination, in which we ask anew too, shows neither its rate nor ours.
+A ground station asks for all groups of messages at one rate, again and again. A rate measured over
+a whole examination, in which we ask again too, would show neither its rate nor ours.
 """
 
 from __future__ import annotations
@@ -14,41 +14,41 @@ from ekf_companion.mavlink.audit import INERTIAL
 from ekf_companion.mavlink.stamp import SECOND_NS
 
 GROUND = 12.0
-"""A ground station sets streams no faster than this, Hz."""
+"""Highest rate that a ground station sets, Hz."""
 ALIKE = 0.25
-"""Streams whose rates differ by no more, as a share, were set by one hand."""
+"""Streams whose rates differ by no more than this share were set by one program."""
 STREAMED = (
     *INERTIAL,
     *("GPS_RAW_INT", "ATTITUDE", "GLOBAL_POSITION_INT", "SCALED_PRESSURE", "VFR_HUD"),
     *("SYS_STATUS", "RC_CHANNELS", "SERVO_OUTPUT_RAW", "AHRS2", "VIBRATION", "LOCAL_POSITION_NED"),
 )
-"""What a ground station's requests set."""
+"""The messages whose rates a ground station sets."""
 _WINDOW_NS = 2 * SECOND_NS
-"""Eight of 4 Hz; and less than we take to notice, and ask anew."""
+"""Eight messages at 4 Hz; and less time than we take to notice, and to ask again."""
 _FASTER = 1.5
-"""The inertial message loses more than the others by so much: no link thins so."""
+"""Factor by which the inertial message is slowed more than the others; no slow link does that."""
 
 
-class Overruling:
-    """Counts streams by windows, between our requests."""
+class RateOverride:
+    """Measures the rates of streams in windows between our requests."""
 
     def __init__(self) -> None:
         self.rate = 0.0
-        """At which they last came alike, Hz; 0: they never did."""
+        """Common rate at which they last came, Hz; 0 if they never had one."""
         self._counts: Counter[str] = Counter()
         self._begin_ns: int | None = None
 
     def restart(self) -> None:
-        """Begin a window anew: we are setting rates ourselves."""
+        """Begin a new window, as we are setting rates ourselves."""
         self._begin_ns = None
 
-    def take(self, name: str, now_ns: int, granted: Callable[[], Mapping[str, float]]) -> None:
-        """Count a message of the autopilot's.
+    def add(self, name: str, now_ns: int, granted: Callable[[], Mapping[str, float]]) -> None:
+        """Count a message from the autopilot.
 
         Args:
-            name: Which.
+            name: Name of the message.
             now_ns: When it came.
-            granted: Gives the rates granted to us, Hz.
+            granted: Returns the rates granted to us, Hz.
         """
         if self._begin_ns is None:
             self._begin_ns = now_ns

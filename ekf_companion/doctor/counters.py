@@ -1,4 +1,4 @@
-"""Counts of one message, and of the stamps of the inertial one, as frames pass by."""
+"""Counters of one message, and of the time stamps of the inertial one."""
 
 from __future__ import annotations
 
@@ -7,64 +7,62 @@ from ekf_companion.mavlink.request import ACCEPTED
 from ekf_companion.mavlink.stamp import SECOND_NS
 
 PAUSE_NS = 3 * SECOND_NS
-"""A longer silence is a pause, and counts for no rate."""
+"""A longer silence is a pause, and does not count for the rate."""
 
 
-class Tally:
-    """How often one message comes."""
+class MessageCounter:
+    """Counts one message: its rate, and what was asked for and answered."""
 
     def __init__(self) -> None:
         self.count = 0
-        self.bytes = 0
         self.asked = 0.0
-        """The most that was: what a refusal is followed by is less, Hz."""
+        """Highest rate asked for, Hz: what is asked after a refusal is lower."""
         self.granted = 0.0
-        """Hz; 0: nothing was."""
+        """Hz; 0 if none was."""
         self.answer = ""
-        self._asking = 0.0
-        self.last_ns: int | None = None
-        self._is_anew = False
-        self._steps = 0
+        self._requested = 0.0
+        self._last_ns: int | None = None
+        self._is_restarting = False
+        self._intervals = 0
         self._active_ns = 0
 
-    def add(self, size: int, now_ns: int) -> None:
-        """Count one of so many bytes."""
+    def add(self, now_ns: int) -> None:
+        """Count one that came now."""
         self.count += 1
-        self.bytes += size
-        if self._is_anew:
-            self._steps = self._active_ns = 0
-            self.last_ns, self._is_anew = None, False
-        if self.last_ns is not None and 0 <= now_ns - self.last_ns <= PAUSE_NS:
-            self._steps += 1
-            self._active_ns += now_ns - self.last_ns
-        self.last_ns = now_ns
+        if self._is_restarting:
+            self._intervals = self._active_ns = 0
+            self._last_ns, self._is_restarting = None, False
+        if self._last_ns is not None and 0 <= now_ns - self._last_ns <= PAUSE_NS:
+            self._intervals += 1
+            self._active_ns += now_ns - self._last_ns
+        self._last_ns = now_ns
 
-    def ask(self, rate: float) -> None:
-        """Note that it is asked for, Hz."""
-        self._asking = rate
+    def request(self, rate: float) -> None:
+        """Note that a rate is asked for, Hz."""
+        self._requested = rate
         self.asked = max(self.asked, rate)
         self.answer = self.answer or "no answer"
 
-    def take_answer(self, answer: str) -> None:
-        """Note what was answered; the rate is measured anew."""
+    def receive_answer(self, answer: str) -> None:
+        """Note the answer; the rate is measured anew."""
         self.answer = answer
         if answer == ACCEPTED:
-            self.granted = self._asking
+            self.granted = self._requested
         self.restart()
 
     def restart(self) -> None:
-        """Measure the rate anew, if more comes: somebody has just set it."""
-        self._is_anew = True
+        """Measure the rate anew with the next one: somebody has just set it."""
+        self._is_restarting = True
 
     def rate(self, now_ns: int | None = None) -> float:
-        """Give the rate while it came, Hz; 0: it comes no more at the time given."""
-        if now_ns is not None and self.last_ns is not None and now_ns - self.last_ns > PAUSE_NS:
+        """Return the rate while it came, Hz; 0 if it no longer comes at ``now_ns``."""
+        if now_ns is not None and self._last_ns is not None and now_ns - self._last_ns > PAUSE_NS:
             return 0.0
-        return self._steps / (self._active_ns * 1e-9) if self._active_ns else 0.0
+        return self._intervals / (self._active_ns * 1e-9) if self._active_ns else 0.0
 
 
-class StampTally:
-    """What is strange about the stamps of one message."""
+class StampCounter:
+    """Counts what is wrong with the time stamps of one message."""
 
     def __init__(self, message: str) -> None:
         self.message = message
@@ -74,7 +72,7 @@ class StampTally:
         self._usual_us = 0.0
 
     def add(self, t_us: int) -> None:
-        """Take the next stamp, in the order of arrival."""
+        """Count the next stamp, in the order of arrival."""
         self._count += 1
         if t_us == 0:
             self._zero += 1
@@ -94,7 +92,7 @@ class StampTally:
             self._usual_us += 0.05 * (step - self._usual_us) if self._usual_us else step
 
     def state(self) -> Stamps:
-        """Give it frozen."""
+        """Return the counts."""
         return Stamps(
             message=self.message,
             count=self._count,

@@ -1,4 +1,4 @@
-"""Each fault, as the fake autopilot or the way between has it: which stage is named, and what."""
+"""Each fault of the fake autopilot or of the link: which stage fails, and what is reported."""
 
 import re
 from dataclasses import replace
@@ -11,7 +11,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfig, SigningConfig
 from ekf_companion.doctor.diagnosis import diagnose, first_failure
 from ekf_companion.doctor.evidence import Means, Opening
-from ekf_companion.doctor.finding import Mark
+from ekf_companion.doctor.stage import Outcome
 from ekf_companion.mavlink.audit import probable_cause
 from ekf_companion.mavlink.codec import Sender, pack
 from ekf_companion.mavlink.decode import Family
@@ -19,7 +19,7 @@ from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.signing import Signing
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import SimConfig, StreamConfig
-from tests.doctor.patients import (
+from tests.doctor.simulated import (
     ARDUPILOT_OURS,
     UDP,
     examine,
@@ -36,7 +36,7 @@ SLOW = Config(link=LinkConfig(imu_rate=100.0))
 
 
 def marks(evidence):
-    return {finding.stage.value: finding.mark.value for finding in diagnose(evidence)}
+    return {result.stage.value: result.outcome.value for result in diagnose(evidence)}
 
 
 def link(**options):
@@ -46,7 +46,7 @@ def link(**options):
 @pytest.mark.parametrize("kind", list(Kind))
 def test_where_nothing_is_wrong_nothing_is_found(kind):
     evidence = examine(kind=kind, config=SLOW)
-    assert [f for f in diagnose(evidence) if f.mark is not Mark.OK] == []
+    assert [f for f in diagnose(evidence) if f.outcome is not Outcome.OK] == []
     assert evidence.sent.frames == {(20, 12)}
     assert evidence.sent.rate == pytest.approx(30.0, rel=0.1)
     assert "; it would with" in stage(evidence, "fused").saw
@@ -72,7 +72,7 @@ def test_who_only_listens_sends_nothing_and_says_so():
 
 
 def others(system_id, component_id, **heartbeat):
-    """Give one who sends a heartbeat at each turn."""
+    """Return one who sends a heartbeat at each turn."""
     sender = Sender(system_id, component_id)
     return lambda t_ns: [sender.message("HEARTBEAT", **heartbeat)]
 
@@ -89,7 +89,7 @@ def test_a_ground_station_alone_is_no_autopilot():
 
 def test_frames_without_a_heartbeat_are_nobodys():
     found = stage(examine(change=without("HEARTBEAT"), seconds=2.0), "source")
-    assert found.mark is Mark.FAILED
+    assert found.outcome is Outcome.FAILED
     assert "AllowMsgIdOut" in words(found)
 
 
@@ -97,15 +97,15 @@ def test_several_autopilots_want_a_choice():
     """Rule 1."""
     second = others(2, 1, type=2, autopilot=3)
     found = stage(examine(config=SLOW, aside=second, seconds=3.0), "source")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "Set link.autopilot = 1" in words(found)
     chosen = examine(config=link(autopilot=1), aside=second, seconds=3.0)
-    assert stage(chosen, "source").mark is Mark.OK
+    assert stage(chosen, "source").outcome is Outcome.OK
 
 
 def test_an_autopilot_that_is_not_the_one_named_is_not_heard():
     found = stage(examine(config=link(autopilot=9), seconds=2.0), "source")
-    assert found.mark is Mark.FAILED
+    assert found.outcome is Outcome.FAILED
     assert "link.autopilot = 1" in words(found)
 
 
@@ -113,7 +113,7 @@ def test_another_with_our_ids_is_a_clash():
     """Rule 4."""
     twin = others(1, 194, type=18, autopilot=8)
     found = stage(examine(config=SLOW, aside=twin, seconds=3.0), "source")
-    assert found.mark is Mark.FAILED
+    assert found.outcome is Outcome.FAILED
     assert "link.component_id" in words(found)
 
 
@@ -138,13 +138,13 @@ NOON_NS = 1_800_000_000 * SECOND
 
 
 def signed(secret, ahead_s=0):
-    """Give a change that signs what the autopilot sends, by a clock so far ahead of ours."""
+    """Return a change that signs what the autopilot sends, by a clock so far ahead of ours."""
     clock, sender = count(NOON_NS + ahead_s * SECOND, SECOND // 100), Sender(1, 1, Signing(secret))
     return lambda name, fields: sender.frame(name, pack(name, **fields), next(clock))
 
 
 def from_later():
-    """Give a secret in use that has heard the autopilot an hour from now."""
+    """Return a secret in use that has heard the autopilot an hour from now."""
     frame = Sender(1, 1, Signing(SECRET)).frame("HEARTBEAT", pack("HEARTBEAT"), NOON_NS + HOUR)
     signing = Signing(SECRET)
     assert signing.verify(next(iter(Splitter().feed(frame))), NOON_NS) == ""
@@ -165,7 +165,7 @@ def test_signatures_that_are_not_believed_are_told_apart(ours, change, said):
     config = replace(SLOW, signing=SigningConfig(key_file="read by the command"))
     evidence = examine(config=config, signing=ours(), change=change, begin_ns=NOON_NS, seconds=2.0)
     found = stage(evidence, "source")
-    assert found.mark is Mark.FAILED
+    assert found.outcome is Outcome.FAILED
     assert said in words(found)
 
 
@@ -179,7 +179,7 @@ def test_an_autopilot_that_shares_the_secret_is_found_and_hears_signed_frames():
         begin_ns=NOON_NS,
         seconds=4.0,
     )
-    assert stage(evidence, "source").mark is Mark.OK
+    assert stage(evidence, "source").outcome is Outcome.OK
     assert evidence.frames.signed > 100
     assert evidence.messages["HIGHRES_IMU"].answer == "accepted"
 
@@ -187,7 +187,7 @@ def test_an_autopilot_that_shares_the_secret_is_found_and_hears_signed_frames():
 def test_who_hears_signed_frames_and_has_no_secret_is_told_that_ours_are_not_believed():
     """Rule 34."""
     found = stage(examine(config=SLOW, change=signed(SECRET), seconds=2.0), "source")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "Set signing.key_file" in words(found)
 
 
@@ -207,7 +207,7 @@ def test_no_inertial_message_ends_the_way():
     found = first_failure(diagnose(evidence))
     assert found.stage.value == "messages"
     assert "no inertial message" in found.saw
-    assert "answers none of our requests" in found.troubles[0].cause
+    assert "answers none of our requests" in found.problems[0].cause
 
 
 def test_no_gnss_message_is_named_before_the_estimate_that_lacks_it():
@@ -221,7 +221,7 @@ def test_no_gnss_message_is_named_before_the_estimate_that_lacks_it():
 def test_only_a_derived_position_is_a_warning():
     evidence = examine(config=SLOW, change=without("GPS_RAW_INT"), seconds=5.0)
     found = stage(evidence, "messages")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "no independent measurement" in words(found)
 
 
@@ -239,7 +239,7 @@ def at_4_hz(autopilot_rate=100):
 
 
 def by_the_daemon(evidence):
-    """Give the cause that the daemon would log of the same rates."""
+    """Return the cause that the daemon would log of the same rates."""
     measured = {name: state.rate for name, state in evidence.messages.items()}
     asked = {name: state.asked for name, state in evidence.messages.items()}
     return probable_cause(measured, asked, Family(evidence.peer.family))
@@ -250,13 +250,13 @@ def test_all_streams_at_4_hz_are_a_ground_stations():
     evidence = examine(kind=Kind.ARDUPILOT, config=SLOW, change=at_4_hz())
     found = stage(evidence, "rates")
     assert "a ground station sets" in by_the_daemon(evidence)
-    assert found.mark is Mark.FAILED
+    assert found.outcome is Outcome.FAILED
     assert "a ground station sets them" in words(found)
     assert "SERIALn_OPTIONS + 4096" in words(found)
 
 
 def of_personality(personality, seconds=8.0, **options):
-    """Give the evidence, and the rates' finding, of a real firmware's habits."""
+    """Return the evidence, and the rates' result, of a real firmware's habits."""
     evidence = examine(SimConfig(), personality=personality, seconds=seconds, **options)
     return evidence, stage(evidence, "rates")
 
@@ -266,16 +266,16 @@ def test_40_hz_is_the_most_of_a_loop_of_50(name):
     """Rule 6: it denies more, and what is asked for then is granted."""
     evidence, found = of_personality(f"{name}:loop_rate=50,SCHED_LOOP_RATE=50")
     assert "raise SCHED_LOOP_RATE" in by_the_daemon(evidence)
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "40 Hz of 250 asked" in found.saw
-    (trouble,) = found.troubles
+    (trouble,) = found.problems
     assert "0.8 of SCHED_LOOP_RATE = 50, the most" in trouble.cause
     assert trouble.remedy == "Set SCHED_LOOP_RATE = 350 (up to 400) and reboot."
 
 
 def test_a_loop_that_denies_what_was_asked_is_named_though_it_does_not_tell_its_rate():
     _, found = of_personality("ardupilot:loop_rate=80")
-    (trouble,) = found.troubles
+    (trouble,) = found.problems
     assert "50 Hz were granted, and 250 denied" in trouble.cause
     assert "SCHED_LOOP_RATE = 350" in trouble.remedy
 
@@ -283,8 +283,8 @@ def test_a_loop_that_denies_what_was_asked_is_named_though_it_does_not_tell_its_
 def test_a_ground_station_that_overrules_us_is_named_before_the_loop():
     """Rule 6: what it sets every ten seconds, we ask for anew, so that no mean shows it."""
     _, found = of_personality("ardupilot-old:loop_rate=50,gcs_rate=4", 18.0)
-    assert found.mark is Mark.WARNING
-    station, loop = found.troubles
+    assert found.outcome is Outcome.WARNING
+    station, loop = found.problems
     assert "then came at about 4.0 Hz alike: a ground station overrules us" in station.cause
     assert "SERIALn_OPTIONS + 4096" in station.remedy
     assert "0.8 of a SCHED_LOOP_RATE of 50" in loop.cause
@@ -293,7 +293,7 @@ def test_a_ground_station_that_overrules_us_is_named_before_the_loop():
 
 def test_a_ground_station_shows_by_what_it_slowed_though_the_rate_is_ours_again():
     _, found = of_personality("ardupilot-old:gcs_rate=4", 18.0)
-    (station,) = found.troubles
+    (station,) = found.problems
     assert "a ground station overrules us" in station.cause
 
 
@@ -303,8 +303,8 @@ def test_lost_frames_are_named_and_no_budget(personality):
     rng = np.random.default_rng(3)
     change = lambda *said: None if rng.random() < 0.22 else said  # noqa: E731
     _, found = of_personality(personality, change=change)
-    assert found.mark is Mark.WARNING
-    (trouble,) = found.troubles
+    assert found.outcome is Outcome.WARNING
+    (trouble,) = found.problems
     assert re.match(r"2[0-5]% of the autopilot's frames never arrive", trouble.cause)
     assert "BAUD" not in trouble.remedy
     assert "RTS" not in trouble.remedy
@@ -344,7 +344,7 @@ def test_a_whole_division_of_px4s_is_as_it_should_be():
     config = Config(link=LinkConfig(imu_rate=200.0))
     evidence = examine(sim, config=config, change=thinned(HIGHRES_IMU=2), seconds=4.0)
     found = stage(evidence, "rates")
-    assert found.mark is Mark.OK
+    assert found.outcome is Outcome.OK
     assert "125 Hz of 200 asked" in found.saw
     assert "PX4 divides its rate by whole numbers" in found.saw
 
@@ -358,7 +358,7 @@ def test_streams_scaled_by_one_factor_are_the_links_budget():
     evidence = examine(sim, config=config, change=scaled)
     assert "so the link is full; raise MAV_n_RATE" in by_the_daemon(evidence)
     found = stage(evidence, "rates")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "the link's budget is spent" in words(found)
     assert "MAV_0_RATE = 1200 now" in words(found)
 
@@ -374,7 +374,7 @@ def test_lost_frames_are_counted_by_their_numbers():
         config=SLOW, change=lambda *said: None if next(seen) % 12 == 0 else said, seconds=4.0
     )
     found = stage(evidence, "rates")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "8% of the autopilot's frames never arrive" in words(found)
 
 
@@ -415,14 +415,14 @@ def test_repeated_stamps_are_two_paths():
         return name, fields
 
     found = stage(examine(config=SLOW, change=change, seconds=3.0), "time")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "Let only one router endpoint lead here" in words(found)
 
 
 def test_an_unanswered_timesync_is_a_warning():
     evidence = examine(config=SLOW, change=without("TIMESYNC"))
     found = stage(evidence, "time")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "does not answer TIMESYNC" in words(found)
 
 
@@ -434,7 +434,7 @@ def test_a_field_a_million_times_too_large_is_named_and_used():
     million = with_fields("HIGHRES_IMU", **dict.fromkeys(("xmag", "ymag", "zmag"), _million))
     evidence = examine(kind=Kind.ARDUPILOT, config=SLOW, change=million)
     found = stage(evidence, "values")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "a million times too large" in words(found)
     assert marks(evidence)["estimate"] == "ok"
 
@@ -501,7 +501,7 @@ def test_a_receiver_that_hung_for_a_while_is_a_warning():
         return name, fields
 
     found = stage(examine(config=SLOW, change=change), "values")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "again and again, at the longest for 4 s" in words(found)
 
 
@@ -509,7 +509,7 @@ def test_a_fix_without_time_or_accuracy_is_a_warning():
     """Rule 13."""
     poor = with_fields("GPS_RAW_INT", time_usec=0, h_acc=0)
     found = stage(examine(config=SLOW, change=poor, seconds=5.0), "values")
-    assert found.mark is Mark.WARNING
+    assert found.outcome is Outcome.WARNING
     assert "hold no time" in words(found)
     assert "tells no accuracy" in words(found)
 
@@ -518,7 +518,7 @@ def test_stale_inertial_values_are_refused_by_their_bits():
     """Rule 8."""
     stale = with_fields("HIGHRES_IMU", fields_updated=0x1FC0)
     found = stage(examine(config=SLOW, change=stale, seconds=3.0), "values")
-    assert found.mark is Mark.FAILED
+    assert found.outcome is Outcome.FAILED
     assert "fields_updated" in words(found)
 
 
@@ -544,7 +544,7 @@ def test_no_odometry_goes_where_the_same_fixes_would_count_twice(kind):
     found = marks(evidence)
     assert (found["sent"], found["fused"]) == ("failed", "unknown")
     assert "together with" in words(stage(evidence, "sent"))
-    assert "Set EK" in stage(evidence, "sent").troubles[0].remedy
+    assert "Set EK" in stage(evidence, "sent").problems[0].remedy
     assert "output.odometry.independent = true" in words(stage(evidence, "sent"))
 
 
@@ -592,5 +592,5 @@ def test_a_refusal_spoken_aloud_is_heard():
         aside=lambda t_ns: [sender.message("STATUSTEXT", severity=2, text=text)],
     )
     found = stage(evidence, "fused")
-    assert found.mark is Mark.FAILED
+    assert found.outcome is Outcome.FAILED
     assert "output.odometry.estimator_type = auto" in words(found)

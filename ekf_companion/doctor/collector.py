@@ -1,17 +1,17 @@
-"""A companion at work, and everything that passes by it, counted. No socket and no clock."""
+"""Evidence collected from a companion at work, without a socket and without a clock."""
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Hashable
 from typing import Any
 
 from ekf_companion.config.config import Config
+from ekf_companion.doctor.counters import MessageCounter, StampCounter
 from ekf_companion.doctor.evidence import Evidence, Means, Opening, Sent
-from ekf_companion.doctor.overruling import Overruling
-from ekf_companion.doctor.parameters import Reader
-from ekf_companion.doctor.tally import StampTally, Tally
-from ekf_companion.doctor.told import Told
+from ekf_companion.doctor.parameters import ParameterReader
+from ekf_companion.doctor.rate_override import RateOverride
+from ekf_companion.doctor.reports import AutopilotReports
 from ekf_companion.doctor.traffic import Traffic
 from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink import encode
@@ -43,35 +43,36 @@ _STAMPS = {
     "SCALED_IMU2": (4, 1000),
     "SCALED_IMU3": (4, 1000),
 }
-"""Bytes of the stamp that an inertial message begins with, and its unit, us."""
+"""Size of the time stamp with which an inertial message begins, bytes, and its unit, us."""
 _PARAMETERS = 64
-"""More names of a recording's requests are not kept."""
+"""Names of parameters kept from the requests in a recording, at most."""
 _FRAMES = 8
-"""More pairs of frames in ODOMETRY are not told apart."""
+"""Pairs of reference frames of ODOMETRY kept, at most."""
 _EARLY = 4096
-"""Frames kept from before the first heartbeat, which comes once a second: whose they are shows
-then. A recording of a daemon that went on from a checkpoint has its answers there."""
+"""Frames kept from before the first heartbeat, which comes once a second and shows whose they are.
+A recording of a daemon that continued from a checkpoint has the answers to its requests there."""
 
 
-class Witness:
-    """Runs a companion, and sees what it does not keep."""
+class EvidenceCollector:
+    """Runs a companion, and counts what it does not keep."""
 
     def __init__(self, config: Config, means: Means, signing: Signing | None = None) -> None:
         self.companion = Companion(config, signing=signing)
-        self.reader = Reader()
+        self.parameters = ParameterReader()
         self._config = config
         self._means = means
-        self._splitter = Splitter()
+        self._frames: list[Frame] = []
+        self.companion.session.on_frame = self._frames.append
         self._traffic = Traffic()
-        self._told = Told()
-        self._tallies: dict[str, Tally] = {}
-        self._stamps: dict[str, StampTally] = {}
-        self._overruling = Overruling()
-        self._odometry = Tally()
+        self._reports = AutopilotReports()
+        self._counters: defaultdict[str, MessageCounter] = defaultdict(MessageCounter)
+        self._stamps: dict[str, StampCounter] = {}
+        self._override = RateOverride()
+        self._odometry = MessageCounter()
         self._odometry_frames: set[tuple[int, int]] = set()
-        self._found: tuple[int, int] | None = None
+        self._last_peer: tuple[int, int] | None = None
         self._early: deque[tuple[Frame, int]] = deque(maxlen=_EARLY)
-        self._asking = ""
+        self._requested = ""
         self._asked_parameters: set[str] = set()
         self._bytes = self._last_ns = 0
         self._first_ns: int | None = None
@@ -86,12 +87,12 @@ class Witness:
         return self.companion.session.decoder.family
 
     def _granted(self) -> dict[str, float]:
-        return {name: tally.granted for name, tally in self._tallies.items() if tally.granted}
+        return {name: one.granted for name, one in self._counters.items() if one.granted}
 
     # What goes in, and what comes out
 
     def receive(self, data: bytes, now_ns: int, sender: Hashable = None) -> None:
-        """Take bytes that were read at a time of ours, or that a recording holds.
+        """Process bytes that were read at ``now_ns``, or that a recording holds.
 
         ``sender`` tells apart who sends datagrams to one socket.
         """
@@ -100,84 +101,79 @@ class Witness:
         self._last_ns = now_ns
         self._bytes += len(data)
         self.companion.receive(data, now_ns, sender)
-        self._found = self.peer or self._found
-        for frame in self._splitter.feed(data, sender):
-            if frame.message_id == JUNK:
-                self._traffic.take_junk(frame.raw)
-            else:
-                self._traffic.take(frame)
+        self._last_peer = self.peer or self._last_peer
+        for frame in self._frames:
+            self._traffic.add(frame)
+            if frame.message_id != JUNK:
                 self._early.append((frame, now_ns))
-        if self._found is not None:
+        self._frames.clear()
+        if self._last_peer is not None:
             while self._early:
-                self._take(*self._early.popleft())
+                self._receive(*self._early.popleft())
 
     def tick(self, now_ns: int) -> None:
-        """Do what time brings: also ask for parameters that the guard does not read."""
+        """Run what is periodic, and ask for the parameters that the guard does not read."""
         self.companion.tick(now_ns)
         peer, session = self.peer, self.companion.session
         if peer is None or self._means is not Means.LIVE:
             return
-        self.reader.begin(self._family, is_deciding=not session.guard.is_reading)
-        payload = self.reader.request(*peer, now_ns)
+        self.parameters.begin(self._family, is_deciding=not session.guard.is_reading)
+        payload = self.parameters.request(*peer, now_ns)
         if payload is not None:
             session.send("PARAM_REQUEST_READ", payload, now_ns)
 
     def data_to_send(self, now_ns: int) -> list[bytes]:
-        """Give what is to be sent, one frame an item; nothing where we only listen."""
+        """Return the frames to send; none where we only listen."""
         waiting = self.companion.data_to_send()
         if self._means is not Means.LIVE:
             return []
         for frame in Splitter().feed(b"".join(waiting)):
-            self._take_ours(frame, now_ns)
+            self._count_ours(frame, now_ns)
         return waiting
 
     # What passes by
 
-    def _take(self, frame: Frame, now_ns: int) -> None:
-        sender = frame.system_id, frame.component_id
-        system_id = self._config.link.system_id or (self.peer or (1, 0))[0]
-        if self._means is not Means.LIVE and sender == (
-            system_id,
-            self._config.link.component_id,
-        ):
-            self._take_ours(frame, now_ns)
+    def _receive(self, frame: Frame, now_ns: int) -> None:
+        sender, link = (frame.system_id, frame.component_id), self._config.link
+        ours = link.system_id or (self.peer or (1, 0))[0], link.component_id
+        if self._means is not Means.LIVE and sender == ours:
+            self._count_ours(frame, now_ns)
         if sender != self.peer:
             return
         name = LAYOUTS[frame.message_id].name
-        self._tally(name).add(len(frame.raw), now_ns)
-        self._overruling.take(name, now_ns, self._granted)
-        self._told.take(name, frame, now_ns)
+        self._counters[name].add(now_ns)
+        self._override.add(name, now_ns, self._granted)
+        self._reports.receive(name, frame, now_ns)
         if name in _STAMPS:
             size, unit = _STAMPS[name]
             stamp = int.from_bytes(frame.payload[:size], "little")
-            self._stamps.setdefault(name, StampTally(name)).add(stamp * unit)
+            self._stamps.setdefault(name, StampCounter(name)).add(stamp * unit)
         elif name == "PARAM_VALUE":
             m = unpack(frame)
             if (value := value_of(m, frame, self._family)) is not None:
-                self.reader.take(_name(m), value, self._family)
+                self.parameters.receive(_name(m), value, self._family)
         elif name == "PARAM_ERROR":
             m = unpack(frame)
             if m.error == DOES_NOT_EXIST:
-                self.reader.take(_name(m), None, self._family)
+                self.parameters.receive(_name(m), None, self._family)
         elif name == "COMMAND_ACK":
             m = unpack(frame)
             if m.command == encode.SET_MESSAGE_INTERVAL and m.result != _IN_PROGRESS:
-                self._take_answer(m.result)
+                self._receive_answer(m.result)
 
-    def _tally(self, name: str) -> Tally:
-        return self._tallies.setdefault(name, Tally())
-
-    def _take_answer(self, result: int) -> None:
+    def _receive_answer(self, result: int) -> None:
         """Note the answer to the request that is under way: there is one at a time."""
-        if self._asking:
-            tally, self._asking = self._tally(self._asking), ""
-            tally.take_answer(_RESULTS[result] if result < len(_RESULTS) else f"result {result}")
-            self._overruling.restart()
+        if self._requested:
+            counter, self._requested = self._counters[self._requested], ""
+            counter.receive_answer(
+                _RESULTS[result] if result < len(_RESULTS) else f"result {result}"
+            )
+            self._override.restart()
 
-    def _take_ours(self, frame: Frame, now_ns: int) -> None:
-        """Count what we say: live as it leaves, in a recording as it stands there."""
+    def _count_ours(self, frame: Frame, now_ns: int) -> None:
+        """Count a frame of ours: live as it is sent, in a recording as it stands there."""
         if frame.message_id == _ODOMETRY:
-            self._odometry.add(len(frame.raw), now_ns)
+            self._odometry.add(now_ns)
             odometry = unpack(frame)
             if len(self._odometry_frames) < _FRAMES:
                 self._odometry_frames.add((odometry.frame_id, odometry.child_frame_id))
@@ -186,16 +182,16 @@ class Witness:
             layout = LAYOUTS.get(int(command.param1)) if 0.0 <= command.param1 < 2**24 else None
             if command.command != encode.SET_MESSAGE_INTERVAL or layout is None:
                 return
-            tally = self._tally(layout.name)
-            tally.ask(1e6 / command.param2 if command.param2 > 0.0 else 0.0)
-            self._overruling.restart()
-            if self._asking != layout.name:
-                self._asking = layout.name
-                tally.restart()
+            counter = self._counters[layout.name]
+            counter.request(1e6 / command.param2 if command.param2 > 0.0 else 0.0)
+            self._override.restart()
+            if self._requested != layout.name:
+                self._requested = layout.name
+                counter.restart()
         elif frame.message_id == _PARAM_REQUEST_READ and len(self._asked_parameters) < _PARAMETERS:
             self._asked_parameters.add(_name(unpack(frame)))
 
-    # What has been seen
+    # What was collected
 
     def evidence(
         self,
@@ -204,9 +200,9 @@ class Witness:
         link: LinkState | None = None,
         damaged: int = 0,
     ) -> Evidence:
-        """Give everything, frozen, at a time of ours."""
+        """Return everything at one moment."""
         companion, session, traffic = self.companion, self.companion.session, self._traffic
-        counters = session.counters()
+        counters, peer = session.counters(), self._last_peer
         span = max(self._last_ns - (self._first_ns or 0), 1) * 1e-9
         return Evidence(
             means=self._means,
@@ -221,55 +217,56 @@ class Witness:
             first_version=traffic.first_version,
             mismatched=dict(traffic.mismatched),
             sources=traffic.sources(),
-            peer=None if self._found is None else peer_state(companion, self._found, now_ns),
+            peer=peer and peer_state(companion, peer, now_ns),
             is_clash=session.clash.is_clash,
             messages=self._messages(now_ns),
             granted=self._granted(),
-            overruled=self._overruling.rate,
+            overridden=self._override.rate,
             bytes_rate=self._bytes / span,
             stream_requests=traffic.stream_requests,
             refused=with_prefix(counters, "refused: "),
             time=time_state(session.timesync, session.decoder, now_ns),
             stamps=self._stamps_in_use().state(),
-            receiver=self._told.receiver,
+            receiver=self._reports.receiver,
             estimator=None if companion.pipeline is None else companion.pipeline.health(),
             output=output_state(session, self._odometry.count, self._odometry.rate()),
-            parameters=self.reader.values,
+            parameters=self.parameters.values,
             asked_parameters=frozenset(self._asked_parameters),
-            taken=self._taken(),
+            decision=self._decision(),
             sent=Sent(
                 count=self._odometry.count,
                 rate=self._odometry.rate(),
                 frames=frozenset(self._odometry_frames),
             ),
-            feedback=self._told.feedback(),
+            feedback=self._reports.feedback(),
         )
 
     def _messages(self, now_ns: int) -> dict[str, MessageState]:
-        is_live, results = self._means is not Means.RECORDING, self.companion.session.results
+        is_live = self._means is not Means.RECORDING
+        answers = self.companion.session.results if self._means is Means.LIVE else {}
         return {
             name: MessageState(
-                count=tally.count,
-                rate=tally.rate(now_ns if is_live else None),
-                asked=tally.asked,
-                answer=(results.get(name, "") if self._means is Means.LIVE else "") or tally.answer,
+                count=counter.count,
+                rate=counter.rate(now_ns if is_live else None),
+                asked=counter.asked,
+                answer=answers.get(name) or counter.answer,
             )
-            for name, tally in self._tallies.items()
+            for name, counter in self._counters.items()
         }
 
-    def _stamps_in_use(self) -> StampTally:
+    def _stamps_in_use(self) -> StampCounter:
         source = self.companion.session.decoder.imu_source
         if source not in self._stamps and self._stamps:
-            source = max(self._stamps, key=lambda name: self._tally(name).count)
-        return self._stamps.get(source, StampTally(""))
+            source = max(self._stamps, key=lambda name: self._counters[name].count)
+        return self._stamps.get(source, StampCounter(""))
 
-    def _taken(self) -> Verdict:
-        """Give the guard's decision; where it asks nothing, the same one by what was told."""
+    def _decision(self) -> Verdict:
+        """Return the guard's decision, or the same one from the parameters that were read."""
         is_live, guard = self._means is Means.LIVE, self.companion.session.guard
         if is_live and guard.is_reading:
             return guard.verdict
-        is_complete = is_live and self.reader.is_done
-        return decide(self._family, self.reader.answers, is_complete=is_complete)
+        is_complete = is_live and self.parameters.is_done
+        return decide(self._family, self.parameters.answers, is_complete=is_complete)
 
 
 def _name(message: Any) -> str:

@@ -12,7 +12,7 @@ from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
 from tests.daemon.test_daemon import Daemon, free_port
 
-PATIENCE = 20.0
+PATIENCE = 60.0
 """For a loaded machine, s; nothing waits so long."""
 
 
@@ -62,11 +62,11 @@ def test_rule_30_a_parameter_that_was_set_counts_after_a_restart_and_the_file_st
         station.ask("PARAM_REQUEST_READ", 0.7, param_index=-1, **name)
         station.ask("PARAM_SET", 2.5, param_value=2.5, param_type=9, **name)
         station.close()
-        assert daemon.stop(signal.SIGTERM)[0] == 0
+        assert daemon.stop(signal.SIGTERM) == 0
     assert json.loads((tmp_path / "checkpoint.parameters").read_bytes()) == {"baro.std": 2.5}
     with Daemon(tmp_path, *options, config=config) as daemon:
         daemon.wait_for("baro.std is 2.5, as set over MAVLink")
         station = Station(port)
         station.ask("PARAM_REQUEST_READ", 2.5, param_index=-1, **name)
         station.close()
-        assert daemon.stop(signal.SIGTERM)[0] == 0
+        assert daemon.stop(signal.SIGTERM) == 0
