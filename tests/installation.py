@@ -105,7 +105,9 @@ def test_nothing_points_back_into_the_folder_that_stood_for_root(staged):
     program = staged.place / "bin" / "ekf-companion"
     assert f"{staged.prefix}/bin/python" in program.read_text()
     # Compiled for good: the service may not write there
-    assert list(staged.place.glob("lib/*/site-packages/ekf_companion/__pycache__/service.*.pyc"))
+    assert list(
+        staged.place.glob("lib/*/site-packages/ekf_companion/daemon/__pycache__/daemon.*.pyc")
+    )
 
 
 def test_moved_to_where_it_belongs_it_runs(staged):
