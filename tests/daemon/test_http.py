@@ -236,6 +236,22 @@ def test_a_filter_that_does_not_go_round_is_unavailable(watched):
     assert text.startswith("stalled: the filter's task has not gone round for 5.")
 
 
+def test_a_bug_in_a_page_is_logged_and_ends_nothing(watched, caplog):
+    snapshot, watched.observer.snapshot = watched.observer.snapshot, lambda board: 1 // 0
+
+    async def body():
+        async with serving(watched) as url:
+            await listening(url)
+            broken = await asyncio.to_thread(ask, url, "/status")
+            watched.observer.snapshot = snapshot
+            await asyncio.sleep(http.FRESH)
+            return broken, await asyncio.to_thread(ask, url, "/status")
+
+    broken, well = asyncio.run(body())
+    assert (broken[0], well[0]) == (500, 200)
+    assert "ZeroDivisionError" in caplog.text
+
+
 def test_many_who_ask_at_once_cost_the_loop_one_snapshot(watched):
     made = []
     snapshot = watched.observer.snapshot
