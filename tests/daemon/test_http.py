@@ -27,7 +27,7 @@ from tests.status.test_observer import Watched
 
 
 def ask(url, path="/", method="GET"):
-    """Give status, headers and body."""
+    """Return status, headers and body."""
     request = urllib.request.Request(url + path, method=method)
     try:
         with urllib.request.urlopen(request, timeout=LIMIT) as answer:
@@ -38,7 +38,7 @@ def ask(url, path="/", method="GET"):
 
 
 def scrape(url):
-    """Give value by name, without the prefix, and labels."""
+    """Return value by name, without the prefix, and labels."""
     _, _, text = ask(url, "/metrics")
     return {
         (sample.name.removeprefix(PREFIX), *sorted(sample.labels.items())): sample.value
@@ -52,7 +52,7 @@ def scrape(url):
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
-    """Give a daemon that has flown and still runs, and its address."""
+    """Return a daemon that has flown and still runs, and its address."""
     folder = tmp_path_factory.mktemp("served")
     port, http_port = free_port(), free_port(socket.SOCK_STREAM)
     config = f"http: {{port: {http_port}}}\noutput: {{odometry: {{mode: always}}}}\n"
