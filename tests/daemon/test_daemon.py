@@ -124,7 +124,7 @@ class Wire:
         return [frame for data in self.heard for frame in splitter.feed(data)]
 
     def _disturbed(self, frame):
-        """Return what comes of a frame: lost, doubled, damaged, cut in two, overtaken, or itself."""
+        """Return what becomes of a frame: lost, doubled, damaged, cut, overtaken, or itself."""
         held, self._held = self._held, []
         match int(self._rng.integers(0, 40)):
             case 0:
