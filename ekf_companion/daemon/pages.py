@@ -28,12 +28,10 @@ _log = logging.getLogger(__name__)
 PAUSE = 3e-4
 """Seconds of sleep after each small piece of an answer, about 50 us of work: the loop goes first.
 A shorter ``sys.setswitchinterval`` would do the loop harm: it cuts up the loop's work as well."""
-_LONGEST_LINE = 1 << 16
 _TEXT = "text/plain; charset=utf-8"
 _INDEX = (
     "/healthz  is it well: 200, or 503 and why\n/status   everything, JSON\n/metrics  Prometheus\n"
 )
-_METHODS = ("GET", "HEAD")
 _LOCK = threading.Lock()
 """Of many clients one at a time competes with the loop."""
 Answer = tuple[HTTPStatus, str, bytes]
@@ -56,36 +54,26 @@ class Handler(BaseHTTPRequestHandler):
         self._read = read
         super().__init__(client, address, None)  # type: ignore[arg-type]  # no server is asked
 
-    def handle(self) -> None:
-        """Refuse what is not a request, and answer what is."""
-        self.close_connection = True
-        self.raw_requestline = self.rfile.readline(_LONGEST_LINE + 1)
-        if len(self.raw_requestline) > _LONGEST_LINE:
-            self.requestline = self.request_version = self.command = ""
-            self.send_error(HTTPStatus.REQUEST_URI_TOO_LONG)
-        elif self.raw_requestline and self.parse_request():
-            try:
-                self._answer()
-            except OSError:
-                raise
-            except Exception:  # noqa: BLE001  # a bug here must not end a flight
-                _log.exception("http: %s", self.path)
-                self.send_error(HTTPStatus.INTERNAL_SERVER_ERROR)
+    def do_GET(self) -> None:
+        """Send the page, for HEAD without its body."""
+        try:
+            answer = self._page()
+        except Exception:  # noqa: BLE001  # a bug here must not end a flight
+            _log.exception("http: %s", self.path)
+            answer = HTTPStatus.INTERNAL_SERVER_ERROR, _TEXT, b"a bug; the log has its traceback\n"
+        self._send(*answer)
 
-    def _answer(self) -> None:
-        if self.command in _METHODS:
-            status, kind, body = self._page()
+    do_HEAD = do_GET  # noqa: N815
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Refuse what is not a request, and any other method."""
+        if code == HTTPStatus.NOT_IMPLEMENTED:
+            self._send(HTTPStatus.METHOD_NOT_ALLOWED, _TEXT, b"only GET and HEAD\n")
         else:
-            status, kind, body = HTTPStatus.METHOD_NOT_ALLOWED, _TEXT, b"only GET and HEAD\n"
-        self.send_response(status)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("Cache-Control", "no-store")
-        if self.command not in _METHODS:
-            self.send_header("Allow", ", ".join(_METHODS))
-        self.end_headers()
-        if self.command != "HEAD":
-            self.wfile.write(body)
+            super().send_error(code, message, explain)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Log nothing: a request is not news."""
 
     def _page(self) -> Answer:
         path = unquote(self.path.partition("?")[0])
@@ -99,8 +87,16 @@ class Handler(BaseHTTPRequestHandler):
         with _LOCK:
             return page(snapshot, self.headers.get("Accept", ""))
 
-    def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing: a request is not news."""
+    def _send(self, status: HTTPStatus, kind: str, body: bytes) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Cache-Control", "no-store")
+        if status is HTTPStatus.METHOD_NOT_ALLOWED:
+            self.send_header("Allow", "GET, HEAD")
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(body)
 
 
 def _healthz(snapshot: Snapshot, _: str) -> Answer:

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from ekf_companion.doctor.evidence import Evidence, Means
-from ekf_companion.doctor.stage import (
-    Problem,
-    Stage,
-    StageResult,
-    failed,
-    judged,
-    unknown,
-    warning,
-)
+from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.mavlink.session import MISADDRESSED
 
@@ -26,7 +20,7 @@ _FIXES = ("no receiver", "no fix", "2-D fix", "3-D fix", "DGPS fix", "RTK float"
 
 def time(evidence: Evidence) -> StageResult:
     """Judge time stamps and clocks."""
-    state, stamps = evidence.time, evidence.stamps
+    state = evidence.time
     if state.base == "unknown":
         return unknown(Stage.TIME, "nothing that has a time has come")
     saw = f"since {'boot' if state.base == 'boot' else '1970'}"
@@ -34,35 +28,27 @@ def time(evidence: Evidence) -> StageResult:
         saw += f", synchronised to {state.rtt_p95_ms:.1f} ms, {state.skew_ppm:+.0f} ppm"
     elif state.answers:
         saw += f", {state.answers} answers to TIMESYNC"
-    reboots = evidence.peer.reboots if evidence.peer else 0
-    stray = evidence.refused.get("GPS_RAW_INT: stamp far from the inertial samples", 0)
-    return judged(
-        Stage.TIME,
-        saw,
-        [
-            failed(
-                f"{stamps.message} holds no time: {stamps.zero} of {stamps.count} stamps are 0.",
-                "Update the autopilot's firmware; until then use another inertial message.",
-            )
-            if stamps.zero > 0.5 * max(stamps.count, 1)
-            else None,
-            _unrelated(evidence),
-            failed(
-                f"GPS_RAW_INT is stamped more than 30 s away from {stamps.message}.",
-                "Stream SYSTEM_TIME, which relates both clocks: ArduPilot SRn_EXTRA3 = 2.",
-            )
-            if stray > 2
-            else None,
-            warning(
-                f"The autopilot's clock began anew: it rebooted (restarts: {reboots}).",
-                "Look at its power.",
-            )
-            if reboots
-            else None,
-            *_stamps(evidence),
-            *_timesync(evidence),
-        ],
-    )
+    return judged(Stage.TIME, saw, [*_clocks(evidence), *_stamps(evidence), *_timesync(evidence)])
+
+
+def _clocks(evidence: Evidence) -> Iterator[Problem | None]:
+    stamps = evidence.stamps
+    if stamps.zero > 0.5 * max(stamps.count, 1):
+        yield failed(
+            f"{stamps.message} holds no time: {stamps.zero} of {stamps.count} stamps are 0.",
+            "Update the autopilot's firmware; until then use another inertial message.",
+        )
+    yield _unrelated(evidence)
+    if evidence.refused.get("GPS_RAW_INT: stamp far from the inertial samples", 0) > 2:
+        yield failed(
+            f"GPS_RAW_INT is stamped more than 30 s away from {stamps.message}.",
+            "Stream SYSTEM_TIME, which relates both clocks: ArduPilot SRn_EXTRA3 = 2.",
+        )
+    if evidence.peer is not None and evidence.peer.reboots:
+        yield warning(
+            f"The autopilot's clock began anew: it rebooted (restarts: {evidence.peer.reboots}).",
+            "Look at its power.",
+        )
 
 
 def _unrelated(evidence: Evidence) -> Problem | None:
@@ -81,59 +67,50 @@ def _unrelated(evidence: Evidence) -> Problem | None:
     )
 
 
-def _stamps(evidence: Evidence) -> list[Problem | None]:
+def _stamps(evidence: Evidence) -> Iterator[Problem]:
     stamps = evidence.stamps
     count = max(stamps.count, 1)
-    return [
-        warning(
+    if stamps.repeated > _MANY * count:
+        yield warning(
             f"{stamps.repeated} of {stamps.count} stamps of {stamps.message} repeat the one "
             "before: two paths bring the same frames, or it is sent faster than it is measured.",
             "Let only one router endpoint lead here, or lower link.imu_rate to the sensor's rate.",
         )
-        if stamps.repeated > _MANY * count
-        else None,
-        warning(
+    if stamps.backward > 0.01 * count:
+        yield warning(
             f"{stamps.backward} of {stamps.count} stamps of {stamps.message} go back.",
             "Let only one path lead here; over UDP and radio take a link that keeps the order.",
         )
-        if stamps.backward > 0.01 * count
-        else None,
-        warning(
+    if stamps.is_whole_ms and stamps.message.startswith("SCALED"):
+        yield warning(
             f"{stamps.message} is stamped in whole milliseconds: at high rates its steps are "
             "uneven.",
             "Take HIGHRES_IMU: ArduPilot 4.6 or newer on a board of more than 1 MB has it.",
         )
-        if stamps.is_whole_ms and stamps.message.startswith("SCALED")
-        else None,
-    ]
 
 
-def _timesync(evidence: Evidence) -> list[Problem | None]:
+def _timesync(evidence: Evidence) -> Iterator[Problem]:
     state, wanted = evidence.time, evidence.config.timesync
     if evidence.means is not Means.LIVE or not wanted.request or evidence.seconds < 6.0:
-        return []
+        return
     slow = state.refused.get("slow", 0)
-    return [
-        warning(
+    if not state.is_locked and slow:
+        yield warning(
             f"TIMESYNC takes too long: {state.rtt_p50_ms:.0f} ms there and back.",
             f"Set timesync.largest_rtt = {max(state.rtt_p50_ms * 2e-3, 0.02):.2g}, or take a "
             "faster link than a radio.",
         )
-        if not state.is_locked and slow
-        else warning(
+    elif not state.is_locked and not state.answers:
+        yield warning(
             "The autopilot does not answer TIMESYNC; the estimate goes by its stamps and needs "
             "none, PX4 does to place our ODOMETRY in time.",
             "Let TIMESYNC (id 111) pass the router both ways.",
         )
-        if not state.is_locked and not state.answers
-        else None,
-        warning(
+    if abs(state.skew_ppm) > _TOO_MUCH_SKEW:
+        yield warning(
             f"The autopilot's clock runs {state.skew_ppm:+.0f} ppm against ours.",
             "Stop what steps this board's clock; a crystal has less than 100 ppm.",
         )
-        if abs(state.skew_ppm) > _TOO_MUCH_SKEW
-        else None,
-    ]
 
 
 def values(evidence: Evidence) -> StageResult:
@@ -158,104 +135,88 @@ def values(evidence: Evidence) -> StageResult:
     return judged(Stage.VALUES, saw, [*_inertial(evidence), *_magnetic(evidence), *_gnss(evidence)])
 
 
-def _inertial(evidence: Evidence) -> list[Problem | None]:
+def _inertial(evidence: Evidence) -> Iterator[Problem]:
     stale = evidence.refused.get("HIGHRES_IMU: accel or gyro not updated", 0)
     empty = evidence.refused.get("SCALED_IMU: no sensor behind it", 0)
     other = evidence.refused.get("HIGHRES_IMU: another instance", 0)
     count = max(evidence.stamps.count, 1)
-    return [
-        failed(
+    if stale > 0.5 * count:
+        yield failed(
             f"{stale} of {count} HIGHRES_IMU say that accelerometer or gyro are not updated "
             "(fields_updated).",
             "Look at the autopilot's sensors (PX4: `sensors status`), or lower link.imu_rate to "
             "their rate.",
         )
-        if stale > 0.5 * count
-        else None,
-        failed(
+    if empty > 0.5 * count and evidence.stamps.message.startswith("SCALED"):
+        yield failed(
             f"{evidence.stamps.message} comes with zeros: there is no sensor behind it.",
             "Let the autopilot send RAW_IMU or HIGHRES_IMU: SRn_RAW_SENS = 50.",
         )
-        if empty > 0.5 * count and evidence.stamps.message.startswith("SCALED")
-        else None,
-        failed(
+    if other > 0.5 * count:
+        yield failed(
             "HIGHRES_IMU comes of another sensor than the first.",
             "Make the first inertial sensor the primary one.",
         )
-        if other > 0.5 * count
-        else None,
-    ]
 
 
-def _magnetic(evidence: Evidence) -> list[Problem | None]:
+def _magnetic(evidence: Evidence) -> Iterator[Problem]:
     million = evidence.refused.get("mag: unit corrected by 1e6", 0)
     wrong = evidence.refused.get("mag: no field of the Earth", 0)
     heading = evidence.estimator.verdicts[Aid.HEADING] if evidence.estimator else {}
     disturbed = heading.get(Verdict.DISTURBED, 0)
     fused = heading.get(Verdict.FUSED, 0) + heading.get(Verdict.SOFT, 0)
-    return [
-        warning(
+    if million:
+        yield warning(
             "The magnetometer of HIGHRES_IMU comes a million times too large (ArduPilot before "
             "its fix #32286); it is divided here, and nothing is lost.",
             "Update ArduPilot when you can.",
         )
-        if million
-        else None,
-        warning(
+    if wrong > 10:
+        yield warning(
             f"{wrong} magnetic fields are weaker or stronger than the Earth's: motors, steel, or "
             "an uncalibrated magnetometer.",
             "Calibrate the magnetometer in the autopilot; `ekf-companion calibrate mag LOG` "
             "measures heading.hard_iron.",
         )
-        if wrong > 10
-        else None,
-        warning(
+    if disturbed > 10 and disturbed > 0.2 * (disturbed + fused):
+        yield warning(
             f"{disturbed} magnetic fields do not fit the Earth's at this place, and were not used.",
             "Calibrate: `ekf-companion calibrate mag LOG` measures heading.hard_iron and "
             "heading.soft_iron; or heading.source = autopilot.",
         )
-        if disturbed > 10 and disturbed > 0.2 * (disturbed + fused)
-        else None,
-    ]
 
 
-def _gnss(evidence: Evidence) -> list[Problem | None]:
+def _gnss(evidence: Evidence) -> Iterator[Problem | None]:
     refused, receiver = evidence.refused, evidence.receiver
     count = max(receiver.messages, 1)
     none = refused.get("GPS_RAW_INT: no 3-D fix", 0) + refused.get("GPS_RAW_INT: no position", 0)
     satellites = f" ({receiver.satellites} satellites)" if receiver.satellites < 255 else ""
     is_without = receiver.messages > 0 and receiver.fix_type < 3
-    return [
-        failed(
+    if is_without:
+        yield failed(
             f"The receiver has no 3-D fix{satellites}.",
             "Give its antenna a free view of the sky, away from cables and cameras; after a cold "
             "start wait a minute.",
         )
-        if is_without
-        else warning(
+    elif none > _MANY * count:
+        yield warning(
             f"{none} of {receiver.messages} GPS_RAW_INT had no 3-D fix.",
             "If that was in flight: look at the antenna and at what disturbs it.",
         )
-        if none > _MANY * count
-        else None,
-        _still(evidence),
-        warning(
+    yield _still(evidence)
+    if receiver.without_time > _MANY * count and receiver.fix_type >= 3:
+        yield warning(
             f"{receiver.without_time} GPS_RAW_INT hold no time; the newest inertial stamp stands "
             "in, which may be 0.1 s off.",
             "Set the receiver to send UTC (UBX-NAV-PVT), or wait until it knows the time.",
         )
-        if receiver.without_time > _MANY * count and receiver.fix_type >= 3
-        else None,
-        warning(
+    is_first_version = evidence.first_version >= 0.99 * evidence.frames.frames
+    if receiver.fix_type >= 3 and not receiver.has_accuracy and not is_first_version:
+        yield warning(
             "The receiver tells no accuracy (h_acc is 0): it is guessed from the dilution.",
             "Let the autopilot read the receiver in a protocol that has it (u-blox UBX), and let "
             "no router turn MAVLink 2 into 1.",
         )
-        if receiver.fix_type >= 3
-        and not receiver.has_accuracy
-        and evidence.first_version < 0.99 * evidence.frames.frames
-        else None,
-    ]
 
 
 def _still(evidence: Evidence) -> Problem | None:

@@ -5,15 +5,7 @@ from __future__ import annotations
 import math
 
 from ekf_companion.doctor.evidence import Evidence
-from ekf_companion.doctor.stage import (
-    Problem,
-    Stage,
-    StageResult,
-    failed,
-    judged,
-    unknown,
-    warning,
-)
+from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
 from ekf_companion.engine.health import Aid, Health, Verdict
 from ekf_companion.nav.state import Status
 

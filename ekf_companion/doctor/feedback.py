@@ -8,15 +8,7 @@ from __future__ import annotations
 import math
 
 from ekf_companion.doctor.evidence import Evidence, Means
-from ekf_companion.doctor.stage import (
-    Problem,
-    Stage,
-    StageResult,
-    failed,
-    judged,
-    unknown,
-    warning,
-)
+from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
 from ekf_companion.engine.pipeline import QUALITY
 from ekf_companion.mavlink.encode import Frame
 from ekf_companion.nav.state import Status

@@ -5,15 +5,7 @@ from __future__ import annotations
 import errno
 
 from ekf_companion.doctor.evidence import Evidence, Opening
-from ekf_companion.doctor.stage import (
-    Problem,
-    Stage,
-    StageResult,
-    failed,
-    judged,
-    unknown,
-    warning,
-)
+from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
 
 _BAUD = 921600
 

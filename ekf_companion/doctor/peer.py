@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from ekf_companion.doctor.evidence import Evidence, Means, Source
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, warning
 from ekf_companion.mavlink import admission, signing
 from ekf_companion.mavlink.audit import INERTIAL
+from ekf_companion.status.snapshot import PeerState
 
 _GROUND_STATION = 6
 _KINDS = {3: "ArduPilot", 12: "PX4"}
@@ -20,39 +23,35 @@ def source(evidence: Evidence) -> StageResult:
         for source in evidence.sources
         if source.heartbeats
     )
-    link = evidence.config.link
-    rivals = {pilot.system_id for pilot in pilots if _is_let_in(evidence, pilot)}
     if evidence.peer is None:
-        problem = _nobody(evidence, pilots)
-        return judged(Stage.SOURCE, saw or f"no heartbeat in {evidence.seconds:.0f} s", [problem])
-    ours = (link.system_id or evidence.peer.system_id, link.component_id)
-    return judged(
-        Stage.SOURCE,
-        saw,
-        [
-            _mute(evidence, pilots),
-            failed(
-                "The autopilot's heartbeat has stopped.",
-                "Look at its power and the wire; it sends one a second.",
-            )
-            if not evidence.peer.is_heard
-            else None,
-            failed(
-                f"Somebody else on this link has our ids, {ours[0]}/{ours[1]}: the daemon itself, "
-                "or another program.",
-                "Stop the other, or set link.component_id to a free one, 191 to 194.",
-            )
-            if evidence.is_clash and evidence.means is Means.LIVE
-            else None,
-            warning(
-                f"Several autopilots speak here; the first that was heard, "
-                f"{evidence.peer.system_id}, is listened to.",
-                f"Set link.autopilot = {evidence.peer.system_id}, or that of the right one.",
-            )
-            if link.autopilot is None and len(rivals) > 1
-            else None,
-        ],
-    )
+        saw = saw or f"no heartbeat in {evidence.seconds:.0f} s"
+        return judged(Stage.SOURCE, saw, [_nobody(evidence, pilots)])
+    return judged(Stage.SOURCE, saw, _disturbances(evidence, evidence.peer, pilots))
+
+
+def _disturbances(
+    evidence: Evidence, peer: PeerState, pilots: list[Source]
+) -> Iterator[Problem | None]:
+    link = evidence.config.link
+    yield _mute(evidence, pilots)
+    if not peer.is_heard:
+        yield failed(
+            "The autopilot's heartbeat has stopped.",
+            "Look at its power and the wire; it sends one a second.",
+        )
+    if evidence.is_clash and evidence.means is Means.LIVE:
+        yield failed(
+            f"Somebody else on this link has our ids, {link.system_id or peer.system_id}/"
+            f"{link.component_id}: the daemon itself, or another program.",
+            "Stop the other, or set link.component_id to a free one, 191 to 194.",
+        )
+    rivals = {pilot.system_id for pilot in pilots if _is_let_in(evidence, pilot)}
+    if link.autopilot is None and len(rivals) > 1:
+        yield warning(
+            f"Several autopilots speak here; the first that was heard, {peer.system_id}, is "
+            "listened to.",
+            f"Set link.autopilot = {peer.system_id}, or that of the right one.",
+        )
 
 
 def _describe(source: Source) -> str:
@@ -180,28 +179,27 @@ def messages(evidence: Evidence) -> StageResult:
     saw = ", ".join(needed)
     if refused:
         saw += "; refused: " + ", ".join(f"{name} ({why})" for name, why in refused.items())
-    is_one_way = bool(asked) and len(silent) == len(asked)
-    return judged(
-        Stage.MESSAGES,
-        saw,
-        [
-            _one_way(evidence) if is_one_way else None,
-            None if inertial else _no_inertial(evidence, refused),
-            None if "GPS_RAW_INT" in come else _no_gnss(evidence, come),
-            None
-            if come & {*NORTH, "HIGHRES_IMU", "RAW_IMU"}
-            else warning(
-                "No message tells where north is.",
-                "PX4: MAV_n_MODE = 2 (Onboard) has ATTITUDE. ArduPilot: SRn_EXTRA1 = 10.",
-            ),
-            None
-            if come & {"HIGHRES_IMU", "SCALED_PRESSURE"}
-            else warning(
-                "No message tells the pressure, so the height rests on GNSS alone.",
-                "ArduPilot: SRn_RAW_SENS = 10. PX4: MAV_n_MODE = 2 (Onboard).",
-            ),
-        ],
-    )
+    problems = list(_missing(evidence, come, refused))
+    if asked and len(silent) == len(asked):
+        problems.insert(0, _one_way(evidence))
+    return judged(Stage.MESSAGES, saw, problems)
+
+
+def _missing(evidence: Evidence, come: set[str], refused: dict[str, str]) -> Iterator[Problem]:
+    if not come & {*INERTIAL}:
+        yield _no_inertial(evidence, refused)
+    if "GPS_RAW_INT" not in come:
+        yield _no_gnss(evidence, come)
+    if not come & {*NORTH, "HIGHRES_IMU", "RAW_IMU"}:
+        yield warning(
+            "No message tells where north is.",
+            "PX4: MAV_n_MODE = 2 (Onboard) has ATTITUDE. ArduPilot: SRn_EXTRA1 = 10.",
+        )
+    if not come & {"HIGHRES_IMU", "SCALED_PRESSURE"}:
+        yield warning(
+            "No message tells the pressure, so the height rests on GNSS alone.",
+            "ArduPilot: SRn_RAW_SENS = 10. PX4: MAV_n_MODE = 2 (Onboard).",
+        )
 
 
 def _one_way(evidence: Evidence) -> Problem:

@@ -17,15 +17,7 @@ from ekf_companion.doctor.slowness import (
     more,
     promised,
 )
-from ekf_companion.doctor.stage import (
-    Problem,
-    Stage,
-    StageResult,
-    failed,
-    judged,
-    unknown,
-    warning,
-)
+from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
 from ekf_companion.engine.announcer import DECIMATED
 from ekf_companion.status.snapshot import MessageState
 

@@ -124,7 +124,7 @@ class Wire:
         return [frame for data in self.heard for frame in splitter.feed(data)]
 
     def _disturbed(self, frame):
-        """Give what comes of a frame: lost, doubled, damaged, cut in two, overtaken, or itself."""
+        """Return what becomes of a frame: lost, doubled, damaged, cut, overtaken, or itself."""
         held, self._held = self._held, []
         match int(self._rng.integers(0, 40)):
             case 0:
@@ -231,7 +231,7 @@ class Record:
         self.damaged = log.damaged
 
     def of(self, name, component=US):
-        """Give stamp (us) and message of each frame of a kind."""
+        """Return stamp (us) and message of each frame of a kind."""
         return [
             (stamp, unpack(frame))
             for stamp, frame in zip(self.stamps, self.frames, strict=True)
@@ -239,7 +239,7 @@ class Record:
         ]
 
     def payloads(self, name):
-        """Give what we sent of a kind, as bytes, zeros at the end restored."""
+        """Return what we sent of a kind, as bytes, zeros at the end restored."""
         size = LAYOUTS[IDS[name]].size
         return [
             frame.payload.ljust(size, b"\0")
@@ -314,7 +314,7 @@ def flown(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def reboot(flown):
-    """Give the stamp (us) of the first frame of the second flight."""
+    """Return the stamp (us) of the first frame of the second flight."""
     theirs = [k for k, raw in enumerate(flown.record.raw) if raw[6] == 1]
     return flown.record.stamps[theirs[len(flown.clean.sent)]]
 

@@ -225,7 +225,7 @@ def test_sigterm_ends_it_within_two_seconds_while_the_disk_hangs(tmp_path, hung)
 
 @pytest.fixture(scope="module")
 def rotated(tmp_path_factory):
-    """Give a flight as one file, and as our recorder keeps it in several."""
+    """Return a flight as one file, and as our recorder keeps it in several."""
     folder = tmp_path_factory.mktemp("rotated")
     options = ("--scenario", "figure-eight", "--duration", "20", "--imu-rate", "100")
     flight = folder / "flight.tlog"

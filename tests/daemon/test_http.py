@@ -27,7 +27,7 @@ from tests.status.test_observer import Watched
 
 
 def ask(url, path="/", method="GET"):
-    """Give status, headers and body."""
+    """Return status, headers and body."""
     request = urllib.request.Request(url + path, method=method)
     try:
         with urllib.request.urlopen(request, timeout=LIMIT) as answer:
@@ -38,7 +38,7 @@ def ask(url, path="/", method="GET"):
 
 
 def scrape(url):
-    """Give value by name, without the prefix, and labels."""
+    """Return value by name, without the prefix, and labels."""
     _, _, text = ask(url, "/metrics")
     return {
         (sample.name.removeprefix(PREFIX), *sorted(sample.labels.items())): sample.value
@@ -52,7 +52,7 @@ def scrape(url):
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
-    """Give a daemon that has flown and still runs, and its address."""
+    """Return a daemon that has flown and still runs, and its address."""
     folder = tmp_path_factory.mktemp("served")
     port, http_port = free_port(), free_port(socket.SOCK_STREAM)
     config = f"http: {{port: {http_port}}}\noutput: {{odometry: {{mode: always}}}}\n"
@@ -234,6 +234,22 @@ def test_a_filter_that_does_not_go_round_is_unavailable(watched):
     code, _, text = asyncio.run(body())
     assert code == 503
     assert text.startswith("stalled: the filter's task has not run for 5.")
+
+
+def test_a_bug_in_a_page_is_logged_and_ends_nothing(watched, caplog):
+    snapshot, watched.observer.snapshot = watched.observer.snapshot, lambda board: 1 // 0
+
+    async def body():
+        async with serving(watched) as url:
+            await listening(url)
+            broken = await asyncio.to_thread(ask, url, "/status")
+            watched.observer.snapshot = snapshot
+            await asyncio.sleep(http.FRESH)
+            return broken, await asyncio.to_thread(ask, url, "/status")
+
+    broken, well = asyncio.run(body())
+    assert (broken[0], well[0]) == (500, 200)
+    assert "ZeroDivisionError" in caplog.text
 
 
 def test_many_who_ask_at_once_cost_the_loop_one_snapshot(watched):

@@ -34,7 +34,7 @@ class Journal:
         self._socket.close()
 
     def entry(self):
-        """Give the fields of the next entry."""
+        """Return the fields of the next entry."""
         data, descriptors, _, _ = socket.recv_fds(self._socket, 1 << 20, 1)
         for descriptor in descriptors:
             with os.fdopen(descriptor, "rb") as file:

@@ -150,7 +150,7 @@ def free_port(kind=socket.SOCK_DGRAM):
 
 
 def ends(tmp_path, kind):
-    """Give the URL of our end, and the other end."""
+    """Return the URL of our end, and the other end."""
     if kind == "serial":
         return f"serial:{tmp_path}/ttyFC:57600", Tty(tmp_path / "ttyFC")
     port = free_port(socket.SOCK_DGRAM if kind == "udpin" else socket.SOCK_STREAM)

@@ -40,7 +40,7 @@ class Ear:
         return received
 
     def runs(self):
-        """Give times and message ids of each run of the daemon: each counts its frames from 0."""
+        """Return times and message ids of each run of the daemon: each counts its frames from 0."""
         runs = []
         for heard, data in self.heard:
             for frame in Splitter().feed(data):

@@ -128,7 +128,7 @@ def reloaded(tmp_path_factory):
 
 
 def command(*words):
-    """Give exit code and words of a command."""
+    """Return exit code and words of a command."""
     done = subprocess.run(
         [sys.executable, "-m", "ekf_companion", *words], capture_output=True, text=True
     )

@@ -49,7 +49,7 @@ def write(ours, stamped):
 
 
 def names(folder):
-    """Give the files that a user sees."""
+    """Return the files that a user sees."""
     return sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
 
 
@@ -157,7 +157,7 @@ def test_beyond_the_total_the_oldest_of_ours_go_and_no_foreign_file(tmp_path):
 
 
 def record_run(path, count=1, total=0.1):
-    """Give the name of the first file of a run that begins several."""
+    """Return the name of the first file of a run that begins several."""
     ours = open_recorder(settings(path, file=0.01, total=total))
     wait_until(lambda: ours._file is not None)
     first = ours.path.name

@@ -161,7 +161,7 @@ def test_what_is_told_of_the_refused_is_a_copy_and_no_counter_that_goes_on():
 
 @contextlib.asynccontextmanager
 async def heard_by(peer="", **options):
-    """Give a running link, and what makes a socket that sends to it."""
+    """Return a running link, and what makes a socket that sends to it."""
     with contextlib.ExitStack() as stack:
 
         def sender(host="127.0.0.1"):
