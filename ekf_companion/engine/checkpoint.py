@@ -199,15 +199,10 @@ def foreign(theirs: Vehicle, ours: Vehicle) -> Refusal:
 
 def layout_fingerprint() -> bytes:
     """Return 8 bytes that change with any field or number of the filter's memory."""
-    declared = f"{pxd(enums)}{pxd(declared_state)}{ROW}".encode()
-    own = hashlib.sha256(declared).digest()[:8]
-    return _SAME_LAYOUT.get(own, own)
+    declared = f"{pxd(enums)}{pxd(declared_state)}{ROW}"
+    return hashlib.sha256(declared.encode()).digest()[:8]
 
 
-_SAME_LAYOUT: dict[bytes, bytes] = {
-    bytes.fromhex("988862457e2a4d76"): bytes.fromhex("5df1410b78c92450")
-}
-"""Fingerprints of layouts that differ in names only from one that has been written before."""
 LAYOUT = layout_fingerprint()
 
 
