@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.daemon import SO_TIMESTAMPNS
+from benchmarks.speed.daemon import SO_TIMESTAMPNS
 from ekf_companion.cli.status import fetch
 from ekf_companion.config.config import load_config
 from ekf_companion.engine.pipeline import QUALITY
