@@ -84,7 +84,7 @@ class PreallocatedWitness(Witness):
     def sent(self, now_ns: int) -> None:
         """Keep nothing."""
 
-    def hear(self, message: Received) -> None:
+    def receive(self, message: Received) -> None:
         """Keep what the errors are computed from."""
         fields = message.fields
         if message.name == "GPS_GLOBAL_ORIGIN":

@@ -155,7 +155,7 @@ def fly_over(url, flight, kind, seed=None):
 
     async def body(link):
         wire = Wire(link, seed)
-        await fly(flight, wire, kind=kind, speed=SPEED, wait=10.0)
+        await fly(flight, wire, personality=kind, speed=SPEED, wait=10.0)
         return wire
 
     return run(over(url, body))

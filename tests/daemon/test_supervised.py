@@ -33,7 +33,7 @@ class Pilot:
 
         async def body(link):
             self.wire = Wire(link)
-            await fly(flight, self.wire, kind=Kind.PX4, wait=20.0)
+            await fly(flight, self.wire, personality=Kind.PX4, wait=20.0)
 
         self._thread = threading.Thread(target=lambda: run(over(f"udpin:127.0.0.1:{port}", body)))
         self._thread.start()

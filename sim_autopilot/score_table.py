@@ -1,4 +1,4 @@
-"""A score laid out for people."""
+"""A score as a table and sentences."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ TITLES = {
     "pitch_deg": "pitch, deg",
     "yaw_deg": "yaw, deg",
 }
-"""Errors of a score, in words."""
+"""Of the errors of a score."""
 
 
 def table(score: dict[str, Any], limits: Mapping[str, float]) -> Table:
-    """Lay the errors out, each beside its limit where there is one."""
+    """Return the errors as a table, each beside its limit if it has one."""
     sheet = Table(pad_edge=False, box=None, header_style="bold")
     sheet.add_column("error")
     for title in ("RMS", "95 %", "max", "limit (RMS)"):
@@ -40,7 +40,7 @@ def table(score: dict[str, Any], limits: Mapping[str, float]) -> Table:
 
 
 def sentences(score: dict[str, Any]) -> list[str]:
-    """Say what the errors are of."""
+    """Return what the errors are of, and the effect of each fault."""
     odometry, latency = score["odometry"], score["latency_ms"]
     found = [
         f"{score['scenario']}, seed {score['seed']}: {odometry['received']} ODOMETRY received; "
