@@ -43,7 +43,7 @@ demo: $(STAMP)
 	$(BIN)/python -m sim_autopilot demo --out demo
 
 bench: $(STAMP)
-	$(BIN)/python -m benchmarks.run
+	$(BIN)/python -m benchmarks.speed
 
 # Whether a refactoring has changed a bit of any estimate, message or status; five minutes
 bits: $(STAMP)
@@ -57,9 +57,9 @@ filters: $(STAMP)
 
 # A quarter of an hour: 10^7 bytes, 10^6 messages, then what coverage leads to
 fuzz: $(STAMP)
-	$(BIN)/python -m benchmarks.fuzz
+	$(BIN)/python -m benchmarks.reliability.fuzz
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check atheris
-	$(BIN)/python -m benchmarks.guided stream tlog bin ulg csv txt mat --seconds 60
+	$(BIN)/python -m benchmarks.reliability.guided stream tlog bin ulg csv txt mat --seconds 60
 
 # Clients that nobody here wrote: MAVSDK and MAVProxy, in an environment of their own
 $(VENV)-e2e/.installed:
@@ -71,15 +71,15 @@ e2e: $(STAMP) $(VENV)-e2e/.installed
 	E2E_CLIENTS=$(abspath $(VENV)-e2e/bin) $(BIN)/python -W error -m pytest tests/e2e
 
 endurance: $(STAMP)
-	$(BIN)/python -m benchmarks.endurance
+	$(BIN)/python -m benchmarks.reliability.endurance
 
 # Every fault again and again for hours of flight, then against the daemon; forty minutes
 soak: $(STAMP)
-	$(BIN)/python -m benchmarks.soak --daemon
+	$(BIN)/python -m benchmarks.reliability.soak --daemon
 
 # A hundred times unplugged and restarted, links and the daemon; eight minutes
 reconnect: $(STAMP)
-	RECONNECT_CYCLES=100 $(BIN)/python -W error -m pytest --log-cli-level=INFO tests/test_reconnect.py
+	RECONNECT_CYCLES=100 $(BIN)/python -W error -m pytest --log-cli-level=INFO tests/daemon/test_reconnect.py
 
 wheel: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check build

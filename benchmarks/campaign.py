@@ -1,4 +1,4 @@
-"""Many seeded flights: drawn, run in pieces on both cores, and held against the truth."""
+"""Many seeded flights: drawn, run in pieces on both cores, and compared with the truth."""
 
 from __future__ import annotations
 
@@ -44,14 +44,15 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 PROCESSES = 2
+"""1: this one."""
 SCENARIOS = ("figure-eight", "loiter", "hover", "square-spiral")
 RECEIVERS = {
     "white": GnssConfig(noise_h=1.0, noise_v=1.5),
     "slow": GnssConfig(noise_h=0.3, noise_v=0.45, slow_h=1.0, slow_v=1.5),
 }
-"""The error of a fix: independent from fix to fix, or for the most part a slow wandering."""
+"""The error of a fix: independent from fix to fix, or for the most part a slow random walk."""
 RATE = 100.0
-"""Inertial samples of the campaigns, Hz: what telemetry gives; no figure depends on it by much."""
+"""Inertial samples, Hz: a rate of telemetry; no figure depends on it by much."""
 DELAY_STD = 0.02
 """One sigma of the receiver's delay from flight to flight, s."""
 HARD_IRON_STD = 0.005
@@ -62,21 +63,19 @@ def each(
     function: Callable[[Job], Result],
     jobs: Sequence[Job],
     label: str,
-    processes: int = PROCESSES,
 ) -> list[Result]:
-    """Do all jobs, on several cores, and say on stderr how far it is; results in the jobs' order.
+    """Do all jobs in ``PROCESSES`` and print the progress on stderr; results in the jobs' order.
 
     Args:
         function: Of a module, so that another process finds it.
         jobs: One argument each.
         label: What is counted.
-        processes: 1: here.
     """
-    if processes == 1:
+    if PROCESSES == 1:
         return [function(job) for job in jobs]
     begin, results = time.monotonic(), []
     step = max(1, len(jobs) // 20)
-    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+    with multiprocessing.get_context("spawn").Pool(PROCESSES) as pool:
         for result in pool.imap(function, jobs):
             results.append(result)
             if len(results) % step:
@@ -87,7 +86,7 @@ def each(
 
 
 def roster(flights: int) -> list[tuple[str, int]]:
-    """Give scenarios and seeds, no seed twice, all flights of a scenario in a row."""
+    """Return scenarios and seeds, no seed twice, all flights of a scenario in a row."""
     return [
         (name, 1000 * i + seed)
         for i, name in enumerate(SCENARIOS)
@@ -97,12 +96,12 @@ def roster(flights: int) -> list[tuple[str, int]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flown:
-    """A simulated flight and what its sensors said."""
+    """A simulated flight and its events."""
 
     flight: Flight
     events: Events
     nominal: SimConfig
-    """What the filter may be told: what was drawn for this flight is not in it."""
+    """What the filter may know: without what was drawn for this flight."""
 
 
 def fly(name: str, seed: int, receiver: str = "white", duration: float = 180.0) -> Flown:
@@ -143,23 +142,23 @@ class Snapshot:
 
     @property
     def frame(self) -> LocalFrame:
-        """Give the local frame."""
+        """The local frame."""
         origin = self.x.origin
         return LocalFrame(origin.lat, origin.lon, origin.alt)
 
     def covariance(self, first: int, size: int) -> Array:
-        """Give a diagonal block of the covariance."""
+        """Return a diagonal block of the covariance."""
         return np.array(self.x.P)[first : first + size, first : first + size]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Piece:
-    """What came of a part of the events."""
+    """The result of a part of the events."""
 
     table: Table
     snapshot: Snapshot
     pipeline: Pipeline
-    """As it is now; it moves on with the next piece."""
+    """As it is now; it changes with the next piece."""
 
 
 def pieces(
@@ -181,7 +180,7 @@ def pieces(
     begin = 0
     for end in [*(samples[np.maximum(last, 0)] + 1).tolist(), len(events)]:
         table = pipeline.run(events.take(np.arange(begin, end)))
-        # the only place that looks behind the pipeline's door
+        # the only place that reads the pipeline's state block
         block = pipeline._timeline.block()
         yield Piece(table, Snapshot(pipeline.stamp_ns - lag_ns, block), pipeline)
         begin = max(begin, end)
@@ -190,10 +189,10 @@ def pieces(
 def errors(
     snapshot: Snapshot, flown: Flown, settings: FilterSettings, family: str = "unknown"
 ) -> dict[str, tuple[Array, Array]]:
-    """Give truth minus estimate, and its covariance by the filter, of every block of error states.
+    """Return truth minus estimate, and its covariance, of every block of error states.
 
     The attitude's is the rotation vector in n that turns the estimate into the truth. A state
-    that the filter takes for known has no variance and is left out.
+    that the filter takes as known has no variance and is left out.
     """
     x, flight = snapshot.x, flown.flight
     now = flight.truth_at(np.array([snapshot.t_ns]))
@@ -204,7 +203,7 @@ def errors(
         for bias in (flight.imu.gyro_bias_b, flight.imu.accel_bias_b)
     )
     turn = so3.multiply(now.q_nb[0], so3.conjugate(np.array(x.q_nb)))
-    told = delays_ns(settings, family)[Kind.GNSS] * 1e-9
+    nominal = delays_ns(settings, family)[Kind.GNSS] * 1e-9
     heading = np.interp(t, flight.mag.t, flight.mag.heading_error)
     drift = np.interp(t, flight.baro.t, flight.baro.drift)
     slow_n = np.array([np.interp(t, flight.gnss.t, axis) for axis in flight.gnss.slow_n.T])
@@ -216,7 +215,7 @@ def errors(
         "gyro bias": (E_BG, bias_g - x.gyro_bias),
         "accel bias": (E_BA, bias_a - x.accel_bias),
         "baro offset": (E_BARO, np.array([drift - x.baro_offset])),
-        "GNSS delay": (E_DELAY, np.array([flight.config.gnss.delay - told - x.gnss_delay])),
+        "GNSS delay": (E_DELAY, np.array([flight.config.gnss.delay - nominal - x.gnss_delay])),
         "heading offset": (E_HEADING, np.array([heading - x.heading_offset])),
         "GNSS slow error": (E_GNSS, slow_n - x.gnss_offset),
         "hard iron": (E_IRON, np.array(iron) - x.hard_iron),
@@ -226,24 +225,45 @@ def errors(
 
 
 def nees(error: Array, P: Array) -> float:
-    """Give the normalised estimation error squared."""
+    """Return the normalised estimation error squared."""
     return float(error @ np.linalg.solve(P, error))
 
 
 def band(dof: int, share: float = 0.95) -> tuple[float, float]:
-    """Give the chi-square interval that holds a share of the probability, over its dof."""
+    """Return the chi-square interval that holds a share of the probability, over its dof."""
     low, high = chi2.ppf([0.5 - 0.5 * share, 0.5 + 0.5 * share], dof) / dof
     return float(low), float(high)
 
 
 def position_errors(table: Table, flown: Flown) -> Array:
-    """Give what was told less the truth, north, east, down, m, shape (n, 3); NaN: nothing told."""
+    """Return estimate minus truth, north, east, down, m, shape (n, 3); NaN: no estimate."""
     now, frame = flown.flight.truth_at(table.stamp_ns), flown.flight.trajectory.frame
     lat, lon = np.radians(table.column("lat_deg")), np.radians(table.column("lon_deg"))
     return frame.to_ned(lat, lon, table.column("alt_m")) - now.pos_n
 
 
 def yaw_errors(table: Table, flown: Flown) -> Array:
-    """Give the yaw that was told less the truth, rad, shape (n,); NaN: nothing told."""
+    """Return the yaw estimate minus the truth, rad, shape (n,); NaN: no estimate."""
     true = flown.flight.truth_at(table.stamp_ns).euler[:, 2]
     return np.asarray(so3.wrap(table.column("yaw") - true))
+
+
+def settled(t: Array, is_good: npt.NDArray[np.bool_]) -> float:
+    """Return the time from which on all is good, 0 if from the start; inf: not at the end."""
+    if not (t >= 0.0).any():
+        return np.inf
+    bad = np.flatnonzero(~is_good & (t >= 0.0))
+    if not len(bad):
+        return 0.0
+    return float(t[bad[-1] + 1]) if bad[-1] + 1 < len(t) else np.inf
+
+
+def median_and_worst(values: Sequence[float], digits: int) -> str:
+    """Format the median and, in brackets, the worst; "never" and how often for infinite ones."""
+    array = np.asarray(values, dtype=np.float64)
+    lost = int(np.count_nonzero(np.isinf(array)))
+    middle, worst = np.median(array), array.max()
+    if np.isinf(middle):
+        return "never" if lost == len(array) else f"never in {lost} of {len(array)}"
+    end = f"never in {lost} of {len(array)}" if lost else f"{worst:.{digits}f}"
+    return f"{middle:.{digits}f} ({end})"

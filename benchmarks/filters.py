@@ -1,30 +1,35 @@
 """Print the tables of docs/FILTERS.md: every filter over the same recorded and simulated flights.
 
-``make filters``. With ``--write FILE`` they go between the marks in that file, as those of
-:mod:`benchmarks.accuracy` do.
+``make filters``. With ``--write FILE`` they go between the marks in that file.
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.accuracy import DATA, insert
-from benchmarks.campaign import RECEIVERS, SCENARIOS, each, fly
-from benchmarks.cases import TRUTH
+from benchmarks import document
+from benchmarks.campaign import (
+    DELAY_STD,
+    HARD_IRON_STD,
+    RECEIVERS,
+    SCENARIOS,
+    each,
+    fly,
+)
+from benchmarks.document import Part, is_there, of_flights, of_logs, table
 from benchmarks.matched import matched
+from benchmarks.recorded import TRUTH, recorded
 from ekf_companion.analysis import comparison
 from ekf_companion.analysis.comparison import Entry
 from ekf_companion.config.config import Config
+from ekf_companion.core.settings import FilterSettings
 from ekf_companion.logs.estimate import read_truth
 from ekf_companion.logs.recording import Recording
-from ekf_companion.nav.state import Trajectory
-from ekf_companion.replay import convert
-from sim_autopilot.flight import Flight
+from sim_autopilot import events as wire
 
 NAVIGATORS = ("eskf", "euler", "iterated", "iterated:robocentric", "ukf")
 SEED = "seed-basicekf-sim"
@@ -45,8 +50,6 @@ DURATION = 120.0
 """s."""
 SKIP = 30.0
 """s."""
-DELAY_STD, HARD_IRON_STD = 0.02, 0.005
-"""What the flights of the campaign are drawn with: s, gauss."""
 ROWS = {
     "horizontal, m": ("north", "east"),
     "vertical, m": ("down",),
@@ -57,22 +60,17 @@ ROWS = {
 }
 
 
-def recorded(data: Path) -> Iterator[str]:
-    """Give RMS errors of all navigators on the flights with a truth."""
+def navigators(data: Path) -> Iterator[str]:
+    """Yield RMS errors of all navigators on the flights with a truth."""
     for case in TRUTH:
-        log = data / case.log
-        if not log.is_file():
-            print(f"{case.log}: absent, left out")
-            continue
-        recording = convert.read(log, Config())
-        assert recording.truth is not None
-        yield from (f"**{case.title}**", "")
-        yield from _table(_judged(recording, NAVIGATORS, recording.truth))
-        yield ""
+        if is_there(data, case.log):
+            yield from (f"**{case.title}**", "")
+            yield from _table(_judged(recorded(data / case.log), NAVIGATORS))
+            yield ""
 
 
 def without(data: Path) -> Iterator[str]:
-    """Give what our own estimator loses without each of the things that the others lack."""
+    """Yield what our own estimator loses without each of the things that the others lack."""
     config = Config()
     cases = {
         "as it is": config,
@@ -84,72 +82,62 @@ def without(data: Path) -> Iterator[str]:
         "delay taken for known": replace(config, gnss=replace(config.gnss, delay_std=0.0)),
     }
     for case in TRUTH:
-        if case.log not in ABLATED or not (data / case.log).is_file():
-            continue
-        recording = convert.read(data / case.log, config)
-        assert recording.truth is not None
-        yield from (f"**{case.title}**", "")
-        rows = []
-        for title, settings in cases.items():
-            entries = comparison.hold(recording, ["eskf"], settings)
-            rows += comparison.judge(entries, recording.truth, SKIP, None)
-            rows[-1] = replace(rows[-1], name=title)
-        yield from _table(rows)
-        yield ""
+        if case.log in ABLATED and is_there(data, case.log):
+            recording = recorded(data / case.log)
+            rows = [
+                replace(_judged(recording, ["eskf"], config=settings)[0], name=title)
+                for title, settings in cases.items()
+            ]
+            yield from (f"**{case.title}**", "")
+            yield from _table(rows)
+            yield ""
 
 
 def seed(data: Path) -> Iterator[str]:
-    """Give RMS errors on the seed article's flight, and what the author's two slips cost."""
-    folder = data / SEED
-    if not folder.is_dir():
-        print(f"{SEED}: absent, left out")
-        return
-    recording = convert.read(folder / "uavSensors.csv", Config())
-    truth = read_truth(folder / "uavTruth.csv")
-    names = ("eskf", "euler:article", "euler", "iterated", "iterated:robocentric", "ukf")
-    yield from _table(_judged(recording, names, truth, 20.0))
+    """Yield RMS errors on the seed article's flight."""
+    if is_there(data, SEED):
+        recording = replace(
+            recorded(data / SEED / "uavSensors.csv"), truth=read_truth(data / SEED / "uavTruth.csv")
+        )
+        names = ("eskf", "euler:article", "euler", "iterated", "iterated:robocentric", "ukf")
+        yield from _table(_judged(recording, names, skip=20.0))
 
 
 def attitude(data: Path) -> Iterator[str]:
-    """Give RMS errors of attitude alone against an optical truth."""
-    yield "| total / heading / inclination, deg | " + " | ".join(ATTITUDES) + " |"
-    yield "|---" * (len(ATTITUDES) + 1) + "|"
+    """Yield RMS errors of attitude alone against an optical truth."""
+    rows = []
     for title, log in TRIALS.items():
-        if not (data / log).is_file():
-            print(f"{log}: absent, left out")
-            continue
-        recording = convert.read(data / log, Config())
-        assert recording.truth is not None
-        entries = comparison.hold(recording, ATTITUDES, Config())
-        judged = comparison.judge(entries, recording.truth, 0.0, None, recording.counted)
-        cells = [" / ".join(f"{value:.2f}" for value in one.rms.values()) for one in judged]
-        yield f"| {title} | {' | '.join(cells)} |"
+        if is_there(data, log):
+            recording = recorded(data / log)
+            assert recording.truth is not None
+            entries = comparison.hold(recording, ATTITUDES, Config())
+            judged = comparison.judge(entries, recording.truth, 0.0, None, recording.counted)
+            cells = [" / ".join(f"{value:.2f}" for value in one.rms.values()) for one in judged]
+            rows.append(" | ".join([title, *cells]))
+    return table(" | ".join(["total / heading / inclination, deg", *ATTITUDES]), rows)
 
 
 def walks(data: Path) -> Iterator[str]:
-    """Give how far each detector's walks are from closing."""
-    yield "| on the ground / in space, m | " + " | ".join(WALKERS) + " |"
-    yield "|---" * (len(WALKERS) + 1) + "|"
+    """Yield the closure errors of each detector's walks."""
+    rows = []
     for title, log in WALKS.items():
-        if not (data / log).is_file():
-            print(f"{log}: absent, left out")
-            continue
-        entries = comparison.hold(convert.read(data / log, Config()), WALKERS, Config())
-        cells = [
-            f"{one.rms['closure on the ground']:.3f} / {one.rms['closure in space']:.3f}"
-            for one in entries
-        ]
-        yield f"| {title} | {' | '.join(cells)} |"
+        if is_there(data, log):
+            entries = comparison.hold(recorded(data / log), WALKERS, Config())
+            cells = [
+                f"{one.rms['closure on the ground']:.3f} / {one.rms['closure in space']:.3f}"
+                for one in entries
+            ]
+            rows.append(" | ".join([title, *cells]))
+    return table(" | ".join(["on the ground / in space, m", *WALKERS]), rows)
 
 
-def campaign(data: Path) -> Iterator[str]:
-    """Give RMS errors and NEES over seeded flights, settings as the simulator's sensors are."""
-    del data
+def campaign(runs: int | None = None) -> Iterator[str]:
+    """Yield RMS errors and NEES over seeded flights, settings as the simulator's sensors are."""
     jobs = [
         (name, 1000 * i + luck, receiver)
         for receiver in RECEIVERS
         for i, name in enumerate(SCENARIOS)
-        for luck in range(1, FLIGHTS + 1)
+        for luck in range(1, (runs or FLIGHTS) + 1)
     ]
     results = each(fly_all, jobs, "filters, flights")
     for receiver in RECEIVERS:
@@ -160,42 +148,31 @@ def campaign(data: Path) -> Iterator[str]:
 
 
 def fly_all(job: tuple[str, int, str]) -> list[Entry]:
-    """Take every navigator through one simulated flight, and keep only the numbers."""
+    """Run every navigator over one simulated flight, and return only the numbers."""
     flown = fly(*job, DURATION)
     settings = matched(flown.nominal, DELAY_STD, HARD_IRON_STD)
-    recording = Recording(family="unknown", events=flown.events)
-    entries = comparison.hold(recording, NAVIGATORS, settings)
-    judged = comparison.judge(entries, _truth(flown.flight), SKIP, None)
+    recording = Recording(family="unknown", events=flown.events, truth=wire.truth(flown.flight))
     return [
-        Entry(name=e.name, solution=None, trajectory=None, us=e.us, rms=e.rms, nees=e.nees)
-        for e in judged
+        replace(one, solution=None, trajectory=None)
+        for one in _judged(recording, NAVIGATORS, config=settings)
     ]
 
 
-def _truth(flight: Flight) -> Trajectory:
-    t_ns = np.arange(flight.first_ns, flight.first_ns + round(DURATION * 1e9), 20_000_000)
-    now = flight.truth_at(t_ns)
-    return Trajectory(
-        name="truth",
-        pos_t_ns=t_ns,
-        lat=now.lat,
-        lon=now.lon,
-        alt=now.alt,
-        vel_t_ns=t_ns,
-        vel_n=now.vel_n,
-        att_t_ns=t_ns,
-        q_nb=now.q_nb,
-    )
-
-
 def _judged(
-    recording: Recording, names: Sequence[str], truth: Trajectory, skip: float = SKIP
+    recording: Recording,
+    names: Sequence[str],
+    *,
+    config: FilterSettings | None = None,
+    skip: float = SKIP,
 ) -> list[Entry]:
-    return comparison.judge(comparison.hold(recording, names, Config()), truth, skip, None)
+    """Run filters over a recording and compare them with its truth."""
+    assert recording.truth is not None
+    entries = comparison.hold(recording, names, config or Config())
+    return comparison.judge(entries, recording.truth, skip, None)
 
 
 def _mean(entries: Sequence[Entry]) -> Entry:
-    """Give one filter's RMS over several flights, and its mean NEES."""
+    """Return one filter's RMS over several flights, and its mean NEES."""
     first = entries[0]
     rms = {
         name: float(np.sqrt(np.mean([np.square(one.rms[name]) for one in entries])))
@@ -206,44 +183,27 @@ def _mean(entries: Sequence[Entry]) -> Entry:
     return Entry(name=first.name, solution=None, trajectory=None, us=us, rms=rms, nees=nees)
 
 
-def _table(entries: Sequence[Entry]) -> Iterator[str]:
-    """Give entries as the rows of a table."""
-    yield "| filter | " + " | ".join(ROWS) + " | NEES position, velocity, attitude | us |"
-    yield "|---" * (len(ROWS) + 3) + "|"
+def _table(entries: Iterable[Entry]) -> Iterator[str]:
+    rows = []
     for one in entries:
         cells = [
             f"{np.sqrt(sum(np.square(one.rms[part]) for part in parts)):.3f}"
             for parts in ROWS.values()
         ]
-        sure = ", ".join(f"{one.nees[name]:.2f}" for name in ("position", "velocity", "attitude"))
-        yield f"| {one.name} | {' | '.join(cells)} | {sure} | {one.us:.0f} |"
+        nees = ", ".join(f"{one.nees[name]:.2f}" for name in ("position", "velocity", "attitude"))
+        rows.append(" | ".join([one.name, *cells, nees, f"{one.us:.0f}"]))
+    return table(" | ".join(["filter", *ROWS, "NEES position, velocity, attitude", "us"]), rows)
 
 
-PARTS: dict[str, Callable[[Path], Iterator[str]]] = {
-    "recorded": recorded,
-    "without": without,
-    "seed": seed,
-    "campaign": campaign,
-    "attitude": attitude,
-    "walks": walks,
+PARTS: dict[str, Part] = {
+    "recorded": of_logs(navigators),
+    "without": of_logs(without),
+    "seed": of_logs(seed),
+    "campaign": of_flights(campaign),
+    "attitude": of_logs(attitude),
+    "walks": of_logs(walks),
 }
 
 
-def main() -> None:
-    """Print all parts, or write them into a document."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=DATA, help="the recorded flights")
-    parser.add_argument("--write", type=Path, metavar="FILE", help="a document with marks")
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
-    asked = parser.parse_args()
-    for name in asked.only:
-        lines = "\n".join(PARTS[name](asked.data)).strip()
-        if asked.write is None:
-            print(f"\n## {name}\n\n{lines}")
-        elif lines:
-            document = asked.write.read_text(encoding="utf-8")
-            asked.write.write_text(insert(document, name, lines), encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    document.main(__doc__, PARTS)

@@ -15,13 +15,13 @@ from ekf_companion.nav.magnetic import magnetic_field
 from sim_autopilot.config import ImuConfig, SimConfig
 
 ALMOST_NONE = 1e-4
-"""Stands for zero where a setting must be positive."""
+"""In place of zero where a setting must be positive."""
 
 
 def matched(
     config: SimConfig, delay_std: float = 0.0, hard_iron_std: float = ALMOST_NONE
 ) -> FilterSettings:
-    """Give the settings that say of each sensor what the simulator does.
+    """Return the settings that describe each sensor as the simulator makes it.
 
     A Gauss-Markov process of variance s^2 and correlation time T walks, over times much shorter
     than T, with a density of s sqrt(2 / T).

@@ -1,4 +1,7 @@
-"""The commands of ``sim-autopilot``; the only place here that prints or exits."""
+"""The commands of ``sim-autopilot``; the only place here that prints or exits.
+
+Long argument lists are the options of a command.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from ekf_companion.errors import CompanionError
 from sim_autopilot import demo as demonstration
 from sim_autopilot import replay as replaying
 from sim_autopilot.config import load
-from sim_autopilot.episodes import account
+from sim_autopilot.episodes import summaries
 from sim_autopilot.faults.fault import KINDS, Number
 from sim_autopilot.faults.fault import parse as parse_fault
 from sim_autopilot.firmware import PERSONALITIES
@@ -25,12 +28,12 @@ from sim_autopilot.firmware import parse as parse_personality
 from sim_autopilot.flight import Flight
 from sim_autopilot.fly import fly as fly_over
 from sim_autopilot.fly import over, play
-from sim_autopilot.loop import Asker, Bench
+from sim_autopilot.loop import Bench, StreamRequester
 from sim_autopilot.pace import run
 from sim_autopilot.personality import Kind, Personality
 from sim_autopilot.recording import TlogWriter, write_truth
-from sim_autopilot.report import sentences, table
 from sim_autopilot.scenarios import SCENARIOS
+from sim_autopilot.score_table import sentences, table
 
 app = typer.Typer(
     help="A fake autopilot: flies, speaks MAVLink, and scores the estimate that comes back.",
@@ -40,7 +43,7 @@ app = typer.Typer(
 )
 _console = Console()
 _errors = Console(stderr=True)
-_ASKED = {
+_REQUESTED = {
     "HIGHRES_IMU": 250.0,
     "GPS_RAW_INT": 10.0,
     "ATTITUDE": 10.0,
@@ -49,7 +52,7 @@ _ASKED = {
     "SYSTEM_TIME": 1.0,
     "EXTENDED_SYS_STATE": 1.0,
 }
-"""Hz: what the companion asks for."""
+"""Streams that the companion requests, Hz."""
 
 SCENARIO = typer.Option("figure-eight", help="Which motion; `scenarios` lists them.")
 LINK = typer.Option(..., help="Where to: udpout:127.0.0.1:14540, udpin:, tcp:, tcpin:, serial:")
@@ -61,13 +64,13 @@ SKIP = typer.Option(0.0, help="Begin so many seconds into the scenario.", min=0.
 IMU_RATE = typer.Option(None, help="Inertial samples, Hz.", min=1.0, max=1000.0)
 SPEED = typer.Option(1.0, help="How many times as fast as real time.", min=0.01, max=1000.0)
 TRUTH = typer.Option(None, help="Write the true motion to this CSV file.")
-CONFIG = typer.Option(None, help="YAML that says what differs from the defaults.")
-AUTOPILOT = typer.Option(Kind.PX4, help="Which autopilot to pass for, without its traps.")
+CONFIG = typer.Option(None, help="YAML with what differs from the defaults.")
+AUTOPILOT = typer.Option(Kind.PX4, help="Which autopilot to imitate, ideal: without its habits.")
 PERSONALITY = typer.Option(
-    None, help="Which autopilot to pass for, with its traps; `personalities` lists them."
+    None, help="Which autopilot to imitate, with its habits; `personalities` lists them."
 )
 FAULT = typer.Option(
-    [], help="What goes wrong: KIND[:start=20,duration=5,...]; `faults` lists them. Repeatable."
+    [], help="A failure: KIND[:start=20,duration=5,...]; `faults` lists them. Repeatable."
 )
 
 
@@ -84,16 +87,16 @@ def fly(
     log: Path | None = typer.Option(None, help="Record every frame out and in to this .tlog."),
     score: Path | None = typer.Option(None, help="Write the score to this JSON file."),
     score_after: float = typer.Option(10.0, help="Score from so many seconds on.", min=0.0),
-    wait: float = typer.Option(0.0, help="Call so many seconds for an answer first.", min=0.0),
+    wait: float = typer.Option(0.0, help="Wait so many seconds for an answer first.", min=0.0),
     config: Path | None = CONFIG,
     autopilot: Kind = AUTOPILOT,
     personality: str | None = PERSONALITY,
     fault: list[str] = FAULT,
 ) -> None:
     """Fly a scenario over a link, in real time, and score the ODOMETRY that comes back."""
-    with _spoken(), ExitStack() as stack:
-        whom = None if personality is None else parse_personality(personality)
-        flight = _plan(scenario, config, imu_rate, seed, duration, skip, whom)
+    with _exit_on_error(), ExitStack() as stack:
+        imitated = autopilot if personality is None else parse_personality(personality)
+        flight = _plan(scenario, config, imu_rate, seed, duration, skip, imitated)
         faults = [parse_fault(text, flight.duration) for text in fault]
         if truth is not None:
             write_truth(truth, flight)
@@ -106,8 +109,7 @@ def fly(
                 lambda opened: fly_over(
                     flight,
                     opened,
-                    kind=autopilot,
-                    personality=whom,
+                    personality=imitated,
                     faults=faults,
                     speed=speed,
                     log=writer,
@@ -117,10 +119,12 @@ def fly(
         )
         result = flown.witness.score(score_after)
         result["autopilot"] = {
-            "personality": flown.autopilot.personality.name if whom else f"ideal {autopilot.value}",
+            "personality": (
+                f"ideal {imitated.value}" if isinstance(imitated, Kind) else imitated.name
+            ),
             **flown.autopilot.reception.summary(),
         }
-        result["faults"] = account(flown.witness, flight, faults)
+        result["faults"] = summaries(flown.witness, flight, faults)
         if score is not None:
             score.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     _report(result, {})
@@ -142,18 +146,18 @@ def generate(
 ) -> None:
     """Write a scenario to a .tlog at once, without a link: the same frames that `fly` sends.
 
-    With a personality, somebody asks for the messages that the companion asks for.
+    With a personality, the messages that the companion needs are requested.
     """
-    with _spoken():
+    with _exit_on_error():
         if output.suffix != ".tlog":
             raise typer.BadParameter(f"{output}: unknown kind of output; name it .tlog")
-        whom = None if personality is None else parse_personality(personality)
-        flight = _plan(scenario, config, imu_rate, seed, duration, skip, whom)
+        imitated = autopilot if personality is None else parse_personality(personality)
+        flight = _plan(scenario, config, imu_rate, seed, duration, skip, imitated)
         faults = [parse_fault(text, flight.duration) for text in fault]
         if truth is not None:
             write_truth(truth, flight)
-        asker = None if whom is None else Asker(_ASKED)
-        bench = Bench(flight, asker, kind=autopilot, personality=whom, faults=faults)
+        peer = None if personality is None else StreamRequester(_REQUESTED)
+        bench = Bench(flight, peer, personality=imitated, faults=faults)
         count = 0
         with TlogWriter(output, flight.config.home.unix) as writer:
             for t_ns, frame in bench.frames():
@@ -169,7 +173,7 @@ def replay(
     speed: float = SPEED,
 ) -> None:
     """Send a recorded flight as a live stream."""
-    with _spoken():
+    with _exit_on_error():
         count = run(over(link, lambda opened: play(replaying.frames(log), opened, speed)))
     _console.print(f"{log}: {count} messages sent")
 
@@ -187,7 +191,7 @@ def scenarios() -> None:
 
 @app.command()
 def personalities() -> None:
-    """List the autopilots that can be passed for, and what each habit is set to."""
+    """List the autopilots that can be imitated."""
     listing = Table(box=None, pad_edge=False)
     listing.add_column("personality")
     listing.add_column("what")
@@ -203,7 +207,7 @@ def personalities() -> None:
 
 @app.command()
 def faults() -> None:
-    """List what can go wrong, and the values of each."""
+    """List the faults, and the values of each."""
     listing = Table(box=None, pad_edge=False)
     for title in ("fault", "seconds", "values", "what"):
         listing.add_column(title, justify="right" if title == "seconds" else "left")
@@ -224,8 +228,8 @@ def demo(
     seed: int = SEED,
     daemon_config: Path | None = typer.Option(None, help="YAML file for the daemon."),
 ) -> None:
-    """Fly figure-eight against the real daemon over UDP, and hold it to its limits."""
-    with _spoken():
+    """Fly figure-eight against the real daemon over UDP, and compare the errors with limits."""
+    with _exit_on_error():
         verdict = demonstration.fly(out, duration=duration, seed=seed, daemon_config=daemon_config)
     _report(verdict.score, demonstration.LIMITS)
     for line in verdict.files:
@@ -243,13 +247,13 @@ def _plan(
     seed: int,
     duration: float | None,
     skip: float,
-    personality: Personality | None,
+    personality: Personality | Kind,
 ) -> Flight:
     if scenario not in SCENARIOS:
         known = ", ".join(SCENARIOS)
         raise typer.BadParameter(f"{scenario!r}: no such scenario; there are {known}")
     numbers = load(config)
-    if personality is not None:
+    if isinstance(personality, Personality):
         numbers = personality.suited(numbers)
     if imu_rate is not None:
         imu = dataclasses.replace(numbers.imu, rate=imu_rate)
@@ -265,15 +269,15 @@ def _report(score: dict[str, Any], limits: dict[str, float]) -> None:
 
 
 @contextmanager
-def _spoken() -> Iterator[None]:
-    """Say what was wrong in a sentence, and exit with 2."""
+def _exit_on_error() -> Iterator[None]:
+    """Print an error as a sentence, and exit with 2."""
     try:
         yield
     except (CompanionError, OSError) as error:
-        said = str(error)
+        sentence = str(error)
         if isinstance(error, OSError) and error.filename is not None:
-            said = f"{error.filename}: {error.strerror}"
-        _errors.print(said, style="bold red", highlight=False, markup=False)
+            sentence = f"{error.filename}: {error.strerror}"
+        _errors.print(sentence, style="bold red", highlight=False, markup=False)
         raise typer.Exit(2) from error
 
 

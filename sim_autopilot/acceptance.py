@@ -1,8 +1,8 @@
-"""What each autopilot does with an ODOMETRY message: would it take it, what would it fuse, why not.
+"""What each autopilot does with an ODOMETRY message: does it accept it, what does it fuse, why not.
 
-Rules of the receivers and of the filters behind them, as pure functions over a message, the
-autopilot's parameters and what came before: an oracle for tests, and for whoever wonders why
-nothing is fused. Innovation gates are left out: they depend on the flight, not on the message.
+The rules of the receivers and of the filters behind them, as pure functions of a message, the
+autopilot's parameters and the messages before: an oracle for tests, and an answer to why nothing
+is fused. Innovation gates are left out: they depend on the flight, not on the message.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ from sim_autopilot.judgement import History, Judgement, Quantity, Stack
 
 __all__ = ["DEFAULTS", "History", "Judgement", "Quantity", "Stack", "judge", "would_accept"]
 
+_PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
+_SOURCES = ((3, 3, 1, 3, 1), (0, 0, 1, 0, 0), (0, 0, 1, 0, 0))
+"""Of each of ArduPilot's three sets: 3 GNSS, 1 barometer or compass, 0 none."""
 DEFAULTS: Mapping[Stack, Mapping[str, float]] = MappingProxyType(
     {
         Stack.PX4: MappingProxyType(
@@ -34,17 +37,16 @@ DEFAULTS: Mapping[Stack, Mapping[str, float]] = MappingProxyType(
                 "EK3_ENABLE": 1,
                 "AHRS_EKF_TYPE": 3,
                 "EK3_SRC_OPTIONS": 1,
-                **{"EK3_SRC1_POSXY": 3, "EK3_SRC1_VELXY": 3, "EK3_SRC1_POSZ": 1},
-                **{"EK3_SRC1_VELZ": 3, "EK3_SRC1_YAW": 1},
-                **{"EK3_SRC2_POSXY": 0, "EK3_SRC2_VELXY": 0, "EK3_SRC2_POSZ": 1},
-                **{"EK3_SRC2_VELZ": 0, "EK3_SRC2_YAW": 0},
-                **{"EK3_SRC3_POSXY": 0, "EK3_SRC3_VELXY": 0, "EK3_SRC3_POSZ": 1},
-                **{"EK3_SRC3_VELZ": 0, "EK3_SRC3_YAW": 0},
+                **{
+                    f"EK3_SRC{number}_{part}": source
+                    for number, sources in enumerate(_SOURCES, 1)
+                    for part, source in zip(_PARTS, sources, strict=True)
+                },
             }
         ),
     }
 )
-"""The parameters that count, as the firmware sets them; those given to ``judge`` go before."""
+"""The parameters that matter, with the firmware's defaults; ``judge`` may override them."""
 
 
 def judge(
@@ -55,12 +57,12 @@ def judge(
     *,
     source_set: int = 1,
 ) -> Judgement:
-    """Say what an autopilot does with a message.
+    """Return what an autopilot does with a message.
 
     Args:
         stack: Which autopilot.
         message: Fields of an ODOMETRY, named as in the definitions.
-        parameters: The autopilot's; those not named are at the firmware's default.
+        parameters: The autopilot's; the others have the firmware's defaults.
         history: From the judgement of the message before; None: this is the first.
         source_set: Of ArduPilot, the one that the pilot has switched to, 1 to 3.
     """
@@ -80,7 +82,7 @@ def would_accept(
 ) -> Judgement:
     """Judge the last of the ODOMETRY frames in some bytes, with all before it as its history.
 
-    Give two or more of a stream: PX4 fuses none before it has seen two.
+    Pass two or more of a stream: PX4 fuses none before it has seen two.
 
     Raises:
         ValueError: There is no ODOMETRY in the bytes.

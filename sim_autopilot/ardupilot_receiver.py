@@ -31,7 +31,7 @@ _STD_POSITION_LARGEST, _STD_YAW_LARGEST = 100.0, 1.5
 
 
 def judge(m: Any, values: Mapping[str, float], before: History, source_set: int) -> Judgement:
-    """Say what becomes of a message, with all parameters at hand."""
+    """Return what it does with a message; ``values`` has all parameters."""
     if (m.frame_id, m.child_frame_id) != (_FRD, _BODY_FRD):
         pair = f"{m.frame_id}/{m.child_frame_id}"
         return refused(f"frames {pair} are not LOCAL_FRD/BODY_FRD (20/12): ignored", before)
@@ -43,7 +43,7 @@ def judge(m: Any, values: Mapping[str, float], before: History, source_set: int)
     if is_other and values["VISO_TYPE"] == _T265:
         after = replace(after, ignored_until_us=m.time_usec + _RESET_US)
     if m.time_usec < after.ignored_until_us:
-        return judged(["a T265 is not believed for a second after a reset"], NOTHING, after)
+        return judged(["a T265 is ignored for a second after a reset"], NOTHING, after)
     if m.quality < values["VISO_QUAL_MIN"]:
         least = values["VISO_QUAL_MIN"]
         return judged([f"quality {m.quality} is below VISO_QUAL_MIN {least:g}"], NOTHING, after)
@@ -59,7 +59,7 @@ def judge(m: Any, values: Mapping[str, float], before: History, source_set: int)
 def _written(
     m: Any, values: Mapping[str, float], before: History, after: History, source_set: int
 ) -> Judgement:
-    """Say what the filter fuses of a message that is written to it."""
+    """Return what the filter fuses of a message that is written to it."""
     is_other = before.time_us is not None and m.reset_counter != before.reset_counter
     fused = _aided_by_external(values, source_set)
     reasons = []
@@ -90,7 +90,7 @@ def _written(
 
 
 def _aided_by_external(values: Mapping[str, float], source_set: int) -> frozenset[Quantity]:
-    """Give what the source set in use takes from external navigation, velocities of all if asked.
+    """Return what the source set in use takes from external navigation.
 
     EK3_SRC_OPTIONS bit 0, set by default, fuses the velocities of every set whichever is in use.
     """
@@ -110,10 +110,10 @@ def _aided_by_external(values: Mapping[str, float], source_set: int) -> frozense
 
 
 def standard_deviations(m: Any, values: Mapping[str, float]) -> tuple[float, float]:
-    """Give one sigma of position (m) and yaw (rad) as ArduPilot makes them of the covariance.
+    """Return one sigma of position (m) and yaw (rad) as ArduPilot computes them.
 
-    The cube root of the sum of the squared variances: neither a variance nor a deviation, held
-    within [VISO_POS_M_NSE, 100] and [VISO_YAW_M_NSE, 1.5]. A first element that is NaN gives the
+    The cube root of the sum of the squared variances: neither a variance nor a deviation, clipped
+    to [VISO_POS_M_NSE, 100] and [VISO_YAW_M_NSE, 1.5]. A first element that is NaN means the
     lower bounds.
     """
     c = m.pose_covariance

@@ -1,6 +1,6 @@
 """The autopilot as a MAVLink peer: cycles, bytes and times in, bytes out.
 
-No socket and no clock: ``now_ns`` is the autopilot's own time, and whoever calls says it.
+No socket and no clock: ``now_ns`` is the autopilot's own time, passed by the caller.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from sim_autopilot.config import SimConfig
 from sim_autopilot.firmware import IDEAL
 from sim_autopilot.flight import Cycle
-from sim_autopilot.habits import Board
+from sim_autopilot.habits import FirmwareSensors
 from sim_autopilot.parameters import ParameterServer
 from sim_autopilot.personality import FAILED, UNSUPPORTED, Kind, Personality
 from sim_autopilot.rates import ACCEPTED, GNSS, GROUPS, Streams
@@ -30,12 +30,12 @@ _ARMED, _CUSTOM_MODE = 128, 1
 _STANDBY, _ACTIVE = 3, 4
 _CRITICAL = 2
 _GCS_NS = 10_000_000_000
-"""A ground station sets its rates so often."""
+"""Between two requests of a ground station for its rates."""
 _INERTIAL = frozenset({"HIGHRES_IMU", "RAW_IMU", "SCALED_IMU2"})
 
 
 class Received(NamedTuple):
-    """A message that somebody else sent."""
+    """A message that another component sent."""
 
     now_ns: int
     component_id: int
@@ -51,30 +51,28 @@ class Autopilot:
     def __init__(
         self,
         config: SimConfig,
-        kind: Kind = Kind.PX4,
+        personality: Personality | Kind = Kind.PX4,
         *,
         is_wing: bool = False,
-        personality: Personality | None = None,
         seed: int = 1,
     ) -> None:
         """Start it.
 
         Args:
             config: Every number.
-            kind: Which autopilot it passes for, without traps.
+            personality: The autopilot to imitate; of a kind the ideal one.
             is_wing: A fixed wing, else a multicopter.
-            personality: Which autopilot it passes for, with its habits; goes before ``kind``.
-            seed: Of what chance decides in its habits.
+            seed: Of the random numbers of its habits.
         """
-        self.personality = personality or IDEAL[kind]
+        self.personality = IDEAL[personality] if isinstance(personality, Kind) else personality
         self.parameters = {**self.personality.parameters, **config.parameters}
         self.round_trips_ns: list[int] = []
         """Of TIMESYNC."""
         self.reception = Reception(self.personality.rules, self.parameters)
-        """What became of the ODOMETRY that it got."""
+        """Its verdicts on the ODOMETRY that it received."""
         self.reboots = 0
-        self.turn_ns = 0
-        """Of the last turn of the loop, on the world's clock: what it sent left then."""
+        self.loop_ns = 0
+        """Time of the last iteration of the loop, when it sends, on the world's clock."""
         self._config = config
         self._seed = seed
         self._type = 1 if is_wing else 2
@@ -85,9 +83,9 @@ class Autopilot:
         )
         self._handlers: dict[str, Callable[[Frame, Any, int], None]] = {
             "COMMAND_LONG": self._command,
-            "HEARTBEAT": self._heard,
+            "HEARTBEAT": self._heartbeat,
             "ODOMETRY": self._odometry,
-            "PARAM_REQUEST_LIST": lambda *_: self._server.tell_all(),
+            "PARAM_REQUEST_LIST": lambda *_: self._server.send_all(),
             "PARAM_REQUEST_READ": lambda frame, request, now_ns: self._server.read(request),
             "PARAM_SET": self._param_set,
             "REQUEST_DATA_STREAM": self._data_stream,
@@ -96,9 +94,9 @@ class Autopilot:
         self._start()
 
     def reboot(self) -> None:
-        """Begin anew: the requests, the sequence and the sensors are forgotten, not the parameters.
+        """Start again with its parameters, and without requests, sequence numbers and samples.
 
-        The clock begins anew with the cycles that come next.
+        Its clock starts again with the next cycle.
         """
         self.reboots += 1
         self._out.clear()
@@ -108,7 +106,7 @@ class Autopilot:
         self._sender = Sender(self._config.system_id, COMPONENT_ID)
         self._splitter = Splitter()
         self._streams = Streams(self.personality, self._config, self.parameters)
-        self._board = Board(self._config, self.personality, self._seed + self.reboots)
+        self._sensors = FirmwareSensors(self._config, self.personality, self._seed + self.reboots)
         self._last: Cycle | None = None
         self._has_fix = False
         self._next_timesync_ns = 0
@@ -116,24 +114,23 @@ class Autopilot:
         self._companion = (0, 0)
 
     def cycle(self, cycle: Cycle) -> None:
-        """Read the sensors; where the loop comes round, send what is due."""
-        turn = self._board.read(cycle)
+        """Read the sensors; if the main loop runs in this cycle, send what is due."""
         self._has_fix = self._has_fix or cycle.fix is not None
-        if turn is None:
+        if (reading := self._sensors.read(cycle)) is None:
             return
         has_fix, self._has_fix = self._has_fix, False
-        self._last = turn
-        self.turn_ns = turn.flight_ns
-        for name in self._streams.due(turn.number, turn.flight_ns, has_fix):
-            self._stream(name, turn)
-        if self._streams.is_wanted(GNSS) and (marker := self._board.marker(turn)) is not None:
+        self._last = reading
+        self.loop_ns = reading.flight_ns
+        for name in self._streams.due(reading.number, reading.flight_ns, has_fix):
+            self._stream(name, reading)
+        if self._streams.is_wanted(GNSS) and (marker := self._sensors.marker(reading)) is not None:
             self._send(GNSS, **marker)
-        if turn.flight_ns >= self._next_timesync_ns:
-            self._next_timesync_ns = turn.flight_ns + round(1e9 / self.personality.timesync_rate)
-            self._send_timesync(0, turn.t_ns, self._companion)
-        if self.personality.gcs_rate and turn.flight_ns >= self._next_gcs_ns:
-            self._next_gcs_ns = turn.flight_ns + _GCS_NS
-            self._streams.ask_group(0, self.personality.gcs_rate)
+        if reading.flight_ns >= self._next_timesync_ns:
+            self._next_timesync_ns = reading.flight_ns + round(1e9 / self.personality.timesync_rate)
+            self._send_timesync(0, reading.t_ns, self._companion)
+        if self.personality.gcs_rate and reading.flight_ns >= self._next_gcs_ns:
+            self._next_gcs_ns = reading.flight_ns + _GCS_NS
+            self._streams.request_group(0, self.personality.gcs_rate)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes from the link, and answer them."""
@@ -148,7 +145,7 @@ class Autopilot:
                 handler(frame, fields, now_ns)
 
     def heartbeat(self, *, is_armed: bool = False) -> None:
-        """Send a heartbeat out of turn: somebody may be waiting for the first one."""
+        """Send a heartbeat now."""
         self._send(
             "HEARTBEAT",
             type=self._type,
@@ -160,12 +157,12 @@ class Autopilot:
         )
 
     def data_to_send(self) -> list[bytes]:
-        """Give the frames that wait to be sent, in order, once."""
+        """Return the frames to be sent, in order, once."""
         frames, self._out = self._out, []
         return frames
 
     def received(self) -> list[Received]:
-        """Give the messages that came since the last call."""
+        """Return the messages that came since the last call."""
         messages, self._received = self._received, []
         return messages
 
@@ -177,40 +174,38 @@ class Autopilot:
     def _send(self, name: str, **fields: Any) -> None:
         self._out.append(self._sender.message(name, **fields))
 
-    def _stream(self, name: str, turn: Cycle) -> None:
+    def _stream(self, name: str, cycle: Cycle) -> None:
         if name == "HEARTBEAT":
-            self.heartbeat(is_armed=turn.is_armed)
+            self.heartbeat(is_armed=cycle.is_armed)
         elif name == "AUTOPILOT_VERSION":
             version = self.personality.version
             self._send(
                 name, capabilities=8192 | 8, flight_sw_version=version, uid=self._config.system_id
             )
-        elif (fields := self._fields(name, turn)) is not None:
+        elif (fields := self._fields(name, cycle)) is not None:
             self._send(name, **fields)
 
-    def _fields(self, name: str, turn: Cycle) -> Fields | None:
-        """Give a message of the sensors or of the estimate; None: it is not sent now."""
-        board = self._board
-        if name in _INERTIAL and (not turn.has_imu or board.is_missing()):
+    def _fields(self, name: str, cycle: Cycle) -> Fields | None:
+        """Return the fields of a message of sensors or estimate; None: it is not sent now."""
+        sensors = self._sensors
+        if name in _INERTIAL and (not cycle.has_imu or sensors.is_missing()):
             return None
-        if name == "HIGHRES_IMU":
-            return board.highres_imu(turn)
-        if name == "RAW_IMU":
-            return board.raw_imu(turn)
-        if name == "SCALED_IMU2":
-            return board.scaled_imu(turn)
-        if name == "SCALED_PRESSURE":
-            return board.scaled_pressure(turn)
-        if name == GNSS:
-            return board.gps_raw_int(turn)
-        if name == "GPS_GLOBAL_ORIGIN" and not board.has_origin(turn.flight_ns):
+        if name == "GPS_GLOBAL_ORIGIN" and not sensors.has_origin(cycle.flight_ns):
             return None
-        return BUILDERS[name](self._config, turn)
+        if name in BUILDERS:
+            return BUILDERS[name](self._config, cycle)
+        return {
+            "HIGHRES_IMU": sensors.highres_imu,
+            "RAW_IMU": sensors.raw_imu,
+            "SCALED_IMU2": sensors.scaled_imu,
+            "SCALED_PRESSURE": sensors.scaled_pressure,
+            GNSS: sensors.gps_raw_int,
+        }[name](cycle)
 
     def _command(self, frame: Frame, command: Any, now_ns: int) -> None:
         message = LAYOUTS[int(command.param1)].name if int(command.param1) in LAYOUTS else ""
         if command.command == SET_MESSAGE_INTERVAL:
-            result = self._streams.ask(message, command.param2)
+            result = self._streams.request(message, command.param2)
         elif command.command == REQUEST_MESSAGE:
             result = self._request(message)
         else:
@@ -224,10 +219,10 @@ class Autopilot:
         )
 
     def _request(self, message: str) -> int:
-        some = self.personality.requestable
+        requestable = self.personality.requestable
         if message not in self._streams and message != "AUTOPILOT_VERSION":
             return UNSUPPORTED
-        if some is not None and message not in some:
+        if requestable is not None and message not in requestable:
             return UNSUPPORTED
         if self._last is None:
             return FAILED
@@ -237,9 +232,9 @@ class Autopilot:
     def _data_stream(self, frame: Frame, request: Any, now_ns: int) -> None:
         if self.personality.kind is Kind.ARDUPILOT and request.req_stream_id in (0, *GROUPS):
             rate = request.req_message_rate if request.start_stop else 0
-            self._streams.ask_group(request.req_stream_id, rate)
+            self._streams.request_group(request.req_stream_id, rate)
 
-    def _heard(self, frame: Frame, heartbeat: Any, now_ns: int) -> None:
+    def _heartbeat(self, frame: Frame, heartbeat: Any, now_ns: int) -> None:
         if self.personality.is_timesync_targeted and self.personality.streams is not None:
             self._companion = (frame.system_id, frame.component_id)
 
@@ -262,7 +257,7 @@ class Autopilot:
 
     def _param_set(self, frame: Frame, request: Any, now_ns: int) -> None:
         if self._server.set(request):
-            self._streams.lay_out()
+            self._streams.update()
 
 
 assert set(SimConfig().streams.__slots__) <= IDS.keys()

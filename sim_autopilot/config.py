@@ -1,4 +1,4 @@
-"""Every number that can be turned, with its unit, and the YAML that may say otherwise."""
+"""Every number of the simulation, with its unit, and the YAML that overrides the defaults."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ImuConfig:
     gyro_noise: NotNegative = 3.0e-4
     """White noise density, rad/s/sqrt(Hz)."""
     gyro_bias_instability: NotNegative = 5.0e-5
-    """One sigma of the bias that wanders, rad/s."""
+    """One sigma of the slow part of the bias, rad/s."""
     gyro_bias_time: Positive = 300.0
     """Correlation time of it, s."""
     gyro_bias_start: NotNegative = 5.0e-3
@@ -36,7 +36,7 @@ class ImuConfig:
     accel_noise: NotNegative = 3.0e-3
     """White noise density, m/s^2/sqrt(Hz)."""
     accel_bias_instability: NotNegative = 2.0e-3
-    """One sigma of the bias that wanders, m/s^2."""
+    """One sigma of the slow part of the bias, m/s^2."""
     accel_bias_time: Positive = 300.0
     """Correlation time of it, s."""
     accel_bias_start: NotNegative = 3.0e-2
@@ -81,13 +81,13 @@ class CompassConfig:
     rate: Positive = 50.0
     """Samples, Hz."""
     noise_heading: NotNegative = 2.0 * _DEGREE
-    """One sigma of the heading that one level sample gives, rad: sets the noise of each axis."""
+    """One sigma of the heading of one level sample, rad: sets the noise of each axis."""
     slow_heading: NotNegative = 0.0
-    """One sigma of a slow error of the heading, rad: what a calibration leaves."""
+    """One sigma of a slow error of the heading, rad: the rest after a calibration."""
     slow_time: Positive = 100.0
     """Correlation time of it, s."""
     hard_iron: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """What the vehicle adds, forward, right, down, gauss."""
+    """The vehicle's own field, forward, right, down, gauss."""
     year: Annotated[float, msgspec.Meta(ge=2025.0, lt=2030.0)] = 2026.0
     """Date, for the model of 2025 to 2030."""
 
@@ -110,7 +110,7 @@ class BaroConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimateConfig:
-    """How far the autopilot's own estimate is from the truth: slow errors, one sigma."""
+    """Errors of the autopilot's own estimate: slow, one sigma."""
 
     tilt: NotNegative = 0.3 * _DEGREE
     """Roll and pitch, rad."""
@@ -126,7 +126,7 @@ class EstimateConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamConfig:
-    """Rates of the messages until somebody asks for another, Hz; 0: not sent."""
+    """Rates of the messages until others are requested, Hz; 0: not sent."""
 
     HIGHRES_IMU: NotNegative = 1000.0
     """At most the inertial unit's rate."""
@@ -155,12 +155,12 @@ class HomeConfig:
     boot: NotNegative = 20.0
     """Time since the autopilot's start, s."""
     unix: NotNegative = 1780000000.0
-    """Time since 1970 at the autopilot's start, s: what a .tlog counts in."""
+    """Time since 1970 at the autopilot's start, s: of the stamps of a .tlog."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimConfig:
-    """All of it."""
+    """All numbers."""
 
     system_id: Annotated[int, msgspec.Meta(ge=1, le=255)] = 1
     home: HomeConfig = field(default_factory=HomeConfig)
@@ -171,14 +171,14 @@ class SimConfig:
     estimate: EstimateConfig = field(default_factory=EstimateConfig)
     streams: StreamConfig = field(default_factory=StreamConfig)
     parameters: dict[str, float] = field(default_factory=dict)
-    """Parameters of the autopilot beside, or instead of, those that its kind has."""
+    """Parameters of the autopilot, added to its own or instead of them."""
 
 
 def load(path: Path | None) -> SimConfig:
-    """Read a YAML file that says what differs from the defaults; None: the defaults.
+    """Read a YAML file with what differs from the defaults; None: the defaults.
 
     Raises:
-        ConfigError: The file cannot be read, or has a key or a value that cannot be meant.
+        ConfigError: The file cannot be read, or has an unknown key or an invalid value.
     """
     if path is None:
         return SimConfig()

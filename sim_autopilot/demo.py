@@ -1,4 +1,4 @@
-"""The whole project in one minute: the real daemon, a fake flight, real UDP, a verdict."""
+"""The whole project in one minute: the real daemon, a simulated flight, real UDP, a verdict."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sim_autopilot.fly import fly as fly_over
 from sim_autopilot.fly import over
 from sim_autopilot.pace import run
 from sim_autopilot.recording import write_truth
-from sim_autopilot.report import TITLES
+from sim_autopilot.score_table import TITLES
 
 LIMITS = {
     "horizontal_m": 0.6,
@@ -32,24 +32,24 @@ LIMITS = {
 }
 """Of the RMS error after ten seconds."""
 _START = 15.0
-"""The daemon answers within this, s."""
+"""Longest time to the daemon's first answer, s."""
 _STOP = 5.0
-"""And ends within this, s."""
+"""Longest time to its end, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """What came of it."""
+    """The result."""
 
     score: dict[str, Any]
     files: list[str]
-    """What was written, one sentence each."""
+    """The files that were written."""
     complaints: list[str]
     """Empty: passed."""
 
 
 def fly(out: Path, *, duration: float, seed: int, daemon_config: Path | None = None) -> Verdict:
-    """Fly figure-eight against the daemon and judge what it answered.
+    """Fly figure-eight against the daemon, and compare its errors with ``LIMITS``.
 
     Raises:
         CompanionError: The daemon did not start or never answered.
@@ -74,9 +74,9 @@ def fly(out: Path, *, duration: float, seed: int, daemon_config: Path | None = N
 
 
 def complaints(score: dict[str, Any], log: Path) -> list[str]:
-    """Say what is not as it should be."""
+    """Return a sentence for each limit that was exceeded."""
     if not score["odometry"]["scored"]:
-        return [f"no ODOMETRY came that could be scored; {log} says what the daemon saw"]
+        return [f"no ODOMETRY came that could be scored; {log} has the daemon's log"]
     return [
         f"{TITLES[key]}: RMS {score[key]['rms']:.3f} is above {limit}"
         for key, limit in LIMITS.items()
@@ -86,12 +86,12 @@ def complaints(score: dict[str, Any], log: Path) -> list[str]:
 
 @contextlib.contextmanager
 def _daemon(config: Path | None, port: int, log: Path) -> Iterator[None]:
-    """Run the daemon while the body runs; its words go to a file."""
+    """Run the daemon while the body runs; its log goes to a file."""
     command = [sys.executable, "-m", "ekf_companion", "run", "--link", f"udpin:127.0.0.1:{port}"]
     if config is not None:
         command += ["--config", str(config)]
-    with log.open("wb") as words:
-        process = subprocess.Popen(command, stdout=words, stderr=subprocess.STDOUT)
+    with log.open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
         try:
             yield
         finally:

@@ -1,4 +1,4 @@
-"""What a fault did to the estimate, and when that was over."""
+"""The effect of a fault on the estimate, and the time of recovery."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Course:
+class ErrorSeries:
     """Errors over the time of validity of the ODOMETRY, each array of shape (n,)."""
 
     t: Array
@@ -34,7 +34,7 @@ class Course:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """Inside all of them, the estimate is right."""
+    """The largest errors of an estimate that has recovered."""
 
     position: float
     """m."""
@@ -50,7 +50,7 @@ USUAL = Limits(position=4.0, velocity=1.0, attitude=math.radians(6.0))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Episode:
-    """One window of a flight: its largest errors, and how long they stayed after it."""
+    """One window of a flight: its largest errors, and the time of recovery after it."""
 
     start: float
     end: float
@@ -64,20 +64,20 @@ class Episode:
     attitude: float
     """rad."""
     recovery: float
-    """From the end until all errors are inside the limits and stay so for ``hold``, s; inf: they
-    never did. No ODOMETRY is no recovery."""
+    """From the end until all errors are within the limits and stay so for ``hold``, s; inf: never.
+    No ODOMETRY is no recovery."""
 
 
-def course(witness: Witness, flight: Flight) -> Course:
-    """Give the errors of everything that a witness heard.
+def error_series(witness: Witness, flight: Flight) -> ErrorSeries:
+    """Return the errors of all ODOMETRY that a witness received.
 
-    Without an origin on the wire the mean offset is taken off, as in the score.
+    Without a published origin the mean offset is subtracted, as in the score.
     """
     estimate = witness.estimate()
     error = witness.error(estimate)
     truth = flight.truth_at(estimate.t_ns)
     turn = so3.log(so3.multiply(so3.conjugate(truth.q_nb), estimate.q_nb))
-    return Course(
+    return ErrorSeries(
         t=estimate.t,
         position=np.linalg.norm(error.pos_n, axis=1),
         velocity=np.linalg.norm(error.vel_n, axis=1),
@@ -86,7 +86,7 @@ def course(witness: Witness, flight: Flight) -> Course:
 
 
 def episode(
-    errors: Course,
+    errors: ErrorSeries,
     start: float,
     end: float,
     limits: Limits,
@@ -94,15 +94,15 @@ def episode(
     until: float = math.inf,
     hold: float = 2.0,
 ) -> Episode:
-    """Look at one window.
+    """Score one window.
 
     Args:
         errors: Of the flight.
         start: s.
         end: s; itself not in it.
-        limits: What is right again.
-        until: What comes from here on is another fault's, s.
-        hold: The errors must stay inside the limits for so long, or up to ``until``, s.
+        limits: Of a recovered estimate.
+        until: The next fault begins here, s.
+        hold: The errors must stay within the limits for so long, or up to ``until``, s.
     """
     inside = (errors.t >= start) & (errors.t < end)
     return Episode(
@@ -116,8 +116,10 @@ def episode(
     )
 
 
-def episodes(errors: Course, faults: list[Fault], limits: Limits) -> list[tuple[Fault, Episode]]:
-    """Look at each fault, up to the next one, in order of time."""
+def episodes(
+    errors: ErrorSeries, faults: list[Fault], limits: Limits
+) -> list[tuple[Fault, Episode]]:
+    """Score each fault, up to the next one, in order of time."""
     ordered = sorted(faults, key=lambda fault: fault.start)
     ends = [*(fault.start for fault in ordered), math.inf][1:]
     return [
@@ -126,11 +128,11 @@ def episodes(errors: Course, faults: list[Fault], limits: Limits) -> list[tuple[
     ]
 
 
-def account(
+def summaries(
     witness: Witness, flight: Flight, faults: list[Fault], limits: Limits | None = None
 ) -> list[dict[str, Any]]:
-    """Give what each fault did, as JSON has it; null: nothing was heard, or it never got right."""
-    found = episodes(course(witness, flight), faults, limits or USUAL)
+    """Return the effect of each fault, for JSON; null: no ODOMETRY, or no recovery."""
+    found = episodes(error_series(witness, flight), faults, limits or USUAL)
     return [
         {
             "fault": str(fault),
@@ -144,26 +146,26 @@ def account(
     ]
 
 
-def sentence(account: Mapping[str, Any]) -> str:
-    """Say one line of an account."""
-    said = f"{account['fault']}: "
-    if account["odometry"]:
-        said += (
-            f"errors up to {account['position_m']:.1f} m, {account['velocity_mps']:.1f} m/s, "
-            f"{account['attitude_deg']:.0f} deg"
+def sentence(summary: Mapping[str, Any]) -> str:
+    """Return a summary as one line."""
+    line = f"{summary['fault']}: "
+    if summary["odometry"]:
+        line += (
+            f"errors up to {summary['position_m']:.1f} m, {summary['velocity_mps']:.1f} m/s, "
+            f"{summary['attitude_deg']:.0f} deg"
         )
     else:
-        said += "no ODOMETRY"
-    if account["recovery_s"] is None:
-        return said + "; not right again"
-    return said + f"; right again {account['recovery_s']:.1f} s after it"
+        line += "no ODOMETRY"
+    if summary["recovery_s"] is None:
+        return line + "; not right again"
+    return line + f"; right again {summary['recovery_s']:.1f} s after it"
 
 
 def _finite(value: float) -> float | None:
     return round(value, 3) if math.isfinite(value) else None
 
 
-def _recovery(errors: Course, end: float, limits: Limits, until: float, hold: float) -> float:
+def _recovery(errors: ErrorSeries, end: float, limits: Limits, until: float, hold: float) -> float:
     after = (errors.t >= end) & (errors.t < until)
     t = errors.t[after]
     is_right = (
@@ -173,7 +175,7 @@ def _recovery(errors: Course, end: float, limits: Limits, until: float, hold: fl
     )
     if not len(t):
         return math.inf
-    # From each right one, the next wrong one must be far enough, or not come any more
+    # From each right one, the next wrong one must be far enough away, or not exist
     wrong = np.append(t[~is_right], math.inf)
     following = wrong[np.searchsorted(wrong, t)]
     good = is_right & ((following - t >= hold) & (t[-1] - t >= min(hold, t[-1] - t[0])))

@@ -13,10 +13,10 @@ Array = npt.NDArray[np.float64]
 
 
 def events(flight: Flight, *, has_vel_down: bool = False) -> Events:
-    """Give everything that the sensors said, in order of arrival.
+    """Return all samples, in order of arrival.
 
     Args:
-        flight: Whose stamps are kept: those of fixes are late by the receiver's delay.
+        flight: Its stamps are kept: those of fixes are late by the receiver's delay.
         has_vel_down: The fixes carry vertical velocity, as logs do and GPS_RAW_INT does not.
     """
     imu, gnss, config = flight.imu, flight.gnss, flight.config.gnss
@@ -28,9 +28,15 @@ def events(flight: Flight, *, has_vel_down: bool = False) -> Events:
         Events.from_columns(
             _stamps(flight, gnss.t),
             Kind.GNSS,
-            *(gnss.lat, gnss.lon, gnss.alt),
-            *(gnss.vel_n[:, 0], gnss.vel_n[:, 1], vel_down),
-            *(std_h, std_v, np.full(count, config.noise_vel)),
+            gnss.lat,
+            gnss.lon,
+            gnss.alt,
+            gnss.vel_n[:, 0],
+            gnss.vel_n[:, 1],
+            vel_down,
+            std_h,
+            std_v,
+            np.full(count, config.noise_vel),
             np.full(count, np.nan),
         ),
         Events.from_columns(_stamps(flight, flight.mag.t), Kind.MAG, *flight.mag.mag_b.T),
@@ -48,7 +54,7 @@ def events(flight: Flight, *, has_vel_down: bool = False) -> Events:
 
 
 def truth(flight: Flight) -> Trajectory:
-    """Give the motion at every inertial sample."""
+    """Return the motion at every inertial sample."""
     motion = flight.trajectory.at(flight.imu.t)
     t_ns = _stamps(flight, flight.imu.t)
     return Trajectory(

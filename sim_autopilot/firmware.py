@@ -1,4 +1,4 @@
-"""The autopilots that can be passed for: each a :class:`Personality`, and how one is chosen."""
+"""The autopilots that can be imitated: each a :class:`Personality`, and how one is chosen."""
 
 from __future__ import annotations
 
@@ -10,9 +10,24 @@ from sim_autopilot import spec
 from sim_autopilot.personality import DENIED, FAILED, Kind, Pacing, Personality
 
 _INFINITE = 1000.0
-"""Hz: as often as there is something new."""
+"""Hz: every new sample."""
 _PARAMETER_LENGTH = 16
 _MODES = {Kind.PX4: 4 << 16 | 3 << 24, Kind.ARDUPILOT: 4}
+_ON_REQUEST = (
+    "HIGHRES_IMU",
+    "RAW_IMU",
+    "SCALED_IMU2",
+    "SCALED_PRESSURE",
+    "GPS_RAW_INT",
+    "ATTITUDE",
+    "GLOBAL_POSITION_INT",
+    "LOCAL_POSITION_NED",
+    "SIM_STATE",
+    "SYSTEM_TIME",
+    "EXTENDED_SYS_STATE",
+    "GPS_GLOBAL_ORIGIN",
+)
+"""Messages that ArduPilot sends on request only."""
 _SOURCES = MappingProxyType(
     {
         "VISO_TYPE": 0,
@@ -27,7 +42,7 @@ _SOURCES = MappingProxyType(
 IDEAL = {
     Kind.PX4: Personality(
         name="px4",
-        summary="PX4 without its traps",
+        summary="PX4 without its habits",
         kind=Kind.PX4,
         custom_mode=_MODES[Kind.PX4],
         version=0x011000FF,
@@ -36,7 +51,7 @@ IDEAL = {
     ),
     Kind.ARDUPILOT: Personality(
         name="ardupilot",
-        summary="ArduPilot without its traps",
+        summary="ArduPilot without its habits",
         kind=Kind.ARDUPILOT,
         custom_mode=_MODES[Kind.ARDUPILOT],
         version=0x040600FF,
@@ -45,7 +60,7 @@ IDEAL = {
         timesync_rate=0.1,
     ),
 }
-"""What ``--autopilot`` chooses: no traps."""
+"""The choices of ``--autopilot``: no habits."""
 
 _PX4 = dataclasses.replace(
     IDEAL[Kind.PX4],
@@ -80,23 +95,7 @@ _PX4 = dataclasses.replace(
 _ARDUPILOT = dataclasses.replace(
     IDEAL[Kind.ARDUPILOT],
     summary="ArduPilot Copter 4.6: silent until asked, HIGHRES_IMU with a wrong magnetometer",
-    streams=MappingProxyType(
-        {
-            "HIGHRES_IMU": 0.0,
-            "RAW_IMU": 0.0,
-            "SCALED_IMU2": 0.0,
-            "SCALED_PRESSURE": 0.0,
-            "GPS_RAW_INT": 0.0,
-            "ATTITUDE": 0.0,
-            "GLOBAL_POSITION_INT": 0.0,
-            "LOCAL_POSITION_NED": 0.0,
-            "SIM_STATE": 0.0,
-            "SYSTEM_TIME": 0.0,
-            "EXTENDED_SYS_STATE": 0.0,
-            "GPS_GLOBAL_ORIGIN": 0.0,
-            "HEARTBEAT": 1.0,
-        }
-    ),
+    streams=MappingProxyType({**dict.fromkeys(_ON_REQUEST, 0.0), "HEARTBEAT": 1.0}),
     pacing=Pacing.MILLISECONDS,
     is_timesync_targeted=False,
     rules="ardupilot",
@@ -129,7 +128,7 @@ PERSONALITIES = {
         dataclasses.replace(
             _PX4,
             name="px4-1.13",
-            summary="PX4 1.13: EKF2_AID_MASK says what is fused",
+            summary="PX4 1.13: EKF2_AID_MASK decides what is fused",
             version=0x010D03FF,
             parameters=MappingProxyType({"EKF2_AID_MASK": 1, "MAV_1_RATE": 0}),
             is_timesync_targeted=False,
@@ -148,13 +147,13 @@ PERSONALITIES = {
         ),
     )
 }
-"""What ``--personality`` chooses, by name."""
+"""The choices of ``--personality``, by name."""
 
 
 def parse(text: str) -> Personality:
     """Read ``NAME[:key=value,...]``.
 
-    A key in capitals is a parameter of the autopilot, any other one of the numbers above:
+    A key in capitals is a parameter of the autopilot, any other a number of the personality:
     ``ardupilot-old:loop_rate=50,gcs_rate=4``, ``px4-1.13:EKF2_AID_MASK=9``.
 
     Raises:

@@ -1,6 +1,6 @@
-"""A flight laid out in order of time: one cycle of the autopilot's loop per inertial sample.
+"""A flight in order of time: one cycle of the autopilot's loop per inertial sample.
 
-``generate`` and ``fly`` walk through the same cycles; only the clock differs.
+``generate`` and ``fly`` iterate over the same cycles; only the clock differs.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 _CHUNK = 256
-"""Cycles laid out at once: a millisecond of work, so that a live flight does not stutter."""
+"""Cycles computed at once: a millisecond of work, so that a live flight does not stutter."""
 _ARMS_BEFORE = 1.0
 """The vehicle is armed so long before it moves, s."""
 
 
 class Motion(NamedTuple):
-    """Where the vehicle is, or where the autopilot believes that it is."""
+    """The vehicle's true state, or the autopilot's estimate of it."""
 
     lat: float
     """rad."""
@@ -51,7 +51,7 @@ class Motion(NamedTuple):
 
 
 class Fix(NamedTuple):
-    """What the receiver says."""
+    """A fix of the receiver."""
 
     t_ns: int
     """Its stamp."""
@@ -66,11 +66,11 @@ class Fix(NamedTuple):
     yaw: float
     """rad; NaN: none."""
     fix_type: int = 3
-    """As in GPS_RAW_INT: 0 is none, 3 one in three dimensions."""
+    """As in GPS_RAW_INT: 0 is no fix, 3 a fix in three dimensions."""
 
 
 class Cycle(NamedTuple):
-    """What is new in one turn of the autopilot's loop."""
+    """The new samples of one cycle of the autopilot's loop."""
 
     number: int
     t_ns: int
@@ -89,9 +89,9 @@ class Cycle(NamedTuple):
     is_armed: bool
     is_landed: bool
     flight_ns: int
-    """The same time on a clock that nothing happens to: the world's."""
+    """The same time on the world's clock, which no fault changes."""
     gyro_bias_b: Vector = (0.0, 0.0, 0.0)
-    """What of the gyro is slow error: the autopilot's filter comes near to it, rad/s."""
+    """The slow error in it, which the autopilot's filter estimates, rad/s."""
     accel_bias_b: Vector = (0.0, 0.0, 0.0)
     """m/s^2."""
     has_imu: bool = True
@@ -100,7 +100,7 @@ class Cycle(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Flight:
-    """A scenario with everything that chance decides already drawn."""
+    """A scenario with all random numbers drawn."""
 
     scenario: Scenario
     config: SimConfig
@@ -133,7 +133,7 @@ class Flight:
             name: Of the scenario.
             config: Every number.
             seed: The same gives the same bits.
-            duration: s; None: as long as the scenario is.
+            duration: s; None: the scenario's.
             skip: The flight begins so far into the scenario, s: a start in motion.
         """
         scenario = SCENARIOS[name]
@@ -167,33 +167,33 @@ class Flight:
             baro=sensors.baro(
                 trajectory, config.baro, rng["baro"], _every(t, period, config.baro.rate)
             ),
-            estimate_error=sensors.wandering(rng["estimate"], count, sigmas, period, e.time),
+            estimate_error=sensors.slow_errors(rng["estimate"], count, sigmas, period, e.time),
         )
 
     def __len__(self) -> int:
-        """Give the number of cycles."""
+        """Return the number of cycles."""
         return len(self.imu.t)
 
     @property
     def duration(self) -> float:
-        """Give the length of the flight, s."""
+        """The length of the flight, s."""
         return len(self) * self.period_ns * 1e-9
 
     @property
     def first_ns(self) -> int:
-        """Give the time of the first cycle on the autopilot's clock."""
+        """The time of the first cycle on the autopilot's clock."""
         return self.to_ns(float(self.imu.t[0]))
 
     def to_ns(self, t: float) -> int:
-        """Give a time of the trajectory on the autopilot's clock, in whole microseconds."""
+        """Convert a time of the trajectory to the autopilot's clock, in whole microseconds."""
         return self.zero_ns + round(t * 1e6) * 1000
 
     def truth_at(self, t_ns: npt.NDArray[np.int64]) -> Truth:
-        """Give the motion at times on the autopilot's clock."""
+        """Return the motion at times on the autopilot's clock."""
         return self.trajectory.at(np.asarray((t_ns - self.zero_ns) * 1e-9, dtype=np.float64))
 
     def cycles(self) -> Iterator[Cycle]:
-        """Give the cycles in order of time."""
+        """Yield the cycles in order of time."""
         t = self.imu.t
         mag = _arrivals(t, self.mag.t, zip(*self.mag.mag_b.T.tolist(), strict=True))
         baro = _arrivals(
@@ -217,7 +217,7 @@ class Flight:
                 strict=True,
             )
             for number, row in enumerate(rows, start):
-                t_s, gyro, accel, gyro_bias, accel_bias, true, believed, armed, landed = row
+                t_s, gyro, accel, gyro_bias, accel_bias, true, estimate, armed, landed = row
                 now_ns = self.to_ns(t_s)
                 yield Cycle(
                     number=number,
@@ -228,7 +228,7 @@ class Flight:
                     baro=baro.get(number),
                     fix=fixes.get(number),
                     truth=true,
-                    estimate=believed,
+                    estimate=estimate,
                     is_armed=armed,
                     is_landed=landed,
                     flight_ns=now_ns,
@@ -243,7 +243,7 @@ class Flight:
             yield Fix(self.to_ns(t), lat, lon, alt, tuple(vel_n), yaw)
 
     def _ground_contact(self, truth: Truth) -> tuple[list[bool], list[bool]]:
-        """Give whether it stands on the ground, and whether it is armed."""
+        """Return whether it stands on the ground, and whether it is armed."""
         if not self.scenario.is_airborne:
             return [True] * len(truth.t), [False] * len(truth.t)
         soon = self.trajectory.at(truth.t + _ARMS_BEFORE)
@@ -265,13 +265,13 @@ class Flight:
 
 
 def _every(t: Array, period: float, rate: float) -> Array:
-    """Give the inertial sampling times at which a slower sensor of the same board is read."""
+    """Return the inertial sampling times at which a slower sensor of the same board is read."""
     step = max(1, round(1.0 / (rate * period)))
     return t[step - 1 :: step]
 
 
 def _arrivals(cycles: Array, t: Array, samples: Iterator[Any]) -> dict[int, Any]:
-    """Give samples by the index of the first cycle that can see them."""
+    """Return samples by the index of the first cycle that has them."""
     index = np.searchsorted(cycles, t - 1e-9)  # a nanosecond for the rounding of equal times
     return dict(zip(index.tolist(), samples, strict=True))
 

@@ -10,26 +10,26 @@ from typing import TypeVar
 
 from ekf_companion.errors import CompanionError
 from ekf_companion.link.link import Link, open_link
-from sim_autopilot.autopilot import Autopilot, Kind
+from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.faults.fault import Fault
 from sim_autopilot.flight import Flight
 from sim_autopilot.pace import Pace
-from sim_autopilot.personality import Personality
+from sim_autopilot.personality import Kind, Personality
 from sim_autopilot.recording import TlogWriter
 from sim_autopilot.rig import Rig
 from sim_autopilot.score import Witness
 
 T = TypeVar("T")
 
-_LAST_WORDS = 0.3
-"""After the last sample, what is still under way is waited for so long, s."""
-_CALL_PERIOD = 0.1
-"""Between heartbeats before anybody has answered, s."""
+_AFTER = 0.3
+"""After the last sample, messages are still received for so long, s."""
+_HEARTBEAT_PERIOD = 0.1
+"""Before the first answer, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flown:
-    """What is left of a flight over a link."""
+    """The result of a flight over a link."""
 
     flight: Flight
     autopilot: Autopilot
@@ -41,69 +41,63 @@ async def fly(
     flight: Flight,
     link: Link,
     *,
-    kind: Kind = Kind.PX4,
-    personality: Personality | None = None,
+    personality: Personality | Kind = Kind.PX4,
     faults: Sequence[Fault] = (),
     speed: float = 1.0,
     log: TlogWriter | None = None,
     wait: float = 0.0,
 ) -> Flown:
-    """Fly over a link, and hear what comes back.
+    """Fly over a link, and receive the estimate.
 
     Args:
-        flight: What is flown.
-        link: Where to.
-        kind: Which autopilot it passes itself off as, without traps.
-        personality: With its traps; goes before ``kind``.
-        faults: What goes wrong.
+        flight: The flight.
+        link: An open link.
+        personality: The autopilot to imitate; of a kind the ideal one.
+        faults: Of the flight.
         speed: Of the autopilot's clock against ours.
-        log: Takes every frame out and in.
-        wait: Call so long for somebody to answer before the flight begins, s.
+        log: Gets every frame sent and received.
+        wait: Longest time to wait for an answer before the flight begins, s; 0: do not wait.
 
     Raises:
         CompanionError: Nobody answered.
     """
-    rig = Rig(flight, kind=kind, personality=personality, faults=faults)
+    rig = Rig(flight, personality=personality, faults=faults)
     witness = Witness(flight, rig.clock.true_ns)
     if wait > 0.0:
-        await _call(rig.autopilot, link, wait)
+        await _wait_for_answer(rig.autopilot, link, wait)
     pace = Pace(flight.first_ns, speed)
 
-    def send() -> None:
+    def exchange() -> None:
         now_ns = pace.now_ns()
         while (item := rig.pop(now_ns)) is not None:
             link.send(item[1])
             if log is not None:
                 log.write(now_ns, item[1])
+        for message in rig.received():
+            witness.receive(message)
+            if log is not None:
+                log.write(message.now_ns, message.frame)
 
     async def listen() -> None:
         while True:
             read = await link.receive()
             rig.receive(read.data, pace.shown_ns(read.now_ns))
-            send()
-            hear()
+            exchange()
 
-    def hear() -> None:
-        for message in rig.heard():
-            witness.hear(message)
-            if log is not None:
-                log.write(message.now_ns, message.frame)
-
-    async with _beside(listen()):
+    async with _background(listen()):
         for cycle in flight.cycles():
             await pace.until(cycle.flight_ns)
             witness.sent(pace.now_ns())
             rig.cycle(cycle)
-            if rig.autopilot.turn_ns > cycle.flight_ns:
-                # A turn of the loop that comes late stamps so: nothing may arrive before its stamp
-                await pace.until(rig.autopilot.turn_ns)
-            send()
-            hear()
-        await asyncio.sleep(_LAST_WORDS)
+            if rig.autopilot.loop_ns > cycle.flight_ns:
+                # A late iteration of the loop has a late stamp: nothing may arrive before its stamp
+                await pace.until(rig.autopilot.loop_ns)
+            exchange()
+        await asyncio.sleep(_AFTER)
     return Flown(flight, rig.autopilot, witness, pace)
 
 
-async def _call(autopilot: Autopilot, link: Link, wait: float) -> None:
+async def _wait_for_answer(autopilot: Autopilot, link: Link, wait: float) -> None:
     """Send heartbeats until bytes come back."""
     loop = asyncio.get_running_loop()
     end = loop.time() + wait
@@ -112,7 +106,7 @@ async def _call(autopilot: Autopilot, link: Link, wait: float) -> None:
         for frame in autopilot.data_to_send():
             link.send(frame)
         with contextlib.suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(link.receive(), _CALL_PERIOD)
+            await asyncio.wait_for(link.receive(), _HEARTBEAT_PERIOD)
             return
     raise CompanionError(
         f"{link.address}: nobody answered within {wait:g} s; start the daemon first"
@@ -120,7 +114,7 @@ async def _call(autopilot: Autopilot, link: Link, wait: float) -> None:
 
 
 async def play(frames: Iterable[tuple[int, bytes]], link: Link, speed: float = 1.0) -> int:
-    """Send recorded frames at their times; give how many."""
+    """Send recorded frames at their times, and return their number."""
     count = 0
     pace: Pace | None = None
 
@@ -128,7 +122,7 @@ async def play(frames: Iterable[tuple[int, bytes]], link: Link, speed: float = 1
         while True:
             await link.receive()
 
-    async with _beside(listen()):
+    async with _background(listen()):
         for t_ns, frame in frames:
             if pace is None:
                 pace = Pace(t_ns, speed)
@@ -140,21 +134,21 @@ async def play(frames: Iterable[tuple[int, bytes]], link: Link, speed: float = 1
 
 
 async def over(url: str, body: Callable[[Link], Awaitable[T]]) -> T:
-    """Open a link, and run something over it once it is open.
+    """Open a link, and run ``body`` with it once it is open.
 
     Raises:
         LinkError: The URL names no link.
     """
     is_open = asyncio.Event()
     link = open_link(url, on_state=lambda now_open: is_open.set() if now_open else None)
-    async with _beside(link.run()):
+    async with _background(link.run()):
         await is_open.wait()
         return await body(link)
 
 
 @contextlib.asynccontextmanager
-async def _beside(work: Coroutine[None, None, None]) -> AsyncIterator[None]:
-    """Run something beside the body; what goes wrong in it is raised at the end."""
+async def _background(work: Coroutine[None, None, None]) -> AsyncIterator[None]:
+    """Run a coroutine beside the body; its error is raised at the end."""
     task = asyncio.create_task(work)
     try:
         yield

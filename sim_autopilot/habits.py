@@ -1,6 +1,6 @@
-"""What an autopilot knows of its sensors, and what it says of them: habit by habit.
+"""The sensors as a firmware reports them, with its habits.
 
-The habits, and where each is from: :class:`sim_autopilot.personality.Personality`.
+The habits and their sources: :class:`sim_autopilot.personality.Personality`.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from sim_autopilot.telemetry import (
 
 _SECOND_NS = 1_000_000_000
 _LATEST = 2e-3
-"""A turn of the loop is never later than this, s."""
+"""Largest lateness of an iteration of the main loop, s."""
 _BIAS_GAIN = 0.1
-"""Of a step of the autopilot's bias estimate towards the bias."""
+"""Part of the difference by which the autopilot's bias estimate steps towards the bias."""
 _BIAS_NOISE = (3e-5, 5e-3)
 """One sigma of such a step, rad/s and m/s^2: assumed."""
 _METRES_PER_RADIAN = 6371e3
 _ZERO: Vector = (0.0, 0.0, 0.0)
 
 
-class Board:
+class FirmwareSensors:
     """The sensors as the firmware sees them, from one start of it to the next."""
 
     def __init__(self, config: SimConfig, personality: Personality, seed: int) -> None:
-        """Know nothing yet; ``seed`` decides lateness, gaps and steps."""
+        """Begin without a sample; ``seed`` decides lateness, gaps and steps."""
         self._config = config
         self._habits = personality
         late, gaps, steps = np.random.SeedSequence(seed, spawn_key=(100,)).spawn(3)
@@ -54,7 +54,7 @@ class Board:
         self._fix: Fix | None = None
         self._fix_ns: int | None = None
         self._begin_ns: int | None = None
-        """When the first fix came, on the world's clock, as the two beside it."""
+        """Time of the first fix, on the world's clock, like the two beside it."""
         self._next_marker_ns = 0
         self._declination = 0.0
         if personality.origin_after:
@@ -65,7 +65,7 @@ class Board:
             self._declination = math.atan2(east, north)
 
     def read(self, cycle: Cycle) -> Cycle | None:
-        """Take a sample of everything; give it as this turn of the loop has it, None: no turn."""
+        """Take new samples; return them as the main loop has them, None: it does not run now."""
         self._note(cycle)
         cycle = self._averaged(self._corrected(cycle))
         every = max(self._mean_every, self._loop_every)
@@ -83,12 +83,12 @@ class Board:
         return not wait or (self._begin_ns is not None and now_ns - self._begin_ns >= wait * 1e9)
 
     def is_missing(self) -> bool:
-        """Whether the next inertial message never leaves."""
+        """Whether the next inertial message is lost before it is sent."""
         share = self._habits.missing
         return bool(share) and bool(self._gaps.random() < share)
 
     def highres_imu(self, cycle: Cycle) -> Fields:
-        """Give HIGHRES_IMU with the latest magnetometer and barometer samples, new or not."""
+        """Return HIGHRES_IMU with the latest magnetometer and barometer samples, new or not."""
         habits = self._habits
         updated, self._updated = self._updated, INERTIAL_AND_TEMPERATURE
         if habits.is_always_updated:
@@ -104,19 +104,19 @@ class Board:
         return fields
 
     def raw_imu(self, cycle: Cycle) -> Fields:
-        """Give RAW_IMU."""
+        """Return RAW_IMU."""
         return telemetry.raw_imu(cycle, self._mag_b)
 
     def scaled_imu(self, cycle: Cycle) -> Fields:
-        """Give SCALED_IMU2."""
+        """Return SCALED_IMU2."""
         return telemetry.scaled_imu(cycle, self._mag_b)
 
     def scaled_pressure(self, cycle: Cycle) -> Fields:
-        """Give SCALED_PRESSURE."""
+        """Return SCALED_PRESSURE."""
         return telemetry.scaled_pressure(cycle, self._config, self._baro[0])
 
     def gps_raw_int(self, cycle: Cycle) -> Fields | None:
-        """Give GPS_RAW_INT of the newest fix; None: there is nothing to say."""
+        """Return GPS_RAW_INT of the newest fix; None: it is not sent."""
         fix, habits = self._fix, self._habits
         if fix is None:
             return self._before_the_first(cycle) if habits.stray else None
@@ -131,7 +131,7 @@ class Board:
         return fields
 
     def marker(self, cycle: Cycle) -> Fields | None:
-        """Give the GPS_RAW_INT that stands for a receiver that says nothing, once a second."""
+        """Return the GPS_RAW_INT of a silent receiver, once a second; None: not now."""
         if (
             self._habits.is_fix_repeated
             or not self._is_lost(cycle.flight_ns)
@@ -142,7 +142,7 @@ class Board:
         return telemetry.no_gps()
 
     def _note(self, cycle: Cycle) -> None:
-        """Keep what is new of the slow sensors."""
+        """Keep new samples of the slow sensors."""
         if cycle.mag_b is not None:
             self._mag_b = cycle.mag_b
             self._updated |= MAGNETOMETER
@@ -170,7 +170,7 @@ class Board:
         return telemetry.gps_raw_int(self._config, fix)
 
     def _corrected(self, cycle: Cycle) -> Cycle:
-        """Take off what the autopilot's own filter believes to be bias."""
+        """Subtract the biases that the autopilot's own filter estimates."""
         if not self._habits.bias_step:
             return cycle
         if cycle.flight_ns >= self._next_step_ns:
@@ -184,7 +184,7 @@ class Board:
         )
 
     def _averaged(self, cycle: Cycle) -> Cycle:
-        """Give the mean over the interval that ends here."""
+        """Return the mean over the interval that ends here."""
         if self._mean_every == 1:
             return cycle
         self._sum += [cycle.gyro_b, cycle.accel_b]
@@ -195,7 +195,7 @@ class Board:
         return cycle._replace(gyro_b=_vector(gyro_b), accel_b=_vector(accel_b))
 
     def _by_compass(self, cycle: Cycle) -> Cycle:
-        """Turn its own heading to magnetic north."""
+        """Convert its own heading to magnetic north."""
         roll, pitch, yaw = cycle.estimate.euler
         magnetic = float(so3.wrap(yaw - self._declination))
         return cycle._replace(estimate=cycle.estimate._replace(euler=(roll, pitch, magnetic)))

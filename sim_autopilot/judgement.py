@@ -1,4 +1,4 @@
-"""The words in which it is said what an autopilot does with an ODOMETRY message."""
+"""The types for what an autopilot does with an ODOMETRY message."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Stack(str, Enum):
-    """Whose rules apply."""
+    """The firmware whose rules apply."""
 
     PX4 = "px4"
     """1.14 and later: EKF2_EV_CTRL decides."""
@@ -37,25 +37,25 @@ NOTHING: frozenset[Quantity] = frozenset()
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """What of the messages before is remembered; the first has ``History()``."""
+    """What is kept of the messages before; ``History()`` for the first."""
 
     time_us: int | None = None
-    """Stamp of the last one whose quality sufficed (PX4), or that was written (ArduPilot)."""
+    """Stamp of the last one of sufficient quality (PX4), or that was written (ArduPilot)."""
     quality: int = 0
-    """Of the last one whose quality sufficed."""
+    """Of the last one of sufficient quality."""
     reset_counter: int = 0
     fused: frozenset[Quantity] = NOTHING
-    """What was being fused."""
+    """What was fused of it."""
     ignored_until_us: int = 0
-    """A T265 is not believed for a second after a reset."""
+    """A T265 is ignored for a second after a reset."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
-    """What becomes of one message."""
+    """What the autopilot does with one message."""
 
     is_accepted: bool
-    """Whether the receiver hands it to the filter."""
+    """Whether the receiver passes it to the filter."""
     fused: frozenset[Quantity]
     """What the filter fuses of it, if it passes the gates."""
     reason: str
@@ -65,7 +65,7 @@ class Judgement:
     is_reset: bool = False
     """Whether the filter moves to it at once, since its reset counter changed."""
     std_position: float = math.nan
-    """One sigma that ArduPilot weighs the position by, m; NaN: not written."""
+    """One sigma of the position as ArduPilot takes it, m; NaN: not written."""
     std_yaw: float = math.nan
     """Likewise of the yaw, rad."""
     history: History
@@ -73,14 +73,14 @@ class Judgement:
 
 
 def refused(reason: str, history: History, text: str = "") -> Judgement:
-    """Say that the receiver drops the message."""
+    """Return that the receiver drops the message."""
     return Judgement(is_accepted=False, fused=NOTHING, reason=reason, text=text, history=history)
 
 
 def judged(
     reasons: list[str], fused: frozenset[Quantity], history: History, **more: Any
 ) -> Judgement:
-    """Say what the filter fuses of a message that it gets, and why not more."""
+    """Return what the filter fuses of a message that reaches it, and why not more."""
     return Judgement(
         is_accepted=True, fused=fused, reason="; ".join(reasons), history=history, **more
     )

@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from sim_autopilot.score import quantiles
+
 T = TypeVar("T")
 
 
@@ -18,35 +20,29 @@ class Pace:
 
     def __init__(self, first_ns: int, speed: float) -> None:
         self.late_ns: list[int] = []
-        """By how much each wait ended after its time, ns of ours."""
+        """Lateness of the end of each wait, ns of our clock."""
         self._first_ns = first_ns
         self._speed = speed
         self._start_ns = time.monotonic_ns()
 
     def now_ns(self) -> int:
-        """Give the time that it shows."""
+        """Return the time that it shows."""
         return self.shown_ns(time.monotonic_ns())
 
     def shown_ns(self, monotonic_ns: int) -> int:
-        """Give the time that it shows when our monotonic clock shows ``monotonic_ns``."""
+        """Return the time that it shows when our monotonic clock shows ``monotonic_ns``."""
         return self._first_ns + round((monotonic_ns - self._start_ns) * self._speed)
 
     async def until(self, t_ns: int) -> None:
-        """Wait until it shows a time, counted from the start, so that no error adds up."""
+        """Wait until it shows a time, counted from the start, so that no error accumulates."""
         due_ns = self._start_ns + round((t_ns - self._first_ns) / self._speed)
-        # Also when late: whoever listens must get a turn
+        # Also when late: the receiver must get to run
         await asyncio.sleep(max(0, due_ns - time.monotonic_ns()) * 1e-9)
         self.late_ns.append(time.monotonic_ns() - due_ns)
 
     def lateness(self) -> dict[str, float]:
-        """Give how late the waits ended, ms of ours: median, 99 % and the worst."""
-        late = np.array(self.late_ns or [0]) * 1e-6
-        p50, p99 = np.quantile(late, [0.5, 0.99])
-        return {
-            "p50": round(float(p50), 3),
-            "p99": round(float(p99), 3),
-            "max": round(float(late.max()), 3),
-        }
+        """Return how late the waits ended, ms of our clock."""
+        return quantiles(np.array(self.late_ns or [0]) * 1e-6)
 
 
 def run(main: Coroutine[Any, Any, T]) -> T:

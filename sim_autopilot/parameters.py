@@ -11,39 +11,39 @@ _INT32, _REAL32 = 6, 9
 
 
 class ParameterServer:
-    """Parameters by name; kept over a reboot, as the real ones are."""
+    """Parameters by name; like the real ones they outlast a reboot."""
 
     def __init__(self, values: dict[str, float], send: Send, *, is_bytewise: bool) -> None:
-        """Serve ``values``; ``is_bytewise``: as PX4 lays an integer where the float would be."""
+        """Serve ``values``; ``is_bytewise``: integers have the float's bytes, as in PX4."""
         self.values = values
         self._send = send
         self._is_bytewise = is_bytewise
 
     def read(self, request: Any) -> None:
-        """Answer PARAM_REQUEST_READ, by index or by name; silence where there is none."""
+        """Answer PARAM_REQUEST_READ, by index or by name; an unknown one gets no answer."""
         names = list(self.values)
         index = request.param_index
         name = (
             names[index] if 0 <= index < len(names) else request.param_id.decode("ascii", "replace")
         )
         if name in self.values:
-            self._tell(name)
+            self._send_value(name)
 
-    def tell_all(self) -> None:
+    def send_all(self) -> None:
         """Answer PARAM_REQUEST_LIST."""
         for name in self.values:
-            self._tell(name)
+            self._send_value(name)
 
     def set(self, request: Any) -> bool:
-        """Take PARAM_SET, and say what holds then; give whether there is such a parameter."""
+        """Execute PARAM_SET and send the new value; return whether the parameter exists."""
         name = request.param_id.decode("ascii", "replace")
         if name not in self.values:
             return False
         self.values[name] = self._decoded(request.param_value, request.param_type)
-        self._tell(name)
+        self._send_value(name)
         return True
 
-    def _tell(self, name: str) -> None:
+    def _send_value(self, name: str) -> None:
         value = self.values[name]
         is_integer = float(value).is_integer()
         if is_integer and self._is_bytewise:

@@ -1,7 +1,7 @@
 """What PX4 does with an ODOMETRY message.
 
 Sources, for their behaviour: ``mavlink_receiver.cpp``, ``EKF2.cpp`` and
-``EKF/aid_sources/external_vision``, 1.14 and later; 1.11 to 1.13 where ``is_old`` is said.
+``EKF/aid_sources/external_vision``, 1.14 and later; 1.11 to 1.13 if ``is_old``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _BODY_FRD = 12
 _UNIT = 1e-5
 """How far from one the quaternion's norm may be."""
 _EV_INTERVAL_US = 200_000
-"""So close must two samples be for fusion to begin; it ends after twice that."""
+"""Largest interval of two samples for fusion to begin; it ends after twice that."""
 _EV_BITS = {
     1: {Quantity.POSITION},
     2: {Quantity.HEIGHT},
@@ -35,7 +35,7 @@ _VISION = 3
 
 
 def judge(m: Any, values: Mapping[str, float], before: History, *, is_old: bool) -> Judgement:
-    """Say what becomes of a message, with all parameters at hand."""
+    """Return what it does with a message; ``values`` has all parameters."""
     if (refusal := _refusal(m, before, is_old=is_old)) is not None:
         return refusal
     wanted, has_gnss = _aided_by_vision(values, is_old=is_old)
@@ -56,7 +56,7 @@ def judge(m: Any, values: Mapping[str, float], before: History, *, is_old: bool)
 def _in_time(
     m: Any, usable: frozenset[Quantity], reasons: list[str], before: History, least: float
 ) -> Judgement:
-    """Say what is fused of the usable parts, by quality and by the time since the one before."""
+    """Return what is fused of the usable parts, by quality and the time since the last message."""
     is_good = least <= 0 or m.quality >= least
     if not is_good:
         reasons.append(f"quality {m.quality} is below EKF2_EV_QMIN {least:g}")
@@ -79,14 +79,14 @@ def _in_time(
 
 
 def _remember(m: Any, before: History, fused: frozenset[Quantity], *, is_good: bool) -> History:
-    """Give the history after a message: of a poor one only what goes on is kept."""
+    """Return the history after a message; a poor one only updates what is fused."""
     if is_good:
         return History(m.time_usec, m.quality, m.reset_counter, fused)
     return replace(before, fused=fused)
 
 
 def _refusal(m: Any, before: History, *, is_old: bool) -> Judgement | None:
-    """Say what the receiver refuses, before any filter sees it."""
+    """Return the refusal of the receiver, before any filter; None: it is passed on."""
     kind = m.estimator_type
     if kind == _MOCAP:
         return judged(["motion capture goes to nobody: EKF2 does not read it"], NOTHING, before)
@@ -101,7 +101,7 @@ def _refusal(m: Any, before: History, *, is_old: bool) -> Judgement | None:
 def _aided_by_vision(
     values: Mapping[str, float], *, is_old: bool
 ) -> tuple[frozenset[Quantity], bool]:
-    """Give what of the message the parameters ask for, and whether GNSS positions are fused."""
+    """Return the parts that the parameters enable, and whether GNSS positions are fused."""
     if not is_old:
         bits = int(values["EKF2_EV_CTRL"])
         wanted = frozenset().union(*(q for bit, q in _EV_BITS.items() if bits & bit))
@@ -115,7 +115,7 @@ def _aided_by_vision(
 
 
 def _offered(m: Any, twist_frames: tuple[int, ...]) -> tuple[frozenset[Quantity], list[str]]:
-    """Give the parts that the message holds, and why the others are lacking."""
+    """Return the parts that the message holds, and why the others are missing."""
     parts: frozenset[Quantity] = NOTHING
     lacks = []
     if not all(map(math.isfinite, (m.x, m.y, m.z))):

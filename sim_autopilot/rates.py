@@ -1,4 +1,4 @@
-"""Which messages are due: what was asked for, and what the autopilot makes of it."""
+"""The messages that are due: the requested rates, and the autopilot's own rules."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ ACCEPTED = 0
 GNSS = "GPS_RAW_INT"
 _SECOND_NS = 1_000_000_000
 _CONSTANT = frozenset({"HEARTBEAT"})
-"""Never slowed down by the link's budget."""
+"""Never slowed down by the limit of the link."""
 _OVERHEAD = 12
 """Of a frame, bytes."""
 _SLOWEST = 0.05
-"""A stream is never slowed down further than to this part (PX4)."""
+"""Smallest part of its rate that a stream keeps (PX4)."""
 _EARLY = 0.05
-"""Part of a turn that a stream may come before its time (PX4 main loop's tolerance)."""
+"""Part of a loop iteration that a stream may be early (PX4 main loop's tolerance)."""
 _LOOP_SHARE = 0.8
-"""Of the loop's rate, that a stream may have at most (ArduPilot)."""
+"""Largest rate of a stream, as a part of the loop's rate (ArduPilot)."""
 
 GROUPS: Mapping[int, tuple[str, ...]] = {
     1: ("RAW_IMU", "SCALED_IMU2", "SCALED_PRESSURE"),
@@ -39,30 +39,30 @@ class Streams:
     def __init__(
         self, personality: Personality, config: SimConfig, parameters: Mapping[str, float]
     ) -> None:
-        """Begin with the rates of a fresh start; ``parameters`` is looked at, not copied."""
+        """Begin with the default rates; ``parameters`` is read at each update, not copied."""
         own = personality.streams
         if own is None:
             own = {name: getattr(config.streams, name) for name in config.streams.__slots__}
         self._default = own
-        self._asked = dict(own)
+        self._rates = dict(own)
         self._personality = personality
         self._parameters = parameters
-        self._turn_rate = personality.loop_rate or config.imu.rate
+        self._loop_rate = personality.loop_rate or config.imu.rate
         if personality.vehicle_imu_rate:
-            self._turn_rate = min(self._turn_rate, personality.vehicle_imu_rate)
+            self._loop_rate = min(self._loop_rate, personality.vehicle_imu_rate)
         self._fix_rate = config.gnss.rate
         self._fixes = 0
         self._every: dict[str, int] = {}
         self._next_ns: dict[str, int] = dict.fromkeys(own, 0)
-        self.lay_out()
+        self.update()
 
     def __contains__(self, name: str) -> bool:
         """Whether there is such a message."""
-        return name in self._asked
+        return name in self._rates
 
-    def ask(self, name: str, interval_us: float) -> int:
-        """Take SET_MESSAGE_INTERVAL; give the result that is told, whatever becomes of it."""
-        if name not in self._asked:
+    def request(self, name: str, interval_us: float) -> int:
+        """Execute SET_MESSAGE_INTERVAL; return the result of its COMMAND_ACK."""
+        if name not in self._rates:
             return self._personality.no_such_stream
         rate = self._default[name]
         if interval_us > 0.0:
@@ -73,23 +73,23 @@ class Streams:
                     return DENIED
         elif interval_us < 0.0:
             rate = 0.0
-        self._asked[name] = rate
+        self._rates[name] = rate
         self._next_ns[name] = 0
-        self.lay_out()
+        self.update()
         return ACCEPTED
 
-    def ask_group(self, group: int, rate: float) -> None:
-        """Take REQUEST_DATA_STREAM; a rate too high becomes the highest that there is."""
+    def request_group(self, group: int, rate: float) -> None:
+        """Execute REQUEST_DATA_STREAM; a rate too high becomes the highest possible."""
         groups: Iterable[int] = GROUPS if group == 0 else (group,)
         for name in (name for one in groups for name in GROUPS.get(one, ())):
-            if name in self._asked:
-                self._asked[name] = min(rate, self._fastest)
-        self.lay_out()
+            if name in self._rates:
+                self._rates[name] = min(rate, self._fastest)
+        self.update()
 
     def due(self, number: int, t_ns: int, has_fix: bool) -> list[str]:
-        """Give what is to be sent in a turn, by its number and its time."""
+        """Return the messages of a loop iteration, by its number and its time."""
         if self._personality.pacing is Pacing.MILLISECONDS:
-            return [name for name in self._asked if self._is_over(name, t_ns)]
+            return [name for name in self._rates if self._is_over(name, t_ns)]
         names = [
             name
             for name, every in self._every.items()
@@ -103,23 +103,23 @@ class Streams:
 
     def is_wanted(self, name: str) -> bool:
         """Whether a message is streamed at all."""
-        return self._asked.get(name, 0.0) > 0.0
+        return self._rates.get(name, 0.0) > 0.0
 
-    def lay_out(self) -> None:
-        """Turn rates into whole numbers of turns, within the budget; after any change."""
+    def update(self) -> None:
+        """Convert rates to whole numbers of loop iterations, within the limit of the link."""
         scale = self._scale()
         self._every = {
             name: self._divide(name, rate if name in _CONSTANT else rate * scale)
-            for name, rate in self._asked.items()
+            for name, rate in self._rates.items()
         }
 
     @property
     def _fastest(self) -> float:
-        # Whole milliseconds, rounded in the stream's favour
-        return 1e3 / int(1e3 / (_LOOP_SHARE * self._turn_rate))
+        # Whole milliseconds, rounded towards the higher rate
+        return 1e3 / int(1e3 / (_LOOP_SHARE * self._loop_rate))
 
     def _is_over(self, name: str, t_ns: int) -> bool:
-        rate = self._asked[name]
+        rate = self._rates[name]
         if rate <= 0.0 or t_ns < self._next_ns[name]:
             return False
         interval_ns = round(1e3 / rate) * 1_000_000
@@ -128,24 +128,24 @@ class Streams:
         return True
 
     def _source_rate(self, name: str) -> float:
-        return self._fix_rate if name == GNSS else self._turn_rate
+        return self._fix_rate if name == GNSS else self._loop_rate
 
     def _divide(self, name: str, rate: float) -> int:
-        """Give the turns (of GPS_RAW_INT: fixes) from one message to the next; 0: none."""
+        """Return the iterations (of GPS_RAW_INT: fixes) between two messages; 0: none is sent."""
         if rate <= 0.0:
             return 0
-        turns = self._source_rate(name) / rate
+        iterations = self._source_rate(name) / rate
         if self._personality.pacing is Pacing.DIVISION:
-            return max(1, math.ceil(turns - _EARLY))
-        return max(1, round(turns))
+            return max(1, math.ceil(iterations - _EARLY))
+        return max(1, round(iterations))
 
     def _scale(self) -> float:
-        """Give the part of their rates that the streams get."""
+        """Return the part of their rates that the streams get."""
         budget = self._parameters.get("MAV_1_RATE", 0.0) or self._personality.link_rate
         if not self._personality.link_rate:
             return 1.0
         constant = varying = 0.0
-        for name, rate in self._asked.items():
+        for name, rate in self._rates.items():
             load = min(rate, self._source_rate(name)) * (by_name(name).size + _OVERHEAD)
             if name in _CONSTANT:
                 constant += load

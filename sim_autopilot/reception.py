@@ -1,4 +1,4 @@
-"""What became of the ODOMETRY that the autopilot got: its own rules, and the count."""
+"""The autopilot's verdicts on the ODOMETRY that it received, by its own rules, counted."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import Any
 from sim_autopilot.acceptance import History, Stack, judge
 
 _REASONS = 32
-"""Told apart."""
+"""Most reasons that are counted separately."""
 
 
 class Reception:
     """Judges message by message."""
 
     def __init__(self, rules: str, parameters: Mapping[str, float]) -> None:
-        """Judge by a ``Stack``'s rules; empty: take all. The parameters are looked at each time."""
+        """Judge by a ``Stack``'s rules; empty: accept all. Parameters are read for each message."""
         self.accepted = 0
-        """Messages that were handed to the filter."""
+        """Messages that were passed to the filter."""
         self.fused = 0
-        """Messages of which the filter fuses something, gates apart."""
+        """Messages of which the filter fuses something, before its gates."""
         self.refused: Counter[str] = Counter()
         """Messages that were not, by reason."""
         self.unfused: Counter[str] = Counter()
@@ -30,7 +30,7 @@ class Reception:
         self._history = History()
 
     def take(self, odometry: Any) -> str:
-        """Judge one; give the critical text that the pilot sees of it, empty: none."""
+        """Judge a message; return the critical text that the pilot sees, empty: none."""
         if self._stack is None:
             self.accepted += 1
             return ""
@@ -46,7 +46,7 @@ class Reception:
         return judgement.text
 
     def summary(self) -> dict[str, Any]:
-        """Give the counts, as JSON has them."""
+        """Return the counts, for JSON."""
         return {
             "accepted": self.accepted,
             "fused": self.fused,
@@ -56,14 +56,14 @@ class Reception:
 
 
 def _count(counter: Counter[str], reason: str) -> None:
-    """Count, under a bounded number of reasons: some have a number in them."""
+    """Count under a bounded number of reasons, as some contain a number."""
     counter[reason if reason in counter or len(counter) < _REASONS else "another"] += 1
 
 
 def sentence(summary: Mapping[str, Any]) -> str:
-    """Say it: ``odometry: accepted N, refused M: reason``."""
+    """Return it as ``odometry: accepted N, refused M: reason``."""
     refused = sum(summary["refused"].values())
-    said = f"odometry: accepted {summary['accepted']}, refused {refused}"
+    line = f"odometry: accepted {summary['accepted']}, refused {refused}"
     if summary["refused"]:
-        said += ": " + "; ".join(f"{why} ({n})" for why, n in summary["refused"].items())
-    return said
+        line += ": " + "; ".join(f"{why} ({n})" for why, n in summary["refused"].items())
+    return line

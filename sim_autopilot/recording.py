@@ -44,14 +44,14 @@ def write_truth(path: Path, flight: Flight) -> None:
 
 
 class TlogWriter:
-    """A telemetry log: before each frame, when it passed, in microseconds since 1970."""
+    """A telemetry log: before each frame its time, in microseconds since 1970."""
 
     def __init__(self, path: Path, unix: float) -> None:
         self._file = path.open("wb")
         self._unix_us = round(unix * 1e6)
 
     def write(self, now_ns: int, frame: bytes) -> None:
-        """Append a frame that passed at a time on the autopilot's clock."""
+        """Append a frame with a time on the autopilot's clock."""
         # The low two bits are the number of the link
         stamp = (self._unix_us + now_ns // 1000) & ~3
         self._file.write(stamp.to_bytes(8, "big") + frame)

@@ -1,7 +1,7 @@
 """A recorded flight as frames at their times, whatever format it was recorded in.
 
-A .tlog gives back the autopilot's own frames. The other formats hold no frames: their sensors are
-put into the messages that the autopilot would have sent (GPS_RAW_INT has no vertical velocity).
+A .tlog holds the autopilot's own frames. The other formats hold none: their samples are put into
+the messages that the autopilot would have sent (GPS_RAW_INT has no vertical velocity).
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from ekf_companion.logs.recording import Recording
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import HeadingSource, Kind
+from sim_autopilot.sensors import pressure
+from sim_autopilot.telemetry import centidegrees
 
 Timed = tuple[int, bytes]
-"""Time, ns, and the frame that is sent then."""
+"""Time of sending, ns, and the frame."""
 
 _READERS = {".bin": dataflash.read, ".ulg": ulog.read, ".csv": csv.read}
 _AUTOPILOTS = {"px4": 12, "ardupilot": 3}
@@ -32,7 +34,7 @@ _UINT32_MS = (1 << 32) * 1_000_000
 
 
 def frames(path: Path) -> Iterator[Timed]:
-    """Give a log's frames in the order in which they are sent, from its own start.
+    """Yield a log's frames in the order in which they are sent, from its own start.
 
     Raises:
         LogError: The file cannot be read, or is of no format that is known.
@@ -58,7 +60,7 @@ def _of_tlog(path: Path) -> Iterator[Timed]:
 
 
 def of_recording(recording: Recording) -> Iterator[Timed]:
-    """Give the messages that an autopilot with these sensors would send."""
+    """Yield the messages that an autopilot with these sensors would send."""
     events = recording.events
     # A foreign log may count from 1970; an autopilot's milliseconds since its start have 32 bits
     is_unix = len(events) and events.t_ns.min() > _UINT32_MS
@@ -74,7 +76,7 @@ def of_recording(recording: Recording) -> Iterator[Timed]:
     for now_ns, t_ns, kind, values in rows:
         if now_ns >= next_beat_ns:
             next_beat_ns = now_ns + _SECOND_NS
-            for name, fields in _beat(autopilot, now_ns, armed, landed):
+            for name, fields in _status(autopilot, now_ns, armed, landed):
                 yield now_ns, sender.message(name, **fields)
         for fields in attitudes.until(now_ns):
             yield now_ns, sender.message("ATTITUDE", **fields)
@@ -94,10 +96,10 @@ def of_recording(recording: Recording) -> Iterator[Timed]:
         elif kind == Kind.GNSS:
             yield now_ns, sender.message("GPS_RAW_INT", **_fix(t_ns, values), yaw=yaw_cdeg)
         elif kind == Kind.HEADING and values[2] == HeadingSource.GNSS:
-            # It goes out with the next fix; 0 means that there is none, so north is 36000
-            yaw_cdeg = _centidegrees(values[0]) or 36000
+            # Sent with the next fix; 0 means that there is none, so north is 36000
+            yaw_cdeg = centidegrees(values[0]) or 36000
         elif kind == Kind.HEADING and recording.reference is None:
-            # Another heading can only come as the autopilot's own; nobody reads its tilt
+            # Any other heading can only be sent as the autopilot's own, whose tilt is not read
             yield now_ns, sender.message("ATTITUDE", **_attitude(t_ns, 0.0, 0.0, values[0]))
         elif kind == Kind.VEHICLE:
             armed = bool(values[0])
@@ -105,7 +107,7 @@ def of_recording(recording: Recording) -> Iterator[Timed]:
 
 
 class _Attitudes:
-    """The recorded autopilot's own attitude, handed out as its time comes."""
+    """The recorded autopilot's own attitude, in order of time."""
 
     def __init__(self, recording: Recording, zero_ns: int) -> None:
         reference = recording.reference
@@ -131,7 +133,7 @@ def _attitude(t_ns: int, roll: float, pitch: float, yaw: float) -> dict[str, flo
     }
 
 
-def _beat(
+def _status(
     autopilot: int, now_ns: int, armed: bool, landed: int
 ) -> Iterator[tuple[str, dict[str, float]]]:
     yield (
@@ -156,7 +158,7 @@ def _imu(
         "time_usec": t_ns // 1000,
         **dict(zip(names, values[:6], strict=True)),
         **dict(zip(("xmag", "ymag", "zmag"), mag, strict=True)),
-        "abs_pressure": 1013.25 * (1.0 - baro / 44330.769) ** 5.25588,
+        "abs_pressure": pressure(baro),
         "pressure_alt": baro,
     }
 
@@ -173,13 +175,9 @@ def _fix(t_ns: int, values: list[float]) -> dict[str, float]:
         "eph": 65535,
         "epv": 65535,
         "vel": round(math.hypot(north, east) * 1e2) if has_velocity else 65535,
-        "cog": _centidegrees(math.atan2(east, north)) if has_velocity else 65535,
+        "cog": centidegrees(math.atan2(east, north)) if has_velocity else 65535,
         "satellites_visible": 255,
         "h_acc": round(std_h * 1e3),
         "v_acc": round(std_v * 1e3),
         "vel_acc": round(std_vel * 1e3) if math.isfinite(std_vel) else 0,
     }
-
-
-def _centidegrees(angle: float) -> int:
-    return round(math.degrees(angle) * 1e2) % 36000

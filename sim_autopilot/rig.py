@@ -1,20 +1,20 @@
-"""The autopilot with everything that goes wrong around it: cycles and bytes in, bytes out.
+"""The autopilot with its faults: cycles and bytes in, bytes out.
 
-Times are on the world's clock, the one that flights are planned on; the autopilot's own may differ
-from it by what :mod:`sim_autopilot.faults.clock` does.
+Times are on the world's clock, the one that flights are planned on; the autopilot's own differs
+from it by the faults of its clock (:mod:`sim_autopilot.faults.clock`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sim_autopilot.autopilot import Autopilot, Kind, Received
+from sim_autopilot.autopilot import Autopilot, Received
 from sim_autopilot.faults.clock import Clock
 from sim_autopilot.faults.fault import Fault
 from sim_autopilot.faults.sensors import SensorFaults
 from sim_autopilot.faults.wire import Wire
 from sim_autopilot.flight import Cycle, Flight
-from sim_autopilot.personality import Personality
+from sim_autopilot.personality import Kind, Personality
 
 
 class Rig:
@@ -24,36 +24,33 @@ class Rig:
         self,
         flight: Flight,
         *,
-        kind: Kind = Kind.PX4,
-        personality: Personality | None = None,
+        personality: Personality | Kind = Kind.PX4,
         faults: Sequence[Fault] = (),
         latency: float = 0.0,
     ) -> None:
-        """Put it together.
+        """Connect its parts.
 
         Args:
-            flight: What is flown.
-            kind: Which autopilot it passes for, without traps.
-            personality: With its traps; goes before ``kind``.
-            faults: What goes wrong, counted from the start of the flight.
+            flight: The flight.
+            personality: The autopilot to imitate; of a kind the ideal one.
+            faults: At times from the start of the flight.
             latency: Of the link, each way, s.
         """
         zero_ns = flight.first_ns - flight.period_ns
         self.autopilot = Autopilot(
             flight.config,
-            kind,
+            personality,
             is_wing=flight.scenario.is_wing,
-            personality=personality,
             seed=flight.seed,
         )
         self.clock = Clock(faults, zero_ns)
         self._sensors = SensorFaults(faults, zero_ns)
         self._out = Wire(faults, flight.seed, zero_ns, "out", latency)
         self._in = Wire(faults, flight.seed, zero_ns, "in", latency)
-        self._heard: list[Received] = []
+        self._received: list[Received] = []
 
     def cycle(self, cycle: Cycle) -> None:
-        """Take one turn of the autopilot's loop."""
+        """Run one cycle of the autopilot's loop."""
         now_ns = cycle.flight_ns
         self._advance(now_ns)
         cycle = self._sensors.apply(cycle)
@@ -65,7 +62,7 @@ class Rig:
         if fix is not None:
             fix = fix._replace(t_ns=self.clock.shown_ns(fix.t_ns))
         self.autopilot.cycle(cycle._replace(t_ns=self.clock.shown_ns(now_ns), fix=fix))
-        self._send(self.autopilot.turn_ns)
+        self._send(self.autopilot.loop_ns)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes that the companion sent at a time."""
@@ -73,23 +70,23 @@ class Rig:
         self._advance(now_ns)
 
     def pop(self, now_ns: int) -> tuple[int, bytes] | None:
-        """Give the next frame that has reached the companion by a time, and when it did."""
+        """Return the next frame that has reached the companion by a time, and when it did."""
         self._advance(now_ns)
         return self._out.pop(now_ns)
 
-    def heard(self) -> list[Received]:
-        """Give the messages that reached the autopilot since then, with the world's time."""
-        messages, self._heard = self._heard, []
+    def received(self) -> list[Received]:
+        """Return the messages that reached the autopilot since the last call, with world times."""
+        messages, self._received = self._received, []
         return messages
 
     def _advance(self, now_ns: int) -> None:
-        """Let the autopilot have what has come by now."""
+        """Deliver to the autopilot what has arrived by now."""
         while (item := self._in.pop(now_ns)) is not None:
             at_ns, data = item
             if self.clock.boot(at_ns) > self.autopilot.reboots or self.clock.is_silent(at_ns):
                 continue
             self.autopilot.receive(data, self.clock.shown_ns(at_ns))
-            self._heard += [one._replace(now_ns=at_ns) for one in self.autopilot.received()]
+            self._received += [one._replace(now_ns=at_ns) for one in self.autopilot.received()]
             self._send(at_ns)
 
     def _send(self, now_ns: int) -> None:

@@ -1,7 +1,7 @@
-"""The motions that can be flown: a path and a way to hold the attitude along it.
+"""The motions that can be flown: a path, and the attitude along it.
 
 All begin with ``REST`` seconds at exact rest, so that a filter can level, on ground that is not
-level itself (``SLOPE``). All go on for as long as one likes: what is over begins again.
+level itself (``SLOPE``). All can have any duration: at its end a motion is repeated.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from sim_autopilot.truth import Trajectory, spline
 Array = npt.NDArray[np.float64]
 
 REST = 5.0
-"""Every scenario stands still for so long at least, s."""
+"""Rest at the start of every scenario, at least, s."""
 SLOPE = np.radians([1.2, -1.7, 0.0])
-"""Roll and pitch that every attitude has in addition, rad: no vehicle stands or trims level."""
+"""Roll and pitch that are added to every attitude, rad: no vehicle stands or trims level."""
 ATTITUDE_STEP = 0.05
-"""Between the control points of the attitude of what flies, s."""
+"""Between the control points of a flying vehicle's attitude, s."""
 MARGIN = 1.0
-"""The path goes on for so long after the end, s: control points of the attitude look ahead."""
+"""The path continues for so long after the end, s: control points of the attitude look ahead."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +34,13 @@ class Scenario:
     name: str
     summary: str
     duration: float
-    """Of one flight, where nothing else is asked for, s."""
+    """Of a flight by default, s."""
     is_airborne: bool
-    """It takes off and is armed then."""
+    """It arms and takes off."""
     is_wing: bool
     """A fixed wing; else a multicopter, or nothing that flies."""
     build: Callable[[LocalFrame, float], Trajectory]
-    """Of the frame, whose origin is where it starts, and the duration, s."""
+    """From the frame, whose origin is the start, and the duration, s."""
 
 
 def _static(frame: LocalFrame, duration: float) -> Trajectory:
@@ -138,10 +138,9 @@ _LAP_START = 2
 
 
 def _square_spiral(frame: LocalFrame, duration: float) -> Trajectory:
-    """Fly two rounds of a shrinking square through waypoints, as the seed article's fixed wing.
+    """Fly two rounds of a shrinking square through waypoints, like the seed article's fixed wing.
 
-    A spline of control points every 80 m rounds the corners; the speed is
-    set along its length.
+    A spline of control points every 80 m rounds the corners; the speed is set along its length.
     """
     spacing, step = 80.0, 1.5
     legs = np.linalg.norm(np.diff(_ROUTE[:, :2], axis=0), axis=1)
@@ -172,7 +171,7 @@ def _walk(frame: LocalFrame, duration: float) -> Trajectory:
     step = 0.02
 
     def gait(t: Array) -> tuple[Array, Array]:
-        """Give strides done, and how far the foot is through its swing, 0 to 1."""
+        """Return strides done, and the phase of the foot's swing, 0 to 1."""
         count, within = np.divmod(np.maximum(t - REST - 1.0, 0.0), cycle)
         through = np.clip(within / swing, 0.0, 1.0)
         return count + _smoothstep(through), through
@@ -202,7 +201,7 @@ def _quad(
     path: Callable[[Array], Array],
     yaw: Callable[[Array], Array],
 ) -> Trajectory:
-    """Tilt the thrust along the specific force that the path needs, and turn by a yaw of time."""
+    """Tilt the thrust along the specific force of the path; the yaw is a function of time."""
     position = spline(path, duration + MARGIN, 0.1)
 
     def attitude(t: Array) -> Array:
@@ -221,7 +220,7 @@ def _quad(
 def _wing(
     frame: LocalFrame, duration: float, path: Callable[[Array], Array], step: float
 ) -> Trajectory:
-    """Point along the path, 3 degrees above it, and bank as a coordinated turn does; no wind."""
+    """Point 3 degrees above the path, and bank as in a coordinated turn; no wind."""
     position = spline(path, duration + MARGIN, step)
 
     def attitude(t: Array) -> Array:
@@ -250,7 +249,7 @@ def _smoothstep(x: Array) -> Array:
 
 
 def _ramp(t: Array, rise: float) -> Array:
-    """Give the time that a clock shows whose rate goes from 0 (at 0) to 1 within ``rise``."""
+    """Return the time of a clock whose rate goes from 0 (at 0) to 1 within ``rise``."""
     x = np.clip(t / rise, 0.0, 1.0)
     integral = x**5 * (7.0 - 14.0 * x + 10.0 * x**2 - 2.5 * x**3)
     return rise * integral + np.maximum(t - rise, 0.0)

@@ -1,4 +1,4 @@
-"""The estimate that came back, against the truth at the time that it says it is valid for."""
+"""The ODOMETRY that came back, compared with the truth at its time of validity."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
 from sim_autopilot.autopilot import COMPONENT_ID, Received
 from sim_autopilot.flight import Flight
+from sim_autopilot.telemetry import POSE_DIAGONAL
 
 Array = npt.NDArray[np.float64]
 
-POSE_DIAGONAL = (0, 6, 11, 15, 18, 20)
-"""Of a 6 x 6 covariance sent as its upper right triangle."""
 LOCAL_NED, BODY_NED, BODY_FRD, LOCAL_FRD = 1, 8, 12, 20
 _FRAMES = {(LOCAL_NED, BODY_FRD), (LOCAL_FRD, BODY_FRD), (LOCAL_NED, BODY_NED)}
-"""Pairs that mean north-east-down and forward-right-down here."""
+"""Pairs that mean north-east-down and forward-right-down."""
 
 _ROW = 21
 """Numbers kept of each message."""
@@ -53,20 +52,20 @@ class Error(NamedTuple):
 
 
 class Witness:
-    """Hears what the estimator says about one flight, and compares."""
+    """Receives the estimates of one flight, and compares them with the truth."""
 
     def __init__(self, flight: Flight, true_ns: Callable[[int, int], int] | None = None) -> None:
-        """Begin.
+        """Receive nothing yet.
 
         Args:
             flight: The truth.
-            true_ns: Gives the time on the flight's clock of a stamp on the autopilot's, from it and
-                from when it arrived, ns; None: the clocks are one.
+            true_ns: Converts a stamp of the autopilot's clock, with its time of arrival, to the
+                flight's clock, ns; None: the clocks are the same.
         """
         self.frames: Counter[tuple[int, int]] = Counter()
         """ODOMETRY by frame and child frame."""
         self.not_scored = 0
-        """ODOMETRY in frames that mean something else, or with what is no number."""
+        """ODOMETRY in other frames, or with values that are not finite."""
         self.repeated = 0
         """ODOMETRY whose stamp is not after the one before."""
         self._flight = flight
@@ -79,10 +78,10 @@ class Witness:
         self._reset_counter: int | None = None
 
     def sent(self, now_ns: int) -> None:
-        """Note when the next inertial sample left."""
+        """Note the time at which the next inertial sample was sent."""
         self._sent_ns.append(now_ns)
 
-    def hear(self, message: Received) -> None:
+    def receive(self, message: Received) -> None:
         """Take a message of another component."""
         if message.component_id == COMPONENT_ID:
             return
@@ -93,13 +92,13 @@ class Witness:
 
     @property
     def count(self) -> int:
-        """Give the number of messages that can be scored."""
+        """The number of messages that can be scored."""
         return len(self._rows) // _ROW
 
     def estimate(self, after: float = 0.0) -> Estimate:
-        """Give what came, valid at ``after`` seconds of flight or later.
+        """Return the estimates that are valid at ``after`` seconds of flight or later.
 
-        Positions are moved to the flight's own origin where theirs is known.
+        Positions are converted to the flight's own origin where theirs is known.
         """
         rows = np.array(self._rows, dtype=float).reshape(-1, _ROW)
         rows = rows[rows[:, 0] * 1000 >= self._flight.first_ns + after * 1e9]
@@ -120,7 +119,7 @@ class Witness:
         )
 
     def error(self, estimate: Estimate) -> Error:
-        """Compare; without a published origin the mean offset is taken off."""
+        """Return estimate minus truth; without a published origin the mean offset is subtracted."""
         truth = self._flight.truth_at(estimate.t_ns)
         pos_n = estimate.pos_n - truth.pos_n
         if not self._origins and len(pos_n):
@@ -131,7 +130,7 @@ class Witness:
         return Error(pos_n=pos_n, vel_n=vel_n, euler=euler, vel_b=vel_b)
 
     def score(self, after: float = 10.0) -> dict[str, Any]:
-        """Give the score from ``after`` seconds of flight on, as JSON has it."""
+        """Return the score from ``after`` seconds of flight on, for JSON."""
         estimate = self.estimate(after)
         result: dict[str, Any] = {
             "scenario": self._flight.scenario.name,
@@ -148,7 +147,9 @@ class Witness:
                 "resets": self._resets,
             },
             "origin": "GPS_GLOBAL_ORIGIN" if self._origins else "unknown: mean offset taken off",
-            "latency_ms": _quantiles(np.array(self._latencies_ns) * 1e-6),
+            "latency_ms": (
+                quantiles(np.array(self._latencies_ns) * 1e-6) if self._latencies_ns else None
+            ),
         }
         if not len(estimate.t):
             return result
@@ -168,20 +169,17 @@ class Witness:
             math.radians(fields.longitude * 1e-7),
             fields.altitude * 1e-3,
         )
-        # What came before the first origin was meant about it too
+        # Positions that came before the first origin are about it too
         if not self._origins or origin != self._origins[-1]:
             self._origins.append(origin)
 
     def _odometry(self, fields: Any, now_ns: int) -> None:
         frames = (fields.frame_id, fields.child_frame_id)
         self.frames[frames] += 1
-        numbers = (
-            *(fields.x, fields.y, fields.z),
-            *fields.q,
-            *(fields.vx, fields.vy, fields.vz),
-            *(fields.pose_covariance[i] for i in POSE_DIAGONAL),
-            *(fields.velocity_covariance[i] for i in POSE_DIAGONAL[:3]),
-        )
+        pose = (fields.x, fields.y, fields.z, *fields.q)
+        variances = [fields.pose_covariance[i] for i in POSE_DIAGONAL]
+        variances += [fields.velocity_covariance[i] for i in POSE_DIAGONAL[:3]]
+        numbers = (*pose, fields.vx, fields.vy, fields.vz, *variances)
         if frames not in _FRAMES or not all(map(math.isfinite, numbers[:10])):
             self.not_scored += 1
             return
@@ -207,9 +205,8 @@ def _summary(error: Array) -> dict[str, float]:
     }
 
 
-def _quantiles(values: Array) -> dict[str, float] | None:
-    if not len(values):
-        return None
+def quantiles(values: Array) -> dict[str, float]:
+    """Return median, 99 % quantile and maximum, for JSON."""
     p50, p99 = np.quantile(values, [0.5, 0.99])
     return {
         "p50": round(float(p50), 3),
@@ -223,7 +220,7 @@ def _rate(t: Array) -> float:
 
 
 def _inside_2_sigma(error: Error, std: Array) -> dict[str, float]:
-    """Give the part of the errors that is inside two of its own sigmas: 0.954 is right."""
+    """Return the share of the errors within two of their own sigmas: 0.954 is right."""
     blocks = {
         "horizontal": (error.pos_n[:, :2], std[:, :2]),
         "vertical": (error.pos_n[:, 2:], std[:, 2:3]),

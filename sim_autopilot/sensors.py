@@ -1,6 +1,6 @@
-"""What the sensors say of a motion: whole flights as columns, repeatable from a seed.
+"""The sensors' samples of a motion: whole flights as columns, repeatable from a seed.
 
-Each sensor draws from a generator of its own, so that turning a number of one leaves the noise of
+Each sensor draws from a generator of its own, so that a changed number of one leaves the noise of
 the others as it was. Times are seconds since the start of the flight.
 """
 
@@ -72,7 +72,7 @@ class MagData:
     mag_b: Array
     """gauss, shape (n, 3)."""
     heading_error: Array
-    """The slow part of what a heading from it is too large by, rad."""
+    """The slow error of a heading from it, rad."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -89,7 +89,7 @@ class BaroData:
 
 
 def generators(seed: int) -> dict[str, np.random.Generator]:
-    """Give one generator for each source of noise; new ones are added at the end."""
+    """Return one generator for each source of noise; new ones are added at the end."""
     names = ("imu", "gnss", "compass", "baro", "estimate")
     sequences = np.random.SeedSequence(seed).spawn(len(names))
     return {
@@ -99,7 +99,7 @@ def generators(seed: int) -> dict[str, np.random.Generator]:
 
 
 def mean_imu(trajectory: Trajectory, t: Array, period: float) -> tuple[Array, Array]:
-    """Give the means of body rate and specific force over the intervals that end at ``t``."""
+    """Return the means of body rate and specific force over the intervals that end at ``t``."""
     nodes, weights = np.polynomial.legendre.leggauss(GAUSS_LEGENDRE)
     gyro_b, accel_b = np.empty((len(t), 3)), np.empty((len(t), 3))
     for start in range(0, len(t), _CHUNK):
@@ -114,7 +114,7 @@ def mean_imu(trajectory: Trajectory, t: Array, period: float) -> tuple[Array, Ar
 def imu(
     trajectory: Trajectory, config: ImuConfig, rng: np.random.Generator, t: Array, period: float
 ) -> ImuData:
-    """Give the inertial samples of the intervals that end at ``t``, each ``period`` long (s)."""
+    """Draw the inertial samples of the intervals that end at ``t``, each ``period`` long (s)."""
     gyro_b, accel_b = mean_imu(trajectory, t, period)
     start = rng.standard_normal((2, 3))
     white = rng.standard_normal((len(t), 6)) / np.sqrt(period)
@@ -137,7 +137,7 @@ def imu(
 def gnss(
     trajectory: Trajectory, config: GnssConfig, rng: np.random.Generator, t: Array
 ) -> GnssData:
-    """Give the fixes that arrive at ``t``."""
+    """Draw the fixes that arrive at ``t``."""
     truth = trajectory.at(t - config.delay)
     lever_b = np.array(config.lever_arm)
     lever_n = so3.rotate(truth.q_nb, np.broadcast_to(lever_b, truth.vel_n.shape))
@@ -164,7 +164,7 @@ def gnss(
 def compass(
     trajectory: Trajectory, config: CompassConfig, rng: np.random.Generator, t: Array
 ) -> MagData:
-    """Give the field at ``t`` in the body, with hard iron and noise, turned by the slow error."""
+    """Draw the field at ``t`` in the body, with hard iron and noise, turned by the slow error."""
     field_n = magnetic_field(trajectory, config)
     truth = trajectory.at(t)
     noise = config.noise_heading * float(np.hypot(field_n[0], field_n[1]))
@@ -182,13 +182,13 @@ def compass(
 
 
 def magnetic_field(trajectory: Trajectory, config: CompassConfig) -> Array:
-    """Give the Earth's field at the start, north, east, down, gauss (World Magnetic Model)."""
+    """Return the Earth's field at the start, north, east, down, gauss (World Magnetic Model)."""
     frame = trajectory.frame
     return earth_field(frame.lat, frame.lon, frame.alt, config.year)
 
 
 def earth_field(lat: float, lon: float, alt: float, year: float) -> Array:
-    """Give the Earth's field at a place (rad, rad, m), north, east, down, gauss."""
+    """Return the Earth's field at a place (rad, rad, m), north, east, down, gauss."""
     field = GeoMag().calculate(np.degrees(lat), np.degrees(lon), alt * 1e-3, year)
     return np.array([field.x, field.y, field.z]) * _NANOTESLA
 
@@ -196,7 +196,7 @@ def earth_field(lat: float, lon: float, alt: float, year: float) -> Array:
 def baro(
     trajectory: Trajectory, config: BaroConfig, rng: np.random.Generator, t: Array
 ) -> BaroData:
-    """Give the pressure at ``t``; the drift begins anywhere, as the weather does."""
+    """Draw the pressure at ``t``; the drift begins at a random value, like the weather."""
     slow = gauss_markov(rng.standard_normal((len(t), 1)), 1.0 / config.rate, config.drift_time)
     drift = config.drift * slow[:, 0]
     alt = trajectory.at(t).alt + drift
@@ -205,17 +205,17 @@ def baro(
 
 
 def pressure(alt: Value) -> Value:
-    """Give the pressure of the standard atmosphere at an altitude (m), hPa."""
+    """Return the pressure of the standard atmosphere at an altitude (m), hPa."""
     found: Value = 1013.25 * (1.0 - alt / 44330.769) ** 5.25588
     return found
 
 
-def wandering(
+def slow_errors(
     rng: np.random.Generator, count: int, sigmas: Array, period: float, correlation: float
 ) -> Array:
-    """Give a slow error per column, shape (count, len(sigmas)), as ``gauss_markov`` of one draw.
+    """Draw a slow error per column, shape (count, len(sigmas)), like ``gauss_markov``.
 
-    Drawn piece by piece: an hour's noise is never in memory beside what becomes of it.
+    Drawn piece by piece, so that the white noise of an hour is never in memory at once.
     """
     found = np.empty((count, len(sigmas)))
     keep = np.exp(-period / correlation)
@@ -231,7 +231,7 @@ def wandering(
 
 
 def gauss_markov(white: Array, period: float, correlation: float) -> Array:
-    """Colour unit white noise, shape (n, m), into a stationary process of unit variance."""
+    """Filter unit white noise, shape (n, m), to a stationary process of unit variance."""
     keep = np.exp(-period / correlation)
     drive = np.sqrt(1.0 - keep * keep) * white
     if len(drive):
@@ -240,7 +240,7 @@ def gauss_markov(white: Array, period: float, correlation: float) -> Array:
 
 
 def _lowpass(samples: Array, corner: float) -> Array:
-    """Filter as the autopilot does; the corner as a part of the sampling rate."""
+    """Filter like the autopilot; the corner is a part of the sampling rate."""
     b, a = butter(2, 2.0 * corner)
     state = lfilter_zi(b, a)[:, None] * samples[0]
     return np.asarray(lfilter(b, a, samples, axis=0, zi=state)[0])

@@ -1,4 +1,4 @@
-"""``NAME[:key=value,...]``: how a personality and a fault are written on a command line."""
+"""``NAME[:key=value,...]``: the syntax of personalities and faults on a command line."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from ekf_companion.errors import ConfigError
 
 
 def split(text: str) -> tuple[str, dict[str, str]]:
-    """Give the name, and the values by their keys.
+    """Return the name, and the values by their keys.
 
     Raises:
-        ConfigError: A key has no value, or stands twice.
+        ConfigError: A key has no value, or occurs twice.
     """
     name, _, rest = text.partition(":")
     values: dict[str, str] = {}
@@ -28,10 +28,10 @@ def split(text: str) -> tuple[str, dict[str, str]]:
 
 
 def choose(text: str, what: str, name: str, known: Collection[str]) -> str:
-    """Give a name that is known.
+    """Return a name if it is known.
 
     Raises:
-        ConfigError: It is not; says what there is, and what may be meant.
+        ConfigError: It is not; with the known ones, and the nearest.
     """
     if name in known:
         return name
@@ -41,10 +41,10 @@ def choose(text: str, what: str, name: str, known: Collection[str]) -> str:
 
 
 def number(text: str, key: str, value: str, low: float, high: float) -> float:
-    """Give a value as a number from ``low`` to ``high``.
+    """Convert a value to a number from ``low`` to ``high``.
 
     Raises:
-        ConfigError: It is none, or outside.
+        ConfigError: It is not a number, or outside.
     """
     try:
         found = float(value)

@@ -1,4 +1,4 @@
-"""What each of the autopilot's messages says of a cycle: SI to the fields on the wire."""
+"""The fields of the autopilot's messages for a cycle: SI to units of the wire."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ MAGNETOMETER = 64 | 128 | 256
 BAROMETER = 512 | 2048
 INERTIAL_AND_TEMPERATURE = 0x3F | 4096
 """Bits of HIGHRES_IMU.fields_updated."""
+POSE_DIAGONAL = (0, 6, 11, 15, 18, 20)
+"""Of a 6 x 6 covariance sent as its upper right triangle."""
 GEOID = 47.0
 """Height of the sea level above the ellipsoid that the receiver reports, m."""
 
@@ -31,7 +33,7 @@ def highres_imu(
     baro: tuple[float, float],
     fields_updated: int,
 ) -> Fields:
-    """Give HIGHRES_IMU with the latest magnetometer and barometer samples, new or not."""
+    """Return HIGHRES_IMU with the latest magnetometer and barometer samples, new or not."""
     return {
         "time_usec": cycle.t_ns // 1000,
         "xacc": cycle.accel_b[0],
@@ -51,7 +53,7 @@ def highres_imu(
 
 
 def gps_raw_int(config: SimConfig, fix: Fix) -> Fields:
-    """Give GPS_RAW_INT with the accuracies that are true."""
+    """Return GPS_RAW_INT with the true accuracies."""
     gnss = config.gnss
     north, east, _ = fix.vel_n
     return {
@@ -63,7 +65,7 @@ def gps_raw_int(config: SimConfig, fix: Fix) -> Fields:
         "eph": 70,
         "epv": 110,
         "vel": round(math.hypot(north, east) * 1e2),
-        "cog": _centidegrees(math.atan2(east, north)),
+        "cog": centidegrees(math.atan2(east, north)),
         "satellites_visible": 17 if fix.fix_type else 0,
         "alt_ellipsoid": round((fix.alt + GEOID) * 1e3),
         "h_acc": round(math.hypot(gnss.noise_h, gnss.slow_h) * 1e3),
@@ -71,23 +73,23 @@ def gps_raw_int(config: SimConfig, fix: Fix) -> Fields:
         "vel_acc": round(gnss.noise_vel * 1e3),
         "hdg_acc": round(math.degrees(gnss.noise_yaw) * 1e5) if gnss.yaw else 0,
         # 0 means that there is none, so north is 36000
-        "yaw": (_centidegrees(fix.yaw) or 36000) if gnss.yaw else 0,
+        "yaw": (centidegrees(fix.yaw) or 36000) if gnss.yaw else 0,
     }
 
 
 def no_gps() -> Fields:
-    """Give what GPS_RAW_INT says where there is no receiver (PX4): a marker for each number."""
+    """Return GPS_RAW_INT without a receiver (PX4): each number is marked as unknown."""
     unknown = dict.fromkeys(("eph", "epv", "vel", "cog"), 65535)
     return {"time_usec": 0, "fix_type": 0, "satellites_visible": 255, **unknown}
 
 
 def raw_imu(cycle: Cycle, mag_b: Vector) -> Fields:
-    """Give RAW_IMU as ArduPilot scales it: mG, mrad/s and mgauss, cut to whole numbers."""
+    """Return RAW_IMU as ArduPilot scales it: mG, mrad/s and mgauss, cut to whole numbers."""
     return {"time_usec": cycle.t_ns // 1000, **_whole_units(cycle, mag_b)}
 
 
 def scaled_imu(cycle: Cycle, mag_b: Vector) -> Fields:
-    """Give SCALED_IMU2, whose stamp is whole milliseconds."""
+    """Return SCALED_IMU2, whose stamp is whole milliseconds."""
     return {"time_boot_ms": _boot_ms(cycle), **_whole_units(cycle, mag_b)}
 
 
@@ -109,7 +111,7 @@ def _int16(value: float) -> int:
 
 
 def scaled_pressure(cycle: Cycle, config: SimConfig, pressure: float) -> Fields:
-    """Give SCALED_PRESSURE of the static pressure, hPa."""
+    """Return SCALED_PRESSURE of the static pressure, hPa."""
     return {
         "time_boot_ms": _boot_ms(cycle),
         "press_abs": pressure,
@@ -118,18 +120,18 @@ def scaled_pressure(cycle: Cycle, config: SimConfig, pressure: float) -> Fields:
 
 
 def _odometry(config: SimConfig, cycle: Cycle) -> Fields:
-    """Give the autopilot's own estimate as PX4 does: only the diagonals are numbers."""
-    believed, e = cycle.estimate, config.estimate
-    q_nb = so3.from_euler(*believed.euler)
-    vel_b = so3.rotate(so3.conjugate(q_nb), np.array(believed.vel_n))
+    """Return the autopilot's own estimate like PX4: only the diagonals are numbers."""
+    estimate, e = cycle.estimate, config.estimate
+    q_nb = so3.from_euler(*estimate.euler)
+    vel_b = so3.rotate(so3.conjugate(q_nb), np.array(estimate.vel_n))
     return {
         "time_usec": cycle.t_ns // 1000,
         "frame_id": 1,
         "child_frame_id": 12,
-        **dict(zip("xyz", believed.pos_n, strict=True)),
+        **dict(zip("xyz", estimate.pos_n, strict=True)),
         "q": tuple(q_nb.tolist()),
         **dict(zip(("vx", "vy", "vz"), vel_b.tolist(), strict=True)),
-        **dict(zip(("rollspeed", "pitchspeed", "yawspeed"), believed.rate_b, strict=True)),
+        **dict(zip(("rollspeed", "pitchspeed", "yawspeed"), estimate.rate_b, strict=True)),
         "pose_covariance": _diagonal(*[e.position] * 3, *[e.tilt] * 2, e.yaw),
         "velocity_covariance": _diagonal(*[e.velocity] * 3, *[math.nan] * 3),
         "estimator_type": 8,
@@ -137,43 +139,43 @@ def _odometry(config: SimConfig, cycle: Cycle) -> Fields:
 
 
 def _diagonal(*sigmas: float) -> tuple[float, ...]:
-    """Give the upper right triangle of a 6 x 6 covariance, NaN beside the diagonal."""
+    """Return the upper right triangle of a 6 x 6 covariance, NaN beside the diagonal."""
     triangle = [math.nan] * 21
-    for place, sigma in zip((0, 6, 11, 15, 18, 20), sigmas, strict=True):
+    for place, sigma in zip(POSE_DIAGONAL, sigmas, strict=True):
         triangle[place] = sigma * sigma
     return tuple(triangle)
 
 
 def _attitude(config: SimConfig, cycle: Cycle) -> Fields:
-    believed = cycle.estimate
+    estimate = cycle.estimate
     return {
         "time_boot_ms": _boot_ms(cycle),
-        **dict(zip(("roll", "pitch", "yaw"), believed.euler, strict=True)),
-        **dict(zip(("rollspeed", "pitchspeed", "yawspeed"), believed.rate_b, strict=True)),
+        **dict(zip(("roll", "pitch", "yaw"), estimate.euler, strict=True)),
+        **dict(zip(("rollspeed", "pitchspeed", "yawspeed"), estimate.rate_b, strict=True)),
     }
 
 
 def _global_position_int(config: SimConfig, cycle: Cycle) -> Fields:
-    believed = cycle.estimate
+    estimate = cycle.estimate
     return {
         "time_boot_ms": _boot_ms(cycle),
-        "lat": _degE7(believed.lat),
-        "lon": _degE7(believed.lon),
-        "alt": round(believed.alt * 1e3),
-        "relative_alt": round(-believed.pos_n[2] * 1e3),
-        "vx": round(believed.vel_n[0] * 1e2),
-        "vy": round(believed.vel_n[1] * 1e2),
-        "vz": round(believed.vel_n[2] * 1e2),
-        "hdg": _centidegrees(believed.euler[2]),
+        "lat": _degE7(estimate.lat),
+        "lon": _degE7(estimate.lon),
+        "alt": round(estimate.alt * 1e3),
+        "relative_alt": round(-estimate.pos_n[2] * 1e3),
+        "vx": round(estimate.vel_n[0] * 1e2),
+        "vy": round(estimate.vel_n[1] * 1e2),
+        "vz": round(estimate.vel_n[2] * 1e2),
+        "hdg": centidegrees(estimate.euler[2]),
     }
 
 
 def _local_position_ned(config: SimConfig, cycle: Cycle) -> Fields:
-    believed = cycle.estimate
+    estimate = cycle.estimate
     return {
         "time_boot_ms": _boot_ms(cycle),
-        **dict(zip("xyz", believed.pos_n, strict=True)),
-        **dict(zip(("vx", "vy", "vz"), believed.vel_n, strict=True)),
+        **dict(zip("xyz", estimate.pos_n, strict=True)),
+        **dict(zip(("vx", "vy", "vz"), estimate.vel_n, strict=True)),
     }
 
 
@@ -220,8 +222,8 @@ def _degE7(angle: float) -> int:  # noqa: N802  # the unit's own spelling
     return round(math.degrees(angle) * 1e7)
 
 
-def _centidegrees(angle: float) -> int:
-    """Give an angle as 0 to 35999 hundredths of a degree."""
+def centidegrees(angle: float) -> int:
+    """Return an angle (rad) as 0 to 35999 hundredths of a degree."""
     return round(math.degrees(angle) * 1e2) % 36000
 
 
@@ -239,4 +241,4 @@ BUILDERS: dict[str, Builder] = {
     "GPS_GLOBAL_ORIGIN": _gps_global_origin,
     "ODOMETRY": _odometry,
 }
-"""Messages that a cycle alone decides."""
+"""Messages that depend on a cycle alone."""

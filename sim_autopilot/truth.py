@@ -1,10 +1,10 @@
-"""A motion as a function of time, with the rates and forces that an ideal sensor would feel.
+"""A motion as a function of time, with the rates and forces that an ideal sensor would measure.
 
 Position and attitude are two quintic B-splines: metres north, east, down of a ``LocalFrame``, and
 roll, pitch, yaw. Whatever is derived from them is derived exactly, on the rotating ellipsoid, so
 gyro and accelerometer integrate back to the motion to the precision of the integration. The
 control points are not interpolated but approximated (uniform B-spline, four times continuously
-differentiable): equal control points in a row are rest but for rounding, with no ringing near it.
+differentiable): equal control points in a row are rest up to rounding, without ringing nearby.
 Pitch stays away from 90 degrees.
 """
 
@@ -56,14 +56,14 @@ class Truth:
     rate_nb_b: Array
     """Turn rate of the body against north, east, down, rad/s."""
     gyro_b: Array
-    """Turn rate of the body against the stars: what an ideal gyro says, rad/s."""
+    """Turn rate of the body against the stars: of an ideal gyro, rad/s."""
     accel_b: Array
-    """Specific force: what an ideal accelerometer says, m/s^2."""
+    """Specific force: of an ideal accelerometer, m/s^2."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """A motion from time 0 to ``duration``; outside it stands still at its ends."""
+    """A motion from time 0 to ``duration``; before and after, it is at rest at its ends."""
 
     frame: LocalFrame
     duration: float
@@ -74,7 +74,7 @@ class Trajectory:
     """Roll, pitch, yaw, rad."""
 
     def at(self, t: float | Array) -> Truth:
-        """Give the motion at times (s), shape (n,)."""
+        """Return the motion at times (s), shape (n,)."""
         t = np.atleast_1d(np.asarray(t, dtype=float)).clip(0.0, self.duration)
         pos_n = np.asarray(self.position(t))
         lat, lon, alt = self.frame.to_geodetic(pos_n)
@@ -109,15 +109,15 @@ class Trajectory:
 
 
 def spline(path: Callable[[Array], Array], duration: float, step: float) -> BSpline:
-    """Lay a spline along a path.
+    """Fit a spline to a path.
 
     Args:
         path: Control points of times (s), shape (n,) to (n, m).
-        duration: The spline holds from 0 to at least here, s.
+        duration: The spline is valid from 0 to at least here, s.
         step: Time between control points, s.
     """
     count = int(np.ceil(duration / step)) + DEGREE + 1
-    # The control point of knots i .. i + 6 belongs to the middle of them (Greville)
+    # The control point of knots i .. i + 6 belongs to their middle (Greville)
     middle = (np.arange(count) - (DEGREE - 1) / 2) * step
     knots = (np.arange(count + DEGREE + 1) - DEGREE) * step
     return BSpline(knots, path(np.asarray(middle, dtype=np.float64)), DEGREE)
@@ -126,7 +126,7 @@ def spline(path: Callable[[Array], Array], duration: float, step: float) -> BSpl
 def _on_ellipsoid(
     frame: LocalFrame, lat: Array, alt: Array, pos_dot: Array, pos_ddot: Array
 ) -> tuple[Array, Array]:
-    """Give velocity and its rate of change in n from the derivatives of the local position."""
+    """Return velocity and its derivative in n from the derivatives of the local position."""
     scale_north, scale_east = frame.scale
     meridian, transverse = radii(lat)
     sin, cos = np.sin(lat), np.cos(lat)
@@ -148,7 +148,7 @@ def _on_ellipsoid(
 
 
 def _body_rate(euler: Array, euler_dot: Array) -> Array:
-    """Give the turn rate of b against n, in b, from roll, pitch, yaw and their derivatives."""
+    """Return the turn rate of b against n, in b, from roll, pitch, yaw and their derivatives."""
     sr, cr = np.sin(euler[:, 0]), np.cos(euler[:, 0])
     sp, cp = np.sin(euler[:, 1]), np.cos(euler[:, 1])
     roll_dot, pitch_dot, yaw_dot = euler_dot.T

@@ -1,4 +1,4 @@
-"""The autopilot's clock against the world's: pieces of straight line, with gaps while it starts."""
+"""The autopilot's clock against the world's: piecewise linear, with gaps while it starts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from sim_autopilot.faults.fault import Fault, Layer, of_layer
 
 _AHEAD_NS = 50_000_000
-"""A stamp so far ahead of its arrival is taken for the same stretch: lateness of a turn, jitter."""
+"""A stamp so far ahead of its arrival is of the same stretch: lateness of the loop, jitter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,16 +22,16 @@ class _Stretch:
     """By the autopilot's clock at ``from_ns``."""
     rate: float
     boot: int
-    """How many reboots there were before."""
+    """Number of reboots before."""
     silent_until_ns: int
     """The autopilot is starting up until then, on the world's clock."""
 
 
 class Clock:
-    """What the autopilot's clock shows; the world's is the one that flights are planned on."""
+    """The autopilot's clock; the world's is the one that flights are planned on."""
 
     def __init__(self, faults: Sequence[Fault], zero_ns: int) -> None:
-        """Take all faults of a flight that starts at ``zero_ns``."""
+        """Read the faults of a flight that starts at ``zero_ns``."""
         self._stretches = [_Stretch(0, 0, 1.0, 0, 0)]
         incidents = []
         for _, fault in of_layer(faults, Layer.CLOCK):
@@ -44,11 +44,11 @@ class Clock:
         self._starts = [stretch.from_ns for stretch in self._stretches]
 
     def shown_ns(self, t_ns: int) -> int:
-        """Give what it shows at a time of the world's."""
+        """Return what it shows at a time of the world's clock."""
         return _shown(self._at(t_ns), t_ns)
 
     def boot(self, t_ns: int) -> int:
-        """Give how often it has rebooted by then."""
+        """Return the number of reboots until a time."""
         return self._at(t_ns).boot
 
     def is_silent(self, t_ns: int) -> bool:
@@ -56,10 +56,9 @@ class Clock:
         return t_ns < self._at(t_ns).silent_until_ns
 
     def true_ns(self, shown_ns: int, now_ns: int) -> int:
-        """Give the world's time of a stamp of the autopilot's that arrived at ``now_ns``.
+        """Return the world's time of a stamp of the autopilot's that arrived at ``now_ns``.
 
-        The stretch in which it was shown, the newest where there are several; else, as by a clock
-        that has run on without incident, of the present one.
+        By the newest stretch in which it was shown; if there is none, by the present one.
         """
         present = bisect.bisect_right(self._starts, now_ns) - 1
         for index in range(present, -1, -1):

@@ -1,4 +1,4 @@
-"""A fault: its kind, when it is, and its values; ``KIND[:start=20,duration=5,key=value,...]``."""
+"""A fault: its kind, its time and its values; ``KIND[:start=20,duration=5,key=value,...]``."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Word:
     words: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Write what there is to choose from."""
+        """Return the words to choose from."""
         return "|".join(self.words)
 
 
@@ -52,14 +52,14 @@ _METRES = Number(0.0, -1e6, 1e6)
 
 @dataclass(frozen=True, slots=True)
 class FaultKind:
-    """What can go wrong."""
+    """A kind of failure."""
 
     name: str
     layer: Layer
     summary: str
     values: Mapping[str, Value] = field(default_factory=lambda: _NONE)
     duration: float = 5.0
-    """Where nothing else is said, s."""
+    """By default, s."""
 
 
 KINDS = {
@@ -180,12 +180,12 @@ VARIETY = (
     "gnss-frozen:time=same",
     "clock-jump:by=-0.5",
 )
-"""Every kind, and the variants that are handled by other code."""
+"""Every kind, and the variants that other code handles."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing that goes wrong, from ``start`` to ``end``."""
+    """One failure, from ``start`` to ``end``."""
 
     kind: FaultKind
     start: float
@@ -193,39 +193,39 @@ class Fault:
     duration: float
     """s."""
     values: Mapping[str, float | str]
-    """All that the kind has."""
+    """All values of the kind."""
 
     @property
     def end(self) -> float:
-        """Give its end, since the start of the flight, s; at it, it is over."""
+        """Its end, since the start of the flight, s; it is over then."""
         return self.start + self.duration
 
     def number(self, key: str) -> float:
-        """Give a value that is a number."""
+        """Return a value that is a number."""
         return float(self.values[key])
 
     def __str__(self) -> str:
-        """Write it as it can be read again."""
-        said = {"start": f"{self.start:g}", "duration": f"{self.duration:g}"}
-        said |= {k: v if isinstance(v, str) else f"{v:g}" for k, v in self.values.items()}
-        return f"{self.kind.name}:" + ",".join(f"{key}={value}" for key, value in said.items())
+        """Return it as ``parse`` reads it."""
+        values = {"start": f"{self.start:g}", "duration": f"{self.duration:g}"}
+        values |= {k: v if isinstance(v, str) else f"{v:g}" for k, v in self.values.items()}
+        return f"{self.kind.name}:" + ",".join(f"{key}={value}" for key, value in values.items())
 
 
 def parse(text: str, flight_duration: float = math.inf) -> Fault:
     """Read ``KIND[:key=value,...]``; every kind has ``start`` and ``duration``, in s.
 
     Raises:
-        ConfigError: There is no such kind or key, a value cannot be meant, or it would start after
-            the end of the flight.
+        ConfigError: An unknown kind or key, an invalid value, or a start after the end of the
+            flight.
     """
-    name, said = spec.split(text)
+    name, texts = spec.split(text)
     kind = KINDS[spec.choose(text, "fault", name, KINDS)]
     known = {"start": Number(0.0, 0.0, 1e6), "duration": Number(kind.duration, 0.0, 1e6)}
     values: dict[str, float | str] = {
         key: value.default if isinstance(value, Number) else value.words[0]
         for key, value in {**known, **kind.values}.items()
     }
-    for key, value in said.items():
+    for key, value in texts.items():
         spec.choose(text, f"value of {name}", key, values)
         rule = {**known, **kind.values}[key]
         if isinstance(rule, Number):
@@ -244,17 +244,17 @@ def parse(text: str, flight_duration: float = math.inf) -> Fault:
 def schedule(
     kinds: Iterable[str], seed: int, duration: float, gap: float, *, first: float = 30.0
 ) -> list[Fault]:
-    """Lay faults out in random order with quiet time between them, round after round.
+    """Schedule faults in random order with quiet time between them, round after round.
 
     Args:
         kinds: Names, or names with values, as ``parse`` reads them, without ``start``.
-        seed: The same gives the same order.
+        seed: Of the order.
         duration: Of the flight, s: the last fault and its gap end before.
         gap: Quiet time between two faults, s.
         first: Quiet time before the first, s.
 
     Raises:
-        ConfigError: A kind cannot be read, or not all of them fit into the duration once.
+        ConfigError: A kind cannot be read, or not all of them fit into the duration.
     """
     texts = list(kinds)
     needed = first + sum(parse(text).duration + gap for text in texts)
@@ -277,7 +277,7 @@ def schedule(
 
 
 def of_layer(faults: Sequence[Fault], layer: Layer) -> list[tuple[int, Fault]]:
-    """Give the faults of a layer, each with its place among all: what its chance hangs on."""
+    """Return the faults of a layer, each with its index among all, which seeds its chance."""
     return [(place, fault) for place, fault in enumerate(faults) if fault.kind.layer is layer]
 
 

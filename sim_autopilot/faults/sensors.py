@@ -14,14 +14,14 @@ _NAN: Vector = (math.nan, math.nan, math.nan)
 
 
 class SensorFaults:
-    """All of a flight; remembers what was last right."""
+    """All of a flight; keeps the last good sample."""
 
     def __init__(self, faults: Sequence[Fault], zero_ns: int) -> None:
-        """Take all faults of a flight that starts at ``zero_ns`` of the world's clock."""
+        """Read the faults of a flight that starts at ``zero_ns`` of the world's clock."""
         self._faults = [fault for _, fault in of_layer(faults, Layer.SENSOR)]
         self._zero_ns = zero_ns
-        self._right: Cycle | None = None
-        self._right_fix: Fix | None = None
+        self._good: Cycle | None = None
+        self._good_fix: Fix | None = None
         self._acts: dict[str, Callable[[Fault, Cycle, float], Cycle]] = {
             "gnss-outage": _outage,
             "gnss-jump": _jump,
@@ -36,27 +36,27 @@ class SensorFaults:
         }
 
     def apply(self, cycle: Cycle) -> Cycle:
-        """Give the cycle as the faulty sensors have it."""
+        """Return the cycle with the faults that act now."""
         t = (cycle.flight_ns - self._zero_ns) * 1e-9
         acting = [fault for fault in self._faults if fault.start <= t < fault.end]
         right = cycle
         for fault in acting:
             cycle = self._acts[fault.kind.name](fault, cycle, t - fault.start)
         names = {fault.kind.name for fault in acting}
-        if self._right is None or "imu-stuck" not in names:
-            self._right = right
-        if right.fix is not None and (self._right_fix is None or "gnss-frozen" not in names):
-            self._right_fix = right.fix
+        if self._good is None or "imu-stuck" not in names:
+            self._good = right
+        if right.fix is not None and (self._good_fix is None or "gnss-frozen" not in names):
+            self._good_fix = right.fix
         return cycle
 
     def _stuck(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
-        right = self._right or cycle
+        right = self._good or cycle
         return cycle._replace(gyro_b=right.gyro_b, accel_b=right.accel_b)
 
     def _frozen(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
-        if cycle.fix is None or self._right_fix is None:
+        if cycle.fix is None or self._good_fix is None:
             return cycle
-        frozen = self._right_fix
+        frozen = self._good_fix
         if fault.values["time"] == "advancing":
             frozen = frozen._replace(t_ns=cycle.fix.t_ns)
         return cycle._replace(fix=frozen)

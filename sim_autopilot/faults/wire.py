@@ -23,10 +23,10 @@ class Wire:
         way: str = "out",
         latency: float = 0.0,
     ) -> None:
-        """Lay it.
+        """Begin without a frame.
 
         Args:
-            faults: All of the flight; those of the wire that go this way act.
+            faults: All of the flight; those of the wire in this direction act.
             seed: Of the flight.
             zero_ns: Time of the start of the flight on the clock of ``push``.
             way: ``out``: from the autopilot to the companion, or ``in``.
@@ -42,7 +42,7 @@ class Wire:
         self._heap: list[tuple[int, int, bytes]] = []
         self._count = 0
         self._latest_ns = 0
-        """When the last frame comes that was not held back."""
+        """Arrival of the last frame that was not held back."""
 
     def push(self, now_ns: int, frame: bytes) -> None:
         """Send a frame at a time."""
@@ -76,7 +76,7 @@ class Wire:
             self._count += 1
 
     def pop(self, now_ns: int) -> tuple[int, bytes] | None:
-        """Give the next frame that has come by a time, and when it came; None: none has."""
+        """Return the next frame that has arrived by a time, and its arrival; None: no frame has."""
         if not self._heap or self._heap[0][0] > now_ns:
             return None
         at_ns, _, frame = heapq.heappop(self._heap)

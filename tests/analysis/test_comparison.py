@@ -32,10 +32,10 @@ NAVIGATORS = ("eskf", "euler", "iterated", "iterated:robocentric", "ukf")
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory):
-    """Fly 40 s at 50 Hz, with a truth."""
+    """Fly 40 s at 25 Hz, with a truth."""
     folder = tmp_path_factory.mktemp("flight")
     log, truth, config = (folder / name for name in ("flight.tlog", "truth.csv", "sim.yaml"))
-    config.write_text("imu: {rate: 50.0}\n")
+    config.write_text("imu: {rate: 25.0}\n")
     words = ["generate", "--scenario", "figure-eight", "--duration", "40", "--seed", "5"]
     words += ["--config", str(config), "-o", str(log), "--truth", str(truth)]
     result = CliRunner().invoke(simulator, words)
@@ -59,7 +59,7 @@ def test_all_navigators_stand_in_one_table_one_figure_and_one_json(flight, tmp_p
     found = json.loads(file.read_text())
     assert [one["filter"] for one in found] == list(NAVIGATORS)
     for one in found:
-        assert one["estimates"] > 1000
+        assert one["estimates"] > 950
         assert math.hypot(one["rms"]["north_m"], one["rms"]["east_m"]) < 1.5
         assert one["rms"]["roll_deg"] < 1.5
         assert one["rms"]["pitch_deg"] < 1.5
@@ -89,7 +89,7 @@ def test_a_filter_that_lacks_what_it_needs_stands_empty_beside_the_others(flight
     recording = without(open_log(flight[0]), Kind.MAG, Kind.HEADING)
     with pytest.raises(LogError, match="heading"):
         run_filter(recording, "iterated")
-    assert len(run_filter(recording, "eskf").table) > 1000
+    assert len(run_filter(recording, "eskf").table) > 950
     with pytest.raises(LogError, match="GNSS"):
         run_filter(without(open_log(flight[0]), Kind.GNSS), "iterated")
     with pytest.raises(ConfigError, match="eskf"):
@@ -99,6 +99,8 @@ def test_a_filter_that_lacks_what_it_needs_stands_empty_beside_the_others(flight
 @pytest.mark.parametrize("name", ["eskf", "iterated"])
 def test_the_same_log_gives_the_same_bits_again(flight, name):
     recording = open_log(flight[0])
+    early = recording.events.t_ns < recording.events.t_ns[0] + 20_000_000_000
+    recording = replace(recording, events=recording.events.take(early))
     first, second = (run_filter(recording, name) for _ in range(2))
     assert first.table.values.tobytes() == second.table.values.tobytes()
     assert first.covariance.tobytes() == second.covariance.tobytes()

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.accuracy.seed import draw_42, settings, truth
+from benchmarks.accuracy.seed import events as events_of
 from ekf_companion.analysis.observability import STATES, analyse, prior, walked
 from ekf_companion.analysis.observability_motion import Motion
 from ekf_companion.analysis.observability_report import lines, to_dict, verdicts
@@ -349,9 +351,8 @@ def test_a_recording_without_a_whole_window_is_told_so():
 
 @pytest.mark.skipif(not (DATA / "seed-basicekf-sim").is_dir(), reason="no recorded flights")
 def test_the_seeds_flight_shows_its_level_accelerometer_biases_in_its_second_turn():
-    from benchmarks.observability import of_seed
-
-    found = of_seed(DATA)
+    course = Course(events_of(truth(DATA), draw_42(DATA)), settings())
+    found = analyse(course, course.setup(), settings())
     for name in ("accelerometer x bias", "accelerometer y bias"):
         # It turns from 47 s on, and again from 109 s on
         assert 109.0 < said(found)[name].since < 118.0

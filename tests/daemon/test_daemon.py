@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.daemon import SO_TIMESTAMPNS
+from benchmarks.speed.daemon import SO_TIMESTAMPNS
 from ekf_companion.cli.status import fetch
 from ekf_companion.config.config import load_config
 from ekf_companion.engine.pipeline import QUALITY
@@ -174,7 +174,7 @@ def fly_over(url, flight, kind, seed=None):
 
     async def body(link):
         wire = Wire(link, seed)
-        await fly(flight, wire, kind=kind, speed=SPEED, wait=LIMIT)
+        await fly(flight, wire, personality=kind, speed=SPEED, wait=LIMIT)
         return wire
 
     return run(over(url, body))

@@ -70,7 +70,7 @@ def restarted(tmp_path_factory):
 
     async def body(link):
         ear = Ear(link)
-        return ear, await fly(flight, ear, kind=Kind.PX4, wait=60.0)
+        return ear, await fly(flight, ear, personality=Kind.PX4, wait=60.0)
 
     def take_off():
         result.append(run(over(f"udpin:127.0.0.1:{port}", body)))

@@ -35,7 +35,7 @@ class Pilot:
 
         async def body(link):
             self.wire = Wire(link)
-            await fly(self._flight, self.wire, kind=Kind.PX4, wait=60.0)
+            await fly(self._flight, self.wire, personality=Kind.PX4, wait=60.0)
 
         self._thread = threading.Thread(target=lambda: run(over(f"udpin:127.0.0.1:{port}", body)))
         self._thread.start()

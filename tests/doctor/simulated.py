@@ -65,7 +65,7 @@ def examine(
     if personality is not None:
         personality = parse(personality)
         sim = personality.suited(sim)
-    autopilot = Autopilot(sim, kind, personality=personality)
+    autopilot = Autopilot(sim, personality or kind)
     collector = EvidenceCollector(config, means, signing)
     wire, sender = Splitter(), Sender(sim.system_id, 1)
     ours = Splitter()

@@ -281,18 +281,18 @@ def told(timeline):
     return block.tobytes()
 
 
-@pytest.mark.parametrize("kind", [Timeline, load().timeline.Timeline])
-def test_where_nothing_is_lost_it_goes_on_to_the_bit(kind):
-    """Cut behind any event that no late fix reaches over."""
+@pytest.mark.parametrize(("kind", "every"), [(Timeline, 17), (load().timeline.Timeline, 102)])
+def test_where_nothing_is_lost_it_goes_on_to_the_bit(kind, every):
+    """Cut behind any event that no late fix reaches over; plain Python is slow, so rarely there."""
     events = some_events(4.0)
     lag = np.where(events.kind == Kind.GNSS, 120_000_000, 0)
     true_ns = events.t_ns - lag
     cuts = [
         cut
-        for cut in range(150, len(events) - 1, 17)
+        for cut in range(150, len(events) - 1, every)
         if true_ns[cut:].min() > events.t_ns[:cut][events.kind[:cut] == Kind.IMU].max()
     ]
-    assert len(cuts) > 10
+    assert len(cuts) * every > 170
     whole = a_timeline()
     put(whole, events)
     waiting = 0

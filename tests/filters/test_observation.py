@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from benchmarks.sighting import Sighting
 from ekf_companion.filters.observation import Azimuth, Position, Velocity, reset
 from ekf_companion.filters.strapdown import ATT, N
 from ekf_companion.nav import so3
 from tests.filters.differences import central, some_state
+from tests.filters.sighting import Sighting
 
 LEVER = np.array([0.4, -0.3, -1.1])
 FIELD = np.array([0.215, 0.013, 0.433])

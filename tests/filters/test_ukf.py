@@ -5,12 +5,12 @@ import pytest
 from scipy.stats import chi2
 
 from benchmarks.matched import matched
-from benchmarks.unscented import CASES, Case, fly
 from ekf_companion.analysis.consistency import nees
 from ekf_companion.core.settings import GateSettings
 from ekf_companion.filters import cloud, strapdown, ukf
 from ekf_companion.filters.course import Setup
 from ekf_companion.filters.gate import Gate
+from ekf_companion.filters.iterated import Iterated
 from ekf_companion.filters.observation import Azimuth, Position, Velocity
 from ekf_companion.filters.start import Start
 from ekf_companion.filters.strapdown import Earth, Interval, Noise, Nominal
@@ -19,6 +19,7 @@ from ekf_companion.nav import so3
 from sim_autopilot import events as wire
 from sim_autopilot.config import ImuConfig, SimConfig
 from sim_autopilot.flight import Flight
+from tests.filters.wrong_attitudes import Case, fly
 
 EARTH = Earth(gravity=9.81, gradient=3e-6, rate_n=np.array([5e-5, 0.0, -5e-5]))
 QUIET = Noise(gyro=1e-3, accel=1e-2, gyro_walk=1e-5, accel_walk=1e-4)
@@ -166,8 +167,11 @@ def test_on_a_linear_problem_it_is_the_kalman_filter():
 
 
 def test_it_is_as_wrong_as_it_says_over_seeded_flights():
-    jobs = [(case, seed) for case in CASES["usual"][:3] for seed in (1, 2)]
-    found = [fly(job, duration=40.0)[1].late for job in jobs]
+    found = [
+        fly(Case(scenario=name), seed, Unscented).nees
+        for name in ("figure-eight", "loiter", "hover")
+        for seed in (1, 2)
+    ]
     # The flights are independent, the instants of one are not: 3 components a flight
     low, high = chi2.ppf([0.005, 0.995], 3 * len(found)) / (3 * len(found))
     for block in ("position", "velocity", "attitude"):
@@ -187,15 +191,14 @@ def test_a_recording_is_run_from_its_own_start():
     assert found.velocity < chi2.ppf(0.999, 3) / 3.0
 
 
-@pytest.mark.parametrize(("case", "seed"), [(CASES["tilt"][2], 2), (CASES["compassless"][3], 2)])
-def test_a_wrong_attitude_with_an_honest_prior_is_found_where_the_linear_filter_fails(
-    case: Case, seed: int
-):
-    """60 degrees of tilt, and 120 of heading that only the motion tells of."""
-    linear, unscented = fly((case, seed), duration=40.0)
+@pytest.mark.parametrize(
+    "case", [Case(tilt=60.0), Case(heading=120.0, is_compassless=True)], ids=["tilt", "heading"]
+)
+def test_a_wrong_attitude_with_an_honest_prior_is_found_where_the_linear_filter_fails(case):
+    linear, unscented = (fly(case, 2, make) for make in (Iterated, Unscented))
     assert unscented.has_north
-    assert unscented.late.attitude < 4.0
-    assert linear.late.attitude > 5.0 * unscented.late.attitude
+    assert unscented.nees.attitude < 4.0
+    assert linear.nees.attitude > 5.0 * unscented.nees.attitude
 
 
 def test_a_heading_on_the_other_side_of_south_is_near():

@@ -38,12 +38,12 @@ def frame(time_us, **fields):
 
 
 def stream(*changes, period_us=PERIOD_US):
-    """Give the bytes of one message for each set of fields that are changed."""
+    """Return the bytes of one message for each set of changed fields."""
     return b"".join(frame(10**6 + k * period_us, **fields) for k, fields in enumerate(changes))
 
 
 def judged(stack, *changes, parameters=(), period_us=PERIOD_US, **options):
-    """Give what becomes of the last of two good messages and the changed ones."""
+    """Return the judgement of the last of two good messages and the changed ones."""
     data = stream({}, {}, *changes, period_us=period_us)
     return would_accept(data, stack, {**FUSING[stack], **dict(parameters)}, **options)
 
@@ -158,7 +158,7 @@ def test_a_new_reset_counter_moves_the_filter(stack):
     assert not judged(stack, {"reset_counter": 1}).is_reset
 
 
-def test_a_t265_is_not_believed_for_a_second_after_a_reset():
+def test_a_t265_is_ignored_for_a_second_after_a_reset():
     asked = {"VISO_TYPE": 2}
     assert not judged(Stack.ARDUPILOT, {"reset_counter": 2}, parameters=asked).fused
     after = [{"reset_counter": 2}] * 32
@@ -177,7 +177,7 @@ def test_a_source_set_counts_when_it_is_switched_to():
     assert judged(Stack.ARDUPILOT, parameters=second, source_set=2).fused == {Quantity.POSITION}
 
 
-def test_ardupilot_fuses_velocities_of_sets_that_are_not_in_use_unless_told_otherwise():
+def test_ardupilot_fuses_velocities_of_sets_that_are_not_in_use_unless_an_option_is_cleared():
     sets = {f"EK3_SRC1_{part}": 3 for part in ("POSXY", "VELXY", "POSZ", "VELZ")}
     sets |= {"EK3_SRC1_YAW": 1, "EK3_SRC2_VELXY": 6, "EK3_SRC2_VELZ": 6}
     both = judged(Stack.ARDUPILOT, parameters={**sets, "EK3_SRC_OPTIONS": 1})

@@ -20,7 +20,7 @@ def cycles():
 
 
 def sent(autopilot):
-    """Give name and fields of everything that waits to be sent."""
+    """Return name and fields of all messages to be sent."""
     frames = Splitter().feed(b"".join(autopilot.data_to_send()))
     return [(LAYOUTS[frame.message_id].name, unpack(frame)) for frame in frames]
 

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from sim_autopilot import demo, figure, report
+from sim_autopilot import demo, figure, score_table
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
 from sim_autopilot.score import Witness
@@ -29,7 +29,7 @@ def test_every_limit_is_held(key, factor):
     score = copy.deepcopy(GOOD)
     score[key]["rms"] *= factor
     (complaint,) = demo.complaints(score, Path("daemon.log"))
-    assert complaint.startswith(report.TITLES[key])
+    assert complaint.startswith(score_table.TITLES[key])
 
 
 def test_silence_is_a_failure():

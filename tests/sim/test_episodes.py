@@ -3,17 +3,17 @@ import math
 import numpy as np
 import pytest
 
-from sim_autopilot.episodes import Course, Limits, episode, episodes, sentence
+from sim_autopilot.episodes import ErrorSeries, Limits, episode, episodes, sentence
 from sim_autopilot.faults.fault import parse
 
 LIMITS = Limits(position=2.0, velocity=1.0, attitude=0.1)
 
 
-def course(position, velocity=None, attitude=None):
-    """Give errors at 10 Hz, as functions of the time."""
+def error_series(position, velocity=None, attitude=None):
+    """Return errors at 10 Hz, as functions of the time."""
     t = np.arange(0.0, 60.0, 0.1)
     zero = np.zeros_like(t)
-    return Course(
+    return ErrorSeries(
         t=t,
         position=position(t),
         velocity=zero if velocity is None else velocity(t),
@@ -26,7 +26,7 @@ def between(t, start, end):
 
 
 def test_the_largest_errors_are_those_of_the_window():
-    errors = course(
+    errors = error_series(
         lambda t: 5 * between(t, 10, 12) + 50 * between(t, 40, 41),
         lambda t: 3 * between(t, 11, 12),
         lambda t: 0.5 * between(t, 9, 9.5),
@@ -37,7 +37,7 @@ def test_the_largest_errors_are_those_of_the_window():
 
 
 def test_recovery_is_when_all_errors_are_small_and_stay_so():
-    errors = course(
+    errors = error_series(
         lambda t: 5 * between(t, 10, 18) + 5 * between(t, 19, 20),  # a second is not enough
         lambda t: 3 * between(t, 10, 17) + 3 * between(t, 25, 26),
     )
@@ -47,16 +47,16 @@ def test_recovery_is_when_all_errors_are_small_and_stay_so():
 
 
 def test_what_never_gets_small_has_not_recovered():
-    assert episode(course(lambda t: 5 + 0 * t), 10.0, 15.0, LIMITS).recovery == math.inf
+    assert episode(error_series(lambda t: 5 + 0 * t), 10.0, 15.0, LIMITS).recovery == math.inf
     # nor what gets small only after the next fault began
-    errors = course(lambda t: 5 * between(t, 10, 25))
+    errors = error_series(lambda t: 5 * between(t, 10, 25))
     assert episode(errors, 10.0, 15.0, LIMITS, until=20.0).recovery == math.inf
     assert episode(errors, 10.0, 15.0, LIMITS, until=40.0).recovery == pytest.approx(10.0, abs=0.01)
 
 
-def test_nothing_heard_is_no_error_and_no_recovery():
-    errors = course(lambda t: 0 * t)
-    silent = Course(
+def test_no_odometry_is_no_error_and_no_recovery():
+    errors = error_series(lambda t: 0 * t)
+    silent = ErrorSeries(
         t=errors.t[:100],
         position=errors.position[:100],
         velocity=errors.velocity[:100],
@@ -68,7 +68,7 @@ def test_nothing_heard_is_no_error_and_no_recovery():
 
 
 def test_each_fault_is_looked_at_up_to_the_next():
-    errors = course(lambda t: 5 * between(t, 10, 17) + 9 * between(t, 30, 60))
+    errors = error_series(lambda t: 5 * between(t, 10, 17) + 9 * between(t, 30, 60))
     faults = [parse("cut:start=30,duration=5"), parse("loss:start=10,duration=5")]
     (first, one), (second, other) = episodes(errors, faults, LIMITS)
     assert (first.kind.name, second.kind.name) == ("loss", "cut")
@@ -78,10 +78,10 @@ def test_each_fault_is_looked_at_up_to_the_next():
     assert episodes(errors, [], LIMITS) == []
 
 
-def test_an_account_is_said_in_a_sentence():
-    told = {"fault": "cut:start=1", "odometry": 3, "position_m": 14.22, "velocity_mps": 3.6}
-    told |= {"attitude_deg": 104.2, "recovery_s": 1.27}
-    said = "cut:start=1: errors up to 14.2 m, 3.6 m/s, 104 deg; right again 1.3 s after it"
-    assert sentence(told) == said
-    said = "cut:start=1: no ODOMETRY; not right again"
-    assert sentence({**told, "odometry": 0, "recovery_s": None}) == said
+def test_an_account_is_one_sentence():
+    summary = {"fault": "cut:start=1", "odometry": 3, "position_m": 14.22, "velocity_mps": 3.6}
+    summary |= {"attitude_deg": 104.2, "recovery_s": 1.27}
+    line = "cut:start=1: errors up to 14.2 m, 3.6 m/s, 104 deg; right again 1.3 s after it"
+    assert sentence(summary) == line
+    line = "cut:start=1: no ODOMETRY; not right again"
+    assert sentence({**summary, "odometry": 0, "recovery_s": None}) == line

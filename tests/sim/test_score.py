@@ -21,7 +21,7 @@ def flight():
     return Flight.plan("figure-eight", CONFIG, duration=30.0)
 
 
-def told(
+def witness_of(
     flight,
     *,
     shift_n=(0.0, 0.0, 0.0),
@@ -31,7 +31,7 @@ def told(
     origin=ORIGIN,
     frames=(20, 12),
 ):
-    """Give a witness who heard ODOMETRY at 50 Hz with a known error, as an estimator sends it."""
+    """Return a witness of ODOMETRY at 50 Hz with a known error, as an estimator sends it."""
     witness, autopilot, us = Witness(flight), Autopilot(CONFIG), Sender(1, 194)
     if origin is not None:
         autopilot.receive(
@@ -70,12 +70,12 @@ def told(
         )
         autopilot.receive(data, now_ns=int(times[i]) + LATE_NS)
     for message in autopilot.received():
-        witness.hear(message)
+        witness.receive(message)
     return witness
 
 
 def test_a_perfect_estimate_has_no_error_but_its_rounding(flight):
-    score = told(flight).score(after=10.0)
+    score = witness_of(flight).score(after=10.0)
     assert score["origin"] == "GPS_GLOBAL_ORIGIN"
     # the origin's 1e-7 degrees, 6 mm and 4 mm, and the altitude's millimetre
     assert score["horizontal_m"]["max"] < 0.01
@@ -91,7 +91,9 @@ def test_a_perfect_estimate_has_no_error_but_its_rounding(flight):
 
 
 def test_a_shifted_estimate_has_the_shift_as_its_error(flight):
-    score = told(flight, shift_n=(0.3, -0.4, 1.5), shift_vel_n=(0.1, 0.0, -0.2), std=0.1).score()
+    score = witness_of(
+        flight, shift_n=(0.3, -0.4, 1.5), shift_vel_n=(0.1, 0.0, -0.2), std=0.1
+    ).score()
     assert score["horizontal_m"]["rms"] == pytest.approx(0.5, abs=0.01)  # the origin's rounding
     assert score["vertical_m"]["rms"] == pytest.approx(1.5, abs=0.002)
     assert score["velocity_mps"]["rms"] == pytest.approx(math.hypot(0.1, 0.2), abs=1e-4)
@@ -100,7 +102,7 @@ def test_a_shifted_estimate_has_the_shift_as_its_error(flight):
 
 
 def test_a_turned_estimate_has_the_turn_as_its_error(flight):
-    score = told(flight, turn=np.radians([0.5, -1.0, 2.0])).score()
+    score = witness_of(flight, turn=np.radians([0.5, -1.0, 2.0])).score()
     assert score["roll_deg"]["rms"] == pytest.approx(0.5, abs=1e-3)
     assert score["pitch_deg"]["rms"] == pytest.approx(1.0, abs=1e-3)
     assert score["yaw_deg"]["rms"] == pytest.approx(2.0, abs=1e-3)
@@ -109,14 +111,14 @@ def test_a_turned_estimate_has_the_turn_as_its_error(flight):
 
 
 def test_without_an_origin_the_mean_offset_is_taken_off_and_the_score_says_so(flight):
-    score = told(flight, origin=None, shift_n=(5.0, 5.0, 5.0)).score()
+    score = witness_of(flight, origin=None, shift_n=(5.0, 5.0, 5.0)).score()
     assert "mean offset" in score["origin"]
     assert score["horizontal_m"]["max"] < 0.01
     assert score["vertical_m"]["max"] < 0.01
 
 
 def test_frames_that_mean_something_else_are_counted_and_not_scored(flight):
-    score = told(flight, frames=(4, 12)).score()
+    score = witness_of(flight, frames=(4, 12)).score()
     assert score["odometry"]["received"] == score["odometry"]["not_scored"] == 1500
     assert score["odometry"]["scored"] == 0
     assert "horizontal_m" not in score

@@ -32,7 +32,7 @@ def faulty(*texts):
 
 
 def offsets(text):
-    """Give fix by fix how far it was moved: time, north, east, down."""
+    """Return time and shift (north, east, down) of each fix."""
     home = SimConfig().home
     frame = LocalFrame(math.radians(home.lat), math.radians(home.lon), home.alt)
     rows = []
@@ -57,9 +57,9 @@ def test_a_fault_leaves_alone_what_is_before_and_after_it_and_changes_what_is_in
 
 def test_an_outage_is_silent_or_says_so():
     assert all(faulty(f"gnss-outage:{WHEN}")[k].fix is None for k in INSIDE)
-    said = [faulty(f"gnss-outage:{WHEN},how=nofix")[k].fix for k in INSIDE]
+    lost = [faulty(f"gnss-outage:{WHEN},how=nofix")[k].fix for k in INSIDE]
     were = [right()[k].fix for k in INSIDE]
-    for fix, was in zip(said, were, strict=True):
+    for fix, was in zip(lost, were, strict=True):
         assert fix == (None if was is None else was._replace(fix_type=0))
 
 

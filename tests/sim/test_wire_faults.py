@@ -10,7 +10,7 @@ FRAMES = [bytes([k % 256, k // 256]) * 10 for k in range(10_000)]
 
 
 def passed(*texts, seed=1, way="out"):
-    """Give what comes out: arrival (ms) and the number of the frame; -1: none that went in."""
+    """Return arrival (ms) and number of each frame that comes out; -1: a changed one."""
     wire = Wire([parse(text) for text in texts], seed, zero_ns=0, way=way)
     found = []
     for k, frame in enumerate(FRAMES):
@@ -24,7 +24,7 @@ def passed(*texts, seed=1, way="out"):
 
 
 def outside(rows, start=2000, end=5000):
-    """Give the rows of frames that were sent before the fault or after it."""
+    """Return the rows of frames that were sent before or after the fault."""
     return rows[(rows[:, 1] >= 0) & ((rows[:, 1] < start) | (rows[:, 1] >= end))]
 
 

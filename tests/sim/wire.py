@@ -9,13 +9,13 @@ SECOND_NS = 1_000_000_000
 
 
 def read(frames):
-    """Give name and frame of each."""
+    """Return name and frame of each."""
     found = Splitter().feed(b"".join(frames))
     return [(LAYOUTS[frame.message_id].name, frame) for frame in found if frame.message_id != JUNK]
 
 
 def named(messages, name):
-    """Give the fields of those with a name."""
+    """Return the fields of those with a name."""
     return [unpack(frame) for is_name, frame in messages if is_name == name]
 
 

@@ -103,7 +103,7 @@ from ekf_companion.cli import app
 
 def test_the_watchdog_is_not_fed_by_a_filter_that_makes_nothing_of_its_samples(tmp_path):
     """Rule 2: a stalled filter is started again, though the loop goes round."""
-    port, told_words = free_port(), []
+    port = free_port()
     code = f"{STUCK}app(['run', '--link', 'udpin:127.0.0.1:{port}'])\n"
     with (
         manager(tmp_path) as (address, told),
@@ -114,20 +114,23 @@ def test_the_watchdog_is_not_fed_by_a_filter_that_makes_nothing_of_its_samples(t
         ) as process,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot,
     ):
-        end = time.monotonic() + 20.0
+        end = time.monotonic() + 60.0
         while not beats(told):
             assert time.monotonic() < end
             time.sleep(0.02)
-        begin = stuck = None
-        for t_ns, data in cycles(10.0):
+        begin = stalled_at = None
+        for t_ns, data in cycles(60.0):
             begin = begin or time.monotonic() - t_ns * 1e-9
             time.sleep(max(begin + t_ns * 1e-9 - time.monotonic(), 0.0))
             autopilot.sendto(data, ("127.0.0.1", port))
-            told_words = [words for _, words in list(told) if "makes no estimate" in words]
-            stuck = stuck or (time.monotonic() if told_words else None)
-        last = time.monotonic()
+            if stalled_at is None:
+                stalled = [pair for pair in list(told) if "makes no estimate" in pair[1]]
+                stalled_at = stalled[0][0] if stalled else None
+            elif time.monotonic() > stalled_at + 2.5:
+                break
         process.kill()
         process.wait()
-    assert told_words[0].startswith("STATUS=stalled: inertial samples have come for 3.")
-    assert last - stuck > 2.0
-    assert max(beats(told)) < stuck + 0.7  # one may be under way: it is told each half second
+    words = stalled[0][1].removeprefix("STATUS=stalled: inertial samples have come for ")
+    assert 3.0 <= float(words.split()[0]) < 10.0, stalled
+    # One may be under way: both are sent each half second, or later where the machine is busy
+    assert len([when for when in beats(told) if when > stalled_at]) <= 1

@@ -1,0 +1,205 @@
+"""Is the filter as wrong as it says? Monte Carlo of the normalised errors, block by block.
+
+Source: Bar-Shalom, Li, Kirubarajan 2001, "Estimation with applications to tracking and
+navigation", section 5.4 (NEES, NIS and their chi-square bands over independent runs).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.campaign import (
+    DELAY_STD,
+    HARD_IRON_STD,
+    RECEIVERS,
+    SCENARIOS,
+    Flown,
+    band,
+    each,
+    errors,
+    fly,
+    nees,
+    pieces,
+)
+from benchmarks.document import table
+from benchmarks.matched import matched
+from ekf_companion.core.enums import N
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.state import State
+from ekf_companion.engine.health import Aid, Health, Verdict
+
+Array = npt.NDArray[np.float64]
+
+FLIGHTS = 100
+DURATION = 180.0
+INSTANTS = (60.0, 80.0, 100.0, 120.0, 140.0, 160.0, 179.0)
+"""s from the first sample: after convergence, and far enough apart to differ."""
+BLOCKS = {
+    "position": 3,
+    "velocity": 3,
+    "attitude": 3,
+    "gyro bias": 3,
+    "accel bias": 3,
+    "baro offset": 1,
+    "GNSS delay": 1,
+    "heading offset": 1,
+    "GNSS slow error": 3,
+    "hard iron": 3,
+}
+"""Blocks of error states and their sizes."""
+KINDS = ("matched", "default")
+"""Settings: those of the simulator's sensors, and the defaults."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Account:
+    """One flight: normalised errors by block, and the verdicts on the aids."""
+
+    nees: dict[str, Array]
+    """Shape (instants,); NaN where the filter did not navigate."""
+    ratios: dict[str, Array]
+    """Error over sigma by axis, shape (instants, dof)."""
+    nis: dict[Aid, tuple[float, float]]
+    """Sum of NIS over dof, and their number, from the first instant on."""
+    verdicts: dict[Aid, dict[str, int]]
+    """From the first instant on."""
+    resets: int
+
+
+def settings_of(kind: str, flown: Flown) -> tuple[FilterSettings, str]:
+    """Return settings and the autopilot's family: with the defaults that of PX4."""
+    if kind == "matched":
+        return matched(flown.nominal, DELAY_STD, HARD_IRON_STD), "unknown"
+    return FilterSettings(), "px4"
+
+
+def account(flown: Flown, kind: str, instants: Sequence[float] = INSTANTS) -> Account:
+    """Run the filter over a flight and compare it with the truth at some instants (s)."""
+    settings, family = settings_of(kind, flown)
+    stops = [flown.flight.first_ns + round(t * 1e9) for t in instants]
+    squares = {name: np.full(len(stops), np.nan) for name in BLOCKS}
+    ratios = {name: np.full((len(stops), dof), np.nan) for name, dof in BLOCKS.items()}
+    first: tuple[Health, State] | None = None
+    health, x = None, None
+    for i, piece in enumerate(pieces(settings, flown.events, stops, family)):
+        health, x = piece.pipeline.health(), piece.snapshot.x
+        first = first or (health, x)
+        if i == len(stops) or not piece.snapshot.is_navigating:
+            continue
+        for name, (error, P) in errors(piece.snapshot, flown, settings, family).items():
+            squares[name][i] = nees(error, P)
+            ratios[name][i] = error / np.sqrt(np.diag(P))
+    assert health is not None
+    assert first is not None
+    assert x is not None
+    return Account(squares, ratios, _nis(first[1], x), _verdicts(first[0], health), health.resets)
+
+
+def _nis(before: State, after: State) -> dict[Aid, tuple[float, float]]:
+    """Return the growth of the state's sums of NIS."""
+    return {
+        aid: (after.nis_sum[aid] - before.nis_sum[aid], after.nis_n[aid] - before.nis_n[aid])
+        for aid in Aid
+    }
+
+
+def _verdicts(before: Health, after: Health) -> dict[Aid, dict[str, int]]:
+    return {
+        aid: {
+            why.name.lower(): after.verdicts[aid][why] - before.verdicts[aid][why]
+            for why in Verdict
+        }
+        for aid in Aid
+    }
+
+
+def flight_of(job: tuple[str, int, str]) -> dict[str, Account]:
+    """Run one flight (scenario, seed, receiver) with each kind of settings."""
+    name, seed, receiver = job
+    flown = fly(name, seed, receiver, DURATION)
+    return {kind: account(flown, kind) for kind in KINDS}
+
+
+def campaign(flights: int) -> dict[tuple[str, str], list[dict[str, Account]]]:
+    """Run all scenarios with both receivers; accounts by scenario and receiver."""
+    cases = [(name, receiver) for receiver in RECEIVERS for name in SCENARIOS]
+    # other seeds in each case, so that the cases are independent
+    jobs = [
+        (name, 1000 * i + seed, receiver)
+        for i, (name, receiver) in enumerate(cases)
+        for seed in range(1, flights + 1)
+    ]
+    results = each(flight_of, jobs, "consistency, flights")
+    return {case: results[i * flights : (i + 1) * flights] for i, case in enumerate(cases)}
+
+
+def tables(runs: int | None = None) -> Iterator[str]:
+    """Yield NEES and error over sigma by block, then the verdicts on the aids."""
+    flights = runs or FLIGHTS
+    found = campaign(flights)
+    yield (
+        f"{flights} flights of each scenario and receiver, {DURATION:.0f} s, at "
+        f"{len(INSTANTS)} instants from {INSTANTS[0]:.0f} s on, 19 s apart or more. A cell is NEES"
+        " over its degrees of freedom, mean of flights and instants; in brackets at how many of"
+        " the instants the mean of the flights lies in the 95 % band: "
+        f"{_band(3 * flights)} for three degrees of freedom, {_band(flights)} for one."
+    )
+    if rest := N - sum(BLOCKS.values()):
+        yield f"\n{rest} further error states are not compared."
+    for kind in KINDS:
+        for receiver in RECEIVERS:
+            group = {name: [one[kind] for one in found[name, receiver]] for name in SCENARIOS}
+            yield from ("", f"**Settings {kind}, receiver {receiver}**", "")
+            yield from _blocks(group)
+            yield ""
+            yield from _aids(group)
+
+
+def _band(dof: int) -> str:
+    low, high = band(dof)
+    return f"{low:.2f} to {high:.2f}"
+
+
+def _blocks(group: dict[str, list[Account]]) -> Iterator[str]:
+    rows = []
+    for name, dof in BLOCKS.items():
+        cells = [
+            _cell(np.array([one.nees[name] for one in flown]), dof) for flown in group.values()
+        ]
+        pooled = np.concatenate([one.ratios[name] for flown in group.values() for one in flown])
+        axes = np.sqrt(np.nanmean(np.square(pooled), axis=0))
+        rows.append(f"{name} | {' | '.join(cells)} | {', '.join(f'{axis:.2f}' for axis in axes)}")
+    return table(f"block | {' | '.join(group)} | RMS(error / sigma) by axis", rows)
+
+
+def _cell(squares: Array, dof: int) -> str:
+    """Format NEES over dof and how many instants are in the band; squares: (flights, instants)."""
+    if np.isnan(squares).all():
+        return "-"
+    counts = np.count_nonzero(np.isfinite(squares), axis=0)
+    means = np.nanmean(squares, axis=0) / dof
+    bands = [band(max(int(n), 1) * dof) for n in counts]
+    inside = sum(low <= mean <= high for mean, (low, high) in zip(means, bands, strict=True))
+    lost = f", {squares.size - counts.sum()} lost" if (counts < len(squares)).any() else ""
+    return f"{means.mean():.2f} ({inside}/{len(means)}{lost})"
+
+
+def _aids(group: dict[str, list[Account]]) -> Iterator[str]:
+    """Yield NIS, the shares refused or de-weighted, and resets."""
+    everyone = [one for flown in group.values() for one in flown]
+    names = [why.name.lower() for why in Verdict if why not in (Verdict.UNALIGNED, Verdict.UNUSED)]
+    rows = []
+    for aid in Aid:
+        counts = {name: sum(one.verdicts[aid][name] for one in everyone) for name in names}
+        if not (judged := sum(counts.values())):
+            continue
+        total, number = np.sum([one.nis[aid] for one in everyone], axis=0)
+        nis = f"{total / number:.2f}" if number else "-"
+        shares = [f"{100.0 * counts[name] / judged:.3f} %" for name in names[1:]]
+        rows.append(" | ".join([aid.name.lower(), nis, str(judged), *shares]))
+    yield from table(" | ".join(["aid", "NIS / dof", "judged", *names[1:]]), rows)
+    yield from ("", f"Resets in all flights: {sum(one.resets for one in everyone)}.")

@@ -1,0 +1,147 @@
+"""How far the estimate drifts without GNSS, and whether its own sigma covers that."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from benchmarks.accuracy.consistency import KINDS, settings_of
+from benchmarks.campaign import SCENARIOS, Snapshot, each, errors, fly, nees, pieces, roster
+from benchmarks.document import table
+from benchmarks.recorded import MISSION, TRUTH, recorded
+from ekf_companion.core.enums import E_POS
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.nav.state import Trajectory
+
+Array = npt.NDArray[np.float64]
+Drift = tuple[float, float, bool, bool]
+"""Horizontal and vertical error at the end of an outage, m, and whether each is covered."""
+
+FLIGHTS = 50
+LENGTHS = (10.0, 30.0, 60.0)
+"""s."""
+STARTS = (60.0, 100.0)
+"""The outages of simulated flights begin anywhere between, s after the first sample."""
+COVERED = 0.95
+HEAD = (
+    "outage, s | cases | horizontal: median, m | 95 % | covered"
+    " | vertical: median, m | 95 % | covered"
+)
+STEP = 5.0
+"""Between the outages tried on a recorded flight, s."""
+SETTLED = 20.0
+"""No outage begins so soon after the first fix of a recorded flight, s."""
+AIRBORNE = 1.0
+"""Above the height at the start, m."""
+
+
+def cut(events: Events, start_ns: int, length: float) -> Events:
+    """Remove every fix whose stamp lies in an outage, the autopilot's own positions too."""
+    end_ns = start_ns + round(length * 1e9)
+    is_silent = (events.t_ns >= start_ns) & (events.t_ns < end_ns)
+    return events.take(~(is_silent & (events.kind == Kind.GNSS)))
+
+
+def drift(error_n: Array, P: Array) -> Drift:
+    """Compare a position error with its covariance: the ellipse, and the interval, of 95 %."""
+    return (
+        float(np.hypot(error_n[0], error_n[1])),
+        abs(float(error_n[2])),
+        nees(error_n[:2], P[:2, :2]) <= chi2.ppf(COVERED, 2),
+        float(error_n[2] ** 2 / P[2, 2]) <= chi2.ppf(COVERED, 1),
+    )
+
+
+def simulated(job: tuple[str, int]) -> dict[tuple[str, float], Drift]:
+    """Run one flight (scenario, seed) with an outage and each kind of settings."""
+    name, seed = job
+    flown = fly(name, seed)
+    start = np.random.default_rng([seed, 99]).uniform(*STARTS)
+    start_ns = flown.flight.first_ns + round(start * 1e9)
+    silent = cut(flown.events, start_ns, max(LENGTHS))
+    ends = [start_ns + round(length * 1e9) for length in LENGTHS]
+    found = {}
+    for kind in KINDS:
+        settings, family = settings_of(kind, flown)
+        # a shorter outage is the beginning of the longest
+        for length, piece in zip(LENGTHS, pieces(settings, silent, ends, family), strict=False):
+            position = errors(piece.snapshot, flown, settings, family)["position"]
+            found[kind, length] = drift(*position)
+    return found
+
+
+def in_recorded(path: Path) -> dict[float, list[Drift]]:
+    """Cut outages into a recorded flight, one at a time, wherever it flies; drifts by length."""
+    log = recorded(path)
+    reference = log.truth or log.reference
+    assert reference is not None, f"{path} holds nothing to compare with"
+    found: dict[float, list[Drift]] = {length: [] for length in LENGTHS}
+    first_ns, last_ns = _airborne(log.events, reference)
+    for start_ns in range(first_ns, last_ns - round(min(LENGTHS) * 1e9), round(STEP * 1e9)):
+        lengths = [length for length in LENGTHS if start_ns + round(length * 1e9) < last_ns]
+        silent = cut(log.events, start_ns, max(lengths))
+        ends = [start_ns + round(length * 1e9) for length in lengths]
+        parts = pieces(FilterSettings(), silent, ends, log.family, log.gnss_delay)
+        for length, piece in zip(lengths, parts, strict=False):
+            at_end = piece.snapshot
+            if at_end.is_navigating:
+                error_n = _reference_pos_n(at_end, reference) - at_end.x.pos_n
+                found[length].append(drift(error_n, at_end.covariance(E_POS, 3)))
+    return found
+
+
+def _airborne(events: Events, reference: Trajectory) -> tuple[int, int]:
+    """Return the first time for an outage and the end of the flight; 0, 0: no flight."""
+    flown = reference.pos_t_ns[reference.alt > reference.alt[0] + AIRBORNE]
+    if not len(flown):
+        return 0, 0
+    first_fix = int(events.t_ns[events.kind == Kind.GNSS].min())
+    return max(int(flown[0]), first_fix + round(SETTLED * 1e9)), int(flown[-1])
+
+
+def _reference_pos_n(snapshot: Snapshot, reference: Trajectory) -> Array:
+    """Return the reference's position in the filter's frame at the time of its state."""
+    columns = (reference.lat, reference.lon, reference.alt)
+    place = [np.interp(snapshot.t_ns, reference.pos_t_ns, one) for one in columns]
+    return snapshot.frame.to_ned(*place)
+
+
+def tables(data: Path, runs: int | None = None) -> Iterator[str]:
+    """Yield drift and coverage: simulated flights, then recorded ones."""
+    flights = runs or FLIGHTS
+    found = each(simulated, roster(flights), "outages, flights")
+    rows = []
+    for kind in KINDS:
+        for i, name in enumerate(SCENARIOS):
+            part = found[i * flights : (i + 1) * flights]
+            for length in LENGTHS:
+                rows.append(_row(f"{name}, {kind}", length, [one[kind, length] for one in part]))
+        for length in LENGTHS:
+            rows.append(_row(f"all, {kind}", length, [one[kind, length] for one in found]))
+    yield from table(f"simulated, {flights} flights each | {HEAD}", rows)
+    paths = [data / case.log for case in (*TRUTH, MISSION) if (data / case.log).is_file()]
+    if paths:
+        yield ""
+        rows = [
+            _row(path.parent.name, length, drifts)
+            for path, by_length in zip(
+                paths, each(in_recorded, paths, "outages, logs"), strict=True
+            )
+            for length, drifts in by_length.items()
+            if drifts
+        ]
+        yield from table(f"recorded | {HEAD}", rows)
+
+
+def _row(title: str, length: float, drifts: Sequence[Drift]) -> str:
+    columns = list(zip(*drifts, strict=True))
+    cells = [title, f"{length:.0f}", str(len(drifts))]
+    for size, is_covered in ((columns[0], columns[2]), (columns[1], columns[3])):
+        share = 100.0 * float(np.mean(is_covered))
+        cells += [f"{np.median(size):.2f}", f"{np.percentile(size, 95.0):.2f}", f"{share:.0f} %"]
+    return " | ".join(cells)

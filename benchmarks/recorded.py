@@ -1,0 +1,77 @@
+"""The recorded flights, and what each is compared over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from ekf_companion.config.config import Config
+from ekf_companion.nav.state import Table, Trajectory
+from ekf_companion.replay import convert
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """One log and the part of it that counts."""
+
+    log: str
+    """Folder and file below the recorded flights."""
+    title: str
+    skip: float | None = None
+    """Seconds left out at the start; None: what ``compare`` leaves out by itself."""
+    until: float | None = None
+    """Seconds after the first estimate; None: to the end."""
+
+    @property
+    def command(self) -> str:
+        """The command line that prints the same."""
+        options = f" --skip {self.skip:g}" if self.skip is not None else ""
+        options += f" --until {self.until:g}" if self.until is not None else ""
+        return f"ekf-companion compare {self.log}{options}"
+
+
+MISSION = Case(log="px4-ulg-x500-mission/x500_mission_2023.ulg", title="x500 mission (.ulg)")
+COPTER = "ardupilot-bin-copter-50hz/log171.bin"
+AUTOPILOT = (
+    MISSION,
+    Case(log="px4-ulg-x500-hover/x500_hover_2023-06-21.ulg", title="x500 hover (.ulg)"),
+    Case(
+        log="tlog-transcoded-x500-mission/x500_mission_highres.tlog", title="x500 mission (.tlog)"
+    ),
+    Case(log=COPTER, title="copter, from 20 s (.bin)", until=205.0),
+    Case(log=COPTER, title="copter, in flight (.bin)", skip=61.0, until=205.0),
+)
+"""Real flights: the only reference is the autopilot's own estimate."""
+
+TRUTH = (
+    Case(log="sitl-arducopter-square/flight.tlog", title="ArduCopter square (.tlog)"),
+    Case(log="sitl-px4-square/flight.tlog", title="PX4 square (.tlog)"),
+    Case(log="sitl-arducopter-bin/flight.bin", title="ArduCopter circle (.bin)"),
+    Case(log="sitl-px4-ulg/flight.ulg", title="PX4 spiral (.ulg)"),
+)
+"""The autopilots' own code in their simulators, with the truth in the log."""
+
+POOR = (
+    "px4-ulg-damaged-fixedwing/damaged_format_not_utf8.ulg",
+    "tlog-copter-canberra/flight.tlog",
+    "tlog-apm-2013-nebraska/2013-10-13_18-50-10.tlog",
+    "tlog-copter-vancouver/mission2_2018-09-25.tlog",
+    "ardupilot-bin-copter-netherlands/spark404_log.bin",
+    "px4-ulg-x500-no-gps/x500_no_gps_2023-06-21.ulg",
+    "ardupilot-bin-no-gps/dataflash-sample-1.bin",
+    "px4-ulg-fixedwing-ground/fw_ground_v6c.ulg",
+)
+"""Damaged, slow, short, or without GNSS."""
+
+Estimated = tuple[Table, convert.Report, Trajectory | None, Trajectory | None]
+
+
+@cache
+def estimate(path: Path) -> Estimated:
+    """Re-run the estimator over a log, once: its estimates, report, reference and truth."""
+    return convert.estimate(path, Config())
+
+
+recorded = cache(convert.read)
+"""Reads a log, once, as events and what to compare them with."""

@@ -1,0 +1,7 @@
+"""What it withstands.
+
+soak       hours of flight with every fault, in memory (soak_flight, soak_score), and a minute of
+           the daemon in real time (soak_daemon)
+fuzz       random and mutated bytes and messages; guided: led by coverage, with Atheris
+endurance  10^8 inertial samples
+"""
