@@ -80,7 +80,7 @@ class Score:
     """m, RMS at the best lag."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Give everything for JSON: metres, m/s, degrees and seconds, the unit in the name."""
+        """Return everything for JSON: metres, m/s, degrees and seconds, the unit in the name."""
         flat: dict[str, Any] = {
             "estimate": self.estimate,
             "reference": self.reference,
@@ -138,7 +138,7 @@ def score(
         first_ns = int(min(stamps, default=0))
     else:
         t_ns = np.asarray(estimate["time_us"]).astype(np.int64) * 1000
-        spans = series.course(t_ns)[1]
+        spans = series.clock_run(t_ns)[1]
         first_ns = spans[0][0] if spans else 0
         estimate = to_trajectory(estimate)
     begin = max(first_ns + round(skip_s * 1e9), first_ns if start_ns is None else start_ns)
@@ -191,7 +191,7 @@ def score(
 
 
 def _frame(reference: Trajectory) -> LocalFrame:
-    """Give metres about the reference's first position."""
+    """Return metres about the reference's first position."""
     alt = float(reference.alt[0])
     lat, lon = float(reference.lat[0]), float(reference.lon[0])
     return LocalFrame(lat, lon, alt if np.isfinite(alt) else 0.0)
@@ -212,7 +212,7 @@ def _spread(errors: Array | None) -> Spread | None:
 def _find_lag(
     estimate: Trajectory, reference: Trajectory, begin: int, end: int
 ) -> tuple[float | None, float | None]:
-    """Give the lag with the smallest horizontal RMS, and that RMS; by a parabola at the least."""
+    """Return the lag with the smallest horizontal RMS, and that RMS; by a parabola at the least."""
     # The window keeps clear of its ends, so that every shift sees the same rows.
     margin = round(LAG_SPAN * 1e9)
     if not len(estimate.pos_t_ns) or not len(reference.pos_t_ns):
@@ -249,7 +249,7 @@ def _find_lag(
 
 
 def table(scores: Sequence[Score]) -> list[str]:
-    """Give scores as lines of text, beside each other: RMS, 95 % and largest error of each."""
+    """Return scores as lines of text, beside each other: RMS, 95 % and largest error of each."""
     units = {"mps": "m/s"}
     lines = [
         f"[{number}] {one.estimate} against {one.reference}" for number, one in _numbered(scores)

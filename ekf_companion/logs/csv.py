@@ -1,6 +1,6 @@
 """Logs as comma-separated text: every column and every unit is declared, nothing is guessed.
 
-Native files say it in the header. A column is a quantity and its unit::
+Native files declare them in the header. A column is a quantity and its unit::
 
     time_us | time_ms | time_s                      needed; the sample's stamp
     gyro_x_rps | gyro_x_dps   (and y, z)            body frame: forward, right, down
@@ -13,9 +13,9 @@ Native files say it in the header. A column is a quantity and its unit::
     gps_std_h_m, gps_std_v_m, gps_std_vel_mps       one sigma per axis
     heading_deg | heading_rad, heading_std_deg      from true north, clockwise
 
-An empty or NaN cell is no measurement in that row. Other columns are ignored, and named in a note.
+An empty or NaN cell holds no measurement. Other columns are ignored, and named in a note.
 
-Foreign files have a map beside them, ``LOG.csv.columns.yaml``, or one handed in::
+Foreign files have a map beside them, ``LOG.csv.columns.yaml``, or one passed to :func:`read`::
 
     time: {column: millis, unit: ms}
     gyro_x: {column: rollrate, unit: deg/s}
@@ -27,8 +27,8 @@ Foreign files have a map beside them, ``LOG.csv.columns.yaml``, or one handed in
     heading_source: magnetometer  # or gnss, autopilot
     delimiter: ";"
 
-A map without quantities adds its options to a native file. Headers that other programs write are
-known without one: :mod:`ekf_companion.logs.csv_known`.
+A map without quantities adds its options to a native file. Some headers of other programs need no
+map: :mod:`ekf_companion.logs.csv_known`.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ Columns = dict[str, Array]
 """Quantities in SI and radians, NaN where a row has none."""
 
 GNSS_STD = {"gps_std_h": 2.0, "gps_std_v": 3.0, "gps_std_vel": 0.5}
-"""m, m, m/s where the file gives no accuracy: a receiver in the open, on the safe side."""
+"""m, m, m/s where the file holds no accuracy: a receiver in the open, on the safe side."""
 HEADING_STD_DEG = 5.0
-"""deg, where the file gives no accuracy."""
+"""deg, where the file holds no accuracy."""
 SEA_LEVEL_PRESSURE = 101325.0
 """Pa; ICAO standard atmosphere, as the next two."""
 SCALE_HEIGHT = 288.15 / 0.0065
@@ -81,12 +81,12 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
 
     Args:
         path: The file.
-        columns: The map, as the module's docstring lays it; None: the map beside the file or,
-            where there is none, the header, of ours or a known one.
+        columns: The map, as in the module's docstring; None: the map beside the file or, where
+            there is none, the header.
 
     Raises:
-        LogError: A unit is unknown, a needed column is missing, a cell is no number, or the map
-            holds something that cannot be meant.
+        LogError: A unit is unknown, a needed column is missing, a cell is no number, or an entry
+            of the map is invalid.
     """
     where, columns = find_map(path, columns)
     options = {key: columns[key] for key in columns if key in OPTIONS}
@@ -142,7 +142,7 @@ def _hold(where: str, options: Mapping[str, Any]) -> list[str]:
 
 
 def _values(table: Table, sources: Mapping[str, Source]) -> Columns:
-    """Give all quantities but time in SI; a number that is not finite is none."""
+    """Return all quantities in SI, but the time as it is; NaN for what is no measurement."""
     names = sorted({source.column for source in sources.values() if source.column is not None})
     raw = table.read(names)
     n = len(raw[names[0]]) if names else 0
@@ -152,7 +152,7 @@ def _values(table: Table, sources: Mapping[str, Source]) -> Columns:
         if name == "time":
             values[name] = column
             continue
-        # What overflows when scaled was no measurement: no sensor says 1e30.
+        # No sensor measures 1e30, which would overflow when scaled
         values[name] = np.where(np.abs(column) < 1e30, column, np.nan) * source.scale
     return values
 
@@ -160,29 +160,29 @@ def _values(table: Table, sources: Mapping[str, Source]) -> Columns:
 def _in_time(
     path: Path, table: Table, sources: Mapping[str, Source], values: Columns, notes: list[str]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Columns]:
-    """Give stamps, ns, and row numbers of the rows on the one course of time, and their values."""
+    """Return stamps, ns, row numbers and values of the rows on one run of the clock."""
     time = values["time"]
     per_unit = round(abs(sources["time"].scale) * 1e9)
     good = np.abs(time) < 9e18 / per_unit
     row = np.flatnonzero(good)
     time = time[good]
-    # Whole units apart: microseconds since 1970 in ns are more digits than a float has.
+    # Whole units apart: microseconds since 1970 in ns have more digits than a float
     whole = np.floor(time)
     t_ns = whole.astype(np.int64) * per_unit
-    # Where the float's last digit is coarser than 1 ns, what was written were microseconds.
+    # Where the float's last digit is coarser than 1 ns, the file holds microseconds
     step = 1000 if np.spacing(np.abs(time).max(initial=0.0)) * per_unit > 1.0 else 1
     t_ns += np.rint((time - whole) * (per_unit / step)).astype(np.int64) * step
-    kept = series.course(t_ns)[0]
+    kept = series.clock_run(t_ns)[0]
     if len(kept) == 0:
         raise LogError(f"{path}: no row with a time; the file ends after its header")
     if lost := len(values["time"]) - int(kept.sum()):
-        notes.append(f"{lost} rows without a time, or with one off the file's course, were dropped")
+        notes.append(f"{lost} rows without a time, or one that does not fit the rest, were dropped")
     row, t_ns = row[kept], t_ns[kept]
     return t_ns, row, {name: column[row] for name, column in values.items()}
 
 
 Found = list[tuple[Events, npt.NDArray[np.bool_]]]
-"""Events of every row, and in which rows there is one."""
+"""Events of all rows, and in which rows there is one."""
 
 
 def _found(events: Events, needed: list[Array], is_new: npt.NDArray[np.bool_]) -> Found:
@@ -191,7 +191,7 @@ def _found(events: Events, needed: list[Array], is_new: npt.NDArray[np.bool_]) -
 
 
 def _news(group: str, hold: list[str], columns: list[Array]) -> npt.NDArray[np.bool_]:
-    """Say in which rows a value is new: all, or where values are held, the changes."""
+    """Return in which rows a value is new: all, or where values are held, the changes."""
     return series.changed(*columns) if group in hold else np.ones(len(columns[0]), dtype=bool)
 
 
@@ -236,7 +236,7 @@ def _heading(
 
 
 def _positive(values: Columns, name: str, otherwise: float, n: int) -> Array:
-    """Take an accuracy where the file gives one (positive)."""
+    """Return an accuracy where the file holds one (positive)."""
     value = values.get(name, np.full(n, np.nan))
     return np.where(value > 0.0, value, otherwise)
 
@@ -270,18 +270,11 @@ def _gnss(
         said = ", ".join(f"{name} {GNSS_STD[name]:g}" for name in missing)
         notes.append(f"accuracy not declared, so assumed (m, m/s): {said}")
     std = [_positive(values, name, otherwise, n) for name, otherwise in GNSS_STD.items()]
+    position = (lat, so3.wrap(lon), alt)
     events = Events.from_columns(
-        t_ns,
-        Kind.GNSS,
-        lat,
-        so3.wrap(lon),
-        alt,
-        *velocity,
-        *std,
-        np.nan,
-        float(GnssFlag.NONE),
+        t_ns, Kind.GNSS, *position, *velocity, *std, np.nan, float(GnssFlag.NONE)
     )
-    # A new fix moves; loggers let altitude, speed and course follow some rows later.
+    # A new fix moves; loggers update altitude, speed and course some rows later
     held = [lat, lon]
     repeated = int((np.isfinite(lat[1:]) & ~series.changed(*held)[1:]).sum())
     if "gps" not in hold and repeated > n / 2:

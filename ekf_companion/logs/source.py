@@ -1,4 +1,4 @@
-"""The bytes of a recorded file, or a sentence that says why there are none."""
+"""Reading of a recorded file's bytes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ekf_companion.errors import LogError
 
 
 def read_bytes(path: Path, kind: str) -> bytes:
-    """Give all bytes of a file.
+    """Return all bytes of a file.
 
     Args:
         path: The file.

@@ -1,9 +1,8 @@
-"""Estimates out: a CSV file, or records of a .tlog."""
+"""Writing of estimates to a CSV file."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO
 
 import numpy as np
@@ -30,10 +29,10 @@ def create(path: Path) -> BinaryIO:
 
 
 class CsvWriter:
-    """Writes estimates as CSV, every number with the digits that give it back to the bit."""
+    """Writes estimates as CSV, every number with enough digits to be read back to the bit."""
 
     def __init__(self, path: Path) -> None:
-        """Begin the file with its header.
+        """Open the file and write the header.
 
         Raises:
             LogError: The file cannot be opened.
@@ -42,15 +41,10 @@ class CsvWriter:
         self._file.write(",".join(COLUMNS).encode() + b"\n")
 
     def __enter__(self) -> CsvWriter:
-        """Give the writer."""
+        """Return the writer."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the file."""
         self._file.close()
 

@@ -25,7 +25,7 @@ from ekf_companion.filters import (
 )
 from ekf_companion.filters.detector import Detector
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
-from ekf_companion.logs.recording import Recording, one_course
+from ekf_companion.logs.recording import Recording, longest_clock_run
 from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.state import Status, join
 
@@ -63,8 +63,8 @@ def run_filter(
         LogError: The recording lacks what the filter needs.
     """
     label, option = choose(name)
-    # A filter knows one course of time only
-    events, notes = one_course(recording.events)
+    # A filter cannot follow a clock that restarts
+    events, notes = longest_clock_run(recording.events)
     recording = replace(recording, events=events)
     run = FILTERS[label.partition(":")[0]].run
     found = run(recording, settings or FilterSettings(), option)
@@ -72,7 +72,7 @@ def run_filter(
 
 
 def choose(name: str) -> tuple[str, str]:
-    """Give the name to print and the option of ``NAME`` or ``NAME:OPTION``.
+    """Return the name to print and the option of ``NAME`` or ``NAME:OPTION``.
 
     Raises:
         ConfigError: There is none of that name.
@@ -163,7 +163,7 @@ def _vqf(recording: Recording, settings: FilterSettings, option: str) -> Solutio
 
 
 def _completed(recording: Recording, settings: FilterSettings) -> Events:
-    """Give the events when they were true, with the declination, without the vehicle's own iron."""
+    """Return the events when they were true, with the declination, without the vehicle's own iron."""
     events = recording.events
     late_ns = delays_ns(settings, recording.family, recording.gnss_delay)
     values = Field(settings.heading).complete_all(events)

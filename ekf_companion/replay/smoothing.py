@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from types import TracebackType
 
 import numpy as np
 import numpy.typing as npt
@@ -81,18 +80,13 @@ class Smoothing:
         self._block: Array = np.zeros(at.BLOCK)
 
     def __enter__(self) -> Smoothing:
-        """Give the estimator."""
+        """Return the estimator."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Forget what was put aside."""
-        self._rows.__exit__(kind, error, trace)
-        self._results.__exit__(kind, error, trace)
+        self._rows.__exit__()
+        self._results.__exit__()
 
     def run(self, events: Events) -> Table:
         """Take events in the order of their arrival, and give the live estimates of them."""
@@ -101,7 +95,7 @@ class Smoothing:
         return table
 
     def tables(self, progress: Callable[[int, int], None] | None = None) -> Iterator[Table]:
-        """Give the smoothed estimates, a row per inertial sample, in order of time; once.
+        """Return the smoothed estimates, a row per inertial sample, in order of time; once.
 
         Rows are as the pipeline's: a row before the alignment knows nothing here either. The status
         is that of the live filter: a stretch without GNSS is called dead reckoning, though it is
@@ -188,7 +182,7 @@ def smooth(
     family: str = "unknown",
     gnss_delay: float | None = None,
 ) -> Table:
-    """Give the smoothed estimates of a whole recording, one per inertial sample.
+    """Return the smoothed estimates of a whole recording, one per inertial sample.
 
     Args:
         events: In the order of their arrival.

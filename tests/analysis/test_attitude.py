@@ -26,18 +26,7 @@ def table(q_nb, t_ns):
 
 
 def truth(q_nb, t_ns):
-    none = np.zeros(0)
-    return Trajectory(
-        name="made",
-        pos_t_ns=np.zeros(0, dtype=np.int64),
-        lat=none,
-        lon=none,
-        alt=none,
-        vel_t_ns=np.zeros(0, dtype=np.int64),
-        vel_n=np.zeros((0, 3)),
-        att_t_ns=t_ns,
-        q_nb=q_nb,
-    )
+    return Trajectory(name="made", att_t_ns=t_ns, q_nb=q_nb)
 
 
 def turning(t_ns):

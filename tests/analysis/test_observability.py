@@ -29,7 +29,7 @@ LEVEL_PAIRS = [("accelerometer x bias", "pitch"), ("accelerometer y bias", "roll
 
 
 def drive(seconds, *, yaw=lambda t: 0.0 * t, vel_n=lambda t: np.zeros((len(t), 3))):
-    """Give the events of a vehicle that stays level, without noise: yaw (rad), velocity (m/s)."""
+    """Return the events of a vehicle that stays level, without noise: yaw (rad), velocity (m/s)."""
     dt = 1.0 / RATE
     t = dt * np.arange(1, int(seconds * RATE) + 1)
     middle, h = t - 0.5 * dt, 1e-3
@@ -70,7 +70,7 @@ def found_in(events, **more):
 
 
 def simulated(name, seconds, *, noise=1.0, yaw=True):
-    """Give a course along a flight of the simulator, its receiver without delay."""
+    """Return a course along a flight of the simulator, its receiver without delay."""
     nominal = ImuConfig()
     names = [key for key in ImuConfig.__dataclass_fields__ if "noise" in key or "bias" in key]
     imu = {key: noise * getattr(nominal, key) for key in names if not key.endswith("time")}
@@ -147,7 +147,7 @@ def test_a_turn_of_90_degrees_shows_them_and_is_named(standing):
 
 
 def circles(begin):
-    """Give yaw and velocity of a turn of 18 deg/s, with the nose along the way."""
+    """Return yaw and velocity of a turn of 18 deg/s, with the nose along the way."""
 
     def yaw(t):
         s = np.maximum(t - begin, 0.0)

@@ -21,7 +21,7 @@ SETTINGS = FilterSettings()
 
 
 def tumbled(count=3000, noise=0.005, seed=1):
-    """Give a field of constant strength from all directions, shape (n, 3), gauss."""
+    """Return a field of constant strength from all directions, shape (n, 3), gauss."""
     rng = np.random.default_rng(seed)
     ways = rng.standard_normal((count, 3))
     ways *= FIELD / np.linalg.norm(ways, axis=1, keepdims=True)
@@ -29,7 +29,7 @@ def tumbled(count=3000, noise=0.005, seed=1):
 
 
 def turned(dip=1.1, count=1500, noise=0.005, seed=1):
-    """Give what a level vehicle sees that turns about its down axis."""
+    """Return what a level vehicle sees that turns about its down axis."""
     rng = np.random.default_rng(seed)
     angle = np.linspace(0.0, 4.0 * np.pi, count)
     flat = FIELD * np.cos(dip)
@@ -38,7 +38,7 @@ def turned(dip=1.1, count=1500, noise=0.005, seed=1):
 
 
 def spoilt(field_b, hard=HARD, soft=SOFT):
-    """Give what a magnetometer says whose numbers the correction brings back to the field."""
+    """Return what a magnetometer says whose numbers the correction brings back to the field."""
     return field_b @ np.linalg.inv(soft).T + hard
 
 
@@ -158,7 +158,7 @@ def test_what_is_printed_brings_the_heading_back():
 
 
 def broad(flight, name):
-    """Give the magnetometer of a BROAD trial, gauss, and the attitude of the motion capture."""
+    """Return the magnetometer of a BROAD trial, gauss, and the attitude of the motion capture."""
     from scipy.io import loadmat
 
     trial = loadmat(flight(f"broad-attitude/{name}.mat"))
@@ -168,7 +168,7 @@ def broad(flight, name):
 
 
 def by_attitude(mag_b, q):
-    """Give the hard iron and the field's strength that agree best with a known attitude."""
+    """Return the hard iron and the field's strength that agree best with a known attitude."""
     turns = np.swapaxes(so3.to_matrix(q), 1, 2)
     rows = np.concatenate([turns, np.broadcast_to(np.eye(3), turns.shape)], axis=2).reshape(-1, 6)
     terms = np.linalg.lstsq(rows, mag_b.ravel(), rcond=None)[0]
