@@ -91,8 +91,8 @@ def without(data: Path) -> Iterator[str]:
         yield from (f"**{case.title}**", "")
         rows = []
         for title, settings in cases.items():
-            entries = comparison.hold(recording, ["eskf"], settings)
-            rows += comparison.judge(entries, recording.truth, SKIP, None)
+            entries = comparison.run_filters(recording, ["eskf"], settings)
+            rows += comparison.score_filters(entries, recording.truth, SKIP, None)
             rows[-1] = replace(rows[-1], name=title)
         yield from _table(rows)
         yield ""
@@ -120,8 +120,8 @@ def attitude(data: Path) -> Iterator[str]:
             continue
         recording = convert.read(data / log, Config())
         assert recording.truth is not None
-        entries = comparison.hold(recording, ATTITUDES, Config())
-        judged = comparison.judge(entries, recording.truth, 0.0, None, recording.counted)
+        entries = comparison.run_filters(recording, ATTITUDES, Config())
+        judged = comparison.score_filters(entries, recording.truth, 0.0, None, recording.counted)
         cells = [" / ".join(f"{value:.2f}" for value in one.rms.values()) for one in judged]
         yield f"| {title} | {' | '.join(cells)} |"
 
@@ -134,7 +134,7 @@ def walks(data: Path) -> Iterator[str]:
         if not (data / log).is_file():
             print(f"{log}: absent, left out")
             continue
-        entries = comparison.hold(convert.read(data / log, Config()), WALKERS, Config())
+        entries = comparison.run_filters(convert.read(data / log, Config()), WALKERS, Config())
         cells = [
             f"{one.rms['closure on the ground']:.3f} / {one.rms['closure in space']:.3f}"
             for one in entries
@@ -164,8 +164,8 @@ def fly_all(job: tuple[str, int, str]) -> list[Entry]:
     flown = fly(*job, DURATION)
     settings = matched(flown.nominal, DELAY_STD, HARD_IRON_STD)
     recording = Recording(family="unknown", events=flown.events)
-    entries = comparison.hold(recording, NAVIGATORS, settings)
-    judged = comparison.judge(entries, _truth(flown.flight), SKIP, None)
+    entries = comparison.run_filters(recording, NAVIGATORS, settings)
+    judged = comparison.score_filters(entries, _truth(flown.flight), SKIP, None)
     return [
         Entry(name=e.name, solution=None, trajectory=None, us=e.us, rms=e.rms, nees=e.nees)
         for e in judged
@@ -191,7 +191,9 @@ def _truth(flight: Flight) -> Trajectory:
 def _judged(
     recording: Recording, names: Sequence[str], truth: Trajectory, skip: float = SKIP
 ) -> list[Entry]:
-    return comparison.judge(comparison.hold(recording, names, Config()), truth, skip, None)
+    return comparison.score_filters(
+        comparison.run_filters(recording, names, Config()), truth, skip, None
+    )
 
 
 def _mean(entries: Sequence[Entry]) -> Entry:

@@ -1,10 +1,11 @@
-"""Numbers of the configuration, measured from logs."""
+"""The command calibrate: settings measured from logs."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import typer
 
@@ -14,14 +15,19 @@ from ekf_companion.cli.terminal import (
     LogArgument,
     PlotOption,
     bar,
-    figure_path,
     opened,
+    write_figure,
     write_json,
 )
 
 if TYPE_CHECKING:
-    from ekf_companion.calibrate.plot import Draw
-    from ekf_companion.calibrate.report import Result
+    from ekf_companion.analysis.figure_file import Draw
+    from ekf_companion.calibrate.result import Result
+    from ekf_companion.config.config import Config
+    from ekf_companion.logs.recording import Recording
+
+    Measure: TypeAlias = Callable[[Recording, Config, Path], tuple[Result, Draw]]
+    """Returns the result of a calibration, and what draws its figure."""
 
 calibrate = typer.Typer(
     help="Measure numbers of the configuration from your own logs: YAML to paste, and a figure.",
@@ -29,67 +35,63 @@ calibrate = typer.Typer(
 )
 
 
-@calibrate.command("noise")
-def calibrate_noise(
-    log: LogArgument,
-    config: ConfigOption = None,
-    plot: PlotOption = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Noise of the inertial sensors, at rest, and of the receiver: Allan deviation, scatter."""
-    from ekf_companion.calibrate import noise, noise_report
+def _noise(recording: Recording, settings: Config, log: Path) -> tuple[Result, Draw]:
+    from ekf_companion.analysis.calibration_figure import draw_noise
+    from ekf_companion.calibrate import noise, noise_result
 
-    with opened(log, config, plot, json_file) as (recording, settings):
-        found = noise.measure(recording, settings, str(log))
-        result = noise_report.result(found, settings).after(recording.notes)
-        _tell("noise", log, plot, json_file, result, partial(noise_report.draw, found))
+    found = noise.measure(recording, settings, str(log))
+    return noise_result.result(found, settings), partial(draw_noise, found)
 
 
-@calibrate.command("delay")
-def calibrate_delay(
-    log: LogArgument,
-    config: ConfigOption = None,
-    plot: PlotOption = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Delay of the receiver's fixes: the one under which they are the likeliest."""
-    from ekf_companion.calibrate import delay, delay_report
+def _delay(recording: Recording, settings: Config, log: Path) -> tuple[Result, Draw]:
+    from ekf_companion.analysis.calibration_figure import draw_delay
+    from ekf_companion.calibrate import delay, delay_result
 
-    with opened(log, config, plot, json_file) as (recording, settings):
-        with bar(f"{log.name}: delays") as progress:
-            found = delay.measure(recording, settings, str(log), progress)
-        result = delay_report.result(found).after(recording.notes)
-        _tell("delay", log, plot, json_file, result, partial(delay_report.draw, found))
+    with bar(f"{log.name}: delays") as progress:
+        found = delay.measure(recording, settings, str(log), progress)
+    return delay_result.result(found), partial(draw_delay, found)
 
 
-@calibrate.command("mag")
-def calibrate_mag(
-    log: LogArgument,
-    config: ConfigOption = None,
-    plot: PlotOption = None,
-    json_file: JsonOption = None,
-) -> None:
-    """The vehicle's own magnetism, hard and soft iron, by the ellipsoid that the field draws."""
-    from ekf_companion.calibrate import mag, mag_report
+def _mag(recording: Recording, settings: Config, log: Path) -> tuple[Result, Draw]:
+    from ekf_companion.analysis.calibration_figure import draw_mag
+    from ekf_companion.calibrate import mag, mag_result
 
-    with opened(log, config, plot, json_file) as (recording, settings):
-        found = mag.measure(recording, settings, str(log))
-        result = mag_report.result(found).after(recording.notes)
-        _tell("mag", log, plot, json_file, result, partial(mag_report.draw, found))
+    found = mag.measure(recording, settings, str(log))
+    return mag_result.result(found), partial(draw_mag, found)
 
 
-def _tell(
-    kind: str, log: Path, plot: Path | None, json_file: Path | None, result: Result, draw: Draw
-) -> None:
-    """Print what a calibration found, and write its JSON and its figure."""
-    from ekf_companion.calibrate import plot as plotter
-    from ekf_companion.calibrate.report import lines
+def _add(kind: str, says: str, measure: Measure) -> None:
+    """Add a subcommand, which prints the result and writes its JSON and its figure."""
 
-    for line in lines(f"ekf-companion calibrate {kind} {log}", result):
-        typer.echo(line)
-    write_json(json_file, result.to_dict(str(log)))
-    if (figure := figure_path(log, kind, plot)) is None:
-        typer.echo("# no figure: install ekf-companion with the extra: plot")
-        return
-    plotter.write(figure, f"calibrate {kind} {log.name}", draw)
-    typer.echo(f"# figure: {figure}")
+    @calibrate.command(kind, help=says)
+    def run(
+        log: LogArgument,
+        config: ConfigOption = None,
+        plot: PlotOption = None,
+        json_file: JsonOption = None,
+    ) -> None:
+        from ekf_companion.analysis import figure_file
+        from ekf_companion.calibrate.result import lines
+
+        with opened(log, config, plot, json_file) as (recording, settings):
+            result, draw = measure(recording, settings, log)
+            result = result.after(recording.notes)
+            for line in lines(f"ekf-companion calibrate {kind} {log}", result):
+                typer.echo(line)
+            write_json(json_file, result.to_dict(str(log)))
+            title = f"calibrate {kind} {log.name}"
+            write = partial(figure_file.write, title=title, draw=draw)
+            typer.echo(f"# {write_figure(log, kind, plot, write)}")
+
+
+_add(
+    "noise",
+    "Noise of the inertial sensors, at rest, and of the receiver: Allan deviation, scatter.",
+    _noise,
+)
+_add("delay", "Delay of the receiver's fixes: the one under which they are the likeliest.", _delay)
+_add(
+    "mag",
+    "The vehicle's own magnetism, hard and soft iron, by the ellipsoid that the field draws.",
+    _mag,
+)

@@ -1,7 +1,8 @@
-"""What a flight shows of the state, and when."""
+"""The command observability."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -12,8 +13,8 @@ from ekf_companion.cli.terminal import (
     LogArgument,
     PlotOption,
     bar,
-    figure_path,
     opened,
+    write_figure,
     write_json,
 )
 from ekf_companion.errors import LogError
@@ -46,8 +47,5 @@ def observability(
         for line in (*recording.notes, *report.lines(found)):
             typer.echo(line)
         write_json(json_file, {"log": str(log), **report.to_dict(found)})
-        if (figure := figure_path(log, "observability", plot)) is None:
-            typer.echo("no figure: install ekf-companion with the extra: plot")
-            return
-        observability_figure.plot(figure, found, f"observability {log.name}")
-        typer.echo(f"figure: {figure}")
+        draw = partial(observability_figure.plot, found=found, title=f"observability {log.name}")
+        typer.echo(write_figure(log, "observability", plot, draw))

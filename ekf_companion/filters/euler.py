@@ -104,21 +104,21 @@ class Euler:
             if trust is Trust.RESET:
                 anew = reset(aid, now, self._setup.gate.patience(aid.aid))
                 T = by_turn(self.x)
-                K, doubt = T @ anew.gain, T @ anew.doubt @ T.T
+                K, inflation = T @ anew.gain, T @ anew.inflation @ T.T
             else:
-                K, doubt = np.linalg.solve(S, H @ self.P).T, np.zeros((N, N))
+                K, inflation = np.linalg.solve(S, H @ self.P).T, np.zeros((N, N))
             L = np.eye(N) - K @ H
             self.x = self.x + K @ z
-            self.P = L @ self.P @ L.T + K @ R @ K.T + doubt
+            self.P = L @ self.P @ L.T + K @ R @ K.T + inflation
             refuse_steep(self.x, self._limit)
 
     def covariance(self) -> Array:
-        """Give that of attitude (rotation vector in n), velocity, position (n), shape (9, 9)."""
+        """Return that of attitude (rotation vector in n), velocity, position (n), shape (9, 9)."""
         return covariance_in_n(self.x, self.P)
 
 
 def density(x: Array, noise: Noise) -> Array:
-    """Give the density of the noise's covariance, per second, shape (15, 15)."""
+    """Return the density of the noise's covariance, per second, shape (15, 15)."""
     E = np.asarray(angle_rates(x))
     Q = np.zeros((N, N))
     Q[ANGLES, ANGLES] = noise.gyro**2 * E @ E.T

@@ -40,12 +40,12 @@ class Gate:
 
     @property
     def counts(self) -> Mapping[str, tuple[int, int]]:
-        """Give how many of each aid were taken, and how many refused."""
+        """Return how many of each aid were taken, and how many refused."""
         return {aid: (taken, refused) for aid, (taken, refused) in self._counts.items()}
 
     @property
     def resets(self) -> Mapping[str, int]:
-        """Give how many of each aid were taken after a time-out, without a look at the estimate."""
+        """Return how many measurements of each aid reset the estimate after a time-out."""
         return dict(self._resets)
 
     def admits(self, aid: str, t_ns: int, z: Array, S: Array) -> Trust:
@@ -60,11 +60,11 @@ class Gate:
         return self.judges(aid, t_ns, float(z @ np.linalg.solve(S, z)), len(z))
 
     def patience(self, aid: str) -> float:
-        """Give how long an aid may be refused, s."""
+        """Return how long an aid may be refused, s."""
         return self._patience[aid]
 
     def allows(self, nis: float, dof: int) -> bool:
-        """Say whether a normalised innovation squared is one that a good measurement has."""
+        """Return whether a normalised innovation squared is one that a good measurement has."""
         return nis <= self._limits[dof - 1]
 
     def judges(self, aid: str, t_ns: int, nis: float, dof: int) -> Trust:

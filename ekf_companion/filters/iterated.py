@@ -87,16 +87,16 @@ class Iterated:
 
     @property
     def state(self) -> Nominal:
-        """Give the estimate of now, in n."""
+        """Return the estimate of now, in n."""
         return self._x.in_n()
 
     @property
     def down_n(self) -> Array:
-        """Give the direction of gravity, a unit vector in n."""
+        """Return the direction of gravity, a unit vector in n."""
         return self._x.down_n
 
     def covariance(self) -> Array:
-        """Give that of attitude (in n), velocity and position, shape (9, 9)."""
+        """Return that of attitude (in n), velocity and position, shape (9, 9)."""
         if self._frame == "global":
             return in_n(self.P, self._x.local.q_nb)
         T = self._x.in_n_jacobian()[:, self._active]
@@ -131,11 +131,11 @@ class Iterated:
         z, H, R = self._rows([aid], self._x)[:3]
         anew = reset(aid, self.state, self._setup.gate.patience(aid.aid))
         back = np.linalg.solve(T, np.eye(len(T), N))
-        K, doubt = back @ anew.gain, back @ anew.doubt @ back.T
+        K, inflation = back @ anew.gain, back @ anew.inflation @ back.T
         left = np.eye(len(self.P)) - K @ H
         before, self._x = self._x, self._x.plus(self._full(K @ z))
         self.P = gauss_newton.reset(
-            left @ self.P @ left.T + K @ R @ K.T + doubt,
+            left @ self.P @ left.T + K @ R @ K.T + inflation,
             self._manifold.jacobian(self._x, before),
         )
 

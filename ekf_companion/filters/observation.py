@@ -31,16 +31,16 @@ class Observation(Protocol):
         """Name of what it corrects: ``position``, ``velocity`` or ``heading``."""
 
     def covariance(self) -> Array:
-        """Give that of its noise, R, shape (m, m)."""
+        """Return that of its noise, R, shape (m, m)."""
 
     def innovation(self, state: Nominal) -> Array:
-        """Give measured minus predicted, shape (m,); an angle in [-pi, pi).
+        """Return measured minus predicted, shape (m,); an angle in [-pi, pi).
 
         States whose arrays have further leading axes give as many innovations, shape (..., m).
         """
 
     def jacobian(self, state: Nominal) -> Array:
-        """Give the derivative of what is predicted by the error state, shape (m, 15)."""
+        """Return the derivative of what is predicted by the error state, shape (m, 15)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -56,15 +56,15 @@ class Position:
     aid: str = "position"
 
     def covariance(self) -> Array:
-        """Give that of its noise, shape (3, 3)."""
+        """Return that of its noise, shape (3, 3)."""
         return np.diag(np.square(self.std))
 
     def innovation(self, state: Nominal) -> Array:
-        """Give measured minus predicted, m, shape (3,)."""
+        """Return measured minus predicted, m, shape (3,)."""
         return self.pos_n - state.pos_n - so3.to_matrix(state.q_nb) @ self.lever_b
 
     def jacobian(self, state: Nominal) -> Array:
-        """Give the Jacobian, shape (3, 15)."""
+        """Return the Jacobian, shape (3, 15)."""
         H = np.zeros((3, N))
         H[:, POS] = np.eye(3)
         H[:, ATT] = -so3.to_matrix(state.q_nb) @ skew(self.lever_b)
@@ -84,16 +84,16 @@ class Velocity:
     aid: str = "velocity"
 
     def covariance(self) -> Array:
-        """Give that of its noise, shape (m, m)."""
+        """Return that of its noise, shape (m, m)."""
         return self.std * self.std * np.eye(len(self.vel_n))
 
     def innovation(self, state: Nominal) -> Array:
-        """Give measured minus predicted, m/s, shape (m,)."""
+        """Return measured minus predicted, m/s, shape (m,)."""
         predicted = state.vel_n + so3.to_matrix(state.q_nb) @ self.swing_b
         return np.asarray(self.vel_n - predicted[..., : len(self.vel_n)])
 
     def jacobian(self, state: Nominal) -> Array:
-        """Give the Jacobian, shape (m, 15)."""
+        """Return the Jacobian, shape (m, 15)."""
         H = np.zeros((3, N))
         H[:, VEL] = np.eye(3)
         H[:, ATT] = -so3.to_matrix(state.q_nb) @ skew(self.swing_b)
@@ -113,12 +113,12 @@ class Azimuth:
     aid: str = "heading"
 
     def is_seen(self, state: Nominal) -> bool:
-        """Say whether it is far enough from the vertical to point anywhere over ground."""
+        """Return whether it is far enough from the vertical to point anywhere over ground."""
         seen_n = so3.to_matrix(state.q_nb) @ self.seen_b
         return bool(np.hypot(seen_n[0], seen_n[1]) > STEEPEST * np.linalg.norm(seen_n))
 
     def about(self, state: Nominal) -> Azimuth:
-        """Give the same as an azimuth that was misread of a thing seen in its place.
+        """Return the same as an azimuth that was misread of a thing seen in its place.
 
         The noise of what is seen must not be in the Jacobian too: with a steep field the product
         of both pushes the level aside by 2 tan(dip) of its variance at each update, one way.
@@ -134,19 +134,16 @@ class Azimuth:
         )
 
     def covariance(self) -> Array:
-        """Give that of its noise, shape (1, 1)."""
+        """Return that of its noise, shape (1, 1)."""
         return np.array([[self.std * self.std]])
 
     def innovation(self, state: Nominal) -> Array:
-        """Give measured minus predicted, rad in [-pi, pi), shape (1,)."""
+        """Return measured minus predicted, rad in [-pi, pi), shape (1,)."""
         seen_n = so3.to_matrix(state.q_nb) @ self.seen_b
         return so3.wrap(self.azimuth - np.arctan2(seen_n[..., 1:2], seen_n[..., :1]))
 
     def jacobian(self, state: Nominal) -> Array:
-        """Give the Jacobian, shape (1, 15); of a direction that is not seen, that of a turn alone.
-
-        See :meth:`is_seen`.
-        """
+        """Return the Jacobian, shape (1, 15); that of a yaw alone if :meth:`is_seen` is false."""
         C_nb = so3.to_matrix(state.q_nb)
         H = np.zeros((1, N))
         if not self.is_seen(state):
@@ -164,12 +161,12 @@ class Reset:
 
     gain: Array
     """Takes what the aid shows from it alone, shape (15, m)."""
-    doubt: Array
+    inflation: Array
     """What is added to the covariance of the error state, shape (15, 15)."""
 
 
 def reset(aid: Observation, state: Nominal, seconds: float) -> Reset:
-    """Give the update of a filter that knew nothing of what an aid shows.
+    """Return the update of a filter that knew nothing of what an aid shows.
 
     That block is position, velocity or the turn about down, in the axes that were told. The other
     states do not move, whatever P ties them to it, and what the block owes to them (a lever arm, a
@@ -184,7 +181,7 @@ def reset(aid: Observation, state: Nominal, seconds: float) -> Reset:
     H = aid.jacobian(state)
     # Its directions in the error state
     shown = np.zeros((1 if aid.aid == "heading" else len(H), N))
-    doubt = np.zeros((N, N))
+    inflation = np.zeros((N, N))
     if aid.aid == "heading":
         shown[0, ATT] = so3.to_matrix(state.q_nb)[2]
     else:
@@ -192,5 +189,5 @@ def reset(aid: Observation, state: Nominal, seconds: float) -> Reset:
     if aid.aid == "velocity":
         astray = float(np.linalg.norm(aid.innovation(state)))
         tilt = min(astray / (STANDARD_GRAVITY * seconds), 1.0)
-        doubt[ATT, ATT] = tilt * tilt * np.eye(3)
-    return Reset(gain=np.asarray(shown.T @ np.linalg.pinv(H @ shown.T)), doubt=doubt)
+        inflation[ATT, ATT] = tilt * tilt * np.eye(3)
+    return Reset(gain=np.asarray(shown.T @ np.linalg.pinv(H @ shown.T)), inflation=inflation)

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.core.settings import AlignSettings, FilterSettings
+from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.observation import Azimuth, Observation, Position, Velocity
-from ekf_companion.filters.samples import levelled
+from ekf_companion.filters.samples import is_stationary, levelled
 from ekf_companion.filters.strapdown import ATT, BA, Nominal
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import STANDARD_GRAVITY
@@ -25,10 +25,6 @@ Stamps = npt.NDArray[np.int64]
 
 MOVING_TILT = 0.2
 """One sigma of a level that was taken in motion, rad: a turn at 2 m/s^2."""
-LARGEST_BIAS = 0.1
-"""rad/s; no gyro of today has such a bias, so what is faster is a turn."""
-SMALLEST_FORCE, LARGEST_FORCE = 0.9, 1.1
-"""Shares of gravity between which a specific force may be one at rest."""
 STANDING = 0.5
 """m/s; a receiver at rest says less."""
 UNKNOWN_VELOCITY = 10.0
@@ -78,7 +74,10 @@ def find_start(
     recent = [aid for t, aid in aids if now - window_ns <= t <= now]
     fix = [aid for aid in recent if isinstance(aid, Position)][-1]
     speeds = [aid for aid in recent if isinstance(aid, Velocity)]
-    is_rest = _is_rest(gyro[rows], accel[rows], speeds, settings.align)
+    samples = np.hstack([gyro[rows], accel[rows]])
+    is_rest = bool(
+        is_stationary(samples.mean(axis=0), samples.std(axis=0), settings.align)
+    ) and not (speeds and float(np.linalg.norm(speeds[-1].vel_n)) > STANDING)
     level = levelled(accel[rows].mean(axis=0))
     yaw, north = _north(level, [aid for aid in recent if isinstance(aid, Azimuth)])
     q_nb = so3.multiply(so3.from_euler(0.0, 0.0, yaw), level)
@@ -115,7 +114,7 @@ def find_start(
 
 
 def _find(t_ns: Stamps, aids: Sequence[tuple[int, Observation]], window_ns: int) -> int:
-    """Give the first sample after a whole window, at a fix, with a heading in the window.
+    """Return the first sample after a whole window, at a fix, with a heading in the window.
 
     Raises:
         LogError: There is none, or none behind which a sample is left to estimate.
@@ -140,7 +139,7 @@ def _find(t_ns: Stamps, aids: Sequence[tuple[int, Observation]], window_ns: int)
 
 
 def _north(level: Array, azimuths: Sequence[Azimuth]) -> tuple[float, Azimuth]:
-    """Give the yaw that azimuths show to a levelled attitude, and the last of them.
+    """Return the yaw that azimuths show to a levelled attitude, and the last of them.
 
     One that points to the vertical shows none; where all do, any yaw is as good.
     """
@@ -152,29 +151,11 @@ def _north(level: Array, azimuths: Sequence[Azimuth]) -> tuple[float, Azimuth]:
     return float(np.arctan2(np.sin(turns).mean(), np.cos(turns).mean())), seen[-1]
 
 
-def _is_rest(
-    gyro: Array, accel: Array, speeds: Sequence[Velocity], settings: AlignSettings
-) -> bool:
-    """Say whether the sensor stands still: quiet, not turning, one g, and no fix says more.
-
-    A slow and steady turn is as quiet as a rest.
-    """
-    if speeds and float(np.linalg.norm(speeds[-1].vel_n)) > STANDING:
-        return False
-    force = float(np.linalg.norm(accel.mean(axis=0))) / STANDARD_GRAVITY
-    return (
-        float(np.linalg.norm(gyro.std(axis=0))) < settings.rest_gyro
-        and float(np.linalg.norm(accel.std(axis=0))) < settings.rest_accel
-        and float(np.linalg.norm(gyro.mean(axis=0))) < LARGEST_BIAS
-        and SMALLEST_FORCE < force < LARGEST_FORCE
-    )
-
-
 _LEVELLED = np.r_[ATT, BA]
 
 
 def _levelled(state: Nominal, azimuth: Azimuth, tilt: float, accel_bias: float) -> Array:
-    """Give the covariance of attitude and accelerometer bias, shape (6, 6), of a levelled start.
+    """Return the covariance of attitude and accelerometer bias, shape (6, 6), of a levelled start.
 
     A level is wrong by the bias over gravity, and takes the heading with it: by the Jacobian of
     what showed north, so much the more the steeper the field. All three stay tied together.

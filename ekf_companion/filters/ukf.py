@@ -73,15 +73,15 @@ class Unscented:
         trust = self._setup.gate.admits(aid.aid, t_ns, z, S)
         if trust is Trust.REFUSED:
             return
-        doubt = 0.0 * self.P
+        inflation = 0.0 * self.P
         if trust is Trust.RESET:
             anew = reset(aid, self.state, self._setup.gate.patience(aid.aid))
-            K, doubt, z = anew.gain, anew.doubt, aid.innovation(self.state)
+            K, inflation, z = anew.gain, anew.inflation, aid.innovation(self.state)
         else:
             K = np.linalg.solve(S, weighted.T @ points.dx).T
         # What is left of every point's error, and what the sensor's noise brings: no difference of
         # covariances, so none that could turn negative
-        self.P = _covariance(points.dx - dy @ K.T, points) + K @ R @ K.T + doubt
+        self.P = _covariance(points.dx - dy @ K.T, points) + K @ R @ K.T + inflation
         self._settle(K @ z)
 
     def _settle(self, dx: Array) -> None:
@@ -101,12 +101,12 @@ class Unscented:
         return points
 
     def covariance(self) -> Array:
-        """Give that of attitude (in n), velocity and position, shape (9, 9)."""
+        """Return that of attitude (in n), velocity and position, shape (9, 9)."""
         return in_n(self.P, self.state.q_nb)
 
 
 def _covariance(dx: Array, points: Draw) -> Array:
-    """Give the weighted covariance of error states about their mean, exactly symmetric."""
+    """Return the weighted covariance of error states about their mean, exactly symmetric."""
     P = dx.T @ (points.covariance[:, None] * dx)
     return np.asarray(0.5 * (P + P.T))
 

@@ -25,6 +25,11 @@ Row = tuple[int, int, tuple[float, ...]]
 """Stamp (ns), kind, ``WIDTH`` values."""
 
 
+GNSS_POSITION, GNSS_VELOCITY, GNSS_STD = slice(0, 3), slice(3, 6), slice(6, 9)
+GNSS_DECLINATION, GNSS_FLAGS, GNSS_INCLINATION, GNSS_FIELD = 9, 10, 11, 12
+"""Columns of the row of a :class:`GnssFix`."""
+
+
 class Kind(IntEnum):
     """The kind of an event. At one time they are processed in this order, the inertial last."""
 

@@ -163,7 +163,7 @@ def _vqf(recording: Recording, settings: FilterSettings, option: str) -> Solutio
 
 
 def _completed(recording: Recording, settings: FilterSettings) -> Events:
-    """Return the events when they were true, with the declination, without the vehicle's own iron."""
+    """Return the events at their true times, with declination and corrected for iron."""
     events = recording.events
     late_ns = delays_ns(settings, recording.family, recording.gnss_delay)
     values = Field(settings.heading).complete_all(events)

@@ -5,10 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ekf_companion.analysis.observability import STATES, analyse, prior, walked
+from ekf_companion.analysis.observability import STATES, analyse, prior, run
+from ekf_companion.analysis.observability_filter import (
+    STEP_NS,
+    Covariance,
+    ObservabilityFilter,
+    to_level_axes,
+)
 from ekf_companion.analysis.observability_motion import Motion
-from ekf_companion.analysis.observability_report import lines, to_dict, verdicts
-from ekf_companion.analysis.observability_walk import STEP_NS, Covariance, Walk, level
+from ekf_companion.analysis.observability_report import lines, summarise, to_dict
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.course import Course
@@ -85,7 +90,7 @@ def simulated(name, seconds, *, noise=1.0, yaw=True):
 
 
 def said(found):
-    return {one.state: one for one in verdicts(found)}
+    return {one.state: one for one in summarise(found)}
 
 
 def ramp(t, begin, seconds):
@@ -204,26 +209,26 @@ def test_the_gramian_is_that_of_differences_through_the_motion(name):
     setup = course.setup()
     steps = list(course.steps(setup.start.t_ns))
     # Where the flight moves, from the filter's state on
-    walk = Walk(setup, prior(setup, SETTINGS))
+    tried = ObservabilityFilter(setup, prior(setup, SETTINGS))
     begin_ns = None
     for step in steps:
         if step.over is not None:
-            walk.predict(step.over)
+            tried.predict(step.over)
         for aid in step.aids:
-            walk.correct(step.t_ns, aid)
+            tried.correct(step.t_ns, aid)
         if step.is_sample:
-            walk.close(step.t_ns)
-            if len(walk.cells) == 24 and begin_ns is None:
-                begin_ns, state = step.t_ns, walk._state
-    cells = walk.cells[24:34]
-    W = cells[-1].W
-    for one in reversed(cells[:-1]):
+            tried.end_sample(step.t_ns)
+            if len(tried.steps) == 24 and begin_ns is None:
+                begin_ns, state = step.t_ns, tried._state
+    ends = tried.steps[24:34]
+    W = ends[-1].W
+    for one in reversed(ends[:-1]):
         W = one.W + one.Phi.T @ W @ one.Phi
 
     def residuals(x):
         rows = []
         for step in steps:
-            if begin_ns < step.t_ns <= cells[-1].t_ns:
+            if begin_ns < step.t_ns <= ends[-1].t_ns:
                 if step.over is not None:
                     x = move(x, step.over, setup.earth)
                 for aid in step.aids:
@@ -259,7 +264,7 @@ def test_the_covariance_is_that_of_the_filter():
         if step.over is not None:
             tried.predict(step.over)
         tried.correct(step.t_ns, step.aids)
-    T = level(tried.state)
+    T = to_level_axes(tried.state)
     sigma = np.sqrt(np.diagonal(T @ tried.P @ T.T))
     # An update that iterates, or takes aids together, linearises a little elsewhere
     assert found.sigma[-1] * found.unit == pytest.approx(sigma, rel=0.02)
@@ -272,9 +277,9 @@ def test_biases_that_count_as_observable_are_known_that_well():
         flight = Flight.plan("loiter", config, seed=seed, duration=30.0)
         course = Course(wire.events(flight, has_vel_down=True), SETTINGS)
         setup = course.setup()
-        walk = walked(course, Walk(setup, prior(setup, SETTINGS)))
-        off = walk._state.accel_bias - flight.imu.accel_bias_b[-1]
-        errors += list(off / np.sqrt(np.diagonal(walk.cells[-1].P)[12:]))
+        tried = run(course, ObservabilityFilter(setup, prior(setup, SETTINGS)))
+        off = tried._state.accel_bias - flight.imu.accel_bias_b[-1]
+        errors += list(off / np.sqrt(np.diagonal(tried.steps[-1].P)[12:]))
     assert np.abs(errors).max() < 3.5
     assert np.sqrt(np.mean(np.square(errors))) > 0.1
 
@@ -284,7 +289,7 @@ def test_a_start_in_a_manoeuvre_that_the_gate_would_not_survive_is_told_and_surv
     flight = Flight.plan("figure-eight", config, seed=1, duration=20.0, skip=20.0)
     course = Course(wire.events(flight, has_vel_down=True), SETTINGS, "px4")
     setup = course.setup()
-    assert walked(course, Walk(setup, prior(setup, SETTINGS))).is_lost
+    assert run(course, ObservabilityFilter(setup, prior(setup, SETTINGS))).is_lost
     found = analyse(course, course.setup(), SETTINGS)
     assert "with its gate the filter loses its way here: nothing is refused" in found.notes
     t_ns = int(course.t_ns[0]) + np.rint(found.motion.t * 1e9).astype(np.int64)

@@ -33,7 +33,7 @@ FALL = np.array([0.0, 0.0, 9.81])
 
 
 def as_article(solution: Solution) -> np.ndarray:
-    """Give the fifteen states of an answer, shape (n, 15), as the article's file has them."""
+    """Return the fifteen states of an answer, shape (n, 15), as the article's file has them."""
     table = solution.table
     place = (np.radians(table.column("lat_deg")), np.radians(table.column("lon_deg")))
     pos_n = SIMULATED.to_ned(*place, table.column("alt_m")) * [1.0, 1.0, -1.0]
@@ -104,7 +104,7 @@ def test_the_articles_run_is_reproduced_in_every_state():
 
 @cache
 def published(constants: euler_article.Constants) -> np.ndarray:
-    """Give our states over the draw that the author published, begun as the C++ edition is."""
+    """Return our states over the draw that the author published, begun as the C++ edition is."""
     S = np.loadtxt(SEED / "published-cpp" / "UavData_SquareSpiral.txt", delimiter=",")
     begun = [-2.72343926657247, -0.0161376263168116, 0.104874716016494, 109.623435014780]
     begun += [-18.1430696059217, -3.30602783578041, 0.0849970564432384]

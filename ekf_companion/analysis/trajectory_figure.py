@@ -1,7 +1,7 @@
-"""The seed article's figure: at left track, altitude and speed, at right roll, pitch and yaw.
+"""Figure of trajectories, as in the seed article: track, altitude, speed; roll, pitch, yaw.
 
-Estimates over the reference and over what the sensors said. Where several estimates lie on each
-other a third column shows how far each is off.
+It shows estimates over the reference and over the fixes. A third column, for several estimates that
+would hide each other, shows the error of each.
 
 Source of the layout: BasicEKF, run_state_estimation_ins_euler_directEKF_method.m.
 """
@@ -16,21 +16,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.errors import CompanionError
+from ekf_companion.analysis import difference, figure_file
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.interpolation import pair
 from ekf_companion.nav.measurements import Events, Kind
-from ekf_companion.nav.state import Trajectory
+from ekf_companion.nav.state import EULER, Trajectory
 
 Array = npt.NDArray[np.float64]
 
 POINTS = 20000
-"""Of each line at most: more than a picture can show."""
+"""Largest number of points of a line: more than a figure can show."""
 _COLOURS = ("#d62728", "#1f77b4", "#7f7f7f", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b")
 _STYLES = ("-", "--", ":", "-.")
 _FIXES = {"color": "#b0b0b0", "marker": ".", "linestyle": "", "markersize": 3, "label": "fixes"}
-_PLACES = {
+_PANELS = {
     "track": (slice(0, 6), 0, "north-east track", "east, m", "north, m"),
     "altitude": (slice(6, 9), 0, "altitude", "time, s", "above mean sea level, m"),
     "speed": (slice(9, 12), 0, "speed", "time, s", "m/s"),
@@ -41,22 +40,22 @@ _PLACES = {
     "velocity error": (slice(4, 8), 2, "velocity error", "time, s", "m/s"),
     "attitude error": (slice(8, 12), 2, "attitude error", "time, s", "deg"),
 }
-"""Rows of twelve, column, title and labels of each picture."""
-_TURNS = {
-    "roll": (slice(0, 6), 0, *_PLACES["roll"][2:]),
-    "pitch": (slice(0, 6), 1, *_PLACES["pitch"][2:]),
-    "yaw": (slice(6, 12), 0, *_PLACES["yaw"][2:]),
-    "attitude error": (slice(6, 12), 1, *_PLACES["attitude error"][2:]),
+"""Of each panel: rows of twelve, column, title and labels."""
+_ATTITUDE_PANELS = {
+    "roll": (slice(0, 6), 0, *_PANELS["roll"][2:]),
+    "pitch": (slice(0, 6), 1, *_PANELS["pitch"][2:]),
+    "yaw": (slice(6, 12), 0, *_PANELS["yaw"][2:]),
+    "attitude error": (slice(6, 12), 1, *_PANELS["attitude error"][2:]),
 }
-"""Of attitude alone."""
+"""The panels for attitude alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scale:
-    """What the axes count from."""
+    """Origin of the axes."""
 
     frame: LocalFrame | None
-    """None: nobody has a position."""
+    """None: no trajectory has a position."""
     zero_ns: int
 
     def seconds(self, t_ns: npt.NDArray[np.int64]) -> Array:
@@ -73,56 +72,45 @@ def plot(
 ) -> None:
     """Draw trajectories over each other, the estimate first, into a PNG, PDF or SVG file.
 
-    North and east are about the first position of the last trajectory: of the reference.
+    North and east are from the first position of the last trajectory that has one.
 
     Args:
-        path: The figure; its suffix says what it is.
-        trajectories: The reference last.
-        title: Of the figure.
-        events: The fixes among them are drawn as points; None: no points.
+        path: The figure.
+        trajectories: The reference is last.
+        title: Above the figure.
+        events: Their fixes are drawn as points; None: no points.
         with_errors: Add a column with the distance of each from the last.
 
     Raises:
         CompanionError: matplotlib is not installed, or the file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise CompanionError(
-            f"{path}: a figure needs matplotlib; install ekf-companion with the extra: plot"
-        ) from None
-    ends = [one for one in reversed(trajectories) if len(one.pos_t_ns)]
-    frame = LocalFrame(float(ends[0].lat[0]), float(ends[0].lon[0]), 0.0) if ends else None
+    placed = [one for one in trajectories if len(one.pos_t_ns)]
+    frame = LocalFrame(float(placed[-1].lat[0]), float(placed[-1].lon[0]), 0.0) if placed else None
     starts = [t[0] for one in trajectories for t in (one.pos_t_ns, one.att_t_ns) if len(t)]
     scale = _Scale(frame, int(min(starts)))
     columns = 3 if with_errors and frame is not None else 2
-    sheet = Figure(figsize=(6.0 * columns, 10.0), layout="constrained")
-    FigureCanvasAgg(sheet)
-    axes = _axes(sheet, columns, _TURNS if frame is None else _PLACES)
-    if events is not None and frame is not None:
-        _draw_fixes(axes, events, scale)
-    for index, one in enumerate(trajectories):
-        look = {
-            "color": _COLOURS[index % len(_COLOURS)],
-            "linestyle": _STYLES[index % len(_STYLES)],
-            "linewidth": 1.2,
-            # The estimate stays on top of what it is compared with.
-            "zorder": 20 - index,
-            "label": one.name,
-        }
-        _draw(axes, one, scale, look)
-        if with_errors and one is not trajectories[-1]:
-            _draw_errors(axes, one, trajectories[-1], scale, look)
-    if "track" in axes:
-        axes["track"].set_aspect("equal", adjustable="datalim")
-    handles, names = axes["track" if "track" in axes else "roll"].get_legend_handles_labels()
-    sheet.legend(handles, names, loc="outside lower center", ncols=min(4, len(names)))
-    sheet.suptitle(title)
-    try:
-        sheet.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise CompanionError(f"{path}: the figure cannot be written ({error})") from None
+
+    def draw(sheet: Any) -> None:
+        axes = _axes(sheet, columns, _ATTITUDE_PANELS if frame is None else _PANELS)
+        if events is not None and frame is not None:
+            _draw_fixes(axes, events, scale)
+        for index, one in enumerate(trajectories):
+            # The estimate is drawn on top of what it is compared with
+            look = {**_look(index), "zorder": 20 - index, "label": one.name}
+            _draw(axes, one, scale, look)
+            if with_errors and one is not trajectories[-1]:
+                _draw_errors(axes, one, trajectories[-1], scale, look)
+        if "track" in axes:
+            axes["track"].set_aspect("equal", adjustable="datalim")
+        handles, names = axes["track" if "track" in axes else "roll"].get_legend_handles_labels()
+        sheet.legend(handles, names, loc="outside lower center", ncols=min(4, len(names)))
+
+    figure_file.write(path, title, draw, width=6.0 * columns, height=10.0)
+
+
+def _look(index: int) -> dict[str, Any]:
+    colour, style = _COLOURS[index % len(_COLOURS)], _STYLES[index % len(_STYLES)]
+    return {"color": colour, "linestyle": style, "linewidth": 1.2}
 
 
 def _axes(sheet: Any, columns: int, places: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:
@@ -145,7 +133,7 @@ def _draw_fixes(axes: dict[str, Any], events: Events, scale: _Scale) -> None:
     axes["track"].plot(ned[:, 1], ned[:, 0], **_FIXES)
     axes["altitude"].plot(seconds, values[:, 2], **_FIXES)
     speed = np.linalg.norm(np.nan_to_num(values[:, 3:6]), axis=1)
-    # Without the vertical part it would be another speed
+    # Without the vertical part it would be the horizontal speed
     is_whole = np.isfinite(values[:, 3:6]).all(axis=1)
     axes["speed"].plot(seconds, np.where(is_whole, speed, np.nan), **_FIXES)
 
@@ -160,8 +148,8 @@ def _draw(axes: dict[str, Any], one: Trajectory, scale: _Scale, look: dict[str, 
         _draw_speed(axes["speed"], one, scale, look)
     some = _some(one.att_t_ns)
     angles = np.rad2deg(so3.to_euler(one.q_nb[some]))
-    for column, name in enumerate(("roll", "pitch", "yaw")):
-        # No line across the picture where an angle goes from 180 to -180 degrees.
+    for column, name in enumerate(EULER):
+        # No line across the panel where an angle goes from 180 to -180 degrees
         turned = np.append(np.abs(np.diff(angles[:, column])) > 180.0, False)
         shown = np.where(turned, np.nan, angles[:, column])
         axes[name].plot(scale.seconds(one.att_t_ns[some]), shown, **look)
@@ -176,25 +164,20 @@ def _draw_speed(axis: Any, one: Trajectory, scale: _Scale, look: dict[str, Any])
 def _draw_errors(
     axes: dict[str, Any], one: Trajectory, other: Trajectory, scale: _Scale, look: dict[str, Any]
 ) -> None:
-    begin, end = np.iinfo(np.int64).min, np.iinfo(np.int64).max
-
     def draw(name: str, t_ns: npt.NDArray[np.int64], size: Array) -> None:
         if name not in axes:
             return
         some = _some(t_ns)
         axes[name].semilogy(scale.seconds(t_ns[some]), size[some], **look)
 
-    if scale.frame and (found := pair(one.pos_t_ns, other.pos_t_ns, begin, end)):
-        mine, theirs = (scale.frame.to_ned(each.lat, each.lon, each.alt) for each in (one, other))
-        error = found.difference(mine, theirs)
-        draw("position error", found.at_ns, np.hypot(error[:, 0], error[:, 1]))
-    if found := pair(one.vel_t_ns, other.vel_t_ns, begin, end):
-        error = np.nan_to_num(found.difference(one.vel_n, other.vel_n))
-        draw("velocity error", found.at_ns, np.linalg.norm(error, axis=1))
-    if found := pair(one.att_t_ns, other.att_t_ns, begin, end):
-        mine, theirs = found.rotations(one.q_nb, other.q_nb)
+    if scale.frame and (found := difference.in_position(one, other, frame=scale.frame)):
+        draw("position error", found[0], np.hypot(found[1][:, 0], found[1][:, 1]))
+    if found := difference.in_velocity(one, other):
+        draw("velocity error", found[0], np.linalg.norm(np.nan_to_num(found[1]), axis=1))
+    if turned := difference.in_attitude(one, other):
+        t_ns, mine, theirs = turned
         turn = so3.log(so3.multiply(so3.conjugate(mine), theirs))
-        draw("attitude error", found.at_ns, np.rad2deg(np.linalg.norm(turn, axis=1)))
+        draw("attitude error", t_ns, np.rad2deg(np.linalg.norm(turn, axis=1)))
 
 
 def _some(t_ns: npt.NDArray[np.int64]) -> slice:
