@@ -112,7 +112,7 @@ def calibrated(mag_b: Array) -> tuple[Array, str]:
 def _filter(
     taken: Readings, mag_b: Array, settings: ArticleSettings, *, has_slips: bool
 ) -> tuple[Array, Array]:
-    """Give roll, pitch, yaw, rad, and their variances, shapes (n, 3)."""
+    """Return roll, pitch, yaw, rad, and their variances, shapes (n, 3)."""
     roll, pitch, yaw = so3.to_euler(first_attitude(taken)).tolist()
     rolls = pitches = yaws = 1.0
     angles, variances = [], []
@@ -154,13 +154,13 @@ def _filter(
 
 
 def _mixed(angle: float, variance: float, seen: float, R: float) -> tuple[float, float]:
-    """Give an angle and its variance after a measurement of it."""
+    """Return an angle and its variance after a measurement of it."""
     gain = variance / (variance + R)
     return angle + gain * _wrap(seen - angle), (1.0 - gain) * variance
 
 
 def _levelled(mag: list[float], roll: float, pitch: float) -> tuple[float, float]:
-    """Give the field's parts along the heading and to the right of it."""
+    """Return the field's parts along the heading and to the right of it."""
     x, y, z = mag
     sr, cr, sp, cp = math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch)
     return x * cp + (y * sr + z * cr) * sp, y * cr - z * sr

@@ -166,7 +166,7 @@ class Estimator:
         self.covariances.append(self._P)
 
     def _level(self) -> Array:
-        """Turn the low-passed specific force to the vertical; give the turn about north and east.
+        """Turn the low-passed specific force to the vertical; return the turn about north and east.
 
         The error of what was low-passed is the error of the tilt, not a noise to be averaged.
         """
@@ -190,7 +190,7 @@ class Estimator:
         return dx[:2]
 
     def _lagging(self) -> Array:
-        """Give the covariance of the tilt by the bias while the low-pass lags, shape (2, 2)."""
+        """Return the covariance of the tilt by the bias while the low-pass lags, shape (2, 2)."""
         C = self.settings.gravity_memory * self._lag.value[:2, :3]
         return np.asarray(C @ self._P[3:, 3:] @ C.T)
 
@@ -262,7 +262,7 @@ class Estimator:
         self.counts["field"] += 1
 
     def _correct(self, H: Array, innovation: Array, R: Array) -> Array:
-        """Fuse an innovation by the Joseph form; give by what the error state was moved."""
+        """Fuse an innovation by the Joseph form; return by what the error state was moved."""
         P = self._P
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
         dx = K @ innovation

@@ -18,7 +18,7 @@ Timed = tuple[int, Observation]
 
 
 def fixes(ordered: Events, settings: FilterSettings) -> Events:
-    """Give the fixes that count: the receiver's, or where it is silent the autopilot's own.
+    """Return the fixes that count: the receiver's, or where it is silent the autopilot's own.
 
     Raises:
         LogError: There is none.
@@ -45,7 +45,7 @@ def fixes(ordered: Events, settings: FilterSettings) -> Events:
 def of_fixes(
     rows: Events, rates_b: Array, frame: LocalFrame, settings: FilterSettings
 ) -> list[Timed]:
-    """Give positions and velocities with their times.
+    """Return positions and velocities with their times.
 
     Args:
         rows: Fixes.
@@ -75,7 +75,7 @@ def of_fixes(
 
 
 def azimuths(ordered: Events, rows: Events, settings: FilterSettings) -> list[Timed]:
-    """Give what shows north: of the sources that speak, the best.
+    """Return what shows north: of the sources that speak, the best.
 
     Another speaks where all that are better have been silent for ``gate.timeout_heading``.
 
@@ -117,7 +117,7 @@ def azimuths(ordered: Events, rows: Events, settings: FilterSettings) -> list[Ti
 
 
 def _headings(source: HeadingSource, ordered: Events, settings: FilterSettings) -> list[Timed]:
-    """Give the headings that a source tells."""
+    """Return the headings that a source tells."""
     rows = ordered.take((ordered.kind == Kind.HEADING) & (ordered.values[:, 2] == source))
     rows = rows.take(np.flatnonzero(np.isfinite(rows.values[:, :2]).all(axis=1)))
     floor = settings.heading.heading_std
@@ -129,7 +129,7 @@ def _headings(source: HeadingSource, ordered: Events, settings: FilterSettings) 
 
 
 def _fields(ordered: Events, fixes: Events, settings: FilterSettings) -> list[Timed]:
-    """Give the directions of the fields that are the Earth's by their strength."""
+    """Return the directions of the fields that are the Earth's by their strength."""
     heading = settings.heading
     declination, _, dip, strength = fixes.values[0, 9:13].tolist()
     mag = ordered.take(ordered.kind == Kind.MAG)

@@ -72,14 +72,14 @@ class Anchored:
         )
 
     def minus(self, other: Anchored) -> Array:
-        """Give the error state that leads from the other to this one, shape (23,)."""
+        """Return the error state that leads from the other to this one, shape (23,)."""
         turn = so3.log(so3.multiply(so3.conjugate(other.q_na), self.q_na))
         down = direction_minus(self.down_n, other.down_n)
         gap = [self.local.minus(other.local), turn, self.pos_na - other.pos_na, down]
         return np.concatenate(gap)
 
     def jacobian(self, other: Anchored) -> Array:
-        """Give the derivative of (this plus d) minus other by d at 0, shape (23, 23)."""
+        """Return the derivative of (this plus d) minus other by d at 0, shape (23, 23)."""
         J = np.eye(FULL)
         gap = so3.multiply(so3.conjugate(other.local.q_nb), self.local.q_nb)
         J[ATT, ATT] = turn_jacobian_inverse(so3.log(gap))
@@ -89,7 +89,7 @@ class Anchored:
         return J
 
     def in_n(self) -> Nominal:
-        """Give the state in n."""
+        """Return the state in n."""
         C_na = so3.to_matrix(self.q_na)
         return replace(
             self.local,
@@ -99,7 +99,7 @@ class Anchored:
         )
 
     def in_n_jacobian(self) -> Array:
-        """Give the derivative of the error state in n by this one, shape (15, 23)."""
+        """Return the derivative of the error state in n by this one, shape (15, 23)."""
         C_na = so3.to_matrix(self.q_na)
         T = np.eye(N, FULL)
         T[ATT, ANCHOR_ATT] = so3.to_matrix(self.local.q_nb).T

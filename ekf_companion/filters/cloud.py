@@ -46,7 +46,7 @@ _MATRIX = 0.5 * (
 
 
 def root(P: Array) -> tuple[Array, bool]:
-    """Give a square root of a covariance, and whether it had to be mended to have one.
+    """Return a square root of a covariance, and whether it had to be mended to have one.
 
     The attitude comes first and the root is lower triangular, so only three of its columns turn the
     body; the other points differ by what is linear. A matrix that is not positive definite gets the
@@ -109,7 +109,7 @@ def scatter(state: Nominal, dx: Array) -> Nominal:
 
 
 def gather(cloud: Nominal, weights: Array) -> tuple[Nominal, Array]:
-    """Give the mean of the points, and the error state from there to each, shape (31, 15).
+    """Return the mean of the points, and the error state from there to each, shape (31, 15).
 
     The mean attitude is the one from which the weighted rotation vectors cancel (Hauberg).
 
@@ -163,17 +163,17 @@ def move(cloud: Nominal, over: Interval, earth: Earth) -> Nominal:
 
 
 def multiply(p: Array, q: Array) -> Array:
-    """Give the products of quaternions row by row, shape (k, 4)."""
+    """Return the products of quaternions row by row, shape (k, 4)."""
     return np.asarray((p[:, :, None] * q[:, None, :]).reshape(-1, 16) @ _PRODUCT)
 
 
 def matrix(q: Array) -> Array:
-    """Give the direction cosine matrices, shape (k, 3, 3)."""
+    """Return the direction cosine matrices, shape (k, 3, 3)."""
     return np.asarray(((q[:, :, None] * q[:, None, :]).reshape(-1, 16) @ _MATRIX).reshape(-1, 3, 3))
 
 
 def exp(phi: Array) -> Array:
-    """Give the quaternions of rotation vectors, shape (k, 4)."""
+    """Return the quaternions of rotation vectors, shape (k, 4)."""
     half = 0.5 * np.sqrt((phi * phi).sum(axis=1))
     q = np.empty((len(phi), 4))
     np.cos(half, out=q[:, 0])
@@ -183,7 +183,7 @@ def exp(phi: Array) -> Array:
 
 
 def log(q: Array) -> Array:
-    """Give the rotation vectors of the shorter way, rad, shape (k, 3)."""
+    """Return the rotation vectors of the shorter way, rad, shape (k, 3)."""
     size = np.sqrt((q[:, 1:] * q[:, 1:]).sum(axis=1))
     angle = 2.0 * np.arctan2(size, np.abs(q[:, 0]))
     scale = np.where(size < 1e-8, 2.0, angle / np.maximum(size, 1e-8))
@@ -191,6 +191,6 @@ def log(q: Array) -> Array:
 
 
 def _left(q: Array) -> Array:
-    """Give the matrix M with which rows p become q p = p M, shape (4, 4)."""
+    """Return the matrix M with which rows p become q p = p M, shape (4, 4)."""
     w, x, y, z = q.tolist()
     return np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])

@@ -36,7 +36,7 @@ class Compass:
         self._other_for = 0.0
 
     def judge(self, level: float, down: float, dt: float, *, is_still: bool) -> tuple[float, bool]:
-        """Give one sigma of the field's heading, rad, and whether another field is now the known.
+        """Return one sigma of the field's heading, rad, and whether another field is now the known.
 
         Args:
             level: Horizontal part of the present field, gauss.
@@ -63,7 +63,7 @@ class Compass:
         return across / max(level, 1e-6), is_new
 
     def _consider(self, level: float, down: float, dt: float) -> bool:
-        """Take a field that is not the known one; give whether it has been steady long enough."""
+        """Take a field that is not the known one; return whether it has been steady long enough."""
         a, b = level - self._other_level, down - self._other_down
         if math.hypot(a, b) > NEAR * math.hypot(level, down):
             self._other_for = max(self._other_for - dt, 0.0)

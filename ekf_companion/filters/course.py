@@ -69,7 +69,7 @@ class NavigationFilter(Protocol):
         """Fuse what was measured now."""
 
     def covariance(self) -> Array:
-        """Give that of attitude (in n), velocity and position, shape (9, 9)."""
+        """Return that of attitude (in n), velocity and position, shape (9, 9)."""
 
 
 class Course:
@@ -137,7 +137,7 @@ class Course:
         )
 
     def setup(self) -> Setup:
-        """Give what a filter begins with: level, north, and the fix.
+        """Return what a filter begins with: level, north, and the fix.
 
         Raises:
             LogError: The recording ends before all three are known.
@@ -149,7 +149,7 @@ class Course:
         return Setup(start=start, earth=self.earth, noise=self.noise, gate=gate)
 
     def steps(self, after_ns: int) -> Iterator[Step]:
-        """Give the intervals after a time, which must be that of an inertial sample."""
+        """Return the intervals after a time, which must be that of an inertial sample."""
         first = int(np.searchsorted(self.t_ns, after_ns, side="right"))
         waiting = (one for one in self.aids if one[0] > after_ns)
         aid = next(waiting, None)
@@ -168,7 +168,7 @@ class Course:
                 yield Step(t_ns=end, over=self._interval(k, now, end), aids=(), is_sample=True)
 
     def _interval(self, k: int, begin: int, end: int) -> Interval | None:
-        """Give the readings between two times within those of samples k - 1 and k."""
+        """Return the readings between two times within those of samples k - 1 and k."""
         if end <= begin:
             return None
         ends = []
@@ -224,5 +224,5 @@ def run(name: str, tried: NavigationFilter, course: Course, setup: Setup) -> Sol
 
 
 def stopped(t_ns: int, why: FilterError) -> str:
-    """Give the note that estimates end here."""
+    """Return the note that estimates end here."""
     return f"the estimates end at {t_ns * 1e-9:.2f} s of the log: {why}"

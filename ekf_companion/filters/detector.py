@@ -46,7 +46,7 @@ class Limits:
 def statistic(
     detector: Detector, gyro: Array, accel: Array, gravity: float, limits: Limits, half: int
 ) -> Array:
-    """Give a detector's statistic about each sample; below one the sensor stands still.
+    """Return a detector's statistic about each sample; below one the sensor stands still.
 
     Args:
         detector: Which.
@@ -76,7 +76,7 @@ def statistic(
 
 
 def moving_variance(values: Array, half: int) -> Array:
-    """Give the variance over a centred window, all axes added; values (n, m), result (n,)."""
+    """Return the variance over a centred window, all axes added; values (n, m), result (n,)."""
     # About the mean of all: what the window's mean square and squared mean share cancels badly
     values = values - values.mean(axis=0)
     mean2 = sum(np.square(_mean(column, half)) for column in values.T)
@@ -84,13 +84,13 @@ def moving_variance(values: Array, half: int) -> Array:
 
 
 def runs(mask: Mask) -> list[tuple[int, int]]:
-    """Give the first index and the one past the last of each run of true."""
+    """Return the first index and the one past the last of each run of true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _mean(values: Array, half: int) -> Array:
-    """Give the mean over a centred window, cut short at the ends, by one cumulative sum."""
+    """Return the mean over a centred window, cut short at the ends, by one cumulative sum."""
     n = len(values)
     sums = np.concatenate([[0.0], np.cumsum(values)])
     index = np.arange(n)

@@ -140,7 +140,7 @@ class Direct:
 
 
 def epochs(course: Course, frame: LocalFrame) -> Iterator[Epoch]:
-    """Give a recording as the article has it: all that is new counts at the sample's time.
+    """Return a recording as the article has it: all that is new counts at the sample's time.
 
     A fix without a velocity in three axes is left out.
     """
@@ -210,5 +210,5 @@ def run(course: Course, constants: Constants = ARTICLE) -> Solution:
 
 
 def _yaw(x: Real, seen: Azimuth) -> float:
-    """Give the heading that an azimuth shows from the state's tilt, rad."""
+    """Return the heading that an azimuth shows from the state's tilt, rad."""
     return float(x[2]) + float(seen.innovation(to_nominal(x))[0])

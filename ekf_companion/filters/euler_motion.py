@@ -46,7 +46,7 @@ def refuse_steep(x: Real, limit: float = PITCH_LIMIT) -> None:
 
 
 def to_nominal(x: Real) -> Nominal:
-    """Give a state as the other filters have it: a quaternion, and down instead of altitude."""
+    """Return a state as the other filters have it: a quaternion, and down instead of altitude."""
     x = np.asarray(x, dtype=np.float64)
     return Nominal(
         q_nb=so3.normalise(so3.from_euler(*x[ANGLES])),
@@ -58,7 +58,7 @@ def to_nominal(x: Real) -> Nominal:
 
 
 def from_nominal(state: Nominal) -> npt.NDArray[np.float64]:
-    """Give another filter's state as roll, pitch, yaw and so on, shape (15,)."""
+    """Return another filter's state as roll, pitch, yaw and so on, shape (15,)."""
     return np.concatenate(
         [
             so3.to_euler(state.q_nb),
@@ -69,7 +69,7 @@ def from_nominal(state: Nominal) -> npt.NDArray[np.float64]:
 
 
 def by_turn(x: Real) -> npt.NDArray[np.float64]:
-    """Give the derivative of the state by the error state of ``strapdown``, shape (15, 15)."""
+    """Return the derivative of the state by the error state of ``strapdown``, shape (15, 15)."""
     T = np.zeros((N, N))
     T[ANGLES, ATT] = angle_rates(x)
     T[PLACE, POS] = np.diag([1.0, 1.0, -1.0])
@@ -79,7 +79,7 @@ def by_turn(x: Real) -> npt.NDArray[np.float64]:
 
 
 def covariance_in_n(x: Real, P: Real) -> npt.NDArray[np.float64]:
-    """Give the covariance of attitude (rotation vector in n), velocity, position (n).
+    """Return the covariance of attitude (rotation vector in n), velocity, position (n).
 
     Args:
         x: State.
@@ -93,14 +93,14 @@ def covariance_in_n(x: Real, P: Real) -> npt.NDArray[np.float64]:
 
 
 def angle_rates(x: Real) -> Real:
-    """Give the derivative of roll, pitch, yaw by a turn in b, shape (3, 3)."""
+    """Return the derivative of roll, pitch, yaw by a turn in b, shape (3, 3)."""
     (sr, cr), (sp, cp), _ = _sines(x)
     rows = [[1.0, sr * sp / cp, cr * sp / cp], [0.0, cr, -sr], [0.0, sr / cp, cr / cp]]
     return np.array(rows, dtype=x.dtype)
 
 
 def body_to_n(x: Real) -> Real:
-    """Give C_nb, shape (3, 3)."""
+    """Return C_nb, shape (3, 3)."""
     (sr, cr), (sp, cp), (sy, cy) = _sines(x)
     rows = [
         [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
@@ -111,7 +111,7 @@ def body_to_n(x: Real) -> Real:
 
 
 def derivative(x: Real, gyro: Real, accel: Real, fall_n: Real) -> Real:
-    """Give the rate of change of the state, shape (15,).
+    """Return the rate of change of the state, shape (15,).
 
     Args:
         x: State, shape (15,).
@@ -127,7 +127,7 @@ def derivative(x: Real, gyro: Real, accel: Real, fall_n: Real) -> Real:
 
 
 def jacobian(x: Real, gyro: Real, accel: Real) -> Real:
-    """Give the derivative of :func:`derivative` by the state, shape (15, 15).
+    """Return the derivative of :func:`derivative` by the state, shape (15, 15).
 
     Gravity counts as the same everywhere.
     """
@@ -153,7 +153,7 @@ def jacobian(x: Real, gyro: Real, accel: Real) -> Real:
 
 
 def van_loan(F: Real, Q: Real, dt: float, is_first_order: bool = False) -> tuple[Real, Real]:
-    """Give the transition over an interval, and the covariance of what noise adds.
+    """Return the transition over an interval, and the covariance of what noise adds.
 
     Args:
         F: Of dx/dt = F x + noise, shape (n, n).
@@ -171,5 +171,5 @@ def van_loan(F: Real, Q: Real, dt: float, is_first_order: bool = False) -> tuple
 
 
 def _sines(x: Real) -> list[tuple[Any, Any]]:
-    """Give sine and cosine of roll, pitch and yaw."""
+    """Return sine and cosine of roll, pitch and yaw."""
     return list(zip(np.sin(x[ANGLES]), np.cos(x[ANGLES]), strict=True))

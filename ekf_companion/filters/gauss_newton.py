@@ -149,7 +149,7 @@ def gain(
     columns: npt.NDArray[np.intp] | None = None,
     form: Form = "auto",
 ) -> tuple[Array, Array]:
-    """Give the gain times y, and the covariance after the update, for rows of unit variance.
+    """Return the gain times y, and the covariance after the update, for rows of unit variance.
 
     Args:
         L: Factor of the covariance before it, P = L L', shape (k, k).
@@ -174,14 +174,14 @@ def gain(
 
 
 def reset(P: Array, J: Array) -> Array:
-    """Give a covariance about another state, which it was J away from, shape (k, k)."""
+    """Return a covariance about another state, which it was J away from, shape (k, k)."""
     G = np.linalg.inv(J)
     after = G @ P @ G.T
     return np.asarray(0.5 * (after + after.T))
 
 
 def factor(P: Array) -> Array:
-    """Give L with P = L L'; a state that is known has a row of zeros."""
+    """Return L with P = L L'; a state that is known has a row of zeros."""
     try:
         return np.asarray(np.linalg.cholesky(P))
     except np.linalg.LinAlgError:

@@ -85,7 +85,7 @@ def run(
 
 
 def _gravity_error(q: Quaternion, accel: list[float]) -> Vector:
-    """Give measured x estimated up, b."""
+    """Return measured x estimated up, b."""
     w, x, y, z = q
     ux, uy, uz = -2.0 * (x * z - w * y), -2.0 * (y * z + w * x), 2.0 * (x * x + y * y) - 1.0
     fx, fy, fz = accel
@@ -100,7 +100,7 @@ def _gravity_error(q: Quaternion, accel: list[float]) -> Vector:
 
 
 def _field_error(q: Quaternion, mag: list[float]) -> Vector:
-    """Give measured x estimated field, b, both of unit length."""
+    """Return measured x estimated field, b, both of unit length."""
     w, x, y, z = q
     mx, my, mz = mag
     norm = math.sqrt(mx * mx + my * my + mz * mz)

@@ -25,7 +25,7 @@ _SMALL = 1e-4
 
 
 def turn_jacobian(phi: Array) -> Array:
-    """Give the derivative of log(exp(-phi) exp(phi + d)) by d at 0, shape (3, 3).
+    """Return the derivative of log(exp(-phi) exp(phi + d)) by d at 0, shape (3, 3).
 
     The right Jacobian of SO(3).
 
@@ -43,7 +43,7 @@ def turn_jacobian(phi: Array) -> Array:
 
 
 def turn_jacobian_inverse(phi: Array) -> Array:
-    """Give the derivative of log(exp(phi) exp(d)) by d at 0, shape (3, 3); |phi| < 2 pi."""
+    """Return the derivative of log(exp(phi) exp(d)) by d at 0, shape (3, 3); |phi| < 2 pi."""
     angle = math.sqrt(float(phi @ phi))
     if angle < _SMALL:
         second = 1.0 / 12.0
@@ -54,7 +54,7 @@ def turn_jacobian_inverse(phi: Array) -> Array:
 
 
 def basis(direction: Array) -> Array:
-    """Give two axes normal to a direction and to each other, shape (3, 2)."""
+    """Return two axes normal to a direction and to each other, shape (3, 2)."""
     x, y, z = direction.tolist()
     # Duff et al. 2017, JCGT 6(1): no direction is singular
     sign = math.copysign(1.0, z)
@@ -70,24 +70,24 @@ def direction_plus(direction: Array, u: Array) -> Array:
 
 
 def direction_minus(to: Array, start: Array) -> Array:
-    """Give the two angles that turn one direction into another the shorter way, rad."""
+    """Return the two angles that turn one direction into another the shorter way, rad."""
     return np.asarray(basis(start).T @ (_ratio(to, start)[0] * cross(start, to)))
 
 
 def direction_by_turn(direction: Array) -> Array:
-    """Give the derivative of :func:`direction_plus` by the angles at 0, shape (3, 2)."""
+    """Return the derivative of :func:`direction_plus` by the angles at 0, shape (3, 2)."""
     return np.asarray(-skew(direction) @ basis(direction))
 
 
 def direction_jacobian(to: Array, start: Array) -> Array:
-    """Give the derivative of (to plus u) minus start by u at 0, shape (2, 2)."""
+    """Return the derivative of (to plus u) minus start by u at 0, shape (2, 2)."""
     ratio, slope = _ratio(to, start)
     by_to = ratio * skew(start) + slope * np.outer(cross(start, to), start)
     return np.asarray(basis(start).T @ by_to @ direction_by_turn(to))
 
 
 def _ratio(to: Array, start: Array) -> tuple[float, float]:
-    """Give angle / sin(angle) between two directions, and its derivative by the cosine."""
+    """Return angle / sin(angle) between two directions, and its derivative by the cosine."""
     axis = cross(start, to)
     sine, cosine = math.sqrt(float(axis @ axis)), float(start @ to)
     angle = math.atan2(sine, cosine)

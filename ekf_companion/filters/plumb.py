@@ -80,7 +80,7 @@ class Plumb:
         self._square += share * ((1.0 - share) * (dx * dx + dy * dy + dz * dz) - self._square)
 
     def spread(self, dt: float) -> float:
-        """Give one sigma of the direction per axis, rad, after a further time, s.
+        """Return one sigma of the direction per axis, rad, after a further time, s.
 
         While it is a mean: that of pushes of ``PUSH``, as strong as seen, that do not yet cancel.
         Later: what the length of its output strays, which motion does to all three axes alike.

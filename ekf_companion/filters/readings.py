@@ -43,7 +43,7 @@ class Readings:
 
     @property
     def steps(self) -> Array:
-        """Give the time since the sample before, s, shape (n,); the first is as the median."""
+        """Return the time since the sample before, s, shape (n,); the first is as the median."""
         gaps = np.diff(self.t_ns) * 1e-9
         return np.concatenate([[np.median(gaps) if len(gaps) else 0.01], gaps])
 
@@ -85,7 +85,7 @@ def read(events: Events, gap: float = LONGEST) -> Readings:
 
 
 def known_rows(values: Array) -> npt.NDArray[np.bool_]:
-    """Give which rows have no NaN, shape (n,)."""
+    """Return which rows have no NaN, shape (n,)."""
     return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
 
 
@@ -117,7 +117,7 @@ def solution(
     counts: Mapping[str, tuple[int, int]] | None = None,
     notes: tuple[str, ...] = (),
 ) -> Solution:
-    """Give a solution of attitude alone; what is not known is NaN.
+    """Return a solution of attitude alone; what is not known is NaN.
 
     Args:
         name: Of the filter.
@@ -170,12 +170,12 @@ def solution(
 
 
 def _every(t_ns: Stamps, period_ns: int) -> npt.NDArray[np.int64]:
-    """Give the index of the first sample of each period."""
+    """Return the index of the first sample of each period."""
     return np.unique((t_ns - t_ns[0]) // period_ns, return_index=True)[1]
 
 
 def first_attitude(readings: Readings) -> Array:
-    """Give q_nb of the first sample's specific force and the first field, from magnetic north."""
+    """Return q_nb of the first sample's specific force and the first field, from magnetic north."""
     level = levelled(readings.accel_b[0])
     seen = np.flatnonzero(known_rows(readings.mag_b))
     yaw = 0.0

@@ -40,7 +40,7 @@ class Solution:
     """What the user should know, one sentence each."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Give what can be told of it for JSON."""
+        """Return what can be told of it for JSON."""
         return {
             "filter": self.name,
             "estimates": len(self.table),
@@ -50,7 +50,7 @@ class Solution:
         }
 
     def summary(self) -> Iterator[str]:
-        """Give the same as lines to read."""
+        """Return the same as lines to read."""
         yield f"{self.name}: {len(self.table)} estimates"
         for aid, (fused, refused) in self.counts.items():
             yield f"  {aid}: {fused} fused, {refused} refused"
@@ -77,7 +77,7 @@ class Recorder:
         self._kept: list[Array] = []
 
     def __len__(self) -> int:
-        """Give how many estimates it has."""
+        """Return how many estimates it has."""
         return len(self._stamps)
 
     def add(self, t_ns: int, state: Nominal, P: Array, resets: int = 0) -> None:
@@ -98,7 +98,7 @@ class Recorder:
         counts: Mapping[str, tuple[int, int]] | None = None,
         notes: tuple[str, ...] = (),
     ) -> Solution:
-        """Give what was collected."""
+        """Return what was collected."""
         n = len(self._stamps)
         values = np.full((n, len(COLUMNS) - 1), np.nan)
         put = {name: values[:, index] for index, name in enumerate(COLUMNS[1:])}
@@ -143,7 +143,7 @@ def _fill(put: Mapping[str, Array], names: str, columns: Array) -> None:
 
 
 def euler_sigmas(angles: Array, covariance: Array) -> Array:
-    """Give one sigma of roll, pitch and yaw, rad, shape (n, 3).
+    """Return one sigma of roll, pitch and yaw, rad, shape (n, 3).
 
     Args:
         angles: Roll, pitch, yaw, rad, shape (n, 3).

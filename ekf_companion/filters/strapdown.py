@@ -51,7 +51,7 @@ class Nominal:
         )
 
     def minus(self, other: Nominal) -> Array:
-        """Give the error state that leads from the other to this one, shape (15,)."""
+        """Return the error state that leads from the other to this one, shape (15,)."""
         return np.concatenate(
             [
                 so3.log(so3.multiply(so3.conjugate(other.q_nb), self.q_nb)),
@@ -79,12 +79,12 @@ class Interval:
 
     @property
     def gyro(self) -> Array:
-        """Give the rate at its middle."""
+        """Return the rate at its middle."""
         return 0.5 * (self.gyro0 + self.gyro1)
 
     @property
     def accel(self) -> Array:
-        """Give the specific force at its middle."""
+        """Return the specific force at its middle."""
         return 0.5 * (self.accel0 + self.accel1)
 
 
@@ -103,7 +103,7 @@ class Earth:
 
     @classmethod
     def at(cls, frame: LocalFrame) -> Earth:
-        """Give that of a place."""
+        """Return that of a place."""
         return cls(
             gravity=float(gravity(frame.lat, frame.alt)),
             gradient=FREE_AIR,
@@ -112,24 +112,24 @@ class Earth:
 
     @classmethod
     def flat(cls, gravity: float) -> Earth:
-        """Give one that does not turn."""
+        """Return one that does not turn."""
         return cls(gravity=gravity, gradient=0.0, rate_n=np.zeros(3))
 
     def accel_n(self, state: Nominal) -> Array:
-        """Give gravity and Coriolis, m/s^2, n."""
+        """Return gravity and Coriolis, m/s^2, n."""
         size = self.gravity + self.gradient * float(self.down_n @ state.pos_n)
         return np.asarray(size * self.down_n - 2.0 * cross(self.rate_n, state.vel_n))
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Give a x b of two vectors of three; a tenth of the time of ``numpy.cross``."""
+    """Return a x b of two vectors of three; a tenth of the time of ``numpy.cross``."""
     ax, ay, az = a.tolist()
     bx, by, bz = b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def skew(v: Array) -> Array:
-    """Give the matrix of v x, shape (3, 3)."""
+    """Return the matrix of v x, shape (3, 3)."""
     x, y, z = v.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
@@ -148,7 +148,7 @@ def move(state: Nominal, over: Interval, earth: Earth) -> Nominal:
 
 
 def transition(state: Nominal, over: Interval, earth: Earth) -> Array:
-    """Give the Jacobian of :func:`move` by the error state, to second order, shape (15, 15).
+    """Return the Jacobian of :func:`move` by the error state, to second order, shape (15, 15).
 
     Coriolis and the gradient of gravity are left out: 1e-4 and 3e-6 of what is kept, per second.
     """
@@ -185,7 +185,7 @@ class Noise:
     """m/s^2 per square root of s."""
 
     def covariance(self, dt: float) -> Array:
-        """Give what an interval adds to the covariance of the error state, shape (15, 15)."""
+        """Return what an interval adds to the covariance of the error state, shape (15, 15)."""
         Q = np.zeros((N, N))
         one = np.eye(3)
         accel2 = self.accel * self.accel
@@ -199,7 +199,7 @@ class Noise:
 
 
 def in_n(P: Array, q_nb: Array) -> Array:
-    """Give the covariance of attitude (turned into n), velocity, position, shape (9, 9)."""
+    """Return the covariance of attitude (turned into n), velocity, position, shape (9, 9)."""
     T = np.eye(9)
     T[ATT, ATT] = so3.to_matrix(q_nb)
     return np.asarray(T @ P[:9, :9] @ T.T)

@@ -97,7 +97,7 @@ def _forward_left_up(values: Array) -> Array:
 
 
 def _north_east_down(q: Array) -> Array:
-    """Give q_nb of east-north-up from forward-left-up."""
+    """Return q_nb of east-north-up from forward-left-up."""
     half = np.sqrt(0.5)
     swap = np.array([0.0, half, half, 0.0])  # east-north-up into north-east-down
     roll = np.array([0.0, 1.0, 0.0, 0.0])  # forward-left-up from forward-right-down

@@ -170,7 +170,7 @@ class _Walk:
         self._refused = 0.0
 
     def go(self, imu: Events, is_still: Mask) -> tuple[int, int]:
-        """Go through all samples; give how many zero velocities were fused and refused."""
+        """Go through all samples; return how many zero velocities were fused and refused."""
         fused = refused = 0
         self._note(int(imu.t_ns[0]))
         for index in range(1, len(imu)):
@@ -198,7 +198,7 @@ class _Walk:
         self._P = Phi @ self._P @ Phi.T + self._noise(over, before)
 
     def _noise(self, over: Interval, before: Array) -> Array:
-        """Give what the interval adds to the covariance: more, the wilder the motion."""
+        """Return what the interval adds to the covariance: more, the wilder the motion."""
         one = self._settings
         rate = float(np.linalg.norm(over.gyro - self._state.gyro_bias))
         push = float(np.linalg.norm(self._state.vel_n - before)) / over.dt
