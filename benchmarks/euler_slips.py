@@ -13,8 +13,8 @@ from benchmarks.seed_flight import FOLDER, NAMES, rmse, truth
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.filters import euler, euler_article, iterated
-from ekf_companion.filters.course import Course, run
 from ekf_companion.filters.euler_article import Constants
+from ekf_companion.filters.sequence import MeasurementSequence, run_sequence
 from ekf_companion.logs import csv
 from ekf_companion.nav.earth import SIMULATED
 from ekf_companion.nav.state import Table
@@ -45,7 +45,7 @@ def errors(data: Path, table: Table) -> Array:
 def articles(data: Path) -> Iterator[tuple[str, Array]]:
     """Give the errors of the article's run, with each of its slips."""
     recording = csv.read(data / FOLDER / "uavSensors.csv")
-    course = Course(recording.events, FilterSettings())
+    course = MeasurementSequence(recording.events, FilterSettings())
     for name, constants in SLIPS.items():
         yield name, errors(data, euler_article.run(course, constants).table)
 
@@ -54,12 +54,15 @@ def others(data: Path) -> Iterator[tuple[str, Array]]:
     """Give those of filters that are told the sensors as they were drawn, then of defaults."""
     recording = csv.read(data / FOLDER / "uavSensors.csv")
     for words, told in (("declared", seed.settings()), ("defaults", FilterSettings())):
-        table = euler.run(recording.events, told).table
+        sequence = MeasurementSequence(recording.events, told)
+        table = euler.run(sequence).table
         yield f"`euler`, corrected, {words}", errors(data, table)
-        course = Course(recording.events, told)
-        setup = course.setup()
+        setup = sequence.setup()
         tried = iterated.Iterated(setup)
-        yield f"`iterated`, {words}", errors(data, run("iterated", tried, course, setup).table)
+        yield (
+            f"`iterated`, {words}",
+            errors(data, run_sequence("iterated", tried, sequence, setup).table),
+        )
         yield f"`eskf`, {words}", errors(data, Pipeline(told).run(recording.events))
 
 

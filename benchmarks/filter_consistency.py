@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from benchmarks.campaign import band
 from benchmarks.matched import matched
-from ekf_companion.filters.course import Course, NavigationFilter, Setup, advance
 from ekf_companion.filters.iterated import Iterated
+from ekf_companion.filters.sequence import MeasurementSequence, NavigationFilter, Setup, advance
 from ekf_companion.nav import so3
 from sim_autopilot import events as wire
 from sim_autopilot.config import ImuConfig, SimConfig
@@ -32,7 +32,7 @@ SCENARIOS = ("figure-eight", "square-spiral")
 
 def squares(flight: Flight, make: Callable[[Setup], NavigationFilter]) -> Array:
     """Give NEES over dof of each block at the instants, shape (instants, 3)."""
-    course = Course(wire.events(flight, has_vel_down=True), matched(flight.config))
+    course = MeasurementSequence(wire.events(flight, has_vel_down=True), matched(flight.config))
     setup = course.setup()
     tried, due, found = make(setup), list(INSTANTS), []
     for step in course.steps(setup.start.t_ns):
@@ -43,7 +43,9 @@ def squares(flight: Flight, make: Callable[[Setup], NavigationFilter]) -> Array:
     return np.array(found)
 
 
-def _nees(flight: Flight, course: Course, t_ns: int, tried: NavigationFilter) -> list[float]:
+def _nees(
+    flight: Flight, course: MeasurementSequence, t_ns: int, tried: NavigationFilter
+) -> list[float]:
     now, state, P = flight.truth_at(np.array([t_ns])), tried.state, tried.covariance()
     pos_n = course.frame.to_ned(now.lat, now.lon, now.alt)[0]
     turn_n = so3.log(so3.multiply(now.q_nb[0], so3.conjugate(state.q_nb)))

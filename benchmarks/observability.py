@@ -13,14 +13,14 @@ from benchmarks.accuracy import DATA
 from ekf_companion.analysis.observability import Observability, analyse
 from ekf_companion.analysis.observability_figure import plot
 from ekf_companion.analysis.observability_report import lines
-from ekf_companion.filters.course import Course
+from ekf_companion.filters.sequence import MeasurementSequence
 
 
 def of_seed(data: Path) -> Observability:
     """Analyse draw 42."""
     drawn = seed_flight.draw_42(data)
     events = seed_flight.events(seed_flight.truth(data), drawn, seed_flight.Place())
-    course = Course(events, seed.settings())
+    course = MeasurementSequence(events, seed.settings())
     return analyse(course, course.setup(), seed.settings())
 
 

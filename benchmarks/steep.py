@@ -13,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.core.settings import FilterSettings
-from ekf_companion.filters.course import Course, NavigationFilter, run
-from ekf_companion.filters.euler import Euler
-from ekf_companion.filters.euler_motion import PITCH_LIMIT
+from ekf_companion.filters.euler import PITCH_LIMIT, Euler
 from ekf_companion.filters.iterated import Iterated
+from ekf_companion.filters.sequence import MeasurementSequence, NavigationFilter, run_sequence
 from ekf_companion.filters.solution import Solution
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import SIMULATED
@@ -116,10 +115,10 @@ def _flight(q_nb: Array, seed: int) -> Flight:
 
 def fly(name: str, flight: Flight, limit: float = np.inf) -> Solution:
     """Give the answer of ``euler``, stopped at a limit of the pitch (rad), or of ``iterated``."""
-    course = Course(flight.events, FilterSettings())
+    course = MeasurementSequence(flight.events, FilterSettings())
     setup = course.setup()
     tried: NavigationFilter = Euler(setup, limit) if name == "euler" else Iterated(setup)
-    return run(name, tried, course, setup)
+    return run_sequence(name, tried, course, setup)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

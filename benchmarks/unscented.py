@@ -17,12 +17,16 @@ import numpy.typing as npt
 from benchmarks.campaign import PROCESSES, each
 from benchmarks.matched import matched
 from ekf_companion.analysis.consistency import Nees, nees
-from ekf_companion.filters import course
-from ekf_companion.filters.course import Course, NavigationFilter, Setup
+from ekf_companion.filters.alignment import InitialEstimate
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.iterated import Iterated
+from ekf_companion.filters.sequence import (
+    MeasurementSequence,
+    NavigationFilter,
+    Setup,
+    run_sequence,
+)
 from ekf_companion.filters.solution import Solution
-from ekf_companion.filters.start import Start
 from ekf_companion.filters.strapdown import Nominal
 from ekf_companion.filters.ukf import Unscented
 from ekf_companion.nav import so3
@@ -112,7 +116,9 @@ CASES = {
 }
 
 
-def begin(case: Case, path: Course, flight: Flight, rng: np.random.Generator) -> Start:
+def begin(
+    case: Case, path: MeasurementSequence, flight: Flight, rng: np.random.Generator
+) -> InitialEstimate:
     """Draw a start whose errors are of the covariance that goes with it."""
     t_ns = int(path.t_ns[np.searchsorted(path.t_ns, flight.to_ns(BEGIN))])
     now = flight.truth_at(np.array([t_ns]))
@@ -133,7 +139,7 @@ def begin(case: Case, path: Course, flight: Flight, rng: np.random.Generator) ->
     P[:3, :3], P[3:, 3:] = C_nb.T @ np.diag(sigma_n**2) @ C_nb, np.diag(rest**2)
     off = rest[:6] * rng.standard_normal(6)
     state = Nominal(q_nb=q_nb, vel_n=now.vel_n[0] - off[:3], pos_n=pos_n - off[3:])
-    return Start(t_ns=t_ns, state=state, P=P)
+    return InitialEstimate(t_ns=t_ns, state=state, P=P)
 
 
 def fly(job: tuple[Case, int], duration: float = DURATION) -> list[Outcome]:
@@ -142,7 +148,7 @@ def fly(job: tuple[Case, int], duration: float = DURATION) -> list[Outcome]:
     config = SimConfig(imu=case.imu, gnss=case.gnss)
     flight = Flight.plan(case.scenario, config, seed=seed, duration=duration)
     settings = matched(config)
-    path = Course(wire.events(flight, has_vel_down=True), settings)
+    path = MeasurementSequence(wire.events(flight, has_vel_down=True), settings)
     if case.is_compassless:
         path.aids = [one for one in path.aids if one[1].aid != "heading"]
     start = begin(case, path, flight, np.random.default_rng([seed, 15]))
@@ -150,7 +156,7 @@ def fly(job: tuple[Case, int], duration: float = DURATION) -> list[Outcome]:
     for name, make in FILTERS.items():
         setup = Setup(start=start, earth=path.earth, noise=path.noise, gate=Gate(settings.gate))
         before = time.process_time()
-        solution = course.run(name, make(setup), path, setup)
+        solution = run_sequence(name, make(setup), path, setup)
         spent = (time.process_time() - before) / len(solution.table)
         outcomes.append(judge(solution, flight, start.t_ns, spent))
     return outcomes

@@ -34,9 +34,9 @@ from ekf_companion.analysis.observability_filter import (
 from ekf_companion.analysis.observability_motion import Motion
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
-from ekf_companion.filters.course import Course, Setup
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.observation import Azimuth
+from ekf_companion.filters.sequence import MeasurementSequence, Setup
 from ekf_companion.filters.strapdown import ATT, BA, BG, N
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import STANDARD_GRAVITY
@@ -123,7 +123,7 @@ class Observability:
 
 
 def analyse(
-    course: Course,
+    course: MeasurementSequence,
     setup: Setup,
     settings: FilterSettings,
     *,
@@ -178,7 +178,7 @@ def analyse(
 
 
 def run(
-    course: Course, tried: ObservabilityFilter, progress: Progress | None = None
+    course: MeasurementSequence, tried: ObservabilityFilter, progress: Progress | None = None
 ) -> ObservabilityFilter:
     """Run a filter to the end of a recording, and return it.
 

@@ -14,10 +14,18 @@ import numpy.typing as npt
 
 from ekf_companion.analysis.observability_motion import MotionRecorder
 from ekf_companion.errors import LogError
-from ekf_companion.filters.course import Setup
-from ekf_companion.filters.gate import Trust
+from ekf_companion.filters.gate import Decision
 from ekf_companion.filters.observation import Azimuth, Observation, Velocity, reset
-from ekf_companion.filters.strapdown import ATT, Earth, Interval, N, Nominal, move, transition
+from ekf_companion.filters.sequence import Setup
+from ekf_companion.filters.strapdown import (
+    ATT,
+    Earth,
+    Interval,
+    N,
+    Nominal,
+    integrate_strapdown,
+    transition,
+)
 from ekf_companion.nav import so3
 
 Array = npt.NDArray[np.float64]
@@ -120,7 +128,7 @@ class ObservabilityFilter:
         """Predict the state over an interval; accumulate the transition."""
         before, earth = self._state, self._setup.earth
         Phi = transition(before, over, earth)
-        self._state = move(before, over, earth)
+        self._state = integrate_strapdown(before, over, earth)
         self.motion.add_specific_force(self._state.vel_n - before.vel_n)
         self._Q = Phi @ self._Q @ Phi.T + self._setup.noise.covariance(over.dt)
         self._Phi = Phi @ self._Phi
@@ -130,16 +138,16 @@ class ObservabilityFilter:
         """Fuse an aid unless the gate refuses it; a refused one adds no information."""
         self._catch_up()
         if isinstance(aid, Azimuth):
-            if not aid.is_seen(self._state):
+            if not aid.is_usable(self._state):
                 return
             aid = self._smoothed(aid)
         z, H, R = aid.innovation(self._state), aid.jacobian(self._state), aid.covariance()
         PHt = self._own.P @ H.T
         S = H @ PHt + R
-        trust = self._setup.gate.admits(aid.aid, t_ns, z, S)
-        if trust is Trust.REFUSED and self._is_gated:
+        decision = self._setup.gate.test(aid.aid, t_ns, z, S)
+        if decision is Decision.REFUSED and self._is_gated:
             return
-        is_reset = trust is Trust.RESET and self._is_gated
+        is_reset = decision is Decision.RESET and self._is_gated
         anew = reset(aid, self._state, self._setup.gate.patience(aid.aid))
         K = anew.gain if is_reset else np.linalg.solve(S, PHt.T).T
         self.first_ns.setdefault(aid.aid, t_ns)

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.core.settings import AlignSettings
-from ekf_companion.filters.detector import runs
-from ekf_companion.filters.samples import inertial, is_stationary
+from ekf_companion.filters.inertial import inertial_samples, is_stationary
+from ekf_companion.filters.zupt_detector import runs
 from ekf_companion.nav.measurements import (
     GNSS_FLAGS,
     GNSS_STD,
@@ -63,7 +63,7 @@ class Stretch:
 
 def samples(events: Events) -> tuple[Stamps, Array]:
     """Return stamps and values of all inertial samples in order of time, shapes (n,) and (n, 6)."""
-    imu = inertial(events)
+    imu = inertial_samples(events)
     return imu.t_ns, imu.values[:, :6]
 
 

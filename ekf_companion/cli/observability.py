@@ -33,11 +33,13 @@ def observability(
     from ekf_companion.analysis import observability as analysis
     from ekf_companion.analysis import observability_figure
     from ekf_companion.analysis import observability_report as report
-    from ekf_companion.filters.course import Course
+    from ekf_companion.filters.sequence import MeasurementSequence
 
     with opened(log, config, plot, json_file) as (recording, settings):
         try:
-            course = Course(recording.events, settings, recording.family, recording.gnss_delay)
+            course = MeasurementSequence(
+                recording.events, settings, recording.family, recording.gnss_delay
+            )
             with bar(f"{log.name}: observability") as progress:
                 found = analysis.analyse(
                     course, course.setup(), settings, window=window, progress=progress

@@ -5,6 +5,8 @@ Source: Sola 2017, "Quaternion kinematics for the error-state Kalman filter", ar
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -12,6 +14,8 @@ Array = npt.NDArray[np.float64]
 
 _SMALL = 1e-8
 """Angle below which a series replaces sin(x)/x, rad: the next term is 1e-17."""
+_SMALL_JACOBIAN = 1e-4
+"""Likewise for the coefficient of the Jacobian: the next term is 1e-10 of it."""
 
 
 def multiply(p: Array, q: Array) -> Array:
@@ -113,6 +117,20 @@ def skew(v: Array) -> Array:
     """Return the matrix of the cross product with v, shape (3, 3)."""
     x, y, z = v.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def right_jacobian_inverse(phi: Array) -> Array:
+    """Return the derivative of log(exp(phi) exp(d)) by d at 0, shape (3, 3); |phi| < 2 pi.
+
+    The inverse of the right Jacobian of SO(3) (section 4.3 of the source).
+    """
+    angle = math.sqrt(float(phi @ phi))
+    if angle < _SMALL_JACOBIAN:
+        second = 1.0 / 12.0
+    else:
+        second = (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / angle**2
+    X = skew(phi)
+    return np.asarray(np.eye(3) + 0.5 * X + second * (X @ X))
 
 
 def from_euler(roll: npt.ArrayLike, pitch: npt.ArrayLike, yaw: npt.ArrayLike) -> Array:

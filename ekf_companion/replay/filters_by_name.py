@@ -1,4 +1,4 @@
-"""The filters by name: our own estimator and its rivals, over the same recording."""
+"""The filters by name: our own estimator and those of the articles, over the same recording."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ from ekf_companion.filters import (
     ahrs,
     ahrs_article,
     euler,
+    euler_article,
     iterated,
     mahony,
     ukf,
     vqf_adapter,
     zupt,
 )
-from ekf_companion.filters.detector import Detector
+from ekf_companion.filters.sequence import MeasurementSequence
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
+from ekf_companion.filters.zupt_detector import Detector
 from ekf_companion.logs.recording import Recording, longest_clock_run
 from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.state import Status, join
@@ -34,27 +36,27 @@ Run = Callable[[Recording, FilterSettings, str], Solution]
 
 BLOCKS = [*range(at.E_ATT, at.E_ATT + 3), *range(at.E_VEL, at.E_VEL + 3)]
 BLOCKS += range(at.E_POS, at.E_POS + 3)
-"""Where the estimator's covariance holds what a solution keeps of it."""
+"""Rows of the estimator's covariance that a solution keeps."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Filter:
-    """One that can be chosen."""
+    """A filter that can be selected."""
 
     run: Run
     options: tuple[str, ...]
-    """What may stand behind the colon; the first is the default."""
+    """Options after the colon; the first is the default."""
     says: str
-    """What it is, in a line."""
+    """Description in a line."""
 
 
 def run_filter(
     recording: Recording, name: str = "eskf", settings: FilterSettings | None = None
 ) -> Solution:
-    """Take a filter through a recording.
+    """Run a filter over a recording.
 
     Args:
-        recording: As ``open_log`` gives it.
+        recording: From ``open_log``.
         name: ``NAME`` or ``NAME:OPTION`` of :data:`FILTERS`.
         settings: The estimator's, or a whole configuration; None: the defaults.
 
@@ -75,7 +77,7 @@ def choose(name: str) -> tuple[str, str]:
     """Return the name to print and the option of ``NAME`` or ``NAME:OPTION``.
 
     Raises:
-        ConfigError: There is none of that name.
+        ConfigError: There is no filter, or no option, of that name.
     """
     known, colon, option = name.strip().partition(":")
     if known not in FILTERS:
@@ -88,7 +90,7 @@ def choose(name: str) -> tuple[str, str]:
 
 
 def _eskf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    """Take the daemon's own pipeline through it, in pieces, to look at the covariance."""
+    """Run the daemon's own pipeline in pieces, to record the covariance."""
     del option
     pipeline = Pipeline(settings, recording.family, recording.gnss_delay)
     events = recording.events
@@ -120,10 +122,8 @@ def _eskf(recording: Recording, settings: FilterSettings, option: str) -> Soluti
 
 
 def _euler(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    return euler.run(
-        *(recording.events, settings, recording.family, recording.gnss_delay),
-        preset="article" if option == "article" else "corrected",
-    )
+    run = euler_article.run if option == "article" else euler.run
+    return run(_sequence(recording, settings))
 
 
 def _zupt(recording: Recording, settings: FilterSettings, option: str) -> Solution:
@@ -133,7 +133,7 @@ def _zupt(recording: Recording, settings: FilterSettings, option: str) -> Soluti
 
 def _iterated(recording: Recording, settings: FilterSettings, option: str) -> Solution:
     return iterated.run(
-        *(recording.events, settings, recording.family, recording.gnss_delay),
+        _sequence(recording, settings),
         frame="robocentric" if option == "robocentric" else "global",
         gravity="sphere" if option == "sphere" else "known",
     )
@@ -141,7 +141,7 @@ def _iterated(recording: Recording, settings: FilterSettings, option: str) -> So
 
 def _ukf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
     del option
-    return ukf.run(recording.events, settings, recording.family, recording.gnss_delay)
+    return ukf.run(_sequence(recording, settings))
 
 
 def _ahrs(recording: Recording, settings: FilterSettings, option: str) -> Solution:
@@ -160,6 +160,10 @@ def _mahony(recording: Recording, settings: FilterSettings, option: str) -> Solu
 def _vqf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
     del option
     return vqf_adapter.run(_completed(recording, settings), gap=settings.imu.gap_reset)
+
+
+def _sequence(recording: Recording, settings: FilterSettings) -> MeasurementSequence:
+    return MeasurementSequence(recording.events, settings, recording.family, recording.gnss_delay)
 
 
 def _completed(recording: Recording, settings: FilterSettings) -> Events:

@@ -16,9 +16,9 @@ from ekf_companion.analysis.observability_motion import Motion
 from ekf_companion.analysis.observability_report import lines, summarise, to_dict
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
-from ekf_companion.filters.course import Course
 from ekf_companion.filters.iterated import Iterated
-from ekf_companion.filters.strapdown import move
+from ekf_companion.filters.sequence import MeasurementSequence
+from ekf_companion.filters.strapdown import integrate_strapdown
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import STANDARD_GRAVITY, LocalFrame
 from ekf_companion.nav.measurements import Events, HeadingSource, Kind, merge
@@ -70,7 +70,7 @@ def stamps(t):
 
 
 def found_in(events, **more):
-    course = Course(events, SETTINGS)
+    course = MeasurementSequence(events, SETTINGS)
     return analyse(course, course.setup(), SETTINGS, **more)
 
 
@@ -86,7 +86,7 @@ def simulated(name, seconds, *, noise=1.0, yaw=True):
         ),
     )
     flight = Flight.plan(name, config, seed=3, duration=seconds)
-    return Course(wire.events(flight, has_vel_down=True), SETTINGS)
+    return MeasurementSequence(wire.events(flight, has_vel_down=True), SETTINGS)
 
 
 def said(found):
@@ -230,7 +230,7 @@ def test_the_gramian_is_that_of_differences_through_the_motion(name):
         for step in steps:
             if begin_ns < step.t_ns <= ends[-1].t_ns:
                 if step.over is not None:
-                    x = move(x, step.over, setup.earth)
+                    x = integrate_strapdown(x, step.over, setup.earth)
                 for aid in step.aids:
                     rows.append(aid.innovation(x) / np.sqrt(np.diagonal(aid.covariance())))
         return np.concatenate(rows)
@@ -275,7 +275,7 @@ def test_biases_that_count_as_observable_are_known_that_well():
     for seed in (1, 2):
         config = SimConfig(imu=ImuConfig(rate=RATE), gnss=GnssConfig(delay=0.0, yaw=True))
         flight = Flight.plan("loiter", config, seed=seed, duration=30.0)
-        course = Course(wire.events(flight, has_vel_down=True), SETTINGS)
+        course = MeasurementSequence(wire.events(flight, has_vel_down=True), SETTINGS)
         setup = course.setup()
         tried = run(course, ObservabilityFilter(setup, prior(setup, SETTINGS)))
         off = tried._state.accel_bias - flight.imu.accel_bias_b[-1]
@@ -287,7 +287,7 @@ def test_biases_that_count_as_observable_are_known_that_well():
 def test_a_start_in_a_manoeuvre_that_the_gate_would_not_survive_is_told_and_survived():
     config = SimConfig(imu=ImuConfig(rate=RATE))
     flight = Flight.plan("figure-eight", config, seed=1, duration=20.0, skip=20.0)
-    course = Course(wire.events(flight, has_vel_down=True), SETTINGS, "px4")
+    course = MeasurementSequence(wire.events(flight, has_vel_down=True), SETTINGS, "px4")
     setup = course.setup()
     assert run(course, ObservabilityFilter(setup, prior(setup, SETTINGS))).is_lost
     found = analyse(course, course.setup(), SETTINGS)

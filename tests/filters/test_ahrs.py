@@ -5,8 +5,9 @@ import pytest
 
 from ekf_companion.analysis import attitude
 from ekf_companion.errors import LogError
-from ekf_companion.filters import ahrs, mahony, readings
-from ekf_companion.filters.ahrs_estimator import USUAL
+from ekf_companion.filters import ahrs, mahony
+from ekf_companion.filters.ahrs import USUAL
+from ekf_companion.filters.marg import marg_samples
 from ekf_companion.logs.recording import Counted
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, GnssFix, Kind, merge
@@ -93,7 +94,7 @@ def test_what_it_states_of_its_errors_holds():
     for seed, kind in enumerate(({}, {"turn": 3.0, "push": 2.0}, {"still": 0.0}, {"push": 4.0})):
         what = Swing(seconds=40.0, seed=seed, **kind)
         events, truth = swing(what)
-        found = ahrs.track(readings.read(events))
+        found = ahrs.track(marg_samples(events))
         table = ahrs.run(events)
         error = so3.log(so3.multiply(truth.q_nb, so3.conjugate(found.q_nb)))
         at = np.searchsorted(truth.att_t_ns, table.covariance_ns)[20:]

@@ -79,9 +79,9 @@ def test_a_field_along_the_vertical_shows_no_azimuth_and_divides_by_nothing():
     down_b = so3.to_matrix(state.q_nb)[2]
     for seen_b in (down_b, 0.0 * down_b):
         aid = Azimuth(seen_b=seen_b, azimuth=0.3, std=0.05)
-        assert not aid.is_seen(state)
+        assert not aid.is_usable(state)
         assert np.isfinite(aid.jacobian(state)).all()
-    assert AIDS[3].is_seen(state)
+    assert AIDS[3].is_usable(state)
 
 
 def test_a_velocity_astray_doubts_the_attitude_that_led_there():

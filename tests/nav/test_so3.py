@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from ekf_companion.nav import so3
+from tests.filters.differences import central
 
 vectors = st.lists(st.floats(-1.8, 1.8), min_size=3, max_size=3).map(np.array)
 """Rotation vectors shorter than half a turn."""
@@ -60,3 +61,14 @@ def test_wrapped_angles_are_the_same_angle_within_half_a_turn(angle):
 def test_the_smallest_rotations_lose_nothing():
     tiny = np.array([1e-12, -2e-12, 3e-13])
     np.testing.assert_allclose(so3.log(so3.exp(tiny)), tiny, rtol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1e-6, 0.3, 2.0, 3.1])
+def test_the_right_jacobian_and_its_inverse_agree_with_differences(size):
+    v = np.random.default_rng(4).standard_normal(3)
+    phi = size * v / np.linalg.norm(v)
+    inverse = so3.right_jacobian_inverse(phi)
+    seen = central(lambda d: so3.log(so3.multiply(so3.exp(phi), so3.exp(d))), 3)
+    np.testing.assert_allclose(inverse, seen, atol=1e-8)  # step 1e-5
+    seen = central(lambda d: so3.log(so3.multiply(so3.exp(-phi), so3.exp(phi + d))), 3)
+    np.testing.assert_allclose(np.linalg.inv(inverse), seen, atol=1e-8)

@@ -1,4 +1,4 @@
-"""Inertial samples that a filter can go through: in order, without what no sensor says."""
+"""Inertial samples: screening, gaps, rest and levelling."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from ekf_companion.nav.measurements import Events, Kind
 Array = npt.NDArray[np.float64]
 
 LARGEST_RATE, LARGEST_FORCE = 200.0, 2000.0
-"""rad/s, m/s^2, per axis: what the daemon takes for a reading."""
-LONGEST = ImuSettings().gap_reset
-"""Silence that no filter here bridges, s."""
+"""rad/s, m/s^2, per axis: the limits of the daemon's screening."""
+LONGEST_GAP = ImuSettings().gap_reset
+"""Longest gap in the samples that the filters bridge, s."""
 LARGEST_BIAS = 0.1
 """rad/s; no gyro of today has such a bias, so a faster rate is a turn."""
 LEVEL = 0.1
 """Share by which the specific force at rest may differ from gravity."""
 
 
-def inertial(events: Events) -> Events:
-    """Return the inertial samples of events in any order, stamps strictly ascending.
+def inertial_samples(events: Events) -> Events:
+    """Return the plausible inertial samples of events in any order, stamps strictly ascending.
 
-    What no sensor can say is no sample; of several of one time the first counts.
+    Of several samples of one time the first counts.
     """
     imu = events.take(events.kind == Kind.IMU)
     # NaN is not below a limit either
@@ -35,17 +35,17 @@ def inertial(events: Events) -> Events:
     return imu.take(np.unique(imu.t_ns, return_index=True)[1])
 
 
-def unbroken(imu: Events, longest: float = LONGEST) -> tuple[Events, tuple[str, ...]]:
-    """Return the longest part of samples without a gap that no filter can bridge, and a note."""
+def longest_part(imu: Events, gap: float = LONGEST_GAP) -> tuple[Events, tuple[str, ...]]:
+    """Return the longest part of samples without a longer gap, s, and a note if it is not all."""
     gaps = np.diff(imu.t_ns)
-    cuts = np.flatnonzero(gaps > longest * 1e9) + 1
+    cuts = np.flatnonzero(gaps > gap * 1e9) + 1
     if not len(cuts):
         return imu, ()
     parts = np.split(np.arange(len(imu)), cuts)
     kept = imu.take(max(parts, key=len))
     begin, end = (int(t) * 1e-9 for t in (kept.t_ns[0], kept.t_ns[-1]))
     return kept, (
-        f"the inertial samples have {len(cuts)} gaps of more than {longest:g} s, the longest of "
+        f"the inertial samples have {len(cuts)} gaps of more than {gap:g} s, the longest of "
         f"{gaps.max() * 1e-9:.1f} s: only the part from {begin:.1f} to {end:.1f} s is estimated; "
         "eskf goes on after a gap",
     )
@@ -70,7 +70,12 @@ def is_stationary(mean: Array, std: Array, limits: AlignSettings) -> npt.NDArray
     )
 
 
-def levelled(force_b: Array) -> Array:
-    """Return the attitude with yaw 0 in which a specific force points up, shape (4,)."""
+def level(force_b: Array) -> Array:
+    """Return the attitude of yaw 0 in which a specific force points up, shape (4,)."""
     x, y, z = force_b.tolist()
     return so3.from_euler(np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), 0.0)
+
+
+def turn(q_nb: Array, yaw: npt.ArrayLike) -> Array:
+    """Return attitudes turned about down, rad."""
+    return so3.multiply(so3.from_euler(0.0, 0.0, yaw), q_nb)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.filters.detector import Detector, Limits, moving_variance, runs, statistic
+from ekf_companion.filters.zupt_detector import Detector, Limits, moving_variance, runs, statistic
 
 GRAVITY = 9.81
 LIMITS = Limits(gyro=0.3, accel=1.5)
