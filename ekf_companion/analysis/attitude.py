@@ -9,15 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.analysis.difference import rms
 from ekf_companion.logs.recording import Counted
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.interpolation import between
 from ekf_companion.nav.state import QUATERNION, Status, Table, Trajectory
-
-Array = npt.NDArray[np.float64]
 
 LONGEST_GAP_NS = 100_000_000
 """Longest step between two estimates that is interpolated over."""
@@ -27,7 +25,7 @@ LONGEST_GAP_NS = 100_000_000
 class AttitudeErrors:
     """The errors at the times at which the truth is known and an estimate is near."""
 
-    t_ns: npt.NDArray[np.int64]
+    t_ns: Stamps
     """Stamps of the truth, shape (n,)."""
     total: Array
     """Angle of the turn from truth to estimate, rad, >= 0, shape (n,)."""
@@ -59,7 +57,7 @@ def errors(table: Table, truth: Trajectory) -> AttitudeErrors:
     valid = np.isfinite(table.column("q_w")) & (table.column("status") >= Status.ATTITUDE)
     stamps = table.stamp_ns[valid]
     q_nb = table.columns(QUATERNION)[valid]
-    rows = np.isfinite(truth.q_nb).all(axis=1)
+    rows = known_rows(truth.q_nb)
     t_ns, true = truth.att_t_ns[rows], truth.q_nb[rows]
     if len(stamps) < 2:
         t_ns, true, estimate = t_ns[:0], true[:0], q_nb[:0]
@@ -78,13 +76,7 @@ def errors(table: Table, truth: Trajectory) -> AttitudeErrors:
 
 
 def score(table: Table, truth: Trajectory, counted: Counted | None = None) -> AttitudeScore:
-    """Return the root mean square errors over the times that count; NaN if none does.
-
-    Args:
-        table: Estimates, stamps ascending.
-        truth: The motion; rows with NaN are left out.
-        counted: The times that count; None: all.
-    """
+    """Return the root mean square errors over the times that count; NaN if none does."""
     found = errors(table, truth)
     chosen = np.ones(len(found.t_ns), dtype=bool) if counted is None else counted.at(found.t_ns)
     return AttitudeScore(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_companion.filters.solution import Solution
-from ekf_companion.filters.zupt_detector import runs
+from ekf_companion.nav.arrays import runs
 from ekf_companion.nav.state import POSITION
 
 SHORTEST_NS = 50_000_000

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.analysis import attitude, difference
 from ekf_companion.analysis.closure import closure
@@ -20,11 +19,11 @@ from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters.solution import Solution
 from ekf_companion.logs.estimate import of_table
 from ekf_companion.logs.recording import Counted, Recording
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import EULER, Trajectory
 from ekf_companion.replay.filters_by_name import choose, run_filter
 
-Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 WARM_NS = 5_000_000_000

@@ -13,16 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.filters.solution import Solution
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.interpolation import between
 from ekf_companion.nav.state import GEODETIC, QUATERNION, VELOCITY, Table, Trajectory
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +77,7 @@ def _position(table: Table, truth: Trajectory, rows: Stamps, at_ns: Stamps) -> _
 
 def _velocity(table: Table, truth: Trajectory, rows: Stamps, at_ns: Stamps) -> _Errors:
     """Return the errors north, east, down, m/s."""
-    known = np.flatnonzero(np.isfinite(truth.vel_n[:, :2]).all(axis=1))
+    known = np.flatnonzero(known_rows(truth.vel_n[:, :2]))
     if len(known) < 2:
         return _NOTHING
     found = between(truth.vel_t_ns[known], at_ns)
@@ -90,7 +87,7 @@ def _velocity(table: Table, truth: Trajectory, rows: Stamps, at_ns: Stamps) -> _
 
 def _attitude(table: Table, truth: Trajectory, rows: Stamps, at_ns: Stamps) -> _Errors:
     """Return the rotation vectors in n from the estimate to the truth, rad."""
-    known = np.flatnonzero(np.isfinite(truth.q_nb).all(axis=1))
+    known = np.flatnonzero(known_rows(truth.q_nb))
     if len(known) < 2:
         return _NOTHING
     found = between(truth.att_t_ns[known], at_ns)
@@ -105,10 +102,10 @@ def _mean(errors: Array, P: Array) -> tuple[float | None, int]:
     if len(axes) == 0:
         return None, 0
     errors, P = errors[:, axes], P[:, axes[:, None], axes]
-    is_good = np.isfinite(errors).all(axis=1) & np.isfinite(P).all(axis=(1, 2))
+    is_good = known_rows(errors) & np.isfinite(P).all(axis=(1, 2))
     errors, P = errors[is_good], P[is_good]
-    is_good = (np.linalg.eigvalsh(P) > 0.0).all(axis=1)
-    errors, P = errors[is_good], P[is_good]
+    is_positive = (np.linalg.eigvalsh(P) > 0.0).all(axis=1)
+    errors, P = errors[is_positive], P[is_positive]
     if len(errors) == 0:
         return None, 0
     whitened = np.linalg.solve(P, errors[:, :, None])[:, :, 0]

@@ -7,15 +7,13 @@ None if the two have no time in common.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.interpolation import pair
 from ekf_companion.nav.state import Trajectory
 
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 Span = tuple[int, int]
 """First and last stamp that count, ns."""
 ALWAYS: Span = (int(np.iinfo(np.int64).min), int(np.iinfo(np.int64).max))
@@ -36,11 +34,7 @@ def in_position(
 ) -> tuple[Stamps, Array] | None:
     """Return stamps and errors north, east, down, m, shapes (n,) and (n, 3).
 
-    Args:
-        estimate: What is measured.
-        reference: What it should be.
-        span: What counts.
-        frame: Of north, east and down; None: that of the reference.
+    The frame is by default that of the reference.
     """
     if (found := pair(estimate.pos_t_ns, reference.pos_t_ns, *span)) is None:
         return None

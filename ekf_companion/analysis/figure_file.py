@@ -22,14 +22,7 @@ def has_matplotlib() -> bool:
 
 
 def write(path: Path, title: str, draw: Draw, *, width: float = 12.0, height: float = 8.0) -> None:
-    """Draw a figure into a PNG, PDF or SVG file.
-
-    Args:
-        path: The file.
-        title: Above the figure.
-        draw: Draws into the matplotlib figure.
-        width: Inches.
-        height: Inches.
+    """Draw a figure into a PNG, PDF or SVG file; its size is in inches.
 
     Raises:
         CompanionError: matplotlib is not installed, or the file cannot be written.

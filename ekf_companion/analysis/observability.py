@@ -23,7 +23,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.analysis.observability_filter import (
     STEP_NS,
@@ -39,9 +38,9 @@ from ekf_companion.filters.observation import Azimuth
 from ekf_companion.filters.sequence import MeasurementSequence, Setup
 from ekf_companion.filters.strapdown import ATT, BA, BG, N
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 
-Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
 """Called with the number of samples done, and of all."""
 
@@ -132,12 +131,8 @@ def analyse(
 ) -> Observability:
     """Run the error-state filter over a recording and judge the observability of its states.
 
-    Args:
-        course: The recording.
-        setup: The filter's start; its gate is used.
-        settings: Prior sigmas of the biases.
-        window: Length of a window, s.
-        progress: Called with the samples done.
+    The window is in s; the settings hold the prior sigmas of the biases; the gate of the setup is
+    used up.
 
     Raises:
         LogError: The recording is shorter than a step, or the filter diverges.

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.analysis.observability_motion import MotionRecorder
 from ekf_companion.errors import LogError
@@ -27,8 +26,7 @@ from ekf_companion.filters.strapdown import (
     transition,
 )
 from ekf_companion.nav import so3
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 STEP_NS = 500_000_000
 """Length of a step, after which the covariances are recorded."""

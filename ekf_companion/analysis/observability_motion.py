@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.filters.strapdown import Nominal
 from ekf_companion.nav import so3
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array, Mask, runs
 
 PERIOD_NS = 50_000_000
 """Period of the recorded motion: no vehicle turns faster than 10 times a second."""
@@ -73,15 +71,14 @@ class Motion:
         Its acceleration and its changes of heading are below the limits of :meth:`onsets`.
         """
         is_quiet = ~self._changes(self.yaw, TURN) & (self.acceleration < ACCELERATION)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], is_quiet.astype(int), [0]])))
         stretches = [
             (float(self.t[first]), float(self.t[end - 1]))
-            for first, end in edges.reshape(-1, 2)
+            for first, end in runs(is_quiet)
             if self.t[end - 1] - self.t[first] >= QUIET and self.t[end - 1] < t
         ]
         return stretches[-1] if stretches else None
 
-    def _changes(self, angle: Array, much: float) -> npt.NDArray[np.bool_]:
+    def _changes(self, angle: Array, much: float) -> Mask:
         """Return where an angle changes by a quarter of ``much`` within the 3 s around."""
         ends = [
             np.clip(np.searchsorted(self.t, self.t + shift), 0, len(self.t) - 1)
@@ -89,9 +86,7 @@ class Motion:
         ]
         return np.asarray(np.abs(angle[ends[1]] - angle[ends[0]]) >= 0.25 * much)
 
-    def _begin_of(
-        self, is_there: npt.NDArray[np.bool_], is_changing: npt.NDArray[np.bool_]
-    ) -> float:
+    def _begin_of(self, is_there: Mask, is_changing: Mask) -> float:
         """Return when the change began that first reached its limit."""
         if not is_there.any():
             return np.inf

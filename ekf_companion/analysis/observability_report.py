@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.analysis.observability import ANGLES, OBSERVABLE, STATES, Observability
 from ekf_companion.analysis.observability_motion import ACCELERATION
 from ekf_companion.calibrate.result import rounded
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 REPORTED = (*range(9, 15), 0, 1, 2)
 """The states that are reported: biases, roll, pitch, heading."""

@@ -17,12 +17,11 @@ from ekf_companion.analysis import difference
 from ekf_companion.analysis.difference import ALWAYS, euler_errors, frame_of, tilt_errors
 from ekf_companion.logs import series
 from ekf_companion.logs.estimate import read_estimate, read_truth, to_trajectory
+from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.state import Trajectory
 
 __all__ = ["Score", "Spread", "read_estimate", "read_truth", "score", "table", "to_trajectory"]
 
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 
 LAG_SPAN = 1.0
 """Largest lag searched for, either way, s."""
@@ -141,7 +140,7 @@ def score(
         seen.append(stamps)
     if there := difference.in_velocity(estimate, reference, span):
         stamps, velocity = there
-        velocity = velocity[np.isfinite(velocity[:, :2]).all(axis=1)]
+        velocity = velocity[known_rows(velocity[:, :2])]
         seen.append(stamps)
     if turned := difference.in_attitude(estimate, reference, span):
         stamps, mine, theirs = turned

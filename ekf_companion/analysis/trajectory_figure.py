@@ -14,15 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.analysis import difference, figure_file
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import EULER, Trajectory
-
-Array = npt.NDArray[np.float64]
 
 POINTS = 20000
 """Largest number of points of a line: more than a figure can show."""
@@ -58,7 +56,7 @@ class _Scale:
     """None: no trajectory has a position."""
     zero_ns: int
 
-    def seconds(self, t_ns: npt.NDArray[np.int64]) -> Array:
+    def seconds(self, t_ns: Stamps) -> Array:
         return np.asarray((t_ns - self.zero_ns) * 1e-9)
 
 
@@ -70,16 +68,10 @@ def plot(
     events: Events | None = None,
     with_errors: bool = False,
 ) -> None:
-    """Draw trajectories over each other, the estimate first, into a PNG, PDF or SVG file.
+    """Draw trajectories over each other into a PNG, PDF or SVG file, the reference last.
 
-    North and east are from the first position of the last trajectory that has one.
-
-    Args:
-        path: The figure.
-        trajectories: The reference is last.
-        title: Above the figure.
-        events: Their fixes are drawn as points; None: no points.
-        with_errors: Add a column with the distance of each from the last.
+    North and east are from the first position of the last trajectory that has one. The fixes among
+    the events are drawn as points; a further column shows the distance of each from the last.
 
     Raises:
         CompanionError: matplotlib is not installed, or the file cannot be written.
@@ -126,7 +118,7 @@ def _axes(sheet: Any, columns: int, places: Mapping[str, tuple[Any, ...]]) -> di
 
 def _draw_fixes(axes: dict[str, Any], events: Events, scale: _Scale) -> None:
     assert scale.frame is not None
-    is_known = np.isfinite(events.values[:, :3]).all(axis=1)
+    is_known = known_rows(events.values[:, :3])
     fixes = events.take((events.kind == Kind.GNSS) & is_known)
     seconds, values = scale.seconds(fixes.t_ns), fixes.values
     ned = scale.frame.to_ned(values[:, 0], values[:, 1], values[:, 2])
@@ -134,7 +126,7 @@ def _draw_fixes(axes: dict[str, Any], events: Events, scale: _Scale) -> None:
     axes["altitude"].plot(seconds, values[:, 2], **_FIXES)
     speed = np.linalg.norm(np.nan_to_num(values[:, 3:6]), axis=1)
     # Without the vertical part it would be the horizontal speed
-    is_whole = np.isfinite(values[:, 3:6]).all(axis=1)
+    is_whole = known_rows(values[:, 3:6])
     axes["speed"].plot(seconds, np.where(is_whole, speed, np.nan), **_FIXES)
 
 
@@ -164,7 +156,7 @@ def _draw_speed(axis: Any, one: Trajectory, scale: _Scale, look: dict[str, Any])
 def _draw_errors(
     axes: dict[str, Any], one: Trajectory, other: Trajectory, scale: _Scale, look: dict[str, Any]
 ) -> None:
-    def draw(name: str, t_ns: npt.NDArray[np.int64], size: Array) -> None:
+    def draw(name: str, t_ns: Stamps, size: Array) -> None:
         if name not in axes:
             return
         some = _some(t_ns)
@@ -180,5 +172,5 @@ def _draw_errors(
         draw("attitude error", t_ns, np.rad2deg(np.linalg.norm(turn, axis=1)))
 
 
-def _some(t_ns: npt.NDArray[np.int64]) -> slice:
+def _some(t_ns: Stamps) -> slice:
     return slice(None, None, max(1, len(t_ns) // POINTS))

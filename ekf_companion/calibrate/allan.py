@@ -14,11 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import nnls
 from scipy.signal import welch
 
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 FLICKER = 2.0 * np.log(2.0) / np.pi
 """Allan variance of flicker noise of B = 1, where it is flat."""
@@ -135,11 +134,9 @@ def corner(stretches: Sequence[Array], period: float) -> float | None:
 
 
 def fit(stretches: Sequence[Array], period: float) -> tuple[Curve, Noise]:
-    """Fit white noise, flicker and random walk to one axis.
+    """Fit white noise, flicker and random walk to one axis at rest.
 
-    Args:
-        stretches: Samples at rest, evenly spaced, each shape (n,).
-        period: Between samples, s.
+    The stretches, each of shape (n,), are evenly spaced by the period, s.
     """
     found = curve(stretches, period)
     cut = corner(stretches, period)

@@ -23,7 +23,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import t
 
 from ekf_companion.calibrate import rest
@@ -32,10 +31,10 @@ from ekf_companion.core.settings import FilterSettings, delays_ns
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Recording
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status, Table
 
-Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 SPAN = (-0.2, 0.6)

@@ -13,9 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array, Indices
 
 CELLS = 100
 """Number of directions, some 20 degrees each: however long one is held, it counts once."""
@@ -64,7 +63,7 @@ def sphere(points: Array, weight: Array | None = None) -> tuple[Array, float]:
     return middle + terms[:-1], float(np.sqrt(max(terms[-1] + terms[:-1] @ terms[:-1], 0.0)))
 
 
-def directions(arms: Array) -> npt.NDArray[np.int64]:
+def directions(arms: Array) -> Indices:
     """Return the cell of the sphere that each vector, shape (n, 3), points to, 0 to CELLS - 1.
 
     A cell is what is nearest to a point of a Fibonacci lattice (Gonzalez 2010).

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.calibrate import rest
 from ekf_companion.calibrate.rest import Stretch
@@ -15,6 +14,7 @@ from ekf_companion.core.settings import FilterSettings, delays_ns
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import STANDARD_GRAVITY, LocalFrame
 from ekf_companion.nav.interpolation import resample
 from ekf_companion.nav.measurements import (
@@ -27,10 +27,6 @@ from ekf_companion.nav.measurements import (
     Kind,
 )
 from ekf_companion.nav.state import ACCEL_BIAS, QUATERNION, VELOCITY, Status, Table
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 LARGEST = np.array([1.57, 3.15, 1e5])
 """Largest latitude, longitude, rad, and altitude, m, of a fix."""

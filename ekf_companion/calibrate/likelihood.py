@@ -6,14 +6,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.recording import Recording
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 JUDGED = (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY)
 

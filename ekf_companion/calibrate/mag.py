@@ -18,17 +18,16 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.calibrate import ellipsoid
 from ekf_companion.calibrate.ellipsoid import Fit
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Recording
+from ekf_companion.nav.arrays import Array, Indices, Mask, known_rows
 from ekf_companion.nav.magnetic import magnetic_field
 from ekf_companion.nav.measurements import Kind
 
-Array = npt.NDArray[np.float64]
 Method = Literal["ellipsoid", "hard iron", "circle"]
 
 FEWEST = 50
@@ -60,7 +59,7 @@ class Iron:
 
     method: Method
     fit: Fit
-    determined: npt.NDArray[np.bool_]
+    determined: Mask
     """Whether each axis is determined, shape (3,)."""
     by_extremes: Fit
     """The fit by largest and smallest values."""
@@ -77,19 +76,14 @@ class Iron:
 
 
 def measure(recording: Recording, settings: FilterSettings, name: str = "the log") -> Iron:
-    """Measure the iron about a log's magnetometer.
-
-    Args:
-        recording: The log.
-        settings: The estimator's: of them only ``heading.year``.
-        name: Of the log, for messages.
+    """Measure the iron about a log's magnetometer; of the settings it uses ``heading.year``.
 
     Raises:
         LogError: The log has no magnetometer, or the vehicle has turned too little.
     """
     events = recording.events
     mag_b = events.values[events.kind == Kind.MAG, :3]
-    mag_b = mag_b[np.isfinite(mag_b).all(axis=1) & (np.abs(mag_b) < 10.0).all(axis=1)]
+    mag_b = mag_b[known_rows(mag_b) & (np.abs(mag_b) < 10.0).all(axis=1)]
     if len(mag_b) < FEWEST:
         raise LogError(
             f"{name}: holds {len(mag_b) or 'no'} samples of a magnetometer, and {FEWEST} are "
@@ -181,7 +175,7 @@ def _with_jackknife(mag_b: Array, solve: Callable[[Array], Fit]) -> Fit:
     )
 
 
-def _circle(mag_b: Array, plane: npt.NDArray[np.bool_]) -> Fit:
+def _circle(mag_b: Array, plane: Mask) -> Fit:
     """Fit a circle of any radius in the plane of two axes; the third has no iron."""
     flat = mag_b[:, plane]
     hard, soft, size = np.zeros(3), np.eye(3), np.zeros(len(flat))
@@ -197,7 +191,7 @@ def _circle(mag_b: Array, plane: npt.NDArray[np.bool_]) -> Fit:
     return Fit(hard=hard, soft=soft, hard_std=std, soft_std=0.0, rms=rms)
 
 
-def _bearing(flat: Array) -> npt.NDArray[np.int64]:
+def _bearing(flat: Array) -> Indices:
     """Return for each vector, shape (n, 2), which of ``BEARINGS`` sectors it points to."""
     turns = np.arctan2(flat[:, 1], flat[:, 0]) / (2.0 * np.pi) + 0.5
     return np.asarray(turns * BEARINGS, dtype=np.int64) % BEARINGS

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.calibrate import ellipsoid
 from ekf_companion.calibrate.mag import Iron
 from ekf_companion.calibrate.result import Result, Setting, rounded, spelled
+from ekf_companion.nav.arrays import Array
 
 AXES = ("forward", "right", "down")
 FEW = 0.1
@@ -109,7 +109,7 @@ def _data(found: Iron) -> dict[str, Any]:
     }
 
 
-def _by_axis(stds: npt.NDArray[np.float64]) -> str:
+def _by_axis(stds: Array) -> str:
     """Return one sigma of each axis as text."""
     words = (f"{std:.3f}" if np.isfinite(std) else "not determined" for std in stds)
     return ", ".join(f"{axis} {word}" for axis, word in zip(AXES, words, strict=True))

@@ -53,12 +53,7 @@ class Noises:
 
 
 def measure(recording: Recording, settings: FilterSettings, name: str = "the log") -> Noises:
-    """Measure the noise of a log's sensors.
-
-    Args:
-        recording: The log.
-        settings: The estimator's: what is rest, and how the flight is estimated.
-        name: Of the log, for messages.
+    """Measure the noise of a log's sensors, with the estimator's settings.
 
     Raises:
         LogError: There is neither rest nor enough fixes.

@@ -18,12 +18,7 @@ SENSORS = {"gyro": ("rad/s", slice(0, 3)), "accel": ("m/s^2", slice(3, 6))}
 
 
 def result(found: Noises, settings: FilterSettings) -> Result:
-    """Return measured noise as keys of the configuration.
-
-    Args:
-        found: The noise.
-        settings: The present settings.
-    """
+    """Return measured noise as keys of the configuration, beside the present settings."""
     notes: list[str] = []
     keys: list[Setting] = []
     data: dict[str, Any] = {}

@@ -12,11 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.settings import AlignSettings
 from ekf_companion.filters.inertial import inertial_samples, is_stationary
-from ekf_companion.filters.zupt_detector import runs
+from ekf_companion.nav.arrays import Array, Mask, Stamps, runs
 from ekf_companion.nav.measurements import (
     GNSS_FLAGS,
     GNSS_STD,
@@ -25,10 +24,6 @@ from ekf_companion.nav.measurements import (
     GnssFlag,
     Kind,
 )
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 SLOW = 20.0
 """Rate of inertial samples below which the motion between them is lost, Hz."""

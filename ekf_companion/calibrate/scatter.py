@@ -18,9 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 MEDIAN = 1.4826
 """Standard deviation over median of the size, of normal numbers."""
@@ -80,9 +79,7 @@ class Scatter:
 def measure(series: Sequence[Series], wander: float = 0.0) -> Scatter | None:
     """Split errors into a white and a slow part; return None if there are too few.
 
-    Args:
-        series: Of one period.
-        wander: Random walk of the reference, square units per s.
+    The series have one period; ``wander`` is the random walk of their reference, units^2 per s.
     """
     second = [np.diff(one.values, 2, axis=0).ravel() for one in series if len(one.values) > 2]
     jumps = np.concatenate(second) if second else np.zeros(0)

@@ -18,7 +18,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.filters.ahrs_sensors import (
     REST_MEMORY,
@@ -31,9 +30,8 @@ from ekf_companion.filters.ahrs_sensors import (
 from ekf_companion.filters.marg import MargSamples, marg_samples
 from ekf_companion.filters.solution import AttitudeEstimates, Solution, attitude_solution
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.measurements import Events
-
-Array = npt.NDArray[np.float64]
 
 NAME = "ahrs"
 
@@ -120,7 +118,7 @@ class Track:
     """rad/s, b, shape (n, 3)."""
     covariance: Array
     """Of the error state, shape (n, 6, 6)."""
-    is_still: npt.NDArray[np.bool_]
+    is_still: Mask
     """Shape (n,)."""
     counts: dict[str, tuple[int, int]]
     """By aid: number of fused and of refused measurements."""
@@ -257,15 +255,11 @@ class _Estimator:
         return np.asarray(C @ self._P[3:, 3:] @ C.T)
 
     def _correct_bias_in_motion(self, rate_n: Array, C_nb: Array) -> None:
-        """Correct the bias by the rate at which the tilt must be corrected.
+        """Correct the bias by the rate at which the tilt is corrected, about north and east, rad/s.
 
         The corrections are bias and motion after the low-pass, so the bias estimated meanwhile
-        passes through the same low-pass. The variance of the rate is measured; its errors last as
-        long as the low-pass, so it counts only so often.
-
-        Args:
-            rate_n: Rate of correction about north and east, rad/s, shape (2,).
-            C_nb: Mean over the step.
+        passes through the same low-pass, by the mean of C_nb over the step. The variance of the
+        rate is measured; its errors last as long as the low-pass, so it counts only so often.
         """
         s, dt = self.settings, self._frame.elapsed
         if not self._gravity.is_warm:

@@ -18,15 +18,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.filters.inertial import LONGEST_GAP
-from ekf_companion.filters.marg import MargSamples, known_rows, marg_samples
+from ekf_companion.filters.marg import MargSamples, marg_samples
 from ekf_companion.filters.solution import AttitudeEstimates, Solution, attitude_solution
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, known_rows
 from ekf_companion.nav.measurements import Events
 
-Array = npt.NDArray[np.float64]
 Preset = Literal["corrected", "article"]
 
 COVERED = 0.6
@@ -58,11 +57,7 @@ def run(
 ) -> Solution:
     """Estimate attitude over a recording; the magnetometer's calibration uses all of it.
 
-    Args:
-        events: The recording.
-        preset: ``article`` has the two errors.
-        settings: The variances.
-        gap: As for :func:`~ekf_companion.filters.marg.marg_samples`.
+    Beyond a gap in the inertial samples, s, only the longest part counts.
 
     Raises:
         LogError: There are no inertial samples.
@@ -83,10 +78,7 @@ def run(
 
 
 def calibrated(mag_b: Array) -> tuple[Array, str]:
-    """Subtract the middle of each axis's range and equalise the ranges.
-
-    Args:
-        mag_b: gauss, shape (n, 3), NaN where there is none.
+    """Subtract the middle of each axis's range of fields, shape (n, 3), and equalise the ranges.
 
     Returns:
         The field, and a sentence that says why it is not calibrated; empty if it is.

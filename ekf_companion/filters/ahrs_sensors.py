@@ -17,9 +17,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
+
 Vector = tuple[float, float, float]
 Rows = tuple[Vector, Vector, Vector]
 Quaternion = tuple[float, float, float, float]
@@ -116,12 +116,7 @@ class GravityFilter:
     """The low-pass of specific force in frame i, and the uncertainty of its direction."""
 
     def __init__(self, memory: float, spread_memory: float) -> None:
-        """Start without samples.
-
-        Args:
-            memory: Time constant of the low-pass, s.
-            spread_memory: Time constant of the uncertainty, s.
-        """
+        """Start without samples; both time constants are in s."""
         self._omega = math.sqrt(2.0) / memory
         self._memory, self._spread_memory = memory, spread_memory
         self.restart()
@@ -190,12 +185,7 @@ class LowPass:
     """The same low-pass for an array, once per step; it starts at zero."""
 
     def __init__(self, memory: float, shape: tuple[int, ...]) -> None:
-        """Start at zero.
-
-        Args:
-            memory: Time constant, s.
-            shape: Of the array.
-        """
+        """Start at zero; the time constant is in s."""
         self._omega = math.sqrt(2.0) / memory
         self.value = np.zeros(shape)
         self._speed = np.zeros(shape)
@@ -212,12 +202,7 @@ class RestDetector:
     """Detects rest, and averages the rate over it."""
 
     def __init__(self, gyro: float, accel: float) -> None:
-        """Start in motion.
-
-        Args:
-            gyro: Largest difference of a rate from the mean at rest, rad/s.
-            accel: Likewise of the specific force, m/s^2.
-        """
+        """Start in motion; rad/s and m/s^2 are the largest differences from the means at rest."""
         self._gyro2, self._accel2 = gyro * gyro, accel * accel
         self.restart()
 
@@ -262,9 +247,8 @@ class ReferenceField:
     def __init__(self, memory: float, patience: float) -> None:
         """Start without a reference.
 
-        Args:
-            memory: Time constant of the reference, and of the mean disturbance, s.
-            patience: Time in motion after which another, steady field becomes the reference, s.
+        Both in s: the time constant of reference and disturbance, and the time in motion after
+        which another, steady field becomes the reference.
         """
         self._memory, self._patience = memory, patience
         self.horizontal = self.down = 0.0
@@ -279,11 +263,8 @@ class ReferenceField:
     ) -> tuple[float, bool]:
         """Return one sigma of the field's heading, rad, and whether the reference is a new one.
 
-        Args:
-            horizontal: Component of the present field, gauss.
-            down: Likewise.
-            dt: Time since the last field, s.
-            is_still: The sensor is at rest, so its field may be that of this one spot.
+        The components of the present field are in gauss, the time since the last one in s. At rest
+        the field may be that of this one spot, so the reference does not change.
         """
         self._age += dt
         a, b = horizontal - self.horizontal, down - self.down

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.observation import Azimuth, Observation, Position, Velocity
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, known_rows
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import (
     GNSS_DECLINATION,
@@ -22,7 +22,6 @@ from ekf_companion.nav.measurements import (
     Kind,
 )
 
-Array = npt.NDArray[np.float64]
 Timed = tuple[int, Observation]
 """Time, ns, and observation."""
 
@@ -35,7 +34,7 @@ def fixes(ordered: Events, settings: FilterSettings) -> Events:
     """
     rows = ordered.take(ordered.kind == Kind.GNSS)
     flags = rows.values[:, GNSS_FLAGS].astype(int)
-    is_good = np.isfinite(rows.values[:, [0, 1, 2, 6, 7]]).all(axis=1)
+    is_good = known_rows(rows.values[:, [0, 1, 2, 6, 7]])
     is_good &= (flags & GnssFlag.SUSPECT) == 0
     is_derived = (flags & GnssFlag.DERIVED) != 0
     source = settings.gnss.source
@@ -53,13 +52,9 @@ def fixes(ordered: Events, settings: FilterSettings) -> Events:
 def fix_observations(
     rows: Events, rates_b: Array, frame: LocalFrame, settings: FilterSettings
 ) -> list[Timed]:
-    """Return the positions and velocities of fixes.
+    """Return positions (in the frame) and velocities of fixes.
 
-    Args:
-        rows: Fixes.
-        rates_b: Angular rate at each, rad/s, shape (n, 3).
-        frame: Of the positions.
-        settings: Lever arm, least sigmas.
+    ``rates_b`` is the angular rate at each, rad/s, shape (n, 3).
     """
     found: list[Timed] = []
     gnss = settings.gnss
@@ -84,14 +79,10 @@ def fix_observations(
 
 
 def azimuths(ordered: Events, rows: Events, settings: FilterSettings) -> list[Timed]:
-    """Return the headings of the best source present.
+    """Return the headings of the best source present in a recording, stamps ascending.
 
-    A worse source counts while all better ones have been silent for ``gate.timeout_heading``.
-
-    Args:
-        ordered: The recording, stamps ascending.
-        rows: Its fixes; the first holds the field of the place.
-        settings: Sources, least sigmas, time-out.
+    A worse source counts while all better ones have been silent for ``gate.timeout_heading``. The
+    first of the fixes ``rows`` holds the field of the place.
 
     Raises:
         LogError: There is no source.
@@ -128,7 +119,7 @@ def azimuths(ordered: Events, rows: Events, settings: FilterSettings) -> list[Ti
 def _headings(source: HeadingSource, ordered: Events, settings: FilterSettings) -> list[Timed]:
     """Return the headings of a source."""
     rows = ordered.take((ordered.kind == Kind.HEADING) & (ordered.values[:, 2] == source))
-    rows = rows.take(np.flatnonzero(np.isfinite(rows.values[:, :2]).all(axis=1)))
+    rows = rows.take(np.flatnonzero(known_rows(rows.values[:, :2])))
     floor = settings.heading.heading_std
     forward = np.array([1.0, 0.0, 0.0])
     return [

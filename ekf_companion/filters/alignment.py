@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
@@ -18,10 +17,8 @@ from ekf_companion.filters.inertial import is_stationary, level, turn
 from ekf_companion.filters.observation import Azimuth, Observation, Position, Velocity
 from ekf_companion.filters.strapdown import ATT, BA, Nominal
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import STANDARD_GRAVITY
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 
 MOVING_TILT = 0.2
 """One sigma of a level by the specific force in motion, rad: a turn at 2 m/s^2."""

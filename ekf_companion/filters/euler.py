@@ -35,8 +35,8 @@ from ekf_companion.filters.strapdown import (
     covariance_in_n,
 )
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Real: TypeAlias = npt.NDArray[np.floating[Any]]
 
 ANGLES, PLACE, SPEED, GYRO, ACCEL = (slice(i, i + 3) for i in range(0, N, 3))
@@ -92,12 +92,7 @@ def by_error_state(x: Real) -> Array:
 
 
 def navigation_covariance(x: Real, P: Real) -> Array:
-    """Return the covariance of attitude, velocity and position in n, shape (9, 9).
-
-    Args:
-        x: State.
-        P: Covariance of the state, shape (15, 15).
-    """
+    """Return the covariance of attitude, velocity and position in n, shape (9, 9)."""
     T = np.linalg.inv(by_error_state(x))
     return covariance_in_n(T @ P @ T.T, to_nominal(x).q_nb)
 
@@ -200,11 +195,7 @@ class Euler:
     """The filter, with noise, gate and Earth as the other filters have them."""
 
     def __init__(self, setup: Setup, pitch_limit: float = PITCH_LIMIT) -> None:
-        """Start at the first estimate.
-
-        Args:
-            setup: As for the other filters.
-            pitch_limit: Largest pitch, up or down, rad.
+        """Start at the first estimate; the largest pitch, up or down, is in rad.
 
         Raises:
             FilterError: It starts steeper.

@@ -34,9 +34,8 @@ from ekf_companion.filters.observation import Azimuth, Position, Velocity
 from ekf_companion.filters.sequence import MeasurementSequence, stopped
 from ekf_companion.filters.solution import Recorder, Solution
 from ekf_companion.filters.strapdown import N
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import SIMULATED, LocalFrame
-
-Array = npt.NDArray[np.float64]
 
 GRAVITY = 9.81
 """m/s^2."""

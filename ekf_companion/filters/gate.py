@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from enum import Enum
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.settings import GateSettings, chi_square_quantile
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 
 class Decision(Enum):
@@ -49,14 +47,7 @@ class Gate:
         return dict(self._resets)
 
     def test(self, aid: str, t_ns: int, z: Array, S: Array) -> Decision:
-        """Test an innovation; the first that fails after a time-out resets what it measures.
-
-        Args:
-            aid: Name of the aid.
-            t_ns: Time of the measurement.
-            z: Innovation, shape (m,), m 1 to 3.
-            S: Its covariance, shape (m, m).
-        """
+        """Test an innovation of 1 to 3 rows; the first that fails after a time-out resets."""
         return self.test_nis(aid, t_ns, float(z @ np.linalg.solve(S, z)), len(z))
 
     def patience(self, aid: str) -> float:

@@ -24,7 +24,8 @@ from typing import Generic, Literal, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
+
 Form = Literal["auto", "innovation", "information"]
 S = TypeVar("S")
 
@@ -185,10 +186,15 @@ def factor(P: Array) -> Array:
     try:
         return np.asarray(np.linalg.cholesky(P))
     except np.linalg.LinAlgError:
-        size = np.sqrt(np.maximum(np.diag(P), 0.0))
-        unit = np.where(size > 0.0, size, 1.0)
-        values, vectors = np.linalg.eigh(P / np.outer(unit, unit))
-        return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+        return nearest_factor(P, 0.0)
+
+
+def nearest_factor(P: Array, least: float) -> Array:
+    """Return the factor of the nearest P whose correlations have no smaller eigenvalue."""
+    size = np.sqrt(np.maximum(np.diagonal(P), 0.0))
+    unit = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(P / np.outer(unit, unit))
+    return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, least)))
 
 
 def _whitened(rows: Rows, L: Array, gap: Array) -> _Point:

@@ -7,10 +7,9 @@ import numpy.typing as npt
 
 from ekf_companion.core.settings import AlignSettings, ImuSettings
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Events, Kind
-
-Array = npt.NDArray[np.float64]
 
 LARGEST_RATE, LARGEST_FORCE = 200.0, 2000.0
 """rad/s, m/s^2, per axis: the limits of the daemon's screening."""
@@ -51,7 +50,7 @@ def longest_part(imu: Events, gap: float = LONGEST_GAP) -> tuple[Events, tuple[s
     )
 
 
-def is_stationary(mean: Array, std: Array, limits: AlignSettings) -> npt.NDArray[np.bool_]:
+def is_stationary(mean: Array, std: Array, limits: AlignSettings) -> Mask:
     """Return which windows of samples are at rest: quiet, not turning, and of one g.
 
     A slow and steady turn is as quiet as a rest.

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.filters import gauss_newton
 from ekf_companion.filters.gate import Decision
@@ -25,8 +24,8 @@ from ekf_companion.filters.robocentric import DOWN, FRAME_ATT, FRAME_POS, FULL, 
 from ekf_companion.filters.sequence import MeasurementSequence, Setup, run_sequence
 from ekf_companion.filters.solution import Solution
 from ekf_companion.filters.strapdown import Interval, N, Nominal, covariance_in_n
+from ekf_companion.nav.arrays import Array
 
-Array = npt.NDArray[np.float64]
 Frame = Literal["global", "robocentric"]
 Gravity = Literal["known", "sphere"]
 
@@ -175,12 +174,7 @@ class Iterated:
 def run(
     sequence: MeasurementSequence, *, frame: Frame = "global", gravity: Gravity = "known"
 ) -> Solution:
-    """Run the filter over a recording.
-
-    Args:
-        sequence: The recording.
-        frame: As for :class:`Iterated`.
-        gravity: As for :class:`Iterated`.
+    """Run the filter over a recording, with frame and gravity as for :class:`Iterated`.
 
     Raises:
         LogError: The recording ends before the filter can start.

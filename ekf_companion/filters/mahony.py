@@ -40,10 +40,7 @@ def run(
 ) -> Solution:
     """Estimate attitude and gyro bias over a recording, each from the samples until then.
 
-    Args:
-        events: The recording.
-        settings: The gains.
-        gap: As for :func:`~ekf_companion.filters.marg.marg_samples`.
+    Beyond a gap in the inertial samples, s, only the longest part counts.
 
     Raises:
         LogError: There are no inertial samples.

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.filters.inertial import (
@@ -17,10 +16,8 @@ from ekf_companion.filters.inertial import (
     turn,
 )
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
 from ekf_companion.nav.measurements import GNSS_DECLINATION, Events, Kind
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 
 LONGEST_CARRY = 0.1
 """Longest time over which a field is rotated to the next inertial sample, s."""
@@ -50,7 +47,7 @@ class MargSamples:
         return np.concatenate([[np.median(gaps) if len(gaps) else 0.01], gaps])
 
     @property
-    def has_mag(self) -> npt.NDArray[np.bool_]:
+    def has_mag(self) -> Mask:
         """Return which samples have a new field, shape (n,)."""
         return known_rows(self.mag_b)
 
@@ -59,8 +56,7 @@ class MargSamples:
     ) -> Iterator[tuple[float, list[float], list[float], list[float] | None]]:
         """Yield step, rate, specific force and field (None: no new one) of each sample.
 
-        Args:
-            mag_b: Field to yield in place of the measured one, shape (n, 3).
+        ``mag_b`` replaces the measured field.
         """
         mag_b = self.mag_b if mag_b is None else mag_b
         fields = (
@@ -83,9 +79,7 @@ class MargSamples:
 def marg_samples(events: Events, gap: float = LONGEST_GAP) -> MargSamples:
     """Pair the inertial samples of events in any order with the magnetic field.
 
-    Args:
-        events: The recording.
-        gap: Gap in the inertial samples beyond which only the longest part counts, s.
+    Beyond a gap in the inertial samples, s, only the longest part counts.
 
     Raises:
         LogError: There are no inertial samples.
@@ -112,11 +106,6 @@ def marg_samples(events: Events, gap: float = LONGEST_GAP) -> MargSamples:
         declination=float(known[0]) if len(known) else 0.0,
         notes=notes,
     )
-
-
-def known_rows(values: Array) -> npt.NDArray[np.bool_]:
-    """Return which rows are finite, shape (n,)."""
-    return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
 
 
 def _fields(mag: Events, t_ns: Stamps, gyro_b: Array) -> Array:

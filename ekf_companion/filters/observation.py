@@ -11,13 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.filters.strapdown import ATT, POS, VEL, N, Nominal
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import STANDARD_GRAVITY
-
-Array = npt.NDArray[np.float64]
 
 STEEPEST = 0.1
 """Least horizontal share of a direction that has a usable azimuth."""
@@ -65,10 +63,7 @@ class Position:
 
     def jacobian(self, state: Nominal) -> Array:
         """Return the Jacobian, shape (3, 15)."""
-        H = np.zeros((3, N))
-        H[:, POS] = np.eye(3)
-        H[:, ATT] = -so3.to_matrix(state.q_nb) @ so3.skew(self.lever_b)
-        return H
+        return _antenna_jacobian(state, POS, self.lever_b)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -94,10 +89,15 @@ class Velocity:
 
     def jacobian(self, state: Nominal) -> Array:
         """Return the Jacobian, shape (m, 15)."""
-        H = np.zeros((3, N))
-        H[:, VEL] = np.eye(3)
-        H[:, ATT] = -so3.to_matrix(state.q_nb) @ so3.skew(self.swing_b)
-        return H[: len(self.vel_n)]
+        return _antenna_jacobian(state, VEL, self.swing_b)[: len(self.vel_n)]
+
+
+def _antenna_jacobian(state: Nominal, block: slice, offset_b: Array) -> Array:
+    """Return the derivative of a block of the state plus an offset in b, shape (3, 15)."""
+    H = np.zeros((3, N))
+    H[:, block] = np.eye(3)
+    H[:, ATT] = -so3.to_matrix(state.q_nb) @ so3.skew(offset_b)
+    return H
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -122,9 +122,6 @@ class Azimuth:
 
         The noise of the direction must not be in the Jacobian too: with a steep field the product
         of both biases the level by 2 tan(dip) of its variance at each update.
-
-        Args:
-            state: Best estimate; there the innovation is the same.
         """
         C_nb = so3.to_matrix(state.q_nb)
         apart = float(self.innovation(state)[0])
@@ -171,12 +168,7 @@ def reset(aid: Observation, state: Nominal, seconds: float) -> Reset:
     That is position, velocity or the turn about down, in the axes measured. The other states do
     not change, whatever their correlation with it in P, and its dependence on them (by a lever arm,
     a tilt) is kept. A velocity becomes wrong by a wrong attitude only, whose covariance is inflated
-    by as much.
-
-    Args:
-        aid: What was measured.
-        state: The estimate.
-        seconds: Time since the last measurement of this aid was fused.
+    by as much, given the seconds since the aid was last fused.
     """
     H = aid.jacobian(state)
     # The error states that it measures

@@ -20,7 +20,6 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.filters.strapdown import (
     ATT,
@@ -34,9 +33,8 @@ from ekf_companion.filters.strapdown import (
     transition,
 )
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.so3 import cross, skew
-
-Array = npt.NDArray[np.float64]
 
 FRAME_ATT, FRAME_POS, DOWN = slice(15, 18), slice(18, 21), slice(21, 23)
 FULL = 23
@@ -127,11 +125,7 @@ class RobocentricState:
         return replace(self, local=here, q_nr=now.q_nb, pos_nr=now.pos_n), G
 
     def integrated(self, over: Interval, earth: Earth) -> tuple[RobocentricState, Array]:
-        """Integrate the motion over an interval.
-
-        Args:
-            over: Inertial measurements.
-            earth: In n; the direction of gravity is the state's, not this one's.
+        """Integrate the motion over an interval, with the state's own direction of gravity.
 
         Returns:
             The state, and the derivative of its error state by the one before, shape (23, 23).

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.field import Field
 from ekf_companion.core.settings import HABITS, FilterSettings, delays_ns
@@ -23,11 +22,9 @@ from ekf_companion.filters.inertial import inertial_samples, longest_part
 from ekf_companion.filters.observation import Azimuth, Observation
 from ekf_companion.filters.solution import Recorder, Solution
 from ekf_companion.filters.strapdown import Earth, Interval, Noise, Nominal
+from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import GNSS_POSITION, Events
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 
 AROUND_NS = 2_000_000_000
 """Largest distance of a fix or a heading from the inertial samples."""

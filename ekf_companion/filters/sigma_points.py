@@ -14,12 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from ekf_companion.filters.gauss_newton import nearest_factor
 from ekf_companion.filters.strapdown import ATT, Earth, Interval, N, Nominal
 from ekf_companion.nav import so3
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 SPREAD = float(np.sqrt(3.0))
 """Distance of the points in sigmas: there the fourth moment along each axis is the Gaussian's. The
@@ -47,22 +46,16 @@ _MATRIX = 0.5 * (
 
 
 def root(P: Array) -> tuple[Array, bool]:
-    """Return a square root of a covariance, and whether it had to be repaired to have one.
+    """Return a square root of a symmetric (15, 15) matrix, and whether it had to be repaired.
 
     The attitude comes first and the root is lower triangular, so only three of its columns turn the
     body; the other points differ by what is linear. A matrix that is not positive definite gets the
     root of the nearest one (eigenvalues of its correlation matrix no smaller than 1e-12).
-
-    Args:
-        P: Symmetric, shape (15, 15).
     """
     try:
         return np.asarray(np.linalg.cholesky(P)), False
     except np.linalg.LinAlgError:
-        sigma = np.sqrt(np.maximum(np.diagonal(P), np.finfo(float).tiny))
-        values, vectors = np.linalg.eigh(P / np.outer(sigma, sigma))
-        S = sigma[:, None] * vectors * np.sqrt(np.maximum(values, _LEAST))
-        return np.asarray(S), True
+        return nearest_factor(P, _LEAST), True
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -110,13 +103,9 @@ def add(state: Nominal, dx: Array) -> Nominal:
 
 
 def average(points: Nominal, weights: Array) -> tuple[Nominal, Array]:
-    """Return the mean of the points, and the error state from there to each, shape (31, 15).
+    """Return the weighted mean of the points, and the error state from there to each, (31, 15).
 
     The mean attitude is the one from which the weighted rotation vectors cancel (Hauberg).
-
-    Args:
-        points: The middle first.
-        weights: Of the mean, shape (31,).
     """
     rest = np.concatenate([points.vel_n, points.pos_n, points.gyro_bias, points.accel_bias], axis=1)
     # About the middle point: numbers of a kilometre would cost digits under weights of -4

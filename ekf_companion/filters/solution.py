@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.filters.inertial import turn
 from ekf_companion.filters.marg import MargSamples
 from ekf_companion.filters.strapdown import Nominal
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.state import (
     ACCEL_BIAS,
@@ -27,10 +27,6 @@ from ekf_companion.nav.state import (
     Status,
     Table,
 )
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 COVARIANCE_PERIOD_NS = 500_000_000
 """From one covariance that is kept to the next."""
@@ -77,12 +73,7 @@ class Recorder:
     """Collects a solution, estimate by estimate."""
 
     def __init__(self, name: str, frame: LocalFrame | None) -> None:
-        """Start empty.
-
-        Args:
-            name: Of the filter.
-            frame: Of the positions; None: their place on the Earth is not known.
-        """
+        """Start empty; without a frame the place of the positions on the Earth is not known."""
         self._name, self._frame = name, frame
         self._stamps: list[int] = []
         self._states: list[Nominal] = []
@@ -93,7 +84,6 @@ class Recorder:
         self._kept: list[Array] = []
 
     def __len__(self) -> int:
-        """Return the number of estimates."""
         return len(self._stamps)
 
     def add(self, t_ns: int, state: Nominal, P: Array, resets: int = 0) -> None:
@@ -176,12 +166,7 @@ def attitude_solution(
 ) -> Solution:
     """Return the solution of a filter of attitude alone; what is not known is NaN.
 
-    Args:
-        name: Of the filter.
-        samples: Its input; adds the declination and its notes.
-        found: The estimates.
-        counts: By aid: number of fused and of refused measurements.
-        notes: Of the filter, after those of the samples.
+    The samples add the declination and their notes.
     """
     q_nb = so3.normalise(turn(found.q_nb, samples.declination))
     n = len(q_nb)
@@ -225,9 +210,7 @@ def _table(stamp_ns: Stamps, columns: Mapping[tuple[str, ...], Array]) -> Table:
 def euler_sigmas(angles: Array, covariance: Array) -> Array:
     """Return one sigma of roll, pitch and yaw, rad, shape (n, 3).
 
-    Args:
-        angles: Roll, pitch, yaw, rad, shape (n, 3).
-        covariance: Of the rotation vector in n, rad^2, shape (n, 3, 3).
+    The covariance, shape (n, 3, 3), is of the rotation vector in n at the angles, rad.
     """
     pitch, yaw = angles[:, 1], angles[:, 2]
     sine, cosine, zero = np.sin(yaw), np.cos(yaw), np.zeros(len(yaw))

@@ -14,12 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import FREE_AIR, LocalFrame, earth_rate_n, gravity
-
-Array = npt.NDArray[np.float64]
 
 N = 15
 ATT, VEL, POS, BG, BA = (slice(i, i + 3) for i in range(0, N, 3))

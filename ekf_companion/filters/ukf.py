@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.filters import sigma_points
 from ekf_companion.filters.gate import Decision
@@ -25,8 +24,7 @@ from ekf_companion.filters.sigma_points import SigmaPoints
 from ekf_companion.filters.solution import Solution
 from ekf_companion.filters.strapdown import Interval, Nominal, covariance_in_n
 from ekf_companion.nav import so3
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 
 class Unscented:

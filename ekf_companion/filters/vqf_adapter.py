@@ -10,16 +10,14 @@ import importlib
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import ConfigError
 from ekf_companion.filters.inertial import LONGEST_GAP, turn
 from ekf_companion.filters.marg import marg_samples
 from ekf_companion.filters.solution import AttitudeEstimates, Solution, attitude_solution
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.measurements import Events
-
-Array = npt.NDArray[np.float64]
 
 NAME = "vqf"
 UNEVEN = 0.2
@@ -29,9 +27,7 @@ UNEVEN = 0.2
 def run(events: Events, gap: float = LONGEST_GAP) -> Solution:
     """Run VQF with its own settings; it assumes evenly spaced samples.
 
-    Args:
-        events: The recording.
-        gap: As for :func:`~ekf_companion.filters.marg.marg_samples`.
+    Beyond a gap in the inertial samples, s, only the longest part counts.
 
     Raises:
         LogError: There are no inertial samples.
@@ -74,8 +70,8 @@ def _package() -> Any:
 
 
 def _one_by_one(
-    estimator: Any, gyro: Array, accel: Array, mag: Array, has_mag: npt.NDArray[np.bool_]
-) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    estimator: Any, gyro: Array, accel: Array, mag: Array, has_mag: Mask
+) -> tuple[Array, Array, Mask]:
     q, bias, is_still = np.empty((len(gyro), 4)), np.empty((len(gyro), 3)), np.zeros(len(gyro))
     has_any = bool(has_mag.any())
     for i in range(len(gyro)):

@@ -35,15 +35,14 @@ from ekf_companion.filters.strapdown import (
     transition,
 )
 from ekf_companion.filters.zupt_detector import (
-    Array,
     Detector,
     Limits,
-    Mask,
     Rest,
     first_rest,
     statistic,
 )
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.so3 import cross, skew
 

@@ -14,14 +14,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.filters.inertial import level
+from ekf_companion.nav.arrays import Array, runs
 from ekf_companion.nav.measurements import Events
-
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 WINDOW = 0.5
 """Window in which the samples must agree, s."""
@@ -100,12 +97,6 @@ def moving_variance(values: Array, half: int) -> Array:
     values = values - values.mean(axis=0)
     mean2 = sum(np.square(_mean(column, half)) for column in values.T)
     return np.asarray(np.maximum(_mean(np.square(values).sum(axis=1), half) - mean2, 0.0))
-
-
-def runs(mask: Mask) -> list[tuple[int, int]]:
-    """Return the first index and the one past the last of each run of true."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _mean(values: Array, half: int) -> Array:

@@ -17,17 +17,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Counted, Recording
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 GAUSS = 0.01
 """gauss per microtesla."""
@@ -58,7 +56,7 @@ def read(path: Path) -> Recording:
         raise LogError(f"{path}: has no sampling_rate in Hz, so no sample has a time")
     t_ns = np.rint(np.arange(len(movement)) * (1e9 / float(rate))).astype(np.int64)
     q_nb = _forward_right_down(arrays["opt_quat"])
-    seen = np.isfinite(q_nb).all(axis=1) & (np.abs(q_nb).sum(axis=1) > 0.0)
+    seen = known_rows(q_nb) & (np.abs(q_nb).sum(axis=1) > 0.0)
     return Recording(
         family="unknown",
         events=_events(t_ns, arrays),
@@ -112,12 +110,12 @@ def _forward_right_down(values: Array) -> Array:
     return turned
 
 
-def _events(t_ns: npt.NDArray[np.int64], arrays: dict[str, Array]) -> Events:
+def _events(t_ns: Stamps, arrays: dict[str, Array]) -> Events:
     """Return the samples, without rows that hold a NaN: those were lost."""
     motion = np.hstack([_forward_right_down(arrays[name]) for name in ("imu_gyr", "imu_acc")])
     field = _forward_right_down(arrays["imu_mag"]) * GAUSS
     parts = []
     for kind, values in ((Kind.MAG, field), (Kind.IMU, motion)):
-        good = np.isfinite(values).all(axis=1)
+        good = known_rows(values)
         parts.append(Events.from_columns(t_ns[good], kind, *values[good].T))
     return merge(*parts)

@@ -38,7 +38,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import csv_known, series
@@ -56,10 +55,10 @@ from ekf_companion.logs.csv_columns import (
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.table import Table
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
 
-Array = npt.NDArray[np.float64]
 Columns = dict[str, Array]
 """Quantities in SI and radians, NaN where a row has none."""
 
@@ -105,7 +104,7 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     hold = _hold(where, options)
     values = _values(table, sources)
     t_ns, row, values = _in_time(path, table, sources, values, notes)
-    events: list[tuple[Events, npt.NDArray[np.bool_]]] = []
+    events: list[tuple[Events, Mask]] = []
     events += _gnss(where, t_ns, values, hold, options.get("origin"), notes)
     events += _heading(where, t_ns, values, hold, options.get("heading_source", "magnetometer"))
     if "heading" in values and "heading_std" not in values:
@@ -159,7 +158,7 @@ def _values(table: Table, sources: Mapping[str, Source]) -> Columns:
 
 def _in_time(
     path: Path, table: Table, sources: Mapping[str, Source], values: Columns, notes: list[str]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Columns]:
+) -> tuple[Stamps, Indices, Columns]:
     """Return stamps, ns, row numbers and values of the rows on one run of the clock."""
     time = values["time"]
     per_unit = round(abs(sources["time"].scale) * 1e9)
@@ -181,35 +180,35 @@ def _in_time(
     return t_ns, row, {name: column[row] for name, column in values.items()}
 
 
-Found = list[tuple[Events, npt.NDArray[np.bool_]]]
+Found = list[tuple[Events, Mask]]
 """Events of all rows, and in which rows there is one."""
 
 
-def _found(events: Events, needed: list[Array], is_new: npt.NDArray[np.bool_]) -> Found:
+def _found(events: Events, needed: list[Array], is_new: Mask) -> Found:
     mask = np.isfinite(needed).all(axis=0) & is_new
     return [(events, mask)] if mask.any() else []
 
 
-def _news(group: str, hold: list[str], columns: list[Array]) -> npt.NDArray[np.bool_]:
+def _news(group: str, hold: list[str], columns: list[Array]) -> Mask:
     """Return in which rows a value is new: all, or where values are held, the changes."""
     return series.changed(*columns) if group in hold else np.ones(len(columns[0]), dtype=bool)
 
 
-def _imu(t_ns: npt.NDArray[np.int64], values: Columns) -> Found:
+def _imu(t_ns: Stamps, values: Columns) -> Found:
     if "gyro_x" not in values:
         return []
     axes = [values[name] for name in GROUPS["imu"]]
     return _found(Events.from_columns(t_ns, Kind.IMU, *axes), axes, np.ones(len(t_ns), dtype=bool))
 
 
-def _magnetometer(t_ns: npt.NDArray[np.int64], values: Columns, hold: list[str]) -> Found:
+def _magnetometer(t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
     if "mag_x" not in values:
         return []
     axes = [values[name] for name in GROUPS["mag"]]
     return _found(Events.from_columns(t_ns, Kind.MAG, *axes), axes, _news("mag", hold, axes))
 
 
-def _barometer(t_ns: npt.NDArray[np.int64], values: Columns, hold: list[str]) -> Found:
+def _barometer(t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
     if "baro_alt" in values:
         alt = values["baro_alt"]
     elif "baro_press" in values:
@@ -221,29 +220,21 @@ def _barometer(t_ns: npt.NDArray[np.int64], values: Columns, hold: list[str]) ->
     return _found(Events.from_columns(t_ns, Kind.BARO, alt), [alt], _news("baro", hold, [alt]))
 
 
-def _heading(
-    where: str, t_ns: npt.NDArray[np.int64], values: Columns, hold: list[str], source: Any
-) -> Found:
+def _heading(where: str, t_ns: Stamps, values: Columns, hold: list[str], source: Any) -> Found:
     known = {member.name.lower(): member for member in HeadingSource}
     if source not in known:
         raise LogError(f"{where}: heading_source: {source!r}; known are {', '.join(known)}")
     if "heading" not in values:
         return []
     heading = values["heading"]
-    std = _positive(values, "heading_std", HEADING_STD_DEG * DEGREE, len(t_ns))
+    std = series.accuracy(values.get("heading_std", np.nan * heading), HEADING_STD_DEG * DEGREE)
     events = Events.from_columns(t_ns, Kind.HEADING, so3.wrap(heading), std, float(known[source]))
     return _found(events, [heading], _news("heading", hold, [heading]))
 
 
-def _positive(values: Columns, name: str, otherwise: float, n: int) -> Array:
-    """Return an accuracy where the file holds one (positive)."""
-    value = values.get(name, np.full(n, np.nan))
-    return np.where(value > 0.0, value, otherwise)
-
-
 def _gnss(
     where: str,
-    t_ns: npt.NDArray[np.int64],
+    t_ns: Stamps,
     values: Columns,
     hold: list[str],
     origin: Any,
@@ -269,7 +260,7 @@ def _gnss(
     if missing := [name for name in GNSS_STD if name not in values]:
         said = ", ".join(f"{name} {GNSS_STD[name]:g}" for name in missing)
         notes.append(f"accuracy not declared, so assumed (m, m/s): {said}")
-    std = [_positive(values, name, otherwise, n) for name, otherwise in GNSS_STD.items()]
+    std = [series.accuracy(values.get(name, unknown), least) for name, least in GNSS_STD.items()]
     position = (lat, so3.wrap(lon), alt)
     events = Events.from_columns(
         t_ns, Kind.GNSS, *position, *velocity, *std, np.nan, float(GnssFlag.NONE)

@@ -12,7 +12,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
@@ -21,12 +20,11 @@ from ekf_companion.logs.dataflash_tables import boot_ns, choose, names_of, rows_
 from ekf_companion.logs.dataflash_trajectory import reference, truth
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
 
 __all__ = ["columns", "read"]
 
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 Arrivals = list[tuple[Events, Stamps]]
 """Events and their positions in the file."""
 
@@ -93,7 +91,7 @@ def _imu(tables: Columns) -> Arrivals:
     return [(Events.from_columns(t_ns, Kind.IMU, *axes), table[OFFSET])]
 
 
-def _accuracies(tables: Columns, t_ns: Stamps) -> tuple[Column, npt.NDArray[np.bool_]] | None:
+def _accuracies(tables: Columns, t_ns: Stamps) -> tuple[Column, Mask] | None:
     """Return the GPA row nearest to each GPS row, and where it was written with it."""
     if (rows := rows_of(tables, "GPA")) is None:
         return None
@@ -137,12 +135,10 @@ def _gnss(tables: Columns) -> Arrivals:
     return [(events.take(is_fix), table[OFFSET][is_fix])] if is_fix.any() else []
 
 
-def _where_known(
-    gpa: Column, name: str, is_there: npt.NDArray[np.bool_], otherwise: Array
-) -> Array:
+def _where_known(gpa: Column, name: str, is_there: Mask, otherwise: Array) -> Array:
     """Return an accuracy where the receiver reported one: 0 and the largest number mean none."""
     value = np.asarray(gpa[name], dtype=float) if name in names_of(gpa) else np.zeros(len(gpa))
-    return np.where(is_there & (value > 0.0) & (value < 655.0), value, otherwise)
+    return series.accuracy(np.where(is_there & (value < 655.0), value, 0.0), otherwise)
 
 
 def _gnss_heading(tables: Columns) -> Arrivals:

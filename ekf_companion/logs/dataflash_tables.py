@@ -8,12 +8,10 @@ an instance column (``I``, for the estimators ``C``).
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.logs import series
 from ekf_companion.logs.dataflash_records import Column, Columns
-
-Stamps = npt.NDArray[np.int64]
+from ekf_companion.nav.arrays import Stamps
 
 _ANGLES, _PLACE = ("Roll", "Pitch", "Yaw"), ("Lat", "Lng", "Alt")
 _MOTION = ("VN", "VE", "VD", "PN", "PE", "PD")
@@ -38,12 +36,7 @@ _NEEDED: dict[str, tuple[str, ...]] = {
 
 
 def choose(tables: Columns, notes: list[str]) -> Columns:
-    """Keep the usable messages of the first sensor, on one run of the clock.
-
-    Args:
-        tables: All messages of the file.
-        notes: Gets a sentence for each thing left out.
-    """
+    """Keep the usable messages of the first sensor, on one clock run; note what is left out."""
     notes += _other_sensors(tables)
     tables = {
         name: _first_instance(name, table, notes)

@@ -11,13 +11,11 @@ from ekf_companion.logs import series
 from ekf_companion.logs.dataflash_records import Column, Columns
 from ekf_companion.logs.dataflash_tables import names_of, rows_of
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.interpolation import resample
 from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.state import Trajectory
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 
 _EKFS = (("XKF1", "EKF3"), ("NKF1", "EKF2"), ("EKF1", "EKF1"))
 Position = dict[str, npt.NDArray[Any]]
@@ -51,10 +49,7 @@ def _position(tables: Columns, name: str) -> Position:
 def reference(tables: Columns, fixes: Events | None, notes: list[str]) -> Trajectory | None:
     """Return the autopilot's own estimate: the newest generation of its filter that ran.
 
-    Args:
-        tables: The messages, of the first instance each.
-        fixes: GNSS events, to find an origin that the log does not hold; None: there are none.
-        notes: Gets what the user should know.
+    An origin that the log does not hold is fitted to the fixes.
     """
     for name, words in _EKFS:
         if (rows := rows_of(tables, name)) is None:

@@ -18,12 +18,10 @@ from ekf_companion.errors import LogError
 from ekf_companion.logs import series
 from ekf_companion.logs.table import Table
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.earth import SIMULATED
 from ekf_companion.nav.state import COLUMNS, EULER, GEODETIC, QUATERNION, VELOCITY, Trajectory
 from ekf_companion.nav.state import Table as EstimateTable
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 
 _NEEDED = ("time_us", *GEODETIC, *VELOCITY, *QUATERNION)
 _SIMULATED = ("time_s", "north_m", "east_m", "h_msl_m", "vn_mps", "ve_mps", "vd_mps")
@@ -41,7 +39,7 @@ def to_trajectory(columns: Mapping[str, npt.NDArray[Any]], name: str = "estimate
 
     def part(names: Sequence[str]) -> tuple[Stamps, Array]:
         values = series.stack(columns, *names)
-        known = kept & np.isfinite(values).all(axis=1)
+        known = kept & known_rows(values)
         return t_ns[known], values[known]
 
     pos_t_ns, position = part(GEODETIC)

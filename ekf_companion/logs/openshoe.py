@@ -107,8 +107,7 @@ def _time(fields: list[bytes]) -> float:
 def _clock(times: np.ndarray) -> tuple[np.ndarray, bool, int]:
     """Return the stamps of the samples, s, whether they were measured, and the number of holes.
 
-    Args:
-        times: Of the host by sample, s; NaN: none.
+    The host's times are by sample, s, NaN where there is none.
     """
     index = np.arange(len(times))
     known = np.flatnonzero(np.isfinite(times))

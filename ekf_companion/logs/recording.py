@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from ekf_companion.nav.arrays import Mask, Stamps
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Trajectory
 
@@ -15,12 +15,12 @@ from ekf_companion.nav.state import Trajectory
 class Counted:
     """The parts of a recording that its authors count in the errors."""
 
-    t_ns: npt.NDArray[np.int64]
+    t_ns: Stamps
     """Ascending, shape (n,)."""
-    is_counted: npt.NDArray[np.bool_]
+    is_counted: Mask
     """Whether the time from each stamp to the next counts, shape (n,)."""
 
-    def at(self, t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    def at(self, t_ns: Stamps) -> Mask:
         """Return whether each time counts; none before the first stamp does."""
         last = np.searchsorted(self.t_ns, t_ns, side="right") - 1
         return np.asarray((last >= 0) & self.is_counted[np.maximum(last, 0)])

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
+from ekf_companion.nav.arrays import Array, Mask, Stamps
+
 Spans = list[tuple[int, int]]
 """First and last stamp of each stretch of time, ns, ascending."""
 
@@ -135,6 +134,12 @@ def nearest(t_ns: Stamps, others_ns: Stamps) -> Stamps:
     right = np.minimum(right, len(others_ns) - 1)
     nearer = np.abs(others_ns[right] - t_ns) < np.abs(t_ns - others_ns[left])
     return np.where(nearer, right, left)
+
+
+def accuracy(value: npt.ArrayLike, otherwise: npt.ArrayLike) -> Array:
+    """Return accuracies where they are known (finite, positive), others elsewhere."""
+    value = np.asarray(value, dtype=float)
+    return np.where(np.isfinite(value) & (value > 0.0), value, otherwise)
 
 
 def stack(table: Mapping[str, npt.NDArray[Any]] | npt.NDArray[np.void], *names: str) -> Array:

@@ -7,11 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import LogError
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 IN_MEMORY = 1 << 26
 """Bytes up to which no file is made."""
@@ -27,11 +25,9 @@ class Spool:
         self._size = 0
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return self._size
 
     def __enter__(self) -> Spool:
-        """Return the spool."""
         return self
 
     def __exit__(self, *_: object) -> None:

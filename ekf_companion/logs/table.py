@@ -8,12 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs.source import read_bytes
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 KIND = "CSV file"
 

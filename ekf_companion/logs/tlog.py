@@ -26,8 +26,8 @@ from fastcrc import crc16
 from ekf_companion.errors import LogError
 from ekf_companion.logs.source import read_bytes
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
+from ekf_companion.nav.arrays import Stamps
 
-Stamps = npt.NDArray[np.int64]
 Column = npt.NDArray[np.void]
 
 KIND = "telemetry log (.tlog)"
@@ -73,7 +73,6 @@ class Tlog:
     notes: tuple[str, ...] = field(default=())
 
     def __len__(self) -> int:
-        """Return the number of records."""
         return len(self.place)
 
     def frames(self) -> Iterator[tuple[int, bytes]]:
@@ -89,10 +88,7 @@ class Tlog:
     ) -> dict[str, Column]:
         """Return the fields of messages as one table each, in file order; skip absent messages.
 
-        Args:
-            names: Messages by name, in capitals.
-            system_id: Of the sender.
-            component_id: Of the sender; None: any.
+        The names are in capitals; without a component id, messages of all components count.
 
         Returns:
             Tables by name: ``STAMP``, ``ORDER``, ``COMPONENT`` and the message's own fields in

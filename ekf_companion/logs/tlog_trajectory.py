@@ -15,10 +15,9 @@ import numpy.typing as npt
 from ekf_companion.logs import series
 from ekf_companion.logs.tlog import ORDER, Column, Tlog
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.state import EULER, Trajectory
-
-Stamps = npt.NDArray[np.int64]
 
 _INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 
@@ -102,7 +101,7 @@ def reference(log: Tlog) -> Trajectory | None:
             parts |= {"pos_t_ns": t_ns, "lat": lat, "lon": lon, "alt": alt}
     if "ATTITUDE" in tables:
         table = tables["ATTITUDE"]
-        table = table[np.isfinite(series.stack(table, *EULER)).all(axis=1)]
+        table = table[known_rows(series.stack(table, *EULER))]
         parts |= {"att_t_ns": _boot_ns(table)}
         parts |= {"q_nb": so3.from_euler(table["roll"], table["pitch"], table["yaw"])}
     sources = ", ".join(name for name in (world, local, "ATTITUDE") if name in tables)

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
@@ -31,10 +30,9 @@ from ekf_companion.logs.ulog_topics import (
 )
 from ekf_companion.logs.ulog_trajectory import trajectory
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Mask, Stamps, known_rows
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
 
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 Arrivals = list[tuple[Events, Stamps]]
 """Events and when they were published, ns."""
 
@@ -93,7 +91,7 @@ def read(path: Path) -> Recording:
     )
 
 
-def _events(topic: Topic, kind: Kind, mask: npt.NDArray[np.bool_], *columns: Any) -> Arrivals:
+def _events(topic: Topic, kind: Kind, mask: Mask, *columns: Any) -> Arrivals:
     """Build events stamped by the topic's sample time, or where absent its publication."""
     if not mask.any():
         return []
@@ -105,7 +103,7 @@ def _imu(topics: Topics) -> Arrivals:
     if (topic := topics.get("sensor_combined")) is None:
         return []
     values = np.hstack([vectors(topic, "gyro_rad"), vectors(topic, "accelerometer_m_s2")])
-    return _events(topic, Kind.IMU, np.asarray(np.isfinite(values).all(axis=1)), *values.T)
+    return _events(topic, Kind.IMU, known_rows(values), *values.T)
 
 
 def _receiver(topics: Topics) -> Topic:
@@ -141,8 +139,9 @@ def _gnss(topics: Topics, notes: list[str]) -> Arrivals:
         notes.append(
             f"the receiver reports jamming or spoofing in {int((is_fix & suspect).sum())} fixes"
         )
+    unknown = np.zeros(n)
     std_h, std_v, std_vel = (
-        _known(topic, field, otherwise)
+        series.accuracy(topic.get(field, unknown), otherwise)
         for field, otherwise in zip(("eph", "epv", "s_variance_m_s"), GNSS_STD_UNKNOWN, strict=True)
     )
     return _events(
@@ -161,19 +160,13 @@ def _gnss(topics: Topics, notes: list[str]) -> Arrivals:
     )
 
 
-def _known(topic: Topic, field: str, otherwise: float) -> Array:
-    """Return an accuracy where the receiver reported one (finite, positive)."""
-    value = np.asarray(topic.get(field, np.zeros(len(topic["t_ns"]))), dtype=float)
-    return np.where(np.isfinite(value) & (value > 0.0), value, otherwise)
-
-
 def _gnss_heading(topics: Topics) -> Arrivals:
     topic = _receiver(topics)
     if "heading" not in topic:
         return []
     heading = np.asarray(topic["heading"], dtype=float)
     valid = np.isfinite(heading) & (topic["fix_type"] >= FIX_3D)
-    std = _known(topic, "heading_accuracy", GNSS_HEADING_STD)
+    std = series.accuracy(topic.get("heading_accuracy", 0.0 * heading), GNSS_HEADING_STD)
     heading = so3.wrap(np.where(valid, heading, 0.0))
     return _events(topic, Kind.HEADING, valid, heading, std, float(HeadingSource.GNSS))
 
@@ -197,7 +190,7 @@ def _magnetometer(topics: Topics) -> Arrivals:
         field = series.stack(topic, *"xyz")
     else:
         return []
-    valid = np.isfinite(field).all(axis=1) & (field != 0.0).any(axis=1)
+    valid = known_rows(field) & (field != 0.0).any(axis=1)
     return _events(topic, Kind.MAG, valid, *field.T)
 
 

@@ -16,9 +16,8 @@ from ekf_companion.errors import LogError
 from ekf_companion.logs import series
 from ekf_companion.logs.source import read_bytes
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
 
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 Topic = dict[str, npt.NDArray[Any]]
 """Columns of one topic by field name, and ``t_ns``: when each row was published."""
 Topics = dict[str, Topic]
@@ -140,10 +139,10 @@ def sample_ns(topic: Topic) -> Stamps:
     return np.where(said, sample_ns, topic["t_ns"])
 
 
-def rotations(topic: Topic) -> tuple[npt.NDArray[np.bool_], Array]:
+def rotations(topic: Topic) -> tuple[Mask, Array]:
     """Return where ``q`` is a rotation, and the rotation (elsewhere the identity)."""
     q = vectors(topic, "q", 4)
     # Clipped first: damaged numbers overflow when squared.
     norm = np.linalg.norm(np.clip(np.nan_to_num(q), -2.0, 2.0), axis=1)
-    valid = np.isfinite(q).all(axis=1) & (np.abs(norm - 1.0) < 0.01)
+    valid = known_rows(q) & (np.abs(norm - 1.0) < 0.01)
     return valid, so3.normalise(np.where(valid[:, None], q, [1.0, 0.0, 0.0, 0.0]))

@@ -13,9 +13,8 @@ import numpy.typing as npt
 from ekf_companion.logs import series
 from ekf_companion.logs.ulog_topics import Topic, Topics, rotations, sample_ns
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.state import Trajectory
-
-Array = npt.NDArray[np.float64]
 
 EARTH_RADIUS = 6371000.0
 """m; of the sphere that PX4 projects on (CONSTANTS_RADIUS_OF_EARTH)."""

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 import orjson
 
 from ekf_companion.errors import LogError
+from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.state import COLUMNS, Status
 
 _STATUS = COLUMNS.index("status") - 1
@@ -41,14 +41,13 @@ class CsvWriter:
         self._file.write(",".join(COLUMNS).encode() + b"\n")
 
     def __enter__(self) -> CsvWriter:
-        """Return the writer."""
         return self
 
     def __exit__(self, *_: object) -> None:
         """Close the file."""
         self._file.close()
 
-    def write(self, stamp_ns: npt.NDArray[np.int64], values: npt.NDArray[np.float64]) -> None:
+    def write(self, stamp_ns: Stamps, values: Array) -> None:
         """Append estimates: stamps, shape (n,), and the columns after the time, shape (n, 33)."""
         if len(stamp_ns) == 0:
             return

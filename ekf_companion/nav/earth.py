@@ -12,9 +12,8 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.so3 import wrap
-
-Array = npt.NDArray[np.float64]
 
 SEMI_MAJOR_AXIS = 6378137.0
 """m."""
@@ -124,7 +123,7 @@ _SCALE_HEIGHT = 288.15 / 0.0065
 """Temperature at sea level over its lapse rate, m."""
 _EXPONENT = 0.0065 * 287.05287 / 9.80665
 
-Value = TypeVar("Value", float, npt.NDArray[np.float64])
+Value = TypeVar("Value", float, Array)
 
 
 def pressure_altitude(pressure: Value) -> Value:

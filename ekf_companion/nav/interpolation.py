@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.nav import so3
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
+from ekf_companion.nav.arrays import Array, Indices, Stamps
 
 GAP = 0.5
 """Longest step from row to row over which a series is interpolated, s."""
@@ -20,9 +17,9 @@ GAP = 0.5
 class Between:
     """Where stamps lie between the rows of a series."""
 
-    wanted: npt.NDArray[np.int64]
+    wanted: Indices
     """Indices of the stamps that lie between two rows near enough, ascending, shape (k,)."""
-    before: npt.NDArray[np.int64]
+    before: Indices
     """Row of the series at or just before each of these stamps; the row after it is the other."""
     share: Array
     """Share of the step from that row to the next at which each stamp lies, 0 to 1."""
@@ -66,7 +63,7 @@ class Pair:
     """Two series brought to the stamps of the sparser one."""
 
     at_ns: Stamps
-    of_sparse: npt.NDArray[np.int64]
+    of_sparse: Indices
     """Rows of the sparser series."""
     of_dense: Between
     """Where its stamps are in the denser series."""

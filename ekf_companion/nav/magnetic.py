@@ -19,12 +19,8 @@ def _model() -> GeoMag:
 def magnetic_field(lat: float, lon: float, year: float) -> tuple[float, float, float]:
     """Return declination (rad, east +), inclination (rad, down +) and strength (gauss).
 
-    The field is that at sea level, constant over a square of 0.01 deg.
-
-    Args:
-        lat: Latitude, rad.
-        lon: Longitude, rad.
-        year: Decimal year, 2025.0 to 2030.0.
+    The field is that at sea level, constant over a square of 0.01 deg, at a decimal year from
+    2025.0 to 2030.0.
 
     Source: NOAA NCEI, The US/UK World Magnetic Model for 2025-2030.
     """

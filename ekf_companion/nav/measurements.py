@@ -18,6 +18,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
+
 WIDTH = 13
 """Numbers in a row."""
 
@@ -218,15 +220,14 @@ Measurement = Restart | ImuSample | GnssFix | HeadingSample | MagSample | BaroSa
 class Events:
     """A table of events in the order of their arrival."""
 
-    t_ns: npt.NDArray[np.int64]
+    t_ns: Stamps
     """Stamps, shape (n,)."""
-    kind: npt.NDArray[np.int64]
+    kind: Indices
     """``Kind``, shape (n,)."""
-    values: npt.NDArray[np.float64]
+    values: Array
     """Rows in the layout of the measurements' ``row()``, shape (n, WIDTH)."""
 
     def __len__(self) -> int:
-        """Return the number of events."""
         return len(self.t_ns)
 
     @classmethod
@@ -239,9 +240,7 @@ class Events:
         )
 
     @classmethod
-    def from_columns(
-        cls, t_ns: npt.NDArray[np.int64], kind: Kind, *columns: npt.ArrayLike
-    ) -> Events:
+    def from_columns(cls, t_ns: Stamps, kind: Kind, *columns: npt.ArrayLike) -> Events:
         """Build events of one kind from columns in the order of its ``row()``."""
         values = np.zeros((len(t_ns), WIDTH))
         for index, column in enumerate(columns):
@@ -252,12 +251,12 @@ class Events:
             values=values,
         )
 
-    def take(self, index: npt.NDArray[np.integer] | npt.NDArray[np.bool_]) -> Events:
+    def take(self, index: npt.NDArray[np.integer] | Mask) -> Events:
         """Return the events of an index or a mask, in its order."""
         return Events(t_ns=self.t_ns[index], kind=self.kind[index], values=self.values[index])
 
 
-def merge(*tables: Events, arrival_ns: list[npt.NDArray[np.int64]] | None = None) -> Events:
+def merge(*tables: Events, arrival_ns: list[Stamps] | None = None) -> Events:
     """Merge tables into one by arrival; without arrival times, by stamp. Ties keep their order."""
     joined = Events(
         t_ns=np.concatenate([table.t_ns for table in tables]),

@@ -10,7 +10,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 _SMALL = 1e-8
 """Angle below which a series replaces sin(x)/x, rad: the next term is 1e-17."""
@@ -77,28 +77,6 @@ def to_matrix(q: Array) -> Array:
     if q.ndim == 1:
         return np.array(rows)
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def from_matrix(C: Array) -> Array:
-    """Return the quaternion of a direction cosine matrix, shape (3, 3), by its largest part."""
-    C = np.asarray(C, dtype=float)
-    squares = np.array(
-        [
-            1.0 + C[0, 0] + C[1, 1] + C[2, 2],
-            1.0 + C[0, 0] - C[1, 1] - C[2, 2],
-            1.0 - C[0, 0] + C[1, 1] - C[2, 2],
-            1.0 - C[0, 0] - C[1, 1] + C[2, 2],
-        ]
-    )
-    products = np.array(
-        [
-            [squares[0], C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]],
-            [C[2, 1] - C[1, 2], squares[1], C[0, 1] + C[1, 0], C[0, 2] + C[2, 0]],
-            [C[0, 2] - C[2, 0], C[0, 1] + C[1, 0], squares[2], C[1, 2] + C[2, 1]],
-            [C[1, 0] - C[0, 1], C[0, 2] + C[2, 0], C[1, 2] + C[2, 1], squares[3]],
-        ]
-    )
-    return normalise(products[int(np.argmax(squares))])
 
 
 def rotate(q: Array, v: Array) -> Array:

@@ -8,10 +8,8 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
+from ekf_companion.nav.arrays import Array, Stamps
 
 
 class Status(IntEnum):
@@ -57,7 +55,6 @@ class Table:
     """``COLUMNS`` without the time, shape (n, 33); NaN: not known."""
 
     def __len__(self) -> int:
-        """Return the number of estimates."""
         return len(self.stamp_ns)
 
     def column(self, name: str) -> Array:

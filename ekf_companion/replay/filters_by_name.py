@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,15 +40,12 @@ BLOCKS += range(at.E_POS, at.E_POS + 3)
 """Rows of the estimator's covariance that a solution keeps."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Filter:
+class Filter(NamedTuple):
     """A filter that can be selected."""
 
     run: Run
-    options: tuple[str, ...]
+    options: tuple[str, ...] = ()
     """Options after the colon; the first is the default."""
-    says: str
-    """Description in a line."""
 
 
 def run_filter(
@@ -89,9 +87,8 @@ def choose(name: str) -> tuple[str, str]:
     return name.strip(), option or (options[0] if options else "")
 
 
-def _eskf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+def _eskf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
     """Run the daemon's own pipeline in pieces, to record the covariance."""
-    del option
     pipeline = Pipeline(settings, recording.family, recording.gnss_delay)
     events = recording.events
     if not len(events):
@@ -139,8 +136,7 @@ def _iterated(recording: Recording, settings: FilterSettings, option: str) -> So
     )
 
 
-def _ukf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    del option
+def _ukf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
     return ukf.run(_sequence(recording, settings))
 
 
@@ -152,13 +148,11 @@ def _ahrs(recording: Recording, settings: FilterSettings, option: str) -> Soluti
     return ahrs_article.run(events, preset, gap=settings.imu.gap_reset)
 
 
-def _mahony(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    del option
+def _mahony(recording: Recording, settings: FilterSettings, _: str) -> Solution:
     return mahony.run(_completed(recording, settings), gap=settings.imu.gap_reset)
 
 
-def _vqf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    del option
+def _vqf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
     return vqf_adapter.run(_completed(recording, settings), gap=settings.imu.gap_reset)
 
 
@@ -175,29 +169,13 @@ def _completed(recording: Recording, settings: FilterSettings) -> Events:
 
 
 FILTERS: Mapping[str, Filter] = {
-    "eskf": Filter(run=_eskf, options=(), says="our own estimator, as it flies"),
-    "euler": Filter(
-        run=_euler,
-        options=("corrected", "article"),
-        says="the seed article's direct filter of Euler angles; as published, with its slips",
-    ),
-    "iterated": Filter(
-        run=_iterated,
-        options=("global", "robocentric", "sphere"),
-        says="iterated error-state filter of LINS and FAST-LIO",
-    ),
-    "ukf": Filter(run=_ukf, options=(), says="unscented filter on the manifold"),
-    "zupt": Filter(
-        run=_zupt,
-        options=tuple(one.value for one in Detector),
-        says="inertial navigation of a foot or a wheel, held by its own rests",
-    ),
-    "ahrs": Filter(
-        run=_ahrs,
-        options=("error-state", "corrected", "article"),
-        says="attitude alone: our own; the article's, corrected or with its slips",
-    ),
-    "mahony": Filter(run=_mahony, options=(), says="attitude alone: complementary, on SO(3)"),
-    "vqf": Filter(run=_vqf, options=(), says="attitude alone: the published package (extra: vqf)"),
+    "eskf": Filter(_eskf),
+    "euler": Filter(_euler, ("corrected", "article")),
+    "iterated": Filter(_iterated, ("global", "robocentric", "sphere")),
+    "ukf": Filter(_ukf),
+    "zupt": Filter(_zupt, tuple(one.value for one in Detector)),
+    "ahrs": Filter(_ahrs, ("error-state", "corrected", "article")),
+    "mahony": Filter(_mahony),
+    "vqf": Filter(_vqf),
 }
-"""What ``--filters`` and :func:`run_filter` know."""
+"""The names of ``--filters`` and :func:`run_filter`; docs/FILTERS.md describes each."""

@@ -124,7 +124,7 @@ def test_a_slow_turn_after_a_rest_is_not_taken_for_a_bias():
     assert solution.counts["rest"][1] > 0
 
 
-def test_a_gap_is_doubted_and_mended():
+def test_over_a_gap_the_attitude_becomes_uncertain_and_is_found_again():
     events, truth = swing(Swing(seconds=60.0))
     lost = (events.t_ns > 30e9) & (events.t_ns < 33e9)
     solution = ahrs.run(events.take(~lost))

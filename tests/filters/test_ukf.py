@@ -209,7 +209,7 @@ def test_a_heading_on_the_other_side_of_south_is_near():
     assert 0.02 < np.sqrt(tried.P[2, 2]) < 0.04
 
 
-def test_a_wide_prior_of_heading_lets_velocity_fade_and_doubt_grow():
+def test_a_wide_prior_of_heading_shrinks_the_velocity_and_inflates_its_variance():
     """A push whose direction has a sigma of 57 deg: by the integral its mean is exp(-1/2) of it."""
     state = Nominal(q_nb=so3.exp(np.zeros(3)), vel_n=np.zeros(3), pos_n=np.zeros(3))
     sigma = np.repeat([1e-6, 1e-3, 1e-3, 1e-9, 1e-6], 3)
