@@ -1,4 +1,4 @@
-"""The vehicle's own magnetism: what to take off a magnetometer before it can be a compass.
+"""Hard and soft iron of the vehicle: the correction of its magnetometer.
 
 There are two answers. The ellipsoid (:mod:`ekf_companion.calibrate.ellipsoid`) is the one to paste.
 The other is by the largest and smallest value of each axis, as it is done by hand: the offset is

@@ -1,4 +1,4 @@
-"""A state relative to a frame r that stands still in n: of n itself, or of the body at some time.
+"""A state relative to a frame r that is fixed in n: n itself, or the body frame of some time.
 
 Error state: the 15 of :mod:`ekf_companion.filters.strapdown` with r in place of n; the attitude of
 r (rotation vector in r), its position (n), and the direction of gravity (two angles). If r is known

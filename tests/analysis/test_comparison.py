@@ -50,10 +50,8 @@ def command(*words):
 def test_all_navigators_stand_in_one_table_one_figure_and_one_json(flight, tmp_path):
     log, truth = flight
     figure, file = tmp_path / "all.png", tmp_path / "all.json"
-    result = command(
-        *("compare", log, "--filters", ",".join(NAVIGATORS), "--reference", truth),
-        *("--skip", "15", "--plot", figure, "--json", file),
-    )
+    asked = ["compare", log, "--filters", ",".join(NAVIGATORS), "--reference", truth]
+    result = command(*asked, "--skip", "15", "--plot", figure, "--json", file)
     assert result.exit_code == 0, result.output
     assert figure.read_bytes().startswith(b"\x89PNG")
     found = json.loads(file.read_text())

@@ -43,14 +43,14 @@ def drive(seconds, *, yaw=lambda t: 0.0 * t, vel_n=lambda t: np.zeros((len(t), 3
     rate = (yaw(t) - yaw(t - dt)) / dt
     fixes = t[9::10]
     pos_n = np.cumsum(vel_n(middle) * dt, axis=0)[9::10]
-    size = np.ones(len(fixes))
+    stds = np.outer([1.0, 1.5, 0.1, np.nan], np.ones(len(fixes)))
     return merge(
         Events.from_columns(
             stamps(fixes),
             Kind.GNSS,
             *FRAME.to_geodetic(pos_n),
             *vel_n(fixes).T,
-            *(size, 1.5 * size, 0.1 * size, np.nan * size),
+            *stds,
         ),
         Events.from_columns(
             stamps(t[4::5]),

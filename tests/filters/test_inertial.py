@@ -103,8 +103,9 @@ def test_after_a_restart_of_the_clock_the_longest_part_counts(name):
     cut = len(events) // 4
     restart = Events.from_rows([Restart().row()])
     # The first quarter is run again, on a clock that begins anew
+    parts = [events, restart, events.take(np.arange(cut))]
     both = merge(
-        *(events, restart, events.take(np.arange(cut))),
+        *parts,
         arrival_ns=[np.full(n, k) for k, n in enumerate((len(events), 1, cut))],
     )
     once, twice = (
