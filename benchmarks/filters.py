@@ -110,8 +110,10 @@ def attitude(data: Path) -> Iterator[str]:
         if is_there(data, log):
             recording = recorded(data / log)
             assert recording.truth is not None
-            entries = comparison.hold(recording, ATTITUDES, Config())
-            judged = comparison.judge(entries, recording.truth, 0.0, None, recording.counted)
+            entries = comparison.run_filters(recording, ATTITUDES, Config())
+            judged = comparison.score_filters(
+                entries, recording.truth, 0.0, None, recording.counted
+            )
             cells = [" / ".join(f"{value:.2f}" for value in one.rms.values()) for one in judged]
             rows.append(" | ".join([title, *cells]))
     return table(" | ".join(["total / heading / inclination, deg", *ATTITUDES]), rows)
@@ -122,7 +124,7 @@ def walks(data: Path) -> Iterator[str]:
     rows = []
     for title, log in WALKS.items():
         if is_there(data, log):
-            entries = comparison.hold(recorded(data / log), WALKERS, Config())
+            entries = comparison.run_filters(recorded(data / log), WALKERS, Config())
             cells = [
                 f"{one.rms['closure on the ground']:.3f} / {one.rms['closure in space']:.3f}"
                 for one in entries
@@ -167,8 +169,8 @@ def _judged(
 ) -> list[Entry]:
     """Run filters over a recording and compare them with its truth."""
     assert recording.truth is not None
-    entries = comparison.hold(recording, names, config or Config())
-    return comparison.judge(entries, recording.truth, skip, None)
+    entries = comparison.run_filters(recording, names, config or Config())
+    return comparison.score_filters(entries, recording.truth, skip, None)
 
 
 def _mean(entries: Sequence[Entry]) -> Entry:

@@ -4,8 +4,13 @@
 """
 
 import os
+from collections.abc import Callable
+from pathlib import Path
 
+import pytest
 from hypothesis import settings
+
+from tests.paths import DATA
 
 # Before NumPy is imported, here and in every child: its threads gain nothing on our small
 # matrices, and beside other work they spin away two thirds of the processor's time.
@@ -15,3 +20,15 @@ for library in ("OPENBLAS", "OMP", "MKL"):
 settings.register_profile("repeat", derandomize=True, deadline=None)
 settings.register_profile("explore", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
+
+
+@pytest.fixture(scope="session")
+def flight() -> Callable[[str], Path]:
+    """Return a function from a name to a recorded flight; it skips the test where there is none."""
+
+    def find(name: str) -> Path:
+        if not (DATA / name).is_file():
+            pytest.skip(f"the recorded flight {name} is not on this machine")
+        return DATA / name
+
+    return find

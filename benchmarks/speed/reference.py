@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.core.settings import ImuSettings
-from ekf_companion.filters.strapdown import skew
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame, gravity
 from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.nav.so3 import skew
 from sim_autopilot.truth import Truth
 
 Array = npt.NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""What one asks of estimates once they are there: scores, comparisons, figures, observability.
+"""Evaluation of estimates: scores, comparisons of filters, observability, and all figures.
 
-Reads estimates and recordings; nothing that estimates imports it.
+It reads estimates and recordings; nothing that estimates imports it.
 """

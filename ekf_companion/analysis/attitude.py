@@ -1,7 +1,7 @@
-"""How far an attitude is from the truth: in all, in heading, in inclination.
+"""Errors of an attitude against a truth: in all, in heading, in inclination.
 
 Source: Laidig, Caruso, Cereatti, Seel 2021, "BROAD: a benchmark for robust inertial orientation
-estimation", Data 6(7), section 4: no alignment of any kind before the errors are taken.
+estimation", Data 6(7), section 4: no alignment of any kind before the errors are computed.
 """
 
 from __future__ import annotations
@@ -9,32 +9,30 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from ekf_companion.analysis.difference import rms
 from ekf_companion.logs.recording import Counted
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.interpolation import between
-from ekf_companion.nav.state import Status, Table, Trajectory
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.state import QUATERNION, Status, Table, Trajectory
 
 LONGEST_GAP_NS = 100_000_000
-"""Between two estimates, across which none is interpolated."""
-QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+"""Longest step between two estimates that is interpolated over."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AttitudeErrors:
-    """The error at each time when the truth is known and an estimate is near."""
+    """The errors at the times at which the truth is known and an estimate is near."""
 
-    t_ns: npt.NDArray[np.int64]
+    t_ns: Stamps
     """Stamps of the truth, shape (n,)."""
     total: Array
     """Angle of the turn from truth to estimate, rad, >= 0, shape (n,)."""
     heading: Array
-    """Of its part about the vertical, rad, clockwise positive, shape (n,)."""
+    """Angle of its part about the vertical, rad, clockwise positive, shape (n,)."""
     inclination: Array
-    """Of what is left, rad, >= 0, shape (n,)."""
+    """Angle of the remaining part, rad, >= 0, shape (n,)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,18 +46,18 @@ class AttitudeScore:
     inclination: float
     """rad."""
     samples: int
-    """How many samples of the truth counted."""
+    """Number of samples of the truth that counted."""
 
 
 def errors(table: Table, truth: Trajectory) -> AttitudeErrors:
-    """Compare estimates with a truth at its own stamps; where it has none, nothing is compared.
+    """Compare estimates with a truth at its own stamps.
 
-    Nor is an estimate that has not found down and north yet.
+    Estimates before down and north are found do not count.
     """
     valid = np.isfinite(table.column("q_w")) & (table.column("status") >= Status.ATTITUDE)
     stamps = table.stamp_ns[valid]
-    q_nb = np.stack([table.column(name)[valid] for name in QUATERNION], axis=1)
-    rows = np.isfinite(truth.q_nb).all(axis=1)
+    q_nb = table.columns(QUATERNION)[valid]
+    rows = known_rows(truth.q_nb)
     t_ns, true = truth.att_t_ns[rows], truth.q_nb[rows]
     if len(stamps) < 2:
         t_ns, true, estimate = t_ns[:0], true[:0], q_nb[:0]
@@ -78,22 +76,12 @@ def errors(table: Table, truth: Trajectory) -> AttitudeErrors:
 
 
 def score(table: Table, truth: Trajectory, counted: Counted | None = None) -> AttitudeScore:
-    """Give the root mean square errors over what counts; NaN where nothing does.
-
-    Args:
-        table: Estimates, stamps ascending.
-        truth: The motion; rows with NaN are left out.
-        counted: Which times count; None: all.
-    """
+    """Return the root mean square errors over the times that count; NaN if none does."""
     found = errors(table, truth)
     chosen = np.ones(len(found.t_ns), dtype=bool) if counted is None else counted.at(found.t_ns)
     return AttitudeScore(
-        total=_rms(found.total[chosen]),
-        heading=_rms(found.heading[chosen]),
-        inclination=_rms(found.inclination[chosen]),
+        total=rms(found.total[chosen]),
+        heading=rms(found.heading[chosen]),
+        inclination=rms(found.inclination[chosen]),
         samples=int(chosen.sum()),
     )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")

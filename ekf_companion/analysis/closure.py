@@ -1,4 +1,4 @@
-"""How far a walk that ends where it began is from closing."""
+"""Closure of a walk that ends where it began: the distance from its first to its last position."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ekf_companion.filters.detector import runs
 from ekf_companion.filters.solution import Solution
+from ekf_companion.nav.arrays import runs
+from ekf_companion.nav.state import POSITION
 
 SHORTEST_NS = 50_000_000
-"""Still phases closer together than this are one stance: the foot rocked over its sole."""
+"""Still phases closer together than this are one stance: the foot rolled over its sole."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,14 +25,14 @@ class Closure:
     distance: float
     """In space, m."""
     path: float
-    """Way over the ground, m."""
+    """Length of the way over the ground, m."""
     stances: int
-    """Phases in which the sensor stood still, the rests at both ends included."""
+    """Phases in which the sensor stood still, including the rests at both ends."""
 
 
 def closure(solution: Solution) -> Closure:
-    """Measure a solution that is not empty."""
-    pos = np.stack([solution.table.column(f"pos_{axis}") for axis in "ned"], axis=1)
+    """Measure the closure of a solution that is not empty."""
+    pos = solution.table.columns(POSITION)
     gap = pos[-1] - pos[0]
     return Closure(
         name=solution.name,
@@ -43,7 +44,7 @@ def closure(solution: Solution) -> Closure:
 
 
 def stances(solution: Solution) -> list[tuple[int, int]]:
-    """Give the first index and the one past the last of each stance."""
+    """Return the first index and the one past the last of each stance."""
     if solution.is_still is None:
         return []
     stamps = solution.table.stamp_ns

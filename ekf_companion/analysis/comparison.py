@@ -1,4 +1,4 @@
-"""Several filters over one recording, beside each other: how far off, how sure, at what cost."""
+"""Several filters over one recording, side by side: errors, consistency and cost."""
 
 from __future__ import annotations
 
@@ -9,42 +9,100 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ekf_companion.analysis import attitude
+from ekf_companion.analysis import attitude, difference
 from ekf_companion.analysis.closure import closure
 from ekf_companion.analysis.consistency import nees
+from ekf_companion.analysis.difference import euler_errors, rms, tilt_errors
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters.solution import Solution
 from ekf_companion.logs.estimate import of_table
 from ekf_companion.logs.recording import Counted, Recording
-from ekf_companion.nav import so3
-from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.interpolation import pair
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.nav.state import Trajectory
+from ekf_companion.nav.state import EULER, Trajectory
 from ekf_companion.replay.filters_by_name import choose, run_filter
 
-Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 WARM_NS = 5_000_000_000
-"""Of the recording that a filter sees before it is timed."""
+"""Length of the recording that a filter processes before it is timed."""
 NEAR_NS = 100_000_000
-"""By which the stamps of estimates may be earlier than those of their samples."""
+"""Largest lead of an inertial sample's stamp over its estimate's."""
+AXES = ("north", "east", "down")
+VELOCITIES = tuple(f"velocity {axis}" for axis in AXES)
+TURNS = ("turn in all", "turn in heading", "turn in inclination")
+SECTIONS: dict[str, dict[str, str]] = {
+    "RMS error": {
+        **dict.fromkeys((*AXES, "down about mean"), "m"),
+        **dict.fromkeys(VELOCITIES, "m/s"),
+        **dict.fromkeys((*EULER, "inclination"), "deg"),
+    },
+    "Attitude alone, RMS error where it counts": dict.fromkeys(TURNS, "deg"),
+    "Walk: from its first position to its last": {
+        **dict.fromkeys(("closure on the ground", "closure in space", "way"), "m"),
+        "stances": "",
+    },
+    "NEES over its degrees of freedom (1: as sure as it may be; above: too sure)": {
+        **dict.fromkeys(("position", "velocity", "attitude"), ""),
+    },
+}
+"""Rows of the table by section, with their units."""
 
 
-def hold(
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Entry:
+    """The result of one filter."""
+
+    name: str
+    solution: Solution | None
+    """None: the recording, or this machine, lacks what the filter needs."""
+    trajectory: Trajectory | None
+    us: float
+    """Processor time per inertial sample, microseconds."""
+    note: str = ""
+    """Why there is no solution."""
+    span: tuple[float, float] | None = None
+    """First and last time scored, s; None: all that counts."""
+    rms: Mapping[str, float] = field(default_factory=dict)
+    """By row of the table, in its unit; NaN, or no row: not known."""
+    nees: Mapping[str, float] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything for JSON; null for what is not known."""
+        solution = self.solution
+        return {
+            "filter": self.name,
+            "rms": {_key(row): value for row, value in self.rms.items() if np.isfinite(value)},
+            "nees": {
+                row: value if np.isfinite(value) else None for row, value in self.nees.items()
+            },
+            "scored_s": self.span,
+            "us_per_sample": self.us if np.isfinite(self.us) else None,
+            "estimates": 0 if solution is None else len(solution.table),
+            "fused": {} if solution is None else dict(solution.counts),
+            "notes": list(self.notes()),
+        }
+
+    def notes(self) -> Iterator[str]:
+        """Yield why there is no solution, or the notes of the solution."""
+        if self.note:
+            yield self.note
+        if self.solution is not None:
+            yield from self.solution.notes
+
+
+def run_filters(
     recording: Recording,
     names: Sequence[str],
     settings: FilterSettings,
     progress: Progress | None = None,
 ) -> list[Entry]:
-    """Take each filter through the recording.
+    """Run each filter over the recording.
 
     Raises:
-        ConfigError: A name is unknown or stands twice, or there is none.
+        ConfigError: A name is unknown or given twice, or there is none.
         LogError: No filter finds what it needs.
     """
     if not names or len(set(names)) < len(names):
@@ -55,14 +113,14 @@ def hold(
     for done, name in enumerate(names):
         if progress is not None:
             progress(done, len(names))
-        entries.append(_enter(recording, name, settings))
+        entries.append(_timed_run(recording, name, settings))
     if all(entry.solution is None for entry in entries):
         raise LogError("; ".join(dict.fromkeys(entry.note for entry in entries)))
     return entries
 
 
-def _enter(recording: Recording, name: str, settings: FilterSettings) -> Entry:
-    _warm(recording, name, settings)
+def _timed_run(recording: Recording, name: str, settings: FilterSettings) -> Entry:
+    _warm_up(recording, name, settings)
     begin = time.process_time()
     try:
         solution = run_filter(recording, name, settings)
@@ -73,13 +131,13 @@ def _enter(recording: Recording, name: str, settings: FilterSettings) -> Entry:
         name=name,
         solution=solution,
         trajectory=of_table(solution.table, name),
-        us=spent / max(passed(recording, solution), 1),
+        us=spent / max(processed(recording, solution), 1),
         rms=_closure(solution),
     )
 
 
-def _warm(recording: Recording, name: str, settings: FilterSettings) -> None:
-    """Take a filter through the first seconds: what it imports and lays out is not its cost."""
+def _warm_up(recording: Recording, name: str, settings: FilterSettings) -> None:
+    """Run a filter over the first seconds, so that its imports are not counted as cost."""
     t_ns = recording.events.t_ns
     if not len(t_ns):
         return
@@ -88,8 +146,8 @@ def _warm(recording: Recording, name: str, settings: FilterSettings) -> None:
         run_filter(replace(recording, events=few), name, settings)
 
 
-def passed(recording: Recording, solution: Solution) -> int:
-    """Give how many inertial samples a filter went through, those before its start with them."""
+def processed(recording: Recording, solution: Solution) -> int:
+    """Return how many inertial samples a filter processed, including those before its start."""
     stamps = recording.events.t_ns[recording.events.kind == Kind.IMU]
     if not len(solution.table):
         return len(stamps)
@@ -97,7 +155,7 @@ def passed(recording: Recording, solution: Solution) -> int:
 
 
 def _closure(solution: Solution) -> dict[str, float]:
-    """Give how far a walk is from closing; nothing of a filter that knows no stance."""
+    """Return the closure of a walk; nothing for a filter that finds no stances."""
     if solution.is_still is None or not np.isfinite(solution.table.column("pos_n")).any():
         return {}
     found = closure(solution)
@@ -109,22 +167,22 @@ def _closure(solution: Solution) -> dict[str, float]:
     }
 
 
-def judge(
+def score_filters(
     entries: Sequence[Entry],
     reference: Trajectory,
     skip_s: float,
     until_s: float | None,
     counted: Counted | None = None,
 ) -> list[Entry]:
-    """Hold each against the reference, from one time on at which all of them run.
+    """Score each filter against the reference, from a time on at which all of them run.
 
     Args:
-        entries: As :func:`hold` gives them.
-        reference: What they should say.
+        entries: From :func:`run_filters`.
+        reference: What they should estimate.
         skip_s: Leave out so many seconds after the last of them has begun.
         until_s: Leave out what is later than so many seconds after that; None: nothing.
-        counted: Which times the recording's authors let count: then, and where the reference is of
-            attitude alone, all of them do, whatever is skipped.
+        counted: The times that count by the recording's authors. With them, or with a reference
+            of attitude alone, the other two are ignored.
 
     Raises:
         LogError: None has any time in common with the reference.
@@ -135,193 +193,108 @@ def judge(
         if one.trajectory is not None and len(one.trajectory.att_t_ns)
     ]
     if counted is not None or not len(reference.pos_t_ns):
-        return [_turn(one, reference, counted) for one in entries]
+        return [_scored_attitude(one, reference, counted) for one in entries]
     zero = max(starts, default=0)
     begin = zero + round(skip_s * 1e9)
-    end = np.iinfo(np.int64).max if until_s is None else zero + round(until_s * 1e9)
-    judged = [_judge(one, reference, begin, end) for one in entries]
-    if not any(np.isfinite(value) for one in judged for value in one.rms.values()):
-        spans = (one.att_t_ns[[0, -1]] * 1e-9 for one in _known(entries, reference))
+    end = difference.ALWAYS[1] if until_s is None else zero + round(until_s * 1e9)
+    scored = [_scored(one, reference, (begin, end)) for one in entries]
+    if not any(np.isfinite(value) for one in scored for value in one.rms.values()):
+        known = (one for one in [*(entry.trajectory for entry in entries), reference] if one)
+        spans = (one.att_t_ns[[0, -1]] * 1e-9 for one in known if len(one.att_t_ns))
         said = ", ".join(f"{first:.1f} to {last:.1f} s" for first, last in spans)
         raise LogError(
             f"no filter has time in common with {reference.name}: they last {said}, of which the "
             "first seconds (--skip) and what comes after --until are left out"
         )
-    return judged
+    return scored
 
 
-def _known(entries: Sequence[Entry], reference: Trajectory) -> Iterator[Trajectory]:
-    for one in (*(entry.trajectory for entry in entries), reference):
-        if one is not None and len(one.att_t_ns):
-            yield one
-
-
-def _turn(entry: Entry, reference: Trajectory, counted: Counted | None) -> Entry:
-    """Judge the attitude alone."""
+def _scored_attitude(entry: Entry, reference: Trajectory, counted: Counted | None) -> Entry:
     if entry.solution is None:
         return entry
     found = attitude.score(entry.solution.table, reference, counted)
     angles = np.rad2deg([found.total, found.heading, found.inclination]).tolist()
-    names = ("turn in all", "turn in heading", "turn in inclination")
-    return replace(entry, rms=dict(zip(names, angles, strict=True)))
+    return replace(entry, rms=dict(zip(TURNS, angles, strict=True)))
 
 
-def _judge(entry: Entry, reference: Trajectory, begin: int, end: int) -> Entry:
+def _scored(entry: Entry, reference: Trajectory, span: difference.Span) -> Entry:
     if entry.solution is None or entry.trajectory is None:
         return entry
-    found = nees(entry.solution, reference, begin, end)
+    found = nees(entry.solution, reference, *span)
+    mean = {"position": found.position, "velocity": found.velocity, "attitude": found.attitude}
     stamps = entry.trajectory.att_t_ns
-    scored = stamps[(stamps >= begin) & (stamps <= end)]
+    scored = stamps[(stamps >= span[0]) & (stamps <= span[1])]
     return replace(
         entry,
         span=(scored[0] * 1e-9, scored[-1] * 1e-9) if len(scored) else None,
-        rms={**entry.rms, **_rms(entry.trajectory, reference, begin, end)},
-        nees={
-            name: np.nan if value is None else value
-            for name, value in (
-                ("position", found.position),
-                ("velocity", found.velocity),
-                ("attitude", found.attitude),
-            )
-        },
+        rms={**entry.rms, **_rms(entry.trajectory, reference, span)},
+        nees={name: np.nan if value is None else value for name, value in mean.items()},
     )
 
 
-def _rms(estimate: Trajectory, reference: Trajectory, begin: int, end: int) -> dict[str, float]:
-    rms = {name: float("nan") for name, _ in SECTIONS["RMS error"]}
+def _rms(estimate: Trajectory, reference: Trajectory, span: difference.Span) -> dict[str, float]:
+    found = dict.fromkeys(SECTIONS["RMS error"], float("nan"))
 
-    def put(names: str, errors: Array) -> None:
-        for name, column in zip(names.split(", "), errors.T, strict=True):
-            known = column[np.isfinite(column)]
-            rms[name] = float(np.sqrt(np.mean(np.square(known)))) if len(known) else np.nan
+    def put(names: Sequence[str], errors: Array) -> None:
+        found.update(zip(names, map(rms, errors.T), strict=True))
 
-    if found := pair(estimate.pos_t_ns, reference.pos_t_ns, begin, end):
-        alt = float(reference.alt[0])
-        frame = LocalFrame(
-            float(reference.lat[0]), float(reference.lon[0]), alt if np.isfinite(alt) else 0.0
-        )
-        mine, theirs = (frame.to_ned(one.lat, one.lon, one.alt) for one in (estimate, reference))
-        errors = found.difference(mine, theirs)
-        put("north, east, down", errors)
-        put("down about mean", errors[:, 2:] - np.nanmean(errors[:, 2:]))
-    if found := pair(estimate.vel_t_ns, reference.vel_t_ns, begin, end):
-        errors = found.difference(estimate.vel_n, reference.vel_n)
-        put("velocity north, velocity east, velocity down", errors)
-    if found := pair(estimate.att_t_ns, reference.att_t_ns, begin, end):
-        mine, theirs = found.rotations(estimate.q_nb, reference.q_nb)
-        angles = so3.wrap(so3.to_euler(mine) - so3.to_euler(theirs))
-        put("roll, pitch, yaw", np.rad2deg(angles))
-        downs = [so3.to_matrix(q)[:, 2, :] for q in (mine, theirs)]
-        tilt = np.arccos(np.clip(np.sum(downs[0] * downs[1], axis=1), -1.0, 1.0))
-        put("inclination", np.rad2deg(tilt)[:, None])
-    return rms
+    if there := difference.in_position(estimate, reference, span):
+        errors = there[1]
+        put(AXES, errors)
+        put(["down about mean"], errors[:, 2:] - np.nanmean(errors[:, 2:]))
+    if there := difference.in_velocity(estimate, reference, span):
+        put(VELOCITIES, there[1])
+    if turned := difference.in_attitude(estimate, reference, span):
+        _, mine, theirs = turned
+        put(EULER, np.rad2deg(euler_errors(mine, theirs)))
+        put(["inclination"], np.rad2deg(tilt_errors(mine, theirs))[:, None])
+    return found
 
 
-__all__ = ["SECTIONS", "Entry", "hold", "judge", "table"]
-
-
-SECTIONS = {
-    "RMS error": (
-        *(("north", "m"), ("east", "m"), ("down", "m"), ("down about mean", "m")),
-        *(("velocity north", "m/s"), ("velocity east", "m/s"), ("velocity down", "m/s")),
-        *(("roll", "deg"), ("pitch", "deg"), ("yaw", "deg"), ("inclination", "deg")),
-    ),
-    "Attitude alone, RMS error where it counts": (
-        *(("turn in all", "deg"), ("turn in heading", "deg"), ("turn in inclination", "deg")),
-    ),
-    "Walk: from its first position to its last": (
-        *(("closure on the ground", "m"), ("closure in space", "m"), ("way", "m")),
-        ("stances", ""),
-    ),
-    "NEES over its degrees of freedom (1: as sure as it may be; above: too sure)": (
-        *(("position", ""), ("velocity", ""), ("attitude", "")),
-    ),
-}
-"""Rows of the table, with their units."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Entry:
-    """What became of one filter."""
-
-    name: str
-    solution: Solution | None
-    """None: the recording, or this machine, lacks what it needs."""
-    trajectory: Trajectory | None
-    us: float
-    """Processor time per inertial sample, microseconds."""
-    note: str = ""
-    """Why there is no solution."""
-    span: tuple[float, float] | None = None
-    """First and last time that was scored, s; None: all that counts."""
-    rms: Mapping[str, float] = field(default_factory=dict)
-    """By row of the table, in its unit; NaN, or no row: one of the two lacks it."""
-    nees: Mapping[str, float] = field(default_factory=dict)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Give everything for JSON; what is not known is null."""
-        known = {name: value if np.isfinite(value) else None for name, value in self.rms.items()}
-        sure = {name: value if np.isfinite(value) else None for name, value in self.nees.items()}
-        return {
-            "filter": self.name,
-            "rms": {_key(name): value for name, value in known.items() if value is not None},
-            "nees": sure,
-            "scored_s": self.span,
-            "us_per_sample": self.us if np.isfinite(self.us) else None,
-            "estimates": 0 if self.solution is None else len(self.solution.table),
-            "fused": {} if self.solution is None else dict(self.solution.counts),
-            "notes": [*([self.note] if self.note else []), *self.remarks()],
-        }
-
-    def remarks(self) -> tuple[str, ...]:
-        """Give what the filter itself says of its solution."""
-        return () if self.solution is None else self.solution.notes
-
-
-def _key(name: str) -> str:
-    unit = dict(row for rows in SECTIONS.values() for row in rows).get(name, "")
-    return f"{name} {unit.replace('/', 'p')}".strip().replace(" ", "_")
+def _key(row: str) -> str:
+    """Return the name of a row for JSON, its unit in the name."""
+    unit = next((rows[row] for rows in SECTIONS.values() if row in rows), "")
+    return f"{row} {unit.replace('/', 'p')}".strip().replace(" ", "_")
 
 
 def table(entries: Sequence[Entry]) -> Iterator[str]:
-    """Give the entries as lines of text, a column each."""
+    """Yield the entries as lines of text, a column each."""
     width = max(10, *(len(one.name) + 2 for one in entries))
-    yield f"{'':<26}" + "".join(f"{one.name:>{width}}" for one in entries)
+
+    def line(label: str, cells: Iterator[str]) -> str:
+        return f"{label:<26}" + "".join(f"{cell:>{width}}" for cell in cells)
+
+    yield line("", (one.name for one in entries))
     for title, rows in SECTIONS.items():
         values = [one.nees if title.startswith("NEES") else one.rms for one in entries]
-        shown = [
-            (name, unit)
-            for name, unit in rows
-            if any(np.isfinite(each.get(name, np.nan)) for each in values)
-        ]
-        if shown:
+        known = {row for each in values for row, value in each.items() if np.isfinite(value)}
+        if known & rows.keys():
             yield from ("", title)
-        for name, unit in shown:
-            label = f"  {name}, {unit}" if unit else f"  {name}"
-            yield f"{label:<26}" + "".join(
-                f"{_number(each.get(name, np.nan), 0 if name == 'stances' else 3):>{width}}"
-                for each in values
-            )
+        for row, unit in rows.items():
+            if row in known:
+                digits = 0 if row == "stances" else 3
+                cells = (_number(each.get(row, np.nan), digits) for each in values)
+                yield line(f"  {row}, {unit}" if unit else f"  {row}", cells)
     if any(one.span is not None for one in entries):
         yield from ("", "Time that was scored")
-        for index, name in enumerate(("from", "to")):
-            times = [np.nan if one.span is None else one.span[index] for one in entries]
-            label = f"  {name}, s"
-            yield f"{label:<26}" + "".join(f"{_number(t, 1):>{width}}" for t in times)
+        for index, label in enumerate(("  from, s", "  to, s")):
+            times = (np.nan if one.span is None else one.span[index] for one in entries)
+            yield line(label, (_number(time, 1) for time in times))
     yield from ("", "Cost")
-    yield f"{'  us per sample':<26}" + "".join(f"{_number(one.us, 1):>{width}}" for one in entries)
-    aids = dict.fromkeys(aid for one in entries if one.solution for aid in one.solution.counts)
-    for aid in aids:
-        cells = [one.solution.counts.get(aid) if one.solution else None for one in entries]
-        shares = [
-            "-" if cell is None or not sum(cell) else f"{100.0 * cell[1] / sum(cell):.1f} %"
-            for cell in cells
-        ]
-        yield f"{f'  {aid} refused':<26}" + "".join(f"{share:>{width}}" for share in shares)
+    yield line("  us per sample", (_number(one.us, 1) for one in entries))
+    for aid in dict.fromkeys(aid for one in entries if one.solution for aid in one.solution.counts):
+        counts = (one.solution.counts.get(aid) if one.solution else None for one in entries)
+        yield line(f"  {aid} refused", map(_share, counts))
     for one in entries:
-        for note in (*([one.note] if one.note else []), *one.remarks()):
-            yield f"  note: {one.name}: {note}"
+        yield from (f"  note: {one.name}: {note}" for note in one.notes())
 
 
-def _number(value: float, digits: int = 3) -> str:
+def _share(counts: tuple[int, int] | None) -> str:
+    """Return the share of refused measurements as text."""
+    if counts is None or not sum(counts):
+        return "-"
+    return f"{100.0 * counts[1] / sum(counts):.1f} %"
+
+
+def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else "-"

@@ -1,4 +1,4 @@
-"""When a flight shows what: sigmas and singular values over time, and the motion beneath."""
+"""Figure of observability: sigmas and singular values over time, and the motion below them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ekf_companion.analysis import figure_file
 from ekf_companion.analysis.observability import OBSERVABLE, Observability
-from ekf_companion.analysis.observability_report import verdicts
-from ekf_companion.errors import CompanionError
+from ekf_companion.analysis.observability_report import summarise
 from ekf_companion.nav import so3
 
 _AXES = ("#d62728", "#2ca02c", "#1f77b4")
@@ -20,26 +20,21 @@ _BLOCKS = {
     "gyro bias": "#ff7f0e",
     "accelerometer bias": "#1f77b4",
 }
-"""Of the error state, three and three."""
+"""Blocks of the error state, three elements each, and their colours."""
 FLOOR = 1e-4
 """Least singular value that is drawn."""
 
 
 def plot(path: Path, found: Observability, title: str = "") -> None:
-    """Draw into a PNG, PDF or SVG file.
+    """Draw the figure into a PNG, PDF or SVG file.
 
     Raises:
         CompanionError: matplotlib is not installed, or the file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise CompanionError(
-            f"{path}: a figure needs matplotlib; install ekf-companion with the extra: plot"
-        ) from None
-    sheet = Figure(figsize=(11.0, 12.0), layout="constrained")
-    FigureCanvasAgg(sheet)
+    figure_file.write(path, title, lambda sheet: _draw(sheet, found), width=11.0, height=12.0)
+
+
+def _draw(sheet: Any, found: Observability) -> None:
     axes = sheet.subplots(5, 1, sharex=True, height_ratios=(3, 3, 2, 3, 2))
     _draw_sigmas(axes[0], found, 12, "accelerometer bias")
     _draw_sigmas(axes[1], found, 9, "gyro bias")
@@ -50,18 +45,13 @@ def plot(path: Path, found: Observability, title: str = "") -> None:
         axis.grid(visible=True, alpha=0.3)
         axis.legend(loc="upper right", fontsize=8, ncols=5)
     axes[4].set(xlabel="time since the first inertial sample, s", xlim=(0.0, found.t[-1]))
-    sheet.suptitle(title)
-    try:
-        sheet.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise CompanionError(f"{path}: the figure cannot be written ({error})") from None
 
 
 def _draw_sigmas(axis: Any, found: Observability, first: int, name: str) -> None:
-    """Draw three states over what was not known before, and mark when they become observable."""
-    known = {one.state: one.since for one in verdicts(found)}
+    """Draw the sigmas of three states, in units, and mark when each becomes observable."""
+    known = {one.state: one.since for one in summarise(found)}
     names = [f"{name.split()[0]} {a} bias" for a in "xyz"] if name else ["roll", "pitch", "heading"]
-    # Forward and right are often alike: the first is drawn wider
+    # Forward and right are often equal: the first is drawn wider
     for index, (state, colour, width) in enumerate(zip(names, _AXES, (3.0, 1.2, 1.2), strict=True)):
         column = first + index
         since = known[state]
@@ -81,7 +71,7 @@ def _draw_sigmas(axis: Any, found: Observability, first: int, name: str) -> None
 
 
 def _draw_singular(axis: Any, found: Observability) -> None:
-    """Draw the singular values, coloured by the block that has most of their direction."""
+    """Draw the singular values, coloured by the block with the largest share of the direction."""
     shares = np.square(found.direction).reshape(*found.direction.shape[:2], 5, 3).sum(axis=3)
     block = np.argmax(np.nan_to_num(shares), axis=2)
     times = np.broadcast_to(found.t[:, None], found.singular.shape)
@@ -101,7 +91,7 @@ def _draw_singular(axis: Any, found: Observability) -> None:
 def _draw_motion(axis: Any, found: Observability) -> None:
     motion = found.motion
     yaw = np.degrees(so3.wrap(motion.yaw))
-    # No line across the picture where it goes from 180 to -180 degrees
+    # No line across the panel where it goes from 180 to -180 degrees
     yaw[1:][np.abs(np.diff(yaw)) > 180.0] = np.nan
     axis.plot(motion.t, yaw, color="#9467bd", linewidth=1.0, label="yaw")
     axis.plot(motion.t, np.degrees(motion.tilt), color="#8c564b", label="tilt from the start")

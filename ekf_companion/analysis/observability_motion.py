@@ -1,35 +1,28 @@
-"""How a flight moved, as far as motion tells biases from tilt: turns, tilts, accelerations."""
+"""The motion of a flight as far as it separates biases from tilt: turns, tilts, accelerations."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.filters.strapdown import Nominal
 from ekf_companion.nav import so3
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array, Mask, runs
 
 PERIOD_NS = 50_000_000
-"""From one note on the motion to the next: a vehicle that turns faster than 10 times a second is
-none."""
+"""Period of the recorded motion: no vehicle turns faster than 10 times a second."""
 TURN = float(np.radians(20.0))
-"""Least change of the heading that is a turn, rad: a level bias then goes a third of itself
-elsewhere."""
+"""Least change of the heading that is a turn, rad: it moves a third of a level bias to the other
+horizontal axis."""
 TILT = float(np.radians(5.0))
-"""Least change of roll and pitch that counts, rad: a tenth of a level bias goes into the vertical.
-"""
+"""Least change of roll and pitch that counts, rad: it moves a tenth of a level bias upright."""
 ACCELERATION = 0.5
-"""Least horizontal acceleration that counts, m/s^2; by less a wrong level may seem to accelerate.
-"""
-
-
+"""Least horizontal acceleration that counts, m/s^2; a wrong level may look like a smaller one."""
 SETTLING = 2.0
-"""Length of what the filter says of accelerations at its start and is not believed, s."""
+"""Time from the filter's start in which its accelerations do not count, s."""
 QUIET = 5.0
-"""Least length of a stretch that is called straight and steady, s."""
+"""Least length of a straight and steady stretch, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -41,14 +34,14 @@ class Motion:
     yaw: Array
     """Unwrapped, rad."""
     tilt: Array
-    """Angle between what is down in b now and at the start, rad."""
+    """Angle in b between down now and down at the start, rad."""
     speed: Array
     """Horizontal, m/s."""
     acceleration: Array
-    """Horizontal, mean over the second before, m/s^2."""
+    """Horizontal, mean over the last second, m/s^2."""
 
     def until(self, t: float) -> tuple[float, float, float]:
-        """Give by how much heading and tilt changed until then, rad, and the acceleration."""
+        """Return the largest changes of heading and tilt until then, rad, and acceleration."""
         rows = self.t <= t + 1e-6
         if not rows.any():
             return 0.0, 0.0, 0.0
@@ -60,11 +53,11 @@ class Motion:
         )
 
     def onsets(self) -> dict[str, float]:
-        """Give when each kind of motion first was there, s; inf: never."""
+        """Return when each kind of motion first began, s; inf: never."""
         turned = np.maximum.accumulate(self.yaw) - np.minimum.accumulate(self.yaw)
-        # In its first seconds a filter that finds its level seems to accelerate
+        # A filter that corrects its level at the start seems to accelerate
         pushed = (self.acceleration >= ACCELERATION) & (self.t >= self.t[0] + SETTLING)
-        # The mean of an acceleration is late by what it is the mean over
+        # The mean over a second lags the onset by that second
         first = float(self.t[np.argmax(pushed)]) if pushed.any() else np.inf
         return {
             "turn": self._begin_of(turned >= TURN, self._changes(self.yaw, TURN)),
@@ -73,31 +66,28 @@ class Motion:
         }
 
     def quiet_before(self, t: float) -> tuple[float, float] | None:
-        """Give when the last straight and steady stretch before a time began and ended, s.
+        """Return begin and end of the last straight and steady stretch before a time, s.
 
-        It neither accelerates nor changes its heading as :meth:`onsets` says.
+        Its acceleration and its changes of heading are below the limits of :meth:`onsets`.
         """
         is_quiet = ~self._changes(self.yaw, TURN) & (self.acceleration < ACCELERATION)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], is_quiet.astype(int), [0]])))
         stretches = [
             (float(self.t[first]), float(self.t[end - 1]))
-            for first, end in edges.reshape(-1, 2)
+            for first, end in runs(is_quiet)
             if self.t[end - 1] - self.t[first] >= QUIET and self.t[end - 1] < t
         ]
         return stretches[-1] if stretches else None
 
-    def _changes(self, angle: Array, much: float) -> npt.NDArray[np.bool_]:
-        """Say where an angle changes: in the 3 s about it, by a quarter of what is much."""
+    def _changes(self, angle: Array, much: float) -> Mask:
+        """Return where an angle changes by a quarter of ``much`` within the 3 s around."""
         ends = [
             np.clip(np.searchsorted(self.t, self.t + shift), 0, len(self.t) - 1)
             for shift in (-1.5, 1.5)
         ]
         return np.asarray(np.abs(angle[ends[1]] - angle[ends[0]]) >= 0.25 * much)
 
-    def _begin_of(
-        self, is_there: npt.NDArray[np.bool_], is_changing: npt.NDArray[np.bool_]
-    ) -> float:
-        """Give when the change began that at last is there."""
+    def _begin_of(self, is_there: Mask, is_changing: Mask) -> float:
+        """Return when the change began that first reached its limit."""
         if not is_there.any():
             return np.inf
         k = int(np.argmax(is_there))
@@ -105,30 +95,30 @@ class Motion:
         return float(self.t[before[-1] if len(before) else 0])
 
 
-class Track:
-    """Collects the motion."""
+class MotionRecorder:
+    """Collects the motion, estimate by estimate."""
 
     def __init__(self) -> None:
         self._t_ns: list[int] = []
         self._q_nb: list[Array] = []
         self._vel_n: list[Array] = []
-        self._driven: list[Array] = []
+        self._by_force: list[Array] = []
         self._sum = np.zeros(3)
 
-    def drive(self, change_n: Array) -> None:
-        """Take what the specific force adds to the velocity, m/s."""
+    def add_specific_force(self, change_n: Array) -> None:
+        """Add the change of velocity by the specific force, m/s."""
         self._sum = self._sum + change_n
 
     def add(self, t_ns: int, state: Nominal) -> None:
-        """Take an estimate."""
+        """Add an estimate."""
         if not self._t_ns or t_ns - self._t_ns[-1] >= PERIOD_NS:
             self._t_ns.append(t_ns)
             self._q_nb.append(state.q_nb)
             self._vel_n.append(state.vel_n)
-            self._driven.append(self._sum)
+            self._by_force.append(self._sum)
 
     def motion(self, zero_ns: int) -> Motion:
-        """Give what was collected, by times after another."""
+        """Return the motion with times relative to another, ns."""
         t = (np.array(self._t_ns) - zero_ns) * 1e-9
         C_nb = so3.to_matrix(np.array(self._q_nb))
         down = np.clip(C_nb[:, 2] @ C_nb[0, 2], -1.0, 1.0)
@@ -137,15 +127,15 @@ class Track:
         # In the first second, the mean over it
         after = np.maximum(np.arange(len(t)), min(np.searchsorted(t, t[0] + 1.0), len(t) - 1))
         spans = np.maximum(t[after] - t[before], 1.0)
-        # Neither a step that a fix corrects nor a wrong level is an acceleration: both must say so
-        told = [
+        # A correction by a fix changes one of the two only, a wrong level the other: take the less
+        means = [
             np.linalg.norm((v[after] - v[before])[:, :2], axis=1) / spans
-            for v in (vel_n, np.array(self._driven))
+            for v in (vel_n, np.array(self._by_force))
         ]
         return Motion(
             t=t,
             yaw=np.unwrap(np.arctan2(C_nb[:, 1, 0], C_nb[:, 0, 0])),
             tilt=np.arccos(down),
             speed=np.linalg.norm(vel_n[:, :2], axis=1),
-            acceleration=np.minimum(*told),
+            acceleration=np.minimum(*means),
         )

@@ -1,7 +1,7 @@
 """Observability in sentences: when each state becomes observable, and what was lacking until then.
 
-What is said of the motion is measured: turns, changes of tilt and accelerations with their times.
-That a state needs motion is not assumed either: the same aids at rest do not show it.
+Statements on the motion are measured: turns, changes of tilt and accelerations with their times.
+That a state needs motion is measured too: the same aids at rest do not make it observable.
 """
 
 from __future__ import annotations
@@ -10,50 +10,49 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.analysis.observability import ANGLES, OBSERVABLE, STATES, Observability
 from ekf_companion.analysis.observability_motion import ACCELERATION
+from ekf_companion.calibrate.result import rounded
+from ekf_companion.nav.arrays import Array
 
-Array = npt.NDArray[np.float64]
-
-TOLD = (*range(9, 15), 0, 1, 2)
-"""The states that sentences are about: biases, roll, pitch, heading."""
+REPORTED = (*range(9, 15), 0, 1, 2)
+"""The states that are reported: biases, roll, pitch, heading."""
 AT_ONCE = 5.0
-"""What is observable so soon after the filter begins is so from the start, s."""
+"""Time after the filter's start within which a state is observable from the start, s."""
 RECENT = 10.0
-"""A motion that began so long before, or less, counts as what made a state observable, s."""
+"""Longest time from the onset of a motion to the observability that it explains, s."""
 SETTLED = 3.0
-"""A motion so soon after the filter begins is there from the start; until then it settles, s."""
+"""Time after the filter's start in which it settles: a motion until then is from the start, s."""
 TOGETHER = 2.0
-"""Times that differ by less are one, s."""
+"""Times that differ by less are reported as one, s."""
 KNOWN_HEADING = float(np.radians(5.0))
 """One sigma of a heading that counts as known, rad: half its unit."""
-ALIKE = 0.5
-"""Least correlation of two states of which one cannot be told from the other."""
-VERY_ALIKE = 0.9
-"""Likewise of states beside the one that is most alike."""
+CORRELATED = 0.5
+"""Least correlation of two states that cannot be separated."""
+STRONGLY_CORRELATED = 0.9
+"""Likewise for states after the most correlated one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
-    """What is said of a state."""
+class StateSummary:
+    """The report on one state."""
 
     state: str
     since: float | None
     """When it became observable, s after the first inertial sample; None: never."""
     lost: bool
-    """At the end it is not any more."""
+    """It is no longer observable at the end."""
     sigma: float
     """One sigma at the end, SI."""
     sentence: str
 
 
-def verdicts(found: Observability) -> tuple[Verdict, ...]:
-    """Give what there is to say of each bias, of roll, pitch and heading."""
-    told = []
-    for state in TOLD:
-        ratio = found.doubt[:, state]
+def summarise(found: Observability) -> tuple[StateSummary, ...]:
+    """Return the report on each bias, on roll, pitch and heading."""
+    summaries = []
+    for state in REPORTED:
+        ratio = found.judged_sigma[:, state]
         since = _since(ratio, found.t)
         lost = since is not None and bool(ratio[-1] >= OBSERVABLE)
         sigma = _sigma(found, state)
@@ -65,14 +64,16 @@ def verdicts(found: Observability) -> tuple[Verdict, ...]:
             sentence += f"; {_amount(state, sigma)} (one sigma) at the end"
         if state == ANGLES.index("heading"):
             sentence += f"; {_without_north(found)}"
-        told.append(
-            Verdict(state=STATES[state], since=since, lost=lost, sigma=sigma, sentence=sentence)
+        summaries.append(
+            StateSummary(
+                state=STATES[state], since=since, lost=lost, sigma=sigma, sentence=sentence
+            )
         )
-    return tuple(told)
+    return tuple(summaries)
 
 
 def lines(found: Observability) -> list[str]:
-    """Give everything as text, a sentence a line."""
+    """Return the report as text, a sentence per line."""
     text = [
         f"the filter begins at {_s(found.begin)}, the recording ends at {_s(float(found.t[-1]))}; "
         "times are from the first inertial sample",
@@ -81,7 +82,7 @@ def lines(found: Observability) -> list[str]:
         f"{_and([_amount(state, OBSERVABLE * found.unit[state]) for state in (9, 12, 0)])} "
         "(gyro, accelerometer; roll and pitch, but for what noise alone leaves)",
         *found.notes,
-        *(one.sentence for one in verdicts(found)),
+        *[one.sentence for one in summarise(found)],
     ]
     if found.is_rest:
         text.append(
@@ -98,33 +99,33 @@ def lines(found: Observability) -> list[str]:
 
 
 def to_dict(found: Observability) -> dict[str, Any]:
-    """Give everything for JSON; sigmas and singular values in units, NaN as null."""
+    """Return everything for JSON; sigmas and singular values in units, NaN as null."""
     return {
-        "begin_s": _plain(found.begin),
+        "begin_s": rounded(found.begin),
         "window_s": found.window,
         "threshold": OBSERVABLE,
         "notes": list(found.notes),
         "sentences": lines(found),
         "states": {
             one.state: {
-                "observable_since_s": None if one.since is None else _plain(one.since),
+                "observable_since_s": None if one.since is None else rounded(one.since),
                 "is_lost": one.lost,
-                "sigma_at_end": _plain(one.sigma),
+                "sigma_at_end": rounded(one.sigma),
                 "sentence": one.sentence,
             }
-            for one in verdicts(found)
+            for one in summarise(found)
         },
         "names": list(STATES),
-        "unit": _plain(found.unit),
-        "t_s": _plain(found.t),
-        "sigma": _plain(found.sigma),
-        "sigma_at_rest": _plain(found.at_rest),
-        "sigma_of_window": _plain(found.window_sigma),
-        "heading_without_north_rad": _plain(found.free_heading),
-        "singular_values": _plain(found.singular),
-        "weakest_direction": _plain(found.direction[:, -1]),
+        "unit": rounded(found.unit),
+        "t_s": rounded(found.t),
+        "sigma": rounded(found.sigma),
+        "sigma_at_rest": rounded(found.at_rest),
+        "sigma_of_window": rounded(found.window_sigma),
+        "heading_without_north_rad": rounded(found.free_heading),
+        "singular_values": rounded(found.singular),
+        "weakest_direction": rounded(found.direction[:, -1]),
         "motion_onset_s": {
-            kind: None if np.isinf(t) else _plain(t) for kind, t in found.motion.onsets().items()
+            kind: None if np.isinf(t) else rounded(t) for kind, t in found.motion.onsets().items()
         },
     }
 
@@ -163,7 +164,7 @@ def _by_motion(found: Observability, since: float) -> str:
 
 
 def _cause(found: Observability, onsets: dict[str, float], since: float) -> str:
-    """Say which motion began shortly before, or how much there was."""
+    """Return which motion began shortly before, or how much there was."""
     recent = sorted((t, kind) for kind, t in onsets.items() if t > since - RECENT)
     recent = [one for one in recent if one[0] > found.begin + SETTLED]
     quiet = found.motion.quiet_before(since)
@@ -188,7 +189,7 @@ def _cause(found: Observability, onsets: dict[str, float], since: float) -> str:
 
 
 def _lack(found: Observability, state: int) -> str:
-    """Say why a state never became observable."""
+    """Return why a state never became observable."""
     name = STATES[state]
     end = float(found.t[-1])
     if name.startswith("gyro") or name == "heading":
@@ -204,14 +205,14 @@ def _lack(found: Observability, state: int) -> str:
 
 
 def _partner(found: Observability, state: int) -> str | None:
-    """Give the angle or bias that the flight shows only together with it, and how much of it."""
+    """Return the angles or biases that cannot be separated from a state, and their amounts."""
     P = found.covariance[-1]
     sigma = np.sqrt(np.diagonal(P))
-    alike = np.abs(P[state]) / (sigma * sigma[state])
-    alike[[state, *range(3, 9)]] = 0.0
-    others = [int(i) for i in np.argsort(-alike) if alike[i] >= VERY_ALIKE][:3]
-    others = others or [int(np.argmax(alike))]
-    if alike[others[0]] < ALIKE:
+    correlation = np.abs(P[state]) / (sigma * sigma[state])
+    correlation[[state, *range(3, 9)]] = 0.0
+    others = [int(i) for i in np.argsort(-correlation) if correlation[i] >= STRONGLY_CORRELATED][:3]
+    others = others or [int(np.argmax(correlation))]
+    if correlation[others[0]] < CORRELATED:
         return None
     parts = []
     for other in others:
@@ -223,7 +224,7 @@ def _partner(found: Observability, state: int) -> str | None:
 
 
 def _without_north(found: Observability) -> str:
-    """Say when motion alone would show the heading."""
+    """Return when motion alone would show the heading."""
     since = _since(found.free_heading, found.t, KNOWN_HEADING)
     without = f"without the {_north(found)}"
     end = float(found.t[-1])
@@ -288,11 +289,3 @@ def _s(t: float) -> str:
 
 def _and(words: list[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
-
-
-def _plain(values: Any) -> Any:
-    """Give numbers, or arrays of them, as plain lists of numbers with six digits that count."""
-    array = np.asarray(values, dtype=float)
-    if array.ndim:
-        return [_plain(part) for part in array]
-    return float(f"{array:.6g}") if np.isfinite(array) else None

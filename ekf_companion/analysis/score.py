@@ -1,8 +1,7 @@
-"""How far an estimate is from a reference: errors where both exist, and their statistics.
+"""Errors of an estimate against a reference, and their statistics.
 
-Where both exist, the denser of the two is interpolated at the other's stamps; never over a gap.
 Two altitudes may differ by a constant because each has its own datum (EGM96, a barometer's zero,
-the home position), so the vertical error is given as it is and with its mean taken off.
+the home position), so the vertical error is reported as it is and less its mean.
 """
 
 from __future__ import annotations
@@ -14,29 +13,27 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ekf_companion.analysis import difference
+from ekf_companion.analysis.difference import ALWAYS, euler_errors, frame_of, tilt_errors
 from ekf_companion.logs import series
 from ekf_companion.logs.estimate import read_estimate, read_truth, to_trajectory
-from ekf_companion.nav import so3
-from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.interpolation import pair
+from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.state import Trajectory
 
 __all__ = ["Score", "Spread", "read_estimate", "read_truth", "score", "table", "to_trajectory"]
 
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 
 LAG_SPAN = 1.0
-"""s; time lags are looked for up to this, either way."""
+"""Largest lag searched for, either way, s."""
 LAG_STEP = 0.02
-"""s; of the search that finds where the parabola is laid."""
+"""Step of the search before the parabola is fitted, s."""
 LAG_POINTS = 4000
-"""Stamps that the search for the lag looks at, at most."""
+"""Largest number of stamps that the search for the lag uses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spread:
-    """How large an error was, without its sign."""
+    """Statistics of an error's size."""
 
     count: int
     rms: float
@@ -47,12 +44,12 @@ class Spread:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """An estimate against a reference; None: one of the two lacks it. SI and radians."""
+    """Errors of an estimate against a reference, SI and radians; None: one of them lacks it."""
 
     estimate: str
     reference: str
     start_ns: int
-    """First stamp that was looked at."""
+    """First stamp compared."""
     end_ns: int
     horizontal: Spread | None
     """m."""
@@ -61,7 +58,7 @@ class Score:
     vertical_about_mean: Spread | None
     """m, without the constant difference."""
     vertical_mean: float | None
-    """m, estimate above reference: a matter of the datum as much as of the estimate."""
+    """m, estimate above reference: due to the datum as much as to the estimate."""
     velocity: Spread | None
     """m/s, of the vector; horizontal where the reference has no vertical velocity."""
     velocity_horizontal: Spread | None
@@ -75,12 +72,12 @@ class Score:
     yaw: Spread | None
     """rad."""
     lag: float | None
-    """s; the estimate fits best when it is taken to be this late. None: no motion to tell by."""
+    """Delay of the estimate at which it fits best, s; None: no motion shows it."""
     horizontal_without_lag: float | None
     """m, RMS at the best lag."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Give everything for JSON: metres, m/s, degrees and seconds, the unit in the name."""
+        """Return everything for JSON: metres, m/s, degrees and seconds, the unit in the name."""
         flat: dict[str, Any] = {
             "estimate": self.estimate,
             "reference": self.reference,
@@ -126,46 +123,32 @@ def score(
     """Measure an estimate against a reference where both exist.
 
     Args:
-        estimate: Ours by column names (``nav.state.COLUMNS``), or any trajectory.
+        estimate: A trajectory, or our columns by name (``nav.state.COLUMNS``).
         reference: What it should be.
         skip_s: Leave out so many seconds from the estimate's first stamp on.
-        start_ns: Leave out what is earlier, besides; None: nothing. The armed time, for one.
+        start_ns: Also leave out what is earlier, for example than the arming; None: nothing.
         end_ns: Leave out what is later; None: nothing.
     """
-    first_ns = 0
-    if isinstance(estimate, Trajectory):
-        stamps = [t[0] for t in (estimate.pos_t_ns, estimate.vel_t_ns, estimate.att_t_ns) if len(t)]
-        first_ns = int(min(stamps, default=0))
-    else:
-        t_ns = np.asarray(estimate["time_us"]).astype(np.int64) * 1000
-        spans = series.course(t_ns)[1]
-        first_ns = spans[0][0] if spans else 0
-        estimate = to_trajectory(estimate)
+    first_ns, estimate = _begin(estimate)
     begin = max(first_ns + round(skip_s * 1e9), first_ns if start_ns is None else start_ns)
-    end = np.iinfo(np.int64).max if end_ns is None else end_ns
+    span = (begin, ALWAYS[1] if end_ns is None else end_ns)
     seen: list[Stamps] = []
-
-    offset = vertical = velocity = None
-    if found := pair(estimate.pos_t_ns, reference.pos_t_ns, begin, end):
-        frame = _frame(reference)
-        mine, theirs = (frame.to_ned(one.lat, one.lon, one.alt) for one in (estimate, reference))
-        offset = found.difference(mine, theirs)
+    offset = vertical = velocity = angles = tilt = None
+    if there := difference.in_position(estimate, reference, span):
+        stamps, offset = there
         vertical = -offset[np.isfinite(offset[:, 2]), 2]
-        seen.append(found.at_ns)
-    lag, best = _find_lag(estimate, reference, begin, end)
-    if found := pair(estimate.vel_t_ns, reference.vel_t_ns, begin, end):
-        velocity = found.difference(estimate.vel_n, reference.vel_n)
-        velocity = velocity[np.isfinite(velocity[:, :2]).all(axis=1)]
-        seen.append(found.at_ns)
-    tilt = angles = None
-    if found := pair(estimate.att_t_ns, reference.att_t_ns, begin, end):
-        mine, theirs = found.rotations(estimate.q_nb, reference.q_nb)
-        angles = so3.wrap(so3.to_euler(mine) - so3.to_euler(theirs))
-        down = [so3.to_matrix(q)[:, 2, :] for q in (mine, theirs)]
-        tilt = np.arccos(np.clip(np.sum(down[0] * down[1], axis=1), -1.0, 1.0))
-        seen.append(found.at_ns)
-
+        seen.append(stamps)
+    if there := difference.in_velocity(estimate, reference, span):
+        stamps, velocity = there
+        velocity = velocity[known_rows(velocity[:, :2])]
+        seen.append(stamps)
+    if turned := difference.in_attitude(estimate, reference, span):
+        stamps, mine, theirs = turned
+        angles, tilt = euler_errors(mine, theirs), tilt_errors(mine, theirs)
+        seen.append(stamps)
     mean = float(np.mean(vertical)) if vertical is not None and len(vertical) else None
+    lag, best = _find_lag(estimate, reference, *span)
+    roll, pitch, yaw = (None, None, None) if angles is None else angles.T
     return Score(
         estimate=estimate.name,
         reference=reference.name,
@@ -182,19 +165,24 @@ def score(
             None if velocity is None else np.hypot(velocity[:, 0], velocity[:, 1])
         ),
         tilt=_spread(tilt),
-        roll=_spread(None if angles is None else angles[:, 0]),
-        pitch=_spread(None if angles is None else angles[:, 1]),
-        yaw=_spread(None if angles is None else angles[:, 2]),
+        roll=_spread(roll),
+        pitch=_spread(pitch),
+        yaw=_spread(yaw),
         lag=lag,
         horizontal_without_lag=best,
     )
 
 
-def _frame(reference: Trajectory) -> LocalFrame:
-    """Give metres about the reference's first position."""
-    alt = float(reference.alt[0])
-    lat, lon = float(reference.lat[0]), float(reference.lon[0])
-    return LocalFrame(lat, lon, alt if np.isfinite(alt) else 0.0)
+def _begin(
+    estimate: Trajectory | Mapping[str, npt.NDArray[Any]],
+) -> tuple[int, Trajectory]:
+    """Return the first stamp of an estimate, 0 if it has none, and the estimate as trajectory."""
+    if isinstance(estimate, Trajectory):
+        stamps = [t[0] for t in (estimate.pos_t_ns, estimate.vel_t_ns, estimate.att_t_ns) if len(t)]
+        return int(min(stamps, default=0)), estimate
+    t_ns = np.asarray(estimate["time_us"]).astype(np.int64) * 1000
+    spans = series.clock_run(t_ns)[1]
+    return spans[0][0] if spans else 0, to_trajectory(estimate)
 
 
 def _spread(errors: Array | None) -> Spread | None:
@@ -212,14 +200,14 @@ def _spread(errors: Array | None) -> Spread | None:
 def _find_lag(
     estimate: Trajectory, reference: Trajectory, begin: int, end: int
 ) -> tuple[float | None, float | None]:
-    """Give the lag with the smallest horizontal RMS, and that RMS; by a parabola at the least."""
-    # The window keeps clear of its ends, so that every shift sees the same rows.
+    """Return the lag with the least horizontal RMS, by a parabola, and that RMS."""
+    # A margin at either end, so that every shift uses the same rows
     margin = round(LAG_SPAN * 1e9)
     if not len(estimate.pos_t_ns) or not len(reference.pos_t_ns):
         return None, None
     low = max(begin, int(estimate.pos_t_ns[0]), int(reference.pos_t_ns[0])) + margin
     high = min(end, int(estimate.pos_t_ns[-1]), int(reference.pos_t_ns[-1])) - margin
-    frame = _frame(reference)
+    frame = frame_of(reference)
     mine, theirs = (frame.to_ned(one.lat, one.lon, one.alt) for one in (estimate, reference))
     mine_s, theirs_s = ((one.pos_t_ns - low) * 1e-9 for one in (estimate, reference))
     fixed, moved, at, slide = theirs, mine, theirs_s, mine_s
@@ -249,7 +237,7 @@ def _find_lag(
 
 
 def table(scores: Sequence[Score]) -> list[str]:
-    """Give scores as lines of text, beside each other: RMS, 95 % and largest error of each."""
+    """Return scores side by side as lines of text: RMS, 95 % and largest error of each."""
     units = {"mps": "m/s"}
     lines = [
         f"[{number}] {one.estimate} against {one.reference}" for number, one in _numbered(scores)

@@ -1,5 +1,5 @@
-"""Numbers of the configuration, measured from the user's own logs: noise, delay, magnetism.
+"""Settings of the configuration measured from the user's own logs: noise, delay, magnetism.
 
-Each calibration takes a log's events and gives a :class:`ekf_companion.calibrate.report.Result`,
-or says in a sentence why this log cannot tell.
+Each calibration turns a recording into a :class:`ekf_companion.calibrate.result.Result`, or raises
+a sentence that says why this log does not allow it. No figures: :mod:`ekf_companion.analysis`.
 """

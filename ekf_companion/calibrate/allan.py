@@ -1,8 +1,8 @@
-"""Allan deviation: how much the mean over a time differs from the next mean, and what that says.
+"""Allan deviation, and the white noise, bias instability and random walk that it shows.
 
-For white noise of density N the variance falls as ``N^2 / tau``; a bias that wanders without end
-makes it rise as ``K^2 tau / 3``; between them flicker holds it at ``(0.664 B)^2``. An autopilot's
-low-pass takes from the white noise at short times: it is read off beyond.
+For white noise of density N the Allan variance falls as ``N^2 / tau``; a random walk of the bias
+makes it rise as ``K^2 tau / 3``; between them flicker keeps it at ``(0.664 B)^2``. An autopilot's
+low-pass removes white noise at short times: it is read off at longer ones.
 
 Source: IEEE Std 952-1997, annex C; W. J. Riley 2008, NIST SP 1065, sections 5.2.4 (overlapping
 estimator) and 5.4 (degrees of freedom).
@@ -14,24 +14,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import nnls
 from scipy.signal import welch
 
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 FLICKER = 2.0 * np.log(2.0) / np.pi
 """Allan variance of flicker noise of B = 1, where it is flat."""
 LONGEST = 0.25
-"""Times up to this share of a stretch are looked at."""
+"""Longest time used, as a share of a stretch."""
 BEYOND = 3.0
-"""White noise is read off beyond so many periods of the low-pass's corner."""
+"""Periods of the low-pass's corner beyond which white noise is read off."""
 UNFILTERED = 0.35
-"""A corner above this share of the sampling rate is none."""
+"""Share of the sampling rate above which a corner counts as none."""
 NOTHING = 1e-24
-"""Least variance: a sensor that always says the same has some too."""
+"""Least variance, for a sensor that always reads the same."""
 SHOWS = 2.0
-"""What is not so many sigmas above nothing does not show: its bound is given."""
+"""Sigmas above zero at which a term counts as present; below, its bound is reported."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -39,11 +38,11 @@ class Curve:
     """Allan deviation of one axis."""
 
     tau: Array
-    """Times, ascending, s."""
+    """Averaging times, ascending, s."""
     deviation: Array
     """In the unit of the samples."""
     freedom: Array
-    """Degrees of freedom of each variance: how sure it is."""
+    """Degrees of freedom of each variance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,19 +50,19 @@ class Level:
     """One number of a fit."""
 
     value: float
-    """Best value; 0 where none shows."""
+    """Best value; 0 if not significant."""
     bound: float
-    """It is not above this (two sigmas)."""
+    """Upper bound (two sigmas)."""
 
     @property
     def shows(self) -> bool:
-        """Whether it is surely more than nothing."""
+        """Whether it is significantly above zero."""
         return self.value > 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
-    """What an axis is made of."""
+    """The noise terms of one axis."""
 
     white: float
     """N: density, unit per square root of Hz."""
@@ -74,13 +73,13 @@ class Noise:
     walk: Level
     """K: unit per square root of s."""
     corner: float | None
-    """Where a low-pass halves the power, Hz; None: there is none."""
+    """Frequency at which a low-pass halves the power, Hz; None: there is none."""
     white_from: float
-    """The white noise was read off from this time on, s."""
+    """Averaging time from which on the white noise was read off, s."""
 
 
 def curve(stretches: Sequence[Array], period: float, taus: Array | None = None) -> Curve:
-    """Give the overlapping Allan deviation over all stretches, each shape (n,).
+    """Return the overlapping Allan deviation over all stretches, each shape (n,).
 
     Args:
         stretches: Samples at rest, evenly spaced.
@@ -110,18 +109,18 @@ def curve(stretches: Sequence[Array], period: float, taus: Array | None = None) 
 
 
 def _freedom(n: int, m: int) -> float:
-    """Degrees of freedom of the overlapping variance for white noise (NIST SP 1065, table 5)."""
+    """Return the degrees of freedom of the overlapping variance for white noise (table 5)."""
     ratio = 1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n
     return max(ratio * 4.0 * m * m / (4.0 * m * m + 5.0), 1.0)
 
 
 def corner(stretches: Sequence[Array], period: float) -> float | None:
-    """Give where the power has fallen to half of that at lower frequencies, Hz; None: nowhere."""
+    """Return the frequency where the power falls to half of that below, Hz, or None."""
     size = min(512, min(map(len, stretches)))
     powers = [welch(part, 1.0 / period, nperseg=size)[1] * len(part) for part in stretches]
     frequency = np.fft.rfftfreq(size, period)
     power = np.sum(powers, axis=0)
-    # Over a fifth of an octave either way: one line of hum decides nothing
+    # Median over a fifth of an octave either way, against single lines of hum
     smooth = np.array(
         [np.median(power[(frequency > 0.87 * f) & (frequency < 1.15 * f)]) for f in frequency[2:]]
     )
@@ -135,11 +134,9 @@ def corner(stretches: Sequence[Array], period: float) -> float | None:
 
 
 def fit(stretches: Sequence[Array], period: float) -> tuple[Curve, Noise]:
-    """Fit white noise, flicker and random walk to one axis.
+    """Fit white noise, flicker and random walk to one axis at rest.
 
-    Args:
-        stretches: Samples at rest, evenly spaced, each shape (n,).
-        period: Between samples, s.
+    The stretches, each of shape (n,), are evenly spaced by the period, s.
     """
     found = curve(stretches, period)
     cut = corner(stretches, period)
@@ -149,7 +146,7 @@ def fit(stretches: Sequence[Array], period: float) -> tuple[Curve, Noise]:
     variance = np.maximum(found.deviation[used] ** 2, NOTHING)
     terms = np.stack([1.0 / tau, np.full(len(tau), FLICKER), tau / 3.0], axis=1)
     scale = variance[0] * np.array([tau[0], 1.0, 1.0 / tau[-1]])
-    # Weighed by the fit: by its own value, what is small by chance would look sure
+    # Weighted by the fit: weighted by itself, a variance small by chance would look sure
     modelled = variance
     for _ in range(6):
         rows = terms * (np.sqrt(0.5 * freedom) / modelled)[:, None] * scale

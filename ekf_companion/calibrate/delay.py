@@ -1,15 +1,15 @@
-"""How late the receiver's fixes are: the delay under which GNSS is the likeliest.
+"""Delay of the receiver's fixes by maximum likelihood.
 
-The estimator runs over the log once for each delay that is tried, and sums the log-likelihood of
-every position, height and velocity that it judges (:attr:`Pipeline.log_likelihood`). The sum is
-highest at the delay at which GNSS and inertial sensors tell of the same motion: found on a grid,
-then by golden section, and then smoothed, for the noise of the inertial samples about each fix
-makes the sum rough. The top of a parabola through the sums near by is the answer.
+The estimator runs over the log once for each delay tried, and sums the log-likelihood of every
+position, height and velocity that it judges (:attr:`Pipeline.log_likelihood`). The sum is highest
+at the delay at which GNSS and inertial sensors agree on the motion: found on a grid, then by golden
+section, and then smoothed, since the noise of the inertial samples about each fix makes the sum
+rough: the result is the top of a parabola through the sums nearby.
 
-Its 95 % interval is where the parabola has lost 1.92. Innovations that are alike from one fix to
-the next say less than independent ones. So the sum is taken by blocks of some seconds; if the
-blocks' slopes at the top scatter more than the curvature of their sum promises, the 1.92 is
-multiplied by that ratio of variances ("sandwich").
+Its 95 % interval ends where the parabola has lost 1.92. Innovations that are correlated from one
+fix to the next carry less information than independent ones. So the sum is taken by blocks of some
+seconds; if the blocks' slopes at the top scatter more than the curvature of their sum predicts, the
+1.92 is multiplied by that ratio of variances ("sandwich").
 
 Source: Maybeck 1982, vol. 2, ch. 10 (maximum likelihood by innovations); White 1982, Econometrica
 50, 1 (misspecified likelihoods); Newey and West 1987, Econometrica 55, 3 (neighbouring blocks);
@@ -23,7 +23,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import t
 
 from ekf_companion.calibrate import rest
@@ -33,57 +32,57 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Recording
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status, Table
 
-Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 SPAN = (-0.2, 0.6)
-"""Delays that are tried, s: no receiver is later, and a stamp of the true time is not early."""
+"""Range of delays tried, s: no receiver is later, and a correct stamp is not early."""
 STEP = 0.02
-"""Between two of the first delays tried, s."""
+"""Step of the grid of delays, s."""
 FINE = 0.001
-"""How near the best one is found, s."""
+"""Resolution of the search, s."""
 DROP = 1.92
 """Loss of log-likelihood at the ends of a 95 % interval: half the chi-square quantile, 1 dof."""
 BLOCK = 4.0
-"""Length of the blocks by which the scatter is judged, s: longer than innovations are alike."""
+"""Length of the blocks, s: longer than innovations are correlated."""
 FEWEST_BLOCKS = 5
 SETTLING = 5.0
-"""After the first position nothing is counted for so long, s: the filter is settling."""
+"""Time after the first position that is not counted, s: the filter is settling."""
 NEAR = 10.0
-"""A parabola is laid through the sums that are so much below the best one, or less."""
+"""Loss from the best sum within which the parabola is fitted."""
 POINTS = 25
-"""Delays by which that is done."""
+"""Number of delays that it is fitted to."""
 WIDEST = 0.05
-"""An interval that is wider either way says that the motion does not show the delay, s."""
+"""Largest half interval of a delay that the motion shows, s."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Delay:
-    """The likelihood of delays, and what it says."""
+    """The likelihood by delay, and the delay that it shows."""
 
     delays: Array
-    """All that were tried, ascending, s."""
+    """All delays tried, ascending, s."""
     gain: Array
-    """Log-likelihood over that of the best, for each."""
+    """Log-likelihood of each over that of the best."""
     best: float
     """s."""
     low: float
     """Lower end of the 95 % interval, s."""
     high: float
     widening: float
-    """By how much the scatter of the blocks widened the interval: a ratio of variances, >= 1."""
+    """Ratio of variances, >= 1, by which the scatter of the blocks widened the interval."""
     rows: int
-    """Positions, heights and velocities that were judged."""
+    """Number of positions, heights and velocities judged."""
     seconds: float
-    """Time that was counted."""
+    """Length of the time counted, s."""
     acceleration: float
     """RMS of the horizontal acceleration in that time, m/s^2."""
     learnt: float
-    """What the filter finds by itself while it flies, s."""
+    """The delay that the filter estimates by itself in flight, s."""
 
 
 def measure(
@@ -92,13 +91,13 @@ def measure(
     name: str = "the log",
     progress: Progress | None = None,
 ) -> Delay:
-    """Find the delay of a log's fixes.
+    """Measure the delay of a log's fixes.
 
     Args:
-        recording: The log, of one course of time; its own word on the delay is not asked.
-        settings: The estimator's; their delay is not asked either.
-        name: Of the log, for complaints.
-        progress: Told how far it is.
+        recording: The log, on one run of the clock; the delay that it declares is ignored.
+        settings: The estimator's; their delay is ignored too.
+        name: Of the log, for messages.
+        progress: Called with the delays done, and of how many.
 
     Raises:
         LogError: The log has no inertial samples or no fixes, or its motion does not show a delay.
@@ -129,7 +128,7 @@ def measure(
 
 
 def _refuse_empty(recording: Recording, name: str) -> None:
-    """Raise where there is nothing to see a delay by."""
+    """Raise LogError if the log lacks what shows a delay."""
     for kind, what in ((Kind.IMU, "no inertial samples"), (Kind.GNSS, "no GNSS fix")):
         if not np.count_nonzero(recording.events.kind == kind):
             raise LogError(f"{name}: holds {what}, so the delay of fixes cannot be seen in it")
@@ -142,7 +141,7 @@ def _refuse_empty(recording: Recording, name: str) -> None:
 
 
 def _counted(table: Table, name: str) -> tuple[float, float]:
-    """Give begin and end of the time that counts, s of the stamps."""
+    """Return begin and end of the time that counts, s of the stamps."""
     located = np.flatnonzero(table.column("status") >= Status.OK)
     if not len(located):
         raise LogError(
@@ -162,7 +161,7 @@ def _counted(table: Table, name: str) -> tuple[float, float]:
 def _maximise(
     likelihood: Likelihood, name: str, progress: Progress | None
 ) -> tuple[float, float, float, float]:
-    """Give the likeliest delay, the ends of its interval, and by how much that was widened."""
+    """Return the likeliest delay, the ends of its interval, and the widening."""
     grid = np.arange(SPAN[0], SPAN[1] + 0.5 * STEP, STEP)
     for done, delay in enumerate(grid, 1):
         likelihood.total(float(delay))
@@ -179,7 +178,7 @@ def _maximise(
         if 2.0 * half <= reach or reach >= SPAN[1] - SPAN[0]:
             break
         reach *= 2.0
-    # Another delay, far off, may be as likely: a motion that repeats itself
+    # Another delay, far off, may be as likely, where the motion repeats itself
     delays, gain = likelihood.curve()
     likely = delays[gain >= -DROP * widening]
     low, high = min(centre - half, float(likely[0])), max(centre + half, float(likely[-1]))
@@ -187,10 +186,10 @@ def _maximise(
 
 
 def _parabola(likelihood: Likelihood, best: float, reach: float) -> tuple[float, float, float]:
-    """Give the top of a parabola through the sums near the best, its half interval and widening.
+    """Return the top of a parabola through the sums near the best, its half interval, the widening.
 
-    Each block has a parabola of its own; the scatter of their slopes at the top is over the
-    curvature, neighbours counted together, what widens the interval.
+    Each block has a parabola of its own; the widening is the scatter of their slopes at the top,
+    neighbours counted together, over the curvature.
     """
     delays = np.linspace(max(best - reach, SPAN[0]), min(best + reach, SPAN[1]), POINTS)
     blocks = np.stack([likelihood.scaled(float(delay)) for delay in delays])
@@ -209,7 +208,7 @@ def _parabola(likelihood: Likelihood, best: float, reach: float) -> tuple[float,
 
 
 def _golden(likelihood: Likelihood, low: float, high: float) -> None:
-    """Try delays between two until the best is known to ``FINE``."""
+    """Try delays between two limits until the best is known to ``FINE``."""
     inner = [high - GOLDEN * (high - low), low + GOLDEN * (high - low)]
     while high - low > FINE:
         if likelihood.total(inner[0]) > likelihood.total(inner[1]):
@@ -219,7 +218,7 @@ def _golden(likelihood: Likelihood, low: float, high: float) -> None:
 
 
 def _edge(likelihood: Likelihood, best: float, side: float, drop: float) -> float:
-    """Give the delay at which the sum has lost ``drop``, on one side of the best."""
+    """Return the delay at which the sum has lost ``drop``, on one side of the best."""
     level = likelihood.total(best) - drop
     inside, step = 0.0, FINE
     while likelihood.total(best + side * (inside + step)) > level:
@@ -237,7 +236,7 @@ def _edge(likelihood: Likelihood, best: float, side: float, drop: float) -> floa
 
 
 def _acceleration(table: Table, begin: float) -> float:
-    """Give the RMS of the horizontal acceleration from a time on, over whole seconds, m/s^2."""
+    """Return the RMS of the horizontal acceleration from a time on, over whole seconds, m/s^2."""
     velocity = np.stack([table.column("vel_n"), table.column("vel_e")])
     known = np.isfinite(velocity).all(axis=0)
     seconds = table.stamp_ns[known] * 1e-9
@@ -247,7 +246,7 @@ def _acceleration(table: Table, begin: float) -> float:
 
 
 def _refuse_flat(found: Delay, name: str) -> None:
-    """Raise where the motion does not show the delay."""
+    """Raise LogError if the motion does not show the delay."""
     is_edge = not SPAN[0] + STEP < found.best < SPAN[1] - STEP
     if is_edge or 0.5 * (found.high - found.low) > WIDEST:
         raise LogError(

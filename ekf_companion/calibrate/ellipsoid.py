@@ -1,8 +1,8 @@
-"""A field of constant strength, seen by a magnetometer with iron about it: the fit of an ellipsoid.
+"""Fit of an ellipsoid to a field of constant strength, measured by a magnetometer near iron.
 
 The vehicle adds a constant (hard iron) and stretches and shears the rest (soft iron), so what
-should lie on a sphere lies on an ellipsoid: ``|S (m - h)| = F``. S is symmetric: a rotation of the
-whole cannot be seen in the strength.
+should lie on a sphere lies on an ellipsoid: ``|S (m - h)| = F``. S is symmetric: the strength does
+not show a rotation of the whole.
 
 Source: Vasconcelos et al. 2011, IEEE Trans. AES 47, 2 (ellipsoid fit, maximum likelihood); Huber
 1964 (outliers).
@@ -13,27 +13,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array, Indices
 
 CELLS = 100
-"""Directions told apart, some 20 degrees each: however long one is held, it counts once."""
+"""Number of directions, some 20 degrees each: however long one is held, it counts once."""
 LIKELY_HARD = 1.0
-"""One sigma of a hard iron beforehand, gauss: keeps what is not seen near none."""
+"""Prior sigma of the hard iron, gauss: keeps an axis that was not measured near 0."""
 LIKELY_SOFT = 0.05
-"""One sigma of an element of the soft iron beforehand; what is not fitted is as uncertain."""
+"""Prior sigma of an element of the soft iron; one that is not fitted keeps it."""
 LEAST_NOISE = 0.005
-"""What the field about a vehicle differs by from time to time at the least, gauss."""
+"""Least variation of the field about a vehicle, gauss."""
 KNEE = 2.0
-"""Beyond so many sigmas an innovation counts by its size, no longer by its square."""
+"""Sigmas beyond which an innovation counts by its size, not by its square (Huber)."""
 STEPS = 50
 SYMMETRIC = np.array([[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Fit:
-    """Iron, and how sure it is."""
+    """Iron and its uncertainty."""
 
     hard: Array
     """gauss, shape (3,)."""
@@ -42,19 +41,19 @@ class Fit:
     hard_std: Array
     """One sigma by axis, gauss, shape (3,)."""
     soft_std: float
-    """Largest one sigma of an element that was fitted; 0: none was."""
+    """Largest one sigma of a fitted element; 0: none was fitted."""
     rms: float
-    """Of the strength after the correction, less the field's, gauss; each direction counts once."""
+    """RMS error of the corrected strength, gauss; each direction counts once."""
 
     def apply(self, mag_b: Array) -> Array:
-        """Give the field without the iron, shape (n, 3), gauss."""
+        """Return the field without the iron, shape (n, 3), gauss."""
         return np.asarray((mag_b - self.hard) @ self.soft.T)
 
 
 def sphere(points: Array, weight: Array | None = None) -> tuple[Array, float]:
-    """Give centre and radius of the sphere nearest to points, shape (n, m), by linear equations.
+    """Return centre and radius of the sphere, or circle, nearest to points, shape (n, m).
 
-    In two dimensions it is a circle. Source: Kasa 1976, IEEE Trans. IM 25, 1.
+    Source: Kasa 1976, IEEE Trans. IM 25, 1 (linear least squares).
     """
     middle = points.mean(axis=0)
     arms = points - middle
@@ -64,10 +63,10 @@ def sphere(points: Array, weight: Array | None = None) -> tuple[Array, float]:
     return middle + terms[:-1], float(np.sqrt(max(terms[-1] + terms[:-1] @ terms[:-1], 0.0)))
 
 
-def directions(arms: Array) -> npt.NDArray[np.int64]:
-    """Give for each vector, shape (n, 3), the cell of the sphere that it points to, 0 to CELLS-1.
+def directions(arms: Array) -> Indices:
+    """Return the cell of the sphere that each vector, shape (n, 3), points to, 0 to CELLS - 1.
 
-    The cells are those nearest to the points of a Fibonacci lattice (Gonzalez 2010).
+    A cell is what is nearest to a point of a Fibonacci lattice (Gonzalez 2010).
     """
     return np.asarray(np.argmax(arms @ _lattice().T, axis=1), dtype=np.int64)
 
@@ -81,13 +80,13 @@ def _lattice() -> Array:
 
 
 def weights(arms: Array) -> Array:
-    """Give weights by which every direction that occurs counts once."""
+    """Return weights by which every direction that occurs counts once."""
     cell = directions(arms)
     return 1.0 / np.bincount(cell, minlength=CELLS)[cell]
 
 
 def spread(field_b: Array, strength: float) -> float:
-    """Give the RMS of the strength of fields, shape (n, 3), less the true one, gauss."""
+    """Return the RMS error of the strength of fields, shape (n, 3), gauss."""
     off = np.linalg.norm(field_b, axis=1) - strength
     return float(np.sqrt(np.average(off**2, weights=weights(field_b))))
 
@@ -98,8 +97,8 @@ def fit(mag_b: Array, strength: float, *, is_soft: bool, start: Array) -> Fit:
     Args:
         mag_b: gauss, shape (n, 3).
         strength: Of the Earth's field, gauss.
-        is_soft: Fit the soft iron too; else it is the identity, and a doubt.
-        start: Hard iron to begin from, gauss.
+        is_soft: Fit the soft iron too; else it is the identity, uncertain as before.
+        start: Initial hard iron, gauss.
     """
     share = weights(mag_b - start)
     size = 9 if is_soft else 3
@@ -116,7 +115,7 @@ def fit(mag_b: Array, strength: float, *, is_soft: bool, start: Array) -> Fit:
         terms[:size] -= step
         if np.abs(step).max() < 1e-7:
             break
-    # What was not fitted is a doubt (Schmidt 1966)
+    # What is not fitted adds its uncertainty (Schmidt 1966)
     gain = own @ (fitted.T * weight) @ rest
     std = np.sqrt(np.diag(own + (gain * sigmas[size:] ** 2) @ gain.T))
     hard, soft = _unpack(terms)
@@ -130,7 +129,7 @@ def fit(mag_b: Array, strength: float, *, is_soft: bool, start: Array) -> Fit:
 
 
 def _unpack(terms: Array) -> tuple[Array, Array]:
-    """Give hard and soft iron of three or nine numbers."""
+    """Return hard and soft iron of three or nine numbers."""
     soft = np.eye(3)
     for term, (i, j) in zip(terms[3:], SYMMETRIC, strict=False):
         soft[i, j] = soft[j, i] = soft[i, j] + term
@@ -138,7 +137,7 @@ def _unpack(terms: Array) -> tuple[Array, Array]:
 
 
 def _model(terms: Array, mag_b: Array, strength: float) -> tuple[Array, Array]:
-    """Give strength after the correction less the field's, and its slopes by all nine numbers."""
+    """Return the error of the corrected strength, and its slopes by all nine numbers."""
     hard, soft = _unpack(terms)
     arms = mag_b - hard
     fields = arms @ soft

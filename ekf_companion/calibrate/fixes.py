@@ -1,4 +1,4 @@
-"""The errors of a log's fixes: at rest as they are, in flight with the motion taken off."""
+"""Errors of a log's fixes: at rest as they are, in flight with the motion subtracted."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.calibrate import rest
 from ekf_companion.calibrate.rest import Stretch
@@ -16,27 +15,31 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import STANDARD_GRAVITY, LocalFrame
-from ekf_companion.nav.measurements import Events, GnssFlag, Kind
-from ekf_companion.nav.state import Status, Table
+from ekf_companion.nav.interpolation import resample
+from ekf_companion.nav.measurements import (
+    GNSS_FLAGS,
+    GNSS_POSITION,
+    GNSS_STD,
+    GNSS_VELOCITY,
+    Events,
+    GnssFlag,
+    Kind,
+)
+from ekf_companion.nav.state import ACCEL_BIAS, QUATERNION, VELOCITY, Status, Table
 
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
-
-VELOCITY, STDS, FLAGS = slice(3, 6), slice(6, 9), 10
-"""Where a GNSS row holds them."""
 LARGEST = np.array([1.57, 3.15, 1e5])
-"""Latitude, longitude, rad, and altitude, m, that a fix can have."""
+"""Largest latitude, longitude, rad, and altitude, m, of a fix."""
 EVEN = 1.5
-"""A step between fixes so many times the usual one is a gap."""
+"""Step between fixes over the usual one at which it is a gap."""
 FLIGHT, REST = 40.0, 20.0
-"""Least time in flight and at rest, s, to tell anything from."""
+"""Least time in flight and at rest, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Receiver:
-    """How a receiver scatters, in one state of motion; None: not to be told."""
+    """Scatter of a receiver in one state of motion; None: not known."""
 
     state: str
     """``at rest`` or ``in flight``."""
@@ -48,21 +51,21 @@ class Receiver:
     velocity: Scatter | None
     """Horizontal, m/s."""
     stated: tuple[float, float, float]
-    """What the receiver says of the three, median; NaN: nothing."""
+    """Median of the accuracy that the receiver reports of each; NaN: none."""
 
 
 def find(recording: Recording) -> Events:
-    """Give the receiver's own fixes in order of time, each once."""
+    """Return the receiver's own fixes in order of time, each once."""
     events = recording.events
-    gnss = (events.kind == Kind.GNSS) & (events.values[:, FLAGS] == float(GnssFlag.NONE))
-    gnss &= (np.abs(events.values[:, :3]) < LARGEST).all(axis=1)
+    gnss = (events.kind == Kind.GNSS) & (events.values[:, GNSS_FLAGS] == float(GnssFlag.NONE))
+    gnss &= (np.abs(events.values[:, GNSS_POSITION]) < LARGEST).all(axis=1)
     index = np.flatnonzero(gnss)
     first = np.unique(events.t_ns[index], return_index=True)[1]
     return events.take(index[first])
 
 
 def at_rest(fixes: Events, stretches: Sequence[Stretch]) -> Receiver | None:
-    """Measure the fixes that came while the vehicle stood still; None: too few did."""
+    """Measure the fixes at rest; return None if there are too few."""
     parts = []
     for stretch in stretches:
         inside = (fixes.t_ns > stretch.t_ns[0]) & (fixes.t_ns < stretch.t_ns[-1])
@@ -71,14 +74,14 @@ def at_rest(fixes: Events, stretches: Sequence[Stretch]) -> Receiver | None:
     if not parts:
         return None
     frame = _frame(fixes)
-    errors = [np.hstack([_ned(frame, part), part.values[:, VELOCITY]]) for part in parts]
+    errors = [np.hstack([_ned(frame, part), part.values[:, GNSS_VELOCITY]]) for part in parts]
     return _receiver("at rest", [part.t_ns for part in parts], errors, fixes, REST, 0.0)
 
 
 def in_flight(
     recording: Recording, settings: FilterSettings, fixes: Events, still: Sequence[Stretch]
 ) -> Receiver | None:
-    """Measure the fixes that came in motion against the estimator's; None: too few did."""
+    """Measure the fixes in motion against the estimator's; return None if there are too few."""
     pipeline = Pipeline(settings, recording.family, recording.gnss_delay)
     table = pipeline.run(recording.events)
     if len(fixes) < 3 or len(table) < 3:
@@ -93,8 +96,8 @@ def in_flight(
     if moving.sum() < 3:
         return None
     antenna = _antenna(recording.events, table, settings)
-    way, speed, gained = (_at(true_ns, table.stamp_ns, one) for one in antenna)
-    velocity = fixes.values[:, VELOCITY]
+    way, speed, gained = (resample(true_ns, table.stamp_ns, one) for one in antenna)
+    velocity = fixes.values[:, GNSS_VELOCITY]
     position = _ned(_frame(fixes), fixes) - way - _integral(fixes, velocity - speed)
     errors = np.hstack([position, velocity - gained])
     resets = table.column("reset_count")[row]
@@ -133,7 +136,7 @@ def _receiver(
         series = [Series(period=period, values=one) for one in whole if np.isfinite(one).all()]
         return measure(series, wander) if series else None
 
-    stds = np.where(fixes.values[:, STDS] > 0.0, fixes.values[:, STDS], np.nan)
+    stds = np.where(fixes.values[:, GNSS_STD] > 0.0, fixes.values[:, GNSS_STD], np.nan)
     stated = [float(np.nanmedian(std)) if np.isfinite(std).any() else np.nan for std in stds.T]
     return Receiver(
         state=state,
@@ -146,38 +149,28 @@ def _receiver(
 
 
 def _frame(fixes: Events) -> LocalFrame:
-    lat, lon, alt = np.median(fixes.values[:, :3], axis=0)
+    lat, lon, alt = np.median(fixes.values[:, GNSS_POSITION], axis=0)
     return LocalFrame(float(lat), float(lon), float(alt))
 
 
 def _ned(frame: LocalFrame, fixes: Events) -> Array:
-    return frame.to_ned(*fixes.values[:, :3].T)
-
-
-def _at(t_ns: Stamps, stamp_ns: Stamps, columns: Array) -> Array:
-    """Interpolate columns of a table at other times."""
-    t, stamp = (t_ns - stamp_ns[0]) * 1e-9, (stamp_ns - stamp_ns[0]) * 1e-9
-    return np.stack([np.interp(t, stamp, column) for column in columns.T], axis=1)
-
-
-def _columns(table: Table, *names: str) -> Array:
-    return np.nan_to_num(np.stack([table.column(name) for name in names], axis=1))
+    return frame.to_ned(*fixes.values[:, GNSS_POSITION].T)
 
 
 def _antenna(events: Events, table: Table, settings: FilterSettings) -> tuple[Array, Array, Array]:
-    """Give the antenna's way, m, its velocity, and what of that was gained, m/s, at every estimate.
+    """Return the antenna's path, m, velocity and change of velocity, m/s, at every estimate.
 
-    North, east, down. The way is the integral of the estimated velocity (the receiver's has yet to
-    correct it); gained is the integral of the specific force, turned by the estimated attitude, and
-    gravity. Both with what the lever arm adds.
+    North, east, down. The path is the integral of the estimated velocity; the change of velocity is
+    the integral of the specific force, rotated by the estimated attitude, and gravity. Both include
+    the effect of the lever arm.
     """
     step = np.diff(table.stamp_ns, prepend=table.stamp_ns[:1])[:, None] * 1e-9
-    velocity = _columns(table, "vel_n", "vel_e", "vel_d")
+    velocity = np.nan_to_num(table.columns(VELOCITY))
     way = np.cumsum(0.5 * (velocity + np.roll(velocity, 1, axis=0)) * step, axis=0)
     t_ns, values = rest.samples(events)
     force_b = values[np.minimum(np.searchsorted(t_ns, table.stamp_ns), len(t_ns) - 1), 3:]
-    force_b = force_b - _columns(table, "accel_bias_x", "accel_bias_y", "accel_bias_z")
-    q_nb = _columns(table, "q_w", "q_x", "q_y", "q_z")
+    force_b = force_b - np.nan_to_num(table.columns(ACCEL_BIAS))
+    q_nb = np.nan_to_num(table.columns(QUATERNION))
     accel_n = so3.rotate(q_nb, force_b) + np.array([0.0, 0.0, STANDARD_GRAVITY])
     arm_b = np.broadcast_to(np.array(settings.gnss.lever_arm), (len(table), 3))
     arm_n = so3.rotate(q_nb, arm_b)
@@ -186,7 +179,7 @@ def _antenna(events: Events, table: Table, settings: FilterSettings) -> tuple[Ar
 
 
 def _integral(fixes: Events, velocity: Array) -> Array:
-    """Give the integral of a velocity at every fix, m; what is not known is none."""
+    """Return the integral of a velocity at every fix, m; one that is not known counts as 0."""
     known = np.nan_to_num(velocity)
     step = np.diff(fixes.t_ns)[:, None] * 1e-9
     means = 0.5 * (known[1:] + known[:-1])

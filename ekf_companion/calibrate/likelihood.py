@@ -1,4 +1,4 @@
-"""How likely a log's fixes are under one delay or another."""
+"""Likelihood of a log's fixes by delay."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.recording import Recording
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 JUDGED = (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY)
 
@@ -27,17 +25,17 @@ class Likelihood:
         self._cuts: list[int] = []
         self._known: dict[int, tuple[Array, int]] = {}
         self.rows = 0
-        """Most rows that were judged under one delay."""
+        """Largest number of rows that were judged under one delay."""
 
     def cut(self, seconds: Array) -> None:
-        """Count from the first time (of the stamps, s) on, in blocks that end at the others."""
+        """Count from the first of some stamps (s) on, in blocks that end at the other stamps."""
         newest = np.maximum.accumulate(self._recording.events.t_ns)
         stamps = np.rint(seconds * 1e9).astype(np.int64)
         self._cuts = [0, *np.searchsorted(newest, stamps, side="right").tolist()]
         self._known.clear()
 
     def blocks(self, delay: float) -> Array:
-        """Give the sum of each block."""
+        """Return the sum of each block."""
         key = round(delay * 1e6)
         if key not in self._known:
             self._known[key] = self._run(key * 1e-6)
@@ -45,27 +43,27 @@ class Likelihood:
         return self._known[key][0]
 
     def total(self, delay: float) -> float:
-        """Give the sum; a fix that was not judged for its delay counts like the mean of the rest.
+        """Return the sum; a fix that was not judged counts as the mean of the rest.
 
-        That is one or two at the ends, or many where the filter had to begin anew.
+        That is one or two at the ends, or many where the filter had to restart.
         """
         total = float(self.blocks(delay).sum())
         count = self._known[round(delay * 1e6)][1]
         return total * self.rows / count if count else -math.inf
 
     def scaled(self, delay: float) -> Array:
-        """Give the sum of each block, so that all delays count the same number of rows."""
+        """Return the sum of each block, scaled so that all delays count the same number of rows."""
         blocks = self.blocks(delay)
         return blocks * (self.rows / max(self._known[round(delay * 1e6)][1], 1))
 
     def curve(self) -> tuple[Array, Array]:
-        """Give all delays that were tried, ascending, and the sums over that of the best."""
+        """Return all delays tried, ascending, and their sums over that of the best."""
         delays = np.array(sorted(self._known)) * 1e-6
         totals = np.array([self.total(float(delay)) for delay in delays])
         return delays, totals - totals.max()
 
     def best(self) -> float:
-        """Give the likeliest of all that were tried."""
+        """Return the likeliest of the delays tried."""
         delays, gain = self.curve()
         return float(delays[np.argmax(gain)])
 
@@ -82,6 +80,6 @@ class Likelihood:
 
 
 def judged(pipeline: Pipeline) -> int:
-    """Give how many GNSS positions, heights and velocities were fused or refused so far."""
+    """Return how many GNSS positions, heights and velocities were fused or refused so far."""
     verdicts = pipeline.health().verdicts
     return sum(verdicts[aid][Verdict.FUSED] + verdicts[aid][Verdict.GATED] for aid in JUDGED)

@@ -1,12 +1,12 @@
-"""The vehicle's own magnetism: what to take off a magnetometer before it can be a compass.
+"""Hard and soft iron of the vehicle: the correction of its magnetometer.
 
-Two answers stand side by side. The ellipsoid (:mod:`ekf_companion.calibrate.ellipsoid`) is the one
-to paste. The other is that of largest and smallest value by axis, as it is done by hand: the
-offset is half their sum, the scale half their difference.
+There are two answers. The ellipsoid (:mod:`ekf_companion.calibrate.ellipsoid`) is the one to paste.
+The other is by the largest and smallest value of each axis, as it is done by hand: the offset is
+half their sum, the scale half their difference.
 
-How much can be told depends on the directions that the field has come from, as the body sees them.
-All round, it is the whole ellipsoid; else hard iron alone; and if the vehicle has only turned
-about one axis, the circle that the other two saw.
+What can be determined depends on the directions of the field relative to the body. From all round
+it is the whole ellipsoid; else hard iron alone; and if the vehicle has only turned about one axis,
+the circle in the plane of the other two.
 
 Source: T. Ozyagcilar 2015, NXP AN4246 (hard and soft iron).
 """
@@ -18,55 +18,55 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.calibrate import ellipsoid
 from ekf_companion.calibrate.ellipsoid import Fit
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Recording
+from ekf_companion.nav.arrays import Array, Indices, Mask, known_rows
 from ekf_companion.nav.magnetic import magnetic_field
 from ekf_companion.nav.measurements import Kind
 
-Array = npt.NDArray[np.float64]
 Method = Literal["ellipsoid", "hard iron", "circle"]
 
 FEWEST = 50
 """Samples."""
 MOST = 4000
-"""Samples that are looked at: more say nothing new."""
+"""Largest number of samples used: more add nothing."""
 SHARE = 0.3
-"""Of all directions, to tell soft iron from hard."""
+"""Share of all directions needed to separate soft iron from hard."""
 SURE_HARD = 0.06
-"""gauss; an axis that is less sure is not determined."""
+"""Largest sigma of the hard iron of a determined axis, gauss."""
 SURE_SOFT = 0.02
+"""Likewise of an element of the soft iron."""
 EARTH = (0.2, 0.7)
-"""The Earth's field is between these everywhere, gauss."""
+"""Range of the strength of the Earth's field, gauss."""
 BEARINGS = 36
 TURNED = 0.75
-"""Of all bearings, for a circle."""
+"""Share of all bearings needed for a circle."""
 FLATTEST = 0.1
-"""Radius of a circle that is more than noise, gauss: a compass is of no use with less."""
+"""Least radius of a circle above noise, gauss; a compass is of no use with less."""
 OVAL = 0.15
-"""Share of its radius by which points may be off a circle: more, and the vehicle has tilted."""
+"""Largest error of points on a circle as a share of its radius: tilting causes more."""
 PIECES = 8
-"""The log is cut into so many; the answers without each in turn tell how sure the whole is."""
+"""Pieces of the log that the jackknife leaves out one by one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Iron:
-    """What was found."""
+    """The measured iron about a magnetometer."""
 
     method: Method
     fit: Fit
-    determined: npt.NDArray[np.bool_]
-    """By axis, shape (3,)."""
+    determined: Mask
+    """Whether each axis is determined, shape (3,)."""
     by_extremes: Fit
-    """The answer by largest and smallest values."""
+    """The fit by largest and smallest values."""
     rms_before: float
-    """Of the strength less the field's, without any correction, gauss."""
+    """RMS error of the strength without any correction, gauss."""
     share: float
-    """Of all directions, that the field has come from."""
+    """Share of all directions that the field has come from."""
     strength: float
     """Of the Earth's field, gauss."""
     is_place_known: bool
@@ -76,19 +76,14 @@ class Iron:
 
 
 def measure(recording: Recording, settings: FilterSettings, name: str = "the log") -> Iron:
-    """Find the iron about a log's magnetometer.
-
-    Args:
-        recording: The log.
-        settings: The estimator's: of them only ``heading.year``.
-        name: Of the log, for complaints.
+    """Measure the iron about a log's magnetometer; of the settings it uses ``heading.year``.
 
     Raises:
         LogError: The log has no magnetometer, or the vehicle has turned too little.
     """
     events = recording.events
     mag_b = events.values[events.kind == Kind.MAG, :3]
-    mag_b = mag_b[np.isfinite(mag_b).all(axis=1) & (np.abs(mag_b) < 10.0).all(axis=1)]
+    mag_b = mag_b[known_rows(mag_b) & (np.abs(mag_b) < 10.0).all(axis=1)]
     if len(mag_b) < FEWEST:
         raise LogError(
             f"{name}: holds {len(mag_b) or 'no'} samples of a magnetometer, and {FEWEST} are "
@@ -103,7 +98,7 @@ def measure(recording: Recording, settings: FilterSettings, name: str = "the log
 
 
 def measure_field(mag_b: Array, strength: float | None, name: str = "the log") -> Iron:
-    """Do the same for samples, shape (n, 3), gauss, in a field of some strength (None: unknown).
+    """Measure the iron from samples, shape (n, 3), gauss, in a field of a strength (None: unknown).
 
     Raises:
         LogError: The vehicle has turned too little.
@@ -120,7 +115,7 @@ def measure_field(mag_b: Array, strength: float | None, name: str = "the log") -
     if not sure.all() or not (is_place_known or is_all_round):
         left_out = int(np.argmin(mag_b.std(axis=0)))
         sure = np.arange(3) != left_out
-        method, fit = "circle", _doubted(mag_b, lambda some: _circle(some, sure))
+        method, fit = "circle", _with_jackknife(mag_b, lambda some: _circle(some, sure))
         arms = mag_b[:, sure] - fit.hard[sure]
         radius = float(np.median(np.linalg.norm(arms, axis=1)))
         is_circle = radius > FLATTEST and fit.rms < OVAL * radius and _turned(arms) >= TURNED
@@ -143,27 +138,27 @@ def measure_field(mag_b: Array, strength: float | None, name: str = "the log") -
 
 
 def _share(arms: Array) -> float:
-    """Give the share of all directions that occur."""
+    """Return the share of all directions that occur."""
     return len(np.unique(ellipsoid.directions(arms))) / ellipsoid.CELLS
 
 
 def _choose(mag_b: Array, strength: float, first: Fit, share: float) -> tuple[Method, Fit]:
-    """Give the whole ellipsoid where the directions tell it, else hard iron alone."""
+    """Return the whole ellipsoid where the directions show it, else hard iron alone."""
     if share >= SHARE:
-        whole = _doubted(
+        whole = _with_jackknife(
             mag_b, lambda some: ellipsoid.fit(some, strength, is_soft=True, start=first.hard)
         )
         if whole.hard_std.max() <= SURE_HARD and whole.soft_std <= SURE_SOFT:
             return "ellipsoid", whole
-    return "hard iron", _doubted(
+    return "hard iron", _with_jackknife(
         mag_b, lambda some: ellipsoid.fit(some, strength, is_soft=False, start=first.hard)
     )
 
 
-def _doubted(mag_b: Array, solve: Callable[[Array], Fit]) -> Fit:
-    """Solve, and be as unsure as the answers without one piece of the log after another differ.
+def _with_jackknife(mag_b: Array, solve: Callable[[Array], Fit]) -> Fit:
+    """Solve, with sigmas from the solutions without one piece of the log after another.
 
-    The field near ground, cars and houses differs by place, so neighbouring samples err alike.
+    The field near ground, cars and houses differs by place, so neighbouring errors are correlated.
 
     Source: Efron 1982, The jackknife, the bootstrap and other resampling plans.
     """
@@ -180,7 +175,7 @@ def _doubted(mag_b: Array, solve: Callable[[Array], Fit]) -> Fit:
     )
 
 
-def _circle(mag_b: Array, plane: npt.NDArray[np.bool_]) -> Fit:
+def _circle(mag_b: Array, plane: Mask) -> Fit:
     """Fit a circle of any radius in the plane of two axes; the third has no iron."""
     flat = mag_b[:, plane]
     hard, soft, size = np.zeros(3), np.eye(3), np.zeros(len(flat))
@@ -196,19 +191,19 @@ def _circle(mag_b: Array, plane: npt.NDArray[np.bool_]) -> Fit:
     return Fit(hard=hard, soft=soft, hard_std=std, soft_std=0.0, rms=rms)
 
 
-def _bearing(flat: Array) -> npt.NDArray[np.int64]:
-    """Give for each vector, shape (n, 2), which of ``BEARINGS`` sectors it points to."""
+def _bearing(flat: Array) -> Indices:
+    """Return for each vector, shape (n, 2), which of ``BEARINGS`` sectors it points to."""
     turns = np.arctan2(flat[:, 1], flat[:, 0]) / (2.0 * np.pi) + 0.5
     return np.asarray(turns * BEARINGS, dtype=np.int64) % BEARINGS
 
 
 def _turned(flat: Array) -> float:
-    """Give the share of all bearings that occur."""
+    """Return the share of all bearings that occur."""
     return len(np.unique(_bearing(flat))) / BEARINGS
 
 
 def _by_extremes(mag_b: Array, strength: float) -> Fit:
-    """Give offsets and scales by the largest and the smallest value of each axis."""
+    """Return offsets and scales by the largest and the smallest value of each axis."""
     high, low = mag_b.max(axis=0), mag_b.min(axis=0)
     hard = 0.5 * (high + low)
     soft = np.diag(strength / np.maximum(0.5 * (high - low), 1e-6))

@@ -1,9 +1,9 @@
-"""The noise of the sensors: of the inertial ones at rest, of the receiver wherever it speaks.
+"""Noise of the inertial sensors at rest, and of the receiver at rest and in flight.
 
-The inertial keys come from the Allan deviation over all rests (:mod:`ekf_companion.calibrate.allan`
-and ``rest``), of the worst of the three axes: the configuration has one number for them. The
-receiver's come from how fixes scatter (``scatter`` and ``fixes``), from flight where there is
-enough of it: at rest many receivers smooth more.
+That of the inertial sensors is from the Allan deviation over all rests (``allan``, ``rest``), of
+the worst of the three axes: the configuration has one number for them. That of the receiver is from
+the scatter of its fixes (``scatter``, ``fixes``), in flight where there is enough of it: at rest
+many receivers smooth more.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ekf_companion.logs.recording import Recording
 SHORTEST = 10.0
 """Shortest stretch at rest that counts, s."""
 NEEDED = 20.0
-"""Rest that is needed in all, s."""
+"""Rest needed in all, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -35,30 +35,25 @@ class Inertial:
     rate: float
     """Hz."""
     curves: tuple[Curve, ...]
-    """Gyro forward, right, down, then accelerometer."""
+    """Of gyro forward, right, down, then accelerometer."""
     axes: tuple[Noise, ...]
     """Likewise."""
     steps: tuple[float, float]
-    """Smallest step between two values of gyro and accelerometer: what they are rounded to."""
+    """Resolution of gyro and accelerometer: the usual step between two values."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Found:
-    """What a log tells of noise."""
+class Noises:
+    """The noise measured from a log."""
 
     inertial: Inertial | None
     receivers: tuple[Receiver, ...]
-    """At rest, in flight; what is there."""
+    """At rest and in flight, as far as measured."""
     notes: tuple[str, ...]
 
 
-def measure(recording: Recording, settings: FilterSettings, name: str = "the log") -> Found:
-    """Find the noise of a log's sensors.
-
-    Args:
-        recording: The log.
-        settings: The estimator's: what is rest, and how the flight is estimated.
-        name: Of the log, for complaints.
+def measure(recording: Recording, settings: FilterSettings, name: str = "the log") -> Noises:
+    """Measure the noise of a log's sensors, with the estimator's settings.
 
     Raises:
         LogError: There is neither rest nor enough fixes.
@@ -83,11 +78,11 @@ def measure(recording: Recording, settings: FilterSettings, name: str = "the log
         notes.append("the receiver: no GNSS fix of its own in the log")
     if inertial is None and not receivers:
         raise LogError(f"{name}: tells nothing of noise: {'; '.join(notes)}")
-    return Found(inertial=inertial, receivers=tuple(receivers), notes=tuple(notes))
+    return Noises(inertial=inertial, receivers=tuple(receivers), notes=tuple(notes))
 
 
 def _inertial(rate: float, stretches: Sequence[Stretch], notes: list[str]) -> Inertial | None:
-    """Fit all six axes; None, and a note, where there is no rest."""
+    """Fit all six axes; return None, and add a note, if there is no rest."""
     seconds = sum(stretch.seconds for stretch in stretches)
     if rate == 0.0:
         notes.append("the inertial sensors: no samples in the log")
@@ -118,6 +113,6 @@ def _inertial(rate: float, stretches: Sequence[Stretch], notes: list[str]) -> In
 
 
 def _step(values: np.ndarray) -> float:
-    """Give the smallest step between values that occur often, or 0."""
+    """Return the median step between the values that occur, or 0."""
     steps = np.diff(np.unique(np.round(values, 9)))
     return float(np.median(steps)) if len(steps) else 0.0

@@ -1,12 +1,11 @@
-"""How a receiver's fixes scatter: from one to the next, and over minutes.
+"""Scatter of a receiver's fixes: white from fix to fix, and slow over minutes.
 
 The structure function of an error e is ``D(tau) = E[(e(t + tau) - e(t))^2] / 2``. White noise
-gives it its variance at once, a slow error of correlation time T adds ``s^2 (1 - exp(-tau / T))``.
-At rest the fixes are the error themselves. In flight the motion is taken off: from positions the
-integral of the receiver's own velocity, carried from fix to fix by the estimator's; from velocities
-the integral of the specific force. What such a reference errs by is smooth from one fix to the
-next, so the white level is taken from second differences, whose variance is six times that of
-white noise.
+adds its variance at any lag, a slow error of correlation time T adds ``s^2 (1 - exp(-tau / T))``.
+At rest the fixes themselves are the error. In flight the motion is subtracted: from positions the
+integral of the receiver's own velocity, with the estimator's between fixes; from velocities the
+integral of the specific force. The error of such a reference is smooth from one fix to the next, so
+the white level is taken from second differences, whose variance is six times that of white noise.
 
 Source: IEEE Std 952-1997, annex C (structure function); Kolmogorov 1941; J. von Neumann 1941,
 Annals of Mathematical Statistics 12, 4 (successive differences).
@@ -19,29 +18,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 MEDIAN = 1.4826
 """Standard deviation over median of the size, of normal numbers."""
 FEWEST = 30
-"""Fixes to tell a white level from."""
+"""Least number of second differences for a white level."""
 LONGEST = 0.5
-"""Lags up to this share of the longest series are looked at."""
+"""Longest lag used, as a share of the longest series."""
 TINY = 1e-12
-"""Square units: more than nothing."""
+"""Least variance, square units."""
 BETTER = 10.0
-"""By so much of twice the log-likelihood must a slow error explain more than white noise alone."""
+"""Least gain in twice the log-likelihood of a slow error over white noise alone."""
 LEAST_SLOW = 0.5
 """Share of the white noise below which a slow error does not matter."""
 SEEN = 6.0
-"""A correlation time is told by a series that is so many times as long."""
+"""Least length of a series that shows a correlation time, over that time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Series:
-    """Errors of fixes, but for a constant, at even times."""
+    """Errors of fixes, up to a constant, at even times."""
 
     period: float
     """s."""
@@ -50,7 +48,7 @@ class Series:
 
     @property
     def seconds(self) -> float:
-        """Give its length, s."""
+        """Return its length, s."""
         return len(self.values) * self.period
 
 
@@ -61,29 +59,27 @@ class Scatter:
     white: float
     """One sigma."""
     white_std: float
-    """One sigma of that, as a share of it."""
+    """One sigma of the white level, as a share of it."""
     slow: float
-    """One sigma; of what the log is long enough to see."""
+    """One sigma, of what the log is long enough to show."""
     time: float | None
-    """Correlation time of the slow part, s; None: none shows, or the log is too short for it."""
+    """Correlation time of the slow part, s; None: not significant, or the log is too short."""
     lag: Array
     """s."""
     structure: Array
-    """Structure function, less what the reference wanders."""
+    """Structure function, less the random walk of the reference."""
     seconds: float
     """Length of the longest series."""
 
     def model(self, time: float) -> Array:
-        """Give the structure function at the lags for a correlation time, s."""
+        """Return the structure function at the lags for a correlation time, s."""
         return np.asarray(self.white**2 + self.slow**2 * (1.0 - np.exp(-self.lag / time)))
 
 
 def measure(series: Sequence[Series], wander: float = 0.0) -> Scatter | None:
-    """Split errors into a white and a slow part; None: there are too few.
+    """Split errors into a white and a slow part; return None if there are too few.
 
-    Args:
-        series: Of one period.
-        wander: Variance that the reference gains in a second, in square units per s.
+    The series have one period; ``wander`` is the random walk of their reference, units^2 per s.
     """
     second = [np.diff(one.values, 2, axis=0).ravel() for one in series if len(one.values) > 2]
     jumps = np.concatenate(second) if second else np.zeros(0)
@@ -96,7 +92,7 @@ def measure(series: Sequence[Series], wander: float = 0.0) -> Scatter | None:
     slow, time = _slow_part(lag, structure, freedom, white, seconds, wander)
     return Scatter(
         white=white,
-        # A median is as sure as a third of the numbers, and neighbours share two fixes of three
+        # A median is as sure as a mean of a third of them; neighbours share two fixes of three
         white_std=1.6 / math.sqrt(len(jumps)),
         slow=slow,
         time=time,
@@ -107,7 +103,7 @@ def measure(series: Sequence[Series], wander: float = 0.0) -> Scatter | None:
 
 
 def _sigma(values: Array) -> float:
-    """Give the standard deviation, outliers apart; where most are equal, as it is."""
+    """Return the standard deviation by the median, or if that is 0 by the mean square."""
     robust = MEDIAN * float(np.median(np.abs(values)))
     return robust if robust > 0.0 else float(np.sqrt(np.mean(values**2)))
 
@@ -115,7 +111,7 @@ def _sigma(values: Array) -> float:
 def _structure(
     series: Sequence[Series], period: float, seconds: float
 ) -> tuple[Array, Array, Array]:
-    """Give lags, the structure function there, and how many independent differences it is from."""
+    """Return lags, the structure function there, and the numbers of independent differences."""
     most = max(int(LONGEST * seconds / period), 1)
     steps = np.unique(np.rint(np.geomspace(1, most, 40)).astype(np.int64))
     structure, freedom = [], []
@@ -131,10 +127,10 @@ def _structure(
 def _slow_part(
     lag: Array, structure: Array, freedom: Array, white: float, seconds: float, wander: float
 ) -> tuple[float, float | None]:
-    """Give level and correlation time of what is beyond the white noise.
+    """Return level and correlation time of the slow part.
 
-    The time is None where the white noise explains it nearly as well, where the series is too short
-    for it, and where the reference wanders as much.
+    The time is None if the white noise fits nearly as well, if the series is too short for it, and
+    if the reference wanders as much.
     """
 
     def misfit(modelled: Array) -> float:

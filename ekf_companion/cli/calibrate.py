@@ -13,15 +13,15 @@ from ekf_companion.cli.terminal import (
     JsonOption,
     LogArgument,
     PlotOption,
-    figure_path,
     open_log,
     progress_bar,
+    write_figure,
     write_json,
 )
 
 if TYPE_CHECKING:
-    from ekf_companion.calibrate.plot import Draw
-    from ekf_companion.calibrate.report import Result
+    from ekf_companion.analysis.figure_file import Draw
+    from ekf_companion.calibrate.result import Result
 
 calibrate = typer.Typer(
     help="Measure numbers of the configuration from your own logs: YAML to paste, and a figure.",
@@ -37,12 +37,13 @@ def calibrate_noise(
     json_file: JsonOption = None,
 ) -> None:
     """Measure noise: of the inertial sensors at rest (Allan deviation), and of the receiver."""
-    from ekf_companion.calibrate import noise, noise_report
+    from ekf_companion.analysis.calibration_figure import draw_noise
+    from ekf_companion.calibrate import noise, noise_result
 
     with open_log(log, config, plot, json_file) as (recording, settings):
         found = noise.measure(recording, settings, str(log))
-        result = noise_report.result(found, settings).after(recording.notes)
-        _report("noise", log, plot, json_file, result, partial(noise_report.draw, found))
+        result = noise_result.result(found, settings).after(recording.notes)
+        _report("noise", log, plot, json_file, result, partial(draw_noise, found))
 
 
 @calibrate.command("delay")
@@ -53,13 +54,14 @@ def calibrate_delay(
     json_file: JsonOption = None,
 ) -> None:
     """Measure the delay of the receiver's fixes: the most likely one."""
-    from ekf_companion.calibrate import delay, delay_report
+    from ekf_companion.analysis.calibration_figure import draw_delay
+    from ekf_companion.calibrate import delay, delay_result
 
     with open_log(log, config, plot, json_file) as (recording, settings):
         with progress_bar(f"{log.name}: delays") as progress:
             found = delay.measure(recording, settings, str(log), progress)
-        result = delay_report.result(found).after(recording.notes)
-        _report("delay", log, plot, json_file, result, partial(delay_report.draw, found))
+        result = delay_result.result(found).after(recording.notes)
+        _report("delay", log, plot, json_file, result, partial(draw_delay, found))
 
 
 @calibrate.command("mag")
@@ -70,26 +72,24 @@ def calibrate_mag(
     json_file: JsonOption = None,
 ) -> None:
     """Measure the vehicle's hard and soft iron, by an ellipsoid fitted to the field."""
-    from ekf_companion.calibrate import mag, mag_report
+    from ekf_companion.analysis.calibration_figure import draw_mag
+    from ekf_companion.calibrate import mag, mag_result
 
     with open_log(log, config, plot, json_file) as (recording, settings):
         found = mag.measure(recording, settings, str(log))
-        result = mag_report.result(found).after(recording.notes)
-        _report("mag", log, plot, json_file, result, partial(mag_report.draw, found))
+        result = mag_result.result(found).after(recording.notes)
+        _report("mag", log, plot, json_file, result, partial(draw_mag, found))
 
 
 def _report(
     kind: str, log: Path, plot: Path | None, json_file: Path | None, result: Result, draw: Draw
 ) -> None:
     """Print the result of a calibration, and write its JSON and its figure."""
-    from ekf_companion.calibrate import plot as plotter
-    from ekf_companion.calibrate.report import lines
+    from ekf_companion.analysis import figure_file
+    from ekf_companion.calibrate.result import lines
 
     for line in lines(f"ekf-companion calibrate {kind} {log}", result):
         typer.echo(line)
     write_json(json_file, result.to_dict(str(log)))
-    if (figure := figure_path(log, kind, plot)) is None:
-        typer.echo("# no figure: install ekf-companion with the extra: plot")
-        return
-    plotter.write(figure, f"calibrate {kind} {log.name}", draw)
-    typer.echo(f"# figure: {figure}")
+    write = partial(figure_file.write, title=f"calibrate {kind} {log.name}", draw=draw)
+    typer.echo(f"# {write_figure(log, kind, plot, write)}")

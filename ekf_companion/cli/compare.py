@@ -125,7 +125,7 @@ def _compare_ours(
     json_file: Path | None,
 ) -> None:
     """Print the errors of our estimate against a truth or the autopilot's."""
-    from ekf_companion.analysis import figure, score
+    from ekf_companion.analysis import score, trajectory_figure
     from ekf_companion.logs.estimate import read_truth
 
     estimate = ours.estimate
@@ -153,7 +153,7 @@ def _compare_ours(
     for line in score.table(scores):
         typer.echo(line)
     if plot is not None:
-        figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
+        trajectory_figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
     write_json(json_file, [score.to_dict() for score in scores])
 
 
@@ -167,7 +167,7 @@ def _compare_filters(
     json_file: Path | None,
 ) -> None:
     """Run several filters over a log, and print the errors of each."""
-    from ekf_companion.analysis import comparison, figure, walk_figure
+    from ekf_companion.analysis import comparison, trajectory_figure, walk_figure
     from ekf_companion.logs.estimate import is_estimate, read_truth
 
     if is_estimate(log):
@@ -176,7 +176,7 @@ def _compare_filters(
     names = [name.strip() for name in filters.split(",") if name.strip()]
     try:
         with progress_bar(f"{log.name}: filters") as progress:
-            entries = comparison.hold(recording, names, config, progress)
+            entries = comparison.run_filters(recording, names, config, progress)
     except LogError as error:
         raise LogError(f"{log}: {error}") from error
     against = recording.truth if recording.truth is not None else recording.reference
@@ -186,7 +186,7 @@ def _compare_filters(
         skip, until = span
         default = 30.0 if reference is not None or recording.truth is not None else 20.0
         skipped = default if skip is None else skip
-        entries = comparison.judge(entries, against, skipped, until, recording.counted)
+        entries = comparison.score_filters(entries, against, skipped, until, recording.counted)
     elif all(one.is_still is None for one in solutions):
         raise LogError(_WITHOUT_REFERENCE.format(log))
     typer.echo(f"{log}" + (f" against {against.name}" if against is not None else "") + "\n")
@@ -197,6 +197,8 @@ def _compare_filters(
     write_json(json_file, [entry.to_dict() for entry in entries])
     if plot is not None and against is not None:
         lines = [one.trajectory for one in entries if one.trajectory is not None]
-        figure.plot(plot, [*lines, against], log.name, events=recording.events, with_errors=True)
+        trajectory_figure.plot(
+            plot, [*lines, against], log.name, events=recording.events, with_errors=True
+        )
     elif plot is not None:
         walk_figure.plot(plot, solutions, log.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -11,9 +12,9 @@ from ekf_companion.cli.terminal import (
     JsonOption,
     LogArgument,
     PlotOption,
-    figure_path,
     open_log,
     progress_bar,
+    write_figure,
     write_json,
 )
 from ekf_companion.errors import LogError
@@ -32,11 +33,13 @@ def observability(
     from ekf_companion.analysis import observability as analysis
     from ekf_companion.analysis import observability_figure
     from ekf_companion.analysis import observability_report as report
-    from ekf_companion.filters.course import Course
+    from ekf_companion.filters.sequence import MeasurementSequence
 
     with open_log(log, config, plot, json_file) as (recording, settings):
         try:
-            course = Course(recording.events, settings, recording.family, recording.gnss_delay)
+            course = MeasurementSequence(
+                recording.events, settings, recording.family, recording.gnss_delay
+            )
             with progress_bar(f"{log.name}: observability") as progress:
                 found = analysis.analyse(
                     course, course.setup(), settings, window=window, progress=progress
@@ -46,8 +49,5 @@ def observability(
         for line in (*recording.notes, *report.lines(found)):
             typer.echo(line)
         write_json(json_file, {"log": str(log), **report.to_dict(found)})
-        if (figure := figure_path(log, "observability", plot)) is None:
-            typer.echo("no figure: install ekf-companion with the extra: plot")
-            return
-        observability_figure.plot(figure, found, f"observability {log.name}")
-        typer.echo(f"figure: {figure}")
+        draw = partial(observability_figure.plot, found=found, title=f"observability {log.name}")
+        typer.echo(write_figure(log, "observability", plot, draw))

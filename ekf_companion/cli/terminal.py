@@ -123,10 +123,12 @@ def open_log(
         yield read(log, settings), settings
 
 
-def figure_path(log: Path, kind: str, plot: Path | None) -> Path | None:
-    """Return where a figure goes; None if none is wanted and matplotlib is not installed."""
-    from ekf_companion.calibrate.plot import has_matplotlib
+def write_figure(log: Path, kind: str, plot: Path | None, write: Callable[[Path], None]) -> str:
+    """Write a figure; return a line that names its file, or says why there is none."""
+    from ekf_companion.analysis.figure_file import has_matplotlib
 
     if plot is None and not has_matplotlib():
-        return None
-    return plot if plot is not None else Path(f"{log.stem}.{kind}.png")
+        return "no figure: install ekf-companion with the extra: plot"
+    path = plot if plot is not None else Path(f"{log.stem}.{kind}.png")
+    write(path)
+    return f"figure: {path}"

@@ -1,25 +1,24 @@
-"""Rivals of our own estimator, each as its authors meant it, over the same events.
+"""The filters of the articles, as their authors meant them, over the same events as our estimator.
 
-What all share
-    solution     what every one of them gives: a table of estimates, covariances, what it fused
-    strapdown    the motion: state, mechanisation, its Jacobian
-    observation  what a sensor should read, and the Jacobian of that
-    gate         whom to believe
-    aiding       rows of a recording as observations
-    course       events in order of the time when they were true, cut into intervals
-    start        level, north and a fix to begin from
-    consistency  errors measured by a filter's own covariance
+What they share
+    inertial      inertial samples: screening, gaps, rest, levelling
+    marg          the same with the magnetic field, for attitude alone
+    strapdown     the motion: state, integration, transition, noise
+    observation   models of position, velocity and azimuth, with their Jacobians
+    gate          chi-square gate with time-outs
+    aiding        observations from the rows of a recording
+    alignment     the first estimate: level, north, a fix
+    sequence      a recording as intervals and aids in order of time, and a filter over it
+    solution      the result: table of estimates, covariances, counts
 
 The filters
-    euler        the seed article's direct filter (euler_motion); as published (euler_article)
-    iterated     LINS and FAST-LIO: gauss_newton on manifold, robocentric by anchored
-    ukf          sigma points (cloud) on the manifold
-    zupt         by zero velocity: detector, the first rest, closure of a walk
-    ahrs         attitude alone, our own (ahrs_estimator, plumb, compass, gyroframe on readings);
-                 the article's (ahrs_article), mahony, and vqf_adapter for the published package
-
-What a flight shows of the state: observability (observability_walk, _motion, _report).
+    euler         the seed article's direct filter; with its constants (euler_article)
+    iterated      LINS and FAST-LIO: gauss_newton on a manifold; robocentric
+    ukf           unscented, by sigma_points on the same manifold
+    zupt          zero velocity updates, by zupt_detector
+    ahrs          attitude alone, our own (ahrs_sensors); the article's (ahrs_article); mahony;
+                  vqf_adapter for the published package
 
 All are written for clarity, in NumPy, and run over a recording only; the estimator that flies is
-:mod:`ekf_companion.core`. :mod:`ekf_companion.replay.filters_by_name` knows them by name.
+:mod:`ekf_companion.core`. :mod:`ekf_companion.replay.filters_by_name` selects them by name.
 """

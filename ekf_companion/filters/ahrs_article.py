@@ -1,14 +1,14 @@
 """The article's attitude filter: Euler angles, each with a Kalman filter of its own.
 
-The gyro turns roll, pitch and yaw by Euler's kinematics; the accelerometer shows roll and pitch,
-the magnetometer, levelled by these, yaw; each angle is corrected by a gain of its own variance,
-as if the three had nothing to do with each other. The magnetometer is calibrated beforehand by
-the largest and smallest value that each axis has in the whole recording.
+The gyro turns roll, pitch and yaw by Euler's kinematics; the accelerometer measures roll and pitch,
+the magnetometer, levelled by these, yaw; each angle is corrected by a gain from its own variance,
+as if the three were independent. The magnetometer is calibrated beforehand by the largest and
+smallest value of each axis in the whole recording.
 
-Two slips are corrected, and shown by the preset ``article``: the yaw innovation is not wrapped
-at +-180 deg, so that north seen from the other side pulls the yaw once round; and yaw is taken
-by ``atan`` of the ratio, which cannot tell south from north. What is the method's own stays: the
-kinematics fail at a pitch of +-90 deg, and any acceleration is taken for gravity.
+Two errors of the article are corrected, and kept by the preset ``article``: the yaw innovation is
+not wrapped at +-180 deg, so that a field just beyond turns the yaw by a whole turn; and yaw is
+computed by ``atan`` of the ratio, which does not distinguish south from north. The method's own
+limits remain: the kinematics fail at a pitch of +-90 deg, and any acceleration counts as gravity.
 """
 
 from __future__ import annotations
@@ -18,33 +18,31 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from ekf_companion.filters import readings
-from ekf_companion.filters.readings import Readings, first_attitude, known_rows
-from ekf_companion.filters.samples import LONGEST
-from ekf_companion.filters.solution import Solution
+from ekf_companion.filters.inertial import LONGEST_GAP
+from ekf_companion.filters.marg import MargSamples, marg_samples
+from ekf_companion.filters.solution import AttitudeEstimates, Solution, attitude_solution
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, known_rows
 from ekf_companion.nav.measurements import Events
 
-Array = npt.NDArray[np.float64]
 Preset = Literal["corrected", "article"]
 
 COVERED = 0.6
-"""Every axis must reach so much of the range of the widest one, or the field is not calibrated."""
+"""Least range of an axis, as a share of the widest one, for the field to be calibrated."""
 ROUND = 0.2
-"""How far the calibrated field's mean length may be from 1, and one sigma of it: or its ranges
-are those of noise or of a turn about one axis, and not of a sphere."""
+"""Largest error of the calibrated field's mean length from 1, and largest sigma of it: beyond, the
+ranges are those of noise or of a turn about one axis, and not of a sphere."""
 STEEP = 0.05
 """Least cosine of the pitch in the kinematics."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArticleSettings:
-    """Variances, one per angle; those of the article's kind."""
+    """Variances per angle, as in the article."""
 
     gyro: float = 1e-3
-    """What a second adds to that of each angle, rad^2/s."""
+    """Growth of the variance of each angle, rad^2/s."""
     accel: float = 0.03
     """Of roll and pitch by the accelerometer, rad^2."""
     mag: float = 0.03
@@ -55,45 +53,37 @@ def run(
     events: Events,
     preset: Preset = "corrected",
     settings: ArticleSettings = ArticleSettings(),
-    gap: float = LONGEST,
+    gap: float = LONGEST_GAP,
 ) -> Solution:
-    """Estimate attitude over a recording; the calibration of the magnetometer knows all of it.
+    """Estimate attitude over a recording; the magnetometer's calibration uses all of it.
 
-    Args:
-        events: The recording.
-        preset: ``article`` has the two slips.
-        settings: The variances.
-        gap: Silence of the inertial sensor beyond which only the longest part counts, s.
+    Beyond a gap in the inertial samples, s, only the longest part counts.
 
     Raises:
         LogError: There are no inertial samples.
     """
-    taken = readings.read(events, gap)
-    mag_b, note = calibrated(taken.mag_b)
-    angles, variances = _filter(taken, mag_b, settings, has_slips=preset == "article")
-    turn = so3.to_matrix(so3.from_euler(0.0, 0.0, angles[:, 2]))
+    samples = marg_samples(events, gap)
+    mag_b, note = calibrated(samples.mag_b)
+    angles, variances = _filter(samples, mag_b, settings, is_original=preset == "article")
+    C = so3.to_matrix(so3.from_euler(0.0, 0.0, angles[:, 2]))
     covariance = np.zeros((len(angles), 3, 3))
     for index in range(3):
         covariance[:, index, index] = variances[:, index]
-    return readings.solution(
-        "ahrs-article" if preset == "corrected" else "ahrs-article (as printed)",
-        taken,
-        so3.from_euler(*angles.T),
-        covariance=np.einsum("nij,njk,nlk->nil", turn, covariance, turn),
-        notes=(note,) if note else (),
+    found = AttitudeEstimates(
+        q_nb=so3.from_euler(*angles.T),
+        covariance=np.einsum("nij,njk,nlk->nil", C, covariance, C),
     )
+    name = "ahrs-article" if preset == "corrected" else "ahrs-article (as printed)"
+    return attitude_solution(name, samples, found, notes=(note,) if note else ())
 
 
 def calibrated(mag_b: Array) -> tuple[Array, str]:
-    """Take off the middle of each axis's range and make the ranges alike.
-
-    Args:
-        mag_b: gauss, shape (n, 3), NaN where there is none.
+    """Subtract the middle of each axis's range of fields, shape (n, 3), and equalise the ranges.
 
     Returns:
-        The field, and why it is not calibrated, in a sentence; empty if it is.
+        The field, and a sentence that says why it is not calibrated; empty if it is.
     """
-    seen = mag_b[np.isfinite(mag_b).all(axis=1)]
+    seen = mag_b[known_rows(mag_b)]
     if not len(seen):
         return mag_b, ""
     low, high = seen.min(axis=0), seen.max(axis=0)
@@ -110,21 +100,13 @@ def calibrated(mag_b: Array) -> tuple[Array, str]:
 
 
 def _filter(
-    taken: Readings, mag_b: Array, settings: ArticleSettings, *, has_slips: bool
+    samples: MargSamples, mag_b: Array, settings: ArticleSettings, *, is_original: bool
 ) -> tuple[Array, Array]:
-    """Give roll, pitch, yaw, rad, and their variances, shapes (n, 3)."""
-    roll, pitch, yaw = so3.to_euler(first_attitude(taken)).tolist()
+    """Return roll, pitch, yaw, rad, and their variances, shapes (n, 3)."""
+    roll, pitch, yaw = so3.to_euler(samples.first_attitude()).tolist()
     rolls = pitches = yaws = 1.0
     angles, variances = [], []
-    has_mag = known_rows(mag_b).tolist()
-    for dt, (p, q, r), (fx, fy, fz), mag, is_seen in zip(
-        taken.steps.tolist(),
-        taken.gyro_b.tolist(),
-        taken.accel_b.tolist(),
-        mag_b.tolist(),
-        has_mag,
-        strict=True,
-    ):
+    for dt, (p, q, r), (fx, fy, fz), mag in samples.rows(mag_b):
         # Predict by Euler's kinematics
         sr, cr = math.sin(roll), math.cos(roll)
         cp = math.cos(pitch)
@@ -135,32 +117,32 @@ def _filter(
         yaw += across / cp * dt
         rolls, pitches, yaws = (v + settings.gyro * dt for v in (rolls, pitches, yaws))
         # Correct roll and pitch by the accelerometer
-        roll, rolls = _mixed(roll, rolls, math.atan2(-fy, -fz), settings.accel)
+        roll, rolls = _fused(roll, rolls, math.atan2(-fy, -fz), settings.accel)
         level_pitch = math.atan2(fx, math.hypot(fy, fz))
-        pitch, pitches = _mixed(pitch, pitches, level_pitch, settings.accel)
+        pitch, pitches = _fused(pitch, pitches, level_pitch, settings.accel)
         # Correct yaw by the levelled field
-        if is_seen:
-            north, east = _levelled(mag, roll, pitch)
-            if has_slips:
+        if mag is not None:
+            north, east = _horizontal(mag, roll, pitch)
+            if is_original:
                 seen = math.atan(-east / north) if north else 0.0
                 gain = yaws / (yaws + settings.mag)
                 yaw, yaws = yaw + gain * (seen - yaw), (1.0 - gain) * yaws
             else:
-                yaw, yaws = _mixed(yaw, yaws, math.atan2(-east, north), settings.mag)
+                yaw, yaws = _fused(yaw, yaws, math.atan2(-east, north), settings.mag)
         roll, pitch, yaw = _wrap(roll), _wrap(pitch), _wrap(yaw)
         angles.append((roll, pitch, yaw))
         variances.append((rolls, pitches, yaws))
     return np.array(angles), np.array(variances)
 
 
-def _mixed(angle: float, variance: float, seen: float, R: float) -> tuple[float, float]:
-    """Give an angle and its variance after a measurement of it."""
+def _fused(angle: float, variance: float, measured: float, R: float) -> tuple[float, float]:
+    """Return an angle and its variance after a measurement of it."""
     gain = variance / (variance + R)
-    return angle + gain * _wrap(seen - angle), (1.0 - gain) * variance
+    return angle + gain * _wrap(measured - angle), (1.0 - gain) * variance
 
 
-def _levelled(mag: list[float], roll: float, pitch: float) -> tuple[float, float]:
-    """Give the field's parts along the heading and to the right of it."""
+def _horizontal(mag: list[float], roll: float, pitch: float) -> tuple[float, float]:
+    """Return the field's components along the heading and to the right of it."""
     x, y, z = mag
     sr, cr, sp, cp = math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch)
     return x * cp + (y * sr + z * cr) * sp, y * cr - z * sr

@@ -1,33 +1,40 @@
-"""Rows of a recording as observations: fixes, and the best of what shows north."""
+"""Observations from the rows of a recording: fixes, and the best heading."""
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
 from ekf_companion.filters.observation import Azimuth, Observation, Position, Velocity
-from ekf_companion.filters.strapdown import cross
+from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, known_rows
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind
+from ekf_companion.nav.measurements import (
+    GNSS_DECLINATION,
+    GNSS_FLAGS,
+    GNSS_POSITION,
+    GNSS_STD,
+    GNSS_VELOCITY,
+    Events,
+    GnssFlag,
+    HeadingSource,
+    Kind,
+)
 
-Array = npt.NDArray[np.float64]
 Timed = tuple[int, Observation]
-"""Time, ns, and what was seen then."""
+"""Time, ns, and observation."""
 
 
 def fixes(ordered: Events, settings: FilterSettings) -> Events:
-    """Give the fixes that count: the receiver's, or where it is silent the autopilot's own.
+    """Return the usable fixes: the receiver's or, if there are none, the autopilot's own.
 
     Raises:
-        LogError: There is none.
+        LogError: There are no fixes.
     """
     rows = ordered.take(ordered.kind == Kind.GNSS)
-    flags = rows.values[:, 10].astype(int)
-    is_good = np.isfinite(rows.values[:, :3]).all(axis=1) & np.isfinite(rows.values[:, 6:8]).all(
-        axis=1
-    )
+    flags = rows.values[:, GNSS_FLAGS].astype(int)
+    is_good = known_rows(rows.values[:, [0, 1, 2, 6, 7]])
     is_good &= (flags & GnssFlag.SUSPECT) == 0
     is_derived = (flags & GnssFlag.DERIVED) != 0
     source = settings.gnss.source
@@ -42,23 +49,20 @@ def fixes(ordered: Events, settings: FilterSettings) -> Events:
     return own
 
 
-def of_fixes(
+def fix_observations(
     rows: Events, rates_b: Array, frame: LocalFrame, settings: FilterSettings
 ) -> list[Timed]:
-    """Give positions and velocities with their times.
+    """Return positions (in the frame) and velocities of fixes.
 
-    Args:
-        rows: Fixes.
-        rates_b: Angular rate at each, rad/s, shape (n, 3).
-        frame: Of the positions.
-        settings: Lever arm, floors of the noise.
+    ``rates_b`` is the angular rate at each, rad/s, shape (n, 3).
     """
     found: list[Timed] = []
     gnss = settings.gnss
     lever = np.array(gnss.lever_arm)
-    pos_n = frame.to_ned(*rows.values[:, :3].T)
+    pos_n = frame.to_ned(*rows.values[:, GNSS_POSITION].T)
     for i, t_ns in enumerate(rows.t_ns.tolist()):
-        vel_n, (std_h, std_v, std_vel) = rows.values[i, 3:6], rows.values[i, 6:9].tolist()
+        vel_n, stds = rows.values[i, GNSS_VELOCITY], rows.values[i, GNSS_STD]
+        std_h, std_v, std_vel = stds.tolist()
         horizontal, vertical = max(std_h, gnss.position_std), max(std_v, gnss.height_std)
         std = np.array([horizontal, horizontal, vertical])
         found.append((t_ns, Position(pos_n=pos_n[i], std=std, lever_b=lever)))
@@ -68,37 +72,33 @@ def of_fixes(
         velocity = Velocity(
             vel_n=vel_n[:2] if np.isnan(vel_n[2]) else vel_n,
             std=max(std_vel, gnss.velocity_std),
-            swing_b=cross(rates_b[i], lever),
+            swing_b=so3.cross(rates_b[i], lever),
         )
         found.append((t_ns, velocity))
     return found
 
 
 def azimuths(ordered: Events, rows: Events, settings: FilterSettings) -> list[Timed]:
-    """Give what shows north: of the sources that speak, the best.
+    """Return the headings of the best source present in a recording, stamps ascending.
 
-    Another speaks where all that are better have been silent for ``gate.timeout_heading``.
-
-    Args:
-        ordered: The recording, stamps ascending.
-        rows: Its fixes, of which the first says how the field of the place is.
-        settings: Which sources, floors of the noise, time-out.
+    A worse source counts while all better ones have been silent for ``gate.timeout_heading``. The
+    first of the fixes ``rows`` holds the field of the place.
 
     Raises:
-        LogError: None speaks.
+        LogError: There is no source.
     """
     wanted = settings.heading.source
     patience_ns = round(settings.gate.timeout_heading * 1e9)
     found: list[Timed] = []
-    # Before its first word a source counts as silent since the recording began
+    # Before its first heading a source counts as silent since the recording began
     heard_ns = np.zeros(0, dtype=np.int64)
     for source in HeadingSource:
         if wanted not in ("auto", source.name.lower()):
             continue
-        ways = [_headings(source, ordered, settings)]
+        candidates = [_headings(source, ordered, settings)]
         if source is HeadingSource.MAGNETOMETER:
-            ways.append(_fields(ordered, rows, settings))
-        for timed in ways:
+            candidates.append(_fields(ordered, rows, settings))
+        for timed in candidates:
             since = np.concatenate([ordered.t_ns[:1], heard_ns])
             chosen = [
                 (t, aid)
@@ -117,9 +117,9 @@ def azimuths(ordered: Events, rows: Events, settings: FilterSettings) -> list[Ti
 
 
 def _headings(source: HeadingSource, ordered: Events, settings: FilterSettings) -> list[Timed]:
-    """Give the headings that a source tells."""
+    """Return the headings of a source."""
     rows = ordered.take((ordered.kind == Kind.HEADING) & (ordered.values[:, 2] == source))
-    rows = rows.take(np.flatnonzero(np.isfinite(rows.values[:, :2]).all(axis=1)))
+    rows = rows.take(np.flatnonzero(known_rows(rows.values[:, :2])))
     floor = settings.heading.heading_std
     forward = np.array([1.0, 0.0, 0.0])
     return [
@@ -129,9 +129,9 @@ def _headings(source: HeadingSource, ordered: Events, settings: FilterSettings) 
 
 
 def _fields(ordered: Events, fixes: Events, settings: FilterSettings) -> list[Timed]:
-    """Give the directions of the fields that are the Earth's by their strength."""
+    """Return the azimuths of the magnetic fields whose strength is the Earth's."""
     heading = settings.heading
-    declination, _, dip, strength = fixes.values[0, 9:13].tolist()
+    declination, _, dip, strength = fixes.values[0, GNSS_DECLINATION:].tolist()
     mag = ordered.take(ordered.kind == Kind.MAG)
     size = np.linalg.norm(mag.values[:, :3], axis=1)
     is_earths = np.isfinite(size) & (size > 0.0)

@@ -1,124 +1,187 @@
-"""The direct extended Kalman filter on Euler angles: what it carries is the state, not its error.
+"""The direct extended Kalman filter on Euler angles: it estimates the state itself, not its error.
 
-Each interval is one step of first order; the covariance is that of the state's own numbers
-(:mod:`ekf_companion.filters.euler_motion`), its noise van Loan's. The rates of roll and yaw grow as
-1 / cos(pitch): near 90 degrees of pitch the filter stops, and says so; what it estimated until
-then stands.
+State, in this order: roll, pitch, yaw (rad; yaw unwrapped), north, east, altitude (m), velocity
+north, east, down (m/s), gyro bias (rad/s), accelerometer bias (m/s^2). Each interval is one step of
+first order; the covariance is that of the state, its noise van Loan's. The rates of roll and yaw
+grow as 1 / cos(pitch): near 90 degrees of pitch the filter stops, with a note; its estimates until
+then are kept. The functions of the model keep the state's precision, double or single.
+
+Source: Stevens, Lewis, Johnson 2016, "Aircraft control and simulation", section 1.3 (kinematics);
+Van Loan 1978, "Computing integrals involving the matrix exponential", IEEE TAC 23(3).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import expm
 
-from ekf_companion.core.settings import FilterSettings
-from ekf_companion.filters import course as courses
-from ekf_companion.filters import euler_article
-from ekf_companion.filters.course import Course, Setup
-from ekf_companion.filters.euler_motion import (
-    ACCEL,
-    ANGLES,
-    GYRO,
-    PITCH_LIMIT,
-    SPEED,
-    angle_rates,
-    body_to_n,
-    by_turn,
-    covariance_in_n,
-    derivative,
-    from_nominal,
-    jacobian,
-    refuse_steep,
-    to_nominal,
-    van_loan,
-)
-from ekf_companion.filters.gate import Trust
+from ekf_companion.errors import FilterError
+from ekf_companion.filters.gate import Decision
 from ekf_companion.filters.observation import Observation, reset
+from ekf_companion.filters.sequence import MeasurementSequence, Setup, run_sequence
 from ekf_companion.filters.solution import Solution
-from ekf_companion.filters.strapdown import Interval, N, Noise, Nominal
-from ekf_companion.nav.measurements import Events
+from ekf_companion.filters.strapdown import (
+    ATT,
+    POS,
+    VEL,
+    Interval,
+    N,
+    Noise,
+    Nominal,
+    covariance_in_n,
+)
+from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 
-Array = npt.NDArray[np.float64]
-Preset = Literal["corrected", "article"]
+Real: TypeAlias = npt.NDArray[np.floating[Any]]
 
-
-class Euler:
-    """The filter with noise, gate and Earth as the other filters have them."""
-
-    def __init__(self, setup: Setup, pitch_limit: float = PITCH_LIMIT) -> None:
-        """Begin.
-
-        Args:
-            setup: As for the other filters.
-            pitch_limit: Steeper, up or down, it stops, rad.
-
-        Raises:
-            FilterError: It begins steeper.
-        """
-        self._setup, self._limit = setup, pitch_limit
-        self.x: Array = from_nominal(setup.start.state)
-        """State, shape (15,)."""
-        refuse_steep(self.x, pitch_limit)
-        T = by_turn(self.x)
-        self.P: Array = T @ setup.start.P @ T.T
-        """Its covariance, shape (15, 15)."""
-
-    @property
-    def state(self) -> Nominal:
-        """The estimate of now."""
-        return to_nominal(self.x)
-
-    def predict(self, over: Interval) -> None:
-        """Carry the state by its rate of change at the start, the covariance by van Loan.
-
-        Raises:
-            FilterError: The pitch has become too steep.
-        """
-        x, earth = self.x, self._setup.earth
-        rate_b = over.gyro - body_to_n(x).T @ earth.rate_n
-        dx = derivative(x, rate_b, over.accel, earth.accel_n(self.state))
-        F = jacobian(x, rate_b, over.accel)
-        Phi, Q = van_loan(F, density(x, self._setup.noise), over.dt)
-        self.x = x + dx * over.dt
-        self.P = Phi @ self.P @ Phi.T + Q
-        refuse_steep(self.x, self._limit)
-
-    def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
-        """Fuse aids one after the other, by the Joseph form.
-
-        Raises:
-            FilterError: The pitch has become too steep.
-        """
-        for aid in aids:
-            now = self.state
-            # An error in Euler angles as a turn in b, of which the aid has its Jacobian
-            H = aid.jacobian(now) @ np.linalg.inv(by_turn(self.x))
-            z, R = aid.innovation(now), aid.covariance()
-            S = H @ self.P @ H.T + R
-            trust = self._setup.gate.admits(aid.aid, t_ns, z, S)
-            if trust is Trust.REFUSED:
-                continue
-            if trust is Trust.RESET:
-                anew = reset(aid, now, self._setup.gate.patience(aid.aid))
-                T = by_turn(self.x)
-                K, doubt = T @ anew.gain, T @ anew.doubt @ T.T
-            else:
-                K, doubt = np.linalg.solve(S, H @ self.P).T, np.zeros((N, N))
-            L = np.eye(N) - K @ H
-            self.x = self.x + K @ z
-            self.P = L @ self.P @ L.T + K @ R @ K.T + doubt
-            refuse_steep(self.x, self._limit)
-
-    def covariance(self) -> Array:
-        """Give that of attitude (rotation vector in n), velocity, position (n), shape (9, 9)."""
-        return covariance_in_n(self.x, self.P)
+ANGLES, PLACE, SPEED, GYRO, ACCEL = (slice(i, i + 3) for i in range(0, N, 3))
+PITCH_LIMIT = float(np.radians(85.0))
+"""rad. The Jacobian of the rates of roll and yaw contains 1 / cos^2 of the pitch. An error of the
+pitch of 0.5 deg, large for such a filter, changes 1 / cos(pitch) by a tenth here, by a third at
+88.5 deg: beyond, the covariance does not describe the error. Here gyro noise counts eleven-fold in
+roll and in yaw."""
 
 
-def density(x: Array, noise: Noise) -> Array:
-    """Give the density of the noise's covariance, per second, shape (15, 15)."""
+def refuse_steep(x: Real, limit: float = PITCH_LIMIT) -> None:
+    """Refuse a state whose pitch is too near 90 degrees.
+
+    Raises:
+        FilterError: It is, or is not finite.
+    """
+    pitch = float(x[1])
+    if not abs(pitch) <= limit:
+        raise FilterError(
+            f"the pitch is {np.degrees(pitch):.1f} deg, where roll and yaw are nearly one turn "
+            f"(Euler angles end at 90 deg; limit {np.degrees(limit):.1f}): use eskf or iterated, "
+            "whose quaternion knows no such place"
+        )
+
+
+def to_nominal(x: Real) -> Nominal:
+    """Return the state as the other filters have it: a quaternion, and down, not altitude."""
+    x = np.asarray(x, dtype=np.float64)
+    return Nominal(
+        q_nb=so3.normalise(so3.from_euler(*x[ANGLES])),
+        vel_n=x[SPEED].copy(),
+        pos_n=x[PLACE] * [1.0, 1.0, -1.0],
+        gyro_bias=x[GYRO].copy(),
+        accel_bias=x[ACCEL].copy(),
+    )
+
+
+def from_nominal(state: Nominal) -> Array:
+    """Return the state of another filter in Euler angles, shape (15,)."""
+    place = state.pos_n * [1.0, 1.0, -1.0]
+    parts = [so3.to_euler(state.q_nb), place, state.vel_n, state.gyro_bias, state.accel_bias]
+    return np.concatenate(parts)
+
+
+def by_error_state(x: Real) -> Array:
+    """Return the derivative of the state by the error state of ``strapdown``, shape (15, 15)."""
+    T = np.zeros((N, N))
+    T[ANGLES, ATT] = angle_rates(x)
+    T[PLACE, POS] = np.diag([1.0, 1.0, -1.0])
+    T[SPEED, VEL] = np.eye(3)
+    T[9:, 9:] = np.eye(6)
+    return T
+
+
+def navigation_covariance(x: Real, P: Real) -> Array:
+    """Return the covariance of attitude, velocity and position in n, shape (9, 9)."""
+    T = np.linalg.inv(by_error_state(x))
+    return covariance_in_n(T @ P @ T.T, to_nominal(x).q_nb)
+
+
+def angle_rates(x: Real) -> Real:
+    """Return the derivative of roll, pitch, yaw by a rotation vector in b, shape (3, 3)."""
+    (sr, cr), (sp, cp), _ = _sines(x)
+    rows = [[1.0, sr * sp / cp, cr * sp / cp], [0.0, cr, -sr], [0.0, sr / cp, cr / cp]]
+    return np.array(rows, dtype=x.dtype)
+
+
+def body_to_n(x: Real) -> Real:
+    """Return C_nb, shape (3, 3)."""
+    (sr, cr), (sp, cp), (sy, cy) = _sines(x)
+    rows = [
+        [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
+        [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
+        [-sp, sr * cp, cr * cp],
+    ]
+    return np.array(rows, dtype=x.dtype)
+
+
+def derivative(x: Real, gyro: Real, accel: Real, fall_n: Real) -> Real:
+    """Return the rate of change of the state, shape (15,).
+
+    Args:
+        x: State, shape (15,).
+        gyro: Rate of b relative to n plus the bias, rad/s, b.
+        accel: Specific force plus the bias, m/s^2, b.
+        fall_n: Gravity and Coriolis acceleration, m/s^2, n.
+    """
+    dx = np.zeros_like(x)
+    dx[ANGLES] = angle_rates(x) @ (gyro - x[GYRO])
+    dx[PLACE] = x[SPEED] * np.array([1.0, 1.0, -1.0], dtype=x.dtype)
+    dx[SPEED] = body_to_n(x) @ (accel - x[ACCEL]) + fall_n
+    return dx
+
+
+def jacobian(x: Real, gyro: Real, accel: Real) -> Real:
+    """Return the derivative of :func:`derivative` by the state, shape (15, 15).
+
+    Gravity counts as constant.
+    """
+    (sr, cr), (sp, cp), (sy, cy) = _sines(x)
+    _, q, r = gyro - x[GYRO]
+    fx, fy, fz = accel - x[ACCEL]
+    across, along = cr * q - sr * r, sr * q + cr * r  # by roll: of pitch's axis, of yaw's axis
+    F = np.zeros((N, N), dtype=x.dtype)
+    F[0, 0], F[0, 1] = across * sp / cp, along / (cp * cp)
+    F[1, 0] = -along
+    F[2, 0], F[2, 1] = across / cp, along * sp / (cp * cp)
+    F[ANGLES, GYRO] = -angle_rates(x)
+    F[PLACE, SPEED] = np.diag([1.0, 1.0, -1.0])
+    C = body_to_n(x)
+    # The force with the roll removed: across the wings, and along the belly
+    side, belly = cr * fy - sr * fz, sr * fy + cr * fz
+    ahead = cp * fx + sp * belly
+    F[SPEED, 0] = C[:, 2] * fy - C[:, 1] * fz
+    F[SPEED, 1] = [cy * (cp * belly - sp * fx), sy * (cp * belly - sp * fx), -ahead]
+    F[SPEED, 2] = [-sy * ahead - cy * side, cy * ahead - sy * side, 0.0]
+    F[SPEED, ACCEL] = -C
+    return F
+
+
+def van_loan(F: Real, Q: Real, dt: float, is_first_order: bool = False) -> tuple[Real, Real]:
+    """Return the transition over an interval, and the covariance of its noise.
+
+    Args:
+        F: Of dx/dt = F x + noise, shape (n, n).
+        Q: Density of the noise's covariance, per second, shape (n, n).
+        dt: s.
+        is_first_order: Use 1 + A dt for the exponential of A dt.
+    """
+    n = len(F)
+    A = np.zeros((2 * n, 2 * n), dtype=F.dtype)
+    A[:n, :n], A[:n, n:], A[n:, n:] = -F, Q, F.T
+    A *= F.dtype.type(dt)
+    B = np.eye(2 * n, dtype=F.dtype) + A if is_first_order else expm(A)
+    Phi = B[n:, n:].T
+    return Phi, Phi @ B[:n, n:]
+
+
+def _sines(x: Real) -> list[tuple[Any, Any]]:
+    """Return sine and cosine of roll, pitch and yaw."""
+    return list(zip(np.sin(x[ANGLES]), np.cos(x[ANGLES]), strict=True))
+
+
+def noise_density(x: Array, noise: Noise) -> Array:
+    """Return the density of the noise's covariance, per second, shape (15, 15)."""
     E = np.asarray(angle_rates(x))
     Q = np.zeros((N, N))
     Q[ANGLES, ANGLES] = noise.gyro**2 * E @ E.T
@@ -128,32 +191,80 @@ def density(x: Array, noise: Noise) -> Array:
     return Q
 
 
-def run(
-    events: Events,
-    settings: FilterSettings,
-    family: str = "unknown",
-    gnss_delay: float | None = None,
-    preset: Preset = "corrected",
-) -> Solution:
-    """Take the filter through a recording.
+class Euler:
+    """The filter, with noise, gate and Earth as the other filters have them."""
 
-    Args:
-        events: In any order.
-        settings: Those of the daemon; ``article`` takes the delays and sources only.
-        family: What ``auto`` means in them.
-        gnss_delay: Delay that the log itself declares, s.
-        preset: ``corrected``: noise, gate and Earth as told; ``article``: the seed article's own
-            constants and order, its two slips among them.
+    def __init__(self, setup: Setup, pitch_limit: float = PITCH_LIMIT) -> None:
+        """Start at the first estimate; the largest pitch, up or down, is in rad.
 
-    Returns:
-        The estimates; where the pitch became too steep, those until then, and a note.
+        Raises:
+            FilterError: It starts steeper.
+        """
+        self._setup, self._limit = setup, pitch_limit
+        self.x: Array = from_nominal(setup.start.state)
+        """State, shape (15,)."""
+        refuse_steep(self.x, pitch_limit)
+        T = by_error_state(self.x)
+        self.P: Array = T @ setup.start.P @ T.T
+        """Covariance, shape (15, 15)."""
+
+    @property
+    def state(self) -> Nominal:
+        """The present estimate."""
+        return to_nominal(self.x)
+
+    def predict(self, over: Interval) -> None:
+        """Predict the state by its rate of change at the start, the covariance by van Loan.
+
+        Raises:
+            FilterError: The pitch has become too steep.
+        """
+        x, earth = self.x, self._setup.earth
+        rate_b = over.gyro - body_to_n(x).T @ earth.rate_n
+        dx = derivative(x, rate_b, over.accel, earth.accel_n(self.state))
+        F = jacobian(x, rate_b, over.accel)
+        Phi, Q = van_loan(F, noise_density(x, self._setup.noise), over.dt)
+        self.x = x + dx * over.dt
+        self.P = Phi @ self.P @ Phi.T + Q
+        refuse_steep(self.x, self._limit)
+
+    def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
+        """Fuse the aids of one time, one after the other, by the Joseph form.
+
+        Raises:
+            FilterError: The pitch has become too steep.
+        """
+        for aid in aids:
+            now = self.state
+            # The aid's Jacobian is by the error state
+            H = aid.jacobian(now) @ np.linalg.inv(by_error_state(self.x))
+            z, R = aid.innovation(now), aid.covariance()
+            S = H @ self.P @ H.T + R
+            decision = self._setup.gate.test(aid.aid, t_ns, z, S)
+            if decision is Decision.REFUSED:
+                continue
+            if decision is Decision.RESET:
+                anew = reset(aid, now, self._setup.gate.patience(aid.aid))
+                T = by_error_state(self.x)
+                K, inflation = T @ anew.gain, T @ anew.inflation @ T.T
+            else:
+                K, inflation = np.linalg.solve(S, H @ self.P).T, np.zeros((N, N))
+            A = np.eye(N) - K @ H
+            self.x = self.x + K @ z
+            self.P = A @ self.P @ A.T + K @ R @ K.T + inflation
+            refuse_steep(self.x, self._limit)
+
+    def covariance(self) -> Array:
+        """Return the covariance of attitude, velocity and position in n, shape (9, 9)."""
+        return navigation_covariance(self.x, self.P)
+
+
+def run(sequence: MeasurementSequence) -> Solution:
+    """Run the filter over a recording; where the pitch becomes too steep, the estimates end.
 
     Raises:
-        LogError: The recording offers no inertial samples, fixes or heading.
-        FilterError: It begins too steep.
+        LogError: The recording ends before the filter can start.
+        FilterError: It starts too steep.
     """
-    course = Course(events, settings, family, gnss_delay)
-    if preset == "article":
-        return euler_article.run(course)
-    setup = course.setup()
-    return courses.run("euler", Euler(setup), course, setup)
+    setup = sequence.setup()
+    return run_sequence("euler", Euler(setup), sequence, setup)

@@ -1,4 +1,4 @@
-"""Whom to believe: a chi-square gate on the innovations, and for how long not to."""
+"""Chi-square gate on the innovations, with a time-out after which an aid resets the estimate."""
 
 from __future__ import annotations
 
@@ -6,27 +6,25 @@ from collections.abc import Mapping
 from enum import Enum
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.from_settings import chi_square_quantile
 from ekf_companion.core.settings import GateSettings
+from ekf_companion.nav.arrays import Array
 
-Array = npt.NDArray[np.float64]
 
-
-class Trust(Enum):
-    """What is to be done with a measurement."""
+class Decision(Enum):
+    """What to do with a measurement."""
 
     REFUSED = 0
-    """Leave it out."""
+    """Do not use it."""
     FUSED = 1
-    """Weigh it against the estimate."""
+    """Fuse it with the estimate."""
     RESET = 2
-    """Take what it shows from it alone: for too long the estimate has agreed with none."""
+    """Set what it measures to the measurement: this aid has been refused for too long."""
 
 
 class Gate:
-    """Judges innovations by aid, and keeps count."""
+    """Tests innovations by aid, and counts the results."""
 
     def __init__(self, settings: GateSettings) -> None:
         self._limits = [chi_square_quantile(settings.probability, dof) for dof in (1, 2, 3)]
@@ -41,45 +39,38 @@ class Gate:
 
     @property
     def counts(self) -> Mapping[str, tuple[int, int]]:
-        """Give how many of each aid were taken, and how many refused."""
-        return {aid: (taken, refused) for aid, (taken, refused) in self._counts.items()}
+        """Return by aid how many measurements were accepted, and how many refused."""
+        return {aid: (accepted, refused) for aid, (accepted, refused) in self._counts.items()}
 
     @property
     def resets(self) -> Mapping[str, int]:
-        """Give how many of each aid were taken after a time-out, without a look at the estimate."""
+        """Return how many measurements of each aid reset the estimate after a time-out."""
         return dict(self._resets)
 
-    def admits(self, aid: str, t_ns: int, z: Array, S: Array) -> Trust:
-        """Judge an innovation; the first that fails after a time-out resets what it shows.
-
-        Args:
-            aid: Whose it is.
-            t_ns: When.
-            z: Innovation, shape (m,), m 1 to 3.
-            S: Its covariance, shape (m, m).
-        """
-        return self.judges(aid, t_ns, float(z @ np.linalg.solve(S, z)), len(z))
+    def test(self, aid: str, t_ns: int, z: Array, S: Array) -> Decision:
+        """Test an innovation of 1 to 3 rows; the first that fails after a time-out resets."""
+        return self.test_nis(aid, t_ns, float(z @ np.linalg.solve(S, z)), len(z))
 
     def patience(self, aid: str) -> float:
-        """Give how long an aid may be refused, s."""
+        """Return the time after which an aid resets the estimate, s."""
         return self._patience[aid]
 
-    def allows(self, nis: float, dof: int) -> bool:
-        """Say whether a normalised innovation squared is one that a good measurement has."""
+    def is_within(self, nis: float, dof: int) -> bool:
+        """Return whether a normalised innovation squared is within the gate."""
         return nis <= self._limits[dof - 1]
 
-    def judges(self, aid: str, t_ns: int, nis: float, dof: int) -> Trust:
-        """Judge an innovation by its normalised square, as :meth:`admits` does."""
+    def test_nis(self, aid: str, t_ns: int, nis: float, dof: int) -> Decision:
+        """Test an innovation by its normalised square, as :meth:`test` does."""
         counts = self._counts.setdefault(aid, [0, 0])
-        # The first is waited for as if the one before had been good
+        # The time-out counts from the first measurement
         since_ns = self._accepted_ns.setdefault(aid, t_ns)
-        trust = Trust.FUSED
-        if not self.allows(nis, dof):
+        decision = Decision.FUSED
+        if not self.is_within(nis, dof):
             is_over = (t_ns - since_ns) * 1e-9 > self._patience[aid]
-            trust = Trust.RESET if is_over else Trust.REFUSED
-        if trust is Trust.RESET:
+            decision = Decision.RESET if is_over else Decision.REFUSED
+        if decision is Decision.RESET:
             self._resets[aid] = self._resets.get(aid, 0) + 1
-        if trust is not Trust.REFUSED:
+        if decision is not Decision.REFUSED:
             self._accepted_ns[aid] = t_ns
-        counts[1 if trust is Trust.REFUSED else 0] += 1
-        return trust
+        counts[1 if decision is Decision.REFUSED else 0] += 1
+        return decision

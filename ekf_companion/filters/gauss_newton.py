@@ -1,14 +1,14 @@
 """The measurement update as a least-squares problem on a manifold, solved by Gauss-Newton.
 
-A state x near its prior y costs the square of (x minus y) in units of P, and that of what was
-measured less what x predicts in units of R. With J the Jacobian of (x plus d) minus y by d, the
-prior as the iterate sees it is A = J^-1 P J^-T at the distance e = J^-1 (x minus y), and a step is
+The cost of a state x with prior y is the square of (x minus y) in units of P, and of measured minus
+predicted in units of R. With J the Jacobian of (x plus d) minus y by d, the prior relative to the
+iterate has the covariance A = J^-1 P J^-T and the distance e = J^-1 (x minus y), and a step is
 
     d = -e + K (z + H e),    K = A H' (H A H' + R)^-1 = (H' R^-1 H + A^-1)^-1 H' R^-1.
 
 Rows are whitened first, so R is the identity below. Neither form inverts P: with P = L L' the
 second is K = L (I + L' H' H L)^-1 L' H', which costs n k^2 for n rows and forms nothing n by n.
-A step that would raise the cost is halved.
+A step that would increase the cost is halved.
 
 Source: Bell and Cathey 1993, "The iterated Kalman filter update as a Gauss-Newton method"; Xu and
 Zhang 2021, "FAST-LIO", arXiv 2010.08196, equations 14 to 20; Qin et al. 2020, "LINS",
@@ -24,18 +24,19 @@ from typing import Generic, Literal, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
+
 Form = Literal["auto", "innovation", "information"]
 S = TypeVar("S")
 
 MAX_ITERATIONS = 20
 SETTLED = 1e-3
-"""A step below this share of one sigma in every state is the last."""
+"""Share of one sigma in every state below which a step is the last."""
 HALVINGS = 12
 
 
 class Rows(NamedTuple):
-    """What was measured, held against a state."""
+    """Measurements linearised at a state."""
 
     z: Array
     """Measured less predicted, shape (n,)."""
@@ -44,19 +45,19 @@ class Rows(NamedTuple):
     R: Array
     """Variances, shape (n,), or a covariance, shape (n, n)."""
     columns: npt.NDArray[np.intp] | None = None
-    """Error states that the rows see, shape (m,); None: all."""
+    """Error states that the rows depend on, shape (m,); None: all."""
 
 
 @dataclass(frozen=True, slots=True)
 class Manifold(Generic[S]):
-    """How a state is moved, and how far it is from another."""
+    """Addition and difference of states."""
 
     plus: Callable[[S, Array], S]
-    """State and error state, shape (k,), to state."""
+    """Adds an error state, shape (k,), to a state."""
     minus: Callable[[S, S], Array]
-    """The error state that leads from the second state to the first."""
+    """Returns the error state from the second state to the first."""
     jacobian: Callable[[S, S], Array]
-    """Derivative of (first plus d) minus second by d at 0, shape (k, k)."""
+    """Returns the derivative of (first plus d) minus second by d at 0, shape (k, k)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -67,15 +68,15 @@ class Correction(Generic[S]):
     P: Array
     """Covariance of its error state, shape (k, k)."""
     cost: float
-    """At the last evaluation; where all is linear, the NIS."""
+    """At the last evaluation; of a linear problem, the NIS."""
     evaluations: int
-    """How often the rows were held against a state."""
+    """Number of linearisations."""
     is_settled: bool
-    """The last step was below :data:`SETTLED`; else the iterations ran out."""
+    """Whether the last step was below :data:`SETTLED`."""
 
 
 class _Point(NamedTuple):
-    """An iterate, the rows held against it, and its cost."""
+    """Whitened rows at an iterate, and its cost."""
 
     z: Array
     H: Array
@@ -94,35 +95,35 @@ def correct(
     form: Form = "auto",
     max_iterations: int = MAX_ITERATIONS,
 ) -> Correction[S]:
-    """Find the state that agrees best with its prior and with what was measured.
+    """Find the state of least cost.
 
     Args:
         state: Prior.
         P: Covariance of its error state, shape (k, k), positive semi-definite.
-        rows: Holds what was measured against a state; called once per iteration and halving.
-        manifold: The state's.
-        form: Of the gain; auto: through the information where there are more rows than states.
-        max_iterations: 1: the linear step of an extended Kalman filter.
+        rows: Linearises the measurements at a state; called once per iteration and halving.
+        manifold: Of the state.
+        form: Of the gain; auto: by the information if there are more rows than states.
+        max_iterations: 1: the update of an extended Kalman filter.
     """
     L = factor(P)
     prior, evaluations = state, 1
-    here = _held(rows(prior), L, np.zeros(len(P)))
+    here = _whitened(rows(prior), L, np.zeros(len(P)))
     for iteration in range(1, max_iterations + 1):
-        # The prior as the iterate sees it
+        # The prior relative to the iterate
         J = manifold.jacobian(state, prior) if here.gap.any() else np.eye(len(P))
         A_half = np.asarray(np.linalg.solve(J, L), dtype=np.float64)
         e = np.linalg.solve(J, here.gap)
-        # The step of least cost, were all linear from here on
+        # The step of least cost of the linearised problem
         seen = e if here.columns is None else e[here.columns]
         gained, P_here = gain(A_half, here.H, here.z + here.H @ seen, here.columns, form)
         dx = gained - e
         is_settled = bool((np.abs(dx) <= SETTLED * np.sqrt(np.diag(P_here))).all())
         if is_settled or iteration == max_iterations:
             break
-        # As much of it as lowers the cost
+        # Halve it until the cost decreases
         for _ in range(HALVINGS):
             there = manifold.plus(state, dx)
-            ahead = _held(rows(there), L, manifold.minus(there, prior))
+            ahead = _whitened(rows(there), L, manifold.minus(there, prior))
             evaluations += 1
             if ahead.cost <= here.cost:
                 break
@@ -149,14 +150,14 @@ def gain(
     columns: npt.NDArray[np.intp] | None = None,
     form: Form = "auto",
 ) -> tuple[Array, Array]:
-    """Give the gain times y, and the covariance after the update, for rows of unit variance.
+    """Return the gain times y, and the covariance after the update, for rows of unit variance.
 
     Args:
         L: Factor of the covariance before it, P = L L', shape (k, k).
         H: Jacobian, shape (n, m).
-        y: What to weigh, shape (n,) or (n, p): the identity gives the gain itself.
-        columns: Error states that H speaks of, shape (m,); None: all.
-        form: auto: through the information where n > k.
+        y: To be multiplied, shape (n,) or (n, p): the identity returns the gain itself.
+        columns: Error states of H, shape (m,); None: all.
+        form: auto: by the information if n > k.
     """
     k = len(L)
     part = L if columns is None else L[columns]
@@ -166,7 +167,7 @@ def gain(
         # Joseph in the units of L: (I - W G)(I - W G)' + W W'
         rest = np.eye(k) - W @ G
         return L @ (W @ y), _square(L @ np.hstack([rest, W]))
-    # Of the rows only their k by k information and k sums are kept
+    # Only the k by k information and k sums of the rows are needed
     M = np.linalg.cholesky(np.eye(k) + part.T @ (H.T @ H) @ part)
     X = np.linalg.solve(M, L.T)
     sums = H.T @ y
@@ -174,25 +175,30 @@ def gain(
 
 
 def reset(P: Array, J: Array) -> Array:
-    """Give a covariance about another state, which it was J away from, shape (k, k)."""
+    """Return a covariance about another state, by the manifold's Jacobian J, shape (k, k)."""
     G = np.linalg.inv(J)
     after = G @ P @ G.T
     return np.asarray(0.5 * (after + after.T))
 
 
 def factor(P: Array) -> Array:
-    """Give L with P = L L'; a state that is known has a row of zeros."""
+    """Return L with P = L L'; the row of a state without variance is zero."""
     try:
         return np.asarray(np.linalg.cholesky(P))
     except np.linalg.LinAlgError:
-        size = np.sqrt(np.maximum(np.diag(P), 0.0))
-        unit = np.where(size > 0.0, size, 1.0)
-        values, vectors = np.linalg.eigh(P / np.outer(unit, unit))
-        return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+        return nearest_factor(P, 0.0)
 
 
-def _held(rows: Rows, L: Array, gap: Array) -> _Point:
-    """Whiten rows, and add up what they and the gap to the prior cost."""
+def nearest_factor(P: Array, least: float) -> Array:
+    """Return the factor of the nearest P whose correlations have no smaller eigenvalue."""
+    size = np.sqrt(np.maximum(np.diagonal(P), 0.0))
+    unit = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(P / np.outer(unit, unit))
+    return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, least)))
+
+
+def _whitened(rows: Rows, L: Array, gap: Array) -> _Point:
+    """Whiten rows, and add up their cost and that of the gap to the prior."""
     z, H = rows.z, rows.H
     if rows.R.ndim == 1:
         weight = 1.0 / np.sqrt(rows.R)

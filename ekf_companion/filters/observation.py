@@ -1,4 +1,4 @@
-"""What sensors should read of a state, how far off they are, and the Jacobian of that.
+"""Measurement models: innovation, covariance and Jacobian of position, velocity and azimuth.
 
 Jacobians are by the error state of :mod:`ekf_companion.filters.strapdown`.
 
@@ -11,41 +11,39 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from ekf_companion.filters.strapdown import ATT, POS, VEL, N, Nominal, skew
+from ekf_companion.filters.strapdown import ATT, POS, VEL, N, Nominal
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 
-Array = npt.NDArray[np.float64]
-
 STEEPEST = 0.1
-"""Share of its length that a direction must have over ground to show an azimuth."""
+"""Least horizontal share of a direction that has a usable azimuth."""
 
 
 class Observation(Protocol):
-    """Something measured, with the model of it."""
+    """A measurement and its model."""
 
     @property
     def aid(self) -> str:
-        """Name of what it corrects: ``position``, ``velocity`` or ``heading``."""
+        """Return ``position``, ``velocity`` or ``heading``."""
 
     def covariance(self) -> Array:
-        """Give that of its noise, R, shape (m, m)."""
+        """Return the covariance of the noise, R, shape (m, m)."""
 
     def innovation(self, state: Nominal) -> Array:
-        """Give measured minus predicted, shape (m,); an angle in [-pi, pi).
+        """Return measured minus predicted, shape (m,); an angle in [-pi, pi).
 
-        States whose arrays have further leading axes give as many innovations, shape (..., m).
+        A state whose arrays have leading axes yields as many innovations, shape (..., m).
         """
 
     def jacobian(self, state: Nominal) -> Array:
-        """Give the derivative of what is predicted by the error state, shape (m, 15)."""
+        """Return the derivative of the prediction by the error state, shape (m, 15)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Position:
-    """Where the antenna is."""
+    """Position of the antenna."""
 
     pos_n: Array
     """m from the origin."""
@@ -56,24 +54,21 @@ class Position:
     aid: str = "position"
 
     def covariance(self) -> Array:
-        """Give that of its noise, shape (3, 3)."""
+        """Return the covariance of the noise, shape (3, 3)."""
         return np.diag(np.square(self.std))
 
     def innovation(self, state: Nominal) -> Array:
-        """Give measured minus predicted, m, shape (3,)."""
+        """Return measured minus predicted, m, shape (3,)."""
         return self.pos_n - state.pos_n - so3.to_matrix(state.q_nb) @ self.lever_b
 
     def jacobian(self, state: Nominal) -> Array:
-        """Give the Jacobian, shape (3, 15)."""
-        H = np.zeros((3, N))
-        H[:, POS] = np.eye(3)
-        H[:, ATT] = -so3.to_matrix(state.q_nb) @ skew(self.lever_b)
-        return H
+        """Return the Jacobian, shape (3, 15)."""
+        return _antenna_jacobian(state, POS, self.lever_b)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Velocity:
-    """How the antenna moves, in two or three axes."""
+    """Velocity of the antenna, in two or three axes."""
 
     vel_n: Array
     """North, east and, if known, down, m/s, shape (2,) or (3,)."""
@@ -84,47 +79,49 @@ class Velocity:
     aid: str = "velocity"
 
     def covariance(self) -> Array:
-        """Give that of its noise, shape (m, m)."""
+        """Return the covariance of the noise, shape (m, m)."""
         return self.std * self.std * np.eye(len(self.vel_n))
 
     def innovation(self, state: Nominal) -> Array:
-        """Give measured minus predicted, m/s, shape (m,)."""
+        """Return measured minus predicted, m/s, shape (m,)."""
         predicted = state.vel_n + so3.to_matrix(state.q_nb) @ self.swing_b
         return np.asarray(self.vel_n - predicted[..., : len(self.vel_n)])
 
     def jacobian(self, state: Nominal) -> Array:
-        """Give the Jacobian, shape (m, 15)."""
-        H = np.zeros((3, N))
-        H[:, VEL] = np.eye(3)
-        H[:, ATT] = -so3.to_matrix(state.q_nb) @ skew(self.swing_b)
-        return H[: len(self.vel_n)]
+        """Return the Jacobian, shape (m, 15)."""
+        return _antenna_jacobian(state, VEL, self.swing_b)[: len(self.vel_n)]
+
+
+def _antenna_jacobian(state: Nominal, block: slice, offset_b: Array) -> Array:
+    """Return the derivative of a block of the state plus an offset in b, shape (3, 15)."""
+    H = np.zeros((3, N))
+    H[:, block] = np.eye(3)
+    H[:, ATT] = -so3.to_matrix(state.q_nb) @ so3.skew(offset_b)
+    return H
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Azimuth:
-    """Direction over ground of something seen in b: of the forward axis, or of the field."""
+    """Azimuth of a direction known in b: of the forward axis, or of the magnetic field."""
 
     seen_b: Array
-    """What is seen, any length, shape (3,)."""
+    """The direction, of any length, shape (3,)."""
     azimuth: float
-    """Where it points, from true north, clockwise, rad: a heading, or the declination."""
+    """Its azimuth from true north, clockwise, rad: a heading, or the declination."""
     std: float
     """One sigma, rad."""
     aid: str = "heading"
 
-    def is_seen(self, state: Nominal) -> bool:
-        """Say whether it is far enough from the vertical to point anywhere over ground."""
+    def is_usable(self, state: Nominal) -> bool:
+        """Return whether the direction is far enough from the vertical to have an azimuth."""
         seen_n = so3.to_matrix(state.q_nb) @ self.seen_b
         return bool(np.hypot(seen_n[0], seen_n[1]) > STEEPEST * np.linalg.norm(seen_n))
 
     def about(self, state: Nominal) -> Azimuth:
-        """Give the same as an azimuth that was misread of a thing seen in its place.
+        """Return an aid of the same innovation with the error in the azimuth, not in the direction.
 
-        The noise of what is seen must not be in the Jacobian too: with a steep field the product
-        of both pushes the level aside by 2 tan(dip) of its variance at each update, one way.
-
-        Args:
-            state: Best guess; there the innovation is the same.
+        The noise of the direction must not be in the Jacobian too: with a steep field the product
+        of both biases the level by 2 tan(dip) of its variance at each update.
         """
         C_nb = so3.to_matrix(state.q_nb)
         apart = float(self.innovation(state)[0])
@@ -134,63 +131,55 @@ class Azimuth:
         )
 
     def covariance(self) -> Array:
-        """Give that of its noise, shape (1, 1)."""
+        """Return the covariance of the noise, shape (1, 1)."""
         return np.array([[self.std * self.std]])
 
     def innovation(self, state: Nominal) -> Array:
-        """Give measured minus predicted, rad in [-pi, pi), shape (1,)."""
+        """Return measured minus predicted, rad in [-pi, pi), shape (1,)."""
         seen_n = so3.to_matrix(state.q_nb) @ self.seen_b
         return so3.wrap(self.azimuth - np.arctan2(seen_n[..., 1:2], seen_n[..., :1]))
 
     def jacobian(self, state: Nominal) -> Array:
-        """Give the Jacobian, shape (1, 15); of a direction that is not seen, that of a turn alone.
-
-        See :meth:`is_seen`.
-        """
+        """Return the Jacobian, shape (1, 15); that of a yaw alone if it is not usable."""
         C_nb = so3.to_matrix(state.q_nb)
         H = np.zeros((1, N))
-        if not self.is_seen(state):
+        if not self.is_usable(state):
             H[0, ATT] = C_nb[2]
             return H
         north, east, _ = (C_nb @ self.seen_b).tolist()
-        turned = -C_nb @ skew(self.seen_b)
+        turned = -C_nb @ so3.skew(self.seen_b)
         H[0, ATT] = (north * turned[1] - east * turned[0]) / (north * north + east * east)
         return H
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Reset:
-    """How an aid is taken that the estimate has not agreed with for too long."""
+    """The update by an aid that the gate has refused for too long."""
 
     gain: Array
-    """Takes what the aid shows from it alone, shape (15, m)."""
-    doubt: Array
-    """What is added to the covariance of the error state, shape (15, 15)."""
+    """Sets what the aid measures to the measurement, shape (15, m)."""
+    inflation: Array
+    """Is added to the covariance of the error state, shape (15, 15)."""
 
 
 def reset(aid: Observation, state: Nominal, seconds: float) -> Reset:
-    """Give the update of a filter that knew nothing of what an aid shows.
+    """Return the update of a filter without prior knowledge of what an aid measures.
 
-    That block is position, velocity or the turn about down, in the axes that were told. The other
-    states do not move, whatever P ties them to it, and what the block owes to them (a lever arm, a
-    tilt) stays tied. A velocity does not go astray by itself: it was carried there by an attitude
-    that is wrong, which is doubted by as much.
-
-    Args:
-        aid: What was measured.
-        state: The estimate, with the wrong innovation.
-        seconds: How long the estimate has gone without this aid.
+    That is position, velocity or the turn about down, in the axes measured. The other states do
+    not change, whatever their correlation with it in P, and its dependence on them (by a lever arm,
+    a tilt) is kept. A velocity becomes wrong by a wrong attitude only, whose covariance is inflated
+    by as much, given the seconds since the aid was last fused.
     """
     H = aid.jacobian(state)
-    # Its directions in the error state
-    shown = np.zeros((1 if aid.aid == "heading" else len(H), N))
-    doubt = np.zeros((N, N))
+    # The error states that it measures
+    measured = np.zeros((1 if aid.aid == "heading" else len(H), N))
+    inflation = np.zeros((N, N))
     if aid.aid == "heading":
-        shown[0, ATT] = so3.to_matrix(state.q_nb)[2]
+        measured[0, ATT] = so3.to_matrix(state.q_nb)[2]
     else:
-        shown[:, POS if aid.aid == "position" else VEL] = np.eye(3)[: len(shown)]
+        measured[:, POS if aid.aid == "position" else VEL] = np.eye(3)[: len(measured)]
     if aid.aid == "velocity":
-        astray = float(np.linalg.norm(aid.innovation(state)))
-        tilt = min(astray / (STANDARD_GRAVITY * seconds), 1.0)
-        doubt[ATT, ATT] = tilt * tilt * np.eye(3)
-    return Reset(gain=np.asarray(shown.T @ np.linalg.pinv(H @ shown.T)), doubt=doubt)
+        error = float(np.linalg.norm(aid.innovation(state)))
+        tilt = min(error / (STANDARD_GRAVITY * seconds), 1.0)
+        inflation[ATT, ATT] = tilt * tilt * np.eye(3)
+    return Reset(gain=np.asarray(measured.T @ np.linalg.pinv(H @ measured.T)), inflation=inflation)

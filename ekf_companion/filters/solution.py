@@ -1,4 +1,4 @@
-"""What every filter gives: a table of estimates, some covariances, what it fused and refused."""
+"""The result of a filter: a table of estimates, covariances, and counts of fused and refused."""
 
 from __future__ import annotations
 
@@ -7,14 +7,26 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ekf_companion.filters.inertial import turn
+from ekf_companion.filters.marg import MargSamples
 from ekf_companion.filters.strapdown import Nominal
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.state import COLUMNS, Status, Table
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.state import (
+    ACCEL_BIAS,
+    COLUMNS,
+    EULER,
+    GEODETIC,
+    GYRO_BIAS,
+    POSITION,
+    QUATERNION,
+    SIGMA,
+    VELOCITY,
+    Status,
+    Table,
+)
 
 COVARIANCE_PERIOD_NS = 500_000_000
 """From one covariance that is kept to the next."""
@@ -22,25 +34,25 @@ COVARIANCE_PERIOD_NS = 500_000_000
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Solution:
-    """A filter's answer over a recording."""
+    """The result of a filter over a recording."""
 
     name: str
     table: Table
-    """An estimate per inertial sample, its stamp the time when it is valid."""
-    covariance_ns: npt.NDArray[np.int64]
+    """An estimate per inertial sample; its stamp is the time at which it is valid."""
+    covariance_ns: Stamps
     """Stamps of the covariances, shape (m,)."""
     covariance: Array
     """Of the errors of attitude (rotation vector in n, rad), velocity and position (n), shape
     (m, 9, 9)."""
-    is_still: npt.NDArray[np.bool_] | None = None
-    """Where the filter took the sensor to stand still, shape (n,); None: it does not ask."""
+    is_still: Mask | None = None
+    """Where the filter found the sensor at rest, shape (n,); None: it does not look for rest."""
     counts: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    """By aid: how many were fused, how many refused."""
+    """By aid: number of fused and of refused measurements."""
     notes: tuple[str, ...] = ()
     """What the user should know, one sentence each."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Give what can be told of it for JSON."""
+        """Return a summary for JSON."""
         return {
             "filter": self.name,
             "estimates": len(self.table),
@@ -50,7 +62,7 @@ class Solution:
         }
 
     def summary(self) -> Iterator[str]:
-        """Give the same as lines to read."""
+        """Yield the same as lines of text."""
         yield f"{self.name}: {len(self.table)} estimates"
         for aid, (fused, refused) in self.counts.items():
             yield f"  {aid}: {fused} fused, {refused} refused"
@@ -61,31 +73,25 @@ class Recorder:
     """Collects a solution, estimate by estimate."""
 
     def __init__(self, name: str, frame: LocalFrame | None) -> None:
-        """Begin with nothing.
-
-        Args:
-            name: Of the filter.
-            frame: Of the positions; None: they have no place on the Earth.
-        """
+        """Start empty; without a frame the place of the positions on the Earth is not known."""
         self._name, self._frame = name, frame
         self._stamps: list[int] = []
         self._states: list[Nominal] = []
         self._sigmas: list[Array] = []
-        self._turns: list[Array] = []
+        self._attitude_covariances: list[Array] = []
         self._resets: list[int] = []
         self._kept_ns: list[int] = []
         self._kept: list[Array] = []
 
     def __len__(self) -> int:
-        """Give how many estimates it has."""
         return len(self._stamps)
 
     def add(self, t_ns: int, state: Nominal, P: Array, resets: int = 0) -> None:
-        """Take an estimate, its covariance, ordered as :attr:`Solution.covariance`, and resets."""
+        """Add an estimate, its covariance as :attr:`Solution.covariance`, the resets so far."""
         self._stamps.append(t_ns)
         self._states.append(state)
         self._sigmas.append(np.sqrt(np.maximum(np.diagonal(P), 0.0)))
-        self._turns.append(P[:3, :3].copy())
+        self._attitude_covariances.append(P[:3, :3].copy())
         self._resets.append(resets)
         if not self._kept_ns or t_ns - self._kept_ns[-1] >= COVARIANCE_PERIOD_NS:
             self._kept_ns.append(t_ns)
@@ -94,41 +100,14 @@ class Recorder:
     def solution(
         self,
         *,
-        is_still: npt.NDArray[np.bool_] | None = None,
+        is_still: Mask | None = None,
         counts: Mapping[str, tuple[int, int]] | None = None,
         notes: tuple[str, ...] = (),
     ) -> Solution:
-        """Give what was collected."""
-        n = len(self._stamps)
-        values = np.full((n, len(COLUMNS) - 1), np.nan)
-        put = {name: values[:, index] for index, name in enumerate(COLUMNS[1:])}
-        if n:
-            q_nb = np.array([one.q_nb for one in self._states])
-            pos_n = np.array([one.pos_n for one in self._states])
-            angles = so3.to_euler(q_nb)
-            _fill(put, "roll pitch yaw", angles)
-            _fill(put, "q_w q_x q_y q_z", so3.normalise(q_nb))
-            _fill(put, "pos_n pos_e pos_d", pos_n)
-            _fill(put, "vel_n vel_e vel_d", np.array([one.vel_n for one in self._states]))
-            for sensor in ("gyro", "accel"):
-                biases = np.array([getattr(one, f"{sensor}_bias") for one in self._states])
-                _fill(put, " ".join(f"{sensor}_bias_{axis}" for axis in "xyz"), biases)
-            sigmas = np.array(self._sigmas)
-            _fill(put, "sd_pos_n sd_pos_e sd_pos_d", sigmas[:, 6:9])
-            _fill(put, "sd_vel_n sd_vel_e sd_vel_d", sigmas[:, 3:6])
-            _fill(put, "sd_roll sd_pitch sd_yaw", euler_sigmas(angles, np.array(self._turns)))
-            if self._frame is not None:
-                lat, lon, alt = self._frame.to_geodetic(pos_n)
-                put["lat_deg"][:], put["lon_deg"][:], put["alt_m"][:] = (
-                    np.rad2deg(lat),
-                    np.rad2deg(lon),
-                    alt,
-                )
-            put["status"][:] = Status.OK
-            put["reset_count"][:] = self._resets
+        """Return what was collected."""
         return Solution(
             name=self._name,
-            table=Table(stamp_ns=np.array(self._stamps, dtype=np.int64), values=values),
+            table=_table(np.array(self._stamps, dtype=np.int64), self._columns()),
             covariance_ns=np.array(self._kept_ns, dtype=np.int64),
             covariance=np.array(self._kept).reshape(-1, 9, 9),
             is_still=is_still,
@@ -136,18 +115,102 @@ class Recorder:
             notes=notes,
         )
 
+    def _columns(self) -> dict[tuple[str, ...], Array]:
+        if not self._states:
+            return {}
+        q_nb = np.array([one.q_nb for one in self._states])
+        pos_n = np.array([one.pos_n for one in self._states])
+        angles = so3.to_euler(q_nb)
+        sigmas = np.array(self._sigmas)
+        of_angles = euler_sigmas(angles, np.array(self._attitude_covariances))
+        n = len(self._states)
+        columns = {
+            EULER: angles,
+            QUATERNION: so3.normalise(q_nb),
+            POSITION: pos_n,
+            VELOCITY: np.array([one.vel_n for one in self._states]),
+            GYRO_BIAS: np.array([one.gyro_bias for one in self._states]),
+            ACCEL_BIAS: np.array([one.accel_bias for one in self._states]),
+            SIGMA: np.hstack([sigmas[:, 6:9], sigmas[:, 3:6], of_angles]),
+            ("status", "reset_count"): np.stack(
+                [np.full(n, float(Status.OK)), self._resets], axis=1
+            ),
+        }
+        if self._frame is not None:
+            lat, lon, alt = self._frame.to_geodetic(pos_n)
+            columns[GEODETIC] = np.stack([np.rad2deg(lat), np.rad2deg(lon), alt], axis=1)
+        return columns
 
-def _fill(put: Mapping[str, Array], names: str, columns: Array) -> None:
-    for index, name in enumerate(names.split()):
-        put[name][:] = columns[:, index]
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AttitudeEstimates:
+    """What a filter of attitude alone estimates at each of its samples."""
+
+    q_nb: Array
+    """From magnetic north, shape (n, 4)."""
+    bias: Array | None = None
+    """Of the gyro, rad/s, b, shape (n, 3); None: not estimated."""
+    covariance: Array | None = None
+    """Of the rotation vector in n, rad^2, shape (n, 3, 3); None: not estimated."""
+    is_still: Mask | None = None
+    """Where it found the sensor at rest, shape (n,); None: it does not look for rest."""
+
+
+def attitude_solution(
+    name: str,
+    samples: MargSamples,
+    found: AttitudeEstimates,
+    *,
+    counts: Mapping[str, tuple[int, int]] | None = None,
+    notes: tuple[str, ...] = (),
+) -> Solution:
+    """Return the solution of a filter of attitude alone; what is not known is NaN.
+
+    The samples add the declination and their notes.
+    """
+    q_nb = so3.normalise(turn(found.q_nb, samples.declination))
+    n = len(q_nb)
+    kept = np.unique((samples.t_ns - samples.t_ns[0]) // COVARIANCE_PERIOD_NS, return_index=True)[1]
+    blocks = np.full((len(kept), 9, 9), np.nan)
+    status = np.full(n, float(Status.ATTITUDE))
+    seen = np.flatnonzero(samples.has_mag)
+    status[: seen[0] if len(seen) else 0] = Status.ALIGNING
+    angles = so3.to_euler(q_nb)
+    columns = {
+        EULER: angles,
+        QUATERNION: q_nb,
+        ("status", "reset_count"): np.stack([status, np.zeros(n)], axis=1),
+    }
+    if found.bias is not None:
+        columns[GYRO_BIAS] = found.bias
+    if found.covariance is not None:
+        C = so3.to_matrix(so3.from_euler(0.0, 0.0, samples.declination))
+        covariance = np.einsum("ij,njk,lk->nil", C, found.covariance, C)
+        columns[SIGMA[-3:]] = euler_sigmas(angles, covariance)
+        blocks[:, :3, :3] = covariance[kept]
+    return Solution(
+        name=name,
+        table=_table(samples.t_ns, columns),
+        covariance_ns=samples.t_ns[kept],
+        covariance=blocks,
+        is_still=found.is_still,
+        counts=dict(counts or {}),
+        notes=samples.notes + notes,
+    )
+
+
+def _table(stamp_ns: Stamps, columns: Mapping[tuple[str, ...], Array]) -> Table:
+    """Return a table of columns by their names, NaN in the others."""
+    values = np.full((len(stamp_ns), len(COLUMNS) - 1), np.nan)
+    for names, numbers in columns.items():
+        values[:, [COLUMNS.index(name) - 1 for name in names]] = numbers
+    return Table(stamp_ns=stamp_ns, values=values)
 
 
 def euler_sigmas(angles: Array, covariance: Array) -> Array:
-    """Give one sigma of roll, pitch and yaw, rad, shape (n, 3).
+    """Return one sigma of roll, pitch and yaw, rad, shape (n, 3).
 
-    Args:
-        angles: Roll, pitch, yaw, rad, shape (n, 3).
-        covariance: Of the rotation vector in n, rad^2, shape (n, 3, 3).
+    The covariance, shape (n, 3, 3), is of the rotation vector in n at the angles, rad.
     """
     pitch, yaw = angles[:, 1], angles[:, 2]
     sine, cosine, zero = np.sin(yaw), np.cos(yaw), np.zeros(len(yaw))

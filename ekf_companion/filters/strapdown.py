@@ -1,9 +1,9 @@
-"""The motion that the filters share: 15 states, strapdown navigation in n, and its Jacobian.
+"""The motion model that the filters share: 15 states, strapdown integration, its Jacobian.
 
 Error state, in this order, everywhere in this room: attitude (rotation vector in b, rad: q_nb
 (true) = q_nb exp(theta_b)), velocity (n), position (n), gyro bias, accelerometer bias: true less
 estimated. The Earth is curved in :class:`~ekf_companion.nav.earth.LocalFrame` only; its rotation
-and gravity are those of the origin, its free-air gradient counts.
+and gravity are those of the origin, with the free-air gradient.
 
 Source: Sola 2017, "Quaternion kinematics for the error-state Kalman filter", arXiv 1711.02508,
 section 5; Groves 2013, chapter 5.
@@ -14,12 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import FREE_AIR, LocalFrame, earth_rate_n, gravity
-
-Array = npt.NDArray[np.float64]
 
 N = 15
 ATT, VEL, POS, BG, BA = (slice(i, i + 3) for i in range(0, N, 3))
@@ -27,10 +25,10 @@ ATT, VEL, POS, BG, BA = (slice(i, i + 3) for i in range(0, N, 3))
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Nominal:
-    """Where it is, how it moves, and what its sensors add."""
+    """The nominal state."""
 
     q_nb: Array
-    """Body to n, shape (4,)."""
+    """From b to n, shape (4,)."""
     vel_n: Array
     """m/s."""
     pos_n: Array
@@ -51,7 +49,7 @@ class Nominal:
         )
 
     def minus(self, other: Nominal) -> Array:
-        """Give the error state that leads from the other to this one, shape (15,)."""
+        """Return the error state from the other to this state, shape (15,)."""
         return np.concatenate(
             [
                 so3.log(so3.multiply(so3.conjugate(other.q_nb), self.q_nb)),
@@ -65,32 +63,32 @@ class Nominal:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Interval:
-    """Inertial readings between two times; where a sample is a mean, both ends are the same."""
+    """Inertial measurements over a time; where a sample is a mean, both ends are equal."""
 
     dt: float
     """s, > 0."""
     gyro0: Array
-    """At its start, rad/s, b."""
+    """At the start, rad/s, b."""
     gyro1: Array
-    """At its end."""
+    """At the end."""
     accel0: Array
     """m/s^2, b."""
     accel1: Array
 
     @property
     def gyro(self) -> Array:
-        """Give the rate at its middle."""
+        """Return the rate at the middle."""
         return 0.5 * (self.gyro0 + self.gyro1)
 
     @property
     def accel(self) -> Array:
-        """Give the specific force at its middle."""
+        """Return the specific force at the middle."""
         return 0.5 * (self.accel0 + self.accel1)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Earth:
-    """What the Earth adds to the motion."""
+    """Gravity and rotation of the Earth."""
 
     gravity: float
     """At the origin's altitude, m/s^2."""
@@ -99,11 +97,11 @@ class Earth:
     rate_n: Array
     """Its rotation, rad/s."""
     down_n: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
-    """Where gravity points: another direction where n is not level."""
+    """Direction of gravity; another one if n is not level."""
 
     @classmethod
     def at(cls, frame: LocalFrame) -> Earth:
-        """Give that of a place."""
+        """Return the Earth at a place."""
         return cls(
             gravity=float(gravity(frame.lat, frame.alt)),
             gradient=FREE_AIR,
@@ -112,30 +110,17 @@ class Earth:
 
     @classmethod
     def flat(cls, gravity: float) -> Earth:
-        """Give one that does not turn."""
+        """Return a flat Earth that does not turn."""
         return cls(gravity=gravity, gradient=0.0, rate_n=np.zeros(3))
 
     def accel_n(self, state: Nominal) -> Array:
-        """Give gravity and Coriolis, m/s^2, n."""
+        """Return gravity and Coriolis, m/s^2, n."""
         size = self.gravity + self.gradient * float(self.down_n @ state.pos_n)
-        return np.asarray(size * self.down_n - 2.0 * cross(self.rate_n, state.vel_n))
+        return np.asarray(size * self.down_n - 2.0 * so3.cross(self.rate_n, state.vel_n))
 
 
-def cross(a: Array, b: Array) -> Array:
-    """Give a x b of two vectors of three; a tenth of the time of ``numpy.cross``."""
-    ax, ay, az = a.tolist()
-    bx, by, bz = b.tolist()
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-
-
-def skew(v: Array) -> Array:
-    """Give the matrix of v x, shape (3, 3)."""
-    x, y, z = v.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def move(state: Nominal, over: Interval, earth: Earth) -> Nominal:
-    """Carry a state over an interval by the midpoint rule."""
+def integrate_strapdown(state: Nominal, over: Interval, earth: Earth) -> Nominal:
+    """Integrate the motion over an interval by the midpoint rule."""
     rate_b = over.gyro - state.gyro_bias - so3.to_matrix(state.q_nb).T @ earth.rate_n
     q_mid = so3.multiply(state.q_nb, so3.exp(rate_b * (0.5 * over.dt)))
     accel_n = so3.to_matrix(q_mid) @ (over.accel - state.accel_bias) + earth.accel_n(state)
@@ -148,16 +133,17 @@ def move(state: Nominal, over: Interval, earth: Earth) -> Nominal:
 
 
 def transition(state: Nominal, over: Interval, earth: Earth) -> Array:
-    """Give the Jacobian of :func:`move` by the error state, to second order, shape (15, 15).
+    """Return the Jacobian of :func:`integrate_strapdown` by the error state, shape (15, 15).
 
-    Coriolis and the gradient of gravity are left out: 1e-4 and 3e-6 of what is kept, per second.
+    It is of second order in time. Coriolis and the gradient of gravity are left out: 1e-4 and 3e-6
+    of what is kept, per second.
     """
     dt = over.dt
     rate_b = over.gyro - state.gyro_bias - so3.to_matrix(state.q_nb).T @ earth.rate_n
     back = so3.to_matrix(so3.exp(-rate_b * dt))
     C_mid = so3.to_matrix(so3.multiply(state.q_nb, so3.exp(rate_b * (0.5 * dt))))
     back_mid = so3.to_matrix(so3.exp(-rate_b * (0.5 * dt)))
-    force = -C_mid @ skew(over.accel - state.accel_bias)
+    force = -C_mid @ so3.skew(over.accel - state.accel_bias)
     Phi = np.eye(N)
     Phi[ATT, ATT] = back
     Phi[ATT, BG] = -dt * back_mid
@@ -173,7 +159,7 @@ def transition(state: Nominal, over: Interval, earth: Earth) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
-    """How the motion is disturbed: densities of white noise, per square root of Hz."""
+    """Process noise: densities of white noise, per square root of Hz."""
 
     gyro: float
     """rad/s."""
@@ -185,7 +171,7 @@ class Noise:
     """m/s^2 per square root of s."""
 
     def covariance(self, dt: float) -> Array:
-        """Give what an interval adds to the covariance of the error state, shape (15, 15)."""
+        """Return the covariance that an interval adds to the error state, shape (15, 15)."""
         Q = np.zeros((N, N))
         one = np.eye(3)
         accel2 = self.accel * self.accel
@@ -198,8 +184,8 @@ class Noise:
         return Q
 
 
-def in_n(P: Array, q_nb: Array) -> Array:
-    """Give the covariance of attitude (turned into n), velocity, position, shape (9, 9)."""
+def covariance_in_n(P: Array, q_nb: Array) -> Array:
+    """Return the covariance of attitude (rotated into n), velocity, position, shape (9, 9)."""
     T = np.eye(9)
     T[ATT, ATT] = so3.to_matrix(q_nb)
     return np.asarray(T @ P[:9, :9] @ T.T)

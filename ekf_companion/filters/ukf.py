@@ -1,8 +1,8 @@
-"""An unscented filter on the manifold: states and models of the linear one, no Jacobians.
+"""An unscented filter on the manifold: states and models of the error-state filter, no Jacobians.
 
 The estimate is a state and the covariance of the error state about it. A step draws sigma points
-(:mod:`ekf_companion.filters.cloud`), takes each through the motion or the sensor's model, and reads
-mean and covariance off what comes out.
+(:mod:`ekf_companion.filters.sigma_points`), propagates each through the motion or the measurement
+model, and computes mean and covariance of the result.
 
 Source: Brossard, Barrau, Bonnabel 2020, "A code for unscented Kalman filtering on manifolds
 (UKF-M)", arXiv 2002.00878; Hauberg et al. 2013; Crassidis and Markley 2003 (USQUE) for the
@@ -15,20 +15,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
-from ekf_companion.core.settings import FilterSettings
-from ekf_companion.filters import cloud, course
-from ekf_companion.filters.cloud import Draw
-from ekf_companion.filters.course import Course, Setup
-from ekf_companion.filters.gate import Trust
+from ekf_companion.filters import sigma_points
+from ekf_companion.filters.gate import Decision
 from ekf_companion.filters.observation import Observation, reset
+from ekf_companion.filters.sequence import MeasurementSequence, Setup, run_sequence
+from ekf_companion.filters.sigma_points import SigmaPoints
 from ekf_companion.filters.solution import Solution
-from ekf_companion.filters.strapdown import Interval, Nominal, in_n
+from ekf_companion.filters.strapdown import Interval, Nominal, covariance_in_n
 from ekf_companion.nav import so3
-from ekf_companion.nav.measurements import Events
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 
 class Unscented:
@@ -37,102 +33,92 @@ class Unscented:
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
         self.state: Nominal = setup.start.state
-        """The estimate of now."""
+        """The present estimate."""
         self.P: Array = setup.start.P.copy()
         """Covariance of its error state, shape (15, 15)."""
-        self.mended = 0
+        self.repaired = 0
         """How often the covariance had lost its positive definiteness to rounding."""
 
     def predict(self, over: Interval) -> None:
-        """Carry the points over an interval; the noise is added to what comes out.
+        """Integrate the points over an interval; the noise is added to the result.
 
         The noise of one interval turns the body by 1e-4 rad: points of its own (55 instead of 31)
-        would find what adding finds, to 1e-8.
+        would change the result by 1e-8.
         """
         points = self._draw()
-        moved = cloud.move(cloud.scatter(self.state, points.dx), over, self._setup.earth)
-        self.state, dx = cloud.gather(moved, points.mean)
+        there = sigma_points.integrate(
+            sigma_points.add(self.state, points.dx), over, self._setup.earth
+        )
+        self.state, dx = sigma_points.average(there, points.mean)
         self.P = _covariance(dx, points) + self._setup.noise.covariance(over.dt)
 
     def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
-        """Fuse what was measured now, one aid after the other."""
+        """Fuse the aids of one time, one after the other."""
         for aid in aids:
             self._fuse(t_ns, aid)
 
     def _fuse(self, t_ns: int, aid: Observation) -> None:
         points, R = self._draw(), aid.covariance()
-        seen = aid.innovation(cloud.scatter(self.state, points.dx))
-        is_angle, away = aid.aid == "heading", seen - seen[0]
+        innovations = aid.innovation(sigma_points.add(self.state, points.dx))
+        is_angle, away = aid.aid == "heading", innovations - innovations[0]
         # Angles by the shorter way from the middle point's
         away = so3.wrap(away) if is_angle else away
         mean = points.mean @ away
-        z, dy = seen[0] + mean, mean - away
+        z, dy = innovations[0] + mean, mean - away
         z = so3.wrap(z) if is_angle else z
         weighted = points.covariance[:, None] * dy
         S = dy.T @ weighted + R
-        trust = self._setup.gate.admits(aid.aid, t_ns, z, S)
-        if trust is Trust.REFUSED:
+        decision = self._setup.gate.test(aid.aid, t_ns, z, S)
+        if decision is Decision.REFUSED:
             return
-        doubt = 0.0 * self.P
-        if trust is Trust.RESET:
+        inflation = 0.0 * self.P
+        if decision is Decision.RESET:
             anew = reset(aid, self.state, self._setup.gate.patience(aid.aid))
-            K, doubt, z = anew.gain, anew.doubt, aid.innovation(self.state)
+            K, inflation, z = anew.gain, anew.inflation, aid.innovation(self.state)
         else:
             K = np.linalg.solve(S, weighted.T @ points.dx).T
-        # What is left of every point's error, and what the sensor's noise brings: no difference of
+        # The remaining error of every point, and the noise of the sensor: no difference of
         # covariances, so none that could turn negative
-        self.P = _covariance(points.dx - dy @ K.T, points) + K @ R @ K.T + doubt
-        self._settle(K @ z)
+        self.P = _covariance(points.dx - dy @ K.T, points) + K @ R @ K.T + inflation
+        self._apply_update(K @ z)
 
-    def _settle(self, dx: Array) -> None:
-        """Step to the corrected state, and turn the covariance into the error states there.
+    def _apply_update(self, dx: Array) -> None:
+        """Step to the corrected state, and express the covariance about it.
 
-        The posterior's points are drawn about the error state dx of the old state, and gathered
+        The posterior's points are drawn about the error state dx of the old state, and averaged
         about their own mean: with points this is the Jacobian of the reset, and its second order.
         """
         points = self._draw()
-        beside = cloud.scatter(self.state, dx + points.dx)
-        self.state, about = cloud.gather(beside, points.mean)
+        beside = sigma_points.add(self.state, dx + points.dx)
+        self.state, about = sigma_points.average(beside, points.mean)
         self.P = _covariance(about, points)
 
-    def _draw(self) -> Draw:
-        points = cloud.draw(self.P)
-        self.mended += points.is_mended
+    def _draw(self) -> SigmaPoints:
+        points = sigma_points.draw(self.P)
+        self.repaired += points.is_repaired
         return points
 
     def covariance(self) -> Array:
-        """Give that of attitude (in n), velocity and position, shape (9, 9)."""
-        return in_n(self.P, self.state.q_nb)
+        """Return the covariance of attitude, velocity and position in n, shape (9, 9)."""
+        return covariance_in_n(self.P, self.state.q_nb)
 
 
-def _covariance(dx: Array, points: Draw) -> Array:
-    """Give the weighted covariance of error states about their mean, exactly symmetric."""
+def _covariance(dx: Array, points: SigmaPoints) -> Array:
+    """Return the weighted covariance of error states about their mean, exactly symmetric."""
     P = dx.T @ (points.covariance[:, None] * dx)
     return np.asarray(0.5 * (P + P.T))
 
 
-def run(
-    events: Events,
-    settings: FilterSettings,
-    family: str = "unknown",
-    gnss_delay: float | None = None,
-) -> Solution:
-    """Take the unscented filter through a recording.
-
-    Args:
-        events: In any order.
-        settings: Those of the daemon.
-        family: What ``auto`` means in them.
-        gnss_delay: Delay that the log itself declares, s.
+def run(sequence: MeasurementSequence) -> Solution:
+    """Run the unscented filter over a recording.
 
     Raises:
-        LogError: No inertial samples, no fixes, no heading, or an end before the filter begins.
+        LogError: The recording ends before the filter can start.
     """
-    path = Course(events, settings, family, gnss_delay)
-    setup = path.setup()
+    setup = sequence.setup()
     tried = Unscented(setup)
-    solution = course.run("ukf", tried, path, setup)
-    if not tried.mended:
+    solution = run_sequence("ukf", tried, sequence, setup)
+    if not tried.repaired:
         return solution
-    note = f"the covariance was not positive definite {tried.mended} times and was mended"
+    note = f"the covariance was not positive definite {tried.repaired} times and was mended"
     return replace(solution, notes=(*solution.notes, note))

@@ -1,4 +1,4 @@
-"""VQF by its authors' own package, for comparison only; ``pip install vqf`` brings it.
+"""VQF by its authors' own package, for comparison only; ``pip install vqf`` installs it.
 
 Source: Laidig, Seel 2023, "VQF: highly accurate IMU orientation estimation with bias estimation
 and magnetic disturbance rejection", Information Fusion 91, arXiv 2203.17024.
@@ -10,40 +10,38 @@ import importlib
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import ConfigError
-from ekf_companion.filters import readings
-from ekf_companion.filters.samples import LONGEST
-from ekf_companion.filters.solution import Solution
+from ekf_companion.filters.inertial import LONGEST_GAP, turn
+from ekf_companion.filters.marg import marg_samples
+from ekf_companion.filters.solution import AttitudeEstimates, Solution, attitude_solution
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.measurements import Events
-
-Array = npt.NDArray[np.float64]
 
 NAME = "vqf"
 UNEVEN = 0.2
-"""Share of the samples' steps that may differ from the usual one by half of it."""
+"""Largest share of steps that differ from the usual one by more than half of it."""
 
 
-def run(events: Events, gap: float = LONGEST) -> Solution:
-    """Run VQF with its own settings; it takes the samples as evenly spaced.
+def run(events: Events, gap: float = LONGEST_GAP) -> Solution:
+    """Run VQF with its own settings; it assumes evenly spaced samples.
 
-    Args:
-        events: The recording.
-        gap: Silence of the inertial sensor beyond which only the longest part counts, s.
+    Beyond a gap in the inertial samples, s, only the longest part counts.
 
     Raises:
         LogError: There are no inertial samples.
         ConfigError: The package is not installed.
     """
     package = _package()
-    taken = readings.read(events, gap)
-    steps = taken.steps
+    samples = marg_samples(events, gap)
+    steps = samples.steps
     step = float(np.median(steps))
     estimator = package.VQF(step)
-    gyro, accel, mag = (_forward_left_up(v) for v in (taken.gyro_b, taken.accel_b, taken.mag_b))
-    has_mag = readings.known_rows(mag)
+    gyro, accel, mag = (
+        _forward_left_up(v) for v in (samples.gyro_b, samples.accel_b, samples.mag_b)
+    )
+    has_mag = samples.has_mag
     if has_mag.all():
         found = estimator.updateBatch(gyro, accel, mag)
         q_nb, bias, is_still = found["quat9D"], found["bias"], found["restDetected"]
@@ -51,19 +49,15 @@ def run(events: Events, gap: float = LONGEST) -> Solution:
         q_nb, bias, is_still = _one_by_one(estimator, gyro, accel, mag, has_mag)
     q_nb = _north_east_down(q_nb)
     if not has_mag.any():
-        # Its yaw of nought points east
-        q_nb = so3.multiply(so3.from_euler(0.0, 0.0, -0.5 * np.pi), q_nb)
+        # Its yaw of 0 points east
+        q_nb = turn(q_nb, -0.5 * np.pi)
     notes: tuple[str, ...] = ()
     if np.mean(np.abs(steps - step) > 0.5 * step) > UNEVEN:
         notes = ("the samples are not evenly spaced, which VQF takes them to be",)
-    return readings.solution(
-        NAME,
-        taken,
-        q_nb,
-        bias=_forward_left_up(bias),
-        is_still=np.asarray(is_still, dtype=bool),
-        notes=notes,
+    found = AttitudeEstimates(
+        q_nb=q_nb, bias=_forward_left_up(bias), is_still=np.asarray(is_still, dtype=bool)
     )
+    return attitude_solution(NAME, samples, found, notes=notes)
 
 
 def _package() -> Any:
@@ -76,8 +70,8 @@ def _package() -> Any:
 
 
 def _one_by_one(
-    estimator: Any, gyro: Array, accel: Array, mag: Array, has_mag: npt.NDArray[np.bool_]
-) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    estimator: Any, gyro: Array, accel: Array, mag: Array, has_mag: Mask
+) -> tuple[Array, Array, Mask]:
     q, bias, is_still = np.empty((len(gyro), 4)), np.empty((len(gyro), 3)), np.zeros(len(gyro))
     has_any = bool(has_mag.any())
     for i in range(len(gyro)):
@@ -92,12 +86,12 @@ def _one_by_one(
 
 
 def _forward_left_up(values: Array) -> Array:
-    """Turn vectors between forward-right-down and forward-left-up, either way."""
+    """Convert vectors between forward-right-down and forward-left-up, either way."""
     return np.ascontiguousarray(values * np.array([1.0, -1.0, -1.0]))
 
 
 def _north_east_down(q: Array) -> Array:
-    """Give q_nb of east-north-up from forward-left-up."""
+    """Return q_nb of east-north-up from forward-left-up."""
     half = np.sqrt(0.5)
     swap = np.array([0.0, half, half, 0.0])  # east-north-up into north-east-down
     roll = np.array([0.0, 1.0, 0.0, 0.0])  # forward-left-up from forward-right-down

@@ -1,12 +1,12 @@
 """Inertial navigation aided by zero velocity, for a sensor on a foot or a wheel, without GNSS.
 
-The motion is that of :mod:`ekf_companion.filters.strapdown`. Where a detector finds that the
-sensor stands still, its velocity is measured: nought. The error state then goes back into
-position, velocity and attitude, whose errors have grown together with that of the velocity.
-Yaw and position are those of the start: nothing here can see them.
+The motion is that of :mod:`ekf_companion.filters.strapdown`. Where a detector finds the sensor
+still, its velocity is measured as zero, which corrects position, velocity and attitude, as their
+errors are correlated with that of the velocity. Yaw and position are relative to the start: they
+are not observable.
 
 Errors: 9 (attitude, velocity, position) or 15 (with the biases of both sensors), and 3 more for
-the lever arm from where the foot touches the ground, about which it turns while it stands.
+the lever arm from the point where the foot touches the ground, about which it turns in a stance.
 
 Source: Foxlin 2005, "Pedestrian tracking with shoe-mounted inertial sensors", IEEE CG&A 25(6);
 Nilsson, Skog, Haendel, Hari 2012, "Foot-mounted INS for everybody", IEEE/ION PLANS.
@@ -19,11 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_companion.errors import LogError
-from ekf_companion.filters import detector as stance
-from ekf_companion.filters import rest as beginning
-from ekf_companion.filters import samples, strapdown
-from ekf_companion.filters.detector import Array, Detector, Limits, Mask
-from ekf_companion.filters.rest import Rest
+from ekf_companion.filters.inertial import LONGEST_GAP, inertial_samples, longest_part
 from ekf_companion.filters.solution import Recorder, Solution
 from ekf_companion.filters.strapdown import (
     ATT,
@@ -32,55 +28,66 @@ from ekf_companion.filters.strapdown import (
     VEL,
     Earth,
     Interval,
+    Noise,
     Nominal,
-    cross,
-    skew,
+    covariance_in_n,
+    integrate_strapdown,
+    transition,
+)
+from ekf_companion.filters.zupt_detector import (
+    Detector,
+    Limits,
+    Rest,
+    first_rest,
+    statistic,
 )
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.measurements import Events
+from ekf_companion.nav.so3 import cross, skew
 
 LEVER = slice(15, 18)
 SIZE = 18
-"""Errors that are laid out; those that are not estimated have no variance and stay nought."""
+"""Number of errors; those that are not estimated have no variance and stay zero."""
 ONE = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZuptSettings:
-    """What sensor and foot are like; one setting for every rate of samples."""
+    """Properties of sensor and foot; one set for every rate of samples."""
 
     has_biases: bool = True
     """Estimate the biases: 15 errors instead of 9."""
     lever: float = 0.05
-    """From the ground's contact to the sensor, one sigma per axis, m; 0: do not estimate it."""
+    """Lever arm from the contact with the ground, one sigma per axis, m; 0: not estimated."""
     planted_gyro: float = 0.35
-    """How fast a planted foot may turn, root mean square, rad/s."""
+    """Rate of a planted foot, root mean square, rad/s."""
     planted_accel: float = 2.1
-    """What else than gravity a planted foot may feel, root mean square, m/s^2."""
+    """Acceleration of a planted foot, root mean square, m/s^2."""
     noise_factor: float = 3.0
-    """So many times the noise of the first rest counts as still too."""
+    """Multiple of the noise at the first rest that is added to these."""
     threshold: float = 1.0
-    """Factor on what counts as still (on its square), to see what hangs on it."""
+    """Threshold of the detectors' statistics, to study its influence."""
     window: float = 0.04
-    """Of the detectors, s; those that do not see a turn have three times as long."""
+    """Window of the detectors, s; of those that ignore the rate, three times as long."""
     speed: float = 1.3e-3
     """Noise of the zero velocity, m/s per square root of Hz: 2 cm/s at 250 Hz."""
     gate: float = 21.1
     """Largest normalised innovation squared: chi-square, 3 dof, 0.9999."""
     patience: float = 0.3
-    """A stance that is refused for longer than this is believed all the same, s."""
+    """Time after which a refused stance is fused nevertheless, s."""
     gyro: float = 1e-3
     """Noise of the rate, rad/s per square root of Hz: 0.9 deg/s at 250 Hz."""
     gyro_scale: float = 1e-3
-    """Grows with the rate: that times it per square root of Hz; 1 % over a stride of 0.01 s."""
+    """Additional noise per rad/s of rate, per square root of Hz; 1 % over a step of 0.01 s."""
     accel: float = 3e-3
     """Noise of the specific force, m/s^2 per square root of Hz."""
     accel_scale: float = 3e-3
-    """Grows with the acceleration, as :attr:`gyro_scale`: scale, bandwidth, blows of the heel."""
+    """Likewise per m/s^2 of acceleration: by scale, bandwidth and heel strikes."""
     gyro_bias: float = 2e-3
-    """One sigma of the bias that the first rest leaves, rad/s: nobody stands quite still."""
+    """One sigma of the bias after the first rest, rad/s: nobody stands quite still."""
     accel_bias: float = 0.2
-    """One sigma, m/s^2: 20 mg, the offset of a small sensor that nobody has calibrated."""
+    """One sigma, m/s^2: 20 mg, the offset of a small sensor without calibration."""
     gyro_walk: float = 1e-5
     """rad/s per square root of s."""
     accel_walk: float = 1e-4
@@ -91,54 +98,50 @@ def run(
     events: Events,
     settings: ZuptSettings = ZuptSettings(),
     detector: Detector = Detector.SHOE,
-    gap: float = samples.LONGEST,
+    gap: float = LONGEST_GAP,
 ) -> Solution:
-    """Walk through a recording.
+    """Run the filter over a recording of a walk.
 
     Args:
-        events: Only inertial samples count. The sensor rests at the start, and may be held in
-            any way.
-        settings: What sensor and foot are like.
-        detector: What finds the stances.
-        gap: Silence of the sensor beyond which only the longest part counts, s.
+        events: Only inertial samples count. The sensor rests at the start, in any attitude.
+        settings: Properties of sensor and foot.
+        detector: Finds the stances.
+        gap: Gap in the samples beyond which only the longest part counts, s.
 
     Returns:
-        An estimate per inertial sample from the first rest on: metres from the start, yaw from
-        the way the sensor's forward axis pointed there.
+        An estimate per inertial sample from the first rest on: metres from the start, yaw relative
+        to the sensor's forward axis there.
 
     Raises:
         LogError: Too few inertial samples, or no rest at the start.
     """
-    imu, broken = samples.unbroken(samples.inertial(events), gap)
+    imu, notes = longest_part(inertial_samples(events), gap)
     try:
-        rest = beginning.find(imu)
+        rest = first_rest(imu)
     except LogError as error:
-        raise LogError("; ".join([*broken, str(error)])) from error
+        raise LogError("; ".join([*notes, str(error)])) from error
     imu = imu.take(np.arange(rest.first, len(imu)))
-    is_still = phases(imu, rest, settings, detector)
+    is_still = find_stances(imu, rest, settings, detector)
     name = f"zupt, {detector.value}, {15 if settings.has_biases else 9} errors"
     recorder = Recorder(name, None)
-    walk = _Walk(rest, settings, recorder)
-    fused, refused = walk.go(imu, is_still)
-    return recorder.solution(
-        is_still=is_still, counts={"zero velocity": (fused, refused)}, notes=broken + rest.notes
-    )
+    counts = {"zero velocity": _Filter(rest, settings, recorder).run(imu, is_still)}
+    return recorder.solution(is_still=is_still, counts=counts, notes=notes + rest.notes)
 
 
-def phases(imu: Events, rest: Rest, settings: ZuptSettings, detector: Detector) -> Mask:
-    """Say at which samples the sensor stands still, shape (n,).
+def find_stances(imu: Events, rest: Rest, settings: ZuptSettings, detector: Detector) -> Mask:
+    """Return at which samples the sensor is still, shape (n,).
 
-    One rule gives every detector its threshold: what a planted foot may do, and on top of it a
-    multiple of the noise that the sensor showed at rest.
+    One rule for every detector: the threshold is the motion of a planted foot, and a multiple of
+    the noise at rest.
     """
     factor2 = settings.noise_factor**2
     limits = Limits(
         gyro=float(np.sqrt(settings.planted_gyro**2 + factor2 * rest.gyro_noise**2)),
         accel=float(np.sqrt(settings.planted_accel**2 + factor2 * rest.accel_noise**2)),
     )
-    is_blind = detector in (Detector.VARIANCE, Detector.MAGNITUDE)
-    window = settings.window * (3.0 if is_blind else 1.0)
-    value = stance.statistic(
+    ignores_rate = detector in (Detector.VARIANCE, Detector.MAGNITUDE)
+    window = settings.window * (3.0 if ignores_rate else 1.0)
+    value = statistic(
         detector,
         imu.values[:, 0:3] - rest.gyro,
         imu.values[:, 3:6],
@@ -149,8 +152,8 @@ def phases(imu: Events, rest: Rest, settings: ZuptSettings, detector: Detector) 
     return np.asarray(value < settings.threshold)
 
 
-class _Walk:
-    """The filter: a state, its covariance, and how both go on."""
+class _Filter:
+    """The state and its covariance, predicted and corrected."""
 
     def __init__(self, rest: Rest, settings: ZuptSettings, recorder: Recorder) -> None:
         self._settings, self._recorder = settings, recorder
@@ -169,58 +172,58 @@ class _Walk:
         self._P[LEVER, LEVER] = settings.lever**2 * ONE
         self._refused = 0.0
 
-    def go(self, imu: Events, is_still: Mask) -> tuple[int, int]:
-        """Go through all samples; give how many zero velocities were fused and refused."""
+    def run(self, imu: Events, is_still: Mask) -> tuple[int, int]:
+        """Process all samples; return how many zero velocities were fused and refused."""
         fused = refused = 0
-        self._note(int(imu.t_ns[0]))
+        self._record(int(imu.t_ns[0]))
         for index in range(1, len(imu)):
-            # Move on by one sample
+            # Predict over one sample
             over = _between(imu, index)
             self._predict(over)
 
-            # A sensor that stands has no speed
+            # A still sensor has zero velocity
             if is_still[index]:
-                is_believed = self._correct(imu.values[index, :3], over.dt)
-                fused, refused = fused + is_believed, refused + (not is_believed)
+                is_fused = self._correct(imu.values[index, :3], over.dt)
+                fused, refused = fused + is_fused, refused + (not is_fused)
             else:
                 self._refused = 0.0
-            self._note(int(imu.t_ns[index]))
+            self._record(int(imu.t_ns[index]))
         return fused, refused
 
-    def _note(self, t_ns: int) -> None:
-        self._recorder.add(t_ns, self._state, strapdown.in_n(self._P, self._state.q_nb))
+    def _record(self, t_ns: int) -> None:
+        self._recorder.add(t_ns, self._state, covariance_in_n(self._P, self._state.q_nb))
 
     def _predict(self, over: Interval) -> None:
         Phi = np.eye(SIZE)
-        Phi[:15, :15] = strapdown.transition(self._state, over, self._earth)
+        Phi[:15, :15] = transition(self._state, over, self._earth)
         before = self._state.vel_n
-        self._state = strapdown.move(self._state, over, self._earth)
+        self._state = integrate_strapdown(self._state, over, self._earth)
         self._P = Phi @ self._P @ Phi.T + self._noise(over, before)
 
     def _noise(self, over: Interval, before: Array) -> Array:
-        """Give what the interval adds to the covariance: more, the wilder the motion."""
+        """Return the covariance that the interval adds, which grows with rate and acceleration."""
         one = self._settings
         rate = float(np.linalg.norm(over.gyro - self._state.gyro_bias))
-        push = float(np.linalg.norm(self._state.vel_n - before)) / over.dt
+        accel = float(np.linalg.norm(self._state.vel_n - before)) / over.dt
         Q = np.zeros((SIZE, SIZE))
-        Q[:15, :15] = strapdown.Noise(
+        Q[:15, :15] = Noise(
             gyro=float(np.hypot(one.gyro, one.gyro_scale * rate)),
-            accel=float(np.hypot(one.accel, one.accel_scale * push)),
+            accel=float(np.hypot(one.accel, one.accel_scale * accel)),
             gyro_walk=one.gyro_walk if one.has_biases else 0.0,
             accel_walk=one.accel_walk if one.has_biases else 0.0,
         ).covariance(over.dt)
         return Q
 
     def _correct(self, gyro: Array, dt: float) -> bool:
-        """Fuse a zero velocity of the point that touches the ground, or refuse it."""
+        """Fuse a zero velocity of the contact with the ground; return False if it is refused."""
         state, P = self._state, self._P
         C_nb = so3.to_matrix(state.q_nb)
         rate_b = gyro - state.gyro_bias
-        turning = cross(rate_b, self._lever)
-        innovation = C_nb @ turning - state.vel_n
+        swing = cross(rate_b, self._lever)
+        innovation = C_nb @ swing - state.vel_n
         H = np.zeros((3, SIZE))
         H[:, VEL] = ONE
-        H[:, ATT] = C_nb @ skew(turning)
+        H[:, ATT] = C_nb @ skew(swing)
         H[:, BG] = -C_nb @ skew(self._lever)
         H[:, LEVER] = -C_nb @ skew(rate_b)
         R = self._settings.speed**2 / dt * ONE

@@ -1,8 +1,8 @@
-"""Read a trial of BROAD (.mat): an inertial and magnetic sensor in the hand, and its optical truth.
+"""Reading of a BROAD trial (.mat): a hand-held inertial and magnetic sensor, and optical truth.
 
-The sensor's axes are x right, y forward, z up, its reference frame east-north-up; ours are
-forward-right-down and north-east-down. Both change by the same swap of the first two axes and
-the turn of the third, so a quaternion's vector part changes like any vector.
+The sensor's axes are x right, y forward, z up, its reference frame is east-north-up; here they are
+forward-right-down and north-east-down. Both change by swapping the first two axes and negating the
+third, so a quaternion's vector part changes like any vector.
 
 Source: Laidig, Caruso, Cereatti, Seel 2021, "BROAD: a benchmark for robust inertial orientation
 estimation", Data 6(7), doi 10.3390/data6070072.
@@ -17,34 +17,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import Counted, Recording
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Trajectory
 
-Array = npt.NDArray[np.float64]
-
 GAUSS = 0.01
-"""Of a microtesla."""
+"""gauss per microtesla."""
 FIELDS = {"imu_gyr": 3, "imu_acc": 3, "imu_mag": 3, "opt_quat": 4}
 """Arrays of a trial, and their columns."""
-DAMAGE: tuple[type[BaseException], ...] = (
-    *(ValueError, TypeError, LookupError, OSError, ArithmeticError, AttributeError),
-    *(AssertionError, EOFError, MemoryError, zlib.error, struct.error, MatReadError, Warning),
-)
-"""What SciPy's reader fails with, wherever in its parsing a damaged file takes it."""
+OF_PYTHON = (ValueError, TypeError, LookupError, OSError, ArithmeticError, AttributeError, EOFError)
+DAMAGE = (*OF_PYTHON, AssertionError, MemoryError, zlib.error, struct.error, MatReadError, Warning)
+"""What SciPy's reader fails with on a damaged file."""
 
 
 def read(path: Path) -> Recording:
-    """Read a trial. The first sample is at time zero; yaw counts from magnetic north.
+    """Read a trial. The first sample is at time zero; yaw is relative to magnetic north.
 
     Raises:
-        LogError: The file is not there, is damaged, or is not a trial of BROAD.
+        LogError: The file is missing, damaged, or not a trial of BROAD.
     """
     content = _load(path)
     arrays = {name: _array(path, content, name, width) for name, width in FIELDS.items()}
@@ -60,11 +56,17 @@ def read(path: Path) -> Recording:
         raise LogError(f"{path}: has no sampling_rate in Hz, so no sample has a time")
     t_ns = np.rint(np.arange(len(movement)) * (1e9 / float(rate))).astype(np.int64)
     q_nb = _forward_right_down(arrays["opt_quat"])
-    seen = np.isfinite(q_nb).all(axis=1) & (np.abs(q_nb).sum(axis=1) > 0.0)
+    seen = known_rows(q_nb) & (np.abs(q_nb).sum(axis=1) > 0.0)
     return Recording(
         family="unknown",
         events=_events(t_ns, arrays),
-        truth=_truth(t_ns[seen], q_nb[seen]) if seen.any() else None,
+        truth=Trajectory(
+            name="optical motion capture (opt_quat)",
+            att_t_ns=t_ns[seen],
+            q_nb=so3.normalise(q_nb[seen]),
+        )
+        if seen.any()
+        else None,
         counted=Counted(t_ns=t_ns, is_counted=movement.astype(bool)),
         notes=("the frame of a BROAD trial points to magnetic north: yaw counts from there",),
     )
@@ -75,7 +77,7 @@ def _load(path: Path) -> dict[str, Any]:
         raise LogError(f"{path}: there is no such file")
     try:
         with warnings.catch_warnings():
-            # What SciPy only warns of is no trial either
+            # A file that SciPy warns of is no trial either
             warnings.simplefilter("error")
             content: dict[str, Any] = loadmat(path)
     except NotImplementedError as error:
@@ -102,38 +104,18 @@ def _array(path: Path, content: dict[str, Any], name: str, width: int) -> Array:
 
 
 def _forward_right_down(values: Array) -> Array:
-    """Turn vectors, or the vector part of quaternions, of right-forward-up (or ENU) into ours."""
+    """Turn vectors, or vector parts of quaternions, from right-forward-up (or ENU) to ours."""
     turned: Array = np.array(values)
-    x = values.shape[1] - 3
-    turned[:, x], turned[:, x + 1], turned[:, x + 2] = (
-        values[:, x + 1],
-        values[:, x],
-        -values[:, x + 2],
-    )
+    turned[:, -3:] = values[:, [-2, -3, -1]] * [1.0, 1.0, -1.0]
     return turned
 
 
-def _events(t_ns: npt.NDArray[np.int64], arrays: dict[str, Array]) -> Events:
-    """Give the samples; a row with a NaN was lost."""
+def _events(t_ns: Stamps, arrays: dict[str, Array]) -> Events:
+    """Return the samples, without rows that hold a NaN: those were lost."""
     motion = np.hstack([_forward_right_down(arrays[name]) for name in ("imu_gyr", "imu_acc")])
     field = _forward_right_down(arrays["imu_mag"]) * GAUSS
     parts = []
     for kind, values in ((Kind.MAG, field), (Kind.IMU, motion)):
-        good = np.isfinite(values).all(axis=1)
+        good = known_rows(values)
         parts.append(Events.from_columns(t_ns[good], kind, *values[good].T))
     return merge(*parts)
-
-
-def _truth(t_ns: npt.NDArray[np.int64], q_nb: Array) -> Trajectory:
-    none = np.zeros(0)
-    return Trajectory(
-        name="optical motion capture (opt_quat)",
-        pos_t_ns=np.zeros(0, dtype=np.int64),
-        lat=none,
-        lon=none,
-        alt=none,
-        vel_t_ns=np.zeros(0, dtype=np.int64),
-        vel_n=np.zeros((0, 3)),
-        att_t_ns=t_ns,
-        q_nb=so3.normalise(q_nb),
-    )

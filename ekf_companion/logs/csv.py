@@ -1,6 +1,6 @@
 """Logs as comma-separated text: every column and every unit is declared, nothing is guessed.
 
-Native files say it in the header. A column is a quantity and its unit::
+Native files declare them in the header. A column is a quantity and its unit::
 
     time_us | time_ms | time_s                      needed; the sample's stamp
     gyro_x_rps | gyro_x_dps   (and y, z)            body frame: forward, right, down
@@ -13,9 +13,9 @@ Native files say it in the header. A column is a quantity and its unit::
     gps_std_h_m, gps_std_v_m, gps_std_vel_mps       one sigma per axis
     heading_deg | heading_rad, heading_std_deg      from true north, clockwise
 
-An empty or NaN cell is no measurement in that row. Other columns are ignored, and named in a note.
+An empty or NaN cell holds no measurement. Other columns are ignored, and named in a note.
 
-Foreign files have a map beside them, ``LOG.csv.columns.yaml``, or one handed in::
+Foreign files have a map beside them, ``LOG.csv.columns.yaml``, or one passed to :func:`read`::
 
     time: {column: millis, unit: ms}
     gyro_x: {column: rollrate, unit: deg/s}
@@ -27,8 +27,8 @@ Foreign files have a map beside them, ``LOG.csv.columns.yaml``, or one handed in
     heading_source: magnetometer  # or gnss, autopilot
     delimiter: ";"
 
-A map without quantities adds its options to a native file. Headers that other programs write are
-known without one: :mod:`ekf_companion.logs.csv_known`.
+A map without quantities adds its options to a native file. Some headers of other programs need no
+map: :mod:`ekf_companion.logs.csv_known`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import csv_known, series
@@ -56,17 +55,17 @@ from ekf_companion.logs.csv_columns import (
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.table import Table
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
 
-Array = npt.NDArray[np.float64]
 Columns = dict[str, Array]
 """Quantities in SI and radians, NaN where a row has none."""
 
 GNSS_STD = {"gps_std_h": 2.0, "gps_std_v": 3.0, "gps_std_vel": 0.5}
-"""m, m, m/s where the file gives no accuracy: a receiver in the open, on the safe side."""
+"""m, m, m/s where the file holds no accuracy: a receiver in the open, on the safe side."""
 HEADING_STD_DEG = 5.0
-"""deg, where the file gives no accuracy."""
+"""deg, where the file holds no accuracy."""
 SEA_LEVEL_PRESSURE = 101325.0
 """Pa; ICAO standard atmosphere, as the next two."""
 SCALE_HEIGHT = 288.15 / 0.0065
@@ -81,12 +80,12 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
 
     Args:
         path: The file.
-        columns: The map, as the module's docstring lays it; None: the map beside the file or,
-            where there is none, the header, of ours or a known one.
+        columns: The map, as in the module's docstring; None: the map beside the file or, where
+            there is none, the header.
 
     Raises:
-        LogError: A unit is unknown, a needed column is missing, a cell is no number, or the map
-            holds something that cannot be meant.
+        LogError: A unit is unknown, a needed column is missing, a cell is no number, or an entry
+            of the map is invalid.
     """
     where, columns = find_map(path, columns)
     options = {key: columns[key] for key in columns if key in OPTIONS}
@@ -105,7 +104,7 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     hold = _hold(where, options)
     values = _values(table, sources)
     t_ns, row, values = _in_time(path, table, sources, values, notes)
-    events: list[tuple[Events, npt.NDArray[np.bool_]]] = []
+    events: list[tuple[Events, Mask]] = []
     events += _gnss(where, t_ns, values, hold, options.get("origin"), notes)
     events += _heading(where, t_ns, values, hold, options.get("heading_source", "magnetometer"))
     if "heading" in values and "heading_std" not in values:
@@ -142,7 +141,7 @@ def _hold(where: str, options: Mapping[str, Any]) -> list[str]:
 
 
 def _values(table: Table, sources: Mapping[str, Source]) -> Columns:
-    """Give all quantities but time in SI; a number that is not finite is none."""
+    """Return all quantities in SI, but the time as it is; NaN for what is no measurement."""
     names = sorted({source.column for source in sources.values() if source.column is not None})
     raw = table.read(names)
     n = len(raw[names[0]]) if names else 0
@@ -152,64 +151,64 @@ def _values(table: Table, sources: Mapping[str, Source]) -> Columns:
         if name == "time":
             values[name] = column
             continue
-        # What overflows when scaled was no measurement: no sensor says 1e30.
+        # No sensor measures 1e30, which would overflow when scaled
         values[name] = np.where(np.abs(column) < 1e30, column, np.nan) * source.scale
     return values
 
 
 def _in_time(
     path: Path, table: Table, sources: Mapping[str, Source], values: Columns, notes: list[str]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Columns]:
-    """Give stamps, ns, and row numbers of the rows on the one course of time, and their values."""
+) -> tuple[Stamps, Indices, Columns]:
+    """Return stamps, ns, row numbers and values of the rows on one run of the clock."""
     time = values["time"]
     per_unit = round(abs(sources["time"].scale) * 1e9)
     good = np.abs(time) < 9e18 / per_unit
     row = np.flatnonzero(good)
     time = time[good]
-    # Whole units apart: microseconds since 1970 in ns are more digits than a float has.
+    # Whole units apart: microseconds since 1970 in ns have more digits than a float
     whole = np.floor(time)
     t_ns = whole.astype(np.int64) * per_unit
-    # Where the float's last digit is coarser than 1 ns, what was written were microseconds.
+    # Where the float's last digit is coarser than 1 ns, the file holds microseconds
     step = 1000 if np.spacing(np.abs(time).max(initial=0.0)) * per_unit > 1.0 else 1
     t_ns += np.rint((time - whole) * (per_unit / step)).astype(np.int64) * step
-    kept = series.course(t_ns)[0]
+    kept = series.clock_run(t_ns)[0]
     if len(kept) == 0:
         raise LogError(f"{path}: no row with a time; the file ends after its header")
     if lost := len(values["time"]) - int(kept.sum()):
-        notes.append(f"{lost} rows without a time, or with one off the file's course, were dropped")
+        notes.append(f"{lost} rows without a time, or one that does not fit the rest, were dropped")
     row, t_ns = row[kept], t_ns[kept]
     return t_ns, row, {name: column[row] for name, column in values.items()}
 
 
-Found = list[tuple[Events, npt.NDArray[np.bool_]]]
-"""Events of every row, and in which rows there is one."""
+Found = list[tuple[Events, Mask]]
+"""Events of all rows, and in which rows there is one."""
 
 
-def _found(events: Events, needed: list[Array], is_new: npt.NDArray[np.bool_]) -> Found:
+def _found(events: Events, needed: list[Array], is_new: Mask) -> Found:
     mask = np.isfinite(needed).all(axis=0) & is_new
     return [(events, mask)] if mask.any() else []
 
 
-def _news(group: str, hold: list[str], columns: list[Array]) -> npt.NDArray[np.bool_]:
-    """Say in which rows a value is new: all, or where values are held, the changes."""
+def _news(group: str, hold: list[str], columns: list[Array]) -> Mask:
+    """Return in which rows a value is new: all, or where values are held, the changes."""
     return series.changed(*columns) if group in hold else np.ones(len(columns[0]), dtype=bool)
 
 
-def _imu(t_ns: npt.NDArray[np.int64], values: Columns) -> Found:
+def _imu(t_ns: Stamps, values: Columns) -> Found:
     if "gyro_x" not in values:
         return []
     axes = [values[name] for name in GROUPS["imu"]]
     return _found(Events.from_columns(t_ns, Kind.IMU, *axes), axes, np.ones(len(t_ns), dtype=bool))
 
 
-def _magnetometer(t_ns: npt.NDArray[np.int64], values: Columns, hold: list[str]) -> Found:
+def _magnetometer(t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
     if "mag_x" not in values:
         return []
     axes = [values[name] for name in GROUPS["mag"]]
     return _found(Events.from_columns(t_ns, Kind.MAG, *axes), axes, _news("mag", hold, axes))
 
 
-def _barometer(t_ns: npt.NDArray[np.int64], values: Columns, hold: list[str]) -> Found:
+def _barometer(t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
     if "baro_alt" in values:
         alt = values["baro_alt"]
     elif "baro_press" in values:
@@ -221,29 +220,21 @@ def _barometer(t_ns: npt.NDArray[np.int64], values: Columns, hold: list[str]) ->
     return _found(Events.from_columns(t_ns, Kind.BARO, alt), [alt], _news("baro", hold, [alt]))
 
 
-def _heading(
-    where: str, t_ns: npt.NDArray[np.int64], values: Columns, hold: list[str], source: Any
-) -> Found:
+def _heading(where: str, t_ns: Stamps, values: Columns, hold: list[str], source: Any) -> Found:
     known = {member.name.lower(): member for member in HeadingSource}
     if source not in known:
         raise LogError(f"{where}: heading_source: {source!r}; known are {', '.join(known)}")
     if "heading" not in values:
         return []
     heading = values["heading"]
-    std = _positive(values, "heading_std", HEADING_STD_DEG * DEGREE, len(t_ns))
+    std = series.accuracy(values.get("heading_std", np.nan * heading), HEADING_STD_DEG * DEGREE)
     events = Events.from_columns(t_ns, Kind.HEADING, so3.wrap(heading), std, float(known[source]))
     return _found(events, [heading], _news("heading", hold, [heading]))
 
 
-def _positive(values: Columns, name: str, otherwise: float, n: int) -> Array:
-    """Take an accuracy where the file gives one (positive)."""
-    value = values.get(name, np.full(n, np.nan))
-    return np.where(value > 0.0, value, otherwise)
-
-
 def _gnss(
     where: str,
-    t_ns: npt.NDArray[np.int64],
+    t_ns: Stamps,
     values: Columns,
     hold: list[str],
     origin: Any,
@@ -269,19 +260,12 @@ def _gnss(
     if missing := [name for name in GNSS_STD if name not in values]:
         said = ", ".join(f"{name} {GNSS_STD[name]:g}" for name in missing)
         notes.append(f"accuracy not declared, so assumed (m, m/s): {said}")
-    std = [_positive(values, name, otherwise, n) for name, otherwise in GNSS_STD.items()]
+    std = [series.accuracy(values.get(name, unknown), least) for name, least in GNSS_STD.items()]
+    position = (lat, so3.wrap(lon), alt)
     events = Events.from_columns(
-        t_ns,
-        Kind.GNSS,
-        lat,
-        so3.wrap(lon),
-        alt,
-        *velocity,
-        *std,
-        np.nan,
-        float(GnssFlag.NONE),
+        t_ns, Kind.GNSS, *position, *velocity, *std, np.nan, float(GnssFlag.NONE)
     )
-    # A new fix moves; loggers let altitude, speed and course follow some rows later.
+    # A new fix moves; loggers update altitude, speed and course some rows later
     held = [lat, lon]
     repeated = int((np.isfinite(lat[1:]) & ~series.changed(*held)[1:]).sum())
     if "gps" not in hold and repeated > n / 2:

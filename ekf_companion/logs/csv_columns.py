@@ -1,4 +1,4 @@
-"""Which column holds which quantity, in which unit: from a map or from the header's names."""
+"""The column and unit of each quantity, from a map or from the header's names."""
 
 from __future__ import annotations
 
@@ -25,16 +25,8 @@ _UNITS: dict[str, dict[str, float]] = {
     "speed": {"m/s": 1.0, "km/h": 1.0 / 3.6, "cm/s": 1e-2, "kn": 1852.0 / 3600.0},
 }
 """Units by dimension, and their size in SI and radians."""
-
-_SUFFIXES = {
-    "rps": "rad/s",
-    "dps": "deg/s",
-    "mps2": "m/s2",
-    "mps": "m/s",
-    "kmph": "km/h",
-}
-"""How header names spell units that hold a stroke; other units stand as they are."""
-
+_SUFFIXES = {"rps": "rad/s", "dps": "deg/s", "mps2": "m/s2", "mps": "m/s", "kmph": "km/h"}
+"""Spelling in header names of units with a stroke; other units are spelt as they are."""
 QUANTITIES = {
     "time": "time",
     **{f"gyro_{axis}": "gyro" for axis in "xyz"},
@@ -48,19 +40,17 @@ QUANTITIES = {
     **dict.fromkeys(["gps_vn", "gps_ve", "gps_vd", "gps_speed", "gps_std_vel"], "speed"),
 }
 """Dimension of each quantity."""
-
 GROUPS = {
     "imu": [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"],
     "mag": [f"mag_{axis}" for axis in "xyz"],
 }
-"""Quantities that say something only together."""
-
+"""Quantities of which one is of no use without the others."""
 OPTIONS = ("hold", "origin", "heading_source", "delimiter")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """Where one quantity comes from."""
+    """The source of one quantity."""
 
     column: str | None
     """None: a constant."""
@@ -70,7 +60,7 @@ class Source:
 
 
 def find_map(path: Path, columns: Mapping[str, Any] | None) -> tuple[str, Mapping[str, Any]]:
-    """Give what to call the map in messages, and the map."""
+    """Return the name of the map for messages, and the map."""
     if columns is not None:
         return f"{path} (columns)", columns
     beside = path.with_name(path.name + ".columns.yaml")
@@ -89,7 +79,7 @@ def from_map(where: str, name: str, entry: Any) -> Source:
     """Read one entry of a map.
 
     Raises:
-        LogError: Unknown quantity, key or unit, or a sign or value that cannot be meant.
+        LogError: The quantity, key or unit is unknown, or the sign or value is invalid.
     """
     if name not in QUANTITIES:
         raise LogError(
@@ -116,15 +106,15 @@ def from_map(where: str, name: str, entry: Any) -> Source:
 
 
 def from_header(path: Path, names: list[str], notes: list[str]) -> dict[str, Source]:
-    """Take what the header's names declare; what is not ours is named in the notes.
+    """Return the quantities that the header's names declare; name other columns in the notes.
 
     Raises:
-        LogError: A name of ours has no known unit, stands twice, or none is there.
+        LogError: A quantity has no known unit or two columns, or there is none.
     """
     sources: dict[str, Source] = {}
     ignored = []
     for name in names:
-        # The longest quantity that the name begins with: heading_std before heading.
+        # The longest quantity that the name begins with: heading_std before heading
         fits = [known for known in QUANTITIES if name == known or name.startswith(known + "_")]
         if not fits:
             ignored.append(name)
@@ -155,7 +145,7 @@ def from_header(path: Path, names: list[str], notes: list[str]) -> dict[str, Sou
 
 
 def check_groups(path: Path, sources: Mapping[str, Source]) -> None:
-    """Refuse what says something only together with what is missing."""
+    """Refuse a quantity without the others that it needs."""
     if "time" not in sources:
         raise LogError(f"{path}: no time column; name one time_us, time_ms or time_s, or map time")
     groups = list(GROUPS.values())

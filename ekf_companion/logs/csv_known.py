@@ -1,4 +1,4 @@
-"""Headers of other programs' CSV files, and the map that a ``.columns.yaml`` would hold."""
+"""Headers of other programs' CSV files, with the map that each needs."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ class Known:
     """A header that needs no map beside the file."""
 
     name: str
-    """Whose it is, for the notes."""
+    """The program, for the notes."""
     header: frozenset[str]
-    """Columns that together identify it; there may be others."""
+    """Columns that together identify it; there may be more."""
     columns: Mapping[str, Any]
     """As in a ``.columns.yaml``."""
 
 
 def _axes(quantity: str, column: str, unit: str, signs: tuple[int, int, int]) -> dict[str, Any]:
-    """Give the entries of x, y, z; ``{}`` in the column's name stands for the axis."""
+    """Return the entries of x, y, z; ``{}`` in the column's name stands for the axis."""
     return {
         f"{quantity}_{axis}": {"column": column.format(axis.upper()), "unit": unit, "sign": sign}
         for axis, sign in zip("xyz", signs, strict=True)
@@ -53,8 +53,8 @@ SEED = {
     },
     "heading_source": "magnetometer",
 }
-"""The seed article's simulation (tsuibeyond/BasicEKF): metres of a flat Earth, the yaw of a
-magnetometer taken as level, and the accuracies that its source declares."""
+"""The seed article's simulation (tsuibeyond/BasicEKF): metres of a flat Earth, the yaw of a level
+magnetometer, and the accuracies that its source declares."""
 
 KNOWN: tuple[Known, ...] = (
     Known(
@@ -75,5 +75,5 @@ KNOWN: tuple[Known, ...] = (
 
 
 def find(names: Sequence[str]) -> Known | None:
-    """Give the known header that these column names hold; None: there is none."""
+    """Return the known header that these column names include, or None."""
     return next((one for one in KNOWN if one.header <= set(names)), None)

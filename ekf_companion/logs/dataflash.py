@@ -1,7 +1,7 @@
-"""ArduPilot's DataFlash logs (.bin), read into a recording.
+"""Reading of ArduPilot's DataFlash logs (.bin) into a recording.
 
-GPYW (raw moving-baseline yaw) is not used: its angle is the baseline's, and how the antennas are
-mounted is not in the row. GPS.Yaw is the vehicle's.
+GPYW (raw moving-baseline yaw) is not used: its angle is that of the baseline, and the row does not
+hold how the antennas are mounted. GPS.Yaw is the vehicle's.
 
 Source: ArduPilot libraries/AP_Logger/LogStructure.h and the LogStructure.h of AP_GPS,
 AP_InertialSensor, AP_Compass, AP_Baro, AP_AHRS, AP_NavEKF3 and SITL (fields, units).
@@ -12,7 +12,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
@@ -21,14 +20,13 @@ from ekf_companion.logs.dataflash_tables import boot_ns, choose, names_of, rows_
 from ekf_companion.logs.dataflash_trajectory import reference, truth
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
 
 __all__ = ["columns", "read"]
 
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 Arrivals = list[tuple[Events, Stamps]]
-"""Events and where in the file they stand."""
+"""Events and their positions in the file."""
 
 GNSS_STD_MIN = 0.5
 """m; ArduPilot's own default for a receiver that gives no accuracy (EK3_POSNE_M_NSE)."""
@@ -43,7 +41,7 @@ GNSS_YAW_STD = float(np.deg2rad(5.0))
 HEADING_STD = float(np.deg2rad(5.0))
 """rad, of the autopilot's own heading: what a calibrated compass gives in flight."""
 HEADING_RATE = 10.0
-"""Hz at most, of the autopilot's own heading: its errors last, so more rows say no more."""
+"""Hz at most, of the autopilot's own heading: its errors last, so more rows add nothing."""
 SAMPLE_TIME_NS = 1_000_000_000
 """GPA.SMS further than this from the row's own stamp is damaged or of another clock."""
 FIX_3D = 3
@@ -55,10 +53,10 @@ _ARMED, _DISARMED, _LANDED, _NOT_LANDED = 10, 11, 18, 28
 def read(path: Path) -> Recording:
     """Read a log into events, the autopilot's own estimate and, from a simulator, the truth.
 
-    A log without IMU or GNSS rows is read all the same: what it lacks, its events lack.
+    A log may lack IMU or GNSS rows; its events then lack them too.
 
     Raises:
-        LogError: Not a DataFlash log, or none of its messages is known here.
+        LogError: The file is not a DataFlash log, or holds none of the messages that are used.
     """
     tables, notes = read_columns(path)
     tables = choose(tables, notes)
@@ -93,8 +91,8 @@ def _imu(tables: Columns) -> Arrivals:
     return [(Events.from_columns(t_ns, Kind.IMU, *axes), table[OFFSET])]
 
 
-def _accuracies(tables: Columns, t_ns: Stamps) -> tuple[Column, npt.NDArray[np.bool_]] | None:
-    """Give the GPA row of each GPS row, and where there is one; the two are written together."""
+def _accuracies(tables: Columns, t_ns: Stamps) -> tuple[Column, Mask] | None:
+    """Return the GPA row nearest to each GPS row, and where it was written with it."""
     if (rows := rows_of(tables, "GPA")) is None:
         return None
     table, at_ns = rows
@@ -128,37 +126,26 @@ def _gnss(tables: Columns) -> Arrivals:
             t_ns = np.where(is_there, sample_ns, t_ns)
     course = np.deg2rad(np.asarray(table["GCrs"], dtype=float))
     speed = np.asarray(table["Spd"], dtype=float)
+    position = (np.deg2rad(table["Lat"]), so3.wrap(np.deg2rad(table["Lng"])), table["Alt"])
+    velocity = (speed * np.cos(course), speed * np.sin(course), down)
+    stds = (std_h, std_v, std_vel)
     events = Events.from_columns(
-        t_ns,
-        Kind.GNSS,
-        np.deg2rad(table["Lat"]),
-        so3.wrap(np.deg2rad(table["Lng"])),
-        table["Alt"],
-        speed * np.cos(course),
-        speed * np.sin(course),
-        down,
-        std_h,
-        std_v,
-        std_vel,
-        np.nan,
-        float(GnssFlag.NONE),
+        t_ns, Kind.GNSS, *position, *velocity, *stds, np.nan, float(GnssFlag.NONE)
     )
     return [(events.take(is_fix), table[OFFSET][is_fix])] if is_fix.any() else []
 
 
-def _where_known(
-    gpa: Column, name: str, is_there: npt.NDArray[np.bool_], otherwise: Array
-) -> Array:
-    """Take an accuracy where the receiver gave one: 0 and the largest number are none."""
+def _where_known(gpa: Column, name: str, is_there: Mask, otherwise: Array) -> Array:
+    """Return an accuracy where the receiver reported one: 0 and the largest number mean none."""
     value = np.asarray(gpa[name], dtype=float) if name in names_of(gpa) else np.zeros(len(gpa))
-    return np.where(is_there & (value > 0.0) & (value < 655.0), value, otherwise)
+    return series.accuracy(np.where(is_there & (value < 655.0), value, 0.0), otherwise)
 
 
 def _gnss_heading(tables: Columns) -> Arrivals:
     if (rows := rows_of(tables, "GPS")) is None or "Yaw" not in names_of(rows[0]):
         return []
     table, t_ns = rows
-    # 0 is "no yaw"; a receiver that means north says 360.
+    # 0 is "no yaw"; a receiver sends 360 for north
     valid = (table["Status"] >= FIX_3D) & (table["Yaw"] != 0.0)
     std = np.full(len(table), GNSS_YAW_STD)
     if (found := _accuracies(tables, t_ns)) is not None:
@@ -203,7 +190,7 @@ def _barometer(tables: Columns) -> Arrivals:
 
 
 def _vehicle(tables: Columns) -> Arrivals:
-    """Give armed and landed as events, one at each change, from ARM and EV rows."""
+    """Return armed and landed as events, one at each change, from ARM and EV rows."""
     changes: list[tuple[int, int, str, bool]] = []  # place, stamp, what, value
     if "ARM" in tables and (t_ns := boot_ns(tables["ARM"])) is not None:
         for row, stamp in zip(tables["ARM"], t_ns, strict=True):
@@ -232,7 +219,7 @@ def _vehicle(tables: Columns) -> Arrivals:
 
 
 def _stamps_by_place(tables: Columns, table: Column) -> Stamps:
-    """Give a row's own stamp or, for old rows that have none, that of the IMU row before it."""
+    """Return the rows' own stamps or, for old rows without, those of the IMU rows before them."""
     if (own := boot_ns(table)) is not None:
         return own
     if (rows := rows_of(tables, "IMU")) is None:
@@ -242,7 +229,7 @@ def _stamps_by_place(tables: Columns, table: Column) -> Stamps:
 
 
 def _gnss_delay(tables: Columns) -> float | None:
-    """Give the receiver's delay where a parameter sets one; 0 leaves it to the driver."""
+    """Return the GNSS delay where a parameter sets one; 0 leaves it to the driver."""
     if "PARM" not in tables or "Name" not in names_of(tables["PARM"]):
         return None
     names, values = tables["PARM"]["Name"], tables["PARM"]["Value"]

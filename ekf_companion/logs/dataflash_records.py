@@ -1,7 +1,7 @@
 """The records of a DataFlash log (.bin), as one table per message.
 
 A record is 0xA3 0x95, a type, and fields as the log's own FMT records lay them out; there is no
-checksum. A record counts where the next one begins at its end; where none does, it is dropped and
+checksum. A record is valid where the next one begins at its end; where none does, it is dropped and
 the search goes on inside it. So damage costs the records that it touched and the one before.
 
 Source: ArduPilot libraries/AP_Logger (LogStructure.h: format characters).
@@ -23,7 +23,7 @@ Column = npt.NDArray[np.void]
 Columns = dict[str, Column]
 
 OFFSET = "@"
-"""Name of the column, first in every table, that holds the record's byte in the file."""
+"""Name of the first column of every table: the record's position in the file, bytes."""
 
 KIND = "DataFlash .bin log of ArduPilot"
 
@@ -55,12 +55,12 @@ _TYPES: dict[str, tuple[str, float]] = {
     "Q": ("<u8", 1),
     "Z": ("S64", 1),
 }
-"""Format character to the field's type in the file and its scale."""
+"""The field's type in the file and its scale, by format character."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Format:
-    """One FMT record that holds together."""
+    """One valid FMT record."""
 
     name: str
     names: tuple[str, ...]
@@ -68,17 +68,13 @@ class _Format:
 
     @property
     def wire(self) -> np.dtype[np.void]:
-        """The record in the file, header included, packed."""
-        fields = [("header", "V3")]
-        fields += [
-            (name, _TYPES[character][0])
-            for name, character in zip(self.names, self.characters, strict=True)
-        ]
-        return np.dtype(fields)
+        """Return the type of the record in the file, header included, packed."""
+        types = [_TYPES[character][0] for character in self.characters]
+        return np.dtype([("header", "V3"), *zip(self.names, types, strict=True)])
 
     @property
     def table(self) -> np.dtype[np.void]:
-        """The same fields in their units, scaled ones as float64, behind the record's place."""
+        """Return the type of the fields in their units, scaled ones as float64, after OFFSET."""
         fields: list[tuple[str, str]] = [(OFFSET, "<i8")]
         for name, character in zip(self.names, self.characters, strict=True):
             code, scale = _TYPES[character]
@@ -87,25 +83,25 @@ class _Format:
 
 
 def _parse_format(record: bytes) -> tuple[int, _Format] | None:
-    """Give the type and the layout that an FMT record declares; None: damaged."""
+    """Return the type and the layout that an FMT record declares, or None if it is damaged."""
     name, characters, columns = (
         part.rstrip(b"\0").decode("latin-1") for part in (record[5:9], record[9:25], record[25:89])
     )
     names = tuple(columns.split(",")) if columns else ()
-    holds_together = (
+    is_valid = (
         _NAME.fullmatch(name) is not None
         and len(names) == len(characters) == len(set(names))
         and all(column.isidentifier() for column in names)
         and all(character in _TYPES for character in characters)
     )
-    if not holds_together:
+    if not is_valid:
         return None
     layout = _Format(name, names, characters)
     return (record[3], layout) if layout.wire.itemsize == record[4] else None
 
 
 def _find_records(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]], int]:
-    """Walk the records; give the layouts, the places of each type and the number of bad runs."""
+    """Return the layouts, the positions of each type's records, and the number of bad runs."""
     formats: dict[int, _Format] = {}
     sizes = [0] * 256
     sizes[_FMT] = _FMT_SIZE
@@ -121,7 +117,7 @@ def _find_records(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]]
                 break
             places[kind].append(place)
             if kind == _FMT and (parsed := _parse_format(data[place : place + size])):
-                # The first layout of a type stands: a later, other one is damage.
+                # The first layout of a type is kept: a later, different one is damage
                 formats.setdefault(*parsed)
                 sizes[parsed[0]] = formats[parsed[0]].wire.itemsize
             last = place
@@ -137,7 +133,7 @@ def _find_records(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]]
 
 
 def _resume(data: bytes, sizes: list[int], place: int) -> int:
-    """Give the next place where a record of known type begins and another at its end."""
+    """Return the next position where a record of known type begins and another at its end."""
     end = len(data)
     while (place := data.find(_MAGIC, place)) >= 0 and place + 3 <= end:
         after = place + sizes[data[place + 2]]
@@ -149,7 +145,7 @@ def _resume(data: bytes, sizes: list[int], place: int) -> int:
 
 
 def _gather(data: bytes, places: list[int], layout: _Format) -> Column:
-    """Give the records of one type as a table in their units."""
+    """Return the records of one type as a table in their units."""
     raw = np.frombuffer(data, dtype=np.uint8)
     windows = np.lib.stride_tricks.sliding_window_view(raw, layout.wire.itemsize)
     wire = windows[np.array(places)].view(layout.wire)[:, 0]
@@ -163,7 +159,7 @@ def _gather(data: bytes, places: list[int], layout: _Format) -> Column:
 
 
 def columns(path: Path) -> Columns:
-    """Give every message of a log as a table, fields scaled into their units, in file order.
+    """Return every message of a log as a table, fields in their units, in file order.
 
     Raises:
         LogError: The file is missing, empty, or holds no FMT record.
@@ -173,7 +169,7 @@ def columns(path: Path) -> Columns:
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def read_columns(path: Path) -> tuple[Columns, list[str]]:
-    """Give the tables, and a sentence for each thing that was wrong with the file."""
+    """Return the tables, and a sentence for each fault of the file."""
     formats, places, damaged = _find_records(data := read_bytes(path, KIND))
     if not formats:
         raise LogError(f"{path}: holds no FMT record, so it is not a {KIND}; check the file")
@@ -181,7 +177,7 @@ def read_columns(path: Path) -> tuple[Columns, list[str]]:
     for kind, found in places.items():
         table = _gather(data, found, formats[kind])
         name = formats[kind].name
-        # Two types of one name come from a damaged FMT: the one that is used counts.
+        # Two types of one name come from a damaged FMT: keep the one with more rows
         if name not in tables or len(table) > len(tables[name]):
             tables[name] = table
     notes = [f"{damaged} damaged places in the file: the records there are lost"] if damaged else []

@@ -1,6 +1,6 @@
-"""Which of a DataFlash log's messages can be used: whose columns are whole, of the first sensor.
+"""Selection of a DataFlash log's usable messages: with whole columns, of the first sensor.
 
-Both generations are known: stamps in ``TimeMS`` (boot, ms; in GPS rows the GPS time of week, boot
+Both generations are read: stamps in ``TimeMS`` (boot, ms; in GPS rows the GPS time of week, boot
 time being ``T`` there) and in ``TimeUS`` (boot, us); sensors told apart by name (IMU, IMU2) and by
 an instance column (``I``, for the estimators ``C``).
 """
@@ -8,12 +8,10 @@ an instance column (``I``, for the estimators ``C``).
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.logs import series
 from ekf_companion.logs.dataflash_records import Column, Columns
-
-Stamps = npt.NDArray[np.int64]
+from ekf_companion.nav.arrays import Stamps
 
 _ANGLES, _PLACE = ("Roll", "Pitch", "Yaw"), ("Lat", "Lng", "Alt")
 _MOTION = ("VN", "VE", "VD", "PN", "PE", "PD")
@@ -34,32 +32,27 @@ _NEEDED: dict[str, tuple[str, ...]] = {
     "EV": ("Id",),
     "PARM": ("Value",),
 }
-"""The messages that count, and the columns without which they are of no use."""
+"""The messages that are used, and the columns that each needs."""
 
 
 def choose(tables: Columns, notes: list[str]) -> Columns:
-    """Keep what can be used: the messages that count, of the first sensor, on one course of time.
-
-    Args:
-        tables: All messages, as the file has them.
-        notes: Grows by what was left out.
-    """
+    """Keep the usable messages of the first sensor, on one clock run; note what is left out."""
     notes += _other_sensors(tables)
     tables = {
         name: _first_instance(name, table, notes)
         for name, table in tables.items()
         if name in _NEEDED and _is_usable(table, _NEEDED[name])
     }
-    return _on_course(tables, notes)
+    return _on_one_run(tables, notes)
 
 
 def names_of(table: Column) -> tuple[str, ...]:
-    """Give the names of a table's columns."""
+    """Return the names of a table's columns."""
     return table.dtype.names or ()
 
 
 def boot_ns(table: Column) -> Stamps | None:
-    """Give the boot time of each row, ns; None: the rows carry none."""
+    """Return the boot time of each row, ns, or None if the rows carry none."""
     names = names_of(table)
     if "TimeUS" in names:
         return np.asarray(np.minimum(table["TimeUS"], 2**62 // 1000), dtype=np.int64) * 1000
@@ -71,7 +64,7 @@ def boot_ns(table: Column) -> Stamps | None:
 
 
 def rows_of(tables: Columns, name: str) -> tuple[Column, Stamps] | None:
-    """Give a message's rows in which the numbers are finite, and their stamps; None: no rows."""
+    """Return a message's rows with finite numbers, and their stamps; None if there is no row."""
     table = tables.get(name)
     if table is None or (t_ns := boot_ns(table)) is None:
         return None
@@ -83,15 +76,15 @@ def rows_of(tables: Columns, name: str) -> tuple[Column, Stamps] | None:
 
 
 def _is_usable(table: Column, needed: tuple[str, ...]) -> bool:
-    """Say whether the columns are there and hold numbers: a damaged FMT may say otherwise."""
+    """Return whether the columns exist and hold numbers: a damaged FMT may make them text."""
     kinds = {name: table.dtype[name].kind for name in names_of(table)}
     return all(kinds.get(name, "") in ("i", "u", "f") for name in needed)
 
 
 def _first_instance(name: str, table: Column, notes: list[str]) -> Column:
-    """Keep the rows of the lowest instance, and say which others there are."""
+    """Keep the rows of the lowest instance, and note the others."""
     for column in ("I", "C"):
-        # SIM's and others' C is something else; estimators' C is the core.
+        # Only an estimator's C is its core
         if column in names_of(table) and table[column].dtype == np.uint8:
             instances = np.unique(table[column])
             if len(instances) > 1 and name in ("IMU", "GPS", "MAG", "BARO", "XKF1", "NKF1"):
@@ -102,30 +95,20 @@ def _first_instance(name: str, table: Column, notes: list[str]) -> Column:
 
 
 def _other_sensors(tables: Columns) -> list[str]:
-    """Say which further sensors stand in messages of their own."""
+    """Note the further sensors that have messages of their own."""
     others = [name for name in ("IMU2", "IMU3", "GPS2", "MAG2", "MAG3", "BAR2") if name in tables]
     return (
         [f"only the first sensor of each kind is used, not {', '.join(others)}"] if others else []
     )
 
 
-def _on_course(tables: Columns, notes: list[str]) -> Columns:
-    """Drop rows whose stamps leave the one course of time: damage, or another boot."""
-    kept: Columns = {}
-    spans: series.Spans = []
-    if "IMU" in tables and (t_ns := boot_ns(tables["IMU"])) is not None:
-        spans = series.course(t_ns)[1]
-    wild = 0
-    for name, table in tables.items():
-        t_ns = boot_ns(table)
-        if t_ns is None:
-            kept[name] = table
-            continue
-        mask = series.course(t_ns)[0]
-        if spans and name not in ("PARM", "ORGN"):
-            mask &= series.inside(t_ns, spans)
-        wild += len(mask) - int(mask.sum()) if name in ("IMU", "GPS", "MAG", "BARO", "ATT") else 0
-        kept[name] = table[mask] if name != "PARM" else table
-    if wild:
-        notes.append(f"{wild} rows whose time stamps leave the log's course were dropped")
+def _on_one_run(tables: Columns, notes: list[str]) -> Columns:
+    """Drop rows whose stamps are damaged, or of another boot; keep tables without stamps."""
+    stamps = {name: t_ns for name, one in tables.items() if (t_ns := boot_ns(one)) is not None}
+    masks = series.common_run(stamps, "IMU", apart=("PARM", "ORGN"))
+    masks.pop("PARM", None)
+    sensors = ("IMU", "GPS", "MAG", "BARO", "ATT")
+    if wild := sum(int((~masks[name]).sum()) for name in sensors if name in masks):
+        notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
+    kept = {name: one[masks[name]] if name in masks else one for name, one in tables.items()}
     return {name: table for name, table in kept.items() if len(table)}

@@ -1,13 +1,12 @@
-"""Inertial samples as the OpenShoe recorder wrote them: text, a MicroStrain 3DM-GX2 in a shoe.
+"""Reading of OpenShoe text logs: the inertial samples of a MicroStrain 3DM-GX2 in a shoe.
 
 A row is ``0xcb``, specific force x y z (g), rate x y z (rad/s), the sensor's counter, a checksum
-that may be blank (so that all that follows stands one field further left), a number, three times
-of the host (s since 1970), a rate (Hz) and the magnetic field. Only the first seven fields have a
-place that is certain. The sensor's z axis points up: x stays forward, y and z change their sign.
+that may be blank (then all later fields move one to the left), a number, three times of the host
+(s since 1970), a rate (Hz) and the magnetic field. Only the first seven fields are always in the
+same place. The sensor's z axis points up: x stays forward, y and z change their sign.
 
-The host's times jitter by milliseconds, the sensor does not: samples are laid an equal time apart,
-that of the host's times from first to last, or 4 ms where there are none; where samples are
-missing, they leave a gap.
+The host's times jitter by milliseconds, the sensor does not: samples get equal steps of time, by
+the host's times from first to last, or of 4 ms where there are none; missing samples leave a gap.
 
 Source: header of the file; Nilsson, Skog, Haendel, Hari 2012, "Foot-mounted INS for everybody".
 """
@@ -26,26 +25,26 @@ from ekf_companion.nav.measurements import Events, Kind
 
 KIND = "OpenShoe text log"
 MARK = b"0xcb"
-"""With which a row of samples begins."""
+"""The first field of a row of samples."""
 NOMINAL = 0.004
-"""From one sample to the next where no times are, s: 250 Hz."""
+"""Step from sample to sample where there are no times, s: 250 Hz."""
 EPOCH = (1e9, 1e10)
-"""Between these a number is a time of the host, s: 2001 to 2286; a counter has no point."""
+"""Range of the host's times, s: 2001 to 2286. A counter has no decimal point."""
 LONGEST = 0.1
-"""A usual step of the host's times beyond this, or none, is not the sensor's, s."""
+"""Largest usual step of the host's times that can be the sensor's, s."""
 HOLE = 0.1
-"""By which the host's time must run on alone for samples to be missing, s: it jitters by less."""
+"""Jump of the host's time at which samples are missing, s: it jitters by less."""
 MANY = 250
-"""Samples to either side by which it is told apart from a host that was late once."""
+"""Samples on either side that distinguish such a jump from a host that was late once."""
 FEW = 50
-"""Samples to either side by which its length is measured."""
+"""Samples on either side by which the jump is measured."""
 
 
 def read(path: Path) -> Recording:
     """Read a log.
 
     Raises:
-        LogError: The file is missing, empty, some other text, or holds no whole row.
+        LogError: The file is missing, empty, some other text, or holds no complete row.
     """
     lines = read_bytes(path, KIND).splitlines()
     rows = [fields for line in lines if (fields := line.split()) and fields[0].lower() == MARK]
@@ -80,7 +79,7 @@ def read(path: Path) -> Recording:
 
 
 def _sample(fields: list[bytes]) -> tuple[float, ...] | None:
-    """Give the six readings of a row; None: it does not reach beyond them, or is no number."""
+    """Return the six readings of a row, or None if it ends at them or one is no number."""
     # The last of the six may have lost its end if nothing follows it.
     if len(fields) < 8:
         return None
@@ -92,7 +91,7 @@ def _sample(fields: list[bytes]) -> tuple[float, ...] | None:
 
 
 def _time(fields: list[bytes]) -> float:
-    """Give the first time of the host in a row, wherever it stands; NaN: none."""
+    """Return the first time of the host in a row, NaN if there is none."""
     for field in fields[7:13]:
         if b"." not in field:
             continue
@@ -106,10 +105,9 @@ def _time(fields: list[bytes]) -> float:
 
 
 def _clock(times: np.ndarray) -> tuple[np.ndarray, bool, int]:
-    """Give the stamps of the samples, s, whether they were measured, and how many holes there are.
+    """Return the stamps of the samples, s, whether they were measured, and the number of holes.
 
-    Args:
-        times: Of the host by sample, s; NaN: none.
+    The host's times are by sample, s, NaN where there is none.
     """
     index = np.arange(len(times))
     known = np.flatnonzero(np.isfinite(times))
@@ -118,7 +116,7 @@ def _clock(times: np.ndarray) -> tuple[np.ndarray, bool, int]:
     usual = _slope(known, times[known])
     if not 0.0 < usual < LONGEST:
         return index * NOMINAL, False, 0
-    # Where the host's time goes on beside the samples, and stays so, samples are missing
+    # Where the host's time jumps relative to the samples, and stays so, samples are missing
     off = times[known] - usual * known
     holes = [
         cut
@@ -133,18 +131,18 @@ def _clock(times: np.ndarray) -> tuple[np.ndarray, bool, int]:
         gone = np.median(times[after] - step * after) - np.median(times[before] - step * before)
         stamps[known[cut] :] += gone
     if not (np.diff(stamps) > 0.0).all() or np.abs(stamps).max() > EPOCH[1] - EPOCH[0]:
-        return index * NOMINAL, False, 0  # no clock goes so
+        return index * NOMINAL, False, 0  # no clock runs like this
     return stamps, True, len(holes)
 
 
 def _slope(rows: np.ndarray, times: np.ndarray) -> float:
-    """Give the usual time from one row to the next, s: a hole is in few of the pairs."""
+    """Return the usual time from one row to the next, s; few of the pairs span a hole."""
     apart = min(max(len(rows) // 8, 1), MANY)
     return float(np.median((times[apart:] - times[:-apart]) / (rows[apart:] - rows[:-apart])))
 
 
 def _drift(rows: np.ndarray, off: np.ndarray) -> tuple[float, float]:
-    """Give by how much the host's time goes off from the first rows to the last, s, and how far."""
+    """Return the drift of the host's time from the first rows to the last, s, and over how many."""
     few = min(len(rows) // 2, 100)
     if few == 0:
         return 0.0, 0.0

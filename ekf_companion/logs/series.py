@@ -1,34 +1,37 @@
-"""Stamped columns: keep the course of time, thin, let values count when they change."""
+"""Stamped columns: the run of the clock that they share, thinning, changes, nearest rows."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-Stamps = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
+from ekf_companion.nav.arrays import Array, Mask, Stamps
+
 Spans = list[tuple[int, int]]
 """First and last stamp of each stretch of time, ns, ascending."""
 
 BACK_NS = 1_000_000_000
-"""A clock that goes back further than this began anew, or the stamp is damaged."""
+"""Step back beyond which a clock has restarted, or a stamp is damaged."""
 GAP_NS = 60_000_000_000
-"""A clock that goes forward further than this in one step did so, or the stamp is damaged."""
+"""Step forward beyond which the same holds."""
 FEW = 0.01
-"""Share of all rows below which a stretch between two jumps is taken for damage."""
+"""Share of all rows below which a stretch between two jumps counts as damage."""
 MARGIN_NS = 2_000_000_000
-"""How far outside the inertial samples' time other rows are still of the same course."""
+"""How far outside the inertial samples' time other rows still belong to the same clock run."""
 
 
-def course(t_ns: Stamps) -> tuple[Mask, Spans]:
-    """Find the one course of time that most rows agree on.
+def clock_run(t_ns: Stamps) -> tuple[Mask, Spans]:
+    """Find the one run of the clock that holds most rows.
 
     Rows are split into stretches where the clock jumps, back by more than ``BACK_NS`` or forward
-    by more than ``GAP_NS``; of all chains of stretches in which time ascends, the one with most
-    rows is kept, without stretches that are too few to be more than damage.
+    by more than ``GAP_NS``. Stretches of few rows are dropped as damage; of all chains of the
+    others in which time ascends, the one with most rows is kept.
 
     Returns:
-        Which rows belong to it, and its stretches of time.
+        Which rows belong to the run, and its stretches of time.
     """
     if len(t_ns) == 0:
         return np.zeros(0, dtype=bool), []
@@ -51,7 +54,7 @@ def course(t_ns: Stamps) -> tuple[Mask, Spans]:
 
 
 def _heaviest_chain(low: Stamps, high: Stamps, rows: Stamps) -> list[int]:
-    """Give the chain of stretches with most rows in which each begins after the one before."""
+    """Return the chain of stretches with most rows in which each begins after the one before."""
     # At most 1 / FEW stretches, so the square is small.
     weight = [int(count) for count in rows]
     before = [-1] * len(weight)
@@ -66,8 +69,29 @@ def _heaviest_chain(low: Stamps, high: Stamps, rows: Stamps) -> list[int]:
     return chain[::-1]
 
 
+def common_run(
+    stamps: Mapping[str, Stamps], main: str, apart: Sequence[str] = ()
+) -> dict[str, Mask]:
+    """Return by name which rows are on the clock run of the table ``main``.
+
+    Rows off it are damaged, or of another boot of the autopilot.
+
+    Args:
+        stamps: Of each table.
+        main: The table that decides; without it each table keeps its own run.
+        apart: Tables that may lie outside the time of ``main``.
+    """
+    spans = clock_run(stamps[main])[1] if main in stamps else []
+    masks = {}
+    for name, t_ns in stamps.items():
+        masks[name] = clock_run(t_ns)[0]
+        if spans and name not in apart:
+            masks[name] &= inside(t_ns, spans)
+    return masks
+
+
 def inside(t_ns: Stamps, spans: Spans, margin_ns: int = MARGIN_NS) -> Mask:
-    """Say which stamps lie within the stretches, or at most a margin outside."""
+    """Return which stamps lie within the stretches, or at most a margin outside."""
     mask = np.zeros(len(t_ns), dtype=bool)
     for low, high in spans:
         mask |= (t_ns >= low - margin_ns) & (t_ns <= high + margin_ns)
@@ -75,7 +99,7 @@ def inside(t_ns: Stamps, spans: Spans, margin_ns: int = MARGIN_NS) -> Mask:
 
 
 def ascending(t_ns: Stamps) -> Mask:
-    """Say which rows are later than every row before them."""
+    """Return which rows are later than every row before them."""
     if len(t_ns) == 0:
         return np.zeros(0, dtype=bool)
     newest = np.maximum.accumulate(t_ns)
@@ -83,7 +107,7 @@ def ascending(t_ns: Stamps) -> Mask:
 
 
 def thinned(t_ns: Stamps, rate: float) -> slice:
-    """Give the stride that brings a steady series to at most a rate, Hz (10 % more passes)."""
+    """Return the stride that thins a steady series to a rate, Hz, exceeded by 10 % at most."""
     if len(t_ns) < 3:
         return slice(None)
     period_ns = max(float(np.median(np.diff(t_ns))), 1.0)
@@ -91,7 +115,7 @@ def thinned(t_ns: Stamps, rate: float) -> slice:
 
 
 def changed(*columns: npt.ArrayLike) -> Mask:
-    """Say in which rows at least one column differs from the row before; the first row counts."""
+    """Return in which rows a column differs from the row before; the first row counts."""
     first = np.asarray(columns[0])
     mask = np.zeros(len(first), dtype=bool)
     mask[:1] = True
@@ -104,9 +128,20 @@ def changed(*columns: npt.ArrayLike) -> Mask:
 
 
 def nearest(t_ns: Stamps, others_ns: Stamps) -> Stamps:
-    """Give for each stamp the index of the nearest of others (sorted, not empty)."""
+    """Return for each stamp the index of the nearest of others (sorted, not empty)."""
     right = np.clip(np.searchsorted(others_ns, t_ns), 1, max(len(others_ns) - 1, 1))
     left = right - 1
     right = np.minimum(right, len(others_ns) - 1)
     nearer = np.abs(others_ns[right] - t_ns) < np.abs(t_ns - others_ns[left])
     return np.where(nearer, right, left)
+
+
+def accuracy(value: npt.ArrayLike, otherwise: npt.ArrayLike) -> Array:
+    """Return accuracies where they are known (finite, positive), others elsewhere."""
+    value = np.asarray(value, dtype=float)
+    return np.where(np.isfinite(value) & (value > 0.0), value, otherwise)
+
+
+def stack(table: Mapping[str, npt.NDArray[Any]] | npt.NDArray[np.void], *names: str) -> Array:
+    """Return columns of a table as rows of floats, shape (n, k)."""
+    return np.stack([table[name] for name in names], axis=1).astype(float)

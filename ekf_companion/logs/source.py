@@ -1,4 +1,4 @@
-"""The bytes of a recorded file, or a sentence that says why there are none."""
+"""Reading of a recorded file's bytes."""
 
 from __future__ import annotations
 
@@ -8,11 +8,7 @@ from ekf_companion.errors import LogError
 
 
 def read_bytes(path: Path, kind: str) -> bytes:
-    """Give all bytes of a file.
-
-    Args:
-        path: The file.
-        kind: What it should be, for the message: ``DataFlash .bin log``.
+    """Return all bytes of a file; its kind (``DataFlash .bin log``) is for messages.
 
     Raises:
         LogError: The file is missing, empty, a folder or not readable.

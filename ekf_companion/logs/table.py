@@ -1,4 +1,4 @@
-"""Numbers in comma-separated text, by the names in the first line."""
+"""Columns of numbers in comma-separated text, by the names in the first line."""
 
 from __future__ import annotations
 
@@ -8,18 +8,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs.source import read_bytes
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 KIND = "CSV file"
 
 
 class Table:
-    """One file; columns are parsed when they are asked for."""
+    """One file, of which :meth:`read` parses the columns asked for."""
 
     def __init__(self, path: Path, delimiter: str = ",") -> None:
         """Read the file and its header.
@@ -42,7 +40,7 @@ class Table:
         """Column names in their order."""
 
     def read(self, names: Sequence[str]) -> dict[str, Array]:
-        """Give columns by name, float64, all of one length; an empty cell is NaN.
+        """Return columns by name, float64, all of one length; an empty cell is NaN.
 
         A last line that was cut short is left out.
 
@@ -75,7 +73,7 @@ class Table:
         return dict(zip(names, numbers.T.copy(), strict=True))
 
     def _whole_lines(self) -> bytes:
-        """Give the lines below the header, empty cells filled with nan."""
+        """Return the lines below the header, empty cells filled with nan."""
         body, mark = self._body, self._delimiter.encode()
         last = body.rfind(b"\n", 0, len(body)) + 1
         # A line without its end may have lost the end of its last number too.

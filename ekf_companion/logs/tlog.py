@@ -1,13 +1,13 @@
-"""Telemetry logs (.tlog): stamped MAVLink frames, found also in damaged files.
+"""Telemetry logs (.tlog): stamped MAVLink frames, found in damaged files too.
 
 A record is 8 bytes of microseconds, big-endian, by the recorder's clock (the low two bits are the
-link's number; they are kept), and one frame, MAVLink 1 or 2. A frame counts where its checksum is
-right. Where none is, the search goes on byte by byte for a stamp near the last good one and a
-rightly summed frame behind it. A frame of an unknown id has no checksum that could be tested: it
-counts where another record follows at its end.
+link's number; they are kept), and one frame, MAVLink 1 or 2. A frame is valid where its checksum is
+right. Where none is, the search goes on byte by byte for a stamp near the last good one, followed
+by a frame with a right checksum. The checksum of a frame of an unknown id cannot be tested: it is
+valid where another record follows at its end.
 
-The events of a .tlog are made by :mod:`ekf_companion.mavlink`, as live ones are. Here are the
-frames and columns of their fields.
+:mod:`ekf_companion.mavlink` decodes the frames of a .tlog into events, as it does live ones. This
+module finds the frames, and reads columns of their fields.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from fastcrc import crc16
 from ekf_companion.errors import LogError
 from ekf_companion.logs.source import read_bytes
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
+from ekf_companion.nav.arrays import Stamps
 
-Stamps = npt.NDArray[np.int64]
 Column = npt.NDArray[np.void]
 
 KIND = "telemetry log (.tlog)"
 STAMP, ORDER, COMPONENT = "@stamp_us", "@order", "@component"
-"""Columns before a message's own: the recorder's stamp, the record's number, the source."""
+"""Columns before a message's own: the recorder's stamp, the record's number, the component."""
 DAY_US = 86_400_000_000
 PLAUSIBLE_US = 3 * DAY_US
-"""A stamp further than this from the last good one is no stamp."""
+"""Largest plausible difference of a stamp from the last good one, us."""
 _FAMILIES = {3: "ardupilot", 12: "px4"}
 """MAV_AUTOPILOT."""
 _NO_AUTOPILOT = 8
@@ -46,7 +46,7 @@ _crc = crc16.mcrf4xx
 
 @dataclass(frozen=True, slots=True)
 class Autopilot:
-    """Whose telemetry it is: the first heartbeat from an autopilot says."""
+    """The source of the telemetry, by the first heartbeat of an autopilot."""
 
     system_id: int
     component_id: int
@@ -56,28 +56,27 @@ class Autopilot:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Tlog:
-    """A log whose records are found; each array has one element a record, in file order."""
+    """The records of a log; each array has one element per record, in file order."""
 
     data: bytes
     """The whole file."""
     stamp_us: Stamps
     """The recorder's clock, as recorded."""
     place: Stamps
-    """Where the frame begins in the file."""
+    """Position of the frame in the file, bytes."""
     size: Stamps
     """Bytes of the frame."""
     message_id: Stamps
     damaged: int
-    """Runs of bytes that were no record."""
+    """Number of runs of bytes that are no record."""
     autopilot: Autopilot | None
     notes: tuple[str, ...] = field(default=())
 
     def __len__(self) -> int:
-        """Give the number of records."""
         return len(self.place)
 
     def frames(self) -> Iterator[tuple[int, bytes]]:
-        """Give each record's stamp (us, the recorder's clock) and raw frame, in file order."""
+        """Yield each record's stamp (us, the recorder's clock) and raw frame, in file order."""
         data = self.data
         for stamp, place, size in zip(
             self.stamp_us.tolist(), self.place.tolist(), self.size.tolist(), strict=True
@@ -87,16 +86,13 @@ class Tlog:
     def columns(
         self, names: Sequence[str], system_id: int, component_id: int | None = None
     ) -> dict[str, Column]:
-        """Give the fields of messages as one table each, in file order; absent ones are left out.
+        """Return the fields of messages as one table each, in file order; skip absent messages.
 
-        Args:
-            names: Messages by name, in capitals.
-            system_id: Whose messages.
-            component_id: And of which component; None: all of them.
+        The names are in capitals; without a component id, messages of all components count.
 
         Returns:
             Tables by name: ``STAMP``, ``ORDER``, ``COMPONENT`` and the message's own fields in
-            wire order and wire units. What a short MAVLink payload leaves out is 0.
+            wire order and wire units. Fields that a short MAVLink payload omits are 0.
         """
         raw = np.frombuffer(self.data, dtype=np.uint8)
         tables: dict[str, Column] = {}
@@ -123,7 +119,7 @@ class Tlog:
 def _payloads(
     raw: npt.NDArray[np.uint8], place: Stamps, size: npt.NDArray[np.uint8], message_id: int
 ) -> Column:
-    """View payloads as records of one message, zeros where they were cut short."""
+    """Return payloads as a table of one message, zeros where they are cut short."""
     dtype = LAYOUTS[message_id].dtype
     rows = np.zeros((len(place), dtype.itemsize), dtype=np.uint8)
     for length in np.unique(size):
@@ -167,7 +163,7 @@ def read(path: Path) -> Tlog:
 
 
 def _left_out(data: bytes, starts: Stamps, ends: Stamps) -> Iterator[str]:
-    """Say which bytes are in no record."""
+    """Describe the bytes that are in no record."""
     gaps = np.diff(np.concatenate([[0], np.column_stack([starts, ends]).ravel()]))[::2]
     if runs := np.count_nonzero(gaps):
         yield f"{runs} runs of damaged bytes, {int(gaps.sum())} bytes in all, were left out"
@@ -177,7 +173,7 @@ def _left_out(data: bytes, starts: Stamps, ends: Stamps) -> Iterator[str]:
 
 
 def _find_records(data: bytes) -> tuple[array[int], int]:
-    """Give stamp, place, size and message id of each record in turn, and the number of bad runs."""
+    """Return stamp, position, size, message id of each record, and the number of bad runs."""
     records = array("q")
     damaged = 0
     last: int | None = None
@@ -208,7 +204,7 @@ def _find_records(data: bytes) -> tuple[array[int], int]:
             good = _crc(data[place + 1 : tail] + extra) == data[tail] | data[tail + 1] << 8
             good = good and _is_plausible(data, stamp, after, last)
         else:
-            # no sum can be checked: damage that claims the records behind it must not get them
+            # No checksum can be tested: damage must not swallow the records after it
             good = _continues(data, after, stamp) and _resume(data, start + 1, last) >= after
         if good:
             last = stamp & 0x7FFF_FFFF_FFFF_FFFF
@@ -221,7 +217,7 @@ def _find_records(data: bytes) -> tuple[array[int], int]:
 
 
 def _continues(data: bytes, start: int, stamp: int) -> bool:
-    """Say whether a record with a stamp near this one begins here, or the file ends."""
+    """Return whether a record with a stamp near this one begins here, or the file ends."""
     if start == len(data):
         return True
     if start + 16 > len(data) or data[start + 8] not in (0xFD, 0xFE):
@@ -230,14 +226,14 @@ def _continues(data: bytes, start: int, stamp: int) -> bool:
 
 
 def _is_plausible(data: bytes, stamp: int, after: int, last: int | None) -> bool:
-    """Say whether a stamp follows the last one, or begins a new time that the next one shares."""
+    """Return whether a stamp is near the last one, or else the record after it is near it."""
     if last is None or abs(stamp - last) < PLAUSIBLE_US:
         return True
     return _continues(data, after, stamp)
 
 
 def _resume(data: bytes, start: int, last: int | None) -> int:
-    """Give the next place where a plausible stamp and a rightly summed frame stand."""
+    """Return the next position of a plausible stamp and a frame with a right checksum."""
     end = len(data)
     for match in _START.finditer(data, start + 8):
         place = match.start()

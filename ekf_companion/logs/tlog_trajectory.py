@@ -1,12 +1,13 @@
-"""What a telemetry log tells of the motion: the autopilot's estimate, the simulator's truth.
+"""Trajectories in a telemetry log: the autopilot's estimate, the simulator's truth.
 
 Stamps are the autopilot's boot clock, unwrapped. Where the autopilot rebooted, the longest boot
-is given.
+is returned.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,18 +15,15 @@ import numpy.typing as npt
 from ekf_companion.logs import series
 from ekf_companion.logs.tlog import ORDER, Column, Tlog
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.state import Trajectory
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
+from ekf_companion.nav.state import EULER, Trajectory
 
 _INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
-_NO_STAMPS: Stamps = np.zeros(0, dtype=np.int64)
 
 
 def _boot_ns(table: Column) -> Stamps:
-    """Give boot time, ns, of a table's rows, the 32-bit millisecond clock unwrapped."""
+    """Return the boot time of a table's rows, ns, the 32-bit millisecond clock unwrapped."""
     if "time_usec" in (table.dtype.names or ()):
         return np.asarray(np.minimum(table["time_usec"], 2**62 // 1000), dtype=np.int64) * 1000
     milliseconds = table["time_boot_ms"].astype(np.int64)
@@ -33,15 +31,20 @@ def _boot_ns(table: Column) -> Stamps:
     return (milliseconds + (wraps << 32)) * 1_000_000
 
 
+def _clock(tables: Sequence[Column]) -> tuple[Stamps, Stamps]:
+    """Return the record numbers of tables, ascending, and the boot time of each, ns."""
+    order = np.concatenate([table[ORDER] for table in tables])
+    t_ns = np.concatenate([_boot_ns(table) for table in tables])
+    by_order = np.argsort(order)
+    return order[by_order], t_ns[by_order]
+
+
 def _one_boot(tables: dict[str, Column]) -> dict[str, Column]:
     """Keep the records of the longest stretch in which the boot clock never goes back."""
     clocks = [table for name, table in tables.items() if name in (*_INERTIAL, "ATTITUDE")]
     if not clocks:
         return tables
-    order = np.concatenate([table[ORDER] for table in clocks])
-    t_ns = np.concatenate([_boot_ns(table) for table in clocks])
-    by_order = np.argsort(order)
-    order, t_ns = order[by_order], t_ns[by_order]
+    order, t_ns = _clock(clocks)
     cuts = np.flatnonzero(np.diff(t_ns) < -series.BACK_NS) + 1
     if len(cuts) == 0:
         return tables
@@ -55,7 +58,7 @@ def _one_boot(tables: dict[str, Column]) -> dict[str, Column]:
 
 
 def _tables(log: Tlog, names: Sequence[str]) -> dict[str, Column]:
-    """Give the autopilot's messages of one boot."""
+    """Return the autopilot's messages of one boot."""
     if log.autopilot is None:
         return {}
     ids = log.autopilot.system_id, log.autopilot.component_id
@@ -65,11 +68,10 @@ def _tables(log: Tlog, names: Sequence[str]) -> dict[str, Column]:
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def reference(log: Tlog) -> Trajectory | None:
-    """Give the autopilot's own estimate, on its boot clock; None: it sends none.
+    """Return the autopilot's own estimate on its boot clock, or None if the log holds none.
 
     Position is GLOBAL_POSITION_INT's, or LOCAL_POSITION_NED's about GPS_GLOBAL_ORIGIN; velocity
-    is LOCAL_POSITION_NED's, or GLOBAL_POSITION_INT's; attitude is ATTITUDE's. Where the autopilot
-    rebooted, the longest stretch is given.
+    is LOCAL_POSITION_NED's, or GLOBAL_POSITION_INT's; attitude is ATTITUDE's.
     """
     world, local, origin = "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "GPS_GLOBAL_ORIGIN"
     tables = _tables(log, [world, local, origin])
@@ -79,48 +81,36 @@ def reference(log: Tlog) -> Trajectory | None:
         name: table if name == origin else table[series.ascending(_boot_ns(table))]
         for name, table in tables.items()
     }
-    pos_t_ns, lat, lon, alt = _NO_STAMPS, np.zeros(0), np.zeros(0), np.zeros(0)
-    vel_t_ns, vel_n, sources = _NO_STAMPS, np.zeros((0, 3)), []
+    parts: dict[str, npt.NDArray[Any]] = {}
     if world in tables:
         table = tables[world]
         table = table[(table["lat"] != 0) | (table["lon"] != 0)]  # 0, 0: no position yet
-        pos_t_ns, alt = _boot_ns(table), table["alt"] * 1e-3
+        t_ns, alt = _boot_ns(table), table["alt"] * 1e-3
         lat, lon = np.deg2rad(table["lat"] * 1e-7), so3.wrap(np.deg2rad(table["lon"] * 1e-7))
-        vel_t_ns, vel_n = pos_t_ns, _vectors(table, ("vx", "vy", "vz")) * 1e-2
-        sources.append(world)
+        parts |= {"pos_t_ns": t_ns, "lat": lat, "lon": lon, "alt": alt}
+        parts |= {"vel_t_ns": t_ns, "vel_n": series.stack(table, "vx", "vy", "vz") * 1e-2}
     if local in tables:
-        vel_t_ns, vel_n = _boot_ns(tables[local]), _vectors(tables[local], ("vx", "vy", "vz"))
-        sources.append(local)
-        if len(pos_t_ns) == 0 and origin in tables:
+        table = tables[local]
+        t_ns = _boot_ns(table)
+        parts |= {"vel_t_ns": t_ns, "vel_n": series.stack(table, "vx", "vy", "vz")}
+        if len(parts.get("pos_t_ns", ())) == 0 and origin in tables:
             row = tables[origin][-1]
             lat0, lon0 = np.deg2rad(row["latitude"] * 1e-7), np.deg2rad(row["longitude"] * 1e-7)
             frame = LocalFrame(float(lat0), float(lon0), float(row["altitude"] * 1e-3))
-            pos_t_ns = vel_t_ns
-            lat, lon, alt = frame.to_geodetic(_vectors(tables[local], ("x", "y", "z")))
-    att_t_ns, q_nb = _NO_STAMPS, np.zeros((0, 4))
+            lat, lon, alt = frame.to_geodetic(series.stack(table, "x", "y", "z"))
+            parts |= {"pos_t_ns": t_ns, "lat": lat, "lon": lon, "alt": alt}
     if "ATTITUDE" in tables:
-        attitude = tables["ATTITUDE"]
-        angles = _vectors(attitude, ("roll", "pitch", "yaw"))
-        attitude = attitude[np.isfinite(angles).all(axis=1)]
-        att_t_ns = _boot_ns(attitude)
-        q_nb = so3.from_euler(attitude["roll"], attitude["pitch"], attitude["yaw"])
-        sources.append("ATTITUDE")
-    return Trajectory(
-        name=f"autopilot ({', '.join(sources)})",
-        pos_t_ns=pos_t_ns,
-        lat=lat,
-        lon=lon,
-        alt=alt,
-        vel_t_ns=vel_t_ns,
-        vel_n=vel_n,
-        att_t_ns=att_t_ns,
-        q_nb=q_nb,
-    )
+        table = tables["ATTITUDE"]
+        table = table[known_rows(series.stack(table, *EULER))]
+        parts |= {"att_t_ns": _boot_ns(table)}
+        parts |= {"q_nb": so3.from_euler(table["roll"], table["pitch"], table["yaw"])}
+    sources = ", ".join(name for name in (world, local, "ATTITUDE") if name in tables)
+    return Trajectory(name=f"autopilot ({sources})", **parts)
 
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def truth(log: Tlog) -> Trajectory | None:
-    """Give the simulator's truth on the autopilot's boot clock; None: the log holds none.
+    """Return the simulator's truth on the autopilot's boot clock, or None if there is none.
 
     SIM_STATE (ArduPilot) has no stamp and HIL_STATE_QUATERNION (PX4) an empty one: each takes the
     time of the inertial message recorded just before it, which was sent in the same pass.
@@ -130,23 +120,21 @@ def truth(log: Tlog) -> Trajectory | None:
     name = next((name for name in ("SIM_STATE", "HIL_STATE_QUATERNION") if name in tables), None)
     if name is None or not inertial:
         return None
-    order = np.concatenate([table[ORDER] for table in inertial])
-    t_ns = np.concatenate([_boot_ns(table) for table in inertial])
-    by_order = np.argsort(order)
+    order, t_ns = _clock(inertial)
     table = tables[name]
-    before = np.searchsorted(order[by_order], table[ORDER]) - 1
-    table, t_ns = table[before >= 0], t_ns[by_order][before[before >= 0]]
+    before = np.searchsorted(order, table[ORDER]) - 1
+    table, t_ns = table[before >= 0], t_ns[before[before >= 0]]
     later = series.ascending(t_ns)
     table, t_ns = table[later], t_ns[later]
     if name == "SIM_STATE":
         exact = (table["lat_int"] != 0) | (table["lon_int"] != 0)
         lat_deg = np.where(exact, table["lat_int"] * 1e-7, table["lat"])
         lon_deg = np.where(exact, table["lon_int"] * 1e-7, table["lon"])
-        alt, vel_n = table["alt"].astype(float), _vectors(table, ("vn", "ve", "vd"))
-        q_nb = _vectors(table, ("q1", "q2", "q3", "q4"))
+        alt, vel_n = table["alt"].astype(float), series.stack(table, "vn", "ve", "vd")
+        q_nb = series.stack(table, "q1", "q2", "q3", "q4")
     else:
         lat_deg, lon_deg, alt = table["lat"] * 1e-7, table["lon"] * 1e-7, table["alt"] * 1e-3
-        vel_n = _vectors(table, ("vx", "vy", "vz")) * 1e-2
+        vel_n = series.stack(table, "vx", "vy", "vz") * 1e-2
         q_nb = table["attitude_quaternion"].astype(float)
     known = np.abs(np.linalg.norm(q_nb, axis=1) - 1.0) < 0.1
     return Trajectory(
@@ -160,7 +148,3 @@ def truth(log: Tlog) -> Trajectory | None:
         att_t_ns=t_ns[known],
         q_nb=so3.normalise(q_nb[known]),
     )
-
-
-def _vectors(table: Column, names: Sequence[str]) -> Array:
-    return np.stack([table[name] for name in names], axis=1).astype(float)

@@ -1,9 +1,9 @@
-"""PX4's logs (.ulg), read into a recording.
+"""Reading of PX4's logs (.ulg) into a recording.
 
 pyulog finds the topics, also in damaged files. Both generations of names are read: position as
 ``lat, lon`` (1e-7 deg), ``alt`` (mm) and as ``latitude_deg, longitude_deg, altitude_msl_m``.
-The first instance of each topic is used. A log has no order of arrival beyond its stamps: what
-was published (``timestamp``) first, arrived first.
+The first instance of each topic is used. Rows count as arrived in the order in which they were
+published (``timestamp``).
 
 Source: PX4-Autopilot msg/*.msg (fields, units, states).
 """
@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
@@ -24,17 +23,16 @@ from ekf_companion.logs.ulog_topics import (
     Topics,
     first_instances,
     load,
-    on_course,
+    on_one_run,
     rotations,
     sample_ns,
     vectors,
 )
 from ekf_companion.logs.ulog_trajectory import trajectory
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Mask, Stamps, known_rows
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
 
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 Arrivals = list[tuple[Events, Stamps]]
 """Events and when they were published, ns."""
 
@@ -43,7 +41,7 @@ GNSS_STD_UNKNOWN = (2.0, 3.0, 0.5)
 HEADING_STD = float(np.deg2rad(5.0))
 """rad, of the autopilot's own heading: what a calibrated compass gives in flight."""
 HEADING_RATE = 10.0
-"""Hz at most, of the autopilot's own heading: its errors last, so more rows say no more."""
+"""Hz at most, of the autopilot's own heading: its errors last, so more rows add nothing."""
 GNSS_HEADING_STD = float(np.deg2rad(5.0))
 """rad, where the receiver gives a heading and no accuracy of it."""
 FIX_3D = 3
@@ -59,10 +57,10 @@ ARMED = 2
 def read(path: Path) -> Recording:
     """Read a log into events, EKF2's estimate and, from a simulator, the truth.
 
-    A log without inertial or GNSS topics is read all the same: what it lacks, its events lack.
+    A log may lack inertial or GNSS topics; its events then lack them too.
 
     Raises:
-        LogError: Not a ULog, or none of the topics that count is in it.
+        LogError: The file is not a ULog, or holds none of the topics that are used.
     """
     log = load(path)
     notes = ["the file is damaged: what could not be read is lost"] if log.file_corruption else []
@@ -71,7 +69,7 @@ def read(path: Path) -> Recording:
         notes.append(
             f"{len(log.dropouts)} dropouts, {lost:.1f} s in all, while the log was written"
         )
-    topics = on_course(first_instances(log), notes)
+    topics = on_one_run(first_instances(log), notes)
     arrivals: Arrivals = []
     for take in (_imu, _gnss_heading, _attitude_heading, _magnetometer, _barometer, _vehicle):
         arrivals += take(topics)
@@ -93,8 +91,8 @@ def read(path: Path) -> Recording:
     )
 
 
-def _events(topic: Topic, kind: Kind, mask: npt.NDArray[np.bool_], *columns: Any) -> Arrivals:
-    """Lay columns as events stamped by the topic's sample time where it has one."""
+def _events(topic: Topic, kind: Kind, mask: Mask, *columns: Any) -> Arrivals:
+    """Build events stamped by the topic's sample time, or where absent its publication."""
     if not mask.any():
         return []
     events = Events.from_columns(sample_ns(topic), kind, *columns)
@@ -105,12 +103,11 @@ def _imu(topics: Topics) -> Arrivals:
     if (topic := topics.get("sensor_combined")) is None:
         return []
     values = np.hstack([vectors(topic, "gyro_rad"), vectors(topic, "accelerometer_m_s2")])
-    # Its own stamp is the sample's.
-    return _events(topic, Kind.IMU, np.asarray(np.isfinite(values).all(axis=1)), *values.T)
+    return _events(topic, Kind.IMU, known_rows(values), *values.T)
 
 
 def _receiver(topics: Topics) -> Topic:
-    """Give the topic that EKF2 listens to, or the receiver's own."""
+    """Return the topic that EKF2 uses, or the receiver's own."""
     return topics.get("vehicle_gps_position") or topics.get("sensor_gps") or {}
 
 
@@ -132,10 +129,8 @@ def _gnss(topics: Topics, notes: list[str]) -> Arrivals:
     if "vel_ned_valid" in topic:
         has_vel &= topic["vel_ned_valid"] != 0
     suspect = np.zeros(n, dtype=bool)
-    for field, least in (
-        ("jamming_state", JAMMING_CRITICAL),
-        ("spoofing_state", SPOOFING_INDICATED),
-    ):
+    states = {"jamming_state": JAMMING_CRITICAL, "spoofing_state": SPOOFING_INDICATED}
+    for field, least in states.items():
         if field in topic:
             suspect |= topic[field] >= least
     if not is_fix.all():
@@ -144,8 +139,9 @@ def _gnss(topics: Topics, notes: list[str]) -> Arrivals:
         notes.append(
             f"the receiver reports jamming or spoofing in {int((is_fix & suspect).sum())} fixes"
         )
+    unknown = np.zeros(n)
     std_h, std_v, std_vel = (
-        _known(topic, field, otherwise)
+        series.accuracy(topic.get(field, unknown), otherwise)
         for field, otherwise in zip(("eph", "epv", "s_variance_m_s"), GNSS_STD_UNKNOWN, strict=True)
     )
     return _events(
@@ -164,19 +160,13 @@ def _gnss(topics: Topics, notes: list[str]) -> Arrivals:
     )
 
 
-def _known(topic: Topic, field: str, otherwise: float) -> Array:
-    """Take an accuracy where the receiver gave one (finite, positive)."""
-    value = np.asarray(topic.get(field, np.zeros(len(topic["t_ns"]))), dtype=float)
-    return np.where(np.isfinite(value) & (value > 0.0), value, otherwise)
-
-
 def _gnss_heading(topics: Topics) -> Arrivals:
     topic = _receiver(topics)
     if "heading" not in topic:
         return []
     heading = np.asarray(topic["heading"], dtype=float)
     valid = np.isfinite(heading) & (topic["fix_type"] >= FIX_3D)
-    std = _known(topic, "heading_accuracy", GNSS_HEADING_STD)
+    std = series.accuracy(topic.get("heading_accuracy", 0.0 * heading), GNSS_HEADING_STD)
     heading = so3.wrap(np.where(valid, heading, 0.0))
     return _events(topic, Kind.HEADING, valid, heading, std, float(HeadingSource.GNSS))
 
@@ -197,10 +187,10 @@ def _magnetometer(topics: Topics) -> Arrivals:
     if (topic := topics.get("vehicle_magnetometer")) is not None:
         field = vectors(topic, "magnetometer_ga")
     elif (topic := topics.get("sensor_mag")) is not None:
-        field = np.stack([topic[axis] for axis in "xyz"], axis=1).astype(float)
+        field = series.stack(topic, *"xyz")
     else:
         return []
-    valid = np.isfinite(field).all(axis=1) & (field != 0.0).any(axis=1)
+    valid = known_rows(field) & (field != 0.0).any(axis=1)
     return _events(topic, Kind.MAG, valid, *field.T)
 
 
@@ -212,7 +202,7 @@ def _barometer(topics: Topics) -> Arrivals:
 
 
 def _vehicle(topics: Topics) -> Arrivals:
-    """Give armed and landed at each change of either."""
+    """Return armed and landed at each change of either."""
     if (topic := topics.get("vehicle_status")) is None:
         return []
     t_ns, armed = topic["t_ns"], topic["arming_state"] == ARMED

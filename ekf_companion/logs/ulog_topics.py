@@ -1,4 +1,4 @@
-"""The topics of a PX4 log (.ulg), by pyulog, which copes with damaged files."""
+"""The topics of a PX4 log (.ulg), read by pyulog, which copes with damaged files."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from ekf_companion.errors import LogError
 from ekf_companion.logs import series
 from ekf_companion.logs.source import read_bytes
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
 
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
 Topic = dict[str, npt.NDArray[Any]]
 """Columns of one topic by field name, and ``t_ns``: when each row was published."""
 Topics = dict[str, Topic]
@@ -47,11 +46,15 @@ _TOPICS: dict[str, tuple[str, ...]] = {
     "vehicle_local_position_groundtruth": _LOCAL,
     "vehicle_global_position_groundtruth": _GLOBAL,
 }
-"""The topics that count, and the fields without which they are of no use."""
+"""The topics that are used, and the fields that each needs."""
+
+
+DAMAGE = (ULogException, RecursionError, MemoryError, LookupError, ValueError, TypeError)
+"""What pyulog fails with on a damaged file."""
 
 
 class _Watched(io.BytesIO):
-    """A file in which pyulog, misled by damaged sizes, does not go in circles for ever."""
+    """A file that stops pyulog where damaged message sizes lead it into an endless loop."""
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
@@ -59,7 +62,7 @@ class _Watched(io.BytesIO):
         self._visits: dict[int, int] = {}
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Give bytes; a message header (3 bytes) may be read at one place a few times only."""
+        """Return bytes; refuse to read a message header (3 bytes) at one place over and over."""
         if size == 3:
             place = self.tell()
             self._visits[place] = self._visits.get(place, 0) + 1
@@ -70,14 +73,14 @@ class _Watched(io.BytesIO):
         return data
 
     def seek(self, offset: int, whence: int = 0, /) -> int:
-        """Go to a place; back over a message, over as much of it as there is before the end."""
+        """Move to a position; back over a message, by no more than the file holds of it."""
         if whence == 1 and offset < 0:
             offset = min(0, offset + self._missing)
         return super().seek(offset, whence)
 
 
 def load(path: Path) -> ULog:
-    """Read the topics that count.
+    """Read the topics that are used.
 
     Raises:
         LogError: The file is missing, empty, no ULog, or too damaged for pyulog.
@@ -89,19 +92,12 @@ def load(path: Path) -> ULog:
         # pyulog prints what it finds damaged; the notes say so in our words.
         with contextlib.redirect_stdout(io.StringIO()):
             return ULog(_Watched(data), list(_TOPICS))
-    except (
-        ULogException,
-        RecursionError,
-        MemoryError,
-        LookupError,
-        ValueError,
-        TypeError,
-    ) as error:
+    except DAMAGE as error:
         raise LogError(f"{path}: too damaged to be read as a {KIND}: {error}") from None
 
 
 def first_instances(log: ULog) -> Topics:
-    """Give each topic's first instance, if it has the fields that it needs."""
+    """Return each topic's first instance that has the fields needed."""
     topics: Topics = {}
     for data in sorted(log.data_list, key=lambda found: found.multi_id):
         needed = {"timestamp", *_TOPICS[data.name]}
@@ -111,36 +107,30 @@ def first_instances(log: ULog) -> Topics:
 
 
 def nanoseconds(stamps_us: npt.NDArray[Any]) -> Stamps:
-    """Bring unsigned microseconds to ns; what would overflow is damaged, and just stays huge."""
+    """Convert unsigned microseconds to ns; what would overflow is damage, and stays huge."""
     return np.asarray(np.minimum(stamps_us, 2**62 // 1000), dtype=np.int64) * 1000
 
 
-def on_course(topics: Topics, notes: list[str]) -> Topics:
-    """Drop rows whose stamps leave the one course of time: damage, or another boot."""
-    spans: series.Spans = []
-    if "sensor_combined" in topics:
-        spans = series.course(topics["sensor_combined"]["t_ns"])[1]
-    wild, kept = 0, {}
-    for name, topic in topics.items():
-        mask = series.course(topic["t_ns"])[0]
-        if spans:
-            mask &= series.inside(topic["t_ns"], spans)
-        wild += len(mask) - int(mask.sum())
-        if mask.any():
-            kept[name] = {field: column[mask] for field, column in topic.items()}
-    if wild:
-        notes.append(f"{wild} rows whose time stamps leave the log's course were dropped")
-    return kept
+def on_one_run(topics: Topics, notes: list[str]) -> Topics:
+    """Drop rows whose stamps are damaged, or of another boot."""
+    stamps = {name: topic["t_ns"] for name, topic in topics.items()}
+    masks = series.common_run(stamps, "sensor_combined")
+    if wild := sum(int((~mask).sum()) for mask in masks.values()):
+        notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
+    return {
+        name: {field: column[masks[name]] for field, column in topic.items()}
+        for name, topic in topics.items()
+        if masks[name].any()
+    }
 
 
 def vectors(topic: Topic, field: str, size: int = 3) -> Array:
-    """Give an array field as rows, shape (n, size)."""
-    names = [f"{field}[{index}]" for index in range(size)]
-    return np.stack([topic[name] for name in names], axis=1).astype(float)
+    """Return an array field as rows, shape (n, size)."""
+    return series.stack(topic, *(f"{field}[{index}]" for index in range(size)))
 
 
 def sample_ns(topic: Topic) -> Stamps:
-    """Give when the sensor sampled, or where it is not said, when it was published, ns."""
+    """Return the times of the samples, or where those are absent, of the publication, ns."""
     if "timestamp_sample" not in topic:
         return topic["t_ns"]
     sample_ns = nanoseconds(topic["timestamp_sample"])
@@ -149,10 +139,10 @@ def sample_ns(topic: Topic) -> Stamps:
     return np.where(said, sample_ns, topic["t_ns"])
 
 
-def rotations(topic: Topic) -> tuple[npt.NDArray[np.bool_], Array]:
-    """Say where ``q`` is a rotation, and give it (elsewhere none)."""
+def rotations(topic: Topic) -> tuple[Mask, Array]:
+    """Return where ``q`` is a rotation, and the rotation (elsewhere the identity)."""
     q = vectors(topic, "q", 4)
     # Clipped first: damaged numbers overflow when squared.
     norm = np.linalg.norm(np.clip(np.nan_to_num(q), -2.0, 2.0), axis=1)
-    valid = np.isfinite(q).all(axis=1) & (np.abs(norm - 1.0) < 0.01)
+    valid = known_rows(q) & (np.abs(norm - 1.0) < 0.01)
     return valid, so3.normalise(np.where(valid[:, None], q, [1.0, 0.0, 0.0, 0.0]))

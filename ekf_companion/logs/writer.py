@@ -1,16 +1,15 @@
-"""Estimates out: a CSV file, or records of a .tlog."""
+"""Writing of estimates to a CSV file."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 import orjson
 
 from ekf_companion.errors import LogError
+from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.state import COLUMNS, Status
 
 _STATUS = COLUMNS.index("status") - 1
@@ -30,10 +29,10 @@ def create(path: Path) -> BinaryIO:
 
 
 class CsvWriter:
-    """Writes estimates as CSV, every number with the digits that give it back to the bit."""
+    """Writes estimates as CSV, every number with enough digits to be read back to the bit."""
 
     def __init__(self, path: Path) -> None:
-        """Begin the file with its header.
+        """Open the file and write the header.
 
         Raises:
             LogError: The file cannot be opened.
@@ -42,19 +41,13 @@ class CsvWriter:
         self._file.write(",".join(COLUMNS).encode() + b"\n")
 
     def __enter__(self) -> CsvWriter:
-        """Give the writer."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the file."""
         self._file.close()
 
-    def write(self, stamp_ns: npt.NDArray[np.int64], values: npt.NDArray[np.float64]) -> None:
+    def write(self, stamp_ns: Stamps, values: Array) -> None:
         """Append estimates: stamps, shape (n,), and the columns after the time, shape (n, 33)."""
         if len(stamp_ns) == 0:
             return

@@ -12,7 +12,8 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.so3 import wrap
 
 SEMI_MAJOR_AXIS = 6378137.0
 """m."""
@@ -31,7 +32,7 @@ STANDARD_GRAVITY = 9.80665
 
 
 def radii(lat: npt.ArrayLike) -> tuple[Array, Array]:
-    """Give the meridian and the transverse radius of curvature at a latitude (rad), m."""
+    """Return the meridian and the transverse radius of curvature, m, at a latitude (rad)."""
     sin2 = np.square(np.sin(np.asarray(lat, dtype=float)))
     w2 = 1.0 - ECCENTRICITY_SQUARED * sin2
     transverse = SEMI_MAJOR_AXIS / np.sqrt(w2)
@@ -40,7 +41,7 @@ def radii(lat: npt.ArrayLike) -> tuple[Array, Array]:
 
 
 def gravity(lat: npt.ArrayLike, alt: npt.ArrayLike) -> Array:
-    """Give the normal gravity, down, m/s^2, at a latitude (rad) and a height (m)."""
+    """Return the normal gravity, down, m/s^2, at a latitude (rad) and a height (m)."""
     sin2 = np.square(np.sin(np.asarray(lat, dtype=float)))
     surface = (
         GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sin2) / np.sqrt(1.0 - ECCENTRICITY_SQUARED * sin2)
@@ -49,13 +50,13 @@ def gravity(lat: npt.ArrayLike, alt: npt.ArrayLike) -> Array:
 
 
 def earth_rate_n(lat: npt.ArrayLike) -> Array:
-    """Give the Earth's rotation in n at a latitude (rad), rad/s, shape (..., 3)."""
+    """Return the Earth's rotation in n, rad/s, at a latitude (rad), shape (..., 3)."""
     lat = np.asarray(lat, dtype=float)
     return ROTATION_RATE * np.stack([np.cos(lat), np.zeros_like(lat), -np.sin(lat)], axis=-1)
 
 
 def transport_rate_n(lat: npt.ArrayLike, alt: npt.ArrayLike, vel_n: Array) -> Array:
-    """Give the turn rate of n against the Earth that the motion causes, rad/s, shape (..., 3)."""
+    """Return the transport rate: of n relative to the Earth, by motion, rad/s, shape (..., 3)."""
     lat, alt = np.asarray(lat, dtype=float), np.asarray(alt, dtype=float)
     meridian, transverse = radii(lat)
     east = vel_n[..., 1] / (transverse + alt)
@@ -64,7 +65,7 @@ def transport_rate_n(lat: npt.ArrayLike, alt: npt.ArrayLike, vel_n: Array) -> Ar
 
 @dataclass(frozen=True, slots=True)
 class LocalFrame:
-    """Metres north, east and down of an origin, along the radii of curvature at the origin.
+    """Metres north, east and down of an origin, along the radii of curvature there.
 
     A curvilinear frame: equal down means equal altitude however far away, and equal north means
     equal latitude. It agrees with the tangent plane to 8 cm at 1 km (the curvature of the Earth).
@@ -79,7 +80,7 @@ class LocalFrame:
 
     @property
     def scale(self) -> tuple[float, float]:
-        """Give metres per radian of latitude and of longitude at the origin."""
+        """Return metres per radian of latitude and of longitude at the origin."""
         meridian, transverse = radii(self.lat)
         return (
             float(meridian) + self.alt,
@@ -87,9 +88,9 @@ class LocalFrame:
         )
 
     def to_ned(self, lat: npt.ArrayLike, lon: npt.ArrayLike, alt: npt.ArrayLike) -> Array:
-        """Give north, east, down, m, shape (..., 3), of latitude, longitude (rad), altitude (m)."""
+        """Return north, east, down, m, shape (..., 3), of latitude, longitude (rad), altitude."""
         north, east = self.scale
-        dlon = np.mod(np.asarray(lon, dtype=float) - self.lon + np.pi, 2.0 * np.pi) - np.pi
+        dlon = wrap(np.asarray(lon, dtype=float) - self.lon)
         return np.stack(
             np.broadcast_arrays(
                 (np.asarray(lat, dtype=float) - self.lat) * north,
@@ -100,11 +101,11 @@ class LocalFrame:
         )
 
     def to_geodetic(self, pos_n: Array) -> tuple[Array, Array, Array]:
-        """Give latitude, longitude (rad, in [-pi, pi)) and altitude (m) of north, east, down."""
+        """Return latitude, longitude (rad, in [-pi, pi)) and altitude (m) of north, east, down."""
         north, east = self.scale
         pos_n = np.asarray(pos_n, dtype=float)
-        lon = np.mod(self.lon + pos_n[..., 1] / east + np.pi, 2.0 * np.pi) - np.pi
-        return self.lat + pos_n[..., 0] / north, np.asarray(lon), self.alt - pos_n[..., 2]
+        lon = wrap(self.lon + pos_n[..., 1] / east)
+        return self.lat + pos_n[..., 0] / north, lon, self.alt - pos_n[..., 2]
 
 
 SIMULATED = LocalFrame(
@@ -112,10 +113,9 @@ SIMULATED = LocalFrame(
     lon=0.15,
     alt=float((gravity(np.radians(75.0), 160.0) - 9.81) / FREE_AIR),
 )
-"""Where a simulation over a flat Earth that does not turn, with gravity of 9.81 m/s^2 (160 m above
-its sea), is put so that it can be read as a flight. So far north the Earth turns about the vertical
-nearly, which a gyro's bias explains, and an eastward speed weighs little."""
-
+"""Origin given to a simulation over a flat Earth that does not turn, with gravity of 9.81 m/s^2
+(160 m above its sea), so that it can be read as a flight. So far north the Earth turns about nearly
+the vertical, which a gyro bias explains, and an eastward speed adds little weight."""
 
 SEA_LEVEL_PRESSURE = 101325.0
 """Pa."""
@@ -123,10 +123,10 @@ _SCALE_HEIGHT = 288.15 / 0.0065
 """Temperature at sea level over its lapse rate, m."""
 _EXPONENT = 0.0065 * 287.05287 / 9.80665
 
-Value = TypeVar("Value", float, npt.NDArray[np.float64])
+Value = TypeVar("Value", float, Array)
 
 
 def pressure_altitude(pressure: Value) -> Value:
-    """Give the altitude, m, at which the standard atmosphere has a pressure (Pa, > 0)."""
+    """Return the altitude, m, at which the standard atmosphere has a pressure (Pa, > 0)."""
     altitude: Value = _SCALE_HEIGHT * (1.0 - (pressure / SEA_LEVEL_PRESSURE) ** _EXPONENT)
     return altitude

@@ -1,39 +1,36 @@
-"""A series at other stamps than its own: between two of its rows, never over a gap."""
+"""Interpolation of a series of rows at other stamps than its own, never over a gap."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.nav import so3
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
+from ekf_companion.nav.arrays import Array, Indices, Stamps
 
 GAP = 0.5
-"""s; over a longer one nothing is interpolated."""
+"""Longest step from row to row over which a series is interpolated, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Between:
     """Where stamps lie between the rows of a series."""
 
-    wanted: npt.NDArray[np.int64]
-    """Which of the stamps lie between two rows that are near enough, ascending, shape (k,)."""
-    before: npt.NDArray[np.int64]
-    """Rows of the series at or just before each of these; the next one follows."""
+    wanted: Indices
+    """Indices of the stamps that lie between two rows near enough, ascending, shape (k,)."""
+    before: Indices
+    """Row of the series at or just before each of these stamps; the row after it is the other."""
     share: Array
-    """How far each stamp is from there to the next, 0 to 1."""
+    """Share of the step from that row to the next at which each stamp lies, 0 to 1."""
 
     def values(self, series: Array) -> Array:
-        """Give a series of vectors at the stamps, shape (k, m)."""
+        """Interpolate a series of vectors linearly at the stamps, shape (k, m)."""
         share = self.share[:, None]
         return series[self.before] * (1.0 - share) + series[self.before + 1] * share
 
     def rotations(self, series: Array) -> Array:
-        """Give a series of quaternions at the stamps, turned evenly from row to row."""
+        """Interpolate a series of quaternions at the stamps, each step a turn of constant rate."""
         start, end = series[self.before], series[self.before + 1]
         turn = so3.log(so3.multiply(so3.conjugate(start), end)) * self.share[:, None]
         return so3.multiply(start, so3.exp(turn))
@@ -44,7 +41,7 @@ def between(t_ns: Stamps, at_ns: Stamps, gap_ns: float = GAP * 1e9) -> Between:
 
     Args:
         t_ns: Of the series, ascending, two or more.
-        at_ns: Where it is asked for, in any order.
+        at_ns: Stamps wanted, in any order.
         gap_ns: Largest step from row to row that is interpolated over.
     """
     wanted = np.flatnonzero((at_ns >= t_ns[0]) & (at_ns <= t_ns[-1]))
@@ -55,33 +52,39 @@ def between(t_ns: Stamps, at_ns: Stamps, gap_ns: float = GAP * 1e9) -> Between:
     return Between(wanted=wanted, before=before, share=(at_ns[wanted] - t_ns[before]) / step)
 
 
+def resample(at_ns: Stamps, t_ns: Stamps, values: Array) -> Array:
+    """Interpolate rows, shape (n, m), linearly over any gap; beyond the ends the end row holds."""
+    at, t = (at_ns - t_ns[0]) * 1e-9, (t_ns - t_ns[0]) * 1e-9
+    return np.stack([np.interp(at, t, column) for column in values.T], axis=1)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
     """Two series brought to the stamps of the sparser one."""
 
     at_ns: Stamps
-    of_sparse: npt.NDArray[np.int64]
+    of_sparse: Indices
     """Rows of the sparser series."""
     of_dense: Between
     """Where its stamps are in the denser series."""
     is_swapped: bool
-    """The denser one is the second."""
+    """Whether the denser series is the second."""
 
     def difference(self, first: Array, second: Array) -> Array:
-        """Give first minus second, shape (n, 3)."""
+        """Return first minus second, shape (n, 3)."""
         dense, sparse = (second, first) if self.is_swapped else (first, second)
         less = self.of_dense.values(dense) - sparse[self.of_sparse]
         return less * (-1.0 if self.is_swapped else 1.0)
 
     def rotations(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Give both at the stamps, the denser one turned evenly from row to row."""
+        """Return both series of quaternions at the stamps."""
         dense, sparse = (second, first) if self.is_swapped else (first, second)
         here, there = self.of_dense.rotations(dense), sparse[self.of_sparse]
         return (there, here) if self.is_swapped else (here, there)
 
 
 def pair(first_ns: Stamps, second_ns: Stamps, begin: int, end: int) -> Pair | None:
-    """Match two ascending series between two stamps; None: they have no time in common.
+    """Match two ascending series between two stamps; return None if they share no time.
 
     The denser one is interpolated over ``GAP``, or over three steps of a slower series.
     """

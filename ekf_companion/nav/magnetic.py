@@ -8,7 +8,7 @@ from functools import lru_cache
 from pygeomag import GeoMag
 
 CELL = 0.01
-"""Side of the squares of latitude and longitude that share one field, deg: some 1 km."""
+"""Side of the squares of latitude and longitude that share one field, deg: about 1 km."""
 
 
 @lru_cache(maxsize=1)
@@ -17,14 +17,10 @@ def _model() -> GeoMag:
 
 
 def magnetic_field(lat: float, lon: float, year: float) -> tuple[float, float, float]:
-    """Give declination (rad, east positive), inclination (rad, down positive) and strength (gauss).
+    """Return declination (rad, east +), inclination (rad, down +) and strength (gauss).
 
-    At sea level, and constant over a square of 0.01 deg.
-
-    Args:
-        lat: Latitude, rad.
-        lon: Longitude, rad.
-        year: Decimal year, 2025.0 to 2030.0.
+    The field is that at sea level, constant over a square of 0.01 deg, at a decimal year from
+    2025.0 to 2030.0.
 
     Source: NOAA NCEI, The US/UK World Magnetic Model for 2025-2030.
     """

@@ -1,10 +1,10 @@
-"""What a sensor said, in SI, as objects (live) and as rows of one table (recorded).
+"""Measurements in SI, as objects (live) and as rows of one table (recorded).
 
-A stamp is what the sensor's message carries, on the autopilot's clock. The delay by which it is
-late is calibrated, not said: the pipeline takes it off in one place, so that a measurement counts
-at the time when it was true.
+A stamp is what the sensor's message carries, on the autopilot's clock. Its delay is calibrated, not
+reported: the pipeline subtracts it in one place, so that a measurement counts at the time when it
+was true.
 
-One event is one row: stamp, kind and ``WIDTH`` numbers. The objects below and the rows say the
+One event is one row: stamp, kind and ``WIDTH`` numbers. The objects below and the rows hold the
 same; ``row()`` is the only way from one to the other. In a row NaN means "not known".
 """
 
@@ -18,6 +18,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
+
 WIDTH = 13
 """Numbers in a row."""
 
@@ -25,11 +27,16 @@ Row = tuple[int, int, tuple[float, ...]]
 """Stamp (ns), kind, ``WIDTH`` values."""
 
 
+GNSS_POSITION, GNSS_VELOCITY, GNSS_STD = slice(0, 3), slice(3, 6), slice(6, 9)
+GNSS_DECLINATION, GNSS_FLAGS, GNSS_INCLINATION, GNSS_FIELD = 9, 10, 11, 12
+"""Columns of the row of a :class:`GnssFix`."""
+
+
 class Kind(IntEnum):
-    """What an event is. At one time they are taken in this order, the inertial sample last."""
+    """The kind of an event. At one time they are processed in this order, the inertial last."""
 
     RESTART = 0
-    """The autopilot's clock began anew, or was set. Row: 1 if all else goes on, or 0."""
+    """The autopilot's clock restarted, or was set. Row: 1 if all else continues, or 0."""
     GNSS = 1
     HEADING = 2
     MAG = 3
@@ -39,18 +46,18 @@ class Kind(IntEnum):
 
 
 class HeadingSource(IntEnum):
-    """Where a heading came from; of several that speak, the lower number is used."""
+    """The source of a heading; of several that are present, the lowest number is used."""
 
     GNSS = 0
     """Dual-antenna receiver."""
     MAGNETOMETER = 1
-    """Compass of its own, already turned into a heading by its maker (not ``Kind.MAG``)."""
+    """A compass that computes the heading itself (its field would be ``Kind.MAG``)."""
     AUTOPILOT = 2
-    """The autopilot's own estimate: not independent of the sensors that we also use."""
+    """The autopilot's own estimate: not independent of the sensors that are used here too."""
 
 
 class GnssFlag(IntFlag):
-    """What a receiver, or the decoder, says of a fix beside its numbers."""
+    """Flags that a receiver, or the decoder, attaches to a fix."""
 
     NONE = 0
     DERIVED = 1
@@ -70,16 +77,16 @@ _REST_OF_SAMPLE = (0.0,) * (WIDTH - 6)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Restart:
-    """The autopilot rebooted or its clock was set: all stamps from here on are of a new time."""
+    """The autopilot rebooted or its clock was set: all later stamps count on the new clock."""
 
     t_ns: int = 0
     """Not used."""
     goes_on: bool = False
-    """Only the clock was set: the next inertial sample follows the last. False: nothing from before
-    can be compared."""
+    """Only the clock was set: the next inertial sample follows the last. False: no earlier stamp
+    can be compared with a later one."""
 
     def row(self) -> Row:
-        """Give [goes on]."""
+        """Return the row [goes on]."""
         return _row(self.t_ns, Kind.RESTART, float(self.goes_on))
 
 
@@ -101,7 +108,7 @@ class ImuSample(NamedTuple):
     """m/s^2, down: about -9.81 at rest and level."""
 
     def row(self) -> Row:
-        """Give [gyro x y z, accel x y z]."""
+        """Return the row [gyro x y z, accel x y z]."""
         return self.t_ns, _IMU, self[1:] + _REST_OF_SAMPLE
 
 
@@ -137,24 +144,12 @@ class GnssFix:
     """Strength of the magnetic field here, gauss; None: not known."""
 
     def row(self) -> Row:
-        """Give [lat, lon, alt, vel n e d, std h v vel, declination, flags, inclination, field]."""
-        return _row(
-            self.t_ns,
-            Kind.GNSS,
-            self.lat,
-            self.lon,
-            self.alt,
-            self.vel_north,
-            self.vel_east,
-            self.vel_down,
-            self.std_h,
-            self.std_v,
-            self.std_vel,
-            self.declination,
-            float(self.flags),
-            self.inclination,
-            self.field,
-        )
+        """Return [lat lon alt, vel n e d, std h v vel, declination, flags, inclination, field]."""
+        position = (self.lat, self.lon, self.alt)
+        velocity = (self.vel_north, self.vel_east, self.vel_down)
+        stds = (self.std_h, self.std_v, self.std_vel)
+        field = (self.declination, float(self.flags), self.inclination, self.field)
+        return _row(self.t_ns, Kind.GNSS, *position, *velocity, *stds, *field)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,7 +164,7 @@ class HeadingSample:
     source: HeadingSource
 
     def row(self) -> Row:
-        """Give [heading, std, source]."""
+        """Return the row [heading, std, source]."""
         return _row(self.t_ns, Kind.HEADING, self.heading, self.std, float(self.source))
 
 
@@ -186,26 +181,26 @@ class MagSample:
     """gauss, down."""
 
     def row(self) -> Row:
-        """Give [mag x y z]."""
+        """Return the row [mag x y z]."""
         return _row(self.t_ns, Kind.MAG, self.mag_x, self.mag_y, self.mag_z)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaroSample:
-    """Pressure altitude: differences count, the zero is unknown."""
+    """Pressure altitude: its differences count, its zero is unknown."""
 
     t_ns: int
     alt: float
     """Altitude of the standard atmosphere at this pressure, m, up."""
 
     def row(self) -> Row:
-        """Give [alt]."""
+        """Return the row [alt]."""
         return _row(self.t_ns, Kind.BARO, self.alt)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
-    """What the autopilot says of itself, as a veto for what only holds at rest."""
+    """Armed and landed, as the autopilot reports them: a veto for what only holds at rest."""
 
     t_ns: int
     is_armed: bool
@@ -213,13 +208,9 @@ class VehicleState:
     """None: not known."""
 
     def row(self) -> Row:
-        """Give [armed, landed]; landed is NaN where not known."""
-        return _row(
-            self.t_ns,
-            Kind.VEHICLE,
-            float(self.is_armed),
-            None if self.is_landed is None else float(self.is_landed),
-        )
+        """Return the row [armed, landed]; landed is NaN where not known."""
+        landed = None if self.is_landed is None else float(self.is_landed)
+        return _row(self.t_ns, Kind.VEHICLE, float(self.is_armed), landed)
 
 
 Measurement = Restart | ImuSample | GnssFix | HeadingSample | MagSample | BaroSample | VehicleState
@@ -229,20 +220,19 @@ Measurement = Restart | ImuSample | GnssFix | HeadingSample | MagSample | BaroSa
 class Events:
     """A table of events in the order of their arrival."""
 
-    t_ns: npt.NDArray[np.int64]
+    t_ns: Stamps
     """Stamps, shape (n,)."""
-    kind: npt.NDArray[np.int64]
+    kind: Indices
     """``Kind``, shape (n,)."""
-    values: npt.NDArray[np.float64]
-    """Rows as the measurements' ``row()`` lays them, shape (n, WIDTH)."""
+    values: Array
+    """Rows in the layout of the measurements' ``row()``, shape (n, WIDTH)."""
 
     def __len__(self) -> int:
-        """Give the number of events."""
         return len(self.t_ns)
 
     @classmethod
     def from_rows(cls, rows: list[Row]) -> Events:
-        """Collect rows, in their order."""
+        """Collect rows in their order."""
         return cls(
             t_ns=np.array([row[0] for row in rows], dtype=np.int64),
             kind=np.array([row[1] for row in rows], dtype=np.int64),
@@ -250,10 +240,8 @@ class Events:
         )
 
     @classmethod
-    def from_columns(
-        cls, t_ns: npt.NDArray[np.int64], kind: Kind, *columns: npt.ArrayLike
-    ) -> Events:
-        """Lay the columns of one kind side by side, in the order that its ``row()`` has."""
+    def from_columns(cls, t_ns: Stamps, kind: Kind, *columns: npt.ArrayLike) -> Events:
+        """Build events of one kind from columns in the order of its ``row()``."""
         values = np.zeros((len(t_ns), WIDTH))
         for index, column in enumerate(columns):
             values[:, index] = column
@@ -263,12 +251,12 @@ class Events:
             values=values,
         )
 
-    def take(self, index: npt.NDArray[np.integer] | npt.NDArray[np.bool_]) -> Events:
-        """Give the events of an index or a mask, in its order."""
+    def take(self, index: npt.NDArray[np.integer] | Mask) -> Events:
+        """Return the events of an index or a mask, in its order."""
         return Events(t_ns=self.t_ns[index], kind=self.kind[index], values=self.values[index])
 
 
-def merge(*tables: Events, arrival_ns: list[npt.NDArray[np.int64]] | None = None) -> Events:
+def merge(*tables: Events, arrival_ns: list[Stamps] | None = None) -> Events:
     """Merge tables into one by arrival; without arrival times, by stamp. Ties keep their order."""
     joined = Events(
         t_ns=np.concatenate([table.t_ns for table in tables]),

@@ -1,16 +1,15 @@
-"""What is estimated: one row per inertial sample, and its parts as an object."""
+"""What is estimated: one row per inertial sample, a trajectory, an odometry message."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array, Stamps
 
 
 class Status(IntEnum):
@@ -25,23 +24,24 @@ class Status(IntEnum):
     OK = 3
     """Everything is estimated and aided."""
     DEGRADED = 4
-    """Estimated, but one of position, velocity, height or heading goes without its aid, or the
-    attitude is being found anew after a gap and not known to 10 degrees (one sigma) yet."""
+    """Estimated, but position, velocity, height or heading lacks its aid, or the attitude is being
+    found again after a gap and its sigma is still above 10 degrees."""
     DEAD_RECKONING = 5
     """No position or velocity aid for a second or more: the error grows."""
     INVALID = 6
-    """The error has passed its limit: not to be used."""
+    """The error has passed its limit: do not use the estimate."""
 
 
-COLUMNS = [
-    *("time_us", "lat_deg", "lon_deg", "alt_m"),
-    *("pos_n", "pos_e", "pos_d", "vel_n", "vel_e", "vel_d"),
-    *("q_w", "q_x", "q_y", "q_z", "roll", "pitch", "yaw"),
-    *("gyro_bias_x", "gyro_bias_y", "gyro_bias_z"),
-    *("accel_bias_x", "accel_bias_y", "accel_bias_z"),
-    *("sd_pos_n", "sd_pos_e", "sd_pos_d", "sd_vel_n", "sd_vel_e", "sd_vel_d"),
-    *("sd_roll", "sd_pitch", "sd_yaw", "status", "reset_count"),
-]
+GEODETIC = ("lat_deg", "lon_deg", "alt_m")
+POSITION = ("pos_n", "pos_e", "pos_d")
+VELOCITY = ("vel_n", "vel_e", "vel_d")
+QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+EULER = ("roll", "pitch", "yaw")
+GYRO_BIAS = ("gyro_bias_x", "gyro_bias_y", "gyro_bias_z")
+ACCEL_BIAS = ("accel_bias_x", "accel_bias_y", "accel_bias_z")
+MOTION = (*GEODETIC, *POSITION, *VELOCITY, *QUATERNION, *EULER)
+SIGMA = tuple(f"sd_{name}" for name in (*POSITION, *VELOCITY, *EULER))
+COLUMNS = ["time_us", *MOTION, *GYRO_BIAS, *ACCEL_BIAS, *SIGMA, "status", "reset_count"]
 """Names of an estimate's numbers, in the order of a CSV row."""
 
 
@@ -49,22 +49,25 @@ COLUMNS = [
 class Table:
     """Estimates, one per inertial sample."""
 
-    stamp_ns: npt.NDArray[np.int64]
+    stamp_ns: Stamps
     """The samples' own stamps, shape (n,)."""
     values: Array
     """``COLUMNS`` without the time, shape (n, 33); NaN: not known."""
 
     def __len__(self) -> int:
-        """Give the number of estimates."""
         return len(self.stamp_ns)
 
     def column(self, name: str) -> Array:
-        """Give one column by its name in ``COLUMNS``."""
+        """Return one column by its name in ``COLUMNS``."""
         return self.values[:, COLUMNS.index(name) - 1]
+
+    def columns(self, names: Sequence[str]) -> Array:
+        """Return several columns by name, shape (n, k)."""
+        return np.stack([self.column(name) for name in names], axis=-1)
 
 
 def join(tables: Sequence[Table]) -> Table:
-    """Give tables as one, in their order; at least one."""
+    """Join one or more tables in their order."""
     return Table(
         stamp_ns=np.concatenate([table.stamp_ns for table in tables]),
         values=np.concatenate([table.values for table in tables]),
@@ -73,34 +76,34 @@ def join(tables: Sequence[Table]) -> Table:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Trajectory:
-    """A motion sampled in time: a truth, or another estimator's answer.
+    """A motion sampled in time: a truth, or an estimate.
 
     Position, velocity and attitude have stamps of their own, ascending, on the autopilot's clock;
     a series that the source lacks is empty.
     """
 
     name: str
-    """Where it is from, in words: ``EKF2 (vehicle_local_position)``."""
-    pos_t_ns: npt.NDArray[np.int64]
+    """Its source, in words: ``EKF2 (vehicle_local_position)``."""
+    pos_t_ns: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     """Shape (n,)."""
-    lat: Array
+    lat: Array = field(default_factory=lambda: np.zeros(0))
     """rad, shape (n,)."""
-    lon: Array
+    lon: Array = field(default_factory=lambda: np.zeros(0))
     """rad, shape (n,)."""
-    alt: Array
+    alt: Array = field(default_factory=lambda: np.zeros(0))
     """Above mean sea level, m, shape (n,); NaN where not known."""
-    vel_t_ns: npt.NDArray[np.int64]
+    vel_t_ns: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     """Shape (m,)."""
-    vel_n: Array
+    vel_n: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """North, east, down, m/s, shape (m, 3); NaN where not known."""
-    att_t_ns: npt.NDArray[np.int64]
+    att_t_ns: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     """Shape (k,)."""
-    q_nb: Array
+    q_nb: Array = field(default_factory=lambda: np.zeros((0, 4)))
     """Shape (k, 4)."""
 
 
 class Odometry(NamedTuple):
-    """One estimate to be told."""
+    """The numbers of one ODOMETRY message."""
 
     t_ns: int
     """Time of validity, autopilot clock, ns."""

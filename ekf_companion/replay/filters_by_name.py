@@ -1,9 +1,10 @@
-"""The filters by name: our own estimator and its rivals, over the same recording."""
+"""The filters by name: our own estimator and those of the articles, over the same recording."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,15 +20,17 @@ from ekf_companion.filters import (
     ahrs,
     ahrs_article,
     euler,
+    euler_article,
     iterated,
     mahony,
     ukf,
     vqf_adapter,
     zupt,
 )
-from ekf_companion.filters.detector import Detector
+from ekf_companion.filters.sequence import MeasurementSequence
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
-from ekf_companion.logs.recording import Recording, one_course
+from ekf_companion.filters.zupt_detector import Detector
+from ekf_companion.logs.recording import Recording, longest_clock_run
 from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.state import Status, join
 
@@ -38,24 +41,21 @@ BLOCKS = [first + axis for first in (E_ATT, E_VEL, E_POS) for axis in range(3)]
 """Where the estimator's covariance holds what a solution keeps of it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Filter:
-    """One that can be chosen."""
+class Filter(NamedTuple):
+    """A filter that can be selected."""
 
     run: Run
-    options: tuple[str, ...]
-    """What may stand behind the colon; the first is the default."""
-    says: str
-    """What it is, in a line."""
+    options: tuple[str, ...] = ()
+    """Options after the colon; the first is the default."""
 
 
 def run_filter(
     recording: Recording, name: str = "eskf", settings: FilterSettings | None = None
 ) -> Solution:
-    """Take a filter through a recording.
+    """Run a filter over a recording.
 
     Args:
-        recording: As ``open_log`` gives it.
+        recording: From ``open_log``.
         name: ``NAME`` or ``NAME:OPTION`` of :data:`FILTERS`.
         settings: The estimator's, or a whole configuration; None: the defaults.
 
@@ -64,8 +64,8 @@ def run_filter(
         LogError: The recording lacks what the filter needs.
     """
     label, option = choose(name)
-    # A filter knows one course of time only
-    events, notes = one_course(recording.events)
+    # A filter cannot follow a clock that restarts
+    events, notes = longest_clock_run(recording.events)
     recording = replace(recording, events=events)
     run = FILTERS[label.partition(":")[0]].run
     found = run(recording, settings or FilterSettings(), option)
@@ -73,10 +73,10 @@ def run_filter(
 
 
 def choose(name: str) -> tuple[str, str]:
-    """Give the name to print and the option of ``NAME`` or ``NAME:OPTION``.
+    """Return the name to print and the option of ``NAME`` or ``NAME:OPTION``.
 
     Raises:
-        ConfigError: There is none of that name.
+        ConfigError: There is no filter, or no option, of that name.
     """
     known, colon, option = name.strip().partition(":")
     if known not in FILTERS:
@@ -88,9 +88,8 @@ def choose(name: str) -> tuple[str, str]:
     return name.strip(), option or (options[0] if options else "")
 
 
-def _eskf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    """Take the daemon's own pipeline through it, in pieces, to look at the covariance."""
-    del option
+def _eskf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
+    """Run the daemon's own pipeline in pieces, to record the covariance."""
     pipeline = Pipeline(settings, recording.family, recording.gnss_delay)
     events = recording.events
     if not len(events):
@@ -121,10 +120,8 @@ def _eskf(recording: Recording, settings: FilterSettings, option: str) -> Soluti
 
 
 def _euler(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    return euler.run(
-        *(recording.events, settings, recording.family, recording.gnss_delay),
-        preset="article" if option == "article" else "corrected",
-    )
+    run = euler_article.run if option == "article" else euler.run
+    return run(_sequence(recording, settings))
 
 
 def _zupt(recording: Recording, settings: FilterSettings, option: str) -> Solution:
@@ -134,15 +131,14 @@ def _zupt(recording: Recording, settings: FilterSettings, option: str) -> Soluti
 
 def _iterated(recording: Recording, settings: FilterSettings, option: str) -> Solution:
     return iterated.run(
-        *(recording.events, settings, recording.family, recording.gnss_delay),
+        _sequence(recording, settings),
         frame="robocentric" if option == "robocentric" else "global",
         gravity="sphere" if option == "sphere" else "known",
     )
 
 
-def _ukf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    del option
-    return ukf.run(recording.events, settings, recording.family, recording.gnss_delay)
+def _ukf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
+    return ukf.run(_sequence(recording, settings))
 
 
 def _ahrs(recording: Recording, settings: FilterSettings, option: str) -> Solution:
@@ -153,18 +149,20 @@ def _ahrs(recording: Recording, settings: FilterSettings, option: str) -> Soluti
     return ahrs_article.run(events, preset, gap=settings.imu.gap_reset)
 
 
-def _mahony(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    del option
+def _mahony(recording: Recording, settings: FilterSettings, _: str) -> Solution:
     return mahony.run(_completed(recording, settings), gap=settings.imu.gap_reset)
 
 
-def _vqf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    del option
+def _vqf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
     return vqf_adapter.run(_completed(recording, settings), gap=settings.imu.gap_reset)
 
 
+def _sequence(recording: Recording, settings: FilterSettings) -> MeasurementSequence:
+    return MeasurementSequence(recording.events, settings, recording.family, recording.gnss_delay)
+
+
 def _completed(recording: Recording, settings: FilterSettings) -> Events:
-    """Give the events when they were true, with the declination, without the vehicle's own iron."""
+    """Return the events at their true times, with declination and corrected for iron."""
     events = recording.events
     late_ns = delays_ns(settings, recording.family, recording.gnss_delay)
     values = Field(settings.heading).complete_all(events)
@@ -172,29 +170,13 @@ def _completed(recording: Recording, settings: FilterSettings) -> Events:
 
 
 FILTERS: Mapping[str, Filter] = {
-    "eskf": Filter(run=_eskf, options=(), says="our own estimator, as it flies"),
-    "euler": Filter(
-        run=_euler,
-        options=("corrected", "article"),
-        says="the seed article's direct filter of Euler angles; as published, with its slips",
-    ),
-    "iterated": Filter(
-        run=_iterated,
-        options=("global", "robocentric", "sphere"),
-        says="iterated error-state filter of LINS and FAST-LIO",
-    ),
-    "ukf": Filter(run=_ukf, options=(), says="unscented filter on the manifold"),
-    "zupt": Filter(
-        run=_zupt,
-        options=tuple(one.value for one in Detector),
-        says="inertial navigation of a foot or a wheel, held by its own rests",
-    ),
-    "ahrs": Filter(
-        run=_ahrs,
-        options=("error-state", "corrected", "article"),
-        says="attitude alone: our own; the article's, corrected or with its slips",
-    ),
-    "mahony": Filter(run=_mahony, options=(), says="attitude alone: complementary, on SO(3)"),
-    "vqf": Filter(run=_vqf, options=(), says="attitude alone: the published package (extra: vqf)"),
+    "eskf": Filter(_eskf),
+    "euler": Filter(_euler, ("corrected", "article")),
+    "iterated": Filter(_iterated, ("global", "robocentric", "sphere")),
+    "ukf": Filter(_ukf),
+    "zupt": Filter(_zupt, tuple(one.value for one in Detector)),
+    "ahrs": Filter(_ahrs, ("error-state", "corrected", "article")),
+    "mahony": Filter(_mahony),
+    "vqf": Filter(_vqf),
 }
-"""What ``--filters`` and :func:`run_filter` know."""
+"""The names of ``--filters`` and :func:`run_filter`; docs/FILTERS.md describes each."""

@@ -1,20 +1,18 @@
-"""The pipeline over a recording and back: estimates that also know what came later.
+"""Smoothing of a recording: estimates that also use later measurements.
 
-The events are run through the pipeline as they came. What leaves its window is in order of time and
-final; it is put aside in stretches of a few seconds, each with the filter's state at its start.
-Then the stretches are gone through from the last to the first: forward once more from that state,
-with a tape, and back over the tape. So memory holds one tape, however long the recording; rows and
-results are put aside in temporary files where they are many.
+The events are run through the pipeline in order of arrival. What leaves its window is final and in
+order of time; it is stored in stretches of a few seconds, each with the filter's state at its
+start. Then the stretches are processed from the last to the first: forward once more from that
+state, with a tape, and back over the tape. So memory holds one tape, however long the recording;
+many rows and results are stored in temporary files.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from types import TracebackType
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.from_settings import delays_ns, parameters
 from ekf_companion.core.rts import Smoother
@@ -23,38 +21,34 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.core.state import BLOCK
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.spool import IN_MEMORY, Spool
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Table, join
 
-Array = npt.NDArray[np.float64]
-
 _EVENT = np.dtype(Event)
 STRETCH = 512
-"""Rows between two states that are kept: 4 kB of state for 60 kB of rows, a tape of 10 MB."""
+"""Rows of a stretch: 4 kB of state for 60 kB of rows, a tape of 10 MB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Stretch:
-    """Some seconds of events in order of time, the last an inertial sample."""
+    """A few seconds of events in order of time, the last an inertial sample."""
 
     clock: int
-    """Which run of the autopilot's clock: stretches of two do not follow each other."""
+    """Number of the clock run: stretches of two runs do not follow each other."""
     epoch: int
     """Added to the rows' times, ns."""
     block: Array
-    """The filter's state before them, shape (BLOCK,)."""
+    """The filter's state before the rows, shape (BLOCK,)."""
     first: int
-    """Of the rows put aside."""
+    """Index of its first row among those stored."""
     count: int
     samples: int
-    """Inertial ones among them."""
+    """Number of inertial samples among them."""
 
 
 class Smoothing:
-    """Estimator of a recorded flight, in two runs: :meth:`run` all of it, then ask for the tables.
-
-    As precise as the whole recording allows; what the live estimator says is in :meth:`run`.
-    """
+    """Estimator of a recorded flight: :meth:`run` all of it, then read :meth:`tables`."""
 
     def __init__(
         self,
@@ -64,13 +58,9 @@ class Smoothing:
         *,
         in_memory: int = IN_MEMORY,
     ) -> None:
-        """Begin with nothing known.
+        """Start without events; settings as for :class:`ekf_companion.engine.pipeline.Pipeline`.
 
-        Args:
-            settings: The estimator's settings.
-            family: As for :class:`ekf_companion.engine.pipeline.Pipeline`.
-            gnss_delay: Likewise.
-            in_memory: Bytes of rows, and of results, beyond which a temporary file takes them.
+        Beyond ``in_memory`` bytes of rows, and of results, a temporary file holds them.
         """
         self.pipeline = Pipeline(settings, family, gnss_delay, keeps_history=True)
         self._smoother = Smoother(parameters(settings, family))
@@ -84,39 +74,30 @@ class Smoothing:
         self._block: Array = np.zeros(BLOCK)
 
     def __enter__(self) -> Smoothing:
-        """Give the estimator."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Forget what was put aside."""
-        self._rows.__exit__(kind, error, trace)
-        self._results.__exit__(kind, error, trace)
+    def __exit__(self, *_: object) -> None:
+        """Delete the rows and results stored."""
+        self._rows.__exit__()
+        self._results.__exit__()
 
     def run(self, events: Events) -> Table:
-        """Take events in the order of their arrival, and give the live estimates of them."""
+        """Process events in order of arrival, and return the live estimates."""
         table = self.pipeline.run(events)
-        self._put_aside(is_over=False)
+        self._store(is_over=False)
         return table
 
     def tables(self, progress: Callable[[int, int], None] | None = None) -> Iterator[Table]:
-        """Give the smoothed estimates, a row per inertial sample, in order of time; once.
+        """Yield the smoothed estimates, a row per inertial sample, in order of time; once.
 
-        Rows are as the pipeline's: a row before the alignment knows nothing here either. The status
-        is that of the live filter: a stretch without GNSS is called dead reckoning, though it is
-        known from both its ends here. One sigma is that of the smoothed estimate.
-
-        Args:
-            progress: Told how many rows are done, of how many.
+        Rows before the alignment are NaN as the live filter's. The status is the live filter's: a
+        stretch without GNSS is dead reckoning, though both its ends are known here. The sigmas are
+        those of the smoothed estimate. ``progress`` is called with the rows done, and of all.
 
         Raises:
             LogError: There is no room for the temporary file.
         """
-        self._put_aside(is_over=True)
+        self._store(is_over=True)
         later: Array | None = None
         after: _Stretch | None = None
         for stretch in reversed(self._stretches):
@@ -124,7 +105,7 @@ class Smoothing:
             rows = self._rows.read(stretch.first, stretch.count)
             blocks = self._smoother.smooth(stretch.block, rows, None if is_last else later)
             later, after = blocks[0], stretch
-            self._keep(stretch, rows, blocks[1:])
+            self._store_results(stretch, rows, blocks[1:])
             if progress is not None:
                 progress(len(self._rows) - stretch.first, len(self._rows))
         end = len(self._results)
@@ -134,16 +115,16 @@ class Smoothing:
             stamps = results[:, 0].copy().view(np.int64)
             yield Table(stamp_ns=stamps, values=np.ascontiguousarray(results[:, 1:]))
 
-    def _keep(self, stretch: _Stretch, rows: Array, blocks: Array) -> None:
-        """Put the estimates of a stretch aside, each behind the bits of its stamp."""
+    def _store_results(self, stretch: _Stretch, rows: Array, blocks: Array) -> None:
+        """Store the estimates of a stretch, each after the bits of its stamp."""
         events = rows.view(_EVENT)[:, 0]
         t = events["t"][events["kind"] == Kind.IMU].astype(np.int64)
         stamps = t + stretch.epoch + self._lag_ns
         results = np.column_stack([stamps.view(np.float64), self._smoother.describe(blocks)])
         self._results.append(results)
 
-    def _put_aside(self, is_over: bool) -> None:
-        """Put aside the rows that can change no more, in stretches that end with a sample."""
+    def _store(self, is_over: bool) -> None:
+        """Store the rows that are final, in stretches that end with a sample."""
         for clock, epoch, start, rows in self.pipeline.history(is_over):
             if clock != self._clock:
                 self._cut(is_over=True)
@@ -155,7 +136,7 @@ class Smoothing:
             self._cut(is_over=True)
 
     def _cut(self, is_over: bool) -> None:
-        """Cut the rows that wait into stretches; those at the end wait on unless it is over."""
+        """Cut the waiting rows into stretches; the last ones wait on unless all are there."""
         if not self._waiting:
             return
         rows = np.concatenate(self._waiting)
@@ -192,13 +173,9 @@ def smooth(
     family: str = "unknown",
     gnss_delay: float | None = None,
 ) -> Table:
-    """Give the smoothed estimates of a whole recording, one per inertial sample.
+    """Return the smoothed estimates of a whole recording, one per inertial sample.
 
-    Args:
-        events: In the order of their arrival.
-        settings: As for :class:`Smoothing`.
-        family: Likewise.
-        gnss_delay: Likewise.
+    The events are in order of arrival, the other arguments as for :class:`Smoothing`.
     """
     with Smoothing(settings, family, gnss_delay) as smoothing:
         smoothing.run(events)

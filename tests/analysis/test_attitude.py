@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from ekf_companion.analysis import attitude
-from ekf_companion.filters import readings, vqf_adapter
-from ekf_companion.filters.readings import Readings
+from ekf_companion.filters import vqf_adapter
+from ekf_companion.filters.marg import MargSamples
+from ekf_companion.filters.solution import AttitudeEstimates, attitude_solution
 from ekf_companion.logs.recording import Counted
 from ekf_companion.nav import so3
 from ekf_companion.nav.state import Trajectory
@@ -14,7 +15,7 @@ STEP_NS = 10_000_000
 
 def table(q_nb, t_ns):
     nothing = np.zeros((len(t_ns), 3))
-    taken = Readings(
+    samples = MargSamples(
         t_ns=t_ns,
         gyro_b=nothing,
         accel_b=nothing,
@@ -22,22 +23,11 @@ def table(q_nb, t_ns):
         declination=0.0,
         notes=(),
     )
-    return readings.solution("made", taken, q_nb).table
+    return attitude_solution("made", samples, AttitudeEstimates(q_nb=q_nb)).table
 
 
 def truth(q_nb, t_ns):
-    none = np.zeros(0)
-    return Trajectory(
-        name="made",
-        pos_t_ns=np.zeros(0, dtype=np.int64),
-        lat=none,
-        lon=none,
-        alt=none,
-        vel_t_ns=np.zeros(0, dtype=np.int64),
-        vel_n=np.zeros((0, 3)),
-        att_t_ns=t_ns,
-        q_nb=q_nb,
-    )
+    return Trajectory(name="made", att_t_ns=t_ns, q_nb=q_nb)
 
 
 def turning(t_ns):

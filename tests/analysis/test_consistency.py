@@ -33,7 +33,7 @@ FLIGHT = Trajectory(
 
 
 def drawn(told: float = 1.0, seed: int = 1) -> Solution:
-    """Give estimates off the truth by errors of a covariance, of which a share is told."""
+    """Return estimates off the truth by errors of a covariance, of which a share is told."""
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(9, 9)) * np.repeat([0.01, 0.1, 1.0], 3)[:, None]
     # Attitude errors are in n already: a filter's rotation into n is not what is tried here

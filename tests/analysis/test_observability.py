@@ -7,15 +7,20 @@ import pytest
 
 from benchmarks.accuracy.seed import draw_42, settings, truth
 from benchmarks.accuracy.seed import events as events_of
-from ekf_companion.analysis.observability import STATES, analyse, prior, walked
+from ekf_companion.analysis.observability import STATES, analyse, prior, run
+from ekf_companion.analysis.observability_filter import (
+    STEP_NS,
+    Covariance,
+    ObservabilityFilter,
+    to_level_axes,
+)
 from ekf_companion.analysis.observability_motion import Motion
-from ekf_companion.analysis.observability_report import lines, to_dict, verdicts
-from ekf_companion.analysis.observability_walk import STEP_NS, Covariance, Walk, level
+from ekf_companion.analysis.observability_report import lines, summarise, to_dict
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError
-from ekf_companion.filters.course import Course
 from ekf_companion.filters.iterated import Iterated
-from ekf_companion.filters.strapdown import move
+from ekf_companion.filters.sequence import MeasurementSequence
+from ekf_companion.filters.strapdown import integrate_strapdown
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import STANDARD_GRAVITY, LocalFrame
 from ekf_companion.nav.measurements import Events, HeadingSource, Kind, merge
@@ -31,7 +36,7 @@ LEVEL_PAIRS = [("accelerometer x bias", "pitch"), ("accelerometer y bias", "roll
 
 
 def drive(seconds, *, yaw=lambda t: 0.0 * t, vel_n=lambda t: np.zeros((len(t), 3))):
-    """Give the events of a vehicle that stays level, without noise: yaw (rad), velocity (m/s)."""
+    """Return the events of a vehicle that stays level, without noise: yaw (rad), velocity (m/s)."""
     dt = 1.0 / RATE
     t = dt * np.arange(1, int(seconds * RATE) + 1)
     middle, h = t - 0.5 * dt, 1e-3
@@ -40,14 +45,14 @@ def drive(seconds, *, yaw=lambda t: 0.0 * t, vel_n=lambda t: np.zeros((len(t), 3
     rate = (yaw(t) - yaw(t - dt)) / dt
     fixes = t[9::10]
     pos_n = np.cumsum(vel_n(middle) * dt, axis=0)[9::10]
-    size = np.ones(len(fixes))
+    stds = np.outer([1.0, 1.5, 0.1, np.nan], np.ones(len(fixes)))
     return merge(
         Events.from_columns(
             stamps(fixes),
             Kind.GNSS,
             *FRAME.to_geodetic(pos_n),
             *vel_n(fixes).T,
-            *(size, 1.5 * size, 0.1 * size, np.nan * size),
+            *stds,
         ),
         Events.from_columns(
             stamps(t[4::5]),
@@ -67,12 +72,12 @@ def stamps(t):
 
 
 def found_in(events, **more):
-    course = Course(events, SETTINGS)
+    course = MeasurementSequence(events, SETTINGS)
     return analyse(course, course.setup(), SETTINGS, **more)
 
 
 def simulated(name, seconds, *, noise=1.0, yaw=True):
-    """Give a course along a flight of the simulator, its receiver without delay."""
+    """Return a course along a flight of the simulator, its receiver without delay."""
     nominal = ImuConfig()
     names = [key for key in ImuConfig.__dataclass_fields__ if "noise" in key or "bias" in key]
     imu = {key: noise * getattr(nominal, key) for key in names if not key.endswith("time")}
@@ -83,11 +88,11 @@ def simulated(name, seconds, *, noise=1.0, yaw=True):
         ),
     )
     flight = Flight.plan(name, config, seed=3, duration=seconds)
-    return Course(wire.events(flight, has_vel_down=True), SETTINGS)
+    return MeasurementSequence(wire.events(flight, has_vel_down=True), SETTINGS)
 
 
 def said(found):
-    return {one.state: one for one in verdicts(found)}
+    return {one.state: one for one in summarise(found)}
 
 
 def ramp(t, begin, seconds):
@@ -149,7 +154,7 @@ def test_a_turn_of_90_degrees_shows_them_and_is_named(standing):
 
 
 def circles(begin):
-    """Give yaw and velocity of a turn of 18 deg/s, with the nose along the way."""
+    """Return yaw and velocity of a turn of 18 deg/s, with the nose along the way."""
 
     def yaw(t):
         s = np.maximum(t - begin, 0.0)
@@ -206,28 +211,28 @@ def test_the_gramian_is_that_of_differences_through_the_motion(name):
     setup = course.setup()
     steps = list(course.steps(setup.start.t_ns))
     # Where the flight moves, from the filter's state on
-    walk = Walk(setup, prior(setup, SETTINGS))
+    tried = ObservabilityFilter(setup, prior(setup, SETTINGS))
     begin_ns = None
     for step in steps:
         if step.over is not None:
-            walk.predict(step.over)
+            tried.predict(step.over)
         for aid in step.aids:
-            walk.correct(step.t_ns, aid)
+            tried.correct(step.t_ns, aid)
         if step.is_sample:
-            walk.close(step.t_ns)
-            if len(walk.cells) == 24 and begin_ns is None:
-                begin_ns, state = step.t_ns, walk._state
-    cells = walk.cells[24:34]
-    W = cells[-1].W
-    for one in reversed(cells[:-1]):
+            tried.end_sample(step.t_ns)
+            if len(tried.steps) == 24 and begin_ns is None:
+                begin_ns, state = step.t_ns, tried._state
+    ends = tried.steps[24:34]
+    W = ends[-1].W
+    for one in reversed(ends[:-1]):
         W = one.W + one.Phi.T @ W @ one.Phi
 
     def residuals(x):
         rows = []
         for step in steps:
-            if begin_ns < step.t_ns <= cells[-1].t_ns:
+            if begin_ns < step.t_ns <= ends[-1].t_ns:
                 if step.over is not None:
-                    x = move(x, step.over, setup.earth)
+                    x = integrate_strapdown(x, step.over, setup.earth)
                 for aid in step.aids:
                     rows.append(aid.innovation(x) / np.sqrt(np.diagonal(aid.covariance())))
         return np.concatenate(rows)
@@ -261,7 +266,7 @@ def test_the_covariance_is_that_of_the_filter():
         if step.over is not None:
             tried.predict(step.over)
         tried.correct(step.t_ns, step.aids)
-    T = level(tried.state)
+    T = to_level_axes(tried.state)
     sigma = np.sqrt(np.diagonal(T @ tried.P @ T.T))
     # An update that iterates, or takes aids together, linearises a little elsewhere
     assert found.sigma[-1] * found.unit == pytest.approx(sigma, rel=0.02)
@@ -272,11 +277,11 @@ def test_biases_that_count_as_observable_are_known_that_well():
     for seed in (1, 2):
         config = SimConfig(imu=ImuConfig(rate=RATE), gnss=GnssConfig(delay=0.0, yaw=True))
         flight = Flight.plan("loiter", config, seed=seed, duration=30.0)
-        course = Course(wire.events(flight, has_vel_down=True), SETTINGS)
+        course = MeasurementSequence(wire.events(flight, has_vel_down=True), SETTINGS)
         setup = course.setup()
-        walk = walked(course, Walk(setup, prior(setup, SETTINGS)))
-        off = walk._state.accel_bias - flight.imu.accel_bias_b[-1]
-        errors += list(off / np.sqrt(np.diagonal(walk.cells[-1].P)[12:]))
+        tried = run(course, ObservabilityFilter(setup, prior(setup, SETTINGS)))
+        off = tried._state.accel_bias - flight.imu.accel_bias_b[-1]
+        errors += list(off / np.sqrt(np.diagonal(tried.steps[-1].P)[12:]))
     assert np.abs(errors).max() < 3.5
     assert np.sqrt(np.mean(np.square(errors))) > 0.1
 
@@ -284,9 +289,9 @@ def test_biases_that_count_as_observable_are_known_that_well():
 def test_a_start_in_a_manoeuvre_that_the_gate_would_not_survive_is_told_and_survived():
     config = SimConfig(imu=ImuConfig(rate=RATE))
     flight = Flight.plan("figure-eight", config, seed=1, duration=20.0, skip=20.0)
-    course = Course(wire.events(flight, has_vel_down=True), SETTINGS, "px4")
+    course = MeasurementSequence(wire.events(flight, has_vel_down=True), SETTINGS, "px4")
     setup = course.setup()
-    assert walked(course, Walk(setup, prior(setup, SETTINGS))).is_lost
+    assert run(course, ObservabilityFilter(setup, prior(setup, SETTINGS))).is_lost
     found = analyse(course, course.setup(), SETTINGS)
     assert "with its gate the filter loses its way here: nothing is refused" in found.notes
     t_ns = int(course.t_ns[0]) + np.rint(found.motion.t * 1e9).astype(np.int64)
@@ -351,7 +356,7 @@ def test_a_recording_without_a_whole_window_is_told_so():
 
 @pytest.mark.skipif(not (DATA / "seed-basicekf-sim").is_dir(), reason="no recorded flights")
 def test_the_seeds_flight_shows_its_level_accelerometer_biases_in_its_second_turn():
-    course = Course(events_of(truth(DATA), draw_42(DATA)), settings())
+    course = MeasurementSequence(events_of(truth(DATA), draw_42(DATA)), settings())
     found = analyse(course, course.setup(), settings())
     for name in ("accelerometer x bias", "accelerometer y bias"):
         # It turns from 47 s on, and again from 109 s on

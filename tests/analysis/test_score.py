@@ -3,7 +3,7 @@ import sys
 import numpy as np
 import pytest
 
-from ekf_companion.analysis import figure, score
+from ekf_companion.analysis import score, trajectory_figure
 from ekf_companion.errors import CompanionError, LogError
 from ekf_companion.logs import tlog, tlog_trajectory
 from ekf_companion.nav import so3
@@ -181,14 +181,14 @@ def test_scores_stand_beside_each_other_and_go_into_json():
 
 def test_a_figure_is_drawn(tmp_path):
     path = tmp_path / "figure.png"
-    figure.plot(path, [circle(late=0.3), circle(10.0)], "a circle")
+    trajectory_figure.plot(path, [circle(late=0.3), circle(10.0)], "a circle")
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
 def test_without_matplotlib_the_remedy_is_said(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(CompanionError, match="install ekf-companion with the extra: plot"):
-        figure.plot(tmp_path / "figure.png", [circle()])
+        trajectory_figure.plot(tmp_path / "figure.png", [circle()])
 
 
 @pytest.mark.parametrize(

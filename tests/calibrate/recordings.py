@@ -19,7 +19,7 @@ def fly(
     compass: CompassConfig | None = None,
     seed: int = 1,
 ) -> Recording:
-    """Give a flight, its fixes with vertical velocity."""
+    """Return a flight, its fixes with vertical velocity."""
     config = SimConfig(
         imu=imu or ImuConfig(rate=50.0),
         gnss=gnss or GnssConfig(),

@@ -17,7 +17,7 @@ def command(*arguments):
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
-    """Give logs of a flight and of a vehicle that stands."""
+    """Return logs of a flight and of a vehicle that stands."""
     logs = {}
     for name, seconds in (("figure-eight", "45"), ("static", "40"), ("hover", "12")):
         logs[name] = tmp_path_factory.mktemp("flown") / f"{name}.tlog"

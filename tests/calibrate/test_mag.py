@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from ekf_companion.calibrate import ellipsoid, mag, mag_report
-from ekf_companion.calibrate.report import lines
+from ekf_companion.calibrate import ellipsoid, mag, mag_result
+from ekf_companion.calibrate.result import lines
 from ekf_companion.config.config import Config, _Loader, parse_config
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
@@ -21,7 +21,7 @@ SETTINGS = FilterSettings()
 
 
 def tumbled(count=3000, noise=0.005, seed=1):
-    """Give a field of constant strength from all directions, shape (n, 3), gauss."""
+    """Return a field of constant strength from all directions, shape (n, 3), gauss."""
     rng = np.random.default_rng(seed)
     ways = rng.standard_normal((count, 3))
     ways *= FIELD / np.linalg.norm(ways, axis=1, keepdims=True)
@@ -29,7 +29,7 @@ def tumbled(count=3000, noise=0.005, seed=1):
 
 
 def turned(dip=1.1, count=1500, noise=0.005, seed=1):
-    """Give what a level vehicle sees that turns about its down axis."""
+    """Return what a level vehicle sees that turns about its down axis."""
     rng = np.random.default_rng(seed)
     angle = np.linspace(0.0, 4.0 * np.pi, count)
     flat = FIELD * np.cos(dip)
@@ -38,7 +38,7 @@ def turned(dip=1.1, count=1500, noise=0.005, seed=1):
 
 
 def spoilt(field_b, hard=HARD, soft=SOFT):
-    """Give what a magnetometer says whose numbers the correction brings back to the field."""
+    """Return what a magnetometer says whose numbers the correction brings back to the field."""
     return field_b @ np.linalg.inv(soft).T + hard
 
 
@@ -103,10 +103,10 @@ def test_flat_turns_that_leave_an_axis_open_name_it(strength):
     assert found.determined.tolist() == [True, True, False]
     assert np.allclose(found.fit.hard[:2], HARD[:2], atol=0.01)
     assert found.fit.hard[2] == 0.0
-    result = mag_report.result(found)
+    result = mag_result.result(found)
     assert any("hard iron down is not determined" in note for note in result.notes)
     assert result.to_dict("log")["determined"] == {"forward": True, "right": True, "down": False}
-    assert "down not determined" in result.findings[0].comment
+    assert "down not determined" in result.settings[0].comment
 
 
 @pytest.mark.parametrize("strength", [None, FIELD])
@@ -130,9 +130,9 @@ def test_the_simulators_hard_iron_is_found(name):
 
 
 def test_a_compass_without_iron_is_left_alone():
-    result = mag_report.result(mag.measure(fly("figure-eight", 60.0), SETTINGS))
-    assert not result.findings[0].is_sure
-    assert result.findings[0].comment.endswith("no more than its doubt: leave it as it is")
+    result = mag_result.result(mag.measure(fly("figure-eight", 60.0), SETTINGS))
+    assert not result.settings[0].is_sure
+    assert result.settings[0].comment.endswith("no more than its uncertainty: leave it as it is")
 
 
 def test_what_is_printed_brings_the_heading_back():
@@ -144,7 +144,7 @@ def test_what_is_printed_brings_the_heading_back():
     )
     events = wire.events(flown, has_vel_down=True)
     recording = fly("figure-eight", 60.0, compass=CompassConfig(hard_iron=hard))
-    text = "\n".join(lines("mag", mag_report.result(mag.measure(recording, SETTINGS))))
+    text = "\n".join(lines("mag", mag_result.result(mag.measure(recording, SETTINGS))))
     config = parse_config(yaml.load(text, _Loader), "printed")
     late = slice(5000, None)
     truth = so3.to_euler(wire.truth(flown).q_nb)[late, 2]
@@ -158,7 +158,7 @@ def test_what_is_printed_brings_the_heading_back():
 
 
 def broad(flight, name):
-    """Give the magnetometer of a BROAD trial, gauss, and the attitude of the motion capture."""
+    """Return the magnetometer of a BROAD trial, gauss, and the attitude of the motion capture."""
     from scipy.io import loadmat
 
     trial = loadmat(flight(f"broad-attitude/{name}.mat"))
@@ -168,7 +168,7 @@ def broad(flight, name):
 
 
 def by_attitude(mag_b, q):
-    """Give the hard iron and the field's strength that agree best with a known attitude."""
+    """Return the hard iron and the field's strength that agree best with a known attitude."""
     turns = np.swapaxes(so3.to_matrix(q), 1, 2)
     rows = np.concatenate([turns, np.broadcast_to(np.eye(3), turns.shape)], axis=2).reshape(-1, 6)
     terms = np.linalg.lstsq(rows, mag_b.ravel(), rcond=None)[0]
@@ -202,4 +202,4 @@ def test_a_recorded_flight_of_a_simulator_needs_no_correction(flight):
     log = flight("sitl-arducopter-bin/flight.bin")
     found = mag.measure(read(log, Config()), Config())
     assert np.abs(found.fit.hard).max() < 0.005
-    assert not mag_report.result(found).findings[0].is_sure
+    assert not mag_result.result(found).settings[0].is_sure

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ekf_companion.calibrate import fixes, noise, noise_report, rest
-from ekf_companion.calibrate.report import lines
+from ekf_companion.calibrate import fixes, noise, noise_result, rest
+from ekf_companion.calibrate.result import lines
 from ekf_companion.config.config import Config, _Loader, parse_config
 from ekf_companion.core.settings import FilterSettings, GnssSettings, ImuSettings
 from ekf_companion.errors import LogError
@@ -16,13 +16,13 @@ SETTINGS = FilterSettings()
 SLOW = GnssConfig(noise_h=0.2, noise_v=0.3, slow_h=1.0, slow_v=1.5, slow_time=20.0, noise_vel=0.07)
 
 
-def findings(recording, settings=SETTINGS):
-    result = noise_report.result(noise.measure(recording, settings), settings)
-    return {one.key: one for one in result.findings}, result
+def measured(recording, settings=SETTINGS):
+    result = noise_result.result(noise.measure(recording, settings), settings)
+    return {one.key: one for one in result.settings}, result
 
 
 def test_the_inertial_noise_of_a_standing_vehicle_is_what_was_put_in():
-    found, _ = findings(fly("static", 120.0, ImuConfig(rate=100.0)))
+    found, _ = measured(fly("static", 120.0, ImuConfig(rate=100.0)))
     assert found["imu.gyro_noise"].value == pytest.approx(3e-4, rel=0.05)
     assert found["imu.accel_noise"].value == pytest.approx(3e-3, rel=0.05)
     assert found["imu.gyro_noise"].is_sure
@@ -34,7 +34,7 @@ def test_the_inertial_noise_of_a_standing_vehicle_is_what_was_put_in():
 
 
 def test_a_low_pass_is_seen_through_but_does_not_lower_what_is_set():
-    found, result = findings(fly("static", 120.0, ImuConfig(rate=100.0, lowpass=20.0)))
+    found, result = measured(fly("static", 120.0, ImuConfig(rate=100.0, lowpass=20.0)))
     assert found["imu.gyro_noise"].value == pytest.approx(3e-4, rel=0.1)
     assert found["imu.accel_noise"].value == pytest.approx(3e-3, rel=0.1)
     assert not found["imu.gyro_noise"].is_sure
@@ -43,7 +43,7 @@ def test_a_low_pass_is_seen_through_but_does_not_lower_what_is_set():
 
 def test_more_noise_than_is_set_is_a_key_behind_a_low_pass_too():
     low = FilterSettings(imu=ImuSettings(gyro_noise=1e-4, accel_noise=1e-3))
-    found, _ = findings(fly("static", 120.0, ImuConfig(rate=100.0, lowpass=20.0)), low)
+    found, _ = measured(fly("static", 120.0, ImuConfig(rate=100.0, lowpass=20.0)), low)
     assert found["imu.gyro_noise"].is_sure
     assert found["imu.accel_noise"].is_sure
 
@@ -52,7 +52,7 @@ def test_the_walk_of_a_bias_shows_in_a_long_rest():
     wandering = ImuConfig(
         rate=50.0, accel_bias_instability=0.02, accel_bias_time=300.0, gyro_bias_instability=5e-4
     )
-    found, _ = findings(fly("static", 1500.0, wandering))
+    found, _ = measured(fly("static", 1500.0, wandering))
     for sensor, sigma in (("gyro", 5e-4), ("accel", 0.02)):
         assert found[f"imu.{sensor}_bias_walk"].is_sure
         truth = sigma * np.sqrt(2.0 / 300.0)
@@ -85,11 +85,11 @@ def test_the_antennas_lever_arm_is_no_noise():
 
 
 def test_floors_that_do_no_harm_stay():
-    found, _ = findings(fly("figure-eight", 120.0, gnss=SLOW))
+    found, _ = measured(fly("figure-eight", 120.0, gnss=SLOW))
     assert found["gnss.position_std"].is_sure  # 0.2 m, 0.1 is set
     assert not found["gnss.velocity_std"].is_sure  # 0.07 m/s, 0.1 is set
     exact = GnssConfig(noise_h=0.01, noise_v=0.02, noise_vel=0.03)
-    found, _ = findings(fly("figure-eight", 120.0, gnss=exact))
+    found, _ = measured(fly("figure-eight", 120.0, gnss=exact))
     assert found["gnss.position_std"].is_sure  # it claims 0.01 m, and keeps it
     assert found["gnss.position_std"].value == pytest.approx(0.01, rel=0.3)
 
@@ -97,7 +97,7 @@ def test_floors_that_do_no_harm_stay():
 def test_what_is_printed_is_a_configuration():
     import yaml
 
-    _, result = findings(fly("static", 400.0, gnss=SLOW))
+    _, result = measured(fly("static", 400.0, gnss=SLOW))
     text = "\n".join(lines("calibrate noise", result))
     config = parse_config(yaml.load(text, _Loader), "printed")
     assert config.imu.gyro_noise == pytest.approx(3e-4, rel=0.05)
@@ -106,13 +106,13 @@ def test_what_is_printed_is_a_configuration():
 
 
 def test_a_log_without_rest_tells_of_the_receiver_alone():
-    found, result = findings(fly("figure-eight", 120.0))
+    found, result = measured(fly("figure-eight", 120.0))
     assert not any(key.startswith("imu.") for key in found)
     assert any("s of rest found, 20 s are needed" in note for note in result.notes)
 
 
 def test_a_log_without_fixes_tells_of_the_inertial_sensors_alone():
-    found, result = findings(without(fly("static", 60.0), Kind.GNSS))
+    found, result = measured(without(fly("static", 60.0), Kind.GNSS))
     assert not any(key.startswith("gnss.") for key in found)
     assert any("no GNSS fix of its own" in note for note in result.notes)
 
@@ -127,7 +127,7 @@ def test_telemetry_is_not_judged():
     imu = np.flatnonzero(recording.events.kind == Kind.IMU)
     kept = np.ones(len(recording.events), dtype=bool)
     kept[imu] = np.arange(len(imu)) % 10 == 0
-    found, result = findings(replace(recording, events=recording.events.take(kept)))
+    found, result = measured(replace(recording, events=recording.events.take(kept)))
     assert not any(key.startswith("imu.") for key in found)
     assert any("samples come at 5.0 Hz" in note for note in result.notes)
 

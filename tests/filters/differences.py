@@ -16,7 +16,7 @@ STEP = 1e-5
 
 
 def central(function: Callable[[Array], Array], size: int) -> Array:
-    """Give the derivative of a function of an error state at zero."""
+    """Return the derivative of a function of an error state at zero."""
     columns = [
         (function(STEP * axis) - function(-STEP * axis)) / (2.0 * STEP) for axis in np.eye(size)
     ]
@@ -24,7 +24,7 @@ def central(function: Callable[[Array], Array], size: int) -> Array:
 
 
 def some_state(seed: int = 1) -> Nominal:
-    """Give a state away from zero in everything."""
+    """Return a state away from zero in everything."""
     rng = np.random.default_rng(seed)
     return Nominal(
         q_nb=so3.exp(rng.uniform(-1.2, 1.2, 3)),

@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from benchmarks.matched import matched
 from ekf_companion.core.settings import GateSettings
-from ekf_companion.filters.course import Course, Setup
-from ekf_companion.filters.gate import Gate, Trust
+from ekf_companion.filters.alignment import InitialEstimate
+from ekf_companion.filters.gate import Decision, Gate
 from ekf_companion.filters.iterated import Iterated
 from ekf_companion.filters.observation import Azimuth, Observation, Position
-from ekf_companion.filters.start import Start
+from ekf_companion.filters.sequence import MeasurementSequence, Setup
 from ekf_companion.filters.strapdown import (
     ATT,
     POS,
@@ -49,9 +49,9 @@ CARRIER_STD = 0.01
 class Open(Gate):
     """Accepts every observation, also those that a linear step cannot explain."""
 
-    def judges(self, aid: str, t_ns: int, nis: float, dof: int) -> Trust:
+    def test_nis(self, aid: str, t_ns: int, nis: float, dof: int) -> Decision:
         """Judge as if the NIS were zero."""
-        return super().judges(aid, t_ns, 0.0 * nis, dof)
+        return super().test_nis(aid, t_ns, 0.0 * nis, dof)
 
 
 def at_rest(
@@ -82,7 +82,7 @@ def at_rest(
     C_nb = so3.to_matrix(wrong)
     P[ATT, ATT] = C_nb.T @ P[ATT, ATT] @ C_nb
     setup = Setup(
-        start=Start(t_ns=0, state=first, P=P),
+        start=InitialEstimate(t_ns=0, state=first, P=P),
         earth=Earth.flat(9.81),
         noise=Noise(gyro=1e-3, accel=1e-2, gyro_walk=1e-5, accel_walk=1e-4),
         gate=Open(GateSettings()),
@@ -122,7 +122,7 @@ class Sortie:
     """A simulated flight with fixes and without a heading."""
 
     flight: Flight
-    course: Course
+    course: MeasurementSequence
     setup: Setup
 
     @classmethod
@@ -130,7 +130,7 @@ class Sortie:
         """Draw a figure-eight that begins at rest, without fixes in a time after the start (s)."""
         config = SimConfig(imu=ImuConfig(rate=50.0), gnss=GnssConfig(delay=0.0))
         flight = Flight.plan("figure-eight", config, seed=seed, duration=seconds + 2.0)
-        course = Course(wire.events(flight, has_vel_down=True), matched(config))
+        course = MeasurementSequence(wire.events(flight, has_vel_down=True), matched(config))
         setup = course.setup()
         first, last = (setup.start.t_ns + round(t * 1e9) for t in quiet)
         course.aids = [

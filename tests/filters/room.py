@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.filters.gauss_newton import Correction, Form, Manifold, Rows, correct
-from ekf_companion.filters.manifold import turn_jacobian_inverse
 from ekf_companion.filters.strapdown import ATT, POS, N, Nominal
 from ekf_companion.nav import so3
 
@@ -58,7 +57,7 @@ class Scan:
 
 def _jacobian(x: Nominal, y: Nominal) -> Array:
     J = np.eye(N)
-    J[ATT, ATT] = turn_jacobian_inverse(x.minus(y)[ATT])
+    J[ATT, ATT] = so3.right_jacobian_inverse(x.minus(y)[ATT])
     return J
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.filters.strapdown import ATT, N, Nominal, skew
+from ekf_companion.filters.strapdown import ATT, N, Nominal
 from ekf_companion.nav import so3
 
 Array = npt.NDArray[np.float64]
@@ -41,5 +41,5 @@ class Sighting:
     def jacobian(self, state: Nominal) -> Array:
         """Return the Jacobian, shape (3, 15)."""
         H = np.zeros((3, N))
-        H[:, ATT] = skew(so3.to_matrix(state.q_nb).T @ self.known_n)
+        H[:, ATT] = so3.skew(so3.to_matrix(state.q_nb).T @ self.known_n)
         return H

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.core.settings import FilterSettings
-from ekf_companion.filters.course import Course, NavigationFilter, run
 from ekf_companion.filters.euler import Euler
 from ekf_companion.filters.iterated import Iterated
+from ekf_companion.filters.sequence import MeasurementSequence, NavigationFilter, run_sequence
 from ekf_companion.filters.solution import Solution
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import SIMULATED
@@ -112,10 +112,10 @@ def _flight(q_nb: Array, seed: int) -> Flight:
 
 def fly(name: str, flight: Flight, limit: float = np.inf) -> Solution:
     """Run ``euler`` with a limit of the pitch (rad), or ``iterated``."""
-    course = Course(flight.events, FilterSettings())
+    course = MeasurementSequence(flight.events, FilterSettings())
     setup = course.setup()
     tried: NavigationFilter = Euler(setup, limit) if name == "euler" else Iterated(setup)
-    return run(name, tried, course, setup)
+    return run_sequence(name, tried, course, setup)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

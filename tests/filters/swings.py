@@ -57,7 +57,7 @@ FINE = 2
 
 @cache
 def swing(what: Swing) -> tuple[Events, Trajectory]:
-    """Give what the sensor says, and the truth at each inertial sample.
+    """Return what the sensor says, and the truth at each inertial sample.
 
     The rates are means over the sample's interval, as a sensor's own filter gives them.
     """
@@ -82,22 +82,12 @@ def swing(what: Swing) -> tuple[Events, Trajectory]:
     imu = Events.from_columns(t_ns, Kind.IMU, *gyro.T, *accel.T)
     every = 1 if what.mag_rate is None else round(what.rate / what.mag_rate)
     mag = _mag(what, t_ns * 1e-9, q_nb, rng)[::every]
-    truth = Trajectory(
-        name="truth",
-        pos_t_ns=t_ns[:0],
-        lat=np.zeros(0),
-        lon=np.zeros(0),
-        alt=np.zeros(0),
-        vel_t_ns=t_ns[:0],
-        vel_n=np.zeros((0, 3)),
-        att_t_ns=t_ns,
-        q_nb=so3.normalise(q_nb),
-    )
+    truth = Trajectory(name="truth", att_t_ns=t_ns, q_nb=so3.normalise(q_nb))
     return merge(Events.from_columns(t_ns[::every], Kind.MAG, *mag.T), imu), truth
 
 
 def _waves(t, pace, rng):
-    """Give three sums of sines about a frequency, RMS 1; none of them has a mean."""
+    """Return three sums of sines about a frequency, RMS 1; none of them has a mean."""
     total = np.zeros((len(t), 3))
     for axis in range(3):
         for frequency in pace * rng.uniform(0.3, 2.0, 6):
@@ -106,7 +96,7 @@ def _waves(t, pace, rng):
 
 
 def _integrated(q, turns):
-    """Give the attitude after each small turn."""
+    """Return the attitude after each small turn."""
     out = np.empty((len(turns), 4))
     w, x, y, z = q.tolist()
     for i, (c, sx, sy, sz) in enumerate(so3.exp(turns).tolist()):

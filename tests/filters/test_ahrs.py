@@ -3,8 +3,9 @@ import pytest
 
 from ekf_companion.analysis import attitude
 from ekf_companion.errors import LogError
-from ekf_companion.filters import ahrs, mahony, readings
-from ekf_companion.filters.ahrs_estimator import USUAL
+from ekf_companion.filters import ahrs, mahony
+from ekf_companion.filters.ahrs import USUAL
+from ekf_companion.filters.marg import marg_samples
 from ekf_companion.logs.recording import Counted
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, GnssFix, Kind, merge
@@ -87,7 +88,7 @@ def test_what_it_states_of_its_errors_holds():
     for seed, kind in enumerate(({}, {"turn": 3.0, "push": 2.0}, {"still": 0.0}, {"push": 4.0})):
         what = Swing(seconds=40.0, seed=seed, **kind)
         events, truth = swing(what)
-        found = ahrs.track(readings.read(events))
+        found = ahrs.track(marg_samples(events))
         table = ahrs.run(events)
         error = so3.log(so3.multiply(truth.q_nb, so3.conjugate(found.q_nb)))
         at = np.searchsorted(truth.att_t_ns, table.covariance_ns)[20:]
@@ -117,7 +118,7 @@ def test_a_slow_turn_after_a_rest_is_not_taken_for_a_bias():
     assert solution.counts["rest"][1] > 0
 
 
-def test_a_gap_is_doubted_and_mended():
+def test_over_a_gap_the_attitude_becomes_uncertain_and_is_found_again():
     events, truth = swing(Swing(seconds=60.0))
     lost = (events.t_ns > 30e9) & (events.t_ns < 33e9)
     solution = ahrs.run(events.take(~lost))

@@ -9,12 +9,18 @@ import pytest
 from benchmarks.accuracy.seed import rmse, truth
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import FilterError
-from ekf_companion.filters import euler, euler_article, euler_motion
-from ekf_companion.filters.course import Course
+from ekf_companion.filters import euler, euler_article
 from ekf_companion.filters.euler import Euler
 from ekf_companion.filters.observation import Azimuth
+from ekf_companion.filters.sequence import MeasurementSequence
 from ekf_companion.filters.solution import Solution
-from ekf_companion.filters.strapdown import Interval, N, in_n, move, transition
+from ekf_companion.filters.strapdown import (
+    Interval,
+    N,
+    covariance_in_n,
+    integrate_strapdown,
+    transition,
+)
 from ekf_companion.logs import csv
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import SIMULATED
@@ -25,6 +31,12 @@ SEED = DATA / "seed-basicekf-sim"
 with_seed = pytest.mark.skipif(
     not SEED.is_dir(), reason="the seed article's flight is not on this machine"
 )
+
+
+def sequence(events, family="unknown"):
+    return MeasurementSequence(events, FilterSettings(), family)
+
+
 STATE = np.array(
     [0.4, -0.9, 2.5, 30.0, -20.0, 100.0, 11.0, -7.0, 2.0, 0.01, -0.02, 0.03, 0.1, -0.2, 0.3]
 )
@@ -33,7 +45,7 @@ FALL = np.array([0.0, 0.0, 9.81])
 
 
 def as_article(solution: Solution) -> np.ndarray:
-    """Give the fifteen states of an answer, shape (n, 15), as the article's file has them."""
+    """Return the fifteen states of an answer, shape (n, 15), as the article's file has them."""
     table = solution.table
     place = (np.radians(table.column("lat_deg")), np.radians(table.column("lon_deg")))
     pos_n = SIMULATED.to_ned(*place, table.column("alt_m")) * [1.0, 1.0, -1.0]
@@ -50,13 +62,13 @@ def rms_errors(solution: Solution) -> np.ndarray:
 
 
 def test_the_jacobian_is_the_difference_of_the_motion():
-    F = euler_motion.jacobian(STATE, RATE, FORCE)
+    F = euler.jacobian(STATE, RATE, FORCE)
     step = 1e-6
     for column in range(N):
         dx = np.zeros(N)
         dx[column] = step
-        ahead = euler_motion.derivative(STATE + dx, RATE, FORCE, FALL)
-        behind = euler_motion.derivative(STATE - dx, RATE, FORCE, FALL)
+        ahead = euler.derivative(STATE + dx, RATE, FORCE, FALL)
+        behind = euler.derivative(STATE - dx, RATE, FORCE, FALL)
         slope = (ahead - behind) / (2.0 * step)
         np.testing.assert_allclose(F[:, column], slope, atol=1e-7)  # central difference
 
@@ -68,21 +80,19 @@ def test_angles_change_as_a_small_turn_in_b_changes_them():
         turn[axis] = 1e-6
         ends = [so3.to_euler(so3.multiply(q_nb, so3.exp(way * turn))) for way in (1.0, -1.0)]
         slope = (ends[0] - ends[1]) / 2e-6
-        found = euler_motion.by_turn(STATE)[:3, axis]
+        found = euler.by_error_state(STATE)[:3, axis]
         np.testing.assert_allclose(found, slope, atol=1e-8)  # central difference
 
 
 def test_a_state_survives_the_way_through_a_quaternion():
-    np.testing.assert_allclose(
-        euler_motion.from_nominal(euler_motion.to_nominal(STATE)), STATE, atol=1e-12
-    )
+    np.testing.assert_allclose(euler.from_nominal(euler.to_nominal(STATE)), STATE, atol=1e-12)
 
 
 def test_van_loan_is_the_integral_of_the_noise_carried_to_the_end():
-    F = euler_motion.jacobian(STATE, RATE, FORCE)
+    F = euler.jacobian(STATE, RATE, FORCE)
     Q = np.diag(np.linspace(0.5, 2.0, N) * 1e-2)
     dt, steps = 0.1, 2000
-    Phi, found = euler_motion.van_loan(F, Q, dt)
+    Phi, found = euler.van_loan(F, Q, dt)
     # Fine steps of the Lyapunov equation by the midpoint rule, and of the transition
     h = dt / steps
     one = np.eye(N) + F * h + F @ F * (h * h / 2.0)
@@ -99,7 +109,7 @@ def test_van_loan_is_the_integral_of_the_noise_carried_to_the_end():
 @with_seed
 def test_the_articles_run_is_reproduced_in_every_state():
     recording = csv.read(SEED / "uavSensors.csv")
-    solution = euler.run(recording.events, FilterSettings(), recording.family, preset="article")
+    solution = euler_article.run(sequence(recording.events, recording.family))
     theirs = np.genfromtxt(SEED / "uavEst.csv", delimiter=",", skip_header=1)
     assert len(solution.table) == len(theirs)
     difference = as_article(solution) - theirs[:, 1:]
@@ -110,7 +120,7 @@ def test_the_articles_run_is_reproduced_in_every_state():
 
 @cache
 def published(constants: euler_article.Constants) -> np.ndarray:
-    """Give our states over the draw that the author published, begun as the C++ edition is."""
+    """Return our states over the draw that the author published, begun as the C++ edition is."""
     S = np.loadtxt(SEED / "published-cpp" / "UavData_SquareSpiral.txt", delimiter=",")
     begun = [-2.72343926657247, -0.0161376263168116, 0.104874716016494, 109.623435014780]
     begun += [-18.1430696059217, -3.30602783578041, 0.0849970564432384]
@@ -153,7 +163,7 @@ def test_the_exact_exponential_moves_the_published_run_by_little():
 
 @with_seed
 def test_each_slip_costs_what_the_document_says():
-    course = Course(csv.read(SEED / "uavSensors.csv").events, FilterSettings())
+    course = MeasurementSequence(csv.read(SEED / "uavSensors.csv").events, FilterSettings())
     both, without_q, without_r = (
         rms_errors(euler_article.run(course, constants))
         for constants in (
@@ -185,8 +195,8 @@ def test_the_covariance_is_true_in_gentle_flight():
 
 def test_the_yaw_goes_on_counting_past_south():
     flight = climb(0.0, seed=2, seconds=0.0)
-    course = Course(flight.events, FilterSettings())
-    setup = course.setup()
+    measured = sequence(flight.events)
+    setup = measured.setup()
     turning = Euler(setup)
     turning.x[2] = np.pi - 1e-4
     spin = np.array([0.0, 0.0, 1.0])
@@ -203,18 +213,18 @@ def test_the_yaw_goes_on_counting_past_south():
 
 def test_a_loop_stops_it_with_a_note_and_keeps_what_was_estimated():
     flight = steep(90.0)
-    solution = fly("euler", flight, euler_motion.PITCH_LIMIT)
+    solution = fly("euler", flight, euler.PITCH_LIMIT)
     assert 0 < len(solution.table) < len(flight.q_nb)
     (note,) = solution.notes
     assert "the estimates end at 14." in note
     assert "s of the log: the pitch is 8" in note
     assert "eskf or iterated" in note
-    assert np.abs(solution.table.column("pitch")).max() < euler_motion.PITCH_LIMIT
+    assert np.abs(solution.table.column("pitch")).max() < euler.PITCH_LIMIT
     assert score(solution, flight).worst < 4.0  # deg; what stands is good
 
 
 def test_the_articles_run_stops_likewise():
-    solution = euler.run(steep(90.0).events, FilterSettings(), preset="article")
+    solution = euler_article.run(sequence(steep(90.0).events))
     assert 0 < len(solution.table) < len(steep(90.0).q_nb)
     assert "eskf or iterated" in solution.notes[0]
 
@@ -229,7 +239,7 @@ def test_a_quaternion_flies_the_same_loop_through():
 
 def test_a_start_on_the_tail_is_refused_outright():
     flight = climb(0.0, seed=1, seconds=0.0)
-    setup = Course(flight.events, FilterSettings()).setup()
+    setup = sequence(flight.events).setup()
     steeply = replace(setup.start.state, q_nb=so3.from_euler(0.0, np.radians(89.0), 0.0))
     setup = replace(setup, start=replace(setup.start, state=steeply))
     with pytest.raises(FilterError, match=r"the pitch is 89\.0 deg.*use eskf or iterated"):
@@ -245,33 +255,33 @@ def test_in_quick_turns_the_error_grows_with_the_pitch_and_a_quaternions_does_no
 
 
 def test_a_short_step_is_that_of_the_quaternion():
-    setup = Course(climb(0.0, seed=1, seconds=0.0).events, FilterSettings()).setup()
+    setup = sequence(climb(0.0, seed=1, seconds=0.0).events).setup()
     steeply = replace(setup.start.state, q_nb=so3.from_euler(*STATE[:3]), gyro_bias=STATE[9:12])
     setup = replace(setup, start=replace(setup.start, state=steeply))
     tried = Euler(setup)
     over = Interval(dt=1e-4, gyro0=RATE, gyro1=RATE, accel0=FORCE, accel1=FORCE)
     tried.predict(over)
-    apart = tried.state.minus(move(steeply, over, setup.earth))
+    apart = tried.state.minus(integrate_strapdown(steeply, over, setup.earth))
     np.testing.assert_allclose(apart, 0.0, atol=2e-7)  # dt^2 by rates of 10 per second
     Phi = transition(steeply, over, setup.earth)
-    expected = in_n(Phi @ setup.start.P @ Phi.T, tried.state.q_nb)
+    expected = covariance_in_n(Phi @ setup.start.P @ Phi.T, tried.state.q_nb)
     np.testing.assert_allclose(tried.covariance(), expected, atol=2e-6)  # likewise
 
 
 def test_noise_adds_what_it_adds_to_a_turn_in_b():
-    setup = Course(climb(0.0, seed=1, seconds=0.0).events, FilterSettings()).setup()
+    setup = sequence(climb(0.0, seed=1, seconds=0.0).events).setup()
     steeply = replace(setup.start.state, q_nb=so3.from_euler(*STATE[:3]))
     setup = replace(setup, start=replace(setup.start, state=steeply, P=np.zeros((N, N))))
     tried = Euler(setup)
     tried.predict(Interval(dt=1e-3, gyro0=RATE, gyro1=RATE, accel0=FORCE, accel1=FORCE))
-    expected = np.diag(in_n(setup.noise.covariance(1e-3), tried.state.q_nb))
+    expected = np.diag(covariance_in_n(setup.noise.covariance(1e-3), tried.state.q_nb))
     np.testing.assert_allclose(np.diag(tried.covariance()), expected, rtol=5e-3)  # rate by dt
 
 
 @with_seed
 def test_the_corrected_filter_is_as_good_as_the_article_on_its_flight():
     recording = csv.read(SEED / "uavSensors.csv")
-    solution = euler.run(recording.events, FilterSettings(), recording.family)
+    solution = euler.run(sequence(recording.events, recording.family))
     assert solution.name == "euler"
     assert (rms_errors(solution) < [0.8, 0.7, 1.3, 0.8, 0.6, 0.35, 0.1, 0.1, 0.06]).all()
     assert solution.counts["heading"][1] < 0.02 * solution.counts["heading"][0]

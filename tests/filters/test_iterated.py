@@ -5,12 +5,12 @@ import pytest
 
 from benchmarks.matched import matched
 from ekf_companion.core.settings import FilterSettings, GateSettings
-from ekf_companion.filters.anchored import FULL, Anchored
-from ekf_companion.filters.course import Course, Setup, advance
+from ekf_companion.filters.alignment import InitialEstimate
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.iterated import Iterated, run
 from ekf_companion.filters.observation import Position
-from ekf_companion.filters.start import Start
+from ekf_companion.filters.robocentric import FULL, RobocentricState
+from ekf_companion.filters.sequence import MeasurementSequence, Setup, advance
 from ekf_companion.filters.strapdown import ATT, Earth, Interval, N, Noise, Nominal
 from ekf_companion.nav import so3
 from sim_autopilot import events as wire
@@ -40,57 +40,57 @@ OVER = Interval(
 )
 
 
-def anchored(seed=1):
+def relative(seed=1):
     rng = np.random.default_rng(seed)
     down_n = np.array([0.1, -0.2, 1.0])
-    return Anchored(
+    return RobocentricState(
         local=some_state(seed),
-        q_na=so3.exp(rng.uniform(-1.0, 1.0, 3)),
-        pos_na=rng.uniform(-9.0, 9.0, 3),
+        q_nr=so3.exp(rng.uniform(-1.0, 1.0, 3)),
+        pos_nr=rng.uniform(-9.0, 9.0, 3),
         down_n=down_n / np.linalg.norm(down_n),
     )
 
 
 def begun(P=None, gate=None, **options):
-    start = Start(t_ns=0, state=some_state(), P=0.01 * np.eye(N) if P is None else P)
+    start = InitialEstimate(t_ns=0, state=some_state(), P=0.01 * np.eye(N) if P is None else P)
     noise = Noise(gyro=1e-3, accel=1e-2, gyro_walk=1e-5, accel_walk=1e-4)
     gate = gate or Gate(GateSettings())
     return Iterated(Setup(start=start, earth=EARTH, noise=noise, gate=gate), **options)
 
 
-class TestAnchored:
+class TestRobocentricState:
     def test_minus_undoes_plus(self):
         dx = np.linspace(-0.8, 0.8, FULL)
-        np.testing.assert_allclose(anchored().plus(dx).minus(anchored()), dx, atol=1e-12)
+        np.testing.assert_allclose(relative().plus(dx).minus(relative()), dx, atol=1e-12)
 
     def test_its_jacobian_is_that_of_the_way_to_another(self):
-        x, y = anchored(), anchored().plus(np.linspace(-0.8, 0.8, FULL))
+        x, y = relative(), relative().plus(np.linspace(-0.8, 0.8, FULL))
         seen = central(lambda d: x.plus(d).minus(y), FULL)
         np.testing.assert_allclose(x.jacobian(y), seen, atol=1e-8)
 
     def test_the_state_in_n_moves_as_its_jacobian_says(self):
-        x = anchored()
+        x = relative()
         seen = central(lambda d: x.plus(d).in_n().minus(x.in_n()), FULL)
         np.testing.assert_allclose(x.in_n_jacobian(), seen, atol=1e-7)
 
     def test_a_new_anchor_changes_nothing_in_n_and_moves_as_its_jacobian_says(self):
-        x = anchored()
-        after, G = x.re_anchored()
+        x = relative()
+        after, G = x.recentred()
         np.testing.assert_allclose(after.in_n().minus(x.in_n()), 0.0, atol=1e-12)
-        seen = central(lambda d: x.plus(d).re_anchored()[0].minus(after), FULL)
+        seen = central(lambda d: x.plus(d).recentred()[0].minus(after), FULL)
         np.testing.assert_allclose(G, seen, atol=1e-7)
 
     def test_the_motion_has_the_derivative_that_it_says(self):
-        x = anchored()
-        after, Phi = x.moved(OVER, EARTH)
-        seen = central(lambda d: x.plus(d).moved(OVER, EARTH)[0].minus(after), FULL)
+        x = relative()
+        after, Phi = x.integrated(OVER, EARTH)
+        seen = central(lambda d: x.plus(d).integrated(OVER, EARTH)[0].minus(after), FULL)
         # Coriolis and the gradient are left out: 1e-4 1/s times 0.01 s
         np.testing.assert_allclose(Phi, seen, atol=1.5e-5)
 
     def test_the_motion_in_n_does_not_ask_for_the_anchor(self):
-        x = replace(anchored(), down_n=np.array([0.0, 0.0, 1.0]))
-        bare = Anchored(local=x.in_n())
-        gap = x.moved(OVER, EARTH)[0].in_n().minus(bare.moved(OVER, EARTH)[0].in_n())
+        x = replace(relative(), down_n=np.array([0.0, 0.0, 1.0]))
+        bare = RobocentricState(local=x.in_n())
+        gap = x.integrated(OVER, EARTH)[0].in_n().minus(bare.integrated(OVER, EARTH)[0].in_n())
         np.testing.assert_allclose(gap, 0.0, atol=1e-12)
 
 
@@ -125,7 +125,7 @@ def test_an_aid_that_only_bends_is_not_taken_for_a_wrong_one():
     level = replace(some_state(), q_nb=np.array([1.0, 0.0, 0.0, 0.0]))
     for most, fused in ((1, 0), (20, 1)):
         gate = Gate(GateSettings())
-        start = Start(t_ns=0, state=level, P=sigmas)
+        start = InitialEstimate(t_ns=0, state=level, P=sigmas)
         noise = Noise(gyro=1e-3, accel=1e-2, gyro_walk=0.0, accel_walk=0.0)
         tried = Iterated(
             Setup(start=start, earth=EARTH, noise=noise, gate=gate), max_iterations=most
@@ -159,7 +159,7 @@ def test_the_order_of_aids_of_one_time_does_not_matter():
 def test_both_forms_and_both_frames_give_one_flight():
     config = SimConfig(imu=ImuConfig(rate=50.0))
     flight = Flight.plan("figure-eight", config, seed=3, duration=13.0)
-    course = Course(wire.events(flight, has_vel_down=True), matched(config))
+    course = MeasurementSequence(wire.events(flight, has_vel_down=True), matched(config))
     setup, ends = course.setup(), []
     for options in ({}, {"form": "information"}, {"form": "innovation"}, {"frame": "robocentric"}):
         tried = Iterated(setup, **options)
@@ -177,7 +177,7 @@ def test_both_forms_and_both_frames_give_one_flight():
 
 def squares(flight):
     """Return NEES over dof of attitude, velocity and position, 0.1, 5 and 15 s after the start."""
-    course = Course(wire.events(flight, has_vel_down=True), matched(flight.config))
+    course = MeasurementSequence(wire.events(flight, has_vel_down=True), matched(flight.config))
     setup = course.setup()
     tried, due, found = Iterated(setup), [0.1, 5.0, 15.0], []
     for step in course.steps(setup.start.t_ns):
@@ -223,19 +223,19 @@ def test_gravity_is_found_where_the_world_is_the_first_body_frame(frame):
     P = np.diag(np.square(np.repeat([1e-4, 0.01, 0.01, 1e-3, 0.05], 3)))
     noise = Noise(gyro=1e-4, accel=1e-2, gyro_walk=1e-6, accel_walk=1e-5)
     setup = Setup(
-        start=Start(t_ns=0, state=replace(true, accel_bias=np.zeros(3)), P=P),
+        start=InitialEstimate(t_ns=0, state=replace(true, accel_bias=np.zeros(3)), P=P),
         earth=Earth.flat(9.81),
         noise=noise,
         gate=Gate(GateSettings()),
     )
     tried = Iterated(setup, frame=frame, gravity="sphere", gravity_std=0.2)
-    x = Anchored(local=true, down_n=down_n)
+    x = RobocentricState(local=true, down_n=down_n)
     for k in range(700):
         t, dt = 0.04 * k, 0.04
         gyro = np.array([0.3 * np.sin(t), 0.3 * np.cos(1.3 * t), 0.5])
         drive = np.array([2.0 * np.cos(t), np.sin(0.7 * t), 0.5 * np.sin(2.0 * t)])
         force = so3.to_matrix(x.local.q_nb).T @ (drive - 9.81 * down_n) + true.accel_bias
-        x, _ = x.moved(
+        x, _ = x.integrated(
             Interval(dt=dt, gyro0=gyro, gyro1=gyro, accel0=force, accel1=force), Earth.flat(9.81)
         )
         gyro = gyro + rng.normal(0.0, 1e-4 / np.sqrt(dt), 3)
@@ -268,7 +268,7 @@ def test_a_run_gives_an_estimate_per_sample():
     flight = Flight.plan("hover", SimConfig(imu=ImuConfig(rate=25.0)), seed=1, duration=4.0)
     events = wire.events(flight, has_vel_down=True)
     for frame in ("global", "robocentric"):
-        found = run(events, FilterSettings(), frame=frame)
+        found = run(MeasurementSequence(events, FilterSettings()), frame=frame)
         assert found.name.startswith("iterated")
         assert np.isfinite(found.table.column("yaw")).all()
         assert len(found.table) > 50

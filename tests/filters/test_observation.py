@@ -79,17 +79,17 @@ def test_a_field_along_the_vertical_shows_no_azimuth_and_divides_by_nothing():
     down_b = so3.to_matrix(state.q_nb)[2]
     for seen_b in (down_b, 0.0 * down_b):
         aid = Azimuth(seen_b=seen_b, azimuth=0.3, std=0.05)
-        assert not aid.is_seen(state)
+        assert not aid.is_usable(state)
         assert np.isfinite(aid.jacobian(state)).all()
-    assert AIDS[3].is_seen(state)
+    assert AIDS[3].is_usable(state)
 
 
-def test_a_velocity_astray_doubts_the_attitude_that_led_there():
+def test_the_reset_of_a_velocity_inflates_the_attitude():
     state = some_state()
     tilt, seconds = 0.2, 7.0
     vel_n = state.vel_n + np.array([tilt * 9.80665 * seconds, 0.0, 0.0])
     gone = Velocity(vel_n=vel_n, std=0.2, swing_b=np.zeros(3))
-    doubt = reset(gone, state, seconds).doubt
-    np.testing.assert_allclose(np.sqrt(np.diag(doubt)[ATT]), tilt, rtol=1e-9)
-    assert np.abs(np.diag(doubt)[3:]).max() == 0.0
-    assert np.abs(reset(AIDS[0], state, seconds).doubt).max() == 0.0
+    inflation = reset(gone, state, seconds).inflation
+    np.testing.assert_allclose(np.sqrt(np.diag(inflation)[ATT]), tilt, rtol=1e-9)
+    assert np.abs(np.diag(inflation)[3:]).max() == 0.0
+    assert np.abs(reset(AIDS[0], state, seconds).inflation).max() == 0.0

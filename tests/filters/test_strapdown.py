@@ -9,8 +9,8 @@ from ekf_companion.filters.strapdown import (
     N,
     Noise,
     Nominal,
-    in_n,
-    move,
+    covariance_in_n,
+    integrate_strapdown,
     transition,
 )
 from ekf_companion.nav import so3
@@ -34,8 +34,8 @@ def test_minus_undoes_plus():
 @pytest.mark.parametrize("down_n", [(0.0, 0.0, 1.0), (0.6, 0.0, 0.8)])
 def test_the_transition_is_the_derivative_of_the_motion(down_n):
     state, earth = some_state(), replace(EARTH, down_n=np.array(down_n))
-    after = move(state, over(), earth)
-    seen = central(lambda dx: move(state.plus(dx), over(), earth).minus(after), N)
+    after = integrate_strapdown(state, over(), earth)
+    seen = central(lambda dx: integrate_strapdown(state.plus(dx), over(), earth).minus(after), N)
     Phi = transition(state, over(), earth)
     # Coriolis is left out: 1.5e-4 1/s times 0.01 s; the turn of the midpoint counts to second order
     np.testing.assert_allclose(Phi, seen, atol=4e-6)
@@ -53,7 +53,7 @@ def test_the_midpoint_rule_is_of_second_order():
         state, dt = some_state(), 1.0 / n
         for k in range(n):
             a, b = k * dt, (k + 1) * dt
-            state = move(
+            state = integrate_strapdown(
                 state,
                 Interval(dt=dt, gyro0=gyro(a), gyro1=gyro(b), accel0=accel(a), accel1=accel(b)),
                 EARTH,
@@ -72,7 +72,9 @@ def test_a_sensor_at_rest_stays_where_it_is():
     fall = np.array([0.0, 0.0, EARTH.gravity])
     gyro, accel = C_nb.T @ EARTH.rate_n, -C_nb.T @ fall
     start = Nominal(q_nb=q_nb, vel_n=np.zeros(3), pos_n=np.zeros(3))
-    end = move(start, Interval(dt=1.0, gyro0=gyro, gyro1=gyro, accel0=accel, accel1=accel), EARTH)
+    end = integrate_strapdown(
+        start, Interval(dt=1.0, gyro0=gyro, gyro1=gyro, accel0=accel, accel1=accel), EARTH
+    )
     np.testing.assert_allclose(end.minus(start), 0.0, atol=1e-9)
 
 
@@ -88,4 +90,4 @@ def test_noise_over_two_intervals_is_that_over_both():
 def test_a_covariance_of_the_attitude_is_turned_into_n():
     q_nb = so3.from_euler(0.0, 0.0, np.pi / 2)
     P = np.diag([1.0, 4.0, 9.0, *np.ones(12)])
-    np.testing.assert_allclose(np.diag(in_n(P, q_nb))[:3], [4.0, 1.0, 9.0])
+    np.testing.assert_allclose(np.diag(covariance_in_n(P, q_nb))[:3], [4.0, 1.0, 9.0])

@@ -7,12 +7,12 @@ from scipy.stats import chi2
 from benchmarks.matched import matched
 from ekf_companion.analysis.consistency import nees
 from ekf_companion.core.settings import GateSettings
-from ekf_companion.filters import cloud, strapdown, ukf
-from ekf_companion.filters.course import Setup
+from ekf_companion.filters import sigma_points, strapdown, ukf
+from ekf_companion.filters.alignment import InitialEstimate
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.iterated import Iterated
 from ekf_companion.filters.observation import Azimuth, Position, Velocity
-from ekf_companion.filters.start import Start
+from ekf_companion.filters.sequence import MeasurementSequence, Setup
 from ekf_companion.filters.strapdown import Earth, Interval, Noise, Nominal
 from ekf_companion.filters.ukf import Unscented
 from ekf_companion.nav import so3
@@ -59,18 +59,18 @@ def one_of(points: Nominal, row: int) -> Nominal:
 def a_filter(
     state: Nominal, P: np.ndarray, earth: Earth = EARTH, noise: Noise = QUIET
 ) -> Unscented:
-    start = Start(t_ns=0, state=state, P=P)
+    start = InitialEstimate(t_ns=0, state=state, P=P)
     return Unscented(Setup(start=start, earth=earth, noise=noise, gate=Gate(GateSettings())))
 
 
 def test_points_move_as_single_states_do():
     rng = np.random.default_rng(1)
     state, over, dx = some_state(rng), some_interval(rng), 0.3 * rng.normal(size=(31, 15))
-    points = cloud.scatter(state, dx)
-    moved = cloud.move(points, over, EARTH)
+    points = sigma_points.add(state, dx)
+    moved = sigma_points.integrate(points, over, EARTH)
     for row in range(31):
         assert np.abs(one_of(points, row).minus(state.plus(dx[row]))).max() < 1e-12
-        alone = strapdown.move(state.plus(dx[row]), over, EARTH)
+        alone = strapdown.integrate_strapdown(state.plus(dx[row]), over, EARTH)
         assert np.abs(one_of(moved, row).minus(alone)).max() < 1e-12
 
 
@@ -85,7 +85,7 @@ def test_points_move_as_single_states_do():
 )
 def test_points_see_what_single_states_see(aid):
     rng = np.random.default_rng(2)
-    points = cloud.scatter(some_state(rng), rng.normal(size=(31, 15)))
+    points = sigma_points.add(some_state(rng), rng.normal(size=(31, 15)))
     alone = [aid.innovation(one_of(points, row)) for row in range(31)]
     np.testing.assert_allclose(aid.innovation(points), alone, rtol=0.0, atol=1e-12)
 
@@ -94,9 +94,9 @@ def test_points_see_what_single_states_see(aid):
 def test_the_points_have_the_mean_and_covariance_that_they_were_drawn_from(attitude):
     rng = np.random.default_rng(3)
     state, P = some_state(rng), some_covariance(rng, attitude)
-    points = cloud.draw(P)
-    mean, dx = cloud.gather(cloud.scatter(state, points.dx), points.mean)
-    assert not points.is_mended
+    points = sigma_points.draw(P)
+    mean, dx = sigma_points.average(sigma_points.add(state, points.dx), points.mean)
+    assert not points.is_repaired
     assert np.abs(mean.minus(state)).max() < 1e-9
     np.testing.assert_allclose((dx.T * points.covariance) @ dx, P, rtol=0.0, atol=1e-9)
 
@@ -107,9 +107,9 @@ def test_the_mean_is_where_the_rotation_vectors_cancel_and_no_variance_is_negati
     for _ in range(50):
         # A posterior is drawn beside the state, so its points are not symmetric on the sphere
         state, beside = some_state(rng), np.r_[rng.normal(size=3), np.zeros(12)]
-        points = cloud.draw(some_covariance(rng, attitude))
-        placed = cloud.scatter(state, beside + points.dx)
-        mean, dx = cloud.gather(placed, points.mean)
+        points = sigma_points.draw(some_covariance(rng, attitude))
+        placed = sigma_points.add(state, beside + points.dx)
+        mean, dx = sigma_points.average(placed, points.mean)
         assert np.abs(points.mean @ dx).max() < 1e-8
         assert np.linalg.eigvalsh((dx.T * points.covariance) @ dx).min() > 0.0
     assert np.abs(mean.minus(state.plus(beside))).max() > 1e-4
@@ -117,17 +117,17 @@ def test_the_mean_is_where_the_rotation_vectors_cancel_and_no_variance_is_negati
         np.testing.assert_allclose(one_of(placed, row).minus(mean), dx[row], rtol=0.0, atol=1e-9)
 
 
-def test_a_covariance_that_is_none_is_mended_and_counted():
+def test_a_covariance_that_is_none_is_repaired_and_counted():
     rng = np.random.default_rng(6)
     P = some_covariance(rng, 0.1)
     P[:, 7] = P[7] = P[6]  # two positions known to be one: singular
     P[7, 7] = P[6, 6] * (1.0 - 1e-9)
-    S, is_mended = cloud.root(P)
-    assert is_mended
+    S, is_repaired = sigma_points.root(P)
+    assert is_repaired
     np.testing.assert_allclose(S @ S.T, P, rtol=0.0, atol=1e-6)
     tried = a_filter(some_state(rng), P)
     tried.predict(some_interval(rng))
-    assert tried.mended == 1
+    assert tried.repaired == 1
     assert np.linalg.eigvalsh(tried.P).min() > 0.0
 
 
@@ -181,7 +181,7 @@ def test_it_is_as_wrong_as_it_says_over_seeded_flights():
 def test_a_recording_is_run_from_its_own_start():
     config = SimConfig(imu=ImuConfig(rate=50.0))
     flight = Flight.plan("hover", config, seed=2, duration=12.0)
-    solution = ukf.run(wire.events(flight, has_vel_down=True), matched(config))
+    solution = ukf.run(MeasurementSequence(wire.events(flight, has_vel_down=True), matched(config)))
     assert solution.name == "ukf"
     assert solution.notes == ()
     assert solution.counts["position"][1] == 0
@@ -212,7 +212,7 @@ def test_a_heading_on_the_other_side_of_south_is_near():
     assert 0.02 < np.sqrt(tried.P[2, 2]) < 0.04
 
 
-def test_a_wide_prior_of_heading_lets_velocity_fade_and_doubt_grow():
+def test_a_wide_prior_of_heading_shrinks_the_velocity_and_inflates_its_variance():
     """A push whose direction has a sigma of 57 deg: by the integral its mean is exp(-1/2) of it."""
     state = Nominal(q_nb=so3.exp(np.zeros(3)), vel_n=np.zeros(3), pos_n=np.zeros(3))
     sigma = np.repeat([1e-6, 1e-3, 1e-3, 1e-9, 1e-6], 3)

@@ -6,9 +6,9 @@ import pytest
 from ekf_companion.analysis import closure
 from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
-from ekf_companion.filters import rest, zupt
-from ekf_companion.filters.detector import Detector
+from ekf_companion.filters import zupt
 from ekf_companion.filters.zupt import ZuptSettings
+from ekf_companion.filters.zupt_detector import Detector, first_rest
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.replay.convert import read
@@ -145,7 +145,7 @@ def test_down_is_where_the_rest_says():
     events = Events.from_columns(
         np.arange(500, dtype=np.int64) * 4_000_000, Kind.IMU, 0.01, 0, 0, 0, 9.81 * 0.6, -9.81 * 0.8
     )
-    found = rest.find(events)
+    found = first_rest(events)
     assert found.gravity == pytest.approx(9.81)
     assert found.gyro == pytest.approx([0.01, 0.0, 0.0])
     assert so3.rotate(found.q_nb, events.values[0, 3:6]) == pytest.approx([0, 0, -9.81])

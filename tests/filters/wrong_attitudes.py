@@ -9,10 +9,10 @@ import numpy as np
 
 from benchmarks.matched import matched
 from ekf_companion.analysis.consistency import Nees, nees
-from ekf_companion.filters import course
-from ekf_companion.filters.course import Course, NavigationFilter, Setup
+from ekf_companion.filters import sequence
+from ekf_companion.filters.alignment import InitialEstimate
 from ekf_companion.filters.gate import Gate
-from ekf_companion.filters.start import Start
+from ekf_companion.filters.sequence import MeasurementSequence, NavigationFilter, Setup
 from ekf_companion.filters.strapdown import Nominal
 from ekf_companion.nav import so3
 from sim_autopilot import events as wire
@@ -52,7 +52,9 @@ class Outcome:
     """The heading was found, and kept over the last quarter."""
 
 
-def begin(case: Case, path: Course, flight: Flight, rng: np.random.Generator) -> Start:
+def begin(
+    case: Case, path: MeasurementSequence, flight: Flight, rng: np.random.Generator
+) -> InitialEstimate:
     """Draw a start whose errors have the covariance that it comes with."""
     t_ns = int(path.t_ns[np.searchsorted(path.t_ns, flight.to_ns(BEGIN))])
     now = flight.truth_at(np.array([t_ns]))
@@ -73,7 +75,7 @@ def begin(case: Case, path: Course, flight: Flight, rng: np.random.Generator) ->
     P[:3, :3], P[3:, 3:] = C_nb.T @ np.diag(sigma_n**2) @ C_nb, np.diag(rest**2)
     off = rest[:6] * rng.standard_normal(6)
     state = Nominal(q_nb=q_nb, vel_n=now.vel_n[0] - off[:3], pos_n=pos_n - off[3:])
-    return Start(t_ns=t_ns, state=state, P=P)
+    return InitialEstimate(t_ns=t_ns, state=state, P=P)
 
 
 def fly(case: Case, seed: int, make: Callable[[Setup], NavigationFilter]) -> Outcome:
@@ -81,12 +83,12 @@ def fly(case: Case, seed: int, make: Callable[[Setup], NavigationFilter]) -> Out
     config = SimConfig(imu=ImuConfig(rate=50.0))
     flight = Flight.plan(case.scenario, config, seed=seed, duration=DURATION)
     settings = matched(config)
-    path = Course(wire.events(flight, has_vel_down=True), settings)
+    path = MeasurementSequence(wire.events(flight, has_vel_down=True), settings)
     if case.is_compassless:
         path.aids = [one for one in path.aids if one[1].aid != "heading"]
     start = begin(case, path, flight, np.random.default_rng([seed, 15]))
     setup = Setup(start=start, earth=path.earth, noise=path.noise, gate=Gate(settings.gate))
-    solution = course.run("filter", make(setup), path, setup)
+    solution = sequence.run_sequence("filter", make(setup), path, setup)
 
     settled_ns = start.t_ns + round(SETTLED * 1e9)
     table = solution.table

@@ -27,9 +27,8 @@ def test_the_seeds_sensors_are_read_without_a_map(tmp_path: Path):
     path.write_text(SENSORS)
     recording = csv.read(path)
     events = recording.events
-    assert [int((events.kind == kind).sum()) for kind in (Kind.IMU, Kind.GNSS, Kind.MAG)] == [
-        *(2, 1, 0)
-    ]
+    counts = [int((events.kind == kind).sum()) for kind in (Kind.IMU, Kind.GNSS, Kind.MAG)]
+    assert counts == [2, 1, 0]
     fix = events.values[events.kind == Kind.GNSS][0]
     np.testing.assert_allclose(SIMULATED.to_ned(*fix[:3]), [12.5, -40.0, -110.0], atol=1e-8)
     np.testing.assert_allclose(fix[3:9], [3.0, 4.0, -1.0, 1.0, 1.0, 0.05])

@@ -174,7 +174,7 @@ def test_rows_of_a_damaged_clock_are_dropped_and_counted(read):
         log.row("IMU", us, 0, 0, 0, 0, 0, -9.8)
     recording = read(log.data)
     assert len(recording.events) == 999
-    assert "1 rows whose time stamps leave the log's course were dropped" in recording.notes
+    assert "1 rows whose time stamps do not fit the log's clock were dropped" in recording.notes
 
 
 WHOLE = new_log()

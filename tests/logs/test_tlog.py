@@ -18,7 +18,7 @@ def record(stamp_us, frame):
 
 
 def small_log(version=second, n=40, boot_ms=1000):
-    """Give records as bytes: a heartbeat, then attitude, position and raw samples in turn."""
+    """Return records as bytes: a heartbeat, then attitude, position and raw samples in turn."""
     mav = version.MAVLink(None, srcSystem=1, srcComponent=1)
     gcs = version.MAVLink(None, srcSystem=255, srcComponent=190)
     records = []

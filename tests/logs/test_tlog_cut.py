@@ -22,7 +22,7 @@ def read(tmp_path, data):
 
 
 def before(cut):
-    """Give how many records are whole before a place."""
+    """Return how many records are whole before a place."""
     return sum(end <= cut for end in ENDS)
 
 

@@ -231,14 +231,14 @@ def test_recorded_flights_give_their_events_and_ekf2s_estimate(flight, name, fix
     assert np.all(np.diff(recording.reference.att_t_ns) > 0)
 
 
-def test_a_damaged_flight_keeps_its_longest_course_of_time(flight):
+def test_a_damaged_flight_keeps_its_longest_run_of_the_clock(flight):
     recording = ulog.read(flight("px4-ulg-damaged-fixedwing/damaged_format_not_utf8.ulg"))
     t_ns = of_kind(recording, Kind.IMU).t_ns
     assert len(t_ns) == 13944
     assert np.all(np.diff(t_ns) > 0)
     span_ns = recording.events.t_ns.max() - recording.events.t_ns.min()
     assert span_ns < 80_000_000_000
-    assert any("time stamps leave the log's course" in note for note in recording.notes)
+    assert any("time stamps do not fit the log's clock" in note for note in recording.notes)
 
 
 def test_the_simulators_truth_agrees_with_what_was_recorded_beside_it(flight):

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from ekf_companion.core.enums import E_ATT, E_BA, E_BARO, E_HEADING, E_POS, E_VEL
+from ekf_companion.core.from_settings import parameters
 from ekf_companion.core.memory import as_state
 from ekf_companion.core.rts import Smoother
 from ekf_companion.core.settings import (
@@ -16,7 +17,6 @@ from ekf_companion.core.settings import (
     GnssSettings,
     HeadingSettings,
     ImuSettings,
-    parameters,
 )
 from ekf_companion.core.state import BLOCK
 from ekf_companion.engine.pipeline import Pipeline

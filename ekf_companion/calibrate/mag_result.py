@@ -1,54 +1,54 @@
-"""Iron, told: keys of the configuration, and the figure of the field before and after."""
+"""Measured iron as keys of the configuration."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.calibrate import ellipsoid
 from ekf_companion.calibrate.mag import Iron
-from ekf_companion.calibrate.report import Finding, Result, rounded, spelled
+from ekf_companion.calibrate.result import Result, Setting, rounded, spelled
+from ekf_companion.nav.arrays import Array
 
 AXES = ("forward", "right", "down")
 FEW = 0.1
 """Share of directions below which hard iron is a guess."""
 DISTURBED = 0.03
-"""What remains of the strength's error where motors, or the place, change the field, gauss."""
+"""Remaining error of the strength above which motors, or the place, change the field, gauss."""
 
 
 def result(found: Iron) -> Result:
-    """Give what was found as keys of the configuration."""
+    """Return measured iron as keys of the configuration."""
     fit = found.fit
     stds = np.where(found.determined, fit.hard_std, np.nan)
     is_seen = bool((np.abs(fit.hard) > 2.0 * fit.hard_std).any())
     is_bent = found.method == "ellipsoid" and bool(
         np.abs(fit.soft - np.eye(3)).max() > 2.0 * fit.soft_std
     )
-    doubt = "" if is_seen or is_bent else "; no more than its doubt: leave it as it is"
-    findings = [
-        Finding(
+    remark = "" if is_seen or is_bent else "; no more than its uncertainty: leave it as it is"
+    settings = [
+        Setting(
             key="heading.hard_iron",
             value=[round(float(axis), 4) for axis in fit.hard],
-            comment=f"gauss; one sigma: {_by_axis(stds)}{doubt}",
+            comment=f"gauss; one sigma: {_by_axis(stds)}{remark}",
             is_sure=is_seen or is_bent,
         )
     ]
     if found.method == "ellipsoid":
-        findings.append(
-            Finding(
+        settings.append(
+            Setting(
                 key="heading.soft_iron",
                 value=[[round(float(term), 4) for term in row] for row in fit.soft],
                 comment=f"one sigma of an element up to {fit.soft_std:.3f}",
                 is_sure=is_seen or is_bent,
             )
         )
-    return Result(findings=findings, notes=_notes(found), data=_data(found))
+    return Result(settings=settings, notes=_notes(found), data=_data(found))
 
 
 def _notes(found: Iron) -> list[str]:
-    """Say what the numbers rest on."""
+    """Return what the numbers are based on, as sentences."""
     fit, extremes = found.fit, found.by_extremes
     where = "by the World Magnetic Model there" if found.is_place_known else "as it was measured"
     notes = [
@@ -58,7 +58,7 @@ def _notes(found: Iron) -> list[str]:
     ]
     if found.method == "hard iron":
         notes.append(
-            "too few to tell soft iron, so hard iron alone was fitted, and its doubt counts in "
+            "too few to tell soft iron, so hard iron alone was fitted, and its sigma allows for "
             f"a soft iron of {100.0 * ellipsoid.LIKELY_SOFT:.0f} %; for both, turn the vehicle all "
             "ways round, nose up, nose down, on each side and on its back"
         )
@@ -109,29 +109,7 @@ def _data(found: Iron) -> dict[str, Any]:
     }
 
 
-def _by_axis(stds: npt.NDArray[np.float64]) -> str:
-    """Say how sure each axis is."""
+def _by_axis(stds: Array) -> str:
+    """Return one sigma of each axis as text."""
     words = (f"{std:.3f}" if np.isfinite(std) else "not determined" for std in stds)
     return ", ".join(f"{axis} {word}" for axis, word in zip(AXES, words, strict=True))
-
-
-def draw(found: Iron, sheet: Any) -> None:
-    """Draw the field by pairs of axes and its strength, before and after, into a figure."""
-    axes = sheet.subplots(2, 2)
-    after = found.fit.apply(found.mag_b)
-    angle = np.linspace(0.0, 2.0 * np.pi, 200)
-    ring = found.strength * np.stack([np.cos(angle), np.sin(angle)])
-    for axis, (i, j) in zip(axes.flat, ((0, 1), (0, 2), (1, 2)), strict=False):
-        axis.plot(*found.mag_b[:, [i, j]].T, ".", color="#7f7f7f", markersize=2, label="as it is")
-        axis.plot(*after[:, [i, j]].T, ".", color="#1f77b4", markersize=2, label=found.method)
-        axis.plot(*ring, color="#d62728", linewidth=1.0, label="strength of the field")
-        axis.set(xlabel=f"{AXES[i]}, gauss", ylabel=f"{AXES[j]}, gauss")
-        axis.set_aspect("equal", adjustable="datalim")
-        axis.grid(visible=True, alpha=0.3)
-    last = axes[1, 1]
-    last.plot(np.linalg.norm(found.mag_b, axis=1), ".", color="#7f7f7f", markersize=2)
-    last.plot(np.linalg.norm(after, axis=1), ".", color="#1f77b4", markersize=2)
-    last.axhline(found.strength, color="#d62728", linewidth=1.0)
-    last.set(xlabel="sample", ylabel="strength, gauss")
-    last.grid(visible=True, alpha=0.3)
-    axes[0, 0].legend(loc="upper right")

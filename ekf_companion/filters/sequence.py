@@ -1,7 +1,7 @@
-"""A recording as the filters go through it: intervals of motion, and what aids at their ends.
+"""A recording as a sequence of intervals of motion with aids at their ends, and a filter over it.
 
 Events count at the time when they were true: the delays of :mod:`ekf_companion.core.settings` are
-taken off, and an aid between two inertial samples splits their interval.
+subtracted, and an aid between two inertial samples splits their interval.
 """
 
 from __future__ import annotations
@@ -11,26 +11,24 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.field import Field
 from ekf_companion.core.from_settings import delays_ns
 from ekf_companion.core.settings import HABITS, FilterSettings
 from ekf_companion.errors import FilterError, LogError
-from ekf_companion.filters import aiding, samples
+from ekf_companion.filters import aiding
+from ekf_companion.filters.alignment import InitialEstimate, align
 from ekf_companion.filters.gate import Gate
+from ekf_companion.filters.inertial import inertial_samples, longest_part
 from ekf_companion.filters.observation import Azimuth, Observation
 from ekf_companion.filters.solution import Recorder, Solution
-from ekf_companion.filters.start import Start, find_start
 from ekf_companion.filters.strapdown import Earth, Interval, Noise, Nominal
+from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.measurements import Events
-
-Array = npt.NDArray[np.float64]
-Stamps = npt.NDArray[np.int64]
+from ekf_companion.nav.measurements import GNSS_POSITION, Events
 
 AROUND_NS = 2_000_000_000
-"""How far from the inertial samples a fix or a heading is still of the same part."""
+"""Largest distance of a fix or a heading from the inertial samples."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -38,19 +36,19 @@ class Step:
     """An interval, and the aids at its end."""
 
     t_ns: int
-    """Its end."""
+    """End of the interval."""
     over: Interval | None
-    """None: several aids came at one time."""
+    """None: the interval is empty."""
     aids: tuple[Observation, ...]
     is_sample: bool
-    """It ends at an inertial sample: an estimate is due."""
+    """The interval ends at an inertial sample: an estimate is due."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Setup:
-    """What a filter begins with."""
+    """The start of a filter: first estimate, Earth, noise and gate."""
 
-    start: Start
+    start: InitialEstimate
     earth: Earth
     noise: Noise
     gate: Gate
@@ -61,19 +59,19 @@ class NavigationFilter(Protocol):
 
     @property
     def state(self) -> Nominal:
-        """The estimate of now."""
+        """The present estimate."""
 
     def predict(self, over: Interval) -> None:
-        """Carry the estimate over an interval."""
+        """Predict the estimate over an interval."""
 
     def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
-        """Fuse what was measured now."""
+        """Fuse the aids of one time."""
 
     def covariance(self) -> Array:
-        """Give that of attitude (in n), velocity and position, shape (9, 9)."""
+        """Return the covariance of attitude, velocity and position in n, shape (9, 9)."""
 
 
-class Course:
+class MeasurementSequence:
     """The events of a recording in order of the time when they were true."""
 
     def __init__(
@@ -83,33 +81,31 @@ class Course:
         family: str = "unknown",
         gnss_delay: float | None = None,
     ) -> None:
-        """Put the events in order and find what the recording offers.
+        """Sort the events and select the aids.
 
         Args:
             events: In any order.
-            settings: Delays, floors of the noise, sources; the same as the daemon's.
-            family: What ``auto`` means in them.
-            gnss_delay: Delay that the log itself declares, s.
+            settings: Those of the daemon: delays, least sigmas, sources.
+            family: Autopilot that resolves ``auto`` in them.
+            gnss_delay: Delay that the log declares, s.
 
         Raises:
             LogError: There are no inertial samples, no fixes or no heading.
         """
         self._settings = settings
-        told = settings.imu.samples
-        self.is_mean = (HABITS[family].imu_samples if told == "auto" else told) == "mean"
-        """An inertial sample is the mean since the one before."""
+        kind = settings.imu.samples
+        self.is_mean = (HABITS[family].imu_samples if kind == "auto" else kind) == "mean"
+        """Whether an inertial sample is the mean since the one before."""
         t_ns = events.t_ns - delays_ns(settings, family, gnss_delay)[events.kind]
         values = Field(settings.heading).complete_all(events)
         order = np.lexsort((events.kind, t_ns))
         ordered = Events(t_ns=t_ns[order], kind=events.kind[order], values=values[order])
-        imu = samples.inertial(ordered)
+        imu = inertial_samples(ordered)
         if len(imu) < 2:
             raise LogError("no inertial samples: nothing can be integrated")
-        imu, self.notes = samples.unbroken(imu, settings.imu.gap_reset)
-        is_near = (ordered.t_ns > imu.t_ns[0] - AROUND_NS) & (
-            ordered.t_ns < imu.t_ns[-1] + AROUND_NS
-        )
-        ordered = ordered.take(is_near)
+        imu, self.notes = longest_part(imu, settings.imu.gap_reset)
+        is_near = ordered.t_ns > imu.t_ns[0] - AROUND_NS
+        ordered = ordered.take(is_near & (ordered.t_ns < imu.t_ns[-1] + AROUND_NS))
         self.t_ns: Stamps = imu.t_ns
         """Times of the inertial samples."""
         self.gyro: Array = imu.values[:, :3]
@@ -117,18 +113,18 @@ class Course:
         self.accel: Array = imu.values[:, 3:6]
         """m/s^2, b."""
         fixes = aiding.fixes(ordered, settings)
-        self.frame = LocalFrame(*fixes.values[0, :3].tolist())
+        self.frame = LocalFrame(*fixes.values[0, GNSS_POSITION].tolist())
         """Of the positions; its origin is the first fix."""
         self.earth = Earth.at(self.frame)
         nearest = np.clip(np.searchsorted(self.t_ns, fixes.t_ns), 0, len(self.t_ns) - 1)
-        aids = aiding.of_fixes(fixes, self.gyro[nearest], self.frame, settings)
+        aids = aiding.fix_observations(fixes, self.gyro[nearest], self.frame, settings)
         aids += aiding.azimuths(ordered, fixes, settings)
         self.aids: list[tuple[int, Observation]] = sorted(aids, key=lambda one: one[0])
         """Times and aids, ascending."""
 
     @property
     def noise(self) -> Noise:
-        """How the motion is disturbed."""
+        """The process noise."""
         imu = self._settings.imu
         return Noise(
             gyro=imu.gyro_noise,
@@ -138,19 +134,19 @@ class Course:
         )
 
     def setup(self) -> Setup:
-        """Give what a filter begins with: level, north, and the fix.
+        """Return the start of a filter.
 
         Raises:
-            LogError: The recording ends before all three are known.
+            LogError: The recording ends before level, north and position are known.
         """
-        start = find_start(
+        start = align(
             self.t_ns, self.gyro, self.accel, self.aids, self._settings, self.earth.rate_n
         )
         gate = Gate(self._settings.gate)
         return Setup(start=start, earth=self.earth, noise=self.noise, gate=gate)
 
     def steps(self, after_ns: int) -> Iterator[Step]:
-        """Give the intervals after a time, which must be that of an inertial sample."""
+        """Yield the intervals after a time, which must be that of an inertial sample."""
         first = int(np.searchsorted(self.t_ns, after_ns, side="right"))
         waiting = (one for one in self.aids if one[0] > after_ns)
         aid = next(waiting, None)
@@ -169,7 +165,7 @@ class Course:
                 yield Step(t_ns=end, over=self._interval(k, now, end), aids=(), is_sample=True)
 
     def _interval(self, k: int, begin: int, end: int) -> Interval | None:
-        """Give the readings between two times within those of samples k - 1 and k."""
+        """Return the measurements between two times within those of samples k - 1 and k."""
         if end <= begin:
             return None
         ends = []
@@ -185,7 +181,7 @@ class Course:
 
 
 def advance(tried: NavigationFilter, step: Step) -> None:
-    """Take a filter over an interval, and correct it at the end."""
+    """Predict a filter over an interval, and correct it at the end."""
     if step.over is not None:
         tried.predict(step.over)
     if step.aids:
@@ -193,20 +189,22 @@ def advance(tried: NavigationFilter, step: Step) -> None:
         aids = [
             aid.about(now) if isinstance(aid, Azimuth) else aid
             for aid in step.aids
-            if not isinstance(aid, Azimuth) or aid.is_seen(now)
+            if not isinstance(aid, Azimuth) or aid.is_usable(now)
         ]
         tried.correct(step.t_ns, aids)
 
 
-def run(name: str, tried: NavigationFilter, course: Course, setup: Setup) -> Solution:
-    """Take a filter through a recording, or as far as it can go: what it estimated stands.
+def run_sequence(
+    name: str, tried: NavigationFilter, sequence: MeasurementSequence, setup: Setup
+) -> Solution:
+    """Run a filter over a recording, or as far as it can go.
 
     Raises:
         FilterError: It cannot go on, and has estimated nothing.
     """
-    recorder = Recorder(name, course.frame)
-    notes = course.notes
-    for step in course.steps(setup.start.t_ns):
+    recorder = Recorder(name, sequence.frame)
+    notes = sequence.notes
+    for step in sequence.steps(setup.start.t_ns):
         try:
             advance(tried, step)
         except FilterError as why:
@@ -225,5 +223,5 @@ def run(name: str, tried: NavigationFilter, course: Course, setup: Setup) -> Sol
 
 
 def stopped(t_ns: int, why: FilterError) -> str:
-    """Give the note that estimates end here."""
+    """Return the note that the estimates end at a time."""
     return f"the estimates end at {t_ns * 1e-9:.2f} s of the log: {why}"

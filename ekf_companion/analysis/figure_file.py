@@ -1,4 +1,4 @@
-"""One figure for each calibration."""
+"""Figures as files: a matplotlib figure is opened, drawn into and saved."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 from ekf_companion.errors import CompanionError
 
 Draw = Callable[[Any], None]
-"""Is given a matplotlib figure, and draws into it."""
+"""Draws into a matplotlib figure."""
 
 
 def has_matplotlib() -> bool:
-    """Whether figures can be drawn here."""
+    """Return whether figures can be drawn here."""
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError:
@@ -21,13 +21,8 @@ def has_matplotlib() -> bool:
     return True
 
 
-def write(path: Path, title: str, draw: Draw) -> None:
-    """Write a figure into a PNG, PDF or SVG file.
-
-    Args:
-        path: The file.
-        title: Above the figure.
-        draw: Is given a matplotlib figure, and draws into it.
+def write(path: Path, title: str, draw: Draw, *, width: float = 12.0, height: float = 8.0) -> None:
+    """Draw a figure into a PNG, PDF or SVG file; its size is in inches.
 
     Raises:
         CompanionError: matplotlib is not installed, or the file cannot be written.
@@ -39,7 +34,7 @@ def write(path: Path, title: str, draw: Draw) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    sheet = Figure(figsize=(12.0, 8.0), layout="constrained")
+    sheet = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(sheet)
     draw(sheet)
     sheet.suptitle(title)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.filters.detector import Detector, Limits, moving_variance, runs, statistic
+from ekf_companion.filters.zupt_detector import Detector, Limits, moving_variance, statistic
 
 GRAVITY = 9.81
 LIMITS = Limits(gyro=0.3, accel=1.5)
@@ -62,8 +62,3 @@ def test_only_a_turn_tells_a_steady_turn_from_rest():
 def test_a_variance_far_from_nought_keeps_its_digits():
     values = np.array([[1e6], [1e6 + 1e-3], [1e6], [1e6 + 1e-3]])
     assert moving_variance(values, 10) == pytest.approx(0.25e-6, rel=1e-6)
-
-
-def test_runs_are_half_open():
-    assert runs(np.array([True, False, True, True])) == [(0, 1), (2, 4)]
-    assert runs(np.zeros(3, dtype=bool)) == []

@@ -1,15 +1,15 @@
 import yaml
 
-from ekf_companion.calibrate.report import Finding, Result, is_known, lines, rounded, spelled
+from ekf_companion.calibrate.result import Result, Setting, is_known, lines, rounded, spelled
 from ekf_companion.config.config import parse_config
 
 RESULT = Result(
-    findings=[
-        Finding(key="gnss.delay", value=0.12, comment="s; 95 %: 0.11 to 0.13"),
-        Finding(key="imu.gyro_noise", value=2.34e-5, comment="short"),
-        Finding(key="imu.gyro_bias_walk", value=1e-5, comment="a bound", is_sure=False),
-        Finding(key="gnss.no_such_key", value=3.0, comment="not yet"),
-        Finding(
+    settings=[
+        Setting(key="gnss.delay", value=0.12, comment="s; 95 %: 0.11 to 0.13"),
+        Setting(key="imu.gyro_noise", value=2.34e-5, comment="short"),
+        Setting(key="imu.gyro_bias_walk", value=1e-5, comment="a bound", is_sure=False),
+        Setting(key="gnss.no_such_key", value=3.0, comment="not yet"),
+        Setting(
             key="heading.soft_iron",
             value=[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             comment="long " * 30,

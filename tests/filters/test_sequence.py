@@ -12,10 +12,10 @@ from ekf_companion.core.settings import (
 )
 from ekf_companion.errors import LogError
 from ekf_companion.filters import iterated
-from ekf_companion.filters.course import Course, run
 from ekf_companion.filters.euler import Euler
 from ekf_companion.filters.iterated import Iterated
 from ekf_companion.filters.observation import Azimuth, Position, Velocity
+from ekf_companion.filters.sequence import MeasurementSequence, run_sequence
 from ekf_companion.filters.ukf import Unscented
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
@@ -37,13 +37,13 @@ def imu(stamps_ms, rates=None):
 
 
 def fixes(stamps_ms, vel_down=0.0, flags=0, vel=1.0):
-    n = len(stamps_ms)
-    one = np.ones(n)
+    position, stds, field = (0.8, 0.1, 100.0), (1.0, 2.0, 0.1), (0.0, flags, 1.1, 0.48)
+    values = [*position, vel, 0.0, vel_down, *stds, *field]
+    one = np.ones(len(stamps_ms))
     return Events.from_columns(
         np.array(stamps_ms, dtype=np.int64) * MS,
         Kind.GNSS,
-        *(0.8 * one, 0.1 * one, 100.0 * one, vel * one, 0.0 * one, vel_down * one),
-        *(1.0 * one, 2.0 * one, 0.1 * one, 0.0 * one, flags * one, 1.1 * one, 0.48 * one),
+        *np.outer(values, one),
     )
 
 
@@ -53,50 +53,52 @@ def headings(stamps_ms, source=HeadingSource.GNSS, angle=0.5):
     return Events.from_columns(t_ns, Kind.HEADING, angle * one, 0.03 * one, int(source) * one)
 
 
-def steps(course, after_ms=0):
-    return list(course.steps(after_ms * MS))
+def steps(sequence, after_ms=0):
+    return list(sequence.steps(after_ms * MS))
 
 
 def test_an_aid_splits_the_interval_of_its_time():
-    course = Course(
+    sequence = MeasurementSequence(
         merge(imu([0, 10, 20]), fixes([5]), headings([13, 20])), FilterSettings(), "unknown"
     )
-    found = [(s.t_ns // MS, s.is_sample, [a.aid for a in s.aids]) for s in steps(course)]
+    found = [(s.t_ns // MS, s.is_sample, [a.aid for a in s.aids]) for s in steps(sequence)]
     assert found == [
         (5, False, ["position", "velocity"]),
         (10, True, []),
         (13, False, ["heading"]),
         (20, True, ["heading"]),
     ]
-    assert [round(s.over.dt * 1e3, 9) for s in steps(course)] == [5.0, 5.0, 3.0, 7.0]
+    assert [round(s.over.dt * 1e3, 9) for s in steps(sequence)] == [5.0, 5.0, 3.0, 7.0]
 
 
 def test_readings_within_an_interval_are_means_or_on_the_line_between_samples():
     events = merge(imu([0, 10, 20], [0.0, 1.0, 3.0]), fixes([14]), headings([0]))
     for samples, ends in (("mean", (3.0, 3.0)), ("instant", (1.0, 1.8))):
-        course = Course(events, FilterSettings(imu=ImuSettings(samples=samples)), "unknown")
-        over = steps(course)[1].over
+        sequence = MeasurementSequence(
+            events, FilterSettings(imu=ImuSettings(samples=samples)), "unknown"
+        )
+        over = steps(sequence)[1].over
         assert (over.gyro0[0], over.gyro1[0]) == pytest.approx(ends)
-        assert course.is_mean is (samples == "mean")
+        assert sequence.is_mean is (samples == "mean")
 
 
 def test_intervals_lie_end_to_end():
     flight = Flight.plan("hover", SimConfig(imu=ImuConfig(rate=50.0)), seed=1, duration=5.0)
-    course = Course(wire.events(flight, has_vel_down=True), FilterSettings())
-    now = begin = course.setup().start.t_ns
-    for step in course.steps(begin):
+    sequence = MeasurementSequence(wire.events(flight, has_vel_down=True), FilterSettings())
+    now = begin = sequence.setup().start.t_ns
+    for step in sequence.steps(begin):
         now += 0 if step.over is None else round(step.over.dt * 1e9)
         assert now == step.t_ns
         assert step.aids or step.is_sample
-    assert now == course.t_ns[-1]
-    assert sum(step.is_sample for step in course.steps(begin)) == (course.t_ns > begin).sum()
+    assert now == sequence.t_ns[-1]
+    assert sum(step.is_sample for step in sequence.steps(begin)) == (sequence.t_ns > begin).sum()
 
 
 def test_the_order_of_arrival_does_not_matter():
     flight = Flight.plan("hover", SimConfig(imu=ImuConfig(rate=50.0)), seed=1, duration=4.0)
     events = wire.events(flight, has_vel_down=True)
     order = np.random.default_rng(1).permutation(len(events))
-    one, other = (Course(e, FilterSettings()) for e in (events, events.take(order)))
+    one, other = (MeasurementSequence(e, FilterSettings()) for e in (events, events.take(order)))
     assert (one.t_ns == other.t_ns).all()
     assert [(t, aid.aid) for t, aid in one.aids] == [(t, aid.aid) for t, aid in other.aids]
     gaps = [
@@ -112,8 +114,8 @@ def test_a_fix_counts_when_it_was_true():
     settings = FilterSettings(gnss=GnssSettings(delay=0.1))
     events = merge(imu([0, 10]), fixes([107]), headings([0]))
     for delay, at in ((settings, 7), (FilterSettings(), 107)):
-        course = Course(events, delay, "unknown")
-        assert [t // MS for t, aid in course.aids if isinstance(aid, Position)] == [at]
+        sequence = MeasurementSequence(events, delay, "unknown")
+        assert [t // MS for t, aid in sequence.aids if isinstance(aid, Position)] == [at]
 
 
 def test_of_two_headings_the_better_source_speaks():
@@ -125,10 +127,10 @@ def test_of_two_headings_the_better_source_speaks():
     )
     for source, angle in (("auto", 2.0), ("gnss", 2.0), ("autopilot", 1.0)):
         settings = FilterSettings(heading=HeadingSettings(source=source))
-        course = Course(events, settings)
-        assert [a.azimuth for _, a in course.aids if isinstance(a, Azimuth)] == [angle]
+        sequence = MeasurementSequence(events, settings)
+        assert [a.azimuth for _, a in sequence.aids if isinstance(a, Azimuth)] == [angle]
     with pytest.raises(LogError, match="no heading"):
-        Course(events, FilterSettings(heading=HeadingSettings(source="magnetometer")))
+        MeasurementSequence(events, FilterSettings(heading=HeadingSettings(source="magnetometer")))
 
 
 def test_the_autopilots_own_position_speaks_only_where_the_receiver_is_silent():
@@ -136,31 +138,31 @@ def test_the_autopilots_own_position_speaks_only_where_the_receiver_is_silent():
     both = merge(imu([0, 10]), fixes([2]), derived, headings([1]))
     alone = merge(imu([0, 10]), derived, headings([1]))
     for events, source, at in ((both, "auto", 2), (both, "global", 3), (alone, "auto", 3)):
-        course = Course(events, FilterSettings(gnss=GnssSettings(source=source)))
-        assert [t // MS for t, aid in course.aids if isinstance(aid, Position)] == [at]
+        sequence = MeasurementSequence(events, FilterSettings(gnss=GnssSettings(source=source)))
+        assert [t // MS for t, aid in sequence.aids if isinstance(aid, Position)] == [at]
     with pytest.raises(LogError, match="no GNSS fix"):
-        Course(alone, FilterSettings(gnss=GnssSettings(source="raw")))
+        MeasurementSequence(alone, FilterSettings(gnss=GnssSettings(source="raw")))
 
 
 def test_a_receiver_that_reports_spoofing_is_not_heard():
     bad = fixes([3], flags=int(GnssFlag.SUSPECT))
     with pytest.raises(LogError, match="no GNSS fix"):
-        Course(merge(imu([0, 10]), bad, headings([1])), FilterSettings())
+        MeasurementSequence(merge(imu([0, 10]), bad, headings([1])), FilterSettings())
 
 
 @pytest.mark.parametrize(
     ("vel_down", "vel", "axes"), [(0.2, 1.0, [3]), (np.nan, 1.0, [2]), (0.0, np.nan, [])]
 )
 def test_a_velocity_has_the_axes_that_were_told(vel_down, vel, axes):
-    course = Course(
+    sequence = MeasurementSequence(
         merge(imu([0, 10]), fixes([2], vel_down, 0, vel), headings([1])), FilterSettings()
     )
-    assert [len(a.vel_n) for _, a in course.aids if isinstance(a, Velocity)] == axes
+    assert [len(a.vel_n) for _, a in sequence.aids if isinstance(a, Velocity)] == axes
 
 
 def test_without_inertial_samples_there_is_nothing_to_integrate():
     with pytest.raises(LogError, match="no inertial samples"):
-        Course(merge(imu([0]), fixes([1]), headings([1])), FilterSettings())
+        MeasurementSequence(merge(imu([0]), fixes([1]), headings([1])), FilterSettings())
 
 
 def test_a_field_of_another_strength_shows_no_north():
@@ -169,19 +171,23 @@ def test_a_field_of_another_strength_shows_no_north():
     values = events.values.copy()
     values[events.kind == Kind.MAG, :3] *= 2.0
     with pytest.raises(LogError, match="no heading"):
-        Course(Events(t_ns=events.t_ns, kind=events.kind, values=values), FilterSettings())
+        MeasurementSequence(
+            Events(t_ns=events.t_ns, kind=events.kind, values=values), FilterSettings()
+        )
 
 
 def test_over_a_gap_that_cannot_be_bridged_only_the_longest_part_counts():
     stamps = [*range(0, 200, 10), *range(60_000, 60_500, 10)]
     events = merge(imu(stamps), fixes([5, 60_005]), headings([5, 60_005]))
-    course = Course(events, FilterSettings())
-    assert len(course.t_ns) == 50
-    assert course.t_ns[0] == 60_000 * MS
-    assert [t // MS for t, _ in course.aids] == [60_005] * 3
-    assert len(course.notes) == 1
-    assert "59.8 s" in course.notes[0]
-    bridged = Course(merge(imu(range(0, 200, 50)), fixes([5]), headings([5])), FilterSettings())
+    sequence = MeasurementSequence(events, FilterSettings())
+    assert len(sequence.t_ns) == 50
+    assert sequence.t_ns[0] == 60_000 * MS
+    assert [t // MS for t, _ in sequence.aids] == [60_005] * 3
+    assert len(sequence.notes) == 1
+    assert "59.8 s" in sequence.notes[0]
+    bridged = MeasurementSequence(
+        merge(imu(range(0, 200, 50)), fixes([5]), headings([5])), FilterSettings()
+    )
     assert bridged.notes == ()
 
 
@@ -189,8 +195,8 @@ def test_over_a_gap_that_cannot_be_bridged_only_the_longest_part_counts():
 def test_what_no_sensor_can_say_is_no_sample(column, value):
     samples = imu([0, 10, 20, 30])
     samples.values[1, column] = value
-    course = Course(merge(samples, fixes([5]), headings([5])), FilterSettings())
-    assert (course.t_ns // MS).tolist() == [0, 20, 30]
+    sequence = MeasurementSequence(merge(samples, fixes([5]), headings([5])), FilterSettings())
+    assert (sequence.t_ns // MS).tolist() == [0, 20, 30]
 
 
 def test_a_heading_that_is_no_number_is_not_heard():
@@ -198,9 +204,11 @@ def test_a_heading_that_is_no_number_is_not_heard():
     bad.values[0, 0] = np.nan
     bad.values[1, 1] = np.nan
     with pytest.raises(LogError, match="no heading"):
-        Course(merge(imu([0, 10]), fixes([1]), bad), FilterSettings())
-    course = Course(merge(imu([0, 10]), fixes([1]), bad, headings([6])), FilterSettings())
-    assert [t // MS for t, a in course.aids if isinstance(a, Azimuth)] == [6]
+        MeasurementSequence(merge(imu([0, 10]), fixes([1]), bad), FilterSettings())
+    sequence = MeasurementSequence(
+        merge(imu([0, 10]), fixes([1]), bad, headings([6])), FilterSettings()
+    )
+    assert [t // MS for t, a in sequence.aids if isinstance(a, Azimuth)] == [6]
 
 
 def test_where_the_better_source_falls_silent_another_speaks():
@@ -212,7 +220,9 @@ def test_where_the_better_source_falls_silent_another_speaks():
         headings([500, 1500, 2500, 25_500], HeadingSource.GNSS, 2.0),
     )
     found = [
-        (t // MS, a.azimuth) for t, a in Course(events, FilterSettings()).aids if a.aid == "heading"
+        (t // MS, a.azimuth)
+        for t, a in MeasurementSequence(events, FilterSettings()).aids
+        if a.aid == "heading"
     ]
     better = [(t, 2.0) for t in (500, 1500, 2500, 25_500)]
     other = [(t, 1.0) for t in range(13_000, 26_000, 1000)]
@@ -227,7 +237,7 @@ def test_a_field_along_the_vertical_is_passed_over():
     size = np.linalg.norm(values[late, :3], axis=1)
     values[late, :3] = np.column_stack([0.0 * size, 0.0 * size, size])
     spoiled = Events(t_ns=events.t_ns, kind=events.kind, values=values)
-    solution = iterated.run(spoiled, FilterSettings())
+    solution = iterated.run(MeasurementSequence(spoiled, FilterSettings()))
     fused, refused = solution.counts["heading"]
     # Level as it is, it takes those of the first seconds for all there are
     assert fused + refused < 0.7 * (events.kind == Kind.MAG).sum()
@@ -264,15 +274,15 @@ def test_a_jump_of_the_fixes_is_taken_after_the_time_out_and_tilts_nothing(name)
 def test_a_sure_but_tilted_start_finds_level_again_by_the_reset_of_the_velocity(make):
     config = SimConfig(imu=ImuConfig(rate=50.0), gnss=GnssConfig(rate=5.0, delay=0.0))
     flight = Flight.plan("hover", config, seed=4, duration=20.0)
-    course = Course(wire.events(flight, has_vel_down=True), matched(config))
-    setup = course.setup()
+    sequence = MeasurementSequence(wire.events(flight, has_vel_down=True), matched(config))
+    setup = sequence.setup()
     tilted = so3.multiply(setup.start.state.q_nb, so3.exp(np.radians([25.0, 0.0, 0.0])))
     P = setup.start.P.copy()
     P[:3, :] = P[:, :3] = 0.0
     P[:3, :3] = np.radians(0.5) ** 2 * np.eye(3)
     start = replace(setup.start, state=replace(setup.start.state, q_nb=tilted), P=P)
     setup = replace(setup, start=start)
-    table = run("tried", make(setup), course, setup).table
+    table = run_sequence("tried", make(setup), sequence, setup).table
     assert setup.gate.resets.get("velocity", 0) >= 1
     truth = flight.truth_at(table.stamp_ns[-50:])
     q_nb = np.stack([table.column(f"q_{one}")[-50:] for one in "wxyz"], axis=1)

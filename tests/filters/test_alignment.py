@@ -3,8 +3,8 @@ import pytest
 
 from ekf_companion.core.settings import FilterSettings, ImuSettings
 from ekf_companion.errors import LogError
+from ekf_companion.filters.alignment import MOVING_TILT, UNKNOWN_VELOCITY, align
 from ekf_companion.filters.observation import Azimuth, Position, Velocity
-from ekf_companion.filters.start import MOVING_TILT, UNKNOWN_VELOCITY, find_start
 from ekf_companion.filters.strapdown import ATT, BA, BG, POS, VEL
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import STANDARD_GRAVITY, earth_rate_n
@@ -47,7 +47,7 @@ def error_n(start):
 
 def test_at_rest_it_finds_level_north_and_the_bias_of_the_gyro():
     rng = np.random.default_rng(1)
-    start = find_start(*readings(rng), aids(rng), SETTINGS, RATE_N)
+    start = align(*readings(rng), aids(rng), SETTINGS, RATE_N)
     assert start.t_ns == 1_200_000_000
     np.testing.assert_allclose(error_n(start), 0.0, atol=2e-3)
     np.testing.assert_allclose(
@@ -65,7 +65,7 @@ def test_its_errors_are_as_large_and_tied_together_as_it_says():
     squares = []
     for _ in range(60):
         bias = rng.normal(0.0, 0.05, 3)
-        start = find_start(*readings(rng, bias=bias), aids(rng, noise=0.004), SETTINGS, RATE_N)
+        start = align(*readings(rng, bias=bias), aids(rng, noise=0.004), SETTINGS, RATE_N)
         C_nb = so3.to_matrix(start.state.q_nb)
         gap = np.concatenate([C_nb.T @ error_n(start), bias])
         both = np.r_[ATT, BA]
@@ -77,7 +77,7 @@ def test_its_errors_are_as_large_and_tied_together_as_it_says():
 def test_a_level_is_as_wrong_as_the_bias_makes_it():
     rng = np.random.default_rng(3)
     bias = so3.to_matrix(TRUE).T @ [0.3, 0.0, 0.0]
-    start = find_start(*readings(rng, bias=bias), aids(rng), SETTINGS, RATE_N)
+    start = align(*readings(rng, bias=bias), aids(rng), SETTINGS, RATE_N)
     assert error_n(start)[1] == pytest.approx(-0.3 / STANDARD_GRAVITY, rel=0.05)
     # Told the bias, the covariance turns the level back
     back = start.P[ATT, BA] @ np.linalg.solve(start.P[BA, BA], bias)
@@ -87,17 +87,17 @@ def test_a_level_is_as_wrong_as_the_bias_makes_it():
 
 def test_in_motion_nothing_is_taken_for_rest():
     rng = np.random.default_rng(4)
-    start = find_start(*readings(rng), aids(rng, vel_n=(5.0, 0.0, 0.0)), SETTINGS, RATE_N)
+    start = align(*readings(rng), aids(rng, vel_n=(5.0, 0.0, 0.0)), SETTINGS, RATE_N)
     assert (start.state.gyro_bias == 0.0).all()
     assert start.state.vel_n[0] == 5.0
     assert np.sqrt(np.trace(start.P[ATT, ATT])) > MOVING_TILT
-    shaken = find_start(*readings(rng, shake=2.0), aids(rng), SETTINGS, RATE_N)
+    shaken = align(*readings(rng, shake=2.0), aids(rng), SETTINGS, RATE_N)
     assert (shaken.state.gyro_bias == 0.0).all()
 
 
 def test_a_vertical_velocity_that_no_fix_says_is_unknown():
     rng = np.random.default_rng(5)
-    start = find_start(*readings(rng, shake=2.0), aids(rng, vel_n=(3.0, 0.0)), SETTINGS, RATE_N)
+    start = align(*readings(rng, shake=2.0), aids(rng, vel_n=(3.0, 0.0)), SETTINGS, RATE_N)
     sigmas = np.sqrt(np.diag(start.P)[VEL])
     np.testing.assert_allclose(sigmas, [0.2, 0.2, UNKNOWN_VELOCITY])
 
@@ -106,10 +106,10 @@ def test_a_recording_that_ends_too_early_is_refused():
     rng = np.random.default_rng(6)
     t_ns, gyro, accel = readings(rng)
     with pytest.raises(LogError, match="ends before"):
-        find_start(t_ns[:50], gyro[:50], accel[:50], aids(rng), SETTINGS)
+        align(t_ns[:50], gyro[:50], accel[:50], aids(rng), SETTINGS)
     only_fixes = [one for one in aids(rng) if not isinstance(one[1], Azimuth)]
     with pytest.raises(LogError, match="no heading"):
-        find_start(t_ns, gyro, accel, only_fixes, SETTINGS)
+        align(t_ns, gyro, accel, only_fixes, SETTINGS)
 
 
 def test_headings_about_south_are_averaged_there():
@@ -120,7 +120,7 @@ def test_headings_about_south_are_averaged_there():
         for k in range(10)
     ]
     found = [one for one in aids(rng) if not isinstance(one[1], Azimuth)]
-    start = find_start(*readings(rng), sorted(both + found, key=lambda one: one[0]), SETTINGS)
+    start = align(*readings(rng), sorted(both + found, key=lambda one: one[0]), SETTINGS)
     assert abs(so3.to_euler(start.state.q_nb)[2]) == pytest.approx(np.pi, abs=1e-3)
 
 
@@ -128,7 +128,7 @@ def test_headings_about_south_are_averaged_there():
 def test_a_slow_steady_turn_is_no_bias(rate):
     rng = np.random.default_rng(8)
     t_ns, gyro, accel = readings(rng)
-    start = find_start(t_ns, gyro + np.array([0.0, 0.0, rate]), accel, aids(rng), SETTINGS, RATE_N)
+    start = align(t_ns, gyro + np.array([0.0, 0.0, rate]), accel, aids(rng), SETTINGS, RATE_N)
     assert (start.state.gyro_bias == 0.0).all()
     assert np.sqrt(start.P[BG, BG].max()) == pytest.approx(SETTINGS.imu.gyro_bias)
 
@@ -136,7 +136,7 @@ def test_a_slow_steady_turn_is_no_bias(rate):
 def test_a_steady_push_is_no_rest():
     rng = np.random.default_rng(9)
     t_ns, gyro, accel = readings(rng)
-    start = find_start(t_ns, gyro, 1.2 * accel, aids(rng), SETTINGS, RATE_N)
+    start = align(t_ns, gyro, 1.2 * accel, aids(rng), SETTINGS, RATE_N)
     assert (start.state.gyro_bias == 0.0).all()
 
 
@@ -158,9 +158,9 @@ def test_what_is_older_than_the_window_is_not_begun_from():
     late = [(t + 1_900_000_000, aid) for t, aid in norths[:5]]
     early = fix(100_000_000, 0.0, 50.0)
     with pytest.raises(LogError, match="within 1 s"):
-        find_start(t_ns, gyro, accel, sorted(early + late, key=lambda o: o[0]), SETTINGS)
+        align(t_ns, gyro, accel, sorted(early + late, key=lambda o: o[0]), SETTINGS)
     both = sorted(early + late + fix(2_600_000_000, 70.0, 0.0), key=lambda o: o[0])
-    start = find_start(t_ns, gyro, accel, both, SETTINGS)
+    start = align(t_ns, gyro, accel, both, SETTINGS)
     assert start.t_ns == 2_600_000_000
     assert start.state.pos_n[0] == 70.0
     assert start.state.vel_n[0] == 0.0
@@ -170,5 +170,5 @@ def test_a_start_at_the_last_sample_leaves_nothing_to_estimate():
     rng = np.random.default_rng(11)
     t_ns, gyro, accel = readings(rng)
     with pytest.raises(LogError, match="ends before"):
-        find_start(t_ns[:121], gyro[:121], accel[:121], aids(rng), SETTINGS)
-    assert find_start(t_ns[:122], gyro[:122], accel[:122], aids(rng), SETTINGS).t_ns == t_ns[120]
+        align(t_ns[:121], gyro[:121], accel[:121], aids(rng), SETTINGS)
+    assert align(t_ns[:122], gyro[:122], accel[:122], aids(rng), SETTINGS).t_ns == t_ns[120]

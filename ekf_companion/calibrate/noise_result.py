@@ -1,61 +1,52 @@
-"""Noise, told: keys of the configuration, and the figures that they were read off from."""
+"""Measured noise as keys of the configuration."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ekf_companion.calibrate.fixes import Receiver
-from ekf_companion.calibrate.noise import Found, Inertial
-from ekf_companion.calibrate.report import Finding, Result, rounded
+from ekf_companion.calibrate.noise import Inertial, Noises
+from ekf_companion.calibrate.result import Result, Setting, rounded
 from ekf_companion.calibrate.scatter import Scatter
 from ekf_companion.core.settings import FilterSettings, GnssSettings, ImuSettings
 
 WORTH = 600.0
-"""Rest after which a wandering bias can show, s."""
+"""Rest after which a random walk of the bias can show, s."""
 SENSORS = {"gyro": ("rad/s", slice(0, 3)), "accel": ("m/s^2", slice(3, 6))}
-SMALLEST = 1e-4
-"""What a figure still shows, m."""
-COLOURS = ("#d62728", "#1f77b4", "#2ca02c")
 
 
-def result(found: Found, settings: FilterSettings) -> Result:
-    """Give what was found as keys of the configuration.
-
-    Args:
-        found: What the log tells.
-        settings: What is set now.
-    """
+def result(found: Noises, settings: FilterSettings) -> Result:
+    """Return measured noise as keys of the configuration, beside the present settings."""
     notes: list[str] = []
-    findings: list[Finding] = []
+    keys: list[Setting] = []
     data: dict[str, Any] = {}
     if found.inertial is not None:
-        findings += _imu_findings(found.inertial, settings.imu)
+        keys += _imu_settings(found.inertial, settings.imu)
         notes += _imu_notes(found.inertial)
         data["inertial"] = _imu_data(found.inertial)
     if found.receivers:
-        findings += _gnss_findings(found.receivers[-1], settings.gnss)
+        keys += _gnss_settings(found.receivers[-1], settings.gnss)
         notes += [_gnss_note(one) for one in found.receivers]
         data["gnss"] = {one.state.replace(" ", "_"): _gnss_data(one) for one in found.receivers}
-    return Result(findings=findings, notes=[*notes, *found.notes], data=data)
+    return Result(settings=keys, notes=[*notes, *found.notes], data=data)
 
 
-def _imu_findings(found: Inertial, set_now: ImuSettings) -> list[Finding]:
-    """Give white noise and walk of both sensors.
+def _imu_settings(found: Inertial, present: ImuSettings) -> list[Setting]:
+    """Return white noise and bias random walk of both sensors.
 
     In flight vibration adds to the white noise. The estimator raises it by what the samples show;
-    behind a low-pass they do not show it, and what is set now should not be lowered.
+    behind a low-pass they do not show it, and the present setting should not be lowered.
     """
-    findings = []
+    keys = []
     for sensor, (unit, part) in SENSORS.items():
         worst = max(found.axes[part], key=lambda axis: axis.white)
-        floor: float = getattr(set_now, f"{sensor}_noise")
-        is_safe = worst.white > floor or (set_now.learn_noise and worst.corner is None)
+        floor: float = getattr(present, f"{sensor}_noise")
+        is_safe = worst.white > floor or (present.learn_noise and worst.corner is None)
         why = "motors add to it" if is_safe else f"at rest: keep {floor:g}, which counts motors in"
-        findings.append(
-            Finding(
+        keys.append(
+            Setting(
                 key=f"imu.{sensor}_noise",
                 value=worst.white,
                 comment=f"{unit} per sqrt Hz, +-{max(100.0 * worst.white_std, 1.0):.0f} %: worst "
@@ -74,10 +65,10 @@ def _imu_findings(found: Inertial, set_now: ImuSettings) -> list[Finding]:
             else f"{unit} per sqrt s; not more than this, no more can be said after "
             f"{found.seconds:.0f} s of rest"
         )
-        findings.append(
-            Finding(key=f"imu.{sensor}_bias_walk", value=value, comment=comment, is_sure=shows)
+        keys.append(
+            Setting(key=f"imu.{sensor}_bias_walk", value=value, comment=comment, is_sure=shows)
         )
-    return findings
+    return keys
 
 
 def _imu_notes(found: Inertial) -> list[str]:
@@ -125,13 +116,13 @@ def _imu_data(found: Inertial) -> dict[str, Any]:
     return {"rest_s": found.seconds, "rate_hz": rounded(found.rate), **axes}
 
 
-def _gnss_findings(found: Receiver, set_now: GnssSettings) -> list[Finding]:
-    """Give the floors: as keys where the ones that are set do harm, else as comments."""
-    findings = []
+def _gnss_settings(found: Receiver, present: GnssSettings) -> list[Setting]:
+    """Return the floors: as keys where the present ones do harm, else as comments."""
+    keys = []
     floors = (
-        ("position_std", "m", found.horizontal, set_now.position_std),
-        ("height_std", "m", found.height, set_now.height_std),
-        ("velocity_std", "m/s", found.velocity, set_now.velocity_std),
+        ("position_std", "m", found.horizontal, present.position_std),
+        ("height_std", "m", found.height, present.height_std),
+        ("velocity_std", "m/s", found.velocity, present.velocity_std),
     )
     for (key, unit, scatter, floor), stated in zip(floors, found.stated, strict=True):
         if scatter is None:
@@ -141,8 +132,8 @@ def _gnss_findings(found: Receiver, set_now: GnssSettings) -> list[Finding]:
         is_worse = scatter.white > floor
         why = "" if is_better or is_worse else f"; {floor:g} may stay: what lasts longer counts too"
         said = f"the receiver states {stated:.2g}" if np.isfinite(stated) else "it states none"
-        findings.append(
-            Finding(
+        keys.append(
+            Setting(
                 key=f"gnss.{key}",
                 value=max(scatter.white, stated) if is_better else scatter.white,
                 comment=f"{unit}, +-{100.0 * scatter.white_std:.0f} %: white noise {found.state}, "
@@ -152,15 +143,15 @@ def _gnss_findings(found: Receiver, set_now: GnssSettings) -> list[Finding]:
         )
     slow = found.horizontal
     if slow is not None and slow.time is not None:
-        findings.append(
-            Finding(
+        keys.append(
+            Setting(
                 key="gnss.slow_time",
                 value=slow.time,
                 comment=f"s, within a factor of 3: correlation time of {slow.slow:.2g} m, seen "
                 f"for {slow.seconds:.0f} s",
             )
         )
-    return findings
+    return keys
 
 
 def _gnss_note(found: Receiver) -> str:
@@ -205,53 +196,3 @@ def _gnss_data(found: Receiver) -> dict[str, Any]:
                 "structure": rounded(scatter.structure),
             }
     return data
-
-
-def draw(found: Found, sheet: Any) -> None:
-    """Draw Allan deviations and structure functions into a matplotlib figure."""
-    axes = sheet.subplots(2, 2)
-    for axis, (sensor, (unit, part)) in zip(axes[0], SENSORS.items(), strict=True):
-        axis.set(title=f"{sensor}: Allan deviation", xlabel="time, s", ylabel=unit)
-        if found.inertial is not None:
-            _draw_allan(axis, found.inertial, part)
-        else:
-            axis.text(0.5, 0.5, "no rest", ha="center", transform=axis.transAxes)
-    for axis, name in zip(axes[1], ("horizontal", "height"), strict=True):
-        axis.set(title=f"receiver, {name}: scatter by lag", xlabel="lag, s", ylabel="m")
-        _draw_scatter(axis, [(one.state, getattr(one, name)) for one in found.receivers])
-
-
-def _draw_allan(axis: Any, found: Inertial, part: slice) -> None:
-    named = zip("xyz", found.curves[part], found.axes[part], strict=True)
-    for colour, (name, curve, noise) in zip(COLOURS, named, strict=True):
-        axis.loglog(curve.tau, curve.deviation, "o-", color=colour, markersize=3, label=name)
-        white = noise.white / np.sqrt(curve.tau)
-        axis.loglog(curve.tau, white, color=colour, linestyle=":", linewidth=1.0)
-    axis.axvline(
-        max(noise.white_from for noise in found.axes[part]), color="#7f7f7f", linewidth=0.8
-    )
-    axis.grid(visible=True, which="both", alpha=0.3)
-    axis.legend()
-
-
-def _draw_scatter(axis: Any, scatters: Sequence[tuple[str, Scatter | None]]) -> None:
-    known = [(state, one) for state, one in scatters if one is not None]
-    for colour, (state, one) in zip(COLOURS, known, strict=False):
-        axis.loglog(
-            one.lag,
-            np.maximum(np.sqrt(one.structure), SMALLEST),
-            "o-",
-            color=colour,
-            markersize=3,
-            label=state,
-        )
-        axis.axhline(max(one.white, SMALLEST), color=colour, linestyle="--", linewidth=0.8)
-        if one.time is not None:
-            axis.loglog(one.lag, np.sqrt(one.model(one.time)), color=colour, linestyle=":")
-    axis.grid(visible=True, which="both", alpha=0.3)
-    if known:
-        low, high = axis.get_ylim()
-        axis.set_ylim(0.5 * low, 2.0 * high)  # noise alone would fill any narrower range
-        axis.legend()
-    else:
-        axis.text(0.5, 0.5, "no fixes", ha="center", transform=axis.transAxes)

@@ -9,12 +9,12 @@ from ekf_companion.filters import (
     ahrs,
     ahrs_article,
     mahony,
-    readings,
-    samples,
     vqf_adapter,
     zupt,
 )
-from ekf_companion.filters.plumb import Plumb
+from ekf_companion.filters.ahrs_sensors import GravityFilter
+from ekf_companion.filters.inertial import inertial_samples, longest_part
+from ekf_companion.filters.marg import marg_samples
 from ekf_companion.filters.solution import Recorder
 from ekf_companion.filters.strapdown import Nominal
 from ekf_companion.logs.recording import Recording
@@ -70,7 +70,7 @@ def test_the_first_sample_of_a_walk_counts():
 def test_what_no_sensor_can_say_is_nowhere_a_sample(column, value):
     events, _ = swing(HAND)
     bad = spoiled(events, column, value)
-    assert len(readings.read(bad).t_ns) == len(readings.read(events).t_ns) - 1
+    assert len(marg_samples(bad).t_ns) == len(marg_samples(events).t_ns) - 1
     walk = walks.make(np.random.default_rng(1), rate=100.0, strides=2).events
     assert len(zupt.run(spoiled(walk, column, value)).table) == len(walk) - 1
 
@@ -98,13 +98,14 @@ def test_a_field_that_is_told_late_is_taken_when_it_was_true():
 
 
 @pytest.mark.parametrize("name", ["mahony", "zupt", "ahrs:article"])
-def test_behind_a_restart_is_another_course_of_time(name):
+def test_after_a_restart_of_the_clock_the_longest_part_counts(name):
     events = walks.make(np.random.default_rng(1), rate=100.0, strides=3).events
     cut = len(events) // 4
     restart = Events.from_rows([Restart().row()])
     # The first quarter is run again, on a clock that begins anew
+    parts = [events, restart, events.take(np.arange(cut))]
     both = merge(
-        *(events, restart, events.take(np.arange(cut))),
+        *parts,
         arrival_ns=[np.full(n, k) for k, n in enumerate((len(events), 1, cut))],
     )
     once, twice = (
@@ -125,11 +126,11 @@ def test_without_gravity_nothing_is_divided_by_it():
     still = Events(t_ns=events.t_ns, kind=events.kind, values=values)
     with pytest.raises(LogError, match=r"reads 0\.00 m/s\^2 at rest"):
         zupt.run(still)
-    plumb = Plumb(3.0, 15.0)
+    gravity = GravityFilter(3.0, 15.0)
     for _ in range(400):
-        plumb.add(0.0, 0.0, 0.0, 0.01)
-        plumb.spread(0.01)
-    assert plumb.gravity == 0.0
+        gravity.add(0.0, 0.0, 0.0, 0.01)
+        gravity.sigma(0.01)
+    assert gravity.gravity == 0.0
 
 
 def test_sigmas_of_the_angles_know_how_the_errors_are_tied():
@@ -149,7 +150,7 @@ def test_sigmas_of_the_angles_know_how_the_errors_are_tied():
 
 def test_a_recording_without_gaps_stays_whole():
     events, _ = swing(HAND)
-    imu = samples.inertial(events)
-    whole, notes = samples.unbroken(imu, FilterSettings().imu.gap_reset)
+    imu = inertial_samples(events)
+    whole, notes = longest_part(imu, FilterSettings().imu.gap_reset)
     assert len(whole) == len(imu)
     assert notes == ()
