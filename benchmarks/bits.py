@@ -163,7 +163,7 @@ class Watched:
         pipeline = self._companion.pipeline
         if pipeline is not None and pipeline.stamp_ns != self._stamp_ns:
             self._stamp_ns = pipeline.stamp_ns
-            self._digests["table"].add(self._stamp_ns, pipeline.estimate())
+            self._digests["table"].add(self._stamp_ns, pipeline.values())
         self._observer.beat(self._now_ns)
         if self._next_ns is None or self._now_ns >= self._next_ns:
             self._next_ns = self._now_ns + STATUS_EVERY_NS

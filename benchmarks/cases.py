@@ -14,8 +14,8 @@ from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import merge
 from ekf_companion.nav.state import Table, Trajectory
 from ekf_companion.replay import convert
-from ekf_companion.replay.log_source import READERS, open_source
-from ekf_companion.replay.log_source import parts as parts_of
+from ekf_companion.replay.log_source import READERS, reference, truth
+from ekf_companion.replay.run import IdlePipeline, Run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,14 +91,13 @@ def recorded(path: Path) -> Recording:
     suffix = path.suffix.lower()
     if suffix in READERS:
         return READERS[suffix](path)
-    report = convert.Report(log=str(path))
-    source = open_source(path, Config(), report)  # a .tlog becomes events only by a session
-    parts = [part.events for part in parts_of(source)]
+    run = Run(path, Config(), IdlePipeline)  # a .tlog becomes events only by a session
+    parts = [block.events for block in run.blocks()]
     return Recording(
-        family=report.family,
+        family=run.report.family,
         # in the order in which they came: merge keeps it where arrivals are equal
         events=merge(*parts, arrival_ns=[np.zeros(len(one), dtype=np.int64) for one in parts]),
-        reference=source.reference,
-        truth=source.truth,
-        gnss_delay=source.delay,
+        reference=reference(run.log),
+        truth=truth(run.log),
+        gnss_delay=run.gnss_delay,
     )

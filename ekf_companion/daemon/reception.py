@@ -49,7 +49,7 @@ def open_reception(
 
 
 def hear(
-    received: Received, take: Callable[[bytes, int, Any], None], session: Session, link: Link
+    received: Received, take: Callable[[bytes, int, Any], object], session: Session, link: Link
 ) -> None:
     """Hand on what was read, and say by what the session makes of it whom to listen to.
 

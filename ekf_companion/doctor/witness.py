@@ -114,7 +114,7 @@ class Witness:
         self.reader.begin(self._family, is_deciding=not session.guard.is_reading)
         payload = self.reader.request(*peer, now_ns)
         if payload is not None:
-            session.send("PARAM_REQUEST_READ", payload, now_ns)
+            session.outbox.send("PARAM_REQUEST_READ", payload, now_ns)
 
     def data_to_send(self, now_ns: int) -> list[bytes]:
         """Give what is to be sent, one frame an item; nothing where we only listen."""

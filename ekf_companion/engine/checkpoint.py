@@ -125,13 +125,13 @@ class State:
     """Events that waited for the next sample, shape (n, ROW)."""
     settings: bytes
     """Fingerprint of the numbers that the estimator runs with, 8 bytes."""
-    told_before: int = 0
-    """Resets that were told before this state was begun with, >= 0."""
+    sent_before: int = 0
+    """Resets that were sent before this state was begun with, >= 0."""
 
     @property
     def next_reset(self) -> int:
-        """The count of resets that nobody has been told yet."""
-        return self.told_before + int(self.block[at.X_RESETS]) + 1
+        """The count of resets that comes after the last one sent."""
+        return self.sent_before + int(self.block[at.X_RESETS]) + 1
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -221,7 +221,7 @@ def encode(checkpoint: Checkpoint) -> bytes:
         min(checkpoint.starts, 0xFFFF),
         state.epoch_ns,
         state.stamp_ns,
-        state.told_before,
+        state.sent_before,
         *checkpoint.clocks,
         len(state.block),
         len(state.waiting),
@@ -267,7 +267,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         block=numbers[:size],
         waiting=numbers[size:].reshape(count, at.ROW),
         settings=settings,
-        told_before=before,
+        sent_before=before,
     )
     if max(sources) > _LARGEST_RANK or vehicle.family not in HABITS:
         return Refusal(Why.DAMAGED, "it names what there is not; please report it")

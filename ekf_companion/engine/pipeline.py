@@ -1,8 +1,9 @@
-"""The heart: a measurement in, what became of it and the estimate of now out."""
+"""The heart: measurements in, estimates out."""
 
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,18 +19,18 @@ from ekf_companion.nav.state import Odometry, Status, Table
 
 Array = npt.NDArray[np.float64]
 
-
-_ARRIVALS = tuple(Arrival)
-
-
 QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Status.INVALID: -1}
-"""Per cent, as ODOMETRY tells it."""
+"""Quality of an estimate by its status, as ODOMETRY carries it: per cent, -1 for failed."""
+_ARRIVALS = tuple(Arrival)
+_MAGNETIC = (Kind.GNSS, Kind.MAG)
+"""Kinds that are completed by what is known of magnetism."""
+
 if COMPILED_BLOCK != at.BLOCK:
     raise ImportError("the compiled kernel is older than its source; build it anew: make setup")
 
 
 class Pipeline:
-    """Estimator of one vehicle. Not a thread's business: call it from one loop."""
+    """Estimator of one vehicle; to be called from one thread."""
 
     def __init__(
         self,
@@ -48,34 +49,39 @@ class Pipeline:
             keeps_history: Events that leave the window are kept until :meth:`history` is asked.
         """
         self._field = Field(settings.heading)
-        self._family, self._gnss_delay = family, gnss_delay
+        self.family = family
+        """``px4``, ``ardupilot`` or ``unknown``."""
+        self._gnss_delay = gnss_delay
         k, late = parameters(settings, family), delays_ns(settings, family, gnss_delay)
         self._late = late
         self._fingerprint = settings_fingerprint(k, late)
         self._timeline = Timeline(
             k, late, round(settings.window * 1e9), keeps_history=keeps_history
         )
+        self.arrival = Arrival.TAKEN
+        """What became of the last measurement that was processed."""
         self.start = "cold"
         """How it began, as :attr:`Health.start` says."""
         self.resets_before = 0
         """How many of its resets were those of the runs before, whose state it goes on from."""
-        self.told_before = 0
-        """Resets that a run before has told, whose state this one does not go on from."""
+        self.sent_before = 0
+        """Resets that a run before has sent, whose state this one does not go on from."""
 
-    def process(self, measurement: Measurement) -> Arrival:
-        """Take one measurement; ESTIMATED says that :meth:`estimate` is that of its stamp."""
-        return self.insert(measurement.row())
+    def process(self, measurement: Measurement) -> Estimate | None:
+        """Process one measurement; return an estimate for the newest inertial sample, else None."""
+        return self.process_row(measurement.row())
 
-    def insert(self, row: Row) -> Arrival:
-        """Take one measurement as a row; :meth:`process` says what comes of it."""
-        # Add what the place knows: its magnetic field; take off the vehicle's own
-        t_ns, kind, values = self._field.complete(row)
+    def process_row(self, row: Row) -> Estimate | None:
+        """Process one measurement given as a row, as :meth:`process` does."""
+        # Add the magnetic field of its place to a fix, remove the vehicle's own from a magnetometer
+        t_ns, kind, values = self._field.complete(row) if row[1] in _MAGNETIC else row
 
         # Refuse what no sensor can say, put the rest in its place in time, redo what came after
-        return _ARRIVALS[self._timeline.insert(t_ns, kind, values)]
+        self.arrival = _ARRIVALS[self._timeline.insert(t_ns, kind, values)]
+        return Estimate(self, t_ns) if self.arrival is Arrival.ESTIMATED else None
 
     def run(self, events: Events) -> Table:
-        """Take a whole recording by the same steps, and give an estimate per inertial sample."""
+        """Process a whole recording by the same steps; return an estimate per inertial sample."""
         samples = int(np.count_nonzero(events.kind == Kind.IMU))
         stamps = np.zeros(samples, dtype=np.int64)
         out = np.empty((samples, at.OUT))
@@ -88,7 +94,7 @@ class Pipeline:
 
         What a late event makes run again from now on is run by these too.
         """
-        k = parameters(settings, self._family, self._gnss_delay)
+        k = parameters(settings, self.family, self._gnss_delay)
         self._fingerprint = settings_fingerprint(k, self._late)
         self._timeline.retune(k)
 
@@ -109,7 +115,7 @@ class Pipeline:
             block=self._timeline.block(),
             waiting=self._timeline.waiting(),
             settings=self._fingerprint,
-            told_before=self.told_before,
+            sent_before=self.sent_before,
         )
 
     def restore(self, state: State) -> None:
@@ -118,7 +124,7 @@ class Pipeline:
         Whether the state may be believed is asked in :mod:`.checkpoint`, not here.
         """
         self._timeline.restore(state.block, state.waiting, state.epoch_ns, state.stamp_ns)
-        self.told_before = state.told_before
+        self.sent_before = state.sent_before
         self.start = "warm"
         self.resets_before = int(state.block[at.X_RESETS])
 
@@ -143,22 +149,26 @@ class Pipeline:
         x = self._timeline.block()
         return x[at.X_NIS_SUM : at.X_NIS_SUM + len(Aid)], x[at.X_NIS_N : at.X_NIS_N + len(Aid)]
 
-    def estimate(self) -> Array:
-        """Give the estimate of now: ``nav.state.COLUMNS`` without the time, shape (33,)."""
+    def estimate(self) -> Estimate:
+        """Return the estimate of now, at the stamp of the newest inertial sample."""
+        return Estimate(self, self.stamp_ns)
+
+    def values(self) -> Array:
+        """Return the estimate of now: ``nav.state.COLUMNS`` without the time, shape (33,)."""
         return np.asarray(self._timeline.describe())
 
     def odometry(self) -> Odometry | None:
-        """Give what is to be told of the estimate of now; None while there is no position."""
+        """Return the content of an ODOMETRY about now; None while there is no position."""
         status, resets, numbers = self._timeline.tell()
         if status < Status.OK:
             return None
-        count = self.told_before + resets
+        count = self.sent_before + resets
         return Odometry(self.stamp_ns, numbers, count, QUALITY[Status(status)])
 
     def health(self) -> Health:
         """Give the filter's own account of itself."""
         x = self._timeline.block()
-        values = self.estimate()
+        values = self.values()
         arrivals = self._timeline.arrivals
         counts = x[at.X_COUNT : at.X_COUNT + at.AIDS * at.WHYS].reshape(at.AIDS, at.WHYS)
         return Health(
@@ -208,3 +218,44 @@ class Pipeline:
         if x[at.X_HAS_ORIGIN] == 0.0:
             return None
         return float(x[at.X_LAT0]), float(x[at.X_LON0]), float(x[at.X_ALT0])
+
+
+class Estimate:
+    """The estimate at the stamp of the newest inertial sample.
+
+    It is made 250 times a second and looked at less often, so its content is computed when it is
+    first asked for, and kept: ask before the next sample is processed.
+    """
+
+    __slots__ = ("_health", "_odometry", "_pipeline", "t_ns")
+
+    def __init__(self, pipeline: Pipeline, t_ns: int) -> None:
+        self.t_ns = t_ns
+        """Time of validity: the sample's stamp, autopilot clock, ns."""
+        self._pipeline = pipeline
+        self._odometry: Odometry | Literal[False] | None = False
+        self._health: Health | None = None
+
+    @property
+    def odometry(self) -> Odometry | None:
+        """Content of an ODOMETRY; None while there is no position."""
+        if self._odometry is False:
+            self._odometry = self._pipeline.odometry()
+        return self._odometry
+
+    @property
+    def origin(self) -> tuple[float, float, float] | None:
+        """Latitude, longitude (rad), altitude (m) of the local frame; None before a fix."""
+        return self._pipeline.origin
+
+    @property
+    def health(self) -> Health:
+        """The filter's own account of itself."""
+        if self._health is None:
+            self._health = self._pipeline.health()
+        return self._health
+
+    @property
+    def values(self) -> Array:
+        """The whole estimate: ``nav.state.COLUMNS`` without the time, shape (33,)."""
+        return self._pipeline.values()

@@ -8,10 +8,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from fastcrc import crc16
 
-from ekf_companion.mavlink.frame import SIGNED, Frame, encode_frame
-from ekf_companion.mavlink.messages import IDS, LAYOUTS, Layout, by_name
+from ekf_companion.mavlink.frame import SIGNED, Frame
+from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS, Layout, by_name
 from ekf_companion.mavlink.signing import Signing
+
+_HEADER = struct.Struct("<BBBBBBHB")
+_CRC = struct.Struct("<H")
+_crc = crc16.mcrf4xx
 
 
 def unpack(frame: Frame) -> Any:
@@ -68,6 +73,36 @@ def pack(name: str, **fields: Any) -> bytes:
         return layout.struct.pack(*values)
     except struct.error as error:
         raise TypeError(f"{name}: {error}") from None
+
+
+def encode_frame(
+    message_id: int,
+    payload: bytes,
+    *,
+    system_id: int,
+    component_id: int,
+    sequence: int,
+    flags: int = 0,
+) -> bytes:
+    """Return the MAVLink 2 frame of a payload, whose zeros at the end are left out.
+
+    ``flags`` are those of incompatibility: with ``SIGNED`` a signature must be put behind it.
+    """
+    payload = payload.rstrip(b"\0") or b"\0"
+    body = (
+        _HEADER.pack(
+            len(payload),
+            flags,
+            0,
+            sequence,
+            system_id,
+            component_id,
+            message_id & 0xFFFF,
+            message_id >> 16,
+        )
+        + payload
+    )
+    return b"\xfd" + body + _CRC.pack(_crc(body + CRC_EXTRAS[message_id]))
 
 
 class Sender:

@@ -38,8 +38,6 @@ LARGEST_FRAME = HEADER_SIZE + 255 + SIGNATURE_SIZE
 _STARTS = (STX_1, STX_2)
 _START = re.compile(rb"[\xfd\xfe]")
 _HEADER_2 = Struct("<xBBxBBBHB")
-_HEADER_2_OUT = Struct("<BBBBBBHB")
-_CRC = Struct("<H")
 _crc = crc16.mcrf4xx
 
 
@@ -176,36 +174,6 @@ class Splitter:
     def _junk(self, buffer: bytes, start: int, end: int) -> Frame:
         self.junk_bytes += end - start
         return Frame(JUNK, 0, 0, 0, b"", buffer[start:end], 0)
-
-
-def encode_frame(
-    message_id: int,
-    payload: bytes,
-    *,
-    system_id: int,
-    component_id: int,
-    sequence: int,
-    flags: int = 0,
-) -> bytes:
-    """Give the MAVLink 2 frame, zeros at the payload's end left out.
-
-    ``flags`` are those of incompatibility: with ``SIGNED`` a signature must be put behind it.
-    """
-    payload = payload.rstrip(b"\0") or b"\0"
-    body = (
-        _HEADER_2_OUT.pack(
-            len(payload),
-            flags,
-            0,
-            sequence,
-            system_id,
-            component_id,
-            message_id & 0xFFFF,
-            message_id >> 16,
-        )
-        + payload
-    )
-    return b"\xfd" + body + _CRC.pack(_crc(body + CRC_EXTRAS[message_id]))
 
 
 _OVERTAKEN = 16

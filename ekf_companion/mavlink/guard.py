@@ -74,7 +74,7 @@ class Guard(Service):
         self,
         outbox: Outbox,
         emit: Emit,
-        beware: Callable[[bool, bool], None],
+        refuse_ours: Callable[[bool, bool], None],
         options: GuardOptions | None = None,
     ) -> None:
         """Begin with nobody.
@@ -82,8 +82,8 @@ class Guard(Service):
         Args:
             outbox: Takes the questions.
             emit: Takes what has happened.
-            beware: Called with whether the autopilot's own position, and its yaw, are made of our
-                ODOMETRY, as soon as that is known.
+            refuse_ours: Called with whether our ODOMETRY is fused in the autopilot's own position,
+                and in its yaw, as soon as that is known.
             options: What the configuration says.
         """
         self.options = options or GuardOptions()
@@ -92,7 +92,7 @@ class Guard(Service):
         self.handles = {name: handler for name, handler in handlers.items() if name in IDS}
         self._outbox = outbox
         self._emit = emit
-        self._beware = beware
+        self._refuse_ours = refuse_ours
         self._peer: PeerFound | None = None
         self._answers: dict[str, float | None] = {}
         self._questions: dict[str, _Question] = {}
@@ -134,8 +134,8 @@ class Guard(Service):
         self._peer = peer
         self._judge()
 
-    def share(self, other_id: int | None) -> None:
-        """Learn that another system's autopilot is on the link too, or (None) is no more."""
+    def on_other_autopilot(self, other_id: int | None) -> None:
+        """Learn that another system's autopilot is on the link too, or (None) no longer is."""
         self._other_id = other_id
         if self._peer is not None:
             self._judge()
@@ -258,7 +258,7 @@ class Guard(Service):
                 verdict = shared(verdict, self._other_id)
         self.verdict = verdict
         if not self.is_waiting:
-            self._beware(verdict.is_fused, verdict.is_yaw_fused)
+            self._refuse_ours(verdict.is_fused, verdict.is_yaw_fused)
         said = (verdict.is_streaming, verdict.reason, verdict.remedy)
         if verdict.is_settled and said != self._told:
             self._told = said

@@ -1,10 +1,10 @@
-"""The pipeline over a recording and back: estimates that also know what came later.
+"""The pipeline over a recording and back: estimates that use what came later too.
 
-The events are run through the pipeline as they came. What leaves its window is in order of time and
-final; it is put aside in stretches of a few seconds, each with the filter's state at its start.
-Then the stretches are gone through from the last to the first: forward once more from that state,
-with a tape, and back over the tape. So memory holds one tape, however long the recording; rows and
-results are put aside in temporary files where they are many.
+The events go through the pipeline as they came. What leaves its window is final and in order of
+time; it is put aside in stretches of a few seconds, each with the filter's state at its start. Then
+the stretches are processed from the last to the first: forward once more from that state, which
+writes a tape, and back over the tape. So memory holds one tape, however long the recording; rows
+and results are put aside in temporary files where there are many.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ import numpy.typing as npt
 from ekf_companion.core import state as at
 from ekf_companion.core.settings import FilterSettings, delays_ns, parameters
 from ekf_companion.core.smooth import Smoother
-from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.spool import IN_MEMORY, Spool
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Table, join
+from ekf_companion.replay.run import BlockPipeline
 
 Array = npt.NDArray[np.float64]
 
 STRETCH = 512
-"""Rows between two states that are kept: 4 kB of state for 60 kB of rows, a tape of 10 MB."""
+"""Rows between two kept states: 4 kB of state for 60 kB of rows, a tape of 10 MB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -47,10 +47,10 @@ class _Stretch:
     """Inertial ones among them."""
 
 
-class Smoothing:
-    """Estimator of a recorded flight, in two runs: :meth:`run` all of it, then ask for the tables.
+class Smoothing(BlockPipeline):
+    """Estimator of a recorded flight in two passes: :meth:`run` it all, then ask for the tables.
 
-    As precise as the whole recording allows; what the live estimator says is in :meth:`run`.
+    They are as precise as the whole recording allows; the live estimates are those of :meth:`run`.
     """
 
     def __init__(
@@ -69,10 +69,10 @@ class Smoothing:
             gnss_delay: Likewise.
             in_memory: Bytes of rows, and of results, beyond which a temporary file takes them.
         """
-        self.pipeline = Pipeline(settings, family, gnss_delay, keeps_history=True)
+        super().__init__(settings, family, gnss_delay, keeps_history=True)
         self._smoother = Smoother(parameters(settings, family, gnss_delay))
         self._lag_ns = int(delays_ns(settings, family, gnss_delay)[Kind.IMU])
-        self._rows = Spool(at.ROW, in_memory)
+        self._final = Spool(at.ROW, in_memory)
         self._results = Spool(1 + at.OUT, in_memory)
         self._stretches: list[_Stretch] = []
         self._waiting: list[Array] = []
@@ -81,7 +81,7 @@ class Smoothing:
         self._block: Array = np.zeros(at.BLOCK)
 
     def __enter__(self) -> Smoothing:
-        """Give the estimator."""
+        """Return the estimator itself."""
         return self
 
     def __exit__(
@@ -91,24 +91,24 @@ class Smoothing:
         trace: TracebackType | None,
     ) -> None:
         """Forget what was put aside."""
-        self._rows.__exit__(kind, error, trace)
+        self._final.__exit__(kind, error, trace)
         self._results.__exit__(kind, error, trace)
 
     def run(self, events: Events) -> Table:
-        """Take events in the order of their arrival, and give the live estimates of them."""
-        table = self.pipeline.run(events)
+        """Process events in the order of their arrival; return the live estimates."""
+        table = super().run(events)
         self._put_aside(is_over=False)
         return table
 
     def tables(self, progress: Callable[[int, int], None] | None = None) -> Iterator[Table]:
-        """Give the smoothed estimates, a row per inertial sample, in order of time; once.
+        """Yield the smoothed estimates, a row per inertial sample, in order of time; only once.
 
-        Rows are as the pipeline's: a row before the alignment knows nothing here either. The status
-        is that of the live filter: a stretch without GNSS is called dead reckoning, though it is
-        known from both its ends here. One sigma is that of the smoothed estimate.
+        Rows are as the pipeline's: before the alignment nothing is known here either. The status is
+        that of the live filter: a stretch without GNSS is called dead reckoning, though here it is
+        known from both its ends. One sigma is that of the smoothed estimate.
 
         Args:
-            progress: Told how many rows are done, of how many.
+            progress: Called with how many rows are done, of how many.
 
         Raises:
             LogError: There is no room for the temporary file.
@@ -118,12 +118,12 @@ class Smoothing:
         after: _Stretch | None = None
         for stretch in reversed(self._stretches):
             is_last = after is None or after.clock != stretch.clock
-            rows = self._rows.read(stretch.first, stretch.count)
+            rows = self._final.read(stretch.first, stretch.count)
             blocks = self._smoother.smooth(stretch.block, rows, None if is_last else later)
             later, after = blocks[0], stretch
             self._keep(stretch, rows, blocks[1:])
             if progress is not None:
-                progress(len(self._rows) - stretch.first, len(self._rows))
+                progress(len(self._final) - stretch.first, len(self._final))
         end = len(self._results)
         for stretch in self._stretches:
             end -= stretch.samples
@@ -140,7 +140,7 @@ class Smoothing:
 
     def _put_aside(self, is_over: bool) -> None:
         """Put aside the rows that can change no more, in stretches that end with a sample."""
-        for clock, epoch, start, rows in self.pipeline.history(is_over):
+        for clock, epoch, start, rows in self.history(is_over):
             if clock != self._clock:
                 self._cut(is_over=True)
                 self._clock, self._epoch, self._block = clock, epoch, start
@@ -151,7 +151,7 @@ class Smoothing:
             self._cut(is_over=True)
 
     def _cut(self, is_over: bool) -> None:
-        """Cut the rows that wait into stretches; those at the end wait on unless it is over."""
+        """Cut the waiting rows into stretches; those at the end keep waiting unless it is over."""
         if not self._waiting:
             return
         rows = np.concatenate(self._waiting)
@@ -173,12 +173,12 @@ class Smoothing:
                 clock=self._clock,
                 epoch=self._epoch,
                 block=self._block,
-                first=len(self._rows),
+                first=len(self._final),
                 count=len(rows),
                 samples=int(np.count_nonzero(rows[:, at.ROW_KIND] == Kind.IMU)),
             )
         )
-        self._rows.append(rows)
+        self._final.append(rows)
         self._block = self._smoother.advance(self._block, rows)
 
 
@@ -188,7 +188,7 @@ def smooth(
     family: str = "unknown",
     gnss_delay: float | None = None,
 ) -> Table:
-    """Give the smoothed estimates of a whole recording, one per inertial sample.
+    """Return the smoothed estimates of a whole recording, one per inertial sample.
 
     Args:
         events: In the order of their arrival.

@@ -8,7 +8,6 @@ import pytest
 from ekf_companion.config.config import Config, parse_config
 from ekf_companion.config.reload import SAFE, reload, with_value
 from ekf_companion.core.settings import FilterSettings, GateSettings, ImuSettings
-from ekf_companion.engine.health import Arrival
 from ekf_companion.engine.pipeline import Pipeline
 from sim_autopilot.config import SimConfig
 from sim_autopilot.events import events
@@ -77,8 +76,8 @@ def fly(rows, settings, change=None, at=0.5):
     for count, row in enumerate(rows):
         if change is not None and count == round(at * len(rows)):
             pipeline.retune(change)
-        if pipeline.insert(row) is Arrival.ESTIMATED:
-            estimates.append(pipeline.estimate())
+        if (estimate := pipeline.process_row(row)) is not None:
+            estimates.append(estimate.values)
     return np.array(estimates), pipeline
 
 

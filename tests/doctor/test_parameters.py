@@ -3,9 +3,9 @@
 import pytest
 
 from ekf_companion.doctor.parameters import FURTHER, Reader
-from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.codec import encode_frame, unpack
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.frame import Splitter, encode_frame
+from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.fusion import NAMES
 from ekf_companion.mavlink.messages import IDS
 

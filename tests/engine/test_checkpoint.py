@@ -298,7 +298,7 @@ def test_a_pipeline_goes_on_from_the_bytes_of_another_to_the_bit():
     whole = a_pipeline()
     pipeline.run(EVENTS.take(np.arange(len(EVENTS)) >= len(EVENTS) - 2))
     assert pipeline.stamp_ns == whole.stamp_ns
-    a, b = pipeline.estimate(), whole.estimate()
+    a, b = pipeline.values(), whole.values()
     assert a[: at.OUT_RESETS].tobytes() == b[: at.OUT_RESETS].tobytes()
     assert pipeline.resets == whole.resets + 1
     health = pipeline.health()
@@ -309,9 +309,9 @@ def test_a_restart_and_a_reboot_of_the_autopilot_both_count_on():
     pipeline = Pipeline(KNOWN)
     pipeline.restore(GOOD.state)
     resets = pipeline.resets
-    pipeline.insert((0, Kind.RESTART, (0.0,) * 13))
+    pipeline.process_row((0, Kind.RESTART, (0.0,) * 13))
     assert pipeline.resets == resets + 1
-    again, fresh = pipeline.run(EVENTS).values[-1], a_pipeline().estimate()
+    again, fresh = pipeline.run(EVENTS).values[-1], a_pipeline().values()
     # what was known of sensors and receiver lives on, so it is the same flight but not to the bit
     place = slice(at.OUT_POS, at.OUT_POS + 3)
     assert again[place] == pytest.approx(fresh[place], abs=0.5)
@@ -326,7 +326,8 @@ def test_what_was_true_while_nobody_listened_is_stale():
     first = STAMP + 3 * SECOND_NS
 
     def insert(kind, t_ns, values):
-        return pipeline.insert((t_ns, kind, tuple(values)))
+        pipeline.process_row((t_ns, kind, tuple(values)))
+        return pipeline.arrival
 
     assert insert(Kind.GNSS, first - SECOND_NS, fix.values[-1]) is Arrival.TAKEN
     assert insert(Kind.IMU, first, sample.values[-1]) is Arrival.ESTIMATED
@@ -376,7 +377,7 @@ def test_doubt_grows_with_the_time_lost():
     for lost in (0.3, 0.8, 2.0, 5.0, 15.0):
         pipeline = Pipeline(KNOWN)
         pipeline.restore(GOOD.state)
-        pipeline.insert((STAMP + round(lost * SECOND_NS), Kind.IMU, tuple(sample)))
+        pipeline.process_row((STAMP + round(lost * SECOND_NS), Kind.IMU, tuple(sample)))
         health = pipeline.health()
         assert health.std_horizontal > previous[0]
         assert health.std_vertical > previous[1]

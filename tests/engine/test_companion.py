@@ -8,7 +8,8 @@ import pytest
 
 from ekf_companion.config.config import Config, LinkConfig, OdometryConfig, OutputConfig
 from ekf_companion.core.settings import GateSettings
-from ekf_companion.engine.companion import SILENCE_NS, Companion
+from ekf_companion.engine.announcer import SILENCE_NS
+from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import LAYOUTS

@@ -10,7 +10,7 @@ from ekf_companion.config.config import Config, LinkConfig, OdometryConfig, Outp
 from ekf_companion.core.settings import GnssSettings
 from ekf_companion.engine.checkpoint import MOST_STARTS, Clocks, Vehicle, decode, encode
 from ekf_companion.engine.companion import Companion
-from ekf_companion.engine.warm_start import Resumption
+from ekf_companion.engine.warm_start import WarmStart
 from ekf_companion.nav.state import Status
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
@@ -69,8 +69,8 @@ def begun(turns, data=None, config=None, clocks=CLOCKS, **options):
     """Give a companion that begins before the first of some turns, with what another left."""
     now_ns = turns[0][0] - SECOND_NS // 10
     data = left()[0] if data is None else data
-    resumption = Resumption(data, clocks.later(now_ns), now_ns, **options)
-    return Companion(config or STREAMING, resumption=resumption)
+    warm_start = WarmStart(data, clocks.later(now_ns), now_ns, **options)
+    return Companion(config or STREAMING, warm_start=warm_start)
 
 
 @pytest.mark.parametrize("lost", [0.1, 1.4, 2.4, 5.0])

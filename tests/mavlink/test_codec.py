@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from ekf_companion.mavlink.codec import Sender, columns, pack, unpack
-from ekf_companion.mavlink.frame import Frame, Splitter, encode_frame
+from ekf_companion.mavlink.codec import Sender, columns, encode_frame, pack, unpack
+from ekf_companion.mavlink.frame import Frame, Splitter
 from ekf_companion.mavlink.messages import LAYOUTS
 
 

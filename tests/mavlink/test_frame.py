@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from pymavlink.dialects.v10 import ardupilotmega as dialect_1
 from pymavlink.dialects.v20 import ardupilotmega as dialect_2
 
-from ekf_companion.mavlink.frame import JUNK, LARGEST_FRAME, Splitter, encode_frame
+from ekf_companion.mavlink.codec import encode_frame
+from ekf_companion.mavlink.frame import JUNK, LARGEST_FRAME, Splitter
 from ekf_companion.mavlink.messages import LAYOUTS
 
 IDS_1 = sorted(dialect_1.mavlink_map)

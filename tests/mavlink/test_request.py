@@ -3,8 +3,9 @@
 import pytest
 
 from ekf_companion.mavlink.event import Answered, Versioned
+from ekf_companion.mavlink.options import RATES, SessionOptions
 from ekf_companion.mavlink.request import ACCEPTED
-from ekf_companion.mavlink.session import RATES, Session, SessionOptions
+from ekf_companion.mavlink.session import Session
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight

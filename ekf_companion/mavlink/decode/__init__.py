@@ -15,8 +15,7 @@ Rooms
     vehicle     armed, landed, and SYSTEM_TIME
 """
 
-from ekf_companion.mavlink.decode.context import DecoderOptions, Family
+from ekf_companion.mavlink.decode.context import DecoderOptions, Family, Pace, Preference
 from ekf_companion.mavlink.decode.decoder import Decoder
-from ekf_companion.mavlink.decode.preference import Pace, Preference
 
 __all__ = ["Decoder", "DecoderOptions", "Family", "Pace", "Preference"]

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.context import Door, Measurements
-from ekf_companion.mavlink.decode.preference import Preference
+from ekf_companion.mavlink.decode.context import Context, Measurements, Preference
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.earth import pressure_altitude
 from ekf_companion.nav.measurements import BaroSample, MagSample
@@ -20,8 +19,8 @@ _LOWEST, _HIGHEST = 30_000.0, 120_000.0
 class Magnetometer:
     """The field from the best message that brings one."""
 
-    def __init__(self, door: Door) -> None:
-        self._door = door
+    def __init__(self, context: Context) -> None:
+        self._context = context
         self.forget()
 
     def forget(self) -> None:
@@ -39,14 +38,14 @@ class Magnetometer:
         norm = math.sqrt(x * x + y * y + z * z)
         if 1e6 * _WEAKEST <= norm <= 1e6 * _STRONGEST:
             # ArduPilot before #32286
-            self._door.refused["mag: unit corrected by 1e6"] += 1
-            self._door.tell_once(
+            self._context.refused["mag: unit corrected by 1e6"] += 1
+            self._context.note_once(
                 "HIGHRES_IMU brings the magnetic field a million times too large, as ArduPilot "
                 "did before 4.7; it is taken in the unit that is meant"
             )
             x, y, z, norm = x * 1e-6, y * 1e-6, z * 1e-6, norm * 1e-6
         if not _WEAKEST <= norm <= _STRONGEST:
-            self._door.refuse("mag: no field of the Earth")
+            self._context.refuse("mag: no field of the Earth")
             return
         out.append(MagSample(t_ns=t_ns, mag_x=x, mag_y=y, mag_z=z))
 
@@ -54,8 +53,8 @@ class Magnetometer:
 class Barometer:
     """The pressure from the best message that brings one."""
 
-    def __init__(self, door: Door) -> None:
-        self._door = door
+    def __init__(self, context: Context) -> None:
+        self._context = context
         self.forget()
 
     def forget(self) -> None:
@@ -66,7 +65,7 @@ class Barometer:
     def scaled_pressure(self, frame: Frame) -> Measurements:
         """Read SCALED_PRESSURE."""
         m = unpack(frame)
-        out, t_ns = self._door.follow_ms(m.time_boot_ms, "SCALED_PRESSURE")
+        out, t_ns = self._context.follow_ms(m.time_boot_ms, "SCALED_PRESSURE")
         if t_ns is None:
             return out
         self.add(out, 1, t_ns, m.press_abs)
@@ -81,10 +80,10 @@ class Barometer:
         if not is_pascal:
             pressure *= 100.0
         if not _LOWEST <= pressure <= _HIGHEST:
-            self._door.refuse("baro: no pressure of the air")
+            self._context.refuse("baro: no pressure of the air")
             return
         if is_pascal:
-            self._door.tell_once(
+            self._context.note_once(
                 "The pressure comes in Pa, where MAVLink means hPa; it is taken as it is meant"
             )
         out.append(BaroSample(t_ns=t_ns, alt=pressure_altitude(pressure)))

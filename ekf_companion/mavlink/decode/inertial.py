@@ -7,9 +7,7 @@ from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
-from ekf_companion.mavlink.decode.context import Door, Family, Measurements
-from ekf_companion.mavlink.decode.preference import Preference
-from ekf_companion.mavlink.decode.repetition import Repetition
+from ekf_companion.mavlink.decode.context import Context, Family, Measurements, Preference
 from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import by_name
@@ -31,8 +29,8 @@ _STARVING = 0.25
 class Inertial:
     """The inertial samples, from the best message that brings them."""
 
-    def __init__(self, door: Door, mag: Magnetometer, baro: Barometer) -> None:
-        self._door, self._mag, self._baro = door, mag, baro
+    def __init__(self, context: Context, mag: Magnetometer, baro: Barometer) -> None:
+        self._context, self._mag, self._baro = context, mag, baro
         self._layout = by_name("HIGHRES_IMU")
         self._ranks = {by_name(name).message_id: rank for rank, name in enumerate(SOURCES)}
         self.forget()
@@ -40,7 +38,7 @@ class Inertial:
     def forget(self) -> None:
         """Begin anew after a reboot."""
         self.sources = Preference(_STARVING)
-        self.instance = self._door.options.imu_id
+        self.instance = self._context.options.imu_id
         """The sensor in use, as HIGHRES_IMU numbers them."""
         self._instances = Preference(_STARVING)
         self._last_us = -1
@@ -50,9 +48,9 @@ class Inertial:
     def begin_stream(self) -> None:
         """Know nothing of the stamps of the message in use."""
         is_ms = self.sources.rank > 1
-        is_sent = self._door.family is Family.ARDUPILOT
+        is_sent = self._context.family is Family.ARDUPILOT
         self._dejitter: Dejitter | None = None
-        if self._door.options.is_dejittered and (is_ms or is_sent):
+        if self._context.options.is_dejittered and (is_ms or is_sent):
             self._dejitter = Dejitter(_MILLISECOND_US if is_ms else 1)
 
     def prefer(self, rank: int) -> None:
@@ -67,23 +65,26 @@ class Inertial:
 
     def highres_imu(self, frame: Frame) -> Measurements:
         """Read HIGHRES_IMU."""
-        layout, door = self._layout, self._door
+        layout, context = self._layout, self._context
         (t_us, ax, ay, az, gx, gy, gz, mx, my, mz, pressure, _, _, _, updated, instance) = (
             layout.struct.unpack(frame.payload.ljust(layout.size, b"\0")[: layout.size])
         )
-        out = door.follow_us(t_us, "HIGHRES_IMU")
+        out = context.follow_us(t_us, "HIGHRES_IMU")
         if out is None:
             return []
         t_ns = t_us * 1000
         # The configured one goes first
-        rank, was = (0 if instance == door.options.imu_id else instance + 1), self._instances.rank
+        rank, was = (
+            (0 if instance == context.options.imu_id else instance + 1),
+            self._instances.rank,
+        )
         if not self._instances.admit(rank, t_ns):
-            door.refused["HIGHRES_IMU: another instance"] += 1
+            context.refused["HIGHRES_IMU: another instance"] += 1
             return out
         if rank != was:
             self._note_instance(instance, is_better=rank < was)
         if updated & _ACCEL_GYRO != _ACCEL_GYRO:
-            door.refuse("HIGHRES_IMU: accel or gyro not updated")
+            context.refuse("HIGHRES_IMU: accel or gyro not updated")
         elif t_us > self._last_us and (
             why := self._repetition.judge(t_us, (gx, gy, gz, ax, ay, az))
         ):
@@ -100,8 +101,8 @@ class Inertial:
         return out
 
     def _tell_silence(self, why: str) -> None:
-        self._door.refuse(f"HIGHRES_IMU: {why}")
-        self._door.tell_once(
+        self._context.refuse(f"HIGHRES_IMU: {why}")
+        self._context.note_once(
             f"Inertial sensor {self.instance} is {why}: it says the same again and again, which is "
             "not used; check the sensor, its mounting and its range"
         )
@@ -113,16 +114,16 @@ class Inertial:
         """
         away = f"is used: {self.instance} has been silent, or much slower, for 3 s"
         why = "speaks steadily" if is_better else away
-        self._door.refused["HIGHRES_IMU: instance changed"] += 1
-        self._door.tell(f"Inertial sensor {instance} {why}; its biases are other ones")
+        self._context.refused["HIGHRES_IMU: instance changed"] += 1
+        self._context.note(f"Inertial sensor {instance} {why}; its biases are other ones")
         self.instance = instance
 
     def raw_imu(self, frame: Frame) -> Measurements:
         """Read RAW_IMU, which has units on ArduPilot only."""
-        if self._door.family is not Family.ARDUPILOT:
-            return self._door.refuse("RAW_IMU: not ArduPilot")
+        if self._context.family is not Family.ARDUPILOT:
+            return self._context.refuse("RAW_IMU: not ArduPilot")
         m = unpack(frame)
-        out = self._door.follow_us(m.time_usec, "RAW_IMU")
+        out = self._context.follow_us(m.time_usec, "RAW_IMU")
         if out is None:
             return []
         self._add_integers(out, 1, m.time_usec, m)
@@ -131,11 +132,11 @@ class Inertial:
     def scaled_imu(self, frame: Frame) -> Measurements:
         """Read SCALED_IMU, SCALED_IMU2 or SCALED_IMU3."""
         m = unpack(frame)
-        out, t_ns = self._door.follow_ms(m.time_boot_ms, "SCALED_IMU")
+        out, t_ns = self._context.follow_ms(m.time_boot_ms, "SCALED_IMU")
         if t_ns is None:
             return out
         if t_ns == 0:
-            return self._door.refuse("SCALED_IMU: no time")
+            return self._context.refuse("SCALED_IMU: no time")
         self._add_integers(out, self._ranks[frame.message_id], t_ns // 1000, m)
         return out
 
@@ -144,7 +145,7 @@ class Inertial:
         xacc, yacc, zacc, xgyro, ygyro, zgyro, xmag, ymag, zmag = m[1:10]
         t_ns = t_us * 1000
         if not (xacc or yacc or zacc or xgyro or ygyro or zgyro):
-            self._door.refuse("SCALED_IMU: no sensor behind it")
+            self._context.refuse("SCALED_IMU: no sensor behind it")
         else:
             rates = (xgyro * 1e-3, ygyro * 1e-3, zgyro * 1e-3)
             t_ns = self._add(
@@ -165,15 +166,15 @@ class Inertial:
         az: float,
     ) -> int:
         """Add a sample, where it is one; give the time, ns, of all that came with it."""
-        door = self._door
+        context = self._context
         t_ns = t_us * 1000
         was = self.sources.rank
         if not math.isfinite(gx + gy + gz + ax + ay + az):
-            door.refuse("IMU: not a number")
+            context.refuse("IMU: not a number")
         elif not self.sources.admit(rank, t_ns):
-            door.refuse("IMU: a better source speaks")
+            context.refuse("IMU: a better source speaks")
         elif t_us == self._last_us:
-            door.refuse("IMU: stamp repeated")
+            context.refuse("IMU: stamp repeated")
         else:
             if rank != was:
                 self._note_source(was, rank)
@@ -181,7 +182,7 @@ class Inertial:
             if self._dejitter is not None:
                 sampled = self._dejitter.smooth(t_us)
                 if sampled is None:
-                    door.refuse("IMU: out of order")
+                    context.refuse("IMU: out of order")
                     return t_ns
                 t_ns = sampled
             out.append(
@@ -201,4 +202,76 @@ class Inertial:
         self.begin_stream()
         away = f"is used: {SOURCES[was]} has been silent, or much slower, for 3 s"
         why = "speaks steadily" if now < was else away
-        self._door.tell(f"{SOURCES[now]} {why}")
+        self._context.note(f"{SOURCES[now]} {why}")
+
+
+_Sample = tuple[float, float, float, float, float, float]
+"""Rate, rad/s, and specific force, m/s^2, in the body."""
+
+_CHANCE = math.log(1e-12)
+"""Of a run: one false alarm in some years of samples at 250 Hz, were they independent."""
+_MEMORY = 2048
+"""Pairs, after which what has been counted weighs half."""
+_FEWEST = 64
+"""Pairs that anything is concluded from."""
+_RATE = 0.1
+"""rad/s; no range ends so soon. No gyro of today has such a bias, so it says that it turns, too."""
+_FORCE = 2.0
+"""m/s^2; neither does an accelerometer's."""
+_LANDED_US = 5_000_000
+"""What reads as standing still would, for so long, may be a simulator's vehicle that does."""
+
+STUCK = "stuck"
+LIMITED = "at the end of its range"
+
+
+class Repetition:
+    """One sensor's samples, one after the other."""
+
+    __slots__ = ("_equal", "_last", "_pairs", "_runs", "_since_us")
+
+    def __init__(self) -> None:
+        self._last: _Sample = (math.nan,) * 6
+        self._runs = [0] * 6
+        self._equal = [0] * 6
+        self._pairs = 0
+        self._since_us = 0
+
+    def judge(self, t_us: int, sample: _Sample) -> str | None:
+        """Say why a sample, newer than all before, measures nothing; None: it does."""
+        last, self._last = self._last, sample
+        self._pairs += 1
+        is_any = False
+        for axis in range(6):
+            if sample[axis] == last[axis]:
+                is_any = True
+                self._runs[axis] += 1
+                self._equal[axis] += 1
+            else:
+                self._runs[axis] = 0
+        if not is_any:
+            self._since_us = t_us
+            if self._pairs >= 2 * _MEMORY:
+                self._pairs //= 2
+                self._equal = [count // 2 for count in self._equal]
+            return None
+        silent = [axis for axis in range(6) if self._is_silent(axis)]
+        if len(silent) == 6 and not self._may_stand(t_us, sample):
+            return STUCK
+        largest = (_RATE,) * 3 + (_FORCE,) * 3
+        if len(silent) < 6 and any(abs(sample[axis]) > largest[axis] for axis in silent):
+            return LIMITED
+        return None
+
+    def _is_silent(self, axis: int) -> bool:
+        """Whether an axis has been the same for longer than chance explains."""
+        run = self._runs[axis]
+        known = self._pairs - run
+        if not run or known < _FEWEST:
+            return False
+        return run * math.log((self._equal[axis] - run + 1) / (known + 2)) < _CHANCE
+
+    def _may_stand(self, t_us: int, sample: _Sample) -> bool:
+        rate, force = math.hypot(*sample[:3]), math.hypot(*sample[3:])
+        is_still = rate < _RATE and abs(force - STANDARD_GRAVITY) < 0.1 * STANDARD_GRAVITY
+        return is_still and t_us - self._since_us > _LANDED_US

@@ -6,9 +6,8 @@ import math
 from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.context import Door, Measurements
+from ekf_companion.mavlink.decode.context import Context, Measurements, Pace
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, wrap
-from ekf_companion.mavlink.decode.preference import Pace
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.timebase import LAST_US
 from ekf_companion.nav.measurements import GnssFix, GnssFlag, HeadingSample, HeadingSource
@@ -42,13 +41,13 @@ _DERIVED_STD_VEL = 0.9
 class Position:
     """Where the vehicle is, by its first receiver, and by the autopilot's own estimate."""
 
-    def __init__(self, door: Door, heading: Heading) -> None:
-        self._door, self._heading = door, heading
+    def __init__(self, context: Context, heading: Heading) -> None:
+        self._context, self._heading = context, heading
         self.forget()
 
     def forget(self) -> None:
         """Begin anew after a reboot."""
-        self._derived_pace = Pace(self._door.options.derived_rate)
+        self._derived_pace = Pace(self._context.options.derived_rate)
         self._last: tuple[int, ...] = ()
         self._fixes = 0
         self._std = (0.0, 0.0, 0.0)
@@ -58,14 +57,14 @@ class Position:
         m = unpack(frame)
         refusal = self._refusal(m)
         if refusal is not None:
-            return self._door.refuse(f"GPS_RAW_INT: {refusal}")
+            return self._context.refuse(f"GPS_RAW_INT: {refusal}")
         t_ns = self._time(m.time_usec)
         if isinstance(t_ns, str):
-            return self._door.refuse(f"GPS_RAW_INT: {t_ns}")
+            return self._context.refuse(f"GPS_RAW_INT: {t_ns}")
         self._fixes += 1
         if self._fixes < 2:
             # The one message before the first fix can be 140 km off
-            return self._door.refuse("GPS_RAW_INT: first after none")
+            return self._context.refuse("GPS_RAW_INT: first after none")
         self._compare_heights(m)
         out: Measurements = [self._fix(m, t_ns)]
         if 0 < m.yaw <= NORTH_CDEG:
@@ -81,7 +80,7 @@ class Position:
 
     def gps2_raw(self, frame: Frame) -> Measurements:
         """Count GPS2_RAW: another receiver has another antenna, and its fixes are not mixed in."""
-        return self._door.refuse("GPS2_RAW: a second receiver")
+        return self._context.refuse("GPS2_RAW: a second receiver")
 
     def _refusal(self, m: Any) -> str | None:
         """Say why a message holds no new fix; None: it does."""
@@ -99,7 +98,7 @@ class Position:
 
     def _time(self, stamp_us: int) -> int | str:
         """Give the time of a fix, ns, or say why there is none; 0 means now."""
-        clock = self._door.clock
+        clock = self._context.clock
         if stamp_us > LAST_US:
             return "no time"
         t_ns = clock.from_us(stamp_us) if stamp_us else clock.latest_ns
@@ -112,8 +111,8 @@ class Position:
     def _compare_heights(self, m: Any) -> None:
         """Warn where what is sent as above the sea can only be something else."""
         if m.alt_ellipsoid != 0 and abs(m.alt - m.alt_ellipsoid) * 1e-3 > _GEOID:
-            self._door.refused["GPS_RAW_INT: height above the sea in doubt"] += 1
-            self._door.tell_once(
+            self._context.refused["GPS_RAW_INT: height above the sea in doubt"] += 1
+            self._context.note_once(
                 "GPS_RAW_INT: the height above the sea and that above the ellipsoid are further "
                 "apart than anywhere on Earth; the first is used: check the receiver's driver"
             )
@@ -140,16 +139,16 @@ class Position:
     def global_position_int(self, frame: Frame) -> Measurements:
         """Read GLOBAL_POSITION_INT: marked, so that the filter takes it only if told to."""
         m = unpack(frame)
-        out, t_ns = self._door.follow_ms(m.time_boot_ms, "GLOBAL_POSITION_INT")
+        out, t_ns = self._context.follow_ms(m.time_boot_ms, "GLOBAL_POSITION_INT")
         if t_ns is None:
             return out
         if m.hdg <= NORTH_CDEG:
             self._heading.add(out, 1, t_ns, math.radians(m.hdg * 1e-2))
         if not _is_place(m.lat, m.lon):
-            self._door.refuse("GLOBAL_POSITION_INT: no position")
+            self._context.refuse("GLOBAL_POSITION_INT: no position")
             return out
-        if self._door.is_ours:
-            self._door.refuse("GLOBAL_POSITION_INT: made of our own")
+        if self._context.is_ours:
+            self._context.refuse("GLOBAL_POSITION_INT: made of our own")
             return out
         if not self._derived_pace.admit(t_ns):
             return out
