@@ -33,7 +33,7 @@ from ekf_companion.mavlink.outbox import Message, Outgoing
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import SECOND_NS
-from ekf_companion.nav.measurements import ImuSample, Measurement
+from ekf_companion.nav.measurements import ImuSample
 from ekf_companion.nav.state import Status
 
 UNFED_NS = 2 * SECOND_NS
@@ -107,10 +107,16 @@ class Companion:
         messages: list[Message] = []
         for measurements in self.session.steps(data, now_ns, sender):
             # Begin with a new autopilot, take what somebody has set
-            self._handle_events(now_ns)
+            if self.session.has_events:
+                self._handle_events(now_ns)
+            if self.pipeline is None:
+                continue
             for measurement in measurements:
-                # Order and fuse the measurement; only the newest inertial sample gives an estimate
-                estimate = self._process(measurement, now_ns)
+                # Go on from a checkpoint, if there is one that fits the first inertial sample
+                if not self._has_sample and isinstance(measurement, ImuSample):
+                    self._start_from(measurement, self.pipeline, now_ns)
+                # Order and fuse it; the newest inertial sample gives an estimate
+                estimate = self.pipeline.process(measurement)
                 if estimate is not None:
                     # Send what is due of it
                     messages += self._publish(estimate, now_ns)
@@ -126,27 +132,23 @@ class Companion:
             self._estimated_ns = None
             self.session.set_state(encode.SYSTEM_STATUS[Status.INIT], Status.INIT)
 
-    def _process(self, measurement: Measurement, now_ns: int) -> Estimate | None:
-        if self.pipeline is None:
-            return None
-        if not self._has_sample and isinstance(measurement, ImuSample):
-            self._has_sample = True
-            if self._warm_start is not None:
-                self._warm_start.resume(self.pipeline, measurement.t_ns, now_ns)
-        return self.pipeline.process(measurement)
+    def _start_from(self, sample: ImuSample, pipeline: Pipeline, now_ns: int) -> None:
+        self._has_sample = True
+        if self._warm_start is not None:
+            self._warm_start.resume(pipeline, sample.t_ns, now_ns)
 
     def _publish(self, estimate: Estimate, now_ns: int) -> list[Message]:
         """Send what is due of an estimate; look at the filter's health once a second."""
         if self._publisher is None:
             return []
         self.estimate, self._estimated_ns = estimate, now_ns
-        messages = self._publisher.due(estimate)
-        for message in messages:
-            self.session.publish(message, now_ns)
         if self._announcer is not None and self._health_due.is_due(estimate.t_ns):
             health = estimate.health
             self._announcer.on_health(health)
             self.session.set_state(encode.SYSTEM_STATUS[health.status], health.status)
+        messages = self._publisher.due(estimate)
+        for message in messages:
+            self.session.publish(message, now_ns)
         return messages
 
     # What changes

@@ -21,9 +21,7 @@ Array = npt.NDArray[np.float64]
 
 QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Status.INVALID: -1}
 """Quality of an estimate by its status, as ODOMETRY carries it: per cent, -1 for failed."""
-_ARRIVALS = tuple(Arrival)
-_MAGNETIC = (Kind.GNSS, Kind.MAG)
-"""Kinds that are completed by what is known of magnetism."""
+_IMU, _ESTIMATED = int(Kind.IMU), int(Arrival.ESTIMATED)  # faster to compare than enums
 
 if COMPILED_BLOCK != at.BLOCK:
     raise ImportError("the compiled kernel is older than its source; build it anew: make setup")
@@ -58,8 +56,7 @@ class Pipeline:
         self._timeline = Timeline(
             k, late, round(settings.window * 1e9), keeps_history=keeps_history
         )
-        self.arrival = Arrival.TAKEN
-        """What became of the last measurement that was processed."""
+        self._arrival = int(Arrival.TAKEN)
         self.start = "cold"
         """How it began, as :attr:`Health.start` says."""
         self.resets_before = 0
@@ -68,17 +65,17 @@ class Pipeline:
         """Resets that a run before has sent, whose state this one does not go on from."""
 
     def process(self, measurement: Measurement) -> Estimate | None:
-        """Process one measurement; return an estimate for the newest inertial sample, else None."""
+        """Process a measurement; return an estimate if it is the newest inertial sample."""
         return self.process_row(measurement.row())
 
     def process_row(self, row: Row) -> Estimate | None:
-        """Process one measurement given as a row, as :meth:`process` does."""
+        """Process a measurement that is given as a row, as :meth:`process` does."""
         # Add the magnetic field of its place to a fix, remove the vehicle's own from a magnetometer
-        t_ns, kind, values = self._field.complete(row) if row[1] in _MAGNETIC else row
+        t_ns, kind, values = row if row[1] == _IMU else self._field.complete(row)
 
         # Refuse what no sensor can say, put the rest in its place in time, redo what came after
-        self.arrival = _ARRIVALS[self._timeline.insert(t_ns, kind, values)]
-        return Estimate(self, t_ns) if self.arrival is Arrival.ESTIMATED else None
+        self._arrival = self._timeline.insert(t_ns, kind, values)
+        return Estimate(self, t_ns) if self._arrival == _ESTIMATED else None
 
     def run(self, events: Events) -> Table:
         """Process a whole recording by the same steps; return an estimate per inertial sample."""
@@ -101,6 +98,11 @@ class Pipeline:
     def history(self, is_over: bool = False) -> list[tuple[int, int, Array, Array]]:
         """Give the events that can change no more, as ``Timeline.history`` does."""
         return list(self._timeline.history(is_over))
+
+    @property
+    def arrival(self) -> Arrival:
+        """What became of the last measurement that was processed."""
+        return Arrival(self._arrival)
 
     @property
     def fingerprint(self) -> bytes:
@@ -156,14 +158,6 @@ class Pipeline:
     def values(self) -> Array:
         """Return the estimate of now: ``nav.state.COLUMNS`` without the time, shape (33,)."""
         return np.asarray(self._timeline.describe())
-
-    def odometry(self) -> Odometry | None:
-        """Return the content of an ODOMETRY about now; None while there is no position."""
-        status, resets, numbers = self._timeline.tell()
-        if status < Status.OK:
-            return None
-        count = self.sent_before + resets
-        return Odometry(self.stamp_ns, numbers, count, QUALITY[Status(status)])
 
     def health(self) -> Health:
         """Give the filter's own account of itself."""
@@ -223,24 +217,28 @@ class Pipeline:
 class Estimate:
     """The estimate at the stamp of the newest inertial sample.
 
-    It is made 250 times a second and looked at less often, so its content is computed when it is
-    first asked for, and kept: ask before the next sample is processed.
+    One is made 250 times a second and few are looked at, so its content is computed when it is
+    asked for: ask before the next sample is processed.
     """
 
-    __slots__ = ("_health", "_odometry", "_pipeline", "t_ns")
+    __slots__ = ("_odometry", "_pipeline", "t_ns")
 
     def __init__(self, pipeline: Pipeline, t_ns: int) -> None:
         self.t_ns = t_ns
         """Time of validity: the sample's stamp, autopilot clock, ns."""
         self._pipeline = pipeline
         self._odometry: Odometry | Literal[False] | None = False
-        self._health: Health | None = None
 
     @property
     def odometry(self) -> Odometry | None:
-        """Content of an ODOMETRY; None while there is no position."""
+        """Content of an ODOMETRY, the same for all listeners; None while there is no position."""
         if self._odometry is False:
-            self._odometry = self._pipeline.odometry()
+            status, resets, numbers = self._pipeline._timeline.tell()
+            if status < Status.OK:
+                self._odometry = None
+            else:
+                count, quality = self._pipeline.sent_before + resets, QUALITY[Status(status)]
+                self._odometry = Odometry(self.t_ns, numbers, count, quality)
         return self._odometry
 
     @property
@@ -251,9 +249,7 @@ class Estimate:
     @property
     def health(self) -> Health:
         """The filter's own account of itself."""
-        if self._health is None:
-            self._health = self._pipeline.health()
-        return self._health
+        return self._pipeline.health()
 
     @property
     def values(self) -> Array:

@@ -12,7 +12,7 @@ from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import EstimatorHealth, Label, StatusFlag, label
 from ekf_companion.mavlink.outbox import Message
 from ekf_companion.mavlink.stamp import SECOND_NS
-from ekf_companion.nav.state import Status
+from ekf_companion.nav.state import Odometry, Status
 
 STREAMS = ("ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN")
 """Messages about an estimate, which may be requested."""
@@ -112,18 +112,19 @@ class Publisher:
         """Return the messages that are due at the stamp of an estimate."""
         messages: list[Message] = []
         t_ns, due = estimate.t_ns, self._due
-        is_odometry_due = due["ODOMETRY"].is_due(t_ns)
-
-        # A new origin goes before the first ODOMETRY that counts from it
-        if is_odometry_due and (origin := estimate.origin) != self._origin:
-            self._origin = origin
-            due["GPS_GLOBAL_ORIGIN"].request()
+        odometry: Odometry | None = None
+        if due["ODOMETRY"].is_due(t_ns):
+            odometry = estimate.odometry
+            # A new origin goes before the first ODOMETRY that counts from it
+            last, self._origin = self._origin, estimate.origin
+            if self._origin not in (None, last):
+                due["GPS_GLOBAL_ORIGIN"].request()
         if due["GPS_GLOBAL_ORIGIN"].is_due(t_ns) and (origin := estimate.origin) is not None:
             payload = encode.gps_global_origin(*origin, t_ns=t_ns)
             messages.append(Message("GPS_GLOBAL_ORIGIN", payload))
 
         # An invalid estimate is sent once, and then not again
-        if is_odometry_due and (odometry := estimate.odometry) is not None:
+        if odometry is not None:
             is_invalid = odometry.quality < 0
             if not (is_invalid and self._was_invalid):
                 ours = self.label

@@ -74,8 +74,10 @@ class Session:
             Sender(options.system_id or 1, options.component_id, signing),
             is_recording=options.is_recording,
         )
+        self.has_events = False
+        """Whether something has happened that :meth:`events` has not returned yet."""
         self._events: list[Event] = []
-        emit = self._events.append
+        emit = self._emit
 
         self.discovery = Discovery(
             emit,
@@ -193,10 +195,10 @@ class Session:
 
         measurements = self.decoder.decode(frame)
         while self.decoder.notes:
-            self._events.append(Noted(self.decoder.notes.popleft()))
+            self._emit(Noted(self.decoder.notes.popleft()))
         first = measurements[0] if measurements else None
         if type(first) is Restart and not first.goes_on:
-            self._events.append(Rebooted())
+            self._emit(Rebooted())
             self._begin(PeerFound(*frame[1:3], self.discovery.family))
         return measurements
 
@@ -212,6 +214,10 @@ class Session:
             handler(message, frame, now_ns)
 
     # What changes
+
+    def _emit(self, event: Event) -> None:
+        self._events.append(event)
+        self.has_events = True
 
     def _begin(self, peer: PeerFound) -> None:
         """Begin every conversation anew: the autopilot knows nothing of us."""
@@ -279,10 +285,7 @@ class Session:
 
     def events(self) -> list[Event]:
         """Return what has happened, and forget it."""
-        if not self._events:
-            return []
-        events = self._events[:]
-        self._events.clear()  # the services hold on to the list
+        events, self._events, self.has_events = self._events, [], False
         return events
 
     @property

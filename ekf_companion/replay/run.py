@@ -23,7 +23,7 @@ from ekf_companion.logs.tlog import Tlog
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.outbox import Message
-from ekf_companion.nav.measurements import Events, Measurement, Row
+from ekf_companion.nav.measurements import Events, Row
 from ekf_companion.nav.state import COLUMNS, Table
 from ekf_companion.replay.log_source import open_log
 from ekf_companion.replay.report import Report, add_block, note_shortcomings
@@ -64,9 +64,9 @@ class BlockPipeline(Pipeline):
         self.rows: list[Row] = []
         """Measurements of the block that is not finished yet."""
 
-    def process(self, measurement: Measurement) -> Estimate | None:
+    def process_row(self, row: Row) -> Estimate | None:
         """Keep a measurement for the end of its block."""
-        self.rows.append(measurement.row())
+        self.rows.append(row)
         return None
 
     def finish_block(self) -> None:
@@ -90,14 +90,10 @@ class StepPipeline(BlockPipeline):
         self._stamps: list[int] = []
         self._values: list[np.ndarray] = []
 
-    def process(self, measurement: Measurement) -> Estimate | None:
-        """Process a measurement at once."""
-        return self.process_row(measurement.row())
-
     def process_row(self, row: Row) -> Estimate | None:
-        """Process a measurement given as a row at once."""
-        estimate = super().process_row(row)
+        """Process a measurement at once."""
         self.rows.append(row)
+        estimate = Pipeline.process_row(self, row)
         if estimate is not None:
             self._stamps.append(estimate.t_ns)
             self._values.append(estimate.values)

@@ -141,7 +141,7 @@ def test_without_gnss_there_is_an_attitude_and_a_height_but_no_position():
     assert np.isfinite(table.column("pos_d")[-1])
     tilt = so3.to_euler(truth.q_nb[-1])[:2] - [table.column("roll")[-1], table.column("pitch")[-1]]
     assert np.degrees(np.abs(tilt)).max() < 3.0
-    assert pipeline.odometry() is None
+    assert pipeline.estimate().odometry is None
 
 
 def test_without_a_heading_and_a_manoeuvre_nothing_is_navigated_by():
@@ -312,7 +312,7 @@ def test_the_origin_is_the_first_fix_used_and_odometry_tells_the_state():
     events, _ = flight("figure-eight", duration=12.0)
     table, pipeline = run(events)
     lat, lon, _ = pipeline.origin
-    odometry = pipeline.odometry()
+    odometry = pipeline.estimate().odometry
     assert abs(np.degrees(lat) - table.column("lat_deg")[-1]) < 1e-3
     assert abs(np.degrees(lon) - table.column("lon_deg")[-1]) < 1e-3
     assert odometry.t_ns == table.stamp_ns[-1]

@@ -85,6 +85,18 @@ def test_an_origin_that_moves_is_published_before_the_odometry_about_it():
     assert names(moved) == ["GPS_GLOBAL_ORIGIN", "ODOMETRY"]
 
 
+def test_an_origin_that_is_lost_is_not_published_and_keeps_its_turn():
+    """Samples come once in 0.6 s, so that each ODOMETRY is due and only some origins are."""
+    ours, period_ns = publisher(), SECOND_NS * 3 // 5
+    origins = [ORIGIN, ORIGIN, ORIGIN, None, ORIGIN, ORIGIN, ORIGIN]
+    published = [
+        "GPS_GLOBAL_ORIGIN" in names(ours.due(Given(t_ns=k * period_ns, origin=origin)))
+        for k, origin in enumerate(origins)
+    ]
+    # the first, and the first after the loss, are out of turn
+    assert published == [True, True, False, False, True, True, True]
+
+
 def test_a_message_that_is_off_comes_once_when_requested():
     ours = publisher()
     ours.set_rate("ODOMETRY", 0.0)

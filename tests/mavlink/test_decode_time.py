@@ -227,6 +227,17 @@ def test_rule_12_a_clock_set_back_by_half_a_second_goes_on_without_a_sample_lost
     assert peer.decoder.refused["clock set back"] == 1
 
 
+def test_messages_that_nobody_reads_may_come_while_the_clock_is_being_set_back():
+    peer = Peer(Family.PX4)
+    numbered(peer, [1_000_000 + PERIOD_US * n for n in range(100)])
+    found = []
+    for n in range(100):
+        found += peer.highres(1_000_000 + PERIOD_US * n)
+        found += peer.say("PING", seq=n)
+    assert len(only(Restart, found)) == 1
+    assert len(only(ImuSample, found)) == 100
+
+
 def test_a_late_sample_is_given_with_the_next_that_is_not():
     peer = Peer(Family.PX4)
     stamps = [1_000_000 + PERIOD_US * n for n in range(50)]

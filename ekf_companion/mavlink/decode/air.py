@@ -32,7 +32,9 @@ class Magnetometer:
         """Add a field in gauss, where it is one of the Earth and not the last one again."""
         if (x, y, z) == (0.0, 0.0, 0.0):
             return  # no magnetometer
-        if not self.sources.admit(rank, t_ns) or (x, y, z) == self._last:
+        if rank != self.sources.sole and not self.sources.admit(rank, t_ns):
+            return
+        if (x, y, z) == self._last:
             return
         self._last = (x, y, z)
         norm = math.sqrt(x * x + y * y + z * z)
@@ -73,7 +75,9 @@ class Barometer:
 
     def add(self, out: Measurements, rank: int, t_ns: int, pressure: float) -> None:
         """Add a pressure in hPa, or in Pa where only that can be meant (PX4)."""
-        if pressure == 0.0 or not self.sources.admit(rank, t_ns) or pressure == self._last:
+        if pressure == 0.0 or (rank != self.sources.sole and not self.sources.admit(rank, t_ns)):
+            return
+        if pressure == self._last:
             return
         self._last = pressure
         is_pascal = _LOWEST <= pressure <= _HIGHEST

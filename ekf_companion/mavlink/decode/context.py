@@ -157,12 +157,12 @@ class _Challenger:
 
 
 class Preference:
-    """Of several sources of one thing, the best that speaks steadily; all by their own stamps.
+    """Uses, of several sources of one thing, the best that speaks steadily, by their own stamps.
 
     At the start the best is waited for.
     """
 
-    __slots__ = ("_challengers", "_starving", "_used", "_waiting_ns", "rank")
+    __slots__ = ("_challengers", "_starving", "_used", "_waiting_ns", "rank", "sole")
 
     def __init__(self, starving: float = 0.0) -> None:
         """Begin with the best.
@@ -173,14 +173,23 @@ class Preference:
         """
         self.rank = 0
         """Of the source in use: 0 is the best."""
+        self.sole = 0
+        """The same while no other source speaks, and then :meth:`admit` need not be asked; else -1.
+        """
         self._starving = starving
         self._used = 0
+        """Messages of the source in use, counted while others speak."""
         self._waiting_ns: int | None = None
         """When a worse source first spoke since the one in use last did.
 
         Counted from there, so that a link's silence speaks against no source.
         """
         self._challengers: dict[int, _Challenger] = {}
+
+    def use(self, rank: int) -> None:
+        """Use the source of this rank at once: better ones are known to be silent."""
+        self.rank = rank
+        self.sole = -1 if self._challengers else rank
 
     def admit(self, rank: int, t_ns: int) -> bool:
         """Whether to use a source now, by its rank and its own stamp."""
@@ -191,17 +200,18 @@ class Preference:
         one = self._challengers.get(rank)
         if one is None or t_ns < one.first_ns:
             one = self._challengers[rank] = _Challenger(t_ns, self._used)
+            self.sole = -1
         else:
             one.count += 1
         is_taken = self._is_steady(one, t_ns) if rank < self.rank else self._is_needed(one, t_ns)
         if is_taken:
-            self.rank, self._used = rank, 0
-            self._waiting_ns = None
             self._challengers.clear()
+            self._used, self._waiting_ns = 0, None
+            self.use(rank)
         return is_taken
 
     def _is_steady(self, one: _Challenger, t_ns: int) -> bool:
-        """Whether a better source has spoken long and often enough; else see it anew."""
+        """Whether a better source has spoken long and often enough; if not, watch it anew."""
         used, is_burst = self._used - one.used, self._used - one.since > _BURST
         one.since = self._used
         if not is_burst and t_ns - one.first_ns < STEADY_NS:

@@ -123,9 +123,9 @@ class Decoder:
     def prefer(self, imu: int, mag: int, baro: int, heading: int) -> None:
         """Use the sources of these ranks at once: better ones are known to be silent."""
         self._inertial.prefer(imu)
-        self._mag.sources.rank = mag
-        self._baro.sources.rank = baro
-        self._heading.sources.rank = heading
+        self._mag.sources.use(mag)
+        self._baro.sources.use(baro)
+        self._heading.sources.use(heading)
 
     def decode(self, frame: Frame) -> Measurements:
         """Return the measurements of a frame: none, one or several.
@@ -134,13 +134,12 @@ class Decoder:
         measurements come with those of the next frame that is not; if the clock was set back, it is
         read again by the new clock.
         """
-        read = self._readers.get(frame.message_id)
-        out = read(frame) if read is not None else []
+        out = self._readers.get(frame.message_id, _skip)(frame)
         if out and type(out[0]) is Restart:
             held, self._held = self._held, []
             if out[0].goes_on:
                 frames = [*(one for one, _ in held), frame]
-                again = (self._readers[one.message_id](one) for one in frames)
+                again = (self._readers.get(one.message_id, _skip)(one) for one in frames)
                 return [out[0], *(found for measurements in again for found in measurements)]
             return out
         if self._context.clock.is_behind and len(self._held) < HELD:
@@ -150,3 +149,8 @@ class Decoder:
             out = [*(found for _, late in self._held for found in late), *out]
             self._held = []
         return out
+
+
+def _skip(frame: Frame) -> Measurements:
+    """Return no measurements: of a message that holds none."""
+    return []

@@ -54,8 +54,8 @@ class Inertial:
             self._dejitter = Dejitter(_MILLISECOND_US if is_ms else 1)
 
     def prefer(self, rank: int) -> None:
-        """Take a source at once: it is known already that better ones are silent."""
-        self.sources.rank = rank
+        """Use the source of this rank at once: better ones are known to be silent."""
+        self.sources.use(rank)
         self.begin_stream()
 
     @property
@@ -69,7 +69,7 @@ class Inertial:
         (t_us, ax, ay, az, gx, gy, gz, mx, my, mz, pressure, _, _, _, updated, instance) = (
             layout.struct.unpack(frame.payload.ljust(layout.size, b"\0")[: layout.size])
         )
-        out = context.follow_us(t_us, "HIGHRES_IMU")
+        out = [] if context.clock.follow(t_us) else context.follow_us(t_us, "HIGHRES_IMU")
         if out is None:
             return []
         t_ns = t_us * 1000
@@ -78,7 +78,7 @@ class Inertial:
             (0 if instance == context.options.imu_id else instance + 1),
             self._instances.rank,
         )
-        if not self._instances.admit(rank, t_ns):
+        if rank != self._instances.sole and not self._instances.admit(rank, t_ns):
             context.refused["HIGHRES_IMU: another instance"] += 1
             return out
         if rank != was:
@@ -171,7 +171,7 @@ class Inertial:
         was = self.sources.rank
         if not math.isfinite(gx + gy + gz + ax + ay + az):
             context.refuse("IMU: not a number")
-        elif not self.sources.admit(rank, t_ns):
+        elif rank != self.sources.sole and not self.sources.admit(rank, t_ns):
             context.refuse("IMU: a better source speaks")
         elif t_us == self._last_us:
             context.refuse("IMU: stamp repeated")
