@@ -54,7 +54,11 @@ from sim_autopilot.flight import Flight
 from sim_autopilot.loop import Bench
 from sim_autopilot.scenarios import SCENARIOS
 
-RENAMED: dict[str, str] = {}
+RENAMED: dict[str, str] = {
+    "before_alignment": "unaligned",
+    "superseded": "unused",
+    "deweighted": "soft",
+}
 """Names printed now, and what was printed when the hashes were recorded: keys and words of the
 status. A deliberate change of a name stands here, and nothing else."""
 

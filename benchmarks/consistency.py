@@ -194,7 +194,11 @@ def _aids(group: dict[str, list[Account]]) -> Iterator[str]:
     """Give NIS (if the filter sums it), the shares refused or weakened, and resets."""
     everyone = [one for flown in group.values() for one in flown]
     has_nis = bool(everyone[0].nis)
-    names = [why.name.lower() for why in Verdict if why not in (Verdict.UNALIGNED, Verdict.UNUSED)]
+    names = [
+        why.name.lower()
+        for why in Verdict
+        if why not in (Verdict.BEFORE_ALIGNMENT, Verdict.SUPERSEDED)
+    ]
     yield f"| aid | {'NIS / dof | ' if has_nis else ''}judged | {' | '.join(names[1:])} |"
     yield "|---" * (len(names) + 1 + has_nis) + "|"
     for aid in Aid:

@@ -181,7 +181,7 @@ def outcome(flown: Flown, lie: Lie) -> Outcome:
 
 def _unused(health: Health) -> int:
     """Count the fixes' parts that were not taken as they came."""
-    taken = (Verdict.FUSED, Verdict.UNALIGNED)
+    taken = (Verdict.FUSED, Verdict.BEFORE_ALIGNMENT)
     return sum(
         count
         for aid in (Aid.POSITION, Aid.VELOCITY)

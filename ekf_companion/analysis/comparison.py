@@ -24,7 +24,7 @@ from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.interpolation import pair
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Trajectory
-from ekf_companion.replay.filters_by_name import choose, run_filter
+from ekf_companion.replay.filters_by_name import parse_name, run_filter
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -50,7 +50,7 @@ def hold(
     if not names or len(set(names)) < len(names):
         raise ConfigError(f"--filters: {','.join(names)!r}: name each filter once, at least one")
     for name in names:
-        choose(name)
+        parse_name(name)
     entries = []
     for done, name in enumerate(names):
         if progress is not None:

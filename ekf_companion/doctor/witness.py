@@ -16,13 +16,13 @@ from ekf_companion.doctor.traffic import Traffic
 from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.decision import Decision
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
 from ekf_companion.mavlink.fusion import decide
 from ekf_companion.mavlink.guard import DOES_NOT_EXIST, value_of
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.signing import Signing
-from ekf_companion.mavlink.verdict import Verdict
 from ekf_companion.status.collect import frames, output_state, part, peer_state, time_state
 from ekf_companion.status.snapshot import LinkState, MessageState
 
@@ -257,11 +257,11 @@ class Witness:
             source = max(self._stamps, key=lambda name: self._tally(name).count)
         return self._stamps.get(source, StampTally(""))
 
-    def _taken(self) -> Verdict:
+    def _taken(self) -> Decision:
         """Give the guard's decision; where it asks nothing, the same one by what was told."""
         is_live, guard = self._means is Means.LIVE, self.companion.session.guard
         if is_live and guard.is_reading:
-            return guard.verdict
+            return guard.decision
         is_complete = is_live and self.reader.is_done
         return decide(self._family, self.reader.answers, is_complete=is_complete)
 

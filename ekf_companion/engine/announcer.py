@@ -8,9 +8,9 @@ from collections.abc import Iterable
 
 from ekf_companion.engine.health import Health
 from ekf_companion.mavlink.event import (
-    Answered,
     Clash,
     Event,
+    FirmwareReported,
     GuardChanged,
     IntervalSet,
     Noted,
@@ -18,10 +18,10 @@ from ekf_companion.mavlink.event import (
     PeerChanged,
     PeerFound,
     PeerLost,
-    RateInVain,
+    RateTooLow,
     Rebooted,
+    RequestAnswered,
     SeveralAutopilots,
-    Versioned,
 )
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.stamp import SECOND_NS
@@ -74,7 +74,7 @@ class Announcer:
 
     def _text(self, severity: Severity, text: str) -> None:
         """Send the pilot a text that names its sender."""
-        self._session.statustext.say(severity, f"Companion: {text}")
+        self._session.statustext.send(severity, f"Companion: {text}")
 
     def on_health(self, health: Health) -> None:
         """Announce what has changed in the filter; to be called once a second."""
@@ -186,9 +186,9 @@ class Announcer:
                 )
             case Noted(text):
                 _log.warning("%s", text)
-            case Answered(message, result):
+            case RequestAnswered(message, result):
                 _log.info("Request for %s: %s", message, result)
-            case Versioned(version):
+            case FirmwareReported(version):
                 _log.info("Autopilot's firmware: %s", version)
             case _:
                 self._announce_to_pilot(event)
@@ -227,20 +227,20 @@ class Announcer:
                     component_id,
                 )
                 self._text(Severity.CRITICAL, f"id {component_id} is taken twice, not sending")
-            case RateInVain(message, asked, measured, cause):
+            case RateTooLow(message, asked, measured, cause):
                 _log.warning(
                     "%s comes at %.1f Hz, asked for %.0f: %s", message, measured, asked, cause
                 )
                 self._text(Severity.WARNING, f"{message} {measured:.0f} of {asked:.0f} Hz: {cause}")
-            case GuardChanged(verdict):
-                is_bad = verdict.is_warning
+            case GuardChanged(decision):
+                is_bad = decision.is_warning
                 _log.log(
                     logging.WARNING if is_bad else logging.INFO,
                     "%s",
-                    verdict.sentence,
-                    extra=_fields("guard", "streaming" if verdict.is_streaming else "withheld"),
+                    decision.sentence,
+                    extra=_fields("guard", "streaming" if decision.is_streaming else "withheld"),
                 )
-                self._text(Severity.WARNING if is_bad else Severity.INFO, verdict.text)
+                self._text(Severity.WARNING if is_bad else Severity.INFO, decision.text)
             case ParameterSet(name, key, value, is_late):
                 since = " from the next start" if is_late else ""
                 _log.info("Parameter %s set to %g (%s)%s", name, value, key, since)

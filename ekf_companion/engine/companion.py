@@ -123,7 +123,7 @@ class Companion:
         return messages
 
     def tick(self, now_ns: int) -> None:
-        """Do what time brings: heartbeats, requests, time-outs."""
+        """Do what is due: heartbeats, requests, time-outs."""
         self.session.tick(now_ns)
         self._handle_events(now_ns)
         if self._announcer is not None:

@@ -89,14 +89,14 @@ class Pipeline:
     def retune(self, settings: FilterSettings) -> None:
         """Go on with other noise, gates and time-outs; delays stay as they were.
 
-        What a late event makes run again from now on is run by these too.
+        What a late event makes run again from now on is run with these too.
         """
         k = parameters(settings, self.family, self._gnss_delay)
         self._fingerprint = settings_fingerprint(k, self._late)
         self._timeline.retune(k)
 
     def history(self, is_over: bool = False) -> list[tuple[int, int, Array, Array]]:
-        """Give the events that can change no more, as ``Timeline.history`` does."""
+        """Return the events that are final, as ``Timeline.history`` does."""
         return list(self._timeline.history(is_over))
 
     @property
@@ -106,11 +106,11 @@ class Pipeline:
 
     @property
     def fingerprint(self) -> bytes:
-        """What a state must have been estimated under for this pipeline to go on from it."""
+        """Fingerprint of the settings; that of a state must be equal to go on from it."""
         return self._fingerprint
 
     def state(self) -> State:
-        """Give everything that another pipeline needs to go on from here."""
+        """Return everything that another pipeline needs to go on from here."""
         return State(
             epoch_ns=int(self._timeline.epoch_ns),
             stamp_ns=self.stamp_ns,
@@ -121,9 +121,9 @@ class Pipeline:
         )
 
     def restore(self, state: State) -> None:
-        """Go on from a state; the next inertial sample says how much time was lost.
+        """Go on from a state; the next inertial sample tells how much time was lost.
 
-        Whether the state may be believed is asked in :mod:`.checkpoint`, not here.
+        Whether the state may be used is decided in :mod:`.checkpoint`, not here.
         """
         self._timeline.restore(state.block, state.waiting, state.epoch_ns, state.stamp_ns)
         self.sent_before = state.sent_before
@@ -142,12 +142,12 @@ class Pipeline:
 
     @property
     def given(self) -> int:
-        """Inertial samples that it was given and that can be meant, used or not."""
+        """Inertial samples that arrived and are well-formed, used or not."""
         counts = self._timeline.arrivals[Kind.IMU]
         return int(counts.sum() - counts[Arrival.MALFORMED])
 
     def nis_sums(self) -> tuple[Array, Array]:
-        """Give the sum of the normalised innovations squared, and how many, by aid, shape (6,)."""
+        """Return sum and number of the normalised innovations squared, by aid, shape (6,)."""
         x = self._timeline.block()
         return x[at.X_NIS_SUM : at.X_NIS_SUM + len(Aid)], x[at.X_NIS_N : at.X_NIS_N + len(Aid)]
 
@@ -160,7 +160,7 @@ class Pipeline:
         return np.asarray(self._timeline.describe())
 
     def health(self) -> Health:
-        """Give the filter's own account of itself."""
+        """Return the filter's own account of itself."""
         x = self._timeline.block()
         values = self.values()
         arrivals = self._timeline.arrivals
@@ -201,7 +201,7 @@ class Pipeline:
     def log_likelihood(self) -> float:
         """Sum over all GNSS rows judged so far, -(nis + log det S) / 2, nis no more than its gate.
 
-        It compares settings over the same log: delays, for one. A number by itself says nothing.
+        It compares settings, such as delays, over the same log; by itself it has no meaning.
         """
         return float(self._timeline.block()[at.X_LOGLIK])
 

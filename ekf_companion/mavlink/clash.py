@@ -32,13 +32,13 @@ class ClashWatch(Service):
         self._other = Presence(_GONE_NS)
         self._warned_ns: int | None = None
 
-    def hear(self, frame: Frame, now_ns: int) -> None:
+    def on_frame(self, frame: Frame, now_ns: int) -> None:
         """Handle a frame that came in under our ids."""
-        if frame.message_id != _HEARTBEAT_ID or not self._heartbeat.has_beaten:
+        if frame.message_id != _HEARTBEAT_ID or not self._heartbeat.is_sending:
             return
         if self._heartbeat.is_echo(frame):
             return
-        self._other.hear(now_ns)
+        self._other.on_heartbeat(now_ns)
         self.is_clash = self._other.is_there
         now_ns = quantise(now_ns)
         if self.is_clash and (self._warned_ns is None or now_ns - self._warned_ns >= _AGAIN_NS):

@@ -1,4 +1,4 @@
-"""Payloads to named fields and back, one message or columns of them."""
+"""Payloads to named fields and back, and messages of ours to frames."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _crc = crc16.mcrf4xx
 
 
 def unpack(frame: Frame) -> Any:
-    """Give the message's fields as a named tuple in wire order, named as the message.
+    """Return the message's fields as a named tuple in wire order, named as the message.
 
-    What the payload lacks at its end reads as zero, and what is beyond the known fields is left.
+    What the payload lacks at its end reads as zero, and what is beyond the known fields is ignored.
     Arrays are tuples, text is bytes up to the first zero. KeyError for an unknown id.
     """
     layout = LAYOUTS[frame.message_id]
@@ -38,12 +38,12 @@ def unpack(frame: Frame) -> Any:
 
 
 def unpack_values(layout: Layout, payload: bytes) -> tuple[Any, ...]:
-    """Give the payload's numbers in wire order, arrays laid out flat."""
+    """Return the payload's numbers in wire order, arrays flattened."""
     return layout.struct.unpack(payload.ljust(layout.size, b"\0")[: layout.size])
 
 
 def columns(message_id: int, payloads: Sequence[bytes]) -> npt.NDArray[np.void]:
-    """Give many payloads of one message as one array of records, shape (n,), a view of a copy."""
+    """Return many payloads of one message as one array of records, shape (n,), a view of a copy."""
     layout = LAYOUTS[message_id]
     size = layout.size
     whole = b"".join([payload.ljust(size, b"\0")[:size] for payload in payloads])
@@ -51,7 +51,7 @@ def columns(message_id: int, payloads: Sequence[bytes]) -> npt.NDArray[np.void]:
 
 
 def pack(name: str, **fields: Any) -> bytes:
-    """Give the payload of a message, full size; fields that are not named are zero.
+    """Return the payload of a message in full size; fields that are not named are zero.
 
     Raises:
         KeyError: No such message.
@@ -106,7 +106,7 @@ def encode_frame(
 
 
 class Sender:
-    """The one owner of a component's sequence number."""
+    """Frames the messages of one component, and owns its sequence number."""
 
     def __init__(self, system_id: int, component_id: int, signing: Signing | None = None) -> None:
         self.system_id = system_id
@@ -116,7 +116,7 @@ class Sender:
         """Of the next frame."""
 
     def frame(self, name: str, payload: bytes, now_ns: int = 0) -> bytes:
-        """Give the next frame: a message by its name, and its payload; signed where there is a key.
+        """Return the next frame of a message, by its name and payload, signed where there is a key.
 
         ``now_ns`` is unix time, ns, for the signature.
         """
@@ -132,5 +132,5 @@ class Sender:
         return data if self._signing is None else self._signing.sign(data, now_ns)
 
     def message(self, name: str, **fields: Any) -> bytes:
-        """Give the next frame of a message, from its fields."""
+        """Return the next frame of a message, from its fields."""
         return self.frame(name, pack(name, **fields))

@@ -21,6 +21,7 @@ from ekf_companion.mavlink.clash import ClashWatch
 from ekf_companion.mavlink.clock import Timesync, TimesyncService
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
+from ekf_companion.mavlink.decision import StreamState, stream_state
 from ekf_companion.mavlink.decode import Decoder
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
@@ -36,7 +37,6 @@ from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.statustext import StatusText
-from ekf_companion.mavlink.verdict import StreamState, stream_state
 from ekf_companion.nav.measurements import Measurement, Restart
 
 MISADDRESSED = "addressed to another"
@@ -170,7 +170,7 @@ class Session:
         source = frame[1:3]
         if source == self.outbox.ids:  # an echo, or somebody who must not
             self.ignored["our own"] += 1
-            self.clash.hear(frame, now_ns)
+            self.clash.on_frame(frame, now_ns)
             return False
         if not self.admission.is_selective or self.admission.is_proven(frame):
             self.believed += 1
@@ -191,7 +191,7 @@ class Session:
         if (handlers := self._peer_routes.get(frame.message_id)) is not None:
             self._hand_to(handlers, frame, now_ns)
         if self.guard.is_waiting:
-            self.guard.hear(now_ns)
+            self.guard.on_frame(now_ns)
 
         measurements = self.decoder.decode(frame)
         while self.decoder.notes:
@@ -306,13 +306,13 @@ class Session:
     @property
     def may_stream(self) -> bool:
         """Whether ODOMETRY may be sent: the guard lets it, and nobody else speaks under our ids."""
-        return self.guard.verdict.is_streaming and not self.clash.is_clash
+        return self.guard.decision.is_streaming and not self.clash.is_clash
 
     @property
     def stream_state(self) -> StreamState:
         """Whether ODOMETRY is sent, why, and what would change it."""
         twin = self.outbox.ids if self.clash.is_clash else None
-        return stream_state(self.guard.verdict, twin, self.commands.slowed_by("ODOMETRY"))
+        return stream_state(self.guard.decision, twin, self.commands.slowed_by("ODOMETRY"))
 
     @property
     def results(self) -> Mapping[str, str]:

@@ -39,19 +39,19 @@ BLOCKS += range(at.E_POS, at.E_POS + 3)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Filter:
-    """One that can be chosen."""
+    """A filter that can be named."""
 
     run: Run
     options: tuple[str, ...]
-    """What may stand behind the colon; the first is the default."""
-    says: str
-    """What it is, in a line."""
+    """What may follow the colon; the first is the default."""
+    about: str
+    """In one line."""
 
 
 def run_filter(
     recording: Recording, name: str = "eskf", settings: FilterSettings | None = None
 ) -> Solution:
-    """Take a filter through a recording.
+    """Run a filter over a recording.
 
     Args:
         recording: As ``open_log`` gives it.
@@ -62,8 +62,8 @@ def run_filter(
         ConfigError: There is no filter, or no option, of that name.
         LogError: The recording lacks what the filter needs.
     """
-    label, option = choose(name)
-    # A filter knows one course of time only
+    label, option = parse_name(name)
+    # A filter cannot follow a clock that restarts
     events, notes = one_course(recording.events)
     recording = replace(recording, events=events)
     run = FILTERS[label.partition(":")[0]].run
@@ -71,8 +71,8 @@ def run_filter(
     return replace(found, name=label, notes=(*found.notes, *notes))
 
 
-def choose(name: str) -> tuple[str, str]:
-    """Give the name to print and the option of ``NAME`` or ``NAME:OPTION``.
+def parse_name(name: str) -> tuple[str, str]:
+    """Return the name to print and the option of ``NAME`` or ``NAME:OPTION``.
 
     Raises:
         ConfigError: There is none of that name.
@@ -88,7 +88,7 @@ def choose(name: str) -> tuple[str, str]:
 
 
 def _eskf(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    """Take the daemon's own pipeline through it, in pieces, to look at the covariance."""
+    """Run the daemon's own pipeline over it, in pieces, to sample the covariance."""
     del option
     pipeline = Pipeline(settings, recording.family, recording.gnss_delay)
     events = recording.events
@@ -111,7 +111,7 @@ def _eskf(recording: Recording, settings: FilterSettings, option: str) -> Soluti
         covariance=np.array(kept).reshape(-1, 9, 9),
         counts={
             aid.name.lower(): (
-                health.verdicts[aid][Verdict.FUSED] + health.verdicts[aid][Verdict.SOFT],
+                health.verdicts[aid][Verdict.FUSED] + health.verdicts[aid][Verdict.DEWEIGHTED],
                 health.verdicts[aid][Verdict.GATED],
             )
             for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY, Aid.HEADING)
@@ -121,7 +121,10 @@ def _eskf(recording: Recording, settings: FilterSettings, option: str) -> Soluti
 
 def _euler(recording: Recording, settings: FilterSettings, option: str) -> Solution:
     return euler.run(
-        *(recording.events, settings, recording.family, recording.gnss_delay),
+        recording.events,
+        settings,
+        recording.family,
+        recording.gnss_delay,
         preset="article" if option == "article" else "corrected",
     )
 
@@ -133,7 +136,10 @@ def _zupt(recording: Recording, settings: FilterSettings, option: str) -> Soluti
 
 def _iterated(recording: Recording, settings: FilterSettings, option: str) -> Solution:
     return iterated.run(
-        *(recording.events, settings, recording.family, recording.gnss_delay),
+        recording.events,
+        settings,
+        recording.family,
+        recording.gnss_delay,
         frame="robocentric" if option == "robocentric" else "global",
         gravity="sphere" if option == "sphere" else "known",
     )
@@ -163,7 +169,7 @@ def _vqf(recording: Recording, settings: FilterSettings, option: str) -> Solutio
 
 
 def _completed(recording: Recording, settings: FilterSettings) -> Events:
-    """Give the events when they were true, with the declination, without the vehicle's own iron."""
+    """Return the events at the times when they were true, with declination, without hard iron."""
     events = recording.events
     late_ns = delays_ns(settings, recording.family, recording.gnss_delay)
     values = Field(settings.heading).complete_all(events)
@@ -171,29 +177,29 @@ def _completed(recording: Recording, settings: FilterSettings) -> Events:
 
 
 FILTERS: Mapping[str, Filter] = {
-    "eskf": Filter(run=_eskf, options=(), says="our own estimator, as it flies"),
+    "eskf": Filter(run=_eskf, options=(), about="our own estimator, as it flies"),
     "euler": Filter(
         run=_euler,
         options=("corrected", "article"),
-        says="the seed article's direct filter of Euler angles; as published, with its slips",
+        about="the seed article's direct filter of Euler angles; as published, with its slips",
     ),
     "iterated": Filter(
         run=_iterated,
         options=("global", "robocentric", "sphere"),
-        says="iterated error-state filter of LINS and FAST-LIO",
+        about="iterated error-state filter of LINS and FAST-LIO",
     ),
-    "ukf": Filter(run=_ukf, options=(), says="unscented filter on the manifold"),
+    "ukf": Filter(run=_ukf, options=(), about="unscented filter on the manifold"),
     "zupt": Filter(
         run=_zupt,
         options=tuple(one.value for one in Detector),
-        says="inertial navigation of a foot or a wheel, held by its own rests",
+        about="inertial navigation of a foot or a wheel, held by its own rests",
     ),
     "ahrs": Filter(
         run=_ahrs,
         options=("error-state", "corrected", "article"),
-        says="attitude alone: our own; the article's, corrected or with its slips",
+        about="attitude alone: our own; the article's, corrected or with its slips",
     ),
-    "mahony": Filter(run=_mahony, options=(), says="attitude alone: complementary, on SO(3)"),
-    "vqf": Filter(run=_vqf, options=(), says="attitude alone: the published package (extra: vqf)"),
+    "mahony": Filter(run=_mahony, options=(), about="attitude alone: complementary, on SO(3)"),
+    "vqf": Filter(run=_vqf, options=(), about="attitude alone: the published package (extra: vqf)"),
 }
-"""What ``--filters`` and :func:`run_filter` know."""
+"""The filters of ``--filters`` and :func:`run_filter`, by name."""

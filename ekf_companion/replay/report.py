@@ -160,7 +160,9 @@ def summary(report: Report) -> list[str]:
             verdicts = report.health.verdicts[aid]
             if any(verdicts.values()):
                 words = ", ".join(
-                    f"{count} {why.name.lower()}" for why, count in verdicts.items() if count
+                    f"{count} {why.name.lower().replace('_', ' ')}"
+                    for why, count in verdicts.items()
+                    if count
                 )
                 lines.append(f"  {aid.name.lower()}: {words}")
         late = report.health.reruns

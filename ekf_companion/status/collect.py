@@ -64,17 +64,17 @@ def output_state(
     session: Session, new: int, rate: float, unheard: Mapping[str, int] | None = None
 ) -> OutputState:
     """Give what is sent, and why; of ODOMETRY so many are new, at a rate, Hz."""
-    verdict, state = session.guard.verdict, session.stream_state
+    decision, state = session.guard.decision, session.stream_state
     return OutputState(
         mode=session.guard.options.mode,
         is_streaming=new > 0,
         rate=rate,
         is_allowed=state.is_streaming,
-        is_settled=verdict.is_settled,
+        is_settled=decision.is_settled,
         is_clash=session.clash.is_clash,
         reason=state.reason,
         remedy=state.remedy,
-        parameters=dict(verdict.parameters),
+        parameters=dict(decision.parameters),
         sent=dict(session.sent),
         withheld=session.outbox.withheld["ODOMETRY"],
         texts_dropped=session.statustext.dropped,

@@ -319,7 +319,7 @@ class Observer:
                 rate=(counts.get(name, 0) - before.get(name, 0)) / seconds if seconds else 0.0,
                 asked=asked.get(name, 0.0),
                 answer=session.results.get(name, ""),
-                cause=session.audit.in_vain.get(name, ""),
+                cause=session.audit.causes.get(name, ""),
             )
             for name in sorted({*counts, *asked, *session.results})
         }

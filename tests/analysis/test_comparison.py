@@ -164,7 +164,7 @@ def test_attitude_alone_is_scored_where_the_truth_is_of_nothing_else():
 
 def test_every_filter_says_what_it_is():
     assert {"eskf", "euler", "iterated", "ukf", "zupt", "ahrs", "mahony", "vqf"} == set(FILTERS)
-    assert all(entry.says for entry in FILTERS.values())
+    assert all(entry.about for entry in FILTERS.values())
 
 
 def test_a_filter_whose_package_is_missing_says_so_in_its_row(tmp_path, monkeypatch):

@@ -7,17 +7,17 @@ import pytest
 from ekf_companion.engine.announcer import Announcer
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import (
-    Answered,
     Clash,
+    FirmwareReported,
     IntervalSet,
     ParameterSet,
     PeerChanged,
     PeerFound,
     PeerLost,
-    RateInVain,
+    RateTooLow,
     Rebooted,
+    RequestAnswered,
     SeveralAutopilots,
-    Versioned,
 )
 from ekf_companion.mavlink.statustext import LARGEST, Severity
 from tests.mavlink.conversation import MS, SECOND, met, sent
@@ -31,8 +31,8 @@ CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
         (PeerFound(1, 1, Family.PX4), "Autopilot found: system 1, component 1, px4", None, ""),
         (PeerLost(0), "Autopilot lost", None, ""),
         (Rebooted(), "Autopilot rebooted", None, ""),
-        (Answered("ATTITUDE", "denied"), "Request for ATTITUDE: denied", None, ""),
-        (Versioned("1.16.0"), "firmware: 1.16.0", None, ""),
+        (RequestAnswered("ATTITUDE", "denied"), "Request for ATTITUDE: denied", None, ""),
+        (FirmwareReported("1.16.0"), "firmware: 1.16.0", None, ""),
         (
             SeveralAutopilots(1, 2),
             "listening to system 1; set link.autopilot",
@@ -52,7 +52,7 @@ CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
             "id 194 is taken twice, not sending",
         ),
         (
-            RateInVain("HIGHRES_IMU", 250.0, 40.1, CAUSE),
+            RateTooLow("HIGHRES_IMU", 250.0, 40.1, CAUSE),
             f"HIGHRES_IMU comes at 40.1 Hz, asked for 250: {CAUSE}",
             Severity.WARNING,
             f"HIGHRES_IMU 40 of 250 Hz: {CAUSE}",

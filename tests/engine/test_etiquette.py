@@ -200,18 +200,18 @@ def test_rule_29_a_flood_of_settings_drowns_nothing_that_matters(caplog):
     flown = Flown(8.0)
     flown.fly(2.0)
     numbers = itertools.count()
-    bulletin = flown.companion.session.statustext
+    statustext = flown.companion.session.statustext
 
     def flood(now_ns):
         number = next(numbers)
         if number == 500:
-            bulletin.say(Severity.CRITICAL, "Companion: all is lost")
+            statustext.send(Severity.CRITICAL, "Companion: all is lost")
         return flown.set_parameter("EC_BARO_NSE", 1.0 + 0.01 * number)
 
     part = flown.fly(7.0, flood)
     assert next(numbers) > 1000
     assert "Companion: all is lost" in texts(part)
-    assert bulletin.dropped == 0
+    assert statustext.dropped == 0
     assert 3 <= caplog.text.count("Parameter EC_BARO_NSE set to") <= 7
 
 
@@ -303,7 +303,7 @@ def test_rule_7_an_ardupilot_with_a_slow_loop_is_asked_for_less_until_it_grants_
     companion = Companion(Config())
     Bench(flight, companion, personality=personality).run()
     assert companion.session.results["HIGHRES_IMU"] == "denied"
-    assert companion.session.requests.asked("RAW_IMU") == 40.0
+    assert companion.session.requests.expected_rate("RAW_IMU") == 40.0
     assert companion.pipeline.health().status is Status.OK
     words = "RAW_IMU is granted at 40 Hz, and 250 were asked for: raise SCHED_LOOP_RATE"
     assert caplog.text.count(words) == 1

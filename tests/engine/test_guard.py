@@ -109,7 +109,7 @@ class Link:
 
     @property
     def verdict(self):
-        return self.companion.session.guard.verdict
+        return self.companion.session.guard.decision
 
     def set(self, values):
         """Give what sets parameters without a word over the link."""
@@ -239,7 +239,7 @@ def test_another_make_of_autopilot_on_the_same_wire_begins_all_anew_and_so_in_a_
     link.fly(cycles[1100:])
     companion = link.companion
     assert companion.pipeline is not pipeline
-    assert companion.session.guard.verdict.parameters.keys() & set(NAMES[Family(second.value)])
+    assert companion.session.guard.decision.parameters.keys() & set(NAMES[Family(second.value)])
     sent = [unpack(frame) for _, frame in link.sent if frame.message_id == IDS["ODOMETRY"]]
     types = [message.estimator_type for message in sent]
     expected = {Kind.PX4: 3, Kind.ARDUPILOT: 5}

@@ -150,7 +150,7 @@ def test_without_a_heading_and_a_manoeuvre_nothing_is_navigated_by():
     assert statuses(table)[-1] is Status.ATTITUDE
     assert np.isnan(table.column("yaw")).all()
     assert np.isfinite(table.column("roll")[-1])
-    assert pipeline.health().verdicts[Aid.POSITION][Verdict.UNALIGNED] > 0
+    assert pipeline.health().verdicts[Aid.POSITION][Verdict.BEFORE_ALIGNMENT] > 0
 
 
 def test_a_jump_of_the_receiver_is_refused_and_then_believed_with_one_reset():
@@ -210,7 +210,7 @@ def test_the_autopilots_own_position_is_used_only_when_the_receiver_is_silent():
     both = merge(events.take(raw_ends), derived)
     _, pipeline = run(both)
     verdicts = pipeline.health().verdicts[Aid.POSITION]
-    assert 60 <= verdicts[Verdict.UNUSED] <= 110
+    assert 60 <= verdicts[Verdict.SUPERSEDED] <= 110
     _, refusing = run(both, FilterSettings(gnss=GnssSettings(source="raw", delay=0.12)))
     assert refusing.health().status is Status.DEAD_RECKONING
 
@@ -219,7 +219,7 @@ def test_a_dual_antenna_is_preferred_to_the_compass():
     events, _ = flight("hover", duration=20.0, yaw=True)
     _, pipeline = run(events)
     verdicts = pipeline.health().verdicts[Aid.HEADING]
-    assert verdicts[Verdict.UNUSED] > 800
+    assert verdicts[Verdict.SUPERSEDED] > 800
     _, compass = run(events, FilterSettings(heading=HeadingSettings(source="magnetometer")))
     assert compass.health().verdicts[Aid.HEADING][Verdict.FUSED] > 800
 

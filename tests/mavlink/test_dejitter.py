@@ -51,7 +51,7 @@ LOOPS = {
 
 @pytest.mark.parametrize("loop", LOOPS)
 @pytest.mark.parametrize("lost", [0.0, 0.03])
-def test_samples_lie_on_the_turns_of_the_loop(loop, lost):
+def test_samples_lie_on_the_cycles_of_the_loop(loop, lost):
     loop_us, interval_ms, late_us = LOOPS[loop]
     stamps, samples = scheduled(1, loop_us, interval_ms, late_us, lost=lost)
     t, one = smoothed(stamps)
@@ -107,7 +107,7 @@ def test_whole_milliseconds_are_set_on_the_line_of_their_period():
     assert abs(left.mean() + 450.0) < 100.0  # the line goes through the ones cut down most
 
 
-def test_whole_milliseconds_of_sending_are_set_on_the_loops_turns():
+def test_whole_milliseconds_of_sending_are_set_on_the_loops_cycles():
     stamps, samples = scheduled(3, 2500.0, 20, 400.0)
     cut = stamps // MS_US * MS_US
     t, one = smoothed(cut, MS_US)

@@ -59,8 +59,8 @@ def test_without_any_answer_for_five_seconds_it_is_withheld_until_the_next():
     assert 245 <= first <= 260
     assert 395 <= last <= 405
     assert not any(streaming[first:last])
-    changes = [event.verdict for event in session.events() if type(event) is GuardChanged]
-    assert [verdict.is_streaming for verdict in changes] == [True, False, True]
+    changes = [event.decision for event in session.events() if type(event) is GuardChanged]
+    assert [decision.is_streaming for decision in changes] == [True, False, True]
     assert "answers no request for a parameter any more" in changes[1].reason
 
 
@@ -88,8 +88,8 @@ def test_rule_25_another_autopilot_on_the_link_is_guarded_too():
     # From its second heartbeat on, until it has been silent for ten seconds
     assert streaming == [True, *[False] * 28, *[True] * 10]
     session, streaming = fused_by_none(GuardOptions(), Voice(2), until=40 * SECOND)
-    assert "system 2 is on this link too" in session.guard.verdict.reason
-    assert "a link of its own" in session.guard.verdict.remedy
+    assert "system 2 is on this link too" in session.guard.decision.reason
+    assert "a link of its own" in session.guard.decision.remedy
 
 
 @pytest.mark.parametrize(

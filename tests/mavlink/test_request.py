@@ -2,7 +2,7 @@
 
 import pytest
 
-from ekf_companion.mavlink.event import Answered, Versioned
+from ekf_companion.mavlink.event import FirmwareReported, RequestAnswered
 from ekf_companion.mavlink.options import RATES, SessionOptions
 from ekf_companion.mavlink.request import ACCEPTED
 from ekf_companion.mavlink.session import Session
@@ -34,7 +34,7 @@ def test_rule_5_an_autopilot_is_asked_for_its_messages_and_its_version(kind, ver
     assert [asked(m) for m in commands if m.command == 511][: len(RATES)][0] == "HIGHRES_IMU"
     assert {asked(m) for m in commands if m.command == 511} >= set(RATES)
     assert session.results["HIGHRES_IMU"] == ACCEPTED
-    assert Versioned(version) in events
+    assert FirmwareReported(version) in events
     assert session.requests.version == version
 
 
@@ -54,7 +54,7 @@ def test_rule_5_every_answer_has_its_words(result, words):
     session, autopilot = met(rates={"ATTITUDE": 10.0})
     session.tick(0)
     session.receive(autopilot.say("COMMAND_ACK", command=511, result=result), 0)
-    assert session.events() == [Answered("ATTITUDE", words)]
+    assert session.events() == [RequestAnswered("ATTITUDE", words)]
 
 
 @pytest.mark.parametrize("answer", [None, 3])

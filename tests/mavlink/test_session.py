@@ -13,7 +13,7 @@ from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import Sender, pack, unpack
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import SystemStatus
-from ekf_companion.mavlink.event import Answered, PeerFound, PeerLost, Rebooted
+from ekf_companion.mavlink.event import PeerFound, PeerLost, Rebooted, RequestAnswered
 from ekf_companion.mavlink.frame import JUNK, Splitter
 from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.options import RATES, SessionOptions
@@ -146,7 +146,7 @@ def test_a_silent_autopilot_is_reported_once_and_asked_again_when_it_returns():
     session, autopilot = met(rates={"HIGHRES_IMU": 250.0})
     session.tick(4 * SECOND)
     session.receive(autopilot.ack(), 4 * SECOND)
-    assert session.events() == [Answered("HIGHRES_IMU", "accepted")]
+    assert session.events() == [RequestAnswered("HIGHRES_IMU", "accepted")]
     session.tick(5 * SECOND)
     assert session.peer == (1, 1)
     session.tick(5 * SECOND + 4000)
@@ -216,7 +216,7 @@ def test_a_request_is_repeated_twice_then_given_up_for_the_next():
         session.tick(now_ns)
         asked += [(now_ns, m.param1, m.confirmation) for m in sent(session, "COMMAND_LONG")]
     assert asked == [(0, 105, 0), (SECOND, 105, 1), (2 * SECOND, 105, 2), (3 * SECOND, 30, 0)]
-    assert session.events() == [Answered("HIGHRES_IMU", "no answer")]
+    assert session.events() == [RequestAnswered("HIGHRES_IMU", "no answer")]
 
 
 def test_an_answer_to_another_command_or_component_is_not_ours():
@@ -230,7 +230,7 @@ def test_an_answer_to_another_command_or_component_is_not_ours():
         session.receive(data, 0)
     assert session.events() == []
     session.receive(autopilot.ack(target_system=1, target_component=194), 0)
-    assert session.events() == [Answered("ATTITUDE", "accepted")]
+    assert session.events() == [RequestAnswered("ATTITUDE", "accepted")]
 
 
 def test_in_progress_is_waited_for():

@@ -1,4 +1,4 @@
-"""Magnetometer and barometer, whichever message brings them."""
+"""Magnetometer and barometer, whichever message carries them."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from ekf_companion.nav.earth import pressure_altitude
 from ekf_companion.nav.measurements import BaroSample, MagSample
 
 _WEAKEST, _STRONGEST = 0.15, 0.8
-"""gauss; the field of the Earth has 0.22 to 0.67, and a vehicle some of its own."""
+"""gauss; the Earth's field has 0.22 to 0.67, and a vehicle adds some."""
 _LOWEST, _HIGHEST = 30_000.0, 120_000.0
 """Pa; from 9000 m up to below the Dead Sea."""
 
 
 class Magnetometer:
-    """The field from the best message that brings one."""
+    """Reads the magnetic field from the best message that carries one."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew after a reboot."""
+        """Forget everything after a reboot."""
         self.sources = Preference()
         self._last: tuple[float, ...] = ()
 
     def add(self, out: Measurements, rank: int, t_ns: int, x: float, y: float, z: float) -> None:
-        """Add a field in gauss, where it is one of the Earth and not the last one again."""
+        """Append a field in gauss if it may be the Earth's and is not the last one again."""
         if (x, y, z) == (0.0, 0.0, 0.0):
             return  # no magnetometer
         if rank != self.sources.sole and not self.sources.admit(rank, t_ns):
@@ -53,14 +53,14 @@ class Magnetometer:
 
 
 class Barometer:
-    """The pressure from the best message that brings one."""
+    """Reads the pressure from the best message that carries one."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew after a reboot."""
+        """Forget everything after a reboot."""
         self.sources = Preference()
         self._last = 0.0
 
@@ -74,7 +74,7 @@ class Barometer:
         return out
 
     def add(self, out: Measurements, rank: int, t_ns: int, pressure: float) -> None:
-        """Add a pressure in hPa, or in Pa where only that can be meant (PX4)."""
+        """Append the altitude of a pressure in hPa, or in Pa where only that can be meant (PX4)."""
         if pressure == 0.0 or (rank != self.sources.sole and not self.sources.admit(rank, t_ns)):
             return
         if pressure == self._last:

@@ -1,4 +1,4 @@
-"""The autopilot's own heading, from the best message that tells it."""
+"""The autopilot's own heading, from the best message that carries it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ NORTH_CDEG = 36000
 
 
 class Heading:
-    """ATTITUDE, else GLOBAL_POSITION_INT, else VFR_HUD."""
+    """Reads ATTITUDE, else GLOBAL_POSITION_INT, else VFR_HUD."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew after a reboot."""
+        """Forget everything after a reboot."""
         self.sources = Preference()
         self._pace = Pace(self._context.options.heading_rate)
 
@@ -42,7 +42,7 @@ class Heading:
         return out
 
     def add(self, out: Measurements, rank: int, t_ns: int, heading: float) -> None:
-        """Add a heading in rad, where its source is in use and its turn has come."""
+        """Append a heading in rad if its source is in use and a period has passed."""
         if not math.isfinite(heading):
             self._context.refuse("heading: not a number")
         elif self._context.is_yaw_ours:
@@ -59,5 +59,5 @@ class Heading:
 
 
 def wrap(angle: float) -> float:
-    """Bring an angle into [-pi, pi)."""
+    """Return an angle in [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi

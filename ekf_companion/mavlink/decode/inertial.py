@@ -1,4 +1,4 @@
-"""Inertial messages, the best that speaks, and what else they bring."""
+"""Inertial samples from the best message that carries them, and what else these messages carry."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import ImuSample
 
 SOURCES = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
-"""From the best: whole numbers are coarser, and milliseconds coarser than microseconds."""
+"""The best first: whole numbers are coarser, and milliseconds coarser than microseconds."""
 _ACCEL_GYRO = 0x3F
 _MAG = 0x1C0
 _PRESSURE = 0x200
@@ -23,11 +23,11 @@ _PRESSURE = 0x200
 _MILLI_G = STANDARD_GRAVITY * 1e-3
 _MILLISECOND_US = 1000
 _STARVING = 0.25
-"""A finer sensor at less than a quarter of the rate of a coarser one misses more than it shows."""
+"""A finer sensor at less than a quarter of the rate of a coarser one loses more than it gains."""
 
 
 class Inertial:
-    """The inertial samples, from the best message that brings them."""
+    """Reads inertial samples from the best message that carries them."""
 
     def __init__(self, context: Context, mag: Magnetometer, baro: Barometer) -> None:
         self._context, self._mag, self._baro = context, mag, baro
@@ -36,7 +36,7 @@ class Inertial:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew after a reboot."""
+        """Forget everything after a reboot."""
         self.sources = Preference(_STARVING)
         self.instance = self._context.options.imu_id
         """The sensor in use, as HIGHRES_IMU numbers them."""
@@ -46,7 +46,7 @@ class Inertial:
         self.begin_stream()
 
     def begin_stream(self) -> None:
-        """Know nothing of the stamps of the message in use."""
+        """Forget the stamps of the message in use."""
         is_ms = self.sources.rank > 1
         is_sent = self._context.family is Family.ARDUPILOT
         self._dejitter: Dejitter | None = None
@@ -60,7 +60,7 @@ class Inertial:
 
     @property
     def is_dejittered(self) -> bool:
-        """Whether stamps are being moved."""
+        """Whether stamps are being corrected."""
         return self._dejitter is not None and self._dejitter.is_active
 
     def highres_imu(self, frame: Frame) -> Measurements:
@@ -83,24 +83,23 @@ class Inertial:
             return out
         if rank != was:
             self._note_instance(instance, is_better=rank < was)
+        sample = (gx, gy, gz, ax, ay, az)
         if updated & _ACCEL_GYRO != _ACCEL_GYRO:
             context.refuse("HIGHRES_IMU: accel or gyro not updated")
-        elif t_us > self._last_us and (
-            why := self._repetition.judge(t_us, (gx, gy, gz, ax, ay, az))
-        ):
-            self._tell_silence(why)
+        elif t_us > self._last_us and (why := self._repetition.judge(t_us, sample)):
+            self._refuse_stuck(why)
             self._last_us = t_us
-            # the compass turned with a vehicle whose turning nobody saw
+            # nor the magnetometer: it turned with the vehicle, and by how much is not known
             return out
         else:
-            t_ns = self._add(out, 0, t_us, gx, gy, gz, ax, ay, az)
+            t_ns = self._add(out, 0, t_us, sample)
         if updated & _MAG == _MAG:
             self._mag.add(out, 0, t_ns, mx, my, mz)
         if updated & _PRESSURE:
             self._baro.add(out, 0, t_ns, pressure)
         return out
 
-    def _tell_silence(self, why: str) -> None:
+    def _refuse_stuck(self, why: str) -> None:
         self._context.refuse(f"HIGHRES_IMU: {why}")
         self._context.note_once(
             f"Inertial sensor {self.instance} is {why}: it says the same again and again, which is "
@@ -108,7 +107,7 @@ class Inertial:
         )
 
     def _note_instance(self, instance: int, *, is_better: bool) -> None:
-        """Use another sensor from now on.
+        """Note that another sensor is used from now on.
 
         ArduPilot sends the first sensor that works, and that may change in flight.
         """
@@ -141,35 +140,23 @@ class Inertial:
         return out
 
     def _add_integers(self, out: Measurements, rank: int, t_us: int, m: Any) -> None:
-        """Add what RAW_IMU and SCALED_IMU share: milli-g, mrad/s and milligauss."""
+        """Append the content of RAW_IMU and SCALED_IMU: milli-g, mrad/s and milligauss."""
         xacc, yacc, zacc, xgyro, ygyro, zgyro, xmag, ymag, zmag = m[1:10]
         t_ns = t_us * 1000
         if not (xacc or yacc or zacc or xgyro or ygyro or zgyro):
             self._context.refuse("SCALED_IMU: no sensor behind it")
         else:
             rates = (xgyro * 1e-3, ygyro * 1e-3, zgyro * 1e-3)
-            t_ns = self._add(
-                out, rank, t_us, *rates, xacc * _MILLI_G, yacc * _MILLI_G, zacc * _MILLI_G
-            )
+            forces = (xacc * _MILLI_G, yacc * _MILLI_G, zacc * _MILLI_G)
+            t_ns = self._add(out, rank, t_us, rates + forces)
         self._mag.add(out, rank, t_ns, xmag * 1e-3, ymag * 1e-3, zmag * 1e-3)
 
-    def _add(
-        self,
-        out: Measurements,
-        rank: int,
-        t_us: int,
-        gx: float,
-        gy: float,
-        gz: float,
-        ax: float,
-        ay: float,
-        az: float,
-    ) -> int:
-        """Add a sample, where it is one; give the time, ns, of all that came with it."""
+    def _add(self, out: Measurements, rank: int, t_us: int, sample: _Sample) -> int:
+        """Append a sample if it is good; return the time, ns, of all that came with it."""
         context = self._context
         t_ns = t_us * 1000
         was = self.sources.rank
-        if not math.isfinite(gx + gy + gz + ax + ay + az):
+        if not math.isfinite(sum(sample)):
             context.refuse("IMU: not a number")
         elif rank != self.sources.sole and not self.sources.admit(rank, t_ns):
             context.refuse("IMU: a better source speaks")
@@ -185,17 +172,7 @@ class Inertial:
                     context.refuse("IMU: out of order")
                     return t_ns
                 t_ns = sampled
-            out.append(
-                ImuSample(
-                    t_ns=t_ns,
-                    gyro_x=gx,
-                    gyro_y=gy,
-                    gyro_z=gz,
-                    accel_x=ax,
-                    accel_y=ay,
-                    accel_z=az,
-                )
-            )
+            out.append(ImuSample(t_ns, *sample))
         return t_ns
 
     def _note_source(self, was: int, now: int) -> None:
@@ -209,24 +186,31 @@ _Sample = tuple[float, float, float, float, float, float]
 """Rate, rad/s, and specific force, m/s^2, in the body."""
 
 _CHANCE = math.log(1e-12)
-"""Of a run: one false alarm in some years of samples at 250 Hz, were they independent."""
+"""Logarithm of the probability of a run at which it is no chance: if samples were independent, one
+false alarm in some years at 250 Hz."""
 _MEMORY = 2048
-"""Pairs, after which what has been counted weighs half."""
+"""Pairs after which the counts are halved."""
 _FEWEST = 64
-"""Pairs that anything is concluded from."""
+"""Fewest pairs to conclude anything from."""
 _RATE = 0.1
-"""rad/s; no range ends so soon. No gyro of today has such a bias, so it says that it turns, too."""
+"""rad/s; no range ends so low, and no gyro has such a bias, so the sensor turns."""
 _FORCE = 2.0
-"""m/s^2; neither does an accelerometer's."""
+"""m/s^2; nor does an accelerometer's range."""
 _LANDED_US = 5_000_000
-"""What reads as standing still would, for so long, may be a simulator's vehicle that does."""
+"""Equal samples as of standing still may come from a simulator if they last so long."""
 
 STUCK = "stuck"
 LIMITED = "at the end of its range"
 
 
 class Repetition:
-    """One sensor's samples, one after the other."""
+    """Finds in the samples of one sensor that it is stuck, or at the end of its range.
+
+    A sensor's noise makes its readings differ. How often two in a row are equal to the bit all the
+    same is counted for each axis; a run of equal ones that is too long to be chance means that the
+    axis measures nothing any more. It is counted because whole numbers in disguise, and simulators
+    without noise, repeat themselves all the time: there no run is long enough.
+    """
 
     __slots__ = ("_equal", "_last", "_pairs", "_runs", "_since_us")
 
@@ -238,7 +222,7 @@ class Repetition:
         self._since_us = 0
 
     def judge(self, t_us: int, sample: _Sample) -> str | None:
-        """Say why a sample, newer than all before, measures nothing; None: it does."""
+        """Return why a sample, newer than all before, measures nothing; None if it does."""
         last, self._last = self._last, sample
         self._pairs += 1
         is_any = False
@@ -264,7 +248,7 @@ class Repetition:
         return None
 
     def _is_silent(self, axis: int) -> bool:
-        """Whether an axis has been the same for longer than chance explains."""
+        """Whether an axis has been constant for longer than chance explains."""
         run = self._runs[axis]
         known = self._pairs - run
         if not run or known < _FEWEST:

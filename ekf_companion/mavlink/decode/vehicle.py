@@ -13,14 +13,14 @@ _ON_GROUND = 1
 
 
 class Vehicle:
-    """What the autopilot says of the vehicle as a whole."""
+    """Reads the state of the vehicle, and SYSTEM_TIME."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew after a reboot."""
+        """Forget everything after a reboot."""
         self.is_armed = False
         self._is_landed: bool | None = None
 
