@@ -21,7 +21,7 @@ from ekf_companion.daemon.http import CONNECTIONS, open_endpoint
 from ekf_companion.status.metrics import PREFIX
 from sim_autopilot.autopilot import Kind
 from tests.daemon.test_daemon import SYSTEM, Daemon, fly_over, free_port, plan
-from tests.engine.test_companion import cycles
+from tests.engine.conversation import cycles
 from tests.status.test_observer import Watched
 
 

@@ -28,8 +28,7 @@ from ekf_companion.nav.state import Status
 from tests.core.flights import between, flight
 from tests.core.interpreted import load
 from tests.core.test_timeline import a_timeline, put, some_events
-from tests.engine.test_gap import deviations
-from tests.engine.test_pipeline import KNOWN, run
+from tests.engine.estimation import KNOWN, deviations, run
 
 SECOND_NS = 1_000_000_000
 BOOT = bytes(range(16))
@@ -53,7 +52,7 @@ STAMP = GOOD.state.stamp_ns
 
 
 def with_block(**changes):
-    """Give the good one with some numbers of its block changed, by their names."""
+    """Return the good one with some numbers of its block changed, by their names."""
     block = GOOD.state.block.copy()
     for name, value in changes.items():
         block[getattr(at, name)] = value
@@ -255,7 +254,7 @@ def test_a_boot_that_is_not_known_is_no_boot_in_common():
 
 
 def told(timeline):
-    """Give a timeline's state but for what a restart itself writes down."""
+    """Return a timeline's state but for what a restart itself writes down."""
     x = timeline.block()
     x[[at.X_RESETS, at.X_RESET_REASON]] = 0.0
     return x.tobytes()

@@ -18,7 +18,7 @@ from sim_autopilot.config import SimConfig
 from sim_autopilot.firmware import parse
 from sim_autopilot.flight import Flight
 from sim_autopilot.loop import Bench
-from tests.engine.test_companion import named
+from tests.engine.conversation import as_messages, named
 
 ALLOWED = {
     *("HEARTBEAT", "ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN", "TIMESYNC", "STATUSTEXT"),
@@ -57,10 +57,7 @@ class Flown:
             data = self.companion.data_to_send()
             for frame in data:
                 self.autopilot.receive(frame, cycle.t_ns)
-            part += [
-                (LAYOUTS[frame.message_id].name, unpack(frame))
-                for frame in Splitter().feed(b"".join(data))
-            ]
+            part += as_messages(data, cycle.t_ns)
             if cycle.t_ns - self.start_ns >= until * 1e9:
                 break
         self.said += part
@@ -82,7 +79,7 @@ class Flown:
 
 
 def once(data):
-    """Give the bytes the first time, then none."""
+    """Return the bytes the first time, then none."""
     waiting = [data]
     return lambda now_ns: waiting.pop() if waiting else b""
 
@@ -107,7 +104,7 @@ def test_rule_26_nothing_is_said_that_only_an_autopilot_may_say(kind):
     wishes.append(flown.station.message("PARAM_REQUEST_LIST"))
     flown.fly(2.5, once(b"".join(wishes)))
     flown.fly(5.0)
-    names = {name for name, _ in flown.said}
+    names = {one.name for one in flown.said}
     assert names <= ALLOWED
     assert {"ODOMETRY", "PARAM_VALUE", "AUTOPILOT_VERSION"} <= names
     impersonating = {"ATTITUDE", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "GPS_RAW_INT"}
@@ -262,7 +259,7 @@ def test_rule_29_the_pilot_is_told_what_changes_and_only_that():
 
 
 def as_raw(frames):
-    """Give RAW_IMU for HIGHRES_IMU, as an ArduPilot whose first sensor has died."""
+    """Return RAW_IMU for HIGHRES_IMU, as an ArduPilot whose first sensor has died."""
     out = []
     for frame in frames:
         (one,) = Splitter().feed(frame)

@@ -96,7 +96,7 @@ class Link:
         return [now_ns for now_ns, frame in self.sent if frame.message_id == IDS[name]]
 
     def asked(self):
-        """Give time and name of each parameter that was asked for."""
+        """Return time and name of each parameter that was asked for."""
         return [
             (now_ns, unpack(frame).param_id.decode())
             for now_ns, frame in self.sent
@@ -112,7 +112,7 @@ class Link:
         return self.companion.session.guard.decision
 
     def set(self, values):
-        """Give what sets parameters without a word over the link."""
+        """Return what sets parameters without a word over the link."""
         return lambda: self.autopilot.parameters.update(values)
 
 
@@ -374,7 +374,7 @@ ALONE = {
 
 
 def own_refused(link):
-    """Give how many headings and positions were refused since the autopilot's are made of ours."""
+    """Return how many headings and positions were refused because they are made of ours."""
     refused = link.companion.session.decoder.refused
     return {
         name: refused[f"{name}: made of our own"] for name in ("heading", "GLOBAL_POSITION_INT")

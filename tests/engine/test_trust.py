@@ -10,7 +10,7 @@ from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Status
 from tests.core.flights import between, changed, flight, without
 from tests.core.interpreted import load
-from tests.engine.test_pipeline import KNOWN, errors, rms, run, statuses
+from tests.engine.estimation import KNOWN, errors, rms, run, statuses
 
 METRE = 1.0 / 6.367e6
 """Of latitude, rad."""

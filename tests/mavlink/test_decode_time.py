@@ -41,7 +41,7 @@ class Peer:
         )
 
     def everything(self, t_us):
-        """Give what all of an autopilot's messages of one moment say."""
+        """Return what all of an autopilot's messages of one moment say."""
         t_ms, place = t_us // 1000 % WRAP_MS, {"lat": 473977635 + t_us % 97, "lon": 85455780}
         return [
             *self.highres(t_us, ymag=t_us % 97 * 1e-4),
@@ -125,13 +125,13 @@ def test_an_old_packet_is_refused_and_counted():
 
 
 def sent(seed=1, count=4000):
-    """Give stamps of every second turn of a 400 Hz loop, sent up to 1.8 ms later, us."""
+    """Return stamps of every second turn of a 400 Hz loop, sent up to 1.8 ms later, us."""
     rng = random.Random(seed)
     return [10**8 + 5000 * n + min(int(rng.expovariate(1 / 300.0)), 1800) for n in range(count)]
 
 
 def samples(peer, stamps):
-    """Give the stamps, us, of the samples of HIGHRES_IMU messages."""
+    """Return the stamps, us, of the samples of HIGHRES_IMU messages."""
     return [one.t_ns / 1000 for t in stamps for one in only(ImuSample, peer.highres(t))]
 
 
@@ -207,7 +207,7 @@ PERIOD_US = 4000
 
 
 def numbered(peer, stamps):
-    """Give what HIGHRES_IMU of these stamps say, the rate counting them."""
+    """Return what HIGHRES_IMU of these stamps say, the rate counting them."""
     return [found for n, t in enumerate(stamps) for found in peer.highres(t, xgyro=n * 1e-3)]
 
 

@@ -13,7 +13,7 @@ MS_US = 1000
 
 
 def scheduled(seed, loop_us, interval_ms, mean_late_us, *, lost=0.0, overrun=0.0, count=8000):
-    """Give stamps of sending and times of sampling, us, as ArduPilot's scheduler makes them.
+    """Return stamps of sending and times of sampling, us, as ArduPilot's scheduler makes them.
 
     A turn takes its sample at its beginning and sends, later in it, what is due by whole
     milliseconds; an overrun moves all turns after it.
@@ -33,7 +33,7 @@ def scheduled(seed, loop_us, interval_ms, mean_late_us, *, lost=0.0, overrun=0.0
 
 
 def smoothed(stamps, resolution_us=1):
-    """Give the times of the stamps, us; NaN: out of order."""
+    """Return the times of the stamps, us; NaN: out of order."""
     one = Dejitter(resolution_us)
     t_ns = [one.smooth(int(stamp)) for stamp in stamps]
     return np.array([np.nan if t is None else t / 1000 for t in t_ns]), one

@@ -17,7 +17,7 @@ IDS_2 = sorted(LAYOUTS)
 
 
 def pymavlink_frame(message_id, payload, sequence, *, version, key=None):
-    """Give the frame that pymavlink would send for a payload."""
+    """Return the frame that pymavlink would send for a payload."""
     dialect = dialect_2 if version == 2 else dialect_1
     mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
     mav.seq = sequence

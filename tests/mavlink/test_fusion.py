@@ -19,7 +19,7 @@ def source_set(number, *values):
 
 
 def ardupilot(**changes):
-    """Give every parameter that may decide, as the firmware sets it but for some."""
+    """Return every parameter that may decide, as the firmware sets it but for some."""
     defaults = DEFAULTS[Stack.ARDUPILOT]
     return {name: float(defaults[name]) for name in NAMES[ARDUPILOT]} | changes
 
@@ -169,7 +169,7 @@ def test_what_decides_is_watched_and_no_more():
 
 
 def two(frame_id):
-    """Give two messages, so close that fusion begins."""
+    """Return two messages, so close that fusion begins."""
     sender = Sender(1, 194)
     fields = {
         "frame_id": frame_id,

@@ -33,12 +33,12 @@ def test_each_time_that_the_guard_is_lifted_the_pilot_is_warned():
 
 
 def answer(autopilot):
-    """Give that nothing of ours is fused."""
+    """Return that nothing of ours is fused."""
     return autopilot.say("PARAM_VALUE", param_id=b"EKF2_EV_CTRL", param_type=6)
 
 
 def watched(minutes, is_answered):
-    """Give the session, and what was decided after each tenth of a second."""
+    """Return the session, and what was decided after each tenth of a second."""
     session, autopilot = met(PX4, guard=GuardOptions())
     session.receive(answer(autopilot), 0)
     streaming = []
@@ -71,7 +71,7 @@ def test_a_link_that_loses_a_tenth_of_all_frames_withholds_nothing():
 
 
 def fused_by_none(guard, other, until=20 * SECOND):
-    """Give whether it streams, after each second, beside somebody else's heartbeats until then."""
+    """Return whether it streams after each second, beside somebody else's heartbeats."""
     session, autopilot = met(PX4, guard=guard)
     streaming = []
     for now_ns in range(SECOND, 40 * SECOND, SECOND):

@@ -13,7 +13,7 @@ from tests.mavlink.conversation import ARDUPILOT, MS, PX4, SECOND, asked, met, s
 
 
 def converse(kind, duration=2.0):
-    """Give a session that has flown with a simulated autopilot, and its events."""
+    """Return a session that has flown with a simulated autopilot, and its events."""
     config = SimConfig()
     session, autopilot, events = Session(), Autopilot(config, kind), []
     for cycle in Flight.plan("hover", config, duration=duration).cycles():
@@ -77,7 +77,7 @@ def test_rule_5_an_autopilot_that_cannot_tell_its_version_is_not_complained_of(a
 
 
 def answered(family, results, rates):
-    """Give what is asked in the old way of an autopilot that answers so."""
+    """Return what is asked in the old way of an autopilot that answers so."""
     session, autopilot = met(family, rates=rates)
     streams = []
     for now_ns in range(0, 30 * SECOND, 100 * MS):

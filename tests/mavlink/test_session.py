@@ -53,14 +53,14 @@ class Autopilot:
 
 
 def sent(session, name=None):
-    """Give what the session sends, as fields, or of one message only."""
+    """Return what the session sends, as fields, or of one message only."""
     frames = Splitter().feed(b"".join(session.data_to_send()))
     messages = [unpack(frame) for frame in frames]
     return messages if name is None else [m for m in messages if type(m).__name__ == name]
 
 
 def met(family=PX4, **options):
-    """Give a session that has just found its autopilot, and the autopilot."""
+    """Return a session that has just found its autopilot, and the autopilot."""
     session, autopilot = Session(SessionOptions(**options)), Autopilot(family=family)
     session.receive(autopilot.heartbeat(), 0)
     session.events()
@@ -271,7 +271,7 @@ def test_after_a_reboot_everything_is_asked_again():
 
 
 def synchronised(offset_ns):
-    """Give a session that has learned the autopilot's clock, which is ahead by the offset."""
+    """Return a session that has learned the autopilot's clock, which is ahead by the offset."""
     session, autopilot = met(rates={})
     for now_ns in range(0, 4 * SECOND, 20 * MS):
         session.tick(now_ns)
@@ -328,7 +328,7 @@ def test_a_quantised_time_survives_a_tlog(now_ns):
 
 
 def flight(seed):
-    """Give a stream of an autopilot with another system, noise and a reboot in it."""
+    """Return a stream of an autopilot with another system, noise and a reboot in it."""
     rng = random.Random(seed)
     autopilot, station = Autopilot(), Autopilot(255, 190)
     parts, t_us = [], 5_000_000

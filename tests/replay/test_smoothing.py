@@ -26,7 +26,7 @@ from ekf_companion.replay import smoothing
 from ekf_companion.replay.smoothing import Smoothing, smooth
 from sim_autopilot.scenarios import SCENARIOS
 from tests.core.flights import between, changed, flight, without
-from tests.engine.test_pipeline import errors, rms
+from tests.engine.estimation import errors, rms
 
 KNOWN = FilterSettings(gnss=GnssSettings(delay=0.12, delay_std=0.02, white_share=1.0))
 TRUE = FilterSettings(
@@ -45,7 +45,7 @@ TRUE = FilterSettings(
 
 
 def both(events: Events, settings: FilterSettings = KNOWN) -> tuple[Table, Table]:
-    """Give the live estimates and the smoothed ones."""
+    """Return the live estimates and the smoothed ones."""
     with Smoothing(settings) as estimator:
         live = estimator.run(events)
         return live, join(list(estimator.tables()))
@@ -112,7 +112,7 @@ def smoothed_blocks(events: Events, settings: FilterSettings) -> np.ndarray:
 
 
 def normalised(block: np.ndarray, truth, row: int) -> list[float]:
-    """Give the error squared over its covariance: of all nine, of the motion, of the attitude."""
+    """Return the error squared over its covariance: of all nine, of the motion, of the attitude."""
     frame = LocalFrame(*block[[at.X_LAT0, at.X_LON0, at.X_ALT0]])
     error = np.concatenate(
         [
@@ -339,7 +339,7 @@ def test_stamps_are_those_of_the_samples_whatever_the_sensors_lag():
 
 
 def peak(seconds: float) -> int:
-    """Give the most memory that smoothing takes beside its rows and results, bytes."""
+    """Return the most memory that smoothing takes beside its rows and results, bytes."""
     events, _ = flight("hover", duration=seconds, rate=50.0)
     with Smoothing(KNOWN, in_memory=1) as estimator:
         for part in np.array_split(np.arange(len(events)), int(seconds / 5.0)):

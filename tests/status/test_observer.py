@@ -22,7 +22,7 @@ from ekf_companion.status.snapshot import ReloadState
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import ImuConfig, SimConfig, StreamConfig
 from sim_autopilot.flight import Flight
-from tests.engine.test_companion import cycles
+from tests.engine.conversation import cycles
 
 BOARD = Board(rss_mb=50.0, temperatures={"cpu": 61.5})
 MS = 1_000_000

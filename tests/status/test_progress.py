@@ -18,7 +18,7 @@ from sim_autopilot.events import events
 from sim_autopilot.flight import Flight
 from tests.daemon.test_daemon import free_port, manager
 from tests.daemon.test_systemd import beats, environment
-from tests.engine.test_companion import cycles
+from tests.engine.conversation import cycles
 
 SECOND_NS = 1_000_000_000
 STILL = (0.0, 0.0, 0.0, 0.0, 0.0, -9.8)

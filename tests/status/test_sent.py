@@ -13,7 +13,7 @@ from ekf_companion.link.backlog import FRESH_NS
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.status.judge import judge
-from tests.engine.test_companion import cycles
+from tests.engine.conversation import cycles
 from tests.status.test_observer import Watched
 
 ALWAYS = Config(output=OutputConfig(odometry=OdometryConfig(mode="always")))
