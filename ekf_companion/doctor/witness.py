@@ -240,7 +240,10 @@ class Witness:
         )
 
     def _messages(self, now_ns: int) -> dict[str, MessageState]:
-        is_live, results = self._means is not Means.RECORDING, self.companion.session.results
+        is_live, results = (
+            self._means is not Means.RECORDING,
+            self.companion.session.requests.results,
+        )
         return {
             name: MessageState(
                 count=tally.count,

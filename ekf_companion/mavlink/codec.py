@@ -75,36 +75,6 @@ def pack(name: str, **fields: Any) -> bytes:
         raise TypeError(f"{name}: {error}") from None
 
 
-def encode_frame(
-    message_id: int,
-    payload: bytes,
-    *,
-    system_id: int,
-    component_id: int,
-    sequence: int,
-    flags: int = 0,
-) -> bytes:
-    """Return the MAVLink 2 frame of a payload, whose zeros at the end are left out.
-
-    ``flags`` are those of incompatibility: with ``SIGNED`` a signature must be put behind it.
-    """
-    payload = payload.rstrip(b"\0") or b"\0"
-    body = (
-        _HEADER.pack(
-            len(payload),
-            flags,
-            0,
-            sequence,
-            system_id,
-            component_id,
-            message_id & 0xFFFF,
-            message_id >> 16,
-        )
-        + payload
-    )
-    return b"\xfd" + body + _CRC.pack(_crc(body + CRC_EXTRAS[message_id]))
-
-
 class Sender:
     """Frames the messages of one component, and owns its sequence number."""
 
@@ -120,16 +90,20 @@ class Sender:
 
         ``now_ns`` is unix time, ns, for the signature.
         """
-        data = encode_frame(
-            IDS[name],
-            payload,
-            system_id=self.system_id,
-            component_id=self.component_id,
-            sequence=self.sequence,
-            flags=0 if self._signing is None else SIGNED,
-        )
+        flags = 0 if self._signing is None else SIGNED
+        data = self.draft(name, payload, flags)
         self.sequence = (self.sequence + 1) & 0xFF
         return data if self._signing is None else self._signing.sign(data, now_ns)
+
+    def draft(self, name: str, payload: bytes, flags: int = 0) -> bytes:
+        """Return a frame without a signature, whose number is also the next one's.
+
+        Zeros at the payload's end are left out. ``flags`` are those of incompatibility.
+        """
+        payload, number = payload.rstrip(b"\0") or b"\0", IDS[name]
+        ids = self.sequence, self.system_id, self.component_id, number & 0xFFFF, number >> 16
+        body = _HEADER.pack(len(payload), flags, 0, *ids) + payload
+        return b"\xfd" + body + _CRC.pack(_crc(body + CRC_EXTRAS[number]))
 
     def message(self, name: str, **fields: Any) -> bytes:
         """Return the next frame of a message, from its fields."""

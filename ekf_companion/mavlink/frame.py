@@ -37,7 +37,7 @@ LARGEST_FRAME = HEADER_SIZE + 255 + SIGNATURE_SIZE
 
 _STARTS = (STX_1, STX_2)
 _START = re.compile(rb"[\xfd\xfe]")
-_HEADER_2 = Struct("<xBBxBBBHB")
+_header = Struct("<xBBxBBBHB").unpack_from
 _crc = crc16.mcrf4xx
 
 
@@ -86,9 +86,8 @@ class Splitter:
         if sender != self._sender:
             self._switch_to(sender)
         buffer = self._rest + data if self._rest else bytes(data)
-        end = len(buffer)
         found: list[Frame] = []
-        start = junk = 0  # junk: first byte not handed out yet
+        start, junk, end = 0, 0, len(buffer)  # junk: first byte not handed out yet
         while start < end:
             stx = buffer[start]
             if self._unknown_end >= 0:
@@ -96,24 +95,20 @@ class Splitter:
             if stx == STX_2:
                 if end - start < 10:
                     break
-                size, flags, sequence, system, component, low, high = _HEADER_2.unpack_from(
-                    buffer, start
-                )
-                message_id = low | high << 16
-                header = 10
+                size, flags, number, system, component, low, high = _header(buffer, start)
+                message_id, header = low | high << 16, 10
                 total = size + 25 if flags & SIGNED else size + 12
             elif stx == STX_1:
                 if end - start < 6:
                     break
-                size, sequence, system, component, message_id = buffer[start + 1 : start + 6]
+                size, number, system, component, message_id = buffer[start + 1 : start + 6]
                 flags, header, total = 0, 6, size + 8
             else:
                 match = _START.search(buffer, start)
                 start = match.start() if match else end
                 continue
 
-            extra = CRC_EXTRAS.get(message_id)
-            if extra is None:
+            if (extra := CRC_EXTRAS.get(message_id)) is None:
                 if self._unknown_end < 0:
                     self._unknown_end = start + total
                 start += 1
@@ -133,26 +128,15 @@ class Splitter:
             if junk < start:
                 found.append(self._junk(buffer, junk, start))
             raw = buffer[start : start + total]
-            found.append(
-                Frame(
-                    message_id,
-                    system,
-                    component,
-                    sequence,
-                    raw[header : header + size],
-                    raw,
-                    2 if stx == STX_2 else 1,
-                )
-            )
+            payload, version = raw[header : header + size], 2 if stx == STX_2 else 1
+            found.append(Frame(message_id, system, component, number, payload, raw, version))
             self.frames += 1
-            start += total
-            junk = start
+            start = junk = start + total
             self._unknown_end = -1
 
         if junk < start:
             found.append(self._junk(buffer, junk, start))
-        self._rest = buffer[start:]
-        self._unknown_end = max(self._unknown_end - start, -1)
+        self._rest, self._unknown_end = buffer[start:], max(self._unknown_end - start, -1)
         return found
 
     def _switch_to(self, sender: Hashable) -> None:

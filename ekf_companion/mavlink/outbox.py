@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import NamedTuple
 
-from ekf_companion.mavlink.codec import Sender, encode_frame
-from ekf_companion.mavlink.messages import IDS
+from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.stamp import quantise
 
 
@@ -57,22 +56,13 @@ class Outbox:
         frame = self._sender.frame(name, payload, now_ns)
         self.sent[name] += 1
         self._out.append(Outgoing(frame, is_replaceable))
-        if self._is_recording:
-            self.record(frame, now_ns)
+        self.record(frame, now_ns)
 
     def withhold(self, name: str, payload: bytes, now_ns: int) -> None:
         """Only record a message, with the sequence number of the next that is sent."""
         self.withheld[name] += 1
         if self._is_recording:
-            system_id, component_id = self.ids
-            frame = encode_frame(
-                IDS[name],
-                payload,
-                system_id=system_id,
-                component_id=component_id,
-                sequence=self._sender.sequence,
-            )
-            self.record(frame, now_ns)
+            self.record(self._sender.draft(name, payload), now_ns)
 
     def record(self, raw: bytes, now_ns: int) -> None:
         """Record what went in or out, if anybody wants a record."""

@@ -77,47 +77,35 @@ class Session:
         self.has_events = False
         """Whether something has happened that :meth:`events` has not returned yet."""
         self._events: list[Event] = []
-        emit = self._emit
 
+        guard = options.guard or GuardOptions(mode="never")
+        self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, guard)
         self.discovery = Discovery(
-            emit,
+            self._emit,
             self._begin,
             self._end,
-            self._on_other_autopilot,
+            self.guard.on_other_autopilot,
             wanted=options.autopilot_system_id,
             expected=options.expected,
         )
         self.heartbeat = Heartbeat(self.outbox)
-        self.clash = ClashWatch(emit, self.heartbeat)
-        self.commands = Commands(self.outbox, emit, self.heartbeat)
-        self.parameters = ParameterServer(self.outbox, emit, options.parameters)
-        self.requests = Requests(self.outbox, emit, options.rates)
-        guard = options.guard or GuardOptions(mode="never")
-        self.guard = Guard(self.outbox, emit, self.decoder.refuse_ours, guard)
-        self.audit = Audit(self.received, self.requests, emit)
+        self.clash = ClashWatch(self._emit, self.heartbeat)
+        self.commands = Commands(self.outbox, self._emit, self.heartbeat)
+        self.parameters = ParameterServer(self.outbox, self._emit, options.parameters)
+        self.requests = Requests(self.outbox, self._emit, options.rates)
+        self.audit = Audit(self.received, self.requests, self._emit)
         self.statustext = StatusText(self.outbox)
 
         # Conversations with everybody
-        self._with_all: list[Service] = [
-            self.heartbeat,
-            self.discovery,
-            self.clash,
-            self.commands,
-            self.parameters,
-        ]
+        self._with_all: list[Service] = [self.heartbeat, self.discovery, self.clash]
+        self._with_all += [self.commands, self.parameters]
         # Conversations with the autopilot only, while it is heard
-        self._with_peer: list[Service] = [
-            self.requests,
-            TimesyncService(self.outbox, self.timesync),
-            self.audit,
-            self.statustext,
-        ]
-        if options.guard is not None:
-            self._with_peer.insert(1, self.guard)
-        self._all_routes = _routes(self._with_all)
-        self._peer_routes = _routes(self._with_peer)
-        self._splitter = Splitter()
-        self._junk_left = JUNK_BYTES
+        guards = [] if options.guard is None else [self.guard]
+        timesync = TimesyncService(self.outbox, self.timesync)
+        self._with_peer: list[Service] = [self.requests, *guards, timesync, self.audit]
+        self._with_peer += [self.statustext]
+        self._all_routes, self._peer_routes = _routes(self._with_all), _routes(self._with_peer)
+        self._splitter, self._junk_left = Splitter(), JUNK_BYTES
         self._autopilot_sender: Hashable = None
         self._vehicle: PeerFound | None = None
         """The one begun with last; kept when it is lost."""
@@ -231,9 +219,6 @@ class Session:
         for service in (*self._with_all, *self._with_peer):
             service.begin(peer)
 
-    def _on_other_autopilot(self, other_id: int | None) -> None:
-        self.guard.on_other_autopilot(other_id)
-
     def _end(self) -> None:
         for service in (*self._with_all, *self._with_peer):
             service.end()
@@ -294,16 +279,6 @@ class Session:
         return None if self.discovery.is_lost else self.discovery.peer
 
     @property
-    def heard_ns(self) -> int:
-        """When the autopilot's last heartbeat came, our clock; 0: none has."""
-        return self.discovery.heard_ns
-
-    @property
-    def sent(self) -> Mapping[str, int]:
-        """Messages of ours by name."""
-        return self.outbox.sent
-
-    @property
     def may_stream(self) -> bool:
         """Whether ODOMETRY may be sent: the guard lets it, and nobody else speaks under our ids."""
         return self.guard.decision.is_streaming and not self.clash.is_clash
@@ -313,11 +288,6 @@ class Session:
         """Whether ODOMETRY is sent, why, and what would change it."""
         twin = self.outbox.ids if self.clash.is_clash else None
         return stream_state(self.guard.decision, twin, self.commands.slowed_by("ODOMETRY"))
-
-    @property
-    def results(self) -> Mapping[str, str]:
-        """The last answer to the request for each message."""
-        return self.requests.results
 
     def counters(self) -> dict[str, int]:
         """Return all counts, from bytes to refusals, by name."""

@@ -35,6 +35,10 @@ Progress = Callable[[int, int], None]
 """Called with how much is done, of how much."""
 
 
+Step = tuple[int, bytes, list[Message]]
+"""Stamp (us), the log's frame there, empty where it has none, and the messages that follow."""
+
+
 class Block(NamedTuple):
     """Consecutive measurements of one autopilot, and the estimates of their inertial samples."""
 
@@ -141,6 +145,8 @@ class Run(Generic[P]):
         self._path, self._config, self._kind = path, config, kind
         self._blocks: list[Block] = []  # of all pipelines, finished
         self._done = 0  # frames or measurements so far
+        self._vehicle: Vehicle | None = None
+        self._system_id = config.link.system_id or 1
         if isinstance(self.log, Recording):
             self.report.family = self.log.family
             self.size, self.gnss_delay = len(self.log.events), self.log.gnss_delay
@@ -149,12 +155,12 @@ class Run(Generic[P]):
 
     def blocks(self, progress: Progress | None = None) -> Iterator[Block]:
         """Process the log, and yield it block by block."""
-        if isinstance(self.log, Recording):
-            yield from self._column_blocks(self.log, progress)
-        else:
-            for _ in self._frames(self.log):
-                if self._blocks:
-                    yield from self._take_blocks(progress)
+        steps = (
+            self._chunks(self.log) if isinstance(self.log, Recording) else self._frames(self.log)
+        )
+        for _ in steps:
+            if self._blocks:
+                yield from self._take_blocks(progress)
 
     def messages(self, progress: Progress | None = None) -> Iterator[tuple[int, bytes]]:
         """Process the log, and yield frames with their stamps (us).
@@ -162,17 +168,16 @@ class Run(Generic[P]):
         They are those of the log, and behind the sample that makes each due the messages about the
         estimates, as the daemon sends them.
         """
-        if isinstance(self.log, Recording):
-            yield from self._column_messages(self.log, progress)
-            return
         ours = Sender(1, self._config.link.component_id)
-        for stamp_us, frame, messages in self._frames(self.log):
-            if not _is_from(frame, ours.component_id):
+        steps = self._rows(self.log) if isinstance(self.log, Recording) else self._frames(self.log)
+        for stamp_us, frame, messages in steps:
+            if frame and not _is_from(frame, ours.component_id):
                 yield stamp_us, frame
             for message in messages:
-                ours.system_id = self._companion.session.outbox.ids[0]
+                ours.system_id = self._system_id
                 yield stamp_us, ours.frame(message.name, message.payload)
-            self._take_blocks(progress)
+            if self._blocks:
+                self._take_blocks(progress)
 
     def finish(self) -> Report:
         """Return the report on the whole log.
@@ -185,25 +190,40 @@ class Run(Generic[P]):
         note_shortcomings(self.report, self._path)
         return self.report
 
-    # Frames
-
-    def _frames(self, log: Tlog) -> Iterator[tuple[int, bytes, list[Message]]]:
-        """Yield each frame with its stamp (us) and the messages that follow from it."""
-        self._companion = companion = Companion(self._config, open_pipeline=self._open_pipeline)
-        vehicle: Vehicle | None = None
+    def _frames(self, log: Tlog) -> Iterator[Step]:
+        """Let the companion receive each frame."""
+        companion = Companion(self._config, open_pipeline=self._open_pipeline)
         for self._done, (stamp_us, frame) in enumerate(log.frames(), 1):
             messages = companion.receive(frame, stamp_us * 1000)
             companion.frames_to_send()  # nobody hears them
-            if companion.vehicle is not vehicle:
-                self._note_vehicle(companion.vehicle, is_first=vehicle is None)
-                vehicle = companion.vehicle
-            if self.pipelines and (
-                len(self.pipelines[-1].rows) >= CHUNK or self._done == self.size
-            ):
-                self.pipelines[-1].finish_block()
+            if companion.vehicle is not self._vehicle:
+                self._note_vehicle(companion.vehicle)
+                self._system_id = companion.session.outbox.ids[0]
+            self._finish_full_block()
             yield stamp_us, frame, messages
         counts = companion.session.counters()
         self.report.refused = {name: n for name, n in counts.items() if n and name != "frames"}
+
+    def _chunks(self, log: Recording) -> Iterator[Step]:
+        """Let a pipeline run over the columns, a block at a time."""
+        pipeline = self._open_pipeline(self._config, log.family)
+        for start in range(0, self.size, CHUNK):
+            self._done = min(start + CHUNK, self.size)
+            events = log.events.take(np.arange(start, self._done))
+            self._blocks.append(Block(pipeline, events, pipeline.run(events)))
+            yield 0, b"", []
+
+    def _rows(self, log: Recording) -> Iterator[Step]:
+        """Let a pipeline process the columns row by row, and a publisher send what is due."""
+        pipeline = self._open_pipeline(self._config, log.family)
+        publisher = Publisher(self._config, Family(log.family))
+        t_ns, kind, values = log.events.t_ns, log.events.kind, log.events.values
+        rows = zip(t_ns.tolist(), kind.tolist(), map(tuple, values.tolist()), strict=True)
+        for self._done, row in enumerate(rows, 1):
+            estimate = pipeline.process_row(row)
+            messages = [] if estimate is None else publisher.due(estimate)
+            self._finish_full_block()
+            yield row[0] // 1000, b"", messages
 
     def _open_pipeline(self, config: Config, family: str) -> P:
         if self.pipelines:
@@ -213,10 +233,14 @@ class Run(Generic[P]):
         self.pipelines.append(pipeline)
         return pipeline
 
+    def _finish_full_block(self) -> None:
+        if self.pipelines:
+            pipeline = self.pipelines[-1]
+            if len(pipeline.rows) >= CHUNK or self._done == self.size:
+                pipeline.finish_block()
+
     def _take_blocks(self, progress: Progress | None) -> list[Block]:
         """Return the blocks that were finished since the last call, and report on them."""
-        if not self._blocks:
-            return []
         blocks = self._blocks[:]
         self._blocks.clear()  # the pipelines hold on to the list
         for block in blocks:
@@ -225,48 +249,15 @@ class Run(Generic[P]):
             progress(self._done, self.size)
         return blocks
 
-    def _note_vehicle(self, vehicle: Vehicle | None, *, is_first: bool) -> None:
-        if vehicle is None:
-            return
-        self.report.family = vehicle.family
-        if not is_first:
+    def _note_vehicle(self, vehicle: Vehicle | None) -> None:
+        if vehicle is not None and self._vehicle is not None:
             self.report.notes.append(
                 f"the autopilot is another from some time on: system {vehicle.system_id}, "
                 f"component {vehicle.component_id}, {vehicle.family}; the estimate begins anew "
                 "there"
             )
-
-    # Columns
-
-    def _column_blocks(self, log: Recording, progress: Progress | None) -> Iterator[Block]:
-        pipeline = self._open_pipeline(self._config, log.family)
-        for start in range(0, self.size, CHUNK):
-            self._done = min(start + CHUNK, self.size)
-            events = log.events.take(np.arange(start, self._done))
-            self._blocks.append(Block(pipeline, events, pipeline.run(events)))
-            yield from self._take_blocks(progress)
-
-    def _column_messages(
-        self, log: Recording, progress: Progress | None
-    ) -> Iterator[tuple[int, bytes]]:
-        config, family = self._config, Family(log.family)
-        pipeline, publisher = self._open_pipeline(config, log.family), Publisher(config, family)
-        ours = Sender(config.link.system_id or 1, config.link.component_id)
-        for self._done, row in enumerate(_rows(log.events), 1):
-            estimate = pipeline.process_row(row)
-            if estimate is not None:
-                for message in publisher.due(estimate):
-                    yield row[0] // 1000, ours.frame(message.name, message.payload)
-            if self._done % CHUNK == 0 or self._done == self.size:
-                pipeline.finish_block()
-                self._take_blocks(progress)
-
-
-def _rows(events: Events) -> Iterator[Row]:
-    for t_ns, kind, values in zip(
-        events.t_ns.tolist(), events.kind.tolist(), events.values.tolist(), strict=True
-    ):
-        yield t_ns, kind, tuple(values)
+        self._vehicle = vehicle
+        self.report.family = "unknown" if vehicle is None else vehicle.family
 
 
 def _is_from(frame: bytes, component_id: int) -> bool:

@@ -54,7 +54,7 @@ def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> Peer
         family=session.decoder.family.value,
         version=session.requests.version,
         is_heard=session.peer is not None,
-        silent_s=age(session.heard_ns or None, now_ns),
+        silent_s=age(session.discovery.heard_ns or None, now_ns),
         is_armed=session.decoder.is_armed,
         reboots=sum(restarts.values()),
     )
@@ -75,7 +75,7 @@ def output_state(
         reason=state.reason,
         remedy=state.remedy,
         parameters=dict(decision.parameters),
-        sent=dict(session.sent),
+        sent=dict(session.outbox.sent),
         withheld=session.outbox.withheld["ODOMETRY"],
         texts_dropped=session.statustext.dropped,
         unheard=unheard or {},
@@ -102,7 +102,7 @@ def asked_rates(session: Session) -> dict[str, float]:
     """Give the rates that were asked for, Hz, by message."""
     rates = dict(session.requests.rates)
     is_refused = session.requests.inertial != "HIGHRES_IMU"
-    if is_refused and "RAW_IMU" in session.results:  # asked in its place
+    if is_refused and "RAW_IMU" in session.requests.results:  # asked in its place
         rates["RAW_IMU"] = rates.get("HIGHRES_IMU", 0.0)
     return rates
 

@@ -299,7 +299,7 @@ class Observer:
 
     def _unsent(self) -> int:
         """Give the ODOMETRY messages that the link has thrown away."""
-        offered = self._companion.session.sent.get(_ODOMETRY, 0)
+        offered = self._companion.session.outbox.sent.get(_ODOMETRY, 0)
         return offered - self._odometries - self._link.replaceable_waiting
 
     def _span(self, now_ns: int) -> tuple[_Look | None, float]:
@@ -318,10 +318,10 @@ class Observer:
                 count=counts.get(name, 0),
                 rate=(counts.get(name, 0) - before.get(name, 0)) / seconds if seconds else 0.0,
                 asked=asked.get(name, 0.0),
-                answer=session.results.get(name, ""),
+                answer=session.requests.results.get(name, ""),
                 cause=session.audit.causes.get(name, ""),
             )
-            for name in sorted({*counts, *asked, *session.results})
+            for name in sorted({*counts, *asked, *session.requests.results})
         }
 
     def _output(self, now_ns: int) -> OutputState:

@@ -299,7 +299,7 @@ def test_rule_7_an_ardupilot_with_a_slow_loop_is_asked_for_less_until_it_grants_
     flight = Flight.plan("figure-eight", personality.suited(SimConfig()), duration=15.0)
     companion = Companion(Config())
     Bench(flight, companion, personality=personality).run()
-    assert companion.session.results["HIGHRES_IMU"] == "denied"
+    assert companion.session.requests.results["HIGHRES_IMU"] == "denied"
     assert companion.session.requests.expected_rate("RAW_IMU") == 40.0
     assert companion.pipeline.health().status is Status.OK
     words = "RAW_IMU is granted at 40 Hz, and 250 were asked for: raise SCHED_LOOP_RATE"

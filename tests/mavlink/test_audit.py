@@ -120,7 +120,7 @@ def test_rule_6_what_was_granted_is_judged_and_no_other_message(loop, granted):
     """Rule 6: HIGHRES_IMU comes as granted, and RAW_IMU, which was denied, need not come."""
     session_rates = RATES | {"HIGHRES_IMU": granted}
     again, events, session = listen(130.0, session_rates, ARDUPILOT, cap=0.8 * loop)
-    assert session.results["RAW_IMU"] == "denied"
+    assert session.requests.results["RAW_IMU"] == "denied"
     assert session.requests.inertial == "HIGHRES_IMU"
     assert session.requests.expected_rate("HIGHRES_IMU") == granted
     assert events == []

@@ -33,7 +33,7 @@ def test_rule_5_an_autopilot_is_asked_for_its_messages_and_its_version(kind, ver
     commands = [m.fields for m in autopilot.received() if m.name == "COMMAND_LONG"]
     assert [asked(m) for m in commands if m.command == 511][: len(RATES)][0] == "HIGHRES_IMU"
     assert {asked(m) for m in commands if m.command == 511} >= set(RATES)
-    assert session.results["HIGHRES_IMU"] == ACCEPTED
+    assert session.requests.results["HIGHRES_IMU"] == ACCEPTED
     assert FirmwareReported(version) in events
     assert session.requests.version == version
 
@@ -155,9 +155,9 @@ def test_rule_5_a_late_answer_is_not_taken_for_that_to_the_next_request(delay_ms
                 answers += 1
         while waiting and waiting[0][0] <= now_ns:
             session.receive(waiting.pop(0)[1], now_ns)
-        if session.results.keys() >= RATES.keys() | {"RAW_IMU"}:
+        if session.requests.results.keys() >= RATES.keys() | {"RAW_IMU"}:
             break
-    denied = {name for name, result in session.results.items() if result == "denied"}
-    accepted = {name for name, result in session.results.items() if result == "accepted"}
+    denied = {name for name, result in session.requests.results.items() if result == "denied"}
+    accepted = {name for name, result in session.requests.results.items() if result == "accepted"}
     assert denied == {"HIGHRES_IMU", "ATTITUDE"}
     assert accepted == {"RAW_IMU", *RATES} - denied

@@ -206,7 +206,7 @@ def answer_all(session, autopilot, now_ns, results=None):
 def test_every_message_is_asked_for_one_after_the_other():
     session, autopilot = met()
     assert answer_all(session, autopilot, 0) == [(name, round(hz)) for name, hz in RATES.items()]
-    assert session.results == dict.fromkeys(RATES, "accepted")
+    assert session.requests.results == dict.fromkeys(RATES, "accepted")
 
 
 def test_a_request_is_repeated_twice_then_given_up_for_the_next():
@@ -251,7 +251,9 @@ def test_an_ardupilot_without_highres_imu_is_asked_for_raw_imu(result):
     assert asked == [("HIGHRES_IMU", 250), ("RAW_IMU", 250), ("ATTITUDE", 10)]
     session, autopilot = met(PX4, rates={"HIGHRES_IMU": 250.0})
     assert answer_all(session, autopilot, 0, {"HIGHRES_IMU": result}) == [("HIGHRES_IMU", 250)]
-    assert session.results == {"HIGHRES_IMU": ("denied", "unsupported", "failed")[result - 2]}
+    assert session.requests.results == {
+        "HIGHRES_IMU": ("denied", "unsupported", "failed")[result - 2]
+    }
 
 
 def test_after_a_reboot_everything_is_asked_again():

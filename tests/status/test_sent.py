@@ -63,7 +63,7 @@ def test_what_a_stuck_line_throws_away_was_not_sent():
 
     async def body(watched):
         watched.feed(cycles(25.0))  # and the loop, which would write, does not go round
-        snapshot, offered = watched.snapshot(), watched.companion.session.sent["ODOMETRY"]
+        snapshot, offered = watched.snapshot(), watched.companion.session.outbox.sent["ODOMETRY"]
         waiting, data, end = watched.link.replaceable_waiting, b"", time.monotonic() + 10.0
         while len(data) < watched.link.bytes_out:
             assert time.monotonic() < end
