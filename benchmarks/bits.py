@@ -55,7 +55,11 @@ from sim_autopilot.flight import Flight
 from sim_autopilot.loop import Bench
 from sim_autopilot.scenarios import SCENARIOS
 
-RENAMED: dict[str, str] = {}
+RENAMED: dict[str, str] = {
+    "before_alignment": "unaligned",
+    "superseded": "unused",
+    "deweighted": "soft",
+}
 """Names printed now, and what was printed when the hashes were recorded: keys and words of the
 status. A deliberate change of a name stands here, and nothing else."""
 
@@ -167,7 +171,7 @@ class Watched:
         pipeline = self._companion.pipeline
         if pipeline is not None and pipeline.stamp_ns != self._stamp_ns:
             self._stamp_ns = pipeline.stamp_ns
-            self._digests["table"].add(self._stamp_ns, pipeline.estimate())
+            self._digests["table"].add(self._stamp_ns, pipeline.values())
         self._observer.tick(self._now_ns)
         if self._next_ns is None or self._now_ns >= self._next_ns:
             self._next_ns = self._now_ns + STATUS_EVERY_NS

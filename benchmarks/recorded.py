@@ -6,9 +6,15 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from ekf_companion.config.config import Config
+from ekf_companion.logs.recording import Recording
+from ekf_companion.nav.measurements import merge
 from ekf_companion.nav.state import Table, Trajectory
 from ekf_companion.replay import convert
+from ekf_companion.replay.log_source import READERS, reference, truth
+from ekf_companion.replay.run import IdlePipeline, Run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,5 +79,19 @@ def estimate(path: Path) -> Estimated:
     return convert.estimate(path, Config())
 
 
-recorded = cache(convert.read)
-"""Reads a log, once, as events and what to compare them with."""
+@cache
+def recorded(path: Path) -> Recording:
+    """Read a log as events and what to compare them with, whatever its format."""
+    suffix = path.suffix.lower()
+    if suffix in READERS:
+        return READERS[suffix](path)
+    run = Run(path, Config(), IdlePipeline)  # a .tlog becomes events only by a session
+    parts = [block.events for block in run.blocks()]
+    return Recording(
+        family=run.report.family,
+        # in the order in which they came: merge keeps it where arrivals are equal
+        events=merge(*parts, arrival_ns=[np.zeros(len(one), dtype=np.int64) for one in parts]),
+        reference=reference(run.log),
+        truth=truth(run.log),
+        gnss_delay=run.gnss_delay,
+    )

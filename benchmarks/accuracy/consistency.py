@@ -191,7 +191,11 @@ def _cell(squares: Array, dof: int) -> str:
 def _aids(group: dict[str, list[Account]]) -> Iterator[str]:
     """Yield NIS, the shares refused or de-weighted, and resets."""
     everyone = [one for flown in group.values() for one in flown]
-    names = [why.name.lower() for why in Verdict if why not in (Verdict.UNALIGNED, Verdict.UNUSED)]
+    names = [
+        why.name.lower()
+        for why in Verdict
+        if why not in (Verdict.BEFORE_ALIGNMENT, Verdict.SUPERSEDED)
+    ]
     rows = []
     for aid in Aid:
         counts = {name: sum(one.verdicts[aid][name] for one in everyone) for name in names}

@@ -189,7 +189,7 @@ def outcome(flown: Flown, fault: ReceiverFault) -> Outcome:
 
 def _not_fused(health: Health) -> int:
     """Count the parts of fixes that were not fused as they came."""
-    fused = (Verdict.FUSED, Verdict.UNALIGNED)
+    fused = (Verdict.FUSED, Verdict.BEFORE_ALIGNMENT)
     return sum(
         count
         for aid in (Aid.POSITION, Aid.VELOCITY)

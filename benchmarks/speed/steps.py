@@ -138,7 +138,7 @@ def _live(events: Events) -> Iterator[Result]:
         yield Result(name=f"live, one inertial sample, p{share:g}", value=value, unit="us")
     value = float(np.median(spent[events.kind == Kind.GNSS]))
     yield Result(name="live, one fix on its arrival, p50", value=value, unit="us")
-    calls = _calls(lambda _: pipeline.odometry(), measurements[:2000])
+    calls = _calls(lambda _: pipeline.estimate().odometry, measurements[:2000])
     yield Result(name="live, one estimate with covariances, p50", value=_median(calls), unit="us")
     calls = _calls(lambda _: encode(_checkpoint(pipeline)), measurements[:500])
     yield Result(name="live, one checkpoint as bytes, p50", value=_median(calls), unit="us")

@@ -22,7 +22,7 @@ from ekf_companion.logs.recording import Counted, Recording
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import EULER, Trajectory
-from ekf_companion.replay.filters_by_name import choose, run_filter
+from ekf_companion.replay.filters_by_name import parse_name, run_filter
 
 Progress = Callable[[int, int], None]
 
@@ -108,7 +108,7 @@ def run_filters(
     if not names or len(set(names)) < len(names):
         raise ConfigError(f"--filters: {','.join(names)!r}: name each filter once, at least one")
     for name in names:
-        choose(name)
+        parse_name(name)
     entries = []
     for done, name in enumerate(names):
         if progress is not None:

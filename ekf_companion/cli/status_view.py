@@ -181,7 +181,7 @@ def _rates(messages: Mapping[str, Data]) -> Table:
 def _aids(estimator: Data) -> Table:
     table = _table("Aid", "fused", "refused", "other", "test ratio", "NIS")
     for aid, verdicts in estimator["verdicts"].items():
-        fused = verdicts.get("fused", 0) + verdicts.get("soft", 0)
+        fused = verdicts.get("fused", 0) + verdicts.get("deweighted", 0)
         refused = verdicts.get("gated", 0)
         other = sum(verdicts.values()) - fused - refused
         ratio, nis = estimator["ratios"].get(aid), estimator["nis"].get(aid)

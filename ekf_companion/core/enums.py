@@ -27,11 +27,10 @@ class Verdict(IntEnum):
 
     FUSED = 0
     GATED = 1
-    UNALIGNED = 2
-    """It came before alignment."""
-    UNUSED = 3
-    """A better source speaks, or the user said no."""
-    SOFT = 4
+    BEFORE_ALIGNMENT = 2
+    SUPERSEDED = 3
+    """A better source is in use, or the configuration excludes it."""
+    DEWEIGHTED = 4
     """Fused with less weight: between the soft and the hard gate."""
     SUSPECT = 5
     """The receiver itself reports jamming or spoofing."""
@@ -47,7 +46,7 @@ class Arrival(IntEnum):
     """Older than the window: nothing can be redone that far back."""
     DUPLICATE = 2
     MALFORMED = 3
-    """What no sensor can say."""
+    """A value that no sensor can have."""
     RESTARTED = 4
     ESTIMATED = 5
     """The newest inertial sample: there is an estimate for its stamp."""

@@ -22,9 +22,9 @@ from cython.cimports.ekf_companion.core.correct import (
 )
 from cython.cimports.ekf_companion.core.enums import (
     AID_HEADING,
+    VERDICT_DEWEIGHTED,
     VERDICT_FUSED,
     VERDICT_GATED,
-    VERDICT_SOFT,
 )
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.scratch import Observation
@@ -75,7 +75,7 @@ def fuse_judged(x: State, k: Parameters, o: Observation, aid: int, nis: float) -
         return False
     if nis > soft:
         inflate_noise(o, nis / soft)
-        count_verdict(x, aid, VERDICT_SOFT)
+        count_verdict(x, aid, VERDICT_DEWEIGHTED)
     else:
         count_verdict(x, aid, VERDICT_FUSED)
     if aid == AID_HEADING:

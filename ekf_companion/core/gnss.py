@@ -23,9 +23,9 @@ from cython.cimports.ekf_companion.core.enums import (
     RESET_MOTION,
     RESET_POSITION,
     RESET_VELOCITY,
+    VERDICT_BEFORE_ALIGNMENT,
+    VERDICT_SUPERSEDED,
     VERDICT_SUSPECT,
-    VERDICT_UNALIGNED,
-    VERDICT_UNUSED,
     N,
 )
 from cython.cimports.ekf_companion.core.gnss_reset import (
@@ -105,7 +105,7 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
         if has_vel and align.level_in_motion(x, k, w) if x.mode == MODE_LEVEL else x.has_yaw != 0.0:
             start_navigation(x, k, w, has_vel)
         else:
-            gate.count_verdict(x, AID_POSITION, VERDICT_UNALIGNED)
+            gate.count_verdict(x, AID_POSITION, VERDICT_BEFORE_ALIGNMENT)
         return True
     if x.needs_reset != 0.0:
         resume_after_gap(x, k, w, has_vel)
@@ -142,12 +142,12 @@ def is_used(x: State, k: Parameters, flags: int) -> bool:
     """Return whether a fix is to be used: the receiver's own, unless it says that it is fooled."""
     if flags & DERIVED:
         if k.use_derived == 0.0 or (k.use_derived == 1.0 and x.t - x.raw_fix_t < PREFERRED_AGE):
-            gate.count_verdict(x, AID_POSITION, VERDICT_UNUSED)
+            gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
             return False
     else:
         x.raw_fix_t = x.t
         if k.use_derived == 2.0:
-            gate.count_verdict(x, AID_POSITION, VERDICT_UNUSED)
+            gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
             return False
     if flags & SUSPECT:
         gate.count_verdict(x, AID_POSITION, VERDICT_SUSPECT)

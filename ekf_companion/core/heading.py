@@ -26,10 +26,10 @@ from cython.cimports.ekf_companion.core.enums import (
     MODE_ATTITUDE,
     MODE_LEVEL,
     RESET_HEADING,
+    VERDICT_BEFORE_ALIGNMENT,
     VERDICT_DISTURBED,
     VERDICT_FUSED,
-    VERDICT_UNALIGNED,
-    VERDICT_UNUSED,
+    VERDICT_SUPERSEDED,
 )
 from cython.cimports.ekf_companion.core.gate import (
     begin_reset,
@@ -185,7 +185,7 @@ def fuse_azimuth(
         x.heading_std = slow
         x.azimuth = source
         keep_reference(x, r)
-        count_verdict(x, AID_HEADING, VERDICT_UNALIGNED)
+        count_verdict(x, AID_HEADING, VERDICT_BEFORE_ALIGNMENT)
         return
     slow = yaw_reset.slow_error(x, slow)
     x.heading_std = slow
@@ -194,7 +194,7 @@ def fuse_azimuth(
         x.heading_offset = 0.0
         reset_variance(x, E_HEADING, 1, slow * slow)
     if not observe.azimuth(x, o, r):
-        count_verdict(x, AID_HEADING, VERDICT_UNUSED)
+        count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
         return
     if x.has_yaw == 0.0:
         reset_yaw(x, o)

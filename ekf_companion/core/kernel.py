@@ -49,7 +49,7 @@ from cython.cimports.ekf_companion.core.enums import (
     RESET_VELOCITY,
     RUNS,
     VERDICT_FUSED,
-    VERDICT_UNUSED,
+    VERDICT_SUPERSEDED,
     N,
 )
 from cython.cimports.ekf_companion.core.memory import Structs
@@ -351,12 +351,12 @@ def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
         if heading.is_heading_used(x, k, source):
             heading.fuse_heading(x, k, o, r, address(v.heading))
         else:
-            gate.count_verdict(x, AID_HEADING, VERDICT_UNUSED)
+            gate.count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
     elif event.kind == KIND_MAG:
         if heading.is_field_used(x, k):
             heading.fuse_field(x, k, o, r, v.mag_b)
         else:
-            gate.count_verdict(x, AID_HEADING, VERDICT_UNUSED)
+            gate.count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
     elif event.kind == KIND_BARO:
         fuse_baro(x, k, w, v.baro_alt)
     elif event.kind == KIND_VEHICLE:
@@ -367,7 +367,7 @@ def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
 def fuse_baro(x: State, k: Parameters, w: Scratch, alt: float) -> None:
     """Fuse a pressure altitude; the first one gives the offset, with the height's error."""
     if k.use_baro == 0.0 or x.mode == MODE_LEVEL:
-        gate.count_verdict(x, AID_BARO, VERDICT_UNUSED)
+        gate.count_verdict(x, AID_BARO, VERDICT_SUPERSEDED)
         return
     if x.has_baro != 0.0:
         std = k.baro_std

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ekf_companion.config.config import Config
-from ekf_companion.engine.companion import session_options
+from ekf_companion.engine.options import session_options
 from ekf_companion.errors import LinkError
 from ekf_companion.link.address import Kind, parse_url
 from ekf_companion.mavlink.frame import HEADER_SIZE, SIGNATURE_SIZE

@@ -25,10 +25,9 @@ from ekf_companion.daemon.systemd import Systemd
 from ekf_companion.daemon.tlog_recorder import open_recorder
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.tuning import Tuning
-from ekf_companion.engine.warm_start import Resumption
+from ekf_companion.engine.warm_start import WarmStart
 from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.link.link import Link, Received
-from ekf_companion.mavlink.outbox import is_replaceable
 from ekf_companion.status.observer import Observer
 
 if sys.version_info >= (3, 11):
@@ -130,11 +129,11 @@ class Daemon:
             self._monitors = Monitors(config, self.link, signing)
         self._recorder = open_recorder(config.record)
         found = None if self._checkpoint is None else self._checkpoint.read()
-        resumption = Resumption(found, read_clocks(), unix_clock(), config.checkpoint.limit)
+        warm_start = WarmStart(found, read_clocks(), unix_clock(), config.checkpoint.limit)
         tuning = Tuning(config)
         if parameters is not None:
             tuning = Tuning(config, parameters.read(), str(parameters.path), parameters.write)
-        self._companion = Companion(config, self._recorder is not None, resumption, signing, tuning)
+        self._companion = Companion(config, self._recorder is not None, warm_start, signing, tuning)
         self._observer = Observer(
             self.link, self._companion, unix_clock, self._recorded, self._unsent
         )
@@ -239,10 +238,10 @@ class Daemon:
         self._systemd.report(now_ns, self._observer.health_line)
 
     def _send(self, now_ns: int) -> None:
-        for frame in self._companion.data_to_send():
-            self.link.send(frame, is_replaceable=is_replaceable(frame))
+        for data, is_replaceable in self._companion.frames_to_send():
+            self.link.send(data, is_replaceable=is_replaceable)
         if self._monitors is not None:
-            self._monitors.serve(self._companion, now_ns)
+            self._monitors.send_due(self._companion, now_ns)
         if self._recorder is not None:
             self._recorder.write(self._companion.session.take_record())
         self._observer.tick(now_ns)

@@ -1,7 +1,7 @@
 """Listeners that are no autopilot: each is sent the estimate, whatever the guard withholds.
 
-What they are sent bears numbers of its own and is not recorded; what they send is not read. Nothing
-here changes what is estimated or what the autopilot is sent.
+The frames have sequence numbers of their own and are not recorded; what the listeners send is not
+read. Nothing here changes what is estimated or what the autopilot is sent.
 """
 
 from __future__ import annotations
@@ -18,21 +18,22 @@ from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import MONITOR
+from ekf_companion.mavlink.outbox import Message
 from ekf_companion.mavlink.signing import Signing
 
 _log = logging.getLogger(__name__)
 
 
 class Monitors:
-    """All of one configuration."""
+    """The monitors of one configuration."""
 
     def __init__(self, config: Config, autopilot: Link, signing: Signing | None) -> None:
         """Make ready.
 
         Args:
-            config: Its ``output.monitors`` are they.
-            autopilot: The link to the autopilot, which no monitor's may be.
-            signing: What signs; None: nothing is signed.
+            config: Its ``output.monitors`` names them.
+            autopilot: The link to the autopilot; no monitor may be at its address.
+            signing: Signs the frames; None: nothing is signed.
 
         Raises:
             LinkError: An address names no listener.
@@ -50,38 +51,38 @@ class Monitors:
 
     @property
     def unsent(self) -> dict[str, int]:
-        """Datagrams that found nobody, by address."""
+        """Datagrams that found no listener, by address."""
         return {str(link.address): link.unsent for link in self.links}
 
-    def serve(self, companion: Companion, now_ns: int) -> None:
-        """Send what is due of the newest estimate."""
+    def send_due(self, companion: Companion, now_ns: int) -> None:
+        """Send the heartbeat, and what is due of the newest estimate."""
         session = companion.session
         self._sender.system_id = session.outbox.ids[0]
         if self._heartbeat.is_due(now_ns):
             state = session.heartbeat
-            self._send("HEARTBEAT", encode.heartbeat(state.status, state.mode), now_ns)
-        publisher = self._follow(companion)
-        if publisher is not None:
-            publisher.publish(lambda name, payload: self._send(name, payload, now_ns))
+            payload = encode.heartbeat(state.status, state.mode)
+            self._send(Message("HEARTBEAT", payload), now_ns)
+        if (estimate := companion.estimate) is None:
+            return
+        for message in self._publisher_for(companion).due(estimate):
+            self._send(message, now_ns)
 
     def say_goodbye(self) -> None:
-        """Have the last heartbeat sent with what is sent next."""
-        self._heartbeat.ask()
+        """Send the last heartbeat with what is sent next."""
+        self._heartbeat.request()
 
-    def _follow(self, companion: Companion) -> Publisher | None:
-        """Give what publishes the companion's estimate of now, at the rates of now."""
+    def _publisher_for(self, companion: Companion) -> Publisher:
+        """Return the publisher of the companion's present pipeline, at the present rates."""
         pipeline, config = companion.pipeline, companion.tuning.config
-        if pipeline is None or not pipeline.stamp_ns:
-            return None
-        if pipeline is not self._pipeline:
-            self._publisher = Publisher(config, pipeline, Family.UNKNOWN, MONITOR)
-        elif config is not self._config and self._publisher is not None:
-            self._publisher.retune(config)
+        if self._publisher is None or pipeline is not self._pipeline:
+            self._publisher = Publisher(config, Family.UNKNOWN, MONITOR)
+        elif config is not self._config:
+            self._publisher.set_rates(config)
         self._pipeline, self._config = pipeline, config
         return self._publisher
 
-    def _send(self, name: str, payload: bytes, now_ns: int) -> None:
-        frame = self._sender.frame(name, payload, now_ns)
+    def _send(self, message: Message, now_ns: int) -> None:
+        frame = self._sender.frame(message.name, message.payload, now_ns)
         for link in self.links:
             if self._is_autopilot(link):
                 link.unsent += 1
@@ -89,7 +90,7 @@ class Monitors:
                 link.send(frame)
 
     def _is_autopilot(self, link: Link) -> bool:
-        """Whether the autopilot speaks from that very address: it would hear past the guard."""
+        """Whether the autopilot speaks from that address: it would get what the guard withholds."""
         pinned, address = self._autopilot.peers.pinned, link.address
         if pinned is None or pinned[:2] != (address.host, address.port):
             return False

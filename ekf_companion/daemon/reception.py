@@ -49,7 +49,7 @@ def open_reception(
 
 
 def deliver(
-    received: Received, receive: Callable[[bytes, int, Any], None], session: Session, link: Link
+    received: Received, receive: Callable[[bytes, int, Any], object], session: Session, link: Link
 ) -> None:
     """Pass on what was read, and pin or answer its sender by what the session makes of it.
 

@@ -16,13 +16,13 @@ from ekf_companion.doctor.traffic import Traffic
 from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.decision import Decision
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
 from ekf_companion.mavlink.fusion import decide
 from ekf_companion.mavlink.guard import DOES_NOT_EXIST, value_of
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.signing import Signing
-from ekf_companion.mavlink.verdict import Verdict
 from ekf_companion.status.collect import (
     frame_state,
     output_state,
@@ -120,7 +120,7 @@ class EvidenceCollector:
         self.parameters.begin(self._family, is_deciding=not session.guard.is_reading)
         payload = self.parameters.request(*peer, now_ns)
         if payload is not None:
-            session.send("PARAM_REQUEST_READ", payload, now_ns)
+            session.outbox.send("PARAM_REQUEST_READ", payload, now_ns)
 
     def data_to_send(self, now_ns: int) -> list[bytes]:
         """Return the frames to send; none where we only listen."""
@@ -243,7 +243,7 @@ class EvidenceCollector:
 
     def _messages(self, now_ns: int) -> dict[str, MessageState]:
         is_live = self._means is not Means.RECORDING
-        answers = self.companion.session.results if self._means is Means.LIVE else {}
+        answers = self.companion.session.requests.results if self._means is Means.LIVE else {}
         return {
             name: MessageState(
                 count=counter.count,
@@ -260,11 +260,11 @@ class EvidenceCollector:
             source = max(self._stamps, key=lambda name: self._counters[name].count)
         return self._stamps.get(source, StampCounter(""))
 
-    def _decision(self) -> Verdict:
+    def _decision(self) -> Decision:
         """Return the guard's decision, or the same one from the parameters that were read."""
         is_live, guard = self._means is Means.LIVE, self.companion.session.guard
         if is_live and guard.is_reading:
-            return guard.verdict
+            return guard.decision
         is_complete = is_live and self.parameters.is_done
         return decide(self._family, self.parameters.answers, is_complete=is_complete)
 

@@ -164,7 +164,7 @@ def _magnetic(evidence: Evidence) -> Iterator[Problem]:
     wrong = evidence.refused.get("mag: no field of the Earth", 0)
     heading = evidence.estimator.verdicts[Aid.HEADING] if evidence.estimator else {}
     disturbed = heading.get(Verdict.DISTURBED, 0)
-    fused = heading.get(Verdict.FUSED, 0) + heading.get(Verdict.SOFT, 0)
+    fused = heading.get(Verdict.FUSED, 0) + heading.get(Verdict.DEWEIGHTED, 0)
     if million:
         yield warning(
             "The magnetometer of HIGHRES_IMU comes a million times too large (ArduPilot before "

@@ -63,7 +63,10 @@ def _status(evidence: Evidence, health: Health) -> Problem | None:
             "Roll and pitch are found; no position is, for no fix has come.",
             "Give the receiver a free view of the sky; a second of rest and two fixes are enough.",
         )
-    if health.status is Status.ATTITUDE or health.verdicts[Aid.HEADING][Verdict.UNALIGNED] == 0:
+    if (
+        health.status is Status.ATTITUDE
+        or health.verdicts[Aid.HEADING][Verdict.BEFORE_ALIGNMENT] == 0
+    ):
         return failed(
             "North is not found: no heading has come.",
             "Stream ATTITUDE (SRn_EXTRA1 = 10), calibrate the magnetometer, or fly: in motion "
@@ -76,7 +79,7 @@ def _status(evidence: Evidence, health: Health) -> Problem | None:
 
 
 def _fused(health: Health, aid: Aid) -> int:
-    return health.verdicts[aid][Verdict.FUSED] + health.verdicts[aid][Verdict.SOFT]
+    return health.verdicts[aid][Verdict.FUSED] + health.verdicts[aid][Verdict.DEWEIGHTED]
 
 
 def _aids(health: Health) -> list[Problem | None]:

@@ -12,8 +12,8 @@ from enum import Enum
 
 from ekf_companion.config.config import Config
 from ekf_companion.engine.health import Health
+from ekf_companion.mavlink.decision import Decision
 from ekf_companion.mavlink.discovery import is_autopilot
-from ekf_companion.mavlink.verdict import Verdict
 from ekf_companion.status.snapshot import (
     FrameState,
     LinkState,
@@ -169,7 +169,7 @@ _NO_TIME = TimeState(
 _NO_OUTPUT = OutputState(
     mode="auto", is_streaming=False, reason="", remedy="", parameters={}, sent={}, withheld=0
 )
-_NOT_ASKED = Verdict(is_streaming=False, reason="", parameters={}, is_settled=False)
+_NOT_ASKED = Decision(is_streaming=False, reason="", parameters={}, is_settled=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -218,7 +218,7 @@ class Evidence:
     parameters: Mapping[str, float] = field(default_factory=dict)
     """The autopilot's, as far as they are known."""
     asked_parameters: frozenset[str] = frozenset()
-    decision: Verdict = _NOT_ASKED
+    decision: Decision = _NOT_ASKED
     """The guard's decision, or what it would be from these parameters alone."""
     sent: Sent = Sent()
     feedback: Feedback = Feedback()

@@ -1,15 +1,16 @@
-"""What has changed, in words: to the log in full, and to the pilot in short."""
+"""Announcements of what has changed: in full to the log, and in short to the pilot."""
 
 from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Iterable
 
 from ekf_companion.engine.health import Health
 from ekf_companion.mavlink.event import (
-    Answered,
     Clash,
     Event,
+    FirmwareReported,
     GuardChanged,
     IntervalSet,
     Noted,
@@ -17,13 +18,14 @@ from ekf_companion.mavlink.event import (
     PeerChanged,
     PeerFound,
     PeerLost,
-    RateInVain,
+    RateTooLow,
     Rebooted,
+    RequestAnswered,
     SeveralAutopilots,
-    Versioned,
 )
+from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.stamp import SECOND_NS
-from ekf_companion.mavlink.statustext import Severity, StatusText
+from ekf_companion.mavlink.statustext import Severity
 from ekf_companion.nav.state import Status
 
 _log = logging.getLogger(__name__)
@@ -31,46 +33,54 @@ _log = logging.getLogger(__name__)
 DECIMATED = 80.0
 """Inertial samples below this rate miss what a multicopter does, Hz."""
 _PATIENCE = 5
-"""Accounts, one a second, until that is said: at first an autopilot streams as it likes."""
+"""Seconds until that is announced: at first an autopilot streams as it likes."""
+SILENCE_NS = 10 * SECOND_NS
+"""Without an autopilot for so long, a human should look: it sends its heartbeat once a second."""
 
-_TOLD = {
+_STATUS_TEXTS = {
     Status.OK: (Severity.INFO, "estimate OK"),
     Status.DEGRADED: (Severity.NOTICE, "estimate degraded"),
     Status.DEAD_RECKONING: (Severity.WARNING, "GNSS lost, dead reckoning"),
     Status.INVALID: (Severity.CRITICAL, "estimate invalid, not sent"),
 }
-"""What the pilot is told of a status; of the others, which come before there is one, nothing."""
+"""What the pilot reads when the status changes; the others come before there is an estimate."""
 
 
 def _fields(event: str, reason: str) -> dict[str, str]:
-    """Give a log line's fields in the journal."""
+    """Return the fields of a log line in the journal."""
     return {"EKF_EVENT": event, "EKF_REASON": reason}
 
 
-class Bulletin:
-    """Tells transitions, each once."""
+class Announcer:
+    """Announces each change once."""
 
-    def __init__(self, statustext: StatusText) -> None:
-        self._statustext = statustext
+    def __init__(self, session: Session) -> None:
+        self._session = session
         self._status = Status.INIT
         self._resets = 0
         self._decimated = 0
         self._imu_source = ""
         self._next_ns: dict[str, int] = {}
         self._waiting: dict[str, Event] = {}
+        self._silent_from_ns: int | None = None
+        self._is_heard = False
+        """Whether an autopilot was found, or its absence announced."""
 
-    def begin(self) -> None:
-        """Begin with an estimator that begins anew."""
+    def on_begin(self, warnings: Iterable[str]) -> None:
+        """Begin with an estimator that begins anew, and the warnings about its output."""
         self._resets, self._imu_source = 0, ""
+        for warning in warnings:
+            _log.warning("%s", warning)
 
-    def tell(self, severity: Severity, text: str) -> None:
-        """Tell the pilot, who should know from whom it is."""
-        self._statustext.say(severity, f"Companion: {text}")
+    def _text(self, severity: Severity, text: str) -> None:
+        """Send the pilot a text that names its sender."""
+        self._session.statustext.send(severity, f"Companion: {text}")
 
-    def report(self, health: Health, imu_source: str) -> None:
-        """Take the filter's account of itself, and where its inertial samples come from."""
+    def on_health(self, health: Health) -> None:
+        """Announce what has changed in the filter; to be called once a second."""
+        imu_source = self._session.decoder.imu_source
         if health.resets != self._resets:
-            self._report_reset(health)
+            self._announce_reset(health)
         self._decimated = self._decimated + 1 if 0.0 < health.imu_rate < DECIMATED else 0
         if self._decimated == _PATIENCE:
             _log.warning(
@@ -81,7 +91,7 @@ class Bulletin:
             )
         if self._imu_source and imu_source != self._imu_source:
             _log.warning("Inertial samples are of %s, were of %s", imu_source, self._imu_source)
-            self.tell(Severity.WARNING, f"IMU is {imu_source}, was {self._imu_source}")
+            self._text(Severity.WARNING, f"IMU is {imu_source}, was {self._imu_source}")
         self._imu_source = imu_source
         if health.status != self._status:
             _log.info(
@@ -91,10 +101,10 @@ class Bulletin:
                 extra=_fields("status", health.status.name.lower()),
             )
             self._status = health.status
-            if health.status in _TOLD:
-                self.tell(*_TOLD[health.status])
+            if health.status in _STATUS_TEXTS:
+                self._text(*_STATUS_TEXTS[health.status])
 
-    def _report_reset(self, health: Health) -> None:
+    def _announce_reset(self, health: Health) -> None:
         moved = health.reset_delta
         distance, speed = math.hypot(*moved[:3]), math.hypot(*moved[3:6])
         yaw = math.degrees(moved[6])
@@ -108,30 +118,55 @@ class Bulletin:
             extra=_fields("reset", health.reset_reason),
         )
         reason = health.reset_reason
-        self.tell(
+        self._text(
             Severity.WARNING, f"reset, {reason}: {distance:.1f} m {speed:.1f} m/s {yaw:.0f} deg"
         )
         self._resets = health.resets
 
-    def heed(self, event: Event, now_ns: int) -> None:
-        """Tell what has happened on the link; what anybody can make happen, once a second."""
+    def on_event(self, event: Event, now_ns: int) -> None:
+        """Announce an event on the link; one that anybody can cause, once a second at most."""
         subject = _subject(event)
         if subject and now_ns < self._next_ns.get(subject, now_ns):
             self._waiting[subject] = event
             return
         if subject:
             self._next_ns[subject] = now_ns + SECOND_NS
-        self._tell_of(event)
+        self._announce(event)
 
     def tick(self, now_ns: int) -> None:
-        """Tell how what came too often has ended."""
+        """Announce the last of the events that came too often, and that no autopilot is heard."""
         due = [subject for subject in self._waiting if now_ns >= self._next_ns[subject]]
         for subject in due:
-            self.heed(self._waiting.pop(subject), now_ns)
+            self.on_event(self._waiting.pop(subject), now_ns)
+        if self._is_heard:
+            return
+        if self._silent_from_ns is None:
+            self._silent_from_ns = now_ns
+        if now_ns - self._silent_from_ns >= SILENCE_NS:
+            self._is_heard = True
+            self._announce_silence()
 
-    def _tell_of(self, event: Event) -> None:
+    def _announce_silence(self) -> None:
+        """Log that no autopilot has been heard, and what to check."""
+        if refused := self._session.admission.refused:
+            why, count = refused.most_common(1)[0]
+            _log.warning(
+                "No heartbeat of an autopilot was let in: %d frames: %s; see docs/LINK.md",
+                count,
+                why,
+            )
+        elif count := self._session.received_bytes:
+            _log.warning(
+                "No heartbeat of an autopilot in %d bytes; check the baud rate and link.autopilot",
+                count,
+            )
+        else:
+            _log.warning("Nothing heard for 10 s; check the wire, the port and the autopilot's")
+
+    def _announce(self, event: Event) -> None:
         match event:
             case PeerFound(system_id, component_id, family):
+                self._is_heard = True
                 _log.info(
                     "Autopilot found: system %d, component %d, %s",
                     system_id,
@@ -151,23 +186,25 @@ class Bulletin:
                 )
             case Noted(text):
                 _log.warning("%s", text)
-            case Answered(message, result):
+            case RequestAnswered(message, result):
                 _log.info("Request for %s: %s", message, result)
-            case Versioned(version):
+            case FirmwareReported(version):
                 _log.info("Autopilot's firmware: %s", version)
             case _:
-                self._heed_trouble(event)
+                self._announce_to_pilot(event)
 
-    def _heed_trouble(self, event: Event) -> None:
-        """Tell what the pilot should hear of too."""
+    def _announce_to_pilot(self, event: Event) -> None:
+        """Announce what the pilot should read too."""
         match event:
             case SeveralAutopilots(system_id, other_id):
                 _log.warning(
                     "Several autopilots heard (systems %d and %d): listening to system %d; set "
                     "link.autopilot",
-                    *(system_id, other_id, system_id),
+                    system_id,
+                    other_id,
+                    system_id,
                 )
-                self.tell(Severity.WARNING, f"several autopilots, using {system_id}")
+                self._text(Severity.WARNING, f"several autopilots, using {system_id}")
             case PeerChanged(was, now, is_lost):
                 reason = (
                     "which has fallen silent" if is_lost else "which is less likely the vehicle's"
@@ -175,36 +212,39 @@ class Bulletin:
                 _log.warning(
                     "Listening to system %d, component %d instead of system %d, component %d, %s; "
                     "link.autopilot names the one that is meant",
-                    *(*now, *was, reason),
+                    *now,
+                    *was,
+                    reason,
                 )
-                self.tell(
+                self._text(
                     Severity.WARNING, f"using autopilot {now[0]}/{now[1]}, not {was[0]}/{was[1]}"
                 )
             case Clash(system_id, component_id):
                 _log.warning(
                     "Somebody else speaks as system %d, component %d: no ODOMETRY until it stops; "
                     "give one of us another link.component_id",
-                    *(system_id, component_id),
+                    system_id,
+                    component_id,
                 )
-                self.tell(Severity.CRITICAL, f"id {component_id} is taken twice, not sending")
-            case RateInVain(message, asked, measured, cause):
+                self._text(Severity.CRITICAL, f"id {component_id} is taken twice, not sending")
+            case RateTooLow(message, asked, measured, cause):
                 _log.warning(
                     "%s comes at %.1f Hz, asked for %.0f: %s", message, measured, asked, cause
                 )
-                self.tell(Severity.WARNING, f"{message} {measured:.0f} of {asked:.0f} Hz: {cause}")
-            case GuardChanged(verdict):
-                is_bad = verdict.is_warning
+                self._text(Severity.WARNING, f"{message} {measured:.0f} of {asked:.0f} Hz: {cause}")
+            case GuardChanged(decision):
+                is_bad = decision.is_warning
                 _log.log(
                     logging.WARNING if is_bad else logging.INFO,
                     "%s",
-                    verdict.sentence,
-                    extra=_fields("guard", "streaming" if verdict.is_streaming else "withheld"),
+                    decision.sentence,
+                    extra=_fields("guard", "streaming" if decision.is_streaming else "withheld"),
                 )
-                self.tell(Severity.WARNING if is_bad else Severity.INFO, verdict.text)
+                self._text(Severity.WARNING if is_bad else Severity.INFO, decision.text)
             case ParameterSet(name, key, value, is_late):
                 since = " from the next start" if is_late else ""
                 _log.info("Parameter %s set to %g (%s)%s", name, value, key, since)
-                self.tell(Severity.INFO, f"{name} is {value:g}{since}")
+                self._text(Severity.INFO, f"{name} is {value:g}{since}")
             case IntervalSet(message, rate):
                 _log.info("%s asked for at %g Hz", message, rate)
             case _:
@@ -212,7 +252,7 @@ class Bulletin:
 
 
 def _subject(event: Event) -> str:
-    """Give what an event is about, where a command can bring it about; empty: none can."""
+    """Return the subject of an event that a command can cause; empty for other events."""
     match event:
         case ParameterSet(name=name):
             return name

@@ -1,9 +1,9 @@
-"""A checkpoint: the filter's whole state as bytes, and whether it may be gone on from.
+"""A checkpoint: the filter's whole state as bytes, and whether a restart may go on from it.
 
 No file and no clock here. A wrong state is worse than none, which costs a few seconds of alignment:
-so whatever does not fit is refused, with a sentence that says why. What decides is the autopilot's
-own clock. Ours may have been set meanwhile (a board without a clock of its own starts wherever it
-stopped), so within one boot the time since boot is compared, and unix time only across two.
+so whatever does not fit is refused, with a sentence that says why. The autopilot's clock decides.
+Ours may have been set meanwhile (a board without a real-time clock starts wherever it stopped), so
+within one boot the time since boot is compared, and unix time only across two.
 
 The bytes, little endian: a header, the state block, the rows that wait for a sample, a CRC-32.
 """
@@ -38,13 +38,13 @@ FORMAT = 2
 LIMIT = CheckpointConfig().limit
 """Age beyond which a checkpoint is stale unless told otherwise, s."""
 DISAGREEMENT_NS = 2_000_000_000
-"""Between two clocks' ideas of one span: a stalled link, not a reboot, which takes longer."""
+"""Between two clocks' measures of one span: a stalled link, not a reboot, which takes longer."""
 LARGEST_DELAY_NS = 2_000_000_000
 """From a sample's stamp to the time when it was true; settings allow 1 s."""
 LARGEST = 1e12
 """In the motion and its covariance."""
 MOST_STARTS = 5
-"""So many restarts, each within :data:`STEADY_NS` of the one before: the state may be the cause."""
+"""After so many restarts, each within :data:`STEADY_NS` of the last, the state may be the cause."""
 STEADY_NS = 60_000_000_000
 _HEADER = struct.Struct("<8sI8s8s32s12s2B4BH5q16s2I")
 _LARGEST_RANK = 4
@@ -70,14 +70,14 @@ class Refusal:
 
     why: Why
     words: str
-    """Why, and what would do or why it does no harm; to stand behind a colon."""
+    """Why, and what to do or why it does no harm; to be put behind a colon."""
     resets: int = 0
-    """From which count of resets to go on all the same, where the autopilot may have heard of it:
-    it must see that all has moved."""
+    """The count of resets to go on from all the same, as the autopilot may have received it: it
+    must see that everything has moved."""
 
 
 class Vehicle(NamedTuple):
-    """Whose state it is."""
+    """The vehicle of a state."""
 
     family: str
     """``px4``, ``ardupilot`` or ``unknown``."""
@@ -98,18 +98,18 @@ class Clocks(NamedTuple):
     """Of this boot, 16 bytes; zeros: not known."""
 
     def later(self, span_ns: int) -> Clocks:
-        """Give them a span later."""
+        """Return them a span later."""
         return self._replace(unix_ns=self.unix_ns + span_ns, boot_ns=self.boot_ns + span_ns)
 
     def since(self, before: Clocks) -> int:
-        """Give the time passed since others, ns, by the best clock that both have."""
+        """Return the time passed since others, ns, by the best clock that both have."""
         if self.boot_id == before.boot_id != bytes(16):
             return self.boot_ns - before.boot_ns
         return self.unix_ns - before.unix_ns
 
 
 class Sources(NamedTuple):
-    """Which message each kind of measurement was taken from, by rank (0: the best)."""
+    """The source of each kind of measurement, by its rank (0: the best)."""
 
     imu: int = 0
     mag: int = 0
@@ -122,7 +122,7 @@ class State:
     """Everything that the estimator needs to go on."""
 
     epoch_ns: int
-    """What times in the block count from, autopilot clock, ns."""
+    """The zero of times in the block, autopilot clock, ns."""
     stamp_ns: int
     """Stamp of the newest inertial sample, ns."""
     block: Array
@@ -131,13 +131,13 @@ class State:
     """Events that waited for the next sample, shape (n, ROW)."""
     settings: bytes
     """Fingerprint of the numbers that the estimator runs with, 8 bytes."""
-    told_before: int = 0
-    """Resets that were told before this state was begun with, >= 0."""
+    sent_before: int = 0
+    """Resets that were sent before this state was begun with, >= 0."""
 
     @property
     def next_reset(self) -> int:
-        """The count of resets that nobody has been told yet."""
-        return self.told_before + int(as_state(self.block).resets) + 1
+        """The count of resets that comes after the last one sent."""
+        return self.sent_before + int(as_state(self.block).resets) + 1
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -153,7 +153,7 @@ class Checkpoint:
     """Restarts from checkpoints in a row, none of which lasted a minute."""
 
     def refuse_vehicle(self, vehicle: Vehicle, settings: bytes) -> Refusal | None:
-        """Say why it is none for this vehicle under these settings; None: it is."""
+        """Return why it does not fit this vehicle and these settings; None if it does."""
         if self.vehicle != vehicle:
             return foreign(self.vehicle, vehicle)
         if self.state.settings != settings:
@@ -162,7 +162,7 @@ class Checkpoint:
         return None
 
     def refuse_time(self, stamp_ns: int, now: Clocks, limit: float = LIMIT) -> Refusal | None:
-        """Say why it is none for a first inertial sample of this stamp, heard now; None: it is."""
+        """Return why it does not fit the stamp of a first inertial sample; None if it does."""
         lost = (stamp_ns - self.state.stamp_ns) * 1e-9
         passed = now.since(self.clocks) * 1e-9
         if lost <= 0.0:
@@ -189,7 +189,7 @@ class Checkpoint:
 
 
 def foreign(theirs: Vehicle, ours: Vehicle) -> Refusal:
-    """Say that it is another vehicle's."""
+    """Return the refusal of another vehicle's checkpoint."""
     return Refusal(
         Why.FOREIGN,
         f"it is of another vehicle ({theirs}; this is {ours}); "
@@ -207,12 +207,12 @@ LAYOUT = layout_fingerprint()
 
 
 def settings_fingerprint(parameters: Array, delays_ns: npt.NDArray[np.int64]) -> bytes:
-    """Give 8 bytes that change with any number that the estimator is told."""
+    """Return 8 bytes that change with any parameter of the estimator."""
     return hashlib.sha256(parameters.tobytes() + delays_ns.tobytes()).digest()[:8]
 
 
 def encode(checkpoint: Checkpoint) -> bytes:
-    """Give the bytes to keep."""
+    """Return the checkpoint as bytes."""
     state = checkpoint.state
     body = _HEADER.pack(
         MAGIC,
@@ -227,7 +227,7 @@ def encode(checkpoint: Checkpoint) -> bytes:
         min(checkpoint.starts, 0xFFFF),
         state.epoch_ns,
         state.stamp_ns,
-        state.told_before,
+        state.sent_before,
         *checkpoint.clocks,
         len(state.block),
         len(state.waiting),
@@ -242,7 +242,7 @@ def is_ours(data: bytes) -> bool:
 
 
 def decode(data: bytes) -> Checkpoint | Refusal:
-    """Read what :func:`encode` gave; anything else is refused, whatever it is."""
+    """Return the checkpoint in bytes of :func:`encode`, or why they are refused."""
     if not is_ours(data):
         words = "it does not begin as a checkpoint; name a file for nothing else"
         return Refusal(Why.DAMAGED, words)
@@ -273,7 +273,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
         block=numbers[:size],
         waiting=numbers[size:].reshape(count, ROW),
         settings=settings,
-        told_before=before,
+        sent_before=before,
     )
     if max(sources) > _LARGEST_RANK or vehicle.family not in HABITS:
         return Refusal(Why.DAMAGED, "it names what there is not; please report it")

@@ -1,4 +1,4 @@
-"""The filter's own account of itself: what became of what it was given, and how sure it is."""
+"""The filter's own account of itself: what became of the measurements, and its accuracy."""
 
 from __future__ import annotations
 
@@ -10,8 +10,16 @@ from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
 
 RESET_REASONS = (
-    *("none", "position", "velocity", "height", "heading", "inertial gap", "clock"),
-    *("state out of bounds", "heading against the motion", "restart"),
+    "none",
+    "position",
+    "velocity",
+    "height",
+    "heading",
+    "inertial gap",
+    "clock",
+    "state out of bounds",
+    "heading against the motion",
+    "restart",
 )
 
 
@@ -33,19 +41,19 @@ class Health:
     arrivals: Mapping[Kind, Mapping[Arrival, int]]
     reruns: int
     reset_delta: tuple[float, ...]
-    """What the last reset moved: position n e d (m), velocity n e d (m/s), yaw (rad)."""
+    """By how much the last reset moved position n e d (m), velocity n e d (m/s), yaw (rad)."""
     nis: Mapping[Aid, float]
     """Mean normalised innovation squared over its degrees of freedom: 1 if all is well; NaN: none
     yet. Over all of the filter's life; a :class:`~.snapshot.Snapshot` has that of the last seconds.
     """
     imu_rate: float
-    """Inertial samples as they come, Hz; 0: none yet."""
+    """Measured rate of the inertial samples, Hz; 0: none yet."""
     gnss_delay: float
-    """What the filter adds to the configured delay, s."""
+    """Estimated addition to the configured delay, s."""
     white_shares: Mapping[Aid, float]
     """Learnt share of the variance that the receiver states which is white noise."""
     hard_iron: tuple[float, float, float]
-    """What the filter found of the vehicle's own magnetic field, b, gauss."""
+    """Estimate of the vehicle's own magnetic field, b, gauss."""
     gyro_noise: float
     """Learnt white noise, largest axis, rad/s per square root of Hz."""
     accel_noise: float

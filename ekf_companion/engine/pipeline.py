@@ -1,8 +1,9 @@
-"""The heart: a measurement in, what became of it and the estimate of now out."""
+"""The heart: measurements in, estimates out."""
 
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,18 +22,16 @@ from ekf_companion.nav.state import Odometry, Status, Table
 
 Array = npt.NDArray[np.float64]
 
-
-_ARRIVALS = tuple(Arrival)
-
-
 QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Status.INVALID: -1}
-"""Per cent, as ODOMETRY tells it."""
+"""Quality of an estimate by its status, as ODOMETRY carries it: per cent, -1 for failed."""
+_IMU, _ESTIMATED = int(Kind.IMU), int(Arrival.ESTIMATED)  # faster to compare than enums
+
 if COMPILED_BLOCK != BLOCK:
     raise ImportError("the compiled kernel is older than its source; build it anew: make setup")
 
 
 class Pipeline:
-    """Estimator of one vehicle. Not a thread's business: call it from one loop."""
+    """Estimator of one vehicle; to be called from one thread."""
 
     def __init__(
         self,
@@ -51,34 +50,38 @@ class Pipeline:
             keeps_history: Events that leave the window are kept until :meth:`history` is asked.
         """
         self._field = Field(settings.heading)
-        self._family, self._gnss_delay = family, gnss_delay
+        self.family = family
+        """``px4``, ``ardupilot`` or ``unknown``."""
+        self._gnss_delay = gnss_delay
         k, late = parameters(settings, family), delays_ns(settings, family, gnss_delay)
         self._late = late
         self._fingerprint = settings_fingerprint(k, late)
         self._timeline = Timeline(
             k, late, round(settings.window * 1e9), keeps_history=keeps_history
         )
+        self._arrival = int(Arrival.TAKEN)
         self.start = "cold"
         """How it began, as :attr:`Health.start` says."""
         self.resets_before = 0
         """How many of its resets were those of the runs before, whose state it goes on from."""
-        self.told_before = 0
-        """Resets that a run before has told, whose state this one does not go on from."""
+        self.sent_before = 0
+        """Resets that a run before has sent, whose state this one does not go on from."""
 
-    def process(self, measurement: Measurement) -> Arrival:
-        """Take one measurement; ESTIMATED says that :meth:`estimate` is that of its stamp."""
-        return self.insert(measurement.row())
+    def process(self, measurement: Measurement) -> Estimate | None:
+        """Process a measurement; return an estimate if it is the newest inertial sample."""
+        return self.process_row(measurement.row())
 
-    def insert(self, row: Row) -> Arrival:
-        """Take one measurement as a row; :meth:`process` says what comes of it."""
-        # Add what the place knows: its magnetic field; take off the vehicle's own
-        t_ns, kind, values = self._field.complete(row)
+    def process_row(self, row: Row) -> Estimate | None:
+        """Process a measurement that is given as a row, as :meth:`process` does."""
+        # Add the magnetic field of its place to a fix, remove the vehicle's own from a magnetometer
+        t_ns, kind, values = row if row[1] == _IMU else self._field.complete(row)
 
         # Refuse what no sensor can say, put the rest in its place in time, redo what came after
-        return _ARRIVALS[self._timeline.insert(t_ns, kind, values)]
+        self._arrival = self._timeline.insert(t_ns, kind, values)
+        return Estimate(self, t_ns) if self._arrival == _ESTIMATED else None
 
     def run(self, events: Events) -> Table:
-        """Take a whole recording by the same steps, and give an estimate per inertial sample."""
+        """Process a whole recording by the same steps; return an estimate per inertial sample."""
         samples = int(np.count_nonzero(events.kind == Kind.IMU))
         stamps = np.zeros(samples, dtype=np.int64)
         out = np.empty((samples, OUT))
@@ -89,39 +92,44 @@ class Pipeline:
     def retune(self, settings: FilterSettings) -> None:
         """Go on with other noise, gates and time-outs; delays stay as they were.
 
-        What a late event makes run again from now on is run by these too.
+        What a late event makes run again from now on is run with these too.
         """
-        k = parameters(settings, self._family)
+        k = parameters(settings, self.family)
         self._fingerprint = settings_fingerprint(k, self._late)
         self._timeline.retune(k)
 
     def history(self, is_over: bool = False) -> list[tuple[int, int, Array, Array]]:
-        """Give the events that can change no more, as ``Timeline.history`` does."""
+        """Return the events that are final, as ``Timeline.history`` does."""
         return list(self._timeline.history(is_over))
 
     @property
+    def arrival(self) -> Arrival:
+        """What became of the last measurement that was processed."""
+        return Arrival(self._arrival)
+
+    @property
     def fingerprint(self) -> bytes:
-        """What a state must have been estimated under for this pipeline to go on from it."""
+        """Fingerprint of the settings; that of a state must be equal to go on from it."""
         return self._fingerprint
 
     def state(self) -> State:
-        """Give everything that another pipeline needs to go on from here."""
+        """Return everything that another pipeline needs to go on from here."""
         return State(
             epoch_ns=int(self._timeline.epoch_ns),
             stamp_ns=self.stamp_ns,
             block=self._timeline.block(),
             waiting=self._timeline.waiting(),
             settings=self._fingerprint,
-            told_before=self.told_before,
+            sent_before=self.sent_before,
         )
 
     def restore(self, state: State) -> None:
-        """Go on from a state; the next inertial sample says how much time was lost.
+        """Go on from a state; the next inertial sample tells how much time was lost.
 
-        Whether the state may be believed is asked in :mod:`.checkpoint`, not here.
+        Whether the state may be used is decided in :mod:`.checkpoint`, not here.
         """
         self._timeline.restore(state.block, state.waiting, state.epoch_ns, state.stamp_ns)
-        self.told_before = state.told_before
+        self.sent_before = state.sent_before
         self.start = "warm"
         self.resets_before = int(as_state(state.block).resets)
 
@@ -137,31 +145,26 @@ class Pipeline:
 
     @property
     def given(self) -> int:
-        """Inertial samples that it was given and that can be meant, used or not."""
+        """Inertial samples that arrived and are well-formed, used or not."""
         counts = self._timeline.arrivals[Kind.IMU]
         return int(counts.sum() - counts[Arrival.MALFORMED])
 
     def nis_sums(self) -> tuple[Array, Array]:
-        """Give the sum of the normalised innovations squared, and how many, by aid, shape (6,)."""
+        """Return sum and number of the normalised innovations squared, by aid, shape (6,)."""
         x = as_state(self._timeline.block())
         return np.array(x.nis_sum), np.array(x.nis_n)
 
-    def estimate(self) -> Array:
-        """Give the estimate of now: ``nav.state.COLUMNS`` without the time, shape (33,)."""
+    def estimate(self) -> Estimate:
+        """Return the estimate of now, at the stamp of the newest inertial sample."""
+        return Estimate(self, self.stamp_ns)
+
+    def values(self) -> Array:
+        """Return the estimate of now: ``nav.state.COLUMNS`` without the time, shape (33,)."""
         return np.asarray(self._timeline.describe())
 
-    def odometry(self) -> Odometry | None:
-        """Give what is to be told of the estimate of now; None while there is no position."""
-        status, resets, numbers = self._timeline.odometry()
-        if status < Status.OK:
-            return None
-        count = self.told_before + resets
-        return Odometry(self.stamp_ns, numbers, count, QUALITY[Status(status)])
-
     def health(self) -> Health:
-        """Give the filter's own account of itself."""
-        x = as_state(self._timeline.block())
-        now = as_estimate(self.estimate())
+        """Return the filter's own account of itself."""
+        x, now = as_state(self._timeline.block()), as_estimate(self.values())
         arrivals = self._timeline.arrivals
         return Health(
             status=Status(int(now.status)),
@@ -196,7 +199,7 @@ class Pipeline:
     def log_likelihood(self) -> float:
         """Sum over all GNSS rows judged so far, -(nis + log det S) / 2, nis no more than its gate.
 
-        It compares settings over the same log: delays, for one. A number by itself says nothing.
+        It compares settings, such as delays, over the same log; by itself it has no meaning.
         """
         return float(as_state(self._timeline.block()).log_likelihood)
 
@@ -205,3 +208,46 @@ class Pipeline:
         """Latitude, longitude (rad), altitude (m) of the local frame; None before a fix."""
         origin = as_state(self._timeline.block()).origin
         return (origin.lat, origin.lon, origin.alt) if origin.is_known else None
+
+
+class Estimate:
+    """The estimate at the stamp of the newest inertial sample.
+
+    One is made 250 times a second and few are looked at, so its content is computed when it is
+    asked for: ask before the next sample is processed.
+    """
+
+    __slots__ = ("_odometry", "_pipeline", "t_ns")
+
+    def __init__(self, pipeline: Pipeline, t_ns: int) -> None:
+        self.t_ns = t_ns
+        """Time of validity: the sample's stamp, autopilot clock, ns."""
+        self._pipeline = pipeline
+        self._odometry: Odometry | Literal[False] | None = False
+
+    @property
+    def odometry(self) -> Odometry | None:
+        """Content of an ODOMETRY, the same for all listeners; None while there is no position."""
+        if self._odometry is False:
+            status, resets, numbers = self._pipeline._timeline.odometry()
+            if status < Status.OK:
+                self._odometry = None
+            else:
+                count, quality = self._pipeline.sent_before + resets, QUALITY[Status(status)]
+                self._odometry = Odometry(self.t_ns, numbers, count, quality)
+        return self._odometry
+
+    @property
+    def origin(self) -> tuple[float, float, float] | None:
+        """Latitude, longitude (rad), altitude (m) of the local frame; None before a fix."""
+        return self._pipeline.origin
+
+    @property
+    def health(self) -> Health:
+        """The filter's own account of itself."""
+        return self._pipeline.health()
+
+    @property
+    def values(self) -> Array:
+        """The whole estimate: ``nav.state.COLUMNS`` without the time, shape (33,)."""
+        return self._pipeline.values()

@@ -1,7 +1,7 @@
-"""From one run of the daemon to the next: a checkpoint taken, and gone on from.
+"""From one run of the daemon to the next: a checkpoint is written, and gone on from.
 
-It is judged as soon as there is something to judge it by: its bytes at once, whose it is when the
-autopilot is found, how old it is by the first inertial sample.
+Each part of it is judged as soon as it can be: the bytes at once, the vehicle when the autopilot is
+found, the age by the first inertial sample.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from ekf_companion.mavlink.decode import Decoder
 _log = logging.getLogger(__name__)
 
 USUAL = (Why.ALIGNING, Why.REBOOTED, Why.STALE)
-"""What comes with every start of the day, so that nobody need look."""
+"""Refusals that come with every start of the day, so that nobody need look."""
 
 
-class Resumption:
+class WarmStart:
     """The checkpoints of one run: the one found at its start, and those that it leaves."""
 
     def __init__(
@@ -43,9 +43,9 @@ class Resumption:
         """Judge the bytes that were found.
 
         Args:
-            data: What the last run left; None: nothing, or nobody asked.
+            data: What the last run left; None: nothing was looked for or found.
             clocks: The companion's clocks now.
-            now_ns: The same moment as the session counts, ns.
+            now_ns: The same moment by the session's clock, ns.
             limit: Age by the autopilot's clock beyond which a checkpoint is stale, s.
         """
         self._clocks, self._now_ns, self._limit = clocks or Clocks(0), now_ns, limit
@@ -63,13 +63,13 @@ class Resumption:
 
     @property
     def expected(self) -> Vehicle | None:
-        """Whose state was found; None: nobody's."""
+        """The vehicle whose state was found; None: no state was."""
         return None if self._found is None else self._found.vehicle
 
-    def meet(self, vehicle: Vehicle, pipeline: Pipeline, decoder: Decoder) -> None:
-        """Learn which vehicle it is; of the one that was left, the sources are known at once.
+    def on_vehicle(self, vehicle: Vehicle, pipeline: Pipeline, decoder: Decoder) -> None:
+        """Learn which vehicle it is; if it is the checkpoint's, its sources are known at once.
 
-        It may be met again as another, when its heartbeat gives the lie to what was expected.
+        It may turn out to be another later, when its heartbeat contradicts what was expected.
         """
         if self._vehicle is not None:
             was = self._vehicle
@@ -85,7 +85,7 @@ class Resumption:
                 decoder.prefer(*found.sources)
             else:
                 self._refuse(refusal)
-        pipeline.start, pipeline.told_before = self._start, self._resets
+        pipeline.start, pipeline.sent_before = self._start, self._resets
 
     def resume(self, pipeline: Pipeline, stamp_ns: int, now_ns: int) -> None:
         """Go on from what was found, before the first inertial sample is taken."""
@@ -95,7 +95,7 @@ class Resumption:
         refusal = found.refuse_time(stamp_ns, now, self._limit)
         if refusal is not None:
             self._refuse(refusal)
-            pipeline.start, pipeline.told_before = self._start, self._resets
+            pipeline.start, pipeline.sent_before = self._start, self._resets
             return
         pipeline.restore(found.state)
         lost = (stamp_ns - found.state.stamp_ns) * 1e-9
@@ -105,8 +105,8 @@ class Resumption:
         self._steady_from_ns = stamp_ns + STEADY_NS
         self._found = None
 
-    def take(self, pipeline: Pipeline, decoder: Decoder, clocks: Clocks) -> bytes | None:
-        """Give what the next run could go on from; None: nothing has been estimated yet."""
+    def checkpoint(self, pipeline: Pipeline, decoder: Decoder, clocks: Clocks) -> bytes | None:
+        """Return what the next run could go on from; None if nothing has been estimated yet."""
         if self._vehicle is None or self._found is not None or pipeline.stamp_ns == 0:
             return None
         if self._steady_from_ns is not None and pipeline.stamp_ns > self._steady_from_ns:

@@ -1,4 +1,4 @@
-"""Who may speak: system and component ids, and signatures. Asked before anything else looks."""
+"""Which frames are let in: by system and component id, and by signature."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import SECOND_NS
 
-_SETUP_SIGNING = IDS["SETUP_SIGNING"]
+SETUP_SIGNING = IDS["SETUP_SIGNING"]
+"""Refused from everybody: it carries a secret, and our key is given to us in a file."""
 _RADIO_STATUS = IDS["RADIO_STATUS"]
 _RADIO = 68
 """MAV_COMP_ID_TELEMETRY_RADIO."""
@@ -25,7 +26,7 @@ SECRET = "carries a secret"
 
 
 class Admission:
-    """Lets frames in, and counts those that it does not by reason."""
+    """Lets frames in, and counts those that it refuses by reason."""
 
     def __init__(
         self,
@@ -34,16 +35,14 @@ class Admission:
         signing: Signing | None = None,
         accept_unsigned: bool = False,
     ) -> None:
-        """Say who may speak.
+        """Let in whom the configuration names.
 
         Args:
             systems: System ids; empty: all.
             components: Component ids; empty: all.
-            signing: What verifies signatures; None: nobody looks at them.
+            signing: Verifies signatures; None: they are not looked at.
             accept_unsigned: Whether frames without one are let in where others are verified.
         """
-        self.admitted = 0
-        """Frames let in."""
         self.refused: Counter[str] = Counter()
         """Frames by the reason why not."""
         self._systems = frozenset(systems)
@@ -51,6 +50,8 @@ class Admission:
         self._signing = signing
         self._accept_unsigned = accept_unsigned
         self._radio_ns = -RADIO_NS
+        self.is_selective = bool(systems or components or signing)
+        """Whether any frame but SETUP_SIGNING may be refused."""
 
     @property
     def signed(self) -> int:
@@ -62,7 +63,7 @@ class Admission:
         return self._signing is None or self._accept_unsigned or frame.is_signed
 
     def refuse(self, frame: Frame, now_ns: int, *, is_beside_autopilot: bool = False) -> str | None:
-        """Say why a frame is not let in; None: it is.
+        """Count and return the reason why a frame is not let in; None if it is.
 
         Args:
             frame: With a right checksum.
@@ -75,7 +76,6 @@ class Admission:
         if reason:
             self.refused[reason] += 1
             return reason
-        self.admitted += 1
         return None
 
     def _judge(self, frame: Frame, now_ns: int) -> str:
@@ -83,8 +83,7 @@ class Admission:
             return SYSTEM
         if self._components and frame.component_id not in self._components:
             return COMPONENT
-        if frame.message_id == _SETUP_SIGNING:
-            # Not for us, who are given our key in a file, and not for our recording
+        if frame.message_id == SETUP_SIGNING:
             return SECRET
         if self._signing is None:
             return ""
@@ -93,9 +92,9 @@ class Admission:
         return "" if self._accept_unsigned else UNSIGNED
 
     def _is_of_radio(self, frame: Frame, now_ns: int) -> bool:
-        """Whether it is what a telemetry radio says of itself, and not oftener than one does.
+        """Whether it is a telemetry radio's RADIO_STATUS, no more often than a radio sends it.
 
-        It knows no secret, and what it says decides nothing here.
+        A radio knows no secret, and what it says decides nothing here.
         """
         if frame.message_id != _RADIO_STATUS or frame.component_id != _RADIO:
             return False

@@ -1,4 +1,4 @@
-"""Whether what was asked for comes as often as it was promised, and if not, why probably not."""
+"""Measured rates of messages, and why one probably comes too rarely."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from statistics import median
 
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.event import Emit, PeerFound, RateInVain
+from ekf_companion.mavlink.event import Emit, PeerFound, RateTooLow
 from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.request import ACCEPTED, Requests
 from ekf_companion.mavlink.service import Service
@@ -25,26 +25,26 @@ _RECEIVER = {
 
 _STEP_NS = SECOND_NS
 _STEPS = 5
-"""What is measured is the mean over so many steps."""
+"""Rates are means over so many steps."""
 _SHARE = 0.5
-"""Of what was asked; less is a complaint. An autopilot that divides its rate gives more."""
+"""Of the requested rate; less is too rare. An autopilot that divides its rate gives more."""
 _AGAIN_NS = 10 * SECOND_NS
 _RESIGNED_NS = 60 * SECOND_NS
-"""Between two requests for the same, while there is hope, and later."""
+"""Between two requests for the same message, at first and later."""
 _TRIES = 3
 
 
 class Audit(Service):
-    """Measures every message, and sees to the inertial samples and the fixes.
+    """Measures the rate of every message, and requests inertial samples and fixes that are missing.
 
-    Other messages may come as they like: the filter lives without them.
+    Other messages may come at any rate: the filter can do without them.
     """
 
     def __init__(self, received: Counter[int], requests: Requests, emit: Emit) -> None:
         self.rates: dict[str, float] = {}
         """Of each message of the autopilot over the last five seconds, Hz."""
-        self.in_vain: dict[str, str] = {}
-        """The probable cause by message, of those that come too rarely however often asked for."""
+        self.causes: dict[str, str] = {}
+        """Probable causes by message, where one comes too rarely however often it is requested."""
         self._received = received
         self._requests = requests
         self._emit = emit
@@ -60,11 +60,11 @@ class Audit(Service):
         self._steps.clear()
         self._settled = 0
         self._tries.clear()
-        self.in_vain.clear()
+        self.causes.clear()
         self._next_ns.clear()
 
     def tick(self, now_ns: int) -> None:
-        """Count once a second; judge what has been seen for five since the last request."""
+        """Count once a second; judge the rates five seconds after the last request."""
         now_ns = quantise(now_ns)
         if self._steps and now_ns - self._steps[-1][0] < _STEP_NS:
             return
@@ -84,19 +84,21 @@ class Audit(Service):
         in_use = max(INERTIAL, key=lambda name: self.rates.get(name, 0.0))
         inertial = self.rates.get(in_use, 0.0)
         name = self._requests.inertial or (in_use if in_use == "RAW_IMU" else "HIGHRES_IMU")
-        wanted = self._requests.asked(name)
+        wanted = self._requests.expected_rate(name)
         if wanted > 0.0:
             is_low = inertial < _SHARE * wanted
-            self._see_to(name, wanted, self.rates.get(name, 0.0), is_low, now_ns)
-        if (wanted := self._requests.asked(_GNSS)) > 0.0:
-            # Its rate is the receiver's affair; only silence is ours
+            self._judge_rate(name, wanted, self.rates.get(name, 0.0), is_low, now_ns)
+        if (wanted := self._requests.expected_rate(_GNSS)) > 0.0:
+            # The receiver decides its rate; only silence is a fault
             fixes = self.rates.get(_GNSS, 0.0)
-            self._see_to(_GNSS, wanted, fixes, fixes == 0.0, now_ns)
+            self._judge_rate(_GNSS, wanted, fixes, fixes == 0.0, now_ns)
 
-    def _see_to(self, name: str, asked: float, measured: float, is_low: bool, now_ns: int) -> None:
+    def _judge_rate(
+        self, name: str, asked: float, measured: float, is_low: bool, now_ns: int
+    ) -> None:
         if not is_low:
             self._tries.pop(name, None)
-            self.in_vain.pop(name, None)
+            self.causes.pop(name, None)
             return
         if now_ns < self._next_ns.get(name, now_ns):
             return
@@ -107,17 +109,17 @@ class Audit(Service):
                 if name == _GNSS
                 else probable_cause(self.rates, self._requests.rates, self._family)
             )
-            self.in_vain[name] = cause
-            self._emit(RateInVain(name, asked, measured, cause))
+            self.causes[name] = cause
+            self._emit(RateTooLow(name, asked, measured, cause))
         self._next_ns[name] = now_ns + (_AGAIN_NS if self._tries[name] <= _TRIES else _RESIGNED_NS)
-        self._requests.ask_again(name)
+        self._requests.repeat(name)
 
 
 def silence_cause(result: str, family: Family) -> str:
-    """Say why no GNSS message probably comes, and what to look at.
+    """Return why probably no GNSS message comes, and what to check.
 
     Args:
-        result: What was answered to the last request for it; empty: nothing was asked.
+        result: The answer to the last request for it; empty: none was sent.
         family: Whose parameters to name.
     """
     setting = _RECEIVER.get(family, "the receiver's port and this link's streams")
@@ -128,11 +130,11 @@ def silence_cause(result: str, family: Family) -> str:
 def probable_cause(
     measured: Mapping[str, float], asked: Mapping[str, float], family: Family
 ) -> str:
-    """Say why messages probably come so rarely, and what to change.
+    """Return why messages probably come so rarely, and what to change.
 
     Args:
         measured: Messages by name, Hz.
-        asked: What was asked for, Hz.
+        asked: The requested rates, Hz.
         family: Whose parameters to name.
     """
     inertial = max((measured.get(name, 0.0) for name in INERTIAL), default=0.0)

@@ -1,8 +1,8 @@
-"""Two clocks compared: TIMESYNC both ways.
+"""The autopilot's clock compared with ours: TIMESYNC both ways.
 
-We ask at a time of ours, the autopilot answers with its own, and half of the way there and back
-is taken for the way back. Of the answers in a window the faster half are believed, as the others
-waited somewhere on one way only, and a line through them is the autopilot's clock by ours.
+We ask at a time of ours, the autopilot answers with its own, and half of the round trip is taken
+for the way back. Of the answers in a window the faster half are used, as the slower ones waited
+somewhere on one way only; a line through them gives the autopilot's clock by ours.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from ekf_companion.mavlink.timebase import LAST_US
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimesyncOptions:
-    """How the clocks are compared."""
+    """How to compare the clocks."""
 
     respond: bool = True
     """Whether the autopilot's own requests are answered (in its own time, once locked)."""
     request: bool = True
     """Whether we ask."""
     largest_rtt_ms: float = 10.0
-    """An answer that took longer says too little; PX4's bound."""
+    """Longer round trips are refused; PX4's bound."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,12 +42,12 @@ class TimesyncQuality:
     skew: float
     """How much faster the autopilot's clock runs than ours, s/s; 0 until known."""
     rtt_p50_ns: int | None
-    """Round trip, half are faster; None: nothing was answered. Slow ones count too."""
+    """Median round trip, slow ones included; None: nothing was answered."""
     rtt_p95_ns: int | None
     answers: int
     """Good ones since the start or the last reboot."""
     residual: float | None
-    """RMS distance of the believed answers from the line through them, s; None: too few."""
+    """RMS distance of the answers that are used from the line through them, s; None: too few."""
 
 
 _FAST_NS = SECOND_NS // 10
@@ -59,15 +59,15 @@ _WINDOW = 100
 _LOST_NS = 10 * SECOND_NS
 """The lock is lost without a good answer for so long: at 100 ppm the clocks are 1 ms apart then."""
 _JUMPS = 5
-"""So many answers in a row of another clock, and it is another clock; PX4's number."""
+"""After so many answers in a row that contradict it, the clock is another; PX4's number."""
 _SKEW_SPAN_NS = 10 * SECOND_NS
-"""A rate is fitted over no shorter span: at 0.1 ms of jitter it would be worse than none."""
+"""A skew is fitted over no shorter span: at 0.1 ms of jitter it would be worse than none."""
 _LARGEST_SKEW = 500e-6
 """Crystals are better than 100 ppm; more is jitter."""
 
 
 class Timesync:
-    """Learns the offset of the autopilot's clock from ours, and answers in the autopilot's time."""
+    """Estimates the offset of the autopilot's clock from ours; answers in the autopilot's time."""
 
     def __init__(self, options: TimesyncOptions | None = None) -> None:
         self.options = options or TimesyncOptions()
@@ -91,7 +91,7 @@ class Timesync:
         self._forget()
 
     def _forget(self) -> None:
-        """Begin to learn the clock anew."""
+        """Forget the clock."""
         self._samples: deque[tuple[int, int, int]] = deque(maxlen=_WINDOW)  # middle, offset, rtt
         self._jumps = 0
         self._fit: tuple[int, int, float] | None = None  # at, offset then, skew
@@ -99,9 +99,9 @@ class Timesync:
 
     @property
     def is_locked(self) -> bool:
-        """Whether the offset is known well enough to be told."""
-        # An offset is wrong by half a round trip at most; scattered as evenly as that, it says no
-        # more than the bound
+        """Whether the offset is known well enough to answer with it."""
+        # An offset is wrong by half a round trip at most; a scatter as wide as that tells no more
+        # than the bound
         return len(self._samples) >= _LOCK and self._residual_ns <= 0.25 * self._largest_rtt_ns
 
     @property
@@ -123,7 +123,7 @@ class Timesync:
         )
 
     def peer_ns(self, now_ns: int) -> int | None:
-        """Give the autopilot's clock at a time of ours; None until locked."""
+        """Return the autopilot's clock at a time of ours; None until locked."""
         self._notice_silence(now_ns)
         if self._fit is None or not self.is_locked:
             return None
@@ -131,7 +131,7 @@ class Timesync:
         return now_ns + offset + round(skew * (now_ns - at))
 
     def request(self, now_ns: int) -> int | None:
-        """Give the ``ts1`` of a request if one is due: at 10 Hz until locked, then at 1 Hz."""
+        """Return the ``ts1`` of a request if one is due: at 10 Hz until locked, then at 1 Hz."""
         self._notice_silence(now_ns)
         if not self.options.request or (self._next_ns is not None and now_ns < self._next_ns):
             return None
@@ -140,13 +140,13 @@ class Timesync:
         return now_ns
 
     def answer(self, ts1: int, now_ns: int) -> int | None:
-        """Give the ``tc1`` for a request; None: not to be answered (yet)."""
+        """Return the ``tc1`` for a request; None if it is not to be answered (yet)."""
         peer_ns = self.peer_ns(now_ns) if self.options.respond else None
         # 0 would ask again
         return peer_ns or None
 
     def receive(self, tc1: int, ts1: int, now_ns: int) -> None:
-        """Take an answer that was addressed to us or to nobody."""
+        """Use an answer that was addressed to us or to nobody."""
         if ts1 not in self._outstanding:
             self.refused["foreign"] += 1
             return
@@ -189,7 +189,7 @@ class Timesync:
             self._forget()
 
     def _refit(self) -> None:
-        """Draw a line through the faster half of the answers: the slow ones waited one way."""
+        """Fit a line through the faster half of the answers: the slow ones waited one way."""
         limit = sorted(sample[2] for sample in self._samples)[len(self._samples) // 2]
         fast = [sample for sample in self._samples if sample[2] <= limit]
         at, base, _ = fast[-1]
@@ -229,7 +229,7 @@ class TimesyncService(Service):
         self._timesync.reset()
 
     def tick(self, now_ns: int) -> None:
-        """Ask if it is time."""
+        """Send a request if one is due."""
         ts1 = self._timesync.request(now_ns)
         if ts1 is not None:
             self._send(0, ts1, now_ns)

@@ -1,4 +1,4 @@
-"""Payloads to named fields and back, one message or columns of them."""
+"""Payloads to named fields and back, and messages of ours to frames."""
 
 from __future__ import annotations
 
@@ -8,16 +8,21 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from fastcrc import crc16
 
-from ekf_companion.mavlink.frame import SIGNED, Frame, encode_frame
-from ekf_companion.mavlink.messages import IDS, LAYOUTS, Layout, by_name
+from ekf_companion.mavlink.frame import SIGNED, Frame
+from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS, Layout, by_name
 from ekf_companion.mavlink.signing import Signing
+
+_HEADER = struct.Struct("<BBBBBBHB")
+_CRC = struct.Struct("<H")
+_crc = crc16.mcrf4xx
 
 
 def unpack(frame: Frame) -> Any:
-    """Give the message's fields as a named tuple in wire order, named as the message.
+    """Return the message's fields as a named tuple in wire order, named as the message.
 
-    What the payload lacks at its end reads as zero, and what is beyond the known fields is left.
+    What the payload lacks at its end reads as zero, and what is beyond the known fields is ignored.
     Arrays are tuples, text is bytes up to the first zero. KeyError for an unknown id.
     """
     layout = LAYOUTS[frame.message_id]
@@ -33,12 +38,12 @@ def unpack(frame: Frame) -> Any:
 
 
 def unpack_values(layout: Layout, payload: bytes) -> tuple[Any, ...]:
-    """Give the payload's numbers in wire order, arrays laid out flat."""
+    """Return the payload's numbers in wire order, arrays flattened."""
     return layout.struct.unpack(payload.ljust(layout.size, b"\0")[: layout.size])
 
 
 def columns(message_id: int, payloads: Sequence[bytes]) -> npt.NDArray[np.void]:
-    """Give many payloads of one message as one array of records, shape (n,), a view of a copy."""
+    """Return many payloads of one message as one array of records, shape (n,), a view of a copy."""
     layout = LAYOUTS[message_id]
     size = layout.size
     whole = b"".join([payload.ljust(size, b"\0")[:size] for payload in payloads])
@@ -46,7 +51,7 @@ def columns(message_id: int, payloads: Sequence[bytes]) -> npt.NDArray[np.void]:
 
 
 def pack(name: str, **fields: Any) -> bytes:
-    """Give the payload of a message, full size; fields that are not named are zero.
+    """Return the payload of a message in full size; fields that are not named are zero.
 
     Raises:
         KeyError: No such message.
@@ -71,7 +76,7 @@ def pack(name: str, **fields: Any) -> bytes:
 
 
 class Sender:
-    """The one owner of a component's sequence number."""
+    """Frames the messages of one component, and owns its sequence number."""
 
     def __init__(self, system_id: int, component_id: int, signing: Signing | None = None) -> None:
         self.system_id = system_id
@@ -81,21 +86,25 @@ class Sender:
         """Of the next frame."""
 
     def frame(self, name: str, payload: bytes, now_ns: int = 0) -> bytes:
-        """Give the next frame: a message by its name, and its payload; signed where there is a key.
+        """Return the next frame of a message, by its name and payload, signed where there is a key.
 
         ``now_ns`` is unix time, ns, for the signature.
         """
-        data = encode_frame(
-            IDS[name],
-            payload,
-            system_id=self.system_id,
-            component_id=self.component_id,
-            sequence=self.sequence,
-            flags=0 if self._signing is None else SIGNED,
-        )
+        flags = 0 if self._signing is None else SIGNED
+        data = self.draft(name, payload, flags)
         self.sequence = (self.sequence + 1) & 0xFF
         return data if self._signing is None else self._signing.sign(data, now_ns)
 
+    def draft(self, name: str, payload: bytes, flags: int = 0) -> bytes:
+        """Return a frame without a signature, whose number is also the next one's.
+
+        Zeros at the payload's end are left out. ``flags`` are those of incompatibility.
+        """
+        payload, number = payload.rstrip(b"\0") or b"\0", IDS[name]
+        ids = self.sequence, self.system_id, self.component_id, number & 0xFFFF, number >> 16
+        body = _HEADER.pack(len(payload), flags, 0, *ids) + payload
+        return b"\xfd" + body + _CRC.pack(_crc(body + CRC_EXTRAS[number]))
+
     def message(self, name: str, **fields: Any) -> bytes:
-        """Give the next frame of a message, from its fields."""
+        """Return the next frame of a message, from its fields."""
         return self.frame(name, pack(name, **fields))

@@ -1,4 +1,4 @@
-"""Commands to us: a message once, a message at a rate; an answer to all that are ours to answer.
+"""Commands to us: send a message once, or at a rate. Each that is addressed to us is answered.
 
 Source: mavlink.io, Command Protocol; guide/message_rates.
 """
@@ -14,6 +14,7 @@ from typing import Any
 
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import pack
+from ekf_companion.mavlink.decision import Slowed
 from ekf_companion.mavlink.event import Emit, IntervalSet, PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.heartbeat import Heartbeat
@@ -21,7 +22,6 @@ from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
-from ekf_companion.mavlink.verdict import Slowed
 from ekf_companion.version import __version__
 
 _MAVLINK_2 = 8192
@@ -43,23 +43,23 @@ _IDENTITY: Mapping[str, bytes] = MappingProxyType(
         "AUTOPILOT_VERSION": pack(
             "AUTOPILOT_VERSION", capabilities=_CAPABILITIES, flight_sw_version=_version()
         ),
-        # What stands in for AUTOPILOT_VERSION where there is no autopilot
+        # Replaces AUTOPILOT_VERSION for components that are no autopilot
         "COMPONENT_INFORMATION_BASIC": pack(
             "COMPONENT_INFORMATION_BASIC",
             capabilities=_CAPABILITIES,
             model_name=b"EKF companion",
             software_version=__version__.encode("ascii", "replace")[:23],
         ),
-        # MAVLink 1 is heard, and 2 is spoken
+        # MAVLink 1 is read, and 2 is sent
         "PROTOCOL_VERSION": pack("PROTOCOL_VERSION", version=200, min_version=100, max_version=200),
     }
 )
-"""Payloads by the message that carries them."""
+"""Payloads of the messages that identify us, by name."""
 
 
 _UNKNOWN_PROGRESS = 255
 _GONE_NS = 30 * SECOND_NS
-"""Without a heartbeat of the commander for so long, what it commanded counts no more."""
+"""After so long without a heartbeat of the commander, its command ends."""
 
 
 class Result(IntEnum):
@@ -73,20 +73,20 @@ class Result(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stream:
-    """A message of ours that may be asked for."""
+    """A message of ours that may be requested."""
 
     rate: float
     """By default, Hz."""
     smallest: float
-    """Hz; rarer is a mistake, and what should not come is switched off."""
+    """Hz; a lower one is refused as a mistake."""
     largest: float
     """Hz."""
     request: Callable[[], bool]
-    """Has it sent with the next estimate; False: there is none to send."""
+    """Sends it with the next estimate; returns False if there is none."""
 
 
 @dataclass(slots=True)
-class _Wish:
+class _CommandedRate:
     """A rate that somebody has commanded."""
 
     rate: float
@@ -94,11 +94,11 @@ class _Wish:
     commander: tuple[int, int]
     """System and component id."""
     heard_ns: int | None = None
-    """When its last heartbeat came since; None: it sends none, and is not missed."""
+    """When its last heartbeat came since; None: it has sent none, and is not missed."""
 
 
 class Commands(Service):
-    """Obeys and answers, whoever commands.
+    """Obeys and answers commands of anybody.
 
     A commanded rate holds while its commander and the autopilot are there: it ends when either is
     lost, and when the autopilot reboots.
@@ -114,54 +114,54 @@ class Commands(Service):
         self._emit = emit
         self._heartbeat = heartbeat
         self._streams: dict[str, Stream] = {}
-        self._wishes: dict[str, _Wish] = {}
+        self._commanded: dict[str, _CommandedRate] = {}
 
     def offer(self, name: str, stream: Stream) -> None:
-        """Let a message be asked for, or change what is offered."""
+        """Offer a message to be requested, or change the offer."""
         self._streams[name] = stream
 
     def rate(self, name: str) -> float:
-        """Give the rate of an offered message, Hz: as asked for, or by default; 0: off."""
+        """Return the rate of an offered message, Hz: as commanded, or the default; 0: off."""
         stream = self._streams[name]
-        wish = self._wishes.get(name)
-        return min(stream.rate if wish is None else wish.rate, stream.largest)
+        commanded = self._commanded.get(name)
+        return min(stream.rate if commanded is None else commanded.rate, stream.largest)
 
     def slowed_by(self, name: str) -> Slowed | None:
-        """Give who has commanded less of a message than comes by default; None: nobody has."""
-        wish = self._wishes.get(name)
-        if wish is None:
+        """Return who has commanded a lower rate of a message than its default; None: nobody has."""
+        commanded = self._commanded.get(name)
+        if commanded is None:
             return None
         rate, stream = self.rate(name), self._streams[name]
         is_less = rate < min(stream.rate, stream.largest)
-        return Slowed(*wish.commander, rate) if is_less else None
+        return Slowed(*commanded.commander, rate) if is_less else None
 
     def begin(self, peer: PeerFound) -> None:
-        """Go back to the rates by default."""
-        self._forget(list(self._wishes))
+        """Return to the default rates."""
+        self._forget(list(self._commanded))
 
     def end(self) -> None:
-        """Likewise."""
-        self._forget(list(self._wishes))
+        """Return to the default rates."""
+        self._forget(list(self._commanded))
 
     def tick(self, now_ns: int) -> None:
-        """Notice that a commander has gone."""
+        """End the commands of who has gone."""
         self._forget(
             [
                 name
-                for name, wish in self._wishes.items()
-                if wish.heard_ns is not None and now_ns - wish.heard_ns > _GONE_NS
+                for name, commanded in self._commanded.items()
+                if commanded.heard_ns is not None and now_ns - commanded.heard_ns > _GONE_NS
             ]
         )
 
     def _forget(self, names: list[str]) -> None:
         for name in names:
-            del self._wishes[name]
+            del self._commanded[name]
             self._emit(IntervalSet(name, self.rate(name)))
 
     def _take_heartbeat(self, heartbeat: Any, frame: Frame, now_ns: int) -> None:
-        for wish in self._wishes.values():
-            if wish.commander == frame[1:3]:
-                wish.heard_ns = now_ns
+        for commanded in self._commanded.values():
+            if commanded.commander == frame[1:3]:
+                commanded.heard_ns = now_ns
 
     def _take(self, command: Any, frame: Frame, now_ns: int) -> None:
         is_direct = command.target_component == self._outbox.ids[1]
@@ -172,7 +172,7 @@ class Commands(Service):
         elif command.command == encode.SET_MESSAGE_INTERVAL and is_direct:
             result = self._set_interval(message, command.param2, frame[1:3])
         if result is Result.UNSUPPORTED and not is_direct:
-            return  # everybody was told, and it is somebody else's to answer
+            return  # sent to everybody, for somebody else to answer
         payload = pack(
             "COMMAND_ACK",
             command=command.command,
@@ -198,7 +198,7 @@ class Commands(Service):
         return Result.ACCEPTED
 
     def _interval(self, message_id: int) -> bytes:
-        """Give the payload of MESSAGE_INTERVAL: 0 for what is never sent, -1 for what is off."""
+        """Return the payload of MESSAGE_INTERVAL: 0 for what is never sent, -1 for what is off."""
         name, interval_us = LAYOUTS[message_id].name if message_id in LAYOUTS else "", 0
         if name == "HEARTBEAT":
             interval_us = 1_000_000
@@ -212,22 +212,22 @@ class Commands(Service):
             return Result.UNSUPPORTED
         stream = self._streams[name]
         if interval_us == 0.0:
-            self._wishes.pop(name, None)
+            self._commanded.pop(name, None)
         elif interval_us == -1.0:
-            self._wishes[name] = _Wish(0.0, commander)
+            self._commanded[name] = _CommandedRate(0.0, commander)
         elif not stream.smallest <= (rate := _rate(interval_us)) <= stream.largest:
             return Result.DENIED
         else:
-            self._wishes[name] = _Wish(rate, commander)
+            self._commanded[name] = _CommandedRate(rate, commander)
         self._emit(IntervalSet(name, self.rate(name)))
         return Result.ACCEPTED
 
 
 def _rate(interval_us: float) -> float:
-    """Give the rate of an interval, Hz; NaN where there is none."""
+    """Return the rate of an interval, Hz; NaN where there is none."""
     return 1e6 / interval_us if interval_us > 0.0 else math.nan
 
 
 def _whole(number: float) -> int:
-    """Give a message id out of a float, which a stranger may have made anything; -1: none."""
+    """Return the message id in a float, which may be anything; -1: none."""
     return int(number) if 0.0 <= number <= 65535.0 else -1

@@ -1,19 +1,19 @@
-"""Stamps taken when a message was sent, brought back to when its sample was taken.
+"""Stamps taken when a message was sent, corrected to when its sample was taken.
 
-ArduPilot stamps an inertial message as it sends it. The sample is of the beginning of the turn of
-its main loop; by what else the loop did first, the stamp is late: up to a turn, and never early.
-Which turns send is uneven, as whole milliseconds decide it, but every sample lies on the grid of
-the loop's turns. So the period of the loop is looked for among those that there are; the line that
-all stamps are above, and some on, is the grid; and a stamp goes back to the turn before it. The
-line is let up to the least late of every 8 stamps, which costs an eighth of the mean lateness and
-finds a loop that overran within some 0.1 s; what it had to move corrects the period.
+ArduPilot stamps an inertial message when it sends it. The sample was taken at the beginning of that
+cycle of its main loop; the stamp is late by what else the loop did first: up to a cycle, and never
+early. Whole milliseconds decide which cycles send, so these are uneven, but every sample lies on
+the grid of the cycles. So the period of the loop is sought among the known ones; the line below all
+stamps, which some touch, is the grid; and a stamp is moved back to the cycle before it. The line is
+raised to the least late of every 8 stamps, which costs an eighth of the mean lateness and finds a
+loop that overran within some 0.1 s; how far it had to move corrects the period.
 
-Elsewhere whole milliseconds cut a sample's stamp down. They are set on the line of their own
-period, in the middle of their millisecond.
+Other autopilots truncate a sample's stamp to whole milliseconds. Those stamps are set on the line
+of their own period, in the middle of their millisecond.
 
-Lateness of sending has no memory: one stamp's says nothing of the next's. Where it has (a loop
-that overruns its turns), where it fills the whole turn, and where there is nothing to gain, stamps
-are left as they are.
+The lateness of sending has no memory: that of one stamp does not depend on the one before. Where it
+does (a loop that overruns its cycles), where it fills the whole cycle, and where nothing is to be
+gained, stamps are left as they are.
 
 The lower envelope as an estimator of one-way delays: Moon, Skelly and Towsley, "Estimation and
 removal of clock skew from network delay measurements", INFOCOM 1999; of a sensor's stamps: Olson,
@@ -27,60 +27,54 @@ import math
 from itertools import pairwise
 
 LOOPS_US = (2500.0, 1e4 / 3.0, 2000.0, 1250.0)
-"""Turns of ArduPilot's loop, from the commonest: SCHED_LOOP_RATE of 400, 300, 500 and 800 Hz. No
-stamp is moved by more than a turn. Longer ones are left out: two or four turns look like one where
-every second or fourth sends, until another does."""
+"""Cycles of ArduPilot's loop, the commonest first: SCHED_LOOP_RATE of 400, 300, 500 and 800 Hz. No
+stamp is moved by more than a cycle. Longer ones are left out: two or four cycles look like one
+where only every other or fourth sends."""
 LINE = 8
 """Stamps between two corrections of the line."""
 BLOCK = 4 * LINE
-"""Stamps between two corrections of the period, and looks at the lateness."""
+"""Stamps between two corrections of the period, and of the statistics of the lateness."""
 LEARNING = 128
-"""Stamps that the period is looked for in."""
+"""Stamps in which the period is sought."""
 SETTLED = 24
 """Blocks until line, period and lateness are known well enough."""
 _AGAIN = 64
-"""Blocks without a use, after which the period is looked for anew."""
+"""Blocks without any use, after which the period is sought again."""
 _CONCENTRATED = 0.55
-"""Length of the mean of unit vectors, the turn a full circle: how well stamps must keep to a turn.
-Exponential lateness of 0.24 turns, 0.6 ms of a 400 Hz loop, gives as much."""
+"""Length of the mean of unit vectors, a cycle being a full circle: how well stamps must keep to it.
+Exponential lateness of 0.24 cycles, 0.6 ms of a 400 Hz loop, gives as much."""
 _COARSE = 2.5
-"""Resolutions; to a shorter turn stamps cannot be seen to keep."""
+"""Resolutions; whether stamps keep to a shorter cycle cannot be seen."""
 _EVEN = 20_000.0
-"""ns, mean change of lateness: below, nothing is to be gained."""
+"""ns, mean change of lateness; below it nothing is to be gained."""
 _WIDE = 0.2
-"""Of a turn, standard deviation of lateness: spread evenly over a turn it is 0.29."""
+"""Of a cycle, standard deviation of lateness: spread evenly over a cycle it is 0.29."""
 _MEMORY = 0.12
-"""Mean square of the change of lateness over one step, and two, each by twice the variance, is 1
-without memory. By so much it may be off: three sigma of the mean over some forty blocks."""
+"""Without memory the mean square of the change of lateness, over one step or two, is twice the
+variance. It may differ by this share: three sigma of the mean over some forty blocks."""
 _HYSTERESIS = 1.2
 _EARLY = 0.1
-"""Turns; a stamp may be so much before the line, which is then brought down to it."""
+"""Cycles; a stamp may be so much before the line, which is then brought down to it."""
 _CUT = 1.2
-"""Resolutions; lateness within it is that of the cutting alone."""
+"""Resolutions; a lateness within it comes from the truncation alone."""
 _CORRECTION = 0.3
-"""Share of what the line moved that is put down to the period."""
+"""Share of the line's movement that is attributed to the period."""
 _SLIP = 0.2
-"""Turns; a line that moves more within a block follows a loop that overran."""
+"""Cycles; a line that moves more within a block follows a loop that overran."""
 _FORGETTING = 0.05
-"""Weight of the newest block in what is known of the lateness."""
+"""Weight of the newest block in the statistics of the lateness."""
 _LONGEST = 2_000_000_000
-"""ns; after such a gap all is learnt anew."""
+"""ns; after such a gap everything is estimated anew."""
 
 
 class Dejitter:
-    """The stamps of one stream of messages, one after the other. No time of arrival enters."""
-
-    __slots__ = (
-        *("is_active", "period", "spread", "_blocks", "_far", "_grid", "_half", "_is_loop"),
-        *("_last", "_lates", "_least", "_left", "_most", "_moved", "_near", "_out"),
-        *("_per_turn", "_stamps", "_turns", "_variance"),
-    )
+    """Corrects the stamps of one stream of messages, without any time of arrival."""
 
     def __init__(self, resolution_us: int = 1) -> None:
         """Begin with nothing known.
 
         Args:
-            resolution_us: Of the stamps, which are cut down to it.
+            resolution_us: To which the stamps are truncated.
         """
         self._half = resolution_us * 500 if resolution_us > 1 else 0
         self._last = self._out = -1
@@ -89,9 +83,9 @@ class Dejitter:
 
     def _learn_anew(self) -> None:
         self.is_active = False
-        """Whether stamps are being moved."""
+        """Whether stamps are being corrected."""
         self.period = 0.0
-        """Of the grid, ns; 0: it is being learnt."""
+        """Of the grid, ns; 0: not known yet."""
         self.spread = 0.0
         """Mean change of lateness from one stamp to the next, ns."""
         self._stamps: list[int] = []
@@ -102,13 +96,13 @@ class Dejitter:
         self._lates: list[float] = []  # by the line as it was at the block's begin
         self._least = math.inf
         self._moved = 0.0
-        self._turns = 0
+        self._cycles = 0
         self._left = LINE
 
     def smooth(self, stamp_us: int) -> int | None:
-        """Give the time of a sample, ns, later than all before; None: it came out of order.
+        """Return the time of a sample, ns, later than all before; None if it came out of order.
 
-        Out of order is a stamp, while stamps are being moved, that is not after the one before.
+        While stamps are being corrected, one that is not later than the one before is out of order.
         """
         now = stamp_us * 1000
         if now <= self._last:
@@ -121,14 +115,14 @@ class Dejitter:
             self._out = now
             return now
 
-        # Which turn was it, and how late in it?
+        # Which cycle was it, and how late in it?
         ahead = now - self._grid
-        turns = int(ahead * self._per_turn + _EARLY)
-        if turns < 1:
-            late = math.inf  # no turn of its own
+        cycles = int(ahead * self._per_cycle + _EARLY)
+        if cycles < 1:
+            late = math.inf  # no cycle of its own
         else:
-            self._turns += turns
-            late = ahead - turns * self.period
+            self._cycles += cycles
+            late = ahead - cycles * self.period
             if late < 0.0:
                 self._moved += late
                 late = 0.0
@@ -147,7 +141,7 @@ class Dejitter:
         return out
 
     def _learn(self, now: int) -> None:
-        """Look for a period whose turns the stamps keep to."""
+        """Seek a period to which the stamps keep."""
         self._stamps.append(now)
         if len(self._stamps) < LEARNING:
             return
@@ -165,14 +159,14 @@ class Dejitter:
             self._take_period(sum(usual) / len(usual), now, is_loop=False)
 
     def _take_period(self, period: float, now: int, *, is_loop: bool) -> None:
-        self.period, self._per_turn = period, 1.0 / period
+        self.period, self._per_cycle = period, 1.0 / period
         self._is_loop = is_loop
         self._grid = now
         self._most = 0.0
         self._begin_block()
 
     def _let_up(self, late: float) -> float:
-        """Let the line up to the least late; give how late the newest stamp is by that."""
+        """Raise the line to the least late stamp; return how late the newest one is by it."""
         self._grid += int(self._least)
         self._moved += self._least
         late -= self._least
@@ -182,19 +176,19 @@ class Dejitter:
         return late
 
     def _settle(self) -> None:
-        """Correct the period by what the line had to move, and look at the lateness."""
+        """Correct the period by the line's movement; decide by the lateness whether to go on."""
         if abs(self._moved) < _SLIP * self.period:
-            self.period += _CORRECTION * self._moved / self._turns
-            self._per_turn = 1.0 / self.period
+            self.period += _CORRECTION * self._moved / self._cycles
+            self._per_cycle = 1.0 / self.period
         self._blocks += 1
-        self._account(self._lates)
+        self._update_statistics(self._lates)
         self.is_active = self._blocks >= SETTLED and self._is_to_be_moved()
         self._begin_block()
         if self._blocks % _AGAIN == 0 and not self.is_active:
             self._learn_anew()
 
-    def _account(self, lates: list[float]) -> None:
-        """Keep what the block says of the lateness."""
+    def _update_statistics(self, lates: list[float]) -> None:
+        """Update the statistics of the lateness by a block."""
         near = [b - a for a, b in pairwise(lates)]
         far = [b - a for a, b in zip(lates, lates[2:], strict=False)]
         mean = sum(lates) / BLOCK
@@ -207,7 +201,7 @@ class Dejitter:
         self._most = max(max(lates) - min(lates), 0.95 * self._most)
 
     def _is_to_be_moved(self) -> bool:
-        """Whether the lateness is that of sending, or of cutting."""
+        """Whether the lateness is that of sending, or of truncation."""
         wider = _HYSTERESIS if self.is_active else 1.0
         if self.spread * wider < _EVEN:
             return False

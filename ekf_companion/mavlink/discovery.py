@@ -1,10 +1,10 @@
-"""Whom the session listens to: the autopilot, found by its heartbeat, and missed without it.
+"""Which autopilot the session listens to: found by its heartbeat, and lost without it.
 
-Nobody is waited for: the first autopilot that is heard is taken, and a choice is corrected as soon
-as a better one beats steadily. A stack that is known goes before one that is not, and component 1
-before any other of its system. One stray heartbeat must not blind us for ever: who is lost is
-waited for while it may be rebooting, if it has ever beaten steadily; then another may take its
-place, until it is back.
+The first autopilot that is heard is taken at once, and the choice is corrected as soon as a better
+one sends heartbeats steadily. A known firmware goes before an unknown one, and component 1 before
+any other of its system. One stray heartbeat must not bind us for ever: an autopilot that is lost is
+waited for while it may be rebooting, if its heartbeats ever came steadily; then another may take
+its place until it is back.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS, quantise
 
 _APART_NS = SECOND_NS // 2
-"""Two heartbeats so far apart are those of somebody who goes on: it sends one a second."""
+"""Two heartbeats so far apart prove a sender that stays: it sends one a second."""
 
 
 class Presence:
-    """There from the second heartbeat on, gone some seconds after the last."""
+    """Whether a sender is there: from its second heartbeat until some seconds after its last."""
 
     def __init__(self, gone_ns: int) -> None:
         self.is_there = False
@@ -31,8 +31,8 @@ class Presence:
         self._first_ns = 0
         self._last_ns: int | None = None
 
-    def hear(self, now_ns: int) -> None:
-        """Take a heartbeat of it."""
+    def on_heartbeat(self, now_ns: int) -> None:
+        """Note one of its heartbeats."""
         now_ns = quantise(now_ns)
         if self._last_ns is None or now_ns - self._last_ns > self._gone_ns:
             self.is_there, self._first_ns = False, now_ns
@@ -47,17 +47,16 @@ class Presence:
 
 _PEER_TIMEOUT_NS = 5 * SECOND_NS
 _REBOOT_NS = 30 * SECOND_NS
-"""So long after its last heartbeat a vehicle may be back: a bootloader, a self-test, a start."""
+"""A vehicle may be back so long after its last heartbeat: a bootloader, a self-test, a start."""
 _SOON_NS = 300 * SECOND_NS
-"""One that was given up is returned to if it is back by then; later, another was put in its place.
-"""
+"""An autopilot that was given up is returned to if it is back by then; later, it was replaced."""
 _OTHER_TIMEOUT_NS = 10 * SECOND_NS
-"""Longer than for the peer: a thin link must not make another come and go."""
+"""Longer than for the peer: a lossy link must not make another come and go."""
 _NO_AUTOPILOT = 8
 _AUTOPILOT = 1
 """MAV_COMP_ID_AUTOPILOT1."""
 _NO_VEHICLES = frozenset((6, 18, 26, 27, *range(30, 35), *range(36, 43), 44, 48, 49))
-"""MAV_TYPE of what is on a vehicle or beside it: ground station, onboard controller, gimbal, ADS-B,
+"""MAV_TYPE of what is no vehicle: ground station, onboard controller, gimbal, ADS-B,
 camera, charging station, FLARM, servo, remote id, battery, parachute, log, OSD, IMU, GPS, winch,
 illuminator, gripper, radio."""
 _FAMILIES = {3: Family.ARDUPILOT, 12: Family.PX4}
@@ -69,14 +68,14 @@ def is_autopilot(autopilot: int, kind: int) -> bool:
 
 
 class Discovery(Service):
-    """Finds one autopilot and keeps to it while it is there."""
+    """Finds one autopilot and stays with it while it is there."""
 
     def __init__(
         self,
         emit: Emit,
         begin: Callable[[PeerFound], None],
         end: Callable[[], None],
-        share: Callable[[int | None], None],
+        on_other_autopilot: Callable[[int | None], None],
         *,
         wanted: int | None = None,
         expected: PeerFound | None = None,
@@ -84,17 +83,17 @@ class Discovery(Service):
         """Begin with nobody.
 
         Args:
-            emit: Takes what has happened.
+            emit: Takes the events.
             begin: Called when an autopilot is found, the first time or again.
             end: Called when it is lost.
-            share: Called with the system of another PX4 or ArduPilot that is heard too, and with
-                None when it is no more.
+            on_other_autopilot: Called with the system of another PX4 or ArduPilot that is heard
+                too, and with None when it no longer is.
             wanted: System id of the one to listen to; None: the best that is heard.
-            expected: One known from an earlier run, found by whatever it says first.
+            expected: One known from an earlier run, found by its first frame of any kind.
         """
         self.handles = {"HEARTBEAT": self._take}
         self.peer: tuple[int, int] | None = None
-        """System and component id; kept when it is lost: it is waited for."""
+        """System and component id; kept when it is lost, as it is waited for."""
         self.family = Family.UNKNOWN
         self.is_lost = False
         self.heard_ns = 0
@@ -103,27 +102,27 @@ class Discovery(Service):
         self._begin = begin
         self._end = end
         self._wanted = wanted
-        self._share = share
+        self._on_other_autopilot = on_other_autopilot
         self._expected = expected
         self._is_sure = False
-        """Whether a heartbeat has said the family."""
+        """Whether the family is known from a heartbeat."""
         self._doubt: Family | None = None
-        """Another one than is known, as the last heartbeat said."""
+        """The other family that the last heartbeat named."""
         self._beats: dict[int, Presence] = {}
         """Of each system whose autopilot was heard."""
         self._known: set[int] = set()
         """Those of them that are PX4 or ArduPilot."""
         self._other_id: int | None = None
-        self._has_told_others = False
+        self._has_warned = False
         self._awaited_ns = 0
         """Until when the peer that is lost is waited for."""
         self._given_up: tuple[int, int] | None = None
-        """Who was not waited for any longer."""
+        """The autopilot that is no longer waited for."""
         self._returns_ns = 0
         """Until when it is returned to."""
 
     def recognise(self, sender: tuple[int, int], now_ns: int) -> None:
-        """Take the sender for the autopilot if it is the one expected."""
+        """Find the autopilot if the sender is the one expected."""
         expected = self._expected
         if expected is None or sender != (expected.system_id, expected.component_id):
             return
@@ -138,7 +137,7 @@ class Discovery(Service):
             self._miss(self.peer, now_ns)
         for beat in self._beats.values():
             beat.tick(now_ns)
-        self._tell_share()
+        self._report_other()
 
     def _miss(self, peer: tuple[int, int], now_ns: int) -> None:
         if quantise(now_ns) - self.heard_ns <= _PEER_TIMEOUT_NS:
@@ -150,8 +149,8 @@ class Discovery(Service):
         self._end()
         self._emit(PeerLost(self.heard_ns))
 
-    def _tell_share(self) -> None:
-        """Say which other system's autopilot is on the link, where that changes."""
+    def _report_other(self) -> None:
+        """Report which other system's autopilot is on the link, where that changes."""
         others = [
             system_id
             for system_id in self._known
@@ -160,7 +159,7 @@ class Discovery(Service):
         other_id = min(others, default=None)
         if other_id != self._other_id:
             self._other_id = other_id
-            self._share(other_id)
+            self._on_other_autopilot(other_id)
 
     def _take(self, heartbeat: Any, frame: Frame, now_ns: int) -> None:
         if not is_autopilot(heartbeat.autopilot, heartbeat.type):
@@ -168,28 +167,28 @@ class Discovery(Service):
         self.tick(now_ns)
         sender = frame[1:3]
         family = _FAMILIES.get(heartbeat.autopilot, Family.UNKNOWN)
-        self._note(sender[0], family, now_ns)
+        self._count_heartbeat(sender[0], family, now_ns)
         if sender != self.peer:
             if not self._is_better(sender, family, now_ns):
-                self._hear_other(sender[0])
+                self._warn_of_other(sender[0])
                 return
             self._change(sender)
-        self._tell_share()
+        self._report_other()
         self.heard_ns = quantise(now_ns)
         if self._is_new(family) or self.is_lost:
-            # A stack that is known stays so for a heartbeat that names none: a bootloader's
+            # A known family stays known when a heartbeat names none, as a bootloader's does
             is_named = family is not Family.UNKNOWN or not self._is_sure
             self._find(family if is_named else self.family, now_ns)
         self._is_sure = True
 
-    def _note(self, system_id: int, family: Family, now_ns: int) -> None:
-        """Take an autopilot's heartbeat for its system's."""
-        self._beats.setdefault(system_id, Presence(_OTHER_TIMEOUT_NS)).hear(now_ns)
+    def _count_heartbeat(self, system_id: int, family: Family, now_ns: int) -> None:
+        """Note an autopilot's heartbeat for its system."""
+        self._beats.setdefault(system_id, Presence(_OTHER_TIMEOUT_NS)).on_heartbeat(now_ns)
         if family is not Family.UNKNOWN:
             self._known.add(system_id)
 
     def _is_better(self, sender: tuple[int, int], family: Family, now_ns: int) -> bool:
-        """Whether to listen to somebody who is not the peer from now on."""
+        """Whether to listen, from now on, to somebody who is not the peer."""
         if self._wanted not in (None, sender[0]):
             return False
         if self.peer is None:
@@ -198,7 +197,7 @@ class Discovery(Service):
         if sender[0] == self.peer[0]:
             if not self.is_lost:
                 return sender[1] == _AUTOPILOT
-            # A gimbal that calls itself an autopilot does not stand in for the vehicle's
+            # A gimbal that calls itself an autopilot does not replace the vehicle's
             ours = (known, self.peer[1] == _AUTOPILOT)
             return (is_known, sender[1] == _AUTOPILOT) >= ours
         if self._beats[sender[0]].is_there:
@@ -209,7 +208,7 @@ class Discovery(Service):
         return self.is_lost and quantise(now_ns) > self._awaited_ns
 
     def _change(self, sender: tuple[int, int]) -> None:
-        """Turn to somebody else, as if nobody had been heard before."""
+        """Listen to somebody else, as if nobody had been heard before."""
         if self.peer is not None:
             is_given_up = self.is_lost and self._awaited_ns > self.heard_ns
             self._given_up = self.peer if is_given_up else None
@@ -221,7 +220,7 @@ class Discovery(Service):
         self.family = Family.UNKNOWN
 
     def _is_new(self, family: Family) -> bool:
-        """Whether the peer is of another family than was thought; of a known one, said twice."""
+        """Whether the peer proves to be of another family; a known one takes two heartbeats."""
         if family is self.family or (family is Family.UNKNOWN and self._is_sure):
             self._doubt = None
             return False
@@ -232,13 +231,13 @@ class Discovery(Service):
         self._doubt = None
         return True
 
-    def _hear_other(self, other_id: int) -> None:
-        """Say once that there is a choice to make, where another system's autopilot is there."""
-        self._tell_share()
+    def _warn_of_other(self, other_id: int) -> None:
+        """Emit once that there are several autopilots to choose from."""
+        self._report_other()
         if self.peer is None or other_id == self.peer[0]:
             return
-        if self._wanted is None and not self._has_told_others:
-            self._has_told_others = True
+        if self._wanted is None and not self._has_warned:
+            self._has_warned = True
             self._emit(SeveralAutopilots(self.peer[0], other_id))
 
     def _find(self, family: Family, now_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""Estimates to payloads, in wire units, as the two autopilots take them."""
+"""Estimates to payloads, in wire units, as the two autopilots accept them."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Frame(IntEnum):
     LOCAL_NED = 1
     """North, east, down: for listeners that are no autopilot."""
     BODY_FRD = 12
-    """Forward, right, down: the one frame of the velocity that every listener takes."""
+    """Forward, right, down: the one frame of the velocity that every listener accepts."""
     LOCAL_FRD = 20
-    """Here with forward to the north: the one frame of the pose that both autopilots take."""
+    """Here with forward to the north: the one frame of the pose that both autopilots accept."""
 
 
 class EstimatorType(IntEnum):
@@ -32,7 +32,7 @@ class EstimatorType(IntEnum):
 
 
 class SystemStatus(IntEnum):
-    """MAV_STATE: what our heartbeat says of us."""
+    """MAV_STATE: our state, in our heartbeat."""
 
     BOOT = 1
     CALIBRATING = 2
@@ -50,16 +50,16 @@ SYSTEM_STATUS = {
     Status.DEAD_RECKONING: SystemStatus.CRITICAL,
     Status.INVALID: SystemStatus.CRITICAL,
 }
-"""What our heartbeat says of an estimate's status."""
+"""Our state by the status of the estimate."""
 
 
 def estimator_type(family: Family) -> EstimatorType:
-    """Give the honest type, or for PX4, which refuses that with a critical text, the nearest."""
+    """Return the true type, or the nearest for PX4, which refuses that with a critical text."""
     return EstimatorType.VIO if family is Family.PX4 else EstimatorType.GPS_INS
 
 
 def reset_counter(count: int) -> int:
-    """Give a count of resets as 1 to 255, from 1: 0 would say that none is kept."""
+    """Return a count of resets as 1 to 255, from 1 on: 0 would mean that none are counted."""
     return count % 255 + 1
 
 
@@ -72,7 +72,7 @@ def odometry(
     frame: Frame = Frame.LOCAL_FRD,
     estimator: EstimatorType = EstimatorType.GPS_INS,
 ) -> bytes:
-    """Give the payload of ODOMETRY."""
+    """Return the payload of ODOMETRY."""
     return _ODOMETRY.pack(
         estimate.t_ns // 1000,
         estimate.numbers,
@@ -103,7 +103,7 @@ class StatusFlag(IntFlag):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimatorHealth:
-    """How the filter judges itself; a ratio is innovation over gate, above 1 refused."""
+    """The filter's own health; a ratio is innovation over gate, above 1 refused."""
 
     t_ns: int
     flags: StatusFlag
@@ -118,7 +118,7 @@ class EstimatorHealth:
 
 
 def estimator_status(health: EstimatorHealth) -> bytes:
-    """Give the payload of ESTIMATOR_STATUS; a ratio that is not known (NaN) stays NaN."""
+    """Return the payload of ESTIMATOR_STATUS; a ratio that is not known (NaN) stays NaN."""
     return pack(
         "ESTIMATOR_STATUS",
         time_usec=health.t_ns // 1000,
@@ -143,7 +143,7 @@ REQUEST_MESSAGE = 512
 
 
 def heartbeat(status: SystemStatus, mode: int = 0) -> bytes:
-    """Give the payload of our HEARTBEAT: an onboard controller that is no autopilot.
+    """Return the payload of our HEARTBEAT: an onboard controller that is no autopilot.
 
     ``mode`` is ours to define, and is the ``nav.state.Status`` of the estimate.
     """
@@ -160,7 +160,7 @@ def heartbeat(status: SystemStatus, mode: int = 0) -> bytes:
 def set_message_interval(
     message_id: int, rate: float, *, target_system: int, target_component: int, confirmation: int
 ) -> bytes:
-    """Give the payload of the COMMAND_LONG that asks for a message at a rate, Hz; 0: none."""
+    """Return the payload of the COMMAND_LONG that requests a message at a rate, Hz; 0: none."""
     return pack(
         "COMMAND_LONG",
         target_system=target_system,
@@ -175,7 +175,7 @@ def set_message_interval(
 def request_message(
     message_id: int, *, target_system: int, target_component: int, confirmation: int
 ) -> bytes:
-    """Give the payload of the COMMAND_LONG that asks for a message once."""
+    """Return the payload of the COMMAND_LONG that requests a message once."""
     return pack(
         "COMMAND_LONG",
         target_system=target_system,
@@ -189,7 +189,7 @@ def request_message(
 def request_data_stream(
     group: int, rate: float, *, target_system: int, target_component: int
 ) -> bytes:
-    """Give the payload of REQUEST_DATA_STREAM for a group of messages at a rate, Hz."""
+    """Return the payload of REQUEST_DATA_STREAM for a group of messages at a rate, Hz."""
     return pack(
         "REQUEST_DATA_STREAM",
         target_system=target_system,
@@ -201,7 +201,7 @@ def request_data_stream(
 
 
 def timesync(tc1: int, ts1: int, *, target_system: int, target_component: int) -> bytes:
-    """Give the payload of TIMESYNC with its targets, 18 bytes; ``tc1 == 0`` asks."""
+    """Return the payload of TIMESYNC with its targets, 18 bytes; ``tc1 == 0`` asks."""
     return pack(
         "TIMESYNC",
         tc1=tc1,
@@ -212,7 +212,7 @@ def timesync(tc1: int, ts1: int, *, target_system: int, target_component: int) -
 
 
 def gps_global_origin(lat: float, lon: float, alt: float, *, t_ns: int) -> bytes:
-    """Give the payload of GPS_GLOBAL_ORIGIN: where our positions count from (rad, rad, m)."""
+    """Return the payload of GPS_GLOBAL_ORIGIN: where our positions count from (rad, rad, m)."""
     return pack(
         "GPS_GLOBAL_ORIGIN",
         latitude=round(math.degrees(lat) * 1e7),
@@ -229,11 +229,11 @@ class Label:
     frame: Frame
     estimator: EstimatorType
     warnings: tuple[str, ...]
-    """What of the configuration was not, or in vain, done; each a sentence without full stop."""
+    """What of the configuration is not done, or has no effect; sentences without full stop."""
 
 
 MONITOR = Label(Frame.LOCAL_NED, EstimatorType.GPS_INS, ())
-"""Towards a listener that is no autopilot: as it is."""
+"""For a listener that is no autopilot: the true type and frame."""
 
 
 def label(
@@ -241,10 +241,10 @@ def label(
     frame: Literal["LOCAL_FRD", "LOCAL_NED"],
     chosen: Literal["auto", "GPS_INS", "VIO"],
 ) -> Label:
-    """Give the label that was configured, but never a type that the autopilot refuses.
+    """Return the label that is configured, but never a type that the autopilot refuses.
 
-    PX4 answers GPS_INS with a critical text, message by message; ArduPilot drops every frame of
-    the pose but LOCAL_FRD without a word. An autopilot of unknown family is an autopilot still.
+    PX4 answers every GPS_INS with a critical text; ArduPilot silently drops every frame of the pose
+    but LOCAL_FRD. An autopilot of unknown family is labelled as one of a known family is.
     """
     warnings = []
     estimator = estimator_type(family) if chosen == "auto" else EstimatorType[chosen]

@@ -1,12 +1,12 @@
-"""What happens in a session that somebody may want to know."""
+"""Events of a session: what has happened on the link."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ekf_companion.mavlink.decision import Decision
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.verdict import Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,19 +28,19 @@ class PeerLost:
 
 @dataclass(frozen=True, slots=True)
 class Rebooted:
-    """The autopilot's clock began anew."""
+    """The autopilot's clock has restarted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Noted:
-    """What the autopilot's messages are like, where a human should hear of it."""
+    """A peculiarity of the autopilot's messages that a human should know of."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class Answered:
-    """What became of a request for a message."""
+class RequestAnswered:
+    """A request for a message was answered, or given up."""
 
     message: str
     result: str
@@ -49,7 +49,7 @@ class Answered:
 
 @dataclass(frozen=True, slots=True)
 class SeveralAutopilots:
-    """Another vehicle's autopilot is heard, and nobody has said which one to listen to."""
+    """Another vehicle's autopilot is heard, and the configuration names none to listen to."""
 
     system_id: int
     """Of the one that is listened to."""
@@ -58,19 +58,19 @@ class SeveralAutopilots:
 
 @dataclass(frozen=True, slots=True)
 class PeerChanged:
-    """Another autopilot is listened to from now on; that it was found is said too."""
+    """Another autopilot is listened to from now on; a PeerFound follows."""
 
     was: tuple[int, int]
     """System and component id."""
     now: tuple[int, int]
     is_lost: bool
-    """Whether the one before had fallen silent; else it goes after the other: no component 1, of no
-    known stack, or taken only while the other was silent."""
+    """Whether the one before had fallen silent; else the other is the better choice: component 1,
+    of a known family, or the one that was replaced while it was silent."""
 
 
 @dataclass(frozen=True, slots=True)
-class Versioned:
-    """The autopilot told its firmware."""
+class FirmwareReported:
+    """The autopilot has reported its firmware."""
 
     version: str
     """As in ``1.16.0``."""
@@ -85,8 +85,8 @@ class Clash:
 
 
 @dataclass(frozen=True, slots=True)
-class RateInVain:
-    """A message comes too rarely, however often it is asked for."""
+class RateTooLow:
+    """A message comes too rarely, however often it is requested."""
 
     message: str
     asked: float
@@ -105,14 +105,14 @@ class ParameterSet:
     key: str
     """Of the configuration, dotted."""
     value: float
-    """As it is told over MAVLink."""
+    """As the parameter carries it."""
     is_late: bool = False
-    """Whether it counts from the next start only."""
+    """Whether it takes effect only at the next start."""
 
 
 @dataclass(frozen=True, slots=True)
 class IntervalSet:
-    """Somebody wants one of our messages at another rate."""
+    """Somebody has set the rate of one of our messages."""
 
     message: str
     rate: float
@@ -123,19 +123,19 @@ class IntervalSet:
 class GuardChanged:
     """ODOMETRY is sent from now on, or no longer, or for another reason."""
 
-    verdict: Verdict
+    decision: Decision
 
 
 Event = (
     PeerFound
     | PeerLost
     | Rebooted
-    | Answered
+    | RequestAnswered
     | SeveralAutopilots
     | PeerChanged
-    | Versioned
+    | FirmwareReported
     | Clash
-    | RateInVain
+    | RateTooLow
     | ParameterSet
     | IntervalSet
     | GuardChanged
@@ -143,4 +143,4 @@ Event = (
 )
 
 Emit = Callable[[Event], None]
-"""Takes what has happened."""
+"""Takes an event."""

@@ -1,12 +1,12 @@
 """Bytes to frames and back, MAVLink 1 and 2.
 
-Only a right checksum makes a frame. From a wrong one the search goes on at the byte after the
+Only a right checksum makes a frame. After a wrong one the search continues at the byte after the
 start byte, so that a false start or a damaged frame costs nothing but itself: every good frame
 that does not begin inside another good frame is found, however the bytes were cut into pieces.
 
-A frame of an unknown id has no checksum that could be tested. Its bytes are searched like any
-others; if the search meets its end without having found a frame, and a start byte stands there,
-it is counted as one unknown frame, else its bytes were junk. Either way they are handed on as junk.
+The checksum of a frame of unknown id cannot be tested. Its bytes are searched like any others; if
+the search reaches its end without having found a frame, and finds a start byte there, it is counted
+as one unknown frame, else its bytes were junk. Either way they are handed on as junk.
 """
 
 from __future__ import annotations
@@ -26,32 +26,30 @@ STX_2 = 0xFD
 JUNK = -1
 """The message id of a run of bytes that is no frame."""
 SIGNED = 0x01
-"""The one incompatibility flag that is known: 13 bytes of signature follow."""
+"""The only known incompatibility flag: 13 bytes of signature follow."""
 HEADER_SIZE = 12
 """Bytes of a MAVLink 2 frame around its payload: ten before, and the checksum."""
 SIGNATURE_SIZE = 13
 SENDERS = 16
-"""Streams whose unfinished frames are kept; beyond, the one that was left longest is given up."""
+"""Streams whose unfinished frames are kept; beyond, the one unused for longest is dropped."""
 LARGEST_FRAME = HEADER_SIZE + 255 + SIGNATURE_SIZE
-"""Bytes; so many, less one, may wait for their rest at most."""
+"""Bytes; at most one less may wait for the rest of a frame."""
 
 _STARTS = (STX_1, STX_2)
 _START = re.compile(rb"[\xfd\xfe]")
-_HEADER_2 = Struct("<xBBxBBBHB")
-_HEADER_2_OUT = Struct("<BBBBBBHB")
-_CRC = Struct("<H")
+_header = Struct("<xBBxBBBHB").unpack_from
 _crc = crc16.mcrf4xx
 
 
 class Frame(NamedTuple):
-    """One message as it was on the wire, or (id ``JUNK``) bytes that were none."""
+    """One message as it was on the wire, or (id ``JUNK``) bytes that are no message."""
 
     message_id: int
     system_id: int
     component_id: int
     sequence: int
     payload: bytes
-    """As sent: MAVLink 2 leaves out zeros at the end."""
+    """As sent: MAVLink 2 omits zeros at the end."""
     raw: bytes
     """The whole frame."""
     version: int
@@ -71,7 +69,7 @@ class Splitter:
         self.bad_crc = 0
         """Starts with a known id whose checksum was wrong: damaged frames and false starts."""
         self.incompatible = 0
-        """Frames, rightly summed, with an incompatibility flag that nobody here knows."""
+        """Frames with a right checksum and an unknown incompatibility flag."""
         self.unknown_id = 0
         self.junk_bytes = 0
         """Bytes that belonged to no known frame."""
@@ -81,16 +79,15 @@ class Splitter:
         self._others: dict[Hashable, tuple[bytes, int]] = {}  # of those who do not speak now
 
     def feed(self, data: bytes, sender: Hashable = None) -> list[Frame]:
-        """Give what the bytes complete, junk included, in order; every byte comes out once.
+        """Return the frames that the bytes complete, and junk, in order; every byte comes out once.
 
-        At most ``LARGEST_FRAME - 1`` bytes wait for more of the same sender's.
+        At most ``LARGEST_FRAME - 1`` bytes wait for more from the same sender.
         """
         if sender != self._sender:
-            self._turn_to(sender)
+            self._switch_to(sender)
         buffer = self._rest + data if self._rest else bytes(data)
-        end = len(buffer)
         found: list[Frame] = []
-        start = junk = 0  # junk: first byte not handed out yet
+        start, junk, end = 0, 0, len(buffer)  # junk: first byte not handed out yet
         while start < end:
             stx = buffer[start]
             if self._unknown_end >= 0:
@@ -98,24 +95,20 @@ class Splitter:
             if stx == STX_2:
                 if end - start < 10:
                     break
-                size, flags, sequence, system, component, low, high = _HEADER_2.unpack_from(
-                    buffer, start
-                )
-                message_id = low | high << 16
-                header = 10
+                size, flags, number, system, component, low, high = _header(buffer, start)
+                message_id, header = low | high << 16, 10
                 total = size + 25 if flags & SIGNED else size + 12
             elif stx == STX_1:
                 if end - start < 6:
                     break
-                size, sequence, system, component, message_id = buffer[start + 1 : start + 6]
+                size, number, system, component, message_id = buffer[start + 1 : start + 6]
                 flags, header, total = 0, 6, size + 8
             else:
                 match = _START.search(buffer, start)
                 start = match.start() if match else end
                 continue
 
-            extra = CRC_EXTRAS.get(message_id)
-            if extra is None:
+            if (extra := CRC_EXTRAS.get(message_id)) is None:
                 if self._unknown_end < 0:
                     self._unknown_end = start + total
                 start += 1
@@ -135,30 +128,19 @@ class Splitter:
             if junk < start:
                 found.append(self._junk(buffer, junk, start))
             raw = buffer[start : start + total]
-            found.append(
-                Frame(
-                    message_id,
-                    system,
-                    component,
-                    sequence,
-                    raw[header : header + size],
-                    raw,
-                    2 if stx == STX_2 else 1,
-                )
-            )
+            payload, version = raw[header : header + size], 2 if stx == STX_2 else 1
+            found.append(Frame(message_id, system, component, number, payload, raw, version))
             self.frames += 1
-            start += total
-            junk = start
+            start = junk = start + total
             self._unknown_end = -1
 
         if junk < start:
             found.append(self._junk(buffer, junk, start))
-        self._rest = buffer[start:]
-        self._unknown_end = max(self._unknown_end - start, -1)
+        self._rest, self._unknown_end = buffer[start:], max(self._unknown_end - start, -1)
         return found
 
-    def _turn_to(self, sender: Hashable) -> None:
-        """Put the stream of one aside and take up another's, so that neither cuts the other."""
+    def _switch_to(self, sender: Hashable) -> None:
+        """Set one sender's stream aside and resume another's, so that neither cuts the other."""
         if self._rest or self._unknown_end >= 0:
             self._others[self._sender] = (self._rest, self._unknown_end)
         self._sender = sender
@@ -178,44 +160,14 @@ class Splitter:
         return Frame(JUNK, 0, 0, 0, b"", buffer[start:end], 0)
 
 
-def encode_frame(
-    message_id: int,
-    payload: bytes,
-    *,
-    system_id: int,
-    component_id: int,
-    sequence: int,
-    flags: int = 0,
-) -> bytes:
-    """Give the MAVLink 2 frame, zeros at the payload's end left out.
-
-    ``flags`` are those of incompatibility: with ``SIGNED`` a signature must be put behind it.
-    """
-    payload = payload.rstrip(b"\0") or b"\0"
-    body = (
-        _HEADER_2_OUT.pack(
-            len(payload),
-            flags,
-            0,
-            sequence,
-            system_id,
-            component_id,
-            message_id & 0xFFFF,
-            message_id >> 16,
-        )
-        + payload
-    )
-    return b"\xfd" + body + _CRC.pack(_crc(body + CRC_EXTRAS[message_id]))
-
-
 _OVERTAKEN = 16
-"""A number so little behind is a frame that came late; further behind, the numbers went round."""
+"""A number so little behind is that of a late frame; further behind, the numbers wrapped."""
 _SILENCE_NS = 5 * SECOND_NS
-"""After so long nobody knows how often the numbers went round."""
+"""After so long it is not known how often the numbers wrapped."""
 
 
 class Sequence:
-    """Counts what the numbers, which go round at 256, say of the link."""
+    """Counts lost and late frames by the sequence numbers, which wrap at 256."""
 
     def __init__(self) -> None:
         self.lost = 0
@@ -228,11 +180,11 @@ class Sequence:
         self._last_ns = 0
 
     def begin(self) -> None:
-        """Forget the last number: who sends has begun anew, or was not heard for long."""
+        """Forget the last number: the sender has restarted, or was not heard for long."""
         self._last = None
 
     def count(self, number: int, now_ns: int) -> None:
-        """Take the number of a frame that arrived now."""
+        """Count the number of a frame that arrived now."""
         if self._last is not None and now_ns - self._last_ns <= _SILENCE_NS:
             gap = (number - self._last - 1) & 0xFF
             if gap > 0xFF - _OVERTAKEN:

@@ -1,8 +1,8 @@
 """Whether an autopilot would fuse our ODOMETRY together with the GNSS that is in it already.
 
 Pure functions of the autopilot's parameters. Our estimate is a function of the same fixes: fused
-beside them it makes the covariance too small, and takes a glitch past the gate twice. Who cannot
-be asked is not told.
+beside them it makes the covariance too small, and brings a glitch past the gate twice. Nothing is
+sent to an autopilot whose parameters cannot be read.
 
 Sources: PX4, parameters EKF2_EV_CTRL, EKF2_GPS_CTRL (1.14 and later), EKF2_AID_MASK, EKF2_HGT_MODE
 (before); ArduPilot, EKF Source Selection and Switching, and ``AP_NavEKF_Source``.
@@ -15,13 +15,13 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Literal
 
+from ekf_companion.mavlink.decision import Decision, listed, says, streamed, withheld
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.verdict import Verdict, listed, says, streamed, withheld
 
 Mode = Literal["auto", "always", "never"]
 Parameters = Mapping[str, float | None]
-"""By name, as read; None: the autopilot says that it has no such parameter. One that is not in it
-has not been answered."""
+"""By name, as read; None: the autopilot has no such parameter. One that is absent has not been
+answered."""
 
 _VISION, _GNSS = "EKF2_EV_CTRL", "EKF2_GPS_CTRL"
 _MASK, _HEIGHT = "EKF2_AID_MASK", "EKF2_HGT_MODE"
@@ -43,12 +43,12 @@ _AID_EV_BITS = {8: "horizontal position", 16: "yaw", 256: "velocity"}
 _AID_GNSS_BITS = {1: "position and velocity", 128: "yaw"}
 _AID_OTHER_BITS = {2: "flow", 4: "no IMU bias", 32: "drag", 64: "a turned frame"}
 _BITS = 1 << 32
-"""All that a parameter can have."""
+"""Beyond all bits of a parameter."""
 _GNSS_HEIGHT = 1
-"""Of EKF2_HGT_MODE: the old filter then takes the height from GNSS, whatever the mask says."""
+"""Of EKF2_HGT_MODE: the old filter then takes the height from GNSS, whatever the mask."""
 _EXTERNAL, _GPS = 6, 3
 _YAW_OF_GNSS = (2, 3, 8)
-"""From two antennas, with the compass behind it, and from the course (GSF)."""
+"""From two antennas, with the compass as fallback, and from the course (GSF)."""
 _ALL_VELOCITIES = 1
 """Of EK3_SRC_OPTIONS, set by default: external velocities of every set are fused in every set."""
 
@@ -59,26 +59,26 @@ def decide(
     mode: Mode = "auto",
     independent: bool = False,
     is_complete: bool = True,
-) -> Verdict:
-    """Decide from what is known so far.
+) -> Decision:
+    """Decide whether ODOMETRY is sent, from the answers so far.
 
     Args:
         family: The autopilot's.
         parameters: Its answers so far.
         mode: The configuration's ``output.odometry.mode``.
-        independent: Whether our sensors are none of the autopilot's.
-        is_complete: Whether nothing more is waited for.
+        independent: Whether our sensors are other ones than the autopilot's.
+        is_complete: Whether no more answers are waited for.
     """
-    verdict = _decide(family, parameters, mode, independent, is_complete)
-    if not verdict.is_streaming:
-        return verdict
+    decision = _decide(family, parameters, mode, independent, is_complete)
+    if not decision.is_streaming:
+        return decision
     is_fused, is_yaw_fused = _taken(family, parameters)
-    return replace(verdict, is_fused=is_fused, is_yaw_fused=is_yaw_fused)
+    return replace(decision, is_fused=is_fused, is_yaw_fused=is_yaw_fused)
 
 
 def _decide(
     family: Family, parameters: Parameters, mode: Mode, independent: bool, is_complete: bool
-) -> Verdict:
+) -> Decision:
     read = {name: value for name, value in parameters.items() if value is not None}
     if mode == "never":
         return withheld("output.odometry.mode is never", "", "ODOMETRY is switched off", read)
@@ -101,7 +101,7 @@ def _decide(
 
 
 def missing(family: Family, parameters: Parameters) -> tuple[str, ...]:
-    """Give the parameters that are worth waiting for before anything is decided."""
+    """Return the parameters that must be waited for before the decision."""
     if family is Family.PX4:
         vision = parameters.get(_VISION)
         if vision is None:
@@ -113,7 +113,7 @@ def missing(family: Family, parameters: Parameters) -> tuple[str, ...]:
 
 
 def _taken(family: Family, parameters: Parameters) -> tuple[bool, bool]:
-    """Give whether the autopilot fuses what it gets of ours, and our yaw; unread, it fuses both."""
+    """Return whether the autopilot fuses our estimate, and our yaw; unread, it counts as both."""
     if family is Family.UNKNOWN:
         return False, False
     if family is Family.ARDUPILOT:
@@ -135,7 +135,7 @@ def _taken(family: Family, parameters: Parameters) -> tuple[bool, bool]:
 
 
 def watched(family: Family, parameters: Parameters) -> tuple[str, ...]:
-    """Give the parameters whose change would change the verdict."""
+    """Return the parameters whose change would change the decision."""
     if family is Family.PX4:
         return _PX4_NEW if parameters.get(_VISION) is not None else NAMES[family]
     if family is Family.ARDUPILOT and not parameters.get(_DRIVER, 1):
@@ -146,7 +146,7 @@ def watched(family: Family, parameters: Parameters) -> tuple[str, ...]:
 # PX4
 
 
-def _by_px4(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
+def _by_px4(parameters: Parameters, read: Mapping[str, float]) -> Decision:
     if _VISION not in parameters:
         return _unread((_VISION,), read)
     vision = parameters[_VISION]
@@ -169,10 +169,10 @@ def _by_px4(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
     )
 
 
-def _by_old_px4(read: Mapping[str, float]) -> Verdict:
-    """Decide by the mask that held both before 1.14."""
+def _by_old_px4(read: Mapping[str, float]) -> Decision:
+    """Decide by the one mask for both of PX4 before 1.14."""
     mask = int(read[_MASK]) % _BITS
-    # A bit that nobody knows may mean either
+    # An unknown bit may mean either
     ours = _bits(mask, _AID_EV_BITS, {**_AID_GNSS_BITS, **_AID_OTHER_BITS})
     theirs = _bits(mask, _AID_GNSS_BITS, {**_AID_EV_BITS, **_AID_OTHER_BITS})
     known = sum((*_AID_EV_BITS, *_AID_GNSS_BITS, *_AID_OTHER_BITS))
@@ -206,7 +206,7 @@ def _by_old_px4(read: Mapping[str, float]) -> Verdict:
 # ArduPilot
 
 
-def _by_ardupilot(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
+def _by_ardupilot(parameters: Parameters, read: Mapping[str, float]) -> Decision:
     if not parameters.get(_DRIVER, 1):
         reason = says(_DRIVER, parameters[_DRIVER], "the autopilot takes no ODOMETRY")
         return streamed(reason, "", read)
@@ -229,20 +229,20 @@ def _by_ardupilot(parameters: Parameters, read: Mapping[str, float]) -> Verdict:
 
 def _double(
     own: list[str], ours: list[str], theirs: list[str], read: Mapping[str, float]
-) -> Verdict:
-    """Say what is fused beside what in one of the source sets."""
-    said = ", ".join(f"{name} {read[name]:g}" for name in (*ours, *theirs))
+) -> Decision:
+    """Return the decision where one of the source sets has both."""
+    listing = ", ".join(f"{name} {read[name]:g}" for name in (*ours, *theirs))
     if own:
         remedy = f"set {listed(theirs)} to 6 to fly on our estimate"
         text = f"no ODOMETRY: set {theirs[0]} 6"
     else:
         # The sets are alternatives, but for the velocities
         lone = int(read[_OPTIONS]) & ~_ALL_VELOCITIES
-        said += f", {_OPTIONS} {read[_OPTIONS]:g}"
+        listing += f", {_OPTIONS} {read[_OPTIONS]:g}"
         remedy = f"set {_OPTIONS} to {lone}, so that only the set in use is fused"
         text = f"no ODOMETRY: set {_OPTIONS} {lone}"
     return withheld(
-        f"the autopilot would fuse it together with the GNSS that is in it: {said}",
+        f"the autopilot would fuse it together with the GNSS that is in it: {listing}",
         f"{remedy}, or {_DRIVER} to 0 to fly on GNSS",
         text,
         read,
@@ -251,7 +251,7 @@ def _double(
 
 
 def _pooled(read: Mapping[str, float]) -> list[str]:
-    """Give the external velocities that are fused whichever set is in use."""
+    """Return the external velocities that are fused whichever set is in use."""
     if not int(read.get(_OPTIONS, 0)) & _ALL_VELOCITIES:
         return []
     names = [f"EK3_SRC{k}_{part}" for k in _SETS for part in ("VELXY", "VELZ")]
@@ -265,8 +265,8 @@ def _is_of_gnss(name: str, value: float | None) -> bool:
 # Words
 
 
-def _unread(names: tuple[str, ...], read: Mapping[str, float]) -> Verdict:
-    """Withhold, as it cannot be known; say whether nothing at all was answered."""
+def _unread(names: tuple[str, ...], read: Mapping[str, float]) -> Decision:
+    """Return the decision where parameters were not answered, or none at all."""
     question = "cannot find out whether the autopilot would fuse it together with GNSS"
     if not read:
         return withheld(
@@ -291,7 +291,7 @@ def _unanswered(names: tuple[str, ...], parameters: Parameters) -> tuple[str, ..
 def _bits(
     value: float | None, meanings: Mapping[int, str], others: Mapping[int, str] | None = None
 ) -> list[str]:
-    """Give what is set: bits that nobody knows too, as a later firmware may fuse by them."""
+    """Return what the set bits mean, unknown ones too: a later firmware may fuse by them."""
     mask = int(value or 0) % _BITS
     unknown = mask & ~sum(meanings) & ~sum(others or {})
     known = [meaning for bit, meaning in meanings.items() if mask & bit]

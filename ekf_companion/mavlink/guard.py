@@ -1,12 +1,12 @@
-"""The guard against counting the same GNSS twice: asks the autopilot for what decides, and watches.
+"""The guard against counting the same GNSS twice: it reads the autopilot's parameters that decide.
 
-Until the answers are there, nothing is sent; what does not answer is not told. A change that a
-ground station makes counts when its PARAM_VALUE comes by, and otherwise when the parameter's turn
-comes to be read again.
+Until they are answered, no ODOMETRY is sent, and none to an autopilot that does not answer. A
+change that a ground station makes counts when its PARAM_VALUE comes by, or else when the parameter
+is read again in turn.
 
 What is fused is read in every mode that may send: while ODOMETRY flows into the autopilot's own
-estimate, that is no measurement. Whether an answer is still waited for goes by what is heard and
-when it came, never by ``tick``: a replay decides the same.
+estimate, that estimate is no measurement. Whether an answer is still waited for depends on what is
+heard and when it came, never on ``tick``: so a replay decides the same.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from struct import Struct
 from typing import Any
 
 from ekf_companion.mavlink.codec import pack
+from ekf_companion.mavlink.decision import Decision, shared, silent
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Emit, GuardChanged, PeerFound
 from ekf_companion.mavlink.frame import Frame
@@ -26,21 +27,20 @@ from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.stamp import SECOND_NS, quantise
-from ekf_companion.mavlink.verdict import Verdict, shared, silent
 
 _TIMEOUT_NS = SECOND_NS
 _TRIES = 3
 _IN_FLIGHT = 4
 _GIVE_UP_NS = _TRIES * _TIMEOUT_NS
-"""Without an answer that is new for so long, what is missing is not waited for."""
+"""After so long without a new answer, the missing ones are not waited for."""
 _ROUND_NS = SECOND_NS * 3 // 2
-"""In which every parameter that is watched is read again: a change counts within two seconds."""
+"""Every parameter that is watched is read again once in this time: a change counts within 2 s."""
 _SLOWEST_NS = SECOND_NS // 2
 """Between two readings where few are watched."""
 _STALE_NS = 5 * SECOND_NS
 _UNANSWERED = 10
-"""Without any answer for so long, and to so many questions, nothing is known any more. On a link
-that loses a tenth of all frames so many in a row have no answer once in a hundred days."""
+"""Without any answer for so long, and to more requests than this, nothing is known any more. On a
+link that loses a tenth of all frames, so many in a row stay unanswered once in a hundred days."""
 
 _REAL32 = 9
 DOES_NOT_EXIST = 1
@@ -54,11 +54,13 @@ class GuardOptions:
 
     mode: Mode = "auto"
     independent: bool = False
-    """Whether our sensors are none of the autopilot's."""
+    """Whether our sensors are other ones than the autopilot's."""
 
 
 @dataclass(slots=True)
-class _Question:
+class _Request:
+    """A parameter that was requested."""
+
     tries: int = 0
     deadline_ns: int = 0
 
@@ -74,16 +76,16 @@ class Guard(Service):
         self,
         outbox: Outbox,
         emit: Emit,
-        beware: Callable[[bool, bool], None],
+        refuse_ours: Callable[[bool, bool], None],
         options: GuardOptions | None = None,
     ) -> None:
-        """Begin with nobody.
+        """Begin with no autopilot.
 
         Args:
-            outbox: Takes the questions.
-            emit: Takes what has happened.
-            beware: Called with whether the autopilot's own position, and its yaw, are made of our
-                ODOMETRY, as soon as that is known.
+            outbox: Takes the requests.
+            emit: Takes the events.
+            refuse_ours: Called with whether our ODOMETRY is fused in the autopilot's own position,
+                and in its yaw, as soon as that is known.
             options: What the configuration says.
         """
         self.options = options or GuardOptions()
@@ -92,28 +94,28 @@ class Guard(Service):
         self.handles = {name: handler for name, handler in handlers.items() if name in IDS}
         self._outbox = outbox
         self._emit = emit
-        self._beware = beware
+        self._refuse_ours = refuse_ours
         self._peer: PeerFound | None = None
         self._answers: dict[str, float | None] = {}
-        self._questions: dict[str, _Question] = {}
+        self._requests: dict[str, _Request] = {}
         self._turn = 0
         self._next_ns = 0
         self.is_waiting = False
-        """Whether answers that decide are waited for: ``hear`` what the autopilot says."""
+        """Whether answers that decide are waited for; ``on_frame`` must then be called."""
         self._learned_ns: int | None = None
-        """When the last of them came, or the first frame that was heard without one."""
+        """When the last new one came, or else the first frame of the autopilot."""
         self._is_given_up = False
         self._answered_ns: int | None = None
         self._unanswered = 0
         self._is_silent = False
         self._other_id: int | None = None
-        self._told: tuple[bool, str, str] | None = None
-        self.verdict: Verdict = self._nobody()
+        self._last: tuple[bool, str, str] | None = None
+        self.decision: Decision = self._nobody()
 
     @property
     def is_streaming(self) -> bool:
         """Whether ODOMETRY may be sent now."""
-        return self.verdict.is_streaming
+        return self.decision.is_streaming
 
     # What changes
 
@@ -122,35 +124,35 @@ class Guard(Service):
         if options == self.options:
             return
         self.options = options
-        self._told = None  # each choice is answered aloud
+        self._last = None  # announce the outcome, even if it is the same
         if self._peer is None:
-            self.verdict = self._nobody()
+            self.decision = self._nobody()
         else:
-            self.begin(self._peer)  # what was read long ago may hold no more
+            self.begin(self._peer)  # what was read long ago may have changed
 
     def begin(self, peer: PeerFound) -> None:
-        """Ask anew: a reboot may have changed anything."""
+        """Read all parameters again: a reboot may have changed any."""
         self._forget()
         self._peer = peer
-        self._judge()
+        self._decide()
 
-    def share(self, other_id: int | None) -> None:
-        """Learn that another system's autopilot is on the link too, or (None) is no more."""
+    def on_other_autopilot(self, other_id: int | None) -> None:
+        """Learn that another system's autopilot is on the link too, or (None) no longer is."""
         self._other_id = other_id
         if self._peer is not None:
-            self._judge()
+            self._decide()
 
     def end(self) -> None:
-        """Nobody is there: what has been read says nothing of who comes next."""
+        """Forget the parameters: another autopilot may come next."""
         self._forget()
-        self.verdict = self._nobody()
+        self.decision = self._nobody()
 
     def tick(self, now_ns: int) -> None:
-        """Ask for what is missing, then read again what could change."""
+        """Request what is missing, then read again what could change."""
         if not self._is_asking:
             return
         for name in missing(self._family, self._answers):
-            self._ask_for(name, now_ns)
+            self._request(name, now_ns)
         if not self.is_waiting and now_ns >= self._next_ns:
             names = watched(self._family, self._answers)
             self._next_ns = now_ns + min(_ROUND_NS // len(names), _SLOWEST_NS)
@@ -160,57 +162,57 @@ class Guard(Service):
             self._send(names[self._turn % len(names)], now_ns)
 
     def _notice_silence(self, now_ns: int) -> None:
-        """Count no more on answers that are too old."""
+        """Stop relying on answers that are too old."""
         if self._is_silent or self._answered_ns is None or self._unanswered <= _UNANSWERED:
             return
         if now_ns - self._answered_ns > _STALE_NS:
             self._is_silent = True
-            self._judge()
+            self._decide()
 
-    def hear(self, now_ns: int) -> None:
-        """Take that the autopilot has said something, while it is waited for."""
+    def on_frame(self, now_ns: int) -> None:
+        """Note a frame of the autopilot; without a new answer for long, wait no more."""
         now_ns = quantise(now_ns)
         if self._learned_ns is None:
             self._learned_ns = now_ns
         elif now_ns - self._learned_ns >= _GIVE_UP_NS:
             self._is_given_up = True
-            self._judge()
+            self._decide()
 
-    # What is answered
+    # Answers
 
     def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
         value = value_of(message, frame, self._family)
         if value is not None:
-            self._note(message.param_id.decode("ascii", "replace"), value, now_ns)
+            self._on_answer(message.param_id.decode("ascii", "replace"), value, now_ns)
 
     def _take_error(self, message: Any, frame: Frame, now_ns: int) -> None:
         if message.error == DOES_NOT_EXIST:
-            self._note(message.param_id.decode("ascii", "replace"), None, now_ns)
+            self._on_answer(message.param_id.decode("ascii", "replace"), None, now_ns)
 
-    def _note(self, name: str, value: float | None, now_ns: int) -> None:
+    def _on_answer(self, name: str, value: float | None, now_ns: int) -> None:
         if not self._is_asking or name not in NAMES[self._family]:
             return
         if name not in self._answers:
             self._learned_ns = quantise(now_ns)
-            if self._is_given_up:  # it answers after all: the rest is worth asking for again
-                self._questions.clear()
+            if self._is_given_up:  # it answers after all: request the rest again
+                self._requests.clear()
                 self._is_given_up = False
         self._answers[name] = value
-        self._questions.pop(name, None)
+        self._requests.pop(name, None)
         self._answered_ns, self._unanswered, self._is_silent = now_ns, 0, False
-        self._judge()
+        self._decide()
         self.tick(now_ns)
 
-    # How it is asked
+    # Requests
 
-    def _ask_for(self, name: str, now_ns: int) -> None:
-        question = self._questions.get(name, _Question())
-        in_flight = sum(other.is_open(now_ns) for other in self._questions.values())
-        if question.tries >= _TRIES or question.is_open(now_ns) or in_flight >= _IN_FLIGHT:
+    def _request(self, name: str, now_ns: int) -> None:
+        request = self._requests.get(name, _Request())
+        in_flight = sum(other.is_open(now_ns) for other in self._requests.values())
+        if request.tries >= _TRIES or request.is_open(now_ns) or in_flight >= _IN_FLIGHT:
             return
-        question.tries += 1
-        question.deadline_ns = now_ns + _TIMEOUT_NS
-        self._questions[name] = question
+        request.tries += 1
+        request.deadline_ns = now_ns + _TIMEOUT_NS
+        self._requests[name] = request
         self._send(name, now_ns)
 
     def _send(self, name: str, now_ns: int) -> None:
@@ -225,7 +227,7 @@ class Guard(Service):
         )
         self._outbox.send("PARAM_REQUEST_READ", payload, now_ns)
 
-    # What follows
+    # Decision
 
     @property
     def _family(self) -> Family:
@@ -233,50 +235,53 @@ class Guard(Service):
 
     @property
     def is_reading(self) -> bool:
-        """Whether the answer depends on any parameter."""
+        """Whether the decision depends on any parameter."""
         is_asked = self.options.mode == "auto" and not self.options.independent
         return is_asked and bool(NAMES[self._family])
 
     @property
     def _is_asking(self) -> bool:
-        """Whether anything does: the answer, or what the autopilot's own estimate is made of."""
+        """Whether parameters are needed, for the decision or to know what the autopilot fuses."""
         return self.options.mode != "never" and bool(NAMES[self._family])
 
-    def _judge(self) -> None:
+    def _decide(self) -> None:
         options = self.options
         is_open = self._is_asking and bool(missing(self._family, self._answers))
         self.is_waiting = is_open and not self._is_given_up
-        verdict = decide(
-            *(self._family, self._answers, options.mode, options.independent),
+        decision = decide(
+            self._family,
+            self._answers,
+            options.mode,
+            options.independent,
             is_complete=not self.is_waiting,
         )
-        if options.mode == "auto" and not options.independent and verdict.is_streaming:
-            # Whether it fuses what it gets stays as it was
+        if options.mode == "auto" and not options.independent and decision.is_streaming:
+            # Whether it fuses what it gets does not change by that
             if self._is_silent:
-                verdict = silent(verdict)
+                decision = silent(decision)
             elif self._other_id is not None:
-                verdict = shared(verdict, self._other_id)
-        self.verdict = verdict
+                decision = shared(decision, self._other_id)
+        self.decision = decision
         if not self.is_waiting:
-            self._beware(verdict.is_fused, verdict.is_yaw_fused)
-        said = (verdict.is_streaming, verdict.reason, verdict.remedy)
-        if verdict.is_settled and said != self._told:
-            self._told = said
-            self._emit(GuardChanged(verdict))
+            self._refuse_ours(decision.is_fused, decision.is_yaw_fused)
+        shown = (decision.is_streaming, decision.reason, decision.remedy)
+        if decision.is_settled and shown != self._last:
+            self._last = shown
+            self._emit(GuardChanged(decision))
 
     def _forget(self) -> None:
         self._peer = None
         self._answers.clear()
-        self._questions.clear()
+        self._requests.clear()
         self._turn = 0
         self._next_ns = 0
         self.is_waiting, self._learned_ns, self._is_given_up = False, None, False
         self._answered_ns, self._unanswered, self._is_silent = None, 0, False
 
-    def _nobody(self) -> Verdict:
+    def _nobody(self) -> Decision:
         options = self.options
         if options.mode == "auto":
-            return Verdict(
+            return Decision(
                 is_streaming=False,
                 reason="no autopilot is heard",
                 parameters={},
@@ -286,12 +291,12 @@ class Guard(Service):
 
 
 def value_of(message: Any, frame: Frame, family: Family) -> float | None:
-    """Give the number in an autopilot's PARAM_VALUE; None: it is none.
+    """Return the number in an autopilot's PARAM_VALUE; None if it holds none.
 
     Source: MAVLink guide, "Parameter Protocol", on both encodings of the value.
     """
     value = message.param_value
     if family is Family.PX4 and message.param_type != _REAL32:
-        # It lays the integer's bytes where the float's would be
+        # PX4 puts the integer's bytes where the float's would be
         (value,) = _INT32.unpack(frame.payload.ljust(4, b"\0")[:4])
     return float(value) if math.isfinite(value) else None

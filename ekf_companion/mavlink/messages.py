@@ -68,7 +68,7 @@ class Field:
 
     @property
     def format(self) -> str:
-        """Give the field's part of a struct format."""
+        """The field's part of a struct format."""
         return f"{self.length or ''}{self.code}"
 
 
@@ -214,5 +214,5 @@ CRC_EXTRAS: Mapping[int, bytes] = {
 
 
 def by_name(name: str) -> Layout:
-    """Give the layout of a message by its name in capitals; KeyError if there is none."""
+    """Return the layout of a message by its name in capitals; KeyError if there is none."""
     return LAYOUTS[IDS[name]]

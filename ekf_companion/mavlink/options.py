@@ -1,4 +1,4 @@
-"""What a session is told at its start."""
+"""The options of a session."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ RATES: Mapping[str, float] = MappingProxyType(
         "EXTENDED_SYS_STATE": 1.0,
     }
 )
-"""What is asked of the autopilot, Hz. GNSS at twice the usual rate halves the wait for its turn."""
+"""Rates to request of the autopilot, Hz. GNSS at twice its usual rate comes half as late."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionOptions:
-    """Who we are, whom we listen to, and what we ask for."""
+    """Our ids, whom to listen to, and what to request."""
 
     system_id: int | None = None
     """Ours; None: the autopilot's, and 1 until it is known."""
@@ -43,10 +43,10 @@ class SessionOptions:
     accept_unsigned: bool = False
     """Whether, with a key, frames without a signature are believed too."""
     rates: Mapping[str, float] = field(default_factory=lambda: RATES)
-    """Messages to ask for, Hz, by name; 0 stops one; empty: nothing is asked."""
+    """Messages to request, Hz, by name; 0 stops one; empty: nothing is requested."""
     expected: PeerFound | None = None
-    """An autopilot that is known from an earlier run: found by whatever it says first, so that its
-    heartbeat need not be waited for."""
+    """An autopilot that is known from an earlier run: found by its first frame of any kind, so that
+    its heartbeat need not be waited for."""
     is_recording: bool = False
     """Whether what goes in and out is kept for ``take_record``."""
     parameters: tuple[Parameter, ...] = ()
@@ -54,4 +54,4 @@ class SessionOptions:
     decoder: DecoderOptions = field(default_factory=DecoderOptions)
     timesync: TimesyncOptions = field(default_factory=TimesyncOptions)
     guard: GuardOptions | None = None
-    """Whom ODOMETRY is kept from; None: this session sends none, and asks for no parameter."""
+    """When ODOMETRY is withheld; None: this session sends none, and reads no parameter."""

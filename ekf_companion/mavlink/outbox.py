@@ -1,15 +1,29 @@
-"""What goes out, in order, and the record of all that went in and out."""
+"""Messages of ours on their way out, in order, and the record of all that went in and out."""
 
 from __future__ import annotations
 
 from collections import Counter
+from typing import NamedTuple
 
 from ekf_companion.mavlink.codec import Sender
-from ekf_companion.mavlink.frame import encode_frame
-from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.stamp import quantise
 
-_ODOMETRY = IDS["ODOMETRY"].to_bytes(3, "little")
+
+class Message(NamedTuple):
+    """A message of ours, not framed yet."""
+
+    name: str
+    payload: bytes
+    is_replaceable: bool = False
+    """Whether it is worthless once the next of its kind is there."""
+
+
+class Outgoing(NamedTuple):
+    """A frame of ours that waits to be sent."""
+
+    data: bytes
+    is_replaceable: bool
+    """As of its message."""
 
 
 class Outbox:
@@ -20,15 +34,12 @@ class Outbox:
         """Messages by name."""
         self.withheld: Counter[str] = Counter()
         """Messages by name that are only recorded."""
+        self.ids = sender.system_id, sender.component_id
+        """Our system and component id."""
         self._sender = sender
         self._is_recording = is_recording
-        self._out: list[bytes] = []
+        self._out: list[Outgoing] = []
         self._record: list[tuple[int, bytes]] = []
-
-    @property
-    def ids(self) -> tuple[int, int]:
-        """Our system and component id."""
-        return self._sender.system_id, self._sender.component_id
 
     @property
     def sequence(self) -> int:
@@ -38,43 +49,32 @@ class Outbox:
     def adopt(self, system_id: int) -> None:
         """Speak as a component of this system from now on."""
         self._sender.system_id = system_id
+        self.ids = system_id, self._sender.component_id
 
-    def send(self, name: str, payload: bytes, now_ns: int) -> None:
-        """Queue a message by its name."""
+    def send(self, name: str, payload: bytes, now_ns: int, *, is_replaceable: bool = False) -> None:
+        """Frame a message and queue it."""
         frame = self._sender.frame(name, payload, now_ns)
         self.sent[name] += 1
-        self._out.append(frame)
+        self._out.append(Outgoing(frame, is_replaceable))
         self.record(frame, now_ns)
 
-    def note(self, name: str, payload: bytes, now_ns: int) -> None:
-        """Record a message that is not sent; it takes the number of the next that is."""
+    def withhold(self, name: str, payload: bytes, now_ns: int) -> None:
+        """Only record a message, with the sequence number of the next that is sent."""
         self.withheld[name] += 1
         if self._is_recording:
-            frame = encode_frame(
-                IDS[name],
-                payload,
-                system_id=self._sender.system_id,
-                component_id=self._sender.component_id,
-                sequence=self._sender.sequence,
-            )
-            self.record(frame, now_ns)
+            self.record(self._sender.draft(name, payload), now_ns)
 
     def record(self, raw: bytes, now_ns: int) -> None:
-        """Keep what went in or out, if that is wanted."""
+        """Record what went in or out, if anybody wants a record."""
         if self._is_recording:
             self._record.append((quantise(now_ns) // 1000, raw))
 
-    def take(self) -> list[bytes]:
-        """Give what is to be sent, one frame an item, and forget it."""
+    def take(self) -> list[Outgoing]:
+        """Return the frames that wait to be sent, and forget them."""
         out, self._out = self._out, []
         return out
 
     def take_record(self) -> list[tuple[int, bytes]]:
-        """Give stamp (us) and bytes of all that went in and out, in order, and forget it."""
+        """Return stamp (us) and bytes of all that went in and out, in order, and forget it."""
         record, self._record = self._record, []
         return record
-
-
-def is_replaceable(frame: bytes) -> bool:
-    """Whether a frame of ours is worthless once the next of its kind is there."""
-    return frame[7:10] == _ODOMETRY

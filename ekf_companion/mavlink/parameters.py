@@ -1,7 +1,7 @@
-"""Our parameters, as a ground station reads and sets them: the parameter protocol's server.
+"""Our parameters, as a ground station reads and sets them: the server of the parameter protocol.
 
-Source: mavlink.io, Parameter Protocol. All are REAL32, so that the two ways of laying an integer
-into a float do not matter. The table is fixed: names, order and count stay as they are.
+Source: mavlink.io, Parameter Protocol. All are REAL32, so that the two encodings of an integer in a
+float do not matter. The table is fixed: names, order and count never change.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _REAL32 = 9
 """MAV_PARAM_TYPE of all of them."""
 _DOES_NOT_EXIST = 1
 _PACE_NS = SECOND_NS // 20
-"""Between two of a list: with 37 bytes each an eighth of a wire at 57600."""
+"""Between two of a list: with 37 bytes each an eighth of a link at 57600 baud."""
 _FLOAT = Struct("<f")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parameter:
-    """One number that may be set in the field."""
+    """One number that may be set over MAVLink."""
 
     name: str
     """At most 16 characters."""
@@ -41,9 +41,9 @@ class Parameter:
     lowest: float
     highest: float
     is_whole: bool = False
-    """Whether it counts or chooses, rather than measures."""
+    """Whether it is a whole number: a count or a choice."""
     is_late: bool = False
-    """Whether what is set counts from the next start only."""
+    """Whether a new value takes effect only at the next start."""
 
     def accepts(self, value: float) -> bool:
         """Whether a value, as a float32 holds it, is in range."""
@@ -62,7 +62,7 @@ class ParameterServer(Service):
             "PARAM_SET": self._set,
         }
         self.refused: Counter[str] = Counter()
-        """Requests that were not followed, ``message: why``."""
+        """Requests that were refused, by ``message: why``."""
         self._outbox = outbox
         self._emit = emit
         self._table = tuple(table)
@@ -72,13 +72,13 @@ class ParameterServer(Service):
         self._next_ns = 0
 
     def tick(self, now_ns: int) -> None:
-        """Send the next of a list, leaving most of the link to others."""
+        """Send the next of a list, slowly enough to leave most of the link to others."""
         if self._listed and now_ns >= self._next_ns:
             self._next_ns = now_ns + _PACE_NS
-            self._tell(self._listed.popleft(), now_ns)
+            self._send(self._listed.popleft(), now_ns)
 
     def retune(self, table: Sequence[Parameter]) -> None:
-        """Go on with the values of the same table; tell those that have changed."""
+        """Take new values of the same table; send those that have changed."""
         for index, parameter in enumerate(table):
             value = _written(parameter.value)
             if value != self._values[index]:
@@ -94,7 +94,7 @@ class ParameterServer(Service):
         if index < 0:
             index = self._index.get(_name(request), len(self._table))
         if index < len(self._table):
-            self._tell(index, now_ns)
+            self._send(index, now_ns)
         else:
             self._refuse(request, frame, now_ns)
 
@@ -111,9 +111,9 @@ class ParameterServer(Service):
         elif value != _float32(self._values[index]):
             self._values[index] = value = _written(value)
             self._emit(ParameterSet(parameter.name, parameter.key, value, parameter.is_late))
-        self._tell(index, now_ns)  # the old value, where the new one is refused
+        self._send(index, now_ns)  # the old value, where the new one is refused
 
-    def _tell(self, index: int, now_ns: int) -> None:
+    def _send(self, index: int, now_ns: int) -> None:
         payload = pack(
             "PARAM_VALUE",
             param_id=self._table[index].name.encode("ascii"),
@@ -125,9 +125,9 @@ class ParameterServer(Service):
         self._outbox.send("PARAM_VALUE", payload, now_ns)
 
     def _refuse(self, request: Any, frame: Frame, now_ns: int) -> None:
-        """Say that there is no such parameter, unless everybody was asked.
+        """Answer that there is no such parameter, unless everybody was asked.
 
-        A dialect from before PARAM_ERROR (pymavlink before 2.4.50) has no words for it: silence.
+        A dialect from before PARAM_ERROR (pymavlink before 2.4.50) has no message for it.
         """
         if not self._table or request.target_component == 0:
             return
@@ -151,11 +151,11 @@ def _name(request: Any) -> str:
 
 
 def _written(value: float) -> float:
-    """Give a number as a person would write it, not as a float32 holds it."""
+    """Return a number as a person would write it, not as a float32 holds it."""
     return float(f"{value:.7g}")
 
 
 def _float32(value: float) -> float:
-    """Give the number that the wire can hold."""
+    """Return the nearest number that a float32 can hold."""
     held: float = _FLOAT.unpack(_FLOAT.pack(value))[0]
     return held

@@ -1,4 +1,4 @@
-"""What we ask of the autopilot: its messages and its version, one request after the other."""
+"""Requests to the autopilot: for its messages and its version, one after the other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.event import Answered, Emit, Noted, PeerFound, Versioned
+from ekf_companion.mavlink.event import Emit, FirmwareReported, Noted, PeerFound, RequestAnswered
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.outbox import Outbox
@@ -24,8 +24,16 @@ _TRIES = 3
 _IN_PROGRESS = 5
 ACCEPTED = "accepted"
 _RESULTS = (
-    *(ACCEPTED, "temporarily rejected", "denied", "unsupported", "failed", "in progress"),
-    *("cancelled", "only as COMMAND_LONG", "only as COMMAND_INT", "unsupported frame"),
+    ACCEPTED,
+    "temporarily rejected",
+    "denied",
+    "unsupported",
+    "failed",
+    "in progress",
+    "cancelled",
+    "only as COMMAND_LONG",
+    "only as COMMAND_INT",
+    "unsupported frame",
     "not in control",
 )
 """MAV_RESULT in words."""
@@ -45,7 +53,7 @@ _GROUPS: Mapping[str, int] = MappingProxyType(
 
 _INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 _STEPS = (100.0, 50.0, 40.0, 25.0, 10.0)
-"""Hz; an ArduPilot denies more than 0.8 of its loop's rate, and does not say what that is."""
+"""Hz; ArduPilot denies more than 0.8 of its loop's rate, and does not tell what that is."""
 _NO_ANSWER = "no answer"
 
 
@@ -67,13 +75,13 @@ class _Request:
 
 
 class Requests(Service):
-    """Asks for every message at its rate, and notes the answers.
+    """Requests every message at its rate, and notes the answers.
 
-    COMMAND_ACK names the command only, not the message. So one request is under way at a time, and
+    COMMAND_ACK names only the command, not the message. So one request is under way at a time, and
     after one that was sent more than once the next waits until its other answers have come, as
-    late as the first did: what comes meanwhile is not taken for the next one's. What comes after
-    all three tries were given up, or is an answer to somebody else without an address, may still
-    mislead us; then the audit finds that the message does not come, and it is asked for again.
+    late as the first did: none of them is taken for the next one's. An answer that comes after
+    all three tries were given up, or that is meant for somebody else and has no address, may still
+    mislead us; then the audit finds that the message does not come, and requests it again.
     """
 
     def __init__(self, outbox: Outbox, emit: Emit, rates: Mapping[str, float]) -> None:
@@ -81,10 +89,10 @@ class Requests(Service):
         self.results: dict[str, str] = {}
         """The last answer to the request for each message."""
         self.rates = rates
-        """What is asked for, Hz."""
+        """Requested rates by message, Hz."""
         self._granted: dict[str, float] = {}
         self.version = ""
-        """Of the autopilot's firmware, as in ``1.16.0``; empty: not told."""
+        """Of the autopilot's firmware, as in ``1.16.0``; empty: not known."""
         self._outbox = outbox
         self._emit = emit
         self._peer: PeerFound | None = None
@@ -92,10 +100,10 @@ class Requests(Service):
         self._has_fallen_back = False
         self._timeout_ns = _TIMEOUT_NS
         self._quiet_ns = 0
-        """Until then answers to what is settled may come."""
+        """Until then answers to settled requests may come."""
 
     def begin(self, peer: PeerFound) -> None:
-        """Ask for everything."""
+        """Request everything."""
         self._peer = peer
         self.results.clear()
         self._granted.clear()
@@ -105,11 +113,11 @@ class Requests(Service):
             self._wanted.append(_Request("AUTOPILOT_VERSION", None))
 
     def end(self) -> None:
-        """Ask for nothing: nobody would hear."""
+        """Request nothing: nobody would hear."""
         self._wanted.clear()
 
     def retune(self, rates: Mapping[str, float]) -> None:
-        """Ask for other rates from now on, Hz, by message."""
+        """Request other rates from now on, Hz, by message."""
         changed = [name for name in rates if rates[name] != self.rates.get(name)]
         self.rates = rates
         inertial = self.inertial
@@ -117,7 +125,7 @@ class Requests(Service):
             self._granted.clear()
         if self._peer is not None:
             for name in changed:
-                self.ask_again(inertial or name if name == "HIGHRES_IMU" else name)
+                self.repeat(inertial or name if name == "HIGHRES_IMU" else name)
 
     @property
     def is_busy(self) -> bool:
@@ -129,17 +137,17 @@ class Requests(Service):
         """The inertial message that an ArduPilot has granted; empty: none, or another autopilot."""
         return next((name for name in _INERTIAL if name in self._granted), "")
 
-    def ask_again(self, name: str) -> None:
-        """Ask once more for a message that ought to come at its rate."""
+    def repeat(self, name: str) -> None:
+        """Request once more a message that should come at its rate."""
         if all(request.name != name for request in self._wanted):
-            self._wanted.append(_Request(name, self.asked(name)))
+            self._wanted.append(_Request(name, self.expected_rate(name)))
 
-    def asked(self, name: str) -> float:
-        """Give the rate that is expected of a message, Hz: what was granted, else what we want."""
+    def expected_rate(self, name: str) -> float:
+        """Return the rate to expect of a message, Hz: the granted one, else the requested one."""
         return self._granted.get(name, self._rate(name))
 
     def tick(self, now_ns: int) -> None:
-        """Send the request that is first in line, again where its time is over."""
+        """Send the first request in line, again when its time is over."""
         while self._wanted and self._peer:
             request = self._wanted[0]
             if now_ns < (request.deadline_ns if request.sent else self._quiet_ns):
@@ -167,7 +175,7 @@ class Requests(Service):
         self._outbox.send("COMMAND_LONG", payload, now_ns)
 
     def _fall_back(self, peer: PeerFound, now_ns: int) -> None:
-        """Ask in the old way for the groups of which no message was granted."""
+        """Request by REQUEST_DATA_STREAM the groups of which no message was granted."""
         self._has_fallen_back = True
         groups: dict[int, float] = {}
         for name, result in self.results.items():
@@ -199,7 +207,7 @@ class Requests(Service):
         self.tick(now_ns)
 
     def _expect_others(self, now_ns: int, request: _Request) -> None:
-        """Wait for the other answers to what was sent more than once, and longer from now on."""
+        """Wait for the other answers to a request sent more than once, and longer from now on."""
         if request.sent == 1:
             return
         took_ns = now_ns - request.first_ns
@@ -210,27 +218,27 @@ class Requests(Service):
         version = ".".join(str(byte) for byte in message.flight_sw_version.to_bytes(4, "big")[:3])
         if message.flight_sw_version and version != self.version:
             self.version = version
-            self._emit(Versioned(version))
+            self._emit(FirmwareReported(version))
 
     def _settle(self, result: str) -> None:
-        """Note the answer to the request that is under way, and think of another for it."""
+        """Note the answer to the request under way, and queue another where it was refused."""
         request = self._wanted.popleft()
         if request.rate is None:
-            return  # an old autopilot knows of no such request, and that is no news
+            return  # an old autopilot does not know this request
         if self.results.get(request.name) != result:
             self.results[request.name] = result
-            self._emit(Answered(request.name, result))
+            self._emit(RequestAnswered(request.name, result))
         self._has_fallen_back = False
         if request.name in _INERTIAL and self._peer and self._peer.family is Family.ARDUPILOT:
             self._settle_inertial(request.name, request.rate, result)
 
     def _settle_inertial(self, name: str, rate: float, result: str) -> None:
-        """Ask an ArduPilot for the coarser message where it refuses the finer, then for less."""
+        """Request the coarser message where ArduPilot refuses the finer one, then a lower rate."""
         lower = [step for step in _STEPS if step < rate]
         if result != _NO_ANSWER:
             self._granted.pop(name, None)
         if result == ACCEPTED:
-            self._granted = {name: rate}  # one is enough
+            self._granted = {name: rate}  # one message is enough
             if rate < self._rate(name):
                 self._emit(
                     Noted(

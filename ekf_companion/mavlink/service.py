@@ -1,4 +1,4 @@
-"""What a session consists of: services, each of one conversation of the protocol."""
+"""The services of which a session consists, each one conversation of the protocol."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Handler = Callable[[Any, Frame, int], None]
 
 
 class Service:
-    """One conversation: what it hears, what time brings, and whom it is held with.
+    """One conversation of the protocol.
 
-    It sends through the session's ``Outbox`` and says what has happened through its ``Emit``.
-    A message with a target comes to it only if that is us or everybody.
+    It sends through the session's ``Outbox`` and emits events through its ``Emit``. A message with
+    a target comes to it only if that is us or everybody.
     """
 
     handles: Mapping[str, Handler] = MappingProxyType({})
-    """By the message's name."""
+    """Handlers by the message's name."""
 
     def begin(self, peer: PeerFound) -> None:
         """Begin anew: the autopilot was found or rebooted, and knows nothing of us."""

@@ -15,63 +15,39 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 
-from ekf_companion.mavlink.admission import Admission
+from ekf_companion.mavlink.admission import SETUP_SIGNING, Admission
 from ekf_companion.mavlink.audit import Audit
 from ekf_companion.mavlink.clash import ClashWatch
 from ekf_companion.mavlink.clock import Timesync, TimesyncService
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
+from ekf_companion.mavlink.decision import StreamState, stream_state
 from ekf_companion.mavlink.decode import Decoder
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
-from ekf_companion.mavlink.event import (
-    Answered,
-    Event,
-    GuardChanged,
-    Noted,
-    PeerFound,
-    PeerLost,
-    Rebooted,
-)
+from ekf_companion.mavlink.event import Event, Noted, PeerFound, Rebooted
 from ekf_companion.mavlink.frame import JUNK, Frame, Sequence, Splitter
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import Heartbeat
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
-from ekf_companion.mavlink.options import RATES, SessionOptions
-from ekf_companion.mavlink.outbox import Outbox
+from ekf_companion.mavlink.options import SessionOptions
+from ekf_companion.mavlink.outbox import Message, Outbox, Outgoing
 from ekf_companion.mavlink.parameters import ParameterServer
 from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.signing import Signing
-from ekf_companion.mavlink.stamp import quantise
 from ekf_companion.mavlink.statustext import StatusText
-from ekf_companion.mavlink.verdict import StreamState, stream_state
 from ekf_companion.nav.measurements import Measurement, Restart
 
-__all__ = [
-    "RATES",
-    "Answered",
-    "Event",
-    "GuardChanged",
-    "Noted",
-    "PeerFound",
-    "PeerLost",
-    "Rebooted",
-    "Session",
-    "SessionOptions",
-    "quantise",
-]
-
-
 MISADDRESSED = "addressed to another"
-"""Of a message of a kind that we answer: why it was not."""
+"""Why a message of a kind that we answer was not answered."""
 JUNK_BYTES = 1 << 16
 """Of what is no frame, recorded beyond as many bytes as of frames: enough to see a wrong baud rate,
 and no way to fill a disk, where the oldest recordings make room for it."""
 
 
 class Session:
-    """One autopilot: found, asked, listened to and answered."""
+    """The conversation with one autopilot: it is found, asked, listened to and answered."""
 
     def __init__(
         self, options: SessionOptions | None = None, signing: Signing | None = None
@@ -82,6 +58,7 @@ class Session:
         )
         self.decoder = Decoder(options=options.decoder)
         self.timesync = Timesync(options.timesync)
+        self.received_bytes = 0
         self.received: Counter[int] = Counter()
         """Frames of the autopilot by message id."""
         self.heard = 0
@@ -99,44 +76,38 @@ class Session:
             Sender(options.system_id or 1, options.component_id, signing),
             is_recording=options.is_recording,
         )
+        self.has_events = False
+        """Whether something has happened that :meth:`events` has not returned yet."""
         self._events: list[Event] = []
-        emit = self._events.append
 
+        guard = options.guard or GuardOptions(mode="never")
+        self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, guard)
         self.discovery = Discovery(
-            emit,
+            self._emit,
             self._begin,
             self._end,
-            self._share,
+            self.guard.on_other_autopilot,
             wanted=options.autopilot_system_id,
             expected=options.expected,
         )
         self.heartbeat = Heartbeat(self.outbox)
-        self.clash = ClashWatch(emit, self.heartbeat)
-        self.commands = Commands(self.outbox, emit, self.heartbeat)
-        self.parameters = ParameterServer(self.outbox, emit, options.parameters)
-        self.requests = Requests(self.outbox, emit, options.rates)
-        guard = options.guard or GuardOptions(mode="never")
-        self.guard = Guard(self.outbox, emit, self.decoder.beware, guard)
-        self.audit = Audit(self.received, self.requests, emit)
+        self.clash = ClashWatch(self._emit, self.heartbeat)
+        self.commands = Commands(self.outbox, self._emit, self.heartbeat)
+        self.parameters = ParameterServer(self.outbox, self._emit, options.parameters)
+        self.requests = Requests(self.outbox, self._emit, options.rates)
+        self.audit = Audit(self.received, self.requests, self._emit)
         self.statustext = StatusText(self.outbox)
 
-        # Held with everybody
-        self._with_all: tuple[Service, ...] = (
-            *(self.heartbeat, self.discovery, self.clash),
-            *(self.commands, self.parameters),
-        )
-        # Held with the autopilot only, while it is heard
-        self._with_peer: tuple[Service, ...] = (
-            self.requests,
-            *(() if options.guard is None else (self.guard,)),
-            TimesyncService(self.outbox, self.timesync),
-            self.audit,
-            self.statustext,
-        )
-        self._all_routes = _routes(self._with_all)
-        self._peer_routes = _routes(self._with_peer)
-        self._splitter = Splitter()
-        self._junk_left = JUNK_BYTES
+        # Conversations with everybody
+        self._with_all: list[Service] = [self.heartbeat, self.discovery, self.clash]
+        self._with_all += [self.commands, self.parameters]
+        # Conversations with the autopilot only, while it is heard
+        guards = [] if options.guard is None else [self.guard]
+        timesync = TimesyncService(self.outbox, self.timesync)
+        self._with_peer: list[Service] = [self.requests, *guards, timesync, self.audit]
+        self._with_peer += [self.statustext]
+        self._all_routes, self._peer_routes = _routes(self._with_all), _routes(self._with_peer)
+        self._splitter, self._junk_left = Splitter(), JUNK_BYTES
         self._autopilot_sender: Hashable = None
         self._vehicle: PeerFound | None = None
         """The one begun with last; kept when it is lost."""
@@ -144,7 +115,7 @@ class Session:
     # What goes in
 
     def receive(self, data: bytes, now_ns: int, sender: Hashable = None) -> list[Measurement]:
-        """Take bytes that were read at a time of ours; give what they say, in order.
+        """Process bytes that were read at a time of ours; return what they measured, in order.
 
         ``sender`` tells apart who sends datagrams to one socket.
         """
@@ -154,77 +125,77 @@ class Session:
     def steps(
         self, data: bytes, now_ns: int, sender: Hashable = None
     ) -> Iterator[list[Measurement]]:
-        """Do the same frame by frame: what a frame makes happen comes before what it measured.
-
-        What is not admitted is not recorded either: a stranger neither fills the disk nor speaks
-        in a replay, which so needs no key.
-        """
+        """Process bytes, and yield what each frame measured once its events have happened."""
+        self.received_bytes += len(data)
         for frame in self._splitter.feed(data, sender):
             if self.on_frame is not None:
                 self.on_frame(frame)
             if frame.message_id == JUNK:
                 self._record_junk(frame.raw, now_ns, sender)
                 continue
-            is_beside = sender == self._autopilot_sender and self.peer is not None
-            if self.admission.refuse(frame, now_ns, is_beside_autopilot=is_beside):
-                continue
+
+            # What is not admitted is not recorded either: a stranger neither fills the disk nor
+            # speaks in a replay, which so needs no key
+            if self.admission.is_selective or frame.message_id == SETUP_SIGNING:
+                is_beside = sender == self._autopilot_sender and self.peer is not None
+                if self.admission.refuse(frame, now_ns, is_beside_autopilot=is_beside):
+                    continue
             if self.options.is_recording:
                 self.outbox.record(frame.raw, now_ns)
                 self._junk_left = min(self._junk_left + len(frame.raw), JUNK_BYTES)
-            heard = self.heard
-            measurements = self._take(frame, now_ns)
-            if self.heard != heard:
+
+            if self._is_of_autopilot(frame, now_ns):
                 self._autopilot_sender = sender
-            yield measurements
+                yield self._receive_from_autopilot(frame, now_ns)
+            else:
+                yield []
 
     def _record_junk(self, raw: bytes, now_ns: int, sender: Hashable) -> None:
-        """Keep what was no frame, if the autopilot may have said it, and no more than of frames."""
+        """Record bytes that are no frame if the autopilot may have sent them, within a limit."""
         is_single = sender is None  # there is but one other end
         if (is_single or sender == self._autopilot_sender) and len(raw) <= self._junk_left:
             self._junk_left -= len(raw)
             self.outbox.record(raw, now_ns)
 
-    def _take(self, frame: Frame, now_ns: int) -> list[Measurement]:
-        # Leave out what bears our own name: an echo, or somebody who must not
-        sender = frame[1:3]
-        if sender == self.outbox.ids:
+    def _is_of_autopilot(self, frame: Frame, now_ns: int) -> bool:
+        """Handle what anybody may say; return whether it was the autopilot who said it."""
+        source = frame[1:3]
+        if source == self.outbox.ids:  # an echo, or somebody who must not
             self.ignored["our own"] += 1
-            self.clash.hear(frame, now_ns)
-            return []
-
-        if self.admission.is_proven(frame):
+            self.clash.on_frame(frame, now_ns)
+            return False
+        if not self.admission.is_selective or self.admission.is_proven(frame):
             self.believed += 1
-
-        # Hear what anybody may say
         if (handlers := self._all_routes.get(frame.message_id)) is not None:
-            self._hand(handlers, frame, now_ns)
+            self._hand_to(handlers, frame, now_ns)
         if self.discovery.peer is None:
-            self.discovery.recognise(sender, now_ns)
-
-        # Hear what only the autopilot may
-        if sender != self.discovery.peer:
+            self.discovery.recognise(source, now_ns)
+        if source != self.discovery.peer:
             self.ignored["of another system or component"] += 1
-            return []
+            return False
+        return True
+
+    def _receive_from_autopilot(self, frame: Frame, now_ns: int) -> list[Measurement]:
+        """Handle what only the autopilot may say; return what it measured."""
         self.heard += 1
         self.received[frame.message_id] += 1
         self.sequence.count(frame.sequence, now_ns)
         if (handlers := self._peer_routes.get(frame.message_id)) is not None:
-            self._hand(handlers, frame, now_ns)
+            self._hand_to(handlers, frame, now_ns)
         if self.guard.is_waiting:
-            self.guard.hear(now_ns)
+            self.guard.on_frame(now_ns)
 
-        # Take what it measured
         measurements = self.decoder.decode(frame)
         while self.decoder.notes:
-            self._events.append(Noted(self.decoder.notes.popleft()))
+            self._emit(Noted(self.decoder.notes.popleft()))
         first = measurements[0] if measurements else None
         if type(first) is Restart and not first.goes_on:
-            self._events.append(Rebooted())
-            self._begin(PeerFound(*sender, self.discovery.family))
+            self._emit(Rebooted())
+            self._begin(PeerFound(*frame[1:3], self.discovery.family))
         return measurements
 
-    def _hand(self, handlers: Iterable[Handler], frame: Frame, now_ns: int) -> None:
-        """Give a message to who handles it, if it is for us."""
+    def _hand_to(self, handlers: Iterable[Handler], frame: Frame, now_ns: int) -> None:
+        """Hand a message to its handlers, if it is addressed to us or to everybody."""
         message = unpack(frame)
         ours = self.outbox.ids
         is_system = getattr(message, "target_system", 0) in (0, ours[0])
@@ -235,6 +206,10 @@ class Session:
             handler(message, frame, now_ns)
 
     # What changes
+
+    def _emit(self, event: Event) -> None:
+        self._events.append(event)
+        self.has_events = True
 
     def _begin(self, peer: PeerFound) -> None:
         """Begin every conversation anew: the autopilot knows nothing of us."""
@@ -248,52 +223,58 @@ class Session:
         for service in (*self._with_all, *self._with_peer):
             service.begin(peer)
 
-    def _share(self, other_id: int | None) -> None:
-        self.guard.share(other_id)
-
     def _end(self) -> None:
         for service in (*self._with_all, *self._with_peer):
             service.end()
 
     def tick(self, now_ns: int) -> None:
-        """Do what is due; to be called ten times a second or more."""
+        """Do what is due; call it ten times a second or more."""
         for service in self._with_all:
             service.tick(now_ns)
         if self.peer is not None:
             for service in self._with_peer:
                 service.tick(now_ns)
 
+    def retune(self, options: SessionOptions) -> None:
+        """Go on with other rates, parameters, and options of the guard and of TIMESYNC."""
+        self.timesync.options = options.timesync
+        self.requests.retune(options.rates)
+        if options.guard is not None:
+            self.guard.retune(options.guard)
+        self.parameters.retune(options.parameters)
+
     # What goes out
 
     def set_state(self, status: SystemStatus, mode: int = 0) -> None:
-        """Say in the heartbeat from now on how we are."""
+        """Carry this state of ours in the heartbeat from now on."""
         self.heartbeat.status, self.heartbeat.mode = status, mode
 
-    def send(self, name: str, payload: bytes, now_ns: int) -> None:
-        """Queue a message of ours."""
-        self.outbox.send(name, payload, now_ns)
+    def publish(self, message: Message, now_ns: int) -> None:
+        """Send a message about the estimate; only record an ODOMETRY that must not be sent."""
+        name, payload, is_replaceable = message
+        if name == "ODOMETRY" and not self.may_stream:
+            self.outbox.withhold(name, payload, now_ns)
+        else:
+            self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable)
 
-    def note(self, name: str, payload: bytes, now_ns: int) -> None:
-        """Record a message of ours that is not sent."""
-        self.outbox.note(name, payload, now_ns)
-
-    def data_to_send(self) -> list[bytes]:
-        """Give what is to be sent, one frame an item, and forget it."""
+    def frames_to_send(self) -> list[Outgoing]:
+        """Return the frames that wait to be sent, and forget them."""
         return self.outbox.take()
 
-    def take_record(self) -> list[tuple[int, bytes]]:
-        """Give stamp (us) and bytes of all that went in and out, in order, and forget it.
+    def data_to_send(self) -> list[bytes]:
+        """Return the bytes of the frames that wait to be sent, one item each, and forget them."""
+        return [frame.data for frame in self.outbox.take()]
 
-        Each item is a frame or, of what came in, a run of junk. Nothing unless recording.
+    def take_record(self) -> list[tuple[int, bytes]]:
+        """Return stamp (us) and bytes of all that went in and out, in order, and forget it.
+
+        Each item is a frame or, of what came in, a run of junk. Empty unless recording.
         """
         return self.outbox.take_record()
 
     def events(self) -> list[Event]:
-        """Give what has happened, and forget it."""
-        if not self._events:
-            return []
-        events = self._events[:]
-        self._events.clear()  # the services hold on to the list
+        """Return what has happened, and forget it."""
+        events, self._events, self.has_events = self._events, [], False
         return events
 
     @property
@@ -302,33 +283,18 @@ class Session:
         return None if self.discovery.is_lost else self.discovery.peer
 
     @property
-    def heard_ns(self) -> int:
-        """When the autopilot's last heartbeat came, our clock; 0: none has."""
-        return self.discovery.heard_ns
-
-    @property
-    def sent(self) -> Mapping[str, int]:
-        """Messages of ours by name."""
-        return self.outbox.sent
-
-    @property
     def may_stream(self) -> bool:
-        """Whether ODOMETRY may be sent, if only when asked for: the guard lets it, nobody is us."""
-        return self.guard.is_streaming and not self.clash.is_clash
+        """Whether ODOMETRY may be sent: the guard lets it, and nobody else speaks under our ids."""
+        return self.guard.decision.is_streaming and not self.clash.is_clash
 
     @property
     def stream_state(self) -> StreamState:
         """Whether ODOMETRY is sent, why, and what would change it."""
         twin = self.outbox.ids if self.clash.is_clash else None
-        return stream_state(self.guard.verdict, twin, self.commands.slowed_by("ODOMETRY"))
-
-    @property
-    def results(self) -> Mapping[str, str]:
-        """The last answer to the request for each message."""
-        return self.requests.results
+        return stream_state(self.guard.decision, twin, self.commands.slowed_by("ODOMETRY"))
 
     def counters(self) -> dict[str, int]:
-        """Give how many of what, from bytes to refusals, by name."""
+        """Return all counts, from bytes to refusals, by name."""
         return {
             "frames": self._splitter.frames,
             "bad_crc": self._splitter.bad_crc,
@@ -346,7 +312,7 @@ class Session:
 
     @property
     def refused(self) -> Mapping[str, int]:
-        """How often what a message said was not taken, or not as it was, ``message: why``."""
+        """How often a message's content was refused or corrected, by ``message: why``."""
         misaddressed = {
             f"{LAYOUTS[number].name}: {MISADDRESSED}": count
             for number, count in self.misaddressed.items()
@@ -355,7 +321,7 @@ class Session:
 
 
 def _routes(services: Iterable[Service]) -> dict[int, tuple[Handler, ...]]:
-    """Give whoever handles a message, by its id."""
+    """Return the handlers of each message, by its id."""
     routes: dict[int, tuple[Handler, ...]] = {}
     for service in services:
         for name, handler in service.handles.items():

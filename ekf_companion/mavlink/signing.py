@@ -1,11 +1,12 @@
-"""MAVLink 2 signatures: who knows the secret said it, and said it now. No clock and no file.
+"""MAVLink 2 signatures: a frame is from somebody who knows the secret, and is new.
 
 A signature is the first 48 bits of SHA-256 over secret, frame, link id and time. The time counts
 10 us since 2015 and must grow from frame to frame of one stream (system, component, link id), so
-that a frame that was recorded cannot be sent again.
+that a frame that was recorded cannot be replayed.
 
-Our own time is that of the clock that is passed in, but never behind what has been sent, heard or
-kept: a board without a real-time clock so catches up with the first signed frame that it hears.
+Our own time is that of the clock that is passed in, but never behind what was sent, received or
+stored: so a board without a real-time clock catches up with the first signed frame that it
+receives.
 
 Source: MAVLink guide, "Message Signing" (mavlink.io/en/guide/message_signing.html).
 """
@@ -28,11 +29,11 @@ SECOND = 1_000_000_000 // UNIT_NS
 LARGEST = (1 << 48) - 1
 """Reached in 2104."""
 FIRST_CONTACT = 60 * SECOND
-"""How far behind ours the time of a stream may be that was never heard before."""
+"""How far behind ours the time of a new stream may be."""
 STREAMS = 64
 """How many streams are remembered."""
 MARGIN = 2 * SECOND
-"""What the time kept is put forward by at a start: it is kept once a second, and a disk is slow."""
+"""Added to the stored time at a start: it is stored once a second, and a disk is slow."""
 
 WRONG = "signature is wrong"
 REPLAYED = "signed frame is not newer than the last"
@@ -46,13 +47,13 @@ _TAG_SIZE = 16
 
 
 class Signing:
-    """Signs what we send and verifies what comes, with one secret."""
+    """Signs our frames and verifies those of others, with one secret."""
 
     def __init__(self, key: bytes, link_id: int = 0) -> None:
-        """Begin with a secret of 32 bytes, and the number of our link."""
+        """Begin with a secret of 32 bytes, and the id of our link."""
         if len(key) != KEY_SIZE:
             raise ValueError(f"a key has {KEY_SIZE} bytes")
-        # The secret is kept as the state of its hash, which nobody can print
+        # The secret is kept as the state of its hash, which cannot be printed
         self._secret = hashlib.sha256(key)
         self._link_id = bytes([link_id])
         self._time = 0
@@ -61,7 +62,7 @@ class Signing:
         """Frames whose signature was right."""
 
     def sign(self, frame: bytes, now_ns: int) -> bytes:
-        """Give a frame, whose flags say that it is signed, with its signature.
+        """Return a frame, whose flags announce a signature, with that signature.
 
         Args:
             frame: Whole, with its checksum.
@@ -72,7 +73,7 @@ class Signing:
         return data + self._digest(data)[:6]
 
     def verify(self, frame: Frame, now_ns: int) -> str:
-        """Say why a signed frame is not believed; empty: it is, and its time is taken note of.
+        """Return why a signed frame is refused; empty if it is accepted, and its time noted.
 
         Args:
             frame: With a signature.
@@ -98,14 +99,14 @@ class Signing:
         return ""
 
     def state(self) -> bytes:
-        """Give what a restart must know: our time, and that of each stream; not the secret."""
+        """Return what a restart must know: our time, and that of each stream; not the secret."""
         data = _HEAD.pack(_MAGIC, self._time, len(self._streams)) + b"".join(
             _STREAM.pack(*stream, time) for stream, time in self._streams.items()
         )
         return data + self._digest(data)[:_TAG_SIZE]
 
     def restore(self, state: bytes) -> bool:
-        """Go on from a state; False: it is damaged, or of another secret, and nothing was taken.
+        """Go on from a state; return False, changing nothing, if it is damaged or another's.
 
         Of several states the latest time of each stream counts.
         """
@@ -132,7 +133,7 @@ class Signing:
         return digest.digest()
 
     def _forget(self, ours: int) -> bool:
-        """Make room for a stream by one that is so old that its frames would be refused anyway."""
+        """Forget the oldest stream if its frames would be refused anyway; return whether it was."""
         oldest = min(self._streams, key=lambda stream: self._streams[stream])
         if self._streams[oldest] + FIRST_CONTACT >= ours:
             return False
@@ -141,5 +142,5 @@ class Signing:
 
 
 def time_of(now_ns: int) -> int:
-    """Give unix time, ns, as a signature counts it; before 2015: 0."""
+    """Return unix time, ns, in the units of a signature; before 2015: 0."""
     return max((now_ns - EPOCH_NS) // UNIT_NS, 0)

@@ -1,4 +1,4 @@
-"""Times of arrival, as far as anything may depend on them."""
+"""Times of arrival, as coarse as a .tlog holds them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ SECOND_NS = 1_000_000_000
 
 
 def quantise(now_ns: int) -> int:
-    """Give a time, ns, as a .tlog holds it: whole microseconds, the low two bits cleared.
+    """Return a time, ns, as a .tlog holds it: whole microseconds, the low two bits cleared.
 
     Those two bits hold the number of the link.
     """

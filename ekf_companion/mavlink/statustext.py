@@ -1,4 +1,4 @@
-"""Words for the pilot: STATUSTEXT, said once, in pieces where they are long."""
+"""Texts for the pilot: STATUSTEXT, each sent once, in chunks where it is long."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CHUNK = 50
 LARGEST = 4 * CHUNK
 """Bytes of a text; the rest is in the log."""
 _WAITING = 16
-"""Texts that may wait; of more, the least severe is left out, and of those the oldest."""
+"""Texts that may wait; beyond, the least severe is dropped, and of those the oldest."""
 _PACE_NS = SECOND_NS // 5
 """Between any two texts."""
 _LARGEST_ID = 65535
@@ -39,69 +39,69 @@ class _Text(NamedTuple):
 
 
 class StatusText(Service):
-    """Says what has changed, to whoever listens; nothing while no autopilot is heard."""
+    """Sends texts to everybody on the link, and none while no autopilot is heard."""
 
     def __init__(self, outbox: Outbox) -> None:
         self.dropped = 0
-        """Texts that waited behind too many others."""
+        """Texts that were not sent because too many waited."""
         self._outbox = outbox
         self._is_heard = False
         self._waiting: deque[_Text] = deque()
-        self._said_ns: dict[_Text, int] = {}
+        self._sent_ns: dict[_Text, int] = {}
         self._next_ns = 0
         self._id = 0
 
     def begin(self, peer: PeerFound) -> None:
-        """Speak from now on."""
+        """Send from now on."""
         self._is_heard = True
 
     def end(self) -> None:
-        """Be silent: nobody hears, and later it would be no news."""
+        """Drop what waits: nobody hears it, and later it would be old."""
         self._is_heard = False
         self._waiting.clear()
 
-    def say(self, severity: Severity, text: str) -> None:
-        """Say it when its turn has come: the last said is the last heard, so that it is true."""
+    def send(self, severity: Severity, text: str) -> None:
+        """Queue a text; one that waits already goes last, so that the last text heard is true."""
         if not self._is_heard:
             return
-        said = _Text(severity, text)
-        if said in self._waiting:
-            self._waiting.remove(said)
-        self._waiting.append(said)
+        queued = _Text(severity, text)
+        if queued in self._waiting:
+            self._waiting.remove(queued)
+        self._waiting.append(queued)
         if len(self._waiting) > _WAITING:
             self._waiting.remove(max(self._waiting, key=lambda text: text.severity))
             self.dropped += 1
 
     def tick(self, now_ns: int) -> None:
-        """Send the first in line; a text that was said in the last second waits."""
+        """Send the first in line; a text that was sent in the last second waits."""
         if not self._waiting or now_ns < self._next_ns:
             return
-        self._said_ns = {
-            text: at_ns for text, at_ns in self._said_ns.items() if now_ns - at_ns < SECOND_NS
+        self._sent_ns = {
+            text: at_ns for text, at_ns in self._sent_ns.items() if now_ns - at_ns < SECOND_NS
         }
-        if (said := self._waiting[0]) not in self._said_ns:
+        if (text := self._waiting[0]) not in self._sent_ns:
             self._waiting.popleft()
-            self._said_ns[said] = now_ns
+            self._sent_ns[text] = now_ns
             self._next_ns = now_ns + _PACE_NS
-            self._send(said, now_ns)
+            self._send_chunks(text, now_ns)
 
-    def _send(self, said: _Text, now_ns: int) -> None:
-        pieces = chunks(said.text)
+    def _send_chunks(self, text: _Text, now_ns: int) -> None:
+        pieces = chunks(text.text)
         text_id = 0
         if len(pieces) > 1:
             text_id = self._id = self._id % _LARGEST_ID + 1
         for number, piece in enumerate(pieces):
             payload = pack(
-                "STATUSTEXT", severity=said.severity, text=piece, id=text_id, chunk_seq=number
+                "STATUSTEXT", severity=text.severity, text=piece, id=text_id, chunk_seq=number
             )
             self._outbox.send("STATUSTEXT", payload, now_ns)
 
 
 def chunks(text: str) -> list[bytes]:
-    """Cut a text into pieces of 50 bytes, none through a character.
+    """Return a text cut into chunks of 50 bytes, none through a character.
 
-    A zero byte ends a text, so a piece that a character did not fit into is filled with spaces,
-    and a last piece without room for a zero is followed by an empty one.
+    A zero byte ends a text, so a chunk into which a character did not fit is filled with spaces,
+    and a last chunk without room for a zero is followed by an empty one.
     """
     rest = text.replace("\0", "").encode()[:LARGEST].decode(errors="ignore").encode()
     if len(rest) <= CHUNK:

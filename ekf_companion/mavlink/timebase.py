@@ -1,14 +1,14 @@
-"""The autopilot's clock out of its messages' stamps: one time base, that nothing wild can move.
+"""The autopilot's clock, from its messages' stamps: one time base that no wild stamp can move.
 
 Stamps are microseconds since boot or since 1970, told apart by their size, or milliseconds since
 boot that wrap after 49.7 days. The base is the one that the inertial messages use; what is
 stamped on the other is moved over by SYSTEM_TIME, which names both.
 
-One stamp far from the others says nothing: it may be an old packet, or a field that was never
-set. So a leap is held back until a second stamp goes on from it: forward, that was a gap, which so
-costs one message; back (or to the other base, or by more than an hour), the clock began anew, if
-for a quarter of a second nothing else is heard. What is far is measured by the pace of the stamps:
-where they come more rarely than once a second, two of their steps are not.
+One stamp far from the others proves nothing: it may be an old packet, or a field that was never
+set. So a leap is held back until a second stamp goes on from it. Forward, it was a gap, which thus
+costs one message. Backward (or to the other base, or by more than an hour), the clock has restarted
+if nothing else is heard for a quarter of a second. What counts as far depends on the rate of the
+stamps: where they come less often than once a second, two of their steps do not.
 
 A step back by less than a second is at first taken for packets that were overtaken. Those have
 others before and after them that are not; where all stamps stay behind while they go on by a
@@ -26,49 +26,48 @@ LAST_US = 4_000_000_000_000_000
 WRAP_US = (1 << 32) * 1000
 """The milliseconds since boot go round."""
 BACK_US = 1_000_000
-"""A clock that goes back by more has begun anew; by less, it may be that packets overtook one
-another."""
+"""A clock that goes back by more has restarted; by less, packets may have overtaken each other."""
 AHEAD_US = 1_000_000
-"""A link may be silent for so long without a doubt about the next stamp."""
+"""After a silence of the link of up to so long the next stamp is believed."""
 SLOW_US = AHEAD_US // 2
-"""A step above is that of a stream which may be silent for longer: for two such steps."""
+"""A longer step is that of a slow stream, which may be silent for two such steps."""
 LONG_US = 10_000_000
-"""From a stamp that is held back another goes on if it is no further away; at no pace is more
-taken unseen."""
+"""Another stamp confirms one that is held back if it is no further away; at no rate is a longer
+step believed at once."""
 GAP_US = 3_600_000_000
 """A leap of more than an hour is another clock, not a gap."""
 SURE_US = 250_000
-"""So long only the new clock must be heard: an old packet has others behind it that are not."""
+"""Only the new clock must be heard for so long: an old packet is followed by others."""
 
 
 class Step(Enum):
-    """What a stamp did to the clock."""
+    """What a stamp means for the clock."""
 
     FOLLOWED = "followed"
     HELD = "held"
-    """A leap that nothing has confirmed: what it stamps is of no known time."""
+    """A leap that nothing has confirmed yet: the time of what it stamps is not known."""
     BEGUN = "begun"
-    """The clock began anew."""
+    """The clock has restarted."""
     SET = "set"
-    """The clock was set back by less than a second; the stamps since then are to be taken anew."""
+    """The clock was set back by less than a second; the stamps since then must be read again."""
 
 
 class Count:
-    """A count of microseconds, from stamps that may come late, or mean nothing."""
+    """A clock in microseconds, from stamps that may come late or be wrong."""
 
     __slots__ = ("ahead_us", "behind_us", "latest_us", "leap_us")
 
     def __init__(self) -> None:
         self.latest_us: int | None = None
         self.ahead_us = AHEAD_US
-        """How far ahead the next may be without a doubt."""
+        """How far ahead the next may be and is believed at once."""
         self.behind_us: int | None = None
-        """The first of the stamps that have all been behind the latest; None: it is not so."""
+        """The first of the last stamps, which were all behind the latest; None: they were not."""
         self.leap_us: int | None = None
         """The first stamp after a leap that is held back."""
 
     def take(self, stamp_us: int) -> Step:
-        """Take the next stamp."""
+        """Judge the next stamp, and follow it unless it is a leap."""
         if self.latest_us is None:
             self.latest_us = stamp_us
             return Step.FOLLOWED
@@ -88,7 +87,7 @@ class Count:
         return Step.FOLLOWED if is_gap else Step.BEGUN
 
     def _follow(self, stamp_us: int, step: int) -> Step:
-        """Take a stamp that goes on, or is behind: late, or of a clock that was set back."""
+        """Follow a stamp that goes on, or is behind: late, or of a clock that was set back."""
         if step >= 0:
             self.latest_us, self.behind_us, self.ahead_us = stamp_us, None, _ahead(step)
             return Step.FOLLOWED
@@ -101,7 +100,7 @@ class Count:
 
 
 def _ahead(step_us: int) -> int:
-    """Give how far ahead a stamp may be after a step."""
+    """Return how far ahead a stamp may be after a step."""
     return min(max(AHEAD_US, 2 * step_us), LONG_US)
 
 
@@ -113,6 +112,8 @@ class TimeBase:
         self._boot = Count()  # of the milliseconds, where the base is unix
         self._unix_minus_boot_us: int | None = None
         self._held_relation_us: int | None = None
+        self.is_behind = False
+        """Whether the last stamps were all behind: late, or of a clock that was set back."""
 
     @property
     def latest_us(self) -> int | None:
@@ -126,28 +127,25 @@ class TimeBase:
         return None if latest is None else latest * 1000
 
     @property
-    def is_behind(self) -> bool:
-        """Whether the last stamps were all behind: late, or of a clock that was set back."""
-        return self._main.behind_us is not None
-
-    @property
     def is_unix(self) -> bool:
         """Whether the inertial messages are stamped in unix time."""
         latest = self._main.latest_us
         return latest is not None and latest > UNIX_FROM_US
 
-    def goes_on(self, stamp_us: int) -> bool:
-        """Take a stamp that the base follows, if it is the next; else leave it to ``advance``."""
+    def follow(self, stamp_us: int) -> bool:
+        """Follow a stamp that plainly comes next; return False, changing nothing, for another."""
         main = self._main
         latest = main.latest_us
         if latest is None or main.leap_us is not None or not 0 < stamp_us - latest <= SLOW_US:
             return False
         main.latest_us, main.behind_us, main.ahead_us = stamp_us, None, AHEAD_US
+        self.is_behind = False
         return True
 
     def advance(self, stamp_us: int) -> Step:
-        """Take a stamp that the base follows."""
+        """Advance to a stamp of the inertial messages' base, or hold it back."""
         step = self._main.take(stamp_us)
+        self.is_behind = self._main.behind_us is not None
         if step in (Step.BEGUN, Step.SET):
             # What is known of the milliseconds was so of the old clock
             self._boot = Count()
@@ -155,7 +153,7 @@ class TimeBase:
         return step
 
     def advance_boot_ms(self, boot_ms: int) -> Step:
-        """Take a stamp in milliseconds since boot."""
+        """Advance to a stamp in milliseconds since boot, or hold it back."""
         if self.is_unix:
             step = self._boot.take(_unwrapped(boot_ms, self._boot.latest_us))
             if step in (Step.BEGUN, Step.SET):
@@ -164,12 +162,12 @@ class TimeBase:
         leap = self._main.leap_us
         step = self.advance(_unwrapped(boot_ms, self._main.latest_us))
         if leap is not None and (leap > UNIX_FROM_US or _agrees(boot_ms, leap)):
-            # It says nothing against an inertial clock in unix time, or many wraps on
+            # It does not contradict an inertial clock in unix time, or many wraps on
             self._main.leap_us = self._main.leap_us or leap
         return step
 
     def relate(self, unix_us: int, boot_ms: int) -> Step:
-        """Take a SYSTEM_TIME (unix 0: not known yet)."""
+        """Advance by a SYSTEM_TIME, and learn how its two clocks are related (unix 0: unknown)."""
         step = self.advance_boot_ms(boot_ms)
         if step is not Step.HELD and UNIX_FROM_US < unix_us <= LAST_US:
             reference = self._boot.latest_us if self.is_unix else self._main.latest_us
@@ -177,7 +175,7 @@ class TimeBase:
         return step
 
     def _learn(self, unix_minus_boot_us: int) -> None:
-        """Take a relation; one far from the last must be said twice."""
+        """Learn how the clocks are related; a relation far from the last must come twice."""
         known = (self._unix_minus_boot_us, self._held_relation_us)
         is_confirmed = any(
             one is not None and abs(unix_minus_boot_us - one) <= BACK_US for one in known
@@ -188,7 +186,7 @@ class TimeBase:
             self._held_relation_us = unix_minus_boot_us
 
     def from_us(self, stamp_us: int) -> int | None:
-        """Give a stamp of either base in ns on ours; None: nothing relates the two yet."""
+        """Return a stamp of either base in ns on ours; None if nothing relates the two yet."""
         if (stamp_us > UNIX_FROM_US) == self.is_unix:
             return stamp_us * 1000
         if self._unix_minus_boot_us is None:
@@ -197,16 +195,16 @@ class TimeBase:
         return (stamp_us + moved) * 1000
 
     def from_boot_ms(self, boot_ms: int) -> int | None:
-        """Give a stamp in milliseconds since boot in ns; None: nothing relates it to ours yet."""
+        """Return milliseconds since boot in ns on our base; None if nothing relates the two yet."""
         reference = self._boot.latest_us if self.is_unix else self._main.latest_us
         return self.from_us(_unwrapped(boot_ms, reference))
 
 
 def _unwrapped(boot_ms: int, latest_us: int | None) -> int:
-    """Give milliseconds since boot in us, with the wraps that the newest stamp has behind it.
+    """Return milliseconds since boot in us, with as many wraps added as the newest stamp has.
 
-    A clock that began anew has none behind it. That, and no wrap, is what a leap ahead of more
-    than an hour across the wrap would be.
+    A clock that has restarted has had no wrap. A leap ahead across a wrap by more than an hour is
+    taken for a restart.
     """
     if latest_us is None:
         return boot_ms * 1000
@@ -220,6 +218,6 @@ def _unwrapped(boot_ms: int, latest_us: int | None) -> int:
 
 
 def _agrees(boot_ms: int, stamp_us: int) -> bool:
-    """Whether milliseconds may be of a clock in microseconds, after any number of wraps."""
+    """Whether milliseconds fit a clock in microseconds, after any number of wraps."""
     away = (boot_ms * 1000 - stamp_us + WRAP_US // 2) % WRAP_US - WRAP_US // 2
     return abs(away) <= LONG_US

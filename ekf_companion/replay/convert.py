@@ -1,8 +1,8 @@
-"""Recorded flights in, estimates out: the daemon's own pipeline over a log."""
+"""Recorded flights in, estimates out: as files, as tables, or as measurements alone."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -10,24 +10,18 @@ from pathlib import Path
 import numpy as np
 
 from ekf_companion.config.config import Config
-from ekf_companion.engine.health import Arrival
 from ekf_companion.engine.pipeline import Pipeline
-from ekf_companion.engine.publisher import Publisher
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters.solution import Solution
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.writer import CsvWriter, create
-from ekf_companion.mavlink.codec import Sender
-from ekf_companion.mavlink.event import PeerFound
-from ekf_companion.nav.measurements import Events, Kind, Row, merge
+from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Table, Trajectory, join
 from ekf_companion.replay.filters_by_name import run_filter
-from ekf_companion.replay.log_source import CHUNK, Columns, Source, open_source, parts
-from ekf_companion.replay.report import Report, account, conclude, summary
+from ekf_companion.replay.log_source import reference, truth
+from ekf_companion.replay.report import Report, summary
+from ekf_companion.replay.run import BlockPipeline, IdlePipeline, Progress, Run, StepPipeline
 from ekf_companion.replay.smoothing import Smoothing
-
-Progress = Callable[[int, int], None]
-"""Told how much is done, of how much."""
 
 
 def convert(
@@ -39,16 +33,16 @@ def convert(
     *,
     is_smoothed: bool = False,
 ) -> Report:
-    """Re-run the estimator over a log and write what it says.
+    """Re-run the estimator over a log and write its estimates.
 
     Args:
-        path: The log; its suffix says what it is: .tlog, .bin, .ulg, .csv.
-        out: Where to; .csv gives a row per inertial sample, .tlog the messages that the daemon
-            sends (beside the original ones, where the log is a .tlog too).
+        path: The log, its format told by its suffix: .tlog, .bin, .ulg, .csv.
+        out: The file to write: a .csv gets a row per inertial sample, a .tlog the messages that the
+            daemon sends (beside the original ones, where the log is a .tlog too).
         config: The estimator's configuration.
         rate: Rows per second at most, Hz; None: all.
-        progress: Told how far it is.
-        is_smoothed: Each estimate knows the whole log, not only what came before it.
+        progress: Called with how much is done.
+        is_smoothed: Whether each estimate uses the whole log, not only what came before it.
 
     Raises:
         LogError: The log cannot be read, or nothing can be estimated from it.
@@ -64,30 +58,40 @@ def convert(
         raise ConfigError(f"{out}: unknown kind of output; name it .csv or .tlog")
     if out.resolve() == path.resolve():
         raise ConfigError(f"{out}: is the log itself; name another file")
-    report = Report(log=str(path))
-    source = open_source(path, config, report)
-    if out.suffix == ".csv":
-        with CsvWriter(out) as writer:
-            last_ns: int | None = None
-            run = _smoothed if is_smoothed else _estimates
-            for table in run(source, config, report, progress):
-                kept = _thin(table, rate, last_ns)
-                writer.write(kept.stamp_ns, kept.values)
-                last_ns = int(table.stamp_ns[-1]) if len(table) else last_ns
-    else:
-        if isinstance(source, Columns) and source.events.t_ns.min(initial=0) < 0:
-            raise LogError(f"{path}: has times before zero, which a .tlog cannot hold; name a .csv")
-        with closing(create(out)) as file:
-            for stamp_us, frame in _messages(source, config, report, progress):
-                file.write(stamp_us.to_bytes(8, "big") + frame)
-    conclude(report, path)
-    return report
+    if out.suffix == ".tlog":
+        return _convert_to_messages(path, out, config, progress)
+    with CsvWriter(out) as writer:
+        last_ns: int | None = None
+        run: Run[Smoothing] | Run[BlockPipeline]
+        if is_smoothed:
+            run = Run(path, config, Smoothing)
+            tables = _smoothed(run, progress)
+        else:
+            run = Run(path, config, BlockPipeline)
+            tables = (block.table for block in run.blocks(progress))
+        for table in tables:
+            kept = _thin(table, rate, last_ns)
+            writer.write(kept.stamp_ns, kept.values)
+            last_ns = int(table.stamp_ns[-1]) if len(table) else last_ns
+    return run.finish()
+
+
+def _convert_to_messages(
+    path: Path, out: Path, config: Config, progress: Progress | None
+) -> Report:
+    run = Run(path, config, StepPipeline)
+    if isinstance(run.log, Recording) and run.log.events.t_ns.min(initial=0) < 0:
+        raise LogError(f"{path}: has times before zero, which a .tlog cannot hold; name a .csv")
+    with closing(create(out)) as file:
+        for stamp_us, frame in run.messages(progress):
+            file.write(stamp_us.to_bytes(8, "big") + frame)
+    return run.finish()
 
 
 def convert_by(
     name: str, path: Path, out: Path, config: Config, rate: float | None = None
 ) -> Solution:
-    """Take a filter of :mod:`.filters_by_name` through a log and write what it says.
+    """Run a filter of :mod:`.filters_by_name` over a log and write its estimates.
 
     Raises:
         LogError: As :func:`convert`, or the log lacks what the filter needs.
@@ -112,63 +116,81 @@ def convert_by(
 def estimate(
     path: Path, config: Config, progress: Progress | None = None
 ) -> tuple[Table, Report, Trajectory | None, Trajectory | None]:
-    """Re-run the estimator and give all estimates, the report, the log's reference and truth.
+    """Re-run the estimator; return all estimates, the report, the log's reference and truth.
 
     Raises:
         LogError: As :func:`convert`.
     """
-    report = Report(log=str(path))
-    source = open_source(path, config, report)
-    tables = list(_estimates(source, config, report, progress))
-    conclude(report, path)
-    return join(tables), report, source.reference, source.truth
+    run = Run(path, config, BlockPipeline)
+    tables = [block.table for block in run.blocks(progress)]
+    report = run.finish()
+    return join(tables), report, reference(run.log), truth(run.log)
 
 
 def estimate_and_smooth(
     path: Path, config: Config, progress: Progress | None = None
 ) -> tuple[Table, Table, Report, Trajectory | None, Trajectory | None]:
-    """Do the same, and give the smoothed estimates behind those of the live filter.
+    """Do the same, and return the smoothed estimates behind those of the live filter.
 
     Raises:
         LogError: As :func:`convert`.
     """
-    report = Report(log=str(path))
-    source = open_source(path, config, report)
+    run = Run(path, config, Smoothing)
     live: list[Table] = []
-    smoothed = list(_smoothed(source, config, report, progress, live))
-    conclude(report, path)
-    return join(live), join(smoothed), report, source.reference, source.truth
+    smoothed = list(_smoothed(run, progress, live))
+    report = run.finish()
+    return join(live), join(smoothed), report, reference(run.log), truth(run.log)
+
+
+def _smoothed(
+    run: Run[Smoothing], progress: Progress | None, live: list[Table] | None = None
+) -> Iterator[Table]:
+    """Yield the smoothed estimates; append those of the live filter to ``live``."""
+
+    def forward(done: int, total: int) -> None:
+        if progress is not None:
+            progress(done, 2 * total)
+
+    def backward(done: int, total: int) -> None:
+        if progress is not None:
+            progress(total + done, 2 * total)
+
+    for block in run.blocks(forward):
+        if live is not None:
+            live.append(block.table)
+    for smoothing in run.pipelines:
+        with smoothing:
+            yield from smoothing.tables(backward)
 
 
 def read(
     path: Path | str, config: Config | None = None, progress: Progress | None = None
 ) -> Recording:
-    """Give the events of a log, whatever its format: the longest course of time without a restart.
+    """Return the events of a log of any format: the longest stretch of time without a restart.
 
     Args:
         path: The log.
-        config: Whose ``link`` says which autopilot of a .tlog is listened to; None: the first.
-        progress: Told how far it is.
+        config: Its ``link`` decides which autopilot of a .tlog is listened to; None: the first.
+        progress: Called with how much is done.
 
     Raises:
         LogError: The log cannot be read, or holds no event at all.
     """
-    path, report = Path(path), Report(log=str(path))
-    source = open_source(path, config or Config(), report)
+    path = Path(path)
+    run = Run(path, config or Config(), IdlePipeline)
     tables: list[Events] = []
     families: list[str] = []
     cuts: list[int] = []
-    peer: PeerFound | None = None
-    for part in parts(source):
-        if part.peer != peer:
+    pipeline: Pipeline | None = None
+    for block in run.blocks(progress):
+        if block.pipeline is not pipeline:
             cuts.append(len(families))
-            peer = part.peer
-        tables.append(part.events)
-        families += [part.family] * len(part.events)
-        if progress is not None:
-            progress(part.done, source.size)
+            pipeline = block.pipeline
+        tables.append(block.events)
+        families += [block.pipeline.family] * len(block.events)
     if not sum(map(len, tables)):
         raise LogError(f"{path}: holds no measurement; ask the autopilot to log or stream them")
+    # in the order in which they came: merge keeps it where arrivals are equal
     arrival = [np.zeros(len(part), dtype=np.int64) for part in tables]
     events = merge(*tables, arrival_ns=arrival)
     cuts += np.flatnonzero(events.kind == Kind.RESTART).tolist()
@@ -176,131 +198,22 @@ def read(
     chosen = max(pieces, key=len)
     longest = events.take(chosen)
     if len(pieces) > 1:
-        report.notes.append(
+        run.report.notes.append(
             "the autopilot or its clock begins anew in this log; the longest part counts"
         )
     return Recording(
         family=families[chosen[-1]],
         events=longest.take(longest.kind != Kind.RESTART),
-        reference=source.reference,
-        truth=source.truth,
-        counted=source.counted,
-        gnss_delay=source.delay,
-        notes=tuple(report.notes),
-    )
-
-
-def _estimates(
-    source: Source, config: Config, report: Report, progress: Progress | None
-) -> Iterator[Table]:
-    pipeline: Pipeline | None = None
-    peer: PeerFound | None = None
-    for part in parts(source):
-        if pipeline is None or part.peer != peer:
-            pipeline, peer = Pipeline(config, part.family, source.delay), part.peer
-        table = pipeline.run(part.events)
-        if part.turned is not None:
-            config = part.turned
-            pipeline.retune(config)
-        account(report, part.events, table)
-        if progress is not None:
-            progress(part.done, source.size)
-        yield table
-    if pipeline is not None:
-        report.health = pipeline.health()
-
-
-def _smoothed(
-    source: Source,
-    config: Config,
-    report: Report,
-    progress: Progress | None,
-    live: list[Table] | None = None,
-) -> Iterator[Table]:
-    """Give the smoothed estimates; those of the live filter go to the list, if there is one."""
-    runs: list[Smoothing] = []
-    peer: PeerFound | None = None
-    for part in parts(source):
-        if not runs or part.peer != peer:
-            runs.append(Smoothing(config, part.family, source.delay))
-            peer = part.peer
-        table = runs[-1].run(part.events)
-        if part.turned is not None:
-            config = part.turned
-            runs[-1].pipeline.retune(config)
-        account(report, part.events, table)
-        if live is not None:
-            live.append(table)
-        if progress is not None:
-            progress(part.done, 2 * source.size)
-
-    def halfway(done: int, total: int) -> None:
-        if progress is not None:
-            progress(total + done, 2 * total)
-
-    for run in runs:
-        report.health = run.pipeline.health()
-        with run:
-            yield from run.tables(halfway)
-
-
-def _messages(
-    source: Source, config: Config, report: Report, progress: Progress | None
-) -> Iterator[tuple[int, bytes]]:
-    """Give the original frames and, behind the sample that makes them due, our messages."""
-    pipeline: Pipeline | None = None
-    publisher: Publisher | None = None
-    peer: PeerFound | None = None
-    sender = Sender(1, config.link.component_id)
-    ours: list[bytes] = []
-    taken: list[Row] = []
-    tables: list[tuple[int, np.ndarray]] = []
-    for done, record in enumerate(source.records(), 1):
-        if record.turned is not None:
-            config = record.turned
-        if record.peer is not None and record.peer != peer:
-            peer = record.peer
-            sender.system_id = config.link.system_id or peer.system_id
-            pipeline = Pipeline(config, peer.family.value, source.delay)
-            publisher = Publisher(config, pipeline, peer.family)
-        elif record.turned is not None and pipeline is not None and publisher is not None:
-            pipeline.retune(config)
-            publisher.retune(config)
-        if record.frame and not _is_from(record.frame, sender.component_id):
-            yield record.stamp_us, record.frame
-        for row in record.rows:
-            if pipeline is None or publisher is None:
-                break
-            if pipeline.insert(row) is Arrival.ESTIMATED:
-                publisher.publish(lambda name, payload: ours.append(sender.frame(name, payload)))
-                tables.append((pipeline.stamp_ns, pipeline.estimate()))
-            taken.append(row)
-        for message in ours:
-            yield record.stamp_us, message
-        ours.clear()
-        if len(taken) >= CHUNK or done == source.size:
-            account(report, Events.from_rows(taken), _stack(tables))
-            taken, tables = [], []
-            if progress is not None:
-                progress(done, source.size)
-    if pipeline is not None:
-        report.health = pipeline.health()
-
-
-def _is_from(frame: bytes, component_id: int) -> bool:
-    """Whether a frame is of the component whose messages we are about to add."""
-    return frame[6 if frame[0] == 0xFD else 4] == component_id
-
-
-def _stack(estimates: list[tuple[int, np.ndarray]]) -> Table:
-    return Table(
-        stamp_ns=np.array([stamp for stamp, _ in estimates], dtype=np.int64),
-        values=np.array([values for _, values in estimates]).reshape(len(estimates), -1),
+        reference=reference(run.log),
+        truth=truth(run.log),
+        counted=run.log.counted if isinstance(run.log, Recording) else None,
+        gnss_delay=run.gnss_delay,
+        notes=tuple(run.report.notes),
     )
 
 
 def _thin(table: Table, rate: float | None, last_ns: int | None) -> Table:
-    """Keep the first estimate of each period; the stamp of the one before the table tells its."""
+    """Keep the first estimate of each period; ``last_ns`` is the stamp before the table."""
     if rate is None or len(table) == 0:
         return table
     period = np.int64(round(1e9 / rate))

@@ -63,7 +63,7 @@ def run_filter(
         ConfigError: There is no filter, or no option, of that name.
         LogError: The recording lacks what the filter needs.
     """
-    label, option = choose(name)
+    label, option = parse_name(name)
     # A filter cannot follow a clock that restarts
     events, notes = longest_clock_run(recording.events)
     recording = replace(recording, events=events)
@@ -72,7 +72,7 @@ def run_filter(
     return replace(found, name=label, notes=(*found.notes, *notes))
 
 
-def choose(name: str) -> tuple[str, str]:
+def parse_name(name: str) -> tuple[str, str]:
     """Return the name to print and the option of ``NAME`` or ``NAME:OPTION``.
 
     Raises:
@@ -111,7 +111,7 @@ def _eskf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
         covariance=np.array(kept).reshape(-1, 9, 9),
         counts={
             aid.name.lower(): (
-                health.verdicts[aid][Verdict.FUSED] + health.verdicts[aid][Verdict.SOFT],
+                health.verdicts[aid][Verdict.FUSED] + health.verdicts[aid][Verdict.DEWEIGHTED],
                 health.verdicts[aid][Verdict.GATED],
             )
             for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY, Aid.HEADING)

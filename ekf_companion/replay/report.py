@@ -1,4 +1,4 @@
-"""What a conversion found in a log and did with it, for people and as JSON."""
+"""What a conversion found in a log and did with it, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from ekf_companion.errors import LogError
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind
 from ekf_companion.nav.state import Status, Table
 
-SLOW = 20.0
+_SLOW = 20.0
 """Inertial samples per second below which the motion between them is guesswork, Hz."""
-WITHOUT_NORTH = {Status.INIT, Status.ALIGNING}
-FLAGS = 10
+_WITHOUT_NORTH = {Status.INIT, Status.ALIGNING}
+_FLAGS = 10
 """Where a GNSS row holds its flags (nav.measurements.GnssFix.row)."""
 
 
@@ -34,16 +34,16 @@ class Report:
     derived: int = 0
     """Positions of the autopilot's own, which stand in while GNSS is silent."""
     rates: dict[Kind, float] = field(default_factory=dict)
-    """Hz, in the middle of all chunks: a stream may begin at another rate."""
+    """Hz, the median over all blocks: a stream may begin at another rate."""
     steps: dict[Kind, list[float]] = field(default_factory=dict)
-    """From one event to the next, ns: the median of each chunk."""
+    """From one event to the next, ns: the median of each block."""
     seconds: dict[Status, float] = field(default_factory=dict)
     estimates: int = 0
     health: Health | None = None
     refused: dict[str, int] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """Give everything for JSON, names in lower case."""
+        """Return everything for JSON, names in lower case."""
         health = self.health
         return {
             "log": self.log,
@@ -57,22 +57,22 @@ class Report:
             "resets": health.resets if health else 0,
             "gaps": health.gaps if health else 0,
             "late": health.reruns if health else 0,
-            "aids": _names(health.verdicts) if health else {},
-            "arrivals": _names(health.arrivals) if health else {},
+            "aids": _by_name(health.verdicts) if health else {},
+            "arrivals": _by_name(health.arrivals) if health else {},
             "refused_by_decoder": self.refused,
         }
 
 
-def _names(table: Mapping[Any, Mapping[Any, int]]) -> dict[str, dict[str, int]]:
+def _by_name(table: Mapping[Any, Mapping[Any, int]]) -> dict[str, dict[str, int]]:
     return {
         key.name.lower(): {why.name.lower(): count for why, count in row.items() if count}
         for key, row in table.items()
     }
 
 
-def account(report: Report, events: Events, table: Table) -> None:
-    """Add a chunk to the report."""
-    derived = (events.kind == Kind.GNSS) & (events.values[:, FLAGS] == GnssFlag.DERIVED)
+def add_block(report: Report, events: Events, table: Table) -> None:
+    """Add a block of events and their estimates to the report."""
+    derived = (events.kind == Kind.GNSS) & (events.values[:, _FLAGS] == GnssFlag.DERIVED)
     report.derived += int(np.count_nonzero(derived))
     for kind in Kind:
         chosen = (events.kind == kind) & ~derived
@@ -94,8 +94,8 @@ def account(report: Report, events: Events, table: Table) -> None:
                 report.seconds[each] = report.seconds.get(each, 0.0) + spent
 
 
-def conclude(report: Report, path: Path) -> None:
-    """Say in sentences what was lacking, and what that leaves.
+def note_shortcomings(report: Report, path: Path) -> None:
+    """Add a sentence for each thing that was lacking, and what can be estimated without it.
 
     Raises:
         LogError: Nothing could be estimated.
@@ -107,9 +107,9 @@ def conclude(report: Report, path: Path) -> None:
             "sensor_combined), so nothing can be estimated; ask the autopilot to log or stream them"
         )
     rate = report.rates.get(Kind.IMU, 0.0)
-    if rate < SLOW:
+    if rate < _SLOW:
         report.notes.append(
-            f"inertial samples come at {rate:.1f} Hz, below the {SLOW:.0f} Hz that motion can be "
+            f"inertial samples come at {rate:.1f} Hz, below the {_SLOW:.0f} Hz that motion can be "
             "integrated from: position and velocity follow GNSS, attitude is a guess; "
             "ask for a faster stream"
         )
@@ -124,7 +124,7 @@ def conclude(report: Report, path: Path) -> None:
             "barometer; no position and no velocity"
         )
     if counts[Kind.HEADING] + counts[Kind.MAG] == 0:
-        found = bool(set(report.seconds) - {*WITHOUT_NORTH, Status.ATTITUDE})
+        found = bool(set(report.seconds) - {*_WITHOUT_NORTH, Status.ATTITUDE})
         report.notes.append(
             "no heading (magnetometer, GNSS yaw or the autopilot's): "
             + (
@@ -134,19 +134,19 @@ def conclude(report: Report, path: Path) -> None:
                 "velocity and a manoeuvre that changes it by more than 1 m/s"
             )
         )
-    elif counts[Kind.GNSS] and set(report.seconds) <= {*WITHOUT_NORTH, Status.ATTITUDE}:
+    elif counts[Kind.GNSS] and set(report.seconds) <= {*_WITHOUT_NORTH, Status.ATTITUDE}:
         report.notes.append(
             "no heading was accepted, so GNSS could not be used: roll and pitch are estimated. "
             "A magnetic field that is not the Earth's is refused (heading.field_strength, "
             "heading.field_dip); heading.source says who is asked"
         )
-    if report.estimates == 0 or set(report.seconds) <= WITHOUT_NORTH:
+    if report.estimates == 0 or set(report.seconds) <= _WITHOUT_NORTH:
         what = "; ".join(report.notes) or "the log is too short to find down and north in it"
         raise LogError(f"{path}: nothing could be estimated: {what}")
 
 
 def summary(report: Report) -> list[str]:
-    """Give the report as lines to read."""
+    """Return the report as lines to read."""
     lines = [f"{report.log}: {report.family} autopilot, {report.estimates} estimates"]
     rates = ", ".join(
         f"{kind.name.lower()} {rate:.4g} Hz ({report.counts[kind]})"
@@ -160,7 +160,9 @@ def summary(report: Report) -> list[str]:
             verdicts = report.health.verdicts[aid]
             if any(verdicts.values()):
                 words = ", ".join(
-                    f"{count} {why.name.lower()}" for why, count in verdicts.items() if count
+                    f"{count} {why.name.lower().replace('_', ' ')}"
+                    for why, count in verdicts.items()
+                    if count
                 )
                 lines.append(f"  {aid.name.lower()}: {words}")
         late = report.health.reruns

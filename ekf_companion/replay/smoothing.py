@@ -19,11 +19,11 @@ from ekf_companion.core.rts import Smoother
 from ekf_companion.core.scratch import OUT, ROW, Event
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.core.state import BLOCK
-from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.logs.spool import IN_MEMORY, Spool
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Table, join
+from ekf_companion.replay.run import BlockPipeline
 
 _EVENT = np.dtype(Event)
 STRETCH = 512
@@ -47,7 +47,7 @@ class _Stretch:
     """Number of inertial samples among them."""
 
 
-class Smoothing:
+class Smoothing(BlockPipeline):
     """Estimator of a recorded flight: :meth:`run` all of it, then read :meth:`tables`."""
 
     def __init__(
@@ -62,10 +62,10 @@ class Smoothing:
 
         Beyond ``in_memory`` bytes of rows, and of results, a temporary file holds them.
         """
-        self.pipeline = Pipeline(settings, family, gnss_delay, keeps_history=True)
+        super().__init__(settings, family, gnss_delay, keeps_history=True)
         self._smoother = Smoother(parameters(settings, family))
         self._lag_ns = int(delays_ns(settings, family, gnss_delay)[Kind.IMU])
-        self._rows = Spool(ROW, in_memory)
+        self._final = Spool(ROW, in_memory)
         self._results = Spool(1 + OUT, in_memory)
         self._stretches: list[_Stretch] = []
         self._waiting: list[Array] = []
@@ -78,12 +78,12 @@ class Smoothing:
 
     def __exit__(self, *_: object) -> None:
         """Delete the rows and results stored."""
-        self._rows.__exit__()
+        self._final.__exit__()
         self._results.__exit__()
 
     def run(self, events: Events) -> Table:
         """Process events in order of arrival, and return the live estimates."""
-        table = self.pipeline.run(events)
+        table = super().run(events)
         self._store(is_over=False)
         return table
 
@@ -102,12 +102,12 @@ class Smoothing:
         after: _Stretch | None = None
         for stretch in reversed(self._stretches):
             is_last = after is None or after.clock != stretch.clock
-            rows = self._rows.read(stretch.first, stretch.count)
+            rows = self._final.read(stretch.first, stretch.count)
             blocks = self._smoother.smooth(stretch.block, rows, None if is_last else later)
             later, after = blocks[0], stretch
             self._store_results(stretch, rows, blocks[1:])
             if progress is not None:
-                progress(len(self._rows) - stretch.first, len(self._rows))
+                progress(len(self._final) - stretch.first, len(self._final))
         end = len(self._results)
         for stretch in self._stretches:
             end -= stretch.samples
@@ -125,7 +125,7 @@ class Smoothing:
 
     def _store(self, is_over: bool) -> None:
         """Store the rows that are final, in stretches that end with a sample."""
-        for clock, epoch, start, rows in self.pipeline.history(is_over):
+        for clock, epoch, start, rows in self.history(is_over):
             if clock != self._clock:
                 self._cut(is_over=True)
                 self._clock, self._epoch, self._block = clock, epoch, start
@@ -158,12 +158,12 @@ class Smoothing:
                 clock=self._clock,
                 epoch=self._epoch,
                 block=self._block,
-                first=len(self._rows),
+                first=len(self._final),
                 count=len(rows),
                 samples=int(np.count_nonzero(rows.view(_EVENT)["kind"] == Kind.IMU)),
             )
         )
-        self._rows.append(rows)
+        self._final.append(rows)
         self._block = self._smoother.advance(self._block, rows)
 
 

@@ -51,7 +51,7 @@ def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> Peer
         family=session.decoder.family.value,
         version=session.requests.version,
         is_heard=session.peer is not None,
-        silent_s=seconds_since(session.heard_ns or None, now_ns),
+        silent_s=seconds_since(session.discovery.heard_ns or None, now_ns),
         is_armed=session.decoder.is_armed,
         reboots=sum(restarts.values()),
     )
@@ -68,18 +68,18 @@ def output_state(
         rate: Of these, Hz.
         unheard: Datagrams that found no monitor, by its address.
     """
-    verdict, state = session.guard.verdict, session.stream_state
+    decision, state = session.guard.decision, session.stream_state
     return OutputState(
         mode=session.guard.options.mode,
         is_streaming=new > 0,
         rate=rate,
         is_allowed=state.is_streaming,
-        is_settled=verdict.is_settled,
+        is_settled=decision.is_settled,
         is_clash=session.clash.is_clash,
         reason=state.reason,
         remedy=state.remedy,
-        parameters=dict(verdict.parameters),
-        sent=dict(session.sent),
+        parameters=dict(decision.parameters),
+        sent=dict(session.outbox.sent),
         withheld=session.outbox.withheld["ODOMETRY"],
         texts_dropped=session.statustext.dropped,
         unheard=unheard or {},
@@ -106,7 +106,7 @@ def requested_rates(session: Session) -> dict[str, float]:
     """Return the rates that were requested, Hz, by message."""
     rates = dict(session.requests.rates)
     is_refused = session.requests.inertial != "HIGHRES_IMU"
-    if is_refused and "RAW_IMU" in session.results:  # asked in its place
+    if is_refused and "RAW_IMU" in session.requests.results:  # asked in its place
         rates["RAW_IMU"] = rates.get("HIGHRES_IMU", 0.0)
     return rates
 

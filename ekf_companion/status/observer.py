@@ -225,7 +225,7 @@ class Observer:
             cpu_s=time.process_time(),
             received={_NAMES[number]: count for number, count in session.received.items()},
             odometries=self._odometries,
-            unsent=session.sent.get(_ODOMETRY, 0)
+            unsent=session.outbox.sent.get(_ODOMETRY, 0)
             - self._odometries
             - self._link.replaceable_waiting,
             lag_ns=self._longest_ns,
@@ -316,10 +316,10 @@ class Observer:
                 count=now.received.get(name, 0),
                 rate=now.rate(now.received.get(name, 0) - first.received.get(name, 0), first),
                 asked=asked.get(name, 0.0),
-                answer=session.results.get(name, ""),
-                cause=session.audit.in_vain.get(name, ""),
+                answer=session.requests.results.get(name, ""),
+                cause=session.audit.causes.get(name, ""),
             )
-            for name in sorted({*now.received, *asked, *session.results})
+            for name in sorted({*now.received, *asked, *session.requests.results})
         }
 
     def _output(self, now: _Counters, first: _Counters) -> OutputState:

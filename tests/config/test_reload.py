@@ -7,7 +7,6 @@ from ekf_companion.config.config import Config, parse_config
 from ekf_companion.config.keys import KEYS, with_value
 from ekf_companion.config.reload import reload
 from ekf_companion.core.settings import FilterSettings, GateSettings, ImuSettings
-from ekf_companion.engine.health import Arrival
 from ekf_companion.engine.pipeline import Pipeline
 from sim_autopilot.config import SimConfig
 from sim_autopilot.events import events
@@ -76,8 +75,8 @@ def fly(rows, settings, change=None, at=0.5):
     for count, row in enumerate(rows):
         if change is not None and count == round(at * len(rows)):
             pipeline.retune(change)
-        if pipeline.insert(row) is Arrival.ESTIMATED:
-            estimates.append(pipeline.estimate())
+        if (estimate := pipeline.process_row(row)) is not None:
+            estimates.append(estimate.values)
     return np.array(estimates), pipeline
 
 

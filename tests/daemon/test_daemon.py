@@ -33,10 +33,11 @@ from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
-from ekf_companion.mavlink.session import RATES
+from ekf_companion.mavlink.options import RATES
 from ekf_companion.nav import so3
 from ekf_companion.nav.state import Status
 from ekf_companion.replay import convert
+from ekf_companion.replay import run as replay
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import HomeConfig, SimConfig
 from sim_autopilot.flight import Flight
@@ -482,7 +483,7 @@ def test_the_converted_recording_gives_the_same_estimates(flown):
 
 
 def test_the_converted_recording_does_not_depend_on_how_it_is_cut(flown, tmp_path, monkeypatch):
-    monkeypatch.setattr(convert, "CHUNK", 997)
+    monkeypatch.setattr(replay, "CHUNK", 997)
     convert.convert(flown.record.path, tmp_path / "cut.csv", load_config(flown.record.config))
     assert (tmp_path / "cut.csv").read_bytes() == flown.record.convert(".csv").read_bytes()
 

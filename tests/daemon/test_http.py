@@ -22,7 +22,7 @@ from ekf_companion.status.metrics import PREFIX
 from sim_autopilot.autopilot import Kind
 from tests.daemon.test_daemon import SYSTEM, Daemon, fly_over, free_port, plan
 from tests.daemon.waiting import LIMIT, close, wait_until
-from tests.engine.test_companion import cycles
+from tests.engine.conversation import cycles
 from tests.status.test_observer import Watched
 
 

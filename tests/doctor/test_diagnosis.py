@@ -70,7 +70,7 @@ def test_what_an_estimate_waits_for_is_named(well):
     empty = with_health(well, status=Status.INIT, verdicts=none, samples=0)
     assert "No inertial sample" in words(stage(empty, "estimate"))
     moving = with_verdicts(
-        with_verdicts(waiting, Aid.POSITION, UNALIGNED=30), Aid.HEADING, UNALIGNED=30
+        with_verdicts(waiting, Aid.POSITION, BEFORE_ALIGNMENT=30), Aid.HEADING, BEFORE_ALIGNMENT=30
     )
     assert "align.time" in words(stage(moving, "estimate"))
 

@@ -3,11 +3,10 @@
 import pytest
 
 from ekf_companion.doctor.parameters import FURTHER, ParameterReader
-from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.frame import Splitter, encode_frame
+from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.fusion import NAMES
-from ekf_companion.mavlink.messages import IDS
 
 MS = 1_000_000
 
@@ -19,9 +18,7 @@ def asked(reader, answers=lambda name: ()):
         payload = reader.request(1, 1, now_ns)
         if payload is None:
             continue
-        frame = encode_frame(
-            *(IDS["PARAM_REQUEST_READ"], payload), system_id=1, component_id=194, sequence=0
-        )
+        frame = Sender(1, 194).frame("PARAM_REQUEST_READ", payload)
         names.append(unpack(next(iter(Splitter().feed(frame)))).param_id.decode())
         for answer in answers(names[-1]):
             reader.receive(names[-1], answer, Family.PX4)

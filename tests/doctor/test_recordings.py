@@ -8,7 +8,7 @@ from ekf_companion.doctor.evidence import Means
 from ekf_companion.doctor.stage import Outcome
 from ekf_companion.engine.checkpoint import Clocks
 from ekf_companion.engine.companion import Companion
-from ekf_companion.engine.warm_start import Resumption
+from ekf_companion.engine.warm_start import WarmStart
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.autopilot import Autopilot
@@ -29,8 +29,8 @@ def recorded(system_id):
         now_ns = cycle.t_ns
         if number == BREAK:
             clocks = CLOCKS.later(now_ns)
-            resumption = Resumption(companion.checkpoint(clocks), clocks, now_ns)
-            companion = Companion(SLOW, is_recording=True, resumption=resumption)
+            warm_start = WarmStart(companion.checkpoint(clocks), clocks, now_ns)
+            companion = Companion(SLOW, is_recording=True, warm_start=warm_start)
         autopilot.cycle(cycle)
         companion.receive(b"".join(autopilot.data_to_send()), now_ns)
         companion.tick(now_ns)

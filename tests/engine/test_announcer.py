@@ -4,20 +4,20 @@ import logging
 
 import pytest
 
-from ekf_companion.engine.announcer import Bulletin
+from ekf_companion.engine.announcer import Announcer
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import (
-    Answered,
     Clash,
+    FirmwareReported,
     IntervalSet,
     ParameterSet,
     PeerChanged,
     PeerFound,
     PeerLost,
-    RateInVain,
+    RateTooLow,
     Rebooted,
+    RequestAnswered,
     SeveralAutopilots,
-    Versioned,
 )
 from ekf_companion.mavlink.statustext import LARGEST, Severity
 from tests.mavlink.conversation import MS, SECOND, met, sent
@@ -31,8 +31,8 @@ CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
         (PeerFound(1, 1, Family.PX4), "Autopilot found: system 1, component 1, px4", None, ""),
         (PeerLost(0), "Autopilot lost", None, ""),
         (Rebooted(), "Autopilot rebooted", None, ""),
-        (Answered("ATTITUDE", "denied"), "Request for ATTITUDE: denied", None, ""),
-        (Versioned("1.16.0"), "firmware: 1.16.0", None, ""),
+        (RequestAnswered("ATTITUDE", "denied"), "Request for ATTITUDE: denied", None, ""),
+        (FirmwareReported("1.16.0"), "firmware: 1.16.0", None, ""),
         (
             SeveralAutopilots(1, 2),
             "listening to system 1; set link.autopilot",
@@ -52,7 +52,7 @@ CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
             "id 194 is taken twice, not sending",
         ),
         (
-            RateInVain("HIGHRES_IMU", 250.0, 40.1, CAUSE),
+            RateTooLow("HIGHRES_IMU", 250.0, 40.1, CAUSE),
             f"HIGHRES_IMU comes at 40.1 Hz, asked for 250: {CAUSE}",
             Severity.WARNING,
             f"HIGHRES_IMU 40 of 250 Hz: {CAUSE}",
@@ -78,7 +78,7 @@ def test_rule_29_what_happens_on_the_link_is_logged_and_told_where_the_pilot_can
     """Rule 29."""
     caplog.set_level(logging.INFO)
     session, _ = met()
-    Bulletin(session.statustext).heed(event, 0)
+    Announcer(session).on_event(event, 0)
     session.tick(0)
     pieces = sent(session, "STATUSTEXT")
     assert logged in caplog.text
@@ -90,15 +90,15 @@ def test_rule_29_what_happens_on_the_link_is_logged_and_told_where_the_pilot_can
 def test_what_anybody_can_make_happen_is_told_once_a_second_and_how_it_ended(caplog):
     caplog.set_level(logging.INFO)
     session, _ = met()
-    bulletin = Bulletin(session.statustext)
+    announcer = Announcer(session)
     for number in range(250):
         now_ns = number * 10 * MS
-        bulletin.heed(ParameterSet("EC_BARO_NSE", "baro.std", 1.0 + number), now_ns)
-        bulletin.heed(IntervalSet("ODOMETRY", 1.0 + number % 40), now_ns)
-        bulletin.tick(now_ns)
+        announcer.on_event(ParameterSet("EC_BARO_NSE", "baro.std", 1.0 + number), now_ns)
+        announcer.on_event(IntervalSet("ODOMETRY", 1.0 + number % 40), now_ns)
+        announcer.tick(now_ns)
     assert len(caplog.records) == 6
-    bulletin.tick(3 * SECOND)
-    bulletin.tick(4 * SECOND)
+    announcer.tick(3 * SECOND)
+    announcer.tick(4 * SECOND)
     assert [record.getMessage() for record in caplog.records[6:]] == [
         "Parameter EC_BARO_NSE set to 250 (baro.std)",
         "ODOMETRY asked for at 10 Hz",

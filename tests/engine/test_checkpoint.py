@@ -31,8 +31,7 @@ from ekf_companion.nav.state import Status
 from tests.core.flights import between, flight
 from tests.core.interpreted import load
 from tests.core.test_timeline import a_timeline, put, some_events
-from tests.engine.test_gap import deviations
-from tests.engine.test_pipeline import KNOWN, run
+from tests.engine.estimation import KNOWN, deviations, run
 
 SECOND_NS = 1_000_000_000
 BOOT = bytes(range(16))
@@ -56,7 +55,7 @@ STAMP = GOOD.state.stamp_ns
 
 
 def with_block(**changes):
-    """Give the good one with some numbers of its block changed, by their names."""
+    """Return the good one with some numbers of its block changed, by their names."""
     block = GOOD.state.block.copy()
     x = as_state(block)
     for name, value in changes.items():
@@ -316,7 +315,7 @@ def test_a_pipeline_goes_on_from_the_bytes_of_another_to_the_bit():
     whole = a_pipeline()
     pipeline.run(EVENTS.take(np.arange(len(EVENTS)) >= len(EVENTS) - 2))
     assert pipeline.stamp_ns == whole.stamp_ns
-    a, b = pipeline.estimate(), whole.estimate()
+    a, b = pipeline.values(), whole.values()
     assert a[:-1].tobytes() == b[:-1].tobytes()
     assert pipeline.resets == whole.resets + 1
     health = pipeline.health()
@@ -327,9 +326,9 @@ def test_a_restart_and_a_reboot_of_the_autopilot_both_count_on():
     pipeline = Pipeline(KNOWN)
     pipeline.restore(GOOD.state)
     resets = pipeline.resets
-    pipeline.insert((0, Kind.RESTART, (0.0,) * 13))
+    pipeline.process_row((0, Kind.RESTART, (0.0,) * 13))
     assert pipeline.resets == resets + 1
-    again, fresh = pipeline.run(EVENTS).values[-1], a_pipeline().estimate()
+    again, fresh = pipeline.run(EVENTS).values[-1], a_pipeline().values()
     # what was known of sensors and receiver lives on, so it is the same flight but not to the bit
     place = slice(3, 6)
     assert again[place] == pytest.approx(fresh[place], abs=0.5)
@@ -344,7 +343,8 @@ def test_what_was_true_while_nobody_listened_is_stale():
     first = STAMP + 3 * SECOND_NS
 
     def insert(kind, t_ns, values):
-        return pipeline.insert((t_ns, kind, tuple(values)))
+        pipeline.process_row((t_ns, kind, tuple(values)))
+        return pipeline.arrival
 
     assert insert(Kind.GNSS, first - SECOND_NS, fix.values[-1]) is Arrival.TAKEN
     assert insert(Kind.IMU, first, sample.values[-1]) is Arrival.ESTIMATED
@@ -394,7 +394,7 @@ def test_doubt_grows_with_the_time_lost():
     for lost in (0.3, 0.8, 2.0, 5.0, 15.0):
         pipeline = Pipeline(KNOWN)
         pipeline.restore(GOOD.state)
-        pipeline.insert((STAMP + round(lost * SECOND_NS), Kind.IMU, tuple(sample)))
+        pipeline.process_row((STAMP + round(lost * SECOND_NS), Kind.IMU, tuple(sample)))
         health = pipeline.health()
         assert health.std_horizontal > previous[0]
         assert health.std_vertical > previous[1]

@@ -9,47 +9,9 @@ import pytest
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfig
 from ekf_companion.core.settings import GateSettings
-from ekf_companion.engine.companion import SILENCE_NS, Companion
-from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.messages import LAYOUTS
-from sim_autopilot.autopilot import Autopilot
-from sim_autopilot.config import SimConfig, StreamConfig
-from sim_autopilot.flight import Flight
-
-SECOND_NS = 1_000_000_000
-STREAMING = Config(output=OutputConfig(odometry=OdometryConfig(mode="always")))
-"""Where nobody answers what the guard asks."""
-
-
-def cycles(duration, *, without=(), **options):
-    """Give stamp and bytes of each turn of an autopilot's loop, some messages left out."""
-    streams = StreamConfig(**dict.fromkeys(without, 0.0))
-    config = SimConfig(streams=streams)
-    flight = Flight.plan("hover", config, duration=duration, **options)
-    autopilot = Autopilot(config)
-    for cycle in flight.cycles():
-        autopilot.cycle(cycle)
-        yield cycle.t_ns, b"".join(autopilot.data_to_send())
-
-
-def converse(companion, flight):
-    """Feed a flight; give name and message of all that the companion says."""
-    said = []
-    for t_ns, data in flight:
-        companion.receive(data, t_ns)
-        companion.tick(t_ns)
-        said += messages(companion)
-    return said
-
-
-def messages(companion):
-    frames = Splitter().feed(b"".join(companion.data_to_send()))
-    return [(LAYOUTS[frame.message_id].name, unpack(frame)) for frame in frames]
-
-
-def named(name, said):
-    return [message for what, message in said if what == name]
+from ekf_companion.engine.announcer import SILENCE_NS
+from ekf_companion.engine.companion import Companion
+from tests.engine.conversation import SECOND_NS, STREAMING, converse, cycles, messages, named
 
 
 @pytest.mark.parametrize(
@@ -80,7 +42,7 @@ def test_a_flight_is_answered_at_the_rates_of_its_stamps():
     origins = [m.time_usec for m in named("GPS_GLOBAL_ORIGIN", said)]
     assert origins[0] == stamps[0], "the first estimate is about an origin that nobody was told"
     assert origins[1:] == status
-    names = [name for name, _ in said]
+    names = [one.name for one in said]
     assert names.index("GPS_GLOBAL_ORIGIN") < names.index("ODOMETRY")
 
 
@@ -174,5 +136,5 @@ def test_whom_nobody_lets_in_is_missed_for_that_reason(caplog):
 def test_the_last_heartbeat_says_goodbye():
     companion = Companion(Config())
     companion.close(0)
-    ((name, message),) = messages(companion)
-    assert (name, message.system_status) == ("HEARTBEAT", 7)
+    (last,) = messages(companion)
+    assert (last.name, last.fields.system_status) == ("HEARTBEAT", 7)

@@ -19,7 +19,7 @@ from sim_autopilot.config import SimConfig
 from sim_autopilot.firmware import parse
 from sim_autopilot.flight import Flight
 from sim_autopilot.loop import Bench
-from tests.engine.test_companion import named
+from tests.engine.conversation import as_messages, named
 
 ALLOWED = {
     *("HEARTBEAT", "ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN", "TIMESYNC", "STATUSTEXT"),
@@ -58,10 +58,7 @@ class Flown:
             data = self.companion.data_to_send()
             for frame in data:
                 self.autopilot.receive(frame, cycle.t_ns)
-            part += [
-                (LAYOUTS[frame.message_id].name, unpack(frame))
-                for frame in Splitter().feed(b"".join(data))
-            ]
+            part += as_messages(data, cycle.t_ns)
             if cycle.t_ns - self.start_ns >= until * 1e9:
                 break
         self.said += part
@@ -83,7 +80,7 @@ class Flown:
 
 
 def once(data):
-    """Give the bytes the first time, then none."""
+    """Return the bytes the first time, then none."""
     waiting = [data]
     return lambda now_ns: waiting.pop() if waiting else b""
 
@@ -108,7 +105,7 @@ def test_rule_26_nothing_is_said_that_only_an_autopilot_may_say(kind):
     wishes.append(flown.station.message("PARAM_REQUEST_LIST"))
     flown.fly(2.5, once(b"".join(wishes)))
     flown.fly(5.0)
-    names = {name for name, _ in flown.said}
+    names = {one.name for one in flown.said}
     assert names <= ALLOWED
     assert {"ODOMETRY", "PARAM_VALUE", "AUTOPILOT_VERSION"} <= names
     impersonating = {"ATTITUDE", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "GPS_RAW_INT"}
@@ -201,18 +198,18 @@ def test_rule_29_a_flood_of_settings_drowns_nothing_that_matters(caplog):
     flown = Flown(8.0)
     flown.fly(2.0)
     numbers = itertools.count()
-    bulletin = flown.companion.session.statustext
+    statustext = flown.companion.session.statustext
 
     def flood(now_ns):
         number = next(numbers)
         if number == 500:
-            bulletin.say(Severity.CRITICAL, "Companion: all is lost")
+            statustext.send(Severity.CRITICAL, "Companion: all is lost")
         return flown.set_parameter("EC_BARO_NSE", 1.0 + 0.01 * number)
 
     part = flown.fly(7.0, flood)
     assert next(numbers) > 1000
     assert "Companion: all is lost" in texts(part)
-    assert bulletin.dropped == 0
+    assert statustext.dropped == 0
     assert 3 <= caplog.text.count("Parameter EC_BARO_NSE set to") <= 7
 
 
@@ -263,7 +260,7 @@ def test_rule_29_the_pilot_is_told_what_changes_and_only_that():
 
 
 def as_raw(frames):
-    """Give RAW_IMU for HIGHRES_IMU, as an ArduPilot whose first sensor has died."""
+    """Return RAW_IMU for HIGHRES_IMU, as an ArduPilot whose first sensor has died."""
     out = []
     for frame in frames:
         (one,) = Splitter().feed(frame)
@@ -303,8 +300,8 @@ def test_rule_7_an_ardupilot_with_a_slow_loop_is_asked_for_less_until_it_grants_
     flight = Flight.plan("figure-eight", personality.suited(SimConfig()), duration=15.0)
     companion = Companion(Config())
     Bench(flight, companion, personality=personality).run()
-    assert companion.session.results["HIGHRES_IMU"] == "denied"
-    assert companion.session.requests.asked("RAW_IMU") == 40.0
+    assert companion.session.requests.results["HIGHRES_IMU"] == "denied"
+    assert companion.session.requests.expected_rate("RAW_IMU") == 40.0
     assert companion.pipeline.health().status is Status.OK
     words = "RAW_IMU is granted at 40 Hz, and 250 were asked for: raise SCHED_LOOP_RATE"
     assert caplog.text.count(words) == 1

@@ -4,25 +4,10 @@ import numpy as np
 import pytest
 
 from ekf_companion.engine.health import Aid, Verdict
-from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
 from tests.core.flights import between, flight
-from tests.engine.test_pipeline import run
-
-
-def deviations(table, truth):
-    """Give velocity and Euler angles less the truth, and their sigmas, at every sample."""
-    found = np.searchsorted(truth.pos_t_ns, table.stamp_ns)
-
-    def columns(*names):
-        return np.stack([table.column(name) for name in names], axis=1)
-
-    q_nb = columns("q_w", "q_x", "q_y", "q_z")
-    angles = so3.wrap(so3.to_euler(q_nb) - so3.to_euler(truth.q_nb[found]))
-    velocity = columns("vel_n", "vel_e", "vel_d") - truth.vel_n[found]
-    sigmas = columns("sd_vel_n", "sd_vel_e", "sd_vel_d", "sd_roll", "sd_pitch", "sd_yaw")
-    return np.hstack([velocity, angles]), sigmas
+from tests.engine.estimation import deviations, run
 
 
 @pytest.mark.parametrize("gap", [1.5, 2.5, 5.0, 10.0])

@@ -97,7 +97,7 @@ class Link:
         return [now_ns for now_ns, frame in self.sent if frame.message_id == IDS[name]]
 
     def asked(self):
-        """Give time and name of each parameter that was asked for."""
+        """Return time and name of each parameter that was asked for."""
         return [
             (now_ns, unpack(frame).param_id.decode())
             for now_ns, frame in self.sent
@@ -110,10 +110,10 @@ class Link:
 
     @property
     def verdict(self):
-        return self.companion.session.guard.verdict
+        return self.companion.session.guard.decision
 
     def set(self, values):
-        """Give what sets parameters without a word over the link."""
+        """Return what sets parameters without a word over the link."""
         return lambda: self.autopilot.parameters.update(values)
 
 
@@ -240,7 +240,7 @@ def test_another_make_of_autopilot_on_the_same_wire_begins_all_anew_and_so_in_a_
     link.fly(cycles[1100:])
     companion = link.companion
     assert companion.pipeline is not pipeline
-    assert companion.session.guard.verdict.parameters.keys() & set(NAMES[Family(second.value)])
+    assert companion.session.guard.decision.parameters.keys() & set(NAMES[Family(second.value)])
     sent = [unpack(frame) for _, frame in link.sent if frame.message_id == IDS["ODOMETRY"]]
     types = [message.estimator_type for message in sent]
     expected = {Kind.PX4: 3, Kind.ARDUPILOT: 5}
@@ -375,7 +375,7 @@ ALONE = {
 
 
 def own_refused(link):
-    """Give how many headings and positions were refused since the autopilot's are made of ours."""
+    """Return how many headings and positions were refused because they are made of ours."""
     refused = link.companion.session.decoder.refused
     return {
         name: refused[f"{name}: made of our own"] for name in ("heading", "GLOBAL_POSITION_INT")

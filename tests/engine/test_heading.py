@@ -34,7 +34,7 @@ class Run:
 
     @property
     def begins(self) -> float:
-        """Give when it begins to navigate, s."""
+        """Return when it begins to navigate, s."""
         return float(self.t[np.argmax(self.is_navigating)]) if self.is_navigating.any() else np.inf
 
     @property
@@ -143,7 +143,7 @@ def spoilt(events: Events, noise: float, wild: float, seed: int) -> Events:
 
 
 def claims(events: Events, truth: Trajectory) -> np.ndarray:
-    """Give how wrong the bank's heading was whenever it had one, deg."""
+    """Return how wrong the bank's heading was whenever it had one, deg."""
     timeline = Pipeline(KNOWN)._timeline
     errors = []
     for row in zip(events.t_ns.tolist(), events.kind.tolist(), events.values, strict=True):

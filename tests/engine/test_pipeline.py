@@ -5,60 +5,13 @@ import pytest
 
 from ekf_companion.core.memory import as_state
 from ekf_companion.core.settings import FilterSettings, GateSettings, GnssSettings, HeadingSettings
-from ekf_companion.engine.health import Aid, Arrival, Verdict
+from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind, merge
-from ekf_companion.nav.state import Status, Table
+from ekf_companion.nav.state import Status
 from tests.core.flights import between, changed, flight, without
-
-KNOWN = FilterSettings(gnss=GnssSettings(delay=0.12, delay_std=0.02))
-
-
-def run(events: Events, settings: FilterSettings = KNOWN) -> tuple[Table, Pipeline]:
-    pipeline = Pipeline(settings)
-    return pipeline.run(events), pipeline
-
-
-def errors(table: Table, truth, start: float) -> dict[str, np.ndarray]:
-    """Give estimate minus truth per sample from a time on, and what sigma says of it."""
-    begin = np.searchsorted(truth.pos_t_ns, table.stamp_ns[0])
-    keep = slice(begin, begin + len(table))
-    late = (table.stamp_ns - table.stamp_ns[0]) * 1e-9 >= start
-
-    def columns(*names):
-        return np.stack([table.column(name) for name in names], axis=1)[late]
-
-    lat, lon = np.radians(columns("lat_deg", "lon_deg")).T
-    frame_scale = 6.367e6
-    pos = np.stack(
-        [
-            (lat - truth.lat[keep][late]) * frame_scale,
-            (lon - truth.lon[keep][late]) * frame_scale * np.cos(lat),
-            truth.alt[keep][late] - table.column("alt_m")[late],
-        ],
-        axis=1,
-    )
-    angles = so3.to_euler(columns("q_w", "q_x", "q_y", "q_z")) - so3.to_euler(
-        truth.q_nb[keep][late]
-    )
-    return {
-        "pos": pos,
-        "vel": columns("vel_n", "vel_e", "vel_d") - truth.vel_n[keep][late],
-        "euler": so3.wrap(angles),
-        "sd_pos": columns("sd_pos_n", "sd_pos_e", "sd_pos_d"),
-        "sd_vel": columns("sd_vel_n", "sd_vel_e", "sd_vel_d"),
-        "sd_euler": columns("sd_roll", "sd_pitch", "sd_yaw"),
-    }
-
-
-def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-def statuses(table: Table) -> list[Status]:
-    changes = np.flatnonzero(np.diff(table.column("status"), prepend=-1.0))
-    return [Status(int(table.column("status")[i])) for i in changes]
+from tests.engine.estimation import KNOWN, errors, rms, run, statuses
 
 
 def test_a_flight_is_followed_from_rest_to_the_end():
@@ -106,8 +59,8 @@ def test_live_and_table_give_the_same_bits():
     pipeline = Pipeline(KNOWN)
     rows = []
     for row in zip(events.t_ns.tolist(), events.kind.tolist(), events.values.tolist(), strict=True):
-        if pipeline.insert(row) is Arrival.ESTIMATED:
-            rows.append(pipeline.estimate())
+        if (estimate := pipeline.process_row(row)) is not None:
+            rows.append(estimate.values)
     assert np.array(rows).tobytes() == table.values.tobytes()
 
 
@@ -142,7 +95,7 @@ def test_without_gnss_there_is_an_attitude_and_a_height_but_no_position():
     assert np.isfinite(table.column("pos_d")[-1])
     tilt = so3.to_euler(truth.q_nb[-1])[:2] - [table.column("roll")[-1], table.column("pitch")[-1]]
     assert np.degrees(np.abs(tilt)).max() < 3.0
-    assert pipeline.odometry() is None
+    assert pipeline.estimate().odometry is None
 
 
 def test_without_a_heading_and_a_manoeuvre_nothing_is_navigated_by():
@@ -151,7 +104,7 @@ def test_without_a_heading_and_a_manoeuvre_nothing_is_navigated_by():
     assert statuses(table)[-1] is Status.ATTITUDE
     assert np.isnan(table.column("yaw")).all()
     assert np.isfinite(table.column("roll")[-1])
-    assert pipeline.health().verdicts[Aid.POSITION][Verdict.UNALIGNED] > 0
+    assert pipeline.health().verdicts[Aid.POSITION][Verdict.BEFORE_ALIGNMENT] > 0
 
 
 def test_a_jump_of_the_receiver_is_refused_and_then_believed_with_one_reset():
@@ -211,7 +164,7 @@ def test_the_autopilots_own_position_is_used_only_when_the_receiver_is_silent():
     both = merge(events.take(raw_ends), derived)
     _, pipeline = run(both)
     verdicts = pipeline.health().verdicts[Aid.POSITION]
-    assert 60 <= verdicts[Verdict.UNUSED] <= 110
+    assert 60 <= verdicts[Verdict.SUPERSEDED] <= 110
     _, refusing = run(both, FilterSettings(gnss=GnssSettings(source="raw", delay=0.12)))
     assert refusing.health().status is Status.DEAD_RECKONING
 
@@ -220,7 +173,7 @@ def test_a_dual_antenna_is_preferred_to_the_compass():
     events, _ = flight("hover", duration=20.0, yaw=True)
     _, pipeline = run(events)
     verdicts = pipeline.health().verdicts[Aid.HEADING]
-    assert verdicts[Verdict.UNUSED] > 800
+    assert verdicts[Verdict.SUPERSEDED] > 800
     _, compass = run(events, FilterSettings(heading=HeadingSettings(source="magnetometer")))
     assert compass.health().verdicts[Aid.HEADING][Verdict.FUSED] > 800
 
@@ -311,7 +264,7 @@ def test_the_origin_is_the_first_fix_used_and_odometry_tells_the_state():
     events, _ = flight("figure-eight", duration=12.0)
     table, pipeline = run(events)
     lat, lon, _ = pipeline.origin
-    odometry = pipeline.odometry()
+    odometry = pipeline.estimate().odometry
     assert abs(np.degrees(lat) - table.column("lat_deg")[-1]) < 1e-3
     assert abs(np.degrees(lon) - table.column("lon_deg")[-1]) < 1e-3
     assert odometry.t_ns == table.stamp_ns[-1]
@@ -346,8 +299,8 @@ def test_iron_leaves_live_and_table_the_same_bits():
     pipeline = Pipeline(IRON)
     rows = []
     for row in zip(events.t_ns.tolist(), events.kind.tolist(), events.values.tolist(), strict=True):
-        if pipeline.insert(row) is Arrival.ESTIMATED:
-            rows.append(pipeline.estimate())
+        if (estimate := pipeline.process_row(row)) is not None:
+            rows.append(estimate.values)
     assert np.array(rows).tobytes() == table.values.tobytes()
     assert np.isfinite(table.column("yaw")[-1])
 

@@ -1,33 +1,111 @@
-"""When something periodic is due."""
+"""Estimates as messages, and when something periodic is due."""
 
 from __future__ import annotations
 
 import itertools
+from collections import Counter
+from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from ekf_companion.engine.publisher import Due
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import OdometryConfig, OutputConfig
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.engine.health import Health
+from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.engine.publisher import STREAMS, Due, Publisher
+from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.nav.state import Odometry
 
-STEPS = st.lists(
-    st.tuples(st.integers(-(10**9), 10**9), st.sampled_from([None, 0.0, 1.0, 30.0])),
-    min_size=1,
-    max_size=40,
-)
+NUMBERS = np.arange(55, dtype="<f4").tobytes()
+ORIGIN = (0.1, 0.2, 300.0)
 
 
-@given(STEPS)
-def test_nothing_is_due_while_it_says_so(steps):
-    """However stamps go and rates are turned; and outside of that span something is."""
-    due, t_ns = Due(30.0), 0
-    for step_ns, rate in steps:
-        t_ns += step_ns
-        if rate is not None:
-            due.set_rate(rate)
-        begin_ns, end_ns = due.idle_ns
-        assert due.is_due(t_ns) == (not begin_ns <= t_ns < end_ns)
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """What the publisher asks of an estimate, without a filter behind it."""
+
+    t_ns: int
+    quality: int | None = 100
+    origin: tuple[float, float, float] | None = ORIGIN
+    health: Health = field(default_factory=lambda: Pipeline(FilterSettings()).health())
+
+    @property
+    def odometry(self):
+        return None if self.quality is None else Odometry(self.t_ns, NUMBERS, 0, self.quality)
+
+
+def publisher(rate=50.0):
+    config = Config(output=OutputConfig(odometry=OdometryConfig(rate=rate)))
+    return Publisher(config, Family.PX4)
+
+
+def names(messages):
+    return [message.name for message in messages]
+
+
+def test_an_estimate_becomes_messages_of_which_odometry_alone_is_replaceable():
+    messages = publisher().due(Given(t_ns=SECOND_NS))
+    assert names(messages) == ["GPS_GLOBAL_ORIGIN", "ODOMETRY", "ESTIMATOR_STATUS"]
+    assert [message.is_replaceable for message in messages] == [False, True, False]
+
+
+def test_each_message_comes_at_its_rate_and_odometry_once_for_one_estimate():
+    ours, found = publisher(rate=50.0), Counter()
+    for k in range(1000):
+        estimate = Given(t_ns=k * 4_000_000)
+        found.update(names(ours.due(estimate)))
+        assert "ODOMETRY" not in names(ours.due(estimate))
+    # the first origin is out of turn
+    assert found == {"GPS_GLOBAL_ORIGIN": 4, "ODOMETRY": 200, "ESTIMATOR_STATUS": 4}
+
+
+def test_without_a_position_nothing_is_published_and_nothing_can_be_requested():
+    ours, nowhere = publisher(), Given(t_ns=0, quality=None, origin=None)
+    assert ours.due(nowhere) == []
+    assert not any(ours.request(name, nowhere) for name in STREAMS)
+
+
+def test_an_invalid_estimate_is_published_once_until_it_is_valid_again():
+    ours = publisher()
+    qualities = [100, -1, -1, -1, 20, -1, -1]
+    published = [
+        "ODOMETRY" in names(ours.due(Given(t_ns=k * SECOND_NS, quality=quality)))
+        for k, quality in enumerate(qualities)
+    ]
+    assert published == [True, True, False, False, True, True, False]
+    assert not ours.request("ODOMETRY", Given(t_ns=7 * SECOND_NS, quality=-1))
+
+
+def test_an_origin_that_moves_is_published_before_the_odometry_about_it():
+    ours = publisher()
+    ours.due(Given(t_ns=0))
+    moved = ours.due(Given(t_ns=20_000_000, origin=(0.1, 0.2, 301.0)))
+    assert names(moved) == ["GPS_GLOBAL_ORIGIN", "ODOMETRY"]
+
+
+def test_an_origin_that_is_lost_is_not_published_and_keeps_its_turn():
+    """Samples come once in 0.6 s, so that each ODOMETRY is due and only some origins are."""
+    ours, period_ns = publisher(), SECOND_NS * 3 // 5
+    origins = [ORIGIN, ORIGIN, ORIGIN, None, ORIGIN, ORIGIN, ORIGIN]
+    published = [
+        "GPS_GLOBAL_ORIGIN" in names(ours.due(Given(t_ns=k * period_ns, origin=origin)))
+        for k, origin in enumerate(origins)
+    ]
+    # the first, and the first after the loss, are out of turn
+    assert published == [True, True, False, False, True, True, True]
+
+
+def test_a_message_that_is_off_comes_once_when_requested():
+    ours = publisher()
+    ours.set_rate("ODOMETRY", 0.0)
+    first = Given(t_ns=0)
+    assert "ODOMETRY" not in names(ours.due(first))
+    assert ours.request("ODOMETRY", first)
+    found = [names(ours.due(Given(t_ns=k * 4_000_000))) for k in (1, 2)]
+    assert found == [["GPS_GLOBAL_ORIGIN", "ODOMETRY"], []]
 
 
 def test_what_is_due_keeps_its_rate_over_uneven_stamps():

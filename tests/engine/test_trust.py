@@ -12,7 +12,7 @@ from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Status
 from tests.core.flights import between, changed, flight, without
 from tests.core.interpreted import load
-from tests.engine.test_pipeline import KNOWN, errors, rms, run, statuses
+from tests.engine.estimation import KNOWN, errors, rms, run, statuses
 
 METRE = 1.0 / 6.367e6
 """Of latitude, rad."""
@@ -29,7 +29,7 @@ def test_good_measurements_meet_the_soft_gate_as_often_as_it_says():
         verdicts = pipeline.health().verdicts
         for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY):
             found = verdicts[aid]
-            counts += [found[Verdict.FUSED], found[Verdict.SOFT], found[Verdict.GATED]]
+            counts += [found[Verdict.FUSED], found[Verdict.DEWEIGHTED], found[Verdict.GATED]]
     fused, soft, gated = counts
     assert 0.001 < soft / (fused + soft) < 0.03
     # but for a few at the start, while the receiver's noise is not known yet

@@ -11,67 +11,48 @@ from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfi
 from ekf_companion.core.settings import GnssSettings
 from ekf_companion.engine.checkpoint import MOST_STARTS, Clocks, Vehicle, decode, encode
 from ekf_companion.engine.companion import Companion
-from ekf_companion.engine.warm_start import Resumption
+from ekf_companion.engine.warm_start import WarmStart
 from ekf_companion.nav.state import Status
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
-from sim_autopilot.flight import Flight
-from tests.engine.test_companion import messages, named
+from tests.engine.conversation import SECOND_NS, converse, cycles, named
 
-SECOND_NS = 1_000_000_000
-STREAMING = Config(output=OutputConfig(odometry=OdometryConfig(independent=True)))
+INDEPENDENT = Config(output=OutputConfig(odometry=OdometryConfig(independent=True)))
 """Where nobody answers what the guard asks."""
 CLOCKS = Clocks(1_800_000_000 * SECOND_NS, 7 * SECOND_NS, bytes(range(16)))
 
 
 @cache
 def flown(kind=Kind.PX4, system_id=1, duration=20.0):
-    """Give time and bytes of each turn of an autopilot's loop."""
-    config = SimConfig(system_id=system_id)
-    flight = Flight.plan("figure-eight", config, duration=duration)
-    autopilot = Autopilot(config, kind)
-    turns = []
-    for cycle in flight.cycles():
-        autopilot.cycle(cycle)
-        turns.append((cycle.t_ns, b"".join(autopilot.data_to_send())))
-    return turns
+    """Return time and bytes of each cycle of an autopilot's loop."""
+    return list(cycles(duration, "figure-eight", kind=kind, system_id=system_id))
 
 
 def part(begin, end=99.0, **which):
-    """Give the turns of some seconds of it."""
+    """Return the cycles of some seconds of it."""
     first_ns = flown(**which)[0][0]
-    return [turn for turn in flown(**which) if begin <= (turn[0] - first_ns) * 1e-9 < end]
-
-
-def converse(companion, turns):
-    """Feed some turns; give time, name and fields of all that it says."""
-    said = []
-    for t_ns, data in turns:
-        companion.receive(data, t_ns)
-        companion.tick(t_ns)
-        said += [(t_ns, name, fields) for name, fields in messages(companion)]
-    return said
+    return [cycle for cycle in flown(**which) if begin <= (cycle[0] - first_ns) * 1e-9 < end]
 
 
 def odometry(said):
-    return [fields for _, name, fields in said if name == "ODOMETRY"]
+    return named("ODOMETRY", said)
 
 
 @cache
 def left(seconds=10.0):
-    """Give what a companion leaves that ends after so long, and its last ODOMETRY."""
-    companion = Companion(STREAMING)
+    """Return what a companion leaves that ends after so long, and its last ODOMETRY."""
+    companion = Companion(INDEPENDENT)
     turns = part(0.0, seconds)
     said = converse(companion, turns)
     return companion.checkpoint(CLOCKS.later(turns[-1][0])), odometry(said)[-1]
 
 
 def begun(turns, data=None, config=None, clocks=CLOCKS, **options):
-    """Give a companion that begins before the first of some turns, with what another left."""
+    """Return a companion that begins before the first of some turns, with what another left."""
     now_ns = turns[0][0] - SECOND_NS // 10
     data = left()[0] if data is None else data
-    resumption = Resumption(data, clocks.later(now_ns), now_ns, **options)
-    return Companion(config or STREAMING, resumption=resumption)
+    warm_start = WarmStart(data, clocks.later(now_ns), now_ns, **options)
+    return Companion(config or INDEPENDENT, warm_start=warm_start)
 
 
 @pytest.mark.parametrize("lost", [0.1, 1.4, 2.4, 5.0])
@@ -93,7 +74,7 @@ def test_it_estimates_from_its_first_sample_on_without_waiting_for_a_heartbeat(l
     assert caplog.text.count(f"Reset {health.resets - (lost > 1.0)}: restart") == 1
     assert "ALIGNING" not in caplog.text
     # Everything is asked of the autopilot again
-    assert named("COMMAND_LONG", [turn[1:] for turn in said])
+    assert named("COMMAND_LONG", said)
 
 
 def assert_cold(companion, said, reason, caplog):
@@ -103,14 +84,14 @@ def assert_cold(companion, said, reason, caplog):
     assert reason in caplog.text
     # It aligns as it would have
     assert companion.pipeline.health().status is Status.OK
-    assert odometry(said)[0].time_usec * 1000 > said[0][0] + SECOND_NS
+    assert odometry(said)[0].time_usec * 1000 > said[0].t_ns + SECOND_NS
     assert companion.pipeline.health().start == companion.pipeline.start
 
 
 @pytest.mark.parametrize(
     "which",
     [
-        {"config": replace(STREAMING, gnss=GnssSettings(delay=0.1))},
+        {"config": replace(INDEPENDENT, gnss=GnssSettings(delay=0.1))},
         {"limit": 1.0},
         {"clocks": CLOCKS.later(60 * SECOND_NS)},
         {"data": lambda: encode(replace(decode(left()[0]), starts=MOST_STARTS))},
@@ -131,7 +112,7 @@ REFUSALS = {
     "it does not begin as": {"data": lambda: b"?"},
     "it had not found its attitude yet": {"data": lambda: left(0.5)[0]},
     "the estimator's settings are others": {
-        "config": replace(STREAMING, gnss=GnssSettings(delay=0.1))
+        "config": replace(INDEPENDENT, gnss=GnssSettings(delay=0.1))
     },
     "checkpoint.limit is 1 s": {"limit": 1.0},
     "by the autopilot's clock, 62.1 s by ours": {"clocks": CLOCKS.later(60 * SECOND_NS)},
@@ -155,7 +136,7 @@ def test_what_may_not_be_gone_on_from_is_said_and_it_begins_cold(reason, caplog,
 
 
 def aligning():
-    companion = Companion(STREAMING)
+    companion = Companion(INDEPENDENT)
     turns = part(0.0, 0.5)
     converse(companion, turns)
     return companion.checkpoint(CLOCKS.later(turns[-1][0]))
@@ -191,13 +172,13 @@ def test_a_heartbeat_that_gives_the_lie_to_what_was_expected_begins_anew(caplog)
 
 def test_the_one_autopilot_to_listen_to_is_not_another_that_was_left():
     turns = part(12.0)
-    companion = begun(turns, config=replace(STREAMING, link=LinkConfig(autopilot=9)))
+    companion = begun(turns, config=replace(INDEPENDENT, link=LinkConfig(autopilot=9)))
     assert not odometry(converse(companion, turns[:500]))
     assert companion.pipeline is None
 
 
 def test_nothing_is_left_before_there_is_anything_to_leave():
-    companion = Companion(STREAMING)
+    companion = Companion(INDEPENDENT)
     assert companion.checkpoint(CLOCKS) is None
     assert companion.resets == 0
     autopilot = Autopilot(SimConfig())

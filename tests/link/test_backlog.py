@@ -11,7 +11,6 @@ import tty
 
 from ekf_companion.link.backlog import FRESH_NS, LARGEST, PATIENCE_NS, Backlog
 from ekf_companion.link.link import open_link
-from ekf_companion.mavlink import outbox
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
@@ -70,12 +69,6 @@ def test_it_never_holds_more_than_its_bytes():
     assert dropped == 1000 - LARGEST // 1000
     assert len(drained(backlog)) == LARGEST // 1000
     assert backlog.clear() == 0
-
-
-def test_odometry_alone_is_replaceable():
-    sender = Sender(1, 194)
-    for name in ("ODOMETRY", "HEARTBEAT", "TIMESYNC", "COMMAND_ACK", "PARAM_VALUE"):
-        assert outbox.is_replaceable(sender.message(name)) == (name == "ODOMETRY")
 
 
 def odometry(sender, stamp):

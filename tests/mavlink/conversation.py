@@ -33,7 +33,7 @@ def station():
 
 
 def met(family=PX4, **options):
-    """Give a session that has just found its autopilot, and the autopilot."""
+    """Return a session that has just found its autopilot, and the autopilot."""
     session = Session(SessionOptions(**({"rates": {}} | options)))
     autopilot = Voice(family=family)
     session.receive(autopilot.heartbeat(), 0)
@@ -43,11 +43,11 @@ def met(family=PX4, **options):
 
 
 def sent(session, *names):
-    """Give what the session sends, as fields: all, or of some messages only."""
+    """Return what the session sends, as fields: all, or of some messages only."""
     messages = [unpack(frame) for frame in Splitter().feed(b"".join(session.data_to_send()))]
     return [m for m in messages if not names or type(m).__name__ in names]
 
 
 def asked(message):
-    """Give the name of the message that a command asks for."""
+    """Return the name of the message that a command asks for."""
     return LAYOUTS[int(message.param1)].name

@@ -6,7 +6,7 @@ import pytest
 
 from ekf_companion.mavlink.audit import probable_cause
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.event import RateInVain
+from ekf_companion.mavlink.event import RateTooLow
 from ekf_companion.mavlink.statustext import LARGEST
 from tests.mavlink.conversation import ARDUPILOT, MS, PX4, SECOND, asked, met, sent
 
@@ -45,7 +45,7 @@ def listen(duration, rates, family=PX4, change=None, then=None, cap=1e3, unknown
                 result = 3 if asked(command) in unknown else 2 if is_denied else 0
                 data = autopilot.say("COMMAND_ACK", command=command.command, result=result)
                 session.receive(data, now)
-        events += [event for event in session.events() if type(event) is RateInVain]
+        events += [event for event in session.events() if type(event) is RateTooLow]
     return again[len(RATES) :], events, session
 
 
@@ -120,9 +120,9 @@ def test_rule_6_what_was_granted_is_judged_and_no_other_message(loop, granted):
     """Rule 6: HIGHRES_IMU comes as granted, and RAW_IMU, which was denied, need not come."""
     session_rates = RATES | {"HIGHRES_IMU": granted}
     again, events, session = listen(130.0, session_rates, ARDUPILOT, cap=0.8 * loop)
-    assert session.results["RAW_IMU"] == "denied"
+    assert session.requests.results["RAW_IMU"] == "denied"
     assert session.requests.inertial == "HIGHRES_IMU"
-    assert session.requests.asked("HIGHRES_IMU") == granted
+    assert session.requests.expected_rate("HIGHRES_IMU") == granted
     assert events == []
     assert all(now < 10 for now, _ in again)
 
@@ -132,9 +132,9 @@ def test_rule_6_what_was_granted_stays_so_whatever_else_is_turned():
     session_rates = RATES | {"HIGHRES_IMU": 100.0}
     _, _, session = listen(10.0, session_rates, ARDUPILOT, cap=160.0)
     session.requests.retune(RATES | {"ATTITUDE": 20.0})
-    assert session.requests.asked("HIGHRES_IMU") == 100.0
+    assert session.requests.expected_rate("HIGHRES_IMU") == 100.0
     session.requests.retune(RATES | {"HIGHRES_IMU": 50.0})
-    assert session.requests.asked("HIGHRES_IMU") == 50.0
+    assert session.requests.expected_rate("HIGHRES_IMU") == 50.0
 
 
 def test_rule_6_the_message_that_is_in_use_is_named():

@@ -113,7 +113,7 @@ def test_a_peers_clock_that_jumps_is_learned_anew_after_five_answers():
 
 
 def synchronised(offset=77 * MS, until_ms=3000, **options):
-    """Give one that is locked, and the time."""
+    """Return one that is locked, and the time."""
     ours = Timesync(TimesyncOptions(**options))
     for at_ns in range(0, until_ms * MS, 100 * MS):
         exchange(ours, lambda _: offset, at_ns, MS // 2, MS // 2)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ekf_companion.mavlink.codec import Sender, columns, pack, unpack
-from ekf_companion.mavlink.frame import Frame, Splitter, encode_frame
+from ekf_companion.mavlink.frame import Frame, Splitter
 from ekf_companion.mavlink.messages import LAYOUTS
 
 
@@ -26,7 +26,7 @@ def same(ours, theirs):
 def test_fields_are_what_pymavlink_reads(message_id, data):
     layout = LAYOUTS[message_id]
     payload = data.draw(st.binary(min_size=layout.size, max_size=layout.size))
-    raw = encode_frame(message_id, payload, system_id=1, component_id=1, sequence=0)
+    raw = Sender(1, 1).frame(LAYOUTS[message_id].name, payload)
     (frame,) = Splitter().feed(raw)
     ours = unpack(frame)
     theirs = dialect.MAVLink(None).decode(bytearray(raw))

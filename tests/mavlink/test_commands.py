@@ -19,7 +19,7 @@ ODOMETRY, STATUS = IDS["ODOMETRY"], IDS["ESTIMATOR_STATUS"]
 
 
 def served(has_estimate=True):
-    """Give a session that offers two messages, who commands it, and what was asked for."""
+    """Return a session that offers two messages, who commands it, and what was asked for."""
     session, _ = met()
     asked = []
     for name, rate, largest in (("ODOMETRY", 30.0, 50.0), ("ESTIMATOR_STATUS", 1.0, 1000.0)):

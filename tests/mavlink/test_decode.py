@@ -58,7 +58,7 @@ def only(kind, measurements):
 
 
 def with_fix(family=Family.PX4, **fields):
-    """Give a peer whose next fix passes: it has had one before."""
+    """Return a peer whose next fix passes: it has had one before."""
     peer = Peer(family)
     peer.highres(1_000_000)
     assert peer.gps(900_000) == []
@@ -96,7 +96,7 @@ def test_another_instance_is_left():
 
 
 def imu_times(peer, instance, times_ms):
-    """Give when samples of an instance are taken, ms."""
+    """Return when samples of an instance are taken, ms."""
     return [t_ms for t_ms in times_ms if only(ImuSample, peer.highres(t_ms * 1000, id=instance))]
 
 

@@ -41,7 +41,7 @@ class Peer:
         )
 
     def everything(self, t_us):
-        """Give what all of an autopilot's messages of one moment say."""
+        """Return what all of an autopilot's messages of one moment say."""
         t_ms, place = t_us // 1000 % WRAP_MS, {"lat": 473977635 + t_us % 97, "lon": 85455780}
         return [
             *self.highres(t_us, ymag=t_us % 97 * 1e-4),
@@ -125,13 +125,13 @@ def test_an_old_packet_is_refused_and_counted():
 
 
 def sent(seed=1, count=4000):
-    """Give stamps of every second turn of a 400 Hz loop, sent up to 1.8 ms later, us."""
+    """Return stamps of every second turn of a 400 Hz loop, sent up to 1.8 ms later, us."""
     rng = random.Random(seed)
     return [10**8 + 5000 * n + min(int(rng.expovariate(1 / 300.0)), 1800) for n in range(count)]
 
 
 def samples(peer, stamps):
-    """Give the stamps, us, of the samples of HIGHRES_IMU messages."""
+    """Return the stamps, us, of the samples of HIGHRES_IMU messages."""
     return [one.t_ns / 1000 for t in stamps for one in only(ImuSample, peer.highres(t))]
 
 
@@ -207,7 +207,7 @@ PERIOD_US = 4000
 
 
 def numbered(peer, stamps):
-    """Give what HIGHRES_IMU of these stamps say, the rate counting them."""
+    """Return what HIGHRES_IMU of these stamps say, the rate counting them."""
     return [found for n, t in enumerate(stamps) for found in peer.highres(t, xgyro=n * 1e-3)]
 
 
@@ -225,6 +225,17 @@ def test_rule_12_a_clock_set_back_by_half_a_second_goes_on_without_a_sample_lost
     assert [one.gyro_x for one in told] == pytest.approx([n * 1e-3 for n in range(len(after))])
     assert [round(one.t_ns, -6) for one in told] == [round(t * 1000, -6) for t in after]
     assert peer.decoder.refused["clock set back"] == 1
+
+
+def test_messages_that_nobody_reads_may_come_while_the_clock_is_being_set_back():
+    peer = Peer(Family.PX4)
+    numbered(peer, [1_000_000 + PERIOD_US * n for n in range(100)])
+    found = []
+    for n in range(100):
+        found += peer.highres(1_000_000 + PERIOD_US * n)
+        found += peer.say("PING", seq=n)
+    assert len(only(Restart, found)) == 1
+    assert len(only(ImuSample, found)) == 100
 
 
 def test_a_late_sample_is_given_with_the_next_that_is_not():

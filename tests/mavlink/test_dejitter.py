@@ -13,7 +13,7 @@ MS_US = 1000
 
 
 def scheduled(seed, loop_us, interval_ms, mean_late_us, *, lost=0.0, overrun=0.0, count=8000):
-    """Give stamps of sending and times of sampling, us, as ArduPilot's scheduler makes them.
+    """Return stamps of sending and times of sampling, us, as ArduPilot's scheduler makes them.
 
     A turn takes its sample at its beginning and sends, later in it, what is due by whole
     milliseconds; an overrun moves all turns after it.
@@ -33,7 +33,7 @@ def scheduled(seed, loop_us, interval_ms, mean_late_us, *, lost=0.0, overrun=0.0
 
 
 def smoothed(stamps, resolution_us=1):
-    """Give the times of the stamps, us; NaN: out of order."""
+    """Return the times of the stamps, us; NaN: out of order."""
     one = Dejitter(resolution_us)
     t_ns = [one.smooth(int(stamp)) for stamp in stamps]
     return np.array([np.nan if t is None else t / 1000 for t in t_ns]), one
@@ -51,7 +51,7 @@ LOOPS = {
 
 @pytest.mark.parametrize("loop", LOOPS)
 @pytest.mark.parametrize("lost", [0.0, 0.03])
-def test_samples_lie_on_the_turns_of_the_loop(loop, lost):
+def test_samples_lie_on_the_cycles_of_the_loop(loop, lost):
     loop_us, interval_ms, late_us = LOOPS[loop]
     stamps, samples = scheduled(1, loop_us, interval_ms, late_us, lost=lost)
     t, one = smoothed(stamps)
@@ -107,7 +107,7 @@ def test_whole_milliseconds_are_set_on_the_line_of_their_period():
     assert abs(left.mean() + 450.0) < 100.0  # the line goes through the ones cut down most
 
 
-def test_whole_milliseconds_of_sending_are_set_on_the_loops_turns():
+def test_whole_milliseconds_of_sending_are_set_on_the_loops_cycles():
     stamps, samples = scheduled(3, 2500.0, 20, 400.0)
     cut = stamps // MS_US * MS_US
     t, one = smoothed(cut, MS_US)

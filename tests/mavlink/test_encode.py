@@ -16,7 +16,7 @@ NUMBERS = [float(n) for n in range(55)]
 
 
 def read(name, payload):
-    """Give the message as pymavlink reads it off the wire."""
+    """Return the message as pymavlink reads it off the wire."""
     return dialect.MAVLink(None).decode(bytearray(Sender(1, 194).frame(name, payload)))
 
 

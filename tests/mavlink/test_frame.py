@@ -8,15 +8,16 @@ from hypothesis import given, settings
 from pymavlink.dialects.v10 import ardupilotmega as dialect_1
 from pymavlink.dialects.v20 import ardupilotmega as dialect_2
 
-from ekf_companion.mavlink.frame import JUNK, LARGEST_FRAME, Splitter, encode_frame
+from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.frame import JUNK, LARGEST_FRAME, Splitter
 from ekf_companion.mavlink.messages import LAYOUTS
 
 IDS_1 = sorted(dialect_1.mavlink_map)
-IDS_2 = sorted(LAYOUTS)
+IDS_2 = sorted(dialect_2.mavlink_map)
 
 
 def pymavlink_frame(message_id, payload, sequence, *, version, key=None):
-    """Give the frame that pymavlink would send for a payload."""
+    """Return the frame that pymavlink would send for a payload."""
     dialect = dialect_2 if version == 2 else dialect_1
     mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
     mav.seq = sequence
@@ -164,7 +165,9 @@ def mav_crc(body, message_id):
 @settings(deadline=None, max_examples=100)
 def test_an_encoded_frame_is_what_pymavlink_sends(message_id, payload, sequence, component):
     payload = payload.ljust(LAYOUTS[message_id].size, b"\0")[: LAYOUTS[message_id].size]
-    ours = encode_frame(message_id, payload, system_id=1, component_id=component, sequence=sequence)
+    sender = Sender(1, component)
+    sender.sequence = sequence
+    ours = sender.frame(LAYOUTS[message_id].name, payload)
     mav = dialect_2.MAVLink(None, srcSystem=1, srcComponent=component)
     mav.seq = sequence
     definition = dialect_2.mavlink_map[message_id]

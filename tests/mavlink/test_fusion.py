@@ -19,7 +19,7 @@ def source_set(number, *values):
 
 
 def ardupilot(**changes):
-    """Give every parameter that may decide, as the firmware sets it but for some."""
+    """Return every parameter that may decide, as the firmware sets it but for some."""
     defaults = DEFAULTS[Stack.ARDUPILOT]
     return {name: float(defaults[name]) for name in NAMES[ARDUPILOT]} | changes
 
@@ -120,15 +120,15 @@ OURS, GNSS, NONE = (6, 6, 6, 6, 6), (3, 3, 1, 3, 1), (0, 0, 1, 0, 0)
         (UNKNOWN, {}, True, "neither PX4 nor ArduPilot"),
     ],
 )
-def test_the_verdict_and_the_remedy(family, parameters, is_streaming, words):
-    verdict = decide(family, parameters)
-    assert verdict.is_streaming is is_streaming
-    assert words in verdict.sentence
-    assert verdict.is_settled
-    assert verdict.parameters == {k: v for k, v in parameters.items() if v is not None}
+def test_the_decision_and_the_remedy(family, parameters, is_streaming, words):
+    decision = decide(family, parameters)
+    assert decision.is_streaming is is_streaming
+    assert words in decision.sentence
+    assert decision.is_settled
+    assert decision.parameters == {k: v for k, v in parameters.items() if v is not None}
     # The pilot's screen has fifty bytes, and a withheld stream says what to do
-    assert 0 < len(f"Companion: {verdict.text}") <= 50
-    assert bool(verdict.remedy) is not is_streaming
+    assert 0 < len(f"Companion: {decision.text}") <= 50
+    assert bool(decision.remedy) is not is_streaming
 
 
 @pytest.mark.parametrize("family", [PX4, ARDUPILOT])
@@ -140,8 +140,8 @@ def test_the_configuration_goes_before_the_parameters(family, mode, independent,
     both = px4(15, 7) if family is PX4 else ardupilot(VISO_TYPE=1.0, EK3_SRC1_POSXY=6.0)
     assert decide(family, both, mode, independent).is_streaming is is_streaming
     # Nor is anything waited for where it is told
-    verdict = decide(family, {}, mode, independent, is_complete=False)
-    assert verdict.is_settled is (mode != "auto" or independent)
+    decision = decide(family, {}, mode, independent, is_complete=False)
+    assert decision.is_settled is (mode != "auto" or independent)
 
 
 def test_always_says_that_nothing_guards():
@@ -150,9 +150,9 @@ def test_always_says_that_nothing_guards():
 
 @pytest.mark.parametrize("family", [PX4, ARDUPILOT])
 def test_nothing_is_sent_before_the_answers_are_there(family):
-    verdict = decide(family, {}, is_complete=False)
-    assert not verdict.is_streaming
-    assert not verdict.is_settled
+    decision = decide(family, {}, is_complete=False)
+    assert not decision.is_streaming
+    assert not decision.is_settled
     assert missing(family, {}) == NAMES[family]
 
 
@@ -169,7 +169,7 @@ def test_what_decides_is_watched_and_no_more():
 
 
 def two(frame_id):
-    """Give two messages, so close that fusion begins."""
+    """Return two messages, so close that fusion begins."""
     sender = Sender(1, 194)
     fields = {
         "frame_id": frame_id,
@@ -186,9 +186,9 @@ def test_where_px4_fuses_ours_beside_gnss_nothing_is_sent():
     streamed = 0
     for vision, gnss, frame_id in itertools.product(range(16), range(16), (1, 20)):
         fused = would_accept(two(frame_id), Stack.PX4, px4(vision, gnss)).fused
-        verdict = decide(PX4, px4(vision, gnss))
-        is_streaming = verdict.is_streaming
-        assert verdict.is_fused is (is_streaming and bool(fused))
+        decision = decide(PX4, px4(vision, gnss))
+        is_streaming = decision.is_streaming
+        assert decision.is_fused is (is_streaming and bool(fused))
         assert not (is_streaming and fused and gnss)
         assert is_streaming or (vision and gnss)
         streamed += is_streaming
@@ -202,17 +202,17 @@ def test_where_ardupilot_fuses_ours_beside_gnss_in_any_set_nothing_is_sent():
         parameters = ardupilot(
             VISO_TYPE=float(rng.integers(0, 2)), EK3_SRC_OPTIONS=float(rng.integers(0, 2))
         )
-        # Mostly whole sets, so that both verdicts come
+        # Mostly whole sets, so that both decisions come
         for number in (1, 2, 3):
             values = [OURS, GNSS, NONE, rng.choice([0, 3, 6], 5)][int(rng.integers(0, 4))]
             parameters |= source_set(number, *map(float, values))
-        verdict, in_any = decide(ARDUPILOT, parameters), False
-        is_streaming = verdict.is_streaming
+        decision, in_any = decide(ARDUPILOT, parameters), False
+        is_streaming = decision.is_streaming
         found[is_streaming] += 1
         for number in (1, 2, 3):
             fused = would_accept(data, Stack.ARDUPILOT, parameters, source_set=number).fused
             has_gnss = any(parameters[f"EK3_SRC{number}_{part}"] == 3 for part in PARTS)
             assert not (is_streaming and fused and has_gnss), parameters
             in_any = in_any or bool(fused)
-        assert verdict.is_fused is (is_streaming and in_any)
+        assert decision.is_fused is (is_streaming and in_any)
     assert min(found.values()) > 300

@@ -33,12 +33,12 @@ def test_each_time_that_the_guard_is_lifted_the_pilot_is_warned():
 
 
 def answer(autopilot):
-    """Give that nothing of ours is fused."""
+    """Return that nothing of ours is fused."""
     return autopilot.say("PARAM_VALUE", param_id=b"EKF2_EV_CTRL", param_type=6)
 
 
 def watched(minutes, is_answered):
-    """Give the session, and what was decided after each tenth of a second."""
+    """Return the session, and what was decided after each tenth of a second."""
     session, autopilot = met(PX4, guard=GuardOptions())
     session.receive(answer(autopilot), 0)
     streaming = []
@@ -59,8 +59,8 @@ def test_without_any_answer_for_five_seconds_it_is_withheld_until_the_next():
     assert 245 <= first <= 260
     assert 395 <= last <= 405
     assert not any(streaming[first:last])
-    changes = [event.verdict for event in session.events() if type(event) is GuardChanged]
-    assert [verdict.is_streaming for verdict in changes] == [True, False, True]
+    changes = [event.decision for event in session.events() if type(event) is GuardChanged]
+    assert [decision.is_streaming for decision in changes] == [True, False, True]
     assert "answers no request for a parameter any more" in changes[1].reason
 
 
@@ -71,7 +71,7 @@ def test_a_link_that_loses_a_tenth_of_all_frames_withholds_nothing():
 
 
 def fused_by_none(guard, other, until=20 * SECOND):
-    """Give whether it streams, after each second, beside somebody else's heartbeats until then."""
+    """Return whether it streams after each second, beside somebody else's heartbeats."""
     session, autopilot = met(PX4, guard=guard)
     streaming = []
     for now_ns in range(SECOND, 40 * SECOND, SECOND):
@@ -88,8 +88,8 @@ def test_rule_25_another_autopilot_on_the_link_is_guarded_too():
     # From its second heartbeat on, until it has been silent for ten seconds
     assert streaming == [True, *[False] * 28, *[True] * 10]
     session, streaming = fused_by_none(GuardOptions(), Voice(2), until=40 * SECOND)
-    assert "system 2 is on this link too" in session.guard.verdict.reason
-    assert "a link of its own" in session.guard.verdict.remedy
+    assert "system 2 is on this link too" in session.guard.decision.reason
+    assert "a link of its own" in session.guard.decision.remedy
 
 
 @pytest.mark.parametrize(

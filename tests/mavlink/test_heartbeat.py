@@ -100,7 +100,7 @@ def test_rule_4_heartbeats_on_request_do_not_push_our_own_echo_out_of_memory():
         while echoes and echoes[0][0] <= now_ns:
             session.receive(echoes.pop(0)[1], now_ns)
         assert session.stream_state.is_streaming
-    assert session.sent["HEARTBEAT"] < 60
+    assert session.outbox.sent["HEARTBEAT"] < 60
     assert not [event for event in session.events() if type(event) is Clash]
 
 

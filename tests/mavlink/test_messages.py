@@ -14,7 +14,7 @@ TYPES = {"B": "uint8_t", "H": "uint16_t", "I": "uint32_t", "Q": "uint64_t", "s":
 
 
 def length(field):
-    """Give an array's length as CRC_EXTRA is computed over it."""
+    """Return an array's length as CRC_EXTRA is computed over it."""
     return chr(field.length) if field.length else ""
 
 

@@ -2,9 +2,10 @@
 
 import pytest
 
-from ekf_companion.mavlink.event import Answered, Versioned
+from ekf_companion.mavlink.event import FirmwareReported, RequestAnswered
+from ekf_companion.mavlink.options import RATES, SessionOptions
 from ekf_companion.mavlink.request import ACCEPTED
-from ekf_companion.mavlink.session import RATES, Session, SessionOptions
+from ekf_companion.mavlink.session import Session
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
@@ -12,7 +13,7 @@ from tests.mavlink.conversation import ARDUPILOT, MS, PX4, SECOND, asked, met, s
 
 
 def converse(kind, duration=2.0):
-    """Give a session that has flown with a simulated autopilot, and its events."""
+    """Return a session that has flown with a simulated autopilot, and its events."""
     config = SimConfig()
     session, autopilot, events = Session(), Autopilot(config, kind), []
     for cycle in Flight.plan("hover", config, duration=duration).cycles():
@@ -32,8 +33,8 @@ def test_rule_5_an_autopilot_is_asked_for_its_messages_and_its_version(kind, ver
     commands = [m.fields for m in autopilot.received() if m.name == "COMMAND_LONG"]
     assert [asked(m) for m in commands if m.command == 511][: len(RATES)][0] == "HIGHRES_IMU"
     assert {asked(m) for m in commands if m.command == 511} >= set(RATES)
-    assert session.results["HIGHRES_IMU"] == ACCEPTED
-    assert Versioned(version) in events
+    assert session.requests.results["HIGHRES_IMU"] == ACCEPTED
+    assert FirmwareReported(version) in events
     assert session.requests.version == version
 
 
@@ -53,7 +54,7 @@ def test_rule_5_every_answer_has_its_words(result, words):
     session, autopilot = met(rates={"ATTITUDE": 10.0})
     session.tick(0)
     session.receive(autopilot.say("COMMAND_ACK", command=511, result=result), 0)
-    assert session.events() == [Answered("ATTITUDE", words)]
+    assert session.events() == [RequestAnswered("ATTITUDE", words)]
 
 
 @pytest.mark.parametrize("answer", [None, 3])
@@ -76,7 +77,7 @@ def test_rule_5_an_autopilot_that_cannot_tell_its_version_is_not_complained_of(a
 
 
 def answered(family, results, rates):
-    """Give what is asked in the old way of an autopilot that answers so."""
+    """Return what is asked in the old way of an autopilot that answers so."""
     session, autopilot = met(family, rates=rates)
     streams = []
     for now_ns in range(0, 30 * SECOND, 100 * MS):
@@ -154,9 +155,9 @@ def test_rule_5_a_late_answer_is_not_taken_for_that_to_the_next_request(delay_ms
                 answers += 1
         while waiting and waiting[0][0] <= now_ns:
             session.receive(waiting.pop(0)[1], now_ns)
-        if session.results.keys() >= RATES.keys() | {"RAW_IMU"}:
+        if session.requests.results.keys() >= RATES.keys() | {"RAW_IMU"}:
             break
-    denied = {name for name, result in session.results.items() if result == "denied"}
-    accepted = {name for name, result in session.results.items() if result == "accepted"}
+    denied = {name for name, result in session.requests.results.items() if result == "denied"}
+    accepted = {name for name, result in session.requests.results.items() if result == "accepted"}
     assert denied == {"HIGHRES_IMU", "ATTITUDE"}
     assert accepted == {"RAW_IMU", *RATES} - denied

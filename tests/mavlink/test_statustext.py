@@ -26,7 +26,7 @@ def test_rule_29_the_same_text_is_said_once_a_second_at_most():
     """Rule 29."""
     session, autopilot = met()
     texts = session.statustext
-    heard = hear(session, autopilot, 5.0, lambda now: texts.say(Severity.WARNING, "GNSS lost"))
+    heard = hear(session, autopilot, 5.0, lambda now: texts.send(Severity.WARNING, "GNSS lost"))
     assert {(m.severity, m.text, m.id) for _, m in heard} == {(4, b"GNSS lost", 0)}
     assert len(heard) == 5
     assert all(after - before >= SECOND for (before, _), (after, _) in pairwise(heard))
@@ -36,9 +36,9 @@ def test_rule_29_what_flaps_ends_with_what_is_true():
     """Rule 29."""
     session, autopilot = met()
     for text in ("lost", "found", "lost"):
-        session.statustext.say(Severity.INFO, text)
+        session.statustext.send(Severity.INFO, text)
         session.tick(0)
-    session.statustext.say(Severity.INFO, "found")
+    session.statustext.send(Severity.INFO, "found")
     heard = [m.text for _, m in hear(session, autopilot, 3.0)]
     assert heard[-1] == b"found"
 
@@ -47,7 +47,7 @@ def test_rule_29_a_flood_is_bounded_and_the_newest_is_said():
     """Rule 29."""
     session, autopilot = met()
     for number in range(1000):
-        session.statustext.say(Severity.INFO, f"number {number}")
+        session.statustext.send(Severity.INFO, f"number {number}")
     heard = [m.text for _, m in hear(session, autopilot, 20.0)]
     assert len(heard) == 16
     assert heard[-1] == b"number 999"
@@ -57,10 +57,10 @@ def test_rule_29_a_flood_is_bounded_and_the_newest_is_said():
 def test_rule_29_a_flood_drops_the_least_severe_first():
     """Rule 29."""
     session, autopilot = met()
-    session.statustext.say(Severity.CRITICAL, "estimate invalid, not sent")
+    session.statustext.send(Severity.CRITICAL, "estimate invalid, not sent")
     for number in range(20):
-        session.statustext.say(Severity.WARNING, f"warning {number}")
-        session.statustext.say(Severity.INFO, f"number {number}")
+        session.statustext.send(Severity.WARNING, f"warning {number}")
+        session.statustext.send(Severity.INFO, f"number {number}")
     heard = [m.text for _, m in hear(session, autopilot, 20.0)]
     assert heard == [
         b"estimate invalid, not sent",
@@ -72,7 +72,7 @@ def test_rule_29_nothing_is_said_while_nobody_is_heard():
     """Rule 29."""
     session, autopilot = met()
     session.tick(6 * SECOND)
-    session.statustext.say(Severity.INFO, "nobody hears")
+    session.statustext.send(Severity.INFO, "nobody hears")
     session.receive(autopilot.heartbeat(), 7 * SECOND)
     session.tick(7 * SECOND)
     assert sent(session, "STATUSTEXT") == []
@@ -83,7 +83,7 @@ def test_rule_29_a_long_text_comes_in_numbered_pieces_of_one_number():
     session, _ = met()
     texts = ["a" * 60, "b" * 120]
     for text in texts:
-        session.statustext.say(Severity.ERROR, text)
+        session.statustext.send(Severity.ERROR, text)
     session.tick(0)
     session.tick(SECOND)
     pieces = sent(session, "STATUSTEXT")

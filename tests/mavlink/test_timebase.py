@@ -13,14 +13,14 @@ SECOND_US = 1_000_000
 
 
 def at(*stamps_us):
-    """Give a clock that has followed stamps."""
+    """Return a clock that has followed stamps."""
     clock = TimeBase()
     assert [clock.advance(stamp_us) for stamp_us in stamps_us] == [Step.FOLLOWED] * len(stamps_us)
     return clock
 
 
 def steps(clock, stamps):
-    """Give what each stamp does: an int is microseconds, a tuple ("ms", milliseconds)."""
+    """Return what each stamp does: an int is microseconds, a tuple ("ms", milliseconds)."""
     return [
         clock.advance_boot_ms(stamp[1]) if isinstance(stamp, tuple) else clock.advance(stamp)
         for stamp in stamps

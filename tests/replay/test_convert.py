@@ -19,7 +19,7 @@ SECONDS = 25.0
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give a folder with flight.tlog and truth.csv of a figure-eight."""
+    """Return a folder with flight.tlog and truth.csv of a figure-eight."""
     folder = tmp_path_factory.mktemp("flight")
     result = CliRunner().invoke(
         sim,

@@ -28,7 +28,7 @@ from ekf_companion.replay import smoothing
 from ekf_companion.replay.smoothing import Smoothing, smooth
 from sim_autopilot.scenarios import SCENARIOS
 from tests.core.flights import between, changed, flight, without
-from tests.engine.test_pipeline import errors, rms
+from tests.engine.estimation import errors, rms
 
 KNOWN = FilterSettings(gnss=GnssSettings(delay=0.12, delay_std=0.02, white_share=1.0))
 TRUE = FilterSettings(
@@ -47,7 +47,7 @@ TRUE = FilterSettings(
 
 
 def both(events: Events, settings: FilterSettings = KNOWN) -> tuple[Table, Table]:
-    """Give the live estimates and the smoothed ones."""
+    """Return the live estimates and the smoothed ones."""
     with Smoothing(settings) as estimator:
         live = estimator.run(events)
         return live, join(list(estimator.tables()))
@@ -342,7 +342,7 @@ def test_stamps_are_those_of_the_samples_whatever_the_sensors_lag():
 
 
 def peak(seconds: float) -> int:
-    """Give the most memory that smoothing takes beside its rows and results, bytes."""
+    """Return the most memory that smoothing takes beside its rows and results, bytes."""
     events, _ = flight("hover", duration=seconds, rate=50.0)
     with Smoothing(KNOWN, in_memory=1) as estimator:
         for part in np.array_split(np.arange(len(events)), int(seconds / 5.0)):

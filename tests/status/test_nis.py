@@ -32,7 +32,7 @@ def fly():
                 continue
             if t > GOOD:
                 values[3:6] = [v + rng.normal(0.0, 1.5) for v in values[3:6]]
-        pipeline.insert((t_ns, kind, tuple(values)))
+        pipeline.process_row((t_ns, kind, tuple(values)))
         if t > next_s:
             recent.update(pipeline, t_ns)
             told[next_s] = pipeline.health().nis, recent.mean()

@@ -12,10 +12,9 @@ from ekf_companion.config.config import Config
 from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfig
 from ekf_companion.engine.checkpoint import Clocks
 from ekf_companion.engine.companion import Companion
-from ekf_companion.engine.warm_start import Resumption
+from ekf_companion.engine.warm_start import WarmStart
 from ekf_companion.link.link import open_link
 from ekf_companion.mavlink.codec import Sender
-from ekf_companion.mavlink.outbox import is_replaceable
 from ekf_companion.nav.state import Status
 from ekf_companion.status.host import Host, read_host
 from ekf_companion.status.judge import judge, to_json
@@ -24,7 +23,7 @@ from ekf_companion.status.snapshot import ReloadState
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import ImuConfig, SimConfig, StreamConfig
 from sim_autopilot.flight import Flight
-from tests.engine.test_companion import cycles
+from tests.engine.conversation import cycles
 
 BOARD = Host(rss_mb=50.0, temperatures={"cpu": 61.5})
 MS = 1_000_000
@@ -33,7 +32,7 @@ MS = 1_000_000
 class Watched:
     """A companion that is fed as the service does it, on a clock of its own."""
 
-    def __init__(self, delay_ns=MS // 4, config=None, url="udpin:127.0.0.1:14550", resumption=None):
+    def __init__(self, delay_ns=MS // 4, config=None, url="udpin:127.0.0.1:14550", warm_start=None):
         self.now_ns = 1_000 * MS
         self.delay_ns = delay_ns
         self.begin_ns = None
@@ -41,7 +40,7 @@ class Watched:
         self.link = open_link(
             url, clock=lambda: self.now_ns, on_sent=lambda ns: self.observer.on_sent(ns)
         )
-        self.companion = Companion(config or Config(), resumption=resumption)
+        self.companion = Companion(config or Config(), warm_start=warm_start)
         self.observer = Observer(self.link, self.companion, lambda: self.now_ns)
 
     def fly(self, duration, **options):
@@ -69,14 +68,14 @@ class Watched:
         self.companion.receive(data, read_ns)
         self.companion.tick(read_ns)
         self.now_ns += self.delay_ns
-        said = self.companion.data_to_send()
-        for frame in said:
+        said = self.companion.frames_to_send()
+        for frame, is_replaceable in said:
             if self.link.is_open:
-                self.link.send(frame, is_replaceable=is_replaceable(frame))
-            elif is_replaceable(frame):
+                self.link.send(frame, is_replaceable=is_replaceable)
+            elif is_replaceable:
                 self.observer.on_sent(0)  # as a link says that has room
         self.observer.tick(read_ns)
-        return said
+        return [frame for frame, _ in said]
 
     def hear(self, *frames):
         """Feed what somebody else says."""
@@ -183,7 +182,7 @@ def test_after_a_warm_restart_the_resets_are_those_of_this_run_each_under_its_re
     assert before.companion.resets >= 1
     found = before.companion.checkpoint(clocks)
     begin_ns, after = 1_000 * MS, clocks.later(500 * MS)
-    again = Watched(resumption=Resumption(found, after, begin_ns))
+    again = Watched(warm_start=WarmStart(found, after, begin_ns))
     again.feed([*flight[3125:3250], *flight[3850:4900]])
     counts = again.snapshot().resets
     assert counts["restart"] == 1

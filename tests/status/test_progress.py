@@ -18,7 +18,7 @@ from sim_autopilot.events import events
 from sim_autopilot.flight import Flight
 from tests.daemon.test_daemon import free_port, manager
 from tests.daemon.test_systemd import beats, environment
-from tests.engine.test_companion import cycles
+from tests.engine.conversation import cycles
 
 SECOND_NS = 1_000_000_000
 STILL = (0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
@@ -39,7 +39,8 @@ class Given:
             self.now_ns += SECOND_NS // 50
             if rate and k % (50 // rate) == 0:
                 row = (stamp(self.now_ns), int(Kind.IMU), (*values, *(0.0,) * 8)[:14])
-                arrival = self.pipeline.insert(row)
+                self.pipeline.process_row(row)
+                arrival = self.pipeline.arrival
             if k % 25 == 0:
                 self.progress.update(self.pipeline, self.now_ns)
                 self.longest_s = max(self.longest_s, self.progress.barren_s(self.now_ns))
@@ -82,7 +83,7 @@ def test_a_filter_that_aligns_or_lacks_fixes_is_not_stuck(kinds):
     pipeline, progress, longest_s = Pipeline(FilterSettings()), Progress(), 0.0
     for t_ns, kind, row in zip(log.t_ns.tolist(), log.kind.tolist(), log.values, strict=True):
         if kind in kinds:
-            pipeline.insert((t_ns, kind, tuple(row.tolist())))
+            pipeline.process_row((t_ns, kind, tuple(row.tolist())))
             progress.update(pipeline, t_ns)
             longest_s = max(longest_s, progress.barren_s(t_ns))
     assert pipeline.health().status < 3  # no position yet
@@ -91,11 +92,11 @@ def test_a_filter_that_aligns_or_lacks_fixes_is_not_stuck(kinds):
 
 STUCK = """
 from ekf_companion.engine.pipeline import Pipeline
-insert, given = Pipeline.insert, []
+process_row, given = Pipeline.process_row, []
 def held(self, row):
     given.append(row[0])
-    return insert(self, (given[:500][-1], *row[1:]))
-Pipeline.insert = held
+    return process_row(self, (given[:500][-1], *row[1:]))
+Pipeline.process_row = held
 from ekf_companion.cli import app
 """
 """A defect: from its 500th measurement on the filter takes all to be of one time."""

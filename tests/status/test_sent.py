@@ -14,7 +14,7 @@ from ekf_companion.link.backlog import FRESH_NS
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.status.judge import judge
-from tests.engine.test_companion import cycles
+from tests.engine.conversation import cycles
 from tests.status.test_observer import Watched
 
 ALWAYS = Config(output=OutputConfig(odometry=OdometryConfig(mode="always")))
@@ -64,7 +64,7 @@ def test_what_a_stuck_line_throws_away_was_not_sent():
 
     async def body(watched):
         watched.feed(cycles(25.0))  # and the loop, which would write, does not go round
-        snapshot, offered = watched.snapshot(), watched.companion.session.sent["ODOMETRY"]
+        snapshot, offered = watched.snapshot(), watched.companion.session.outbox.sent["ODOMETRY"]
         waiting, data, end = watched.link.replaceable_waiting, b"", time.monotonic() + 60.0
         while len(data) < watched.link.bytes_out:
             assert time.monotonic() < end

@@ -1,90 +1,93 @@
-"""Magnetometer and barometer, whichever message brings them."""
+"""Magnetometer and barometer, whichever message carries them."""
 
 from __future__ import annotations
 
 import math
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.context import Door, Measurements
-from ekf_companion.mavlink.decode.preference import Preference
+from ekf_companion.mavlink.decode.context import Context, Measurements, Preference
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.earth import pressure_altitude
 from ekf_companion.nav.measurements import BaroSample, MagSample
 
 _WEAKEST, _STRONGEST = 0.15, 0.8
-"""gauss; the field of the Earth has 0.22 to 0.67, and a vehicle some of its own."""
+"""gauss; the Earth's field has 0.22 to 0.67, and a vehicle adds some."""
 _LOWEST, _HIGHEST = 30_000.0, 120_000.0
 """Pa; from 9000 m up to below the Dead Sea."""
 
 
 class Magnetometer:
-    """The field from the best message that brings one."""
+    """Reads the magnetic field from the best message that carries one."""
 
-    def __init__(self, door: Door) -> None:
-        self._door = door
+    def __init__(self, context: Context) -> None:
+        self._context = context
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew after a reboot."""
+        """Forget everything after a reboot."""
         self.sources = Preference()
         self._last: tuple[float, ...] = ()
 
     def add(self, out: Measurements, rank: int, t_ns: int, x: float, y: float, z: float) -> None:
-        """Add a field in gauss, where it is one of the Earth and not the last one again."""
+        """Append a field in gauss if it may be the Earth's and is not the last one again."""
         if (x, y, z) == (0.0, 0.0, 0.0):
             return  # no magnetometer
-        if not self.sources.admit(rank, t_ns) or (x, y, z) == self._last:
+        if rank != self.sources.sole and not self.sources.admit(rank, t_ns):
+            return
+        if (x, y, z) == self._last:
             return
         self._last = (x, y, z)
         norm = math.sqrt(x * x + y * y + z * z)
         if 1e6 * _WEAKEST <= norm <= 1e6 * _STRONGEST:
             # ArduPilot before #32286
-            self._door.refused["mag: unit corrected by 1e6"] += 1
-            self._door.tell_once(
+            self._context.refused["mag: unit corrected by 1e6"] += 1
+            self._context.note_once(
                 "HIGHRES_IMU brings the magnetic field a million times too large, as ArduPilot "
                 "did before 4.7; it is taken in the unit that is meant"
             )
             x, y, z, norm = x * 1e-6, y * 1e-6, z * 1e-6, norm * 1e-6
         if not _WEAKEST <= norm <= _STRONGEST:
-            self._door.refuse("mag: no field of the Earth")
+            self._context.refuse("mag: no field of the Earth")
             return
         out.append(MagSample(t_ns=t_ns, mag_x=x, mag_y=y, mag_z=z))
 
 
 class Barometer:
-    """The pressure from the best message that brings one."""
+    """Reads the pressure from the best message that carries one."""
 
-    def __init__(self, door: Door) -> None:
-        self._door = door
+    def __init__(self, context: Context) -> None:
+        self._context = context
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew after a reboot."""
+        """Forget everything after a reboot."""
         self.sources = Preference()
         self._last = 0.0
 
     def scaled_pressure(self, frame: Frame) -> Measurements:
         """Read SCALED_PRESSURE."""
         m = unpack(frame)
-        out, t_ns = self._door.follow_ms(m.time_boot_ms, "SCALED_PRESSURE")
+        out, t_ns = self._context.follow_ms(m.time_boot_ms, "SCALED_PRESSURE")
         if t_ns is None:
             return out
         self.add(out, 1, t_ns, m.press_abs)
         return out
 
     def add(self, out: Measurements, rank: int, t_ns: int, pressure: float) -> None:
-        """Add a pressure in hPa, or in Pa where only that can be meant (PX4)."""
-        if pressure == 0.0 or not self.sources.admit(rank, t_ns) or pressure == self._last:
+        """Append the altitude of a pressure in hPa, or in Pa where only that can be meant (PX4)."""
+        if pressure == 0.0 or (rank != self.sources.sole and not self.sources.admit(rank, t_ns)):
+            return
+        if pressure == self._last:
             return
         self._last = pressure
         is_pascal = _LOWEST <= pressure <= _HIGHEST
         if not is_pascal:
             pressure *= 100.0
         if not _LOWEST <= pressure <= _HIGHEST:
-            self._door.refuse("baro: no pressure of the air")
+            self._context.refuse("baro: no pressure of the air")
             return
         if is_pascal:
-            self._door.tell_once(
+            self._context.note_once(
                 "The pressure comes in Pa, where MAVLink means hPa; it is taken as it is meant"
             )
         out.append(BaroSample(t_ns=t_ns, alt=pressure_altitude(pressure)))

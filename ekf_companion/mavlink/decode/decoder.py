@@ -1,40 +1,43 @@
-"""One autopilot's frames, each to the reader of its message."""
+"""One autopilot's frames to measurements: each frame goes to the reader of its message."""
 
 from __future__ import annotations
 
-from collections import Counter, deque
 from collections.abc import Callable
 
 from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
-from ekf_companion.mavlink.decode.context import DecoderOptions, Door, Family, Measurements
+from ekf_companion.mavlink.decode.context import Context, DecoderOptions, Family, Measurements
 from ekf_companion.mavlink.decode.heading import Heading
 from ekf_companion.mavlink.decode.inertial import SOURCES, Inertial
 from ekf_companion.mavlink.decode.position import Position
 from ekf_companion.mavlink.decode.vehicle import Vehicle
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.mavlink.messages import by_name
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.timebase import Step, TimeBase
 from ekf_companion.nav.measurements import Restart
 
 HELD = 1024
-"""Frames that wait for what the clock has done, at most; in a quarter of a second come fewer."""
+"""Frames that wait until it is known what the clock did, at most; fewer come in that time."""
 
 
 class Decoder:
-    """Turns one autopilot's frames into measurements."""
+    """Decodes one autopilot's frames to measurements."""
 
     def __init__(
         self, family: Family = Family.UNKNOWN, options: DecoderOptions | None = None
     ) -> None:
         self.options = options or DecoderOptions()
-        self._door = Door(family, self.options, self._forget)
-        self._mag, self._baro = Magnetometer(self._door), Barometer(self._door)
-        self._heading, self._vehicle = Heading(self._door), Vehicle(self._door)
-        self._inertial = Inertial(self._door, self._mag, self._baro)
-        self._position = Position(self._door, self._heading)
-        self._decoders: dict[int, Callable[[Frame], Measurements]] = {
-            by_name(name).message_id: function
-            for name, function in {
+        self._context = Context(family, self.options, self._forget)
+        self.refused = self._context.refused
+        """How often, by reason: ``message: why``."""
+        self.notes = self._context.notes
+        """Sentences for a human, oldest first, a few at most; whoever reads them takes them out."""
+        self._mag, self._baro = Magnetometer(self._context), Barometer(self._context)
+        self._heading, self._vehicle = Heading(self._context), Vehicle(self._context)
+        self._inertial = Inertial(self._context, self._mag, self._baro)
+        self._position = Position(self._context, self._heading)
+        self._readers: dict[int, Callable[[Frame], Measurements]] = {
+            IDS[name]: reader
+            for name, reader in {
                 "HIGHRES_IMU": self._inertial.highres_imu,
                 "RAW_IMU": self._inertial.raw_imu,
                 "SCALED_IMU": self._inertial.scaled_imu,
@@ -63,13 +66,13 @@ class Decoder:
 
     def begin(self) -> None:
         """Begin anew with another autopilot, of whose clock nothing is known."""
-        self._door.clock = TimeBase()
+        self._context.clock = TimeBase()
         self._held.clear()
         self._forget(Step.BEGUN)
 
-    def beware(self, is_ours: bool, is_yaw_ours: bool) -> None:
-        """Refuse the autopilot's own position, or its yaw, while it is made of our ODOMETRY."""
-        self._door.is_ours, self._door.is_yaw_ours = is_ours, is_yaw_ours
+    def refuse_ours(self, is_ours: bool, is_yaw_ours: bool) -> None:
+        """Refuse the autopilot's own position, or its yaw, while our ODOMETRY is fused in it."""
+        self._context.is_ours, self._context.is_yaw_ours = is_ours, is_yaw_ours
 
     @property
     def is_armed(self) -> bool:
@@ -78,29 +81,19 @@ class Decoder:
 
     @property
     def family(self) -> Family:
-        """Whose habits apply."""
-        return self._door.family
+        """Whose habits apply: the autopilot's."""
+        return self._context.family
 
     @family.setter
     def family(self, family: Family) -> None:
-        if family is not self._door.family:
-            self._door.family = family
+        if family is not self._context.family:
+            self._context.family = family
             self._inertial.begin_stream()
 
     @property
     def clock(self) -> TimeBase:
         """The autopilot's clock."""
-        return self._door.clock
-
-    @property
-    def refused(self) -> Counter[str]:
-        """How often, by reason: ``message: why``."""
-        return self._door.refused
-
-    @property
-    def notes(self) -> deque[str]:
-        """What a human should hear of, oldest first, a few at most; whoever reads empties it."""
-        return self._door.notes
+        return self._context.clock
 
     @property
     def imu_source(self) -> str:
@@ -114,7 +107,7 @@ class Decoder:
 
     @property
     def is_dejittered(self) -> bool:
-        """Whether the stamps of inertial samples are being brought back to the loop's turns."""
+        """Whether the stamps of inertial samples are being corrected."""
         return self._inertial.is_dejittered
 
     @property
@@ -128,26 +121,28 @@ class Decoder:
         )
 
     def prefer(self, imu: int, mag: int, baro: int, heading: int) -> None:
-        """Take these ranks at once: it is known already that better sources are silent."""
+        """Use the sources of these ranks at once: better ones are known to be silent."""
         self._inertial.prefer(imu)
-        self._mag.sources.rank = mag
-        self._baro.sources.rank = baro
-        self._heading.sources.rank = heading
+        self._mag.sources.use(mag)
+        self._baro.sources.use(baro)
+        self._heading.sources.use(heading)
 
     def decode(self, frame: Frame) -> Measurements:
-        """Give what a frame of the autopilot says: nothing, one or several measurements.
+        """Return the measurements of a frame: none, one or several.
 
-        What is behind the newest stamp waits until it is known why: late, it is given with the next
-        that is not; of a clock that was set back, it is read anew by that.
+        A frame whose stamp is behind the newest waits until it is known why. If it was late, its
+        measurements come with those of the next frame that is not; if the clock was set back, it is
+        read again by the new clock.
         """
-        out = self._read(frame)
+        out = self._readers.get(frame.message_id, _skip)(frame)
         if out and type(out[0]) is Restart:
             held, self._held = self._held, []
             if out[0].goes_on:
                 frames = [*(one for one, _ in held), frame]
-                return [out[0], *(found for one in frames for found in self._read(one))]
+                again = (self._readers.get(one.message_id, _skip)(one) for one in frames)
+                return [out[0], *(found for measurements in again for found in measurements)]
             return out
-        if self._door.clock.is_behind and len(self._held) < HELD:
+        if self._context.clock.is_behind and len(self._held) < HELD:
             self._held.append((frame, out))
             return []
         if self._held:
@@ -155,6 +150,7 @@ class Decoder:
             self._held = []
         return out
 
-    def _read(self, frame: Frame) -> Measurements:
-        function = self._decoders.get(frame.message_id)
-        return function(frame) if function else []
+
+def _skip(frame: Frame) -> Measurements:
+    """Return no measurements: of a message that holds none."""
+    return []

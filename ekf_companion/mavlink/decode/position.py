@@ -1,4 +1,4 @@
-"""Fixes of the receiver, and the autopilot's own position."""
+"""Fixes of the GNSS receiver, and the autopilot's own position."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import math
 from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.context import Door, Measurements
+from ekf_companion.mavlink.decode.context import Context, Measurements, Pace
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, wrap
-from ekf_companion.mavlink.decode.preference import Pace
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.timebase import LAST_US
 from ekf_companion.nav.measurements import GnssFix, GnssFlag, HeadingSample, HeadingSource
@@ -16,23 +15,23 @@ from ekf_companion.nav.measurements import GnssFix, GnssFlag, HeadingSample, Hea
 _UNKNOWN_16 = 65535
 _FIX_3D = 3
 _STRAY_NS = 30_000_000_000
-"""A fix stamped further from the inertial samples is on no clock of this vehicle's."""
+"""A fix stamped further from the inertial samples is on another clock."""
 _GEOID = 120.0
-"""m; the sea level is nowhere further from the ellipsoid: -107 to +86 m (EGM96)."""
+"""m; nowhere is the sea level further from the ellipsoid: -107 to +86 m (EGM96)."""
 
 _RANGE_ERROR = 1.5
 """Position error per unit of HDOP, m: L1 receiver with SBAS-like corrections, open sky."""
 _STD_FLOOR = 0.5
-"""No HDOP makes an unaided receiver better, m."""
+"""Least one sigma of an unaided receiver, whatever its HDOP, m."""
 _STD_UNKNOWN = 5.0
-"""One sigma of a fix that says nothing of its error, m."""
+"""One sigma of a fix that does not state its error, m."""
 _STD_VEL = 0.3
 """One sigma of the velocity where the receiver gives none, m/s: u-blox Doppler, open sky."""
 _STD_YAW = math.radians(1.0)
 """One sigma of a dual-antenna heading that gives none, rad: 1 cm across half a metre."""
 _STD_YAW_FLOOR = math.radians(0.1)
 _DERIVED = 3.0
-"""The autopilot's own position repeats the errors of the fixes in it: weigh nine of it as one."""
+"""The autopilot's own position repeats the errors of its fixes: nine count as one."""
 _DERIVED_STD_H = 3.0
 _DERIVED_STD_V = 4.5
 _DERIVED_STD_VEL = 0.9
@@ -40,15 +39,15 @@ _DERIVED_STD_VEL = 0.9
 
 
 class Position:
-    """Where the vehicle is, by its first receiver, and by the autopilot's own estimate."""
+    """Reads the position of the first receiver, and of the autopilot's own estimate."""
 
-    def __init__(self, door: Door, heading: Heading) -> None:
-        self._door, self._heading = door, heading
+    def __init__(self, context: Context, heading: Heading) -> None:
+        self._context, self._heading = context, heading
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew after a reboot."""
-        self._derived_pace = Pace(self._door.options.derived_rate)
+        """Forget everything after a reboot."""
+        self._derived_pace = Pace(self._context.options.derived_rate)
         self._last: tuple[int, ...] = ()
         self._fixes = 0
         self._std = (0.0, 0.0, 0.0)
@@ -58,14 +57,14 @@ class Position:
         m = unpack(frame)
         refusal = self._refusal(m)
         if refusal is not None:
-            return self._door.refuse(f"GPS_RAW_INT: {refusal}")
+            return self._context.refuse(f"GPS_RAW_INT: {refusal}")
         t_ns = self._time(m.time_usec)
         if isinstance(t_ns, str):
-            return self._door.refuse(f"GPS_RAW_INT: {t_ns}")
+            return self._context.refuse(f"GPS_RAW_INT: {t_ns}")
         self._fixes += 1
         if self._fixes < 2:
             # The one message before the first fix can be 140 km off
-            return self._door.refuse("GPS_RAW_INT: first after none")
+            return self._context.refuse("GPS_RAW_INT: first after none")
         self._compare_heights(m)
         out: Measurements = [self._fix(m, t_ns)]
         if 0 < m.yaw <= NORTH_CDEG:
@@ -80,11 +79,11 @@ class Position:
         return out
 
     def gps2_raw(self, frame: Frame) -> Measurements:
-        """Count GPS2_RAW: another receiver has another antenna, and its fixes are not mixed in."""
-        return self._door.refuse("GPS2_RAW: a second receiver")
+        """Count GPS2_RAW: another receiver has another antenna, so its fixes are not used."""
+        return self._context.refuse("GPS2_RAW: a second receiver")
 
     def _refusal(self, m: Any) -> str | None:
-        """Say why a message holds no new fix; None: it does."""
+        """Return why a message holds no new fix; None if it does."""
         key = (m.time_usec,) if m.time_usec else (0, m.lat, m.lon, m.alt, m.vel, m.cog)
         if m.fix_type < _FIX_3D:
             self._fixes = 0
@@ -98,8 +97,8 @@ class Position:
         return None
 
     def _time(self, stamp_us: int) -> int | str:
-        """Give the time of a fix, ns, or say why there is none; 0 means now."""
-        clock = self._door.clock
+        """Return the time of a fix, ns, or why there is none; a stamp of 0 means now."""
+        clock = self._context.clock
         if stamp_us > LAST_US:
             return "no time"
         t_ns = clock.from_us(stamp_us) if stamp_us else clock.latest_ns
@@ -110,10 +109,10 @@ class Position:
         return t_ns
 
     def _compare_heights(self, m: Any) -> None:
-        """Warn where what is sent as above the sea can only be something else."""
+        """Note where the height above the sea can only be some other height."""
         if m.alt_ellipsoid != 0 and abs(m.alt - m.alt_ellipsoid) * 1e-3 > _GEOID:
-            self._door.refused["GPS_RAW_INT: height above the sea in doubt"] += 1
-            self._door.tell_once(
+            self._context.refused["GPS_RAW_INT: height above the sea in doubt"] += 1
+            self._context.note_once(
                 "GPS_RAW_INT: the height above the sea and that above the ellipsoid are further "
                 "apart than anywhere on Earth; the first is used: check the receiver's driver"
             )
@@ -138,18 +137,18 @@ class Position:
         )
 
     def global_position_int(self, frame: Frame) -> Measurements:
-        """Read GLOBAL_POSITION_INT: marked, so that the filter takes it only if told to."""
+        """Read GLOBAL_POSITION_INT, marked as derived: the filter uses it only if configured to."""
         m = unpack(frame)
-        out, t_ns = self._door.follow_ms(m.time_boot_ms, "GLOBAL_POSITION_INT")
+        out, t_ns = self._context.follow_ms(m.time_boot_ms, "GLOBAL_POSITION_INT")
         if t_ns is None:
             return out
         if m.hdg <= NORTH_CDEG:
             self._heading.add(out, 1, t_ns, math.radians(m.hdg * 1e-2))
         if not _is_place(m.lat, m.lon):
-            self._door.refuse("GLOBAL_POSITION_INT: no position")
+            self._context.refuse("GLOBAL_POSITION_INT: no position")
             return out
-        if self._door.is_ours:
-            self._door.refuse("GLOBAL_POSITION_INT: made of our own")
+        if self._context.is_ours:
+            self._context.refuse("GLOBAL_POSITION_INT: made of our own")
             return out
         if not self._derived_pace.admit(t_ns):
             return out
@@ -173,7 +172,7 @@ class Position:
 
 
 def _is_place(lat_degE7: int, lon_degE7: int) -> bool:
-    """Whether a latitude and longitude can be meant; 0, 0 is what is sent for none."""
+    """Whether a latitude and longitude can be meant; 0, 0 is sent where there is none."""
     return (
         (lat_degE7 != 0 or lon_degE7 != 0)
         and abs(lat_degE7) <= 900_000_000
@@ -182,14 +181,14 @@ def _is_place(lat_degE7: int, lon_degE7: int) -> bool:
 
 
 def _dilution(dop_100: int) -> float:
-    """Give the one sigma, m, of a dilution of precision times 100; 0.0 where it says nothing."""
+    """Return the one sigma, m, of a dilution of precision times 100; 0.0 where it is unknown."""
     if dop_100 in (0, 9999, _UNKNOWN_16):
         return 0.0
     return max(_RANGE_ERROR * dop_100 * 1e-2, _STD_FLOOR)
 
 
 def _yaw_std(hdg_acc_degE5: int) -> float:
-    """Give the one sigma, rad, of a dual-antenna heading."""
+    """Return the one sigma, rad, of a dual-antenna heading."""
     if hdg_acc_degE5 == 0:
         return _STD_YAW
     return min(max(math.radians(hdg_acc_degE5 * 1e-5), _STD_YAW_FLOOR), math.pi)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.context import Door, Measurements
+from ekf_companion.mavlink.decode.context import Context, Measurements
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.measurements import VehicleState
 
@@ -13,14 +13,14 @@ _ON_GROUND = 1
 
 
 class Vehicle:
-    """What the autopilot says of the vehicle as a whole."""
+    """Reads the state of the vehicle, and SYSTEM_TIME."""
 
-    def __init__(self, door: Door) -> None:
-        self._door = door
+    def __init__(self, context: Context) -> None:
+        self._context = context
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew after a reboot."""
+        """Forget everything after a reboot."""
         self.is_armed = False
         self._is_landed: bool | None = None
 
@@ -44,10 +44,10 @@ class Vehicle:
     def system_time(self, frame: Frame) -> Measurements:
         """Read SYSTEM_TIME."""
         m = unpack(frame)
-        return self._door.relate(m.time_unix_usec, m.time_boot_ms)
+        return self._context.relate(m.time_unix_usec, m.time_boot_ms)
 
     def _state(self) -> Measurements:
-        t_ns = self._door.clock.latest_ns
+        t_ns = self._context.clock.latest_ns
         if t_ns is None:
             return []
         return [VehicleState(t_ns=t_ns, is_armed=self.is_armed, is_landed=self._is_landed)]

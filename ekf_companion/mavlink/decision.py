@@ -1,4 +1,4 @@
-"""What the guard has decided, in words for the log, the pilot and the status."""
+"""Decisions of the guard, worded for the log, the pilot and the status."""
 
 from __future__ import annotations
 
@@ -7,33 +7,32 @@ from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class Decision:
     """Whether ODOMETRY is sent, and why."""
 
     is_streaming: bool
     reason: str
     """A sentence without its full stop."""
     remedy: str = ""
-    """What to change, parameter and value; empty: nothing need be."""
+    """Which parameter to set to what; empty: nothing to change."""
     text: str = ""
-    """Both for the pilot, so short that our name before it leaves it one STATUSTEXT."""
+    """Reason and remedy for the pilot, short enough for one STATUSTEXT with our name before it."""
     parameters: Mapping[str, float]
-    """The autopilot's that decide, as read."""
+    """The autopilot's parameters that decide, as read."""
     is_warning: bool = False
     """Whether a human should look."""
     is_fused: bool = False
-    """Whether the autopilot fuses what is streamed, or does not say so: what it then says of itself
-    is partly ours."""
+    """Whether the autopilot fuses our estimate, or may: its own position is then partly ours."""
     is_yaw_fused: bool = False
-    """Whether our yaw too: its own heading is then partly ours."""
+    """Whether it fuses our yaw too, or may: its own heading is then partly ours."""
     is_double: bool = False
     """Whether the autopilot would fuse it together with the GNSS that is in it."""
     is_settled: bool = True
-    """Whether all that decides has been answered, or asked for in vain."""
+    """Whether all parameters that decide were answered, or given up."""
 
     @property
     def sentence(self) -> str:
-        """All of it for the log."""
+        """The decision as one sentence for the log."""
         said = "streamed" if self.is_streaming else "withheld"
         remedy = f"; {self.remedy}" if self.remedy else ""
         return f"ODOMETRY is {said}: {self.reason}{remedy}"
@@ -41,7 +40,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Slowed:
-    """Somebody wants less of a message than comes by default."""
+    """Somebody has commanded a lower rate of a message than the default."""
 
     system_id: int
     component_id: int
@@ -57,21 +56,21 @@ class StreamState:
     reason: str
     """A sentence without its full stop."""
     remedy: str = ""
-    """What to change; empty: nothing need be."""
+    """What to change; empty: nothing to change."""
 
 
-def streamed(reason: str, text: str, read: Mapping[str, float]) -> Verdict:
-    """Let it be sent."""
-    return Verdict(
+def streamed(reason: str, text: str, read: Mapping[str, float]) -> Decision:
+    """Return the decision to send it."""
+    return Decision(
         is_streaming=True, reason=reason, text=text or "ODOMETRY is streamed", parameters=read
     )
 
 
 def withheld(
     reason: str, remedy: str, text: str, read: Mapping[str, float], *, is_double: bool = False
-) -> Verdict:
-    """Keep it back; a human should look where something can be done."""
-    return Verdict(
+) -> Decision:
+    """Return the decision to withhold it: a warning where something can be done about it."""
+    return Decision(
         is_streaming=False,
         reason=reason,
         remedy=remedy,
@@ -82,10 +81,10 @@ def withheld(
     )
 
 
-def silent(verdict: Verdict) -> Verdict:
-    """Give the verdict on an autopilot that answers no more; what it fused, it may still."""
+def silent(decision: Decision) -> Decision:
+    """Return the decision on an autopilot that no longer answers; what it fused, it may still."""
     return replace(
-        verdict,
+        decision,
         is_streaming=False,
         is_warning=True,
         reason="the autopilot answers no request for a parameter any more, and what it fuses by "
@@ -95,10 +94,10 @@ def silent(verdict: Verdict) -> Verdict:
     )
 
 
-def shared(verdict: Verdict, other_id: int) -> Verdict:
-    """Give the verdict where another system's autopilot would take what has no address."""
+def shared(decision: Decision, other_id: int) -> Decision:
+    """Return the decision where another system's autopilot would fuse it too: it has no address."""
     return replace(
-        verdict,
+        decision,
         is_streaming=False,
         is_warning=True,
         reason=f"the autopilot of system {other_id} is on this link too: ODOMETRY bears no "
@@ -109,19 +108,19 @@ def shared(verdict: Verdict, other_id: int) -> Verdict:
 
 
 def stream_state(
-    verdict: Verdict, twin: tuple[int, int] | None, slowed: Slowed | None
+    decision: Decision, twin: tuple[int, int] | None, slowed: Slowed | None
 ) -> StreamState:
-    """Give whether ODOMETRY is sent, and why.
+    """Return whether ODOMETRY is sent, and why.
 
     Args:
-        verdict: The guard's.
-        twin: Our system and component id where somebody else bears them too; None: nobody does.
-        slowed: Who has commanded less ODOMETRY than comes by default; None: nobody has.
+        decision: The guard's.
+        twin: Our system and component id where somebody else has the same; None: nobody has.
+        slowed: Who has commanded a lower rate than the default; None: nobody has.
     """
     if twin is not None:
         reason = f"somebody else speaks as system {twin[0]}, component {twin[1]}"
         return StreamState(False, reason, "give one of us another link.component_id")
-    if verdict.is_streaming and slowed is not None:
+    if decision.is_streaming and slowed is not None:
         who = f"system {slowed.system_id}, component {slowed.component_id}"
         is_on = slowed.rate > 0.0
         return StreamState(
@@ -129,17 +128,17 @@ def stream_state(
             f"{who} has commanded {slowed.rate:g} Hz" if is_on else f"{who} has switched it off",
             "send SET_MESSAGE_INTERVAL of ODOMETRY with 0 for the rate by default",
         )
-    return StreamState(verdict.is_streaming, verdict.reason, verdict.remedy)
+    return StreamState(decision.is_streaming, decision.reason, decision.remedy)
 
 
 def says(name: str, value: float | None, meaning: str) -> str:
-    """Give what a parameter is, and what that means."""
+    """Return the value of a parameter, and what it means, in words."""
     is_what = "does not exist" if value is None else f"is {value:g}"
     return f"{name} {is_what}: {meaning}"
 
 
 def listed(names: list[str] | tuple[str, ...]) -> str:
-    """Give a list in words; of a long one, how many more."""
+    """Return names as words; of a long list the first few, and how many more."""
     shown = list(names[:5])
     if len(names) > len(shown):
         return f"{', '.join(shown)} and {len(names) - len(shown)} more"

@@ -1,0 +1,265 @@
+"""A recorded flight through the estimator.
+
+The frames of a .tlog go through the daemon's companion, which begins and retunes the pipelines. The
+columns of other logs enter behind it, at a pipeline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from ekf_companion.config.config import Config
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.engine.checkpoint import Vehicle
+from ekf_companion.engine.companion import Companion
+from ekf_companion.engine.pipeline import Estimate, Pipeline
+from ekf_companion.engine.publisher import Publisher
+from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.tlog import Tlog
+from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.outbox import Message
+from ekf_companion.nav.measurements import Events, Row
+from ekf_companion.nav.state import COLUMNS, Table
+from ekf_companion.replay.log_source import open_log
+from ekf_companion.replay.report import Report, add_block, note_shortcomings
+
+CHUNK = 20_000
+"""Measurements in a block, and between two reports of progress."""
+
+Progress = Callable[[int, int], None]
+"""Called with how much is done, of how much."""
+
+
+Step = tuple[int, bytes, list[Message]]
+"""Stamp (us), the log's frame there, empty where it has none, and the messages that follow."""
+
+
+class Block(NamedTuple):
+    """Consecutive measurements of one autopilot, and the estimates of their inertial samples."""
+
+    pipeline: Pipeline
+    events: Events
+    table: Table
+
+
+class BlockPipeline(Pipeline):
+    """A pipeline that processes measurements in blocks: much faster, and to the same bits.
+
+    Measurements that were decoded as columns may be processed at once by :meth:`run`, after
+    :meth:`finish_block`.
+    """
+
+    def __init__(
+        self,
+        settings: FilterSettings,
+        family: str = "unknown",
+        gnss_delay: float | None = None,
+        *,
+        keeps_history: bool = False,
+    ) -> None:
+        super().__init__(settings, family, gnss_delay, keeps_history=keeps_history)
+        self.blocks: list[Block] = []
+        """Finished, in order; whoever reads them clears the list."""
+        self.rows: list[Row] = []
+        """Measurements of the block that is not finished yet."""
+
+    def process_row(self, row: Row) -> Estimate | None:
+        """Keep a measurement for the end of its block."""
+        self.rows.append(row)
+        return None
+
+    def finish_block(self) -> None:
+        """Process the measurements that were kept."""
+        events, self.rows = Events.from_rows(self.rows), []
+        self.blocks.append(Block(self, events, self.run(events)))
+
+    def retune(self, settings: FilterSettings) -> None:
+        """Finish the block by the settings so far, and go on with others."""
+        self.finish_block()
+        super().retune(settings)
+
+
+class StepPipeline(BlockPipeline):
+    """A pipeline that processes measurements one by one, as in flight: for what is sent of them."""
+
+    def __init__(
+        self, settings: FilterSettings, family: str = "unknown", gnss_delay: float | None = None
+    ) -> None:
+        super().__init__(settings, family, gnss_delay)
+        self._stamps: list[int] = []
+        self._values: list[np.ndarray] = []
+
+    def process_row(self, row: Row) -> Estimate | None:
+        """Process a measurement at once."""
+        self.rows.append(row)
+        estimate = Pipeline.process_row(self, row)
+        if estimate is not None:
+            self._stamps.append(estimate.t_ns)
+            self._values.append(estimate.values)
+        return estimate
+
+    def run(self, events: Events) -> Table:
+        """Return the estimates of measurements that have been processed already."""
+        table = Table(
+            stamp_ns=np.array(self._stamps, dtype=np.int64),
+            values=np.array(self._values).reshape(-1, len(COLUMNS) - 1),
+        )
+        self._stamps, self._values = [], []
+        return table
+
+
+class IdlePipeline(BlockPipeline):
+    """A pipeline that estimates nothing: for the measurements alone."""
+
+    def run(self, events: Events) -> Table:
+        """Return no estimates."""
+        return Table(stamp_ns=np.empty(0, dtype=np.int64), values=np.empty((0, len(COLUMNS) - 1)))
+
+
+P = TypeVar("P", bound=BlockPipeline)
+
+
+class Run(Generic[P]):
+    """One log through pipelines of one kind, a new one for each autopilot that is found in it."""
+
+    def __init__(self, path: Path, config: Config, kind: Callable[..., P]) -> None:
+        """Open a log.
+
+        Args:
+            path: The log.
+            config: The estimator's configuration, and the link's: which autopilot is listened to.
+            kind: The class of the pipelines.
+
+        Raises:
+            LogError: The log cannot be read, or is of an unknown kind.
+        """
+        self.log = open_log(path)
+        self.pipelines: list[P] = []
+        """Of the autopilots so far, in their order."""
+        self.report = Report(log=str(path), notes=list(self.log.notes))
+        self._path, self._config, self._kind = path, config, kind
+        self._blocks: list[Block] = []  # of all pipelines, finished
+        self._done = 0  # frames or measurements so far
+        self._vehicle: Vehicle | None = None
+        self._system_id = config.link.system_id or 1
+        if isinstance(self.log, Recording):
+            self.report.family = self.log.family
+            self.size, self.gnss_delay = len(self.log.events), self.log.gnss_delay
+        else:
+            self.size, self.gnss_delay = len(self.log), None
+
+    def blocks(self, progress: Progress | None = None) -> Iterator[Block]:
+        """Process the log, and yield it block by block."""
+        steps = (
+            self._chunks(self.log) if isinstance(self.log, Recording) else self._frames(self.log)
+        )
+        for _ in steps:
+            if self._blocks:
+                yield from self._take_blocks(progress)
+
+    def messages(self, progress: Progress | None = None) -> Iterator[tuple[int, bytes]]:
+        """Process the log, and yield frames with their stamps (us).
+
+        They are those of the log, and behind the sample that makes each due the messages about the
+        estimates, as the daemon sends them.
+        """
+        ours = Sender(1, self._config.link.component_id)
+        steps = self._rows(self.log) if isinstance(self.log, Recording) else self._frames(self.log)
+        for stamp_us, frame, messages in steps:
+            if frame and not _is_from(frame, ours.component_id):
+                yield stamp_us, frame
+            for message in messages:
+                ours.system_id = self._system_id
+                yield stamp_us, ours.frame(message.name, message.payload)
+            if self._blocks:
+                self._take_blocks(progress)
+
+    def finish(self) -> Report:
+        """Return the report on the whole log.
+
+        Raises:
+            LogError: Nothing could be estimated from it.
+        """
+        if self.pipelines:
+            self.report.health = self.pipelines[-1].health()
+        note_shortcomings(self.report, self._path)
+        return self.report
+
+    def _frames(self, log: Tlog) -> Iterator[Step]:
+        """Let the companion receive each frame."""
+        companion = Companion(self._config, open_pipeline=self._open_pipeline)
+        for self._done, (stamp_us, frame) in enumerate(log.frames(), 1):
+            messages = companion.receive(frame, stamp_us * 1000)
+            companion.frames_to_send()  # nobody hears them
+            if companion.vehicle is not self._vehicle:
+                self._note_vehicle(companion.vehicle)
+                self._system_id = companion.session.outbox.ids[0]
+            self._finish_full_block()
+            yield stamp_us, frame, messages
+        counts = companion.session.counters()
+        self.report.refused = {name: n for name, n in counts.items() if n and name != "frames"}
+
+    def _chunks(self, log: Recording) -> Iterator[Step]:
+        """Let a pipeline run over the columns, a block at a time."""
+        pipeline = self._open_pipeline(self._config, log.family)
+        for start in range(0, self.size, CHUNK):
+            self._done = min(start + CHUNK, self.size)
+            events = log.events.take(np.arange(start, self._done))
+            self._blocks.append(Block(pipeline, events, pipeline.run(events)))
+            yield 0, b"", []
+
+    def _rows(self, log: Recording) -> Iterator[Step]:
+        """Let a pipeline process the columns row by row, and a publisher send what is due."""
+        pipeline = self._open_pipeline(self._config, log.family)
+        publisher = Publisher(self._config, Family(log.family))
+        t_ns, kind, values = log.events.t_ns, log.events.kind, log.events.values
+        rows = zip(t_ns.tolist(), kind.tolist(), map(tuple, values.tolist()), strict=True)
+        for self._done, row in enumerate(rows, 1):
+            estimate = pipeline.process_row(row)
+            messages = [] if estimate is None else publisher.due(estimate)
+            self._finish_full_block()
+            yield row[0] // 1000, b"", messages
+
+    def _open_pipeline(self, config: Config, family: str) -> P:
+        if self.pipelines:
+            self.pipelines[-1].finish_block()
+        pipeline = self._kind(config, family, self.gnss_delay)
+        pipeline.blocks = self._blocks
+        self.pipelines.append(pipeline)
+        return pipeline
+
+    def _finish_full_block(self) -> None:
+        if self.pipelines:
+            pipeline = self.pipelines[-1]
+            if len(pipeline.rows) >= CHUNK or self._done == self.size:
+                pipeline.finish_block()
+
+    def _take_blocks(self, progress: Progress | None) -> list[Block]:
+        """Return the blocks that were finished since the last call, and report on them."""
+        blocks = self._blocks[:]
+        self._blocks.clear()  # the pipelines hold on to the list
+        for block in blocks:
+            add_block(self.report, block.events, block.table)
+        if progress is not None:
+            progress(self._done, self.size)
+        return blocks
+
+    def _note_vehicle(self, vehicle: Vehicle | None) -> None:
+        if vehicle is not None and self._vehicle is not None:
+            self.report.notes.append(
+                f"the autopilot is another from some time on: system {vehicle.system_id}, "
+                f"component {vehicle.component_id}, {vehicle.family}; the estimate begins anew "
+                "there"
+            )
+        self._vehicle = vehicle
+        self.report.family = "unknown" if vehicle is None else vehicle.family
+
+
+def _is_from(frame: bytes, component_id: int) -> bool:
+    """Whether a frame is of the component whose messages are about to be added."""
+    return frame[6 if frame[0] == 0xFD else 4] == component_id
