@@ -1,7 +1,7 @@
 """Write the pages that repeat what the fields of settings and of the Snapshot say of themselves.
 
-``make reference`` writes ``config/reference.yaml``, the table of parameters in docs/LINK_MANNERS.md
-and that of the status in docs/OBSERVABILITY.md; a test compares them with what would be written.
+``make reference`` writes ``config/reference.yaml``, the table of parameters in docs/LINK.md and
+that of the status in docs/OBSERVABILITY.md; a test compares them with what would be written.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def reference() -> str:
 def parameter_table() -> Iterator[str]:
     """Yield the rows of a Markdown table of the MAVLink parameters."""
     found = [(key.setting.param, key) for key in KEYS.values() if key.setting.param is not None]
-    yield "| Parameter | Key | Range |"
+    yield "| parameter | key | range |"
     yield "|---|---|---|"
     for param, key in sorted(found, key=lambda one: one[0].index):
         late = "" if key.setting.reload else "; from the next start"
@@ -190,10 +190,10 @@ def with_table(path: Path, rows: Iterable[str]) -> str:
 
 def pages() -> dict[Path, str]:
     """Return the text that each page is to have."""
-    manners, status = ROOT / "docs" / "LINK_MANNERS.md", ROOT / "docs" / "OBSERVABILITY.md"
+    link, status = ROOT / "docs" / "LINK.md", ROOT / "docs" / "OBSERVABILITY.md"
     return {
         ROOT / "config" / "reference.yaml": reference(),
-        manners: with_table(manners, parameter_table()),
+        link: with_table(link, parameter_table()),
         status: with_table(status, status_table()),
     }
 
