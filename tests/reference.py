@@ -1,7 +1,7 @@
-"""Write the pages that repeat what the fields of settings and of the Snapshot say of themselves.
+"""Write the pages that repeat what the fields of settings say of themselves.
 
-``make reference`` writes ``config/reference.yaml``, the table of parameters in docs/LINK.md and
-that of the status in docs/OBSERVABILITY.md; a test compares them with what would be written.
+``make reference`` writes ``config/reference.yaml`` and the table of parameters in docs/LINK.md; a
+test compares them with what would be written.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -22,9 +22,6 @@ import yaml
 from ekf_companion.config.config import Config
 from ekf_companion.config.keys import KEYS, Key, value_of
 from ekf_companion.core.settings import HABITS, FilterSettings
-from ekf_companion.engine.health import Health
-from ekf_companion.status.metrics import declared, types_in
-from ekf_companion.status.snapshot import Snapshot
 from tests.paths import ROOT
 
 _HEAD = """\
@@ -40,8 +37,6 @@ _HEAD = """\
 # key, and its values."""
 _WIDTH = 100
 _UNBOUNDED = 1e6
-_METRICS = {".".join(path): metric for metric, path in declared()}
-_SUFFIXES = {"counter": "_total", "info": "_info"}
 _FAMILIES = {"px4": "PX4", "ardupilot": "ArduPilot", "unknown": "others"}
 
 
@@ -64,7 +59,7 @@ def parameter_table() -> Iterator[str]:
 
 def _section(section: Any, path: str, names: list[str]) -> Iterator[str]:
     indent = "  " * path.count(".")
-    hints, texts = get_type_hints(section), _texts(section)
+    hints, texts = get_type_hints(section), texts_of(section)
     for name in names:
         if is_dataclass(kind := hints[name]):
             yield from [] if path else [""]
@@ -82,7 +77,7 @@ def _section(section: Any, path: str, names: list[str]) -> Iterator[str]:
         yield f"{indent}#{name}: {written}"
 
 
-def _texts(section: Any) -> dict[str, str]:
+def texts_of(section: Any) -> dict[str, str]:
     """Return the strings below the fields of a dataclass, which only its source has."""
     found: dict[str, str] = {}
     for kind in section.__mro__[-2::-1]:
@@ -150,36 +145,6 @@ def _range(meta: msgspec.Meta) -> str:
     return f"{low} or more" if meta.ge is not None else low
 
 
-def status_table() -> Iterator[str]:
-    """Yield the rows of a Markdown table of the keys of /status, with their metrics."""
-    yield "| key of /status | metric | labels | what |"
-    yield "|---|---|---|---|"
-    yield from _status_rows(Snapshot, "")
-
-
-def _status_rows(kind: Any, path: str) -> Iterator[str]:
-    texts = _texts(kind)
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        here = f"{path}{name}"
-        inner: Any = next(filter(is_dataclass, types_in(hint)), None)
-        metric = _METRICS.get(here.replace(".NAME", ""))
-        said = [metric.help if metric else "", texts.get(name, "")]
-        if metric and kind is Health:
-            said.pop()  # says the same
-        elif metric and metric.kind == "info" and said[1]:
-            said.pop(0)  # of all the labels together
-        if inner:
-            said = [inner.__doc__, said[1], f"The metric: {said[0]}" if metric else ""]
-        what = " ".join(" ".join(said).split()).replace("``", "`")
-        what = what.replace("NaN", "null").replace("None:", "null:")
-        shown = f"`{metric.name}{_SUFFIXES.get(metric.kind, '')}`" if metric else ""
-        labels = ", ".join(metric.labels).replace("=", ": ") if metric else ""
-        yield f"| `{here}` | {shown} | {labels} | {what} |"
-        if inner:
-            of_each = ".NAME" if get_origin(hint) is Mapping else ""
-            yield from _status_rows(inner, f"{here}{of_each}.")
-
-
 def with_table(path: Path, rows: Iterable[str]) -> str:
     """Return a page in which the table with the same head is replaced."""
     head, *others = rows
@@ -190,11 +155,10 @@ def with_table(path: Path, rows: Iterable[str]) -> str:
 
 def pages() -> dict[Path, str]:
     """Return the text that each page is to have."""
-    link, status = ROOT / "docs" / "LINK.md", ROOT / "docs" / "OBSERVABILITY.md"
+    link = ROOT / "docs" / "LINK.md"
     return {
         ROOT / "config" / "reference.yaml": reference(),
         link: with_table(link, parameter_table()),
-        status: with_table(status, status_table()),
     }
 
 

@@ -2,7 +2,8 @@
 
 import math
 import re
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
+from typing import get_type_hints
 
 import pytest
 from prometheus_client import generate_latest
@@ -13,9 +14,13 @@ from prometheus_client.parser import text_string_to_metric_families as parse
 from ekf_companion.engine.health import Aid, Arrival, Verdict
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
-from ekf_companion.status.metrics import PREFIX, families, registry_of
+from ekf_companion.status.metrics import PREFIX, declared, families, registry_of, types_in
+from ekf_companion.status.snapshot import Snapshot
 from tests.paths import ROOT
+from tests.reference import texts_of
 from tests.status.test_observer import Watched
+
+MANUAL = (ROOT / "docs" / "OBSERVABILITY.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -141,11 +146,30 @@ def test_others_may_go_first_between_two_families(snapshot):
     assert len(breaths) > 40
 
 
-def test_the_manual_names_every_metric_and_every_value_of_a_label(snapshot):
-    page = (ROOT / "docs" / "OBSERVABILITY.md").read_text()
-    suffixes = {"counter": "_total", "info": "_info"}
-    for family in families(snapshot):
-        name = family.name.removeprefix(PREFIX) + suffixes.get(family.type, "")
-        assert f"| `{name}` |" in page
+def test_every_field_of_the_status_is_explained_in_the_source():
+    """Rule 40: /metrics."""
+    with_help = {path for _, path in declared()}
+    assert not set(unexplained(Snapshot)) - with_help
+
+
+def unexplained(kind, path=()):
+    """Yield the path of each field that has no text below it and is no stage of its own."""
+    texts = texts_of(kind)
+    for name, hint in get_type_hints(kind).items():
+        stages = [inner for inner in types_in(hint) if is_dataclass(inner)]
+        if not (stages or texts.get(name)):
+            yield (*path, name)
+        for stage in stages:
+            yield from unexplained(stage, (*path, name))
+
+
+def test_the_manual_names_every_value_of_a_label():
     for word in (*Status, *Arrival, *Verdict):
-        assert f"`{word.name.lower()}`" in page
+        assert f"`{word.name.lower()}`" in MANUAL
+
+
+def test_the_manual_s_alerts_use_metrics_that_there_are(snapshot):
+    names = {family.name.removesuffix("_total") for family in families(snapshot)}
+    used = set(re.findall(rf"{PREFIX}[a-z]\w*", MANUAL))
+    assert len(used) > 10
+    assert {name.removesuffix("_total").removesuffix("_bucket") for name in used} <= names
