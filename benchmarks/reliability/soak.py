@@ -27,6 +27,7 @@ from benchmarks.reliability.soak_score import (
     label,
     normal,
     rows,
+    unnoticed,
 )
 from sim_autopilot.faults.fault import VARIETY, schedule
 
@@ -131,13 +132,19 @@ def page(hours: Sequence[Hour], live: Minute | None) -> Iterator[str]:
     for personality in dict.fromkeys(one.personality for one in hours):
         own = [one for one in hours if one.personality == personality]
         seeds = ", ".join(str(one.seed) for one in own)
-        limits = np.max([one.limits for one in own], axis=0) * SCALE
+        found = [one for hour in own for one in hour.found]
+        limits = np.max([one.limits for one in own], axis=0)
+        quiet = unnoticed(found, limits)
         yield f"### {personality}, seeds {seeds}"
         yield ""
-        sizes = ", ".join(f"{unit} {size:.2f}" for unit, size in zip(UNITS, limits, strict=True))
+        sizes = ", ".join(
+            f"{unit} {size:.2f}" for unit, size in zip(UNITS, limits * SCALE, strict=True)
+        )
         yield f"Normal is, at most: {sizes}."
+        if quiet:
+            yield f"Errors stay normal during {', '.join(f'`{name}`' for name in quiet)}."
         yield ""
-        yield from rows([one for hour in own for one in hour.found])
+        yield from rows([one for one in found if label(one.fault) not in quiet])
         yield ""
         yield (
             f"Memory over the hour: {max(growth(one.looks) for one in own):+.2f} MB at most; "

@@ -85,6 +85,12 @@ def _first(fault: Fault, key: str) -> object:
     return getattr(fault.kind.values[key], "words", (None,))[0]
 
 
+def unnoticed(found: Sequence[Episode], limits: Array) -> list[str]:
+    """Return the kinds of fault during which all errors stayed normal, without a reset."""
+    noticed = {label(one.fault) for one in found if one.resets or not (one.largest <= limits).all()}
+    return sorted({label(one.fault) for one in found} - noticed)
+
+
 def rows(found: Sequence[Episode]) -> Iterator[str]:
     """Yield a table by kind of fault."""
     lines = []

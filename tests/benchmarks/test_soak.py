@@ -51,6 +51,18 @@ def test_recovery_is_when_the_errors_stay_small():
     assert math.isinf(silent.recovery)
 
 
+def test_a_fault_during_which_errors_stay_normal_needs_no_row():
+    t = np.arange(0.0, 60.0, 0.1)
+    faults = [parse("cut:start=10,duration=2"), parse("jitter:start=30,duration=2")]
+    found = soak_score.episodes(errors(t, np.where(t < 13.0, 7.0, 0.5)), faults, np.ones(4), seed=1)
+    assert soak_score.unnoticed(found, np.ones(4)) == ["jitter"]
+    told = {"personality": "px4", "seed": 1, "limits": np.ones(4), "cpu": 1.0}
+    looks = [soak.Look(t=0.0, resident=100.0, largest=9, where="", waiting=0)]
+    page = list(soak.page([soak.Hour(found=found, looks=looks, **told)], None))
+    assert "Errors stay normal during `jitter`." in page
+    assert [line.split(" | ")[0] for line in page if line.startswith("| `")] == ["| `cut`"]
+
+
 def test_growth_and_queues_that_are_too_long_are_not_good():
     looks = [
         soak.Look(t=300.0 + 10.0 * n, resident=100.0 + 0.1 * n, largest=9, where="", waiting=0)
