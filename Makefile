@@ -23,7 +23,7 @@ test: $(STAMP)
 explore: $(STAMP)
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -W error -m pytest -n 2 --dist loadfile
 
-# config/reference.yaml and the table of parameters in docs/LINK.md, from the fields of the settings
+# config/reference.yaml, from the fields of the settings
 reference: $(STAMP)
 	$(BIN)/python -m tests.reference
 

@@ -1,7 +1,6 @@
-"""Write the pages that repeat what the fields of settings say of themselves.
+"""Write ``config/reference.yaml`` from the fields of the settings: ``make reference``.
 
-``make reference`` writes ``config/reference.yaml`` and the table of parameters in docs/LINK.md; a
-test compares them with what would be written.
+A test compares it with what would be written.
 """
 
 from __future__ import annotations
@@ -9,10 +8,9 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from itertools import pairwise
-from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -24,6 +22,7 @@ from ekf_companion.config.keys import KEYS, Key, value_of
 from ekf_companion.core.settings import HABITS, FilterSettings
 from tests.paths import ROOT
 
+PAGE = ROOT / "config" / "reference.yaml"
 _HEAD = """\
 # Every key of the configuration. `make reference` writes this file: look up here, and change
 # px4.yaml, ardupilot.yaml or a file of your own.
@@ -44,17 +43,6 @@ def reference() -> str:
     """Return a YAML file that shows every key at its default, under its text."""
     service_first = sorted(fields(Config), key=lambda one: hasattr(FilterSettings, one.name))
     return "\n".join((_HEAD, *_section(Config, "", [one.name for one in service_first]))) + "\n"
-
-
-def parameter_table() -> Iterator[str]:
-    """Yield the rows of a Markdown table of the MAVLink parameters."""
-    found = [(key.setting.param, key) for key in KEYS.values() if key.setting.param is not None]
-    yield "| parameter | key | range |"
-    yield "|---|---|---|"
-    for param, key in sorted(found, key=lambda one: one[0].index):
-        late = "" if key.setting.reload else "; from the next start"
-        values = f"{_parameter_range(key)} {key.setting.unit}".rstrip()
-        yield f"| {param.name} | `{key.name}` | {values}{late} |"
 
 
 def _section(section: Any, path: str, names: list[str]) -> Iterator[str]:
@@ -145,23 +133,6 @@ def _range(meta: msgspec.Meta) -> str:
     return f"{low} or more" if meta.ge is not None else low
 
 
-def with_table(path: Path, rows: Iterable[str]) -> str:
-    """Return a page in which the table with the same head is replaced."""
-    head, *others = rows
-    before, found, rest = path.read_text(encoding="utf-8").partition(head + "\n")
-    assert found, f"{path}: has no table {head}"
-    return "\n".join((before + head, *others, "", rest.partition("\n\n")[2]))
-
-
-def pages() -> dict[Path, str]:
-    """Return the text that each page is to have."""
-    link = ROOT / "docs" / "LINK.md"
-    return {
-        ROOT / "config" / "reference.yaml": reference(),
-        link: with_table(link, parameter_table()),
-    }
-
-
 def _parameter_range(key: Key) -> str:
     param = key.setting.param
     assert param is not None
@@ -174,5 +145,4 @@ def _parameter_range(key: Key) -> str:
 
 
 if __name__ == "__main__":
-    for page, text in pages().items():
-        page.write_text(text, encoding="utf-8")
+    PAGE.write_text(reference(), encoding="utf-8")
