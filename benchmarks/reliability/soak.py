@@ -10,6 +10,7 @@ import argparse
 import logging
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -140,7 +141,9 @@ def page(hours: Sequence[Hour], live: Minute | None) -> Iterator[str]:
         sizes = ", ".join(
             f"{unit} {size:.2f}" for unit, size in zip(UNITS, limits * SCALE, strict=True)
         )
+        counts = Counter(label(one.fault) for one in found).values()
         yield f"Normal is, at most: {sizes}."
+        yield f"Each fault came {min(counts)} to {max(counts)} times."
         if quiet:
             yield f"Errors stay normal during {', '.join(f'`{name}`' for name in quiet)}."
         yield ""

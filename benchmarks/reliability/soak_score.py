@@ -99,10 +99,8 @@ def rows(found: Sequence[Episode]) -> Iterator[str]:
         sizes = np.stack([one.largest for one in of_it])
         largest = np.nanmax(sizes, axis=0) * SCALE if not np.isnan(sizes).all() else sizes[0]
         recoveries = [one.recovery for one in of_it]
-        cells = [f"`{name}`", str(len(of_it))]
+        cells = [f"`{name}`"]
         cells += [f"{value:.2f}" if value < 10.0 else f"{value:.0f}" for value in largest]
         cells += [f"{np.median(recoveries):.1f}", f"{max(recoveries):.1f}"]
         lines.append(" | ".join([*cells, str(sum(one.resets for one in of_it))]))
-    return table(
-        " | ".join(["fault", "n", *UNITS, "recovery median s", "worst s", "resets"]), lines
-    )
+    return table(" | ".join(["fault", *UNITS, "recovery median s", "worst s", "resets"]), lines)
