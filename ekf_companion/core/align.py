@@ -1,4 +1,4 @@
-"""Down and north before there is a filter.
+"""Initial alignment: level and heading before the filter starts.
 
 At rest the mean specific force points up and the mean rate is the gyro's bias. In motion the
 specific force, summed in a frame that the gyro holds still, must equal the change of the GNSS
@@ -41,7 +41,7 @@ REFERENCE_AGE = cython.declare(cython.double, 1.5e9)
 LONGEST_MOTION = cython.declare(cython.double, 5e9)
 """Longest stretch to level over in motion, ns: the gyro's bias turns the frame meanwhile."""
 UNKNOWN_YAW = cython.declare(cython.double, 3.29)
-"""Variance of an angle of which nothing is known: pi^2 / 3, rad^2."""
+"""Variance of an unknown angle: pi^2 / 3, rad^2."""
 
 
 def set_attitude(x: State, w: Scratch, p: Pair) -> None:
@@ -165,7 +165,7 @@ def level_by_window(x: State, w: Scratch) -> None:
 
 
 def level_at_rest(x: State, k: Parameters, w: Scratch) -> None:
-    """Take attitude and gyro bias from a window in which the vehicle stood still."""
+    """Set attitude and gyro bias from a window of rest."""
     rest = address(x.alignment.rest)
     n = rest.n
     var_gyro = 0.0
@@ -189,7 +189,7 @@ def level_at_rest(x: State, k: Parameters, w: Scratch) -> None:
 
 
 def level_roughly(x: State, k: Parameters, w: Scratch) -> None:
-    """Take the attitude from the mean specific force of a window that was not quiet."""
+    """Set the attitude from the mean specific force of a window with motion."""
     level_by_window(x, w)
     start_filter(x, k, w, 0.15, k.gyro_bias_std)
 

@@ -1,4 +1,4 @@
-"""Probability: judge an innovation by its covariance, and apply what it says.
+"""Measurement update: test an innovation against its covariance, and apply it.
 
 An observation of at most three rows is whitened by the Cholesky factor of its innovation
 covariance; what is applied is then one scalar a row, each a rank-one step ``P -= K K'`` on one
@@ -30,7 +30,7 @@ from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import atan2, fabs, sqrt
 
 NOT_POSITIVE = cython.declare(cython.double, 1e30)
-"""NIS where the innovation covariance is none: no gate lets it through."""
+"""NIS where the innovation covariance is not positive definite: no gate passes it."""
 LEAST_VARIANCE = cython.declare(cython.double, 1e-16)
 
 

@@ -23,7 +23,7 @@ class Aid(IntEnum):
 
 
 class Verdict(IntEnum):
-    """What became of an aid when the filter came to it."""
+    """What became of a measurement of an aid when the filter processed it."""
 
     FUSED = 0
     GATED = 1
@@ -43,7 +43,7 @@ class Arrival(IntEnum):
 
     TAKEN = 0
     STALE = 1
-    """Older than the window: nothing can be redone that far back."""
+    """Older than the window."""
     DUPLICATE = 2
     MALFORMED = 3
     """A value that no sensor can have."""
@@ -57,7 +57,7 @@ class Mode(IntEnum):
 
     INIT = 0
     LEVEL = 1
-    """Finding down and north."""
+    """Levelling and finding north."""
     ATTITUDE = 2
     """It has an attitude, and no position yet."""
     NAVIGATE = 3
@@ -68,13 +68,13 @@ class NeedsReset(IntEnum):
 
     NOTHING = 0
     FIX = 1
-    """Nothing has been heard of position and velocity since."""
+    """No fix has come since."""
     TILT = 2
     """Fixes have come again, but have not shown the attitude yet."""
 
 
 class HeadingChoice(IntEnum):
-    """Headings that the user lets the filter use."""
+    """Heading sources that the configuration allows."""
 
     AUTO = 0
     GNSS = 1
@@ -163,13 +163,13 @@ E_HEADING = 17
 E_GNSS = 18
 """Slow error of the receiver's position, in n."""
 E_IRON = 21
-"""The vehicle's own magnetic field, in b."""
+"""Hard iron: the vehicle's own magnetic field, in b."""
 N = 24
 
 AIDS = 6
 VERDICTS = 7
 RUNS = 3
-"""Aids of the receiver, which have to prove themselves: position, height, velocity."""
+"""Aids whose refused innovations are tested for consistency: position, height, velocity."""
 YAW_FILTERS = 8
 YAW_N = 9
 """States of one yaw filter: velocity (2), yaw, tilt (2), gyro bias (3), delay."""

@@ -1,4 +1,4 @@
-"""The estimate of now: how far it can be trusted, its numbers, and one sigma of each."""
+"""The current estimate: its status, its values, and one sigma of each."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ VAGUE_VAR = cython.declare(cython.double, 0.0305)
 
 
 def find_status(x: State, k: Parameters) -> int:
-    """Return how far the state can be trusted now: a :class:`~.nav.state.Status`."""
+    """Return the status of the state: a :class:`~.nav.state.Status`."""
     if x.mode == MODE_INIT:
         return STATUS_INIT
     if x.mode == MODE_LEVEL:

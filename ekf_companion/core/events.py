@@ -1,4 +1,4 @@
-"""One event: which of two comes first, and whether a sensor can say it at all."""
+"""Events: their order, and the bounds of their values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The magnetic field: what the place adds to a fix, and what the vehicle adds to the sensor."""
+"""The Earth's magnetic field at a fix, and the removal of the vehicle's own from a magnetometer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _IMU = int(Kind.IMU)
 
 
 class Field:
-    """Completes measurements by what is known of magnetism before any filter sees them."""
+    """Adds the Earth's field to fixes and removes hard and soft iron, before any filter."""
 
     def __init__(self, heading: HeadingSettings) -> None:
         self._heading = heading
@@ -31,7 +31,7 @@ class Field:
         self._has_iron = iron != (HeadingSettings().hard_iron, HeadingSettings().soft_iron)
 
     def complete(self, row: Row) -> Row:
-        """Give a fix the field of its place, and take the vehicle's own off a magnetometer's."""
+        """Add the Earth's field to a fix; remove the vehicle's own from a magnetometer's."""
         t_ns, kind, values = row
         if kind == _IMU:
             return row
@@ -48,7 +48,7 @@ class Field:
         return t_ns, kind, (*values[:DECLINATION], here, values[FLAGS], *field)
 
     def complete_all(self, events: Events) -> Array:
-        """Do the same for a table's values; the given one stays as it is."""
+        """Do the same for a table of events; return a copy."""
         values = np.array(events.values, dtype=np.float64, order="C")
         for i in np.flatnonzero(events.kind == Kind.GNSS):
             row = (int(events.t_ns[i]), int(Kind.GNSS), tuple(values[i].tolist()))
@@ -60,7 +60,7 @@ class Field:
         return values
 
     def _bare(self, x: Axis, y: Axis, z: Axis) -> tuple[Axis, Axis, Axis]:
-        """Give a field without the vehicle's iron; columns come out as numbers do, to the bit."""
+        """Return a field without hard and soft iron; columns and numbers agree to the bit."""
         hard, soft = self._heading.hard_iron, self._heading.soft_iron
         x, y, z = x - hard[0], y - hard[1], z - hard[2]
         a, b, c = ((row[0] * x + row[1] * y) + row[2] * z for row in soft)

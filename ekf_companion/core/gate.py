@@ -1,4 +1,4 @@
-"""Whom to believe: gates, the account of each aid, and when one that was refused may have its way.
+"""Gates, counts and time-outs of the aids, and the consistency test of refused ones.
 
 An innovation inside the soft gate counts in full. Between the soft and the hard gate it counts the
 less the further out it is, as if its noise had been larger. Beyond the hard gate it is refused.
@@ -32,9 +32,9 @@ from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import fabs, log, sqrt
 
 SHORTEST_RUN = cython.declare(cython.double, 3.0)
-"""Least time between the first and the last of a run that proves anything, s."""
+"""Least duration of a run of innovations to be tested, s."""
 LONGEST_RUN = cython.declare(cython.double, 30.0)
-"""A run that has not proved itself by then begins anew, s."""
+"""Duration after which a run that failed the test begins anew, s."""
 FEWEST = cython.declare(cython.double, 4.0)
 """Least number of innovations in a run."""
 LARGEST_SLOPE_STD = cython.declare(cython.double, 0.15)
@@ -45,7 +45,7 @@ SIGMAS = cython.declare(cython.double, 3.0)
 
 
 def count_verdict(x: State, aid: int, verdict: int) -> None:
-    """Count what became of one measurement."""
+    """Count the verdict on one measurement."""
     x.count[aid][verdict] += 1.0
 
 
@@ -87,14 +87,14 @@ def fuse_judged(x: State, k: Parameters, o: Observation, aid: int, nis: float) -
 
 
 def note_used(x: State, aid: int) -> None:
-    """Note that an aid was fused, or had its way: its run of refusals ends."""
+    """Note that an aid was fused, or reset the state: its run of refusals ends."""
     if aid < AID_HEADING:
         x.run[aid].n = 0.0
     x.used_t[aid] = x.t
 
 
 def score(x: State, o: Observation, nis: float, gate: float) -> None:
-    """Add what a judged observation says to the log-likelihood; an outlier says what a gate does.
+    """Add a judged observation to the log-likelihood; an outlier counts as its gate.
 
     Nothing in the filter reads the sum: it compares settings over the same log.
     """
@@ -134,7 +134,7 @@ def add_to_run(x: State, o: Observation, aid: int) -> None:
 
 
 def clear_run(x: State, aid: int) -> None:
-    """Forget the run of an aid."""
+    """Clear the run of an aid."""
     x.run[aid].n = 0.0
     x.run[aid].t0 = 0.0
     x.run[aid].t = 0.0
@@ -146,7 +146,7 @@ def clear_run(x: State, aid: int) -> None:
 
 
 def is_proven(x: State, aid: int, rows: int, stated: float, drift: float) -> bool:
-    """Return whether the run of a receiver's aid has proved it right.
+    """Return whether the run of a receiver's aid is consistent, so that the state is reset to it.
 
     Args:
         x: The state.

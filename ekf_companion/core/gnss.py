@@ -1,4 +1,4 @@
-"""The satellite receiver: start with its fixes, correct by them, or make them prove themselves.
+"""GNSS: start navigation at a fix, correct by fixes, or test refused ones for consistency.
 
 A receiver states metres and differs from fix to fix by centimetres: most of its error is slow. So
 the stated variance is shared between white noise and three Gauss-Markov states, in a share that is
@@ -44,34 +44,34 @@ from cython.cimports.libc.math import isnan, sqrt
 
 NEVER = cython.declare(cython.double, -1e18)
 PREFERRED_AGE = cython.declare(cython.double, 5e9)
-"""How long a receiver keeps the autopilot's own position out after its last word, ns."""
+"""Silence of the receiver after which the autopilot's own position is used, ns."""
 WHITE_MEMORY = cython.declare(cython.double, 100.0)
 """Fixes over which a receiver's white noise is learnt."""
 FIRST_MEMORY = cython.declare(cython.double, 10.0)
-"""What is assumed at first weighs as so many fixes."""
+"""Weight of the initial share, in fixes."""
 LEAST_SHARE = cython.declare(cython.double, 0.01)
-"""A receiver overstates its white error ten times at the most: what is learnt beyond is luck."""
+"""Least white share: receivers overstate their white error at most ten times."""
 LARGEST_SHARE = cython.declare(cython.double, 9.0)
-"""And it may understate it three times."""
+"""Largest white share: they understate it at most three times."""
 LEAST_LEVEL = cython.declare(cython.double, 1e-6)
 """Least variance of a slow error, m^2."""
 MEAN_TIME = cython.declare(cython.double, 3.0)
-"""Time over which fixes that are off to one side show, s."""
+"""Time constant of the mean of the innovations, s."""
 LARGEST_TERM = cython.declare(cython.double, 4.0)
-"""What one wild fix may count, sigmas."""
+"""Largest contribution of one fix to that mean, sigmas."""
 LARGEST_MEAN = cython.declare(cython.double, 1.5)
-"""Mean of the innovations, sigmas, beyond which the receiver is refused;"""
+"""Mean of the innovations beyond which the receiver is refused, sigmas of one innovation."""
 MEAN_SIGMAS = cython.declare(cython.double, 5.5)
-"""and at least so many of its own."""
+"""The same in sigmas of the mean itself; both must be exceeded."""
 DRAGGED_NIS = cython.declare(cython.double, 1e29)
 REPEATS = cython.declare(cython.double, 2.0)
-"""So many times the same position, and a receiver that moves is frozen."""
+"""Repeats of one position after which a moving receiver counts as frozen."""
 JERK = cython.declare(cython.double, 0.25)
-"""Variance of our own acceleration while its velocity is refused, m^2/s^4."""
+"""Variance of the error of our acceleration while velocity is refused, m^2/s^4."""
 DERIVED = cython.declare(cython.int, 1)
 SUSPECT = cython.declare(cython.int, 2)
 SAME_CAUSE = cython.declare(cython.double, 2.0)
-"""A height refused for so long when the position is reset is reset with it, s."""
+"""A height refused for this time when the position is reset is reset too, s."""
 
 
 def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
@@ -79,7 +79,7 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
     fix = address(w.fix)
     has_vel = cython.declare(cython.bint, k.use_velocity != 0.0 and not isnan(values.vel_n[0]))
 
-    # Which source, and can it be believed
+    # Which source, and is it usable
     if not is_used(x, k, cython.cast(cython.int, values.flags)):
         return True
     if is_frozen(x, values):
@@ -91,7 +91,7 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
         x.fix_dt = (x.t - x.fix_t) * 1e-9
     x.fix_t = x.t
 
-    # The bank hears every velocity; where nothing else knows north, it begins
+    # The yaw bank uses every velocity; without another heading it starts the filter
     if has_vel:
         w.yaw.vel_n[0] = fix.vel_n[0]
         w.yaw.vel_n[1] = fix.vel_n[1]
@@ -100,7 +100,7 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
         start_from_yaw_bank(x, k, w)
         return True
 
-    # Before navigation a fix helps to level, or begins it
+    # Before navigation a fix helps to level, or starts it
     if x.mode < MODE_NAVIGATE:
         if has_vel and align.level_in_motion(x, k, w) if x.mode == MODE_LEVEL else x.has_yaw != 0.0:
             start_navigation(x, k, w, has_vel)
@@ -122,7 +122,7 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
     bound_offset(x, o, 1, x.gnss_offset_var[0])
     bound_offset(x, o, 2, x.gnss_offset_var[1])
 
-    # Velocity first: it is the surer of the two; it also says whether the heading is wrong
+    # Velocity first: it is more precise, and shows whether the heading is wrong
     if has_vel:
         if not fuse_velocity(x, k, w):
             return False
@@ -139,7 +139,7 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
 
 
 def is_used(x: State, k: Parameters, flags: int) -> bool:
-    """Return whether a fix is to be used: the receiver's own, unless it says that it is fooled."""
+    """Return whether a fix is used: the receiver's own, unless it reports spoofing or jamming."""
     if flags & DERIVED:
         if k.use_derived == 0.0 or (k.use_derived == 1.0 and x.t - x.raw_fix_t < PREFERRED_AGE):
             gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
@@ -156,7 +156,7 @@ def is_used(x: State, k: Parameters, flags: int) -> bool:
 
 
 def is_frozen(x: State, values: GnssRow) -> bool:
-    """Return whether the receiver repeats itself to the bit while we move."""
+    """Return whether the receiver repeats one position to the bit while the vehicle moves."""
     is_same = cython.declare(
         cython.bint,
         x.last_fix[0] == values.lat and x.last_fix[1] == values.lon and x.last_fix[2] == values.alt,
@@ -178,7 +178,7 @@ def learn_field(x: State, values: GnssRow) -> None:
     if isnan(values.declination):
         return
     if isnan(x.field.declination) and x.mag_t > NEVER and x.mode < MODE_NAVIGATE:
-        # a compass gave magnetic north: take true north from whoever is next
+        # a compass gave magnetic north: the next heading source gives true north
         x.has_yaw = 0.0
         x.mag_t = NEVER
         x.alignment.reference.is_known = 0.0
@@ -208,7 +208,7 @@ def read_fix(x: State, k: Parameters, fix: Fix, values: GnssRow) -> None:
 
 
 def white_share(x: State, k: Parameters, aid: int) -> float:
-    """Return the share of a stated variance that is white: the user's, or what was learnt."""
+    """Return the white share of a stated variance: the configured or the learnt one."""
     if aid != AID_VELOCITY and not isnan(k.white_share):
         return k.white_share
     return x.white_share[aid] if x.white_share[aid] > LEAST_SHARE else LEAST_SHARE
@@ -269,7 +269,7 @@ def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> 
 
 
 def is_dragged(x: State, o: Observation, aid: int) -> bool:
-    """Return whether the fixes are off to one side, each by too little for its gate.
+    """Return whether the fixes deviate to one side, each by too little for its gate.
 
     The mean of the whitened innovations over some seconds is near zero unless fixes and motion
     disagree; a receiver that is dragged off shows so long before any single fix does.
@@ -290,7 +290,7 @@ def is_dragged(x: State, o: Observation, aid: int) -> bool:
 
 
 def fuse_velocity(x: State, k: Parameters, w: Scratch) -> bool:
-    """Fuse the velocity. Return False if it went on being refused: more than velocity is wrong."""
+    """Fuse the velocity. Return False if its time-out shows that more than velocity is wrong."""
     fix = address(w.fix)
     o = address(w.observation)
     observe.velocity(x, k, fix, o)
@@ -304,7 +304,7 @@ def fuse_velocity(x: State, k: Parameters, w: Scratch) -> bool:
 
 
 def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
-    """Fuse the horizontal position, or reset it where the fixes have proved themselves."""
+    """Fuse the horizontal position, or reset it if refused fixes are consistent."""
     fix = address(w.fix)
     north = x.P[E_VEL][E_VEL]
     east = x.P[E_VEL + 1][E_VEL + 1]
@@ -325,7 +325,7 @@ def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
 
 
 def fuse_height(x: State, k: Parameters, w: Scratch) -> None:
-    """Fuse the height, or reset it where the fixes have proved themselves."""
+    """Fuse the height, or reset it if refused fixes are consistent."""
     fix = address(w.fix)
     drift = x.P[E_VEL + 2][E_VEL + 2]
     observe.height(x, k, fix, address(w.observation))

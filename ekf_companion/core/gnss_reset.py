@@ -1,4 +1,4 @@
-"""Begin to navigate at a fix, or set position, height and velocity anew from one."""
+"""Start of navigation at a fix, and resets of position, height and velocity to one."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from cython.cimports.ekf_companion.core.scratch import Scratch
 from cython.cimports.ekf_companion.core.state import State
 
 UNKNOWN_HEADING = cython.declare(cython.double, 3.29)
-"""Variance of an angle of which nothing is known: pi^2 / 3, rad^2."""
+"""Variance of an unknown angle: pi^2 / 3, rad^2."""
 LEAST_YAW_VAR = cython.declare(cython.double, 2.5e-3)
 """Variance of a heading found in motion, beside what the bank says, rad^2: in a steady turn a bias
 of the accelerometer is taken for a part of the turn."""
 PATIENCE = cython.declare(cython.double, 3e9)
 """Where no heading comes to find the attitude with, it is left to the filter after so long, ns."""
 ANY = cython.declare(cython.double, 1e6)
-"""Variance of what is not known at all, m^2 or (m/s)^2."""
+"""Variance of an unknown position or velocity, m^2 or (m/s)^2."""
 
 
 def start_navigation(x: State, k: Parameters, w: Scratch, has_vel: bool) -> None:
@@ -57,7 +57,7 @@ def start_navigation(x: State, k: Parameters, w: Scratch, has_vel: bool) -> None
 
 
 def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
-    """Begin, or begin anew, at a fix with the attitude that explains the motion."""
+    """Start, or start again, at a fix with the attitude that the yaw bank has found."""
     yaw_std = x.yaw_bank.yaw_std
     delay = x.gnss_delay
     x.moved.yaw += yaw_reset.yaw_error(x)
@@ -144,7 +144,7 @@ def reset_height(x: State, k: Parameters, w: Scratch) -> None:
 
 
 def reset_velocity(x: State, k: Parameters, w: Scratch) -> None:
-    """Set the velocity from a fix; an unknown vertical one is none, give or take 2 m/s."""
+    """Set the velocity from a fix; an unknown vertical one to 0 with one sigma of 2 m/s."""
     o = address(w.observation)
     reset_variance(x, E_VEL, 3, ANY)
     observe.velocity(x, k, address(w.fix), o)
@@ -162,7 +162,7 @@ def reset_velocity(x: State, k: Parameters, w: Scratch) -> None:
 
 
 def reset_unknown_velocity(x: State, first: int, count: int) -> None:
-    """Reset a velocity that carried the position astray: none, give or take 5 m/s."""
+    """Reset a velocity that has drifted with the position: to 0 with one sigma of 5 m/s."""
     for i in range(first, first + count):
         x.moved.vel_n[i] -= x.vel_n[i]
         x.vel_n[i] = 0.0

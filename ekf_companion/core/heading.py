@@ -1,4 +1,4 @@
-"""North: which of the headings that speak is used, and how it corrects yaw.
+"""Heading: which source is used, and how it corrects yaw.
 
 The magnetic field of a vehicle is that of the Earth, turned, and its own: three hard-iron states
 in the body tell the two apart as soon as the vehicle turns. Its strength and its dip are only
@@ -46,31 +46,31 @@ from cython.cimports.ekf_companion.core.state import Reference, State
 from cython.cimports.libc.math import asin, fabs, isnan, sqrt
 
 PREFERRED_AGE = cython.declare(cython.double, 5e9)
-"""How long a better source keeps the worse ones out after its last word, ns."""
+"""Silence of a better source after which a worse one is used, ns."""
 MOUNTING_STD = cython.declare(cython.double, 0.005)
 """Slow error of a dual antenna: how well its baseline is mounted, rad."""
 TRUSTED_STD = cython.declare(cython.double, 0.02)
-"""Slow error up to which a heading that has jumped is believed, rad."""
+"""Slow error up to which a heading source that has jumped is right, rad."""
 DECLINATION_STD = cython.declare(cython.double, 0.2)
 """One sigma of the declination before the first fix, rad: most people live within it."""
 AZIMUTH_STD = cython.declare(cython.double, 0.003)
 """White error of a magnetic azimuth beside that of the field, rad."""
 INSISTENCE = cython.declare(cython.double, 9e8)
-"""How long a heading must be refused before it resets anything, ns: one wild one does not."""
+"""Least time that a heading is refused before it resets anything, ns."""
 STEADY = cython.declare(cython.double, 0.1)
 """Share by which the strength of an undisturbed field may differ from its own mean."""
 STEADY_TIME = cython.declare(cython.double, 10.0)
 """Time constant of that mean, s."""
 DISTURBED_TIME = cython.declare(cython.double, 60.0)
-"""Time constant while the field differs: a lasting change is the new normal, s."""
+"""Time constant of the mean while the field differs: a lasting change is adopted, s."""
 UNKNOWN_HEADING = cython.declare(cython.double, 3.29)
-"""Variance of an angle of which nothing is known: pi^2 / 3, rad^2."""
+"""Variance of an unknown angle: pi^2 / 3, rad^2."""
 ANY_YAW = cython.declare(cython.double, 100.0)
-"""Variance of a yaw of which nothing is known, rad^2."""
+"""Variance of an unknown yaw, rad^2."""
 
 
 def is_heading_used(x: State, k: Parameters, source: int) -> bool:
-    """Return whether a heading is to be used: the user's choice, or the best that still speaks."""
+    """Return whether a heading is used: the configured source, or the best that is not silent."""
     x.heading_t[source] = x.t
     if k.heading == CHOICE_GNSS:
         return source == 0
@@ -87,7 +87,7 @@ def is_heading_used(x: State, k: Parameters, source: int) -> bool:
 
 
 def is_field_used(x: State, k: Parameters) -> bool:
-    """Return whether the magnetic field gives the heading: not while a dual antenna speaks."""
+    """Return whether the magnetic field gives the heading: not while a dual antenna does."""
     if k.heading == CHOICE_AUTO:
         return x.t - x.heading_t[0] >= PREFERRED_AGE
     return k.heading == CHOICE_MAG
@@ -221,9 +221,9 @@ def keep_reference(x: State, r: Reference) -> None:
 
 
 def yield_to_azimuth(x: State, o: Observation, slow: float) -> None:
-    """Find out what is wrong where an azimuth has been refused for too long, and correct it."""
+    """Resolve an azimuth that has been refused too long: reset yaw, heading offset or both."""
     if yaw_reset.agrees(x):
-        # it is the compass that has jumped: the motion says so
+        # the compass has jumped: the motion confirms our yaw
         reset_variance(x, E_HEADING, 1, UNKNOWN_HEADING)
         innovate(x, o)
         apply_yaw_update(x, o)
@@ -231,7 +231,7 @@ def yield_to_azimuth(x: State, o: Observation, slow: float) -> None:
         return
     begin_reset(x, RESET_HEADING)
     if slow > TRUSTED_STD:
-        # the compass or our yaw has jumped, and nobody knows which: neither is sure any more
+        # the compass or our yaw has jumped, unknown which: raise the variance of both
         reset_variance(x, E_HEADING, 1, 1.0)
         x.P[E_ATT + 2][E_ATT + 2] += o.z[0] * o.z[0]
         x.redrawn[E_ATT + 2] += 1.0

@@ -64,23 +64,23 @@ from cython.cimports.libc.math import fabs
 NAN = cython.declare(cython.double, float("nan"))
 NEVER = cython.declare(cython.double, -1e18)
 BLIND = cython.declare(cython.double, 0.5)
-"""Between samples further apart than this any motion may have begun and ended, s."""
+"""Longest interval between samples, s, over which motion is interpolated."""
 LARGEST_TURN = cython.declare(cython.double, 4.0)
-"""Square of the turn, rad^2, that one sample may stand for."""
+"""Largest square of the turn, rad^2, that is integrated from one sample."""
 RESTORE_AGAIN = cython.declare(cython.double, 1e10)
-"""A restored state that cannot be either within so long is not restored again, ns."""
+"""A second unsound state within this time is not restored but starts the filter over, ns."""
 SLOW_GAP = cython.declare(cython.double, 3.0)
-"""Silence of so many usual intervals is a gap, however slow the stream."""
+"""Usual intervals without a sample after which there is a gap, however slow the stream."""
 FIRST_SHARE = cython.declare(cython.double, 0.3)
-"""Share of the variance that a receiver states for its position that is white, to begin with."""
+"""White share, at first, of the variance that a receiver states for its position."""
 GROUND_EFFECT = cython.declare(cython.double, 2.0)
-"""What rotors near the ground add to the barometer's noise, m."""
+"""Noise that rotors near the ground add to the barometer, m."""
 GROUND_EFFECT_HEIGHT = cython.declare(cython.double, 3.0)
-"""Up to this height above the last rest, m."""
+"""Height above the last rest up to which they do, m."""
 
 
 def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: int) -> None:
-    """Take the sample rows[last]; rows[first:last] are the events true since the sample before.
+    """Process the sample rows[last]; rows[first:last] are the events valid since the sample before.
 
     With a tape (``w.tape``) what happens is recorded there.
     """
@@ -112,7 +112,7 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
         if w.tape.is_on:
             tape.record_gap(x, w)
 
-    # What the sample itself tells: noise, rest, whether all aids still speak
+    # Learn from the sample itself: noise, rest, which aids are silent
     learn_noise(x, imu, span)
     keep_sample(x, imu)
     check_rest(x, k, w)
@@ -173,7 +173,7 @@ def find_interval_motion(x: State, k: Parameters, m: Motion, imu: ImuRow, span: 
 
 
 def assume_no_motion(x: State, k: Parameters, m: Motion) -> None:
-    """Assume over a long time no turn and no acceleration: one sample says nothing of it."""
+    """Assume no turn and no acceleration over a time too long for one sample to describe."""
     to_dcm(x.q_nb, m.C_nb)
     for i in range(3):
         x.gyro[i] = x.gyro_bias[i]
@@ -189,7 +189,7 @@ def keep_sample(x: State, imu: ImuRow) -> None:
 
 
 def start(x: State, t: float) -> None:
-    """Start with nothing known but the time; what was counted before stays counted."""
+    """Start with nothing known but the time; counts continue."""
     x.t = t
     x.mode = MODE_LEVEL
     x.q_nb[0] = 1.0
@@ -218,7 +218,7 @@ def start(x: State, t: float) -> None:
 
 
 def is_sound(x: State) -> bool:
-    """Return whether a vehicle can be in the state; one NaN anywhere makes it none."""
+    """Return whether the state is finite and within physical bounds."""
     speed = 0.0
     bias = 0.0
     largest = x.q_nb[0] * x.q_nb[0] + fabs(x.baro_offset) + fabs(x.heading_offset)
@@ -237,7 +237,7 @@ def is_sound(x: State) -> bool:
 
 
 def recover(x: State, k: Parameters, good: State, t: float) -> None:
-    """Replace a state that cannot be by an earlier, good one, made as uncertain as it is old.
+    """Replace an unsound state by an earlier sound one, with its covariance grown by its age.
 
     The accounts and the last sample live on. A second time so soon, or without a good state in
     flight, the filter starts over.
@@ -259,7 +259,7 @@ def recover(x: State, k: Parameters, good: State, t: float) -> None:
 
 
 def start_over(x: State, t: float, reason: float) -> None:
-    """Forget a state that cannot be, and level again; origin and accounts live on."""
+    """Discard an unsound state and level again; keep the origin and the counts."""
     for i in range(4):
         x.q_nb[i] = 0.0
     for i in range(3):
@@ -338,7 +338,7 @@ def inflate_after_gap(x: State, k: Parameters, span: float, is_gap: bool) -> Non
 
 
 def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
-    """Apply one event, at its own time."""
+    """Apply one event at its time of validity."""
     o = address(w.observation)
     r = address(w.reference)
     v = address(event.values)

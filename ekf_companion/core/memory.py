@@ -44,7 +44,7 @@ def as_estimate(numbers: Array) -> Estimate:
 
 
 def as_odometry(numbers: Array) -> OdometryNumbers:
-    """Return what ODOMETRY says, shape (ODOMETRY,), by its parts."""
+    """Return ODOMETRY's numbers, shape (ODOMETRY,), as a struct."""
     return _over(OdometryNumbers, numbers)
 
 

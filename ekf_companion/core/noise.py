@@ -1,4 +1,4 @@
-"""How noisy the inertial samples are, learnt from the samples themselves."""
+"""White noise of the inertial samples, learnt from the samples themselves."""
 
 from __future__ import annotations
 

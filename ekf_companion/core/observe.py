@@ -43,7 +43,7 @@ def clear(o: Observation, rows: int, variance: float) -> None:
 
 
 def add_timing_noise(o: Observation, k: Parameters, rate: Vector) -> None:
-    """Add to R what a wrong stamp does to what changes at this rate, a number a row."""
+    """Add to R the effect of a timing error on quantities that change at these rates, one a row."""
     for r in range(o.rows):
         for c in range(o.rows):
             o.R[r][c] += k.timing_std * k.timing_std * rate[r] * rate[c]
@@ -137,7 +137,7 @@ def velocity(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
 
 
 def zero_velocity(x: State, o: Observation, std: float) -> None:
-    """Observe that the vehicle stands still, give or take std, m/s: three rows."""
+    """Observe zero velocity with one sigma std, m/s: three rows."""
     clear(o, 3, std * std)
     for i in range(3):
         o.z[i] = -x.vel_n[i]

@@ -1,4 +1,4 @@
-"""What ODOMETRY says of the estimate: its numbers, in its order, frames and limits.
+"""The numbers of ODOMETRY, in its order, frames and limits.
 
 Position in n; the quaternion from b to n, of unit norm and w >= 0; velocity and rates in b; and the
 upper triangles, row by row, of two covariances: of position and roll, pitch, yaw; of velocity in b
@@ -20,9 +20,9 @@ NAN = cython.declare(cython.double, float("nan"))
 STEEP = cython.declare(cython.double, 0.1)
 """Cosine of the pitch (84 deg) beyond which Euler angles say less than their variances would."""
 LEAST_VAR = cython.declare(cython.double, 1e-6)
-"""Least variance: one of zero claims perfection."""
+"""Least variance."""
 LARGEST_VAR = cython.declare(cython.double, 1e12)
-"""Most that a covariance says: a million metres, and far from what float32 can hold."""
+"""Largest variance: (1000 km)^2, well within float32."""
 
 
 def write_odometry(x: State, out: Estimate, w: Scratch, n: OdometryNumbers) -> None:
@@ -72,7 +72,7 @@ def write_odometry(x: State, out: Estimate, w: Scratch, n: OdometryNumbers) -> N
 
 
 def read_covariance(x: State, p: Pose, first: int, second: int) -> bool:
-    """Read the covariance of two threes of errors, bounded. Return False if it is not finite."""
+    """Read the bounded covariance of two groups of three errors; False if not finite."""
     for i in range(6):
         row = first + i if i < 3 else second + i - 3
         for j in range(6):

@@ -11,7 +11,7 @@ from ekf_companion.core.enums import RUNS
 
 @struct
 class Parameters:
-    """The numbers that the filter runs with; ``settings.py`` says what they mean."""
+    """The numbers that the filter runs with; ``settings.py`` describes them."""
 
     gyro_noise: Real
     accel_noise: Real

@@ -1,4 +1,4 @@
-"""Motion: the strapdown equations, and the covariance of their error, over one inertial interval.
+"""Prediction: strapdown equations and error covariance over one inertial interval.
 
 The attitude error is a rotation vector in n: ``C_true = exp(theta) C``. The transition is of second
 order in the interval, so that it serves 10 Hz as well as 1 kHz.
@@ -38,7 +38,7 @@ FREE_AIR = cython.declare(cython.double, 3.0877e-6)
 
 
 def set_origin(x: State, lat: float, lon: float, alt: float) -> None:
-    """Put the origin of the local frame here (rad, rad, m)."""
+    """Set the origin of the local frame (rad, rad, m)."""
     sl = sin(lat)
     root = sqrt(1.0 - E2 * sl * sl)
     x.origin.lat = lat
@@ -338,7 +338,7 @@ def add_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
 
 
 def decay(x: State, e: int, g: float, level: float) -> None:
-    """Let the Gauss-Markov error state e lose the share g of itself, towards its level (variance).
+    """Decay the Gauss-Markov error state e by the share g, towards its stationary variance.
 
     Within the first nine rows only the column is written: those are mirrored afterwards.
     """

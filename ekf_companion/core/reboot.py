@@ -1,4 +1,4 @@
-"""What outlives a reboot of the autopilot."""
+"""What is kept over a reboot of the autopilot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rest: when the vehicle stands still, and what follows from it."""
+"""Rest: detect that the vehicle stands still, and fuse zero velocity and zero rate."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from cython.cimports.libc.math import sqrt
 FEWEST = cython.declare(cython.double, 5.0)
 """Samples to judge rest by."""
 ROUGH_AFTER = cython.declare(cython.double, 6e9)
-"""Without rest and without GNSS the attitude is taken roughly after this long, ns."""
+"""Time without rest and GNSS after which a rough attitude is used, ns."""
 FAKE_INTERVAL = cython.declare(cython.double, 2e8)
-"""Between two assumptions that the vehicle is not going anywhere, while it has no GNSS, ns."""
+"""Interval between pseudo-measurements of zero velocity without GNSS, ns."""
 LOST = cython.declare(cython.double, 100.0)
-"""So many times the limit (as variances), a position is not worth keeping."""
+"""Position variance over its limit beyond which the position is dropped."""
 LONGEST_OUTAGE = cython.declare(cython.double, 60.0)
-"""And after so long without GNSS, s."""
+"""Time without GNSS after which it is dropped, s."""
 REST_SPEED = cython.declare(cython.double, 0.05)
-"""One sigma of the velocity of what stands still, m/s."""
+"""One sigma of the velocity at rest, m/s."""
 REST_RATE = cython.declare(cython.double, 1e-4)
-"""One sigma of its rate, rad/s, beside noise: the ground gives way, the wind rocks."""
+"""One sigma of the rate at rest beside noise, rad/s: soft ground, wind."""
 
 
 def begin_window(x: State, t: float) -> None:
@@ -92,7 +92,7 @@ def was_at_rest(x: State, k: Parameters) -> bool:
     if size < 0.9 * k.gravity or size > 1.1 * k.gravity:
         return False
     if x.mode == MODE_LEVEL and x.alignment.motion.has_fix != 0.0:
-        # a receiver that says we move is believed
+        # a receiver that reports motion excludes rest
         mean = 0.5 + 3.0 * x.alignment.motion.fix_std
         rate = 0.0
         for i in range(2):
@@ -124,7 +124,7 @@ def check_rest(x: State, k: Parameters, w: Scratch) -> None:
 
 def use_rest_window(x: State, k: Parameters, w: Scratch) -> None:
     """Find out whether the window saw rest; level by it, or fuse it."""
-    # an autopilot that says it flies is believed: a smooth flight looks like rest
+    # an autopilot that reports flight excludes rest: a smooth flight looks like it
     x.at_rest = 0.0
     if (x.armed != 1.0 or x.landed == 1.0) and was_at_rest(x, k) and not is_moving(x):
         x.at_rest = 1.0
@@ -139,7 +139,7 @@ def use_rest_window(x: State, k: Parameters, w: Scratch) -> None:
 
 
 def is_moving(x: State) -> bool:
-    """Return whether our own velocity speaks against rest: wings fly as quietly as they stand."""
+    """Return whether the estimated velocity excludes rest: a wing flies as quietly as it stands."""
     speed = 0.0
     sigma = 0.0
     if x.mode != MODE_NAVIGATE or x.landed == 1.0:
@@ -154,7 +154,7 @@ def is_moving(x: State) -> bool:
 
 
 def fuse_zero_velocity(x: State, k: Parameters, w: Scratch) -> None:
-    """Fuse rest: no velocity, and what the gyro showed over the window is its bias.
+    """Fuse zero velocity, and the mean rate over the window as the gyro bias.
 
     Only where a rest has been seen before, or the autopilot says that it has landed: so a first
     hover is not taken for one.
@@ -180,7 +180,7 @@ def fuse_zero_velocity(x: State, k: Parameters, w: Scratch) -> None:
 
 
 def fuse_no_travel(x: State, w: Scratch) -> None:
-    """Fuse that the vehicle goes nowhere, by a lot or by nothing: as gravity, that bounds tilt."""
+    """Fuse zero velocity with a large sigma, which bounds tilt by gravity."""
     o = address(w.observation)
     x.fake_t = x.t
     observe.zero_velocity(x, o, 0.1 if x.at_rest != 0.0 else 30.0)

@@ -1,4 +1,4 @@
-"""The smoother: what the samples that came later say of the state then.
+"""Fixed-interval (RTS) smoother over the tape of a forward run.
 
 The filter runs forward over a stretch of rows with a tape, then goes back over it, record by
 record: with ``G = P Phi' (P-)^-1``, from the state before an interval, its Phi, and the state

@@ -1,4 +1,4 @@
-"""What one step works with: the event, the observation, the interval; and what it gives.
+"""Working memory of one step: the event, the observation, the interval; and its output.
 
 Nothing in it outlives the step, but the smoother's tape. ``setup.py`` makes ``scratch.pxd`` of it.
 """
@@ -22,7 +22,7 @@ class ImuRow:
 
 @struct
 class GnssRow:
-    """Values of a fix; NaN: the receiver does not say."""
+    """Values of a fix; NaN where the receiver gives none."""
 
     lat: Real
     lon: Real
@@ -47,7 +47,7 @@ class HeadingRow:
 
 @struct
 class VehicleRow:
-    """What the autopilot says of itself."""
+    """The autopilot's own state."""
 
     armed: Real
     landed: Real
@@ -175,7 +175,7 @@ class Pair:
 
 @struct
 class YawUpdate:
-    """One fix in the yaw bank: what each of its filters makes of it."""
+    """One fix in the yaw bank, and its innovation in each filter."""
 
     vel_n: Annotated[Vector, 2]
     """Velocity of the fix, n e, m/s."""
@@ -222,17 +222,17 @@ class TapeRecord:
 
 @struct
 class Tape:
-    """What the filter did, record by record, for who goes back over it."""
+    """A record of each step of the filter, for the smoother."""
 
     is_on: Count
-    """The filter that runs live has none."""
+    """False in the live filter, which has no tape."""
     length: Count
     record: Annotated[Any, ctypes.POINTER(TapeRecord)]
 
 
 @struct
 class Hindsight:
-    """What the smoother works with, going back over one interval."""
+    """Working memory of the smoother over one interval."""
 
     prior: Annotated[Vector, N, N]
     """Covariance that the filter had after the interval, then its factor."""

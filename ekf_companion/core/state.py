@@ -1,4 +1,4 @@
-"""The filter's memory: all that it knows, and all that it decides by.
+"""The filter's state: all that it estimates, and all that its decisions depend on.
 
 One block of doubles without a gap, so that a snapshot is one copy and a checkpoint one write; the
 order of the fields is that of the checkpoints. ``setup.py`` makes ``state.pxd`` from it.
@@ -142,7 +142,7 @@ class Reference:
 
 @struct
 class Alignment:
-    """What is gathered to find down and north."""
+    """Sums for the initial alignment."""
 
     rest: RestWindow
     motion: MotionWindow
@@ -153,7 +153,7 @@ class Alignment:
 
 @struct
 class YawFilter:
-    """One filter of the bank: what if the bank's frame s pointed there?"""
+    """One filter of the bank: a hypothesis of the yaw of the bank's frame s."""
 
     weight: Real
     """Probability of its being the right one."""
@@ -187,7 +187,7 @@ class YawBank:
     gyro_bias_std: Real
     sums: YawSums
     accel: Annotated[Vector, 2]
-    """Horizontal acceleration in s, smoothed, m/s^2: what a late fix has yet to see."""
+    """Horizontal acceleration in s, smoothed, m/s^2: corrects for the delay of a fix."""
     vel_var: Real
     """Learnt variance of the receiver's velocity, (m/s)^2."""
     refused: Real
@@ -215,7 +215,7 @@ class YawBank:
 
 @struct
 class State:
-    """Everything that the filter knows, and what decides."""
+    """Everything that the filter estimates and decides by."""
 
     t: Real
     """Of validity, ns."""
@@ -278,7 +278,7 @@ class State:
     fix_repeats: Real
     """How often it has repeated itself to the bit."""
     heading_t: Annotated[Vector, 3]
-    """When each :class:`~.measurements.HeadingSource` spoke last, ns."""
+    """When each :class:`~.measurements.HeadingSource` was last received, ns."""
     mag_t: Real
     """When an undisturbed field was seen last, ns."""
     strength_t: Real
@@ -288,9 +288,9 @@ class State:
     strength: Real
     """Mean strength of the measured field, gauss."""
     raw_fix_t: Real
-    """When the receiver itself spoke last, ns."""
+    """When the receiver itself was last received, ns."""
     fake_t: Real
-    """When zero velocity was last assumed for want of a receiver, ns."""
+    """When zero velocity was last assumed without GNSS, ns."""
     at_rest: Real
     rest_gyro: Real
     """Variance of the rate at rest, all axes together, learnt at the start; 0: not seen yet."""
@@ -299,7 +299,7 @@ class State:
     gaps: Real
     """Inertial gaps so far."""
     restored_t: Real
-    """When a good state was last put in the place of one that cannot be, ns."""
+    """When an unsound state was last replaced by an earlier one, ns."""
     used_t: Annotated[Vector, AIDS]
     """When each aid was last fused, ns."""
     refused_t: Annotated[Vector, AIDS]

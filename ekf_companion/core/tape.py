@@ -1,4 +1,4 @@
-"""What the filter did, record by record, for who goes back over it.
+"""The tape: a record of each step of the filter, for the smoother.
 
 The step finds the tape in its scratch memory, if there is one. A record is the state after
 something happened, and how its error follows from that before (:class:`~.enums.Link`).

@@ -1,4 +1,4 @@
-"""The order of time: events take the place where they were true, whenever they arrive.
+"""Time order: events are processed at their times of validity, whenever they arrive.
 
 A window of the last seconds is kept as sorted rows, with snapshots of the state between them.
 A late event goes back to the snapshot before it and all that came after is run again; so the state
@@ -44,7 +44,7 @@ COMPILED_BLOCK = BLOCK
 
 
 class Timeline:
-    """The estimator over time: put events in, as they come, and read the state of now.
+    """The estimator over time: insert events as they arrive, and read the current state.
 
     To read: ``epoch_ns``, what the times in the state count from; ``stamp_ns``, the stamp of the
     newest inertial sample; ``reruns``, how often a late event made the filter go back.
@@ -137,7 +137,7 @@ class Timeline:
         self.stretch += 1
 
     def set_clock(self, t_ns: int) -> None:
-        """Go on by a clock that was set: its first inertial sample follows the newest of the old.
+        """Continue on a clock that was set: its first inertial sample follows the last of the old.
 
         How long there was between the two nobody knows; it is taken for the usual interval. What
         was heard by the old clock stays as it is, and no event goes behind it.
@@ -214,7 +214,7 @@ class Timeline:
         return result
 
     def place(self, t_ns: int, kind: int, values: Vector) -> int:
-        """Put a sane event in its place in time, and redo what came after it."""
+        """Insert a well-formed event at its time, and rerun what came after it."""
         is_bridge = cython.declare(cython.bint, False)
         if not self.has_epoch:
             # the same whichever event comes first, and near enough for exact doubles
@@ -309,7 +309,7 @@ class Timeline:
                 self.snaps += 1
 
     def trim(self) -> None:
-        """Drop the rows that no event in the window can go behind, or else what hurts least."""
+        """Drop the rows older than the window; if there is no room, what matters least."""
         base = 0
         first = 0
         for i in range(1, self.snaps):
@@ -429,7 +429,7 @@ class Timeline:
 
     @property
     def resets(self) -> int:
-        """How often the state has jumped on purpose."""
+        """How often the state was reset."""
         return int(self.x.resets)
 
     @property

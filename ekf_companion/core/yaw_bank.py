@@ -1,4 +1,4 @@
-"""Heading without a compass: what the inertial sensor felt, laid beside what GNSS saw.
+"""Heading without a compass, from specific force and GNSS velocity.
 
 The bank carries an attitude of its own into a frame s that is level, give or take a small tilt, and
 points anywhere; between two fixes it sums the specific force in s. Eight small filters, spread
@@ -35,28 +35,28 @@ LEAST_CHANGE = cython.declare(cython.double, 1.0)
 MEAN_TIME = cython.declare(cython.double, 10.0)
 """s; memory of the mean velocity that the change is counted from."""
 LEAST_WEIGHT = cython.declare(cython.double, 1e-6)
-"""Least weight of a filter: none dies."""
+"""Least weight of a filter."""
 LARGEST_SCORE = cython.declare(cython.double, 18.0)
 """Normalised innovation squared, of 2 degrees, less twice the logarithm of the weight, with which
 even the best filter refuses a fix: an unlikely one must not take up what is wild."""
 MOST_EVIDENCE = cython.declare(cython.double, 4.0)
 """Largest difference of the logarithms of likelihood that one fix can make."""
 PATIENCE = cython.declare(cython.double, 20.0)
-"""More fixes refused than believed after which the bank begins anew."""
+"""Refused less accepted fixes after which the bank begins anew."""
 FIRST_PATIENCE = cython.declare(cython.double, 4.0)
-"""The same while it has believed none: the first fix, which it began at, may be the wrong one."""
+"""The same before one was accepted: the first fix, which it began at, may be wrong."""
 LARGEST_VAR = cython.declare(cython.double, 4.0)
-"""Variance of the velocity, (m/s)^2, beyond which it is the bank that must be wrong."""
+"""Variance of the velocity beyond which the bank begins anew, (m/s)^2."""
 LONGEST = cython.declare(cython.double, 30.0)
 """s without a fix after which the bank begins anew."""
 VAGUE_VAR = cython.declare(cython.double, 0.16)
 """Variance of the likeliest filter, rad^2, beyond which all are spread anew."""
 NARROW_STD = cython.declare(cython.double, 0.17453292519943295)
-"""One sigma of a heading that is good for something, rad: 10 degrees."""
+"""One sigma up to which a heading is usable, rad: 10 degrees."""
 
 
 def restart(b: YawBank, k: Parameters) -> None:
-    """Forget all but the account of the main filter."""
+    """Reset all but the counts of the main filter."""
     for i in range(3):
         b.gyro_bias[i] = 0.0
     b.gyro_bias_std = k.gyro_bias_std
@@ -64,7 +64,7 @@ def restart(b: YawBank, k: Parameters) -> None:
 
 
 def take_bias(x: State, std: float) -> None:
-    """Take the main filter's gyro bias, which rest has just shown; one sigma in rad/s."""
+    """Adopt the main filter's gyro bias, just measured at rest; one sigma in rad/s."""
     b = address(x.yaw_bank)
     b.gyro_bias_std = std
     for i in range(3):
@@ -115,14 +115,14 @@ def start_filters(b: YawBank, k: Parameters, u: YawUpdate, variance: float) -> N
 
 
 def spread_filters(b: YawBank, yaw: float) -> None:
-    """Spread the filters evenly over the circle, one of them here, and all alike likely."""
+    """Spread the filters evenly over the circle, one of them here, with equal weights."""
     for n in range(YAW_FILTERS):
         b.filter[n].weight = 1.0 / YAW_FILTERS
         yaw_filter.set_state(address(b.filter[n]), 2, wrap(yaw + n * YAW_STEP), YAW_STD * YAW_STD)
 
 
 def update_filters(x: State, k: Parameters, u: YawUpdate, stated: float) -> bool:
-    """Carry all filters to now, weigh and correct them; return whether any believes the fix."""
+    """Predict, weigh and correct all filters; return whether any accepts the fix."""
     b = address(x.yaw_bank)
     best = 0
     least = 1e30
@@ -192,7 +192,7 @@ def variance_about(b: YawBank, i: int, mean: float) -> float:
 
 
 def merge_filters(b: YawBank) -> None:
-    """Put the mean tilt and bias into the frame itself, and the mean yaw into the bank."""
+    """Move the mean tilt and bias into the frame itself, and the mean yaw into the bank."""
     s = 0.0
     c = 0.0
     for n in range(YAW_FILTERS):

@@ -1,4 +1,4 @@
-"""One small filter of the bank: what if the bank's frame s pointed there?
+"""One filter of the yaw bank: a hypothesis of the yaw of the bank's frame s.
 
 Its state is the velocity (north, east), the yaw psi of s against north, the tilt phi of s about
 its axes x and y, the error b of the bank's gyro bias, and how much later than its stamp a fix is,
@@ -36,7 +36,7 @@ YAW_WALK = cython.declare(cython.double, 1e-2)
 def start(
     f: YawFilter, vn: float, ve: float, variance: float, bias_std: float, delay_std: float
 ) -> None:
-    """Begin at a velocity of this variance, level give or take."""
+    """Begin at a velocity of this variance, level within TILT_STD."""
     f.weight = 0.0
     for i in range(YAW_N):
         f.x[i] = 0.0

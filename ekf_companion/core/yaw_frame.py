@@ -23,17 +23,17 @@ MEMORY = cython.declare(cython.double, 2.0)
 SMALL_TURN = cython.declare(cython.double, 0.04)
 """Square of a turn, rad^2, up to which the short series is exact to 1e-8."""
 SMOOTH = cython.declare(cython.double, 0.05)
-"""s; memory of the acceleration that a late fix has yet to see."""
+"""s; time constant of the acceleration that corrects for the delay of a fix."""
 LARGEST_RATE = cython.declare(cython.double, 20.0)
-"""rad/s; beyond it a gyro is near its end, and so is the frame that hangs on it."""
+"""rad/s; beyond it a gyro is near its range, and the frame that it carries is lost."""
 LARGEST_FORCE = cython.declare(cython.double, 60.0)
-"""m/s^2; a blow, as of the ground."""
+"""m/s^2; beyond it is a shock, as of a touchdown."""
 UNKNOWN_STD = cython.declare(cython.double, 3.14)
-"""Of a yaw of which nothing is known, rad; any large number."""
+"""One sigma of an unknown yaw, rad; any large number."""
 
 
 def restart(b: YawBank) -> None:
-    """Forget all but the gyro's bias, after a gap or a blow: sum the force to find up again."""
+    """Reset all but the gyro bias after a gap or a shock: sum the force to level again."""
     b.is_running = 0.0
     for i in range(4):
         b.q_sb[i] = 0.0
@@ -63,7 +63,7 @@ def restart_sums(b: YawBank) -> None:
 def integrate(b: YawBank, m: Motion, dt: float) -> None:
     """Carry the frame's attitude, and the sums of force and turn in s, over dt (s) at ``m.rate``.
 
-    A blow makes it begin anew.
+    A shock makes it begin anew.
     """
     gx = m.rate[0]
     gy = m.rate[1]

@@ -1,4 +1,4 @@
-"""When the bank's heading is used: to begin with, or against a main filter that is wrong.
+"""Use of the bank's heading: to start with, or to reset a main filter that is wrong.
 
 The main filter may have begun by a compass that lies by 180 degrees, or have been led astray by one
 in flight. Then it foretells velocities that the receiver contradicts, and the bank knows better. It
@@ -20,15 +20,15 @@ ENOUGH = cython.declare(cython.double, 5.0)
 FAILING_NIS = cython.declare(cython.double, 4.0)
 """Mean normalised innovation squared, per degree, of velocities that contradict the filter."""
 LARGEST_NIS = cython.declare(cython.double, 20.0)
-"""What one fix can add to that mean."""
+"""Largest contribution of one fix to that mean."""
 FAIL_TIME = cython.declare(cython.double, 1e9)
-"""So long they must, ns; memory of the mean, too."""
+"""Least duration of the contradiction, and time constant of the mean, ns."""
 FAIR_STD = cython.declare(cython.double, 0.5)
 """Largest stated sigma of velocities that may contradict it, m/s."""
 LEAST_ERROR = cython.declare(cython.double, 0.2617993877991494)
-"""Smallest error of its yaw that is put right, rad: 15 degrees."""
+"""Smallest error of the main yaw that is corrected, rad: 15 degrees."""
 UNKNOWN_STD = cython.declare(cython.double, 1.8137993642342178)
-"""One sigma of an angle of which nothing is known: pi / sqrt(3), rad."""
+"""One sigma of an unknown angle: pi / sqrt(3), rad."""
 MOST_REPAIRS = cython.declare(cython.double, 3.0)
 BETWEEN_REPAIRS = cython.declare(cython.double, 5e9)
 """Least time between two of them, ns."""
@@ -62,7 +62,7 @@ def yaw_error(x: State) -> float:
 
 
 def agrees(x: State) -> bool:
-    """Return whether the bank has a heading, and it is the filter's."""
+    """Return whether the bank has a heading that agrees with the filter's."""
     return is_ready(x) and fabs(yaw_error(x)) <= 3.0 * x.yaw_bank.yaw_std
 
 
@@ -103,7 +103,7 @@ def take_attitude(x: State) -> None:
 
 
 def note_repair(x: State) -> None:
-    """Keep the account of a repair."""
+    """Count a yaw reset by the bank."""
     b = address(x.yaw_bank)
     b.nis = 0.0
     b.failing_t = x.t
@@ -112,7 +112,7 @@ def note_repair(x: State) -> None:
 
 
 def slow_error(x: State, stated: float) -> float:
-    """Return one sigma of a compass's slow error, rad: of one that lies, as much as it is wrong."""
+    """Return one sigma of a compass's slow error, rad; of a wrong one its error."""
     error = fabs(wrap(x.heading_offset))
     x.heading_offset = wrap(x.heading_offset)
     if error < LEAST_ERROR or error < stated:
