@@ -19,9 +19,6 @@ LAT, LON, DECLINATION, FLAGS, FIELD = 0, 1, 9, 10, 11
 """Where a GNSS row holds them (nav.measurements.GnssFix.row)."""
 
 
-_IMU = int(Kind.IMU)
-
-
 class Field:
     """Adds the Earth's field to fixes and removes hard and soft iron, before any filter."""
 
@@ -33,8 +30,6 @@ class Field:
     def complete(self, row: Row) -> Row:
         """Add the Earth's field to a fix; remove the vehicle's own from a magnetometer's."""
         t_ns, kind, values = row
-        if kind == _IMU:
-            return row
         if kind == Kind.MAG and self._has_iron:
             return t_ns, kind, (*self._bare(*values[:3]), *values[3:])
         if kind != Kind.GNSS or not math.isnan(values[DECLINATION]):
