@@ -173,19 +173,13 @@ def level_at_rest(x: State, k: Parameters, w: Scratch) -> None:
     for i in range(3):
         mean = rest.gyro[i] / n
         var_gyro += rest.gyro2[i] / n - mean * mean
-        x.gyro_bias[i] = mean
         mean = rest.accel[i] / n
         var_accel += rest.accel2[i] / n - mean * mean
     level_by_window(x, w)
     # Equal samples have no variance, but rounding may leave it below zero
-    var_gyro = var_gyro if var_gyro > 0.0 else 0.0
-    var_accel = var_accel if var_accel > 0.0 else 0.0
-    x.rest_gyro = var_gyro
-    x.rest_accel = var_accel
-    # of the mean; the gyro also sees the Earth turn, whose direction is not known yet
-    var_gyro = sqrt(var_gyro / n + 1e-8)
-    var_accel = sqrt(var_accel / n) / k.gravity + 1e-3
-    start_filter(x, k, w, var_accel, var_gyro + 2e-4)
+    x.rest_gyro = var_gyro if var_gyro > 0.0 else 0.0
+    x.rest_accel = var_accel if var_accel > 0.0 else 0.0
+    start_filter(x, k, w, sqrt(x.rest_accel / n) / k.gravity + 1e-3, k.gyro_bias_std)
 
 
 def level_roughly(x: State, k: Parameters, w: Scratch) -> None:

@@ -8,6 +8,6 @@ cdef void position(State *x, Parameters *k, Fix *fix, Observation *o) noexcept n
 cdef void height(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
 cdef void velocity(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
 cdef void zero_velocity(State *x, Observation *o, double std) noexcept nogil
-cdef void zero_rate(State *x, Observation *o, double *rate, double std) noexcept nogil
+cdef void zero_rate(State *x, Observation *o, double *rate, double level, double vertical) noexcept nogil
 cdef bint azimuth(State *x, Observation *o, Reference *r) noexcept nogil
 cdef void pressure_altitude(State *x, Observation *o, double alt, double std) noexcept nogil

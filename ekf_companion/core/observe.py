@@ -144,12 +144,18 @@ def zero_velocity(x: State, o: Observation, std: float) -> None:
         o.H[i][E_VEL + i] = 1.0
 
 
-def zero_rate(x: State, o: Observation, rate: Vector, std: float) -> None:
-    """Observe that the gyro's rate at rest is its bias and the turning Earth: three rows."""
+def zero_rate(x: State, o: Observation, rate: Vector, level: float, vertical: float) -> None:
+    """Observe that the gyro's rate at rest is its bias and the turning Earth: three rows.
+
+    One sigma of the vehicle's own rate, and of noise, differs about level axes and the vertical.
+    """
     north = 0.0
     down = 0.0
-    clear(o, 3, std * std)
+    clear(o, 3, level * level)
     to_dcm(x.q_nb, o.C_nb)
+    for i in range(3):
+        for j in range(3):
+            o.R[i][j] += (vertical * vertical - level * level) * o.C_nb[2][i] * o.C_nb[2][j]
     if x.origin.is_known != 0.0:
         lat = x.origin.lat + x.pos_n[0] / x.origin.scale_n
         north = EARTH_RATE * cos(lat)

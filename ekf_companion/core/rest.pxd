@@ -9,4 +9,5 @@ cdef void check_rest(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef void use_rest_window(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef bint is_moving(State *x) noexcept nogil
 cdef void fuse_zero_velocity(State *x, Parameters *k, Scratch *w) noexcept nogil
+cdef void observe_rate(State *x, Parameters *k, Scratch *w, double hidden_turn) noexcept nogil
 cdef void fuse_no_travel(State *x, Scratch *w) noexcept nogil

@@ -35,6 +35,9 @@ REST_SPEED = cython.declare(cython.double, 0.05)
 """One sigma of the velocity at rest, m/s."""
 REST_RATE = cython.declare(cython.double, 1e-4)
 """One sigma of the rate at rest beside noise, rad/s: soft ground, wind."""
+HIDDEN_TURN = cython.declare(cython.double, 0.02)
+"""One sigma of a steady turn about the vertical that a window of rest cannot tell from the gyro's
+bias, rad/s; there is none only where the autopilot reports that it stands."""
 
 
 def begin_window(x: State, t: float) -> None:
@@ -131,7 +134,13 @@ def use_rest_window(x: State, k: Parameters, w: Scratch) -> None:
     if x.mode == MODE_LEVEL:
         if x.at_rest != 0.0:
             align.level_at_rest(x, k, w)
-            yaw_bank.take_bias(x, sqrt(x.P[E_BG][E_BG]))
+            observe_rate(x, k, w, HIDDEN_TURN)
+            innovate(x, address(w.observation))
+            apply_update(x, address(w.observation))
+            largest = x.P[E_BG][E_BG]
+            for i in range(E_BG + 1, E_BG + 3):
+                largest = x.P[i][i] if x.P[i][i] > largest else largest
+            yaw_bank.take_bias(x, sqrt(largest))
         elif x.t - x.alignment.start_t > ROUGH_AFTER and x.t - x.fix_t > ROUGH_AFTER:
             align.level_roughly(x, k, w)
     elif x.at_rest != 0.0 and k.use_rest != 0.0 and x.needs_reset == 0.0:
@@ -156,10 +165,12 @@ def is_moving(x: State) -> bool:
 def fuse_zero_velocity(x: State, k: Parameters, w: Scratch) -> None:
     """Fuse zero velocity, and the mean rate over the window as the gyro bias.
 
+    A turn that the first window has hidden is hidden in all others too: unless the autopilot
+    reports that it stands, they show nothing of the bias about the vertical.
+
     Only where a rest has been seen before, or the autopilot says that it has landed: so a first
     hover is not taken for one.
     """
-    rest = address(x.alignment.rest)
     o = address(w.observation)
     if not x.rest_gyro > 0.0 and x.landed != 1.0:
         return
@@ -169,14 +180,33 @@ def fuse_zero_velocity(x: State, k: Parameters, w: Scratch) -> None:
             return
         x.ground = x.pos_n[2]
         x.has_ground = 1.0
-    variance = 0.0
+    observe_rate(x, k, w, 1.0)
+    gate.fuse(x, k, o, AID_REST)
+
+
+def observe_rate(x: State, k: Parameters, w: Scratch, hidden_turn: float) -> None:
+    """Observe the mean rate of a window of rest, with one sigma of a turn about the vertical.
+
+    A turn about a level axis shows in the specific force: a tilt that changes steadily over the
+    window makes a twelfth of its change squared.
+    """
+    rest = address(x.alignment.rest)
+    noise = 0.0
+    var_accel = 0.0
     for i in range(3):
         w.mean_rate[i] = rest.gyro[i] / rest.n
-        variance += rest.gyro2[i] / rest.n - w.mean_rate[i] * w.mean_rate[i]
-    if variance < 0.0:
-        variance = 0.0
-    observe.zero_rate(x, o, w.mean_rate, sqrt(variance / rest.n) + REST_RATE)
-    gate.fuse(x, k, o, AID_REST)
+        noise += rest.gyro2[i] / rest.n - w.mean_rate[i] * w.mean_rate[i]
+        var_accel += rest.accel2[i] / rest.n - (rest.accel[i] / rest.n) * (rest.accel[i] / rest.n)
+    noise = sqrt(noise / rest.n) + REST_RATE if noise > 0.0 else REST_RATE
+    if x.landed == 1.0 or x.armed == 0.0:
+        observe.zero_rate(x, address(w.observation), w.mean_rate, noise, noise)
+        return
+    tilting = 0.0
+    if var_accel > 0.0:
+        tilting = sqrt(12.0 * var_accel) / (k.gravity * (x.t - rest.t0) * 1e-9)
+    if tilting > HIDDEN_TURN:
+        tilting = HIDDEN_TURN
+    observe.zero_rate(x, address(w.observation), w.mean_rate, noise + tilting, noise + hidden_turn)
 
 
 def fuse_no_travel(x: State, w: Scratch) -> None:
