@@ -215,7 +215,7 @@ def fly(scenario: str, personality: str, fault: str) -> Hashes:
 
 
 def listen(path: Path) -> Hashes:
-    """Give a companion the frames of a .tlog, at their recorded times."""
+    """Feed a companion the frames of a .tlog, at their recorded times."""
     peer = Watched(Config())
     next_ns = 0
     for stamp_us, frame in tlog.read(path).frames():

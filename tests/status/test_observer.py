@@ -190,7 +190,7 @@ def test_after_a_warm_restart_the_resets_are_those_of_this_run_each_under_its_re
 
 
 def later(flight, seconds):
-    """Give the part of a flight that begins so many seconds after its start."""
+    """Return the part of a flight that begins so many seconds after its start."""
     first = None
     for t_ns, data in flight:
         first = t_ns if first is None else first

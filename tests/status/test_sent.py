@@ -26,7 +26,7 @@ def odometries(data):
 
 @contextlib.contextmanager
 def wire():
-    """Give a line, and its other end, which nobody reads."""
+    """Return a line, and its other end, which nobody reads."""
     theirs, ours = os.openpty()
     tty.setraw(ours)
     os.set_blocking(theirs, False)
