@@ -12,7 +12,7 @@ from collections import Counter, deque
 from dataclasses import dataclass
 from typing import Any
 
-from ekf_companion.mavlink import encode
+from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.event import PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.outbox import Outbox
@@ -31,23 +31,6 @@ class TimesyncOptions:
     """Whether we ask."""
     largest_rtt_ms: float = 10.0
     """Longer round trips are refused; PX4's bound."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TimesyncQuality:
-    """How well the autopilot's clock is known."""
-
-    offset_ns: int | None
-    """The autopilot's clock less ours, at the newest answer; None: not locked."""
-    skew: float
-    """How much faster the autopilot's clock runs than ours, s/s; 0 until known."""
-    rtt_p50_ns: int | None
-    """Median round trip, slow ones included; None: nothing was answered."""
-    rtt_p95_ns: int | None
-    answers: int
-    """Good ones since the start or the last reboot."""
-    residual: float | None
-    """RMS distance of the answers that are used from the line through them, s; None: too few."""
 
 
 _FAST_NS = SECOND_NS // 10
@@ -110,17 +93,14 @@ class Timesync:
         return self._fit[2] if self._fit else 0.0
 
     @property
-    def quality(self) -> TimesyncQuality:
-        """How well the clocks have been compared."""
+    def residual_ns(self) -> float:
+        """RMS distance of the answers that are used from the line through them; NaN: too few."""
+        return self._residual_ns if self._fit else math.nan
+
+    def rtt_ns(self, percent: int) -> float:
+        """Return a percentile of the round trips, slow ones included; NaN: nothing was answered."""
         rtts = sorted(self._rtts)
-        return TimesyncQuality(
-            offset_ns=self._fit[1] if self._fit and self.is_locked else None,
-            skew=self.skew,
-            rtt_p50_ns=rtts[len(rtts) // 2] if rtts else None,
-            rtt_p95_ns=rtts[len(rtts) * 95 // 100] if rtts else None,
-            answers=self.answers,
-            residual=self._residual_ns * 1e-9 if math.isfinite(self._residual_ns) else None,
-        )
+        return rtts[len(rtts) * percent // 100] if rtts else math.nan
 
     def peer_ns(self, now_ns: int) -> int | None:
         """Return the autopilot's clock at a time of ours; None until locked."""
@@ -221,11 +201,11 @@ class TimesyncService(Service):
         self.handles = {"TIMESYNC": self._take}
         self._outbox = outbox
         self._timesync = timesync
-        self._target = (0, 0)
+        self._target: dict[str, int] = {}
 
     def begin(self, peer: PeerFound) -> None:
         """Forget what was learned of the autopilot's clock."""
-        self._target = (peer.system_id, peer.component_id)
+        self._target = peer.target
         self._timesync.reset()
 
     def tick(self, now_ns: int) -> None:
@@ -243,6 +223,5 @@ class TimesyncService(Service):
             self._send(tc1, message.ts1, now_ns)
 
     def _send(self, tc1: int, ts1: int, now_ns: int) -> None:
-        system_id, component_id = self._target
-        payload = encode.timesync(tc1, ts1, target_system=system_id, target_component=component_id)
+        payload = pack("TIMESYNC", tc1=tc1, ts1=ts1, **self._target)
         self._outbox.send("TIMESYNC", payload, now_ns)

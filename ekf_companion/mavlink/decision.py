@@ -48,22 +48,11 @@ class Slowed:
     """Hz; 0: not at all."""
 
 
-@dataclass(frozen=True, slots=True)
-class StreamState:
-    """Whether ODOMETRY is sent, all things considered: guard, clash of ids, commanded rate."""
-
-    is_streaming: bool
-    reason: str
-    """A sentence without its full stop."""
-    remedy: str = ""
-    """What to change; empty: nothing to change."""
-
-
-def streamed(reason: str, text: str, read: Mapping[str, float]) -> Decision:
+def streamed(
+    reason: str, read: Mapping[str, float], text: str = "ODOMETRY is streamed"
+) -> Decision:
     """Return the decision to send it."""
-    return Decision(
-        is_streaming=True, reason=reason, text=text or "ODOMETRY is streamed", parameters=read
-    )
+    return Decision(is_streaming=True, reason=reason, text=text, parameters=read)
 
 
 def withheld(
@@ -109,8 +98,8 @@ def shared(decision: Decision, other_id: int) -> Decision:
 
 def stream_state(
     decision: Decision, twin: tuple[int, int] | None, slowed: Slowed | None
-) -> StreamState:
-    """Return whether ODOMETRY is sent, and why.
+) -> Decision:
+    """Return the decision, all things considered: guard, clash of ids, commanded rate.
 
     Args:
         decision: The guard's.
@@ -118,17 +107,22 @@ def stream_state(
         slowed: Who has commanded a lower rate than the default; None: nobody has.
     """
     if twin is not None:
-        reason = f"somebody else speaks as system {twin[0]}, component {twin[1]}"
-        return StreamState(False, reason, "give one of us another link.component_id")
-    if decision.is_streaming and slowed is not None:
-        who = f"system {slowed.system_id}, component {slowed.component_id}"
-        is_on = slowed.rate > 0.0
-        return StreamState(
-            is_on,
-            f"{who} has commanded {slowed.rate:g} Hz" if is_on else f"{who} has switched it off",
-            "send SET_MESSAGE_INTERVAL of ODOMETRY with 0 for the rate by default",
+        return replace(
+            decision,
+            is_streaming=False,
+            reason=f"somebody else speaks as system {twin[0]}, component {twin[1]}",
+            remedy="give one of us another link.component_id",
         )
-    return StreamState(decision.is_streaming, decision.reason, decision.remedy)
+    if decision.is_streaming and slowed is not None:
+        is_on = slowed.rate > 0.0
+        did = f"commanded {slowed.rate:g} Hz" if is_on else "switched it off"
+        return replace(
+            decision,
+            is_streaming=is_on,
+            reason=f"system {slowed.system_id}, component {slowed.component_id} has {did}",
+            remedy="send SET_MESSAGE_INTERVAL of ODOMETRY with 0 for the rate by default",
+        )
+    return decision
 
 
 def says(name: str, value: float | None, meaning: str) -> str:

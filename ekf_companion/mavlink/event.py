@@ -17,6 +17,11 @@ class PeerFound:
     component_id: int
     family: Family
 
+    @property
+    def target(self) -> dict[str, int]:
+        """The fields that address a message to it."""
+        return {"target_system": self.system_id, "target_component": self.component_id}
+
 
 @dataclass(frozen=True, slots=True)
 class PeerLost:

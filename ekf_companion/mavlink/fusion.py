@@ -84,12 +84,12 @@ def _decide(
         return withheld("output.odometry.mode is never", "", "ODOMETRY is switched off", read)
     if mode == "always":
         reason = "output.odometry.mode is always: nothing guards against counting GNSS twice"
-        unguarded = streamed(reason, "ODOMETRY is streamed unguarded", read)
+        unguarded = streamed(reason, read, "ODOMETRY is streamed unguarded")
         return replace(unguarded, is_warning=True)
     if independent:
-        return streamed("our sensors are our own (output.odometry.independent)", "", read)
+        return streamed("our sensors are our own (output.odometry.independent)", read)
     if family is Family.UNKNOWN:
-        return streamed("who listens is neither PX4 nor ArduPilot", "", read)
+        return streamed("who listens is neither PX4 nor ArduPilot", read)
     if not is_complete and (unread := missing(family, parameters)):
         reason = f"the autopilot is being asked for {listed(unread)}"
         return replace(withheld(reason, "", "", read), is_settled=False)
@@ -152,13 +152,13 @@ def _by_px4(parameters: Parameters, read: Mapping[str, float]) -> Decision:
     vision = parameters[_VISION]
     ours = _bits(vision, _EV_BITS)
     if vision is None or not ours:
-        return streamed(says(_VISION, vision, "the autopilot fuses nothing of ours"), "", read)
+        return streamed(says(_VISION, vision, "the autopilot fuses nothing of ours"), read)
     if _GNSS not in parameters:
         return _unread((_GNSS,), read)
     theirs = _bits(parameters[_GNSS], _GNSS_BITS)
     if not theirs:
         reason = says(_GNSS, parameters[_GNSS], "the autopilot fuses ours, and no GNSS")
-        return streamed(reason, "", read)
+        return streamed(reason, read)
     return withheld(
         f"{_VISION} is {vision:g} and {_GNSS} is {parameters[_GNSS]:g}: the autopilot would fuse "
         f"our {listed(ours)} together with the {listed(theirs)} of the GNSS that is in it",
@@ -177,7 +177,7 @@ def _by_old_px4(read: Mapping[str, float]) -> Decision:
     theirs = _bits(mask, _AID_GNSS_BITS, {**_AID_EV_BITS, **_AID_OTHER_BITS})
     known = sum((*_AID_EV_BITS, *_AID_GNSS_BITS, *_AID_OTHER_BITS))
     if not ours:
-        return streamed(f"{_MASK} is {mask}: the autopilot fuses nothing of ours", "", read)
+        return streamed(f"{_MASK} is {mask}: the autopilot fuses nothing of ours", read)
     if theirs:
         lone, alone = mask & known & ~sum(_AID_GNSS_BITS), mask & known & ~sum(_AID_EV_BITS)
         return withheld(
@@ -200,7 +200,7 @@ def _by_old_px4(read: Mapping[str, float]) -> Decision:
             read,
             is_double=True,
         )
-    return streamed(f"{_MASK} is {mask}: the autopilot fuses ours, and no GNSS", "", read)
+    return streamed(f"{_MASK} is {mask}: the autopilot fuses ours, and no GNSS", read)
 
 
 # ArduPilot
@@ -209,7 +209,7 @@ def _by_old_px4(read: Mapping[str, float]) -> Decision:
 def _by_ardupilot(parameters: Parameters, read: Mapping[str, float]) -> Decision:
     if not parameters.get(_DRIVER, 1):
         reason = says(_DRIVER, parameters[_DRIVER], "the autopilot takes no ODOMETRY")
-        return streamed(reason, "", read)
+        return streamed(reason, read)
     unread = _unanswered(_ARDUPILOT, parameters)
     if unread:
         return _unread(unread, read)
@@ -223,8 +223,8 @@ def _by_ardupilot(parameters: Parameters, read: Mapping[str, float]) -> Decision
         if ours and theirs:
             return _double(own, ours, theirs, read)
     if not is_taken:
-        return streamed("no EK3_SRCn_* is 6: the autopilot fuses nothing of ours", "", read)
-    return streamed("the autopilot fuses ours, and no EK3_SRCn set has GNSS too", "", read)
+        return streamed("no EK3_SRCn_* is 6: the autopilot fuses nothing of ours", read)
+    return streamed("the autopilot fuses ours, and no EK3_SRCn set has GNSS too", read)
 
 
 def _double(

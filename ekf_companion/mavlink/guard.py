@@ -220,8 +220,7 @@ class Guard(Service):
             return
         payload = pack(
             "PARAM_REQUEST_READ",
-            target_system=self._peer.system_id,
-            target_component=self._peer.component_id,
+            **self._peer.target,
             param_id=name.encode(),
             param_index=-1,
         )

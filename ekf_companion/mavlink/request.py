@@ -161,14 +161,12 @@ class Requests(Service):
             self._fall_back(self._peer, now_ns)
 
     def _send(self, request: _Request, peer: PeerFound, now_ns: int) -> None:
-        target = {"target_system": peer.system_id, "target_component": peer.component_id}
-        message_id, confirmation = IDS[request.name], request.sent
-        if request.rate is None:
-            payload = encode.request_message(message_id, confirmation=confirmation, **target)
-        else:
-            payload = encode.set_message_interval(
-                message_id, request.rate, confirmation=confirmation, **target
-            )
+        payload = encode.request_message(
+            IDS[request.name],
+            request.rate,
+            **peer.target,
+            confirmation=request.sent,
+        )
         request.first_ns = request.first_ns if request.sent else now_ns
         request.sent, request.last_ns = request.sent + 1, now_ns
         request.deadline_ns = now_ns + self._timeout_ns
@@ -186,9 +184,7 @@ class Requests(Service):
             if result == ACCEPTED:
                 groups.pop(_GROUPS.get(name, 0), None)
         for group, rate in groups.items():
-            payload = encode.request_data_stream(
-                group, rate, target_system=peer.system_id, target_component=peer.component_id
-            )
+            payload = encode.request_data_stream(group, rate, **peer.target)
             self._outbox.send("REQUEST_DATA_STREAM", payload, now_ns)
 
     def _rate(self, name: str) -> float:

@@ -21,7 +21,7 @@ from ekf_companion.mavlink.clash import ClashWatch
 from ekf_companion.mavlink.clock import Timesync, TimesyncService
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
-from ekf_companion.mavlink.decision import StreamState, stream_state
+from ekf_companion.mavlink.decision import Decision, stream_state
 from ekf_companion.mavlink.decode import Decoder
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
@@ -288,7 +288,7 @@ class Session:
         return self.guard.decision.is_streaming and not self.clash.is_clash
 
     @property
-    def stream_state(self) -> StreamState:
+    def stream_state(self) -> Decision:
         """Whether ODOMETRY is sent, why, and what would change it."""
         twin = self.outbox.ids if self.clash.is_clash else None
         return stream_state(self.guard.decision, twin, self.commands.slowed_by("ODOMETRY"))

@@ -114,22 +114,18 @@ def requested_rates(session: Session) -> dict[str, float]:
 def time_state(timesync: Timesync, decoder: Decoder, now_ns: int) -> TimeState:
     """Return what is known of the autopilot's clock."""
     peer_ns = timesync.peer_ns(now_ns)
-    quality, base = timesync.quality, decoder.clock
+    base = decoder.clock
     return TimeState(
         base="unknown" if base.latest_us is None else "unix" if base.is_unix else "boot",
         is_locked=timesync.is_locked,
         offset_s=math.nan if peer_ns is None else (peer_ns - now_ns) * 1e-9,
         skew_ppm=timesync.skew * 1e6,
-        rtt_p50_ms=_ms(quality.rtt_p50_ns),
-        rtt_p95_ms=_ms(quality.rtt_p95_ns),
-        residual_us=math.nan if quality.residual is None else quality.residual * 1e6,
-        answers=quality.answers,
+        rtt_p50_ms=timesync.rtt_ns(50) * 1e-6,
+        rtt_p95_ms=timesync.rtt_ns(95) * 1e-6,
+        residual_us=timesync.residual_ns * 1e-9 * 1e6,
+        answers=timesync.answers,
         refused=dict(timesync.refused),
     )
-
-
-def _ms(ns: int | None) -> float:
-    return math.nan if ns is None else ns * 1e-6
 
 
 def frame_state(counters: Mapping[str, int]) -> FrameState:
