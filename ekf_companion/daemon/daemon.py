@@ -260,6 +260,7 @@ class Daemon:
         return {} if self._monitors is None else self._monitors.unsent
 
     def _write_checkpoint(self) -> None:
-        data = None if self._checkpoint is None else self._companion.checkpoint(read_clocks())
-        if self._checkpoint is not None and data is not None:
+        if self._checkpoint is None:
+            return
+        if (data := self._companion.checkpoint(read_clocks())) is not None:
             self._checkpoint.write(data)

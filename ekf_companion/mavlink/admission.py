@@ -62,8 +62,8 @@ class Admission:
         """Whether an admitted frame says who sent it as surely as is asked of all."""
         return self._signing is None or self._accept_unsigned or frame.is_signed
 
-    def refuse(self, frame: Frame, now_ns: int, *, is_beside_autopilot: bool = False) -> str | None:
-        """Count and return the reason why a frame is not let in; None if it is.
+    def refuse(self, frame: Frame, now_ns: int, *, is_beside_autopilot: bool = False) -> str:
+        """Count and return the reason why a frame is not let in; empty if it is.
 
         Args:
             frame: With a right checksum.
@@ -72,11 +72,10 @@ class Admission:
         """
         reason = self._judge(frame, now_ns)
         if reason == UNSIGNED and is_beside_autopilot and self._is_of_radio(frame, now_ns):
-            reason = ""
+            return ""
         if reason:
             self.refused[reason] += 1
-            return reason
-        return None
+        return reason
 
     def _judge(self, frame: Frame, now_ns: int) -> str:
         if self._systems and frame.system_id not in self._systems:

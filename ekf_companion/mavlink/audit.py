@@ -43,12 +43,15 @@ class Audit(Service):
     def __init__(self, received: Counter[int], requests: Requests, emit: Emit) -> None:
         self.rates: dict[str, float] = {}
         """Of each message of the autopilot over the last five seconds, Hz."""
-        self.causes: dict[str, str] = {}
-        """Probable causes by message, where one comes too rarely however often it is requested."""
         self._received = received
         self._requests = requests
         self._emit = emit
-        self._family = Family.UNKNOWN
+        self._begin(Family.UNKNOWN)
+
+    def _begin(self, family: Family) -> None:
+        self._family = family
+        self.causes: dict[str, str] = {}
+        """Probable causes by message, where one comes too rarely however often it is requested."""
         self._steps: deque[tuple[int, dict[int, int]]] = deque(maxlen=_STEPS + 1)
         self._settled = 0
         self._tries: Counter[str] = Counter()
@@ -56,12 +59,7 @@ class Audit(Service):
 
     def begin(self, peer: PeerFound) -> None:
         """Measure anew."""
-        self._family = peer.family
-        self._steps.clear()
-        self._settled = 0
-        self._tries.clear()
-        self.causes.clear()
-        self._next_ns.clear()
+        self._begin(peer.family)
 
     def tick(self, now_ns: int) -> None:
         """Count once a second; judge the rates five seconds after the last request."""

@@ -5,7 +5,6 @@ Source: mavlink.io, Command Protocol; guide/message_rates.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -215,17 +214,12 @@ class Commands(Service):
             self._commanded.pop(name, None)
         elif interval_us == -1.0:
             self._commanded[name] = _CommandedRate(0.0, commander)
-        elif not stream.smallest <= (rate := _rate(interval_us)) <= stream.largest:
-            return Result.DENIED
+        elif interval_us > 0.0 and stream.smallest <= 1e6 / interval_us <= stream.largest:
+            self._commanded[name] = _CommandedRate(1e6 / interval_us, commander)
         else:
-            self._commanded[name] = _CommandedRate(rate, commander)
+            return Result.DENIED
         self._emit(IntervalSet(name, self.rate(name)))
         return Result.ACCEPTED
-
-
-def _rate(interval_us: float) -> float:
-    """Return the rate of an interval, Hz; NaN where there is none."""
-    return 1e6 / interval_us if interval_us > 0.0 else math.nan
 
 
 def _whole(number: float) -> int:

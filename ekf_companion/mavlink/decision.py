@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,7 +17,7 @@ class Decision:
     """Which parameter to set to what; empty: nothing to change."""
     text: str = ""
     """Reason and remedy for the pilot, short enough for one STATUSTEXT with our name before it."""
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, float] = field(default_factory=dict)
     """The autopilot's parameters that decide, as read."""
     is_warning: bool = False
     """Whether a human should look."""
@@ -48,23 +48,18 @@ class Slowed:
     """Hz; 0: not at all."""
 
 
-def streamed(
-    reason: str, read: Mapping[str, float], text: str = "ODOMETRY is streamed"
-) -> Decision:
+def streamed(reason: str, text: str = "ODOMETRY is streamed") -> Decision:
     """Return the decision to send it."""
-    return Decision(is_streaming=True, reason=reason, text=text, parameters=read)
+    return Decision(is_streaming=True, reason=reason, text=text)
 
 
-def withheld(
-    reason: str, remedy: str, text: str, read: Mapping[str, float], *, is_double: bool = False
-) -> Decision:
+def withheld(reason: str, remedy: str = "", text: str = "", *, is_double: bool = False) -> Decision:
     """Return the decision to withhold it: a warning where something can be done about it."""
     return Decision(
         is_streaming=False,
         reason=reason,
         remedy=remedy,
         text=text,
-        parameters=read,
         is_warning=bool(remedy),
         is_double=is_double,
     )

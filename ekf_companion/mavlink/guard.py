@@ -95,11 +95,16 @@ class Guard(Service):
         self._outbox = outbox
         self._emit = emit
         self._refuse_ours = refuse_ours
+        self._forget()
+        self._other_id: int | None = None
+        self._last: tuple[bool, str, str] | None = None
+        self.decision: Decision = self._nobody()
+
+    def _forget(self) -> None:
         self._peer: PeerFound | None = None
         self._answers: dict[str, float | None] = {}
         self._requests: dict[str, _Request] = {}
-        self._turn = 0
-        self._next_ns = 0
+        self._turn = self._next_ns = 0
         self.is_waiting = False
         """Whether answers that decide are waited for; ``on_frame`` must then be called."""
         self._learned_ns: int | None = None
@@ -108,14 +113,6 @@ class Guard(Service):
         self._answered_ns: int | None = None
         self._unanswered = 0
         self._is_silent = False
-        self._other_id: int | None = None
-        self._last: tuple[bool, str, str] | None = None
-        self.decision: Decision = self._nobody()
-
-    @property
-    def is_streaming(self) -> bool:
-        """Whether ODOMETRY may be sent now."""
-        return self.decision.is_streaming
 
     # What changes
 
@@ -268,24 +265,10 @@ class Guard(Service):
             self._last = shown
             self._emit(GuardChanged(decision))
 
-    def _forget(self) -> None:
-        self._peer = None
-        self._answers.clear()
-        self._requests.clear()
-        self._turn = 0
-        self._next_ns = 0
-        self.is_waiting, self._learned_ns, self._is_given_up = False, None, False
-        self._answered_ns, self._unanswered, self._is_silent = None, 0, False
-
     def _nobody(self) -> Decision:
         options = self.options
         if options.mode == "auto":
-            return Decision(
-                is_streaming=False,
-                reason="no autopilot is heard",
-                parameters={},
-                is_settled=False,
-            )
+            return Decision(is_streaming=False, reason="no autopilot is heard", is_settled=False)
         return decide(Family.UNKNOWN, {}, options.mode, options.independent)
 
 

@@ -18,7 +18,6 @@ from ekf_companion.status.snapshot import (
     MessageState,
     OutputState,
     PeerState,
-    ReloadState,
     TimeState,
 )
 
@@ -91,15 +90,10 @@ def imu_state(decoder: Decoder, messages: Mapping[str, MessageState]) -> ImuStat
     message = messages.get(decoder.imu_source)
     return ImuState(
         message=decoder.imu_source,
-        instance=decoder.imu_instance,
+        instance=decoder.inertial.instance,
         rate=0.0 if message is None else message.rate,
-        is_dejittered=decoder.is_dejittered,
+        is_dejittered=decoder.inertial.is_dejittered,
     )
-
-
-def reload_state(companion: Companion) -> ReloadState:
-    """Return how often the configuration was reloaded, and the result of the last time."""
-    return ReloadState(count=companion.reloads, words=companion.last_reload)
 
 
 def requested_rates(session: Session) -> dict[str, float]:
@@ -128,8 +122,9 @@ def time_state(timesync: Timesync, decoder: Decoder, now_ns: int) -> TimeState:
     )
 
 
-def frame_state(counters: Mapping[str, int]) -> FrameState:
-    """Return what the bytes were, out of ``Session.counters``."""
+def frame_state(session: Session) -> FrameState:
+    """Return what the bytes were."""
+    counters = session.counters()
     return FrameState(
         frames=counters["frames"],
         bad_crc=counters["bad_crc"],
@@ -140,18 +135,9 @@ def frame_state(counters: Mapping[str, int]) -> FrameState:
         late=counters["late"],
         duplicates=counters["duplicate"],
         signed=counters["signed"],
-        refused=with_prefix(counters, "not admitted: "),
-        ignored=with_prefix(counters, "ignored: "),
+        refused=dict(session.admission.refused),
+        ignored=dict(session.ignored),
     )
-
-
-def with_prefix(counters: Mapping[str, int], prefix: str) -> dict[str, int]:
-    """Return the counters whose names begin with a prefix, without it."""
-    return {
-        name.removeprefix(prefix): count
-        for name, count in counters.items()
-        if name.startswith(prefix)
-    }
 
 
 def seconds_since(since_ns: int | None, now_ns: int) -> float:

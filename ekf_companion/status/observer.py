@@ -30,16 +30,20 @@ from ekf_companion.status.collect import (
     link_state,
     output_state,
     peer_state,
-    reload_state,
     requested_rates,
     seconds_since,
     time_state,
-    with_prefix,
 )
 from ekf_companion.status.host import Host
 from ekf_companion.status.judge import judge
 from ekf_companion.status.progress import BARREN_S, Progress
-from ekf_companion.status.snapshot import MessageState, OutputState, ProcessState, Snapshot
+from ekf_companion.status.snapshot import (
+    MessageState,
+    OutputState,
+    ProcessState,
+    ReloadState,
+    Snapshot,
+)
 from ekf_companion.version import __version__
 
 BUCKETS_MS = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -285,15 +289,15 @@ class Observer:
         self._note_changes(now_ns)
         now = self._counters(now_ns)
         first = self._history[0] if self._history else now
-        pipeline, counters = self._companion.pipeline, session.counters()
+        pipeline = self._companion.pipeline
         messages = self._messages(now, first)
         return Snapshot(
             unix_ns=now_ns,
             link=link_state(self._link, seconds_since(self._heard_ns, now_ns)),
-            frames=frame_state(counters),
+            frames=frame_state(session),
             peer=None if self._peer is None else peer_state(self._companion, self._peer, now_ns),
             messages=messages,
-            refused=with_prefix(counters, "refused: "),
+            refused=session.refused,
             imu=imu_state(session.decoder, messages),
             time=time_state(session.timesync, session.decoder, now_ns),
             estimator=None
@@ -305,7 +309,7 @@ class Observer:
             sample_age_s=seconds_since(self._sampled_ns, now_ns),
             resets=dict(self._resets),
             tuned=self._companion.tuning.changed,
-            reload=reload_state(self._companion),
+            reload=ReloadState(count=self._companion.reloads, words=self._companion.last_reload),
         )
 
     def _messages(self, now: _Counters, first: _Counters) -> dict[str, MessageState]:

@@ -53,11 +53,6 @@ class Inertial:
         if self._context.options.is_dejittered and (is_ms or is_sent):
             self._dejitter = Dejitter(_MILLISECOND_US if is_ms else 1)
 
-    def prefer(self, rank: int) -> None:
-        """Use the source of this rank at once: better ones are known to be silent."""
-        self.sources.use(rank)
-        self.begin_stream()
-
     @property
     def is_dejittered(self) -> bool:
         """Whether stamps are being corrected."""
