@@ -243,7 +243,7 @@ class Daemon:
         if self._monitors is not None:
             self._monitors.send_due(self._companion, now_ns)
         if self._recorder is not None:
-            self._recorder.write(self._companion.session.take_record())
+            self._recorder.write(self._companion.session.outbox.take_record())
         self._observer.tick(now_ns)
 
     def _on_sent(self, waited_ns: int) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from ekf_companion.link.address import DATAGRAMS, Address, Kind, parse_peer, parse_url
+from ekf_companion.link.address import DATAGRAMS, Address, Kind, parse_peer
 from ekf_companion.link.backlog import Backlog, Waiting
 from ekf_companion.link.peers import Peers, Sender
 from ekf_companion.link.port import Port, SerialPort, TcpPort, open_server, open_tcp, open_udp
@@ -52,13 +52,33 @@ class Link:
         self,
         address: Address,
         *,
+        peer: str = "",
         clock: Callable[[], int] = time.monotonic_ns,
         on_state: Callable[[bool], None] | None = None,
         on_read: Callable[[Received], None] | None = None,
         on_sent: Callable[[int], None] | None = None,
         peers: Peers | None = None,
     ) -> None:
-        self.address = address
+        """Make ready; it opens when ``run`` is awaited.
+
+        Args:
+            address: See ``parse_url``.
+            peer: Where datagrams must come from, see ``parse_peer``; empty: anywhere.
+            clock: Returns the time, ns, for the stamps of what is read.
+            on_state: Called with True when the link has opened and with False when it is closed.
+            on_read: Called with what is read, at once, in place of ``receive``; an exception from
+                it ends ``run``.
+            on_sent: Called when a replaceable message has been written whole, with the time for
+                which it waited for room, ns.
+            peers: The senders to accept, which the caller pins; if None, everybody is accepted, and
+                the last sender is answered.
+
+        Raises:
+            LinkError: ``peer`` is not an address.
+        """
+        if address.warning:
+            _log.warning("%s", address.warning)
+        self.address = replace(address, peer=parse_peer(peer, address))
         self.peers = peers or Peers(is_pinning=False)
         """Whose datagrams are accepted; others are counted there."""
         self.dropped = 0
@@ -321,42 +341,6 @@ class Link:
         if stream is None:
             stream, _ = await asyncio.get_running_loop().sock_accept(self._server)
         return TcpPort(stream)
-
-
-def open_link(
-    url: str,
-    *,
-    peer: str = "",
-    clock: Callable[[], int] = time.monotonic_ns,
-    on_state: Callable[[bool], None] | None = None,
-    on_read: Callable[[Received], None] | None = None,
-    on_sent: Callable[[int], None] | None = None,
-    peers: Peers | None = None,
-) -> Link:
-    """Return the link that a URL names; it opens when ``run`` is awaited.
-
-    Args:
-        url: See ``parse_url``.
-        peer: Where datagrams must come from, see ``parse_peer``; empty: anywhere.
-        clock: Returns the time, ns, for the stamps of what is read.
-        on_state: Called with True when the link has opened and with False when it is closed.
-        on_read: Called with what is read, at once, in place of ``receive``; an exception from it
-            ends ``run``.
-        on_sent: Called when a replaceable message has been written whole, with the time for which
-            it waited for room, ns.
-        peers: The senders to accept, which the caller pins; if None, everybody is accepted, and the
-            last sender is answered.
-
-    Raises:
-        LinkError: The URL names no link, or ``peer`` is not an address.
-    """
-    address = parse_url(url)
-    address = replace(address, peer=parse_peer(peer, address))
-    if address.warning:
-        _log.warning("%s", address.warning)
-    return Link(
-        address, clock=clock, on_state=on_state, on_read=on_read, on_sent=on_sent, peers=peers
-    )
 
 
 def _sentence(error: OSError) -> str:

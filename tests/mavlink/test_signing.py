@@ -265,7 +265,7 @@ def test_a_secret_that_is_sent_over_the_link_is_not_recorded():
     data = Sender(255, 190).message("SETUP_SIGNING", target_system=1, secret_key=tuple(secret))
     assert secret in data
     session.receive(data, NOW_NS)
-    assert session.take_record() == []
+    assert session.outbox.take_record() == []
     assert session.admission.refused == {SECRET: 1}
 
 
@@ -284,7 +284,7 @@ def test_a_session_with_a_key_hears_its_autopilot_alone_and_signs_its_answers_ru
     assert len(sent) > 2
     assert all(theirs.decode(bytearray(data)).get_signed() for data in sent)
     # A stranger does not speak in a replay either, which knows no key
-    assert [data for _, data in session.take_record()] == [genuine, *sent]
+    assert [data for _, data in session.outbox.take_record()] == [genuine, *sent]
 
 
 def test_the_unfinished_frame_of_one_sender_is_not_cut_by_another():
