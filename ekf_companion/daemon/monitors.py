@@ -28,19 +28,15 @@ class Monitors:
     """The monitors of one configuration."""
 
     def __init__(self, config: Config, autopilot: Link, signing: Signing | None) -> None:
-        """Make ready.
+        """Make ready the ``links`` to all that ``output.monitors`` names, to be run.
 
-        Args:
-            config: Its ``output.monitors`` names them.
-            autopilot: The link to the autopilot; no monitor may be at its address.
-            signing: Signs the frames; None: nothing is signed.
+        No monitor may be at the address of the autopilot's link.
 
         Raises:
             LinkError: An address names no listener.
         """
         monitors = config.output.monitors
         self.links = [Link(parse_monitor(url, autopilot.address)) for url in monitors]
-        """To be run."""
         self._autopilot = autopilot
         self._sender = Sender(1, config.link.component_id, signing)
         self._heartbeat = Due(1.0)
@@ -49,9 +45,8 @@ class Monitors:
         self._publisher: Publisher | None = None
         self._has_complained = False
 
-    @property
     def unsent(self) -> dict[str, int]:
-        """Datagrams that found no listener, by address."""
+        """Return how many datagrams found no listener, by its address."""
         return {str(link.address): link.unsent for link in self.links}
 
     def send_due(self, companion: Companion, now_ns: int) -> None:

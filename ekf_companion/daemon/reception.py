@@ -48,13 +48,10 @@ def open_reception(
 def deliver(
     received: Received, receive: Callable[[bytes, int, Any], object], session: Session, link: Link
 ) -> None:
-    """Pass on what was read, and pin or answer its sender by what the session makes of it.
+    """Pass on what was read, and pin or answer its sender by what the link's session makes of it.
 
-    Args:
-        received: Bytes, when they were read, and their sender.
-        receive: Called with the three, to pass them to the session.
-        session: The session of the link.
-        link: The link that they were read from.
+    ``receive`` is called with the bytes, when they were read, and their sender, to pass them to the
+    session.
     """
     data, now_ns, sender = received
     heard, believed = session.heard, session.believed

@@ -163,12 +163,10 @@ class Link:
             self._accepted_s = asyncio.get_running_loop().time()
 
     def send(self, data: bytes, *, is_replaceable: bool = False) -> None:
-        """Send a message now, or as soon as a stream has room; never waits.
+        """Send a whole message now, or as soon as a stream has room; never waits.
 
-        Args:
-            data: The message, whole.
-            is_replaceable: Whether the next of its kind makes it worthless: while the stream has no
-                room, only the newest such message waits, and not for long.
+        It is replaceable if the next of its kind makes it worthless: while the stream has no room,
+        only the newest such message waits, and not for long.
         """
         port = self._port
         if port is None:

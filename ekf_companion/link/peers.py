@@ -36,10 +36,8 @@ class Peers:
     def __init__(self, *, is_pinning: bool = True, is_signed: bool = False) -> None:
         """Begin without any.
 
-        Args:
-            is_pinning: Whether the caller calls ``pin`` and ``set_target``; if not, everybody is
-                accepted, and the last sender is answered.
-            is_signed: Whether the caller accepts signed frames only.
+        Pinning, the caller calls ``pin`` and ``set_target``; else everybody is accepted, and the
+        last sender is answered. ``is_signed`` is whether the caller accepts signed frames only.
         """
         self.target: Sender | None = None
         """Where to send."""

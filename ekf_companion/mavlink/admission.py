@@ -35,13 +35,9 @@ class Admission:
         signing: Signing | None = None,
         accept_unsigned: bool = False,
     ) -> None:
-        """Let in whom the configuration names.
+        """Let in these ids (empty: all), and with ``signing`` only frames whose signature is right.
 
-        Args:
-            systems: System ids; empty: all.
-            components: Component ids; empty: all.
-            signing: Verifies signatures; None: they are not looked at.
-            accept_unsigned: Whether frames without one are let in where others are verified.
+        With ``accept_unsigned``, frames without a signature are let in too.
         """
         self.refused: Counter[str] = Counter()
         """Frames by the reason why not."""
@@ -67,7 +63,7 @@ class Admission:
 
         Args:
             frame: With a right checksum.
-            now_ns: Unix time, ns, for the age of a signature.
+            now_ns: Unix time.
             is_beside_autopilot: Whether it came by the way on which the autopilot is heard.
         """
         reason = self._judge(frame, now_ns)

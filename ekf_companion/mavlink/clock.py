@@ -49,10 +49,13 @@ _LARGEST_SKEW = 500e-6
 """Crystals are better than 100 ppm; more is jitter."""
 
 
-class Timesync:
+class Timesync(Service):
     """Estimates the offset of the autopilot's clock from ours; answers in the autopilot's time."""
 
-    def __init__(self, options: TimesyncOptions | None = None) -> None:
+    def __init__(self, outbox: Outbox, options: TimesyncOptions | None = None) -> None:
+        self.handles = {"TIMESYNC": self._take}
+        self._outbox = outbox
+        self._target: dict[str, int] = {}
         self.options = options or TimesyncOptions()
         self.refused: Counter[str] = Counter()
         """Answers refused: ``foreign`` (not asked for by us), ``no time``, ``slow`` (a round trip
@@ -78,29 +81,46 @@ class Timesync:
         self._samples: deque[tuple[int, int, int]] = deque(maxlen=_WINDOW)  # middle, offset, rtt
         self._jumps = 0
         self._fit: tuple[int, int, float] | None = None  # at, offset then, skew
-        self._residual_ns = math.inf
+        self.residual_ns = math.nan
+        """RMS distance of the answers that are used from the line through them; NaN: too few."""
 
     @property
     def is_locked(self) -> bool:
         """Whether the offset is known well enough to answer with it."""
         # An offset is wrong by half a round trip at most; a scatter as wide as that tells no more
         # than the bound
-        return len(self._samples) >= _LOCK and self._residual_ns <= 0.25 * self._largest_rtt_ns
+        return len(self._samples) >= _LOCK and self.residual_ns <= 0.25 * self._largest_rtt_ns
 
     @property
     def skew(self) -> float:
         """How much faster the autopilot's clock runs than ours, s/s; 0 until known."""
         return self._fit[2] if self._fit else 0.0
 
-    @property
-    def residual_ns(self) -> float:
-        """RMS distance of the answers that are used from the line through them; NaN: too few."""
-        return self._residual_ns if self._fit else math.nan
-
     def rtt_ns(self, percent: int) -> float:
         """Return a percentile of the round trips, slow ones included; NaN: nothing was answered."""
         rtts = sorted(self._rtts)
         return rtts[len(rtts) * percent // 100] if rtts else math.nan
+
+    def begin(self, peer: PeerFound) -> None:
+        """Forget what was learned of the autopilot's clock."""
+        self._target = peer.target
+        self.reset()
+
+    def tick(self, now_ns: int) -> None:
+        """Send a request if one is due."""
+        ts1 = self.request(now_ns)
+        if ts1 is not None:
+            self._send(0, ts1, now_ns)
+
+    def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
+        if message.tc1 != 0:
+            self.receive(message.tc1, message.ts1, now_ns)
+        elif (tc1 := self.answer(now_ns)) is not None:
+            self._send(tc1, message.ts1, now_ns)
+
+    def _send(self, tc1: int, ts1: int, now_ns: int) -> None:
+        payload = pack("TIMESYNC", tc1=tc1, ts1=ts1, **self._target)
+        self._outbox.send("TIMESYNC", payload, now_ns)
 
     def peer_ns(self, now_ns: int) -> int | None:
         """Return the autopilot's clock at a time of ours; None until locked."""
@@ -119,7 +139,7 @@ class Timesync:
         self._outstanding.append(now_ns)
         return now_ns
 
-    def answer(self, ts1: int, now_ns: int) -> int | None:
+    def answer(self, now_ns: int) -> int | None:
         """Return the ``tc1`` for a request; None if it is not to be answered (yet)."""
         peer_ns = self.peer_ns(now_ns) if self.options.respond else None
         # 0 would ask again
@@ -185,43 +205,10 @@ class Timesync:
             skew = min(max(product / square, -_LARGEST_SKEW), _LARGEST_SKEW)
         constant = mean - skew * mean_age
         self._fit = (at, base + round(constant), skew)
-        self._residual_ns = math.sqrt(
+        self.residual_ns = math.sqrt(
             sum(
                 (offset - constant - skew * age) ** 2
                 for age, offset in zip(ages, offsets, strict=True)
             )
             / len(fast)
         )
-
-
-class TimesyncService(Service):
-    """Compares our clock with the autopilot's."""
-
-    def __init__(self, outbox: Outbox, timesync: Timesync) -> None:
-        self.handles = {"TIMESYNC": self._take}
-        self._outbox = outbox
-        self._timesync = timesync
-        self._target: dict[str, int] = {}
-
-    def begin(self, peer: PeerFound) -> None:
-        """Forget what was learned of the autopilot's clock."""
-        self._target = peer.target
-        self._timesync.reset()
-
-    def tick(self, now_ns: int) -> None:
-        """Send a request if one is due."""
-        ts1 = self._timesync.request(now_ns)
-        if ts1 is not None:
-            self._send(0, ts1, now_ns)
-
-    def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
-        if message.tc1 != 0:
-            self._timesync.receive(message.tc1, message.ts1, now_ns)
-            return
-        tc1 = self._timesync.answer(message.ts1, now_ns)
-        if tc1 is not None:
-            self._send(tc1, message.ts1, now_ns)
-
-    def _send(self, tc1: int, ts1: int, now_ns: int) -> None:
-        payload = pack("TIMESYNC", tc1=tc1, ts1=ts1, **self._target)
-        self._outbox.send("TIMESYNC", payload, now_ns)

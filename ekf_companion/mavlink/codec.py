@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from fastcrc import crc16
 
 from ekf_companion.mavlink.frame import SIGNED, Frame
@@ -33,14 +30,6 @@ def unpack(frame: Frame) -> Any:
     if layout.has_text:
         values = tuple(v.split(b"\0", 1)[0] if isinstance(v, bytes) else v for v in values)
     return layout.record._make(values)
-
-
-def columns(message_id: int, payloads: Sequence[bytes]) -> npt.NDArray[np.void]:
-    """Return many payloads of one message as one array of records, shape (n,), a view of a copy."""
-    layout = LAYOUTS[message_id]
-    size = layout.size
-    whole = b"".join([payload.ljust(size, b"\0")[:size] for payload in payloads])
-    return np.frombuffer(whole, dtype=layout.dtype)
 
 
 def pack(name: str, **fields: Any) -> bytes:

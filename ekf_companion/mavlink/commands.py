@@ -32,9 +32,9 @@ _OFFICIAL = 255
 
 
 def _version() -> int:
-    parts = [int(part) if part.isdigit() else 0 for part in __version__.split(".")[:3]]
-    major, minor, patch = [*parts, 0, 0, 0][:3]
-    return major << 24 | minor << 16 | patch << 8 | _OFFICIAL
+    parts = [int(part) if part.isdigit() else 0 for part in __version__.split(".")]
+    major, minor, patch = [*parts, 0, 0][:3]
+    return int.from_bytes([major, minor, patch, _OFFICIAL], "big")
 
 
 _IDENTITY: Mapping[str, bytes] = MappingProxyType(
@@ -136,26 +136,22 @@ class Commands(Service):
 
     def begin(self, peer: PeerFound) -> None:
         """Return to the default rates."""
-        self._forget(list(self._commanded))
+        self.end()
 
     def end(self) -> None:
         """Return to the default rates."""
-        self._forget(list(self._commanded))
+        for name in list(self._commanded):
+            self._forget(name)
 
     def tick(self, now_ns: int) -> None:
         """End the commands of who has gone."""
-        self._forget(
-            [
-                name
-                for name, commanded in self._commanded.items()
-                if commanded.heard_ns is not None and now_ns - commanded.heard_ns > _GONE_NS
-            ]
-        )
+        for name, commanded in list(self._commanded.items()):
+            if commanded.heard_ns is not None and now_ns - commanded.heard_ns > _GONE_NS:
+                self._forget(name)
 
-    def _forget(self, names: list[str]) -> None:
-        for name in names:
-            del self._commanded[name]
-            self._emit(IntervalSet(name, self.rate(name)))
+    def _forget(self, name: str) -> None:
+        del self._commanded[name]
+        self._emit(IntervalSet(name, self.rate(name)))
 
     def _take_heartbeat(self, heartbeat: Any, frame: Frame, now_ns: int) -> None:
         for commanded in self._commanded.values():

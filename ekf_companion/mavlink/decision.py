@@ -96,10 +96,7 @@ def stream_state(
 ) -> Decision:
     """Return the decision, all things considered: guard, clash of ids, commanded rate.
 
-    Args:
-        decision: The guard's.
-        twin: Our system and component id where somebody else has the same; None: nobody has.
-        slowed: Who has commanded a lower rate than the default; None: nobody has.
+    ``twin`` is our system and component id where somebody else has the same.
     """
     if twin is not None:
         return replace(

@@ -54,16 +54,6 @@ SYSTEM_STATUS = {
 """Our state by the status of the estimate."""
 
 
-def estimator_type(family: Family) -> EstimatorType:
-    """Return the true type, or the nearest for PX4, which refuses that with a critical text."""
-    return EstimatorType.VIO if family is Family.PX4 else EstimatorType.GPS_INS
-
-
-def reset_counter(count: int) -> int:
-    """Return a count of resets as 1 to 255, from 1 on: 0 would mean that none are counted."""
-    return count % 255 + 1
-
-
 _ODOMETRY = Struct("<Q220s4Bb")
 
 
@@ -79,7 +69,8 @@ def odometry(
         estimate.numbers,
         frame,
         Frame.BODY_FRD,
-        reset_counter(estimate.reset_count),
+        # From 1 to 255: 0 would mean that none are counted
+        estimate.reset_count % 255 + 1,
         estimator,
         max(-1, min(100, estimate.quality)),
     )
@@ -219,13 +210,14 @@ def label(
     but LOCAL_FRD. An autopilot of unknown family is labelled as one of a known family is.
     """
     warnings = []
-    estimator = estimator_type(family) if chosen == "auto" else EstimatorType[chosen]
-    if family is Family.PX4 and estimator is EstimatorType.GPS_INS:
+    estimator = EstimatorType.GPS_INS if chosen == "auto" else EstimatorType[chosen]
+    if family is Family.PX4:
         estimator = EstimatorType.VIO
-        warnings.append(
-            "output.odometry.estimator_type: PX4 refuses GPS_INS with a critical text for each "
-            "message; VIO is sent instead: set auto or VIO"
-        )
+        if chosen == "GPS_INS":
+            warnings.append(
+                "output.odometry.estimator_type: PX4 refuses GPS_INS with a critical text for each "
+                "message; VIO is sent instead: set auto or VIO"
+            )
     if family is Family.ARDUPILOT and frame != "LOCAL_FRD":
         warnings.append(
             f"output.odometry.frame: ArduPilot ignores {frame} without a word; set LOCAL_FRD for "

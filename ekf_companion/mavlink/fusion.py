@@ -60,14 +60,10 @@ def decide(
     independent: bool = False,
     is_complete: bool = True,
 ) -> Decision:
-    """Decide whether ODOMETRY is sent, from the answers so far.
+    """Decide whether ODOMETRY is sent, from the autopilot's answers so far.
 
-    Args:
-        family: The autopilot's.
-        parameters: Its answers so far.
-        mode: The configuration's ``output.odometry.mode``.
-        independent: Whether our sensors are other ones than the autopilot's.
-        is_complete: Whether no more answers are waited for.
+    ``mode`` and ``independent`` are the configuration's, of ``output.odometry``; ``is_complete`` is
+    whether no more answers are waited for.
     """
     decision = _decide(family, parameters, mode, independent, is_complete)
     read = {name: value for name, value in parameters.items() if value is not None}

@@ -81,12 +81,8 @@ class Guard(Service):
     ) -> None:
         """Begin with no autopilot.
 
-        Args:
-            outbox: Takes the requests.
-            emit: Takes the events.
-            refuse_ours: Called with whether our ODOMETRY is fused in the autopilot's own position,
-                and in its yaw, as soon as that is known.
-            options: What the configuration says.
+        ``refuse_ours`` is called with whether our ODOMETRY is fused in the autopilot's own
+        position, and in its yaw, as soon as that is known.
         """
         self.options = options or GuardOptions()
         # A dialect from before PARAM_ERROR lacks its layout, and silence says the same

@@ -59,14 +59,13 @@ class Heartbeat(Service):
         self._recent.append((self._outbox.sequence, payload.rstrip(b"\0")))
         self._outbox.send("HEARTBEAT", payload, now_ns)
 
-    @property
-    def is_sending(self) -> bool:
-        """Whether any was sent: a replay sends none."""
-        return bool(self._recent)
+    def is_foreign(self, frame: Frame) -> bool:
+        """Whether a heartbeat under our ids is none of our last, returned by a router.
 
-    def is_echo(self, frame: Frame) -> bool:
-        """Whether a heartbeat is one of our last, returned by a router."""
-        return (frame.sequence, frame.payload.rstrip(b"\0")) in self._recent
+        Where none was sent, as in a replay, that is not known, and it is not.
+        """
+        is_echo = (frame.sequence, frame.payload.rstrip(b"\0")) in self._recent
+        return bool(self._recent) and not is_echo
 
 
 class ClashWatch(Service):
@@ -86,9 +85,7 @@ class ClashWatch(Service):
 
     def on_frame(self, frame: Frame, now_ns: int) -> None:
         """Handle a frame that came in under our ids."""
-        if frame.message_id != IDS["HEARTBEAT"] or not self._heartbeat.is_sending:
-            return
-        if self._heartbeat.is_echo(frame):
+        if frame.message_id != IDS["HEARTBEAT"] or not self._heartbeat.is_foreign(frame):
             return
         self._other.on_heartbeat(now_ns)
         self.is_clash = self._other.is_there

@@ -191,21 +191,19 @@ class Requests(Service):
         return self.rates.get("HIGHRES_IMU" if name == "RAW_IMU" else name, 0.0)
 
     def _take(self, ack: Any, frame: Frame, now_ns: int) -> None:
-        if not (self._wanted and self._wanted[0].sent):
-            return
-        if ack.command != self._wanted[0].command:
+        request = self._wanted[0] if self._wanted else None
+        if request is None or not request.sent or ack.command != request.command:
             return
         if ack.result == _IN_PROGRESS:
-            self._wanted[0].deadline_ns = now_ns + self._timeout_ns
+            request.deadline_ns = now_ns + self._timeout_ns
             return
-        self._expect_others(now_ns, self._wanted[0])
+        if request.sent > 1:
+            self._expect_others(now_ns, request)
         self._settle(_RESULTS[ack.result] if ack.result < len(_RESULTS) else f"result {ack.result}")
         self.tick(now_ns)
 
     def _expect_others(self, now_ns: int, request: _Request) -> None:
         """Wait for the other answers to a request sent more than once, and longer from now on."""
-        if request.sent == 1:
-            return
         took_ns = now_ns - request.first_ns
         self._timeout_ns = min(max(self._timeout_ns, took_ns * 3 // 2), _LONGEST_NS)
         self._quiet_ns = request.last_ns + took_ns * 3 // 2

@@ -19,7 +19,7 @@ from types import MappingProxyType
 
 from ekf_companion.mavlink.admission import SETUP_SIGNING, Admission
 from ekf_companion.mavlink.audit import Audit
-from ekf_companion.mavlink.clock import Timesync, TimesyncOptions, TimesyncService
+from ekf_companion.mavlink.clock import Timesync, TimesyncOptions
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
 from ekf_companion.mavlink.decision import Decision, stream_state
@@ -102,7 +102,6 @@ class Session:
             options.allow_systems, options.allow_components, signing, options.accept_unsigned
         )
         self.decoder = Decoder(options=options.decoder)
-        self.timesync = Timesync(options.timesync)
         self.received_bytes = 0
         self.received: Counter[int] = Counter()
         """Frames of the autopilot by message id."""
@@ -142,14 +141,14 @@ class Session:
         self.requests = Requests(self.outbox, self._emit, options.rates)
         self.audit = Audit(self.received, self.requests, self._emit)
         self.statustext = StatusText(self.outbox)
+        self.timesync = Timesync(self.outbox, options.timesync)
 
         # Conversations with everybody
         self._with_all: list[Service] = [self.heartbeat, self.discovery, self.clash]
         self._with_all += [self.commands, self.parameters]
         # Conversations with the autopilot only, while it is heard
         guards = [] if options.guard is None else [self.guard]
-        timesync = TimesyncService(self.outbox, self.timesync)
-        self._with_peer: list[Service] = [self.requests, *guards, timesync, self.audit]
+        self._with_peer: list[Service] = [self.requests, *guards, self.timesync, self.audit]
         self._with_peer += [self.statustext]
         self._all_routes, self._peer_routes = _routes(self._with_all), _routes(self._with_peer)
         self._splitter, self._junk_left = Splitter(), JUNK_BYTES

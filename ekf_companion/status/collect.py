@@ -61,11 +61,8 @@ def output_state(
 ) -> OutputState:
     """Return what is sent, and why.
 
-    Args:
-        session: That sends it.
-        new: ODOMETRY messages in the last seconds.
-        rate: Of these, Hz.
-        unheard: Datagrams that found no monitor, by its address.
+    ``new`` and ``rate`` are those of ODOMETRY in the last seconds, Hz; ``unheard`` are the
+    datagrams that found no monitor, by its address.
     """
     decision, state = session.guard.decision, session.stream_state
     return OutputState(

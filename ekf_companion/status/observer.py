@@ -35,8 +35,7 @@ from ekf_companion.status.collect import (
     time_state,
 )
 from ekf_companion.status.host import Host
-from ekf_companion.status.judge import judge
-from ekf_companion.status.progress import BARREN_S, Progress
+from ekf_companion.status.judge import BARREN_S, judge
 from ekf_companion.status.snapshot import (
     MessageState,
     OutputState,
@@ -116,6 +115,39 @@ class RecentNis:
             aid: float((nis[aid] - first.nis[aid]) / new[aid]) if new[aid] > 0.0 else math.nan
             for aid in Aid
         }
+
+
+_PAUSE_NS = 2 * SECOND_NS
+"""Without a sample for so long no estimate is expected: the link is silent."""
+
+
+class Progress:
+    """Compares the samples that the filter takes with its estimates, every half second."""
+
+    def __init__(self) -> None:
+        self._stamp_ns = 0
+        self._given = 0
+        self._given_ns = 0
+        self._since_ns: int | None = None
+
+    def update(self, pipeline: Pipeline, now_ns: int) -> None:
+        """Note the samples and estimates since the last call."""
+        stamp_ns, given = pipeline.stamp_ns, pipeline.given
+        if stamp_ns != self._stamp_ns:
+            self._since_ns = None
+        if given != self._given:
+            is_answered = stamp_ns != self._stamp_ns
+            is_first = self._since_ns is None or now_ns - self._given_ns > _PAUSE_NS
+            if not is_answered and is_first:
+                self._since_ns = now_ns
+            self._given_ns = now_ns
+        self._stamp_ns, self._given = stamp_ns, given
+
+    def barren_s(self, now_ns: int) -> float:
+        """Return for how long samples have come without an estimate, s; 0 if none do."""
+        if self._since_ns is None or now_ns - self._given_ns > _PAUSE_NS:
+            return 0.0
+        return (self._given_ns - self._since_ns) * 1e-9
 
 
 _log = logging.getLogger(__name__)
@@ -250,9 +282,7 @@ class Observer:
             self._bytes_in, self._heard_ns = self._link.bytes_in, now_ns
         self._peer = self._companion.session.peer or self._peer
         pipeline = self._companion.pipeline
-        if pipeline is None:
-            return
-        if pipeline.stamp_ns not in (self._stamp_ns, 0):
+        if pipeline is not None and pipeline.stamp_ns not in (self._stamp_ns, 0):
             self._stamp_ns, self._sampled_ns = pipeline.stamp_ns, now_ns
 
     def _count_resets(self) -> None:
@@ -282,8 +312,7 @@ class Observer:
     def snapshot(self, host: Host) -> Snapshot:
         """Return the state at this moment; takes about 0.1 ms.
 
-        Args:
-            host: Read outside of the loop, which must not wait for it.
+        ``host`` is read outside of the loop, which must not wait for it.
         """
         now_ns, session = self._clock(), self._companion.session
         self._note_changes(now_ns)

@@ -65,9 +65,9 @@ def test_quality_keeps_to_its_range(quality, said):
 
 
 def test_no_autopilot_is_told_a_type_that_it_refuses():
-    assert encode.estimator_type(Family.PX4) is EstimatorType.VIO
-    assert encode.estimator_type(Family.ARDUPILOT) is EstimatorType.GPS_INS
-    assert encode.estimator_type(Family.UNKNOWN) is EstimatorType.GPS_INS
+    assert encode.label(Family.PX4, "LOCAL_FRD", "auto").estimator is EstimatorType.VIO
+    assert encode.label(Family.ARDUPILOT, "LOCAL_FRD", "auto").estimator is EstimatorType.GPS_INS
+    assert encode.label(Family.UNKNOWN, "LOCAL_FRD", "auto").estimator is EstimatorType.GPS_INS
     assert (EstimatorType.VIO, EstimatorType.GPS_INS) == (
         dialect.MAV_ESTIMATOR_TYPE_VIO,
         dialect.MAV_ESTIMATOR_TYPE_GPS_INS,

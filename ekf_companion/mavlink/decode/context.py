@@ -63,11 +63,8 @@ class Context:
     ) -> None:
         """Begin with nothing known of its clock.
 
-        Args:
-            family: Whose habits apply.
-            options: How messages that leave something open are read.
-            forget: Called when the autopilot's clock began anew or was set, after the clock took
-                the new time.
+        ``forget`` is called when the autopilot's clock began anew or was set, after it took the new
+        time.
         """
         self.family = family
         self.options = options
@@ -85,10 +82,6 @@ class Context:
         """Count a refusal; return no measurements."""
         self.refused[reason] += 1
         return []
-
-    def note(self, note: str) -> None:
-        """Add a note."""
-        self.notes.append(note)
 
     def note_once(self, note: str) -> None:
         """Add a note unless it was added before."""
@@ -141,7 +134,9 @@ class Context:
         self._forget(step)
         if step is Step.SET:
             self.refused["clock set back"] += 1
-            self.note("The autopilot's clock was set back by less than a second; going on by it")
+            self.notes.append(
+                "The autopilot's clock was set back by less than a second; going on by it"
+            )
         return [Restart(goes_on=step is Step.SET)]
 
 
@@ -167,9 +162,8 @@ class Preference:
     def __init__(self, starving: float = 0.0) -> None:
         """Begin with the best.
 
-        Args:
-            starving: A source in use that brings less than this share of the messages of a worse
-                one, for three seconds, counts as silent.
+        A source in use that brings less than the share ``starving`` of the messages of a worse one,
+        for three seconds, counts as silent.
         """
         self.rank = 0
         """Of the source in use: 0 is the best."""

@@ -109,7 +109,7 @@ class Inertial:
         away = f"is used: {self.instance} has been silent, or much slower, for 3 s"
         why = "speaks steadily" if is_better else away
         self._context.refused["HIGHRES_IMU: instance changed"] += 1
-        self._context.note(f"Inertial sensor {instance} {why}; its biases are other ones")
+        self._context.notes.append(f"Inertial sensor {instance} {why}; its biases are other ones")
         self.instance = instance
 
     def raw_imu(self, frame: Frame) -> Measurements:
@@ -174,7 +174,7 @@ class Inertial:
         self.begin_stream()
         away = f"is used: {SOURCES[was]} has been silent, or much slower, for 3 s"
         why = "speaks steadily" if now < was else away
-        self._context.note(f"{SOURCES[now]} {why}")
+        self._context.notes.append(f"{SOURCES[now]} {why}")
 
 
 _Sample = tuple[float, float, float, float, float, float]
