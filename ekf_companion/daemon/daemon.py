@@ -103,12 +103,7 @@ class Daemon:
     """The parts of one run; heartbeat and watchdog stop if the filter does."""
 
     def __init__(self, config: Config) -> None:
-        """Start the threads, and make the rest ready.
-
-        Raises:
-            LinkError: The link's URL names no link.
-            ConfigError: No file can have one of the names, or the key is not one.
-        """
+        """Start the threads, and make the rest ready; raise what ``serve`` does."""
         for words in overloads(config):
             _log.warning("%s", words)
         self._due_ns = 0

@@ -17,7 +17,6 @@ from ekf_companion.link.link import Link
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.encode import MONITOR
 from ekf_companion.mavlink.outbox import Message
 from ekf_companion.mavlink.signing import Signing
 
@@ -70,7 +69,9 @@ class Monitors:
         """Return the publisher of the companion's present pipeline, at the present rates."""
         pipeline, config = companion.pipeline, companion.tuning.config
         if self._publisher is None or pipeline is not self._pipeline:
-            self._publisher = Publisher(config, Family.UNKNOWN, MONITOR)
+            # The true frame and type
+            label = encode.label(Family.UNKNOWN, "LOCAL_NED", "GPS_INS")
+            self._publisher = Publisher(config, Family.UNKNOWN, label)
         elif config is not self._config:
             self._publisher.set_rates(config)
         self._pipeline, self._config = pipeline, config

@@ -224,7 +224,7 @@ class EvidenceCollector:
             bytes_rate=self._bytes / span,
             stream_requests=traffic.stream_requests,
             refused=session.refused,
-            time=time_state(session.timesync, session.decoder, now_ns),
+            time=time_state(session, now_ns),
             stamps=self._stamps_in_use().state(),
             receiver=self._reports.receiver,
             estimator=None if companion.pipeline is None else companion.pipeline.health(),

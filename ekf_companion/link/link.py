@@ -99,7 +99,7 @@ class Link:
         self._waiter: asyncio.Future[None] | None = None
         self._port: Port | None = None
         self._broken: asyncio.Future[str] | None = None
-        self._backlog = Backlog()
+        self.backlog = Backlog()
         self._timer: asyncio.TimerHandle | None = None
         self._server: socket.socket | None = None
         self._next_client: socket.socket | None = None
@@ -111,11 +111,6 @@ class Link:
     def is_open(self) -> bool:
         """Whether the descriptor is open; with UDP that tells nothing about the other end."""
         return self._port is not None
-
-    @property
-    def replaceable_waiting(self) -> int:
-        """How many replaceable messages wait for room."""
-        return self._backlog.replaceable
 
     @property
     def refused(self) -> Counter[str]:
@@ -173,11 +168,11 @@ class Link:
             self.unsent += 1
             return
         now_ns = self._clock()
-        if self._backlog:
-            self.unsent += self._backlog.add(data, now_ns, is_replaceable=is_replaceable)
+        if self.backlog:
+            self.unsent += self.backlog.add(data, now_ns, is_replaceable=is_replaceable)
         elif (written := self._write(port, data)) < len(data):
             if port.is_stream:
-                self._backlog.put_back(Waiting(data, now_ns, is_replaceable), written)
+                self.backlog.put_back(Waiting(data, now_ns, is_replaceable), written)
                 self._await_room(port)
             else:
                 self.unsent += 1
@@ -219,7 +214,7 @@ class Link:
             self._port = None
             if self._timer is not None:
                 self._timer.cancel()
-            self.unsent += self._backlog.clear()
+            self.unsent += self.backlog.clear()
             self._on_state(False)
 
     @property
@@ -313,13 +308,13 @@ class Link:
 
     def _on_writable(self, port: Port) -> None:
         asyncio.get_running_loop().remove_writer(port.fileno())
-        self.unsent += self._backlog.expire(self._clock())
-        while (first := self._backlog.take()) is not None:
+        self.unsent += self.backlog.expire(self._clock())
+        while (first := self.backlog.take()) is not None:
             written = self._write(port, first.data)
             if self._is_broken:
                 return
             if written < len(first.data):
-                self._backlog.put_back(first, written)
+                self.backlog.put_back(first, written)
                 self._await_room(port)
                 return
             if first.is_replaceable:

@@ -46,20 +46,17 @@ class Audit(Service):
         self._received = received
         self._requests = requests
         self._emit = emit
-        self._begin(Family.UNKNOWN)
+        self.begin(PeerFound(0, 0, Family.UNKNOWN))
 
-    def _begin(self, family: Family) -> None:
-        self._family = family
+    def begin(self, peer: PeerFound) -> None:
+        """Measure anew."""
+        self._family = peer.family
         self.causes: dict[str, str] = {}
         """Probable causes by message, where one comes too rarely however often it is requested."""
         self._steps: deque[tuple[int, dict[int, int]]] = deque(maxlen=_STEPS + 1)
         self._settled = 0
         self._tries: Counter[str] = Counter()
         self._next_ns: dict[str, int] = {}
-
-    def begin(self, peer: PeerFound) -> None:
-        """Measure anew."""
-        self._begin(peer.family)
 
     def tick(self, now_ns: int) -> None:
         """Count once a second; judge the rates five seconds after the last request."""

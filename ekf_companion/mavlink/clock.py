@@ -193,22 +193,14 @@ class Timesync(Service):
         limit = sorted(sample[2] for sample in self._samples)[len(self._samples) // 2]
         fast = [sample for sample in self._samples if sample[2] <= limit]
         at, base, _ = fast[-1]
-        ages = [middle - at for middle, _, _ in fast]
-        offsets = [offset - base for _, offset, _ in fast]
-        mean_age, mean = sum(ages) / len(fast), sum(offsets) / len(fast)
+        points = [(middle - at, offset - base) for middle, offset, _ in fast]
+        mean_age, mean = (sum(column) / len(fast) for column in zip(*points, strict=True))
         skew = 0.0
-        if ages[-1] - ages[0] >= _SKEW_SPAN_NS:
-            square = sum((age - mean_age) ** 2 for age in ages)
-            product = sum(
-                (age - mean_age) * offset for age, offset in zip(ages, offsets, strict=True)
-            )
+        if points[-1][0] - points[0][0] >= _SKEW_SPAN_NS:
+            square = sum((age - mean_age) ** 2 for age, _ in points)
+            product = sum((age - mean_age) * offset for age, offset in points)
             skew = min(max(product / square, -_LARGEST_SKEW), _LARGEST_SKEW)
         constant = mean - skew * mean_age
         self._fit = (at, base + round(constant), skew)
-        self.residual_ns = math.sqrt(
-            sum(
-                (offset - constant - skew * age) ** 2
-                for age, offset in zip(ages, offsets, strict=True)
-            )
-            / len(fast)
-        )
+        squares = sum((offset - constant - skew * age) ** 2 for age, offset in points)
+        self.residual_ns = math.sqrt(squares / len(fast))

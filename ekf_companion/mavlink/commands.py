@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from types import MappingProxyType
 from typing import Any
 
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import pack
-from ekf_companion.mavlink.decision import Slowed
 from ekf_companion.mavlink.event import Emit, IntervalSet, PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.heartbeat import Heartbeat
@@ -37,22 +35,20 @@ def _version() -> int:
     return int.from_bytes([major, minor, patch, _OFFICIAL], "big")
 
 
-_IDENTITY: Mapping[str, bytes] = MappingProxyType(
-    {
-        "AUTOPILOT_VERSION": pack(
-            "AUTOPILOT_VERSION", capabilities=_CAPABILITIES, flight_sw_version=_version()
-        ),
-        # Replaces AUTOPILOT_VERSION for components that are no autopilot
-        "COMPONENT_INFORMATION_BASIC": pack(
-            "COMPONENT_INFORMATION_BASIC",
-            capabilities=_CAPABILITIES,
-            model_name=b"EKF companion",
-            software_version=__version__.encode("ascii", "replace")[:23],
-        ),
-        # MAVLink 1 is read, and 2 is sent
-        "PROTOCOL_VERSION": pack("PROTOCOL_VERSION", version=200, min_version=100, max_version=200),
-    }
-)
+_IDENTITY: Mapping[str, bytes] = {
+    "AUTOPILOT_VERSION": pack(
+        "AUTOPILOT_VERSION", capabilities=_CAPABILITIES, flight_sw_version=_version()
+    ),
+    # Replaces AUTOPILOT_VERSION for components that are no autopilot
+    "COMPONENT_INFORMATION_BASIC": pack(
+        "COMPONENT_INFORMATION_BASIC",
+        capabilities=_CAPABILITIES,
+        model_name=b"EKF companion",
+        software_version=__version__.encode("ascii", "replace")[:23],
+    ),
+    # MAVLink 1 is read, and 2 is sent
+    "PROTOCOL_VERSION": pack("PROTOCOL_VERSION", version=200, min_version=100, max_version=200),
+}
 """Payloads of the messages that identify us, by name."""
 
 
@@ -125,14 +121,17 @@ class Commands(Service):
         commanded = self._commanded.get(name)
         return min(stream.rate if commanded is None else commanded.rate, stream.largest)
 
-    def slowed_by(self, name: str) -> Slowed | None:
-        """Return who has commanded a lower rate of a message than its default; None: nobody has."""
+    def slowed_by(self, name: str) -> tuple[int, int, float] | None:
+        """Return who has commanded a lower rate of a message than its default, and that rate, Hz.
+
+        That is the system and component id; None: nobody has.
+        """
         commanded = self._commanded.get(name)
         if commanded is None:
             return None
         rate, stream = self.rate(name), self._streams[name]
         is_less = rate < min(stream.rate, stream.largest)
-        return Slowed(*commanded.commander, rate) if is_less else None
+        return (*commanded.commander, rate) if is_less else None
 
     def begin(self, peer: PeerFound) -> None:
         """Return to the default rates."""

@@ -38,16 +38,6 @@ class Decision:
         return f"ODOMETRY is {said}: {self.reason}{remedy}"
 
 
-@dataclass(frozen=True, slots=True)
-class Slowed:
-    """Somebody has commanded a lower rate of a message than the default."""
-
-    system_id: int
-    component_id: int
-    rate: float
-    """Hz; 0: not at all."""
-
-
 def streamed(reason: str, text: str = "ODOMETRY is streamed") -> Decision:
     """Return the decision to send it."""
     return Decision(is_streaming=True, reason=reason, text=text)
@@ -92,11 +82,12 @@ def shared(decision: Decision, other_id: int) -> Decision:
 
 
 def stream_state(
-    decision: Decision, twin: tuple[int, int] | None, slowed: Slowed | None
+    decision: Decision, twin: tuple[int, int] | None, slowed: tuple[int, int, float] | None
 ) -> Decision:
     """Return the decision, all things considered: guard, clash of ids, commanded rate.
 
-    ``twin`` is our system and component id where somebody else has the same.
+    ``twin`` is our system and component id where somebody else has the same; ``slowed`` is who has
+    commanded a lower rate than the default (system and component id), and that rate, Hz, 0: off.
     """
     if twin is not None:
         return replace(
@@ -106,12 +97,12 @@ def stream_state(
             remedy="give one of us another link.component_id",
         )
     if decision.is_streaming and slowed is not None:
-        is_on = slowed.rate > 0.0
-        did = f"commanded {slowed.rate:g} Hz" if is_on else "switched it off"
+        system_id, component_id, rate = slowed
+        did = f"commanded {rate:g} Hz" if rate > 0.0 else "switched it off"
         return replace(
             decision,
-            is_streaming=is_on,
-            reason=f"system {slowed.system_id}, component {slowed.component_id} has {did}",
+            is_streaming=rate > 0.0,
+            reason=f"system {system_id}, component {component_id} has {did}",
             remedy="send SET_MESSAGE_INTERVAL of ODOMETRY with 0 for the rate by default",
         )
     return decision

@@ -135,18 +135,15 @@ class Discovery(Service):
         """Notice that the autopilot has fallen silent, or another."""
         is_late = quantise(now_ns) - self.heard_ns > _PEER_TIMEOUT_NS
         if self.peer is not None and not self.is_lost and is_late:
-            self._lose(self.peer)
+            self.is_lost = True
+            beat = self._beats.get(self.peer[0])
+            is_steady = beat is not None and beat.is_there
+            self._awaited_ns = self.heard_ns + (_REBOOT_NS if is_steady else 0)
+            self._end()
+            self._emit(PeerLost(self.heard_ns))
         for beat in self._beats.values():
             beat.tick(now_ns)
         self._report_other()
-
-    def _lose(self, peer: tuple[int, int]) -> None:
-        self.is_lost = True
-        beat = self._beats.get(peer[0])
-        is_steady = beat is not None and beat.is_there
-        self._awaited_ns = self.heard_ns + (_REBOOT_NS if is_steady else 0)
-        self._end()
-        self._emit(PeerLost(self.heard_ns))
 
     def _report_other(self) -> None:
         """Report which other system's autopilot is on the link, where that changes."""

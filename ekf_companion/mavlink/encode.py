@@ -195,10 +195,6 @@ class Label:
     """What of the configuration is not done, or has no effect; sentences without full stop."""
 
 
-MONITOR = Label(Frame.LOCAL_NED, EstimatorType.GPS_INS, ())
-"""For a listener that is no autopilot: the true type and frame."""
-
-
 def label(
     family: Family,
     frame: Literal["LOCAL_FRD", "LOCAL_NED"],

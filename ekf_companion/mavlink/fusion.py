@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Literal
 
 from ekf_companion.mavlink.decision import Decision, listed, says, streamed, withheld
@@ -32,9 +31,11 @@ _SETS = {k: tuple(f"EK3_SRC{k}_{part}" for part in _PARTS) for k in (1, 2, 3)}
 _PX4_NEW = (_VISION, _GNSS)
 _PX4_OLD = (_MASK, _HEIGHT)
 _ARDUPILOT = (_DRIVER, _OPTIONS, *_SETS[1], *_SETS[2], *_SETS[3])
-NAMES: Mapping[Family, tuple[str, ...]] = MappingProxyType(
-    {Family.PX4: (*_PX4_NEW, *_PX4_OLD), Family.ARDUPILOT: _ARDUPILOT, Family.UNKNOWN: ()}
-)
+NAMES: Mapping[Family, tuple[str, ...]] = {
+    Family.PX4: (*_PX4_NEW, *_PX4_OLD),
+    Family.ARDUPILOT: _ARDUPILOT,
+    Family.UNKNOWN: (),
+}
 """All parameters that may decide."""
 
 _EV_BITS = {1: "horizontal position", 2: "height", 4: "velocity", 8: "yaw"}

@@ -57,18 +57,6 @@ class GuardOptions:
     """Whether our sensors are other ones than the autopilot's."""
 
 
-@dataclass(slots=True)
-class _Request:
-    """A parameter that was requested."""
-
-    tries: int = 0
-    deadline_ns: int = 0
-
-    def is_open(self, now_ns: int) -> bool:
-        """Whether an answer may still come."""
-        return self.tries > 0 and now_ns < self.deadline_ns
-
-
 class Guard(Service):
     """Decides whether ODOMETRY is sent."""
 
@@ -99,7 +87,8 @@ class Guard(Service):
     def _forget(self) -> None:
         self._peer: PeerFound | None = None
         self._answers: dict[str, float | None] = {}
-        self._requests: dict[str, _Request] = {}
+        self._requests: dict[str, tuple[int, int]] = {}
+        """How often each parameter was requested, and until when an answer may come, ns."""
         self._turn = self._next_ns = 0
         self.is_waiting = False
         """Whether answers that decide are waited for; ``on_frame`` must then be called."""
@@ -199,23 +188,17 @@ class Guard(Service):
     # Requests
 
     def _request(self, name: str, now_ns: int) -> None:
-        request = self._requests.get(name, _Request())
-        in_flight = sum(other.is_open(now_ns) for other in self._requests.values())
-        if request.tries >= _TRIES or request.is_open(now_ns) or in_flight >= _IN_FLIGHT:
-            return
-        request.tries += 1
-        request.deadline_ns = now_ns + _TIMEOUT_NS
-        self._requests[name] = request
-        self._send(name, now_ns)
+        tries, until_ns = self._requests.get(name, (0, now_ns))
+        in_flight = sum(now_ns < end_ns for _, end_ns in self._requests.values())
+        if tries < _TRIES and now_ns >= until_ns and in_flight < _IN_FLIGHT:
+            self._requests[name] = tries + 1, now_ns + _TIMEOUT_NS
+            self._send(name, now_ns)
 
     def _send(self, name: str, now_ns: int) -> None:
         if self._peer is None:
             return
         payload = pack(
-            "PARAM_REQUEST_READ",
-            **self._peer.target,
-            param_id=name.encode(),
-            param_index=-1,
+            "PARAM_REQUEST_READ", **self._peer.target, param_id=name.encode(), param_index=-1
         )
         self._outbox.send("PARAM_REQUEST_READ", payload, now_ns)
 

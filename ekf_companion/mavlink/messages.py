@@ -103,21 +103,17 @@ class Layout:
         return np.dtype([_column(field) for field in self.fields])
 
 
-def _column(field: Field) -> tuple[str, str] | tuple[str, str, tuple[int]]:
+def _column(field: Field) -> tuple[str, str, tuple[int, ...]]:
     if field.code == "s":
-        return field.name, f"S{field.length}"
-    code = np.dtype({"c": "S1"}.get(field.code, f"<{field.code}")).str
-    return (field.name, code, (field.length,)) if field.length else (field.name, code)
+        return field.name, f"S{field.length}", ()
+    code = "S1" if field.code == "c" else f"<{field.code}"
+    return field.name, code, (field.length,) if field.length else ()
 
 
 def _from_words(message_id: int, name: str, crc_extra: int, words: str) -> Layout:
-    fields = [field.split(" ") for field in words.split(", ")]
-    return Layout(
-        message_id,
-        name,
-        crc_extra,
-        tuple(Field(field, kind[-1], int(kind[:-1] or 0)) for kind, field in fields),
-    )
+    pairs = (pair.split(" ") for pair in words.split(", "))
+    fields = tuple(Field(field, kind[-1], int(kind[:-1] or 0)) for kind, field in pairs)
+    return Layout(message_id, name, crc_extra, fields)
 
 
 def _from_definition(definition: Any) -> Layout:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 from ekf_companion.mavlink import encode
@@ -38,16 +37,14 @@ _RESULTS = (
 )
 """MAV_RESULT in words."""
 
-_GROUPS: Mapping[str, int] = MappingProxyType(
-    {
-        "RAW_IMU": 1,
-        "SCALED_PRESSURE": 1,
-        "GPS_RAW_INT": 2,
-        "GLOBAL_POSITION_INT": 6,
-        "ATTITUDE": 10,
-        "SYSTEM_TIME": 12,
-    }
-)
+_GROUPS = {
+    "RAW_IMU": 1,
+    "SCALED_PRESSURE": 1,
+    "GPS_RAW_INT": 2,
+    "GLOBAL_POSITION_INT": 6,
+    "ATTITUDE": 10,
+    "SYSTEM_TIME": 12,
+}
 """MAV_DATA_STREAM of each message, as an ArduPilot from before SET_MESSAGE_INTERVAL knows it."""
 
 
@@ -162,10 +159,7 @@ class Requests(Service):
 
     def _send(self, request: _Request, peer: PeerFound, now_ns: int) -> None:
         payload = encode.request_message(
-            IDS[request.name],
-            request.rate,
-            **peer.target,
-            confirmation=request.sent,
+            IDS[request.name], request.rate, **peer.target, confirmation=request.sent
         )
         request.first_ns = request.first_ns if request.sent else now_ns
         request.sent, request.last_ns = request.sent + 1, now_ns
@@ -175,14 +169,11 @@ class Requests(Service):
     def _fall_back(self, peer: PeerFound, now_ns: int) -> None:
         """Request by REQUEST_DATA_STREAM the groups of which no message was granted."""
         self._has_fallen_back = True
+        granted = {_GROUPS.get(name) for name, result in self.results.items() if result == ACCEPTED}
         groups: dict[int, float] = {}
-        for name, result in self.results.items():
-            if name in _GROUPS and result != ACCEPTED:
-                group = _GROUPS[name]
+        for name in self.results:
+            if (group := _GROUPS.get(name)) is not None and group not in granted:
                 groups[group] = max(self._rate(name), groups.get(group, 0.0))
-        for name, result in self.results.items():
-            if result == ACCEPTED:
-                groups.pop(_GROUPS.get(name, 0), None)
         for group, rate in groups.items():
             payload = encode.request_data_stream(group, rate, **peer.target)
             self._outbox.send("REQUEST_DATA_STREAM", payload, now_ns)

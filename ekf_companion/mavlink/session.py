@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 from ekf_companion.mavlink.admission import SETUP_SIGNING, Admission
 from ekf_companion.mavlink.audit import Audit
@@ -46,17 +45,15 @@ JUNK_BYTES = 1 << 16
 and no way to fill a disk, where the oldest recordings make room for it."""
 
 
-RATES: Mapping[str, float] = MappingProxyType(
-    {
-        "HIGHRES_IMU": 250.0,
-        "GPS_RAW_INT": 10.0,
-        "ATTITUDE": 10.0,
-        "GLOBAL_POSITION_INT": 5.0,
-        "SCALED_PRESSURE": 10.0,
-        "SYSTEM_TIME": 1.0,
-        "EXTENDED_SYS_STATE": 1.0,
-    }
-)
+RATES: Mapping[str, float] = {
+    "HIGHRES_IMU": 250.0,
+    "GPS_RAW_INT": 10.0,
+    "ATTITUDE": 10.0,
+    "GLOBAL_POSITION_INT": 5.0,
+    "SCALED_PRESSURE": 10.0,
+    "SYSTEM_TIME": 1.0,
+    "EXTENDED_SYS_STATE": 1.0,
+}
 """Rates to request of the autopilot, Hz. GNSS at twice its usual rate comes half as late."""
 
 

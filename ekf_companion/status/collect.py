@@ -7,8 +7,6 @@ from collections.abc import Mapping
 
 from ekf_companion.engine.companion import Companion
 from ekf_companion.link.link import Link
-from ekf_companion.mavlink.clock import Timesync
-from ekf_companion.mavlink.decode import Decoder
 from ekf_companion.mavlink.session import Session
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.status.snapshot import (
@@ -51,7 +49,7 @@ def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> Peer
         version=session.requests.version,
         is_heard=session.peer is not None,
         silent_s=seconds_since(session.discovery.heard_ns or None, now_ns),
-        is_armed=session.decoder.is_armed,
+        is_armed=session.decoder.vehicle.is_armed,
         reboots=sum(restarts.values()),
     )
 
@@ -82,8 +80,9 @@ def output_state(
     )
 
 
-def imu_state(decoder: Decoder, messages: Mapping[str, MessageState]) -> ImuState:
+def imu_state(session: Session, messages: Mapping[str, MessageState]) -> ImuState:
     """Return the source of the inertial samples, given the messages that are heard."""
+    decoder = session.decoder
     message = messages.get(decoder.imu_source)
     return ImuState(
         message=decoder.imu_source,
@@ -102,10 +101,10 @@ def requested_rates(session: Session) -> dict[str, float]:
     return rates
 
 
-def time_state(timesync: Timesync, decoder: Decoder, now_ns: int) -> TimeState:
+def time_state(session: Session, now_ns: int) -> TimeState:
     """Return what is known of the autopilot's clock."""
+    timesync, base = session.timesync, session.decoder.clock
     peer_ns = timesync.peer_ns(now_ns)
-    base = decoder.clock
     return TimeState(
         base="unknown" if base.latest_us is None else "unix" if base.is_unix else "boot",
         is_locked=timesync.is_locked,

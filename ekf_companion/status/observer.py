@@ -16,13 +16,12 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import accumulate
-from typing import NamedTuple
 
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.health import Aid
 from ekf_companion.engine.pipeline import Array, Pipeline
 from ekf_companion.link.link import Link
-from ekf_companion.mavlink.messages import IDS
+from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.status.collect import (
     frame_state,
@@ -77,42 +76,35 @@ SPAN = 20
 _STEP = 2
 
 
-class _Sums(NamedTuple):
-    """Sums of the squared innovations, and how many they are of, since the filter began."""
-
-    now_ns: int
-    nis: Array
-    counts: Array
-
-
 class RecentNis:
     """Mean normalised innovation squared of each aid over the last ``SPAN`` seconds."""
 
     def __init__(self) -> None:
         self._pipeline: Pipeline | None = None
-        self._history: deque[_Sums] = deque(maxlen=SPAN // _STEP)
+        self._history: deque[tuple[int, Array, Array]] = deque(maxlen=SPAN // _STEP)
+        """When, ns, and by aid the sums of the squared innovations, and how many they are of."""
 
     def update(self, pipeline: Pipeline, now_ns: int) -> None:
         """Keep the sums of this moment; call it every second or two."""
         if pipeline is not self._pipeline:
             self._pipeline = pipeline
             self._history.clear()
-        if self._history and now_ns - self._history[-1].now_ns < _STEP * SECOND_NS:
+        if self._history and now_ns - self._history[-1][0] < _STEP * SECOND_NS:
             return
-        sums = _Sums(now_ns, *pipeline.nis_sums())
-        if self._history and (sums.counts < self._history[-1].counts).any():
+        nis, counts = pipeline.nis_sums()
+        if self._history and (counts < self._history[-1][2]).any():
             self._history.clear()  # the filter began anew
-        self._history.append(sums)
+        self._history.append((now_ns, nis, counts))
 
     def mean(self) -> dict[Aid, float]:
         """Return the mean over its degrees of freedom: 1 if all is well, NaN if there was none."""
         if self._pipeline is None or not self._history:
             return dict.fromkeys(Aid, math.nan)
         nis, counts = self._pipeline.nis_sums()
-        first = self._history[0]
-        new = counts - first.counts
+        _, first_nis, first_counts = self._history[0]
+        new = counts - first_counts
         return {
-            aid: float((nis[aid] - first.nis[aid]) / new[aid]) if new[aid] > 0.0 else math.nan
+            aid: float((nis[aid] - first_nis[aid]) / new[aid]) if new[aid] > 0.0 else math.nan
             for aid in Aid
         }
 
@@ -136,9 +128,8 @@ class Progress:
         if stamp_ns != self._stamp_ns:
             self._since_ns = None
         if given != self._given:
-            is_answered = stamp_ns != self._stamp_ns
             is_first = self._since_ns is None or now_ns - self._given_ns > _PAUSE_NS
-            if not is_answered and is_first:
+            if stamp_ns == self._stamp_ns and is_first:
                 self._since_ns = now_ns
             self._given_ns = now_ns
         self._stamp_ns, self._given = stamp_ns, given
@@ -157,7 +148,6 @@ PERIOD_NS = SECOND_NS // 2
 _COPIES = 11
 """Kept: they span five seconds."""
 _ODOMETRY = "ODOMETRY"
-_NAMES = {message_id: name for name, message_id in IDS.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,11 +249,11 @@ class Observer:
         return _Counters(
             now_ns=now_ns,
             cpu_s=time.process_time(),
-            received={_NAMES[number]: count for number, count in session.received.items()},
+            received={LAYOUTS[number].name: count for number, count in session.received.items()},
             odometries=self._odometries,
             unsent=session.outbox.sent.get(_ODOMETRY, 0)
             - self._odometries
-            - self._link.replaceable_waiting,
+            - self._link.backlog.replaceable,
             lag_ns=self._longest_ns,
         )
 
@@ -327,8 +317,8 @@ class Observer:
             peer=None if self._peer is None else peer_state(self._companion, self._peer, now_ns),
             messages=messages,
             refused=session.refused,
-            imu=imu_state(session.decoder, messages),
-            time=time_state(session.timesync, session.decoder, now_ns),
+            imu=imu_state(session, messages),
+            time=time_state(session, now_ns),
             estimator=None
             if pipeline is None
             else replace(pipeline.health(), nis=self._nis.mean()),

@@ -108,15 +108,11 @@ class Context:
         The time is None as above, or where nothing relates the milliseconds to the inertial stamps:
         not yet, or no more since the reboot.
         """
-        out: Measurements = []
         # 0 is no time, so it says nothing of a reboot
-        if boot_ms != 0:
-            step = self.clock.advance_boot_ms(boot_ms)
-            if step is not Step.FOLLOWED:
-                leapt = self._leapt(step, message)
-                if leapt is None:
-                    return [], None
-                out = leapt
+        step = self.clock.advance_boot_ms(boot_ms) if boot_ms != 0 else Step.FOLLOWED
+        out = [] if step is Step.FOLLOWED else self._leapt(step, message)
+        if out is None:
+            return [], None
         t_ns = self.clock.from_boot_ms(boot_ms)
         if t_ns is None:
             self.refuse(f"{message}: time base unknown")
@@ -168,8 +164,7 @@ class Preference:
         self.rank = 0
         """Of the source in use: 0 is the best."""
         self.sole = 0
-        """The same while no other source speaks, and then :meth:`admit` need not be asked; else -1.
-        """
+        """The same while no other source speaks: :meth:`admit` need not be asked then; else -1."""
         self._starving = starving
         self._used = 0
         """Messages of the source in use, counted while others speak."""

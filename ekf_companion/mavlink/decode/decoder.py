@@ -25,38 +25,34 @@ class Decoder:
     def __init__(
         self, family: Family = Family.UNKNOWN, options: DecoderOptions | None = None
     ) -> None:
-        self.options = options or DecoderOptions()
-        self._context = Context(family, self.options, self._forget)
+        self._context = Context(family, options or DecoderOptions(), self._forget)
         self.refused = self._context.refused
         """How often, by reason: ``message: why``."""
         self.notes = self._context.notes
         """Sentences for a human, oldest first, a few at most; whoever reads them takes them out."""
         self._mag, self._baro = Magnetometer(self._context), Barometer(self._context)
-        self._heading, self._vehicle = Heading(self._context), Vehicle(self._context)
+        self._heading, self.vehicle = Heading(self._context), Vehicle(self._context)
         self.inertial = Inertial(self._context, self._mag, self._baro)
         self._ranked: list[Inertial | Magnetometer | Barometer | Heading]
         self._ranked = [self.inertial, self._mag, self._baro, self._heading]
         self._position = Position(self._context, self._heading)
-        self._readers: dict[int, Callable[[Frame], Measurements]] = {
-            IDS[name]: reader
-            for name, reader in {
-                "HIGHRES_IMU": self.inertial.highres_imu,
-                "RAW_IMU": self.inertial.raw_imu,
-                "SCALED_IMU": self.inertial.scaled_imu,
-                "SCALED_IMU2": self.inertial.scaled_imu,
-                "SCALED_IMU3": self.inertial.scaled_imu,
-                "SCALED_PRESSURE": self._baro.scaled_pressure,
-                "GPS_RAW_INT": self._position.gps_raw_int,
-                "GPS2_RAW": self._position.gps2_raw,
-                "GLOBAL_POSITION_INT": self._position.global_position_int,
-                "ATTITUDE": self._heading.attitude,
-                "VFR_HUD": self._heading.vfr_hud,
-                "HEARTBEAT": self._vehicle.heartbeat,
-                "EXTENDED_SYS_STATE": self._vehicle.extended_sys_state,
-                "SYSTEM_TIME": self._vehicle.system_time,
-            }.items()
+        readers: dict[str, Callable[[Frame], Measurements]] = {
+            "HIGHRES_IMU": self.inertial.highres_imu,
+            "RAW_IMU": self.inertial.raw_imu,
+            "SCALED_IMU": self.inertial.scaled_imu,
+            "SCALED_IMU2": self.inertial.scaled_imu,
+            "SCALED_IMU3": self.inertial.scaled_imu,
+            "SCALED_PRESSURE": self._baro.scaled_pressure,
+            "GPS_RAW_INT": self._position.gps_raw_int,
+            "GPS2_RAW": self._position.gps2_raw,
+            "GLOBAL_POSITION_INT": self._position.global_position_int,
+            "ATTITUDE": self._heading.attitude,
+            "VFR_HUD": self._heading.vfr_hud,
+            "HEARTBEAT": self.vehicle.heartbeat,
+            "EXTENDED_SYS_STATE": self.vehicle.extended_sys_state,
+            "SYSTEM_TIME": self.vehicle.system_time,
         }
-
+        self._readers = {IDS[name]: reader for name, reader in readers.items()}
         self._held: list[tuple[Frame, Measurements]] = []
 
     def _forget(self, step: Step) -> None:
@@ -64,7 +60,7 @@ class Decoder:
         for reader in (*self._ranked, self._position):
             reader.forget()
         if step is Step.BEGUN:
-            self._vehicle.forget()
+            self.vehicle.forget()
 
     def begin(self) -> None:
         """Begin anew with another autopilot, of whose clock nothing is known."""
@@ -75,11 +71,6 @@ class Decoder:
     def refuse_ours(self, is_ours: bool, is_yaw_ours: bool) -> None:
         """Refuse the autopilot's own position, or its yaw, while our ODOMETRY is fused in it."""
         self._context.is_ours, self._context.is_yaw_ours = is_ours, is_yaw_ours
-
-    @property
-    def is_armed(self) -> bool:
-        """Whether the autopilot's last heartbeat said that it is armed."""
-        return self._vehicle.is_armed
 
     @property
     def family(self) -> Family:

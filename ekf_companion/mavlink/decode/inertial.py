@@ -69,10 +69,8 @@ class Inertial:
             return []
         t_ns = t_us * 1000
         # The configured one goes first
-        rank, was = (
-            (0 if instance == context.options.imu_id else instance + 1),
-            self._instances.rank,
-        )
+        rank = 0 if instance == context.options.imu_id else instance + 1
+        was = self._instances.rank
         if rank != self._instances.sole and not self._instances.admit(rank, t_ns):
             context.refused["HIGHRES_IMU: another instance"] += 1
             return out
