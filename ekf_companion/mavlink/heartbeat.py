@@ -60,9 +60,9 @@ class Heartbeat(Service):
         self._outbox.send("HEARTBEAT", payload, now_ns)
 
     def is_foreign(self, frame: Frame) -> bool:
-        """Whether a heartbeat under our ids is none of our last, returned by a router.
+        """Return whether a heartbeat under our ids is somebody else's, and no echo of our last.
 
-        Where none was sent, as in a replay, that is not known, and it is not.
+        Return False where we have sent none, as in a replay.
         """
         is_echo = (frame.sequence, frame.payload.rstrip(b"\0")) in self._recent
         return bool(self._recent) and not is_echo
