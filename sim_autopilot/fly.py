@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from ekf_companion.errors import CompanionError
-from ekf_companion.link.link import Link, open_link
+from ekf_companion.link.address import parse_url
+from ekf_companion.link.link import Link
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.faults.fault import Fault
 from sim_autopilot.flight import Flight
@@ -140,7 +141,7 @@ async def over(url: str, body: Callable[[Link], Awaitable[T]]) -> T:
         LinkError: The URL names no link.
     """
     is_open = asyncio.Event()
-    link = open_link(url, on_state=lambda now_open: is_open.set() if now_open else None)
+    link = Link(parse_url(url), on_state=lambda now_open: is_open.set() if now_open else None)
     async with _background(link.run()):
         await is_open.wait()
         return await body(link)

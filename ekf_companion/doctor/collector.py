@@ -28,7 +28,6 @@ from ekf_companion.status.collect import (
     output_state,
     peer_state,
     time_state,
-    with_prefix,
 )
 from ekf_companion.status.snapshot import LinkState, MessageState
 
@@ -202,7 +201,7 @@ class EvidenceCollector:
     ) -> Evidence:
         """Return everything at one moment."""
         companion, session, traffic = self.companion, self.companion.session, self._traffic
-        counters, peer = session.counters(), self._last_peer
+        peer = self._last_peer
         span = max(self._last_ns - (self._first_ns or 0), 1) * 1e-9
         return Evidence(
             means=self._means,
@@ -212,7 +211,7 @@ class EvidenceCollector:
             link=link,
             bytes_in=self._bytes,
             sample=traffic.sample,
-            frames=frame_state(counters),
+            frames=frame_state(session),
             damaged=damaged,
             first_version=traffic.first_version,
             mismatched=dict(traffic.mismatched),
@@ -224,8 +223,8 @@ class EvidenceCollector:
             overridden=self._override.rate,
             bytes_rate=self._bytes / span,
             stream_requests=traffic.stream_requests,
-            refused=with_prefix(counters, "refused: "),
-            time=time_state(session.timesync, session.decoder, now_ns),
+            refused=session.refused,
+            time=time_state(session, now_ns),
             stamps=self._stamps_in_use().state(),
             receiver=self._reports.receiver,
             estimator=None if companion.pipeline is None else companion.pipeline.health(),

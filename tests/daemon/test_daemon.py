@@ -33,7 +33,7 @@ from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
-from ekf_companion.mavlink.options import RATES
+from ekf_companion.mavlink.session import RATES
 from ekf_companion.nav import so3
 from ekf_companion.nav.state import Status
 from ekf_companion.replay import convert

@@ -91,7 +91,7 @@ class Link:
             if frame.message_id == READ and unpack(frame).param_id.decode() in self.is_deaf_to:
                 continue
             self.autopilot.receive(data, now_ns)
-        self.record += self.companion.session.take_record()
+        self.record += self.companion.session.outbox.take_record()
 
     def times(self, name):
         return [now_ns for now_ns, frame in self.sent if frame.message_id == IDS[name]]
