@@ -90,7 +90,7 @@ class Trajectory:
         transport_n = transport_rate_n(lat, alt, vel_n)
         gravity_n = np.zeros_like(vel_n)
         gravity_n[:, 2] = gravity(lat, alt)
-        force_n = vel_dot_n - gravity_n + _cross(2.0 * earth_n + transport_n, vel_n)
+        force_n = vel_dot_n - gravity_n + np.cross(2.0 * earth_n + transport_n, vel_n)
 
         q_bn = so3.conjugate(q_nb)
         return Truth(
@@ -160,9 +160,3 @@ def _body_rate(euler: Array, euler_dot: Array) -> Array:
         ],
         axis=-1,
     )
-
-
-def _cross(a: Array, b: Array) -> Array:
-    ax, ay, az = a.T
-    bx, by, bz = b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)

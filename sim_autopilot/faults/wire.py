@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim_autopilot.faults.fault import Fault, Layer, of_layer
+from sim_autopilot.faults.fault import Fault, Layer
 
-_DIRECTIONS = {"out": 0, "in": 1}
+_DIRECTIONS = ("out", "in")
 
 
 class Wire:
@@ -36,8 +36,8 @@ class Wire:
         self._latency_ns = round(latency * 1e9)
         self._faults = [
             (fault, np.random.default_rng(_sequence(seed, place, way)))
-            for place, fault in of_layer(faults, Layer.WIRE)
-            if fault.values["way"] in ("both", way)
+            for place, fault in enumerate(faults)
+            if fault.kind.layer is Layer.WIRE and fault.values["way"] in ("both", way)
         ]
         self._heap: list[tuple[int, int, bytes]] = []
         self._count = 0
@@ -91,4 +91,4 @@ def _flipped(frame: bytes, bits: int, rng: np.random.Generator) -> bytes:
 
 
 def _sequence(seed: int, place: int, way: str) -> np.random.SeedSequence:
-    return np.random.SeedSequence(seed, spawn_key=(300, place, _DIRECTIONS[way]))
+    return np.random.SeedSequence(seed, spawn_key=(300, place, _DIRECTIONS.index(way)))
