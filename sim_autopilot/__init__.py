@@ -11,10 +11,10 @@ flight      all of it in order of time, one cycle of the autopilot's loop at a t
 events      the same as the estimator's events, without the wire
 telemetry   the fields of each message for a cycle
 personality, firmware   the real autopilots' habits, and the autopilots that have them
-habits, rates, parameters, reception   parts of the imitation: the sensors as the firmware reports
-            them, the streams, the parameter service, the received ODOMETRY
+habits, rates, parameters   parts of the imitation: the sensors as the firmware reports
+            them, the streams, the parameter service
 autopilot   the MAVLink peer: bytes and times in, bytes out
-acceptance  what either autopilot does with an ODOMETRY (judgement, px4_receiver,
+acceptance  what either autopilot does with an ODOMETRY it receives (judgement, px4_receiver,
             ardupilot_receiver)
 faults      failures on the wire, in the sensors and of the clock
 spec        the syntax of a personality and a fault

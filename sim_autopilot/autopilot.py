@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
+from sim_autopilot.acceptance import Reception
 from sim_autopilot.config import SimConfig
 from sim_autopilot.firmware import IDEAL
 from sim_autopilot.flight import Cycle
@@ -18,7 +19,6 @@ from sim_autopilot.habits import FirmwareSensors
 from sim_autopilot.parameters import ParameterServer
 from sim_autopilot.personality import FAILED, UNSUPPORTED, Kind, Personality
 from sim_autopilot.rates import ACCEPTED, GNSS, GROUPS, Streams
-from sim_autopilot.reception import Reception
 
 __all__ = ["COMPONENT_ID", "Autopilot", "Kind", "Received"]
 

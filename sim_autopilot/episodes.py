@@ -52,9 +52,6 @@ USUAL = Limits(position=4.0, velocity=1.0, attitude=math.radians(6.0))
 class Episode:
     """One window of a flight: its largest errors, and the time of recovery after it."""
 
-    start: float
-    end: float
-    """s."""
     count: int
     """ODOMETRY in it."""
     position: float
@@ -94,20 +91,13 @@ def episode(
     until: float = math.inf,
     hold: float = 2.0,
 ) -> Episode:
-    """Score one window.
+    """Score one window, from ``start`` to before ``end``, s.
 
-    Args:
-        errors: Of the flight.
-        start: s.
-        end: s; itself not in it.
-        limits: Of a recovered estimate.
-        until: The next fault begins here, s.
-        hold: The errors must stay within the limits for so long, or up to ``until``, s.
+    To recover, the errors must stay within the limits for ``hold``, s, or up to ``until``, s, when
+    the next fault begins.
     """
     inside = (errors.t >= start) & (errors.t < end)
     return Episode(
-        start=start,
-        end=end,
         count=int(inside.sum()),
         position=_largest(errors.position[inside]),
         velocity=_largest(errors.velocity[inside]),
@@ -128,11 +118,8 @@ def episodes(
     ]
 
 
-def summaries(
-    witness: Witness, flight: Flight, faults: list[Fault], limits: Limits | None = None
-) -> list[dict[str, Any]]:
+def summaries(witness: Witness, flight: Flight, faults: list[Fault]) -> list[dict[str, Any]]:
     """Return the effect of each fault, for JSON; null: no ODOMETRY, or no recovery."""
-    found = episodes(error_series(witness, flight), faults, limits or USUAL)
     return [
         {
             "fault": str(fault),
@@ -142,7 +129,7 @@ def summaries(
             "attitude_deg": _finite(math.degrees(one.attitude)),
             "recovery_s": _finite(one.recovery),
         }
-        for fault, one in found
+        for fault, one in episodes(error_series(witness, flight), faults, USUAL)
     ]
 
 

@@ -31,7 +31,6 @@ _HEARTBEAT_PERIOD = 0.1
 class Flown:
     """The result of a flight over a link."""
 
-    flight: Flight
     autopilot: Autopilot
     witness: Witness
     pace: Pace
@@ -94,7 +93,7 @@ async def fly(
                 await pace.until(rig.autopilot.loop_ns)
             exchange()
         await asyncio.sleep(_AFTER)
-    return Flown(flight, rig.autopilot, witness, pace)
+    return Flown(rig.autopilot, witness, pace)
 
 
 async def _wait_for_answer(autopilot: Autopilot, link: Link, wait: float) -> None:
