@@ -51,14 +51,10 @@ def judge(
     *,
     source_set: int = 1,
 ) -> Judgement:
-    """Return what an autopilot does with a message.
+    """Return what an autopilot does with an ODOMETRY, its fields named as in the definitions.
 
-    Args:
-        stack: Which autopilot.
-        message: Fields of an ODOMETRY, named as in the definitions.
-        parameters: The autopilot's; the others have the firmware's defaults.
-        history: From the judgement of the message before; None: this is the first.
-        source_set: Of ArduPilot, the one that the pilot has switched to, 1 to 3.
+    Parameters that are not given have the firmware's defaults. The history is from the judgement of
+    the message before. ``source_set`` is the one of ArduPilot that the pilot has switched to.
     """
     values = {**DEFAULTS[stack], **(parameters or {})}
     before = history or History()

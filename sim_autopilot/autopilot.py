@@ -54,13 +54,9 @@ class Autopilot:
         is_wing: bool = False,
         seed: int = 1,
     ) -> None:
-        """Start it.
+        """Start a fixed wing or a multicopter; the seed is that of its habits' random numbers.
 
-        Args:
-            config: Every number.
-            personality: The autopilot to imitate; of a kind the ideal one.
-            is_wing: A fixed wing, else a multicopter.
-            seed: Of the random numbers of its habits.
+        The personality is the autopilot to imitate; of a kind the ideal one.
         """
         self.personality = IDEAL[personality] if isinstance(personality, Kind) else personality
         self.parameters = {**self.personality.parameters, **config.parameters}

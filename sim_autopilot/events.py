@@ -13,11 +13,9 @@ Array = npt.NDArray[np.float64]
 
 
 def events(flight: Flight, *, has_vel_down: bool = False) -> Events:
-    """Return all samples, in order of arrival.
+    """Return all samples in order of arrival; the stamps of fixes are late by the receiver's delay.
 
-    Args:
-        flight: Its stamps are kept: those of fixes are late by the receiver's delay.
-        has_vel_down: The fixes carry vertical velocity, as logs do and GPS_RAW_INT does not.
+    With ``has_vel_down`` the fixes carry vertical velocity, as logs do and GPS_RAW_INT does not.
     """
     imu, gnss, config = flight.imu, flight.gnss, flight.config.gnss
 

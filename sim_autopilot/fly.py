@@ -46,16 +46,10 @@ async def fly(
     log: TlogWriter | None = None,
     wait: float = 0.0,
 ) -> Flown:
-    """Fly over a link, and receive the estimate.
+    """Fly over an open link, ``speed`` times as fast as real time, and receive the estimate.
 
-    Args:
-        flight: The flight.
-        link: An open link.
-        personality: The autopilot to imitate; of a kind the ideal one.
-        faults: Of the flight.
-        speed: Of the autopilot's clock against ours.
-        log: Gets every frame sent and received.
-        wait: Longest time to wait for an answer before the flight begins, s; 0: do not wait.
+    The personality is the autopilot to imitate; of a kind the ideal one. The log gets every frame
+    sent and received. The flight begins with an answer, waited for ``wait`` s, or at once if 0.
 
     Raises:
         CompanionError: Nobody answered.

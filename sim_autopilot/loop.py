@@ -96,16 +96,11 @@ class Bench:
         peer_offset_ns: int = 0,
         peer_ppm: float = 0.0,
     ) -> None:
-        """Connect them.
+        """Connect them by a link of a latency, each way, s; a peer None never answers.
 
-        Args:
-            flight: The flight.
-            peer: The companion; None: nobody answers. It may be exchanged while the bench runs.
-            personality: The autopilot to imitate; of a kind the ideal one.
-            faults: Of the flight.
-            latency: Of the link, each way, s.
-            peer_offset_ns: Of the peer's clock when the world's shows 0.
-            peer_ppm: How much faster it runs, millionths.
+        The peer may be exchanged while the bench runs. Its clock shows ``peer_offset_ns`` when the
+        world's shows 0, and runs ``peer_ppm`` millionths faster. The personality is the autopilot
+        to imitate; of a kind the ideal one.
         """
         self.flight = flight
         self.peer = peer

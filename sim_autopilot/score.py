@@ -55,12 +55,10 @@ class Witness:
     """Receives the estimates of one flight, and compares them with the truth."""
 
     def __init__(self, flight: Flight, true_ns: Callable[[int, int], int] | None = None) -> None:
-        """Receive nothing yet.
+        """Start without an estimate.
 
-        Args:
-            flight: The truth.
-            true_ns: Converts a stamp of the autopilot's clock, with its time of arrival, to the
-                flight's clock, ns; None: the clocks are the same.
+        ``true_ns`` converts a stamp of the autopilot's clock, with its time of arrival, to the
+        flight's clock, ns; None: the clocks are the same.
         """
         self.frames: Counter[tuple[int, int]] = Counter()
         """ODOMETRY by frame and child frame."""

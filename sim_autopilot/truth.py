@@ -109,12 +109,9 @@ class Trajectory:
 
 
 def spline(path: Callable[[Array], Array], duration: float, step: float) -> BSpline:
-    """Fit a spline to a path.
+    """Fit a spline, valid from 0 to ``duration`` at least, with a control point every step, s.
 
-    Args:
-        path: Control points of times (s), shape (n,) to (n, m).
-        duration: The spline is valid from 0 to at least here, s.
-        step: Time between control points, s.
+    The path returns the control points of times (s), shape (n,) to (n, m).
     """
     count = int(np.ceil(duration / step)) + DEGREE + 1
     # The control point of knots i .. i + 6 belongs to their middle (Greville)

@@ -66,15 +66,14 @@ def run(
     mag_b, note = calibrated(samples.mag_b)
     angles, variances = _filter(samples, mag_b, settings, is_original=preset == "article")
     C = so3.to_matrix(so3.from_euler(0.0, 0.0, angles[:, 2]))
-    covariance = np.zeros((len(angles), 3, 3))
-    for index in range(3):
-        covariance[:, index, index] = variances[:, index]
+    covariance = variances[:, :, None] * np.eye(3)
     found = AttitudeEstimates(
         q_nb=so3.from_euler(*angles.T),
         covariance=np.einsum("nij,njk,nlk->nil", C, covariance, C),
+        notes=(note,) if note else (),
     )
     name = "ahrs-article" if preset == "corrected" else "ahrs-article (as printed)"
-    return attitude_solution(name, samples, found, notes=(note,) if note else ())
+    return attitude_solution(name, samples, found)
 
 
 def calibrated(mag_b: Array) -> tuple[Array, str]:

@@ -68,15 +68,8 @@ def align(
     """Align at the first fix that follows a window of samples with a heading in it.
 
     If the sensor rests in the window, the mean of the gyro is its bias, and the variance of both
-    sensors gives the uncertainty of bias and level.
-
-    Args:
-        t_ns: Times of the inertial samples, ascending, shape (n,).
-        gyro: rad/s, b, shape (n, 3).
-        accel: m/s^2, b, shape (n, 3).
-        aids: Times and aids, ascending.
-        settings: Those of the daemon: window, thresholds of rest, sigmas.
-        rate_n: The Earth's rotation, rad/s; None: it does not turn.
+    sensors gives the uncertainty of bias and level. Samples (rad/s and m/s^2, b, shape (n, 3)) and
+    aids are in order of time; ``rate_n`` is the Earth's rotation, rad/s, None: it does not turn.
 
     Raises:
         LogError: The recording ends before that, or right there.
@@ -194,13 +187,8 @@ def _levelled_covariance(state: Nominal, azimuth: Azimuth, tilt: float, accel_bi
     """Return the covariance of attitude and accelerometer bias, shape (6, 6), of a levelled start.
 
     The error of a level is the bias over gravity. It turns the heading too, by the Jacobian of the
-    azimuth: the more, the steeper the field. All three are correlated.
-
-    Args:
-        state: As aligned.
-        azimuth: By which the yaw was found.
-        tilt: One sigma of the level by other causes than the bias, rad.
-        accel_bias: One sigma, m/s^2.
+    azimuth: the more, the steeper the field. All three are correlated. The sigmas are of the level
+    by other causes than the bias, rad, and of the bias, m/s^2.
     """
     C_nb = so3.to_matrix(state.q_nb)
     # Turns about north, east and down by: bias (b), other tilt, azimuth

@@ -81,13 +81,10 @@ class MeasurementSequence:
         family: str = "unknown",
         gnss_delay: float | None = None,
     ) -> None:
-        """Sort the events and select the aids.
+        """Sort events in any order, and select the aids by the daemon's settings.
 
-        Args:
-            events: In any order.
-            settings: Those of the daemon: delays, least sigmas, sources.
-            family: Autopilot that resolves ``auto`` in them.
-            gnss_delay: Delay that the log declares, s.
+        The family of the autopilot resolves ``auto`` in them; ``gnss_delay`` is the delay that the
+        log declares, s.
 
         Raises:
             LogError: There are no inertial samples, no fixes or no heading.
@@ -122,17 +119,6 @@ class MeasurementSequence:
         self.aids: list[tuple[int, Observation]] = sorted(aids, key=lambda one: one[0])
         """Times and aids, ascending."""
 
-    @property
-    def noise(self) -> Noise:
-        """The process noise."""
-        imu = self._settings.imu
-        return Noise(
-            gyro=imu.gyro_noise,
-            accel=imu.accel_noise,
-            gyro_walk=imu.gyro_bias_walk,
-            accel_walk=imu.accel_bias_walk,
-        )
-
     def setup(self) -> Setup:
         """Return the start of a filter.
 
@@ -142,8 +128,15 @@ class MeasurementSequence:
         start = align(
             self.t_ns, self.gyro, self.accel, self.aids, self._settings, self.earth.rate_n
         )
+        imu = self._settings.imu
+        noise = Noise(
+            gyro=imu.gyro_noise,
+            accel=imu.accel_noise,
+            gyro_walk=imu.gyro_bias_walk,
+            accel_walk=imu.accel_bias_walk,
+        )
         gate = Gate(self._settings.gate)
-        return Setup(start=start, earth=self.earth, noise=self.noise, gate=gate)
+        return Setup(start=start, earth=self.earth, noise=noise, gate=gate)
 
     def steps(self, after_ns: int) -> Iterator[Step]:
         """Yield the intervals after a time, which must be that of an inertial sample."""
@@ -151,8 +144,7 @@ class MeasurementSequence:
         waiting = (one for one in self.aids if one[0] > after_ns)
         aid = next(waiting, None)
         for k in range(max(first, 1), len(self.t_ns)):
-            end = int(self.t_ns[k])
-            now = int(self.t_ns[k - 1])
+            now, end = self.t_ns[k - 1 : k + 1].tolist()
             while aid is not None and aid[0] <= end:
                 at_ns, together = aid[0], []
                 while aid is not None and aid[0] == at_ns:

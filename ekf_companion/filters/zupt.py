@@ -34,13 +34,7 @@ from ekf_companion.filters.strapdown import (
     integrate_strapdown,
     transition,
 )
-from ekf_companion.filters.zupt_detector import (
-    Detector,
-    Limits,
-    Rest,
-    first_rest,
-    statistic,
-)
+from ekf_companion.filters.zupt_detector import Detector, Limits, Rest, first_rest, statistic
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.measurements import Events
@@ -100,17 +94,10 @@ def run(
     detector: Detector = Detector.SHOE,
     gap: float = LONGEST_GAP,
 ) -> Solution:
-    """Run the filter over a recording of a walk.
+    """Run the filter over the inertial samples of a walk, which begins at rest in any attitude.
 
-    Args:
-        events: Only inertial samples count. The sensor rests at the start, in any attitude.
-        settings: Properties of sensor and foot.
-        detector: Finds the stances.
-        gap: Gap in the samples beyond which only the longest part counts, s.
-
-    Returns:
-        An estimate per inertial sample from the first rest on: metres from the start, yaw relative
-        to the sensor's forward axis there.
+    Positions are metres from the start, yaw is relative to the sensor's forward axis there. Beyond
+    a gap in the samples, s, only the longest part counts.
 
     Raises:
         LogError: Too few inertial samples, or no rest at the start.

@@ -211,12 +211,8 @@ def schedule(
 ) -> list[Fault]:
     """Schedule faults in random order with quiet time between them, round after round.
 
-    Args:
-        kinds: Names, or names with values, as ``parse`` reads them, without ``start``.
-        seed: Of the order.
-        duration: Of the flight, s: the last fault and its gap end before.
-        gap: Quiet time between two faults, s.
-        first: Quiet time before the first, s.
+    Kinds are names, or names with values, as ``parse`` reads them, without ``start``. Quiet are
+    ``first`` seconds, and ``gap`` seconds after each fault, the last within the flight's duration.
 
     Raises:
         ConfigError: A kind cannot be read, or not all of them fit into the duration.

@@ -23,14 +23,10 @@ class Wire:
         way: str = "out",
         latency: float = 0.0,
     ) -> None:
-        """Begin without a frame.
+        """Begin a flight at ``zero_ns`` on the clock of ``push``; every frame takes ``latency`` s.
 
-        Args:
-            faults: All of the flight; those of the wire in this direction act.
-            seed: Of the flight.
-            zero_ns: Time of the start of the flight on the clock of ``push``.
-            way: ``out``: from the autopilot to the companion, or ``in``.
-            latency: Every frame takes so long, s.
+        Of the flight's faults those of the wire in this direction act: ``out``, from the autopilot
+        to the companion, or ``in``. Each draws from a generator of its own.
         """
         self._zero_ns = zero_ns
         self._latency_ns = round(latency * 1e9)
