@@ -79,8 +79,10 @@ def _daemon(config: Path | None, port: int, log: Path) -> Iterator[None]:
     command = [sys.executable, "-m", "ekf_companion", "run", "--link", f"udpin:127.0.0.1:{port}"]
     if config is not None:
         command += ["--config", str(config)]
-    with log.open("wb") as output:
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+    with (
+        log.open("wb") as output,
+        subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT) as process,
+    ):
         try:
             yield
         finally:
@@ -90,7 +92,6 @@ def _daemon(config: Path | None, port: int, log: Path) -> Iterator[None]:
                 process.wait(_STOP)
             except subprocess.TimeoutExpired:
                 process.kill()
-                process.wait()
             if code is not None:
                 raise CompanionError(f"the daemon ended by itself with exit code {code}; see {log}")
 

@@ -276,17 +276,7 @@ def _is_at_rest(truth: Truth) -> npt.NDArray[np.bool_]:
 
 
 def _motions(truth: Truth) -> Iterator[Motion]:
-    euler = so3.wrap(truth.euler)
-    columns = (
-        truth.lat,
-        truth.lon,
-        truth.alt,
-        truth.pos_n,
-        truth.vel_n,
-        truth.q_nb,
-        euler,
-        truth.rate_nb_b,
-        truth.accel_b,
-    )
-    for row in zip(*(column.tolist() for column in columns), strict=True):
+    place = (truth.lat, truth.lon, truth.alt, truth.pos_n, truth.vel_n)
+    attitude = (truth.q_nb, so3.wrap(truth.euler), truth.rate_nb_b, truth.accel_b)
+    for row in zip(*(column.tolist() for column in place + attitude), strict=True):
         yield Motion(*row)

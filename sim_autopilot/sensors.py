@@ -92,10 +92,7 @@ def generators(seed: int) -> dict[str, np.random.Generator]:
     """Return one generator for each source of noise; new ones are added at the end."""
     names = ("imu", "gnss", "compass", "baro", "estimate")
     sequences = np.random.SeedSequence(seed).spawn(len(names))
-    return {
-        name: np.random.default_rng(sequence)
-        for name, sequence in zip(names, sequences, strict=True)
-    }
+    return dict(zip(names, map(np.random.default_rng, sequences), strict=True))
 
 
 def mean_imu(trajectory: Trajectory, t: Array, period: float) -> tuple[Array, Array]:

@@ -220,15 +220,12 @@ class _Estimator:
             self._rotate(np.array([innovation[0], innovation[1], 0.0]))
             self._P[:2, :2] = sigma2
             return np.zeros(2)
-        R = sigma2 + self._lag_covariance()
+        # The tilt by bias and lag of the low-pass
+        C = s.gravity_memory * self._lag.value[:2, :3]
+        R = sigma2 + C @ self._P[3:, 3:] @ C.T
         dx = self._correct(np.eye(6)[:2], innovation, R)
         self.counts["gravity"] += 1
         return dx[:2]
-
-    def _lag_covariance(self) -> Array:
-        """Return the covariance of the tilt by bias and lag of the low-pass, shape (2, 2)."""
-        C = self.settings.gravity_memory * self._lag.value[:2, :3]
-        return np.asarray(C @ self._P[3:, 3:] @ C.T)
 
     def _correct_bias_in_motion(self, rate_n: Array, C_nb: Array) -> None:
         """Correct the bias by the rate at which the tilt is corrected, about north and east, rad/s.

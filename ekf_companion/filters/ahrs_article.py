@@ -14,7 +14,7 @@ limits remain: the kinematics fail at a pitch of +-90 deg, and any acceleration 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -105,7 +105,7 @@ def _filter(
     roll, pitch, yaw = so3.to_euler(samples.first_attitude()).tolist()
     rolls = pitches = yaws = 1.0
     angles, variances = [], []
-    for dt, (p, q, r), (fx, fy, fz), mag in samples.rows(mag_b):
+    for dt, (p, q, r), (fx, fy, fz), mag in replace(samples, mag_b=mag_b).rows():
         # Predict by Euler's kinematics
         sr, cr = math.sin(roll), math.cos(roll)
         cp = math.cos(pitch)

@@ -50,12 +50,6 @@ class _Window:
     azimuths: Sequence[Azimuth]
     is_rest: bool
 
-    @property
-    def deviations(self) -> tuple[float, float]:
-        """Return the standard deviations of the means of gyro and accelerometer, worst axis."""
-        gyro, accel = (float(one.std(axis=0).max()) for one in (self.gyro, self.accel))
-        return gyro / np.sqrt(len(self.gyro)), accel / np.sqrt(len(self.gyro))
-
 
 def align(
     t_ns: Stamps,
@@ -167,7 +161,10 @@ def _covariance(
     state: Nominal, window: _Window, north: Azimuth, vel_std: Array, settings: FilterSettings
 ) -> Array:
     imu = settings.imu
-    of_gyro, of_accel = window.deviations
+    # One sigma of the means, of the worst axis
+    of_gyro, of_accel = (
+        float(one.std(axis=0).max()) / np.sqrt(len(one)) for one in (window.gyro, window.accel)
+    )
     tilt = of_accel / STANDARD_GRAVITY
     bias = imu.gyro_bias
     if window.is_rest:

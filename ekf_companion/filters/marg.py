@@ -51,17 +51,11 @@ class MargSamples:
         """Return which samples have a new field, shape (n,)."""
         return known_rows(self.mag_b)
 
-    def rows(
-        self, mag_b: Array | None = None
-    ) -> Iterator[tuple[float, list[float], list[float], list[float] | None]]:
-        """Yield step, rate, specific force and field (None: no new one) of each sample.
-
-        ``mag_b`` replaces the measured field.
-        """
-        mag_b = self.mag_b if mag_b is None else mag_b
+    def rows(self) -> Iterator[tuple[float, list[float], list[float], list[float] | None]]:
+        """Yield step, rate, specific force and field (None: no new one) of each sample."""
         fields = (
             field if is_known else None
-            for field, is_known in zip(mag_b.tolist(), known_rows(mag_b).tolist(), strict=True)
+            for field, is_known in zip(self.mag_b.tolist(), self.has_mag.tolist(), strict=True)
         )
         gyro, accel = self.gyro_b.tolist(), self.accel_b.tolist()
         return zip(self.steps.tolist(), gyro, accel, fields, strict=True)

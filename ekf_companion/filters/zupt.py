@@ -164,10 +164,8 @@ class _Filter:
         fused = refused = 0
         self._record(int(imu.t_ns[0]))
         for index in range(1, len(imu)):
-            # Predict over one sample
             over = _between(imu, index)
             self._predict(over)
-
             # A still sensor has zero velocity
             if is_still[index]:
                 is_fused = self._correct(imu.values[index, :3], over.dt)
