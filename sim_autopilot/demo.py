@@ -47,7 +47,9 @@ def fly(
     out.mkdir(parents=True, exist_ok=True)
     flight = Flight.plan("figure-eight", SimConfig(), seed=seed, duration=duration)
     write_truth(out / "truth.csv", flight)
-    port = _free_port()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
     with _daemon(daemon_config, port, out / "daemon.log"):
         flown = run(
             over(f"udpout:127.0.0.1:{port}", lambda link: fly_over(flight, link, wait=_START))
@@ -94,9 +96,3 @@ def _daemon(config: Path | None, port: int, log: Path) -> Iterator[None]:
                 process.kill()
             if code is not None:
                 raise CompanionError(f"the daemon ended by itself with exit code {code}; see {log}")
-
-
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

@@ -77,7 +77,7 @@ def of_recording(recording: Recording) -> Iterator[Timed]:
     for now_ns, t_ns, kind, values in rows:
         if now_ns >= next_beat_ns:
             next_beat_ns = now_ns + _SECOND_NS
-            for name, fields in _status(autopilot, now_ns, armed, landed):
+            for name, fields in _status(autopilot, now_ns, armed, landed).items():
                 yield now_ns, sender.message(name, **fields)
         while attitudes and attitudes[0][0] <= now_ns:
             t_ns_own, angles = attitudes.popleft()
@@ -118,21 +118,19 @@ def _attitude(t_ns: int, roll: float, pitch: float, yaw: float) -> dict[str, flo
     return {"time_boot_ms": boot_ms, "roll": roll, "pitch": pitch, "yaw": yaw}
 
 
-def _status(
-    autopilot: int, now_ns: int, armed: bool, landed: int
-) -> Iterator[tuple[str, dict[str, float]]]:
-    yield (
-        "HEARTBEAT",
-        {
+def _status(autopilot: int, now_ns: int, armed: bool, landed: int) -> dict[str, dict[str, float]]:
+    mode, status = (128, 4) if armed else (0, 3)
+    return {
+        "HEARTBEAT": {
             "type": 2,
             "autopilot": autopilot,
-            "base_mode": 128 if armed else 0,
-            "system_status": 4 if armed else 3,
+            "base_mode": mode,
+            "system_status": status,
             "mavlink_version": 3,
         },
-    )
-    yield "SYSTEM_TIME", {"time_boot_ms": now_ns // 1_000_000 & 0xFFFFFFFF}
-    yield "EXTENDED_SYS_STATE", {"landed_state": landed}
+        "SYSTEM_TIME": {"time_boot_ms": now_ns // 1_000_000 & 0xFFFFFFFF},
+        "EXTENDED_SYS_STATE": {"landed_state": landed},
+    }
 
 
 def _imu(

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ekf_companion.filters import gauss_newton
 from ekf_companion.filters.gate import Decision
@@ -153,11 +154,7 @@ class Iterated:
         state, T = x.in_n(), x.in_n_jacobian()[:, self._active]
         z = np.concatenate([aid.innovation(state) for aid in aids])
         H = np.concatenate([aid.jacobian(state) for aid in aids]) @ T
-        R, first = np.zeros((len(z), len(z))), 0
-        for block in (aid.covariance() for aid in aids):
-            rows = slice(first, first := first + len(block))
-            R[rows, rows] = block
-        return Rows(z, H, R)
+        return Rows(z, H, block_diag(*(aid.covariance() for aid in aids)))
 
     def _full(self, dx: Array) -> Array:
         full = np.zeros(FULL)

@@ -128,14 +128,9 @@ def find_stances(imu: Events, rest: Rest, settings: ZuptSettings, detector: Dete
     )
     ignores_rate = detector in (Detector.VARIANCE, Detector.MAGNITUDE)
     window = settings.window * (3.0 if ignores_rate else 1.0)
-    value = statistic(
-        detector,
-        imu.values[:, 0:3] - rest.gyro,
-        imu.values[:, 3:6],
-        rest.gravity,
-        limits,
-        half=round(0.5 * window / rest.period),
-    )
+    half = round(0.5 * window / rest.period)
+    gyro, accel = imu.values[:, 0:3] - rest.gyro, imu.values[:, 3:6]
+    value = statistic(detector, gyro, accel, rest.gravity, limits, half)
     return np.asarray(value < settings.threshold)
 
 
