@@ -25,5 +25,5 @@ episodes    the effect of each fault on the estimate, and the time of recovery
 recording   files: truth as CSV, frames as .tlog
 replay      a recorded flight as frames at their times
 figure      the figure of a flight
-pace, fly, demo, __main__   the shells, which alone open, await, sleep and print
+fly, demo, __main__   the shells, which alone open, await, sleep and print
 """

@@ -28,9 +28,8 @@ from sim_autopilot.firmware import IDEAL, PERSONALITIES
 from sim_autopilot.firmware import parse as parse_personality
 from sim_autopilot.flight import Flight
 from sim_autopilot.fly import fly as fly_over
-from sim_autopilot.fly import over, play
+from sim_autopilot.fly import over, play, run
 from sim_autopilot.loop import Bench, StreamRequester
-from sim_autopilot.pace import run
 from sim_autopilot.personality import Kind, Personality
 from sim_autopilot.recording import TlogWriter, write_truth
 from sim_autopilot.scenarios import SCENARIOS

@@ -16,8 +16,7 @@ from sim_autopilot import figure
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
 from sim_autopilot.fly import fly as fly_over
-from sim_autopilot.fly import over
-from sim_autopilot.pace import run
+from sim_autopilot.fly import over, run
 from sim_autopilot.recording import write_truth
 from sim_autopilot.score_table import TITLES
 
