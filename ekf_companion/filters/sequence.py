@@ -121,6 +121,17 @@ class MeasurementSequence:
         self.aids: list[tuple[int, Observation]] = sorted(aids, key=lambda one: one[0])
         """Times and aids, ascending."""
 
+    @property
+    def noise(self) -> Noise:
+        """The process noise."""
+        imu = self._settings.imu
+        return Noise(
+            gyro=imu.gyro_noise,
+            accel=imu.accel_noise,
+            gyro_walk=imu.gyro_bias_walk,
+            accel_walk=imu.accel_bias_walk,
+        )
+
     def setup(self) -> Setup:
         """Return the start of a filter.
 
@@ -130,15 +141,8 @@ class MeasurementSequence:
         start = align(
             self.t_ns, self.gyro, self.accel, self.aids, self._settings, self.earth.rate_n
         )
-        imu = self._settings.imu
-        noise = Noise(
-            gyro=imu.gyro_noise,
-            accel=imu.accel_noise,
-            gyro_walk=imu.gyro_bias_walk,
-            accel_walk=imu.accel_bias_walk,
-        )
         gate = Gate(self._settings.gate)
-        return Setup(start=start, earth=self.earth, noise=noise, gate=gate)
+        return Setup(start=start, earth=self.earth, noise=self.noise, gate=gate)
 
     def steps(self, after_ns: int) -> Iterator[Step]:
         """Yield the intervals after a time, which must be that of an inertial sample."""
