@@ -11,6 +11,7 @@ from sim_autopilot.personality import DENIED, FAILED, Kind, Pacing, Personality
 _INFINITE = 1000.0
 """Hz: every new sample."""
 _PARAMETER_LENGTH = 16
+
 IDEAL = {
     Kind.PX4: Personality(
         name="px4",

@@ -61,7 +61,10 @@ class FaultKind:
     layer: Layer
 
 
-_WIRE: dict[str, tuple[str, float, dict[str, Value]]] = {
+_Kinds = dict[str, tuple[str, float, dict[str, Value]]]
+"""By name: summary, duration and values."""
+
+_WIRE: _Kinds = {
     "loss": ("a share of the frames is lost", 5.0, {"share": _SHARE, "way": _WAY}),
     "duplicate": ("a share of the frames comes twice", 5.0, {"share": _SHARE, "way": _WAY}),
     "reorder": (
@@ -81,7 +84,7 @@ _WIRE: dict[str, tuple[str, float, dict[str, Value]]] = {
     ),
     "cut": ("nothing passes", 5.0, {"way": _WAY}),
 }
-_CLOCK: dict[str, tuple[str, float, dict[str, Value]]] = {
+_CLOCK: _Kinds = {
     "reboot": ("the autopilot starts anew: silence, its clock from 0, requests forgotten", 5.0, {}),
     "clock-jump": (
         "the autopilot's clock jumps by `by` seconds at the start, for good",
@@ -94,7 +97,7 @@ _CLOCK: dict[str, tuple[str, float, dict[str, Value]]] = {
         {"ppm": Number(200.0, -1e5, 1e5)},
     ),
 }
-_SENSOR: dict[str, tuple[str, float, dict[str, Value]]] = {
+_SENSOR: _Kinds = {
     "gnss-outage": (
         "no fix: the receiver is silent, or says fix_type 0 with true coordinates (nofix)",
         10.0,
