@@ -146,15 +146,15 @@ class ObservabilityFilter:
         if decision is Decision.REFUSED and self._is_gated:
             return
         is_reset = decision is Decision.RESET and self._is_gated
-        anew = reset(aid, self._state, self._setup.gate.patience(aid.aid))
-        K = anew.gain if is_reset else np.linalg.solve(S, PHt.T).T
+        K, inflation = reset(aid, self._state, self._setup.gate.patience[aid.aid])
+        K = K if is_reset else np.linalg.solve(S, PHt.T).T
         self.first_ns.setdefault(aid.aid, t_ns)
         whiten = np.linalg.inv(np.linalg.cholesky(R))
         white = whiten @ H
         self._rest.correct(whiten, aid, self._state)
         if is_reset:
             self._own.correct_by_gain(K, H, R)
-            self._own.P += anew.inflation
+            self._own.P += inflation
         else:
             self._own.correct(white)
         self._full.correct(white)

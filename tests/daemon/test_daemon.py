@@ -41,8 +41,7 @@ from ekf_companion.replay import run as replay
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import HomeConfig, SimConfig
 from sim_autopilot.flight import Flight
-from sim_autopilot.fly import fly, over
-from sim_autopilot.pace import run
+from sim_autopilot.fly import fly, over, run
 from tests.daemon.waiting import LIMIT
 
 SPEED = 3.0

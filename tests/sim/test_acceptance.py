@@ -8,7 +8,8 @@ from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import Sender, pack, unpack
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.frame import Splitter
-from sim_autopilot.acceptance import Quantity, Stack, judge, would_accept
+from sim_autopilot.acceptance import judge, would_accept
+from sim_autopilot.judgement import Quantity, Stack
 
 ALL = frozenset(Quantity)
 PERIOD_US = 33_333

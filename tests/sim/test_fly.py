@@ -21,8 +21,7 @@ from sim_autopilot.__main__ import app
 from sim_autopilot.config import SimConfig
 from sim_autopilot.firmware import parse as parse_personality
 from sim_autopilot.flight import Flight
-from sim_autopilot.fly import fly, over, play
-from sim_autopilot.pace import Pace, run
+from sim_autopilot.fly import Pace, fly, over, play, run
 from sim_autopilot.recording import TlogWriter
 
 CONFIG = SimConfig()
