@@ -7,7 +7,7 @@ from collections.abc import Hashable
 from typing import Any
 
 from ekf_companion.config.config import Config
-from ekf_companion.doctor.counters import MessageCounter, StampCounter
+from ekf_companion.doctor.counters import MessageCounter, Stamps
 from ekf_companion.doctor.evidence import Evidence, Means, Opening, Sent
 from ekf_companion.doctor.parameters import ParameterReader
 from ekf_companion.doctor.rate_override import RateOverride
@@ -66,7 +66,7 @@ class EvidenceCollector:
         self._traffic = Traffic()
         self._reports = AutopilotReports()
         self._counters: defaultdict[str, MessageCounter] = defaultdict(MessageCounter)
-        self._stamps: dict[str, StampCounter] = {}
+        self._stamps: dict[str, Stamps] = {}
         self._override = RateOverride()
         self._odometry = MessageCounter()
         self._odometry_frames: set[tuple[int, int]] = set()
@@ -147,7 +147,7 @@ class EvidenceCollector:
         if name in _STAMPS:
             size, unit = _STAMPS[name]
             stamp = int.from_bytes(frame.payload[:size], "little")
-            self._stamps.setdefault(name, StampCounter(name)).add(stamp * unit)
+            self._stamps.setdefault(name, Stamps(message=name)).add(stamp * unit)
         elif name == "PARAM_VALUE":
             m = unpack(frame)
             if (value := value_of(m, frame, self._family)) is not None:
@@ -156,19 +156,15 @@ class EvidenceCollector:
             m = unpack(frame)
             if m.error == DOES_NOT_EXIST:
                 self.parameters.receive(_name(m), None, self._family)
-        elif name == "COMMAND_ACK":
+        elif name == "COMMAND_ACK" and self._requested:
             m = unpack(frame)
             if m.command == encode.SET_MESSAGE_INTERVAL and m.result != _IN_PROGRESS:
-                self._receive_answer(m.result)
-
-    def _receive_answer(self, result: int) -> None:
-        """Note the answer to the request that is under way: there is one at a time."""
-        if self._requested:
-            counter, self._requested = self._counters[self._requested], ""
-            counter.receive_answer(
-                _RESULTS[result] if result < len(_RESULTS) else f"result {result}"
-            )
-            self._override.restart()
+                # To the request that is under way: there is one at a time
+                known = m.result < len(_RESULTS)
+                answer = _RESULTS[m.result] if known else f"result {m.result}"
+                self._counters[self._requested].receive_answer(answer)
+                self._requested = ""
+                self._override.restart()
 
     def _count_ours(self, frame: Frame, now_ns: int) -> None:
         """Count a frame of ours: live as it is sent, in a recording as it stands there."""
@@ -216,7 +212,7 @@ class EvidenceCollector:
             damaged=damaged,
             first_version=traffic.first_version,
             mismatched=dict(traffic.mismatched),
-            sources=traffic.sources(),
+            sources=tuple(traffic.sources.values()),
             peer=peer and peer_state(companion, peer, now_ns),
             is_clash=session.clash.is_clash,
             messages=self._messages(now_ns),
@@ -226,7 +222,7 @@ class EvidenceCollector:
             stream_requests=traffic.stream_requests,
             refused=with_prefix(counters, "refused: "),
             time=time_state(session.timesync, session.decoder, now_ns),
-            stamps=self._stamps_in_use().state(),
+            stamps=self._stamps_in_use(),
             receiver=self._reports.receiver,
             estimator=None if companion.pipeline is None else companion.pipeline.health(),
             output=output_state(session, self._odometry.count, self._odometry.rate()),
@@ -238,7 +234,7 @@ class EvidenceCollector:
                 rate=self._odometry.rate(),
                 frames=frozenset(self._odometry_frames),
             ),
-            feedback=self._reports.feedback(),
+            feedback=self._reports.feedback,
         )
 
     def _messages(self, now_ns: int) -> dict[str, MessageState]:
@@ -254,11 +250,11 @@ class EvidenceCollector:
             for name, counter in self._counters.items()
         }
 
-    def _stamps_in_use(self) -> StampCounter:
+    def _stamps_in_use(self) -> Stamps:
         source = self.companion.session.decoder.imu_source
         if source not in self._stamps and self._stamps:
             source = max(self._stamps, key=lambda name: self._counters[name].count)
-        return self._stamps.get(source, StampCounter(""))
+        return self._stamps.get(source, Stamps())
 
     def _decision(self) -> Decision:
         """Return the guard's decision, or the same one from the parameters that were read."""

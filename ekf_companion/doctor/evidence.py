@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from ekf_companion.config.config import Config
+from ekf_companion.doctor.counters import Stamps
 from ekf_companion.engine.health import Health
 from ekf_companion.mavlink.decision import Decision
 from ekf_companion.mavlink.discovery import is_autopilot
@@ -68,13 +69,13 @@ class Opening:
     """The process that holds it; None if there is none that we may see."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class Source:
     """One sender on the link."""
 
     system_id: int
     component_id: int
-    frames: int
+    frames: int = 0
     heartbeats: int = 0
     autopilot: int = 8
     """MAV_AUTOPILOT of its heartbeat; 8: not an autopilot."""
@@ -87,21 +88,6 @@ class Source:
     def is_autopilot(self) -> bool:
         """Whether its heartbeat is that of an autopilot."""
         return self.heartbeats > 0 and is_autopilot(self.autopilot, self.type)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stamps:
-    """The time stamps of the inertial message in use."""
-
-    message: str = ""
-    """Empty if none has come."""
-    count: int = 0
-    repeated: int = 0
-    backward: int = 0
-    gaps: int = 0
-    """Steps more than ten times the usual one."""
-    zero: int = 0
-    is_whole_ms: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,8 +114,8 @@ class Feedback:
 
     texts: tuple[str, ...] = ()
     """STATUSTEXT of the severity critical or worse, or about ODOMETRY; the last ones."""
-    flags: int | None = None
-    """Of ESTIMATOR_STATUS or EKF_STATUS_REPORT; None if none has come."""
+    flags: int = 0
+    """Of ESTIMATOR_STATUS or EKF_STATUS_REPORT; 0 if none has come."""
     worst_ratio: float = math.nan
     """Largest innovation test ratio in ESTIMATOR_STATUS, or variance in EKF_STATUS_REPORT."""
 
@@ -211,7 +197,8 @@ class Evidence:
     refused: Mapping[str, int] = field(default_factory=dict)
     """Implausible values in the autopilot's messages, ``message: why``."""
     time: TimeState = _NO_TIME
-    stamps: Stamps = Stamps()
+    stamps: Stamps = field(default_factory=Stamps)
+    """Of the inertial message in use."""
     receiver: Receiver = Receiver()
     estimator: Health | None = None
     output: OutputState = _NO_OUTPUT

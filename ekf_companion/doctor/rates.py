@@ -40,13 +40,20 @@ def rates(evidence: Evidence) -> StageResult:
     saw = f"{name} {_hertz(state.rate)}{asked}"
     if gnss is not None:
         saw += f", GPS_RAW_INT {_hertz(gnss.rate)}"
-    share = _share_lost(evidence)
+    lost = evidence.frames.lost
+    received = sum(state.count for state in evidence.messages.values())
+    share = lost / (lost + received) if received else 0.0
     saw += f", {share:.1%} lost"
-    return judged(
-        Stage.RATES,
-        saw + _note(evidence, state),
-        [_lost(share, evidence), *_slow(evidence, state, share), _slow_gnss(gnss)],
-    )
+    if state.rate < ENOUGH * state.asked and _is_whole_division(evidence, state):
+        saw += " (PX4 divides its rate by whole numbers)"
+    problems = [_lost(share, evidence), *_slow(evidence, state, share)]
+    if gnss is not None and 0.0 < gnss.rate < _FEW_FIXES:
+        few = warning(
+            f"GPS_RAW_INT comes at {_hertz(gnss.rate)}: few fixes make a slow and coarse estimate.",
+            "Set link.gnss_rate = 10, and the receiver to 5 Hz (ArduPilot: GPS1_RATE_MS = 200).",
+        )
+        problems.append(few)
+    return judged(Stage.RATES, saw, problems)
 
 
 def _hertz(rate: float) -> str:
@@ -78,15 +85,6 @@ def _slow(evidence: Evidence, state: MessageState, share: float) -> list[Problem
     return [severity(f"{rate}; flight needs {DECIMATED:.0f} or more.", more(evidence, state))]
 
 
-def _slow_gnss(gnss: MessageState | None) -> Problem | None:
-    if gnss is None or not 0.0 < gnss.rate < _FEW_FIXES:
-        return None
-    return warning(
-        f"GPS_RAW_INT comes at {_hertz(gnss.rate)}: few fixes make a slow and coarse estimate.",
-        "Set link.gnss_rate = 10, and the receiver to 5 Hz (ArduPilot: GPS1_RATE_MS = 200).",
-    )
-
-
 def _is_whole_division(evidence: Evidence, state: MessageState) -> bool:
     """Return whether PX4 divides its rate by a whole number: 200 asked of 250 gives 125."""
     if evidence.family != "px4" or not state.asked:
@@ -94,18 +92,6 @@ def _is_whole_division(evidence: Evidence, state: MessageState) -> bool:
     base = evidence.parameters.get("IMU_INTEG_RATE", _PX4_IMU)
     parts = max(1, math.ceil(base / state.asked - 0.05))
     return abs(state.rate - base / parts) <= 0.08 * base / parts
-
-
-def _note(evidence: Evidence, state: MessageState) -> str:
-    if state.rate < ENOUGH * state.asked and _is_whole_division(evidence, state):
-        return " (PX4 divides its rate by whole numbers)"
-    return ""
-
-
-def _share_lost(evidence: Evidence) -> float:
-    counted = evidence.frames
-    ours = sum(state.count for state in evidence.messages.values())
-    return counted.lost / (counted.lost + ours) if ours else 0.0
 
 
 def _lost(share: float, evidence: Evidence) -> Problem | None:
