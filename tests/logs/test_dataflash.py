@@ -8,6 +8,7 @@ from pymavlink import DFReader
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import dataflash
+from ekf_companion.logs.estimate import read_truth
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 
@@ -276,7 +277,7 @@ def test_the_simulators_truth_agrees_with_what_was_recorded_beside_it(flight):
     from ekf_companion.analysis import score
 
     recording = dataflash.read(flight("sitl-arducopter-bin/flight.bin"))
-    truth = score.read_truth(flight("sitl-arducopter-bin/truth.csv"))
+    truth = read_truth(flight("sitl-arducopter-bin/truth.csv"))
     found = score.score(recording.truth, truth)
     assert found.horizontal.rms < 0.01
     assert found.yaw.rms < np.deg2rad(0.01)

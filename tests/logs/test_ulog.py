@@ -9,6 +9,7 @@ from pyulog import ULog
 from ekf_companion.analysis import score
 from ekf_companion.errors import LogError
 from ekf_companion.logs import ulog, ulog_trajectory
+from ekf_companion.logs.estimate import read_truth
 from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 
 CODES = {"uint64_t": "Q", "float": "f", "double": "d", "int32_t": "i", "uint8_t": "B", "bool": "?"}
@@ -242,7 +243,7 @@ def test_a_damaged_flight_keeps_its_longest_run_of_the_clock(flight):
 
 
 def test_the_simulators_truth_agrees_with_what_was_recorded_beside_it(flight):
-    truth = score.read_truth(flight("sitl-px4-ulg/truth.csv"))
+    truth = read_truth(flight("sitl-px4-ulg/truth.csv"))
     found = score.score(ulog.read(flight("sitl-px4-ulg/flight.ulg")).truth, truth)
     assert found.horizontal.rms < 0.01
     assert found.velocity.rms < 0.01
