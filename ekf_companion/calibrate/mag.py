@@ -118,7 +118,8 @@ def measure_field(mag_b: Array, strength: float | None, name: str = "the log") -
         method, fit = "circle", _with_jackknife(mag_b, lambda some: _circle(some, sure))
         arms = mag_b[:, sure] - fit.hard[sure]
         radius = float(np.median(np.linalg.norm(arms, axis=1)))
-        is_circle = radius > FLATTEST and fit.rms < OVAL * radius and _turned(arms) >= TURNED
+        turned = len(np.unique(_bearing(arms))) / BEARINGS
+        is_circle = radius > FLATTEST and fit.rms < OVAL * radius and turned >= TURNED
         if not is_circle or fit.hard_std.max() > SURE_HARD:
             raise LogError(
                 f"{name}: the vehicle has hardly turned, so its iron cannot be told from the "
@@ -178,28 +179,24 @@ def _with_jackknife(mag_b: Array, solve: Callable[[Array], Fit]) -> Fit:
 def _circle(mag_b: Array, plane: Mask) -> Fit:
     """Fit a circle of any radius in the plane of two axes; the third has no iron."""
     flat = mag_b[:, plane]
-    hard, soft, size = np.zeros(3), np.eye(3), np.zeros(len(flat))
+    hard = np.zeros(3)
     hard[plane] = flat.mean(axis=0)
     for _ in range(2):
-        weight = 1.0 / np.bincount(_bearing(flat - hard[plane]))[_bearing(flat - hard[plane])]
+        bearing = _bearing(flat - hard[plane])
+        weight = 1.0 / np.bincount(bearing)[bearing]
         hard[plane] = ellipsoid.sphere(flat, weight)[0]
-        size = np.linalg.norm(flat - hard[plane], axis=1)
+    size = np.linalg.norm(flat - hard[plane], axis=1)
     off = size - np.average(size, weights=weight)
     rms = float(np.sqrt(np.average(off**2, weights=weight)))
     # Of n independent bearings each coordinate of the centre has the variance 2 / n
     std = np.where(plane, np.sqrt(2.0 / weight.sum()) * rms, 0.0)
-    return Fit(hard=hard, soft=soft, hard_std=std, soft_std=0.0, rms=rms)
+    return Fit(hard=hard, soft=np.eye(3), hard_std=std, soft_std=0.0, rms=rms)
 
 
 def _bearing(flat: Array) -> Indices:
     """Return for each vector, shape (n, 2), which of ``BEARINGS`` sectors it points to."""
     turns = np.arctan2(flat[:, 1], flat[:, 0]) / (2.0 * np.pi) + 0.5
     return np.asarray(turns * BEARINGS, dtype=np.int64) % BEARINGS
-
-
-def _turned(flat: Array) -> float:
-    """Return the share of all bearings that occur."""
-    return len(np.unique(_bearing(flat))) / BEARINGS
 
 
 def _by_extremes(mag_b: Array, strength: float) -> Fit:

@@ -9,7 +9,6 @@ import numpy as np
 from ekf_companion.calibrate import ellipsoid
 from ekf_companion.calibrate.mag import Iron
 from ekf_companion.calibrate.result import Result, Setting, rounded, spelled
-from ekf_companion.nav.arrays import Array
 
 AXES = ("forward", "right", "down")
 FEW = 0.1
@@ -21,29 +20,28 @@ DISTURBED = 0.03
 def result(found: Iron) -> Result:
     """Return measured iron as keys of the configuration."""
     fit = found.fit
-    stds = np.where(found.determined, fit.hard_std, np.nan)
-    is_seen = bool((np.abs(fit.hard) > 2.0 * fit.hard_std).any())
-    is_bent = found.method == "ellipsoid" and bool(
-        np.abs(fit.soft - np.eye(3)).max() > 2.0 * fit.soft_std
-    )
-    remark = "" if is_seen or is_bent else "; no more than its uncertainty: leave it as it is"
+    is_whole = found.method == "ellipsoid"
+    is_sure = bool((np.abs(fit.hard) > 2.0 * fit.hard_std).any())
+    is_sure |= is_whole and bool(np.abs(fit.soft - np.eye(3)).max() > 2.0 * fit.soft_std)
+    remark = "" if is_sure else "; no more than its uncertainty: leave it as it is"
+    axes = zip(AXES, fit.hard_std, found.determined, strict=True)
+    stds = [f"{axis} {f'{std:.3f}' if known else 'not determined'}" for axis, std, known in axes]
     settings = [
         Setting(
             key="heading.hard_iron",
-            value=[round(float(axis), 4) for axis in fit.hard],
-            comment=f"gauss; one sigma: {_by_axis(stds)}{remark}",
-            is_sure=is_seen or is_bent,
+            value=fit.hard.round(4).tolist(),
+            comment=f"gauss; one sigma: {', '.join(stds)}{remark}",
+            is_sure=is_sure,
         )
     ]
-    if found.method == "ellipsoid":
-        settings.append(
-            Setting(
-                key="heading.soft_iron",
-                value=[[round(float(term), 4) for term in row] for row in fit.soft],
-                comment=f"one sigma of an element up to {fit.soft_std:.3f}",
-                is_sure=is_seen or is_bent,
-            )
+    if is_whole:
+        soft_iron = Setting(
+            key="heading.soft_iron",
+            value=fit.soft.round(4).tolist(),
+            comment=f"one sigma of an element up to {fit.soft_std:.3f}",
+            is_sure=is_sure,
         )
+        settings.append(soft_iron)
     return Result(settings=settings, notes=_notes(found), data=_data(found))
 
 
@@ -107,9 +105,3 @@ def _data(found: Iron) -> dict[str, Any]:
         "strength_gauss": rounded(found.strength),
         "share_of_directions": found.share,
     }
-
-
-def _by_axis(stds: Array) -> str:
-    """Return one sigma of each axis as text."""
-    words = (f"{std:.3f}" if np.isfinite(std) else "not determined" for std in stds)
-    return ", ".join(f"{axis} {word}" for axis, word in zip(AXES, words, strict=True))

@@ -57,8 +57,9 @@ def _imu_settings(found: Inertial, present: ImuSettings) -> list[Setting]:
     for sensor, (unit, part) in SENSORS.items():
         walks = [axis.walk for axis in found.axes[part]]
         worst_walk = max(walks, key=lambda walk: walk.bound)
-        shows = any(walk.shows for walk in walks) and found.seconds >= WORTH
-        value = max(walk.value for walk in walks) if shows else worst_walk.bound
+        largest = max(walk.value for walk in walks)
+        shows = largest > 0.0 and found.seconds >= WORTH
+        value = largest if shows else worst_walk.bound
         comment = (
             f"{unit} per sqrt s, below {worst_walk.bound:.1e}: worst axis"
             if shows
@@ -92,7 +93,7 @@ def _imu_notes(found: Inertial) -> list[str]:
             )
         flicker = [axis.instability for axis in found.axes[part]]
         worst = max(flicker, key=lambda level: level.bound)
-        said = f"{worst.value:.1e}" if worst.shows else f"below {worst.bound:.1e}"
+        said = f"{worst.value:.1e}" if worst.value else f"below {worst.bound:.1e}"
         notes.append(f"bias instability of the {sensor}: {said} {unit}")
     return notes
 
@@ -178,9 +179,12 @@ def _gnss_note(found: Receiver) -> str:
 
 def _gnss_data(found: Receiver) -> dict[str, Any]:
     data: dict[str, Any] = {"seconds": rounded(found.seconds)}
-    scatters = (("position_m", found.horizontal), ("height_m", found.height))
-    both = (*scatters, ("velocity_mps", found.velocity))
-    for (name, scatter), stated in zip(both, found.stated, strict=True):
+    scatters = {
+        "position_m": found.horizontal,
+        "height_m": found.height,
+        "velocity_mps": found.velocity,
+    }
+    for (name, scatter), stated in zip(scatters.items(), found.stated, strict=True):
         if scatter is None:
             continue
         data[name] = {

@@ -8,17 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ekf_companion.cli.terminal import (
-    ConfigOption,
-    JsonOption,
-    SmoothOption,
-    check_outputs,
-    exit_on_error,
-    load,
-    progress_bar,
-    read,
-    write_json,
-)
+from ekf_companion.cli import terminal
 from ekf_companion.config.config import Config
 from ekf_companion.errors import ConfigError, LogError
 
@@ -37,7 +27,7 @@ def compare(
         Path | None,
         typer.Option(help="Truth as .csv; else the log's own truth and the autopilot's estimate."),
     ] = None,
-    config: ConfigOption = None,
+    config: terminal.ConfigOption = None,
     until: Annotated[
         float | None,
         typer.Option(
@@ -60,20 +50,22 @@ def compare(
         ),
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw all trajectories into a .png.")] = None,
-    smooth: SmoothOption = False,
-    json_file: JsonOption = None,
+    smooth: terminal.SmoothOption = False,
+    json_file: terminal.JsonOption = None,
 ) -> None:
     """Compare our estimate, or several filters', with a truth or the autopilot's own."""
-    with exit_on_error():
+    with terminal.exit_on_error():
         inputs = {"the log": log, "the reference": reference, "the configuration": config}
-        check_outputs(inputs, {"--plot": plot, "--json": json_file})
+        terminal.check_outputs(inputs, {"--plot": plot, "--json": json_file})
         if filters is None:
-            ours = _ours(log, load(config), is_smoothed=smooth)
+            ours = _ours(log, terminal.load(config), is_smoothed=smooth)
             _compare_ours(log, ours, reference, (skip, until), plot, json_file)
         elif smooth:
             raise ConfigError("--smooth: smooths eskf only; leave --filters or --smooth out")
         else:
-            _compare_filters(log, filters, reference, load(config), (skip, until), plot, json_file)
+            _compare_filters(
+                log, filters, reference, terminal.load(config), (skip, until), plot, json_file
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -100,7 +92,7 @@ def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
             )
         return _Ours(estimate=read_estimate(log), live=[], own=None, truth=None)
     live: list[Trajectory] = []
-    with progress_bar(log.name) as progress:
+    with terminal.progress_bar(log.name) as progress:
         if is_smoothed:
             table, smoothed, report, own, truth = converter.estimate_and_smooth(
                 log, config, progress
@@ -154,7 +146,7 @@ def _compare_ours(
         typer.echo(line)
     if plot is not None:
         trajectory_figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
-    write_json(json_file, [score.to_dict() for score in scores])
+    terminal.write_json(json_file, [score.to_dict() for score in scores])
 
 
 def _compare_filters(
@@ -172,10 +164,10 @@ def _compare_filters(
 
     if is_estimate(log):
         raise ConfigError(f"--filters: {log} is an estimate; name the log that it was made from")
-    recording = read(log, config)
+    recording = terminal.read(log, config)
     names = [name.strip() for name in filters.split(",") if name.strip()]
     try:
-        with progress_bar(f"{log.name}: filters") as progress:
+        with terminal.progress_bar(f"{log.name}: filters") as progress:
             entries = comparison.run_filters(recording, names, config, progress)
     except LogError as error:
         raise LogError(f"{log}: {error}") from error
@@ -194,7 +186,7 @@ def _compare_filters(
         typer.echo(line)
     for note in recording.notes:
         typer.echo(f"  note: {log.name}: {note}")
-    write_json(json_file, [entry.to_dict() for entry in entries])
+    terminal.write_json(json_file, [entry.to_dict() for entry in entries])
     if plot is not None and against is not None:
         lines = [one.trajectory for one in entries if one.trajectory is not None]
         trajectory_figure.plot(

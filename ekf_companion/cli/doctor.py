@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ekf_companion.cli.terminal import ConfigOption, exit_on_error, load, progress_bar
+from ekf_companion.cli.terminal import ConfigOption, LinkOption, exit_on_error, load, progress_bar
 from ekf_companion.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -25,10 +25,7 @@ STAGE_FAILED = 5
 
 def doctor(
     config: ConfigOption = None,
-    link: Annotated[
-        str | None,
-        typer.Option("--link", "--master", help="udpin:HOST:PORT, tcp:…, serial:/dev/ttyX:BAUD."),
-    ] = None,
+    link: LinkOption = None,
     log: Annotated[Path | None, typer.Option(help="Examine this .tlog instead of a link.")] = None,
     seconds: Annotated[
         float, typer.Option(min=1.0, max=3600.0, help="Longest time to listen.")

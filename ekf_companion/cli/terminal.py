@@ -27,6 +27,10 @@ ConfigOption = Annotated[
     Path | None,
     typer.Option("--config", "-c", help="YAML file; config/reference.yaml explains it."),
 ]
+LinkOption = Annotated[
+    str | None,
+    typer.Option("--link", "--master", help="udpin:HOST:PORT, tcp:…, serial:/dev/ttyX:BAUD."),
+]
 SmoothOption = Annotated[
     bool, typer.Option("--smooth", help="Smooth: each estimate uses the whole flight.")
 ]
@@ -56,11 +60,8 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(
-        console=Console(stderr=True),
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    ) as progress:
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not sys.stderr.isatty()) as progress:
         task = progress.add_task(title, total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
 

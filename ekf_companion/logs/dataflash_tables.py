@@ -37,7 +37,9 @@ _NEEDED: dict[str, tuple[str, ...]] = {
 
 def choose(tables: Columns, notes: list[str]) -> Columns:
     """Keep the usable messages of the first sensor, on one clock run; note what is left out."""
-    notes += _other_sensors(tables)
+    others = [name for name in ("IMU2", "IMU3", "GPS2", "MAG2", "MAG3", "BAR2") if name in tables]
+    if others:
+        notes.append(f"only the first sensor of each kind is used, not {', '.join(others)}")
     tables = {
         name: _first_instance(name, table, notes)
         for name, table in tables.items()
@@ -92,14 +94,6 @@ def _first_instance(name: str, table: Column, notes: list[str]) -> Column:
                 notes.append(f"{name}: instance {used} is used; the log also holds {others}")
             return np.asarray(table[table[column] == instances[0]])
     return table
-
-
-def _other_sensors(tables: Columns) -> list[str]:
-    """Note the further sensors that have messages of their own."""
-    others = [name for name in ("IMU2", "IMU3", "GPS2", "MAG2", "MAG3", "BAR2") if name in tables]
-    return (
-        [f"only the first sensor of each kind is used, not {', '.join(others)}"] if others else []
-    )
 
 
 def _on_one_run(tables: Columns, notes: list[str]) -> Columns:
