@@ -24,12 +24,12 @@ from ekf_companion.nav.state import GEODETIC, QUATERNION, VELOCITY, Table, Traje
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nees:
-    """Mean NEES over the number of components; None: estimate or truth lacks the quantity."""
+    """Mean NEES over the number of components; NaN: estimate or truth lacks the quantity."""
 
-    position: float | None
+    position: float
     """A constant between the two datums of altitude counts as an error."""
-    velocity: float | None
-    attitude: float | None
+    velocity: float
+    attitude: float
     count: int
     """Number of errors. Those of one flight depend on each other, so the chi-square bounds of so
     many independent ones are too narrow."""
@@ -96,17 +96,15 @@ def _attitude(table: Table, truth: Trajectory, rows: Stamps, at_ns: Stamps) -> _
     return found.wanted, so3.log(turn)
 
 
-def _mean(errors: Array, P: Array) -> tuple[float | None, int]:
+def _mean(errors: Array, P: Array) -> tuple[float, int]:
     """Return the mean NEES over the number of known components, and the number of errors."""
     axes = np.flatnonzero(np.isfinite(errors).any(axis=0))
-    if len(axes) == 0:
-        return None, 0
     errors, P = errors[:, axes], P[:, axes[:, None], axes]
     is_good = known_rows(errors) & np.isfinite(P).all(axis=(1, 2))
     errors, P = errors[is_good], P[is_good]
     is_positive = (np.linalg.eigvalsh(P) > 0.0).all(axis=1)
     errors, P = errors[is_positive], P[is_positive]
-    if len(errors) == 0:
-        return None, 0
+    if errors.size == 0:
+        return np.nan, 0
     whitened = np.linalg.solve(P, errors[:, :, None])[:, :, 0]
     return float((errors * whitened).sum(axis=1).mean()) / len(axes), len(errors)

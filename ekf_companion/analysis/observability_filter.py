@@ -84,11 +84,6 @@ class Covariance:
             Ph = self.P @ h
             self.P = self.P - np.outer(Ph, Ph / (1.0 + h @ Ph))
 
-    def correct_by_gain(self, K: Array, H: Array, R: Array) -> None:
-        """Fuse rows by any gain."""
-        left = np.eye(N) - K @ H
-        self.P = left @ self.P @ left.T + K @ R @ K.T
-
 
 class ObservabilityFilter:
     """The error-state filter along a recording, and what it records of each step."""
@@ -153,8 +148,8 @@ class ObservabilityFilter:
         white = whiten @ H
         self._rest.correct(whiten, aid, self._state)
         if is_reset:
-            self._own.correct_by_gain(K, H, R)
-            self._own.P += anew.inflation
+            left = np.eye(N) - K @ H
+            self._own.P = left @ self._own.P @ left.T + K @ R @ K.T + anew.inflation
         else:
             self._own.correct(white)
         self._full.correct(white)

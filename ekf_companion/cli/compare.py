@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -68,16 +67,15 @@ def compare(
             )
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Ours:
+class _Ours(NamedTuple):
     """Our estimate of a log, and what the log holds beside it."""
 
     estimate: Trajectory
     live: list[Trajectory]
     """The live filter's, where the estimate is smoothed."""
-    own: Trajectory | None
+    own: Trajectory | None = None
     """The autopilot's."""
-    truth: Trajectory | None
+    truth: Trajectory | None = None
 
 
 def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
@@ -90,13 +88,12 @@ def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
             raise ConfigError(
                 f"--smooth: {log} is an estimate already; name the log that it was made from"
             )
-        return _Ours(estimate=read_estimate(log), live=[], own=None, truth=None)
+        return _Ours(read_estimate(log), [])
     live: list[Trajectory] = []
     with terminal.progress_bar(log.name) as progress:
         if is_smoothed:
-            table, smoothed, report, own, truth = converter.estimate_and_smooth(
-                log, config, progress
-            )
+            found = converter.estimate_and_smooth(log, config, progress)
+            table, smoothed, report, own, truth = found
             estimate = of_table(smoothed, "ekf-companion, smoothed")
             live.append(of_table(table, "ekf-companion, live"))
         else:
@@ -105,7 +102,7 @@ def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
     for line in converter.summary(report):
         typer.echo(line)
     typer.echo()
-    return _Ours(estimate=estimate, live=live, own=own, truth=truth)
+    return _Ours(estimate, live, own, truth)
 
 
 def _compare_ours(
@@ -126,17 +123,17 @@ def _compare_ours(
     if against is None:
         raise LogError(_WITHOUT_REFERENCE.format(log))
     skip, until = span
-    seconds = skip if skip is not None else 30.0 if truth is not None else 20.0
+    default = 30.0 if truth is not None else 20.0
+    seconds = default if skip is None else skip
     begin = int(estimate.att_t_ns[0]) if len(estimate.att_t_ns) else 0
     end = None if until is None else begin + round(until * 1e9)
     scores = [score.score(estimate, against, seconds, end_ns=end)]
     has_any = scores[0].horizontal is not None or scores[0].tilt is not None
     if not has_any or scores[0].end_ns <= scores[0].start_ns:
-        when = f"after the first {seconds:g} s" + (
-            "; leave out fewer with --skip"
-            if until is None
-            else f" and before {until:g} s; leave out less with --skip and --until"
-        )
+        when = f"after the first {seconds:g} s; leave out fewer with --skip"
+        if until is not None:
+            before = f"before {until:g} s; leave out less with --skip and --until"
+            when = f"after the first {seconds:g} s and {before}"
         raise LogError(f"{log}: {estimate.name} and {against.name} have no time in common {when}")
     own = [ours.own] if truth is not None and ours.own is not None else []
     start = scores[0].start_ns
@@ -171,12 +168,12 @@ def _compare_filters(
             entries = comparison.run_filters(recording, names, config, progress)
     except LogError as error:
         raise LogError(f"{log}: {error}") from error
-    against = recording.truth if recording.truth is not None else recording.reference
-    against = read_truth(reference) if reference is not None else against
+    truth = recording.truth if reference is None else read_truth(reference)
+    against = truth if truth is not None else recording.reference
     solutions = [one.solution for one in entries if one.solution is not None]
     if against is not None:
         skip, until = span
-        default = 30.0 if reference is not None or recording.truth is not None else 20.0
+        default = 30.0 if truth is not None else 20.0
         skipped = default if skip is None else skip
         entries = comparison.score_filters(entries, against, skipped, until, recording.counted)
     elif all(one.is_still is None for one in solutions):

@@ -86,19 +86,12 @@ def _examine(
 def _print_json(
     evidence: Evidence, findings: list[StageResult], link: str | None, log: Path | None
 ) -> None:
-    peer = evidence.peer
+    peer, names = evidence.peer, ("system_id", "component_id", "family", "version")
     report = {
         "examined": str(log) if log else link or evidence.config.link.url,
         "means": evidence.means.value,
         "seconds": round(evidence.seconds, 1),
-        "autopilot": None
-        if peer is None
-        else {
-            "system_id": peer.system_id,
-            "component_id": peer.component_id,
-            "family": peer.family,
-            "version": peer.version,
-        },
+        "autopilot": peer and {name: getattr(peer, name) for name in names},
         "stages": [finding.to_dict() for finding in findings],
     }
     typer.echo(json.dumps(report, indent=2, ensure_ascii=False))

@@ -78,11 +78,6 @@ class EvidenceCollector:
         self._first_ns: int | None = None
 
     @property
-    def peer(self) -> tuple[int, int] | None:
-        """System and component id of the autopilot; None: not heard or lost."""
-        return self.companion.session.peer
-
-    @property
     def _family(self) -> Family:
         return self.companion.session.decoder.family
 
@@ -101,7 +96,7 @@ class EvidenceCollector:
         self._last_ns = now_ns
         self._bytes += len(data)
         self.companion.receive(data, now_ns, sender)
-        self._last_peer = self.peer or self._last_peer
+        self._last_peer = self.companion.session.peer or self._last_peer
         for frame in self._frames:
             self._traffic.add(frame)
             if frame.message_id != JUNK:
@@ -114,7 +109,7 @@ class EvidenceCollector:
     def tick(self, now_ns: int) -> None:
         """Run what is periodic, and ask for the parameters that the guard does not read."""
         self.companion.tick(now_ns)
-        peer, session = self.peer, self.companion.session
+        peer, session = self.companion.session.peer, self.companion.session
         if peer is None or self._means is not Means.LIVE:
             return
         self.parameters.begin(self._family, is_deciding=not session.guard.is_reading)
@@ -135,10 +130,10 @@ class EvidenceCollector:
 
     def _receive(self, frame: Frame, now_ns: int) -> None:
         sender, link = (frame.system_id, frame.component_id), self._config.link
-        ours = link.system_id or (self.peer or (1, 0))[0], link.component_id
+        ours = link.system_id or (self.companion.session.peer or (1, 0))[0], link.component_id
         if self._means is not Means.LIVE and sender == ours:
             self._count_ours(frame, now_ns)
-        if sender != self.peer:
+        if sender != self.companion.session.peer:
             return
         name = LAYOUTS[frame.message_id].name
         self._counters[name].add(now_ns)

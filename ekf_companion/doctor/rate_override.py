@@ -50,13 +50,12 @@ class RateOverride:
             now_ns: When it came.
             granted: Returns the rates granted to us, Hz.
         """
-        if self._begin_ns is None:
-            self._begin_ns = now_ns
-            self._counts.clear()
-        elif now_ns - self._begin_ns >= _WINDOW_NS:
+        if self._begin_ns is not None and now_ns - self._begin_ns >= _WINDOW_NS:
             seconds = (now_ns - self._begin_ns) * 1e-9
             rates = {one: count / seconds for one, count in self._counts.items()}
             self._judge(rates, granted())
+            self._begin_ns = None
+        if self._begin_ns is None:
             self._begin_ns = now_ns
             self._counts.clear()
         self._counts[name] += 1

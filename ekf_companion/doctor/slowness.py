@@ -20,7 +20,6 @@ _LOOP_SHARE = 0.8
 """Share of SCHED_LOOP_RATE: ArduPilot streams nothing faster."""
 _PLANE_LOOP = 50.0
 _LARGEST_LOOP = 400.0
-_LINES = {"serial": "serial", "": "unknown"}
 _SENSORS = "Set SRn_RAW_SENS = 50 (MAVn_RAW_SENS from 4.7 on) for this port"
 
 
@@ -33,7 +32,9 @@ class Cause(NamedTuple):
 
 def line(evidence: Evidence) -> str:
     """Return ``serial`` or ``network``; ``unknown`` for a recording, which does not tell."""
-    return _LINES.get(evidence.opening.kind if evidence.opening else "", "network")
+    if evidence.opening is None:
+        return "unknown"
+    return "serial" if evidence.is_serial else "network"
 
 
 def promised(evidence: Evidence, name: str) -> float:
@@ -52,6 +53,8 @@ def ground_station(evidence: Evidence, state: MessageState) -> Cause | None:
     usual = median(others)
     alike = [rate for rate in others if abs(rate - usual) <= ALIKE * usual]
     seen = " (its REQUEST_DATA_STREAM was seen here)" if evidence.stream_requests else ""
+    is_recording = evidence.means is Means.RECORDING
+    record = " For a recording: record at the companion." if is_recording else ""
     is_like_others = len(alike) >= 3 and abs(state.rate - usual) <= 2.0 * ALIKE * usual
     if state.rate <= GROUND and is_like_others:
         why = (
@@ -69,12 +72,7 @@ def ground_station(evidence: Evidence, state: MessageState) -> Cause | None:
         why,
         "ArduPilot: let the port ignore it, SERIALn_OPTIONS + 4096 (MAVn_OPTIONS + 4 from 4.7 on), "
         "or set its SRn_* (MAVn_*) higher; in the ground station set the stream rate to -1 "
-        "(MAVProxy: --streamrate=-1)."
-        + (
-            " For a recording: record at the companion."
-            if evidence.means is Means.RECORDING
-            else ""
-        ),
+        f"(MAVProxy: --streamrate=-1).{record}",
     )
 
 
@@ -100,8 +98,7 @@ def loop_rate(evidence: Evidence, state: MessageState) -> Cause | None:
             f"more than 0.8 of {own}."
         )
     # The interval is in whole milliseconds
-    wanted = 50.0 * math.ceil(state.asked / _LOOP_SHARE / 50.0)
-    wanted = min(wanted, _LARGEST_LOOP)
+    wanted = min(50.0 * math.ceil(state.asked / _LOOP_SHARE / 50.0), _LARGEST_LOOP)
     return Cause(why, f"Set SCHED_LOOP_RATE = {wanted:.0f} (up to {_LARGEST_LOOP:.0f}) and reboot.")
 
 
@@ -119,13 +116,10 @@ def budget(evidence: Evidence, state: MessageState, lost: float) -> Cause | None
     opening = evidence.opening
     baud = opening.baud if opening is not None and line(evidence) == "serial" else 0
     is_full = baud > 0 and evidence.bytes_rate > 0.8 * baud / 10.0
-    if not is_full:
-        if len(shares) < 3:
-            return None
-        usual = median(shares)
-        if usual > ENOUGH or sum(abs(share - usual) <= ALIKE * usual for share in shares) < 3:
-            return None
     factor = median(shares) if shares else state.rate / max(state.asked, state.rate)
+    alike = sum(abs(share - factor) <= ALIKE * factor for share in shares)
+    if not is_full and (factor > ENOUGH or alike < 3):
+        return None
     need = evidence.bytes_rate / max(factor, 0.01)
     wire = f" of {baud / 10e3:.1f} that the wire carries" if baud else ""
     is_open = line(evidence) == "network" and evidence.family != "px4"
@@ -142,20 +136,17 @@ def _more_budget(evidence: Evidence, need: float) -> str:
     kind = line(evidence)
     where = "where the link is serial, " if kind == "unknown" else ""
     if evidence.family == "px4":
-        limits = {
-            name: value
+        limits = ", ".join(
+            f"{name} = {value:.0f}"
             for name, value in sorted(evidence.parameters.items())
             if name.startswith("MAV_") and name.endswith("_RATE")
-        }
-        told = ", ".join(f"{name} = {value:.0f}" for name, value in limits.items())
+        )
+        now = f" ({limits} now; 0 is half of the wire)" if limits else ""
+        baud = f", {where}SER_TEL2_BAUD = 921600 and link.url with :921600"
+        rate = 1000 * math.ceil(need * 1.2 / 1000)
         return (
-            f"Set MAV_n_RATE = {1000 * math.ceil(need * 1.2 / 1000)} bytes/s for this port"
-            + (f" ({told} now; 0 is half of the wire)" if told else "")
-            + (
-                f", {where}SER_TEL2_BAUD = 921600 and link.url with :921600."
-                if kind != "network"
-                else "."
-            )
+            f"Set MAV_n_RATE = {rate} bytes/s for this port{now}"
+            f"{'' if kind == 'network' else baud}."
         )
     less = "ower link.imu_rate and the SRn_* of streams that nobody needs."
     if kind == "network":

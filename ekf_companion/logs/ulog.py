@@ -18,12 +18,12 @@ import numpy as np
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
 from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
 from ekf_companion.logs.ulog_topics import (
     Topic,
     Topics,
-    first_instances,
+    choose,
     load,
-    on_one_run,
     rotations,
     sample_ns,
     vectors,
@@ -36,15 +36,8 @@ from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind
 Arrivals = list[tuple[Events, Stamps]]
 """Events and when they were published, ns."""
 
-GNSS_STD_UNKNOWN = (2.0, 3.0, 0.5)
+GNSS_STD_UNKNOWN = {"eph": 2.0, "epv": 3.0, "s_variance_m_s": 0.5}
 """m, m, m/s where the receiver gives no accuracy: a receiver in the open, on the safe side."""
-HEADING_STD = float(np.deg2rad(5.0))
-"""rad, of the autopilot's own heading: what a calibrated compass gives in flight."""
-HEADING_RATE = 10.0
-"""Hz at most, of the autopilot's own heading: its errors last, so more rows add nothing."""
-GNSS_HEADING_STD = float(np.deg2rad(5.0))
-"""rad, where the receiver gives a heading and no accuracy of it."""
-FIX_3D = 3
 JAMMING_CRITICAL = 3
 """sensor_gps.jamming_state: 0 unknown, 1 ok, 2 warning (fix still good), 3 critical."""
 SPOOFING_INDICATED = 2
@@ -64,12 +57,10 @@ def read(path: Path) -> Recording:
     """
     log = load(path)
     notes = ["the file is damaged: what could not be read is lost"] if log.file_corruption else []
-    lost = sum(dropout.duration for dropout in log.dropouts) * 1e-3
-    if lost > 0.0:
-        notes.append(
-            f"{len(log.dropouts)} dropouts, {lost:.1f} s in all, while the log was written"
-        )
-    topics = on_one_run(first_instances(log), notes)
+    if lost := sum(dropout.duration for dropout in log.dropouts) * 1e-3:
+        count = len(log.dropouts)
+        notes.append(f"{count} dropouts, {lost:.1f} s in all, while the log was written")
+    topics = choose(log, notes)
     arrivals: Arrivals = []
     for take in (_imu, _gnss_heading, _attitude_heading, _magnetometer, _barometer, _vehicle):
         arrivals += take(topics)
@@ -128,21 +119,16 @@ def _gnss(topics: Topics, notes: list[str]) -> Arrivals:
     has_vel = np.isfinite(velocity).all(axis=0)
     if "vel_ned_valid" in topic:
         has_vel &= topic["vel_ned_valid"] != 0
-    suspect = np.zeros(n, dtype=bool)
-    states = {"jamming_state": JAMMING_CRITICAL, "spoofing_state": SPOOFING_INDICATED}
-    for field, least in states.items():
-        if field in topic:
-            suspect |= topic[field] >= least
+    unknown = np.zeros(n)
+    suspect = topic.get("jamming_state", unknown) >= JAMMING_CRITICAL
+    suspect |= topic.get("spoofing_state", unknown) >= SPOOFING_INDICATED
     if not is_fix.all():
         notes.append(f"{n - int(is_fix.sum())} GPS rows without a 3-D fix were left out")
-    if (is_fix & suspect).any():
-        notes.append(
-            f"the receiver reports jamming or spoofing in {int((is_fix & suspect).sum())} fixes"
-        )
-    unknown = np.zeros(n)
+    if doubted := int((is_fix & suspect).sum()):
+        notes.append(f"the receiver reports jamming or spoofing in {doubted} fixes")
     std_h, std_v, std_vel = (
         series.accuracy(topic.get(field, unknown), otherwise)
-        for field, otherwise in zip(("eph", "epv", "s_variance_m_s"), GNSS_STD_UNKNOWN, strict=True)
+        for field, otherwise in GNSS_STD_UNKNOWN.items()
     )
     return _events(
         topic,
@@ -177,10 +163,8 @@ def _attitude_heading(topics: Topics) -> Arrivals:
     stride = series.thinned(topic["t_ns"], HEADING_RATE)
     topic = {field: column[stride] for field, column in topic.items()}
     valid, q_nb = rotations(topic)
-    yaw = so3.to_euler(q_nb)[:, 2]
-    return _events(
-        topic, Kind.HEADING, valid, so3.wrap(yaw), HEADING_STD, float(HeadingSource.AUTOPILOT)
-    )
+    yaw, source = so3.wrap(so3.to_euler(q_nb)[:, 2]), float(HeadingSource.AUTOPILOT)
+    return _events(topic, Kind.HEADING, valid, yaw, HEADING_STD, source)
 
 
 def _magnetometer(topics: Topics) -> Arrivals:
