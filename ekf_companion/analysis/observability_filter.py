@@ -91,10 +91,8 @@ class ObservabilityFilter:
     def __init__(self, setup: Setup, P: Array, *, is_gated: bool = True) -> None:
         """Start at the first estimate.
 
-        Args:
-            setup: First estimate, Earth, noise and gate.
-            P: Covariance of what is not known before the flight, shape (15, 15).
-            is_gated: Do not fuse what the gate refuses; else only count it.
+        P is the covariance of what is not known before the flight, shape (15, 15). What the gate
+        refuses is not fused or, if not ``is_gated``, only counted.
         """
         self._setup, self._is_gated = setup, is_gated
         self._state = setup.start.state

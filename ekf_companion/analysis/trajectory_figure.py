@@ -8,7 +8,7 @@ Source of the layout: BasicEKF, run_state_estimation_ins_euler_directEKF_method.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -83,7 +83,8 @@ def plot(
     columns = 3 if with_errors and frame is not None else 2
 
     def draw(sheet: Any) -> None:
-        axes = _axes(sheet, columns, _ATTITUDE_PANELS if frame is None else _PANELS)
+        places = _ATTITUDE_PANELS if frame is None else _PANELS
+        axes = figure_file.panels(sheet, 12, columns, places)
         if events is not None and frame is not None:
             _draw_fixes(axes, events, scale)
         for index, one in enumerate(trajectories):
@@ -104,17 +105,6 @@ def plot(
         sheet.legend(handles, names, loc="outside lower center", ncols=min(4, len(names)))
 
     figure_file.write(path, title, draw, width=6.0 * columns, height=10.0)
-
-
-def _axes(sheet: Any, columns: int, places: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:
-    grid = sheet.add_gridspec(12, columns)
-    axes = {}
-    for name, (rows, column, title, across, up) in places.items():
-        if column < columns:
-            axes[name] = sheet.add_subplot(grid[rows, column])
-            axes[name].set(title=title, xlabel=across, ylabel=up)
-            axes[name].grid(visible=True, alpha=0.3)
-    return axes
 
 
 def _draw_fixes(axes: dict[str, Any], events: Events, scale: _Scale) -> None:

@@ -76,10 +76,8 @@ class Noise:
 def curve(stretches: Sequence[Array], period: float, taus: Array | None = None) -> Curve:
     """Return the overlapping Allan deviation over all stretches, each shape (n,).
 
-    Args:
-        stretches: Samples at rest, evenly spaced.
-        period: Between samples, s.
-        taus: Times, s; None: octaves from one sample to a quarter of the longest stretch.
+    Their samples at rest are evenly spaced by the period, s. The averaging times, s, are by default
+    octaves from one sample to a quarter of the longest stretch.
     """
     longest = max(map(len, stretches))
     if taus is None:

@@ -92,13 +92,9 @@ def measure(
     name: str = "the log",
     progress: Progress | None = None,
 ) -> Delay:
-    """Measure the delay of a log's fixes.
+    """Measure the delay of a log's fixes, whatever the log and the settings declare.
 
-    Args:
-        recording: The log, on one run of the clock; the delay that it declares is ignored.
-        settings: The estimator's; their delay is ignored too.
-        name: Of the log, for messages.
-        progress: Called with the delays done, and of how many.
+    The log is on one run of the clock. The progress gets the delays done, and of how many.
 
     Raises:
         LogError: The log has no inertial samples or no fixes, or its motion does not show a delay.
@@ -115,8 +111,8 @@ def measure(
     pipeline = Pipeline(settings, recording.family, recording.gnss_delay)
     table = pipeline.run(recording.events)
     begin, end = _counted(table, name)
-    likelihood = Likelihood(recording, settings)
-    likelihood.cut(np.linspace(begin, end, int((end - begin) / BLOCK) + 1))
+    edges = np.linspace(begin, end, int((end - begin) / BLOCK) + 1)
+    likelihood = Likelihood(recording, settings, edges)
     best, low, high, widening = _maximise(likelihood, name, progress)
     configured = delays_ns(settings, recording.family, recording.gnss_delay)[Kind.GNSS] * 1e-9
     delays, gain = likelihood.curve()

@@ -19,20 +19,16 @@ JUDGED = (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY)
 class Likelihood:
     """Log-likelihood by delay, each computed once."""
 
-    def __init__(self, recording: Recording, settings: FilterSettings) -> None:
+    def __init__(self, recording: Recording, settings: FilterSettings, edges: Array) -> None:
+        """Count from the first of some stamps (s) on, in blocks that end at the other stamps."""
         self._recording = recording
         self._settings = settings
-        self._cuts: list[int] = []
+        newest = np.maximum.accumulate(recording.events.t_ns)
+        stamps = np.rint(edges * 1e9).astype(np.int64)
+        self._cuts = [0, *np.searchsorted(newest, stamps, side="right").tolist()]
         self._known: dict[int, tuple[Array, int]] = {}
         self.rows = 0
         """Largest number of rows that were judged under one delay."""
-
-    def cut(self, seconds: Array) -> None:
-        """Count from the first of some stamps (s) on, in blocks that end at the other stamps."""
-        newest = np.maximum.accumulate(self._recording.events.t_ns)
-        stamps = np.rint(seconds * 1e9).astype(np.int64)
-        self._cuts = [0, *np.searchsorted(newest, stamps, side="right").tolist()]
-        self._known.clear()
 
     def blocks(self, delay: float) -> tuple[Array, int]:
         """Return the sum of each block, and the number of rows judged."""

@@ -84,21 +84,21 @@ def measure(recording: Recording, settings: FilterSettings, name: str = "the log
 def _inertial(rate: float, stretches: Sequence[Stretch], notes: list[str]) -> Inertial | None:
     """Fit all six axes; return None, and add a note, if there is no rest."""
     seconds = sum(stretch.seconds for stretch in stretches)
+    lack = ""
     if rate == 0.0:
-        notes.append("the inertial sensors: no samples in the log")
-        return None
-    if rate < rest.SLOW:
-        notes.append(
-            f"the inertial sensors: samples come at {rate:.1f} Hz, below {rest.SLOW:.0f} Hz; what "
-            "is between them cannot be judged. Ask for a faster stream"
+        lack = "no samples in the log"
+    elif rate < rest.SLOW:
+        lack = (
+            f"samples come at {rate:.1f} Hz, below {rest.SLOW:.0f} Hz; what is between them "
+            "cannot be judged. Ask for a faster stream"
         )
-        return None
-    if seconds < NEEDED:
-        notes.append(
-            f"the inertial sensors: {seconds:.0f} s of rest found, {NEEDED:.0f} s are needed; let "
-            "the vehicle stand still with its motors off, for some minutes (an hour for the walk "
-            "of the biases)"
+    elif seconds < NEEDED:
+        lack = (
+            f"{seconds:.0f} s of rest found, {NEEDED:.0f} s are needed; let the vehicle stand "
+            "still with its motors off, for some minutes (an hour for the walk of the biases)"
         )
+    if lack:
+        notes.append(f"the inertial sensors: {lack}")
         return None
     period = 1.0 / rate
     fits = [allan.fit([part.values[:, axis] for part in stretches], period) for axis in range(6)]

@@ -33,9 +33,8 @@ def convert(
     from ekf_companion.replay import convert as converter
 
     with terminal.exit_on_error(), terminal.progress_bar(log.name) as progress:
-        inputs = {"the log": log, "the configuration": config, "what --out writes": out}
-        terminal.check_outputs(inputs, {"--json": json_file})
-        terminal.check_outputs({"the log": log, "the configuration": config}, {"--out": out})
+        inputs = {"the log": log, "the configuration": config}
+        terminal.check_outputs(inputs, {"--out": out, "--json": json_file})
         chosen = _choose(name, [preset, frame, detector])
         if chosen != "eskf":
             if smooth:
@@ -59,6 +58,6 @@ def _choose(name: str, options: list[str | None]) -> str:
     from ekf_companion.replay.filters_by_name import parse_name
 
     given = [option for option in options if option is not None]
-    if len(given) + (":" in name) > 1:
-        raise ConfigError(f"--filter: {name} takes one option, not {len(given) + (':' in name)}")
+    if (count := len(given) + (":" in name)) > 1:
+        raise ConfigError(f"--filter: {name} takes one option, not {count}")
     return parse_name(":".join([name, *given]))[0]

@@ -47,7 +47,7 @@ def doctor(
             evidence = _examine(load(config), link, log, seconds, listen=listen)
     findings = diagnose(evidence)
     if as_json:
-        _print_json(evidence, findings, link, log)
+        _print_json(evidence, findings, log)
     else:
         _print(findings)
     if first_failure(findings) is not None:
@@ -83,12 +83,10 @@ def _examine(
         return examine_link(config, seconds, listen=listen, progress=progress)
 
 
-def _print_json(
-    evidence: Evidence, findings: list[StageResult], link: str | None, log: Path | None
-) -> None:
+def _print_json(evidence: Evidence, findings: list[StageResult], log: Path | None) -> None:
     peer, names = evidence.peer, ("system_id", "component_id", "family", "version")
     report = {
-        "examined": str(log) if log else link or evidence.config.link.url,
+        "examined": str(log) if log else evidence.config.link.url,
         "means": evidence.means.value,
         "seconds": round(evidence.seconds, 1),
         "autopilot": peer and {name: getattr(peer, name) for name in names},

@@ -82,9 +82,7 @@ def write_json(path: Path | None, data: object) -> None:
 def check_outputs(inputs: dict[str, Path | None], outputs: dict[str, Path | None]) -> None:
     """Refuse an output that is an input or another output, or whose folder does not exist.
 
-    Args:
-        inputs: Files that are read, by what they are: ``the log``.
-        outputs: Files that are written, by option.
+    Inputs are named by what they are, as in ``the log``, outputs by their option.
 
     Raises:
         ConfigError: An output is refused.

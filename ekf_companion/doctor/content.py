@@ -110,7 +110,6 @@ def _timesync(evidence: Evidence) -> Iterator[Problem]:
 
 def values(evidence: Evidence) -> StageResult:
     """Judge whether the values in the messages are plausible."""
-    refused = evidence.refused
     receiver = evidence.receiver
     saw = "all can be meant"
     if receiver.messages:
@@ -119,7 +118,7 @@ def values(evidence: Evidence) -> StageResult:
         saw = f"GNSS: {fix}{satellites}"
     strange = {
         why: count
-        for why, count in refused.items()
+        for why, count in evidence.refused.items()
         if why not in ("IMU: a better source speaks", "GPS_RAW_INT: first after none")
         and "time base unknown" not in why
         and not why.endswith(MISADDRESSED)

@@ -41,11 +41,8 @@ def examine_link(
 ) -> Evidence:
     """Examine the link of a configuration, sending what the daemon would send, or nothing.
 
-    Args:
-        config: Its ``link`` is examined.
-        seconds: Longest examination; it ends sooner if all stages are ok, or nothing opens.
-        listen: Whether to send nothing at all.
-        progress: Called with the milliseconds that are over, and with all of them.
+    It ends before the time, s, is over if all stages are ok, or nothing opens. The progress is
+    called with the milliseconds that are over, and with all of them.
 
     Raises:
         LinkError: The URL names no link.
@@ -115,7 +112,7 @@ def _opening(link: Link) -> Opening:
         return opening
     if failure is None:
         # A server that waits for its client
-        return replace(opening, failure="nobody has connected", number=None)
+        return replace(opening, failure="nobody has connected")
     return replace(
         opening,
         failure=os.strerror(failure.errno) if failure.errno else str(failure),

@@ -66,10 +66,9 @@ def present_devices() -> tuple[str, ...]:
 
 def group_of(device: str) -> str:
     """Return the group that a device belongs to; empty if there is none."""
-    try:
+    with contextlib.suppress(OSError, KeyError):
         return grp.getgrgid(os.stat(device).st_gid).gr_name
-    except (OSError, KeyError):
-        return ""
+    return ""
 
 
 def _describe(process: Path) -> Holder:

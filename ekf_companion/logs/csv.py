@@ -76,12 +76,9 @@ _HOLDABLE = ("gps", "mag", "baro", "heading")
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
-    """Read a file into events.
+    """Read a file into events, by a map as in the module's docstring.
 
-    Args:
-        path: The file.
-        columns: The map, as in the module's docstring; None: the map beside the file or, where
-            there is none, the header.
+    By default that is the map beside the file or, where there is none, the header.
 
     Raises:
         LogError: A unit is unknown, a needed column is missing, a cell is no number, or an entry

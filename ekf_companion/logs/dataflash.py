@@ -15,7 +15,7 @@ import numpy as np
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
-from ekf_companion.logs.dataflash_records import OFFSET, Column, Columns, columns, read_columns
+from ekf_companion.logs.dataflash_records import OFFSET, Column, Columns, read_columns
 from ekf_companion.logs.dataflash_tables import boot_ns, choose, names_of, rows_of
 from ekf_companion.logs.dataflash_trajectory import reference, truth
 from ekf_companion.logs.recording import Recording
@@ -23,8 +23,6 @@ from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HE
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
-
-__all__ = ["columns", "read"]
 
 Arrivals = list[tuple[Events, Stamps]]
 """Events and their positions in the file."""

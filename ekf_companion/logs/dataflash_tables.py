@@ -45,7 +45,15 @@ def choose(tables: Columns, notes: list[str]) -> Columns:
         for name, table in tables.items()
         if name in _NEEDED and _is_usable(table, _NEEDED[name])
     }
-    return _on_one_run(tables, notes)
+    # Rows whose stamps are damaged, or of another boot, are dropped; tables without stamps kept
+    stamps = {name: t_ns for name, one in tables.items() if (t_ns := boot_ns(one)) is not None}
+    masks = series.common_run(stamps, "IMU", apart=("PARM", "ORGN"))
+    masks.pop("PARM", None)
+    sensors = ("IMU", "GPS", "MAG", "BARO", "ATT")
+    if wild := sum(int((~masks[name]).sum()) for name in sensors if name in masks):
+        notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
+    kept = {name: one[masks[name]] if name in masks else one for name, one in tables.items()}
+    return {name: table for name, table in kept.items() if len(table)}
 
 
 def names_of(table: Column) -> tuple[str, ...]:
@@ -94,15 +102,3 @@ def _first_instance(name: str, table: Column, notes: list[str]) -> Column:
                 notes.append(f"{name}: instance {used} is used; the log also holds {others}")
             return np.asarray(table[table[column] == instances[0]])
     return table
-
-
-def _on_one_run(tables: Columns, notes: list[str]) -> Columns:
-    """Drop rows whose stamps are damaged, or of another boot; keep tables without stamps."""
-    stamps = {name: t_ns for name, one in tables.items() if (t_ns := boot_ns(one)) is not None}
-    masks = series.common_run(stamps, "IMU", apart=("PARM", "ORGN"))
-    masks.pop("PARM", None)
-    sensors = ("IMU", "GPS", "MAG", "BARO", "ATT")
-    if wild := sum(int((~masks[name]).sum()) for name in sensors if name in masks):
-        notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
-    kept = {name: one[masks[name]] if name in masks else one for name, one in tables.items()}
-    return {name: table for name, table in kept.items() if len(table)}

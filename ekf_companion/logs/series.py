@@ -93,16 +93,9 @@ def common_run(
     for name, t_ns in stamps.items():
         masks[name] = clock_run(t_ns)[0]
         if spans and name not in apart:
-            masks[name] &= inside(t_ns, spans)
+            near = [(t_ns >= low - MARGIN_NS) & (t_ns <= high + MARGIN_NS) for low, high in spans]
+            masks[name] &= np.any(near, axis=0)
     return masks
-
-
-def inside(t_ns: Stamps, spans: Spans, margin_ns: int = MARGIN_NS) -> Mask:
-    """Return which stamps lie within the stretches, or at most a margin outside."""
-    mask = np.zeros(len(t_ns), dtype=bool)
-    for low, high in spans:
-        mask |= (t_ns >= low - margin_ns) & (t_ns <= high + margin_ns)
-    return mask
 
 
 def ascending(t_ns: Stamps) -> Mask:
