@@ -29,11 +29,11 @@ def calibrate_noise(
 ) -> None:
     """Measure noise: of the inertial sensors at rest (Allan deviation), and of the receiver."""
     from ekf_companion.analysis.calibration_figure import draw_noise
-    from ekf_companion.calibrate import noise, noise_result
+    from ekf_companion.calibrate import noise
 
     with terminal.open_log(log, config, plot, json_file) as (recording, settings):
         found = noise.measure(recording, settings, str(log))
-        result = noise_result.result(found, settings).after(recording.notes)
+        result = noise.result(found, settings).after(recording.notes)
         _report("noise", log, plot, json_file, result, partial(draw_noise, found))
 
 
@@ -64,11 +64,11 @@ def calibrate_mag(
 ) -> None:
     """Measure the vehicle's hard and soft iron, by an ellipsoid fitted to the field."""
     from ekf_companion.analysis.calibration_figure import draw_mag
-    from ekf_companion.calibrate import mag, mag_result
+    from ekf_companion.calibrate import mag
 
     with terminal.open_log(log, config, plot, json_file) as (recording, settings):
         found = mag.measure(recording, settings, str(log))
-        result = mag_result.result(found).after(recording.notes)
+        result = mag.result(found).after(recording.notes)
         _report("mag", log, plot, json_file, result, partial(draw_mag, found))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
 from ekf_companion.logs.dataflash_records import OFFSET, Column, Columns, read_columns
-from ekf_companion.logs.dataflash_tables import boot_ns, choose, names_of, rows_of
+from ekf_companion.logs.dataflash_tables import NEEDED, boot_ns, choose, names_of, rows_of
 from ekf_companion.logs.dataflash_trajectory import reference, truth
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
@@ -58,9 +58,9 @@ def read(path: Path) -> Recording:
     tables, notes = read_columns(path)
     tables = choose(tables, notes)
     gnss = _gnss(tables)
-    arrivals: Arrivals = [*gnss, *_vehicle(tables)]
-    for take in (_imu, _gnss_heading, _attitude_heading, _magnetometer, _barometer):
-        arrivals += take(tables)
+    arrivals: Arrivals = [*gnss, *_vehicle(tables), *_sensor(tables, "IMU", Kind.IMU)]
+    arrivals += [*_gnss_heading(tables), *_attitude_heading(tables), *_magnetometer(tables)]
+    arrivals += _sensor(tables, "BARO", Kind.BARO)
     if not arrivals:
         raise LogError(
             f"{path}: a DataFlash log without IMU, GPS, MAG, BARO or ATT rows; "
@@ -80,12 +80,13 @@ def read(path: Path) -> Recording:
     )
 
 
-def _imu(tables: Columns) -> Arrivals:
-    if (rows := rows_of(tables, "IMU")) is None:
+def _sensor(tables: Columns, name: str, kind: Kind) -> Arrivals:
+    """Return the events of a message whose needed columns are those of the events, in SI."""
+    if (rows := rows_of(tables, name)) is None:
         return []
     table, t_ns = rows
-    axes = [table[name] for name in ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")]
-    return [(Events.from_columns(t_ns, Kind.IMU, *axes), table[OFFSET])]
+    columns = [table[column] for column in NEEDED[name]]
+    return [(Events.from_columns(t_ns, kind, *columns), table[OFFSET])]
 
 
 def _accuracies(tables: Columns, t_ns: Stamps) -> tuple[Column, Mask] | None:
@@ -171,19 +172,12 @@ def _magnetometer(tables: Columns) -> Arrivals:
     if (rows := rows_of(tables, "MAG")) is None:
         return []
     table, t_ns = rows
-    field = np.stack([table[name] for name in ("MagX", "MagY", "MagZ")], axis=1) * 1e-3  # mGauss
+    field = np.stack([table[name] for name in NEEDED["MAG"]], axis=1) * 1e-3  # mGauss
     healthy = np.any(field != 0.0, axis=1)
     if "Health" in names_of(table):
         healthy &= table["Health"] != 0
     events = Events.from_columns(t_ns, Kind.MAG, *field.T)
     return [(events.take(healthy), table[OFFSET][healthy])] if healthy.any() else []
-
-
-def _barometer(tables: Columns) -> Arrivals:
-    if (rows := rows_of(tables, "BARO")) is None:
-        return []
-    table, t_ns = rows
-    return [(Events.from_columns(t_ns, Kind.BARO, table["Alt"]), table[OFFSET])]
 
 
 def _vehicle(tables: Columns) -> Arrivals:

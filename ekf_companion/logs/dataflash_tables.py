@@ -15,7 +15,7 @@ from ekf_companion.nav.arrays import Stamps
 
 _ANGLES, _PLACE = ("Roll", "Pitch", "Yaw"), ("Lat", "Lng", "Alt")
 _MOTION = ("VN", "VE", "VD", "PN", "PE", "PD")
-_NEEDED: dict[str, tuple[str, ...]] = {
+NEEDED: dict[str, tuple[str, ...]] = {
     "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
     "GPS": ("Status", *_PLACE, "Spd", "GCrs"),
     "GPA": (),
@@ -43,7 +43,7 @@ def choose(tables: Columns, notes: list[str]) -> Columns:
     tables = {
         name: _first_instance(name, table, notes)
         for name, table in tables.items()
-        if name in _NEEDED and _is_usable(table, _NEEDED[name])
+        if name in NEEDED and _is_usable(table, NEEDED[name])
     }
     # Rows whose stamps are damaged, or of another boot, are dropped; tables without stamps kept
     stamps = {name: t_ns for name, one in tables.items() if (t_ns := boot_ns(one)) is not None}
