@@ -161,14 +161,12 @@ def messages(evidence: Evidence) -> StageResult:
     refused = {
         name: answer for name, answer in answers.items() if answer not in ("accepted", "no answer")
     }
-    inertial = next((name for name in INERTIAL if name in come), None)
-    needed = [
-        inertial or "no inertial message",
-        "GPS_RAW_INT" if "GPS_RAW_INT" in come else "no GPS_RAW_INT",
-        next((name for name in NORTH if name in come), "no ATTITUDE"),
-        "SYSTEM_TIME" if "SYSTEM_TIME" in come else "no SYSTEM_TIME",
-    ]
-    saw = ", ".join(needed)
+    inertial = next((name for name in INERTIAL if name in come), "no inertial message")
+    gnss, clock = (
+        name if name in come else f"no {name}" for name in ("GPS_RAW_INT", "SYSTEM_TIME")
+    )
+    north = next((name for name in NORTH if name in come), "no ATTITUDE")
+    saw = f"{inertial}, {gnss}, {north}, {clock}"
     if refused:
         saw += "; refused: " + ", ".join(f"{name} ({why})" for name, why in refused.items())
     problems = []

@@ -133,12 +133,8 @@ def _promised(evidence: Evidence, name: str) -> float:
 
 def _ground_station(evidence: Evidence, state: MessageState) -> _Cause | None:
     """Return a cause if many streams have one low rate: a ground station sets 4 Hz, typically."""
-    name = evidence.stamps.message
-    others = [
-        evidence.messages[one].rate
-        for one in STREAMED
-        if one in evidence.messages and evidence.messages[one].rate > 0.0
-    ]
+    name, messages = evidence.stamps.message, evidence.messages
+    others = [messages[one].rate for one in STREAMED if one in messages and messages[one].rate]
     usual = median(others)
     alike = [rate for rate in others if abs(rate - usual) <= ALIKE * usual]
     seen = " (its REQUEST_DATA_STREAM was seen here)" if evidence.stream_requests else ""
