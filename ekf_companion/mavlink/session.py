@@ -120,9 +120,8 @@ class Session:
         self.has_events = False
         """Whether something has happened that :meth:`events` has not returned yet."""
         self._events: list[Event] = []
-
-        guard = options.guard or GuardOptions(mode="never")
-        self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, guard)
+        when = options.guard or GuardOptions(mode="never")
+        self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, when)
         self.discovery = Discovery(
             self._emit,
             self._begin,
@@ -145,8 +144,8 @@ class Session:
         self._with_all += [self.commands, self.parameters]
         # Conversations with the autopilot only, while it is heard
         guards = [] if options.guard is None else [self.guard]
-        self._with_peer: list[Service] = [self.requests, *guards, self.timesync, self.audit]
-        self._with_peer += [self.statustext]
+        self._with_peer: list[Service] = [self.requests, *guards, self.timesync]
+        self._with_peer += [self.audit, self.statustext]
         self._all_routes, self._peer_routes = _routes(self._with_all), _routes(self._with_peer)
         self._splitter, self._junk_left = Splitter(), JUNK_BYTES
         self._autopilot_sender: Hashable = None
