@@ -166,7 +166,7 @@ class Watched:
         return sent
 
     def _look(self) -> None:
-        for part in self._companion.session.take_record():
+        for part in self._companion.session.outbox.take_record():
             self._digests["recorded"].add(repr(part).encode())
         pipeline = self._companion.pipeline
         if pipeline is not None and pipeline.stamp_ns != self._stamp_ns:
@@ -215,7 +215,7 @@ def fly(scenario: str, personality: str, fault: str) -> Hashes:
 
 
 def listen(path: Path) -> Hashes:
-    """Give a companion the frames of a .tlog, at their recorded times."""
+    """Feed a companion the frames of a .tlog, at their recorded times."""
     peer = Watched(Config())
     next_ns = 0
     for stamp_us, frame in tlog.read(path).frames():

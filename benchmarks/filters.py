@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +31,7 @@ from ekf_companion.logs.estimate import read_truth
 from ekf_companion.logs.recording import Recording
 from sim_autopilot import events as wire
 
-NAVIGATORS = ("eskf", "euler", "iterated", "iterated:robocentric", "ukf")
+NAVIGATORS = ("eskf", "euler", "iterated", "ukf")
 SEED = "seed-basicekf-sim"
 ATTITUDES = ("ahrs", "vqf", "mahony", "ahrs:corrected", "ahrs:article")
 WALKERS = ("zupt:shoe", "zupt:mv", "zupt:mag", "zupt:are")
@@ -43,7 +43,7 @@ WALKS = {
     "OpenShoe, 82 m": "zupt-openshoe/Measurement_100521_44.txt",
     "x-IO, 25 m": "zupt-xio-short-walk/short_walk.csv",
 }
-ABLATED = ("sitl-px4-square/flight.tlog", "sitl-px4-ulg/flight.ulg")
+ABLATED = "PX4 square (.tlog)"
 FLIGHTS = 3
 """Of each scenario and receiver in the campaign."""
 DURATION = 120.0
@@ -62,11 +62,14 @@ ROWS = {
 
 def navigators(data: Path) -> Iterator[str]:
     """Yield RMS errors of all navigators on the flights with a truth."""
-    for case in TRUTH:
-        if is_there(data, case.log):
-            yield from (f"**{case.title}**", "")
-            yield from _table(_judged(recorded(data / case.log), NAVIGATORS))
-            yield ""
+    return _table(
+        "log",
+        {
+            case.title: _judged(recorded(data / case.log), NAVIGATORS)
+            for case in TRUTH
+            if is_there(data, case.log)
+        },
+    )
 
 
 def without(data: Path) -> Iterator[str]:
@@ -81,26 +84,26 @@ def without(data: Path) -> Iterator[str]:
         ),
         "delay taken for known": replace(config, gnss=replace(config.gnss, delay_std=0.0)),
     }
-    for case in TRUTH:
-        if case.log in ABLATED and is_there(data, case.log):
-            recording = recorded(data / case.log)
-            rows = [
-                replace(_judged(recording, ["eskf"], config=settings)[0], name=title)
-                for title, settings in cases.items()
-            ]
-            yield from (f"**{case.title}**", "")
-            yield from _table(rows)
-            yield ""
+    log = next(case.log for case in TRUTH if case.title == ABLATED)
+    if not is_there(data, log):
+        return iter(())
+    recording = recorded(data / log)
+    rows = [
+        replace(_judged(recording, ["eskf"], config=settings)[0], name=title)
+        for title, settings in cases.items()
+    ]
+    return _table("log", {ABLATED: rows})
 
 
 def seed(data: Path) -> Iterator[str]:
     """Yield RMS errors on the seed article's flight."""
-    if is_there(data, SEED):
-        recording = replace(
-            recorded(data / SEED / "uavSensors.csv"), truth=read_truth(data / SEED / "uavTruth.csv")
-        )
-        names = ("eskf", "euler:article", "euler", "iterated", "iterated:robocentric", "ukf")
-        yield from _table(_judged(recording, names, skip=20.0))
+    if not is_there(data, SEED):
+        return iter(())
+    recording = replace(
+        recorded(data / SEED / "uavSensors.csv"), truth=read_truth(data / SEED / "uavTruth.csv")
+    )
+    names = ("eskf", "euler:article", "euler", "iterated", "ukf")
+    return _table("draw", {"42": _judged(recording, names, skip=20.0)})
 
 
 def attitude(data: Path) -> Iterator[str]:
@@ -142,11 +145,17 @@ def campaign(runs: int | None = None) -> Iterator[str]:
         for luck in range(1, (runs or FLIGHTS) + 1)
     ]
     results = each(fly_all, jobs, "filters, flights")
-    for receiver in RECEIVERS:
-        chosen = [found for job, found in zip(jobs, results, strict=True) if job[2] == receiver]
-        yield from (f"**Receiver {receiver}: {len(chosen)} flights of {DURATION:.0f} s**", "")
-        yield from _table([_mean(column) for column in zip(*chosen, strict=True)])
-        yield ""
+    chosen = {
+        receiver: [found for job, found in zip(jobs, results, strict=True) if job[2] == receiver]
+        for receiver in RECEIVERS
+    }
+    return _table(
+        f"receiver, flights of {DURATION:.0f} s",
+        {
+            f"{receiver}, {len(flights)}": [_mean(column) for column in zip(*flights, strict=True)]
+            for receiver, flights in chosen.items()
+        },
+    )
 
 
 def fly_all(job: tuple[str, int, str]) -> list[Entry]:
@@ -185,16 +194,23 @@ def _mean(entries: Sequence[Entry]) -> Entry:
     return Entry(name=first.name, solution=None, trajectory=None, us=us, rms=rms, nees=nees)
 
 
-def _table(entries: Iterable[Entry]) -> Iterator[str]:
+def _table(kind: str, groups: Mapping[str, Iterable[Entry]]) -> Iterator[str]:
+    """Return one table; a group is named in its first row."""
     rows = []
-    for one in entries:
-        cells = [
-            f"{np.sqrt(sum(np.square(one.rms[part]) for part in parts)):.3f}"
-            for parts in ROWS.values()
-        ]
-        nees = ", ".join(f"{one.nees[name]:.2f}" for name in ("position", "velocity", "attitude"))
-        rows.append(" | ".join([one.name, *cells, nees, f"{one.us:.0f}"]))
-    return table(" | ".join(["filter", *ROWS, "NEES position, velocity, attitude", "us"]), rows)
+    for group, entries in groups.items():
+        title = group
+        for one in entries:
+            cells = [
+                f"{np.sqrt(sum(np.square(one.rms[part]) for part in parts)):.3f}"
+                for parts in ROWS.values()
+            ]
+            nees = ", ".join(
+                f"{one.nees[name]:.2f}" for name in ("position", "velocity", "attitude")
+            )
+            rows.append(" | ".join([title, one.name, *cells, nees, f"{one.us:.0f}"]))
+            title = ""
+    head = [kind, "filter", *ROWS, "NEES position, velocity, attitude", "us"]
+    return table(" | ".join(head), rows)
 
 
 PARTS: dict[str, Part] = {

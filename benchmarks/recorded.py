@@ -29,13 +29,6 @@ class Case:
     until: float | None = None
     """Seconds after the first estimate; None: to the end."""
 
-    @property
-    def command(self) -> str:
-        """The command line that prints the same."""
-        options = f" --skip {self.skip:g}" if self.skip is not None else ""
-        options += f" --until {self.until:g}" if self.until is not None else ""
-        return f"ekf-companion compare {self.log}{options}"
-
 
 MISSION = Case(log="px4-ulg-x500-mission/x500_mission_2023.ulg", title="x500 mission (.ulg)")
 COPTER = "ardupilot-bin-copter-50hz/log171.bin"
@@ -61,14 +54,10 @@ TRUTH = (
 POOR = (
     "px4-ulg-damaged-fixedwing/damaged_format_not_utf8.ulg",
     "tlog-copter-canberra/flight.tlog",
-    "tlog-apm-2013-nebraska/2013-10-13_18-50-10.tlog",
     "tlog-copter-vancouver/mission2_2018-09-25.tlog",
     "ardupilot-bin-copter-netherlands/spark404_log.bin",
-    "px4-ulg-x500-no-gps/x500_no_gps_2023-06-21.ulg",
-    "ardupilot-bin-no-gps/dataflash-sample-1.bin",
-    "px4-ulg-fixedwing-ground/fw_ground_v6c.ulg",
 )
-"""Damaged, slow, short, or without GNSS."""
+"""Damaged, slow, or without GNSS."""
 
 Estimated = tuple[Table, convert.Report, Trajectory | None, Trajectory | None]
 

@@ -11,10 +11,10 @@ flight      all of it in order of time, one cycle of the autopilot's loop at a t
 events      the same as the estimator's events, without the wire
 telemetry   the fields of each message for a cycle
 personality, firmware   the real autopilots' habits, and the autopilots that have them
-habits, rates, parameters, reception   parts of the imitation: the sensors as the firmware reports
-            them, the streams, the parameter service, the received ODOMETRY
+habits, rates, parameters   parts of the imitation: the sensors as the firmware reports
+            them, the streams, the parameter service
 autopilot   the MAVLink peer: bytes and times in, bytes out
-acceptance  what either autopilot does with an ODOMETRY (judgement, px4_receiver,
+acceptance  what either autopilot does with an ODOMETRY it receives (judgement, px4_receiver,
             ardupilot_receiver)
 faults      failures on the wire, in the sensors and of the clock
 spec        the syntax of a personality and a fault
@@ -25,5 +25,5 @@ episodes    the effect of each fault on the estimate, and the time of recovery
 recording   files: truth as CSV, frames as .tlog
 replay      a recorded flight as frames at their times
 figure      the figure of a flight
-pace, fly, demo, __main__   the shells, which alone open, await, sleep and print
+fly, demo, __main__   the shells, which alone open, await, sleep and print
 """

@@ -9,12 +9,13 @@ import dataclasses
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from ekf_companion.errors import CompanionError
 from sim_autopilot import demo as demonstration
@@ -23,13 +24,12 @@ from sim_autopilot.config import load
 from sim_autopilot.episodes import summaries
 from sim_autopilot.faults.fault import KINDS, Number
 from sim_autopilot.faults.fault import parse as parse_fault
-from sim_autopilot.firmware import PERSONALITIES
+from sim_autopilot.firmware import IDEAL, PERSONALITIES
 from sim_autopilot.firmware import parse as parse_personality
 from sim_autopilot.flight import Flight
 from sim_autopilot.fly import fly as fly_over
-from sim_autopilot.fly import over, play
+from sim_autopilot.fly import over, play, run
 from sim_autopilot.loop import Bench, StreamRequester
-from sim_autopilot.pace import run
 from sim_autopilot.personality import Kind, Personality
 from sim_autopilot.recording import TlogWriter, write_truth
 from sim_autopilot.scenarios import SCENARIOS
@@ -95,7 +95,7 @@ def fly(
 ) -> None:
     """Fly a scenario over a link, in real time, and score the ODOMETRY that comes back."""
     with _exit_on_error(), ExitStack() as stack:
-        imitated = autopilot if personality is None else parse_personality(personality)
+        imitated = IDEAL[autopilot] if personality is None else parse_personality(personality)
         flight = _plan(scenario, config, imu_rate, seed, duration, skip, imitated)
         faults = [parse_fault(text, flight.duration) for text in fault]
         if truth is not None:
@@ -103,25 +103,13 @@ def fly(
         writer = None
         if log is not None:
             writer = stack.enter_context(TlogWriter(log, flight.config.home.unix))
-        flown = run(
-            over(
-                link,
-                lambda opened: fly_over(
-                    flight,
-                    opened,
-                    personality=imitated,
-                    faults=faults,
-                    speed=speed,
-                    log=writer,
-                    wait=wait,
-                ),
-            )
+        body = partial(
+            fly_over, flight, personality=imitated, faults=faults, speed=speed, wait=wait
         )
+        flown = run(over(link, partial(body, log=writer)))
         result = flown.witness.score(score_after)
         result["autopilot"] = {
-            "personality": (
-                f"ideal {imitated.value}" if isinstance(imitated, Kind) else imitated.name
-            ),
+            "personality": imitated.name if personality else f"ideal {imitated.name}",
             **flown.autopilot.reception.summary(),
         }
         result["faults"] = summaries(flown.witness, flight, faults)
@@ -151,7 +139,7 @@ def generate(
     with _exit_on_error():
         if output.suffix != ".tlog":
             raise typer.BadParameter(f"{output}: unknown kind of output; name it .tlog")
-        imitated = autopilot if personality is None else parse_personality(personality)
+        imitated = IDEAL[autopilot] if personality is None else parse_personality(personality)
         flight = _plan(scenario, config, imu_rate, seed, duration, skip, imitated)
         faults = [parse_fault(text, flight.duration) for text in fault]
         if truth is not None:
@@ -181,9 +169,9 @@ def replay(
 @app.command()
 def scenarios() -> None:
     """List the motions that can be flown."""
-    listing = Table(box=None, pad_edge=False)
-    for title in ("scenario", "seconds", "what"):
-        listing.add_column(title, justify="right" if title == "seconds" else "left")
+    listing = Table(
+        "scenario", Column("seconds", justify="right"), "what", box=None, pad_edge=False
+    )
     for scenario in SCENARIOS.values():
         listing.add_row(scenario.name, f"{scenario.duration:.0f}", scenario.summary)
     _console.print(listing)
@@ -192,9 +180,7 @@ def scenarios() -> None:
 @app.command()
 def personalities() -> None:
     """List the autopilots that can be imitated."""
-    listing = Table(box=None, pad_edge=False)
-    listing.add_column("personality")
-    listing.add_column("what")
+    listing = Table("personality", "what", box=None, pad_edge=False)
     for one in PERSONALITIES.values():
         listing.add_row(one.name, one.summary)
     _console.print(listing)
@@ -208,9 +194,9 @@ def personalities() -> None:
 @app.command()
 def faults() -> None:
     """List the faults, and the values of each."""
-    listing = Table(box=None, pad_edge=False)
-    for title in ("fault", "seconds", "values", "what"):
-        listing.add_column(title, justify="right" if title == "seconds" else "left")
+    listing = Table(
+        "fault", Column("seconds", justify="right"), "values", "what", box=None, pad_edge=False
+    )
     for kind in KINDS.values():
         values = [
             f"{key}={value.default:g}" if isinstance(value, Number) else f"{key}={value}"
@@ -230,13 +216,16 @@ def demo(
 ) -> None:
     """Fly figure-eight against the real daemon over UDP, and compare the errors with limits."""
     with _exit_on_error():
-        verdict = demonstration.fly(out, duration=duration, seed=seed, daemon_config=daemon_config)
-    _report(verdict.score, demonstration.LIMITS)
-    for line in verdict.files:
-        _console.print(line)
-    for complaint in verdict.complaints:
+        score, files = demonstration.fly(
+            out, duration=duration, seed=seed, daemon_config=daemon_config
+        )
+    _report(score, demonstration.LIMITS)
+    for file in files:
+        _console.print(f"{file}")
+    complaints = demonstration.complaints(score, out / "daemon.log")
+    for complaint in complaints:
         _errors.print(f"[bold red]{complaint}[/]")
-    if verdict.complaints:
+    if complaints:
         raise typer.Exit(1)
 
 
@@ -247,14 +236,12 @@ def _plan(
     seed: int,
     duration: float | None,
     skip: float,
-    personality: Personality | Kind,
+    personality: Personality,
 ) -> Flight:
     if scenario not in SCENARIOS:
         known = ", ".join(SCENARIOS)
         raise typer.BadParameter(f"{scenario!r}: no such scenario; there are {known}")
-    numbers = load(config)
-    if isinstance(personality, Personality):
-        numbers = personality.suited(numbers)
+    numbers = personality.suited(load(config))
     if imu_rate is not None:
         imu = dataclasses.replace(numbers.imu, rate=imu_rate)
         numbers = dataclasses.replace(numbers, imu=imu)

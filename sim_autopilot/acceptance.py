@@ -7,45 +7,39 @@ is fused. Innovation gates are left out: they depend on the flight, not on the m
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.frame import JUNK, Splitter
-from ekf_companion.mavlink.messages import LAYOUTS
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.mavlink.messages import IDS
 from sim_autopilot import ardupilot_receiver, px4_receiver
-from sim_autopilot.judgement import History, Judgement, Quantity, Stack
-
-__all__ = ["DEFAULTS", "History", "Judgement", "Quantity", "Stack", "judge", "would_accept"]
+from sim_autopilot.judgement import History, Judgement, Stack
 
 _PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
 _SOURCES = ((3, 3, 1, 3, 1), (0, 0, 1, 0, 0), (0, 0, 1, 0, 0))
 """Of each of ArduPilot's three sets: 3 GNSS, 1 barometer or compass, 0 none."""
-DEFAULTS: Mapping[Stack, Mapping[str, float]] = MappingProxyType(
-    {
-        Stack.PX4: MappingProxyType(
-            {"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7, "EKF2_EV_QMIN": 0, "EKF2_HGT_REF": 1}
-        ),
-        Stack.PX4_OLD: MappingProxyType({"EKF2_AID_MASK": 1, "EKF2_HGT_MODE": 0}),
-        Stack.ARDUPILOT: MappingProxyType(
-            {
-                "VISO_TYPE": 0,
-                "VISO_QUAL_MIN": 0,
-                "VISO_POS_M_NSE": 0.2,
-                "VISO_YAW_M_NSE": 0.2,
-                "EK3_ENABLE": 1,
-                "AHRS_EKF_TYPE": 3,
-                "EK3_SRC_OPTIONS": 1,
-                **{
-                    f"EK3_SRC{number}_{part}": source
-                    for number, sources in enumerate(_SOURCES, 1)
-                    for part, source in zip(_PARTS, sources, strict=True)
-                },
-            }
-        ),
-    }
-)
+_REASONS = 32
+"""Most reasons that are counted separately."""
+DEFAULTS: Mapping[Stack, Mapping[str, float]] = {
+    Stack.PX4: {"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7, "EKF2_EV_QMIN": 0, "EKF2_HGT_REF": 1},
+    Stack.PX4_OLD: {"EKF2_AID_MASK": 1, "EKF2_HGT_MODE": 0},
+    Stack.ARDUPILOT: {
+        "VISO_TYPE": 0,
+        "VISO_QUAL_MIN": 0,
+        "VISO_POS_M_NSE": 0.2,
+        "VISO_YAW_M_NSE": 0.2,
+        "EK3_ENABLE": 1,
+        "AHRS_EKF_TYPE": 3,
+        "EK3_SRC_OPTIONS": 1,
+        **{
+            f"EK3_SRC{number}_{part}": source
+            for number, sources in enumerate(_SOURCES, 1)
+            for part, source in zip(_PARTS, sources, strict=True)
+        },
+    },
+}
 """The parameters that matter, with the firmware's defaults; ``judge`` may override them."""
 
 
@@ -57,14 +51,10 @@ def judge(
     *,
     source_set: int = 1,
 ) -> Judgement:
-    """Return what an autopilot does with a message.
+    """Return what an autopilot does with an ODOMETRY, its fields named as in the definitions.
 
-    Args:
-        stack: Which autopilot.
-        message: Fields of an ODOMETRY, named as in the definitions.
-        parameters: The autopilot's; the others have the firmware's defaults.
-        history: From the judgement of the message before; None: this is the first.
-        source_set: Of ArduPilot, the one that the pilot has switched to, 1 to 3.
+    Parameters that are not given have the firmware's defaults. The history is from the judgement of
+    the message before. ``source_set`` is the one of ArduPilot that the pilot has switched to.
     """
     values = {**DEFAULTS[stack], **(parameters or {})}
     before = history or History()
@@ -89,7 +79,7 @@ def would_accept(
     """
     judgement: Judgement | None = None
     for frame in Splitter().feed(data):
-        if frame.message_id != JUNK and LAYOUTS[frame.message_id].name == "ODOMETRY":
+        if frame.message_id == IDS["ODOMETRY"]:
             before = judgement.history if judgement is not None else None
             judgement = judge(
                 Stack(stack), unpack(frame), parameters, before, source_set=source_set
@@ -97,3 +87,51 @@ def would_accept(
     if judgement is None:
         raise ValueError("no ODOMETRY in these bytes; give whole frames of MAVLink 2")
     return judgement
+
+
+class Reception:
+    """Judges the ODOMETRY that an autopilot receives by its own rules, and counts the verdicts."""
+
+    def __init__(self, rules: str, parameters: Mapping[str, float]) -> None:
+        """Judge by a ``Stack``'s rules; empty: accept all. Parameters are read for each message."""
+        self.accepted = 0
+        """Messages that were passed to the filter."""
+        self.fused = 0
+        """Messages of which the filter fuses something, before its gates."""
+        self.refused: Counter[str] = Counter()
+        """Messages that were not, by reason."""
+        self.unfused: Counter[str] = Counter()
+        """Messages that were accepted, and not or not wholly fused, by reason."""
+        self._stack = Stack(rules) if rules else None
+        self._parameters = parameters
+        self._history = History()
+
+    def take(self, odometry: Any) -> str:
+        """Judge a message; return the critical text that the pilot sees, empty: none."""
+        if self._stack is None:
+            self.accepted += 1
+            return ""
+        judgement = judge(self._stack, odometry, self._parameters, self._history)
+        self._history = judgement.history
+        if not judgement.is_accepted:
+            _count(self.refused, judgement.reason)
+            return judgement.text
+        self.accepted += 1
+        self.fused += bool(judgement.fused)
+        if judgement.reason:
+            _count(self.unfused, judgement.reason)
+        return judgement.text
+
+    def summary(self) -> dict[str, Any]:
+        """Return the counts, for JSON."""
+        return {
+            "accepted": self.accepted,
+            "fused": self.fused,
+            "refused": dict(self.refused),
+            "not_fused": dict(self.unfused),
+        }
+
+
+def _count(counter: Counter[str], reason: str) -> None:
+    """Count under a bounded number of reasons, as some contain a number."""
+    counter[reason if reason in counter or len(counter) < _REASONS else "another"] += 1

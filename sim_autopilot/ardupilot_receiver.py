@@ -76,13 +76,7 @@ def _written(
     return judged(
         reasons,
         fused,
-        History(
-            m.time_usec,
-            m.quality,
-            m.reset_counter,
-            fused,
-            after.ignored_until_us,
-        ),
+        replace(after, time_us=m.time_usec, quality=m.quality, fused=fused),
         is_reset=is_other and bool(fused),
         std_position=std_position,
         std_yaw=std_yaw,
@@ -94,19 +88,12 @@ def _aided_by_external(values: Mapping[str, float], source_set: int) -> frozense
 
     EK3_SRC_OPTIONS bit 0, set by default, fuses the velocities of every set whichever is in use.
     """
-    taken = {
-        quantity
-        for part, quantity in _SOURCES.items()
-        if values[f"EK3_SRC{source_set}_{part}"] == _EXTERNAL
-    }
+    parts = [(source_set, part) for part in _SOURCES]
     if int(values["EK3_SRC_OPTIONS"]) & _ALL_VELOCITIES:
-        for k in (1, 2, 3):
-            taken |= {
-                _SOURCES[part]
-                for part in ("VELXY", "VELZ")
-                if values[f"EK3_SRC{k}_{part}"] == _EXTERNAL
-            }
-    return frozenset(taken)
+        parts += [(number, part) for number in (1, 2, 3) for part in ("VELXY", "VELZ")]
+    return frozenset(
+        _SOURCES[part] for number, part in parts if values[f"EK3_SRC{number}_{part}"] == _EXTERNAL
+    )
 
 
 def standard_deviations(m: Any, values: Mapping[str, float]) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
+from sim_autopilot.acceptance import Reception
 from sim_autopilot.config import SimConfig
 from sim_autopilot.firmware import IDEAL
 from sim_autopilot.flight import Cycle
@@ -18,8 +19,6 @@ from sim_autopilot.habits import FirmwareSensors
 from sim_autopilot.parameters import ParameterServer
 from sim_autopilot.personality import FAILED, UNSUPPORTED, Kind, Personality
 from sim_autopilot.rates import ACCEPTED, GNSS, GROUPS, Streams
-from sim_autopilot.reception import Reception
-from sim_autopilot.telemetry import BUILDERS, Fields
 
 __all__ = ["COMPONENT_ID", "Autopilot", "Kind", "Received"]
 
@@ -31,7 +30,6 @@ _STANDBY, _ACTIVE = 3, 4
 _CRITICAL = 2
 _GCS_NS = 10_000_000_000
 """Between two requests of a ground station for its rates."""
-_INERTIAL = frozenset({"HIGHRES_IMU", "RAW_IMU", "SCALED_IMU2"})
 
 
 class Received(NamedTuple):
@@ -56,13 +54,9 @@ class Autopilot:
         is_wing: bool = False,
         seed: int = 1,
     ) -> None:
-        """Start it.
+        """Start a fixed wing or a multicopter; the seed is that of its habits' random numbers.
 
-        Args:
-            config: Every number.
-            personality: The autopilot to imitate; of a kind the ideal one.
-            is_wing: A fixed wing, else a multicopter.
-            seed: Of the random numbers of its habits.
+        The personality is the autopilot to imitate; of a kind the ideal one.
         """
         self.personality = IDEAL[personality] if isinstance(personality, Kind) else personality
         self.parameters = {**self.personality.parameters, **config.parameters}
@@ -182,25 +176,8 @@ class Autopilot:
             self._send(
                 name, capabilities=8192 | 8, flight_sw_version=version, uid=self._config.system_id
             )
-        elif (fields := self._fields(name, cycle)) is not None:
+        elif (fields := self._sensors.fields(name, cycle)) is not None:
             self._send(name, **fields)
-
-    def _fields(self, name: str, cycle: Cycle) -> Fields | None:
-        """Return the fields of a message of sensors or estimate; None: it is not sent now."""
-        sensors = self._sensors
-        if name in _INERTIAL and (not cycle.has_imu or sensors.is_missing()):
-            return None
-        if name == "GPS_GLOBAL_ORIGIN" and not sensors.has_origin(cycle.flight_ns):
-            return None
-        if name in BUILDERS:
-            return BUILDERS[name](self._config, cycle)
-        return {
-            "HIGHRES_IMU": sensors.highres_imu,
-            "RAW_IMU": sensors.raw_imu,
-            "SCALED_IMU2": sensors.scaled_imu,
-            "SCALED_PRESSURE": sensors.scaled_pressure,
-            GNSS: sensors.gps_raw_int,
-        }[name](cycle)
 
     def _command(self, frame: Frame, command: Any, now_ns: int) -> None:
         message = LAYOUTS[int(command.param1)].name if int(command.param1) in LAYOUTS else ""
@@ -220,9 +197,8 @@ class Autopilot:
 
     def _request(self, message: str) -> int:
         requestable = self.personality.requestable
-        if message not in self._streams and message != "AUTOPILOT_VERSION":
-            return UNSUPPORTED
-        if requestable is not None and message not in requestable:
+        is_known = message in self._streams or message == "AUTOPILOT_VERSION"
+        if not is_known or (requestable is not None and message not in requestable):
             return UNSUPPORTED
         if self._last is None:
             return FAILED
@@ -239,8 +215,7 @@ class Autopilot:
             self._companion = (frame.system_id, frame.component_id)
 
     def _odometry(self, frame: Frame, odometry: Any, now_ns: int) -> None:
-        text = self.reception.take(odometry)
-        if text:
+        if text := self.reception.take(odometry):
             self._send("STATUSTEXT", severity=_CRITICAL, text=text.encode()[:50])
 
     def _timesync(self, frame: Frame, sync: Any, now_ns: int) -> None:

@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,7 @@ from sim_autopilot import figure
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
 from sim_autopilot.fly import fly as fly_over
-from sim_autopilot.fly import over
-from sim_autopilot.pace import run
+from sim_autopilot.fly import over, run
 from sim_autopilot.recording import write_truth
 from sim_autopilot.score_table import TITLES
 
@@ -37,28 +35,20 @@ _STOP = 5.0
 """Longest time to its end, s."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Verdict:
-    """The result."""
-
-    score: dict[str, Any]
-    files: list[str]
-    """The files that were written."""
-    complaints: list[str]
-    """Empty: passed."""
-
-
-def fly(out: Path, *, duration: float, seed: int, daemon_config: Path | None = None) -> Verdict:
-    """Fly figure-eight against the daemon, and compare its errors with ``LIMITS``.
+def fly(
+    out: Path, *, duration: float, seed: int, daemon_config: Path | None = None
+) -> tuple[dict[str, Any], list[Path]]:
+    """Fly figure-eight against the daemon; return the score, and the files that were written.
 
     Raises:
         CompanionError: The daemon did not start or never answered.
     """
     out.mkdir(parents=True, exist_ok=True)
-    config = SimConfig()
-    flight = Flight.plan("figure-eight", config, seed=seed, duration=duration)
+    flight = Flight.plan("figure-eight", SimConfig(), seed=seed, duration=duration)
     write_truth(out / "truth.csv", flight)
-    port = _free_port()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
     with _daemon(daemon_config, port, out / "daemon.log"):
         flown = run(
             over(f"udpout:127.0.0.1:{port}", lambda link: fly_over(flight, link, wait=_START))
@@ -66,15 +56,15 @@ def fly(out: Path, *, duration: float, seed: int, daemon_config: Path | None = N
     score = flown.witness.score()
     score["pacing_late_ms"] = flown.pace.lateness()
     (out / "score.json").write_text(json.dumps(score, indent=2) + "\n", encoding="utf-8")
-    files = [f"{out / name}" for name in ("score.json", "truth.csv", "daemon.log")]
+    files = [out / "score.json", out / "truth.csv", out / "daemon.log"]
     with contextlib.suppress(ImportError):
         figure.draw(out / "demo.png", flight, flown.witness, score)
-        files.insert(0, f"{out / 'demo.png'}")
-    return Verdict(score, files, complaints(score, out / "daemon.log"))
+        files.insert(0, out / "demo.png")
+    return score, files
 
 
 def complaints(score: dict[str, Any], log: Path) -> list[str]:
-    """Return a sentence for each limit that was exceeded."""
+    """Return a sentence for each of ``LIMITS`` that a score exceeds."""
     if not score["odometry"]["scored"]:
         return [f"no ODOMETRY came that could be scored; {log} has the daemon's log"]
     return [
@@ -90,8 +80,10 @@ def _daemon(config: Path | None, port: int, log: Path) -> Iterator[None]:
     command = [sys.executable, "-m", "ekf_companion", "run", "--link", f"udpin:127.0.0.1:{port}"]
     if config is not None:
         command += ["--config", str(config)]
-    with log.open("wb") as output:
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+    with (
+        log.open("wb") as output,
+        subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT) as process,
+    ):
         try:
             yield
         finally:
@@ -101,12 +93,5 @@ def _daemon(config: Path | None, port: int, log: Path) -> Iterator[None]:
                 process.wait(_STOP)
             except subprocess.TimeoutExpired:
                 process.kill()
-                process.wait()
             if code is not None:
                 raise CompanionError(f"the daemon ended by itself with exit code {code}; see {log}")
-
-
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,43 +18,26 @@ from sim_autopilot.score import Witness
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ErrorSeries:
-    """Errors over the time of validity of the ODOMETRY, each array of shape (n,)."""
+Limits = tuple[float, float, float]
+"""Largest errors of an estimate that has recovered: position, m, velocity, m/s, attitude, rad."""
 
-    t: Array
-    """Since the start of the flight, s, ascending."""
-    position: Array
-    """Length of the error, m."""
-    velocity: Array
-    """m/s."""
-    attitude: Array
-    """Angle of the error's rotation, rad."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """The largest errors of an estimate that has recovered."""
-
-    position: float
-    """m."""
-    velocity: float
-    """m/s."""
-    attitude: float
-    """rad."""
-
-
-USUAL = Limits(position=4.0, velocity=1.0, attitude=math.radians(6.0))
+USUAL: Limits = (4.0, 1.0, math.radians(6.0))
 """For a single-frequency receiver and a compass: four of its sigmas."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorSeries(NamedTuple):
+    """Errors over the time of validity of the ODOMETRY."""
+
+    t: Array
+    """Since the start of the flight, s, ascending, shape (n,)."""
+    size: Array
+    """Of position, m, velocity, m/s, and the angle of the attitude's error, rad, shape (n, 3)."""
+
+
+@dataclass(frozen=True, slots=True)
 class Episode:
     """One window of a flight: its largest errors, and the time of recovery after it."""
 
-    start: float
-    end: float
-    """s."""
     count: int
     """ODOMETRY in it."""
     position: float
@@ -77,12 +60,8 @@ def error_series(witness: Witness, flight: Flight) -> ErrorSeries:
     error = witness.error(estimate)
     truth = flight.truth_at(estimate.t_ns)
     turn = so3.log(so3.multiply(so3.conjugate(truth.q_nb), estimate.q_nb))
-    return ErrorSeries(
-        t=estimate.t,
-        position=np.linalg.norm(error.pos_n, axis=1),
-        velocity=np.linalg.norm(error.vel_n, axis=1),
-        attitude=np.linalg.norm(turn, axis=-1),
-    )
+    sizes = [np.linalg.norm(one, axis=-1) for one in (error.pos_n, error.vel_n, turn)]
+    return ErrorSeries(estimate.t, np.stack(sizes, axis=-1))
 
 
 def episode(
@@ -94,26 +73,15 @@ def episode(
     until: float = math.inf,
     hold: float = 2.0,
 ) -> Episode:
-    """Score one window.
+    """Score one window, from ``start`` to before ``end``, s.
 
-    Args:
-        errors: Of the flight.
-        start: s.
-        end: s; itself not in it.
-        limits: Of a recovered estimate.
-        until: The next fault begins here, s.
-        hold: The errors must stay within the limits for so long, or up to ``until``, s.
+    To recover, the errors must stay within the limits for ``hold``, s, or up to ``until``, s, when
+    the next fault begins.
     """
-    inside = (errors.t >= start) & (errors.t < end)
-    return Episode(
-        start=start,
-        end=end,
-        count=int(inside.sum()),
-        position=_largest(errors.position[inside]),
-        velocity=_largest(errors.velocity[inside]),
-        attitude=_largest(errors.attitude[inside]),
-        recovery=_recovery(errors, end, limits, until, hold),
-    )
+    inside = errors.size[(errors.t >= start) & (errors.t < end)]
+    position, velocity, attitude = inside.max(axis=0) if len(inside) else [math.nan] * 3
+    recovery = _recovery(errors, end, limits, until, hold)
+    return Episode(len(inside), float(position), float(velocity), float(attitude), recovery)
 
 
 def episodes(
@@ -128,11 +96,8 @@ def episodes(
     ]
 
 
-def summaries(
-    witness: Witness, flight: Flight, faults: list[Fault], limits: Limits | None = None
-) -> list[dict[str, Any]]:
+def summaries(witness: Witness, flight: Flight, faults: list[Fault]) -> list[dict[str, Any]]:
     """Return the effect of each fault, for JSON; null: no ODOMETRY, or no recovery."""
-    found = episodes(error_series(witness, flight), faults, limits or USUAL)
     return [
         {
             "fault": str(fault),
@@ -142,7 +107,7 @@ def summaries(
             "attitude_deg": _finite(math.degrees(one.attitude)),
             "recovery_s": _finite(one.recovery),
         }
-        for fault, one in found
+        for fault, one in episodes(error_series(witness, flight), faults, USUAL)
     ]
 
 
@@ -168,11 +133,7 @@ def _finite(value: float) -> float | None:
 def _recovery(errors: ErrorSeries, end: float, limits: Limits, until: float, hold: float) -> float:
     after = (errors.t >= end) & (errors.t < until)
     t = errors.t[after]
-    is_right = (
-        (errors.position[after] <= limits.position)
-        & (errors.velocity[after] <= limits.velocity)
-        & (errors.attitude[after] <= limits.attitude)
-    )
+    is_right = (errors.size[after] <= limits).all(axis=1)
     if not len(t):
         return math.inf
     # From each right one, the next wrong one must be far enough away, or not exist
@@ -180,7 +141,3 @@ def _recovery(errors: ErrorSeries, end: float, limits: Limits, until: float, hol
     following = wrong[np.searchsorted(wrong, t)]
     good = is_right & ((following - t >= hold) & (t[-1] - t >= min(hold, t[-1] - t[0])))
     return float(t[good][0] - end) if good.any() else math.inf
-
-
-def _largest(values: Array) -> float:
-    return float(values.max()) if len(values) else math.nan

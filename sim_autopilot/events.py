@@ -13,44 +13,27 @@ Array = npt.NDArray[np.float64]
 
 
 def events(flight: Flight, *, has_vel_down: bool = False) -> Events:
-    """Return all samples, in order of arrival.
+    """Return all samples in order of arrival; the stamps of fixes are late by the receiver's delay.
 
-    Args:
-        flight: Its stamps are kept: those of fixes are late by the receiver's delay.
-        has_vel_down: The fixes carry vertical velocity, as logs do and GPS_RAW_INT does not.
+    With ``has_vel_down`` the fixes carry vertical velocity, as logs do and GPS_RAW_INT does not.
     """
     imu, gnss, config = flight.imu, flight.gnss, flight.config.gnss
-    count = len(gnss.t)
-    std_h = np.full(count, np.hypot(config.noise_h, config.slow_h))
-    std_v = np.full(count, np.hypot(config.noise_v, config.slow_v))
-    vel_down = gnss.vel_n[:, 2] if has_vel_down else np.full(count, np.nan)
-    tables = [
-        Events.from_columns(
-            _stamps(flight, gnss.t),
-            Kind.GNSS,
-            gnss.lat,
-            gnss.lon,
-            gnss.alt,
-            gnss.vel_n[:, 0],
-            gnss.vel_n[:, 1],
-            vel_down,
-            std_h,
-            std_v,
-            np.full(count, config.noise_vel),
-            np.full(count, np.nan),
-        ),
-        Events.from_columns(_stamps(flight, flight.mag.t), Kind.MAG, *flight.mag.mag_b.T),
-        Events.from_columns(_stamps(flight, flight.baro.t), Kind.BARO, flight.baro.alt),
-        Events.from_columns(_stamps(flight, imu.t), Kind.IMU, *imu.gyro_b.T, *imu.accel_b.T),
-    ]
-    if config.yaw:
-        tables.insert(
-            1,
-            Events.from_columns(
-                _stamps(flight, gnss.t), Kind.HEADING, gnss.yaw, np.full(count, config.noise_yaw)
-            ),
-        )
-    return merge(*tables)
+
+    def table(kind: Kind, t: Array, *columns: npt.ArrayLike) -> Events:
+        return Events.from_columns(_stamps(flight, t), kind, *columns)
+
+    vel_down = gnss.vel_n[:, 2] if has_vel_down else np.nan
+    std_h, std_v = np.hypot([config.noise_h, config.noise_v], [config.slow_h, config.slow_v])
+    place, velocity = (gnss.lat, gnss.lon, gnss.alt), (*gnss.vel_n[:, :2].T, vel_down)
+    stds = (std_h, std_v, config.noise_vel)
+    headings = [table(Kind.HEADING, gnss.t, gnss.yaw, config.noise_yaw)] if config.yaw else []
+    return merge(
+        table(Kind.GNSS, gnss.t, *place, *velocity, *stds, np.nan),
+        *headings,
+        table(Kind.MAG, flight.mag.t, *flight.mag.mag_b.T),
+        table(Kind.BARO, flight.baro.t, flight.baro.alt),
+        table(Kind.IMU, imu.t, *imu.gyro_b.T, *imu.accel_b.T),
+    )
 
 
 def truth(flight: Flight) -> Trajectory:

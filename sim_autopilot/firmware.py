@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from types import MappingProxyType
 
 from ekf_companion.errors import ConfigError
 from sim_autopilot import spec
@@ -12,51 +11,32 @@ from sim_autopilot.personality import DENIED, FAILED, Kind, Pacing, Personality
 _INFINITE = 1000.0
 """Hz: every new sample."""
 _PARAMETER_LENGTH = 16
-_MODES = {Kind.PX4: 4 << 16 | 3 << 24, Kind.ARDUPILOT: 4}
-_ON_REQUEST = (
-    "HIGHRES_IMU",
-    "RAW_IMU",
-    "SCALED_IMU2",
-    "SCALED_PRESSURE",
-    "GPS_RAW_INT",
-    "ATTITUDE",
-    "GLOBAL_POSITION_INT",
-    "LOCAL_POSITION_NED",
-    "SIM_STATE",
-    "SYSTEM_TIME",
-    "EXTENDED_SYS_STATE",
-    "GPS_GLOBAL_ORIGIN",
-)
-"""Messages that ArduPilot sends on request only."""
-_SOURCES = MappingProxyType(
-    {
-        "VISO_TYPE": 0,
-        "EK3_SRC1_POSXY": 3,
-        "EK3_SRC1_VELXY": 3,
-        "EK3_SRC1_POSZ": 1,
-        "EK3_SRC1_VELZ": 3,
-        "EK3_SRC1_YAW": 1,
-    }
-)
 
 IDEAL = {
     Kind.PX4: Personality(
         name="px4",
         summary="PX4 without its habits",
         kind=Kind.PX4,
-        custom_mode=_MODES[Kind.PX4],
+        custom_mode=4 << 16 | 3 << 24,
         version=0x011000FF,
         no_such_stream=FAILED,
-        parameters=MappingProxyType({"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7}),
+        parameters={"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7},
     ),
     Kind.ARDUPILOT: Personality(
         name="ardupilot",
         summary="ArduPilot without its habits",
         kind=Kind.ARDUPILOT,
-        custom_mode=_MODES[Kind.ARDUPILOT],
+        custom_mode=4,
         version=0x040600FF,
         no_such_stream=DENIED,
-        parameters=_SOURCES,
+        parameters={
+            "VISO_TYPE": 0,
+            "EK3_SRC1_POSXY": 3,
+            "EK3_SRC1_VELXY": 3,
+            "EK3_SRC1_POSZ": 1,
+            "EK3_SRC1_VELZ": 3,
+            "EK3_SRC1_YAW": 1,
+        },
         timesync_rate=0.1,
     ),
 }
@@ -65,22 +45,20 @@ IDEAL = {
 _PX4 = dataclasses.replace(
     IDEAL[Kind.PX4],
     summary="PX4 1.16 on an onboard link of 921600 baud",
-    parameters=MappingProxyType({"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7, "MAV_1_RATE": 0}),
-    streams=MappingProxyType(
-        {
-            "HIGHRES_IMU": 50.0,
-            "GPS_RAW_INT": _INFINITE,
-            "ATTITUDE": 100.0,
-            "GLOBAL_POSITION_INT": 50.0,
-            "LOCAL_POSITION_NED": 30.0,
-            "ODOMETRY": 30.0,
-            "SCALED_PRESSURE": 1.0,
-            "SYSTEM_TIME": 1.0,
-            "EXTENDED_SYS_STATE": 5.0,
-            "GPS_GLOBAL_ORIGIN": 1.0,
-            "HEARTBEAT": 1.0,
-        }
-    ),
+    parameters={"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7, "MAV_1_RATE": 0},
+    streams={
+        "HIGHRES_IMU": 50.0,
+        "GPS_RAW_INT": _INFINITE,
+        "ATTITUDE": 100.0,
+        "GLOBAL_POSITION_INT": 50.0,
+        "LOCAL_POSITION_NED": 30.0,
+        "ODOMETRY": 30.0,
+        "SCALED_PRESSURE": 1.0,
+        "SYSTEM_TIME": 1.0,
+        "EXTENDED_SYS_STATE": 5.0,
+        "GPS_GLOBAL_ORIGIN": 1.0,
+        "HEARTBEAT": 1.0,
+    },
     pacing=Pacing.DIVISION,
     link_rate=46080.0,
     rules="px4",
@@ -95,7 +73,22 @@ _PX4 = dataclasses.replace(
 _ARDUPILOT = dataclasses.replace(
     IDEAL[Kind.ARDUPILOT],
     summary="ArduPilot Copter 4.6: silent until asked, HIGHRES_IMU with a wrong magnetometer",
-    streams=MappingProxyType({**dict.fromkeys(_ON_REQUEST, 0.0), "HEARTBEAT": 1.0}),
+    # Silent until asked
+    streams={
+        "HIGHRES_IMU": 0.0,
+        "RAW_IMU": 0.0,
+        "SCALED_IMU2": 0.0,
+        "SCALED_PRESSURE": 0.0,
+        "GPS_RAW_INT": 0.0,
+        "ATTITUDE": 0.0,
+        "GLOBAL_POSITION_INT": 0.0,
+        "LOCAL_POSITION_NED": 0.0,
+        "SIM_STATE": 0.0,
+        "SYSTEM_TIME": 0.0,
+        "EXTENDED_SYS_STATE": 0.0,
+        "GPS_GLOBAL_ORIGIN": 0.0,
+        "HEARTBEAT": 1.0,
+    },
     pacing=Pacing.MILLISECONDS,
     is_timesync_targeted=False,
     rules="ardupilot",
@@ -122,7 +115,7 @@ PERSONALITIES = {
             name="px4-old",
             summary="PX4 1.14: fuses external vision by default, TIMESYNC to everybody",
             version=0x010E03FF,
-            parameters=MappingProxyType({"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 7, "MAV_1_RATE": 0}),
+            parameters={"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 7, "MAV_1_RATE": 0},
             is_timesync_targeted=False,
         ),
         dataclasses.replace(
@@ -130,7 +123,7 @@ PERSONALITIES = {
             name="px4-1.13",
             summary="PX4 1.13: EKF2_AID_MASK decides what is fused",
             version=0x010D03FF,
-            parameters=MappingProxyType({"EKF2_AID_MASK": 1, "MAV_1_RATE": 0}),
+            parameters={"EKF2_AID_MASK": 1, "MAV_1_RATE": 0},
             is_timesync_targeted=False,
             rules="px4-old",
         ),
@@ -140,9 +133,7 @@ PERSONALITIES = {
             name="ardupilot-old",
             summary="ArduPilot 4.3 to 4.5: RAW_IMU and SCALED_IMU2 only",
             version=0x040507FF,
-            streams=MappingProxyType(
-                {k: v for k, v in (_ARDUPILOT.streams or {}).items() if k != "HIGHRES_IMU"}
-            ),
+            streams={k: v for k, v in (_ARDUPILOT.streams or {}).items() if k != "HIGHRES_IMU"},
             requestable=frozenset({"AUTOPILOT_VERSION", "HEARTBEAT"}),
         ),
     )
@@ -170,7 +161,6 @@ def parse(text: str) -> Personality:
                 raise ConfigError(f"{text}: {key}: a parameter's name has 16 letters at most")
             parameters[key] = spec.number(text, key, value, -1e9, 1e9)
         else:
-            changes[spec.choose(text, "habit", key, numbers)] = spec.number(
-                text, key, value, 0.0, 1e7
-            )
-    return dataclasses.replace(found, parameters=MappingProxyType(parameters), **changes)  # type: ignore[arg-type]
+            habit = spec.choose(text, "habit", key, numbers)
+            changes[habit] = spec.number(text, key, value, 0.0, 1e7)
+    return dataclasses.replace(found, parameters=parameters, **changes)  # type: ignore[arg-type]

@@ -127,14 +127,10 @@ class Flight:
         duration: float | None = None,
         skip: float = 0.0,
     ) -> Flight:
-        """Draw a flight.
+        """Draw a flight of a scenario; the same seed gives the same bits.
 
-        Args:
-            name: Of the scenario.
-            config: Every number.
-            seed: The same gives the same bits.
-            duration: s; None: the scenario's.
-            skip: The flight begins so far into the scenario, s: a start in motion.
+        The duration is in s, None: the scenario's. The flight begins ``skip`` seconds into the
+        scenario: a start in motion.
         """
         scenario = SCENARIOS[name]
         duration = scenario.duration if duration is None else duration
@@ -150,6 +146,8 @@ class Flight:
         t: Array = np.asarray(skip + period * np.arange(1, count + 1), dtype=np.float64)
         fix_count = int(duration * config.gnss.rate + 1e-9)
         fix_t = skip + np.arange(1, fix_count + 1) / config.gnss.rate
+        mag_t = _every(t, period, config.compass.rate)
+        baro_t = _every(t, period, config.baro.rate)
         e = config.estimate
         sigmas = np.repeat([e.position, e.velocity, e.tilt, e.yaw], [3, 3, 2, 1])
         return cls(
@@ -161,12 +159,8 @@ class Flight:
             period_ns=period_ns,
             imu=sensors.imu(trajectory, config.imu, rng["imu"], t, period),
             gnss=sensors.gnss(trajectory, config.gnss, rng["gnss"], fix_t),
-            mag=sensors.compass(
-                trajectory, config.compass, rng["compass"], _every(t, period, config.compass.rate)
-            ),
-            baro=sensors.baro(
-                trajectory, config.baro, rng["baro"], _every(t, period, config.baro.rate)
-            ),
+            mag=sensors.compass(trajectory, config.compass, rng["compass"], mag_t),
+            baro=sensors.baro(trajectory, config.baro, rng["baro"], baro_t),
             estimate_error=sensors.slow_errors(rng["estimate"], count, sigmas, period, e.time),
         )
 
@@ -282,17 +276,7 @@ def _is_at_rest(truth: Truth) -> npt.NDArray[np.bool_]:
 
 
 def _motions(truth: Truth) -> Iterator[Motion]:
-    euler = so3.wrap(truth.euler)
-    columns = (
-        truth.lat,
-        truth.lon,
-        truth.alt,
-        truth.pos_n,
-        truth.vel_n,
-        truth.q_nb,
-        euler,
-        truth.rate_nb_b,
-        truth.accel_b,
-    )
-    for row in zip(*(column.tolist() for column in columns), strict=True):
+    place = (truth.lat, truth.lon, truth.alt, truth.pos_n, truth.vel_n)
+    attitude = (truth.q_nb, so3.wrap(truth.euler), truth.rate_nb_b, truth.accel_b)
+    for row in zip(*(column.tolist() for column in place + attitude), strict=True):
         yield Motion(*row)

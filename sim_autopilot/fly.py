@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import selectors
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import numpy as np
 
 from ekf_companion.errors import CompanionError
-from ekf_companion.link.link import Link, open_link
+from ekf_companion.link.address import parse_url
+from ekf_companion.link.link import Link
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.faults.fault import Fault
 from sim_autopilot.flight import Flight
-from sim_autopilot.pace import Pace
 from sim_autopilot.personality import Kind, Personality
 from sim_autopilot.recording import TlogWriter
 from sim_autopilot.rig import Rig
-from sim_autopilot.score import Witness
+from sim_autopilot.score import Witness, quantiles
 
 T = TypeVar("T")
 
@@ -27,11 +31,40 @@ _HEARTBEAT_PERIOD = 0.1
 """Before the first answer, s."""
 
 
+class Pace:
+    """A clock that shows ``first_ns`` now and runs ``speed`` times as fast as ours."""
+
+    def __init__(self, first_ns: int, speed: float) -> None:
+        self.late_ns: list[int] = []
+        """Lateness of the end of each wait, ns of our clock."""
+        self._first_ns = first_ns
+        self._speed = speed
+        self._start_ns = time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        """Return the time that it shows."""
+        return self.shown_ns(time.monotonic_ns())
+
+    def shown_ns(self, monotonic_ns: int) -> int:
+        """Return the time that it shows when our monotonic clock shows ``monotonic_ns``."""
+        return self._first_ns + round((monotonic_ns - self._start_ns) * self._speed)
+
+    async def until(self, t_ns: int) -> None:
+        """Wait until it shows a time, counted from the start, so that no error accumulates."""
+        due_ns = self._start_ns + round((t_ns - self._first_ns) / self._speed)
+        # Also when late: the receiver must get to run
+        await asyncio.sleep(max(0, due_ns - time.monotonic_ns()) * 1e-9)
+        self.late_ns.append(time.monotonic_ns() - due_ns)
+
+    def lateness(self) -> dict[str, float]:
+        """Return how late the waits ended, ms of our clock."""
+        return quantiles(np.array(self.late_ns or [0]) * 1e-6)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Flown:
     """The result of a flight over a link."""
 
-    flight: Flight
     autopilot: Autopilot
     witness: Witness
     pace: Pace
@@ -47,16 +80,10 @@ async def fly(
     log: TlogWriter | None = None,
     wait: float = 0.0,
 ) -> Flown:
-    """Fly over a link, and receive the estimate.
+    """Fly over an open link, ``speed`` times as fast as real time, and receive the estimate.
 
-    Args:
-        flight: The flight.
-        link: An open link.
-        personality: The autopilot to imitate; of a kind the ideal one.
-        faults: Of the flight.
-        speed: Of the autopilot's clock against ours.
-        log: Gets every frame sent and received.
-        wait: Longest time to wait for an answer before the flight begins, s; 0: do not wait.
+    The personality is the autopilot to imitate; of a kind the ideal one. The log gets every frame
+    sent and received. The flight begins with an answer, waited for ``wait`` s, or at once if 0.
 
     Raises:
         CompanionError: Nobody answered.
@@ -94,7 +121,7 @@ async def fly(
                 await pace.until(rig.autopilot.loop_ns)
             exchange()
         await asyncio.sleep(_AFTER)
-    return Flown(flight, rig.autopilot, witness, pace)
+    return Flown(rig.autopilot, witness, pace)
 
 
 async def _wait_for_answer(autopilot: Autopilot, link: Link, wait: float) -> None:
@@ -140,7 +167,7 @@ async def over(url: str, body: Callable[[Link], Awaitable[T]]) -> T:
         LinkError: The URL names no link.
     """
     is_open = asyncio.Event()
-    link = open_link(url, on_state=lambda now_open: is_open.set() if now_open else None)
+    link = Link(parse_url(url), on_state=lambda now_open: is_open.set() if now_open else None)
     async with _background(link.run()):
         await is_open.wait()
         return await body(link)
@@ -156,3 +183,19 @@ async def _background(work: Coroutine[None, None, None]) -> AsyncIterator[None]:
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await task
+
+
+def run(main: Coroutine[Any, Any, T]) -> T:
+    """Run a coroutine on a loop that sleeps to the microsecond.
+
+    The usual loop waits in ``epoll``, which rounds up to whole milliseconds: a quarter of a period
+    at 250 Hz. ``select`` does not.
+    """
+    loop = asyncio.SelectorEventLoop(selectors.SelectSelector())
+    try:
+        asyncio.set_event_loop(loop)
+        return loop.run_until_complete(main)
+    finally:
+        loop.run_until_complete(loop.shutdown_asyncgens())
+        asyncio.set_event_loop(None)
+        loop.close()

@@ -17,6 +17,7 @@ from sim_autopilot.personality import Personality
 from sim_autopilot.sensors import earth_field
 from sim_autopilot.telemetry import (
     BAROMETER,
+    BUILDERS,
     INERTIAL_AND_TEMPERATURE,
     MAGNETOMETER,
     Fields,
@@ -30,7 +31,7 @@ _BIAS_GAIN = 0.1
 _BIAS_NOISE = (3e-5, 5e-3)
 """One sigma of such a step, rad/s and m/s^2: assumed."""
 _METRES_PER_RADIAN = 6371e3
-_ZERO: Vector = (0.0, 0.0, 0.0)
+_INERTIAL = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU2")
 
 
 class FirmwareSensors:
@@ -47,8 +48,8 @@ class FirmwareSensors:
         self._sum: list[Vector] = []
         self._bias_gyro, self._bias_accel = np.zeros(3), np.zeros(3)
         self._next_step_ns = 0
-        self._mag_b = _ZERO
-        self._baro = (0.0, 0.0)
+        self._mag_b: Vector | None = None
+        self._baro: tuple[float, float] | None = None
         self._ground_pressure: float | None = None
         self._updated = INERTIAL_AND_TEMPERATURE
         self._fix: Fix | None = None
@@ -75,47 +76,45 @@ class FirmwareSensors:
             cycle = cycle._replace(number=cycle.number // every)
         if late_ns := self._lateness_ns():
             cycle = cycle._replace(t_ns=cycle.t_ns + late_ns, flight_ns=cycle.flight_ns + late_ns)
-        return cycle if self.has_origin(cycle.flight_ns) else self._by_compass(cycle)
+        return cycle if self._has_origin(cycle.flight_ns) else self._by_compass(cycle)
 
-    def has_origin(self, now_ns: int) -> bool:
-        """Whether the origin is set."""
+    def fields(self, name: str, cycle: Cycle) -> Fields | None:
+        """Return the fields of a message of sensors or estimate; None: it is not sent now."""
+        if name in _INERTIAL and (not cycle.has_imu or self._is_missing()):
+            return None
+        if name == "GPS_GLOBAL_ORIGIN" and not self._has_origin(cycle.flight_ns):
+            return None
+        if name == "GPS_RAW_INT":
+            return self._gps_raw_int(cycle)
+        # The latest magnetometer and barometer samples, new or not
+        cycle = cycle._replace(mag_b=self._mag_b, baro=self._baro)
+        if name == "HIGHRES_IMU":
+            return self._highres_imu(cycle)
+        return BUILDERS[name](self._config, cycle)
+
+    def _has_origin(self, now_ns: int) -> bool:
         wait = self._habits.origin_after
         return not wait or (self._begin_ns is not None and now_ns - self._begin_ns >= wait * 1e9)
 
-    def is_missing(self) -> bool:
+    def _is_missing(self) -> bool:
         """Whether the next inertial message is lost before it is sent."""
         share = self._habits.missing
         return bool(share) and bool(self._gaps.random() < share)
 
-    def highres_imu(self, cycle: Cycle) -> Fields:
-        """Return HIGHRES_IMU with the latest magnetometer and barometer samples, new or not."""
+    def _highres_imu(self, cycle: Cycle) -> Fields:
         habits = self._habits
         updated, self._updated = self._updated, INERTIAL_AND_TEMPERATURE
         if habits.is_always_updated:
             updated |= MAGNETOMETER | BAROMETER
-        x, y, z = self._mag_b
-        mag_b = (x * habits.mag_scale, y * habits.mag_scale, z * habits.mag_scale)
-        pressure, alt = self._baro
-        fields = telemetry.highres_imu(
-            cycle, self._config, mag_b, (pressure * habits.pressure_scale, alt), updated
-        )
+        fields = telemetry.highres_imu(self._config, cycle, updated)
         if habits.has_ground_pressure and self._ground_pressure is not None:
-            fields["diff_pressure"] = pressure - self._ground_pressure
+            fields["diff_pressure"] = fields["abs_pressure"] - self._ground_pressure
+        fields["abs_pressure"] *= habits.pressure_scale
+        for axis in ("xmag", "ymag", "zmag"):
+            fields[axis] *= habits.mag_scale
         return fields
 
-    def raw_imu(self, cycle: Cycle) -> Fields:
-        """Return RAW_IMU."""
-        return telemetry.raw_imu(cycle, self._mag_b)
-
-    def scaled_imu(self, cycle: Cycle) -> Fields:
-        """Return SCALED_IMU2."""
-        return telemetry.scaled_imu(cycle, self._mag_b)
-
-    def scaled_pressure(self, cycle: Cycle) -> Fields:
-        """Return SCALED_PRESSURE."""
-        return telemetry.scaled_pressure(cycle, self._config, self._baro[0])
-
-    def gps_raw_int(self, cycle: Cycle) -> Fields | None:
+    def _gps_raw_int(self, cycle: Cycle) -> Fields | None:
         """Return GPS_RAW_INT of the newest fix; None: it is not sent."""
         fix, habits = self._fix, self._habits
         if fix is None:
@@ -166,7 +165,8 @@ class FirmwareSensors:
         home = self._config.home
         off = self._habits.stray / _METRES_PER_RADIAN
         lat, lon = math.radians(home.lat) - off, math.radians(home.lon)
-        fix = Fix(cycle.t_ns // 1_000_000 * 1_000_000, lat, lon, home.alt, _ZERO, math.nan, 1)
+        t_ns = cycle.t_ns // 1_000_000 * 1_000_000
+        fix = Fix(t_ns, lat, lon, home.alt, (0.0, 0.0, 0.0), math.nan, 1)
         return telemetry.gps_raw_int(self._config, fix)
 
     def _corrected(self, cycle: Cycle) -> Cycle:
@@ -179,8 +179,8 @@ class FirmwareSensors:
             self._bias_gyro += _BIAS_GAIN * (cycle.gyro_bias_b - self._bias_gyro) + noise[0]
             self._bias_accel += _BIAS_GAIN * (cycle.accel_bias_b - self._bias_accel) + noise[1]
         return cycle._replace(
-            gyro_b=_minus(cycle.gyro_b, self._bias_gyro),
-            accel_b=_minus(cycle.accel_b, self._bias_accel),
+            gyro_b=tuple((cycle.gyro_b - self._bias_gyro).tolist()),
+            accel_b=tuple((cycle.accel_b - self._bias_accel).tolist()),
         )
 
     def _averaged(self, cycle: Cycle) -> Cycle:
@@ -192,7 +192,7 @@ class FirmwareSensors:
             return cycle
         gyro_b, accel_b = np.mean(self._sum[::2], axis=0), np.mean(self._sum[1::2], axis=0)
         self._sum.clear()
-        return cycle._replace(gyro_b=_vector(gyro_b), accel_b=_vector(accel_b))
+        return cycle._replace(gyro_b=tuple(gyro_b.tolist()), accel_b=tuple(accel_b.tolist()))
 
     def _by_compass(self, cycle: Cycle) -> Cycle:
         """Convert its own heading to magnetic north."""
@@ -202,20 +202,8 @@ class FirmwareSensors:
 
     def _lateness_ns(self) -> int:
         mean = self._habits.loop_jitter
-        if not mean:
-            return 0
-        return round(min(float(self._late.exponential(mean)), _LATEST) * 1e6) * 1000
+        return round(min(self._late.exponential(mean), _LATEST) * 1e6) * 1000 if mean else 0
 
 
 def _whole(rate: float, slower: float) -> int:
     return max(1, round(rate / slower)) if slower else 1
-
-
-def _minus(vector: Vector, bias: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Vector:
-    x, y, z = vector
-    return x - bias.item(0), y - bias.item(1), z - bias.item(2)
-
-
-def _vector(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Vector:
-    x, y, z = values.tolist()
-    return x, y, z

@@ -37,12 +37,10 @@ class Peer(Protocol):
 class StreamRequester:
     """A companion that only requests messages, every second until they are granted."""
 
-    def __init__(
-        self, rates: dict[str, float], system_id: int = 1, component_id: int = 191
-    ) -> None:
+    def __init__(self, rates: dict[str, float]) -> None:
         """Request ``rates``, Hz; RAW_IMU instead where HIGHRES_IMU is refused."""
         self._rates = dict(rates)
-        self._sender = Sender(system_id, component_id)
+        self._sender = Sender(1, 191)
         self._splitter = Splitter()
         self._next_ns: int | None = None
         self._requested: str | None = None
@@ -98,16 +96,11 @@ class Bench:
         peer_offset_ns: int = 0,
         peer_ppm: float = 0.0,
     ) -> None:
-        """Connect them.
+        """Connect them by a link of a latency, each way, s; a peer None never answers.
 
-        Args:
-            flight: The flight.
-            peer: The companion; None: nobody answers. It may be exchanged while the bench runs.
-            personality: The autopilot to imitate; of a kind the ideal one.
-            faults: Of the flight.
-            latency: Of the link, each way, s.
-            peer_offset_ns: Of the peer's clock when the world's shows 0.
-            peer_ppm: How much faster it runs, millionths.
+        The peer may be exchanged while the bench runs. Its clock shows ``peer_offset_ns`` when the
+        world's shows 0, and runs ``peer_ppm`` millionths faster. The personality is the autopilot
+        to imitate; of a kind the ideal one.
         """
         self.flight = flight
         self.peer = peer
@@ -145,19 +138,17 @@ class Bench:
             self._now_ns = max(self._now_ns, at_ns)
             if self.peer is not None:
                 self.peer.receive(frame, self.peer_ns(self._now_ns))
-                self._answer()
+                self._deliver(self.peer.data_to_send())
             yield item
         if self.peer is not None and until_ns >= self._next_tick_ns:
             self._next_tick_ns = until_ns + _TICK_NS
             self._now_ns = max(self._now_ns, until_ns)
             self.peer.tick(self.peer_ns(self._now_ns))
-            self._answer()
+            self._deliver(self.peer.data_to_send())
 
-    def _answer(self) -> None:
+    def _deliver(self, answers: list[bytes]) -> None:
         """Deliver the peer's bytes to the autopilot and the witness."""
-        if self.peer is None:
-            return
-        for data in self.peer.data_to_send():
+        for data in answers:
             for frame in self._splitter.feed(data):
                 if frame.message_id != JUNK:
                     name = LAYOUTS[frame.message_id].name

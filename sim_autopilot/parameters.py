@@ -21,11 +21,9 @@ class ParameterServer:
 
     def read(self, request: Any) -> None:
         """Answer PARAM_REQUEST_READ, by index or by name; an unknown one gets no answer."""
-        names = list(self.values)
-        index = request.param_index
-        name = (
-            names[index] if 0 <= index < len(names) else request.param_id.decode("ascii", "replace")
-        )
+        name = request.param_id.decode("ascii", "replace")
+        if 0 <= request.param_index < len(self.values):
+            name = list(self.values)[request.param_index]
         if name in self.values:
             self._send_value(name)
 
@@ -39,7 +37,10 @@ class ParameterServer:
         name = request.param_id.decode("ascii", "replace")
         if name not in self.values:
             return False
-        self.values[name] = self._decoded(request.param_value, request.param_type)
+        value = request.param_value
+        if request.param_type == _INT32 and self._is_bytewise:
+            value = float(struct.unpack("<i", struct.pack("<f", value))[0])
+        self.values[name] = value
         self._send_value(name)
         return True
 
@@ -56,8 +57,3 @@ class ParameterServer:
             param_count=len(self.values),
             param_index=list(self.values).index(name),
         )
-
-    def _decoded(self, value: float, param_type: int) -> float:
-        if param_type == _INT32 and self._is_bytewise:
-            return float(struct.unpack("<i", struct.pack("<f", value))[0])
-        return value

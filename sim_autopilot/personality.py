@@ -13,11 +13,12 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from types import MappingProxyType
+from typing import Any, TypeVar
 
 from sim_autopilot.config import GnssConfig, ImuConfig, SimConfig
 
 UNSUPPORTED, DENIED, FAILED = 3, 2, 4
+Section = TypeVar("Section", ImuConfig, GnssConfig)
 
 
 class Kind(str, Enum):
@@ -52,7 +53,7 @@ class Personality:
     no_such_stream: int
     """Its answer to SET_MESSAGE_INTERVAL for a message that it does not have: PX4 FAILED (4, for
     RAW_IMU and SIM_STATE too), ArduPilot DENIED (2)."""
-    parameters: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    parameters: Mapping[str, float] = field(default_factory=dict)
     """Of the firmware's defaults, those that decide what it fuses and how fast it sends."""
     streams: Mapping[str, float] | None = None
     """The messages that it has, and their rates until others are requested, Hz; None: those of the
@@ -125,20 +126,14 @@ class Personality:
 
         Plan a flight with it.
         """
-        defaults = SimConfig()
-
-        def own(section: str, key: str, value: float) -> float:
-            set_to: float = getattr(getattr(config, section), key)
-            return value if set_to == getattr(getattr(defaults, section), key) else set_to
-
-        imu = dataclasses.replace(
-            config.imu,
-            rate=own("imu", "rate", self.imu_rate),
-            lowpass=own("imu", "lowpass", self.lowpass),
+        return dataclasses.replace(
+            config,
+            imu=_suited(config.imu, ImuConfig(), rate=self.imu_rate, lowpass=self.lowpass),
+            gnss=_suited(config.gnss, GnssConfig(), rate=self.gnss_rate, delay=self.gnss_delay),
         )
-        gnss = dataclasses.replace(
-            config.gnss,
-            rate=own("gnss", "rate", self.gnss_rate),
-            delay=own("gnss", "delay", self.gnss_delay),
-        )
-        return dataclasses.replace(config, imu=imu, gnss=gnss)
+
+
+def _suited(section: Section, defaults: Section, **own: Any) -> Section:
+    """Return a section of the configuration with other values where it has the defaults."""
+    changes = {k: v for k, v in own.items() if getattr(section, k) == getattr(defaults, k)}
+    return dataclasses.replace(section, **changes)

@@ -102,12 +102,11 @@ def _aided_by_vision(
     values: Mapping[str, float], *, is_old: bool
 ) -> tuple[frozenset[Quantity], bool]:
     """Return the parts that the parameters enable, and whether GNSS positions are fused."""
+    bits = int(values["EKF2_AID_MASK" if is_old else "EKF2_EV_CTRL"])
+    parts = _AID_BITS if is_old else _EV_BITS
+    wanted = frozenset().union(*(part for bit, part in parts.items() if bits & bit))
     if not is_old:
-        bits = int(values["EKF2_EV_CTRL"])
-        wanted = frozenset().union(*(q for bit, q in _EV_BITS.items() if bits & bit))
         return wanted, bool(int(values["EKF2_GPS_CTRL"]) & 1)
-    bits = int(values["EKF2_AID_MASK"])
-    wanted = frozenset().union(*(q for bit, q in _AID_BITS.items() if bits & bit))
     # Without one of its bits set, the old filter reads no vision at all, not for the height either
     if wanted and values["EKF2_HGT_MODE"] == _VISION:
         wanted |= {Quantity.HEIGHT}

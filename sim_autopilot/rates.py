@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from ekf_companion.mavlink.messages import by_name
 from sim_autopilot.config import SimConfig
@@ -80,10 +80,10 @@ class Streams:
 
     def request_group(self, group: int, rate: float) -> None:
         """Execute REQUEST_DATA_STREAM; a rate too high becomes the highest possible."""
-        groups: Iterable[int] = GROUPS if group == 0 else (group,)
-        for name in (name for one in groups for name in GROUPS.get(one, ())):
-            if name in self._rates:
-                self._rates[name] = min(rate, self._fastest)
+        for number, names in GROUPS.items():
+            if group in (0, number):
+                own = [name for name in names if name in self._rates]
+                self._rates |= dict.fromkeys(own, min(rate, self._fastest))
         self.update()
 
     def due(self, number: int, t_ns: int, has_fix: bool) -> list[str]:
@@ -142,13 +142,12 @@ class Streams:
     def _scale(self) -> float:
         """Return the part of their rates that the streams get."""
         budget = self._parameters.get("MAV_1_RATE", 0.0) or self._personality.link_rate
-        if not self._personality.link_rate:
+        loads = {
+            name: min(rate, self._source_rate(name)) * (by_name(name).size + _OVERHEAD)
+            for name, rate in self._rates.items()
+        }
+        constant = sum(load for name, load in loads.items() if name in _CONSTANT)
+        varying = sum(load for name, load in loads.items() if name not in _CONSTANT)
+        if not self._personality.link_rate or not varying:
             return 1.0
-        constant = varying = 0.0
-        for name, rate in self._rates.items():
-            load = min(rate, self._source_rate(name)) * (by_name(name).size + _OVERHEAD)
-            if name in _CONSTANT:
-                constant += load
-            else:
-                varying += load
-        return min(1.0, max(_SLOWEST, (budget - constant) / varying)) if varying else 1.0
+        return min(1.0, max(_SLOWEST, (budget - constant) / varying))

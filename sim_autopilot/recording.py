@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -43,7 +43,7 @@ def write_truth(path: Path, flight: Flight) -> None:
             file.writelines(_ROW % tuple(row) + "\n" for row in table.tolist())
 
 
-class TlogWriter:
+class TlogWriter(AbstractContextManager["TlogWriter"]):
     """A telemetry log: before each frame its time, in microseconds since 1970."""
 
     def __init__(self, path: Path, unix: float) -> None:
@@ -56,13 +56,5 @@ class TlogWriter:
         stamp = (self._unix_us + now_ns // 1000) & ~3
         self._file.write(stamp.to_bytes(8, "big") + frame)
 
-    def __enter__(self) -> TlogWriter:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()

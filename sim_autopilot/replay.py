@@ -7,6 +7,7 @@ the messages that the autopilot would have sent (GPS_RAW_INT has no vertical vel
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -69,25 +70,22 @@ def of_recording(recording: Recording) -> Iterator[Timed]:
     sender = Sender(1, 1)
     stamps = events.t_ns - zero_ns
     arrival = np.maximum.accumulate(stamps).tolist() if len(events) else []
-    attitudes = _Attitudes(recording, zero_ns)
+    attitudes = _attitudes(recording, zero_ns)
     mag, baro, updated = (0.0, 0.0, 0.0), 0.0, _INERTIAL
     armed, landed, yaw_cdeg, next_beat_ns = False, 0, 0, 0
     rows = zip(arrival, stamps.tolist(), events.kind.tolist(), events.values.tolist(), strict=True)
     for now_ns, t_ns, kind, values in rows:
         if now_ns >= next_beat_ns:
             next_beat_ns = now_ns + _SECOND_NS
-            for name, fields in _status(autopilot, now_ns, armed, landed):
+            for name, fields in _status(autopilot, now_ns, armed, landed).items():
                 yield now_ns, sender.message(name, **fields)
-        for fields in attitudes.until(now_ns):
-            yield now_ns, sender.message("ATTITUDE", **fields)
+        while attitudes and attitudes[0][0] <= now_ns:
+            t_ns_own, angles = attitudes.popleft()
+            yield now_ns, sender.message("ATTITUDE", **_attitude(t_ns_own, *angles))
 
         if kind == Kind.IMU:
-            yield (
-                now_ns,
-                sender.message(
-                    "HIGHRES_IMU", **_imu(t_ns, values, mag, baro), fields_updated=updated
-                ),
-            )
+            fields = _imu(t_ns, values, mag, baro)
+            yield now_ns, sender.message("HIGHRES_IMU", **fields, fields_updated=updated)
             updated = _INERTIAL
         elif kind == Kind.MAG:
             mag, updated = (values[0], values[1], values[2]), updated | _MAGNETOMETER
@@ -106,58 +104,42 @@ def of_recording(recording: Recording) -> Iterator[Timed]:
             landed = 0 if math.isnan(values[1]) else 1 if values[1] else 2
 
 
-class _Attitudes:
-    """The recorded autopilot's own attitude, in order of time."""
-
-    def __init__(self, recording: Recording, zero_ns: int) -> None:
-        reference = recording.reference
-        self._rows: list[tuple[int, list[float]]] = []
-        self._next = 0
-        if reference is not None:
-            euler = so3.to_euler(reference.q_nb).tolist()
-            self._rows = list(zip((reference.att_t_ns - zero_ns).tolist(), euler, strict=True))
-
-    def until(self, now_ns: int) -> Iterator[dict[str, float]]:
-        while self._next < len(self._rows) and self._rows[self._next][0] <= now_ns:
-            t_ns, (roll, pitch, yaw) = self._rows[self._next]
-            self._next += 1
-            yield _attitude(t_ns, roll, pitch, yaw)
+def _attitudes(recording: Recording, zero_ns: int) -> deque[tuple[int, list[float]]]:
+    """Return the recorded autopilot's own attitude with its times, ns, in order of time."""
+    reference = recording.reference
+    if reference is None:
+        return deque()
+    stamps = (reference.att_t_ns - zero_ns).tolist()
+    return deque(zip(stamps, so3.to_euler(reference.q_nb).tolist(), strict=True))
 
 
 def _attitude(t_ns: int, roll: float, pitch: float, yaw: float) -> dict[str, float]:
+    boot_ms = t_ns // 1_000_000 & 0xFFFFFFFF
+    return {"time_boot_ms": boot_ms, "roll": roll, "pitch": pitch, "yaw": yaw}
+
+
+def _status(autopilot: int, now_ns: int, armed: bool, landed: int) -> dict[str, dict[str, float]]:
+    mode, status = (128, 4) if armed else (0, 3)
     return {
-        "time_boot_ms": t_ns // 1_000_000 & 0xFFFFFFFF,
-        "roll": roll,
-        "pitch": pitch,
-        "yaw": yaw,
-    }
-
-
-def _status(
-    autopilot: int, now_ns: int, armed: bool, landed: int
-) -> Iterator[tuple[str, dict[str, float]]]:
-    yield (
-        "HEARTBEAT",
-        {
+        "HEARTBEAT": {
             "type": 2,
             "autopilot": autopilot,
-            "base_mode": 128 if armed else 0,
-            "system_status": 4 if armed else 3,
+            "base_mode": mode,
+            "system_status": status,
             "mavlink_version": 3,
         },
-    )
-    yield "SYSTEM_TIME", {"time_boot_ms": now_ns // 1_000_000 & 0xFFFFFFFF}
-    yield "EXTENDED_SYS_STATE", {"landed_state": landed}
+        "SYSTEM_TIME": {"time_boot_ms": now_ns // 1_000_000 & 0xFFFFFFFF},
+        "EXTENDED_SYS_STATE": {"landed_state": landed},
+    }
 
 
 def _imu(
     t_ns: int, values: list[float], mag: tuple[float, float, float], baro: float
 ) -> dict[str, float]:
-    names = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
+    names = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc", "xmag", "ymag", "zmag")
     return {
         "time_usec": t_ns // 1000,
-        **dict(zip(names, values[:6], strict=True)),
-        **dict(zip(("xmag", "ymag", "zmag"), mag, strict=True)),
+        **dict(zip(names, [*values[:6], *mag], strict=True)),
         "abs_pressure": pressure(baro),
         "pressure_alt": baro,
     }

@@ -28,21 +28,13 @@ class Rig:
         faults: Sequence[Fault] = (),
         latency: float = 0.0,
     ) -> None:
-        """Connect its parts.
+        """Connect its parts; the latency is that of the link, each way, s.
 
-        Args:
-            flight: The flight.
-            personality: The autopilot to imitate; of a kind the ideal one.
-            faults: At times from the start of the flight.
-            latency: Of the link, each way, s.
+        The personality is the autopilot to imitate; of a kind the ideal one.
         """
         zero_ns = flight.first_ns - flight.period_ns
-        self.autopilot = Autopilot(
-            flight.config,
-            personality,
-            is_wing=flight.scenario.is_wing,
-            seed=flight.seed,
-        )
+        is_wing = flight.scenario.is_wing
+        self.autopilot = Autopilot(flight.config, personality, is_wing=is_wing, seed=flight.seed)
         self.clock = Clock(faults, zero_ns)
         self._sensors = SensorFaults(faults, zero_ns)
         self._out = Wire(faults, flight.seed, zero_ns, "out", latency)

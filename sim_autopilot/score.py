@@ -55,12 +55,10 @@ class Witness:
     """Receives the estimates of one flight, and compares them with the truth."""
 
     def __init__(self, flight: Flight, true_ns: Callable[[int, int], int] | None = None) -> None:
-        """Receive nothing yet.
+        """Start without an estimate.
 
-        Args:
-            flight: The truth.
-            true_ns: Converts a stamp of the autopilot's clock, with its time of arrival, to the
-                flight's clock, ns; None: the clocks are the same.
+        ``true_ns`` converts a stamp of the autopilot's clock, with its time of arrival, to the
+        flight's clock, ns; None: the clocks are the same.
         """
         self.frames: Counter[tuple[int, int]] = Counter()
         """ODOMETRY by frame and child frame."""
@@ -126,8 +124,7 @@ class Witness:
             pos_n = pos_n - pos_n.mean(axis=0)
         vel_n = estimate.vel_n - truth.vel_n
         euler = so3.wrap(so3.to_euler(estimate.q_nb) - truth.euler)
-        vel_b = so3.rotate(so3.conjugate(estimate.q_nb), vel_n)
-        return Error(pos_n=pos_n, vel_n=vel_n, euler=euler, vel_b=vel_b)
+        return Error(pos_n, vel_n, euler, so3.rotate(so3.conjugate(estimate.q_nb), vel_n))
 
     def score(self, after: float = 10.0) -> dict[str, Any]:
         """Return the score from ``after`` seconds of flight on, for JSON."""
@@ -155,7 +152,7 @@ class Witness:
             return result
         error = self.error(estimate)
         degrees = np.degrees(error.euler)
-        result["horizontal_m"] = _summary(np.hypot(error.pos_n[:, 0], error.pos_n[:, 1]))
+        result["horizontal_m"] = _summary(np.hypot(*error.pos_n[:, :2].T))
         result["vertical_m"] = _summary(error.pos_n[:, 2])
         result["velocity_mps"] = _summary(np.linalg.norm(error.vel_n, axis=1))
         for axis, name in enumerate(("roll", "pitch", "yaw")):

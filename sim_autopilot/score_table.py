@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.table import Table
 
-from sim_autopilot import episodes, reception
+from sim_autopilot import episodes
 
 TITLES = {
     "horizontal_m": "horizontal, m",
@@ -54,6 +54,15 @@ def sentences(score: dict[str, Any]) -> list[str]:
             f"{latency['p99']:.2f} ms at 99 %"
         )
     if "autopilot" in score:
-        found.append(reception.sentence(score["autopilot"]))
+        found.append(reception(score["autopilot"]))
     found += [episodes.sentence(one) for one in score.get("faults", [])]
     return found
+
+
+def reception(summary: Mapping[str, Any]) -> str:
+    """Return what the autopilot did: ``odometry: accepted N, refused M: reason``."""
+    refused = sum(summary["refused"].values())
+    line = f"odometry: accepted {summary['accepted']}, refused {refused}"
+    if summary["refused"]:
+        line += ": " + "; ".join(f"{why} ({n})" for why, n in summary["refused"].items())
+    return line

@@ -92,10 +92,7 @@ def generators(seed: int) -> dict[str, np.random.Generator]:
     """Return one generator for each source of noise; new ones are added at the end."""
     names = ("imu", "gnss", "compass", "baro", "estimate")
     sequences = np.random.SeedSequence(seed).spawn(len(names))
-    return {
-        name: np.random.default_rng(sequence)
-        for name, sequence in zip(names, sequences, strict=True)
-    }
+    return dict(zip(names, map(np.random.default_rng, sequences), strict=True))
 
 
 def mean_imu(trajectory: Trajectory, t: Array, period: float) -> tuple[Array, Array]:
@@ -119,12 +116,10 @@ def imu(
     start = rng.standard_normal((2, 3))
     white = rng.standard_normal((len(t), 6)) / np.sqrt(period)
     slow = rng.standard_normal((len(t), 6))
-    gyro_bias_b = config.gyro_bias_start * start[0] + config.gyro_bias_instability * gauss_markov(
-        slow[:, :3], period, config.gyro_bias_time
-    )
-    accel_bias_b = config.accel_bias_start * start[
-        1
-    ] + config.accel_bias_instability * gauss_markov(slow[:, 3:], period, config.accel_bias_time)
+    gyro_slow = gauss_markov(slow[:, :3], period, config.gyro_bias_time)
+    accel_slow = gauss_markov(slow[:, 3:], period, config.accel_bias_time)
+    gyro_bias_b = config.gyro_bias_start * start[0] + config.gyro_bias_instability * gyro_slow
+    accel_bias_b = config.accel_bias_start * start[1] + config.accel_bias_instability * accel_slow
     gyro_b += gyro_bias_b + config.gyro_noise * white[:, :3]
     accel_b += accel_bias_b + config.accel_noise * white[:, 3:]
     if 0.0 < config.lowpass * period < 0.5:
@@ -140,14 +135,13 @@ def gnss(
     """Draw the fixes that arrive at ``t``."""
     truth = trajectory.at(t - config.delay)
     lever_b = np.array(config.lever_arm)
-    lever_n = so3.rotate(truth.q_nb, np.broadcast_to(lever_b, truth.vel_n.shape))
+    lever_n = so3.rotate(truth.q_nb, lever_b)
     swing_n = so3.rotate(truth.q_nb, np.cross(truth.rate_nb_b, lever_b))
 
     white = rng.standard_normal((len(t), 7))
     slow = gauss_markov(rng.standard_normal((len(t), 3)), 1.0 / config.rate, config.slow_time)
-    error_n = white[:, :3] * [config.noise_h, config.noise_h, config.noise_v]
     slow_n = slow * [config.slow_h, config.slow_h, config.slow_v]
-    error_n += slow_n
+    error_n = white[:, :3] * [config.noise_h, config.noise_h, config.noise_v] + slow_n
     lat, lon, alt = trajectory.frame.to_geodetic(truth.pos_n + lever_n + error_n)
     yaw = so3.to_euler(truth.q_nb)[:, 2] + config.noise_yaw * white[:, 6]
     return GnssData(
@@ -165,30 +159,21 @@ def compass(
     trajectory: Trajectory, config: CompassConfig, rng: np.random.Generator, t: Array
 ) -> MagData:
     """Draw the field at ``t`` in the body, with hard iron and noise, turned by the slow error."""
-    field_n = magnetic_field(trajectory, config)
+    frame = trajectory.frame
+    field_n = earth_field(frame.lat, frame.lon, frame.alt, config.year)
     truth = trajectory.at(t)
     noise = config.noise_heading * float(np.hypot(field_n[0], field_n[1]))
     white = rng.standard_normal((len(t), 3))
     slow = gauss_markov(rng.standard_normal((len(t), 1)), 1.0 / config.rate, config.slow_time)
     heading_error = config.slow_heading * slow[:, 0]
     back = so3.exp(np.outer(-heading_error, [0.0, 0.0, 1.0]))
-    turned_n = so3.rotate(back, np.broadcast_to(field_n, (len(t), 3)))
-    mag_b = so3.rotate(so3.conjugate(truth.q_nb), turned_n)
-    return MagData(
-        t=t,
-        mag_b=mag_b + np.array(config.hard_iron) + noise * white,
-        heading_error=heading_error,
-    )
-
-
-def magnetic_field(trajectory: Trajectory, config: CompassConfig) -> Array:
-    """Return the Earth's field at the start, north, east, down, gauss (World Magnetic Model)."""
-    frame = trajectory.frame
-    return earth_field(frame.lat, frame.lon, frame.alt, config.year)
+    mag_b = so3.rotate(so3.conjugate(truth.q_nb), so3.rotate(back, field_n))
+    mag_b = mag_b + np.array(config.hard_iron) + noise * white
+    return MagData(t=t, mag_b=mag_b, heading_error=heading_error)
 
 
 def earth_field(lat: float, lon: float, alt: float, year: float) -> Array:
-    """Return the Earth's field at a place (rad, rad, m), north, east, down, gauss."""
+    """Return the World Magnetic Model's field at a place (rad, rad, m), n, gauss."""
     field = GeoMag().calculate(np.degrees(lat), np.degrees(lon), alt * 1e-3, year)
     return np.array([field.x, field.y, field.z]) * _NANOTESLA
 
@@ -199,8 +184,7 @@ def baro(
     """Draw the pressure at ``t``; the drift begins at a random value, like the weather."""
     slow = gauss_markov(rng.standard_normal((len(t), 1)), 1.0 / config.rate, config.drift_time)
     drift = config.drift * slow[:, 0]
-    alt = trajectory.at(t).alt + drift
-    alt += config.noise * rng.standard_normal(len(t))
+    alt = trajectory.at(t).alt + drift + config.noise * rng.standard_normal(len(t))
     return BaroData(t=t, alt=alt, pressure=pressure(alt), drift=drift)
 
 

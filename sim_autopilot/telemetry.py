@@ -11,7 +11,7 @@ import numpy as np
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from sim_autopilot.config import SimConfig
-from sim_autopilot.flight import Cycle, Fix, Motion, Vector
+from sim_autopilot.flight import Cycle, Fix
 
 Fields = dict[str, Any]
 Builder = Callable[[SimConfig, Cycle], Fields]
@@ -24,29 +24,18 @@ POSE_DIAGONAL = (0, 6, 11, 15, 18, 20)
 """Of a 6 x 6 covariance sent as its upper right triangle."""
 GEOID = 47.0
 """Height of the sea level above the ellipsoid that the receiver reports, m."""
+_NO_FIELD, _NO_AIR = (0.0, 0.0, 0.0), (0.0, 0.0)
+"""Of magnetometer and barometer before the first sample."""
 
 
-def highres_imu(
-    cycle: Cycle,
-    config: SimConfig,
-    mag_b: Vector,
-    baro: tuple[float, float],
-    fields_updated: int,
-) -> Fields:
-    """Return HIGHRES_IMU with the latest magnetometer and barometer samples, new or not."""
+def highres_imu(config: SimConfig, cycle: Cycle, fields_updated: int) -> Fields:
+    """Return HIGHRES_IMU of a reading, by which of its samples are new."""
     return {
         "time_usec": cycle.t_ns // 1000,
-        "xacc": cycle.accel_b[0],
-        "yacc": cycle.accel_b[1],
-        "zacc": cycle.accel_b[2],
-        "xgyro": cycle.gyro_b[0],
-        "ygyro": cycle.gyro_b[1],
-        "zgyro": cycle.gyro_b[2],
-        "xmag": mag_b[0],
-        "ymag": mag_b[1],
-        "zmag": mag_b[2],
-        "abs_pressure": baro[0],
-        "pressure_alt": baro[1],
+        **dict(zip(("xacc", "yacc", "zacc"), cycle.accel_b, strict=True)),
+        **dict(zip(("xgyro", "ygyro", "zgyro"), cycle.gyro_b, strict=True)),
+        **dict(zip(("xmag", "ymag", "zmag"), cycle.mag_b or _NO_FIELD, strict=True)),
+        **dict(zip(("abs_pressure", "pressure_alt"), cycle.baro or _NO_AIR, strict=True)),
         "temperature": config.baro.temperature,
         "fields_updated": fields_updated,
     }
@@ -83,21 +72,20 @@ def no_gps() -> Fields:
     return {"time_usec": 0, "fix_type": 0, "satellites_visible": 255, **unknown}
 
 
-def raw_imu(cycle: Cycle, mag_b: Vector) -> Fields:
-    """Return RAW_IMU as ArduPilot scales it: mG, mrad/s and mgauss, cut to whole numbers."""
-    return {"time_usec": cycle.t_ns // 1000, **_whole_units(cycle, mag_b)}
+def _raw_imu(config: SimConfig, cycle: Cycle) -> Fields:
+    return {"time_usec": cycle.t_ns // 1000, **_whole_units(cycle)}
 
 
-def scaled_imu(cycle: Cycle, mag_b: Vector) -> Fields:
-    """Return SCALED_IMU2, whose stamp is whole milliseconds."""
-    return {"time_boot_ms": _boot_ms(cycle), **_whole_units(cycle, mag_b)}
+def _scaled_imu(config: SimConfig, cycle: Cycle) -> Fields:
+    return {"time_boot_ms": _boot_ms(cycle), **_whole_units(cycle)}
 
 
-def _whole_units(cycle: Cycle, mag_b: Vector) -> Fields:
+def _whole_units(cycle: Cycle) -> Fields:
+    """Return a reading as ArduPilot scales it: mG, mrad/s and mgauss, cut to whole numbers."""
     groups = (
         ("acc", cycle.accel_b, 1e3 / STANDARD_GRAVITY),
         ("gyro", cycle.gyro_b, 1e3),
-        ("mag", mag_b, 1e3),
+        ("mag", cycle.mag_b or _NO_FIELD, 1e3),
     )
     return {
         f"{axis}{what}": _int16(value * scale)
@@ -110,11 +98,10 @@ def _int16(value: float) -> int:
     return int(max(-32768.0, min(32767.0, value))) if math.isfinite(value) else 0
 
 
-def scaled_pressure(cycle: Cycle, config: SimConfig, pressure: float) -> Fields:
-    """Return SCALED_PRESSURE of the static pressure, hPa."""
+def _scaled_pressure(config: SimConfig, cycle: Cycle) -> Fields:
     return {
         "time_boot_ms": _boot_ms(cycle),
-        "press_abs": pressure,
+        "press_abs": (cycle.baro or _NO_AIR)[0],
         "temperature": round(config.baro.temperature * 1e2),
     }
 
@@ -180,7 +167,7 @@ def _local_position_ned(config: SimConfig, cycle: Cycle) -> Fields:
 
 
 def _sim_state(config: SimConfig, cycle: Cycle) -> Fields:
-    truth: Motion = cycle.truth
+    truth = cycle.truth
     return {
         **dict(zip(("q1", "q2", "q3", "q4"), truth.q_nb, strict=True)),
         **dict(zip(("roll", "pitch", "yaw"), truth.euler, strict=True)),
@@ -240,5 +227,8 @@ BUILDERS: dict[str, Builder] = {
     "EXTENDED_SYS_STATE": _extended_sys_state,
     "GPS_GLOBAL_ORIGIN": _gps_global_origin,
     "ODOMETRY": _odometry,
+    "RAW_IMU": _raw_imu,
+    "SCALED_IMU2": _scaled_imu,
+    "SCALED_PRESSURE": _scaled_pressure,
 }
-"""Messages that depend on a cycle alone."""
+"""Messages that depend on a reading alone."""

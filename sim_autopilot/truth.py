@@ -90,7 +90,7 @@ class Trajectory:
         transport_n = transport_rate_n(lat, alt, vel_n)
         gravity_n = np.zeros_like(vel_n)
         gravity_n[:, 2] = gravity(lat, alt)
-        force_n = vel_dot_n - gravity_n + _cross(2.0 * earth_n + transport_n, vel_n)
+        force_n = vel_dot_n - gravity_n + np.cross(2.0 * earth_n + transport_n, vel_n)
 
         q_bn = so3.conjugate(q_nb)
         return Truth(
@@ -109,12 +109,9 @@ class Trajectory:
 
 
 def spline(path: Callable[[Array], Array], duration: float, step: float) -> BSpline:
-    """Fit a spline to a path.
+    """Fit a spline, valid from 0 to ``duration`` at least, with a control point every step, s.
 
-    Args:
-        path: Control points of times (s), shape (n,) to (n, m).
-        duration: The spline is valid from 0 to at least here, s.
-        step: Time between control points, s.
+    The path returns the control points of times (s), shape (n,) to (n, m).
     """
     count = int(np.ceil(duration / step)) + DEGREE + 1
     # The control point of knots i .. i + 6 belongs to their middle (Greville)
@@ -160,9 +157,3 @@ def _body_rate(euler: Array, euler_dot: Array) -> Array:
         ],
         axis=-1,
     )
-
-
-def _cross(a: Array, b: Array) -> Array:
-    ax, ay, az = a.T
-    bx, by, bz = b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)

@@ -146,7 +146,7 @@ def test_a_second_time_it_keeps_the_configuration_and_then_leaves_it_behind(stag
 
 
 def make_python(folder, home):
-    """Give a Python that lives somewhere, and would make no environment."""
+    """Return a Python that lives somewhere, and would make no environment."""
     path = folder / "python"
     path.write_text(f'#!/bin/sh\n[ "$1" = -c ] && echo {home}\n')
     path.chmod(0o755)

@@ -15,7 +15,7 @@ _ALLOW, _ERRNO = 0x7FFF0000, 0x00050000
 
 
 def numbers():
-    """Give the numbers of this processor's system calls by name; None: no table is installed."""
+    """Return the numbers of this processor's system calls by name; None: no table is installed."""
     for place in (
         Path(f"/usr/include/{platform.machine()}-linux-gnu/asm/unistd_64.h"),
         Path("/usr/include/asm/unistd_64.h"),

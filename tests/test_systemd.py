@@ -29,7 +29,7 @@ def setting(unit, key):
 
 
 def settings(unit, key):
-    """Give the words of a key that may stand several times."""
+    """Return the words of a key that may stand several times."""
     return re.findall(rf"^{key}=(.*)$", unit.read_text(), flags=re.MULTILINE)
 
 
@@ -44,7 +44,7 @@ def analyze(*arguments):
 
 
 def verify(folder, unit, text, drop_in=None):
-    """Give what systemd has to say of a unit whose program exists."""
+    """Return what systemd has to say of a unit whose program exists."""
     path = folder / unit.name.replace("@.", "@quad.")
     path.write_text(text.replace("/opt/ekf-companion/bin/ekf-companion", sys.executable))
     if drop_in is not None:
@@ -139,7 +139,7 @@ def test_it_is_started_again_however_often_it_fails():
 
 @pytest.fixture(scope="module")
 def allowed():
-    """Give the numbers of the system calls that SystemCallFilter lets through."""
+    """Return the numbers of the system calls that SystemCallFilter lets through."""
     lists = re.findall(r"^SystemCallFilter=(~?)(.*)$", PLAIN.read_text(), flags=re.MULTILINE)
     names = set()
     for is_denied, groups in lists:
@@ -152,7 +152,7 @@ def allowed():
 
 
 def members(group):
-    """Give the system calls of a group of systemd's, by its own table."""
+    """Return the system calls of a group of systemd's, by its own table."""
     lines = analyze("syscall-filter", group)[1].splitlines()
     words = {line.strip() for line in lines if line.startswith("    ") and "#" not in line}
     deeper = [members(word) for word in words if word.startswith("@")]

@@ -72,15 +72,6 @@ def against_truth(data: Path) -> Iterator[str]:
     return table(" | ".join(["log, RMS (largest)", *QUANTITIES]), rows)
 
 
-def printed(data: Path) -> Iterator[str]:
-    """Yield what ``ekf-companion compare`` prints, log by log."""
-    for case in (*AUTOPILOT, *TRUTH):
-        if is_there(data, case.log):
-            yield from (f"`{case.command}`", "", "```")
-            yield from score.table(scores(data, case))
-            yield from ("```", "")
-
-
 def poor(data: Path) -> Iterator[str]:
     """Yield what is reported of logs that lack something."""
     rows = []
@@ -111,7 +102,6 @@ PARTS: dict[str, Part] = {
     "autopilot": of_logs(against_autopilot),
     "truth": of_logs(against_truth),
     "poor": of_logs(poor),
-    "printed": of_logs(printed),
     "consistency": of_flights(consistency.tables),
     "seed": of_logs(seed.tables),
     "outages": outages.tables,

@@ -133,7 +133,7 @@ def tables(runs: int | None = None) -> Iterator[str]:
             part = [one[i] for one in found[j * flights : (j + 1) * flights]]
             cells = [
                 median_and_worst([getattr(one, field) for one in part], 1)
-                for field in ("coarse", "fine", "position", "warned")
+                for field in ("coarse", "position", "warned")
             ]
             yaws = np.array([one.yaw for one in part])
             known = yaws[np.isfinite(yaws)]
@@ -143,7 +143,7 @@ def tables(runs: int | None = None) -> Iterator[str]:
             cells.append(median_and_worst([one.resets for one in part], 0))
             rows.append(f"{title} | {name} | {' | '.join(cells)}")
     return table(
-        f"compass | flight | yaw to {COARSE:.0f} deg, s | to {FINE:.0f} deg, s"
-        f" | position to {NEAR:.0f} m, s | wrong, and not OK, s | yaw at the end, deg | resets",
+        f"compass | flight | yaw to {COARSE:.0f} deg, s | position to {NEAR:.0f} m, s"
+        " | wrong, and not OK, s | yaw at the end, deg | resets",
         rows,
     )

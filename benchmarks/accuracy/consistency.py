@@ -138,25 +138,32 @@ def campaign(flights: int) -> dict[tuple[str, str], list[dict[str, Account]]]:
 
 
 def tables(runs: int | None = None) -> Iterator[str]:
-    """Yield NEES and error over sigma by block, then the verdicts on the aids."""
+    """Yield NEES by block for each settings and receiver, then NIS and verdicts of the aids."""
     flights = runs or FLIGHTS
     found = campaign(flights)
     yield (
         f"{flights} flights of each scenario and receiver, {DURATION:.0f} s, at "
         f"{len(INSTANTS)} instants from {INSTANTS[0]:.0f} s on, 19 s apart or more. A cell is NEES"
-        " over its degrees of freedom, mean of flights and instants; in brackets at how many of"
-        " the instants the mean of the flights lies in the 95 % band: "
+        " over its degrees of freedom, mean of flights and instants; in brackets, with matched"
+        " settings, at how many of the instants the mean of the flights lies in the 95 % band, if"
+        " not at all of them: "
         f"{_band(3 * flights)} for three degrees of freedom, {_band(flights)} for one."
     )
     if rest := N - sum(BLOCKS.values()):
         yield f"\n{rest} further error states are not compared."
+    groups = {}
     for kind in KINDS:
         for receiver in RECEIVERS:
             group = {name: [one[kind] for one in found[name, receiver]] for name in SCENARIOS}
             yield from ("", f"**Settings {kind}, receiver {receiver}**", "")
-            yield from _blocks(group)
-            yield ""
-            yield from _aids(group)
+            yield from _blocks(group, kind == "matched")
+            groups[f"{kind}, {receiver}"] = [one for flown in group.values() for one in flown]
+    yield from (
+        "",
+        "NIS of each aid over its degrees of freedom; in brackets the share de-weighted:",
+        "",
+    )
+    yield from _aids(groups)
 
 
 def _band(dof: int) -> str:
@@ -164,46 +171,56 @@ def _band(dof: int) -> str:
     return f"{low:.2f} to {high:.2f}"
 
 
-def _blocks(group: dict[str, list[Account]]) -> Iterator[str]:
+def _blocks(group: dict[str, list[Account]], has_counts: bool) -> Iterator[str]:
     rows = []
     for name, dof in BLOCKS.items():
         cells = [
-            _cell(np.array([one.nees[name] for one in flown]), dof) for flown in group.values()
+            _cell(np.array([one.nees[name] for one in flown]), dof, has_counts)
+            for flown in group.values()
         ]
-        pooled = np.concatenate([one.ratios[name] for flown in group.values() for one in flown])
-        axes = np.sqrt(np.nanmean(np.square(pooled), axis=0))
-        rows.append(f"{name} | {' | '.join(cells)} | {', '.join(f'{axis:.2f}' for axis in axes)}")
-    return table(f"block | {' | '.join(group)} | RMS(error / sigma) by axis", rows)
+        if set(cells) == {"-"}:
+            continue
+        rows.append(" | ".join([name, *cells]))
+    return table(" | ".join(["block", *group]), rows)
 
 
-def _cell(squares: Array, dof: int) -> str:
-    """Format NEES over dof and how many instants are in the band; squares: (flights, instants)."""
+def _cell(squares: Array, dof: int, has_count: bool) -> str:
+    """Format NEES over dof, and if asked how many instants are in the band if not all are.
+
+    The squares have the shape (flights, instants).
+    """
     if np.isnan(squares).all():
         return "-"
     counts = np.count_nonzero(np.isfinite(squares), axis=0)
     means = np.nanmean(squares, axis=0) / dof
     bands = [band(max(int(n), 1) * dof) for n in counts]
     inside = sum(low <= mean <= high for mean, (low, high) in zip(means, bands, strict=True))
-    lost = f", {squares.size - counts.sum()} lost" if (counts < len(squares)).any() else ""
-    return f"{means.mean():.2f} ({inside}/{len(means)}{lost})"
+    notes = [f"{inside}/{len(means)}"] if has_count and inside < len(means) else []
+    if (counts < len(squares)).any():
+        notes.append(f"{squares.size - counts.sum()} lost")
+    return f"{means.mean():.2f}" + (f" ({', '.join(notes)})" if notes else "")
 
 
-def _aids(group: dict[str, list[Account]]) -> Iterator[str]:
-    """Yield NIS, the shares refused or de-weighted, and resets."""
-    everyone = [one for flown in group.values() for one in flown]
-    names = [
-        why.name.lower()
-        for why in Verdict
-        if why not in (Verdict.BEFORE_ALIGNMENT, Verdict.SUPERSEDED)
-    ]
+def _aids(groups: dict[str, list[Account]]) -> Iterator[str]:
+    """Yield NIS and the share de-weighted, then the largest shares not fused, and resets."""
+    largest = dict.fromkeys((Verdict.GATED, Verdict.SUSPECT, Verdict.DISTURBED), 0.0)
+    unjudged = (Verdict.BEFORE_ALIGNMENT, Verdict.SUPERSEDED)
     rows = []
     for aid in Aid:
-        counts = {name: sum(one.verdicts[aid][name] for one in everyone) for name in names}
-        if not (judged := sum(counts.values())):
-            continue
-        total, number = np.sum([one.nis[aid] for one in everyone], axis=0)
-        nis = f"{total / number:.2f}" if number else "-"
-        shares = [f"{100.0 * counts[name] / judged:.3f} %" for name in names[1:]]
-        rows.append(" | ".join([aid.name.lower(), nis, str(judged), *shares]))
-    yield from table(" | ".join(["aid", "NIS / dof", "judged", *names[1:]]), rows)
-    yield from ("", f"Resets in all flights: {sum(one.resets for one in everyone)}.")
+        cells = []
+        for flown in groups.values():
+            counts = {w: sum(one.verdicts[aid][w.name.lower()] for one in flown) for w in Verdict}
+            if not (judged := sum(n for why, n in counts.items() if why not in unjudged)):
+                cells.append("-")
+                continue
+            total, number = np.sum([one.nis[aid] for one in flown], axis=0)
+            nis = f"{total / number:.2f}" if number else "-"
+            cells.append(f"{nis} ({100.0 * counts[Verdict.DEWEIGHTED] / judged:.3f} %)")
+            for why in largest:
+                largest[why] = max(largest[why], 100.0 * counts[why] / judged)
+        if set(cells) != {"-"}:
+            rows.append(" | ".join([aid.name.lower(), *cells]))
+    yield from table(" | ".join(["aid", *groups]), rows)
+    shares = ", ".join(f"{why.name.lower()} {share:.3f} %" for why, share in largest.items())
+    resets = sum(one.resets for flown in groups.values() for one in flown)
+    yield from ("", f"Largest share of any aid: {shares}. Resets in all flights: {resets}.")

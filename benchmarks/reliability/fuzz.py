@@ -72,7 +72,7 @@ class FuzzedCompanion:
         self.companion.receive(data, self.now_ns)
         self.companion.tick(self.now_ns)
         self.companion.data_to_send()
-        self.companion.session.take_record()
+        self.companion.session.outbox.take_record()
 
     def check(self) -> None:
         """Assert that the state is finite and its variances are not negative."""

@@ -37,14 +37,11 @@ class AttitudeErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttitudeScore:
-    """Root mean squares of the errors."""
+    """Root mean squares of the errors, rad."""
 
     total: float
-    """rad."""
     heading: float
-    """rad."""
     inclination: float
-    """rad."""
     samples: int
     """Number of samples of the truth that counted."""
 

@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.calibrate.delay import DROP, Delay
-from ekf_companion.calibrate.mag import Iron
-from ekf_companion.calibrate.mag_result import AXES
-from ekf_companion.calibrate.noise import Inertial, Noises
-from ekf_companion.calibrate.noise_result import SENSORS
+from ekf_companion.calibrate.mag import AXES, Iron
+from ekf_companion.calibrate.noise import SENSORS, Inertial, Noises
 from ekf_companion.calibrate.scatter import Scatter
 
 SMALLEST = 1e-4

@@ -18,8 +18,6 @@ SHORTEST_NS = 50_000_000
 class Closure:
     """From the first position of a solution to its last."""
 
-    name: str
-    """Of the solution."""
     horizontal: float
     """m."""
     distance: float
@@ -35,7 +33,6 @@ def closure(solution: Solution) -> Closure:
     pos = solution.table.columns(POSITION)
     gap = pos[-1] - pos[0]
     return Closure(
-        name=solution.name,
         horizontal=float(np.hypot(gap[0], gap[1])),
         distance=float(np.linalg.norm(gap)),
         path=float(np.linalg.norm(np.diff(pos[:, :2], axis=0), axis=1).sum()),

@@ -61,8 +61,8 @@ class Entry:
     trajectory: Trajectory | None
     us: float
     """Processor time per inertial sample, microseconds."""
-    note: str = ""
-    """Why there is no solution."""
+    notes: tuple[str, ...] = ()
+    """Why there is no solution, or the notes of the solution."""
     span: tuple[float, float] | None = None
     """First and last time scored, s; None: all that counts."""
     rms: Mapping[str, float] = field(default_factory=dict)
@@ -82,15 +82,8 @@ class Entry:
             "us_per_sample": self.us if np.isfinite(self.us) else None,
             "estimates": 0 if solution is None else len(solution.table),
             "fused": {} if solution is None else dict(solution.counts),
-            "notes": list(self.notes()),
+            "notes": list(self.notes),
         }
-
-    def notes(self) -> Iterator[str]:
-        """Yield why there is no solution, or the notes of the solution."""
-        if self.note:
-            yield self.note
-        if self.solution is not None:
-            yield from self.solution.notes
 
 
 def run_filters(
@@ -115,35 +108,31 @@ def run_filters(
             progress(done, len(names))
         entries.append(_timed_run(recording, name, settings))
     if all(entry.solution is None for entry in entries):
-        raise LogError("; ".join(dict.fromkeys(entry.note for entry in entries)))
+        raise LogError("; ".join(dict.fromkeys(note for entry in entries for note in entry.notes)))
     return entries
 
 
 def _timed_run(recording: Recording, name: str, settings: FilterSettings) -> Entry:
-    _warm_up(recording, name, settings)
+    t_ns = recording.events.t_ns
+    if len(t_ns):
+        # The first seconds alone, so that the filter's imports are not counted as cost
+        few = recording.events.take(np.abs(t_ns - t_ns[0]) < WARM_NS)
+        with suppress(LogError, ConfigError):
+            run_filter(replace(recording, events=few), name, settings)
     begin = time.process_time()
     try:
         solution = run_filter(recording, name, settings)
     except (LogError, ConfigError) as error:
-        return Entry(name=name, solution=None, trajectory=None, us=np.nan, note=str(error))
+        return Entry(name=name, solution=None, trajectory=None, us=np.nan, notes=(str(error),))
     spent = (time.process_time() - begin) * 1e6
     return Entry(
         name=name,
         solution=solution,
         trajectory=of_table(solution.table, name),
         us=spent / max(processed(recording, solution), 1),
+        notes=solution.notes,
         rms=_closure(solution),
     )
-
-
-def _warm_up(recording: Recording, name: str, settings: FilterSettings) -> None:
-    """Run a filter over the first seconds, so that its imports are not counted as cost."""
-    t_ns = recording.events.t_ns
-    if not len(t_ns):
-        return
-    few = recording.events.take(np.abs(t_ns - t_ns[0]) < WARM_NS)
-    with suppress(LogError, ConfigError):
-        run_filter(replace(recording, events=few), name, settings)
 
 
 def processed(recording: Recording, solution: Solution) -> int:
@@ -221,14 +210,13 @@ def _scored(entry: Entry, reference: Trajectory, span: difference.Span) -> Entry
     if entry.solution is None or entry.trajectory is None:
         return entry
     found = nees(entry.solution, reference, *span)
-    mean = {"position": found.position, "velocity": found.velocity, "attitude": found.attitude}
     stamps = entry.trajectory.att_t_ns
     scored = stamps[(stamps >= span[0]) & (stamps <= span[1])]
     return replace(
         entry,
         span=(scored[0] * 1e-9, scored[-1] * 1e-9) if len(scored) else None,
         rms={**entry.rms, **_rms(entry.trajectory, reference, span)},
-        nees={name: np.nan if value is None else value for name, value in mean.items()},
+        nees={name: getattr(found, name) for name in ("position", "velocity", "attitude")},
     )
 
 
@@ -283,17 +271,14 @@ def table(entries: Sequence[Entry]) -> Iterator[str]:
     yield from ("", "Cost")
     yield line("  us per sample", (_number(one.us, 1) for one in entries))
     for aid in dict.fromkeys(aid for one in entries if one.solution for aid in one.solution.counts):
-        counts = (one.solution.counts.get(aid) if one.solution else None for one in entries)
-        yield line(f"  {aid} refused", map(_share, counts))
+        counts = [
+            one.solution.counts.get(aid, (0, 0)) if one.solution else (0, 0) for one in entries
+        ]
+        shares = (100.0 * refused / (fused + refused or np.nan) for fused, refused in counts)
+        cells = (f"{share:.1f} %" if np.isfinite(share) else "-" for share in shares)
+        yield line(f"  {aid} refused", cells)
     for one in entries:
-        yield from (f"  note: {one.name}: {note}" for note in one.notes())
-
-
-def _share(counts: tuple[int, int] | None) -> str:
-    """Return the share of refused measurements as text."""
-    if counts is None or not sum(counts):
-        return "-"
-    return f"{100.0 * counts[1] / sum(counts):.1f} %"
+        yield from (f"  note: {one.name}: {note}" for note in one.notes)
 
 
 def _number(value: float, digits: int) -> str:

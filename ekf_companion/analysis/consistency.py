@@ -16,20 +16,20 @@ import numpy as np
 
 from ekf_companion.filters.solution import Solution
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Stamps, known_rows
+from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.interpolation import between
+from ekf_companion.nav.interpolation import Between, between
 from ekf_companion.nav.state import GEODETIC, QUATERNION, VELOCITY, Table, Trajectory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Nees:
-    """Mean NEES over the number of components; None: estimate or truth lacks the quantity."""
+    """Mean NEES over the number of components; NaN: estimate or truth lacks the quantity."""
 
-    position: float | None
+    position: float
     """A constant between the two datums of altitude counts as an error."""
-    velocity: float | None
-    attitude: float | None
+    velocity: float
+    attitude: float
     count: int
     """Number of errors. Those of one flight depend on each other, so the chi-square bounds of so
     many independent ones are too narrow."""
@@ -47,66 +47,52 @@ def nees(solution: Solution, truth: Trajectory, begin_ns: int, end_ns: int) -> N
     at_ns, P = solution.covariance_ns[wanted], solution.covariance[wanted]
     rows = np.searchsorted(solution.table.stamp_ns, at_ns)
     means, counts = [], []
-    for errors_of, first in ((_position, 6), (_velocity, 3), (_attitude, 0)):
-        found, errors = errors_of(solution.table, truth, rows, at_ns)
-        block = slice(first, first + 3)
-        mean, count = _mean(errors, P[found, block, block])
+    for errors_of, first, t_ns, known in (
+        (_position, 6, truth.pos_t_ns, known_rows(np.stack([truth.lat, truth.lon], axis=1))),
+        (_velocity, 3, truth.vel_t_ns, known_rows(truth.vel_n[:, :2])),
+        (_attitude, 0, truth.att_t_ns, known_rows(truth.q_nb)),
+    ):
+        mean, count = np.nan, 0
+        if known.sum() > 1:
+            found, block = between(t_ns[known], at_ns), slice(first, first + 3)
+            errors = errors_of(solution.table, truth, known, rows, found)
+            mean, count = _mean(errors, P[found.wanted, block, block])
         means.append(mean)
         counts.append(count)
     return Nees(position=means[0], velocity=means[1], attitude=means[2], count=max(counts))
 
 
-_Errors = tuple[Stamps, Array]
-"""Indices of the stamps at which the truth is known, and truth less estimate there, (k, 3)."""
-_NOTHING: _Errors = (np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
-
-
-def _position(table: Table, truth: Trajectory, rows: Stamps, at_ns: Stamps) -> _Errors:
-    """Return the errors north, east, down, m."""
-    known = np.flatnonzero(np.isfinite(truth.lat) & np.isfinite(truth.lon))
-    if len(known) < 2:
-        return _NOTHING
+def _position(table: Table, truth: Trajectory, known: Mask, rows: Stamps, found: Between) -> Array:
+    """Return the errors north, east, down, m, shape (k, 3)."""
     lat, lon, alt = truth.lat[known], truth.lon[known], truth.alt[known]
-    found = between(truth.pos_t_ns[known], at_ns)
     place = table.columns(GEODETIC)[rows[found.wanted]].T
     heights = np.concatenate([alt, place[2], [0.0]])
     frame = LocalFrame(float(lat[0]), float(lon[0]), float(heights[np.isfinite(heights)][0]))
     mine = frame.to_ned(np.deg2rad(place[0]), np.deg2rad(place[1]), place[2])
-    return found.wanted, found.values(frame.to_ned(lat, lon, alt)) - mine
+    return found.values(frame.to_ned(lat, lon, alt)) - mine
 
 
-def _velocity(table: Table, truth: Trajectory, rows: Stamps, at_ns: Stamps) -> _Errors:
-    """Return the errors north, east, down, m/s."""
-    known = np.flatnonzero(known_rows(truth.vel_n[:, :2]))
-    if len(known) < 2:
-        return _NOTHING
-    found = between(truth.vel_t_ns[known], at_ns)
-    mine = table.columns(VELOCITY)[rows[found.wanted]]
-    return found.wanted, found.values(truth.vel_n[known]) - mine
+def _velocity(table: Table, truth: Trajectory, known: Mask, rows: Stamps, found: Between) -> Array:
+    """Return the errors north, east, down, m/s, shape (k, 3)."""
+    return found.values(truth.vel_n[known]) - table.columns(VELOCITY)[rows[found.wanted]]
 
 
-def _attitude(table: Table, truth: Trajectory, rows: Stamps, at_ns: Stamps) -> _Errors:
-    """Return the rotation vectors in n from the estimate to the truth, rad."""
-    known = np.flatnonzero(known_rows(truth.q_nb))
-    if len(known) < 2:
-        return _NOTHING
-    found = between(truth.att_t_ns[known], at_ns)
+def _attitude(table: Table, truth: Trajectory, known: Mask, rows: Stamps, found: Between) -> Array:
+    """Return the rotation vectors in n from the estimate to the truth, rad, shape (k, 3)."""
     mine = table.columns(QUATERNION)[rows[found.wanted]]
     turn = so3.multiply(found.rotations(truth.q_nb[known]), so3.conjugate(mine))
-    return found.wanted, so3.log(turn)
+    return np.asarray(so3.log(turn))
 
 
-def _mean(errors: Array, P: Array) -> tuple[float | None, int]:
+def _mean(errors: Array, P: Array) -> tuple[float, int]:
     """Return the mean NEES over the number of known components, and the number of errors."""
     axes = np.flatnonzero(np.isfinite(errors).any(axis=0))
-    if len(axes) == 0:
-        return None, 0
     errors, P = errors[:, axes], P[:, axes[:, None], axes]
     is_good = known_rows(errors) & np.isfinite(P).all(axis=(1, 2))
     errors, P = errors[is_good], P[is_good]
     is_positive = (np.linalg.eigvalsh(P) > 0.0).all(axis=1)
     errors, P = errors[is_positive], P[is_positive]
-    if len(errors) == 0:
-        return None, 0
+    if errors.size == 0:
+        return np.nan, 0
     whitened = np.linalg.solve(P, errors[:, :, None])[:, :, 0]
     return float((errors * whitened).sum(axis=1).mean()) / len(axes), len(errors)

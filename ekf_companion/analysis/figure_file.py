@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,20 @@ def has_matplotlib() -> bool:
     except ImportError:
         return False
     return True
+
+
+def panels(
+    sheet: Any, rows: int, columns: int, places: Mapping[str, tuple[Any, ...]]
+) -> dict[str, Any]:
+    """Return axes by name on a grid; each has its rows, its column, a title and two labels."""
+    grid = sheet.add_gridspec(rows, columns)
+    axes = {}
+    for name, (row, column, title, across, up) in places.items():
+        if column < columns:
+            axes[name] = sheet.add_subplot(grid[row, column])
+            axes[name].set(title=title, xlabel=across, ylabel=up)
+            axes[name].grid(visible=True, alpha=0.3)
+    return axes
 
 
 def write(path: Path, title: str, draw: Draw, *, width: float = 12.0, height: float = 8.0) -> None:

@@ -24,12 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ekf_companion.analysis.observability_filter import (
-    STEP_NS,
-    ObservabilityFilter,
-    Step,
-    is_field,
-)
+from ekf_companion.analysis.observability_filter import STEP_NS, ObservabilityFilter, Step, is_field
 from ekf_companion.analysis.observability_motion import Motion
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import LogError

@@ -52,8 +52,8 @@ def _draw_sigmas(axis: Any, found: Observability, first: int, name: str) -> None
     known = {one.state: one.since for one in summarise(found)}
     names = [f"{name.split()[0]} {a} bias" for a in "xyz"] if name else ["roll", "pitch", "heading"]
     # Forward and right are often equal: the first is drawn wider
-    for index, (state, colour, width) in enumerate(zip(names, _AXES, (3.0, 1.2, 1.2), strict=True)):
-        column = first + index
+    looks = zip(names, _AXES, (3.0, 1.2, 1.2), strict=True)
+    for column, (state, colour, width) in enumerate(looks, first):
         since = known[state]
         when = "never" if since is None else f"{since:.1f} s"
         look = {"color": colour, "linewidth": width}

@@ -84,11 +84,6 @@ class Covariance:
             Ph = self.P @ h
             self.P = self.P - np.outer(Ph, Ph / (1.0 + h @ Ph))
 
-    def correct_by_gain(self, K: Array, H: Array, R: Array) -> None:
-        """Fuse rows by any gain."""
-        left = np.eye(N) - K @ H
-        self.P = left @ self.P @ left.T + K @ R @ K.T
-
 
 class ObservabilityFilter:
     """The error-state filter along a recording, and what it records of each step."""
@@ -96,10 +91,8 @@ class ObservabilityFilter:
     def __init__(self, setup: Setup, P: Array, *, is_gated: bool = True) -> None:
         """Start at the first estimate.
 
-        Args:
-            setup: First estimate, Earth, noise and gate.
-            P: Covariance of what is not known before the flight, shape (15, 15).
-            is_gated: Do not fuse what the gate refuses; else only count it.
+        P is the covariance of what is not known before the flight, shape (15, 15). What the gate
+        refuses is not fused or, if not ``is_gated``, only counted.
         """
         self._setup, self._is_gated = setup, is_gated
         self._state = setup.start.state
@@ -146,15 +139,15 @@ class ObservabilityFilter:
         if decision is Decision.REFUSED and self._is_gated:
             return
         is_reset = decision is Decision.RESET and self._is_gated
-        anew = reset(aid, self._state, self._setup.gate.patience(aid.aid))
-        K = anew.gain if is_reset else np.linalg.solve(S, PHt.T).T
+        K, inflation = reset(aid, self._state, self._setup.gate.patience[aid.aid])
+        K = K if is_reset else np.linalg.solve(S, PHt.T).T
         self.first_ns.setdefault(aid.aid, t_ns)
         whiten = np.linalg.inv(np.linalg.cholesky(R))
         white = whiten @ H
         self._rest.correct(whiten, aid, self._state)
         if is_reset:
-            self._own.correct_by_gain(K, H, R)
-            self._own.P += anew.inflation
+            left = np.eye(N) - K @ H
+            self._own.P = left @ self._own.P @ left.T + K @ R @ K.T + inflation
         else:
             self._own.correct(white)
         self._full.correct(white)

@@ -45,12 +45,8 @@ class Motion:
         rows = self.t <= t + 1e-6
         if not rows.any():
             return 0.0, 0.0, 0.0
-        yaw = self.yaw[rows]
-        return (
-            float(np.ptp(yaw)),
-            float(self.tilt[rows].max()),
-            float(self.acceleration[rows].max()),
-        )
+        tilt, acceleration = self.tilt[rows].max(), self.acceleration[rows].max()
+        return float(np.ptp(self.yaw[rows])), float(tilt), float(acceleration)
 
     def onsets(self) -> dict[str, float]:
         """Return when each kind of motion first began, s; inf: never."""

@@ -6,8 +6,7 @@ That a state needs motion is measured too: the same aids at rest do not make it 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,8 +33,7 @@ STRONGLY_CORRELATED = 0.9
 """Likewise for states after the most correlated one."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StateSummary:
+class StateSummary(NamedTuple):
     """The report on one state."""
 
     state: str
@@ -64,11 +62,7 @@ def summarise(found: Observability) -> tuple[StateSummary, ...]:
             sentence += f"; {_amount(state, sigma)} (one sigma) at the end"
         if state == ANGLES.index("heading"):
             sentence += f"; {_without_north(found)}"
-        summaries.append(
-            StateSummary(
-                state=STATES[state], since=since, lost=lost, sigma=sigma, sentence=sentence
-            )
-        )
+        summaries.append(StateSummary(STATES[state], since, lost, sigma, sentence))
     return tuple(summaries)
 
 
@@ -153,10 +147,6 @@ def _when(found: Observability, state: int, since: float | None) -> str:
             words = _and([aid for _, aid in late])
             return f"not observable before {_s(since)}, {words} fused until {_s(late[0][0])}"
         return f"observable from {_s(since)} on, {by}, only time"
-    return _by_motion(found, since)
-
-
-def _by_motion(found: Observability, since: float) -> str:
     onsets = {kind: t for kind, t in found.motion.onsets().items() if t <= since}
     if onsets and max(onsets.values()) <= found.begin + SETTLED and since - found.begin <= RECENT:
         return f"observable from {_s(since)} on, by the motion that is there from the start"
@@ -177,10 +167,9 @@ def _cause(found: Observability, onsets: dict[str, float], since: float) -> str:
         return f"only after {_moved(found, since)}"
     parts: list[tuple[float, list[str]]] = []
     for t, kind in recent:
-        if parts and t - parts[-1][0] < TOGETHER:
-            parts[-1][1].append(f"no {kind}")
-        else:
-            parts.append((t, [f"no {kind}"]))
+        if not parts or t - parts[-1][0] >= TOGETHER:
+            parts.append((t, []))
+        parts[-1][1].append(f"no {kind}")
     said = [
         f"{_and(kinds)} until {'then' if since - t < TOGETHER and len(parts) == 1 else _s(t)}"
         for t, kinds in parts
@@ -190,12 +179,10 @@ def _cause(found: Observability, onsets: dict[str, float], since: float) -> str:
 
 def _lack(found: Observability, state: int) -> str:
     """Return why a state never became observable."""
-    name = STATES[state]
-    end = float(found.t[-1])
+    name, end = STATES[state], float(found.t[-1])
     if name.startswith("gyro") or name == "heading":
-        said = (
-            f"{_s(end - found.begin)} with such aids leave {_amount(state, _sigma(found, state))}"
-        )
+        left = _amount(state, _sigma(found, state))
+        said = f"{_s(end - found.begin)} with such aids leave {left}"
     else:
         never = [f"no {kind}" for kind, t in found.motion.onsets().items() if np.isinf(t)]
         said = _and(never) if never else f"this motion does not show it ({_moved(found, end)})"

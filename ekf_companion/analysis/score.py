@@ -6,22 +6,16 @@ the home position), so the vertical error is reported as it is and less its mean
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.analysis import difference
 from ekf_companion.analysis.difference import ALWAYS, euler_errors, frame_of, tilt_errors
-from ekf_companion.logs import series
-from ekf_companion.logs.estimate import read_estimate, read_truth, to_trajectory
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
-from ekf_companion.nav.state import Trajectory
-
-__all__ = ["Score", "Spread", "read_estimate", "read_truth", "score", "table", "to_trajectory"]
-
+from ekf_companion.nav.state import EULER, Trajectory
 
 LAG_SPAN = 1.0
 """Largest lag searched for, either way, s."""
@@ -113,7 +107,7 @@ _ROWS = (
 
 
 def score(
-    estimate: Trajectory | Mapping[str, npt.NDArray[Any]],
+    estimate: Trajectory,
     reference: Trajectory,
     skip_s: float = 0.0,
     *,
@@ -123,66 +117,49 @@ def score(
     """Measure an estimate against a reference where both exist.
 
     Args:
-        estimate: A trajectory, or our columns by name (``nav.state.COLUMNS``).
+        estimate: What is measured.
         reference: What it should be.
         skip_s: Leave out so many seconds from the estimate's first stamp on.
         start_ns: Also leave out what is earlier, for example than the arming; None: nothing.
         end_ns: Leave out what is later; None: nothing.
     """
-    first_ns, estimate = _begin(estimate)
+    starts = [t[0] for t in (estimate.pos_t_ns, estimate.vel_t_ns, estimate.att_t_ns) if len(t)]
+    first_ns = int(min(starts, default=0))
     begin = max(first_ns + round(skip_s * 1e9), first_ns if start_ns is None else start_ns)
     span = (begin, ALWAYS[1] if end_ns is None else end_ns)
     seen: list[Stamps] = []
-    offset = vertical = velocity = angles = tilt = None
+    errors: dict[str, Array] = {}
+    mean = None
     if there := difference.in_position(estimate, reference, span):
         stamps, offset = there
-        vertical = -offset[np.isfinite(offset[:, 2]), 2]
         seen.append(stamps)
+        errors["horizontal"] = np.hypot(offset[:, 0], offset[:, 1])
+        errors["vertical"] = vertical = -offset[np.isfinite(offset[:, 2]), 2]
+        if len(vertical):
+            mean = float(np.mean(vertical))
+            errors["vertical_about_mean"] = vertical - mean
     if there := difference.in_velocity(estimate, reference, span):
         stamps, velocity = there
-        velocity = velocity[known_rows(velocity[:, :2])]
         seen.append(stamps)
+        velocity = velocity[known_rows(velocity[:, :2])]
+        errors["velocity"] = np.linalg.norm(np.nan_to_num(velocity), axis=1)
+        errors["velocity_horizontal"] = np.hypot(velocity[:, 0], velocity[:, 1])
     if turned := difference.in_attitude(estimate, reference, span):
         stamps, mine, theirs = turned
-        angles, tilt = euler_errors(mine, theirs), tilt_errors(mine, theirs)
         seen.append(stamps)
-    mean = float(np.mean(vertical)) if vertical is not None and len(vertical) else None
+        errors["tilt"] = tilt_errors(mine, theirs)
+        errors |= zip(EULER, euler_errors(mine, theirs).T, strict=True)
     lag, best = _find_lag(estimate, reference, *span)
-    roll, pitch, yaw = (None, None, None) if angles is None else angles.T
     return Score(
         estimate=estimate.name,
         reference=reference.name,
         start_ns=int(min((t[0] for t in seen), default=begin)),
         end_ns=int(max((t[-1] for t in seen), default=begin)),
-        horizontal=_spread(None if offset is None else np.hypot(offset[:, 0], offset[:, 1])),
-        vertical=_spread(vertical),
-        vertical_about_mean=_spread(None if vertical is None or mean is None else vertical - mean),
         vertical_mean=mean,
-        velocity=_spread(
-            None if velocity is None else np.linalg.norm(np.nan_to_num(velocity), axis=1)
-        ),
-        velocity_horizontal=_spread(
-            None if velocity is None else np.hypot(velocity[:, 0], velocity[:, 1])
-        ),
-        tilt=_spread(tilt),
-        roll=_spread(roll),
-        pitch=_spread(pitch),
-        yaw=_spread(yaw),
         lag=lag,
         horizontal_without_lag=best,
+        **{name: _spread(errors.get(name)) for name, _, _ in _ROWS},
     )
-
-
-def _begin(
-    estimate: Trajectory | Mapping[str, npt.NDArray[Any]],
-) -> tuple[int, Trajectory]:
-    """Return the first stamp of an estimate, 0 if it has none, and the estimate as trajectory."""
-    if isinstance(estimate, Trajectory):
-        stamps = [t[0] for t in (estimate.pos_t_ns, estimate.vel_t_ns, estimate.att_t_ns) if len(t)]
-        return int(min(stamps, default=0)), estimate
-    t_ns = np.asarray(estimate["time_us"]).astype(np.int64) * 1000
-    spans = series.clock_run(t_ns)[1]
-    return spans[0][0] if spans else 0, to_trajectory(estimate)
 
 
 def _spread(errors: Array | None) -> Spread | None:
@@ -210,8 +187,7 @@ def _find_lag(
     frame = frame_of(reference)
     mine, theirs = (frame.to_ned(one.lat, one.lon, one.alt) for one in (estimate, reference))
     mine_s, theirs_s = ((one.pos_t_ns - low) * 1e-9 for one in (estimate, reference))
-    fixed, moved, at, slide = theirs, mine, theirs_s, mine_s
-    sign = 1.0
+    fixed, moved, at, slide, sign = theirs, mine, theirs_s, mine_s, 1.0
     if len(mine) < len(theirs):
         fixed, moved, at, slide, sign = mine, theirs, mine_s, theirs_s, -1.0
     rows = np.flatnonzero((at >= 0.0) & (at <= (high - low) * 1e-9))
@@ -238,18 +214,12 @@ def _find_lag(
 
 def table(scores: Sequence[Score]) -> list[str]:
     """Return scores side by side as lines of text: RMS, 95 % and largest error of each."""
-    units = {"mps": "m/s"}
-    lines = [
-        f"[{number}] {one.estimate} against {one.reference}" for number, one in _numbered(scores)
-    ]
-    for number, one in _numbered(scores):
-        span = (one.end_ns - one.start_ns) * 1e-9
-        lines.append(
-            f"[{number}] {one.start_ns * 1e-9:.1f} to {one.end_ns * 1e-9:.1f} s ({span:.1f} s)"
-        )
-    head = "".join(
-        f" | {f'[{number}] RMS':>10} {'95 %':>8} {'max':>8}" for number, _ in _numbered(scores)
-    )
+    numbered = list(enumerate(scores, start=1))
+    lines = [f"[{number}] {one.estimate} against {one.reference}" for number, one in numbered]
+    for number, one in numbered:
+        start, end = one.start_ns * 1e-9, one.end_ns * 1e-9
+        lines.append(f"[{number}] {start:.1f} to {end:.1f} s ({end - start:.1f} s)")
+    head = "".join(f" | {f'[{number}] RMS':>10} {'95 %':>8} {'max':>8}" for number, _ in numbered)
     lines += ["", f"{'':<26}{head}", "-" * (26 + len(head))]
     for name, unit, scale in _ROWS:
         cells = ""
@@ -258,7 +228,7 @@ def table(scores: Sequence[Score]) -> list[str]:
             numbers = (spread.rms, spread.p95, spread.largest) if spread else ()
             texts = [f"{number * scale:.3f}" for number in numbers] or ["-", "-", "-"]
             cells += f" | {texts[0]:>10} {texts[1]:>8} {texts[2]:>8}"
-        label = f"{name.replace('_', ' ')}, {units.get(unit, unit)}"
+        label = f"{name.replace('_', ' ')}, {unit.replace('mps', 'm/s')}"
         lines.append(f"{label:<26}{cells}")
     for label, attribute, scale in (
         ("mean height difference, m", "vertical_mean", 1.0),
@@ -272,7 +242,3 @@ def table(scores: Sequence[Score]) -> list[str]:
         )
         lines.append(f"{label:<26}{cells}".rstrip())
     return lines
-
-
-def _numbered(scores: Sequence[Score]) -> list[tuple[int, Score]]:
-    return list(enumerate(scores, start=1))

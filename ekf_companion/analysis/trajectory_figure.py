@@ -8,7 +8,7 @@ Source of the layout: BasicEKF, run_state_estimation_ins_euler_directEKF_method.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -83,12 +83,19 @@ def plot(
     columns = 3 if with_errors and frame is not None else 2
 
     def draw(sheet: Any) -> None:
-        axes = _axes(sheet, columns, _ATTITUDE_PANELS if frame is None else _PANELS)
+        places = _ATTITUDE_PANELS if frame is None else _PANELS
+        axes = figure_file.panels(sheet, 12, columns, places)
         if events is not None and frame is not None:
             _draw_fixes(axes, events, scale)
         for index, one in enumerate(trajectories):
             # The estimate is drawn on top of what it is compared with
-            look = {**_look(index), "zorder": 20 - index, "label": one.name}
+            look = {
+                "color": _COLOURS[index % len(_COLOURS)],
+                "linestyle": _STYLES[index % len(_STYLES)],
+                "linewidth": 1.2,
+                "zorder": 20 - index,
+                "label": one.name,
+            }
             _draw(axes, one, scale, look)
             if with_errors and one is not trajectories[-1]:
                 _draw_errors(axes, one, trajectories[-1], scale, look)
@@ -98,22 +105,6 @@ def plot(
         sheet.legend(handles, names, loc="outside lower center", ncols=min(4, len(names)))
 
     figure_file.write(path, title, draw, width=6.0 * columns, height=10.0)
-
-
-def _look(index: int) -> dict[str, Any]:
-    colour, style = _COLOURS[index % len(_COLOURS)], _STYLES[index % len(_STYLES)]
-    return {"color": colour, "linestyle": style, "linewidth": 1.2}
-
-
-def _axes(sheet: Any, columns: int, places: Mapping[str, tuple[Any, ...]]) -> dict[str, Any]:
-    grid = sheet.add_gridspec(12, columns)
-    axes = {}
-    for name, (rows, column, title, across, up) in places.items():
-        if column < columns:
-            axes[name] = sheet.add_subplot(grid[rows, column])
-            axes[name].set(title=title, xlabel=across, ylabel=up)
-            axes[name].grid(visible=True, alpha=0.3)
-    return axes
 
 
 def _draw_fixes(axes: dict[str, Any], events: Events, scale: _Scale) -> None:
@@ -137,7 +128,9 @@ def _draw(axes: dict[str, Any], one: Trajectory, scale: _Scale, look: dict[str, 
         axes["track"].plot(ned[:, 1], ned[:, 0], **look)
         axes["altitude"].plot(scale.seconds(one.pos_t_ns[some]), one.alt[some], **look)
     if "speed" in axes:
-        _draw_speed(axes["speed"], one, scale, look)
+        some = _some(one.vel_t_ns)
+        speed = np.linalg.norm(np.nan_to_num(one.vel_n[some]), axis=1)
+        axes["speed"].plot(scale.seconds(one.vel_t_ns[some]), speed, **look)
     some = _some(one.att_t_ns)
     angles = np.rad2deg(so3.to_euler(one.q_nb[some]))
     for column, name in enumerate(EULER):
@@ -145,12 +138,6 @@ def _draw(axes: dict[str, Any], one: Trajectory, scale: _Scale, look: dict[str, 
         turned = np.append(np.abs(np.diff(angles[:, column])) > 180.0, False)
         shown = np.where(turned, np.nan, angles[:, column])
         axes[name].plot(scale.seconds(one.att_t_ns[some]), shown, **look)
-
-
-def _draw_speed(axis: Any, one: Trajectory, scale: _Scale, look: dict[str, Any]) -> None:
-    some = _some(one.vel_t_ns)
-    speed = np.linalg.norm(np.nan_to_num(one.vel_n[some]), axis=1)
-    axis.plot(scale.seconds(one.vel_t_ns[some]), speed, **look)
 
 
 def _draw_errors(

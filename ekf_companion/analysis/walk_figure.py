@@ -32,17 +32,12 @@ def plot(path: Path, solutions: Sequence[Solution], title: str) -> None:
 
 
 def _draw_all(sheet: Any, walks: Sequence[Solution]) -> None:
-    grid = sheet.add_gridspec(2, 2)
-    labels = {
-        "track": (grid[:, 0], "north-east track, stances marked", "east, m", "north, m"),
-        "height": (grid[0, 1], "height, stances marked", "time, s", "above the start, m"),
-        "stance": (grid[1, 1], "stances of each filter, and its speed", "time, s", "m/s"),
+    places = {
+        "track": (slice(0, 2), 0, "north-east track, stances marked", "east, m", "north, m"),
+        "height": (0, 1, "height, stances marked", "time, s", "above the start, m"),
+        "stance": (1, 1, "stances of each filter, and its speed", "time, s", "m/s"),
     }
-    axes = {}
-    for name, (place, heading, across, up) in labels.items():
-        axes[name] = sheet.add_subplot(place)
-        axes[name].set(title=heading, xlabel=across, ylabel=up)
-        axes[name].grid(visible=True, alpha=0.3)
+    axes = figure_file.panels(sheet, 2, 2, places)
     zero_ns = int(min(one.table.stamp_ns[0] for one in walks))
     for index, one in enumerate(walks):
         _draw(axes, one, zero_ns, index)

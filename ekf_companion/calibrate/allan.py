@@ -50,14 +50,9 @@ class Level:
     """One number of a fit."""
 
     value: float
-    """Best value; 0 if not significant."""
+    """Best value; 0 if it is not significantly above zero."""
     bound: float
     """Upper bound (two sigmas)."""
-
-    @property
-    def shows(self) -> bool:
-        """Whether it is significantly above zero."""
-        return self.value > 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,10 +76,8 @@ class Noise:
 def curve(stretches: Sequence[Array], period: float, taus: Array | None = None) -> Curve:
     """Return the overlapping Allan deviation over all stretches, each shape (n,).
 
-    Args:
-        stretches: Samples at rest, evenly spaced.
-        period: Between samples, s.
-        taus: Times, s; None: octaves from one sample to a quarter of the longest stretch.
+    Their samples at rest are evenly spaced by the period, s. The averaging times, s, are by default
+    octaves from one sample to a quarter of the longest stretch.
     """
     longest = max(map(len, stretches))
     if taus is None:
@@ -101,17 +94,14 @@ def curve(stretches: Sequence[Array], period: float, taus: Array | None = None) 
             second = phase[2 * m :] - 2.0 * phase[m:-m] + phase[: -2 * m]
             total += float(second @ second) / (2.0 * m * m)
             count += len(second)
-            dof += _freedom(len(phase), m)
+            # For white noise (table 5)
+            n = len(phase)
+            ratio = 1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n
+            dof += max(ratio * 4.0 * m * m / (4.0 * m * m + 5.0), 1.0)
         tau.append(m * period)
         variance.append(total / count)
         freedom.append(dof)
     return Curve(tau=np.array(tau), deviation=np.sqrt(variance), freedom=np.array(freedom))
-
-
-def _freedom(n: int, m: int) -> float:
-    """Return the degrees of freedom of the overlapping variance for white noise (table 5)."""
-    ratio = 1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n
-    return max(ratio * 4.0 * m * m / (4.0 * m * m + 5.0), 1.0)
 
 
 def corner(stretches: Sequence[Array], period: float) -> float | None:

@@ -27,6 +27,7 @@ from scipy.stats import t
 
 from ekf_companion.calibrate import rest
 from ekf_companion.calibrate.likelihood import Likelihood
+from ekf_companion.calibrate.result import Result, Setting, rounded
 from ekf_companion.core.from_settings import delays_ns
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
@@ -91,23 +92,27 @@ def measure(
     name: str = "the log",
     progress: Progress | None = None,
 ) -> Delay:
-    """Measure the delay of a log's fixes.
+    """Measure the delay of a log's fixes, whatever the log and the settings declare.
 
-    Args:
-        recording: The log, on one run of the clock; the delay that it declares is ignored.
-        settings: The estimator's; their delay is ignored too.
-        name: Of the log, for messages.
-        progress: Called with the delays done, and of how many.
+    The log is on one run of the clock. The progress gets the delays done, and of how many.
 
     Raises:
         LogError: The log has no inertial samples or no fixes, or its motion does not show a delay.
     """
-    _refuse_empty(recording, name)
+    for kind, what in ((Kind.IMU, "no inertial samples"), (Kind.GNSS, "no GNSS fix")):
+        if not np.count_nonzero(recording.events.kind == kind):
+            raise LogError(f"{name}: holds {what}, so the delay of fixes cannot be seen in it")
+    rate = rest.rate(recording.events)
+    if rate < rest.SLOW:
+        raise LogError(
+            f"{name}: inertial samples come at {rate:.1f} Hz, below the {rest.SLOW:.0f} Hz that "
+            "motion can be integrated from, so no delay can be seen; ask for a faster stream"
+        )
     pipeline = Pipeline(settings, recording.family, recording.gnss_delay)
     table = pipeline.run(recording.events)
     begin, end = _counted(table, name)
-    likelihood = Likelihood(recording, settings)
-    likelihood.cut(np.linspace(begin, end, int((end - begin) / BLOCK) + 1))
+    edges = np.linspace(begin, end, int((end - begin) / BLOCK) + 1)
+    likelihood = Likelihood(recording, settings, edges)
     best, low, high, widening = _maximise(likelihood, name, progress)
     configured = delays_ns(settings, recording.family, recording.gnss_delay)[Kind.GNSS] * 1e-9
     delays, gain = likelihood.curve()
@@ -123,21 +128,52 @@ def measure(
         acceleration=_acceleration(table, begin),
         learnt=float(configured) + pipeline.health().gnss_delay,
     )
-    _refuse_flat(found, name)
+    is_edge = not SPAN[0] + STEP < best < SPAN[1] - STEP
+    if is_edge or 0.5 * (high - low) > WIDEST:
+        raise LogError(
+            f"{name}: its motion does not show the delay of fixes: anything from {low:.2f} to "
+            f"{high:.2f} s fits (horizontal acceleration {found.acceleration:.2f} m/s2 RMS in "
+            f"{found.seconds:.0f} s); fly starts, stops and turns, 1 m/s2 and more, for a minute"
+        )
     return found
 
 
-def _refuse_empty(recording: Recording, name: str) -> None:
-    """Raise LogError if the log lacks what shows a delay."""
-    for kind, what in ((Kind.IMU, "no inertial samples"), (Kind.GNSS, "no GNSS fix")):
-        if not np.count_nonzero(recording.events.kind == kind):
-            raise LogError(f"{name}: holds {what}, so the delay of fixes cannot be seen in it")
-    rate = rest.rate(recording.events)
-    if rate < rest.SLOW:
-        raise LogError(
-            f"{name}: inertial samples come at {rate:.1f} Hz, below the {rest.SLOW:.0f} Hz that "
-            "motion can be integrated from, so no delay can be seen; ask for a faster stream"
+def result(found: Delay) -> Result:
+    """Return a measured delay as keys of the configuration."""
+    sigma = max((found.high - found.low) / 3.92, 0.002)
+    notes = [
+        f"{found.rows} innovations of GNSS in {found.seconds:.0f} s, horizontal acceleration "
+        f"{found.acceleration:.1f} m/s2 RMS",
+        f"the estimator by itself finds {found.learnt:.3f} s in this flight",
+    ]
+    if found.widening > 1.5:
+        notes.append(
+            f"the interval is {math.sqrt(found.widening):.1f} times as wide as independent "
+            "innovations would make it"
         )
+    return Result(
+        settings=[
+            Setting(
+                key="gnss.delay",
+                value=round(found.best, 3),
+                comment=f"s; 95 %: {found.low:.3f} to {found.high:.3f}",
+            ),
+            Setting(
+                key="gnss.delay_std",
+                value=math.ceil(sigma * 1e3) / 1e3,
+                comment="s; of that interval. auto lets the estimator move it more",
+            ),
+        ],
+        notes=notes,
+        data={
+            "delay_s": found.best,
+            "interval_s": [found.low, found.high],
+            "widening": found.widening,
+            "learnt_s": found.learnt,
+            "acceleration_mps2": found.acceleration,
+            "curve": {"delay_s": rounded(found.delays), "log_likelihood": rounded(found.gain)},
+        },
+    )
 
 
 def _counted(table: Table, name: str) -> tuple[float, float]:
@@ -243,15 +279,3 @@ def _acceleration(table: Table, begin: float) -> float:
     at = np.arange(begin, seconds[-1], 1.0)
     even = np.stack([np.interp(at, seconds, axis[known]) for axis in velocity])
     return float(np.sqrt(np.mean(np.sum(np.diff(even, axis=1) ** 2, axis=0))))
-
-
-def _refuse_flat(found: Delay, name: str) -> None:
-    """Raise LogError if the motion does not show the delay."""
-    is_edge = not SPAN[0] + STEP < found.best < SPAN[1] - STEP
-    if is_edge or 0.5 * (found.high - found.low) > WIDEST:
-        raise LogError(
-            f"{name}: its motion does not show the delay of fixes: anything from "
-            f"{found.low:.2f} to {found.high:.2f} s fits (horizontal acceleration "
-            f"{found.acceleration:.2f} m/s2 RMS in {found.seconds:.0f} s); fly starts, stops and "
-            "turns, 1 m/s2 and more, for a minute"
-        )

@@ -68,15 +68,12 @@ def directions(arms: Array) -> Indices:
 
     A cell is what is nearest to a point of a Fibonacci lattice (Gonzalez 2010).
     """
-    return np.asarray(np.argmax(arms @ _lattice().T, axis=1), dtype=np.int64)
-
-
-def _lattice() -> Array:
     i = np.arange(CELLS)
     z = 1.0 - (2.0 * i + 1.0) / CELLS
     angle = np.pi * (1.0 + np.sqrt(5.0)) * i
     r = np.sqrt(1.0 - z * z)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    lattice = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    return np.asarray(np.argmax(arms @ lattice.T, axis=1), dtype=np.int64)
 
 
 def weights(arms: Array) -> Array:

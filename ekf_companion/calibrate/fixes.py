@@ -9,7 +9,7 @@ import numpy as np
 
 from ekf_companion.calibrate import rest
 from ekf_companion.calibrate.rest import Stretch
-from ekf_companion.calibrate.scatter import Scatter, Series, measure
+from ekf_companion.calibrate.scatter import Scatter, measure
 from ekf_companion.core.from_settings import delays_ns
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
@@ -66,10 +66,8 @@ def find(recording: Recording) -> Events:
 
 def at_rest(fixes: Events, stretches: Sequence[Stretch]) -> Receiver | None:
     """Measure the fixes at rest; return None if there are too few."""
-    parts = []
-    for stretch in stretches:
-        inside = (fixes.t_ns > stretch.t_ns[0]) & (fixes.t_ns < stretch.t_ns[-1])
-        parts.append(fixes.take(inside))
+    ends = [(stretch.t_ns[0], stretch.t_ns[-1]) for stretch in stretches]
+    parts = [fixes.take((fixes.t_ns > begin) & (fixes.t_ns < end)) for begin, end in ends]
     parts = [part for part in parts if len(part) > 2]
     if not parts:
         return None
@@ -98,7 +96,12 @@ def in_flight(
     antenna = _antenna(recording.events, table, settings)
     way, speed, gained = (resample(true_ns, table.stamp_ns, one) for one in antenna)
     velocity = fixes.values[:, GNSS_VELOCITY]
-    position = _ned(_frame(fixes), fixes) - way - _integral(fixes, velocity - speed)
+    # The integral of what the receiver adds to the estimated velocity; unknown counts as 0
+    more = np.nan_to_num(velocity - speed)
+    step = np.diff(fixes.t_ns)[:, None] * 1e-9
+    added = np.cumsum(0.5 * (more[1:] + more[:-1]) * step, axis=0)
+    position = _ned(_frame(fixes), fixes) - way
+    position[1:] -= added
     errors = np.hstack([position, velocity - gained])
     resets = table.column("reset_count")[row]
     pieces = np.cumsum(np.diff(resets, prepend=resets[0]) != 0.0)
@@ -133,8 +136,7 @@ def _receiver(
 
     def scatter(columns: slice, wander: float) -> Scatter | None:
         whole = [part[:, columns] for part in parts]
-        series = [Series(period=period, values=one) for one in whole if np.isfinite(one).all()]
-        return measure(series, wander) if series else None
+        return measure([one for one in whole if np.isfinite(one).all()], period, wander)
 
     stds = np.where(fixes.values[:, GNSS_STD] > 0.0, fixes.values[:, GNSS_STD], np.nan)
     stated = [float(np.nanmedian(std)) if np.isfinite(std).any() else np.nan for std in stds.T]
@@ -176,11 +178,3 @@ def _antenna(events: Events, table: Table, settings: FilterSettings) -> tuple[Ar
     arm_n = so3.rotate(q_nb, arm_b)
     swing_n = np.diff(arm_n, axis=0, prepend=arm_n[:1]) / np.maximum(step, 1e-6)
     return way + arm_n, velocity + swing_n, np.cumsum(accel_n * step, axis=0) + swing_n
-
-
-def _integral(fixes: Events, velocity: Array) -> Array:
-    """Return the integral of a velocity at every fix, m; one that is not known counts as 0."""
-    known = np.nan_to_num(velocity)
-    step = np.diff(fixes.t_ns)[:, None] * 1e-9
-    means = 0.5 * (known[1:] + known[:-1])
-    return np.concatenate([np.zeros((1, 3)), np.cumsum(means * step, axis=0)])

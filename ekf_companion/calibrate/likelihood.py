@@ -19,42 +19,37 @@ JUDGED = (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY)
 class Likelihood:
     """Log-likelihood by delay, each computed once."""
 
-    def __init__(self, recording: Recording, settings: FilterSettings) -> None:
+    def __init__(self, recording: Recording, settings: FilterSettings, edges: Array) -> None:
+        """Count from the first of some stamps (s) on, in blocks that end at the other stamps."""
         self._recording = recording
         self._settings = settings
-        self._cuts: list[int] = []
+        newest = np.maximum.accumulate(recording.events.t_ns)
+        stamps = np.rint(edges * 1e9).astype(np.int64)
+        self._cuts = [0, *np.searchsorted(newest, stamps, side="right").tolist()]
         self._known: dict[int, tuple[Array, int]] = {}
         self.rows = 0
         """Largest number of rows that were judged under one delay."""
 
-    def cut(self, seconds: Array) -> None:
-        """Count from the first of some stamps (s) on, in blocks that end at the other stamps."""
-        newest = np.maximum.accumulate(self._recording.events.t_ns)
-        stamps = np.rint(seconds * 1e9).astype(np.int64)
-        self._cuts = [0, *np.searchsorted(newest, stamps, side="right").tolist()]
-        self._known.clear()
-
-    def blocks(self, delay: float) -> Array:
-        """Return the sum of each block."""
+    def blocks(self, delay: float) -> tuple[Array, int]:
+        """Return the sum of each block, and the number of rows judged."""
         key = round(delay * 1e6)
         if key not in self._known:
             self._known[key] = self._run(key * 1e-6)
             self.rows = max(self.rows, self._known[key][1])
-        return self._known[key][0]
+        return self._known[key]
 
     def total(self, delay: float) -> float:
         """Return the sum; a fix that was not judged counts as the mean of the rest.
 
         That is one or two at the ends, or many where the filter had to restart.
         """
-        total = float(self.blocks(delay).sum())
-        count = self._known[round(delay * 1e6)][1]
-        return total * self.rows / count if count else -math.inf
+        sums, count = self.blocks(delay)
+        return float(sums.sum()) * self.rows / count if count else -math.inf
 
     def scaled(self, delay: float) -> Array:
         """Return the sum of each block, scaled so that all delays count the same number of rows."""
-        blocks = self.blocks(delay)
-        return blocks * (self.rows / max(self._known[round(delay * 1e6)][1], 1))
+        sums, count = self.blocks(delay)
+        return sums * (self.rows / max(count, 1))
 
     def curve(self) -> tuple[Array, Array]:
         """Return all delays tried, ascending, and their sums over that of the best."""
@@ -75,11 +70,6 @@ class Likelihood:
         for first, last in zip(self._cuts, self._cuts[1:], strict=False):
             pipeline.run(recording.events.take(np.arange(first, last)))
             sums.append(pipeline.log_likelihood)
-            counts.append(judged(pipeline))
+            verdicts = [pipeline.health().verdicts[aid] for aid in JUDGED]
+            counts.append(sum(one[Verdict.FUSED] + one[Verdict.GATED] for one in verdicts))
         return np.diff(sums), counts[-1] - counts[0]
-
-
-def judged(pipeline: Pipeline) -> int:
-    """Return how many GNSS positions, heights and velocities were fused or refused so far."""
-    verdicts = pipeline.health().verdicts
-    return sum(verdicts[aid][Verdict.FUSED] + verdicts[aid][Verdict.GATED] for aid in JUDGED)

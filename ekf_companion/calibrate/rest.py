@@ -91,8 +91,7 @@ def find(events: Events, limits: AlignSettings, shortest: float) -> list[Stretch
 
 
 def _sums(index: Stamps, values: Array, windows: int) -> Array:
-    sums = [np.bincount(index, weights=column, minlength=windows) for column in values.T]
-    return np.stack(sums, axis=1)
+    return np.stack([np.bincount(index, column, windows) for column in values.T], axis=1)
 
 
 def _moves(events: Events, zero_ns: int, window_ns: int, windows: int) -> Mask:

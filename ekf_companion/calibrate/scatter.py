@@ -38,21 +38,6 @@ SEEN = 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Series:
-    """Errors of fixes, up to a constant, at even times."""
-
-    period: float
-    """s."""
-    values: Array
-    """Shape (n, axes)."""
-
-    @property
-    def seconds(self) -> float:
-        """Return its length, s."""
-        return len(self.values) * self.period
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Scatter:
     """White and slow part of an error, per axis."""
 
@@ -76,18 +61,21 @@ class Scatter:
         return np.asarray(self.white**2 + self.slow**2 * (1.0 - np.exp(-self.lag / time)))
 
 
-def measure(series: Sequence[Series], wander: float = 0.0) -> Scatter | None:
-    """Split errors into a white and a slow part; return None if there are too few.
+def measure(series: Sequence[Array], period: float, wander: float = 0.0) -> Scatter | None:
+    """Split errors of fixes into a white and a slow part; return None if there are too few.
 
-    The series have one period; ``wander`` is the random walk of their reference, units^2 per s.
+    Args:
+        series: Errors up to a constant, each of shape (n, axes).
+        period: From fix to fix, s.
+        wander: Random walk of the reference, units^2 per s.
     """
-    second = [np.diff(one.values, 2, axis=0).ravel() for one in series if len(one.values) > 2]
-    jumps = np.concatenate(second) if second else np.zeros(0)
+    second = [np.diff(errors, 2, axis=0).ravel() for errors in series]
+    jumps = np.concatenate([np.zeros(0), *second])
     if len(jumps) < FEWEST:
         return None
     white = _sigma(jumps) / math.sqrt(6.0)
-    period, seconds = series[0].period, max(one.seconds for one in series)
-    lag, structure, freedom = _structure(series, period, seconds)
+    seconds = max(map(len, series)) * period
+    lag, structure, freedom = _structure(series, period)
     structure = np.maximum(structure - 0.5 * wander * lag, 0.0)
     slow, time = _slow_part(lag, structure, freedom, white, seconds, wander)
     return Scatter(
@@ -108,16 +96,13 @@ def _sigma(values: Array) -> float:
     return robust if robust > 0.0 else float(np.sqrt(np.mean(values**2)))
 
 
-def _structure(
-    series: Sequence[Series], period: float, seconds: float
-) -> tuple[Array, Array, Array]:
+def _structure(series: Sequence[Array], period: float) -> tuple[Array, Array, Array]:
     """Return lags, the structure function there, and the numbers of independent differences."""
-    most = max(int(LONGEST * seconds / period), 1)
+    most = max(int(LONGEST * max(map(len, series))), 1)
     steps = np.unique(np.rint(np.geomspace(1, most, 40)).astype(np.int64))
     structure, freedom = [], []
     for step in steps.tolist():
-        parts = [one.values[step:] - one.values[:-step] for one in series if len(one.values) > step]
-        differences = np.concatenate([part.ravel() for part in parts])
+        differences = np.concatenate([(one[step:] - one[:-step]).ravel() for one in series])
         structure.append(0.5 * _sigma(differences) ** 2)
         freedom.append(max(len(differences) / step, 1.0))
     lag = np.asarray(steps * period, dtype=np.float64)

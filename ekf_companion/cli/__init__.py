@@ -1,4 +1,4 @@
-"""The commands. Only they print and exit.
+"""The commands. Only they print and exit. A command has an argument for each of its options.
 
 Exit codes: 0 done, 1 a figure cannot be drawn or a bug, 2 the command line or the configuration is
 wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from, 4 ``status``

@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from ekf_companion.cli.terminal import (
-    ConfigOption,
-    JsonOption,
-    LogArgument,
-    PlotOption,
-    open_log,
-    progress_bar,
-    write_figure,
-    write_json,
-)
+from ekf_companion.cli import terminal
 
 if TYPE_CHECKING:
     from ekf_companion.analysis.figure_file import Draw
@@ -31,53 +22,53 @@ calibrate = typer.Typer(
 
 @calibrate.command("noise")
 def calibrate_noise(
-    log: LogArgument,
-    config: ConfigOption = None,
-    plot: PlotOption = None,
-    json_file: JsonOption = None,
+    log: terminal.LogArgument,
+    config: terminal.ConfigOption = None,
+    plot: terminal.PlotOption = None,
+    json_file: terminal.JsonOption = None,
 ) -> None:
     """Measure noise: of the inertial sensors at rest (Allan deviation), and of the receiver."""
     from ekf_companion.analysis.calibration_figure import draw_noise
-    from ekf_companion.calibrate import noise, noise_result
+    from ekf_companion.calibrate import noise
 
-    with open_log(log, config, plot, json_file) as (recording, settings):
+    with terminal.open_log(log, config, plot, json_file) as (recording, settings):
         found = noise.measure(recording, settings, str(log))
-        result = noise_result.result(found, settings).after(recording.notes)
+        result = noise.result(found, settings).after(recording.notes)
         _report("noise", log, plot, json_file, result, partial(draw_noise, found))
 
 
 @calibrate.command("delay")
 def calibrate_delay(
-    log: LogArgument,
-    config: ConfigOption = None,
-    plot: PlotOption = None,
-    json_file: JsonOption = None,
+    log: terminal.LogArgument,
+    config: terminal.ConfigOption = None,
+    plot: terminal.PlotOption = None,
+    json_file: terminal.JsonOption = None,
 ) -> None:
     """Measure the delay of the receiver's fixes: the most likely one."""
     from ekf_companion.analysis.calibration_figure import draw_delay
-    from ekf_companion.calibrate import delay, delay_result
+    from ekf_companion.calibrate import delay
 
-    with open_log(log, config, plot, json_file) as (recording, settings):
-        with progress_bar(f"{log.name}: delays") as progress:
+    with terminal.open_log(log, config, plot, json_file) as (recording, settings):
+        with terminal.progress_bar(f"{log.name}: delays") as progress:
             found = delay.measure(recording, settings, str(log), progress)
-        result = delay_result.result(found).after(recording.notes)
+        result = delay.result(found).after(recording.notes)
         _report("delay", log, plot, json_file, result, partial(draw_delay, found))
 
 
 @calibrate.command("mag")
 def calibrate_mag(
-    log: LogArgument,
-    config: ConfigOption = None,
-    plot: PlotOption = None,
-    json_file: JsonOption = None,
+    log: terminal.LogArgument,
+    config: terminal.ConfigOption = None,
+    plot: terminal.PlotOption = None,
+    json_file: terminal.JsonOption = None,
 ) -> None:
     """Measure the vehicle's hard and soft iron, by an ellipsoid fitted to the field."""
     from ekf_companion.analysis.calibration_figure import draw_mag
-    from ekf_companion.calibrate import mag, mag_result
+    from ekf_companion.calibrate import mag
 
-    with open_log(log, config, plot, json_file) as (recording, settings):
+    with terminal.open_log(log, config, plot, json_file) as (recording, settings):
         found = mag.measure(recording, settings, str(log))
-        result = mag_result.result(found).after(recording.notes)
+        result = mag.result(found).after(recording.notes)
         _report("mag", log, plot, json_file, result, partial(draw_mag, found))
 
 
@@ -90,6 +81,6 @@ def _report(
 
     for line in lines(f"ekf-companion calibrate {kind} {log}", result):
         typer.echo(line)
-    write_json(json_file, result.to_dict(str(log)))
+    terminal.write_json(json_file, result.to_dict(str(log)))
     write = partial(figure_file.write, title=f"calibrate {kind} {log.name}", draw=draw)
-    typer.echo(f"# {write_figure(log, kind, plot, write)}")
+    typer.echo(f"# {terminal.write_figure(log, kind, plot, write)}")

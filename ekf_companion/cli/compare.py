@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from ekf_companion.cli.terminal import (
-    ConfigOption,
-    JsonOption,
-    SmoothOption,
-    check_outputs,
-    exit_on_error,
-    load,
-    progress_bar,
-    read,
-    write_json,
-)
+from ekf_companion.cli import terminal
 from ekf_companion.config.config import Config
 from ekf_companion.errors import ConfigError, LogError
 
@@ -37,7 +26,7 @@ def compare(
         Path | None,
         typer.Option(help="Truth as .csv; else the log's own truth and the autopilot's estimate."),
     ] = None,
-    config: ConfigOption = None,
+    config: terminal.ConfigOption = None,
     until: Annotated[
         float | None,
         typer.Option(
@@ -60,32 +49,33 @@ def compare(
         ),
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw all trajectories into a .png.")] = None,
-    smooth: SmoothOption = False,
-    json_file: JsonOption = None,
+    smooth: terminal.SmoothOption = False,
+    json_file: terminal.JsonOption = None,
 ) -> None:
     """Compare our estimate, or several filters', with a truth or the autopilot's own."""
-    with exit_on_error():
+    with terminal.exit_on_error():
         inputs = {"the log": log, "the reference": reference, "the configuration": config}
-        check_outputs(inputs, {"--plot": plot, "--json": json_file})
+        terminal.check_outputs(inputs, {"--plot": plot, "--json": json_file})
         if filters is None:
-            ours = _ours(log, load(config), is_smoothed=smooth)
+            ours = _ours(log, terminal.load(config), is_smoothed=smooth)
             _compare_ours(log, ours, reference, (skip, until), plot, json_file)
         elif smooth:
             raise ConfigError("--smooth: smooths eskf only; leave --filters or --smooth out")
         else:
-            _compare_filters(log, filters, reference, load(config), (skip, until), plot, json_file)
+            _compare_filters(
+                log, filters, reference, terminal.load(config), (skip, until), plot, json_file
+            )
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Ours:
+class _Ours(NamedTuple):
     """Our estimate of a log, and what the log holds beside it."""
 
     estimate: Trajectory
     live: list[Trajectory]
     """The live filter's, where the estimate is smoothed."""
-    own: Trajectory | None
+    own: Trajectory | None = None
     """The autopilot's."""
-    truth: Trajectory | None
+    truth: Trajectory | None = None
 
 
 def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
@@ -98,13 +88,12 @@ def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
             raise ConfigError(
                 f"--smooth: {log} is an estimate already; name the log that it was made from"
             )
-        return _Ours(estimate=read_estimate(log), live=[], own=None, truth=None)
+        return _Ours(read_estimate(log), [])
     live: list[Trajectory] = []
-    with progress_bar(log.name) as progress:
+    with terminal.progress_bar(log.name) as progress:
         if is_smoothed:
-            table, smoothed, report, own, truth = converter.estimate_and_smooth(
-                log, config, progress
-            )
+            found = converter.estimate_and_smooth(log, config, progress)
+            table, smoothed, report, own, truth = found
             estimate = of_table(smoothed, "ekf-companion, smoothed")
             live.append(of_table(table, "ekf-companion, live"))
         else:
@@ -113,7 +102,7 @@ def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
     for line in converter.summary(report):
         typer.echo(line)
     typer.echo()
-    return _Ours(estimate=estimate, live=live, own=own, truth=truth)
+    return _Ours(estimate, live, own, truth)
 
 
 def _compare_ours(
@@ -134,17 +123,17 @@ def _compare_ours(
     if against is None:
         raise LogError(_WITHOUT_REFERENCE.format(log))
     skip, until = span
-    seconds = skip if skip is not None else 30.0 if truth is not None else 20.0
+    default = 30.0 if truth is not None else 20.0
+    seconds = default if skip is None else skip
     begin = int(estimate.att_t_ns[0]) if len(estimate.att_t_ns) else 0
     end = None if until is None else begin + round(until * 1e9)
     scores = [score.score(estimate, against, seconds, end_ns=end)]
     has_any = scores[0].horizontal is not None or scores[0].tilt is not None
     if not has_any or scores[0].end_ns <= scores[0].start_ns:
-        when = f"after the first {seconds:g} s" + (
-            "; leave out fewer with --skip"
-            if until is None
-            else f" and before {until:g} s; leave out less with --skip and --until"
-        )
+        when = f"after the first {seconds:g} s; leave out fewer with --skip"
+        if until is not None:
+            before = f"before {until:g} s; leave out less with --skip and --until"
+            when = f"after the first {seconds:g} s and {before}"
         raise LogError(f"{log}: {estimate.name} and {against.name} have no time in common {when}")
     own = [ours.own] if truth is not None and ours.own is not None else []
     start = scores[0].start_ns
@@ -154,7 +143,7 @@ def _compare_ours(
         typer.echo(line)
     if plot is not None:
         trajectory_figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
-    write_json(json_file, [score.to_dict() for score in scores])
+    terminal.write_json(json_file, [score.to_dict() for score in scores])
 
 
 def _compare_filters(
@@ -172,19 +161,19 @@ def _compare_filters(
 
     if is_estimate(log):
         raise ConfigError(f"--filters: {log} is an estimate; name the log that it was made from")
-    recording = read(log, config)
+    recording = terminal.read(log, config)
     names = [name.strip() for name in filters.split(",") if name.strip()]
     try:
-        with progress_bar(f"{log.name}: filters") as progress:
+        with terminal.progress_bar(f"{log.name}: filters") as progress:
             entries = comparison.run_filters(recording, names, config, progress)
     except LogError as error:
         raise LogError(f"{log}: {error}") from error
-    against = recording.truth if recording.truth is not None else recording.reference
-    against = read_truth(reference) if reference is not None else against
+    truth = recording.truth if reference is None else read_truth(reference)
+    against = truth if truth is not None else recording.reference
     solutions = [one.solution for one in entries if one.solution is not None]
     if against is not None:
         skip, until = span
-        default = 30.0 if reference is not None or recording.truth is not None else 20.0
+        default = 30.0 if truth is not None else 20.0
         skipped = default if skip is None else skip
         entries = comparison.score_filters(entries, against, skipped, until, recording.counted)
     elif all(one.is_still is None for one in solutions):
@@ -194,7 +183,7 @@ def _compare_filters(
         typer.echo(line)
     for note in recording.notes:
         typer.echo(f"  note: {log.name}: {note}")
-    write_json(json_file, [entry.to_dict() for entry in entries])
+    terminal.write_json(json_file, [entry.to_dict() for entry in entries])
     if plot is not None and against is not None:
         lines = [one.trajectory for one in entries if one.trajectory is not None]
         trajectory_figure.plot(

@@ -7,29 +7,19 @@ from typing import Annotated
 
 import typer
 
-from ekf_companion.cli.terminal import (
-    ConfigOption,
-    JsonOption,
-    LogArgument,
-    SmoothOption,
-    check_outputs,
-    exit_on_error,
-    load,
-    progress_bar,
-    write_json,
-)
+from ekf_companion.cli import terminal
 from ekf_companion.errors import ConfigError
 
 
 def convert(
-    log: LogArgument,
+    log: terminal.LogArgument,
     out: Annotated[Path, typer.Option("--out", "-o", help=".csv or .tlog, by its suffix.")],
-    config: ConfigOption = None,
+    config: terminal.ConfigOption = None,
     rate: Annotated[
         float | None, typer.Option(min=0.001, help="Largest number of rows per second.")
     ] = None,
-    smooth: SmoothOption = False,
-    json_file: JsonOption = None,
+    smooth: terminal.SmoothOption = False,
+    json_file: terminal.JsonOption = None,
     name: Annotated[
         str, typer.Option("--filter", help="NAME or NAME:OPTION; docs/FILTERS.md lists them.")
     ] = "eskf",
@@ -42,22 +32,23 @@ def convert(
     """Re-run the estimator, or another filter, over a recorded flight."""
     from ekf_companion.replay import convert as converter
 
-    with exit_on_error(), progress_bar(log.name) as progress:
-        inputs = {"the log": log, "the configuration": config, "what --out writes": out}
-        check_outputs(inputs, {"--json": json_file})
-        check_outputs({"the log": log, "the configuration": config}, {"--out": out})
+    with terminal.exit_on_error(), terminal.progress_bar(log.name) as progress:
+        inputs = {"the log": log, "the configuration": config}
+        terminal.check_outputs(inputs, {"--out": out, "--json": json_file})
         chosen = _choose(name, [preset, frame, detector])
         if chosen != "eskf":
             if smooth:
                 raise ConfigError("--smooth: smooths eskf only; leave it or --filter out")
-            solution = converter.convert_by(chosen, log, out, load(config), rate)
-            write_json(json_file, solution.to_dict())
+            solution = converter.convert_by(chosen, log, out, terminal.load(config), rate)
+            terminal.write_json(json_file, solution.to_dict())
             typer.echo(f"{log}:")
             for line in solution.summary():
                 typer.echo(line)
             return
-        report = converter.convert(log, out, load(config), rate, progress, is_smoothed=smooth)
-        write_json(json_file, report.to_dict())
+        report = converter.convert(
+            log, out, terminal.load(config), rate, progress, is_smoothed=smooth
+        )
+        terminal.write_json(json_file, report.to_dict())
     for line in converter.summary(report):
         typer.echo(line)
 
@@ -67,6 +58,6 @@ def _choose(name: str, options: list[str | None]) -> str:
     from ekf_companion.replay.filters_by_name import parse_name
 
     given = [option for option in options if option is not None]
-    if len(given) + (":" in name) > 1:
-        raise ConfigError(f"--filter: {name} takes one option, not {len(given) + (':' in name)}")
+    if (count := len(given) + (":" in name)) > 1:
+        raise ConfigError(f"--filter: {name} takes one option, not {count}")
     return parse_name(":".join([name, *given]))[0]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ekf_companion.cli.terminal import ConfigOption, exit_on_error, load, progress_bar
+from ekf_companion.cli.terminal import ConfigOption, LinkOption, exit_on_error, load, progress_bar
 from ekf_companion.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -25,10 +25,7 @@ STAGE_FAILED = 5
 
 def doctor(
     config: ConfigOption = None,
-    link: Annotated[
-        str | None,
-        typer.Option("--link", "--master", help="udpin:HOST:PORT, tcp:…, serial:/dev/ttyX:BAUD."),
-    ] = None,
+    link: LinkOption = None,
     log: Annotated[Path | None, typer.Option(help="Examine this .tlog instead of a link.")] = None,
     seconds: Annotated[
         float, typer.Option(min=1.0, max=3600.0, help="Longest time to listen.")
@@ -50,7 +47,7 @@ def doctor(
             evidence = _examine(load(config), link, log, seconds, listen=listen)
     findings = diagnose(evidence)
     if as_json:
-        _print_json(evidence, findings, link, log)
+        _print_json(evidence, findings, log)
     else:
         _print(findings)
     if first_failure(findings) is not None:
@@ -86,22 +83,13 @@ def _examine(
         return examine_link(config, seconds, listen=listen, progress=progress)
 
 
-def _print_json(
-    evidence: Evidence, findings: list[StageResult], link: str | None, log: Path | None
-) -> None:
-    peer = evidence.peer
+def _print_json(evidence: Evidence, findings: list[StageResult], log: Path | None) -> None:
+    peer, names = evidence.peer, ("system_id", "component_id", "family", "version")
     report = {
-        "examined": str(log) if log else link or evidence.config.link.url,
+        "examined": str(log) if log else evidence.config.link.url,
         "means": evidence.means.value,
         "seconds": round(evidence.seconds, 1),
-        "autopilot": None
-        if peer is None
-        else {
-            "system_id": peer.system_id,
-            "component_id": peer.component_id,
-            "family": peer.family,
-            "version": peer.version,
-        },
+        "autopilot": peer and {name: getattr(peer, name) for name in names},
         "stages": [finding.to_dict() for finding in findings],
     }
     typer.echo(json.dumps(report, indent=2, ensure_ascii=False))

@@ -7,24 +7,15 @@ from typing import Annotated
 
 import typer
 
-from ekf_companion.cli.terminal import (
-    ConfigOption,
-    JsonOption,
-    LogArgument,
-    PlotOption,
-    open_log,
-    progress_bar,
-    write_figure,
-    write_json,
-)
+from ekf_companion.cli import terminal
 from ekf_companion.errors import LogError
 
 
 def observability(
-    log: LogArgument,
-    config: ConfigOption = None,
-    plot: PlotOption = None,
-    json_file: JsonOption = None,
+    log: terminal.LogArgument,
+    config: terminal.ConfigOption = None,
+    plot: terminal.PlotOption = None,
+    json_file: terminal.JsonOption = None,
     window: Annotated[
         float, typer.Option(min=1.0, max=600.0, help="Length of the sliding windows, s.")
     ] = 10.0,
@@ -35,12 +26,12 @@ def observability(
     from ekf_companion.analysis import observability_report as report
     from ekf_companion.filters.sequence import MeasurementSequence
 
-    with open_log(log, config, plot, json_file) as (recording, settings):
+    with terminal.open_log(log, config, plot, json_file) as (recording, settings):
         try:
             course = MeasurementSequence(
                 recording.events, settings, recording.family, recording.gnss_delay
             )
-            with progress_bar(f"{log.name}: observability") as progress:
+            with terminal.progress_bar(f"{log.name}: observability") as progress:
                 found = analysis.analyse(
                     course, course.setup(), settings, window=window, progress=progress
                 )
@@ -48,6 +39,6 @@ def observability(
             raise LogError(f"{log}: {error}") from error
         for line in (*recording.notes, *report.lines(found)):
             typer.echo(line)
-        write_json(json_file, {"log": str(log), **report.to_dict(found)})
+        terminal.write_json(json_file, {"log": str(log), **report.to_dict(found)})
         draw = partial(observability_figure.plot, found=found, title=f"observability {log.name}")
-        typer.echo(write_figure(log, "observability", plot, draw))
+        typer.echo(terminal.write_figure(log, "observability", plot, draw))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import urlsplit
@@ -12,13 +13,13 @@ from urllib.parse import urlsplit
 import typer
 
 from ekf_companion.cli.status import NO_DAEMON, URL, fetch
+from ekf_companion.doctor.holder import sockets_at
 
 PATIENCE = 5.0
 """Longest time for the daemon to read it, s."""
 FAILED, WRONG = 1, 2
 """Exit codes: not reloaded; the configuration is wrong."""
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
-_LISTEN = "0A"
 
 
 def reload(
@@ -38,10 +39,7 @@ def reload(
             )
         os.kill(pid, signal.SIGHUP)
     except PermissionError:
-        _end(
-            FAILED,
-            f"process {pid} is another user's; run: sudo systemctl reload ekf-companion",
-        )
+        _end(FAILED, f"process {pid} is another user's; run: sudo systemctl reload ekf-companion")
     except ProcessLookupError:
         _end(NO_DAEMON, f"{url}: process {pid} has just ended")
     end = time.monotonic() + PATIENCE
@@ -67,28 +65,13 @@ def _listens(pid: int, url: str) -> bool:
     address = urlsplit(url)
     if address.hostname not in _LOOPBACK:
         return False
-    try:
-        sockets = {f"socket:[{inode}]" for inode in _listening(address.port or 80)}
+    sockets = sockets_at("tcp", address.port or 80)
+    with suppress(FileNotFoundError):  # it has ended
         for entry in Path(f"/proc/{pid}/fd").iterdir():
-            try:
+            with suppress(FileNotFoundError):  # closed meanwhile
                 if str(entry.readlink()) in sockets:
                     return True
-            except FileNotFoundError:  # closed meanwhile
-                continue
-    except FileNotFoundError:
-        pass
     return False
-
-
-def _listening(port: int) -> set[str]:
-    """Return the inodes of this machine's sockets that listen at a TCP port."""
-    found = set()
-    for table in ("tcp", "tcp6"):
-        for line in Path(f"/proc/net/{table}").read_text(encoding="ascii").splitlines()[1:]:
-            _, local, _, state, *rest = line.split()
-            if state == _LISTEN and int(local.rpartition(":")[2], 16) == port:
-                found.add(rest[5])
-    return found
 
 
 def _end(code: int, sentence: str) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 import yaml
 
-from ekf_companion.cli.terminal import ConfigOption, exit_on_error, load
+from ekf_companion.cli.terminal import ConfigOption, LinkOption, exit_on_error, load
 from ekf_companion.config.config import Config, describe_config, load_config
 from ekf_companion.config.file_name import why_not_writable
 from ekf_companion.errors import ConfigError
@@ -18,10 +18,7 @@ from ekf_companion.errors import ConfigError
 
 def run(
     config: ConfigOption = None,
-    link: Annotated[
-        str | None,
-        typer.Option("--link", "--master", help="udpin:HOST:PORT, tcp:…, serial:/dev/ttyX:BAUD."),
-    ] = None,
+    link: LinkOption = None,
     record: Annotated[
         str | None, typer.Option(help="Record every byte in and out to this .tlog.")
     ] = None,

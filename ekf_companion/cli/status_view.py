@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 Data = Mapping[str, Any]
-_UNKNOWN = "?"
 _SLOW = 0.5
 """A message at less than this share of the requested rate is marked."""
 
@@ -84,9 +83,8 @@ def _peer(peer: Data | None) -> str:
     text += f" {peer['version']}" if peer["version"] else ""
     text += ", armed" if peer["is_armed"] else ", disarmed"
     text += f", rebooted {peer['reboots']} times" if peer["reboots"] else ""
-    if not peer["is_heard"]:
-        text += f", silent for {_number(peer['silent_s'], 's', 1)}"
-    return text
+    silent = f", silent for {_number(peer['silent_s'], 's', 1)}"
+    return text if peer["is_heard"] else text + silent
 
 
 def _inertial(imu: Data) -> str:
@@ -115,9 +113,8 @@ def _estimate(data: Data) -> str:
 
 
 def _output(output: Data) -> str:
-    text = "ODOMETRY is not sent"
-    if output["is_streaming"]:
-        text = f"ODOMETRY streams at {output['rate']:.1f} Hz"
+    streams = f"streams at {output['rate']:.1f} Hz" if output["is_streaming"] else "is not sent"
+    text = f"ODOMETRY {streams}"
     losses = {"withheld": output["withheld"], "thrown away by the link": output["unsent"]}
     losses |= {"texts dropped": output["texts_dropped"]}
     return _with_losses(f"{text}, sent {_counts(output['sent']) or 'nothing'}", losses)
@@ -151,8 +148,8 @@ def _process(process: Data) -> str:
         text += f", latency {mean:.2f} ms in the mean, {_share(process)}"
     if process["recorded_bytes"]:
         text += f", {process['recorded_bytes'] / 1e6:.1f} MB recorded"
-    heat = {name: f"{celsius:.0f} degC" for name, celsius in process["temperatures"].items()}
-    text += "".join(f", {name} {celsius}" for name, celsius in heat.items())
+    heat = process["temperatures"].items()
+    text += "".join(f", {name} {celsius:.0f} degC" for name, celsius in heat)
     return _with_losses(text, {"unrecorded bytes": process["unrecorded_bytes"]})
 
 
@@ -169,11 +166,9 @@ def _rates(messages: Mapping[str, Data]) -> Table:
 
     table = _table("Message", "count", "Hz", "asked", "answer")
     for name, message in messages.items():
-        is_slow = message["rate"] < _SLOW * message["asked"]
         asked = f"{message['asked']:g}" if message["asked"] else ""
-        style = "yellow" if is_slow else None
-        rate = f"{message['rate']:.1f}"
-        answer = escape(message["cause"] or message["answer"])
+        rate, answer = f"{message['rate']:.1f}", escape(message["cause"] or message["answer"])
+        style = "yellow" if message["rate"] < _SLOW * message["asked"] else None
         table.add_row(name, str(message["count"]), rate, asked, answer, style=style)
     return table
 
@@ -191,7 +186,7 @@ def _aids(estimator: Data) -> Table:
 
 
 def _number(value: float | None, unit: str, digits: int) -> str:
-    return _UNKNOWN if value is None else f"{value:.{digits}f} {unit}".rstrip()
+    return "?" if value is None else f"{value:.{digits}f} {unit}".rstrip()
 
 
 def _counts(counts: Mapping[str, int]) -> str:

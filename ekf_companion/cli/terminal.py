@@ -27,6 +27,10 @@ ConfigOption = Annotated[
     Path | None,
     typer.Option("--config", "-c", help="YAML file; config/reference.yaml explains it."),
 ]
+LinkOption = Annotated[
+    str | None,
+    typer.Option("--link", "--master", help="udpin:HOST:PORT, tcp:…, serial:/dev/ttyX:BAUD."),
+]
 SmoothOption = Annotated[
     bool, typer.Option("--smooth", help="Smooth: each estimate uses the whole flight.")
 ]
@@ -56,11 +60,8 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(
-        console=Console(stderr=True),
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    ) as progress:
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not sys.stderr.isatty()) as progress:
         task = progress.add_task(title, total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
 
@@ -81,9 +82,7 @@ def write_json(path: Path | None, data: object) -> None:
 def check_outputs(inputs: dict[str, Path | None], outputs: dict[str, Path | None]) -> None:
     """Refuse an output that is an input or another output, or whose folder does not exist.
 
-    Args:
-        inputs: Files that are read, by what they are: ``the log``.
-        outputs: Files that are written, by option.
+    Inputs are named by what they are, as in ``the log``, outputs by their option.
 
     Raises:
         ConfigError: An output is refused.

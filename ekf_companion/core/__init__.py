@@ -1,8 +1,9 @@
-"""The estimator: what depends on probability, and the order of time. Compiled ahead of time.
+"""The estimator: an error-state Kalman filter over a window of events. Compiled ahead of time.
 
 ``state`` and ``scratch`` declare its memory; ``timeline`` keeps the order of events, ``kernel``
-takes one step; ``observe`` says what a sensor should read, ``gate`` whom to believe, ``correct``
-what follows. No I/O, no clock, no MAVLink.
+takes one step: ``propagate``, then each event by its aid (``gnss``, ``heading``, ``baro``,
+``rest``), through ``observe`` (innovation, H, R), ``gate`` and ``correct``. No I/O, no clock, no
+MAVLink.
 """
 
 from importlib.util import find_spec

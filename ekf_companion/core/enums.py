@@ -166,8 +166,8 @@ E_IRON = 21
 """Hard iron: the vehicle's own magnetic field, in b."""
 N = 24
 
-AIDS = 6
-VERDICTS = 7
+AIDS = len(Aid)
+VERDICTS = len(Verdict)
 RUNS = 3
 """Aids whose refused innovations are tested for consistency: position, height, velocity."""
 YAW_FILTERS = 8

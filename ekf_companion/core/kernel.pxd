@@ -18,4 +18,3 @@ cdef void recover(State *x, Parameters *k, State *good, double t) noexcept nogil
 cdef void start_over(State *x, double t, double reason) noexcept nogil
 cdef void inflate_after_gap(State *x, Parameters *k, double span, bint is_gap) noexcept nogil
 cdef void apply_event(State *x, Parameters *k, Scratch *w, Event *event) noexcept nogil
-cdef void fuse_baro(State *x, Parameters *k, Scratch *w, double alt) noexcept nogil

@@ -14,10 +14,10 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core import (
     align,
+    baro,
     gate,
     gnss,
     heading,
-    observe,
     propagate,
     tape,
     yaw_bank,
@@ -25,14 +25,12 @@ from cython.cimports.ekf_companion.core import (
 )
 from cython.cimports.ekf_companion.core.correct import copy_nominal
 from cython.cimports.ekf_companion.core.enums import (
-    AID_BARO,
     AID_HEADING,
     AID_HEIGHT,
     AID_POSITION,
     AID_VELOCITY,
     AIDS,
     E_ATT,
-    E_BARO,
     E_POS,
     E_VEL,
     KIND_BARO,
@@ -48,7 +46,6 @@ from cython.cimports.ekf_companion.core.enums import (
     RESET_BOUNDS,
     RESET_VELOCITY,
     RUNS,
-    VERDICT_FUSED,
     VERDICT_SUPERSEDED,
     N,
 )
@@ -73,10 +70,6 @@ SLOW_GAP = cython.declare(cython.double, 3.0)
 """Usual intervals without a sample after which there is a gap, however slow the stream."""
 FIRST_SHARE = cython.declare(cython.double, 0.3)
 """White share, at first, of the variance that a receiver states for its position."""
-GROUND_EFFECT = cython.declare(cython.double, 2.0)
-"""Noise that rotors near the ground add to the barometer, m."""
-GROUND_EFFECT_HEIGHT = cython.declare(cython.double, 3.0)
-"""Height above the last rest up to which they do, m."""
 
 
 def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: int) -> None:
@@ -358,32 +351,7 @@ def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
         else:
             gate.count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
     elif event.kind == KIND_BARO:
-        fuse_baro(x, k, w, v.baro_alt)
+        baro.fuse_baro(x, k, w, v.baro_alt)
     elif event.kind == KIND_VEHICLE:
         x.armed = v.vehicle.armed
         x.landed = v.vehicle.landed
-
-
-def fuse_baro(x: State, k: Parameters, w: Scratch, alt: float) -> None:
-    """Fuse a pressure altitude; the first one gives the offset, with the height's error."""
-    if k.use_baro == 0.0 or x.mode == MODE_LEVEL:
-        gate.count_verdict(x, AID_BARO, VERDICT_SUPERSEDED)
-        return
-    if x.has_baro != 0.0:
-        std = k.baro_std
-        if x.armed == 1.0 and x.has_ground != 0.0 and x.ground - x.pos_n[2] < GROUND_EFFECT_HEIGHT:
-            std = std + GROUND_EFFECT
-        observe.pressure_altitude(x, address(w.observation), alt, std)
-        if gate.fuse(x, k, address(w.observation), AID_BARO):
-            return
-        if not gate.is_timed_out(x, AID_BARO, k.timeout_height):
-            return
-    x.baro_offset = alt - (x.origin.alt - x.pos_n[2])
-    for j in range(N):
-        x.P[E_BARO][j] = x.P[E_POS + 2][j]
-        x.P[j][E_BARO] = x.P[E_POS + 2][j]
-    x.P[E_BARO][E_BARO] = x.P[E_POS + 2][E_POS + 2] + k.baro_std * k.baro_std
-    x.redrawn[E_BARO] += 1.0
-    x.has_baro = 1.0
-    x.used_t[AID_BARO] = x.t
-    gate.count_verdict(x, AID_BARO, VERDICT_FUSED)

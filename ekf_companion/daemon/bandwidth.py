@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from ekf_companion.config.config import Config
 from ekf_companion.engine.options import session_options
 from ekf_companion.errors import LinkError
@@ -49,9 +47,12 @@ def overloads(config: Config) -> list[str]:
         needs = {name: rate * size(name, is_signed=is_signed) for name, rate in rates.items()}
         total, limit = sum(needs.values()), SHARE * address.baud / BITS
         if total > limit:
+            largest = sorted((name for name in needs if name in _KEYS), key=lambda n: -needs[n])
+            keys = [_KEYS[name] for name in largest if needs[name] > 0.1 * total]
             words.append(
                 f"{address}: the streams {direction} need {total:.0f} bytes/s, and of this line "
-                f"they should take no more than {limit:.0f} ({SHARE:.0%}); {_remedy(needs, total)}"
+                f"they should take no more than {limit:.0f} ({SHARE:.0%}); lower "
+                f"{' or '.join(keys)}, or raise the baud rate at both ends"
             )
     return words
 
@@ -59,10 +60,3 @@ def overloads(config: Config) -> list[str]:
 def size(name: str, *, is_signed: bool) -> int:
     """Return the largest size of a message on the wire, bytes."""
     return HEADER_SIZE + by_name(name).size + (SIGNATURE_SIZE if is_signed else 0)
-
-
-def _remedy(needs: Mapping[str, float], total: float) -> str:
-    """Return which keys to lower, the largest share first."""
-    largest = sorted((name for name in needs if name in _KEYS), key=lambda name: -needs[name])
-    keys = [_KEYS[name] for name in largest if needs[name] > 0.1 * total]
-    return f"lower {' or '.join(keys)}, or raise the baud rate at both ends"

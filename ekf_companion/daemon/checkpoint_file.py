@@ -38,11 +38,8 @@ class StateFile:
     ) -> None:
         """Start the thread, which reads the state of the last run.
 
-        Args:
-            path: Name of the file.
-            loss: What it means that nothing can be written, for the log.
-            period: Least time between two files, s; the newest state is written then.
-            is_synced: Whether each file is synced, so that a loss of power leaves it whole.
+        ``loss`` is what it means that nothing can be written, for the log. Between two files there
+        are at least ``period`` s; synced, each is left whole by a loss of power.
         """
         self.path = path
         self.is_late = False
@@ -140,12 +137,7 @@ class CheckpointFile(StateFile):
     """Writes the newest checkpoint."""
 
     def __init__(self, path: Path, interval: float) -> None:
-        """Start the thread, which reads the checkpoint of the last run.
-
-        Args:
-            path: Name of the file.
-            interval: Time between two checkpoints, s.
-        """
+        """Start the thread, which reads the checkpoint of the last run; the interval is in s."""
         self._interval_ns, self._next_ns, self._resets = round(interval * 1e9), 0, 0
         super().__init__(path, "a restart would align anew")
 

@@ -103,12 +103,7 @@ class Daemon:
     """The parts of one run; heartbeat and watchdog stop if the filter does."""
 
     def __init__(self, config: Config) -> None:
-        """Start the threads, and make the rest ready.
-
-        Raises:
-            LinkError: The link's URL names no link.
-            ConfigError: No file can have one of the names, or the key is not one.
-        """
+        """Start the threads, and make the rest ready; raise what ``serve`` does."""
         for words in overloads(config):
             _log.warning("%s", words)
         self._due_ns = 0
@@ -124,9 +119,7 @@ class Daemon:
             on_state=self._on_state,
             on_sent=self._on_sent,
         )
-        self._monitors: Monitors | None = None
-        if config.output.monitors:
-            self._monitors = Monitors(config, self.link, signing)
+        self._monitors = Monitors(config, self.link, signing)
         self._recorder = open_recorder(config.record)
         found = None if self._checkpoint is None else self._checkpoint.read()
         warm_start = WarmStart(found, read_clocks(), unix_clock(), config.checkpoint.limit)
@@ -135,7 +128,7 @@ class Daemon:
             tuning = Tuning(config, parameters.read(), str(parameters.path), parameters.write)
         self._companion = Companion(config, self._recorder is not None, warm_start, signing, tuning)
         self._observer = Observer(
-            self.link, self._companion, unix_clock, self._recorded, self._unsent
+            self.link, self._companion, unix_clock, self._recorded, self._monitors.unsent
         )
         self._http = open_http_server(config.http, self._observer, asyncio.get_running_loop())
         self._systemd = Systemd()
@@ -160,7 +153,7 @@ class Daemon:
     @property
     def links(self) -> list[Link]:
         """The links to run: the autopilot's, and the monitors'."""
-        return [self.link, *([] if self._monitors is None else self._monitors.links)]
+        return [self.link, *self._monitors.links]
 
     def receive(self, received: Received) -> None:
         """Process what was read, and send what follows from it."""
@@ -213,8 +206,7 @@ class Daemon:
         self._systemd.notify("STOPPING=1")
         now_ns = unix_clock()
         self._companion.close(now_ns)
-        if self._monitors is not None:
-            self._monitors.say_goodbye()
+        self._monitors.say_goodbye()
         self._send(now_ns)
         self._write_checkpoint()
 
@@ -240,10 +232,10 @@ class Daemon:
     def _send(self, now_ns: int) -> None:
         for data, is_replaceable in self._companion.frames_to_send():
             self.link.send(data, is_replaceable=is_replaceable)
-        if self._monitors is not None:
+        if self._monitors.links:
             self._monitors.send_due(self._companion, now_ns)
         if self._recorder is not None:
-            self._recorder.write(self._companion.session.take_record())
+            self._recorder.write(self._companion.session.outbox.take_record())
         self._observer.tick(now_ns)
 
     def _on_sent(self, waited_ns: int) -> None:
@@ -255,11 +247,8 @@ class Daemon:
             return 0, 0, ""
         return recorder.recorded_bytes, recorder.unrecorded_bytes, recorder.trouble
 
-    def _unsent(self) -> dict[str, int]:
-        """Return how many datagrams reached no monitor, by its address."""
-        return {} if self._monitors is None else self._monitors.unsent
-
     def _write_checkpoint(self) -> None:
-        data = None if self._checkpoint is None else self._companion.checkpoint(read_clocks())
-        if self._checkpoint is not None and data is not None:
+        if self._checkpoint is None:
+            return
+        if (data := self._companion.checkpoint(read_clocks())) is not None:
             self._checkpoint.write(data)

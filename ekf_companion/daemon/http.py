@@ -166,11 +166,7 @@ class HttpServer:
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """Return a listening socket.
-
-    Raises:
-        OSError: There is no such host here, or the port is taken.
-    """
+    """Return a listening socket; OSError: there is no such host here, or the port is taken."""
     family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:

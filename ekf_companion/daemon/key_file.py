@@ -39,9 +39,7 @@ class SigningState:
     def __init__(self, signing: Signing, name: str) -> None:
         """Continue from the later times of the file, and of the copy for a loss of power.
 
-        Args:
-            signing: With the secret.
-            name: Name of the file; if empty, there is none, and each start begins from the clock.
+        Without a name there is no file, and each start begins from the clock.
         """
         self.signing = signing
         self._next_ns = 0
@@ -122,10 +120,9 @@ def borrow_signing(config: Config) -> Signing | None:
 
 
 def read_key(name: str) -> bytes:
-    """Return the 32 bytes of a secret.
+    """Return the 32 bytes of a secret from a file.
 
-    Args:
-        name: The file; ``$CREDENTIALS_DIRECTORY`` in it is systemd's folder of credentials.
+    ``$CREDENTIALS_DIRECTORY`` in its name is systemd's folder of credentials.
 
     Raises:
         ConfigError: It cannot be read, is not a regular file of ours, others may read it, or it
@@ -163,16 +160,12 @@ def _check(path: str, status: os.stat_result) -> None:
     if status.st_uid not in (0, os.geteuid()):
         raise _refusal(path, f"belongs to another user; chown {os.geteuid()} {path}")
     allowed = stat.S_IRUSR | stat.S_IWUSR
-    if _is_credential(path):
+    folder = os.environ.get(CREDENTIALS)
+    if folder and Path(path).resolve().parent == Path(folder).resolve():
         # Its folder is ours alone; the group's bit is the mask of an access list with our user
         allowed |= stat.S_IRGRP
     if (mode := stat.S_IMODE(status.st_mode)) & ~allowed:
         raise _refusal(path, f"has mode {mode:04o}, so that others may use it; chmod 600 {path}")
-
-
-def _is_credential(path: str) -> bool:
-    folder = os.environ.get(CREDENTIALS)
-    return bool(folder) and Path(path).resolve().parent == Path(folder or "").resolve()
 
 
 def _refusal(path: str, words: str) -> ConfigError:

@@ -67,11 +67,7 @@ class JournalHandler(logging.Handler):
     """Sends records as entries with fields; a journal that is slow or away delays nobody."""
 
     def __init__(self, path: Path | None = None) -> None:
-        """Open a socket.
-
-        Args:
-            path: The journal's socket; None: the default one.
-        """
+        """Open a socket to the journal's, by default the usual one."""
         super().__init__()
         from logging_journald import JournaldTransport
 

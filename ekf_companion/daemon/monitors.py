@@ -17,7 +17,6 @@ from ekf_companion.link.link import Link
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.encode import MONITOR
 from ekf_companion.mavlink.outbox import Message
 from ekf_companion.mavlink.signing import Signing
 
@@ -28,19 +27,15 @@ class Monitors:
     """The monitors of one configuration."""
 
     def __init__(self, config: Config, autopilot: Link, signing: Signing | None) -> None:
-        """Make ready.
+        """Make ready the ``links`` to all that ``output.monitors`` names, to be run.
 
-        Args:
-            config: Its ``output.monitors`` names them.
-            autopilot: The link to the autopilot; no monitor may be at its address.
-            signing: Signs the frames; None: nothing is signed.
+        No monitor may be at the address of the autopilot's link.
 
         Raises:
             LinkError: An address names no listener.
         """
         monitors = config.output.monitors
         self.links = [Link(parse_monitor(url, autopilot.address)) for url in monitors]
-        """To be run."""
         self._autopilot = autopilot
         self._sender = Sender(1, config.link.component_id, signing)
         self._heartbeat = Due(1.0)
@@ -49,9 +44,8 @@ class Monitors:
         self._publisher: Publisher | None = None
         self._has_complained = False
 
-    @property
     def unsent(self) -> dict[str, int]:
-        """Datagrams that found no listener, by address."""
+        """Return how many datagrams found no listener, by its address."""
         return {str(link.address): link.unsent for link in self.links}
 
     def send_due(self, companion: Companion, now_ns: int) -> None:
@@ -75,7 +69,9 @@ class Monitors:
         """Return the publisher of the companion's present pipeline, at the present rates."""
         pipeline, config = companion.pipeline, companion.tuning.config
         if self._publisher is None or pipeline is not self._pipeline:
-            self._publisher = Publisher(config, Family.UNKNOWN, MONITOR)
+            # The true frame and type
+            label = encode.label(Family.UNKNOWN, "LOCAL_NED", "GPS_INS")
+            self._publisher = Publisher(config, Family.UNKNOWN, label)
         elif config is not self._config:
             self._publisher.set_rates(config)
         self._pipeline, self._config = pipeline, config

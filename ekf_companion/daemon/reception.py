@@ -12,7 +12,8 @@ from typing import Any
 
 from ekf_companion.config.config import Config
 from ekf_companion.daemon.clock import unix_clock
-from ekf_companion.link.link import Link, Received, open_link
+from ekf_companion.link.address import parse_url
+from ekf_companion.link.link import Link, Received
 from ekf_companion.link.peers import Peers
 from ekf_companion.mavlink.session import Session
 
@@ -27,18 +28,14 @@ def open_reception(
 ) -> Link:
     """Return the link of a configuration; pass what it reads to :func:`deliver`.
 
-    Args:
-        config: Its ``link`` is opened.
-        is_signed: Whether there is a secret by which frames are verified.
-        on_read: Called with what is read, at once.
-        on_state: Called with True when the link has opened and with False when it is closed.
-        on_sent: Called when an ODOMETRY has been written, with the time for which it waited, ns.
+    ``is_signed`` is whether there is a secret by which frames are verified; the callbacks are those
+    of :class:`Link`.
 
     Raises:
         LinkError: The URL names no link, or the peer is not an address.
     """
-    return open_link(
-        config.link.url,
+    return Link(
+        parse_url(config.link.url),
         peer=config.link.peer,
         clock=unix_clock,
         peers=Peers(is_signed=is_signed and not config.signing.accept_unsigned),
@@ -51,13 +48,10 @@ def open_reception(
 def deliver(
     received: Received, receive: Callable[[bytes, int, Any], object], session: Session, link: Link
 ) -> None:
-    """Pass on what was read, and pin or answer its sender by what the session makes of it.
+    """Pass on what was read, and pin or answer its sender by what the link's session makes of it.
 
-    Args:
-        received: Bytes, when they were read, and their sender.
-        receive: Called with the three, to pass them to the session.
-        session: The session of the link.
-        link: The link that they were read from.
+    ``receive`` is called with the bytes, when they were read, and their sender, to pass them to the
+    session.
     """
     data, now_ns, sender = received
     heard, believed = session.heard, session.believed

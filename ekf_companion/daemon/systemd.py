@@ -10,7 +10,6 @@ from collections.abc import Callable
 
 _log = logging.getLogger(__name__)
 
-
 REPORT_NS = 1_000_000_000
 """Between two status lines."""
 

@@ -64,11 +64,7 @@ class Recorder:
     """Records what goes in and out; a disk that is away, slow or full delays nobody."""
 
     def __init__(self, config: RecordConfig, path: str) -> None:
-        """Start the threads; the first opens a file.
-
-        Raises:
-            ConfigError: No file can have that name.
-        """
+        """Start the threads; the first opens a file."""
         self._folder = TlogFolder(path)
         self._total_size = round(config.total_size * MB)
         self._file_size = min(round(config.file_size * MB), self._total_size // 2)

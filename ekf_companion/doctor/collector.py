@@ -7,7 +7,7 @@ from collections.abc import Hashable
 from typing import Any
 
 from ekf_companion.config.config import Config
-from ekf_companion.doctor.counters import MessageCounter, StampCounter
+from ekf_companion.doctor.counters import MessageCounter, Stamps
 from ekf_companion.doctor.evidence import Evidence, Means, Opening, Sent
 from ekf_companion.doctor.parameters import ParameterReader
 from ekf_companion.doctor.rate_override import RateOverride
@@ -28,7 +28,6 @@ from ekf_companion.status.collect import (
     output_state,
     peer_state,
     time_state,
-    with_prefix,
 )
 from ekf_companion.status.snapshot import LinkState, MessageState
 
@@ -66,7 +65,7 @@ class EvidenceCollector:
         self._traffic = Traffic()
         self._reports = AutopilotReports()
         self._counters: defaultdict[str, MessageCounter] = defaultdict(MessageCounter)
-        self._stamps: dict[str, StampCounter] = {}
+        self._stamps: dict[str, Stamps] = {}
         self._override = RateOverride()
         self._odometry = MessageCounter()
         self._odometry_frames: set[tuple[int, int]] = set()
@@ -76,11 +75,6 @@ class EvidenceCollector:
         self._asked_parameters: set[str] = set()
         self._bytes = self._last_ns = 0
         self._first_ns: int | None = None
-
-    @property
-    def peer(self) -> tuple[int, int] | None:
-        """System and component id of the autopilot; None: not heard or lost."""
-        return self.companion.session.peer
 
     @property
     def _family(self) -> Family:
@@ -101,7 +95,7 @@ class EvidenceCollector:
         self._last_ns = now_ns
         self._bytes += len(data)
         self.companion.receive(data, now_ns, sender)
-        self._last_peer = self.peer or self._last_peer
+        self._last_peer = self.companion.session.peer or self._last_peer
         for frame in self._frames:
             self._traffic.add(frame)
             if frame.message_id != JUNK:
@@ -114,7 +108,7 @@ class EvidenceCollector:
     def tick(self, now_ns: int) -> None:
         """Run what is periodic, and ask for the parameters that the guard does not read."""
         self.companion.tick(now_ns)
-        peer, session = self.peer, self.companion.session
+        peer, session = self.companion.session.peer, self.companion.session
         if peer is None or self._means is not Means.LIVE:
             return
         self.parameters.begin(self._family, is_deciding=not session.guard.is_reading)
@@ -135,10 +129,10 @@ class EvidenceCollector:
 
     def _receive(self, frame: Frame, now_ns: int) -> None:
         sender, link = (frame.system_id, frame.component_id), self._config.link
-        ours = link.system_id or (self.peer or (1, 0))[0], link.component_id
+        ours = link.system_id or (self.companion.session.peer or (1, 0))[0], link.component_id
         if self._means is not Means.LIVE and sender == ours:
             self._count_ours(frame, now_ns)
-        if sender != self.peer:
+        if sender != self.companion.session.peer:
             return
         name = LAYOUTS[frame.message_id].name
         self._counters[name].add(now_ns)
@@ -147,7 +141,7 @@ class EvidenceCollector:
         if name in _STAMPS:
             size, unit = _STAMPS[name]
             stamp = int.from_bytes(frame.payload[:size], "little")
-            self._stamps.setdefault(name, StampCounter(name)).add(stamp * unit)
+            self._stamps.setdefault(name, Stamps(message=name)).add(stamp * unit)
         elif name == "PARAM_VALUE":
             m = unpack(frame)
             if (value := value_of(m, frame, self._family)) is not None:
@@ -156,19 +150,15 @@ class EvidenceCollector:
             m = unpack(frame)
             if m.error == DOES_NOT_EXIST:
                 self.parameters.receive(_name(m), None, self._family)
-        elif name == "COMMAND_ACK":
+        elif name == "COMMAND_ACK" and self._requested:
             m = unpack(frame)
             if m.command == encode.SET_MESSAGE_INTERVAL and m.result != _IN_PROGRESS:
-                self._receive_answer(m.result)
-
-    def _receive_answer(self, result: int) -> None:
-        """Note the answer to the request that is under way: there is one at a time."""
-        if self._requested:
-            counter, self._requested = self._counters[self._requested], ""
-            counter.receive_answer(
-                _RESULTS[result] if result < len(_RESULTS) else f"result {result}"
-            )
-            self._override.restart()
+                # To the request that is under way: there is one at a time
+                known = m.result < len(_RESULTS)
+                answer = _RESULTS[m.result] if known else f"result {m.result}"
+                self._counters[self._requested].receive_answer(answer)
+                self._requested = ""
+                self._override.restart()
 
     def _count_ours(self, frame: Frame, now_ns: int) -> None:
         """Count a frame of ours: live as it is sent, in a recording as it stands there."""
@@ -202,7 +192,7 @@ class EvidenceCollector:
     ) -> Evidence:
         """Return everything at one moment."""
         companion, session, traffic = self.companion, self.companion.session, self._traffic
-        counters, peer = session.counters(), self._last_peer
+        peer = self._last_peer
         span = max(self._last_ns - (self._first_ns or 0), 1) * 1e-9
         return Evidence(
             means=self._means,
@@ -212,11 +202,11 @@ class EvidenceCollector:
             link=link,
             bytes_in=self._bytes,
             sample=traffic.sample,
-            frames=frame_state(counters),
+            frames=frame_state(session),
             damaged=damaged,
             first_version=traffic.first_version,
             mismatched=dict(traffic.mismatched),
-            sources=traffic.sources(),
+            sources=tuple(traffic.sources.values()),
             peer=peer and peer_state(companion, peer, now_ns),
             is_clash=session.clash.is_clash,
             messages=self._messages(now_ns),
@@ -224,9 +214,9 @@ class EvidenceCollector:
             overridden=self._override.rate,
             bytes_rate=self._bytes / span,
             stream_requests=traffic.stream_requests,
-            refused=with_prefix(counters, "refused: "),
-            time=time_state(session.timesync, session.decoder, now_ns),
-            stamps=self._stamps_in_use().state(),
+            refused=session.refused,
+            time=time_state(session, now_ns),
+            stamps=self._stamps_in_use(),
             receiver=self._reports.receiver,
             estimator=None if companion.pipeline is None else companion.pipeline.health(),
             output=output_state(session, self._odometry.count, self._odometry.rate()),
@@ -238,7 +228,7 @@ class EvidenceCollector:
                 rate=self._odometry.rate(),
                 frames=frozenset(self._odometry_frames),
             ),
-            feedback=self._reports.feedback(),
+            feedback=self._reports.feedback,
         )
 
     def _messages(self, now_ns: int) -> dict[str, MessageState]:
@@ -254,11 +244,11 @@ class EvidenceCollector:
             for name, counter in self._counters.items()
         }
 
-    def _stamps_in_use(self) -> StampCounter:
+    def _stamps_in_use(self) -> Stamps:
         source = self.companion.session.decoder.imu_source
         if source not in self._stamps and self._stamps:
             source = max(self._stamps, key=lambda name: self._counters[name].count)
-        return self._stamps.get(source, StampCounter(""))
+        return self._stamps.get(source, Stamps())
 
     def _decision(self) -> Decision:
         """Return the guard's decision, or the same one from the parameters that were read."""

@@ -31,14 +31,25 @@ def time(evidence: Evidence) -> StageResult:
     return judged(Stage.TIME, saw, [*_clocks(evidence), *_stamps(evidence), *_timesync(evidence)])
 
 
-def _clocks(evidence: Evidence) -> Iterator[Problem | None]:
+def _clocks(evidence: Evidence) -> Iterator[Problem]:
     stamps = evidence.stamps
     if stamps.zero > 0.5 * max(stamps.count, 1):
         yield failed(
             f"{stamps.message} holds no time: {stamps.zero} of {stamps.count} stamps are 0.",
             "Update the autopilot's firmware; until then use another inertial message.",
         )
-    yield _unrelated(evidence)
+    lost = evidence.refused.get("GPS_RAW_INT: time base unknown", 0)
+    if lost > max(5, evidence.receiver.messages // 2):
+        state = evidence.messages.get("SYSTEM_TIME")
+        has_time = state is not None and state.count > 0
+        yield failed(
+            f"GPS_RAW_INT counts time from another start than {stamps.message}, and "
+            + ("SYSTEM_TIME does not know the date yet." if has_time else "no SYSTEM_TIME comes."),
+            "Wait until the receiver knows the date."
+            if has_time
+            else "Stream SYSTEM_TIME, which relates both clocks: PX4 MAV_n_MODE = 2 (Onboard); "
+            "ArduPilot SRn_EXTRA3 = 2.",
+        )
     if evidence.refused.get("GPS_RAW_INT: stamp far from the inertial samples", 0) > 2:
         yield failed(
             f"GPS_RAW_INT is stamped more than 30 s away from {stamps.message}.",
@@ -49,22 +60,6 @@ def _clocks(evidence: Evidence) -> Iterator[Problem | None]:
             f"The autopilot's clock began anew: it rebooted (restarts: {evidence.peer.reboots}).",
             "Look at its power.",
         )
-
-
-def _unrelated(evidence: Evidence) -> Problem | None:
-    lost = evidence.refused.get("GPS_RAW_INT: time base unknown", 0)
-    if lost <= max(5, evidence.receiver.messages // 2):
-        return None
-    state = evidence.messages.get("SYSTEM_TIME")
-    has_time = state is not None and state.count > 0
-    return failed(
-        f"GPS_RAW_INT counts time from another start than {evidence.stamps.message}, and "
-        + ("SYSTEM_TIME does not know the date yet." if has_time else "no SYSTEM_TIME comes."),
-        "Wait until the receiver knows the date."
-        if has_time
-        else "Stream SYSTEM_TIME, which relates both clocks: PX4 MAV_n_MODE = 2 (Onboard); "
-        "ArduPilot SRn_EXTRA3 = 2.",
-    )
 
 
 def _stamps(evidence: Evidence) -> Iterator[Problem]:
@@ -115,7 +110,6 @@ def _timesync(evidence: Evidence) -> Iterator[Problem]:
 
 def values(evidence: Evidence) -> StageResult:
     """Judge whether the values in the messages are plausible."""
-    refused = evidence.refused
     receiver = evidence.receiver
     saw = "all can be meant"
     if receiver.messages:
@@ -124,7 +118,7 @@ def values(evidence: Evidence) -> StageResult:
         saw = f"GNSS: {fix}{satellites}"
     strange = {
         why: count
-        for why, count in refused.items()
+        for why, count in evidence.refused.items()
         if why not in ("IMU: a better source speaks", "GPS_RAW_INT: first after none")
         and "time base unknown" not in why
         and not why.endswith(MISADDRESSED)
@@ -186,13 +180,12 @@ def _magnetic(evidence: Evidence) -> Iterator[Problem]:
         )
 
 
-def _gnss(evidence: Evidence) -> Iterator[Problem | None]:
+def _gnss(evidence: Evidence) -> Iterator[Problem]:
     refused, receiver = evidence.refused, evidence.receiver
     count = max(receiver.messages, 1)
     none = refused.get("GPS_RAW_INT: no 3-D fix", 0) + refused.get("GPS_RAW_INT: no position", 0)
     satellites = f" ({receiver.satellites} satellites)" if receiver.satellites < 255 else ""
-    is_without = receiver.messages > 0 and receiver.fix_type < 3
-    if is_without:
+    if receiver.messages > 0 and receiver.fix_type < 3:
         yield failed(
             f"The receiver has no 3-D fix{satellites}.",
             "Give its antenna a free view of the sky, away from cables and cameras; after a cold "
@@ -203,7 +196,16 @@ def _gnss(evidence: Evidence) -> Iterator[Problem | None]:
             f"{none} of {receiver.messages} GPS_RAW_INT had no 3-D fix.",
             "If that was in flight: look at the antenna and at what disturbs it.",
         )
-    yield _still(evidence)
+    # Of a receiver that repeats one fix, now or for a while
+    is_still = receiver.still_s > _STILL
+    seconds = receiver.still_s if is_still else receiver.longest_still_s
+    if seconds > _STILL:
+        severity, when = (failed, "now") if is_still else (warning, "at the longest")
+        yield severity(
+            f"The same fix comes again and again, {when} for {seconds:.0f} s: the receiver, or the "
+            "autopilot's reading of it, stands still.",
+            "Look at the receiver's wire; ArduPilot repeats the last fix when the receiver is out.",
+        )
     if receiver.without_time > _MANY * count and receiver.fix_type >= 3:
         yield warning(
             f"{receiver.without_time} GPS_RAW_INT hold no time; the newest inertial stamp stands "
@@ -217,18 +219,3 @@ def _gnss(evidence: Evidence) -> Iterator[Problem | None]:
             "Let the autopilot read the receiver in a protocol that has it (u-blox UBX), and let "
             "no router turn MAVLink 2 into 1.",
         )
-
-
-def _still(evidence: Evidence) -> Problem | None:
-    """Return a problem if the receiver repeats one fix, now or for a while."""
-    receiver = evidence.receiver
-    is_still = receiver.still_s > _STILL
-    seconds = receiver.still_s if is_still else receiver.longest_still_s
-    if seconds <= _STILL:
-        return None
-    severity, when = (failed, "now") if is_still else (warning, "at the longest")
-    return severity(
-        f"The same fix comes again and again, {when} for {seconds:.0f} s: the receiver, or the "
-        "autopilot's reading of it, stands still.",
-        "Look at the receiver's wire; ArduPilot repeats the last fix when the receiver is out.",
-    )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from ekf_companion.doctor.evidence import Stamps
+from dataclasses import dataclass
+
 from ekf_companion.mavlink.request import ACCEPTED
 from ekf_companion.mavlink.stamp import SECOND_NS
 
@@ -61,44 +62,41 @@ class MessageCounter:
         return self._intervals / (self._active_ns * 1e-9) if self._active_ns else 0.0
 
 
-class StampCounter:
-    """Counts what is wrong with the time stamps of one message."""
+@dataclass(slots=True, kw_only=True)
+class Stamps:
+    """Counts what is wrong with the time stamps of one inertial message."""
 
-    def __init__(self, message: str) -> None:
-        self.message = message
-        self._count = self._repeated = self._backward = self._gaps = self._zero = 0
-        self._is_whole_ms = True
-        self._last_us: int | None = None
-        self._usual_us = 0.0
+    message: str = ""
+    """Empty if none has come."""
+    count: int = 0
+    repeated: int = 0
+    backward: int = 0
+    gaps: int = 0
+    """Steps more than ten times the usual one."""
+    zero: int = 0
+    is_whole_ms: bool = False
+    """Whether all of several are whole milliseconds."""
+    _is_whole: bool = True
+    _last_us: int | None = None
+    _usual_us: float = 0.0
 
     def add(self, t_us: int) -> None:
         """Count the next stamp, in the order of arrival."""
-        self._count += 1
+        self.count += 1
+        self._is_whole &= t_us % 1000 == 0
+        self.is_whole_ms = self._is_whole and self.count > 1
         if t_us == 0:
-            self._zero += 1
+            self.zero += 1
             return
-        self._is_whole_ms = self._is_whole_ms and t_us % 1000 == 0
         last, self._last_us = self._last_us, t_us
         if last is None:
             return
         step = t_us - last
         if step == 0:
-            self._repeated += 1
+            self.repeated += 1
         elif step < 0:
-            self._backward += 1
+            self.backward += 1
         elif self._usual_us and step > 10.0 * self._usual_us:
-            self._gaps += 1
+            self.gaps += 1
         else:
             self._usual_us += 0.05 * (step - self._usual_us) if self._usual_us else step
-
-    def state(self) -> Stamps:
-        """Return the counts."""
-        return Stamps(
-            message=self.message,
-            count=self._count,
-            repeated=self._repeated,
-            backward=self._backward,
-            gaps=self._gaps,
-            zero=self._zero,
-            is_whole_ms=self._is_whole_ms and self._count > 1,
-        )

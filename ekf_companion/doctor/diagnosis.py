@@ -31,12 +31,8 @@ def diagnose(evidence: Evidence) -> list[StageResult]:
     results: list[StageResult] = []
     is_hidden = False
     for stage, judge in _JUDGES.items():
-        if is_hidden:
-            results.append(unknown(stage, "not reached"))
-            continue
-        result = judge(evidence)
-        results.append(result)
-        is_hidden = stage in _GATES and result.outcome is Outcome.FAILED
+        results.append(unknown(stage, "not reached") if is_hidden else judge(evidence))
+        is_hidden |= stage in _GATES and results[-1].outcome is Outcome.FAILED
     return results
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 from ekf_companion.doctor.evidence import Evidence
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
@@ -12,13 +13,31 @@ from ekf_companion.nav.state import Status
 _MANY = 0.05
 """Share of refused measurements that is more than chance."""
 _NIS = 3.0
+_GNSS = (
+    "Raise gnss.{}_std, check gnss.lever_arm, and measure gnss.delay with "
+    "`ekf-companion calibrate delay LOG`."
+)
+_COMPASS = (
+    "Calibrate the magnetometer (`ekf-companion calibrate mag LOG`), look at the autopilot's "
+    "compass orientation, or raise heading.magnetometer_std."
+)
+_FOAM = "Raise baro.std, cover the barometer with foam, or baro.use = false."
 _AIDS = {
-    Aid.POSITION: "position",
-    Aid.HEIGHT: "height",
-    Aid.VELOCITY: "velocity",
-    Aid.HEADING: "heading",
-    Aid.BARO: "pressure height",
+    Aid.POSITION: ("position", _GNSS.format("position")),
+    Aid.HEIGHT: ("height", "Raise gnss.height_std."),
+    Aid.VELOCITY: ("velocity", _GNSS.format("velocity")),
+    Aid.HEADING: ("heading", _COMPASS),
+    Aid.BARO: ("pressure height", _FOAM),
 }
+"""Names of the aids, and what helps if they are refused."""
+_RESETS = {
+    "inertial gap": "Look at the stage `rates`: samples are missing for longer than gap_reset; on "
+    "a slow radio raise imu.gap and imu.gap_reset.",
+    "heading against the motion": "The compass points elsewhere than the vehicle flies: calibrate "
+    "it, look at its orientation (CAL_MAG0_ROT, COMPASS_ORIENT).",
+    "clock": "Look at the stage `time`: the autopilot's clock jumped.",
+}
+"""What helps after a reset, by its reason."""
 
 
 def estimate(evidence: Evidence) -> StageResult:
@@ -26,47 +45,50 @@ def estimate(evidence: Evidence) -> StageResult:
     health = evidence.estimator
     if health is None:
         return unknown(Stage.ESTIMATE, "nothing to estimate from")
-    name = health.status.name.lower().replace("_", " ")
-    saw = name
+    saw = health.status.name.lower().replace("_", " ")
     if math.isfinite(health.std_horizontal):
         saw += f", position to {health.std_horizontal:.1f} m"
+    problems = [_status(health), *_aids(health)]
     if health.resets:
         saw += f", {health.resets} resets (the last: {health.reset_reason})"
+        jump = warning(
+            f"The estimate jumped on purpose {health.resets} times; the last: "
+            f"{health.reset_reason}.",
+            _RESETS.get(health.reset_reason, "Look at the aids that were refused before it."),
+        )
+        problems.append(jump)
     if health.gaps:
         saw += f", {health.gaps} gaps"
-    return judged(Stage.ESTIMATE, saw, [_status(evidence, health), *_aids(health), _resets(health)])
+    return judged(Stage.ESTIMATE, saw, problems)
 
 
-def _status(evidence: Evidence, health: Health) -> Problem | None:
+def _status(health: Health) -> Problem | None:
     if health.status is Status.OK:
         return None
     if health.status is Status.DEGRADED:
         absent = [
-            label for aid, label in _AIDS.items() if aid is not Aid.BARO and not _fused(health, aid)
+            label
+            for aid, (label, _) in _AIDS.items()
+            if aid is not Aid.BARO and not _fused(health, aid)
         ]
-        what = (
-            f" without {' and '.join(absent)}" if absent else ", but one aid is silent or refused"
-        )
-        return warning(
-            f"The estimate goes on{what}.", "Mend the warnings of the stages above first."
-        )
+        without = " and ".join(absent)
+        what = f" without {without}" if absent else ", but one aid is silent or refused"
+        remedy = "Mend the warnings of the stages above first."
+        return warning(f"The estimate goes on{what}.", remedy)
     if health.status in (Status.DEAD_RECKONING, Status.INVALID):
         return failed(
             "No fix is taken any more: the position drifts.",
             "Look at the receiver; the stage `values` says what came last.",
         )
-    fixes = sum(health.verdicts[Aid.POSITION].values())
     if not health.samples:
         return failed("No inertial sample has come through.", "Mend the first failing stage above.")
-    if not fixes:
+    if not any(health.verdicts[Aid.POSITION].values()):
         return failed(
             "Roll and pitch are found; no position is, for no fix has come.",
             "Give the receiver a free view of the sky; a second of rest and two fixes are enough.",
         )
-    if (
-        health.status is Status.ATTITUDE
-        or health.verdicts[Aid.HEADING][Verdict.BEFORE_ALIGNMENT] == 0
-    ):
+    has_heading = health.verdicts[Aid.HEADING][Verdict.BEFORE_ALIGNMENT] > 0
+    if health.status is Status.ATTITUDE or not has_heading:
         return failed(
             "North is not found: no heading has come.",
             "Stream ATTITUDE (SRn_EXTRA1 = 10), calibrate the magnetometer, or fly: in motion "
@@ -82,45 +104,12 @@ def _fused(health: Health, aid: Aid) -> int:
     return health.verdicts[aid][Verdict.FUSED] + health.verdicts[aid][Verdict.DEWEIGHTED]
 
 
-def _aids(health: Health) -> list[Problem | None]:
-    problems: list[Problem | None] = []
-    for aid, label in _AIDS.items():
+def _aids(health: Health) -> Iterator[Problem]:
+    for aid, (label, cure) in _AIDS.items():
         gated, fused = health.verdicts[aid][Verdict.GATED], _fused(health, aid)
         share, nis = gated / max(gated + fused, 1), health.nis[aid]
         if gated > 5 and share > _MANY:
-            cause = f"{share:.0%} of the {label} measurements contradict the estimate."
+            yield warning(f"{share:.0%} of the {label} measurements contradict the estimate.", cure)
         elif math.isfinite(nis) and nis > _NIS and fused > 20:
-            cause = f"The {label} scatters {math.sqrt(nis):.1f} times as much as it claims."
-        else:
-            continue
-        problems.append(warning(cause, _CURES[aid]))
-    return problems
-
-
-_CURES = {
-    Aid.POSITION: "Raise gnss.position_std, check gnss.lever_arm, and measure gnss.delay with "
-    "`ekf-companion calibrate delay LOG`.",
-    Aid.HEIGHT: "Raise gnss.height_std.",
-    Aid.VELOCITY: "Raise gnss.velocity_std, check gnss.lever_arm, and measure gnss.delay with "
-    "`ekf-companion calibrate delay LOG`.",
-    Aid.HEADING: "Calibrate the magnetometer (`ekf-companion calibrate mag LOG`), look at the "
-    "autopilot's compass orientation, or raise heading.magnetometer_std.",
-    Aid.BARO: "Raise baro.std, cover the barometer with foam, or baro.use = false.",
-}
-
-
-def _resets(health: Health) -> Problem | None:
-    if not health.resets:
-        return None
-    cures = {
-        "inertial gap": "Look at the stage `rates`: samples are missing for longer than "
-        "gap_reset; on a slow radio raise imu.gap and imu.gap_reset.",
-        "heading against the motion": "The compass points elsewhere than the vehicle flies: "
-        "calibrate it, look at its orientation (CAL_MAG0_ROT, COMPASS_ORIENT).",
-        "clock": "Look at the stage `time`: the autopilot's clock jumped.",
-    }
-    remedy = cures.get(health.reset_reason, "Look at the aids that were refused before it.")
-    cause = (
-        f"The estimate jumped on purpose {health.resets} times; the last: {health.reset_reason}."
-    )
-    return warning(cause, remedy)
+            scatter = f"The {label} scatters {math.sqrt(nis):.1f} times as much as it claims."
+            yield warning(scatter, cure)

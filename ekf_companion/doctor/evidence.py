@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 
 from ekf_companion.config.config import Config
+from ekf_companion.doctor.counters import Stamps
 from ekf_companion.engine.health import Health
 from ekf_companion.mavlink.decision import Decision
 from ekf_companion.mavlink.discovery import is_autopilot
@@ -68,13 +69,13 @@ class Opening:
     """The process that holds it; None if there is none that we may see."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class Source:
     """One sender on the link."""
 
     system_id: int
     component_id: int
-    frames: int
+    frames: int = 0
     heartbeats: int = 0
     autopilot: int = 8
     """MAV_AUTOPILOT of its heartbeat; 8: not an autopilot."""
@@ -87,21 +88,6 @@ class Source:
     def is_autopilot(self) -> bool:
         """Whether its heartbeat is that of an autopilot."""
         return self.heartbeats > 0 and is_autopilot(self.autopilot, self.type)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stamps:
-    """The time stamps of the inertial message in use."""
-
-    message: str = ""
-    """Empty if none has come."""
-    count: int = 0
-    repeated: int = 0
-    backward: int = 0
-    gaps: int = 0
-    """Steps more than ten times the usual one."""
-    zero: int = 0
-    is_whole_ms: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,8 +114,8 @@ class Feedback:
 
     texts: tuple[str, ...] = ()
     """STATUSTEXT of the severity critical or worse, or about ODOMETRY; the last ones."""
-    flags: int | None = None
-    """Of ESTIMATOR_STATUS or EKF_STATUS_REPORT; None if none has come."""
+    flags: int = 0
+    """Of ESTIMATOR_STATUS or EKF_STATUS_REPORT; 0 if none has come."""
     worst_ratio: float = math.nan
     """Largest innovation test ratio in ESTIMATOR_STATUS, or variance in EKF_STATUS_REPORT."""
 
@@ -145,83 +131,57 @@ class Sent:
     """Its pairs of ``frame_id`` and ``child_frame_id``."""
 
 
-_NO_FRAMES = FrameState(
-    frames=0,
-    bad_crc=0,
-    unknown_id=0,
-    incompatible=0,
-    junk_bytes=0,
-    lost=0,
-    late=0,
-    signed=0,
-    refused={},
-)
-_NO_TIME = TimeState(
-    base="unknown",
-    is_locked=False,
-    offset_s=math.nan,
-    skew_ppm=0.0,
-    rtt_p50_ms=math.nan,
-    rtt_p95_ms=math.nan,
-    answers=0,
-    refused={},
-)
-_NO_OUTPUT = OutputState(
-    mode="auto", is_streaming=False, reason="", remedy="", parameters={}, sent={}, withheld=0
-)
-_NOT_ASKED = Decision(is_streaming=False, reason="", parameters={}, is_settled=False)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """Everything, at one moment; the defaults are those of a link without problems."""
+    """Everything, at one moment."""
 
-    means: Means = Means.LIVE
-    seconds: float = 0.0
+    means: Means
+    seconds: float
     """Duration of the examination."""
-    config: Config = field(default_factory=Config)
-    opening: Opening | None = None
+    config: Config
+    opening: Opening | None
     """None for a recording."""
-    link: LinkState | None = None
-    bytes_in: int = 0
-    sample: bytes = b""
+    link: LinkState | None
+    bytes_in: int
+    sample: bytes
     """The first bytes that were not a frame."""
-    frames: FrameState = _NO_FRAMES
-    damaged: int = 0
+    frames: FrameState
+    damaged: int
     """Runs of bytes in a recording that are not a record."""
-    first_version: int = 0
+    first_version: int
     """Frames of MAVLink 1."""
-    mismatched: Mapping[str, int] = field(default_factory=dict)
+    mismatched: Mapping[str, int]
     """Whole frames whose checksum does not fit our definition of the message, by message."""
-    sources: tuple[Source, ...] = ()
-    peer: PeerState | None = None
+    sources: tuple[Source, ...]
+    peer: PeerState | None
     """The autopilot in use."""
-    is_clash: bool = False
+    is_clash: bool
     """Whether somebody else sends with our ids."""
-    messages: Mapping[str, MessageState] = field(default_factory=dict)
+    messages: Mapping[str, MessageState]
     """The autopilot's messages by name; the rate asked is the highest that was."""
-    granted: Mapping[str, float] = field(default_factory=dict)
+    granted: Mapping[str, float]
     """Rates that it granted us, Hz, which after a refusal are lower than was asked."""
-    overridden: float = 0.0
+    overridden: float
     """Common rate of streams that had been granted other rates, Hz; 0 if there is none."""
-    bytes_rate: float = 0.0
+    bytes_rate: float
     """Of all frames that came, bytes/s."""
-    stream_requests: int = 0
+    stream_requests: int
     """REQUEST_DATA_STREAM from others, by which a ground station sets rates."""
-    refused: Mapping[str, int] = field(default_factory=dict)
+    refused: Mapping[str, int]
     """Implausible values in the autopilot's messages, ``message: why``."""
-    time: TimeState = _NO_TIME
-    stamps: Stamps = Stamps()
-    receiver: Receiver = Receiver()
-    estimator: Health | None = None
-    output: OutputState = _NO_OUTPUT
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    time: TimeState
+    stamps: Stamps
+    """Of the inertial message in use."""
+    receiver: Receiver
+    estimator: Health | None
+    output: OutputState
+    parameters: Mapping[str, float]
     """The autopilot's, as far as they are known."""
-    asked_parameters: frozenset[str] = frozenset()
-    decision: Decision = _NOT_ASKED
+    asked_parameters: frozenset[str]
+    decision: Decision
     """The guard's decision, or what it would be from these parameters alone."""
-    sent: Sent = Sent()
-    feedback: Feedback = Feedback()
+    sent: Sent
+    feedback: Feedback
 
     @property
     def family(self) -> str:

@@ -17,9 +17,9 @@ from ekf_companion.daemon.reception import deliver, open_reception
 from ekf_companion.doctor import holder
 from ekf_companion.doctor.collector import EvidenceCollector
 from ekf_companion.doctor.diagnosis import diagnose
-from ekf_companion.doctor.evidence import Evidence, Holder, Means, Opening
+from ekf_companion.doctor.evidence import Evidence, Means, Opening
 from ekf_companion.doctor.stage import Outcome
-from ekf_companion.link.address import Address, Kind
+from ekf_companion.link.address import Kind
 from ekf_companion.link.link import Link, Received
 from ekf_companion.logs import tlog
 from ekf_companion.status.collect import link_state
@@ -41,11 +41,8 @@ def examine_link(
 ) -> Evidence:
     """Examine the link of a configuration, sending what the daemon would send, or nothing.
 
-    Args:
-        config: Its ``link`` is examined.
-        seconds: Longest examination; it ends sooner if all stages are ok, or nothing opens.
-        listen: Whether to send nothing at all.
-        progress: Called with the milliseconds that are over, and with all of them.
+    It ends before the time, s, is over if all stages are ok, or nothing opens. The progress is
+    called with the milliseconds that are over, and with all of them.
 
     Raises:
         LinkError: The URL names no link.
@@ -61,13 +58,23 @@ async def _examine(
     signing = borrow_signing(config)
     collector = EvidenceCollector(config, means, signing)
 
+    def answer(now_ns: int) -> None:
+        collector.tick(now_ns)
+        for frame in collector.data_to_send(now_ns):
+            link.send(frame)
+
     def receive(received: Received) -> None:
         deliver(received, collector.receive, collector.companion.session, link)
-        _answer(link, collector, received.now_ns)
+        answer(received.now_ns)
+
+    async def answer_periodically() -> None:
+        while True:
+            answer(unix_clock())
+            await asyncio.sleep(_TICK)
 
     link = open_reception(config, is_signed=signing is not None, on_read=receive)
     pump = asyncio.create_task(link.run())
-    work = asyncio.create_task(_answer_periodically(link, collector))
+    work = asyncio.create_task(answer_periodically())
     begin = time.monotonic()
     well_since: float | None = None
     try:
@@ -96,19 +103,6 @@ async def _examine(
             await pump
 
 
-async def _answer_periodically(link: Link, collector: EvidenceCollector) -> None:
-    """Send what is due, at least ten times a second."""
-    while True:
-        _answer(link, collector, unix_clock())
-        await asyncio.sleep(_TICK)
-
-
-def _answer(link: Link, collector: EvidenceCollector, now_ns: int) -> None:
-    collector.tick(now_ns)
-    for frame in collector.data_to_send(now_ns):
-        link.send(frame)
-
-
 def _opening(link: Link) -> Opening:
     address, failure = link.address, link.failure
     opening = Opening(
@@ -118,23 +112,15 @@ def _opening(link: Link) -> Opening:
         return opening
     if failure is None:
         # A server that waits for its client
-        return replace(opening, failure="nobody has connected", number=None)
+        return replace(opening, failure="nobody has connected")
     return replace(
         opening,
         failure=os.strerror(failure.errno) if failure.errno else str(failure),
         number=failure.errno,
         group=holder.group_of(address.device) if address.device else "",
         present=holder.present_devices(),
-        holder=_holder(address),
+        holder=holder.holder_of(address),
     )
-
-
-def _holder(address: Address) -> Holder | None:
-    if address.kind is Kind.SERIAL:
-        return holder.of_device(address.device)
-    if address.kind in (Kind.UDP_IN, Kind.TCP_IN):
-        return holder.of_port(address.kind.value[:3], address.port)
-    return None
 
 
 def examine_log(path: Path, config: Config, progress: Progress | None = None) -> Evidence:

@@ -5,7 +5,7 @@ Sources: PX4's and ArduPilot's documentation of external position estimates.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator
 
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
@@ -21,10 +21,8 @@ _HOW = {
     "ardupilot": "VISO_TYPE = 1 and EK3_SRC1_* = 6",
 }
 """The parameters by which each family fuses ODOMETRY and no GNSS of its own."""
-_HEIGHT_GNSS, _HEIGHT_OURS = 1, 3
-"""Values of EKF2_HGT_REF."""
-_GNSS_HEIGHT, _VISION_HEIGHT = 2, 2
-"""Bits of EKF2_GPS_CTRL and of EKF2_EV_CTRL."""
+_HEIGHTS = {1.0: ("EKF2_GPS_CTRL", 2), 3.0: ("EKF2_EV_CTRL", 2)}
+"""Values of EKF2_HGT_REF, GNSS and ours, with the parameter and its bit that fuses that height."""
 _DELAY = 20.0
 """ms."""
 _CONST_POSITION, _UNINITIALISED = 128, 1024
@@ -44,24 +42,22 @@ def sent(evidence: Evidence) -> StageResult:
     saw = f"ODOMETRY {ours.rate:.0f} Hz, frames {frames}" if ours.count else "no ODOMETRY"
     if output.withheld and not ours.count:
         saw += f", {output.withheld} withheld"
-    return judged(Stage.SENT, saw, [_withheld(evidence), _frame(evidence), _rate(evidence)])
+    problems = _unfit(evidence) if ours.count else [_withheld(evidence)]
+    return judged(Stage.SENT, saw, problems)
 
 
-def _withheld(evidence: Evidence) -> Problem | None:
-    output = evidence.output
-    if evidence.sent.count:
-        return None
+def _withheld(evidence: Evidence) -> Problem:
+    """Return why no ODOMETRY is sent."""
+    output, health = evidence.output, evidence.estimator
     if evidence.is_clash:
         return failed(
             "ODOMETRY is withheld while somebody else speaks under our ids.",
             "See the stage `source`.",
         )
     if output.withheld:
-        remedy = "Look again for longer: --seconds 60."
-        if output.remedy:
-            remedy = f"{_sentence(output.remedy)}{_own_sensors(evidence)}"
+        longer = "Look again for longer: --seconds 60."
+        remedy = _remedy(evidence, output.remedy) if output.remedy else longer
         return failed(f"ODOMETRY is withheld: {output.reason}.", remedy)
-    health = evidence.estimator
     if health is None or health.status < Status.OK:
         return failed("There is no estimate to send.", "Mend the first failing stage above.")
     return failed(
@@ -70,34 +66,24 @@ def _withheld(evidence: Evidence) -> Problem | None:
     )
 
 
-def _own_sensors(evidence: Evidence) -> str:
-    if not evidence.decision.is_double:
-        return ""
-    return " Where our receiver is our own: output.odometry.independent = true."
+def _remedy(evidence: Evidence, words: str) -> str:
+    own = " Where our receiver is our own: output.odometry.independent = true."
+    return f"{words[:1].upper()}{words[1:]}.{own if evidence.decision.is_double else ''}"
 
 
-def _sentence(words: str) -> str:
-    return f"{words[:1].upper()}{words[1:]}."
-
-
-def _frame(evidence: Evidence) -> Problem | None:
-    frames = evidence.sent.frames
-    if evidence.family == "ardupilot" and frames and _ARDUPILOT_FRAMES not in frames:
-        return failed(
+def _unfit(evidence: Evidence) -> Iterator[Problem]:
+    """Yield why the autopilot cannot use the ODOMETRY that is sent."""
+    ours = evidence.sent
+    if evidence.family == "ardupilot" and ours.frames and _ARDUPILOT_FRAMES not in ours.frames:
+        yield failed(
             "ArduPilot takes ODOMETRY in LOCAL_FRD only, and leaves any other without a word.",
             "Set output.odometry.frame = LOCAL_FRD.",
         )
-    return None
-
-
-def _rate(evidence: Evidence) -> Problem | None:
-    ours = evidence.sent
-    if ours.count < 20 or ours.rate >= _SLOWEST or evidence.means is Means.RECORDING:
-        return None
-    return warning(
-        f"ODOMETRY goes out at {ours.rate:.1f} Hz: the autopilot fuses nothing so rare.",
-        "Set output.odometry.rate = 30, and mend the inertial rate: there is one per sample.",
-    )
+    if ours.count >= 20 and ours.rate < _SLOWEST and evidence.means is not Means.RECORDING:
+        yield warning(
+            f"ODOMETRY goes out at {ours.rate:.1f} Hz: the autopilot fuses nothing so rare.",
+            "Set output.odometry.rate = 30, and mend the inertial rate: there is one per sample.",
+        )
 
 
 def fused(evidence: Evidence) -> StageResult:
@@ -111,19 +97,16 @@ def fused(evidence: Evidence) -> StageResult:
     if refusal is None and is_kept_back and not decision.is_streaming:
         return unknown(Stage.FUSED, "nothing is sent to it")
     if decision.is_double:
-        return judged(Stage.FUSED, _beginning(decision.reason), [refusal, _double(evidence)])
+        # The parameters alone, which come first: the sentence follows below
+        saw = decision.reason.split(":")[0]
+        return judged(Stage.FUSED, saw, [refusal, _double(evidence)])
     if not decision.is_streaming:
         return judged(Stage.FUSED, "its parameters are not known", [refusal, _unread(evidence)])
     if not decision.is_fused:
         saw = f"{decision.reason}; it would with {_HOW[evidence.family]}"
         return judged(Stage.FUSED, saw, [refusal])
-    judges = (_quality, _height, _delay, _rejects)
-    return judged(Stage.FUSED, decision.reason, [refusal, *(judge(evidence) for judge in judges)])
-
-
-def _beginning(reason: str) -> str:
-    """Return the parameters alone, which come first: the sentence follows below."""
-    return reason.split(":")[0]
+    problems = [refusal, *_unfavourable(evidence), _rejects(evidence)]
+    return judged(Stage.FUSED, decision.reason, problems)
 
 
 def _unread(evidence: Evidence) -> Problem:
@@ -140,7 +123,7 @@ def _double(evidence: Evidence) -> Problem | None:
     severity, decision = failed if evidence.sent.count else warning, evidence.decision
     return severity(
         f"The same GNSS would count twice, for {decision.reason}.",
-        f"{_sentence(decision.remedy)}{_own_sensors(evidence)}",
+        _remedy(evidence, decision.remedy),
     )
 
 
@@ -154,74 +137,53 @@ def _refusal(evidence: Evidence) -> Problem | None:
     return None
 
 
-def _quality(evidence: Evidence) -> Problem | None:
-    name = "EKF2_EV_QMIN" if evidence.family == "px4" else "VISO_QUAL_MIN"
-    least = evidence.parameters.get(name, 0.0)
-    reached = QUALITY[Status.DEGRADED]
-    if least <= reached:
-        return None
-    return warning(
-        f"{name} = {least:g} refuses ODOMETRY of a quality below that; ours is 100 when all is "
-        f"well, {reached} without an aid.",
-        f"Set {name} = 1.",
-    )
-
-
-def _height(evidence: Evidence) -> Problem | None:
-    """Check that PX4's height reference is a source that it fuses."""
-    parameters = evidence.parameters
-    reference = parameters.get("EKF2_HGT_REF")
-    fused = {
-        _HEIGHT_GNSS: ("EKF2_GPS_CTRL", _GNSS_HEIGHT),
-        _HEIGHT_OURS: ("EKF2_EV_CTRL", _VISION_HEIGHT),
-    }
-    if reference not in fused:
-        return None
-    name, bit = fused[int(reference)]
+def _unfavourable(evidence: Evidence) -> Iterator[Problem]:
+    """Yield the parameters by which the autopilot refuses or misplaces our ODOMETRY."""
+    parameters, reached = evidence.parameters, QUALITY[Status.DEGRADED]
+    quality = "EKF2_EV_QMIN" if evidence.family == "px4" else "VISO_QUAL_MIN"
+    if (least := parameters.get(quality, 0.0)) > reached:
+        yield warning(
+            f"{quality} = {least:g} refuses ODOMETRY of a quality below that; ours is 100 when all "
+            f"is well, {reached} without an aid.",
+            f"Set {quality} = 1.",
+        )
+    reference = parameters.get("EKF2_HGT_REF", 0.0)
+    name, bit = _HEIGHTS.get(reference, ("", 0))
     value = parameters.get(name)
-    if value is None or int(value) & bit:
-        return None
-    return warning(
-        f"EKF2_HGT_REF = {reference:g} names a height that {name} = {value:g} does not fuse.",
-        f"Set EKF2_HGT_REF = 0 (barometer), or add {bit} to {name}.",
-    )
-
-
-def _delay(evidence: Evidence) -> Problem | None:
-    """Check that PX4 subtracts no delay: our ODOMETRY is stamped in the autopilot's time."""
-    delay = evidence.parameters.get("EKF2_EV_DELAY", 0.0)
-    if delay <= _DELAY:
-        return None
-    return warning(
-        f"EKF2_EV_DELAY = {delay:g} ms is taken off the stamps of our ODOMETRY, which are of the "
-        "autopilot's own time already.",
-        "Set EKF2_EV_DELAY = 0.",
-    )
+    if value is not None and not int(value) & bit:
+        yield warning(
+            f"EKF2_HGT_REF = {reference:g} names a height that {name} = {value:g} does not fuse.",
+            f"Set EKF2_HGT_REF = 0 (barometer), or add {bit} to {name}.",
+        )
+    if (delay := parameters.get("EKF2_EV_DELAY", 0.0)) > _DELAY:
+        yield warning(
+            f"EKF2_EV_DELAY = {delay:g} ms is taken off the stamps of our ODOMETRY, which are of "
+            "the autopilot's own time already.",
+            "Set EKF2_EV_DELAY = 0.",
+        )
 
 
 def _rejects(evidence: Evidence) -> Problem | None:
     feedback = evidence.feedback
     if not evidence.sent.count:
         return None
-    if math.isfinite(feedback.worst_ratio) and feedback.worst_ratio > 1.0:
+    if feedback.worst_ratio > 1.0:
         return warning(
             f"The autopilot's own filter refuses measurements (test ratio "
             f"{feedback.worst_ratio:.1f}; above 1 is refused).",
             "PX4: EKF2_EV_DELAY = 0 where TIMESYNC is locked, EKF2_EV_NOISE_MD = 0. ArduPilot: "
             "VISO_DELAY_MS = 10, and set the origin before take-off.",
         )
-    is_ardupilot = evidence.family == "ardupilot"
-    if is_ardupilot and feedback.flags is not None:
-        if feedback.flags & _UNINITIALISED:
-            return warning(
-                "ArduPilot's filter has not started yet.",
-                "Without GNSS it needs an origin: set it in the ground station "
-                "(SET_GPS_GLOBAL_ORIGIN).",
-            )
-        if feedback.flags & _CONST_POSITION:
-            return warning(
-                "ArduPilot's filter holds its position fixed: it takes no aid.",
-                "Set EK3_SRC1_POSXY = 6 and EK3_SRC1_YAW = 6, and the origin "
-                "(SET_GPS_GLOBAL_ORIGIN).",
-            )
+    flags = feedback.flags if evidence.family == "ardupilot" else 0
+    if flags & _UNINITIALISED:
+        return warning(
+            "ArduPilot's filter has not started yet.",
+            "Without GNSS it needs an origin: set it in the ground station "
+            "(SET_GPS_GLOBAL_ORIGIN).",
+        )
+    if flags & _CONST_POSITION:
+        return warning(
+            "ArduPilot's filter holds its position fixed: it takes no aid.",
+            "Set EK3_SRC1_POSXY = 6 and EK3_SRC1_YAW = 6, and the origin (SET_GPS_GLOBAL_ORIGIN).",
+        )
     return None

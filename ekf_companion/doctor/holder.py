@@ -7,10 +7,10 @@ import glob
 import grp
 import os
 import re
-from collections.abc import Iterable
 from pathlib import Path
 
 from ekf_companion.doctor.evidence import Holder
+from ekf_companion.link.address import Address, Kind
 
 _PROC = Path("/proc")
 _DEVICES = (
@@ -23,22 +23,40 @@ _DEVICES = (
 )
 
 
-def of_device(device: str) -> Holder | None:
-    """Return the process that has a device open; None if there is none that we may see."""
-    return _find({os.path.realpath(device)})
+def holder_of(address: Address) -> Holder | None:
+    """Return the process that has a device or a local port; None if there is none we may see."""
+    targets: set[str] = set()
+    if address.kind is Kind.SERIAL:
+        targets = {os.path.realpath(address.device)}
+    elif address.kind in (Kind.UDP_IN, Kind.TCP_IN):
+        targets = sockets_at(address.kind.value[:3], address.port)
+    for process in _PROC.glob("[0-9]*") if targets else ():
+        if int(process.name) == os.getpid():
+            continue
+        with contextlib.suppress(OSError):  # it has ended, or is another user's
+            for descriptor in (process / "fd").iterdir():
+                with contextlib.suppress(OSError):
+                    if os.readlink(descriptor) in targets:
+                        return _describe(process)
+    return None
 
 
-def of_port(protocol: str, port: int) -> Holder | None:
-    """Return the process that is bound to a local port; ``protocol`` is ``udp`` or ``tcp``."""
-    inodes = set()
+def sockets_at(protocol: str, port: int) -> set[str]:
+    """Return this machine's sockets that are bound to a port, as /proc/pid/fd names them.
+
+    The protocol is ``udp`` or ``tcp``; of the latter's only those count that listen.
+
+    Source: proc(5), /proc/net/tcp.
+    """
+    sockets = set()
     for table in (protocol, f"{protocol}6"):
         with contextlib.suppress(OSError):
             for line in (_PROC / "net" / table).read_text().splitlines()[1:]:
                 fields = line.split()
                 is_listening = protocol == "udp" or fields[3] == "0A"
                 if is_listening and int(fields[1].rsplit(":", 1)[1], 16) == port:
-                    inodes.add(f"socket:[{fields[9]}]")
-    return _find(inodes) if inodes else None
+                    sockets.add(f"socket:[{fields[9]}]")
+    return sockets
 
 
 def present_devices() -> tuple[str, ...]:
@@ -48,23 +66,9 @@ def present_devices() -> tuple[str, ...]:
 
 def group_of(device: str) -> str:
     """Return the group that a device belongs to; empty if there is none."""
-    try:
+    with contextlib.suppress(OSError, KeyError):
         return grp.getgrgid(os.stat(device).st_gid).gr_name
-    except (OSError, KeyError):
-        return ""
-
-
-def _find(targets: Iterable[str]) -> Holder | None:
-    wanted = set(targets)
-    for process in _PROC.glob("[0-9]*"):
-        if int(process.name) == os.getpid():
-            continue
-        with contextlib.suppress(OSError):  # it has ended, or is another user's
-            for descriptor in (process / "fd").iterdir():
-                with contextlib.suppress(OSError):
-                    if os.readlink(descriptor) in wanted:
-                        return _describe(process)
-    return None
+    return ""
 
 
 def _describe(process: Path) -> Holder:

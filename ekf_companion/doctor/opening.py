@@ -6,8 +6,7 @@ import errno
 
 from ekf_companion.doctor.evidence import Evidence, Opening
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
-
-_BAUD = 921600
+from ekf_companion.doctor.transport import BAUD
 
 
 def link(evidence: Evidence) -> StageResult:
@@ -24,8 +23,30 @@ def link(evidence: Evidence) -> StageResult:
             "power/control = on); over TCP look at who closes it.",
         )
         return judged(Stage.LINK, f"{opening.url} is open", [lost if again else None])
-    judge = _OPENINGS.get(opening.number or 0, _other)
-    return judged(Stage.LINK, f"{opening.url}: {opening.failure}", [judge(opening)])
+    return judged(Stage.LINK, f"{opening.url}: {opening.failure}", [_reason(opening)])
+
+
+def _reason(opening: Opening) -> Problem:
+    match opening.number:
+        case errno.ENOENT | errno.ENODEV | errno.ENXIO:
+            return _missing(opening)
+        case errno.EACCES | errno.EPERM:
+            return _forbidden(opening)
+        case errno.EBUSY | errno.EAGAIN | errno.EADDRINUSE:
+            return _busy(opening)
+        case errno.ECONNREFUSED | errno.ETIMEDOUT | errno.EHOSTUNREACH | errno.ENETUNREACH:
+            return failed(
+                "Nobody listens there, or the network does not reach it.",
+                "Start what should listen, and look at host and port in link.url: ArduPilot's "
+                "simulator and mavlink-router listen at TCP 5760; PX4 speaks UDP, to 14540: "
+                "udpin:0.0.0.0:14540.",
+            )
+        case errno.EADDRNOTAVAIL:
+            return failed(
+                "This board has no such address.",
+                "Listen at all of them: udpin:0.0.0.0:PORT in link.url.",
+            )
+    return _other(opening)
 
 
 def _missing(opening: Opening) -> Problem:
@@ -33,7 +54,7 @@ def _missing(opening: Opening) -> Problem:
     return failed(
         f"There is no {opening.device or 'such device'}: not plugged in, not powered, or of "
         "another name.",
-        f"This board has {present}: set link.url to serial:{opening.present[0]}:{_BAUD}, or the "
+        f"This board has {present}: set link.url to serial:{opening.present[0]}:{BAUD}, or the "
         "one that is the autopilot's; names under /dev/serial/by-id stay."
         if present
         else "This board has no serial device at all: plug the autopilot in, look at `dmesg`; on a "
@@ -83,45 +104,13 @@ def _busy(opening: Opening) -> Problem:
     )
 
 
-def _unreachable(opening: Opening) -> Problem:
-    return failed(
-        "Nobody listens there, or the network does not reach it.",
-        "Start what should listen, and look at host and port in link.url: ArduPilot's simulator "
-        "and mavlink-router listen at TCP 5760; PX4 speaks UDP, to 14540: udpin:0.0.0.0:14540.",
-    )
-
-
-def _address(opening: Opening) -> Problem:
-    return failed(
-        "This board has no such address.",
-        "Listen at all of them: udpin:0.0.0.0:PORT in link.url.",
-    )
-
-
 def _other(opening: Opening) -> Problem:
     if opening.kind == "serial":
         return failed(
             f"{opening.device} cannot be set up as a serial port.",
-            f"Set link.url to a serial device, as in serial:/dev/ttyACM0:{_BAUD}.",
+            f"Set link.url to a serial device, as in serial:/dev/ttyACM0:{BAUD}.",
         )
     return failed(
         "The link cannot be opened: a name that nobody knows, or no network.",
         "Write the host in link.url as a number, as in 192.168.1.2, and look at `ip route`.",
     )
-
-
-_OPENINGS = {
-    errno.ENOENT: _missing,
-    errno.ENODEV: _missing,
-    errno.ENXIO: _missing,
-    errno.EACCES: _forbidden,
-    errno.EPERM: _forbidden,
-    errno.EBUSY: _busy,
-    errno.EAGAIN: _busy,
-    errno.EADDRINUSE: _busy,
-    errno.ECONNREFUSED: _unreachable,
-    errno.ETIMEDOUT: _unreachable,
-    errno.EHOSTUNREACH: _unreachable,
-    errno.ENETUNREACH: _unreachable,
-    errno.EADDRNOTAVAIL: _address,
-}

@@ -9,7 +9,6 @@ Sources: PX4's and ArduPilot's parameter references.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.decode import Family
@@ -29,12 +28,6 @@ _TIMEOUT_NS = 1_000_000_000
 _TRIES = 3
 
 
-@dataclass(slots=True)
-class _Question:
-    tries: int = 0
-    deadline_ns: int = 0
-
-
 class ParameterReader:
     """Keeps the values that come, whoever asked, and asks for what nobody does. Without a clock."""
 
@@ -43,7 +36,8 @@ class ParameterReader:
         """Values by name; None: the autopilot has no such parameter."""
         self._family = Family.UNKNOWN
         self._is_deciding = False
-        self._questions: dict[str, _Question] = {}
+        self._asked: dict[str, tuple[int, int]] = {}
+        """How often each was asked for, and until when its answer is waited for, ns."""
         self._next_ns = 0
 
     @property
@@ -54,7 +48,7 @@ class ParameterReader:
     @property
     def is_done(self) -> bool:
         """Whether each one has been answered or given up."""
-        return all(question.tries > _TRIES for question in self._open().values())
+        return all(self._asked.get(name, (0, 0))[0] > _TRIES for name in self._open())
 
     def begin(self, family: Family, *, is_deciding: bool) -> None:
         """Ask an autopilot of this family; if ``is_deciding``, also for what the guard needs."""
@@ -69,14 +63,13 @@ class ParameterReader:
         """Return the payload of the PARAM_REQUEST_READ that is due; None if none is."""
         if now_ns < self._next_ns:
             return None
-        for name, question in self._open().items():
-            if now_ns < question.deadline_ns or question.tries > _TRIES:
+        for name in self._open():
+            tries, deadline_ns = self._asked.get(name, (0, 0))
+            if now_ns < deadline_ns or tries > _TRIES:
                 continue
+            self._asked[name] = tries + 1, now_ns + _TIMEOUT_NS
             # After the last try only the answer is waited for
-            question.tries += 1
-            question.deadline_ns = now_ns + _TIMEOUT_NS
-            self._questions[name] = question
-            if question.tries > _TRIES:
+            if tries == _TRIES:
                 continue
             self._next_ns = now_ns + _PERIOD_NS
             return pack(
@@ -88,12 +81,8 @@ class ParameterReader:
             )
         return None
 
-    def _open(self) -> dict[str, _Question]:
+    def _open(self) -> list[str]:
         """Return what has not been answered yet."""
         deciding = missing(self._family, self.answers) if self._is_deciding else ()
         names = (*deciding, *FURTHER[self._family])
-        return {
-            name: self._questions.get(name, _Question())
-            for name in names
-            if name not in self.answers
-        }
+        return [name for name in names if name not in self.answers]

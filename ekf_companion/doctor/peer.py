@@ -29,11 +29,19 @@ def source(evidence: Evidence) -> StageResult:
     return judged(Stage.SOURCE, saw, _disturbances(evidence, evidence.peer, pilots))
 
 
-def _disturbances(
-    evidence: Evidence, peer: PeerState, pilots: list[Source]
-) -> Iterator[Problem | None]:
+def _disturbances(evidence: Evidence, peer: PeerState, pilots: list[Source]) -> Iterator[Problem]:
     link = evidence.config.link
-    yield _mute(evidence, pilots)
+    is_signing = any(pilot.signed for pilot in pilots)
+    # It accepts signed frames only
+    if (
+        is_signing
+        and not evidence.config.signing.key_file
+        and evidence.means is not Means.RECORDING
+    ):
+        yield warning(
+            "The autopilot signs its frames, and so believes none of ours.",
+            "Set signing.key_file to a file with its key.",
+        )
     if not peer.is_heard:
         yield failed(
             "The autopilot's heartbeat has stopped.",
@@ -115,12 +123,10 @@ def _refused(evidence: Evidence, pilots: list[Source]) -> Problem | None:
                 key = f"link.allow_{name}"
                 return failed(f"{key} leaves out the autopilot's {own}.", f"Add {own} to {key}.")
     is_signing = any(pilot.signed for pilot in pilots)
-    problems = (
-        problem
-        for why, problem in _UNBELIEVED.items()
-        if refused.get(why) and is_signing == (why != admission.UNSIGNED)
-    )
-    return next(problems, None) if pilots else None
+    for why, problem in _UNBELIEVED.items():
+        if pilots and refused.get(why) and is_signing == (why != admission.UNSIGNED):
+            return problem
+    return None
 
 
 _UNBELIEVED = {
@@ -148,41 +154,31 @@ _UNBELIEVED = {
 """The problem with a signature, by the reason why it was refused."""
 
 
-def _mute(evidence: Evidence, pilots: list[Source]) -> Problem | None:
-    """Return a problem if the autopilot accepts signed frames only, and ours are not signed."""
-    is_signing = any(pilot.signed for pilot in pilots)
-    if not is_signing or evidence.config.signing.key_file or evidence.means is Means.RECORDING:
-        return None
-    return warning(
-        "The autopilot signs its frames, and so believes none of ours.",
-        "Set signing.key_file to a file with its key.",
-    )
-
-
 def messages(evidence: Evidence) -> StageResult:
     """Judge which of the needed messages come at all, and the answers to our requests."""
     come = {name for name, state in evidence.messages.items() if state.count and state.rate > 0.0}
-    asked = {name: state for name, state in evidence.messages.items() if state.answer}
-    silent = [name for name, state in asked.items() if state.answer == "no answer"]
+    answers = {name: state.answer for name, state in evidence.messages.items() if state.answer}
     refused = {
-        name: state.answer
-        for name, state in asked.items()
-        if state.answer not in ("accepted", "no answer", "")
+        name: answer for name, answer in answers.items() if answer not in ("accepted", "no answer")
     }
-    inertial = next((name for name in INERTIAL if name in come), None)
-    needed = [
-        inertial or "no inertial message",
-        "GPS_RAW_INT" if "GPS_RAW_INT" in come else "no GPS_RAW_INT",
-        next((name for name in NORTH if name in come), "no ATTITUDE"),
-        "SYSTEM_TIME" if "SYSTEM_TIME" in come else "no SYSTEM_TIME",
-    ]
-    saw = ", ".join(needed)
+    inertial = next((name for name in INERTIAL if name in come), "no inertial message")
+    gnss, clock = (
+        name if name in come else f"no {name}" for name in ("GPS_RAW_INT", "SYSTEM_TIME")
+    )
+    north = next((name for name in NORTH if name in come), "no ATTITUDE")
+    saw = f"{inertial}, {gnss}, {north}, {clock}"
     if refused:
         saw += "; refused: " + ", ".join(f"{name} ({why})" for name, why in refused.items())
-    problems = list(_missing(evidence, come, refused))
-    if asked and len(silent) == len(asked):
-        problems.insert(0, _one_way(evidence))
-    return judged(Stage.MESSAGES, saw, problems)
+    problems = []
+    if {*answers.values()} == {"no answer"}:
+        one_way = failed(
+            "The autopilot answers none of our requests: what we send does not arrive.",
+            "Look at the wire from our TX to its RX, and at RTS and CTS: without them SERn flow "
+            "control off (PX4: MAV_n_FLOW_CTRL = 0, ArduPilot: BRD_SERn_RTSCTS = 0). Behind a "
+            "router, let this endpoint send to the autopilot.",
+        )
+        problems.append(one_way)
+    return judged(Stage.MESSAGES, saw, [*problems, *_missing(evidence, come, refused)])
 
 
 def _missing(evidence: Evidence, come: set[str], refused: dict[str, str]) -> Iterator[Problem]:
@@ -202,15 +198,6 @@ def _missing(evidence: Evidence, come: set[str], refused: dict[str, str]) -> Ite
         )
 
 
-def _one_way(evidence: Evidence) -> Problem:
-    return failed(
-        "The autopilot answers none of our requests: what we send does not arrive.",
-        "Look at the wire from our TX to its RX, and at RTS and CTS: without them "
-        "SERn flow control off (PX4: MAV_n_FLOW_CTRL = 0, ArduPilot: BRD_SERn_RTSCTS = 0). Behind "
-        "a router, let this endpoint send to the autopilot.",
-    )
-
-
 def _no_inertial(evidence: Evidence, refused: dict[str, str]) -> Problem:
     if evidence.means is Means.LISTENING:
         return failed(
@@ -218,9 +205,9 @@ def _no_inertial(evidence: Evidence, refused: dict[str, str]) -> Problem:
             "The daemon asks for it: examine without --listen.",
         )
     if evidence.family == "px4":
+        answer = refused.get("HIGHRES_IMU")
         return failed(
-            "No inertial message comes"
-            + (f": HIGHRES_IMU was {refused['HIGHRES_IMU']}." if "HIGHRES_IMU" in refused else "."),
+            f"No inertial message comes{f': HIGHRES_IMU was {answer}' if answer else ''}.",
             "Set MAV_n_MODE = 2 (Onboard) for this port and reboot; the mode Normal has no "
             "HIGHRES_IMU by itself.",
         )

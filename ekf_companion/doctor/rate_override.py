@@ -43,20 +43,13 @@ class RateOverride:
         self._begin_ns = None
 
     def add(self, name: str, now_ns: int, granted: Callable[[], Mapping[str, float]]) -> None:
-        """Count a message from the autopilot.
-
-        Args:
-            name: Name of the message.
-            now_ns: When it came.
-            granted: Returns the rates granted to us, Hz.
-        """
-        if self._begin_ns is None:
-            self._begin_ns = now_ns
-            self._counts.clear()
-        elif now_ns - self._begin_ns >= _WINDOW_NS:
+        """Count a message of the autopilot; ``granted`` returns the rates granted to us, Hz."""
+        if self._begin_ns is not None and now_ns - self._begin_ns >= _WINDOW_NS:
             seconds = (now_ns - self._begin_ns) * 1e-9
             rates = {one: count / seconds for one, count in self._counts.items()}
             self._judge(rates, granted())
+            self._begin_ns = None
+        if self._begin_ns is None:
             self._begin_ns = now_ns
             self._counts.clear()
         self._counts[name] += 1

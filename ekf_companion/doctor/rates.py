@@ -6,17 +6,10 @@ Sources: MAVLink's guide on message rates; PX4's and ArduPilot's documentation o
 from __future__ import annotations
 
 import math
+from statistics import median
 
-from ekf_companion.doctor.evidence import Evidence
-from ekf_companion.doctor.slowness import (
-    ENOUGH,
-    budget,
-    ground_station,
-    line,
-    loop_rate,
-    more,
-    promised,
-)
+from ekf_companion.doctor.evidence import Evidence, Means
+from ekf_companion.doctor.rate_override import ALIKE, GROUND, STREAMED
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
 from ekf_companion.engine.announcer import DECIMATED
 from ekf_companion.status.snapshot import MessageState
@@ -27,6 +20,15 @@ _PX4_IMU = 250.0
 _FEW_FIXES = 1.5
 """Hz."""
 _LOST, _MANY_LOST = 0.01, 0.1
+ENOUGH = 0.8
+"""Share of the rate asked that is enough."""
+_LOOP_SHARE = 0.8
+"""Share of SCHED_LOOP_RATE: ArduPilot streams nothing faster."""
+_PLANE_LOOP = 50.0
+_LARGEST_LOOP = 400.0
+_SENSORS = "Set SRn_RAW_SENS = 50 (MAVn_RAW_SENS from 4.7 on) for this port"
+_Cause = tuple[str, str]
+"""Why it is slow, and what to set."""
 
 
 def rates(evidence: Evidence) -> StageResult:
@@ -40,13 +42,20 @@ def rates(evidence: Evidence) -> StageResult:
     saw = f"{name} {_hertz(state.rate)}{asked}"
     if gnss is not None:
         saw += f", GPS_RAW_INT {_hertz(gnss.rate)}"
-    share = _share_lost(evidence)
+    lost = evidence.frames.lost
+    received = sum(state.count for state in evidence.messages.values())
+    share = lost / (lost + received) if received else 0.0
     saw += f", {share:.1%} lost"
-    return judged(
-        Stage.RATES,
-        saw + _note(evidence, state),
-        [_lost(share, evidence), *_slow(evidence, state, share), _slow_gnss(gnss)],
-    )
+    if state.rate < ENOUGH * state.asked and _is_whole_division(evidence, state):
+        saw += " (PX4 divides its rate by whole numbers)"
+    problems = [_lost(share, evidence), *_slow(evidence, state, share)]
+    if gnss is not None and 0.0 < gnss.rate < _FEW_FIXES:
+        few = warning(
+            f"GPS_RAW_INT comes at {_hertz(gnss.rate)}: few fixes make a slow and coarse estimate.",
+            "Set link.gnss_rate = 10, and the receiver to 5 Hz (ArduPilot: GPS1_RATE_MS = 200).",
+        )
+        problems.append(few)
+    return judged(Stage.RATES, saw, problems)
 
 
 def _hertz(rate: float) -> str:
@@ -59,32 +68,21 @@ def _slow(evidence: Evidence, state: MessageState, share: float) -> list[Problem
     Frames lost on their way are reported already: it is judged by what the autopilot sends.
     """
     name = evidence.stamps.message
-    given = promised(evidence, name)
+    given = _promised(evidence, name)
     is_lost = share >= _LOST and abs(state.rate / (1.0 - share) - given) <= (1.0 - ENOUGH) * given
     sent = given if is_lost else state.rate
     is_short = sent < ENOUGH * state.asked
     is_well = sent >= DECIMATED and (not is_short or _is_whole_division(evidence, state))
     severity = failed if state.rate < SLOWEST else warning
     rate = f"{name} comes at {_hertz(state.rate)}"
-    causes = [ground_station(evidence, state), None if is_well else loop_rate(evidence, state)]
+    causes = [_ground_station(evidence, state), None if is_well else _loop_rate(evidence, state)]
     if not is_well and causes == [None, None]:
-        causes = [budget(evidence, state, share if is_lost else 0.0)]
-    named = [
-        severity(f"{rate}: {cause.why}", cause.remedy) for cause in causes if cause is not None
-    ]
+        causes = [_budget(evidence, state, share if is_lost else 0.0)]
+    named = [severity(f"{rate}: {cause[0]}", cause[1]) for cause in causes if cause is not None]
     if named or sent >= DECIMATED:
         # Without another cause, the sensor has no higher rate
         return named
-    return [severity(f"{rate}; flight needs {DECIMATED:.0f} or more.", more(evidence, state))]
-
-
-def _slow_gnss(gnss: MessageState | None) -> Problem | None:
-    if gnss is None or not 0.0 < gnss.rate < _FEW_FIXES:
-        return None
-    return warning(
-        f"GPS_RAW_INT comes at {_hertz(gnss.rate)}: few fixes make a slow and coarse estimate.",
-        "Set link.gnss_rate = 10, and the receiver to 5 Hz (ArduPilot: GPS1_RATE_MS = 200).",
-    )
+    return [severity(f"{rate}; flight needs {DECIMATED:.0f} or more.", _more(evidence, state))]
 
 
 def _is_whole_division(evidence: Evidence, state: MessageState) -> bool:
@@ -94,18 +92,6 @@ def _is_whole_division(evidence: Evidence, state: MessageState) -> bool:
     base = evidence.parameters.get("IMU_INTEG_RATE", _PX4_IMU)
     parts = max(1, math.ceil(base / state.asked - 0.05))
     return abs(state.rate - base / parts) <= 0.08 * base / parts
-
-
-def _note(evidence: Evidence, state: MessageState) -> str:
-    if state.rate < ENOUGH * state.asked and _is_whole_division(evidence, state):
-        return " (PX4 divides its rate by whole numbers)"
-    return ""
-
-
-def _share_lost(evidence: Evidence) -> float:
-    counted = evidence.frames
-    ours = sum(state.count for state in evidence.messages.values())
-    return counted.lost / (counted.lost + ours) if ours else 0.0
 
 
 def _lost(share: float, evidence: Evidence) -> Problem | None:
@@ -118,7 +104,7 @@ def _lost(share: float, evidence: Evidence) -> Problem | None:
         )
     if share < _LOST:
         return None
-    severity, kind = failed if share > 3.0 * _MANY_LOST else warning, line(evidence)
+    severity, kind = failed if share > 3.0 * _MANY_LOST else warning, _line(evidence)
     many = "as over a radio at its limit" if kind == "network" else "as over a damaged or full wire"
     remedies = {
         "serial": "Connect RTS and CTS or lower the streams",
@@ -131,3 +117,145 @@ def _lost(share: float, evidence: Evidence) -> Problem | None:
         f"{remedies.get(kind, either)}; behind a router that filters, the numbers have gaps though "
         "nothing is lost.",
     )
+
+
+def _line(evidence: Evidence) -> str:
+    """Return ``serial`` or ``network``; ``unknown`` for a recording, which does not tell."""
+    if evidence.opening is None:
+        return "unknown"
+    return "serial" if evidence.is_serial else "network"
+
+
+def _promised(evidence: Evidence, name: str) -> float:
+    """Return the rate at which a message was granted, else the rate asked for, Hz."""
+    return evidence.granted.get(name, evidence.messages[name].asked)
+
+
+def _ground_station(evidence: Evidence, state: MessageState) -> _Cause | None:
+    """Return a cause if many streams have one low rate: a ground station sets 4 Hz, typically."""
+    name, messages = evidence.stamps.message, evidence.messages
+    others = [messages[one].rate for one in STREAMED if one in messages and messages[one].rate]
+    usual = median(others)
+    alike = [rate for rate in others if abs(rate - usual) <= ALIKE * usual]
+    seen = " (its REQUEST_DATA_STREAM was seen here)" if evidence.stream_requests else ""
+    is_recording = evidence.means is Means.RECORDING
+    record = " For a recording: record at the companion." if is_recording else ""
+    is_like_others = len(alike) >= 3 and abs(state.rate - usual) <= 2.0 * ALIKE * usual
+    if state.rate <= GROUND and is_like_others:
+        why = (
+            f"{len(alike)} streams come at about {usual:.1f} Hz, so a ground station sets "
+            f"them{seen}, or the port's SRn_* parameters do."
+        )
+    elif evidence.overridden:
+        why = (
+            f"{name} and others were granted their rates, and then came at about "
+            f"{evidence.overridden:.1f} Hz alike: a ground station overrules us{seen}."
+        )
+    else:
+        return None
+    return (
+        why,
+        "ArduPilot: let the port ignore it, SERIALn_OPTIONS + 4096 (MAVn_OPTIONS + 4 from 4.7 on), "
+        "or set its SRn_* (MAVn_*) higher; in the ground station set the stream rate to -1 "
+        f"(MAVProxy: --streamrate=-1).{record}",
+    )
+
+
+def _loop_rate(evidence: Evidence, state: MessageState) -> _Cause | None:
+    """Return a cause if ArduPilot's loop is the limit: it grants no more than 0.8 of its rate."""
+    if evidence.family != "ardupilot":
+        return None
+    told = evidence.parameters.get("SCHED_LOOP_RATE")
+    granted = _promised(evidence, evidence.stamps.message)
+    loop = told or _PLANE_LOOP
+    ceiling = _LOOP_SHARE * loop
+    is_denied = granted < state.asked and (told is None or ceiling < state.asked)
+    is_at_it = abs(state.rate - ceiling) <= 0.05 * ceiling and state.asked >= 1.1 * ceiling
+    if not (is_denied or is_at_it):
+        return None
+    if is_at_it:
+        own = f"SCHED_LOOP_RATE = {loop:.0f}" if told else f"a SCHED_LOOP_RATE of {loop:.0f}"
+        why = f"that is 0.8 of {own}, the most that ArduPilot streams."
+    else:
+        own = f"SCHED_LOOP_RATE = {told:.0f}" if told else "SCHED_LOOP_RATE"
+        why = (
+            f"{granted:.0f} Hz were granted, and {state.asked:.0f} denied: ArduPilot streams no "
+            f"more than 0.8 of {own}."
+        )
+    # The interval is in whole milliseconds
+    wanted = min(50.0 * math.ceil(state.asked / _LOOP_SHARE / 50.0), _LARGEST_LOOP)
+    return (why, f"Set SCHED_LOOP_RATE = {wanted:.0f} (up to {_LARGEST_LOOP:.0f}) and reboot.")
+
+
+def _budget(evidence: Evidence, state: MessageState, lost: float) -> _Cause | None:
+    """Return a cause if all streams are slower by one factor, apart from the share lost."""
+    shares = [
+        state.rate / (1.0 - lost) / _promised(evidence, name)
+        for name, state in evidence.messages.items()
+        if state.asked > 1.0
+        and state.answer == "accepted"
+        and state.rate > 0.0
+        # A receiver gives what it has
+        and name != "GPS_RAW_INT"
+    ]
+    opening = evidence.opening
+    baud = opening.baud if opening is not None and _line(evidence) == "serial" else 0
+    is_full = baud > 0 and evidence.bytes_rate > 0.8 * baud / 10.0
+    factor = median(shares) if shares else state.rate / max(state.asked, state.rate)
+    alike = sum(abs(share - factor) <= ALIKE * factor for share in shares)
+    if not is_full and (factor > ENOUGH or alike < 3):
+        return None
+    need = evidence.bytes_rate / max(factor, 0.01)
+    wire = f" of {baud / 10e3:.1f} that the wire carries" if baud else ""
+    is_open = _line(evidence) == "network" and evidence.family != "px4"
+    who = "neither the autopilot nor the network gives more"
+    return (
+        f"all streams come at about {factor:.0%} of what was asked: "
+        + (who if is_open else "the link's budget is spent")
+        + f" ({evidence.bytes_rate / 1e3:.1f} kB/s{wire}; {need / 1e3:.1f} asked).",
+        _more_budget(evidence, need),
+    )
+
+
+def _more_budget(evidence: Evidence, need: float) -> str:
+    kind = _line(evidence)
+    where = "where the link is serial, " if kind == "unknown" else ""
+    if evidence.family == "px4":
+        limits = ", ".join(
+            f"{name} = {value:.0f}"
+            for name, value in sorted(evidence.parameters.items())
+            if name.startswith("MAV_") and name.endswith("_RATE")
+        )
+        now = f" ({limits} now; 0 is half of the wire)" if limits else ""
+        baud = f", {where}SER_TEL2_BAUD = 921600 and link.url with :921600"
+        rate = 1000 * math.ceil(need * 1.2 / 1000)
+        return (
+            f"Set MAV_n_RATE = {rate} bytes/s for this port{now}"
+            f"{'' if kind == 'network' else baud}."
+        )
+    less = "ower link.imu_rate and the SRn_* of streams that nobody needs."
+    if kind == "network":
+        return f"L{less}"
+    faster = f"{where}set SERIALn_BAUD = 921 and link.url with :921600, or l{less}"
+    return f"{faster[0].upper()}{faster[1:]}"
+
+
+def _more(evidence: Evidence, state: MessageState) -> str:
+    """Return what to set if no cause is known."""
+    if evidence.means is Means.LISTENING:
+        return "The daemon asks for link.imu_rate by itself: examine without --listen."
+    is_live, wanted = evidence.means is Means.LIVE, evidence.config.link.imu_rate
+    if is_live and wanted < DECIMATED:
+        return "Set link.imu_rate = 100 or more."
+    is_granted = state.answer == "accepted" and state.asked >= DECIMATED
+    if evidence.family == "px4":
+        asks = "." if is_granted else ", and link.imu_rate = 100 or more."
+        return f"Set IMU_INTEG_RATE = 250 and MAV_n_MODE = 2 (Onboard) for this port{asks}"
+    if is_granted:
+        return (
+            f"{_promised(evidence, evidence.stamps.message):.0f} Hz were granted: look at the "
+            "load of the autopilot's processor, and at who else asks it for streams."
+        )
+    if state.answer not in ("accepted", ""):
+        return f"The request was answered “{state.answer}”. {_SENSORS}."
+    return _SENSORS + ("." if is_live else ", or let the daemon ask: link.imu_rate = 100 or more.")

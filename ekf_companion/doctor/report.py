@@ -37,10 +37,8 @@ def lines(results: Sequence[StageResult], width: int = 100) -> list[Line]:
             if problem.outcome is Outcome.WARNING:
                 out += _paragraph(result, problem, width)
     if not any(result.problems for result in results):
-        out += [
-            (Outcome.OK, ""),
-            (Outcome.OK, "Nothing is wrong at any stage that can be seen here."),
-        ]
+        well = "Nothing is wrong at any stage that can be seen here."
+        out += [(Outcome.OK, ""), (Outcome.OK, well)]
     return out
 
 

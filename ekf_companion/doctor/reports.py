@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from ekf_companion.doctor.evidence import Feedback, Receiver
@@ -22,11 +22,10 @@ class AutopilotReports:
 
     def __init__(self) -> None:
         self.receiver = Receiver()
+        self.feedback = Feedback()
+        """Its reports on its filter and on our messages."""
         self._fix: tuple[int, tuple[int, ...]] = (0, ())
         self._fix_ns = 0
-        self._texts: deque[str] = deque(maxlen=_TEXTS)
-        self._flags: int | None = None
-        self._worst_ratio = math.nan
         self._handlers: dict[str, Callable[[Any, int], None]] = {
             "EKF_STATUS_REPORT": self._on_ekf_status,
             "ESTIMATOR_STATUS": self._on_estimator_status,
@@ -39,17 +38,13 @@ class AutopilotReports:
         if (handler := self._handlers.get(name)) is not None:
             handler(unpack(frame), now_ns)
 
-    def feedback(self) -> Feedback:
-        """Return its reports on its filter and on our messages."""
-        return Feedback(texts=tuple(self._texts), flags=self._flags, worst_ratio=self._worst_ratio)
-
     def _on_ekf_status(self, m: Any, now_ns: int) -> None:
-        self._flags = m.flags
-        self._worst_ratio = _largest(m.velocity_variance, m.pos_horiz_variance, m.pos_vert_variance)
+        worst = _largest(m.velocity_variance, m.pos_horiz_variance, m.pos_vert_variance)
+        self.feedback = replace(self.feedback, flags=m.flags, worst_ratio=worst)
 
     def _on_estimator_status(self, m: Any, now_ns: int) -> None:
-        self._flags = m.flags
-        self._worst_ratio = _largest(m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
+        worst = _largest(m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
+        self.feedback = replace(self.feedback, flags=m.flags, worst_ratio=worst)
 
     def _on_receiver(self, m: Any, now_ns: int) -> None:
         has_fix = m.fix_type >= _FIX_3D
@@ -80,8 +75,9 @@ class AutopilotReports:
 
     def _on_text(self, m: Any, now_ns: int) -> None:
         text = m.text.decode("utf-8", "replace")
-        if (m.severity <= _CRITICAL or "ODOMETRY" in text) and text not in self._texts:
-            self._texts.append(text)
+        texts = self.feedback.texts
+        if (m.severity <= _CRITICAL or "ODOMETRY" in text) and text not in texts:
+            self.feedback = replace(self.feedback, texts=(*texts, text)[-_TEXTS:])
 
 
 def _largest(*ratios: float) -> float:

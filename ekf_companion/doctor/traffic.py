@@ -17,14 +17,6 @@ _HEARTBEAT = IDS["HEARTBEAT"]
 _REQUEST_DATA_STREAM = IDS["REQUEST_DATA_STREAM"]
 
 
-class _Sender:
-    """The counts of one sender."""
-
-    def __init__(self) -> None:
-        self.frames = self.heartbeats = self.type = self.signed = 0
-        self.autopilot = 8
-
-
 class Traffic:
     """Counts all frames, whoever sent them, and the bytes between them."""
 
@@ -37,22 +29,8 @@ class Traffic:
         """Frames that are whole but for their checksum, by message."""
         self.sample = b""
         """The first bytes that were not a frame."""
-        self._senders: dict[tuple[int, int], _Sender] = {}
-
-    def sources(self) -> tuple[Source, ...]:
-        """Return the senders, in the order in which each was received first."""
-        return tuple(
-            Source(
-                system_id=system_id,
-                component_id=component_id,
-                frames=sender.frames,
-                heartbeats=sender.heartbeats,
-                autopilot=sender.autopilot,
-                type=sender.type,
-                signed=sender.signed,
-            )
-            for (system_id, component_id), sender in self._senders.items()
-        )
+        self.sources: dict[tuple[int, int], Source] = {}
+        """The senders by system and component id, in the order of their first frames."""
 
     def add(self, frame: Frame) -> None:
         """Count a frame, or keep and examine what is not one."""
@@ -62,15 +40,15 @@ class Traffic:
         self.first_version += frame.version == 1
         self.stream_requests += frame.message_id == _REQUEST_DATA_STREAM
         ids = frame.system_id, frame.component_id
-        if ids not in self._senders and len(self._senders) == _SOURCES:
+        if ids not in self.sources and len(self.sources) == _SOURCES:
             return
-        sender = self._senders.setdefault(ids, _Sender())
-        sender.frames += 1
-        sender.signed += frame.is_signed
+        source = self.sources.setdefault(ids, Source(system_id=ids[0], component_id=ids[1]))
+        source.frames += 1
+        source.signed += frame.is_signed
         if frame.message_id == _HEARTBEAT:
             heartbeat = unpack(frame)
-            sender.heartbeats += 1
-            sender.autopilot, sender.type = heartbeat.autopilot, heartbeat.type
+            source.heartbeats += 1
+            source.autopilot, source.type = heartbeat.autopilot, heartbeat.type
 
     def _add_junk(self, raw: bytes) -> None:
         """Keep a sample, and count the frames in it that are whole but for their checksum."""

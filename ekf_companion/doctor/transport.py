@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, warning
 
-_BAUD = 921600
+BAUD = 921600
+"""Proposed to users."""
 _PRINTABLE = 0.85
 """Share of text among the bytes beyond which they are from a console; noise has 0.37."""
 _NOISE = 0.001
@@ -22,47 +21,44 @@ PORT_MODE = (
 def bytes_(evidence: Evidence) -> StageResult:
     """Judge whether any bytes come."""
     opening, state = evidence.opening, evidence.link
+    refused = state.refused if state else {}
+    reasons = ", ".join(f"{count} {why}" for why, count in refused.items())
+    problems = []
     if evidence.bytes_in:
         rate = evidence.bytes_rate
-        share = _share_of_wire(evidence)
-        full = (
-            warning(
-                f"The wire is full: {rate / 1e3:.1f} kB/s of {opening.baud / 1e4:.1f}.",
-                f"Raise the baud rate at both ends to {_BAUD}, or lower link.imu_rate.",
+        saw = f"{evidence.bytes_in} bytes, {rate / 1e3:.1f} kB/s"
+        # The share of a serial port's capacity, ten bits a byte
+        if opening and opening.kind == "serial" and "ttyACM" not in opening.device:
+            share = rate * 10.0 / opening.baud
+            saw += f", {share:.0%} of the wire" if share else ""
+            if share > 0.85:
+                full = warning(
+                    f"The wire is full: {rate / 1e3:.1f} kB/s of {opening.baud / 1e4:.1f}.",
+                    f"Raise the baud rate at both ends to {BAUD}, or lower link.imu_rate.",
+                )
+                problems.append(full)
+        if state is not None and state.dropped > 0:
+            dropped = warning(
+                "This board was too slow to read all that came.",
+                "Stop what else uses the processor, or lower link.imu_rate.",
             )
-            if opening and share > 0.85
-            else None
-        )
-        slow = state is not None and state.dropped > 0
-        dropped = warning(
-            "This board was too slow to read all that came.",
-            "Stop what else uses the processor, or lower link.imu_rate.",
-        )
-        wire = f", {share:.0%} of the wire" if share else ""
-        strange = f"; datagrams not heard: {_reasons(evidence)}" if _reasons(evidence) else ""
-        return judged(
-            Stage.BYTES,
-            f"{evidence.bytes_in} bytes, {rate / 1e3:.1f} kB/s{wire}{strange}",
-            [full, dropped if slow else None],
-        )
-    refused = sum(state.refused.values()) if state else 0
-    if refused:
-        problem = failed(
-            f"Datagrams came, and were refused ({_reasons(evidence)}).",
+            problems.append(dropped)
+        saw += f"; datagrams not heard: {reasons}" if reasons else ""
+    elif count := sum(refused.values()):
+        saw = f"{count} datagrams, none taken"
+        refusal = failed(
+            f"Datagrams came, and were refused ({reasons}).",
             'Set link.peer to who sends them, or to "".',
         )
-        return judged(Stage.BYTES, f"{refused} datagrams, none taken", [problem])
-    return judged(Stage.BYTES, f"none in {evidence.seconds:.0f} s", [_silence(evidence)])
-
-
-def _reasons(evidence: Evidence) -> str:
-    refused = evidence.link.refused if evidence.link else {}
-    return ", ".join(f"{count} {why}" for why, count in refused.items())
+        problems.append(refusal)
+    else:
+        saw = f"none in {evidence.seconds:.0f} s"
+        problems.append(_silence(evidence))
+    return judged(Stage.BYTES, saw, problems)
 
 
 def _silence(evidence: Evidence) -> Problem:
-    kind = evidence.opening.kind if evidence.opening else ""
-    url = evidence.opening.url if evidence.opening else ""
+    kind, url = (evidence.opening.kind, evidence.opening.url) if evidence.opening else ("", "")
     listening = (
         " PX4 over USB begins only when it hears a heartbeat: leave out --listen."
         if evidence.means is Means.LISTENING
@@ -94,13 +90,6 @@ def _silence(evidence: Evidence) -> Problem:
         "Let what is behind it forward the autopilot to this endpoint; ArduPilot's simulator "
         f"serves only one at 5760.{listening}",
     )
-
-
-def _share_of_wire(evidence: Evidence) -> float:
-    """Return the share of a serial port's capacity (ten bits a byte) in use; 0 if not known."""
-    opening = evidence.opening
-    is_wire = opening is not None and opening.kind == "serial" and "ttyACM" not in opening.device
-    return evidence.bytes_rate * 10.0 / opening.baud if opening and is_wire else 0.0
 
 
 def frames(evidence: Evidence) -> StageResult:
@@ -175,8 +164,10 @@ def checksums(evidence: Evidence) -> StageResult:
     bad = max(counted.bad_crc, sum(evidence.mismatched.values()))
     share = bad / max(bad + counted.frames, 1)
     saw = f"{share:.1%} wrong ({bad} of {bad + counted.frames})"
-    name = _foreign(evidence.mismatched, bad)
-    if name:
+    # One message that has nearly all the wrong checksums
+    mismatched = evidence.mismatched
+    name = max(mismatched, key=mismatched.__getitem__, default="")
+    if name and mismatched[name] >= 5 and mismatched[name] > 0.8 * bad:
         problem = warning(
             f"{name} always has a wrong checksum: the sender defines that message otherwise "
             "(another dialect, or an older definition).",
@@ -189,15 +180,9 @@ def checksums(evidence: Evidence) -> StageResult:
         if evidence.is_serial
         else "Look for two senders whose bytes are mixed at one port, or a radio at its limit."
     )
+    noise = None
     if share > _MUCH_NOISE:
-        return judged(
-            Stage.CHECKSUMS, saw, [failed("Most of what comes is damaged on its way.", remedy)]
-        )
-    noise = warning("Frames are damaged on their way.", remedy)
-    return judged(Stage.CHECKSUMS, saw, [noise if share > _NOISE and bad > 2 else None])
-
-
-def _foreign(mismatched: Mapping[str, int], bad: int) -> str:
-    """Return the message that has nearly all the wrong checksums; empty if there is none."""
-    name, count = max(mismatched.items(), key=lambda item: item[1], default=("", 0))
-    return name if count >= 5 and count > 0.8 * bad else ""
+        noise = failed("Most of what comes is damaged on its way.", remedy)
+    elif share > _NOISE and bad > 2:
+        noise = warning("Frames are damaged on their way.", remedy)
+    return judged(Stage.CHECKSUMS, saw, [noise])

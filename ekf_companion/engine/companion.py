@@ -228,7 +228,7 @@ class Companion:
 
     def frames_to_send(self) -> list[Outgoing]:
         """Return the frames that wait to be sent, and forget them."""
-        return self.session.frames_to_send()
+        return self.session.outbox.take()
 
     def data_to_send(self) -> list[bytes]:
         """Return the bytes of the frames that wait to be sent, and forget them."""

@@ -10,7 +10,7 @@ from ekf_companion.mavlink.clock import TimesyncOptions
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import PeerFound
 from ekf_companion.mavlink.guard import GuardOptions
-from ekf_companion.mavlink.options import RATES, SessionOptions
+from ekf_companion.mavlink.session import RATES, SessionOptions
 
 
 def session_options(

@@ -9,7 +9,7 @@ from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Estimate
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.encode import EstimatorHealth, Label, StatusFlag, label
+from ekf_companion.mavlink.encode import Label, StatusFlag, label
 from ekf_companion.mavlink.outbox import Message
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.state import Odometry, Status
@@ -133,13 +133,13 @@ class Publisher:
             self._was_invalid = is_invalid
 
         if due["ESTIMATOR_STATUS"].is_due(t_ns) and estimate.origin is not None:
-            health = _estimator_health(estimate.health, t_ns)
-            messages.append(Message("ESTIMATOR_STATUS", encode.estimator_status(health)))
+            payload = _estimator_status(estimate.health, t_ns)
+            messages.append(Message("ESTIMATOR_STATUS", payload))
         return messages
 
 
-def _estimator_health(health: Health, t_ns: int) -> EstimatorHealth:
-    """Return the filter's health as ESTIMATOR_STATUS carries it."""
+def _estimator_status(health: Health, t_ns: int) -> bytes:
+    """Return the payload of ESTIMATOR_STATUS."""
     flags = StatusFlag.ATTITUDE | StatusFlag.VELOCITY_HORIZ | StatusFlag.VELOCITY_VERT
     flags |= StatusFlag.POS_HORIZ_REL | StatusFlag.POS_HORIZ_ABS | StatusFlag.POS_VERT_ABS
     if health.status == Status.DEAD_RECKONING:
@@ -151,13 +151,10 @@ def _estimator_health(health: Health, t_ns: int) -> EstimatorHealth:
         flags = StatusFlag(0)
     if max(health.ratios[Aid.POSITION], health.ratios[Aid.VELOCITY]) > 1.0:
         flags |= StatusFlag.GPS_GLITCH
-    return EstimatorHealth(
-        t_ns=t_ns,
-        flags=flags,
-        vel_ratio=math.sqrt(health.ratios[Aid.VELOCITY]),
-        pos_horiz_ratio=math.sqrt(health.ratios[Aid.POSITION]),
-        pos_vert_ratio=math.sqrt(health.ratios[Aid.HEIGHT]),
-        heading_ratio=math.sqrt(health.ratios[Aid.HEADING]),
-        std_horiz=health.std_horizontal,
-        std_vert=health.std_vertical,
+    aids = (Aid.VELOCITY, Aid.POSITION, Aid.HEIGHT, Aid.HEADING)
+    return encode.estimator_status(
+        t_ns,
+        flags,
+        [math.sqrt(health.ratios[aid]) for aid in aids],
+        (health.std_horizontal, health.std_vertical),
     )

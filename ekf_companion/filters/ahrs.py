@@ -15,7 +15,7 @@ frame i, rest and the recovery after a disturbance.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,10 +30,8 @@ from ekf_companion.filters.ahrs_sensors import (
 from ekf_companion.filters.marg import MargSamples, marg_samples
 from ekf_companion.filters.solution import AttitudeEstimates, Solution, attitude_solution
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Mask
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events
-
-NAME = "ahrs"
 
 GAP = 0.25
 """Step between samples beyond which the motion between them is lost, s."""
@@ -98,38 +96,16 @@ def run(events: Events, settings: AhrsSettings = USUAL) -> Solution:
     samples = marg_samples(events, math.inf)
     found = track(samples, settings)
     # What calibration leaves in gravity does not become less by averaging
-    floor = np.diag([settings.gravity_sigma**2, settings.gravity_sigma**2, 0.0])
-    estimates = AttitudeEstimates(
-        q_nb=found.q_nb,
-        bias=found.bias,
-        covariance=found.covariance[:, :3, :3] + floor,
-        is_still=found.is_still,
-    )
-    return attitude_solution(NAME, samples, estimates, counts=found.counts)
+    floor = np.diag([settings.gravity_sigma**2, settings.gravity_sigma**2, 0.0, 0.0, 0.0, 0.0])
+    return attitude_solution("ahrs", samples, replace(found, covariance=found.covariance + floor))
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Track:
-    """All that the filter estimates."""
-
-    q_nb: Array
-    """From magnetic north, shape (n, 4)."""
-    bias: Array
-    """rad/s, b, shape (n, 3)."""
-    covariance: Array
-    """Of the error state, shape (n, 6, 6)."""
-    is_still: Mask
-    """Shape (n,)."""
-    counts: dict[str, tuple[int, int]]
-    """By aid: number of fused and of refused measurements."""
-
-
-def track(samples: MargSamples, settings: AhrsSettings = USUAL) -> Track:
-    """Run the filter over samples."""
+def track(samples: MargSamples, settings: AhrsSettings = USUAL) -> AttitudeEstimates:
+    """Run the filter over samples; the covariance is that of the error state, shape (n, 6, 6)."""
     estimator = _Estimator(settings)
     estimator.run(samples)
     at = np.array(estimator.step_of)
-    return Track(
+    return AttitudeEstimates(
         q_nb=so3.multiply(np.array(estimator.corrections)[at], np.array(estimator.strapdown)),
         bias=np.array(estimator.biases)[at],
         covariance=np.array(estimator.covariances)[at],
@@ -244,15 +220,12 @@ class _Estimator:
             self._rotate(np.array([innovation[0], innovation[1], 0.0]))
             self._P[:2, :2] = sigma2
             return np.zeros(2)
-        R = sigma2 + self._lag_covariance()
+        # The tilt by bias and lag of the low-pass
+        C = s.gravity_memory * self._lag.value[:2, :3]
+        R = sigma2 + C @ self._P[3:, 3:] @ C.T
         dx = self._correct(np.eye(6)[:2], innovation, R)
         self.counts["gravity"] += 1
         return dx[:2]
-
-    def _lag_covariance(self) -> Array:
-        """Return the covariance of the tilt by bias and lag of the low-pass, shape (2, 2)."""
-        C = self.settings.gravity_memory * self._lag.value[:2, :3]
-        return np.asarray(C @ self._P[3:, 3:] @ C.T)
 
     def _correct_bias_in_motion(self, rate_n: Array, C_nb: Array) -> None:
         """Correct the bias by the rate at which the tilt is corrected, about north and east, rad/s.

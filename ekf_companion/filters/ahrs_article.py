@@ -14,7 +14,7 @@ limits remain: the kinematics fail at a pitch of +-90 deg, and any acceleration 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -37,24 +37,12 @@ STEEP = 0.05
 """Least cosine of the pitch in the kinematics."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArticleSettings:
-    """Variances per angle, as in the article."""
-
-    gyro: float = 1e-3
-    """Growth of the variance of each angle, rad^2/s."""
-    accel: float = 0.03
-    """Of roll and pitch by the accelerometer, rad^2."""
-    mag: float = 0.03
-    """Of yaw by the magnetometer, rad^2."""
+GYRO, ACCEL, MAG = 1e-3, 0.03, 0.03
+"""As in the article: the growth of the variance of each angle, rad^2/s; the variances of roll and
+pitch by the accelerometer, and of yaw by the magnetometer, rad^2."""
 
 
-def run(
-    events: Events,
-    preset: Preset = "corrected",
-    settings: ArticleSettings = ArticleSettings(),
-    gap: float = LONGEST_GAP,
-) -> Solution:
+def run(events: Events, preset: Preset = "corrected", gap: float = LONGEST_GAP) -> Solution:
     """Estimate attitude over a recording; the magnetometer's calibration uses all of it.
 
     Beyond a gap in the inertial samples, s, only the longest part counts.
@@ -64,24 +52,22 @@ def run(
     """
     samples = marg_samples(events, gap)
     mag_b, note = calibrated(samples.mag_b)
-    angles, variances = _filter(samples, mag_b, settings, is_original=preset == "article")
+    angles, variances = _filter(samples, mag_b, is_original=preset == "article")
     C = so3.to_matrix(so3.from_euler(0.0, 0.0, angles[:, 2]))
-    covariance = np.zeros((len(angles), 3, 3))
-    for index in range(3):
-        covariance[:, index, index] = variances[:, index]
+    covariance = variances[:, :, None] * np.eye(3)
     found = AttitudeEstimates(
         q_nb=so3.from_euler(*angles.T),
         covariance=np.einsum("nij,njk,nlk->nil", C, covariance, C),
+        notes=(note,) if note else (),
     )
     name = "ahrs-article" if preset == "corrected" else "ahrs-article (as printed)"
-    return attitude_solution(name, samples, found, notes=(note,) if note else ())
+    return attitude_solution(name, samples, found)
 
 
 def calibrated(mag_b: Array) -> tuple[Array, str]:
     """Subtract the middle of each axis's range of fields, shape (n, 3), and equalise the ranges.
 
-    Returns:
-        The field, and a sentence that says why it is not calibrated; empty if it is.
+    The sentence says why the field is not calibrated; it is empty if it is.
     """
     seen = mag_b[known_rows(mag_b)]
     if not len(seen):
@@ -99,14 +85,12 @@ def calibrated(mag_b: Array) -> tuple[Array, str]:
     return (mag_b - 0.5 * (high + low)) * (half.mean() / half), ""
 
 
-def _filter(
-    samples: MargSamples, mag_b: Array, settings: ArticleSettings, *, is_original: bool
-) -> tuple[Array, Array]:
+def _filter(samples: MargSamples, mag_b: Array, *, is_original: bool) -> tuple[Array, Array]:
     """Return roll, pitch, yaw, rad, and their variances, shapes (n, 3)."""
     roll, pitch, yaw = so3.to_euler(samples.first_attitude()).tolist()
     rolls = pitches = yaws = 1.0
     angles, variances = [], []
-    for dt, (p, q, r), (fx, fy, fz), mag in samples.rows(mag_b):
+    for dt, (p, q, r), (fx, fy, fz), mag in replace(samples, mag_b=mag_b).rows():
         # Predict by Euler's kinematics
         sr, cr = math.sin(roll), math.cos(roll)
         cp = math.cos(pitch)
@@ -115,20 +99,20 @@ def _filter(
         roll += (p + across * math.sin(pitch) / cp) * dt
         pitch += (q * cr - r * sr) * dt
         yaw += across / cp * dt
-        rolls, pitches, yaws = (v + settings.gyro * dt for v in (rolls, pitches, yaws))
+        rolls, pitches, yaws = (v + GYRO * dt for v in (rolls, pitches, yaws))
         # Correct roll and pitch by the accelerometer
-        roll, rolls = _fused(roll, rolls, math.atan2(-fy, -fz), settings.accel)
+        roll, rolls = _fused(roll, rolls, math.atan2(-fy, -fz), ACCEL)
         level_pitch = math.atan2(fx, math.hypot(fy, fz))
-        pitch, pitches = _fused(pitch, pitches, level_pitch, settings.accel)
+        pitch, pitches = _fused(pitch, pitches, level_pitch, ACCEL)
         # Correct yaw by the levelled field
         if mag is not None:
             north, east = _horizontal(mag, roll, pitch)
             if is_original:
                 seen = math.atan(-east / north) if north else 0.0
-                gain = yaws / (yaws + settings.mag)
+                gain = yaws / (yaws + MAG)
                 yaw, yaws = yaw + gain * (seen - yaw), (1.0 - gain) * yaws
             else:
-                yaw, yaws = _fused(yaw, yaws, math.atan2(-east, north), settings.mag)
+                yaw, yaws = _fused(yaw, yaws, math.atan2(-east, north), MAG)
         roll, pitch, yaw = _wrap(roll), _wrap(pitch), _wrap(yaw)
         angles.append((roll, pitch, yaw))
         variances.append((rolls, pitches, yaws))

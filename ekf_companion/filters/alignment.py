@@ -39,24 +39,6 @@ class InitialEstimate:
     """Covariance of the error state, shape (15, 15)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class _Window:
-    """The samples and aids from which the first estimate is made."""
-
-    gyro: Array
-    accel: Array
-    fix: Position
-    velocity: Velocity | None
-    azimuths: Sequence[Azimuth]
-    is_rest: bool
-
-    @property
-    def deviations(self) -> tuple[float, float]:
-        """Return the standard deviations of the means of gyro and accelerometer, worst axis."""
-        gyro, accel = (float(one.std(axis=0).max()) for one in (self.gyro, self.accel))
-        return gyro / np.sqrt(len(self.gyro)), accel / np.sqrt(len(self.gyro))
-
-
 def align(
     t_ns: Stamps,
     gyro: Array,
@@ -68,15 +50,8 @@ def align(
     """Align at the first fix that follows a window of samples with a heading in it.
 
     If the sensor rests in the window, the mean of the gyro is its bias, and the variance of both
-    sensors gives the uncertainty of bias and level.
-
-    Args:
-        t_ns: Times of the inertial samples, ascending, shape (n,).
-        gyro: rad/s, b, shape (n, 3).
-        accel: m/s^2, b, shape (n, 3).
-        aids: Times and aids, ascending.
-        settings: Those of the daemon: window, thresholds of rest, sigmas.
-        rate_n: The Earth's rotation, rad/s; None: it does not turn.
+    sensors gives the uncertainty of bias and level. Samples (rad/s and m/s^2, b, shape (n, 3)) and
+    aids are in order of time; ``rate_n`` is the Earth's rotation, rad/s, None: it does not turn.
 
     Raises:
         LogError: The recording ends before that, or right there.
@@ -87,21 +62,33 @@ def align(
     now = int(t_ns[last])
     rows = slice(int(np.searchsorted(t_ns, now - window_ns)), last + 1)
     recent = [aid for t, aid in aids if now - window_ns <= t <= now]
-    window = _window(gyro[rows], accel[rows], recent, settings)
-    levelled = level(window.accel.mean(axis=0))
-    yaw, north = _north(levelled, window.azimuths)
+    fix = [aid for aid in recent if isinstance(aid, Position)][-1]
+    velocity = next((aid for aid in reversed(recent) if isinstance(aid, Velocity)), None)
+    moves = velocity is not None and float(np.linalg.norm(velocity.vel_n)) > LARGEST_REST_SPEED
+    samples = np.hstack([gyro[rows], accel[rows]])
+    mean, std = samples.mean(axis=0), samples.std(axis=0)
+    is_rest = bool(is_stationary(mean, std, settings.align)) and not moves
+    levelled = level(mean[3:])
+    yaw, north = _north(levelled, [aid for aid in recent if isinstance(aid, Azimuth)])
     q_nb = turn(levelled, yaw)
     C_nb = so3.to_matrix(q_nb)
-    vel_n, vel_std = _velocity(window)
+    vel_n, vel_std = _velocity(velocity, is_rest=is_rest)
     state = Nominal(
         q_nb=q_nb,
         vel_n=vel_n,
         # The fix is of the antenna
-        pos_n=window.fix.pos_n - C_nb @ window.fix.lever_b,
+        pos_n=fix.pos_n - C_nb @ fix.lever_b,
         # A gyro at rest measures its bias and the Earth's rotation
-        gyro_bias=window.gyro.mean(axis=0) - C_nb.T @ rate_n if window.is_rest else np.zeros(3),
+        gyro_bias=mean[:3] - C_nb.T @ rate_n if is_rest else np.zeros(3),
     )
-    P = _covariance(state, window, north, vel_std, settings)
+    # One sigma of the means of gyro and accelerometer, of the worst axis
+    of_gyro, of_accel = std.reshape(2, 3).max(axis=1) / np.sqrt(len(samples))
+    imu, tilt = settings.imu, of_accel / STANDARD_GRAVITY
+    tilt = tilt if is_rest else np.hypot(tilt, MOVING_TILT)
+    bias = np.hypot(of_gyro, 0.1 * imu.gyro_bias) if is_rest else imu.gyro_bias
+    stds = [np.zeros(3), vel_std, fix.std, np.repeat([bias, imu.accel_bias], 3)]
+    P = np.diag(np.square(np.concatenate(stds)))
+    P[np.ix_(_ATT_BA, _ATT_BA)] = _levelled_covariance(state, north, tilt, imu.accel_bias)
     return InitialEstimate(t_ns=now, state=state, P=P)
 
 
@@ -130,24 +117,6 @@ def _find(t_ns: Stamps, aids: Sequence[tuple[int, Observation]], window_ns: int)
     return int(at[np.argmax(is_ready)])
 
 
-def _window(
-    gyro: Array, accel: Array, recent: Sequence[Observation], settings: FilterSettings
-) -> _Window:
-    velocities = [aid for aid in recent if isinstance(aid, Velocity)]
-    velocity = velocities[-1] if velocities else None
-    moves = velocity is not None and float(np.linalg.norm(velocity.vel_n)) > LARGEST_REST_SPEED
-    samples = np.hstack([gyro, accel])
-    is_quiet = is_stationary(samples.mean(axis=0), samples.std(axis=0), settings.align)
-    return _Window(
-        gyro=gyro,
-        accel=accel,
-        fix=[aid for aid in recent if isinstance(aid, Position)][-1],
-        velocity=velocity,
-        azimuths=[aid for aid in recent if isinstance(aid, Azimuth)],
-        is_rest=bool(is_quiet) and not moves,
-    )
-
-
 def _north(levelled: Array, azimuths: Sequence[Azimuth]) -> tuple[float, Azimuth]:
     """Return the yaw of a levelled attitude by azimuths, and the last of these.
 
@@ -161,30 +130,13 @@ def _north(levelled: Array, azimuths: Sequence[Azimuth]) -> tuple[float, Azimuth
     return float(np.arctan2(np.sin(turns).mean(), np.cos(turns).mean())), usable[-1]
 
 
-def _velocity(window: _Window) -> tuple[Array, Array]:
+def _velocity(measured: Velocity | None, *, is_rest: bool) -> tuple[Array, Array]:
     """Return the velocity and one sigma of each of its components, m/s."""
     vel_n, std = np.zeros(3), np.full(3, UNKNOWN_VELOCITY)
-    if window.velocity is not None:
-        known = slice(len(window.velocity.vel_n))
-        vel_n[known], std[known] = window.velocity.vel_n, window.velocity.std
-    return vel_n, np.minimum(std, LARGEST_REST_SPEED) if window.is_rest else std
-
-
-def _covariance(
-    state: Nominal, window: _Window, north: Azimuth, vel_std: Array, settings: FilterSettings
-) -> Array:
-    imu = settings.imu
-    of_gyro, of_accel = window.deviations
-    tilt = of_accel / STANDARD_GRAVITY
-    bias = imu.gyro_bias
-    if window.is_rest:
-        bias = np.hypot(of_gyro, 0.1 * imu.gyro_bias)
-    else:
-        tilt = np.hypot(tilt, MOVING_TILT)
-    of_biases = np.repeat([bias, imu.accel_bias], 3)
-    P = np.diag(np.square(np.concatenate([np.zeros(3), vel_std, window.fix.std, of_biases])))
-    P[np.ix_(_ATT_BA, _ATT_BA)] = _levelled_covariance(state, north, tilt, imu.accel_bias)
-    return P
+    if measured is not None:
+        known = slice(len(measured.vel_n))
+        vel_n[known], std[known] = measured.vel_n, measured.std
+    return vel_n, np.minimum(std, LARGEST_REST_SPEED) if is_rest else std
 
 
 _ATT_BA = np.r_[ATT, BA]
@@ -194,13 +146,8 @@ def _levelled_covariance(state: Nominal, azimuth: Azimuth, tilt: float, accel_bi
     """Return the covariance of attitude and accelerometer bias, shape (6, 6), of a levelled start.
 
     The error of a level is the bias over gravity. It turns the heading too, by the Jacobian of the
-    azimuth: the more, the steeper the field. All three are correlated.
-
-    Args:
-        state: As aligned.
-        azimuth: By which the yaw was found.
-        tilt: One sigma of the level by other causes than the bias, rad.
-        accel_bias: One sigma, m/s^2.
+    azimuth: the more, the steeper the field. All three are correlated. The sigmas are of the level
+    by other causes than the bias, rad, and of the bias, m/s^2.
     """
     C_nb = so3.to_matrix(state.q_nb)
     # Turns about north, east and down by: bias (b), other tilt, azimuth

@@ -118,11 +118,8 @@ def body_to_n(x: Real) -> Real:
 def derivative(x: Real, gyro: Real, accel: Real, fall_n: Real) -> Real:
     """Return the rate of change of the state, shape (15,).
 
-    Args:
-        x: State, shape (15,).
-        gyro: Rate of b relative to n plus the bias, rad/s, b.
-        accel: Specific force plus the bias, m/s^2, b.
-        fall_n: Gravity and Coriolis acceleration, m/s^2, n.
+    ``gyro`` is the rate of b relative to n plus the bias, rad/s, ``accel`` the specific force plus
+    the bias, ``fall_n`` gravity and Coriolis acceleration, m/s^2.
     """
     dx = np.zeros_like(x)
     dx[ANGLES] = angle_rates(x) @ (gyro - x[GYRO])
@@ -158,13 +155,10 @@ def jacobian(x: Real, gyro: Real, accel: Real) -> Real:
 
 
 def van_loan(F: Real, Q: Real, dt: float, is_first_order: bool = False) -> tuple[Real, Real]:
-    """Return the transition over an interval, and the covariance of its noise.
+    """Return the transition over an interval, s, and the covariance of its noise, shape (n, n).
 
-    Args:
-        F: Of dx/dt = F x + noise, shape (n, n).
-        Q: Density of the noise's covariance, per second, shape (n, n).
-        dt: s.
-        is_first_order: Use 1 + A dt for the exponential of A dt.
+    The motion is dx/dt = F x + noise of covariance density Q; ``is_first_order`` uses 1 + A dt for
+    the exponential of A dt.
     """
     n = len(F)
     A = np.zeros((2 * n, 2 * n), dtype=F.dtype)
@@ -244,9 +238,9 @@ class Euler:
             if decision is Decision.REFUSED:
                 continue
             if decision is Decision.RESET:
-                anew = reset(aid, now, self._setup.gate.patience(aid.aid))
+                K, inflation = reset(aid, now, self._setup.gate.patience[aid.aid])
                 T = by_error_state(self.x)
-                K, inflation = T @ anew.gain, T @ anew.inflation @ T.T
+                K, inflation = T @ K, T @ inflation @ T.T
             else:
                 K, inflation = np.linalg.solve(S, H @ self.P).T, np.zeros((N, N))
             A = np.eye(N) - K @ H

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import Enum
 
 import numpy as np
@@ -28,32 +27,21 @@ class Gate:
 
     def __init__(self, settings: GateSettings) -> None:
         self._limits = [chi_square_quantile(settings.probability, dof) for dof in (1, 2, 3)]
-        self._patience = {
+        self.patience = {
             "position": settings.timeout_position,
             "velocity": settings.timeout_velocity,
             "heading": settings.timeout_heading,
         }
+        """By aid, the time after which it resets the estimate, s."""
+        self.counts: dict[str, tuple[int, int]] = {}
+        """By aid, how many measurements were accepted, and how many refused."""
+        self.resets: dict[str, int] = {}
+        """By aid, how many measurements reset the estimate after a time-out."""
         self._accepted_ns: dict[str, int] = {}
-        self._counts: dict[str, list[int]] = {}
-        self._resets: dict[str, int] = {}
-
-    @property
-    def counts(self) -> Mapping[str, tuple[int, int]]:
-        """Return by aid how many measurements were accepted, and how many refused."""
-        return {aid: (accepted, refused) for aid, (accepted, refused) in self._counts.items()}
-
-    @property
-    def resets(self) -> Mapping[str, int]:
-        """Return how many measurements of each aid reset the estimate after a time-out."""
-        return dict(self._resets)
 
     def test(self, aid: str, t_ns: int, z: Array, S: Array) -> Decision:
         """Test an innovation of 1 to 3 rows; the first that fails after a time-out resets."""
         return self.test_nis(aid, t_ns, float(z @ np.linalg.solve(S, z)), len(z))
-
-    def patience(self, aid: str) -> float:
-        """Return the time after which an aid resets the estimate, s."""
-        return self._patience[aid]
 
     def is_within(self, nis: float, dof: int) -> bool:
         """Return whether a normalised innovation squared is within the gate."""
@@ -61,16 +49,18 @@ class Gate:
 
     def test_nis(self, aid: str, t_ns: int, nis: float, dof: int) -> Decision:
         """Test an innovation by its normalised square, as :meth:`test` does."""
-        counts = self._counts.setdefault(aid, [0, 0])
+        accepted, refused = self.counts.get(aid, (0, 0))
         # The time-out counts from the first measurement
         since_ns = self._accepted_ns.setdefault(aid, t_ns)
         decision = Decision.FUSED
         if not self.is_within(nis, dof):
-            is_over = (t_ns - since_ns) * 1e-9 > self._patience[aid]
+            is_over = (t_ns - since_ns) * 1e-9 > self.patience[aid]
             decision = Decision.RESET if is_over else Decision.REFUSED
         if decision is Decision.RESET:
-            self._resets[aid] = self._resets.get(aid, 0) + 1
-        if decision is not Decision.REFUSED:
+            self.resets[aid] = self.resets.get(aid, 0) + 1
+        if decision is Decision.REFUSED:
+            self.counts[aid] = (accepted, refused + 1)
+        else:
+            self.counts[aid] = (accepted + 1, refused)
             self._accepted_ns[aid] = t_ns
-        counts[1 if decision is Decision.REFUSED else 0] += 1
         return decision

@@ -95,15 +95,10 @@ def correct(
     form: Form = "auto",
     max_iterations: int = MAX_ITERATIONS,
 ) -> Correction[S]:
-    """Find the state of least cost.
+    """Find the state of least cost from a prior and the covariance of its error state, (k, k).
 
-    Args:
-        state: Prior.
-        P: Covariance of its error state, shape (k, k), positive semi-definite.
-        rows: Linearises the measurements at a state; called once per iteration and halving.
-        manifold: Of the state.
-        form: Of the gain; auto: by the information if there are more rows than states.
-        max_iterations: 1: the update of an extended Kalman filter.
+    ``rows`` linearises the measurements at a state, once per iteration and halving. One iteration
+    is the update of an extended Kalman filter.
     """
     L = factor(P)
     prior, evaluations = state, 1
@@ -152,12 +147,9 @@ def gain(
 ) -> tuple[Array, Array]:
     """Return the gain times y, and the covariance after the update, for rows of unit variance.
 
-    Args:
-        L: Factor of the covariance before it, P = L L', shape (k, k).
-        H: Jacobian, shape (n, m).
-        y: To be multiplied, shape (n,) or (n, p): the identity returns the gain itself.
-        columns: Error states of H, shape (m,); None: all.
-        form: auto: by the information if n > k.
+    The covariance before it is P = L L', shape (k, k). H, shape (n, m), is by the error states in
+    ``columns``, None: all. y has the shape (n,) or (n, p): the identity returns the gain itself.
+    The form ``auto`` is by the information if n > k.
     """
     k = len(L)
     part = L if columns is None else L[columns]

@@ -53,12 +53,8 @@ def longest_part(imu: Events, gap: float = LONGEST_GAP) -> tuple[Events, tuple[s
 def is_stationary(mean: Array, std: Array, limits: AlignSettings) -> Mask:
     """Return which windows of samples are at rest: quiet, not turning, and of one g.
 
-    A slow and steady turn is as quiet as a rest.
-
-    Args:
-        mean: Of gyro (rad/s) and accelerometer (m/s^2) in each window, shape (..., 6).
-        std: Standard deviations, shape (..., 6).
-        limits: Largest standard deviations at rest.
+    A slow and steady turn is as quiet as a rest. Means and standard deviations are of gyro (rad/s)
+    and accelerometer (m/s^2) in each window, shape (..., 6).
     """
     force = np.linalg.norm(mean[..., 3:], axis=-1) / STANDARD_GRAVITY
     return np.asarray(

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ekf_companion.filters import gauss_newton
 from ekf_companion.filters.gate import Decision
@@ -47,15 +48,10 @@ class Iterated:
         max_iterations: int = MAX_ITERATIONS,
         gravity_std: float = GRAVITY_STD,
     ) -> None:
-        """Start at the first estimate.
+        """Start at the first estimate; one iteration is the update of an extended Kalman filter.
 
-        Args:
-            setup: First estimate, Earth, noise, gate.
-            frame: ``robocentric``: relative to the body frame of the last update.
-            gravity: ``sphere``: its direction is estimated too, its size is known.
-            form: Of the gain.
-            max_iterations: 1: the update of an extended Kalman filter.
-            gravity_std: One sigma of the direction of gravity if it is estimated, rad.
+        The frame ``robocentric`` is the body frame of the last update. With gravity on the
+        ``sphere`` its direction is estimated too, whose one sigma, rad, is ``gravity_std``.
         """
         self._setup, self._frame = setup, frame
         self._form, self._iterations = form, max_iterations
@@ -107,8 +103,7 @@ class Iterated:
 
     def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
         """Fuse the aids of one time that pass the gate in one update."""
-        decisions = [self._test(t_ns, aid) for aid in aids]
-        judged = list(zip(aids, decisions, strict=True))
+        judged = [(aid, self._test(t_ns, aid)) for aid in aids]
         resets = [aid for aid, decision in judged if decision is Decision.RESET]
         accepted = [aid for aid, decision in judged if decision is Decision.FUSED]
         for aid in resets:
@@ -126,9 +121,9 @@ class Iterated:
         T = np.eye(len(self.P))
         T[:N] = self._x.in_n_jacobian()[:, self._active]
         z, H, R = self._rows([aid], self._x)[:3]
-        anew = reset(aid, self.state, self._setup.gate.patience(aid.aid))
+        K, inflation = reset(aid, self.state, self._setup.gate.patience[aid.aid])
         back = np.linalg.solve(T, np.eye(len(T), N))
-        K, inflation = back @ anew.gain, back @ anew.inflation @ back.T
+        K, inflation = back @ K, back @ inflation @ back.T
         A = np.eye(len(self.P)) - K @ H
         before, self._x = self._x, self._x.plus(self._full(K @ z))
         self.P = gauss_newton.reset(
@@ -159,11 +154,7 @@ class Iterated:
         state, T = x.in_n(), x.in_n_jacobian()[:, self._active]
         z = np.concatenate([aid.innovation(state) for aid in aids])
         H = np.concatenate([aid.jacobian(state) for aid in aids]) @ T
-        R, first = np.zeros((len(z), len(z))), 0
-        for block in (aid.covariance() for aid in aids):
-            rows = slice(first, first := first + len(block))
-            R[rows, rows] = block
-        return Rows(z, H, R)
+        return Rows(z, H, block_diag(*(aid.covariance() for aid in aids)))
 
     def _full(self, dx: Array) -> Array:
         full = np.zeros(FULL)

@@ -20,8 +20,6 @@ from ekf_companion.filters.marg import marg_samples
 from ekf_companion.filters.solution import AttitudeEstimates, Solution, attitude_solution
 from ekf_companion.nav.measurements import Events
 
-NAME = "mahony"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MahonySettings:
@@ -68,7 +66,7 @@ def run(
         attitudes.append(q)
         biases.append(bias)
     found = AttitudeEstimates(q_nb=np.array(attitudes), bias=np.array(biases))
-    return attitude_solution(NAME, samples, found)
+    return attitude_solution("mahony", samples, found)
 
 
 def _gravity_error(q: Quaternion, accel: list[float]) -> Vector:

@@ -51,17 +51,11 @@ class MargSamples:
         """Return which samples have a new field, shape (n,)."""
         return known_rows(self.mag_b)
 
-    def rows(
-        self, mag_b: Array | None = None
-    ) -> Iterator[tuple[float, list[float], list[float], list[float] | None]]:
-        """Yield step, rate, specific force and field (None: no new one) of each sample.
-
-        ``mag_b`` replaces the measured field.
-        """
-        mag_b = self.mag_b if mag_b is None else mag_b
+    def rows(self) -> Iterator[tuple[float, list[float], list[float], list[float] | None]]:
+        """Yield step, rate, specific force and field (None: no new one) of each sample."""
         fields = (
             field if is_known else None
-            for field, is_known in zip(mag_b.tolist(), known_rows(mag_b).tolist(), strict=True)
+            for field, is_known in zip(self.mag_b.tolist(), self.has_mag.tolist(), strict=True)
         )
         gyro, accel = self.gyro_b.tolist(), self.accel_b.tolist()
         return zip(self.steps.tolist(), gyro, accel, fields, strict=True)
@@ -112,11 +106,9 @@ def _fields(mag: Events, t_ns: Stamps, gyro_b: Array) -> Array:
     """Rotate each field into the body at the next inertial sample, and average those of one."""
     fields = mag.values[:, :3]
     at = np.searchsorted(t_ns, mag.t_ns)
-    good = known_rows(fields) & (at < len(t_ns)) & (mag.t_ns >= t_ns[0] - LONGEST_CARRY * 1e9)
-    fields, at, stamps = fields[good], at[good], mag.t_ns[good]
-    wait = (t_ns[at] - stamps) * 1e-9
-    near = wait <= LONGEST_CARRY
-    fields, at, wait = fields[near], at[near], wait[near]
+    wait = (t_ns[np.minimum(at, len(t_ns) - 1)] - mag.t_ns) * 1e-9
+    good = known_rows(fields) & (at < len(t_ns)) & (wait <= LONGEST_CARRY)
+    fields, at, wait = fields[good], at[good], wait[good]
     carried = so3.rotate(so3.exp(-gyro_b[at] * wait[:, None]), fields)
     total, count = np.zeros((len(t_ns), 3)), np.zeros(len(t_ns))
     np.add.at(total, at, carried)

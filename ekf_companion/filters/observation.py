@@ -152,20 +152,13 @@ class Azimuth:
         return H
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Reset:
-    """The update by an aid that the gate has refused for too long."""
+def reset(aid: Observation, state: Nominal, seconds: float) -> tuple[Array, Array]:
+    """Return the update by an aid that the gate has refused for too long.
 
-    gain: Array
-    """Sets what the aid measures to the measurement, shape (15, m)."""
-    inflation: Array
-    """Is added to the covariance of the error state, shape (15, 15)."""
+    That is the gain that sets what the aid measures to the measurement, shape (15, m), and what is
+    added to the covariance of the error state, shape (15, 15).
 
-
-def reset(aid: Observation, state: Nominal, seconds: float) -> Reset:
-    """Return the update of a filter without prior knowledge of what an aid measures.
-
-    That is position, velocity or the turn about down, in the axes measured. The other states do
+    It measures position, velocity or the turn about down, in its axes. The other states do
     not change, whatever their correlation with it in P, and its dependence on them (by a lever arm,
     a tilt) is kept. A velocity becomes wrong by a wrong attitude only, whose covariance is inflated
     by as much, given the seconds since the aid was last fused.
@@ -182,4 +175,4 @@ def reset(aid: Observation, state: Nominal, seconds: float) -> Reset:
         error = float(np.linalg.norm(aid.innovation(state)))
         tilt = min(error / (STANDARD_GRAVITY * seconds), 1.0)
         inflation[ATT, ATT] = tilt * tilt * np.eye(3)
-    return Reset(gain=np.asarray(measured.T @ np.linalg.pinv(H @ measured.T)), inflation=inflation)
+    return np.asarray(measured.T @ np.linalg.pinv(H @ measured.T)), inflation

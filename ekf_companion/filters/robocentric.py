@@ -109,9 +109,8 @@ class RobocentricState:
     def recentred(self) -> tuple[RobocentricState, Array]:
         """Move r to the present body frame; the relative pose becomes part of the pose of r.
 
-        Returns:
-            The state, its relative pose zero and known, and the derivative of its error state by
-            the one before, shape (23, 23): no uncertainty is lost.
+        The relative pose is then zero and known. The derivative of the error state by the one
+        before, shape (23, 23), loses no uncertainty.
         """
         now, C_br = self.in_n(), so3.to_matrix(self.local.q_nb).T
         vel_b = C_br @ self.local.vel_n
@@ -127,8 +126,7 @@ class RobocentricState:
     def integrated(self, over: Interval, earth: Earth) -> tuple[RobocentricState, Array]:
         """Integrate the motion over an interval, with the state's own direction of gravity.
 
-        Returns:
-            The state, and the derivative of its error state by the one before, shape (23, 23).
+        The matrix is the derivative of the error state by the one before, shape (23, 23).
         """
         C_rn = so3.to_matrix(self.q_nr).T
         size, dt = earth.gravity + earth.gradient * self.pos_nr[2], over.dt

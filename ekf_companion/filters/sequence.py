@@ -6,8 +6,10 @@ subtracted, and an aid between two inertial samples splits their interval.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Protocol
 
 import numpy as np
@@ -81,13 +83,10 @@ class MeasurementSequence:
         family: str = "unknown",
         gnss_delay: float | None = None,
     ) -> None:
-        """Sort the events and select the aids.
+        """Sort events in any order, and select the aids by the daemon's settings.
 
-        Args:
-            events: In any order.
-            settings: Those of the daemon: delays, least sigmas, sources.
-            family: Autopilot that resolves ``auto`` in them.
-            gnss_delay: Delay that the log declares, s.
+        The family of the autopilot resolves ``auto`` in them; ``gnss_delay`` is the delay that the
+        log declares, s.
 
         Raises:
             LogError: There are no inertial samples, no fixes or no heading.
@@ -148,18 +147,14 @@ class MeasurementSequence:
     def steps(self, after_ns: int) -> Iterator[Step]:
         """Yield the intervals after a time, which must be that of an inertial sample."""
         first = int(np.searchsorted(self.t_ns, after_ns, side="right"))
-        waiting = (one for one in self.aids if one[0] > after_ns)
-        aid = next(waiting, None)
+        later = groupby((one for one in self.aids if one[0] > after_ns), key=lambda one: one[0])
+        waiting = deque((t_ns, tuple(aid for _, aid in group)) for t_ns, group in later)
         for k in range(max(first, 1), len(self.t_ns)):
-            end = int(self.t_ns[k])
-            now = int(self.t_ns[k - 1])
-            while aid is not None and aid[0] <= end:
-                at_ns, together = aid[0], []
-                while aid is not None and aid[0] == at_ns:
-                    together.append(aid[1])
-                    aid = next(waiting, None)
+            now, end = self.t_ns[k - 1 : k + 1].tolist()
+            while waiting and waiting[0][0] <= end:
+                at_ns, aids = waiting.popleft()
                 over = self._interval(k, now, at_ns)
-                yield Step(t_ns=at_ns, over=over, aids=tuple(together), is_sample=at_ns == end)
+                yield Step(t_ns=at_ns, over=over, aids=aids, is_sample=at_ns == end)
                 now = at_ns
             if now < end:
                 yield Step(t_ns=end, over=self._interval(k, now, end), aids=(), is_sample=True)

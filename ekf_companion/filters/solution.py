@@ -123,7 +123,7 @@ class Recorder:
         angles = so3.to_euler(q_nb)
         sigmas = np.array(self._sigmas)
         of_angles = euler_sigmas(angles, np.array(self._attitude_covariances))
-        n = len(self._states)
+        status = np.full(len(q_nb), float(Status.OK))
         columns = {
             EULER: angles,
             QUATERNION: so3.normalise(q_nb),
@@ -132,9 +132,7 @@ class Recorder:
             GYRO_BIAS: np.array([one.gyro_bias for one in self._states]),
             ACCEL_BIAS: np.array([one.accel_bias for one in self._states]),
             SIGMA: np.hstack([sigmas[:, 6:9], sigmas[:, 3:6], of_angles]),
-            ("status", "reset_count"): np.stack(
-                [np.full(n, float(Status.OK)), self._resets], axis=1
-            ),
+            ("status", "reset_count"): np.stack([status, self._resets], axis=1),
         }
         if self._frame is not None:
             lat, lon, alt = self._frame.to_geodetic(pos_n)
@@ -151,19 +149,17 @@ class AttitudeEstimates:
     bias: Array | None = None
     """Of the gyro, rad/s, b, shape (n, 3); None: not estimated."""
     covariance: Array | None = None
-    """Of the rotation vector in n, rad^2, shape (n, 3, 3); None: not estimated."""
+    """Of the rotation vector in n, rad^2, shape (n, 3, 3), or of that and more; None: not
+    estimated."""
     is_still: Mask | None = None
     """Where it found the sensor at rest, shape (n,); None: it does not look for rest."""
+    counts: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    """By aid: number of fused and of refused measurements."""
+    notes: tuple[str, ...] = ()
+    """What the user should know, one sentence each."""
 
 
-def attitude_solution(
-    name: str,
-    samples: MargSamples,
-    found: AttitudeEstimates,
-    *,
-    counts: Mapping[str, tuple[int, int]] | None = None,
-    notes: tuple[str, ...] = (),
-) -> Solution:
+def attitude_solution(name: str, samples: MargSamples, found: AttitudeEstimates) -> Solution:
     """Return the solution of a filter of attitude alone; what is not known is NaN.
 
     The samples add the declination and their notes.
@@ -185,7 +181,7 @@ def attitude_solution(
         columns[GYRO_BIAS] = found.bias
     if found.covariance is not None:
         C = so3.to_matrix(so3.from_euler(0.0, 0.0, samples.declination))
-        covariance = np.einsum("ij,njk,lk->nil", C, found.covariance, C)
+        covariance = np.einsum("ij,njk,lk->nil", C, found.covariance[:, :3, :3], C)
         columns[SIGMA[-3:]] = euler_sigmas(angles, covariance)
         blocks[:, :3, :3] = covariance[kept]
     return Solution(
@@ -194,8 +190,8 @@ def attitude_solution(
         covariance_ns=samples.t_ns[kept],
         covariance=blocks,
         is_still=found.is_still,
-        counts=dict(counts or {}),
-        notes=samples.notes + notes,
+        counts=found.counts,
+        notes=samples.notes + found.notes,
     )
 
 

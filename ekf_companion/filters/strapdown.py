@@ -50,15 +50,10 @@ class Nominal:
 
     def minus(self, other: Nominal) -> Array:
         """Return the error state from the other to this state, shape (15,)."""
-        return np.concatenate(
-            [
-                so3.log(so3.multiply(so3.conjugate(other.q_nb), self.q_nb)),
-                self.vel_n - other.vel_n,
-                self.pos_n - other.pos_n,
-                self.gyro_bias - other.gyro_bias,
-                self.accel_bias - other.accel_bias,
-            ]
-        )
+        turn = so3.log(so3.multiply(so3.conjugate(other.q_nb), self.q_nb))
+        motion = [self.vel_n - other.vel_n, self.pos_n - other.pos_n]
+        biases = [self.gyro_bias - other.gyro_bias, self.accel_bias - other.accel_bias]
+        return np.concatenate([turn, *motion, *biases])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -73,8 +73,8 @@ class Unscented:
             return
         inflation = 0.0 * self.P
         if decision is Decision.RESET:
-            anew = reset(aid, self.state, self._setup.gate.patience(aid.aid))
-            K, inflation, z = anew.gain, anew.inflation, aid.innovation(self.state)
+            K, inflation = reset(aid, self.state, self._setup.gate.patience[aid.aid])
+            z = aid.innovation(self.state)
         else:
             K = np.linalg.solve(S, weighted.T @ points.dx).T
         # The remaining error of every point, and the noise of the sensor: no difference of

@@ -19,7 +19,6 @@ from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.measurements import Events
 
-NAME = "vqf"
 UNEVEN = 0.2
 """Largest share of steps that differ from the usual one by more than half of it."""
 
@@ -33,7 +32,12 @@ def run(events: Events, gap: float = LONGEST_GAP) -> Solution:
         LogError: There are no inertial samples.
         ConfigError: The package is not installed.
     """
-    package = _package()
+    try:
+        package = importlib.import_module("vqf")
+    except ImportError as error:
+        raise ConfigError(
+            "filter vqf: its package is not installed; pip install vqf brings it"
+        ) from error
     samples = marg_samples(events, gap)
     steps = samples.steps
     step = float(np.median(steps))
@@ -54,19 +58,10 @@ def run(events: Events, gap: float = LONGEST_GAP) -> Solution:
     notes: tuple[str, ...] = ()
     if np.mean(np.abs(steps - step) > 0.5 * step) > UNEVEN:
         notes = ("the samples are not evenly spaced, which VQF takes them to be",)
-    found = AttitudeEstimates(
-        q_nb=q_nb, bias=_forward_left_up(bias), is_still=np.asarray(is_still, dtype=bool)
-    )
-    return attitude_solution(NAME, samples, found, notes=notes)
-
-
-def _package() -> Any:
-    try:
-        return importlib.import_module("vqf")
-    except ImportError as error:
-        raise ConfigError(
-            "filter vqf: its package is not installed; pip install vqf brings it"
-        ) from error
+    is_still = np.asarray(is_still, dtype=bool)
+    bias = _forward_left_up(bias)
+    found = AttitudeEstimates(q_nb=q_nb, bias=bias, is_still=is_still, notes=notes)
+    return attitude_solution("vqf", samples, found)
 
 
 def _one_by_one(

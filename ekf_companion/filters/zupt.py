@@ -34,13 +34,7 @@ from ekf_companion.filters.strapdown import (
     integrate_strapdown,
     transition,
 )
-from ekf_companion.filters.zupt_detector import (
-    Detector,
-    Limits,
-    Rest,
-    first_rest,
-    statistic,
-)
+from ekf_companion.filters.zupt_detector import Detector, Limits, Rest, first_rest, statistic
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask
 from ekf_companion.nav.measurements import Events
@@ -100,17 +94,10 @@ def run(
     detector: Detector = Detector.SHOE,
     gap: float = LONGEST_GAP,
 ) -> Solution:
-    """Run the filter over a recording of a walk.
+    """Run the filter over the inertial samples of a walk, which begins at rest in any attitude.
 
-    Args:
-        events: Only inertial samples count. The sensor rests at the start, in any attitude.
-        settings: Properties of sensor and foot.
-        detector: Finds the stances.
-        gap: Gap in the samples beyond which only the longest part counts, s.
-
-    Returns:
-        An estimate per inertial sample from the first rest on: metres from the start, yaw relative
-        to the sensor's forward axis there.
+    Positions are metres from the start, yaw is relative to the sensor's forward axis there. Beyond
+    a gap in the samples, s, only the longest part counts.
 
     Raises:
         LogError: Too few inertial samples, or no rest at the start.
@@ -141,14 +128,9 @@ def find_stances(imu: Events, rest: Rest, settings: ZuptSettings, detector: Dete
     )
     ignores_rate = detector in (Detector.VARIANCE, Detector.MAGNITUDE)
     window = settings.window * (3.0 if ignores_rate else 1.0)
-    value = statistic(
-        detector,
-        imu.values[:, 0:3] - rest.gyro,
-        imu.values[:, 3:6],
-        rest.gravity,
-        limits,
-        half=round(0.5 * window / rest.period),
-    )
+    half = round(0.5 * window / rest.period)
+    gyro, accel = imu.values[:, 0:3] - rest.gyro, imu.values[:, 3:6]
+    value = statistic(detector, gyro, accel, rest.gravity, limits, half)
     return np.asarray(value < settings.threshold)
 
 
@@ -177,10 +159,8 @@ class _Filter:
         fused = refused = 0
         self._record(int(imu.t_ns[0]))
         for index in range(1, len(imu)):
-            # Predict over one sample
             over = _between(imu, index)
             self._predict(over)
-
             # A still sensor has zero velocity
             if is_still[index]:
                 is_fused = self._correct(imu.values[index, :3], over.dt)

@@ -62,18 +62,10 @@ class Limits:
 def statistic(
     detector: Detector, gyro: Array, accel: Array, gravity: float, limits: Limits, half: int
 ) -> Array:
-    """Return a detector's statistic at each sample; below one the sensor is still.
+    """Return a detector's statistic at each sample, shape (n,); below one the sensor is still.
 
-    Args:
-        detector: The criterion.
-        gyro: Angular rate, rad/s, shape (n, 3).
-        accel: Specific force, m/s^2, shape (n, 3).
-        gravity: As this accelerometer measures it at rest, m/s^2.
-        limits: Of a still sensor.
-        half: Samples of the window on either side; at the ends there are fewer.
-
-    Returns:
-        Shape (n,).
+    Rates are in rad/s, specific forces in m/s^2, shape (n, 3), and gravity as this accelerometer
+    measures it at rest. The window has ``half`` samples on either side, at the ends fewer.
     """
     gyro2, accel2 = limits.gyro * limits.gyro, limits.accel * limits.accel
     if detector is Detector.RATE:
@@ -155,11 +147,8 @@ def first_rest(imu: Events) -> Rest:
     for first, last in runs(is_still):
         # Half a window next to a motion contains some of it, and would bias the gyro's mean
         first, last = first + half * (first > 0), last - half * (last < len(imu))
-        if (
-            first < last
-            and stamps[first] <= LATEST
-            and stamps[last - 1] - stamps[first] >= SHORTEST
-        ):
+        is_long = first < last and stamps[last - 1] - stamps[first] >= SHORTEST
+        if is_long and stamps[first] <= LATEST:
             return _rest(gyro[first:last], accel[first:last], first, period, float(stamps[first]))
     raise LogError(
         f"no rest of {SHORTEST:g} s in the first {LATEST:g} s of {stamps[-1]:.1f} s: down and the "

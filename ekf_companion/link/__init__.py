@@ -2,7 +2,7 @@
 
 A link runs in the caller's task group and ends when that task is cancelled::
 
-    link = open_link("udpin:0.0.0.0:14540")
+    link = Link(parse_url("udpin:0.0.0.0:14540"))
     async with asyncio.TaskGroup() as group:
         group.create_task(link.run())
         data, now_ns, sender = await link.receive()

@@ -52,17 +52,18 @@ class Address:
 DATAGRAMS = (Kind.UDP_IN, Kind.UDP_OUT, Kind.UDP_BROADCAST)
 
 _SCHEMES = {
-    "udpin": Kind.UDP_IN,
+    **{kind.value: kind for kind in Kind},
     "udp": Kind.UDP_IN,
-    "udpout": Kind.UDP_OUT,
-    "udpbcast": Kind.UDP_BROADCAST,
     "udp-b": Kind.UDP_BROADCAST,
-    "tcp": Kind.TCP_OUT,
     "tcpout": Kind.TCP_OUT,
-    "tcpin": Kind.TCP_IN,
     "tcp-l": Kind.TCP_IN,
-    "serial": Kind.SERIAL,
 }
+_HOSTS = {
+    Kind.UDP_IN: "0.0.0.0",
+    Kind.TCP_IN: "0.0.0.0",
+    Kind.UDP_BROADCAST: "255.255.255.255",
+}
+"""Host where a URL names none; others must."""
 _EXAMPLES = (
     "udpin:0.0.0.0:14540, udpout:192.168.1.2:14550, tcp:127.0.0.1:5760, tcpin:0.0.0.0:5760 "
     "or serial:/dev/ttyACM0:921600"
@@ -91,11 +92,7 @@ def parse_url(url: str) -> Address:
         host, port = _parse_host(url, bind or ":14550", "0.0.0.0")
         target = _parse_host(url, remote, "127.0.0.1") if remote else None
         return Address(kind=kind, host=host, port=port, remote=target)
-    if kind in (Kind.UDP_IN, Kind.TCP_IN):
-        default = "0.0.0.0"
-    else:
-        default = "255.255.255.255" if kind is Kind.UDP_BROADCAST else ""
-    host, port = _parse_host(url, rest, default)
+    host, port = _parse_host(url, rest, _HOSTS.get(kind, ""))
     warning = ""
     if scheme == "udp":
         warning = f"{url}: read as udpin; write udpin: to listen, or udpout: to reach out"

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from ekf_companion.link.address import DATAGRAMS, Address, Kind, parse_peer, parse_url
+from ekf_companion.link.address import DATAGRAMS, Address, Kind, parse_peer
 from ekf_companion.link.backlog import Backlog, Waiting
 from ekf_companion.link.peers import Peers, Sender
 from ekf_companion.link.port import Port, SerialPort, TcpPort, open_server, open_tcp, open_udp
@@ -52,13 +52,33 @@ class Link:
         self,
         address: Address,
         *,
+        peer: str = "",
         clock: Callable[[], int] = time.monotonic_ns,
         on_state: Callable[[bool], None] | None = None,
         on_read: Callable[[Received], None] | None = None,
         on_sent: Callable[[int], None] | None = None,
         peers: Peers | None = None,
     ) -> None:
-        self.address = address
+        """Make ready; it opens when ``run`` is awaited.
+
+        Args:
+            address: See ``parse_url``.
+            peer: Where datagrams must come from, see ``parse_peer``; empty: anywhere.
+            clock: Returns the time, ns, for the stamps of what is read.
+            on_state: Called with True when the link has opened and with False when it is closed.
+            on_read: Called with what is read, at once, in place of ``receive``; an exception from
+                it ends ``run``.
+            on_sent: Called when a replaceable message has been written whole, with the time for
+                which it waited for room, ns.
+            peers: The senders to accept, which the caller pins; if None, everybody is accepted, and
+                the last sender is answered.
+
+        Raises:
+            LinkError: ``peer`` is not an address.
+        """
+        if address.warning:
+            _log.warning("%s", address.warning)
+        self.address = replace(address, peer=parse_peer(peer, address))
         self.peers = peers or Peers(is_pinning=False)
         """Whose datagrams are accepted; others are counted there."""
         self.dropped = 0
@@ -79,7 +99,7 @@ class Link:
         self._waiter: asyncio.Future[None] | None = None
         self._port: Port | None = None
         self._broken: asyncio.Future[str] | None = None
-        self._backlog = Backlog()
+        self.backlog = Backlog()
         self._timer: asyncio.TimerHandle | None = None
         self._server: socket.socket | None = None
         self._next_client: socket.socket | None = None
@@ -91,11 +111,6 @@ class Link:
     def is_open(self) -> bool:
         """Whether the descriptor is open; with UDP that tells nothing about the other end."""
         return self._port is not None
-
-    @property
-    def replaceable_waiting(self) -> int:
-        """How many replaceable messages wait for room."""
-        return self._backlog.replaceable
 
     @property
     def refused(self) -> Counter[str]:
@@ -143,23 +158,21 @@ class Link:
             self._accepted_s = asyncio.get_running_loop().time()
 
     def send(self, data: bytes, *, is_replaceable: bool = False) -> None:
-        """Send a message now, or as soon as a stream has room; never waits.
+        """Send a whole message now, or as soon as a stream has room; never waits.
 
-        Args:
-            data: The message, whole.
-            is_replaceable: Whether the next of its kind makes it worthless: while the stream has no
-                room, only the newest such message waits, and not for long.
+        It is replaceable if the next of its kind makes it worthless: while the stream has no room,
+        only the newest such message waits, and not for long.
         """
         port = self._port
         if port is None:
             self.unsent += 1
             return
         now_ns = self._clock()
-        if self._backlog:
-            self.unsent += self._backlog.add(data, now_ns, is_replaceable=is_replaceable)
+        if self.backlog:
+            self.unsent += self.backlog.add(data, now_ns, is_replaceable=is_replaceable)
         elif (written := self._write(port, data)) < len(data):
             if port.is_stream:
-                self._backlog.put_back(Waiting(data, now_ns, is_replaceable), written)
+                self.backlog.put_back(Waiting(data, now_ns, is_replaceable), written)
                 self._await_room(port)
             else:
                 self.unsent += 1
@@ -201,7 +214,7 @@ class Link:
             self._port = None
             if self._timer is not None:
                 self._timer.cancel()
-            self.unsent += self._backlog.clear()
+            self.unsent += self.backlog.clear()
             self._on_state(False)
 
     @property
@@ -295,13 +308,13 @@ class Link:
 
     def _on_writable(self, port: Port) -> None:
         asyncio.get_running_loop().remove_writer(port.fileno())
-        self.unsent += self._backlog.expire(self._clock())
-        while (first := self._backlog.take()) is not None:
+        self.unsent += self.backlog.expire(self._clock())
+        while (first := self.backlog.take()) is not None:
             written = self._write(port, first.data)
             if self._is_broken:
                 return
             if written < len(first.data):
-                self._backlog.put_back(first, written)
+                self.backlog.put_back(first, written)
                 self._await_room(port)
                 return
             if first.is_replaceable:
@@ -321,42 +334,6 @@ class Link:
         if stream is None:
             stream, _ = await asyncio.get_running_loop().sock_accept(self._server)
         return TcpPort(stream)
-
-
-def open_link(
-    url: str,
-    *,
-    peer: str = "",
-    clock: Callable[[], int] = time.monotonic_ns,
-    on_state: Callable[[bool], None] | None = None,
-    on_read: Callable[[Received], None] | None = None,
-    on_sent: Callable[[int], None] | None = None,
-    peers: Peers | None = None,
-) -> Link:
-    """Return the link that a URL names; it opens when ``run`` is awaited.
-
-    Args:
-        url: See ``parse_url``.
-        peer: Where datagrams must come from, see ``parse_peer``; empty: anywhere.
-        clock: Returns the time, ns, for the stamps of what is read.
-        on_state: Called with True when the link has opened and with False when it is closed.
-        on_read: Called with what is read, at once, in place of ``receive``; an exception from it
-            ends ``run``.
-        on_sent: Called when a replaceable message has been written whole, with the time for which
-            it waited for room, ns.
-        peers: The senders to accept, which the caller pins; if None, everybody is accepted, and the
-            last sender is answered.
-
-    Raises:
-        LinkError: The URL names no link, or ``peer`` is not an address.
-    """
-    address = parse_url(url)
-    address = replace(address, peer=parse_peer(peer, address))
-    if address.warning:
-        _log.warning("%s", address.warning)
-    return Link(
-        address, clock=clock, on_state=on_state, on_read=on_read, on_sent=on_sent, peers=peers
-    )
 
 
 def _sentence(error: OSError) -> str:

@@ -36,10 +36,8 @@ class Peers:
     def __init__(self, *, is_pinning: bool = True, is_signed: bool = False) -> None:
         """Begin without any.
 
-        Args:
-            is_pinning: Whether the caller calls ``pin`` and ``set_target``; if not, everybody is
-                accepted, and the last sender is answered.
-            is_signed: Whether the caller accepts signed frames only.
+        Pinning, the caller calls ``pin`` and ``set_target``; else everybody is accepted, and the
+        last sender is answered. ``is_signed`` is whether the caller accepts signed frames only.
         """
         self.target: Sender | None = None
         """Where to send."""
@@ -53,7 +51,6 @@ class Peers:
         self._port = 0
         self._default_target: Sender | None = None
         self._received_ns = 0
-        self._has_complained = False
 
     def allow(self, hosts: Collection[str], port: int = 0) -> None:
         """Accept these hosts only, and this port of them; 0: any."""
@@ -69,10 +66,14 @@ class Peers:
         """Return whether to accept a datagram; a refused one is counted."""
         if sender == self.pinned:
             return True
-        reason = self._refuse(sender, now_ns)
-        if reason:
+        if reason := self._refuse(sender, now_ns):
+            if not self.refused:
+                _log.warning(
+                    "Datagrams from %s port %d are refused: %s; they are counted",
+                    *sender[:2],
+                    reason,
+                )
             self.refused[reason] += 1
-            self._complain(sender, reason)
             return False
         if not self.is_pinning:
             self.target = sender
@@ -107,11 +108,3 @@ class Peers:
         if silence > SAME_HOST_NS and sender[0] == self.pinned[0]:
             return ""
         return NOT_PINNED
-
-    def _complain(self, sender: Sender, reason: str) -> None:
-        """Warn once that somebody is refused."""
-        if not self._has_complained:
-            _log.warning(
-                "Datagrams from %s port %d are refused: %s; they are counted", *sender[:2], reason
-            )
-        self._has_complained = True

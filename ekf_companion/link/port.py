@@ -12,6 +12,7 @@ import struct
 import termios
 import threading
 from abc import ABC, abstractmethod
+from concurrent.futures import Future
 from typing import Any
 
 import serial
@@ -272,32 +273,21 @@ async def resolve(
     Raises:
         OSError: There is no such name.
     """
-    loop = asyncio.get_running_loop()
-    found: asyncio.Future[list[Any]] = loop.create_future()
     # A socket of both families has IPv4 senders as mapped IPv6 addresses
     flags = socket.AI_V4MAPPED if family == socket.AF_INET6 else 0
-
-    def settle(answer: list[Any] | OSError) -> None:
-        if found.done():
-            return
-        if isinstance(answer, OSError):
-            found.set_exception(answer)
-        else:
-            found.set_result(answer)
+    found: Future[list[Any]] = Future()
+    found.set_running_or_notify_cancel()  # it can no longer be cancelled, only be left
 
     def look_up() -> None:
-        answer: list[Any] | OSError
         try:
-            answer = socket.getaddrinfo(
-                host, port, family, type=socket.SocketKind(kind), flags=flags
+            found.set_result(
+                socket.getaddrinfo(host, port, family, type=socket.SocketKind(kind), flags=flags)
             )
         except OSError as error:
-            answer = error
+            found.set_exception(error)
         except UnicodeError:
-            answer = OSError(errno.EINVAL, f"{host} is no name of a host")
-        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
-            loop.call_soon_threadsafe(settle, answer)
+            found.set_exception(OSError(errno.EINVAL, f"{host} is no name of a host"))
 
     threading.Thread(target=look_up, name="resolver", daemon=True).start()
-    entries = await found
+    entries = await asyncio.wrap_future(found)
     return entries[0][0], [entry[4] for entry in entries]

@@ -99,8 +99,7 @@ def _array(path: Path, content: dict[str, Any], name: str, width: int) -> Array:
         raise LogError(f"{path}: {name} is {value.dtype} of {value.shape}, not of (n, {width})")
     if not len(value):
         raise LogError(f"{path}: {name} is empty: there is nothing to estimate from")
-    array: Array = value.astype(np.float64)
-    return array
+    return np.asarray(value, dtype=np.float64)
 
 
 def _forward_right_down(values: Array) -> Array:

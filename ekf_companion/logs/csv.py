@@ -76,12 +76,9 @@ _HOLDABLE = ("gps", "mag", "baro", "heading")
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
-    """Read a file into events.
+    """Read a file into events, by a map as in the module's docstring.
 
-    Args:
-        path: The file.
-        columns: The map, as in the module's docstring; None: the map beside the file or, where
-            there is none, the header.
+    By default that is the map beside the file or, where there is none, the header.
 
     Raises:
         LogError: A unit is unknown, a needed column is missing, a cell is no number, or an entry
@@ -89,7 +86,10 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     """
     where, columns = find_map(path, columns)
     options = {key: columns[key] for key in columns if key in OPTIONS}
-    table = Table(path, _delimiter(where, options))
+    delimiter = options.get("delimiter", ",")
+    if not isinstance(delimiter, str) or len(delimiter) != 1 or not delimiter.isascii():
+        raise LogError(f'{where}: delimiter: {delimiter!r} is not one character, such as ";"')
+    table = Table(path, delimiter)
     entries = {key: columns[key] for key in columns if key not in OPTIONS}
     notes: list[str] = []
     if not entries and (known := csv_known.find(table.names)) is not None:
@@ -101,7 +101,9 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     else:
         sources = from_header(path, table.names, notes)
     check_groups(path, sources)
-    hold = _hold(where, options)
+    hold = options.get("hold", [])
+    if not isinstance(hold, list) or any(name not in _HOLDABLE for name in hold):
+        raise LogError(f"{where}: hold: {hold!r} is not a list of {', '.join(_HOLDABLE)}")
     values = _values(table, sources)
     t_ns, row, values = _in_time(path, table, sources, values, notes)
     events: list[tuple[Events, Mask]] = []
@@ -109,14 +111,13 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     events += _heading(where, t_ns, values, hold, options.get("heading_source", "magnetometer"))
     if "heading" in values and "heading_std" not in values:
         notes.append(f"accuracy not declared, so assumed (deg): heading_std {HEADING_STD_DEG:g}")
-    events += _magnetometer(t_ns, values, hold)
+    events += _sensor("mag", Kind.MAG, t_ns, values, hold)
     events += _barometer(t_ns, values, hold)
-    events += _imu(t_ns, values)
+    events += _sensor("imu", Kind.IMU, t_ns, values, hold)
     if not events:
-        quantities = ", ".join(QUANTITIES)
         raise LogError(
             f"{path}: no measurement found; declare its columns in {path.name}.columns.yaml "
-            f"(quantities: {quantities})"
+            f"(quantities: {', '.join(QUANTITIES)})"
         )
     taken = [(found.take(mask), row[mask]) for found, mask in events]
     return Recording(
@@ -124,20 +125,6 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
         events=merge(*(kept for kept, _ in taken), arrival_ns=[at for _, at in taken]),
         notes=tuple(notes),
     )
-
-
-def _delimiter(where: str, options: Mapping[str, Any]) -> str:
-    delimiter = options.get("delimiter", ",")
-    if not isinstance(delimiter, str) or len(delimiter) != 1 or not delimiter.isascii():
-        raise LogError(f'{where}: delimiter: {delimiter!r} is not one character, such as ";"')
-    return delimiter
-
-
-def _hold(where: str, options: Mapping[str, Any]) -> list[str]:
-    hold = options.get("hold", [])
-    if not isinstance(hold, list) or any(name not in _HOLDABLE for name in hold):
-        raise LogError(f"{where}: hold: {hold!r} is not a list of {', '.join(_HOLDABLE)}")
-    return hold
 
 
 def _values(table: Table, sources: Mapping[str, Source]) -> Columns:
@@ -184,28 +171,19 @@ Found = list[tuple[Events, Mask]]
 """Events of all rows, and in which rows there is one."""
 
 
-def _found(events: Events, needed: list[Array], is_new: Mask) -> Found:
-    mask = np.isfinite(needed).all(axis=0) & is_new
+def _found(events: Events, needed: list[Array], held: list[Array] | None) -> Found:
+    """Return the events whose needed columns are known and, where values are held, have changed."""
+    mask = np.asarray(np.isfinite(needed).all(axis=0))
+    if held is not None:
+        mask &= series.changed(*held)
     return [(events, mask)] if mask.any() else []
 
 
-def _news(group: str, hold: list[str], columns: list[Array]) -> Mask:
-    """Return in which rows a value is new: all, or where values are held, the changes."""
-    return series.changed(*columns) if group in hold else np.ones(len(columns[0]), dtype=bool)
-
-
-def _imu(t_ns: Stamps, values: Columns) -> Found:
-    if "gyro_x" not in values:
+def _sensor(group: str, kind: Kind, t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
+    if not values.keys() >= {*GROUPS[group]}:
         return []
-    axes = [values[name] for name in GROUPS["imu"]]
-    return _found(Events.from_columns(t_ns, Kind.IMU, *axes), axes, np.ones(len(t_ns), dtype=bool))
-
-
-def _magnetometer(t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
-    if "mag_x" not in values:
-        return []
-    axes = [values[name] for name in GROUPS["mag"]]
-    return _found(Events.from_columns(t_ns, Kind.MAG, *axes), axes, _news("mag", hold, axes))
+    axes = [values[name] for name in GROUPS[group]]
+    return _found(Events.from_columns(t_ns, kind, *axes), axes, axes if group in hold else None)
 
 
 def _barometer(t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
@@ -217,7 +195,8 @@ def _barometer(t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
         alt = SCALE_HEIGHT * (1.0 - ratio**PRESSURE_EXPONENT)
     else:
         return []
-    return _found(Events.from_columns(t_ns, Kind.BARO, alt), [alt], _news("baro", hold, [alt]))
+    held = [alt] if "baro" in hold else None
+    return _found(Events.from_columns(t_ns, Kind.BARO, alt), [alt], held)
 
 
 def _heading(where: str, t_ns: Stamps, values: Columns, hold: list[str], source: Any) -> Found:
@@ -229,7 +208,7 @@ def _heading(where: str, t_ns: Stamps, values: Columns, hold: list[str], source:
     heading = values["heading"]
     std = series.accuracy(values.get("heading_std", np.nan * heading), HEADING_STD_DEG * DEGREE)
     events = Events.from_columns(t_ns, Kind.HEADING, so3.wrap(heading), std, float(known[source]))
-    return _found(events, [heading], _news("heading", hold, [heading]))
+    return _found(events, [heading], [heading] if "heading" in hold else None)
 
 
 def _gnss(
@@ -249,14 +228,13 @@ def _gnss(
         lat = np.where(np.abs(lat) <= np.pi / 2.0, lat, np.nan)
     else:
         return []
-    unknown = np.full(n, np.nan)
+    north = east = unknown = np.full(n, np.nan)
     if "gps_vn" in values:
-        velocity = [values["gps_vn"], values["gps_ve"], values.get("gps_vd", unknown)]
+        north, east = values["gps_vn"], values["gps_ve"]
     elif "gps_speed" in values:
         speed, course = values["gps_speed"], values["gps_course"]
-        velocity = [speed * np.cos(course), speed * np.sin(course), values.get("gps_vd", unknown)]
-    else:
-        velocity = [unknown, unknown, unknown]
+        north, east = speed * np.cos(course), speed * np.sin(course)
+    velocity = (north, east, values.get("gps_vd", unknown))
     if missing := [name for name in GNSS_STD if name not in values]:
         said = ", ".join(f"{name} {GNSS_STD[name]:g}" for name in missing)
         notes.append(f"accuracy not declared, so assumed (m, m/s): {said}")
@@ -273,7 +251,7 @@ def _gnss(
             f"{repeated} of {n} rows repeat the GPS values of the row before: if the file holds "
             "them until new ones come, declare hold: [gps]"
         )
-    return _found(events, [lat, lon, alt], _news("gps", hold, held))
+    return _found(events, [lat, lon, alt], held if "gps" in hold else None)
 
 
 def _origin(where: str, origin: Any) -> LocalFrame:

@@ -15,15 +15,14 @@ import numpy as np
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
-from ekf_companion.logs.dataflash_records import OFFSET, Column, Columns, columns, read_columns
-from ekf_companion.logs.dataflash_tables import boot_ns, choose, names_of, rows_of
+from ekf_companion.logs.dataflash_records import OFFSET, Column, Columns, read_columns
+from ekf_companion.logs.dataflash_tables import NEEDED, boot_ns, choose, names_of, rows_of
 from ekf_companion.logs.dataflash_trajectory import reference, truth
 from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
-
-__all__ = ["columns", "read"]
 
 Arrivals = list[tuple[Events, Stamps]]
 """Events and their positions in the file."""
@@ -36,17 +35,15 @@ GNSS_STD_RATIO = 1.5
 """Vertical by horizontal error of such a receiver."""
 GNSS_STD_VEL = 0.3
 """m/s; ArduPilot's default for a receiver that gives no accuracy (EK3_VELNE_M_NSE)."""
-GNSS_YAW_STD = float(np.deg2rad(5.0))
-"""rad, where the receiver gives a heading and no accuracy of it."""
-HEADING_STD = float(np.deg2rad(5.0))
-"""rad, of the autopilot's own heading: what a calibrated compass gives in flight."""
-HEADING_RATE = 10.0
-"""Hz at most, of the autopilot's own heading: its errors last, so more rows add nothing."""
 SAMPLE_TIME_NS = 1_000_000_000
 """GPA.SMS further than this from the row's own stamp is damaged or of another clock."""
-FIX_3D = 3
-_ARMED, _DISARMED, _LANDED, _NOT_LANDED = 10, 11, 18, 28
-"""EV.Id (AP_Logger.h, LogEvent)."""
+_EVENTS = {
+    10: ("armed", True),
+    11: ("armed", False),
+    18: ("landed", True),
+    28: ("landed", False),
+}
+"""What an EV.Id tells (AP_Logger.h, LogEvent)."""
 
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
@@ -61,9 +58,9 @@ def read(path: Path) -> Recording:
     tables, notes = read_columns(path)
     tables = choose(tables, notes)
     gnss = _gnss(tables)
-    arrivals: Arrivals = [*gnss, *_vehicle(tables)]
-    for take in (_imu, _gnss_heading, _attitude_heading, _magnetometer, _barometer):
-        arrivals += take(tables)
+    arrivals: Arrivals = [*gnss, *_vehicle(tables), *_sensor(tables, "IMU", Kind.IMU)]
+    arrivals += [*_gnss_heading(tables), *_attitude_heading(tables), *_magnetometer(tables)]
+    arrivals += _sensor(tables, "BARO", Kind.BARO)
     if not arrivals:
         raise LogError(
             f"{path}: a DataFlash log without IMU, GPS, MAG, BARO or ATT rows; "
@@ -83,12 +80,13 @@ def read(path: Path) -> Recording:
     )
 
 
-def _imu(tables: Columns) -> Arrivals:
-    if (rows := rows_of(tables, "IMU")) is None:
+def _sensor(tables: Columns, name: str, kind: Kind) -> Arrivals:
+    """Return the events of a message whose needed columns are those of the events, in SI."""
+    if (rows := rows_of(tables, name)) is None:
         return []
     table, t_ns = rows
-    axes = [table[name] for name in ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")]
-    return [(Events.from_columns(t_ns, Kind.IMU, *axes), table[OFFSET])]
+    columns = [table[column] for column in NEEDED[name]]
+    return [(Events.from_columns(t_ns, kind, *columns), table[OFFSET])]
 
 
 def _accuracies(tables: Columns, t_ns: Stamps) -> tuple[Column, Mask] | None:
@@ -147,7 +145,7 @@ def _gnss_heading(tables: Columns) -> Arrivals:
     table, t_ns = rows
     # 0 is "no yaw"; a receiver sends 360 for north
     valid = (table["Status"] >= FIX_3D) & (table["Yaw"] != 0.0)
-    std = np.full(len(table), GNSS_YAW_STD)
+    std = np.full(len(table), GNSS_HEADING_STD)
     if (found := _accuracies(tables, t_ns)) is not None:
         std = np.deg2rad(_where_known(found[0], "YAcc", found[1], np.rad2deg(std)))
     return _heading(t_ns[valid], table[valid], std[valid], HeadingSource.GNSS)
@@ -174,19 +172,12 @@ def _magnetometer(tables: Columns) -> Arrivals:
     if (rows := rows_of(tables, "MAG")) is None:
         return []
     table, t_ns = rows
-    field = np.stack([table[name] for name in ("MagX", "MagY", "MagZ")], axis=1) * 1e-3  # mGauss
+    field = np.stack([table[name] for name in NEEDED["MAG"]], axis=1) * 1e-3  # mGauss
     healthy = np.any(field != 0.0, axis=1)
     if "Health" in names_of(table):
         healthy &= table["Health"] != 0
     events = Events.from_columns(t_ns, Kind.MAG, *field.T)
     return [(events.take(healthy), table[OFFSET][healthy])] if healthy.any() else []
-
-
-def _barometer(tables: Columns) -> Arrivals:
-    if (rows := rows_of(tables, "BARO")) is None:
-        return []
-    table, t_ns = rows
-    return [(Events.from_columns(t_ns, Kind.BARO, table["Alt"]), table[OFFSET])]
 
 
 def _vehicle(tables: Columns) -> Arrivals:
@@ -196,26 +187,22 @@ def _vehicle(tables: Columns) -> Arrivals:
         for row, stamp in zip(tables["ARM"], t_ns, strict=True):
             changes.append((int(row[OFFSET]), int(stamp), "armed", bool(row["ArmState"])))
     if "EV" in tables:
-        meaning = {_ARMED: ("armed", True), _DISARMED: ("armed", False)}
-        meaning |= {_LANDED: ("landed", True), _NOT_LANDED: ("landed", False)}
         table = tables["EV"]
         for row, stamp in zip(table, _stamps_by_place(tables, table), strict=True):
-            if int(row["Id"]) in meaning:
-                changes.append((int(row[OFFSET]), int(stamp), *meaning[int(row["Id"])]))
-    armed: bool | None = None
-    landed: bool | None = None
-    places, rows = [], []
+            if int(row["Id"]) in _EVENTS:
+                changes.append((int(row[OFFSET]), int(stamp), *_EVENTS[int(row["Id"])]))
+    state = {"armed": np.nan, "landed": np.nan}
+    rows = []
     for place, stamp, what, value in sorted(changes):
-        before = (armed, landed)
-        armed, landed = (value, landed) if what == "armed" else (armed, value)
-        if armed is not None and (armed, landed) != before:
-            places.append(place)
-            rows.append((stamp, float(armed), np.nan if landed is None else float(landed)))
+        is_new = state[what] != value
+        state[what] = float(value)
+        if is_new and np.isfinite(state["armed"]):
+            rows.append((place, stamp, *state.values()))
     if not rows:
         return []
-    stamps = np.array([row[0] for row in rows], dtype=np.int64)
-    flags = np.array([row[1:] for row in rows])
-    return [(Events.from_columns(stamps, Kind.VEHICLE, *flags.T), np.array(places))]
+    places, stamps, armed, landed = zip(*rows, strict=True)
+    events = Events.from_columns(np.array(stamps), Kind.VEHICLE, armed, landed)
+    return [(events, np.array(places))]
 
 
 def _stamps_by_place(tables: Columns, table: Column) -> Stamps:
@@ -235,6 +222,6 @@ def _gnss_delay(tables: Columns) -> float | None:
     names, values = tables["PARM"]["Name"], tables["PARM"]["Value"]
     for name in (b"GPS1_DELAY_MS", b"GPS_DELAY_MS"):
         found = values[names == name]
-        if len(found) and np.isfinite(found[-1]) and found[-1] > 0:
+        if len(found) and 0.0 < found[-1] < np.inf:
             return float(found[-1]) * 1e-3
     return None

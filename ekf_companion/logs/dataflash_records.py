@@ -158,18 +158,15 @@ def _gather(data: bytes, places: list[int], layout: _Format) -> Column:
     return table
 
 
-def columns(path: Path) -> Columns:
-    """Return every message of a log as a table, fields in their units, in file order.
+@np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
+def read_columns(path: Path) -> tuple[Columns, list[str]]:
+    """Return every message of a log as a table, and a sentence for each fault of the file.
+
+    The fields are in their units, the records in file order.
 
     Raises:
         LogError: The file is missing, empty, or holds no FMT record.
     """
-    return read_columns(path)[0]
-
-
-@np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
-def read_columns(path: Path) -> tuple[Columns, list[str]]:
-    """Return the tables, and a sentence for each fault of the file."""
     formats, places, damaged = _find_records(data := read_bytes(path, KIND))
     if not formats:
         raise LogError(f"{path}: holds no FMT record, so it is not a {KIND}; check the file")

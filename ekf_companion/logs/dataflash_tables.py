@@ -15,7 +15,7 @@ from ekf_companion.nav.arrays import Stamps
 
 _ANGLES, _PLACE = ("Roll", "Pitch", "Yaw"), ("Lat", "Lng", "Alt")
 _MOTION = ("VN", "VE", "VD", "PN", "PE", "PD")
-_NEEDED: dict[str, tuple[str, ...]] = {
+NEEDED: dict[str, tuple[str, ...]] = {
     "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
     "GPS": ("Status", *_PLACE, "Spd", "GCrs"),
     "GPA": (),
@@ -37,13 +37,23 @@ _NEEDED: dict[str, tuple[str, ...]] = {
 
 def choose(tables: Columns, notes: list[str]) -> Columns:
     """Keep the usable messages of the first sensor, on one clock run; note what is left out."""
-    notes += _other_sensors(tables)
+    others = [name for name in ("IMU2", "IMU3", "GPS2", "MAG2", "MAG3", "BAR2") if name in tables]
+    if others:
+        notes.append(f"only the first sensor of each kind is used, not {', '.join(others)}")
     tables = {
         name: _first_instance(name, table, notes)
         for name, table in tables.items()
-        if name in _NEEDED and _is_usable(table, _NEEDED[name])
+        if name in NEEDED and _is_usable(table, NEEDED[name])
     }
-    return _on_one_run(tables, notes)
+    # Rows whose stamps are damaged, or of another boot, are dropped; tables without stamps kept
+    stamps = {name: t_ns for name, one in tables.items() if (t_ns := boot_ns(one)) is not None}
+    masks = series.common_run(stamps, "IMU", apart=("PARM", "ORGN"))
+    masks.pop("PARM", None)
+    sensors = ("IMU", "GPS", "MAG", "BARO", "ATT")
+    if wild := sum(int((~masks[name]).sum()) for name in sensors if name in masks):
+        notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
+    kept = {name: one[masks[name]] if name in masks else one for name, one in tables.items()}
+    return {name: table for name, table in kept.items() if len(table)}
 
 
 def names_of(table: Column) -> tuple[str, ...]:
@@ -92,23 +102,3 @@ def _first_instance(name: str, table: Column, notes: list[str]) -> Column:
                 notes.append(f"{name}: instance {used} is used; the log also holds {others}")
             return np.asarray(table[table[column] == instances[0]])
     return table
-
-
-def _other_sensors(tables: Columns) -> list[str]:
-    """Note the further sensors that have messages of their own."""
-    others = [name for name in ("IMU2", "IMU3", "GPS2", "MAG2", "MAG3", "BAR2") if name in tables]
-    return (
-        [f"only the first sensor of each kind is used, not {', '.join(others)}"] if others else []
-    )
-
-
-def _on_one_run(tables: Columns, notes: list[str]) -> Columns:
-    """Drop rows whose stamps are damaged, or of another boot; keep tables without stamps."""
-    stamps = {name: t_ns for name, one in tables.items() if (t_ns := boot_ns(one)) is not None}
-    masks = series.common_run(stamps, "IMU", apart=("PARM", "ORGN"))
-    masks.pop("PARM", None)
-    sensors = ("IMU", "GPS", "MAG", "BARO", "ATT")
-    if wild := sum(int((~masks[name]).sum()) for name in sensors if name in masks):
-        notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
-    kept = {name: one[masks[name]] if name in masks else one for name, one in tables.items()}
-    return {name: table for name, table in kept.items() if len(table)}

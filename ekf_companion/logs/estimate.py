@@ -72,8 +72,7 @@ def read_estimate(path: Path) -> Trajectory:
     Raises:
         LogError: The file is missing, lacks a column, or holds what is no number.
     """
-    table = Table(path)
-    return to_trajectory(_read(path, table, _NEEDED), path.name)
+    return to_trajectory(_timed(path, Table(path).read(_NEEDED)), path.name)
 
 
 def read_truth(path: Path) -> Trajectory:
@@ -91,7 +90,7 @@ def read_truth(path: Path) -> Trajectory:
         return to_trajectory(_timed(path, simulated), path.name)
     own = dict(zip(VELOCITY, ("vn_mps", "ve_mps", "vd_mps"), strict=True))
     names = {name: own.get(name, name) if name not in table.names else name for name in _NEEDED}
-    columns = _read(path, table, list(names.values()))
+    columns = _timed(path, table.read(list(names.values())))
     return to_trajectory({ours: columns[name] for ours, name in names.items()}, path.name)
 
 
@@ -120,11 +119,7 @@ def _simulated(table: Table) -> dict[str, npt.NDArray[Any]] | None:
     }
 
 
-def _read(path: Path, table: Table, names: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
-    return _timed(path, dict(table.read(names)))
-
-
-def _timed(path: Path, columns: dict[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+def _timed(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
     """Return the rows that have a time."""
     time_us = columns["time_us"]
     timed = np.abs(time_us) < 2**62 / 1000

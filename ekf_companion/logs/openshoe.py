@@ -53,14 +53,10 @@ def read(path: Path) -> Recording:
             f"{path}: no line begins with {MARK.decode()}, so this is no {KIND}; other text is "
             "read as .csv, with a header or a .columns.yaml beside it"
         )
-    samples: list[tuple[float, ...]] = []
-    times: list[float] = []
-    for fields in rows:
-        if (sample := _sample(fields)) is not None:
-            samples.append(sample)
-            times.append(_time(fields))
-    if not samples:
+    whole = [(sample, _time(fields)) for fields in rows if (sample := _sample(fields)) is not None]
+    if not whole:
         raise LogError(f"{path}: none of {len(rows)} rows is whole; record or download it again")
+    samples, times = zip(*whole, strict=True)
     stamps, is_measured, holes = _clock(np.array(times))
     notes = []
     if cut := len(rows) - len(samples):

@@ -1,4 +1,4 @@
-"""Stamped columns: the run of the clock that they share, thinning, changes, nearest rows."""
+"""Stamped columns: their clock run, thinning, changes, nearest rows, and assumed accuracies."""
 
 from __future__ import annotations
 
@@ -21,6 +21,14 @@ FEW = 0.01
 """Share of all rows below which a stretch between two jumps counts as damage."""
 MARGIN_NS = 2_000_000_000
 """How far outside the inertial samples' time other rows still belong to the same clock run."""
+FIX_3D = 3
+"""GNSS fix type from which on there is a position, in all formats."""
+GNSS_HEADING_STD = float(np.deg2rad(5.0))
+"""rad, where the receiver gives a heading and no accuracy of it."""
+HEADING_STD = float(np.deg2rad(5.0))
+"""rad, of the autopilot's own heading: what a calibrated compass gives in flight."""
+HEADING_RATE = 10.0
+"""Hz at most, of the autopilot's own heading: its errors last, so more rows add nothing."""
 
 
 def clock_run(t_ns: Stamps) -> tuple[Mask, Spans]:
@@ -37,8 +45,7 @@ def clock_run(t_ns: Stamps) -> tuple[Mask, Spans]:
         return np.zeros(0, dtype=bool), []
     step = np.diff(t_ns)
     cuts = np.flatnonzero((step < -BACK_NS) | (step > GAP_NS)) + 1
-    edges = np.concatenate([[0], cuts, [len(t_ns)]])
-    first, last = edges[:-1], edges[1:]
+    first, last = np.append(0, cuts), np.append(cuts, len(t_ns))
     enough = (last - first) >= FEW * len(t_ns)
     if not enough.any():
         enough[np.argmax(last - first)] = True
@@ -86,16 +93,9 @@ def common_run(
     for name, t_ns in stamps.items():
         masks[name] = clock_run(t_ns)[0]
         if spans and name not in apart:
-            masks[name] &= inside(t_ns, spans)
+            near = [(t_ns >= low - MARGIN_NS) & (t_ns <= high + MARGIN_NS) for low, high in spans]
+            masks[name] &= np.any(near, axis=0)
     return masks
-
-
-def inside(t_ns: Stamps, spans: Spans, margin_ns: int = MARGIN_NS) -> Mask:
-    """Return which stamps lie within the stretches, or at most a margin outside."""
-    mask = np.zeros(len(t_ns), dtype=bool)
-    for low, high in spans:
-        mask |= (t_ns >= low - margin_ns) & (t_ns <= high + margin_ns)
-    return mask
 
 
 def ascending(t_ns: Stamps) -> Mask:

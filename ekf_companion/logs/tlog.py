@@ -77,11 +77,9 @@ class Tlog:
 
     def frames(self) -> Iterator[tuple[int, bytes]]:
         """Yield each record's stamp (us, the recorder's clock) and raw frame, in file order."""
-        data = self.data
-        for stamp, place, size in zip(
-            self.stamp_us.tolist(), self.place.tolist(), self.size.tolist(), strict=True
-        ):
-            yield stamp, data[place : place + size]
+        arrays = (self.stamp_us, self.place, self.size)
+        for stamp, place, size in zip(*(one.tolist() for one in arrays), strict=True):
+            yield stamp, self.data[place : place + size]
 
     def columns(
         self, names: Sequence[str], system_id: int, component_id: int | None = None
@@ -177,43 +175,48 @@ def _find_records(data: bytes) -> tuple[array[int], int]:
     records = array("q")
     damaged = 0
     last: int | None = None
-    end = len(data)
-    extras = CRC_EXTRAS.get
     start = 0  # of the record: its stamp
-    while start + 16 <= end:  # the shortest frame has 8 bytes
+    while start + 16 <= len(data):  # the shortest frame has 8 bytes
         place = start + 8
-        stx = data[place]
-        if stx == 0xFD and place + 12 <= end:
-            header, size = 10, data[place + 1]
-            message_id = data[place + 7] | data[place + 8] << 8 | data[place + 9] << 16
-            total = size + 25 if data[place + 2] & 1 else size + 12
-        elif stx == 0xFE:
-            header, size, message_id = 6, data[place + 1], data[place + 5]
-            total = size + 8
-        else:
-            damaged += 1
-            start = _resume(data, start + 1, last)
-            continue
+        message_id, tail, after = _frame(data, place)
         (stamp,) = _STAMP.unpack_from(data, start)
-        tail = place + header + size
-        after = place + total
-        extra = extras(message_id)
-        if after > end:
+        if tail == 0 or after > len(data):
             good = False
-        elif extra is not None:
-            good = _crc(data[place + 1 : tail] + extra) == data[tail] | data[tail + 1] << 8
+        elif message_id in CRC_EXTRAS:
+            good = _is_whole(data, place, tail, message_id)
             good = good and _is_plausible(data, stamp, after, last)
         else:
             # No checksum can be tested: damage must not swallow the records after it
             good = _continues(data, after, stamp) and _resume(data, start + 1, last) >= after
         if good:
             last = stamp & 0x7FFF_FFFF_FFFF_FFFF
-            records.extend((last, place, total, message_id))
+            records.extend((last, place, after - place, message_id))
             start = after
         else:
             damaged += 1
             start = _resume(data, start + 1, last)
     return records, damaged
+
+
+def _frame(data: bytes, place: int) -> tuple[int, int, int]:
+    """Return the message id of a frame, the ends of its payload and its own; zeros if it is none.
+
+    It may end beyond the data.
+    """
+    if data[place] == 0xFE:
+        tail = place + 6 + data[place + 1]
+        return data[place + 5], tail, tail + 2
+    if data[place] == 0xFD and place + 12 <= len(data):
+        tail = place + 10 + data[place + 1]
+        message_id = data[place + 7] | data[place + 8] << 8 | data[place + 9] << 16
+        return message_id, tail, tail + (15 if data[place + 2] & 1 else 2)
+    return 0, 0, 0
+
+
+def _is_whole(data: bytes, place: int, tail: int, message_id: int) -> bool:
+    """Return whether the checksum behind the payload is right, of a known message."""
+    expected = _crc(data[place + 1 : tail] + CRC_EXTRAS[message_id])
+    return bool(expected == data[tail] | data[tail + 1] << 8)
 
 
 def _continues(data: bytes, start: int, stamp: int) -> bool:
@@ -234,36 +237,25 @@ def _is_plausible(data: bytes, stamp: int, after: int, last: int | None) -> bool
 
 def _resume(data: bytes, start: int, last: int | None) -> int:
     """Return the next position of a plausible stamp and a frame with a right checksum."""
-    end = len(data)
     for match in _START.finditer(data, start + 8):
         place = match.start()
-        if place + 8 > end:
+        if place + 8 > len(data):
             break
-        first = data[place] == 0xFE
-        if not first and place + 12 > end:
+        message_id, tail, after = _frame(data, place)
+        if tail == 0 or tail + 2 > len(data) or message_id not in CRC_EXTRAS:
             continue
-        tail = place + data[place + 1] + (6 if first else 10)
-        message_id = (
-            data[place + 5] if first else int.from_bytes(data[place + 7 : place + 10], "little")
-        )
-        extra = CRC_EXTRAS.get(message_id)
-        if extra is None or tail + 2 > end:
-            continue
-        (stamp,) = _STAMP.unpack_from(data, place - 8)
-        after = tail + (15 if not first and data[place + 2] & 1 else 2)
-        if _crc(data[place + 1 : tail] + extra) != data[tail] | data[tail + 1] << 8:
-            continue
-        if _is_plausible(data, stamp, after, last):
-            return place - 8
-    return end
+        if _is_whole(data, place, tail, message_id):
+            (stamp,) = _STAMP.unpack_from(data, place - 8)
+            if _is_plausible(data, stamp, after, last):
+                return place - 8
+    return len(data)
 
 
 def _find_autopilot(data: bytes, heartbeats: Stamps) -> Autopilot | None:
     for place in heartbeats.tolist():
-        second = data[place] == 0xFD
-        ids, header = (place + 5, 10) if second else (place + 3, 6)
-        payload = data[place + header : place + header + data[place + 1]].ljust(9, b"\0")
-        autopilot = payload[5]  # behind custom_mode and type
+        ids, payload = (place + 5, place + 10) if data[place] == 0xFD else (place + 3, place + 6)
+        # Behind custom_mode and type; 0 if the payload is cut short
+        autopilot = data[payload + 5] if data[place + 1] > 5 else 0
         if autopilot != _NO_AUTOPILOT:
             return Autopilot(data[ids], data[ids + 1], _FAMILIES.get(autopilot, "unknown"))
     return None

@@ -48,11 +48,9 @@ def _one_boot(tables: dict[str, Column]) -> dict[str, Column]:
     cuts = np.flatnonzero(np.diff(t_ns) < -series.BACK_NS) + 1
     if len(cuts) == 0:
         return tables
-    edges = np.concatenate([[0], cuts, [len(order)]])
-    longest = int(np.argmax(np.diff(edges)))
-    low, high = order[edges[longest]], order[edges[longest + 1] - 1]
+    longest = max(np.split(order, cuts), key=len)
     return {
-        name: table[(table[ORDER] >= low) & (table[ORDER] <= high)]
+        name: table[(table[ORDER] >= longest[0]) & (table[ORDER] <= longest[-1])]
         for name, table in tables.items()
     }
 

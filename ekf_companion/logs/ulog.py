@@ -5,7 +5,7 @@ pyulog finds the topics, also in damaged files. Both generations of names are re
 The first instance of each topic is used. Rows count as arrived in the order in which they were
 published (``timestamp``).
 
-Source: PX4-Autopilot msg/*.msg (fields, units, states).
+Source: PX4-Autopilot msg/*.msg (fields, units, states), src/lib/geo/geo.cpp (projection).
 """
 
 from __future__ import annotations
@@ -14,43 +14,39 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
 from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
 from ekf_companion.logs.ulog_topics import (
     Topic,
     Topics,
-    first_instances,
+    choose,
     load,
-    on_one_run,
     rotations,
     sample_ns,
     vectors,
 )
-from ekf_companion.logs.ulog_trajectory import trajectory
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Mask, Stamps, known_rows
+from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
+from ekf_companion.nav.state import Trajectory
 
 Arrivals = list[tuple[Events, Stamps]]
 """Events and when they were published, ns."""
 
-GNSS_STD_UNKNOWN = (2.0, 3.0, 0.5)
+GNSS_STD_UNKNOWN = {"eph": 2.0, "epv": 3.0, "s_variance_m_s": 0.5}
 """m, m, m/s where the receiver gives no accuracy: a receiver in the open, on the safe side."""
-HEADING_STD = float(np.deg2rad(5.0))
-"""rad, of the autopilot's own heading: what a calibrated compass gives in flight."""
-HEADING_RATE = 10.0
-"""Hz at most, of the autopilot's own heading: its errors last, so more rows add nothing."""
-GNSS_HEADING_STD = float(np.deg2rad(5.0))
-"""rad, where the receiver gives a heading and no accuracy of it."""
-FIX_3D = 3
 JAMMING_CRITICAL = 3
 """sensor_gps.jamming_state: 0 unknown, 1 ok, 2 warning (fix still good), 3 critical."""
 SPOOFING_INDICATED = 2
 """sensor_gps.spoofing_state: 0 unknown, 1 none, 2 indicated, 3 multiple indications."""
 ARMED = 2
 """vehicle_status.arming_state: 1 disarmed (standby), 2 armed."""
+EARTH_RADIUS = 6371000.0
+"""m; of the sphere that PX4 projects on (CONSTANTS_RADIUS_OF_EARTH)."""
 
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
@@ -64,12 +60,10 @@ def read(path: Path) -> Recording:
     """
     log = load(path)
     notes = ["the file is damaged: what could not be read is lost"] if log.file_corruption else []
-    lost = sum(dropout.duration for dropout in log.dropouts) * 1e-3
-    if lost > 0.0:
-        notes.append(
-            f"{len(log.dropouts)} dropouts, {lost:.1f} s in all, while the log was written"
-        )
-    topics = on_one_run(first_instances(log), notes)
+    if lost := sum(dropout.duration for dropout in log.dropouts) * 1e-3:
+        count = len(log.dropouts)
+        notes.append(f"{count} dropouts, {lost:.1f} s in all, while the log was written")
+    topics = choose(log, notes)
     arrivals: Arrivals = []
     for take in (_imu, _gnss_heading, _attitude_heading, _magnetometer, _barometer, _vehicle):
         arrivals += take(topics)
@@ -84,8 +78,8 @@ def read(path: Path) -> Recording:
     return Recording(
         family="px4",
         events=merge(*(e for e, _ in arrivals), arrival_ns=[at_ns for _, at_ns in arrivals]),
-        reference=trajectory(topics, "", "EKF2"),
-        truth=trajectory(topics, "_groundtruth", "simulator"),
+        reference=_trajectory(topics, "", "EKF2"),
+        truth=_trajectory(topics, "_groundtruth", "simulator"),
         gnss_delay=float(delay) * 1e-3 if is_delay else None,
         notes=tuple(notes),
     )
@@ -128,21 +122,16 @@ def _gnss(topics: Topics, notes: list[str]) -> Arrivals:
     has_vel = np.isfinite(velocity).all(axis=0)
     if "vel_ned_valid" in topic:
         has_vel &= topic["vel_ned_valid"] != 0
-    suspect = np.zeros(n, dtype=bool)
-    states = {"jamming_state": JAMMING_CRITICAL, "spoofing_state": SPOOFING_INDICATED}
-    for field, least in states.items():
-        if field in topic:
-            suspect |= topic[field] >= least
+    unknown = np.zeros(n)
+    suspect = topic.get("jamming_state", unknown) >= JAMMING_CRITICAL
+    suspect |= topic.get("spoofing_state", unknown) >= SPOOFING_INDICATED
     if not is_fix.all():
         notes.append(f"{n - int(is_fix.sum())} GPS rows without a 3-D fix were left out")
-    if (is_fix & suspect).any():
-        notes.append(
-            f"the receiver reports jamming or spoofing in {int((is_fix & suspect).sum())} fixes"
-        )
-    unknown = np.zeros(n)
+    if doubted := int((is_fix & suspect).sum()):
+        notes.append(f"the receiver reports jamming or spoofing in {doubted} fixes")
     std_h, std_v, std_vel = (
         series.accuracy(topic.get(field, unknown), otherwise)
-        for field, otherwise in zip(("eph", "epv", "s_variance_m_s"), GNSS_STD_UNKNOWN, strict=True)
+        for field, otherwise in GNSS_STD_UNKNOWN.items()
     )
     return _events(
         topic,
@@ -177,10 +166,8 @@ def _attitude_heading(topics: Topics) -> Arrivals:
     stride = series.thinned(topic["t_ns"], HEADING_RATE)
     topic = {field: column[stride] for field, column in topic.items()}
     valid, q_nb = rotations(topic)
-    yaw = so3.to_euler(q_nb)[:, 2]
-    return _events(
-        topic, Kind.HEADING, valid, so3.wrap(yaw), HEADING_STD, float(HeadingSource.AUTOPILOT)
-    )
+    yaw, source = so3.wrap(so3.to_euler(q_nb)[:, 2]), float(HeadingSource.AUTOPILOT)
+    return _events(topic, Kind.HEADING, valid, yaw, HEADING_STD, source)
 
 
 def _magnetometer(topics: Topics) -> Arrivals:
@@ -216,3 +203,68 @@ def _vehicle(topics: Topics) -> Arrivals:
     news = series.changed(armed, landed)
     events = Events.from_columns(t_ns, Kind.VEHICLE, armed, landed)
     return [(events.take(news), t_ns[news])]
+
+
+def _unproject(x: Array, y: Array, ref_lat: Array, ref_lon: Array) -> tuple[Array, Array]:
+    """Return latitude and longitude, rad, of metres north and east of a reference, rad.
+
+    Source: Snyder 1987, "Map projections: a working manual", (20-14), (20-15), azimuthal
+    equidistant on a sphere, as PX4's MapProjection::reproject has it.
+    """
+    c = np.hypot(x, y) / EARTH_RADIUS
+    scale = np.sinc(c / np.pi) / EARTH_RADIUS  # numpy's sinc(x) is sin(pi x) / (pi x)
+    north, east = x * scale, y * scale
+    lat = np.arcsin(np.clip(np.cos(c) * np.sin(ref_lat) + north * np.cos(ref_lat), -1.0, 1.0))
+    dlon = np.arctan2(east, np.cos(ref_lat) * np.cos(c) - north * np.sin(ref_lat))
+    return lat, so3.wrap(ref_lon + dlon)
+
+
+def _trajectory(topics: Topics, suffix: str, name: str) -> Trajectory | None:
+    """Return the trajectory in the topics with a suffix: EKF2's estimate, or the truth."""
+    attitude = topics.get(f"vehicle_attitude{suffix}", {})
+    local = topics.get(f"vehicle_local_position{suffix}", {})
+    if not attitude and not local:
+        return None
+    parts: dict[str, npt.NDArray[Any]] = {}
+    if attitude:
+        valid, q_nb = rotations(attitude)
+        att_t_ns = sample_ns(attitude)
+        valid &= series.ascending(att_t_ns)
+        parts |= {"att_t_ns": att_t_ns[valid], "q_nb": q_nb[valid]}
+    if "vx" in local:
+        vel_n = series.stack(local, "vx", "vy", "vz")
+        for valid_field, axes in (("v_xy_valid", slice(0, 2)), ("v_z_valid", slice(2, 3))):
+            if valid_field in local:
+                vel_n[local[valid_field] == 0, axes] = np.nan
+        vel_t_ns = sample_ns(local)
+        known = np.isfinite(vel_n).any(axis=1) & series.ascending(vel_t_ns)
+        parts |= {"vel_t_ns": vel_t_ns[known], "vel_n": vel_n[known]}
+    parts |= _positions(local, topics.get(f"vehicle_global_position{suffix}", {}))
+    words = f"vehicle_attitude{suffix}, vehicle_local_position{suffix}"
+    return Trajectory(name=f"{name} ({words})", **parts)
+
+
+def _positions(local: Topic, world: Topic) -> dict[str, npt.NDArray[Any]]:
+    """Return the position fields of a trajectory, preferably of the local topic: it is faster."""
+    if "ref_lat" in local:
+        x, y, z = (np.asarray(local[axis], dtype=float) for axis in "xyz")
+        ref_lat, ref_lon = np.deg2rad(local["ref_lat"]), np.deg2rad(local["ref_lon"])
+        valid = np.isfinite([x, y, ref_lat, ref_lon]).all(axis=0)
+        for field in ("xy_valid", "xy_global"):
+            valid &= local[field] != 0 if field in local else True
+        t_ns = sample_ns(local)
+        valid &= series.ascending(t_ns) & (np.hypot(np.nan_to_num(x), np.nan_to_num(y)) < 1e7)
+        if valid.any():
+            alt = np.asarray(local["ref_alt"], dtype=float) - z
+            if "z_valid" in local:
+                alt = np.where(local["z_valid"] != 0, alt, np.nan)
+            lat, lon = _unproject(x[valid], y[valid], ref_lat[valid], ref_lon[valid])
+            return {"pos_t_ns": t_ns[valid], "lat": lat, "lon": lon, "alt": alt[valid]}
+    if "lat" in world:
+        t_ns = sample_ns(world)
+        lat, lon = np.deg2rad(world["lat"]), np.deg2rad(world["lon"])
+        alt = np.asarray(world["alt"], dtype=float)
+        valid = np.isfinite(lat) & np.isfinite(lon) & series.ascending(t_ns)
+        lat, lon, alt = lat[valid], so3.wrap(lon[valid]), alt[valid]
+        return {"pos_t_ns": t_ns[valid], "lat": lat, "lon": lon, "alt": alt}
+    return {}

@@ -96,23 +96,21 @@ def load(path: Path) -> ULog:
         raise LogError(f"{path}: too damaged to be read as a {KIND}: {error}") from None
 
 
-def first_instances(log: ULog) -> Topics:
-    """Return each topic's first instance that has the fields needed."""
-    topics: Topics = {}
-    for data in sorted(log.data_list, key=lambda found: found.multi_id):
-        needed = {"timestamp", *_TOPICS[data.name]}
-        if needed <= data.data.keys() and data.name not in topics:
-            topics[data.name] = {**data.data, "t_ns": nanoseconds(data.data["timestamp"])}
-    return topics
-
-
 def nanoseconds(stamps_us: npt.NDArray[Any]) -> Stamps:
     """Convert unsigned microseconds to ns; what would overflow is damage, and stays huge."""
     return np.asarray(np.minimum(stamps_us, 2**62 // 1000), dtype=np.int64) * 1000
 
 
-def on_one_run(topics: Topics, notes: list[str]) -> Topics:
-    """Drop rows whose stamps are damaged, or of another boot."""
+def choose(log: ULog, notes: list[str]) -> Topics:
+    """Return each topic's first instance that has the fields needed, on one clock run.
+
+    Rows whose stamps are damaged, or of another boot, are dropped.
+    """
+    topics: Topics = {}
+    for data in sorted(log.data_list, key=lambda found: found.multi_id):
+        needed = {"timestamp", *_TOPICS[data.name]}
+        if needed <= data.data.keys() and data.name not in topics:
+            topics[data.name] = {**data.data, "t_ns": nanoseconds(data.data["timestamp"])}
     stamps = {name: topic["t_ns"] for name, topic in topics.items()}
     masks = series.common_run(stamps, "sensor_combined")
     if wild := sum(int((~mask).sum()) for mask in masks.values()):

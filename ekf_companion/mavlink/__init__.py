@@ -15,7 +15,7 @@ session   the conversation with one autopilot: admits frames and routes them to 
 
 A service (service.Service) is one conversation of the protocol. It sends through the outbox and
 emits events:
-discovery  which autopilot it is     heartbeat   our identity      clash       our ids, taken twice
+discovery  which autopilot it is     heartbeat   our identity, and others under our ids
 request    what we request           audit       rates that come   clock       TIMESYNC
 commands   what is requested of us   parameters  what may be set   statustext  texts for the pilot
 guard      which parameters decide

@@ -35,13 +35,9 @@ class Admission:
         signing: Signing | None = None,
         accept_unsigned: bool = False,
     ) -> None:
-        """Let in whom the configuration names.
+        """Let in these ids (empty: all), and with ``signing`` only frames whose signature is right.
 
-        Args:
-            systems: System ids; empty: all.
-            components: Component ids; empty: all.
-            signing: Verifies signatures; None: they are not looked at.
-            accept_unsigned: Whether frames without one are let in where others are verified.
+        With ``accept_unsigned``, frames without a signature are let in too.
         """
         self.refused: Counter[str] = Counter()
         """Frames by the reason why not."""
@@ -62,21 +58,20 @@ class Admission:
         """Whether an admitted frame says who sent it as surely as is asked of all."""
         return self._signing is None or self._accept_unsigned or frame.is_signed
 
-    def refuse(self, frame: Frame, now_ns: int, *, is_beside_autopilot: bool = False) -> str | None:
-        """Count and return the reason why a frame is not let in; None if it is.
+    def refuse(self, frame: Frame, now_ns: int, *, is_beside_autopilot: bool = False) -> str:
+        """Count and return the reason why a frame is not let in; empty if it is.
 
         Args:
             frame: With a right checksum.
-            now_ns: Unix time, ns, for the age of a signature.
+            now_ns: Unix time.
             is_beside_autopilot: Whether it came by the way on which the autopilot is heard.
         """
         reason = self._judge(frame, now_ns)
         if reason == UNSIGNED and is_beside_autopilot and self._is_of_radio(frame, now_ns):
-            reason = ""
+            return ""
         if reason:
             self.refused[reason] += 1
-            return reason
-        return None
+        return reason
 
     def _judge(self, frame: Frame, now_ns: int) -> str:
         if self._systems and frame.system_id not in self._systems:

@@ -43,25 +43,20 @@ class Audit(Service):
     def __init__(self, received: Counter[int], requests: Requests, emit: Emit) -> None:
         self.rates: dict[str, float] = {}
         """Of each message of the autopilot over the last five seconds, Hz."""
-        self.causes: dict[str, str] = {}
-        """Probable causes by message, where one comes too rarely however often it is requested."""
         self._received = received
         self._requests = requests
         self._emit = emit
-        self._family = Family.UNKNOWN
-        self._steps: deque[tuple[int, dict[int, int]]] = deque(maxlen=_STEPS + 1)
-        self._settled = 0
-        self._tries: Counter[str] = Counter()
-        self._next_ns: dict[str, int] = {}
+        self.begin(PeerFound(0, 0, Family.UNKNOWN))
 
     def begin(self, peer: PeerFound) -> None:
         """Measure anew."""
         self._family = peer.family
-        self._steps.clear()
+        self.causes: dict[str, str] = {}
+        """Probable causes by message, where one comes too rarely however often it is requested."""
+        self._steps: deque[tuple[int, dict[int, int]]] = deque(maxlen=_STEPS + 1)
         self._settled = 0
-        self._tries.clear()
-        self.causes.clear()
-        self._next_ns.clear()
+        self._tries: Counter[str] = Counter()
+        self._next_ns: dict[str, int] = {}
 
     def tick(self, now_ns: int) -> None:
         """Count once a second; judge the rates five seconds after the last request."""
@@ -84,18 +79,14 @@ class Audit(Service):
         in_use = max(INERTIAL, key=lambda name: self.rates.get(name, 0.0))
         inertial = self.rates.get(in_use, 0.0)
         name = self._requests.inertial or (in_use if in_use == "RAW_IMU" else "HIGHRES_IMU")
-        wanted = self._requests.expected_rate(name)
-        if wanted > 0.0:
-            is_low = inertial < _SHARE * wanted
-            self._judge_rate(name, wanted, self.rates.get(name, 0.0), is_low, now_ns)
-        if (wanted := self._requests.expected_rate(_GNSS)) > 0.0:
-            # The receiver decides its rate; only silence is a fault
-            fixes = self.rates.get(_GNSS, 0.0)
-            self._judge_rate(_GNSS, wanted, fixes, fixes == 0.0, now_ns)
+        self._judge_rate(name, inertial < _SHARE * self._requests.expected_rate(name), now_ns)
+        # The receiver decides its rate; only silence is a fault
+        self._judge_rate(_GNSS, self.rates.get(_GNSS, 0.0) == 0.0, now_ns)
 
-    def _judge_rate(
-        self, name: str, asked: float, measured: float, is_low: bool, now_ns: int
-    ) -> None:
+    def _judge_rate(self, name: str, is_low: bool, now_ns: int) -> None:
+        asked = self._requests.expected_rate(name)
+        if asked <= 0.0:
+            return
         if not is_low:
             self._tries.pop(name, None)
             self.causes.pop(name, None)
@@ -110,18 +101,13 @@ class Audit(Service):
                 else probable_cause(self.rates, self._requests.rates, self._family)
             )
             self.causes[name] = cause
-            self._emit(RateTooLow(name, asked, measured, cause))
+            self._emit(RateTooLow(name, asked, self.rates.get(name, 0.0), cause))
         self._next_ns[name] = now_ns + (_AGAIN_NS if self._tries[name] <= _TRIES else _RESIGNED_NS)
         self._requests.repeat(name)
 
 
 def silence_cause(result: str, family: Family) -> str:
-    """Return why probably no GNSS message comes, and what to check.
-
-    Args:
-        result: The answer to the last request for it; empty: none was sent.
-        family: Whose parameters to name.
-    """
+    """Return why probably no GNSS message comes, and what to check, given our request's answer."""
     setting = _RECEIVER.get(family, "the receiver's port and this link's streams")
     answer = "" if result in ("", ACCEPTED) else f" (request: {result})"
     return f"no receiver, or its stream is off{answer}; see {setting}"
@@ -132,10 +118,7 @@ def probable_cause(
 ) -> str:
     """Return why messages probably come so rarely, and what to change.
 
-    Args:
-        measured: Messages by name, Hz.
-        asked: The requested rates, Hz.
-        family: Whose parameters to name.
+    Both rates are by message, Hz.
     """
     inertial = max((measured.get(name, 0.0) for name in INERTIAL), default=0.0)
     wanted = asked.get("HIGHRES_IMU", 0.0)

@@ -12,7 +12,7 @@ from collections import Counter, deque
 from dataclasses import dataclass
 from typing import Any
 
-from ekf_companion.mavlink import encode
+from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.event import PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.outbox import Outbox
@@ -33,23 +33,6 @@ class TimesyncOptions:
     """Longer round trips are refused; PX4's bound."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TimesyncQuality:
-    """How well the autopilot's clock is known."""
-
-    offset_ns: int | None
-    """The autopilot's clock less ours, at the newest answer; None: not locked."""
-    skew: float
-    """How much faster the autopilot's clock runs than ours, s/s; 0 until known."""
-    rtt_p50_ns: int | None
-    """Median round trip, slow ones included; None: nothing was answered."""
-    rtt_p95_ns: int | None
-    answers: int
-    """Good ones since the start or the last reboot."""
-    residual: float | None
-    """RMS distance of the answers that are used from the line through them, s; None: too few."""
-
-
 _FAST_NS = SECOND_NS // 10
 _SLOW_NS = SECOND_NS
 _OUTSTANDING = 16
@@ -66,10 +49,13 @@ _LARGEST_SKEW = 500e-6
 """Crystals are better than 100 ppm; more is jitter."""
 
 
-class Timesync:
+class Timesync(Service):
     """Estimates the offset of the autopilot's clock from ours; answers in the autopilot's time."""
 
-    def __init__(self, options: TimesyncOptions | None = None) -> None:
+    def __init__(self, outbox: Outbox, options: TimesyncOptions | None = None) -> None:
+        self.handles = {"TIMESYNC": self._take}
+        self._outbox = outbox
+        self._target: dict[str, int] = {}
         self.options = options or TimesyncOptions()
         self.refused: Counter[str] = Counter()
         """Answers refused: ``foreign`` (not asked for by us), ``no time``, ``slow`` (a round trip
@@ -95,32 +81,46 @@ class Timesync:
         self._samples: deque[tuple[int, int, int]] = deque(maxlen=_WINDOW)  # middle, offset, rtt
         self._jumps = 0
         self._fit: tuple[int, int, float] | None = None  # at, offset then, skew
-        self._residual_ns = math.inf
+        self.residual_ns = math.nan
+        """RMS distance of the answers that are used from the line through them; NaN: too few."""
 
     @property
     def is_locked(self) -> bool:
         """Whether the offset is known well enough to answer with it."""
         # An offset is wrong by half a round trip at most; a scatter as wide as that tells no more
         # than the bound
-        return len(self._samples) >= _LOCK and self._residual_ns <= 0.25 * self._largest_rtt_ns
+        return len(self._samples) >= _LOCK and self.residual_ns <= 0.25 * self._largest_rtt_ns
 
     @property
     def skew(self) -> float:
         """How much faster the autopilot's clock runs than ours, s/s; 0 until known."""
         return self._fit[2] if self._fit else 0.0
 
-    @property
-    def quality(self) -> TimesyncQuality:
-        """How well the clocks have been compared."""
+    def rtt_ns(self, percent: int) -> float:
+        """Return a percentile of the round trips, slow ones included; NaN: nothing was answered."""
         rtts = sorted(self._rtts)
-        return TimesyncQuality(
-            offset_ns=self._fit[1] if self._fit and self.is_locked else None,
-            skew=self.skew,
-            rtt_p50_ns=rtts[len(rtts) // 2] if rtts else None,
-            rtt_p95_ns=rtts[len(rtts) * 95 // 100] if rtts else None,
-            answers=self.answers,
-            residual=self._residual_ns * 1e-9 if math.isfinite(self._residual_ns) else None,
-        )
+        return rtts[len(rtts) * percent // 100] if rtts else math.nan
+
+    def begin(self, peer: PeerFound) -> None:
+        """Forget what was learned of the autopilot's clock."""
+        self._target = peer.target
+        self.reset()
+
+    def tick(self, now_ns: int) -> None:
+        """Send a request if one is due."""
+        ts1 = self.request(now_ns)
+        if ts1 is not None:
+            self._send(0, ts1, now_ns)
+
+    def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
+        if message.tc1 != 0:
+            self.receive(message.tc1, message.ts1, now_ns)
+        elif (tc1 := self.answer(now_ns)) is not None:
+            self._send(tc1, message.ts1, now_ns)
+
+    def _send(self, tc1: int, ts1: int, now_ns: int) -> None:
+        payload = pack("TIMESYNC", tc1=tc1, ts1=ts1, **self._target)
+        self._outbox.send("TIMESYNC", payload, now_ns)
 
     def peer_ns(self, now_ns: int) -> int | None:
         """Return the autopilot's clock at a time of ours; None until locked."""
@@ -139,7 +139,7 @@ class Timesync:
         self._outstanding.append(now_ns)
         return now_ns
 
-    def answer(self, ts1: int, now_ns: int) -> int | None:
+    def answer(self, now_ns: int) -> int | None:
         """Return the ``tc1`` for a request; None if it is not to be answered (yet)."""
         peer_ns = self.peer_ns(now_ns) if self.options.respond else None
         # 0 would ask again
@@ -193,56 +193,14 @@ class Timesync:
         limit = sorted(sample[2] for sample in self._samples)[len(self._samples) // 2]
         fast = [sample for sample in self._samples if sample[2] <= limit]
         at, base, _ = fast[-1]
-        ages = [middle - at for middle, _, _ in fast]
-        offsets = [offset - base for _, offset, _ in fast]
-        mean_age, mean = sum(ages) / len(fast), sum(offsets) / len(fast)
+        points = [(middle - at, offset - base) for middle, offset, _ in fast]
+        mean_age, mean = (sum(column) / len(fast) for column in zip(*points, strict=True))
         skew = 0.0
-        if ages[-1] - ages[0] >= _SKEW_SPAN_NS:
-            square = sum((age - mean_age) ** 2 for age in ages)
-            product = sum(
-                (age - mean_age) * offset for age, offset in zip(ages, offsets, strict=True)
-            )
+        if points[-1][0] - points[0][0] >= _SKEW_SPAN_NS:
+            square = sum((age - mean_age) ** 2 for age, _ in points)
+            product = sum((age - mean_age) * offset for age, offset in points)
             skew = min(max(product / square, -_LARGEST_SKEW), _LARGEST_SKEW)
         constant = mean - skew * mean_age
         self._fit = (at, base + round(constant), skew)
-        self._residual_ns = math.sqrt(
-            sum(
-                (offset - constant - skew * age) ** 2
-                for age, offset in zip(ages, offsets, strict=True)
-            )
-            / len(fast)
-        )
-
-
-class TimesyncService(Service):
-    """Compares our clock with the autopilot's."""
-
-    def __init__(self, outbox: Outbox, timesync: Timesync) -> None:
-        self.handles = {"TIMESYNC": self._take}
-        self._outbox = outbox
-        self._timesync = timesync
-        self._target = (0, 0)
-
-    def begin(self, peer: PeerFound) -> None:
-        """Forget what was learned of the autopilot's clock."""
-        self._target = (peer.system_id, peer.component_id)
-        self._timesync.reset()
-
-    def tick(self, now_ns: int) -> None:
-        """Send a request if one is due."""
-        ts1 = self._timesync.request(now_ns)
-        if ts1 is not None:
-            self._send(0, ts1, now_ns)
-
-    def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
-        if message.tc1 != 0:
-            self._timesync.receive(message.tc1, message.ts1, now_ns)
-            return
-        tc1 = self._timesync.answer(message.ts1, now_ns)
-        if tc1 is not None:
-            self._send(tc1, message.ts1, now_ns)
-
-    def _send(self, tc1: int, ts1: int, now_ns: int) -> None:
-        system_id, component_id = self._target
-        payload = encode.timesync(tc1, ts1, target_system=system_id, target_component=component_id)
-        self._outbox.send("TIMESYNC", payload, now_ns)
+        squares = sum((offset - constant - skew * age) ** 2 for age, offset in points)
+        self.residual_ns = math.sqrt(squares / len(fast))

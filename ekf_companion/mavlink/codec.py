@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from fastcrc import crc16
 
 from ekf_companion.mavlink.frame import SIGNED, Frame
-from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS, Layout, by_name
+from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS, by_name
 from ekf_companion.mavlink.signing import Signing
 
 _HEADER = struct.Struct("<BBBBBBHB")
@@ -26,28 +23,13 @@ def unpack(frame: Frame) -> Any:
     Arrays are tuples, text is bytes up to the first zero. KeyError for an unknown id.
     """
     layout = LAYOUTS[frame.message_id]
-    values = unpack_values(layout, frame.payload)
-    if layout.spans is not None:
-        values = tuple(
-            values[start] if end == start + 1 else values[start:end]
-            for _, start, end in layout.spans
-        )
+    size = layout.size
+    values = layout.struct.unpack(frame.payload.ljust(size, b"\0")[:size])
+    if layout.places is not None:
+        values = tuple(values[place] for place in layout.places)
     if layout.has_text:
         values = tuple(v.split(b"\0", 1)[0] if isinstance(v, bytes) else v for v in values)
     return layout.record._make(values)
-
-
-def unpack_values(layout: Layout, payload: bytes) -> tuple[Any, ...]:
-    """Return the payload's numbers in wire order, arrays flattened."""
-    return layout.struct.unpack(payload.ljust(layout.size, b"\0")[: layout.size])
-
-
-def columns(message_id: int, payloads: Sequence[bytes]) -> npt.NDArray[np.void]:
-    """Return many payloads of one message as one array of records, shape (n,), a view of a copy."""
-    layout = LAYOUTS[message_id]
-    size = layout.size
-    whole = b"".join([payload.ljust(size, b"\0")[:size] for payload in payloads])
-    return np.frombuffer(whole, dtype=layout.dtype)
 
 
 def pack(name: str, **fields: Any) -> bytes:

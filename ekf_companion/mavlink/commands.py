@@ -5,16 +5,13 @@ Source: mavlink.io, Command Protocol; guide/message_rates.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from types import MappingProxyType
 from typing import Any
 
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import pack
-from ekf_companion.mavlink.decision import Slowed
 from ekf_companion.mavlink.event import Emit, IntervalSet, PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.heartbeat import Heartbeat
@@ -33,27 +30,25 @@ _OFFICIAL = 255
 
 
 def _version() -> int:
-    parts = [int(part) if part.isdigit() else 0 for part in __version__.split(".")[:3]]
-    major, minor, patch = [*parts, 0, 0, 0][:3]
-    return major << 24 | minor << 16 | patch << 8 | _OFFICIAL
+    parts = [int(part) if part.isdigit() else 0 for part in __version__.split(".")]
+    major, minor, patch = [*parts, 0, 0][:3]
+    return int.from_bytes([major, minor, patch, _OFFICIAL], "big")
 
 
-_IDENTITY: Mapping[str, bytes] = MappingProxyType(
-    {
-        "AUTOPILOT_VERSION": pack(
-            "AUTOPILOT_VERSION", capabilities=_CAPABILITIES, flight_sw_version=_version()
-        ),
-        # Replaces AUTOPILOT_VERSION for components that are no autopilot
-        "COMPONENT_INFORMATION_BASIC": pack(
-            "COMPONENT_INFORMATION_BASIC",
-            capabilities=_CAPABILITIES,
-            model_name=b"EKF companion",
-            software_version=__version__.encode("ascii", "replace")[:23],
-        ),
-        # MAVLink 1 is read, and 2 is sent
-        "PROTOCOL_VERSION": pack("PROTOCOL_VERSION", version=200, min_version=100, max_version=200),
-    }
-)
+_IDENTITY: Mapping[str, bytes] = {
+    "AUTOPILOT_VERSION": pack(
+        "AUTOPILOT_VERSION", capabilities=_CAPABILITIES, flight_sw_version=_version()
+    ),
+    # Replaces AUTOPILOT_VERSION for components that are no autopilot
+    "COMPONENT_INFORMATION_BASIC": pack(
+        "COMPONENT_INFORMATION_BASIC",
+        capabilities=_CAPABILITIES,
+        model_name=b"EKF companion",
+        software_version=__version__.encode("ascii", "replace")[:23],
+    ),
+    # MAVLink 1 is read, and 2 is sent
+    "PROTOCOL_VERSION": pack("PROTOCOL_VERSION", version=200, min_version=100, max_version=200),
+}
 """Payloads of the messages that identify us, by name."""
 
 
@@ -126,37 +121,36 @@ class Commands(Service):
         commanded = self._commanded.get(name)
         return min(stream.rate if commanded is None else commanded.rate, stream.largest)
 
-    def slowed_by(self, name: str) -> Slowed | None:
-        """Return who has commanded a lower rate of a message than its default; None: nobody has."""
+    def slowed_by(self, name: str) -> tuple[int, int, float] | None:
+        """Return who has commanded a lower rate of a message than its default, and that rate, Hz.
+
+        That is the system and component id; None: nobody has.
+        """
         commanded = self._commanded.get(name)
         if commanded is None:
             return None
         rate, stream = self.rate(name), self._streams[name]
         is_less = rate < min(stream.rate, stream.largest)
-        return Slowed(*commanded.commander, rate) if is_less else None
+        return (*commanded.commander, rate) if is_less else None
 
     def begin(self, peer: PeerFound) -> None:
         """Return to the default rates."""
-        self._forget(list(self._commanded))
+        self.end()
 
     def end(self) -> None:
         """Return to the default rates."""
-        self._forget(list(self._commanded))
+        for name in list(self._commanded):
+            self._forget(name)
 
     def tick(self, now_ns: int) -> None:
         """End the commands of who has gone."""
-        self._forget(
-            [
-                name
-                for name, commanded in self._commanded.items()
-                if commanded.heard_ns is not None and now_ns - commanded.heard_ns > _GONE_NS
-            ]
-        )
+        for name, commanded in list(self._commanded.items()):
+            if commanded.heard_ns is not None and now_ns - commanded.heard_ns > _GONE_NS:
+                self._forget(name)
 
-    def _forget(self, names: list[str]) -> None:
-        for name in names:
-            del self._commanded[name]
-            self._emit(IntervalSet(name, self.rate(name)))
+    def _forget(self, name: str) -> None:
+        del self._commanded[name]
+        self._emit(IntervalSet(name, self.rate(name)))
 
     def _take_heartbeat(self, heartbeat: Any, frame: Frame, now_ns: int) -> None:
         for commanded in self._commanded.values():
@@ -215,17 +209,12 @@ class Commands(Service):
             self._commanded.pop(name, None)
         elif interval_us == -1.0:
             self._commanded[name] = _CommandedRate(0.0, commander)
-        elif not stream.smallest <= (rate := _rate(interval_us)) <= stream.largest:
-            return Result.DENIED
+        elif interval_us > 0.0 and stream.smallest <= 1e6 / interval_us <= stream.largest:
+            self._commanded[name] = _CommandedRate(1e6 / interval_us, commander)
         else:
-            self._commanded[name] = _CommandedRate(rate, commander)
+            return Result.DENIED
         self._emit(IntervalSet(name, self.rate(name)))
         return Result.ACCEPTED
-
-
-def _rate(interval_us: float) -> float:
-    """Return the rate of an interval, Hz; NaN where there is none."""
-    return 1e6 / interval_us if interval_us > 0.0 else math.nan
 
 
 def _whole(number: float) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,7 +17,7 @@ class Decision:
     """Which parameter to set to what; empty: nothing to change."""
     text: str = ""
     """Reason and remedy for the pilot, short enough for one STATUSTEXT with our name before it."""
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, float] = field(default_factory=dict)
     """The autopilot's parameters that decide, as read."""
     is_warning: bool = False
     """Whether a human should look."""
@@ -38,44 +38,18 @@ class Decision:
         return f"ODOMETRY is {said}: {self.reason}{remedy}"
 
 
-@dataclass(frozen=True, slots=True)
-class Slowed:
-    """Somebody has commanded a lower rate of a message than the default."""
-
-    system_id: int
-    component_id: int
-    rate: float
-    """Hz; 0: not at all."""
-
-
-@dataclass(frozen=True, slots=True)
-class StreamState:
-    """Whether ODOMETRY is sent, all things considered: guard, clash of ids, commanded rate."""
-
-    is_streaming: bool
-    reason: str
-    """A sentence without its full stop."""
-    remedy: str = ""
-    """What to change; empty: nothing to change."""
-
-
-def streamed(reason: str, text: str, read: Mapping[str, float]) -> Decision:
+def streamed(reason: str, text: str = "ODOMETRY is streamed") -> Decision:
     """Return the decision to send it."""
-    return Decision(
-        is_streaming=True, reason=reason, text=text or "ODOMETRY is streamed", parameters=read
-    )
+    return Decision(is_streaming=True, reason=reason, text=text)
 
 
-def withheld(
-    reason: str, remedy: str, text: str, read: Mapping[str, float], *, is_double: bool = False
-) -> Decision:
+def withheld(reason: str, remedy: str = "", text: str = "", *, is_double: bool = False) -> Decision:
     """Return the decision to withhold it: a warning where something can be done about it."""
     return Decision(
         is_streaming=False,
         reason=reason,
         remedy=remedy,
         text=text,
-        parameters=read,
         is_warning=bool(remedy),
         is_double=is_double,
     )
@@ -108,27 +82,30 @@ def shared(decision: Decision, other_id: int) -> Decision:
 
 
 def stream_state(
-    decision: Decision, twin: tuple[int, int] | None, slowed: Slowed | None
-) -> StreamState:
-    """Return whether ODOMETRY is sent, and why.
+    decision: Decision, twin: tuple[int, int] | None, slowed: tuple[int, int, float] | None
+) -> Decision:
+    """Return the decision, all things considered: guard, clash of ids, commanded rate.
 
-    Args:
-        decision: The guard's.
-        twin: Our system and component id where somebody else has the same; None: nobody has.
-        slowed: Who has commanded a lower rate than the default; None: nobody has.
+    ``twin`` is our system and component id where somebody else has the same; ``slowed`` is who has
+    commanded a lower rate than the default (system and component id), and that rate, Hz, 0: off.
     """
     if twin is not None:
-        reason = f"somebody else speaks as system {twin[0]}, component {twin[1]}"
-        return StreamState(False, reason, "give one of us another link.component_id")
-    if decision.is_streaming and slowed is not None:
-        who = f"system {slowed.system_id}, component {slowed.component_id}"
-        is_on = slowed.rate > 0.0
-        return StreamState(
-            is_on,
-            f"{who} has commanded {slowed.rate:g} Hz" if is_on else f"{who} has switched it off",
-            "send SET_MESSAGE_INTERVAL of ODOMETRY with 0 for the rate by default",
+        return replace(
+            decision,
+            is_streaming=False,
+            reason=f"somebody else speaks as system {twin[0]}, component {twin[1]}",
+            remedy="give one of us another link.component_id",
         )
-    return StreamState(decision.is_streaming, decision.reason, decision.remedy)
+    if decision.is_streaming and slowed is not None:
+        system_id, component_id, rate = slowed
+        did = f"commanded {rate:g} Hz" if rate > 0.0 else "switched it off"
+        return replace(
+            decision,
+            is_streaming=rate > 0.0,
+            reason=f"system {system_id}, component {component_id} has {did}",
+            remedy="send SET_MESSAGE_INTERVAL of ODOMETRY with 0 for the rate by default",
+        )
+    return decision
 
 
 def says(name: str, value: float | None, meaning: str) -> str:

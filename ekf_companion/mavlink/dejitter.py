@@ -71,11 +71,7 @@ class Dejitter:
     """Corrects the stamps of one stream of messages, without any time of arrival."""
 
     def __init__(self, resolution_us: int = 1) -> None:
-        """Begin with nothing known.
-
-        Args:
-            resolution_us: To which the stamps are truncated.
-        """
+        """Begin with nothing known, for stamps that are truncated to a resolution."""
         self._half = resolution_us * 500 if resolution_us > 1 else 0
         self._last = self._out = -1
         self._grid = 0

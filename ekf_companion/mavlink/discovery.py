@@ -133,21 +133,17 @@ class Discovery(Service):
 
     def tick(self, now_ns: int) -> None:
         """Notice that the autopilot has fallen silent, or another."""
-        if self.peer is not None and not self.is_lost:
-            self._miss(self.peer, now_ns)
+        is_late = quantise(now_ns) - self.heard_ns > _PEER_TIMEOUT_NS
+        if self.peer is not None and not self.is_lost and is_late:
+            self.is_lost = True
+            beat = self._beats.get(self.peer[0])
+            is_steady = beat is not None and beat.is_there
+            self._awaited_ns = self.heard_ns + (_REBOOT_NS if is_steady else 0)
+            self._end()
+            self._emit(PeerLost(self.heard_ns))
         for beat in self._beats.values():
             beat.tick(now_ns)
         self._report_other()
-
-    def _miss(self, peer: tuple[int, int], now_ns: int) -> None:
-        if quantise(now_ns) - self.heard_ns <= _PEER_TIMEOUT_NS:
-            return
-        self.is_lost = True
-        beat = self._beats.get(peer[0])
-        is_steady = beat is not None and beat.is_there
-        self._awaited_ns = self.heard_ns + (_REBOOT_NS if is_steady else 0)
-        self._end()
-        self._emit(PeerLost(self.heard_ns))
 
     def _report_other(self) -> None:
         """Report which other system's autopilot is on the link, where that changes."""
@@ -167,7 +163,9 @@ class Discovery(Service):
         self.tick(now_ns)
         sender = frame[1:3]
         family = _FAMILIES.get(heartbeat.autopilot, Family.UNKNOWN)
-        self._count_heartbeat(sender[0], family, now_ns)
+        self._beats.setdefault(sender[0], Presence(_OTHER_TIMEOUT_NS)).on_heartbeat(now_ns)
+        if family is not Family.UNKNOWN:
+            self._known.add(sender[0])
         if sender != self.peer:
             if not self._is_better(sender, family, now_ns):
                 self._warn_of_other(sender[0])
@@ -180,12 +178,6 @@ class Discovery(Service):
             is_named = family is not Family.UNKNOWN or not self._is_sure
             self._find(family if is_named else self.family, now_ns)
         self._is_sure = True
-
-    def _count_heartbeat(self, system_id: int, family: Family, now_ns: int) -> None:
-        """Note an autopilot's heartbeat for its system."""
-        self._beats.setdefault(system_id, Presence(_OTHER_TIMEOUT_NS)).on_heartbeat(now_ns)
-        if family is not Family.UNKNOWN:
-            self._known.add(system_id)
 
     def _is_better(self, sender: tuple[int, int], family: Family, now_ns: int) -> bool:
         """Whether to listen, from now on, to somebody who is not the peer."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from struct import Struct
@@ -53,16 +54,6 @@ SYSTEM_STATUS = {
 """Our state by the status of the estimate."""
 
 
-def estimator_type(family: Family) -> EstimatorType:
-    """Return the true type, or the nearest for PX4, which refuses that with a critical text."""
-    return EstimatorType.VIO if family is Family.PX4 else EstimatorType.GPS_INS
-
-
-def reset_counter(count: int) -> int:
-    """Return a count of resets as 1 to 255, from 1 on: 0 would mean that none are counted."""
-    return count % 255 + 1
-
-
 _ODOMETRY = Struct("<Q220s4Bb")
 
 
@@ -78,7 +69,8 @@ def odometry(
         estimate.numbers,
         frame,
         Frame.BODY_FRD,
-        reset_counter(estimate.reset_count),
+        # From 1 to 255: 0 would mean that none are counted
+        estimate.reset_count % 255 + 1,
         estimator,
         max(-1, min(100, estimate.quality)),
     )
@@ -101,36 +93,28 @@ class StatusFlag(IntFlag):
     ACCEL_ERROR = 2048
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EstimatorHealth:
-    """The filter's own health; a ratio is innovation over gate, above 1 refused."""
+def estimator_status(
+    t_ns: int, flags: StatusFlag, ratios: Sequence[float], stds: Sequence[float]
+) -> bytes:
+    """Return the payload of ESTIMATOR_STATUS.
 
-    t_ns: int
-    flags: StatusFlag
-    vel_ratio: float
-    pos_horiz_ratio: float
-    pos_vert_ratio: float
-    heading_ratio: float
-    std_horiz: float
-    """One sigma of the horizontal position, m."""
-    std_vert: float
-    """One sigma of the height, m."""
-
-
-def estimator_status(health: EstimatorHealth) -> bytes:
-    """Return the payload of ESTIMATOR_STATUS; a ratio that is not known (NaN) stays NaN."""
+    Args:
+        t_ns: Time of the estimate, autopilot clock.
+        flags: What is estimated.
+        ratios: Innovation over gate, above 1 refused, NaN if not known: of velocity, horizontal
+            position, height and heading.
+        stds: One sigma of the horizontal position and of the height, m.
+    """
+    names = ("vel_ratio", "pos_horiz_ratio", "pos_vert_ratio", "mag_ratio")
     return pack(
         "ESTIMATOR_STATUS",
-        time_usec=health.t_ns // 1000,
-        flags=int(health.flags),
-        vel_ratio=health.vel_ratio,
-        pos_horiz_ratio=health.pos_horiz_ratio,
-        pos_vert_ratio=health.pos_vert_ratio,
-        mag_ratio=health.heading_ratio,
+        time_usec=t_ns // 1000,
+        flags=int(flags),
+        **dict(zip(names, ratios, strict=True)),
         hagl_ratio=math.nan,
         tas_ratio=math.nan,
-        pos_horiz_accuracy=health.std_horiz,
-        pos_vert_accuracy=health.std_vert,
+        pos_horiz_accuracy=stds[0],
+        pos_vert_accuracy=stds[1],
     )
 
 
@@ -157,57 +141,36 @@ def heartbeat(status: SystemStatus, mode: int = 0) -> bytes:
     )
 
 
-def set_message_interval(
-    message_id: int, rate: float, *, target_system: int, target_component: int, confirmation: int
-) -> bytes:
-    """Return the payload of the COMMAND_LONG that requests a message at a rate, Hz; 0: none."""
+def request_message(message_id: int, rate: float | None, **addressing: int) -> bytes:
+    """Return the payload of the COMMAND_LONG that requests a message.
+
+    Args:
+        message_id: Of the message.
+        rate: Hz; 0: stop it; None: send it once.
+        **addressing: ``target_system``, ``target_component`` and ``confirmation``.
+    """
+    if rate is None:
+        return pack("COMMAND_LONG", command=REQUEST_MESSAGE, param1=float(message_id), **addressing)
     return pack(
         "COMMAND_LONG",
-        target_system=target_system,
-        target_component=target_component,
         command=SET_MESSAGE_INTERVAL,
-        confirmation=confirmation,
         param1=float(message_id),
         param2=round(1e6 / rate) if rate > 0.0 else -1.0,
+        **addressing,
     )
 
 
-def request_message(
-    message_id: int, *, target_system: int, target_component: int, confirmation: int
-) -> bytes:
-    """Return the payload of the COMMAND_LONG that requests a message once."""
-    return pack(
-        "COMMAND_LONG",
-        target_system=target_system,
-        target_component=target_component,
-        command=REQUEST_MESSAGE,
-        confirmation=confirmation,
-        param1=float(message_id),
-    )
+def request_data_stream(group: int, rate: float, **target: int) -> bytes:
+    """Return the payload of REQUEST_DATA_STREAM for a group of messages at a rate, Hz.
 
-
-def request_data_stream(
-    group: int, rate: float, *, target_system: int, target_component: int
-) -> bytes:
-    """Return the payload of REQUEST_DATA_STREAM for a group of messages at a rate, Hz."""
+    ``target`` is ``target_system`` and ``target_component``.
+    """
     return pack(
         "REQUEST_DATA_STREAM",
-        target_system=target_system,
-        target_component=target_component,
         req_stream_id=group,
         req_message_rate=min(round(rate), 1000),
         start_stop=int(rate > 0.0),
-    )
-
-
-def timesync(tc1: int, ts1: int, *, target_system: int, target_component: int) -> bytes:
-    """Return the payload of TIMESYNC with its targets, 18 bytes; ``tc1 == 0`` asks."""
-    return pack(
-        "TIMESYNC",
-        tc1=tc1,
-        ts1=ts1,
-        target_system=target_system,
-        target_component=target_component,
+        **target,
     )
 
 
@@ -232,10 +195,6 @@ class Label:
     """What of the configuration is not done, or has no effect; sentences without full stop."""
 
 
-MONITOR = Label(Frame.LOCAL_NED, EstimatorType.GPS_INS, ())
-"""For a listener that is no autopilot: the true type and frame."""
-
-
 def label(
     family: Family,
     frame: Literal["LOCAL_FRD", "LOCAL_NED"],
@@ -247,13 +206,14 @@ def label(
     but LOCAL_FRD. An autopilot of unknown family is labelled as one of a known family is.
     """
     warnings = []
-    estimator = estimator_type(family) if chosen == "auto" else EstimatorType[chosen]
-    if family is Family.PX4 and estimator is EstimatorType.GPS_INS:
+    estimator = EstimatorType.GPS_INS if chosen == "auto" else EstimatorType[chosen]
+    if family is Family.PX4:
         estimator = EstimatorType.VIO
-        warnings.append(
-            "output.odometry.estimator_type: PX4 refuses GPS_INS with a critical text for each "
-            "message; VIO is sent instead: set auto or VIO"
-        )
+        if chosen == "GPS_INS":
+            warnings.append(
+                "output.odometry.estimator_type: PX4 refuses GPS_INS with a critical text for each "
+                "message; VIO is sent instead: set auto or VIO"
+            )
     if family is Family.ARDUPILOT and frame != "LOCAL_FRD":
         warnings.append(
             f"output.odometry.frame: ArduPilot ignores {frame} without a word; set LOCAL_FRD for "

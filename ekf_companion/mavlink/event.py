@@ -9,17 +9,28 @@ from ekf_companion.mavlink.decision import Decision
 from ekf_companion.mavlink.decode import Family
 
 
+class Event:
+    """Something that has happened on the link."""
+
+    __slots__ = ()
+
+
 @dataclass(frozen=True, slots=True)
-class PeerFound:
+class PeerFound(Event):
     """An autopilot was heard: the first time, or again after it was lost."""
 
     system_id: int
     component_id: int
     family: Family
 
+    @property
+    def target(self) -> dict[str, int]:
+        """The fields that address a message to it."""
+        return {"target_system": self.system_id, "target_component": self.component_id}
+
 
 @dataclass(frozen=True, slots=True)
-class PeerLost:
+class PeerLost(Event):
     """No heartbeat of the autopilot for five seconds."""
 
     last_ns: int
@@ -27,19 +38,19 @@ class PeerLost:
 
 
 @dataclass(frozen=True, slots=True)
-class Rebooted:
+class Rebooted(Event):
     """The autopilot's clock has restarted."""
 
 
 @dataclass(frozen=True, slots=True)
-class Noted:
+class Noted(Event):
     """A peculiarity of the autopilot's messages that a human should know of."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class RequestAnswered:
+class RequestAnswered(Event):
     """A request for a message was answered, or given up."""
 
     message: str
@@ -48,7 +59,7 @@ class RequestAnswered:
 
 
 @dataclass(frozen=True, slots=True)
-class SeveralAutopilots:
+class SeveralAutopilots(Event):
     """Another vehicle's autopilot is heard, and the configuration names none to listen to."""
 
     system_id: int
@@ -57,7 +68,7 @@ class SeveralAutopilots:
 
 
 @dataclass(frozen=True, slots=True)
-class PeerChanged:
+class PeerChanged(Event):
     """Another autopilot is listened to from now on; a PeerFound follows."""
 
     was: tuple[int, int]
@@ -69,7 +80,7 @@ class PeerChanged:
 
 
 @dataclass(frozen=True, slots=True)
-class FirmwareReported:
+class FirmwareReported(Event):
     """The autopilot has reported its firmware."""
 
     version: str
@@ -77,7 +88,7 @@ class FirmwareReported:
 
 
 @dataclass(frozen=True, slots=True)
-class Clash:
+class Clash(Event):
     """Somebody else speaks under our system and component id."""
 
     system_id: int
@@ -85,7 +96,7 @@ class Clash:
 
 
 @dataclass(frozen=True, slots=True)
-class RateTooLow:
+class RateTooLow(Event):
     """A message comes too rarely, however often it is requested."""
 
     message: str
@@ -98,7 +109,7 @@ class RateTooLow:
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterSet:
+class ParameterSet(Event):
     """Somebody has set one of our parameters to a value that is in its range."""
 
     name: str
@@ -111,7 +122,7 @@ class ParameterSet:
 
 
 @dataclass(frozen=True, slots=True)
-class IntervalSet:
+class IntervalSet(Event):
     """Somebody has set the rate of one of our messages."""
 
     message: str
@@ -120,27 +131,11 @@ class IntervalSet:
 
 
 @dataclass(frozen=True, slots=True)
-class GuardChanged:
+class GuardChanged(Event):
     """ODOMETRY is sent from now on, or no longer, or for another reason."""
 
     decision: Decision
 
-
-Event = (
-    PeerFound
-    | PeerLost
-    | Rebooted
-    | RequestAnswered
-    | SeveralAutopilots
-    | PeerChanged
-    | FirmwareReported
-    | Clash
-    | RateTooLow
-    | ParameterSet
-    | IntervalSet
-    | GuardChanged
-    | Noted
-)
 
 Emit = Callable[[Event], None]
 """Takes an event."""

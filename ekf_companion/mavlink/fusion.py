@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Literal
 
 from ekf_companion.mavlink.decision import Decision, listed, says, streamed, withheld
@@ -32,9 +31,11 @@ _SETS = {k: tuple(f"EK3_SRC{k}_{part}" for part in _PARTS) for k in (1, 2, 3)}
 _PX4_NEW = (_VISION, _GNSS)
 _PX4_OLD = (_MASK, _HEIGHT)
 _ARDUPILOT = (_DRIVER, _OPTIONS, *_SETS[1], *_SETS[2], *_SETS[3])
-NAMES: Mapping[Family, tuple[str, ...]] = MappingProxyType(
-    {Family.PX4: (*_PX4_NEW, *_PX4_OLD), Family.ARDUPILOT: _ARDUPILOT, Family.UNKNOWN: ()}
-)
+NAMES: Mapping[Family, tuple[str, ...]] = {
+    Family.PX4: (*_PX4_NEW, *_PX4_OLD),
+    Family.ARDUPILOT: _ARDUPILOT,
+    Family.UNKNOWN: (),
+}
 """All parameters that may decide."""
 
 _EV_BITS = {1: "horizontal position", 2: "height", 4: "velocity", 8: "yaw"}
@@ -60,44 +61,39 @@ def decide(
     independent: bool = False,
     is_complete: bool = True,
 ) -> Decision:
-    """Decide whether ODOMETRY is sent, from the answers so far.
+    """Decide whether ODOMETRY is sent, from the autopilot's answers so far.
 
-    Args:
-        family: The autopilot's.
-        parameters: Its answers so far.
-        mode: The configuration's ``output.odometry.mode``.
-        independent: Whether our sensors are other ones than the autopilot's.
-        is_complete: Whether no more answers are waited for.
+    ``mode`` and ``independent`` are the configuration's, of ``output.odometry``; ``is_complete`` is
+    whether no more answers are waited for.
     """
     decision = _decide(family, parameters, mode, independent, is_complete)
-    if not decision.is_streaming:
-        return decision
-    is_fused, is_yaw_fused = _taken(family, parameters)
-    return replace(decision, is_fused=is_fused, is_yaw_fused=is_yaw_fused)
+    read = {name: value for name, value in parameters.items() if value is not None}
+    is_fused, is_yaw_fused = _taken(family, parameters) if decision.is_streaming else (False, False)
+    return replace(decision, parameters=read, is_fused=is_fused, is_yaw_fused=is_yaw_fused)
 
 
 def _decide(
     family: Family, parameters: Parameters, mode: Mode, independent: bool, is_complete: bool
 ) -> Decision:
-    read = {name: value for name, value in parameters.items() if value is not None}
     if mode == "never":
-        return withheld("output.odometry.mode is never", "", "ODOMETRY is switched off", read)
+        return withheld("output.odometry.mode is never", text="ODOMETRY is switched off")
     if mode == "always":
         reason = "output.odometry.mode is always: nothing guards against counting GNSS twice"
-        unguarded = streamed(reason, "ODOMETRY is streamed unguarded", read)
+        unguarded = streamed(reason, "ODOMETRY is streamed unguarded")
         return replace(unguarded, is_warning=True)
     if independent:
-        return streamed("our sensors are our own (output.odometry.independent)", "", read)
+        return streamed("our sensors are our own (output.odometry.independent)")
     if family is Family.UNKNOWN:
-        return streamed("who listens is neither PX4 nor ArduPilot", "", read)
+        return streamed("who listens is neither PX4 nor ArduPilot")
     if not is_complete and (unread := missing(family, parameters)):
         reason = f"the autopilot is being asked for {listed(unread)}"
-        return replace(withheld(reason, "", "", read), is_settled=False)
+        return replace(withheld(reason), is_settled=False)
     if family is Family.ARDUPILOT:
-        return _by_ardupilot(parameters, read)
-    if read.get(_VISION) is None and read.get(_GNSS) is None and _MASK in read:
-        return _by_old_px4(read)
-    return _by_px4(parameters, read)
+        return _by_ardupilot(parameters)
+    is_old = parameters.get(_VISION) is None and parameters.get(_GNSS) is None
+    if is_old and (mask := parameters.get(_MASK)) is not None:
+        return _by_old_px4(parameters, int(mask) % _BITS)
+    return _by_px4(parameters)
 
 
 def missing(family: Family, parameters: Parameters) -> tuple[str, ...]:
@@ -146,38 +142,36 @@ def watched(family: Family, parameters: Parameters) -> tuple[str, ...]:
 # PX4
 
 
-def _by_px4(parameters: Parameters, read: Mapping[str, float]) -> Decision:
+def _by_px4(parameters: Parameters) -> Decision:
     if _VISION not in parameters:
-        return _unread((_VISION,), read)
+        return _unread((_VISION,), parameters)
     vision = parameters[_VISION]
     ours = _bits(vision, _EV_BITS)
     if vision is None or not ours:
-        return streamed(says(_VISION, vision, "the autopilot fuses nothing of ours"), "", read)
+        return streamed(says(_VISION, vision, "the autopilot fuses nothing of ours"))
     if _GNSS not in parameters:
-        return _unread((_GNSS,), read)
+        return _unread((_GNSS,), parameters)
     theirs = _bits(parameters[_GNSS], _GNSS_BITS)
     if not theirs:
         reason = says(_GNSS, parameters[_GNSS], "the autopilot fuses ours, and no GNSS")
-        return streamed(reason, "", read)
+        return streamed(reason)
     return withheld(
         f"{_VISION} is {vision:g} and {_GNSS} is {parameters[_GNSS]:g}: the autopilot would fuse "
         f"our {listed(ours)} together with the {listed(theirs)} of the GNSS that is in it",
         f"set {_GNSS} to 0 to fly on our estimate, or {_VISION} to 0 to fly on GNSS",
         f"no ODOMETRY: set {_GNSS} 0",
-        read,
         is_double=True,
     )
 
 
-def _by_old_px4(read: Mapping[str, float]) -> Decision:
+def _by_old_px4(parameters: Parameters, mask: int) -> Decision:
     """Decide by the one mask for both of PX4 before 1.14."""
-    mask = int(read[_MASK]) % _BITS
     # An unknown bit may mean either
     ours = _bits(mask, _AID_EV_BITS, {**_AID_GNSS_BITS, **_AID_OTHER_BITS})
     theirs = _bits(mask, _AID_GNSS_BITS, {**_AID_EV_BITS, **_AID_OTHER_BITS})
     known = sum((*_AID_EV_BITS, *_AID_GNSS_BITS, *_AID_OTHER_BITS))
     if not ours:
-        return streamed(f"{_MASK} is {mask}: the autopilot fuses nothing of ours", "", read)
+        return streamed(f"{_MASK} is {mask}: the autopilot fuses nothing of ours")
     if theirs:
         lone, alone = mask & known & ~sum(_AID_GNSS_BITS), mask & known & ~sum(_AID_EV_BITS)
         return withheld(
@@ -186,76 +180,71 @@ def _by_old_px4(read: Mapping[str, float]) -> Decision:
             f"set {_MASK} to {lone} to fly on our estimate, or to {alone} to "
             "fly on GNSS, and reboot",
             f"no ODOMETRY: set {_MASK} {lone}",
-            read,
             is_double=True,
         )
-    if _HEIGHT not in read:
-        return _unread((_HEIGHT,), read)
-    if read[_HEIGHT] == _GNSS_HEIGHT:
+    height = parameters.get(_HEIGHT)
+    if height is None:
+        return _unread((_HEIGHT,), parameters)
+    if height == _GNSS_HEIGHT:
         return withheld(
             f"{_HEIGHT} is 1 and {_MASK} is {mask}: the autopilot would fuse our {listed(ours)} "
             "together with the height of the GNSS that is in it",
             f"set {_HEIGHT} to 3 (vision) or 0 (barometer), and reboot",
             f"no ODOMETRY: set {_HEIGHT} 3",
-            read,
             is_double=True,
         )
-    return streamed(f"{_MASK} is {mask}: the autopilot fuses ours, and no GNSS", "", read)
+    return streamed(f"{_MASK} is {mask}: the autopilot fuses ours, and no GNSS")
 
 
 # ArduPilot
 
 
-def _by_ardupilot(parameters: Parameters, read: Mapping[str, float]) -> Decision:
+def _by_ardupilot(parameters: Parameters) -> Decision:
     if not parameters.get(_DRIVER, 1):
         reason = says(_DRIVER, parameters[_DRIVER], "the autopilot takes no ODOMETRY")
-        return streamed(reason, "", read)
-    unread = _unanswered(_ARDUPILOT, parameters)
-    if unread:
-        return _unread(unread, read)
-    pooled = _pooled(read)
+        return streamed(reason)
+    if unread := _unanswered(_ARDUPILOT, parameters):
+        return _unread(unread, parameters)
+    pooled = _pooled(parameters)
     is_taken = False
     for names in _SETS.values():
-        own = [name for name in names if read.get(name) == _EXTERNAL]
+        own = [name for name in names if parameters.get(name) == _EXTERNAL]
         ours = [*own, *(name for name in pooled if name not in own)]
-        theirs = [name for name in names if _is_of_gnss(name, read.get(name))]
+        theirs = [name for name in names if _is_of_gnss(name, parameters.get(name))]
         is_taken = is_taken or bool(ours)
         if ours and theirs:
-            return _double(own, ours, theirs, read)
+            return _double(own, ours, theirs, parameters)
     if not is_taken:
-        return streamed("no EK3_SRCn_* is 6: the autopilot fuses nothing of ours", "", read)
-    return streamed("the autopilot fuses ours, and no EK3_SRCn set has GNSS too", "", read)
+        return streamed("no EK3_SRCn_* is 6: the autopilot fuses nothing of ours")
+    return streamed("the autopilot fuses ours, and no EK3_SRCn set has GNSS too")
 
 
-def _double(
-    own: list[str], ours: list[str], theirs: list[str], read: Mapping[str, float]
-) -> Decision:
+def _double(own: list[str], ours: list[str], theirs: list[str], parameters: Parameters) -> Decision:
     """Return the decision where one of the source sets has both."""
-    listing = ", ".join(f"{name} {read[name]:g}" for name in (*ours, *theirs))
+    listing = ", ".join(f"{name} {parameters[name]:g}" for name in (*ours, *theirs))
     if own:
         remedy = f"set {listed(theirs)} to 6 to fly on our estimate"
         text = f"no ODOMETRY: set {theirs[0]} 6"
     else:
         # The sets are alternatives, but for the velocities
-        lone = int(read[_OPTIONS]) & ~_ALL_VELOCITIES
-        listing += f", {_OPTIONS} {read[_OPTIONS]:g}"
+        lone = int(parameters[_OPTIONS] or 0) & ~_ALL_VELOCITIES
+        listing += f", {_OPTIONS} {parameters[_OPTIONS]:g}"
         remedy = f"set {_OPTIONS} to {lone}, so that only the set in use is fused"
         text = f"no ODOMETRY: set {_OPTIONS} {lone}"
     return withheld(
         f"the autopilot would fuse it together with the GNSS that is in it: {listing}",
         f"{remedy}, or {_DRIVER} to 0 to fly on GNSS",
         text,
-        read,
         is_double=True,
     )
 
 
-def _pooled(read: Mapping[str, float]) -> list[str]:
+def _pooled(parameters: Parameters) -> list[str]:
     """Return the external velocities that are fused whichever set is in use."""
-    if not int(read.get(_OPTIONS, 0)) & _ALL_VELOCITIES:
+    if not int(parameters.get(_OPTIONS) or 0) & _ALL_VELOCITIES:
         return []
     names = [f"EK3_SRC{k}_{part}" for k in _SETS for part in ("VELXY", "VELZ")]
-    return [name for name in names if read.get(name) == _EXTERNAL]
+    return [name for name in names if parameters.get(name) == _EXTERNAL]
 
 
 def _is_of_gnss(name: str, value: float | None) -> bool:
@@ -265,22 +254,20 @@ def _is_of_gnss(name: str, value: float | None) -> bool:
 # Words
 
 
-def _unread(names: tuple[str, ...], read: Mapping[str, float]) -> Decision:
+def _unread(names: tuple[str, ...], parameters: Parameters) -> Decision:
     """Return the decision where parameters were not answered, or none at all."""
     question = "cannot find out whether the autopilot would fuse it together with GNSS"
-    if not read:
+    if all(value is None for value in parameters.values()):
         return withheld(
             f"{question}: it answers no request for a parameter",
             "check that it hears us on this link, or set output.odometry.mode to always",
             "no ODOMETRY: no parameter is answered",
-            read,
         )
     return withheld(
         f"{question}: it did not answer for {listed(names)}",
         f"look for {names[0]} in a ground station; where this firmware has none, set "
         "output.odometry.mode to always",
         f"no ODOMETRY: {names[0]} unread",
-        read,
     )
 
 

@@ -57,18 +57,6 @@ class GuardOptions:
     """Whether our sensors are other ones than the autopilot's."""
 
 
-@dataclass(slots=True)
-class _Request:
-    """A parameter that was requested."""
-
-    tries: int = 0
-    deadline_ns: int = 0
-
-    def is_open(self, now_ns: int) -> bool:
-        """Whether an answer may still come."""
-        return self.tries > 0 and now_ns < self.deadline_ns
-
-
 class Guard(Service):
     """Decides whether ODOMETRY is sent."""
 
@@ -81,12 +69,8 @@ class Guard(Service):
     ) -> None:
         """Begin with no autopilot.
 
-        Args:
-            outbox: Takes the requests.
-            emit: Takes the events.
-            refuse_ours: Called with whether our ODOMETRY is fused in the autopilot's own position,
-                and in its yaw, as soon as that is known.
-            options: What the configuration says.
+        ``refuse_ours`` is called with whether our ODOMETRY is fused in the autopilot's own
+        position, and in its yaw, as soon as that is known.
         """
         self.options = options or GuardOptions()
         # A dialect from before PARAM_ERROR lacks its layout, and silence says the same
@@ -95,11 +79,17 @@ class Guard(Service):
         self._outbox = outbox
         self._emit = emit
         self._refuse_ours = refuse_ours
+        self._forget()
+        self._other_id: int | None = None
+        self._last: tuple[bool, str, str] | None = None
+        self.decision: Decision = self._nobody()
+
+    def _forget(self) -> None:
         self._peer: PeerFound | None = None
         self._answers: dict[str, float | None] = {}
-        self._requests: dict[str, _Request] = {}
-        self._turn = 0
-        self._next_ns = 0
+        self._requests: dict[str, tuple[int, int]] = {}
+        """How often each parameter was requested, and until when an answer may come, ns."""
+        self._turn = self._next_ns = 0
         self.is_waiting = False
         """Whether answers that decide are waited for; ``on_frame`` must then be called."""
         self._learned_ns: int | None = None
@@ -108,14 +98,6 @@ class Guard(Service):
         self._answered_ns: int | None = None
         self._unanswered = 0
         self._is_silent = False
-        self._other_id: int | None = None
-        self._last: tuple[bool, str, str] | None = None
-        self.decision: Decision = self._nobody()
-
-    @property
-    def is_streaming(self) -> bool:
-        """Whether ODOMETRY may be sent now."""
-        return self.decision.is_streaming
 
     # What changes
 
@@ -206,24 +188,17 @@ class Guard(Service):
     # Requests
 
     def _request(self, name: str, now_ns: int) -> None:
-        request = self._requests.get(name, _Request())
-        in_flight = sum(other.is_open(now_ns) for other in self._requests.values())
-        if request.tries >= _TRIES or request.is_open(now_ns) or in_flight >= _IN_FLIGHT:
-            return
-        request.tries += 1
-        request.deadline_ns = now_ns + _TIMEOUT_NS
-        self._requests[name] = request
-        self._send(name, now_ns)
+        tries, until_ns = self._requests.get(name, (0, now_ns))
+        in_flight = sum(now_ns < end_ns for _, end_ns in self._requests.values())
+        if tries < _TRIES and now_ns >= until_ns and in_flight < _IN_FLIGHT:
+            self._requests[name] = tries + 1, now_ns + _TIMEOUT_NS
+            self._send(name, now_ns)
 
     def _send(self, name: str, now_ns: int) -> None:
         if self._peer is None:
             return
         payload = pack(
-            "PARAM_REQUEST_READ",
-            target_system=self._peer.system_id,
-            target_component=self._peer.component_id,
-            param_id=name.encode(),
-            param_index=-1,
+            "PARAM_REQUEST_READ", **self._peer.target, param_id=name.encode(), param_index=-1
         )
         self._outbox.send("PARAM_REQUEST_READ", payload, now_ns)
 
@@ -269,24 +244,10 @@ class Guard(Service):
             self._last = shown
             self._emit(GuardChanged(decision))
 
-    def _forget(self) -> None:
-        self._peer = None
-        self._answers.clear()
-        self._requests.clear()
-        self._turn = 0
-        self._next_ns = 0
-        self.is_waiting, self._learned_ns, self._is_given_up = False, None, False
-        self._answered_ns, self._unanswered, self._is_silent = None, 0, False
-
     def _nobody(self) -> Decision:
         options = self.options
         if options.mode == "auto":
-            return Decision(
-                is_streaming=False,
-                reason="no autopilot is heard",
-                parameters={},
-                is_settled=False,
-            )
+            return Decision(is_streaming=False, reason="no autopilot is heard", is_settled=False)
         return decide(Family.UNKNOWN, {}, options.mode, options.independent)
 
 

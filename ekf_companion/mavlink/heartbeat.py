@@ -1,20 +1,27 @@
-"""Our heartbeat: once a second, sent by the loop that runs the filter."""
+"""Our heartbeat, once a second, sent by the loop that runs the filter; and others under our ids."""
 
 from __future__ import annotations
 
 from collections import deque
 
 from ekf_companion.mavlink import encode
+from ekf_companion.mavlink.discovery import Presence
 from ekf_companion.mavlink.encode import SystemStatus
+from ekf_companion.mavlink.event import Clash, Emit
 from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
-from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.mavlink.stamp import SECOND_NS, quantise
 
 _ECHOES = 32
 """An echo may be so many heartbeats old: no router holds one back for longer."""
 _APART_NS = SECOND_NS // 4
 """Between a requested one and the last: with those in turn, the echoes of 6 s are known."""
+_AGAIN_NS = 30 * SECOND_NS
+"""Between two warnings of a clash."""
+_GONE_NS = 5 * SECOND_NS
+"""Without another heartbeat of somebody else under our ids, that one has gone."""
 
 
 class Heartbeat(Service):
@@ -52,11 +59,42 @@ class Heartbeat(Service):
         self._recent.append((self._outbox.sequence, payload.rstrip(b"\0")))
         self._outbox.send("HEARTBEAT", payload, now_ns)
 
-    @property
-    def is_sending(self) -> bool:
-        """Whether any was sent: a replay sends none."""
-        return bool(self._recent)
+    def is_foreign(self, frame: Frame) -> bool:
+        """Return whether a heartbeat under our ids is somebody else's, and no echo of our last.
 
-    def is_echo(self, frame: Frame) -> bool:
-        """Whether a heartbeat is one of our last, returned by a router."""
-        return (frame.sequence, frame.payload.rstrip(b"\0")) in self._recent
+        Return False where we have sent none, as in a replay.
+        """
+        is_echo = (frame.sequence, frame.payload.rstrip(b"\0")) in self._recent
+        return bool(self._recent) and not is_echo
+
+
+class ClashWatch(Service):
+    """Notices foreign heartbeats under our ids, and leaves out the echo of our own.
+
+    To the autopilot, two of us would look like one that jumps. One heartbeat that is not ours says
+    nothing: it may be the last run's, still on its way. Somebody who is there sends another.
+    """
+
+    def __init__(self, emit: Emit, heartbeat: Heartbeat) -> None:
+        self._emit = emit
+        self._heartbeat = heartbeat
+        self.is_clash = False
+        """Whether somebody else speaks under our ids now."""
+        self._other = Presence(_GONE_NS)
+        self._warned_ns: int | None = None
+
+    def on_frame(self, frame: Frame, now_ns: int) -> None:
+        """Handle a frame that came in under our ids."""
+        if frame.message_id != IDS["HEARTBEAT"] or not self._heartbeat.is_foreign(frame):
+            return
+        self._other.on_heartbeat(now_ns)
+        self.is_clash = self._other.is_there
+        now_ns = quantise(now_ns)
+        if self.is_clash and (self._warned_ns is None or now_ns - self._warned_ns >= _AGAIN_NS):
+            self._warned_ns = now_ns
+            self._emit(Clash(frame.system_id, frame.component_id))
+
+    def tick(self, now_ns: int) -> None:
+        """Notice that the other has gone."""
+        self._other.tick(now_ns)
+        self.is_clash = self._other.is_there

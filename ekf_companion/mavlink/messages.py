@@ -8,33 +8,27 @@ from __future__ import annotations
 
 import re
 from collections import namedtuple
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from struct import Struct
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from fastcrc import crc16
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-_TYPE_NAMES = {
-    "s": "char",
-    "c": "char",
-    "b": "int8_t",
-    "B": "uint8_t",
-    "h": "int16_t",
-    "H": "uint16_t",
-    "i": "int32_t",
-    "I": "uint32_t",
-    "q": "int64_t",
-    "Q": "uint64_t",
-    "f": "float",
-    "d": "double",
-}
-"""Struct code to the type's name in the definitions, which the CRC_EXTRA is computed over."""
 
-_EXTENSIONS = {"TIMESYNC": (("target_system", "B", 0), ("target_component", "B", 0))}
+class Field(NamedTuple):
+    """One field on the wire."""
+
+    name: str
+    code: str
+    """Struct code of one element; ``s`` for text."""
+    length: int
+    """Elements, or bytes of text; 0: a scalar."""
+
+
+_EXTENSIONS = {"TIMESYNC": (Field("target_system", "B", 0), Field("target_component", "B", 0))}
 """Extension fields that the definitions have gained since the packaged pymavlink was made."""
 
 _MISSING = (
@@ -56,22 +50,6 @@ _MISSING = (
 """Messages of the common definitions that no packaged dialect has: id, name, CRC_EXTRA, fields."""
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
-    """One field on the wire."""
-
-    name: str
-    code: str
-    """Struct code of one element; ``s`` for text."""
-    length: int
-    """Elements, or bytes of text; 0: a scalar."""
-
-    @property
-    def format(self) -> str:
-        """The field's part of a struct format."""
-        return f"{self.length or ''}{self.code}"
-
-
 @dataclass(frozen=True)
 class Layout:
     """One message: its number, its seed of the checksum and its fields."""
@@ -86,32 +64,12 @@ class Layout:
     @cached_property
     def struct(self) -> Struct:
         """The whole payload, extensions included."""
-        return Struct("<" + "".join(field.format for field in self.fields))
+        return Struct("<" + "".join(f"{field.length or ''}{field.code}" for field in self.fields))
 
     @cached_property
     def size(self) -> int:
         """Bytes of the whole payload, extensions included."""
         return self.struct.size
-
-    @cached_property
-    def base_size(self) -> int:
-        """Bytes of the payload without extensions: what a MAVLink 1 frame carries.
-
-        The definitions do not say where the extensions begin, but the CRC_EXTRA covers the base
-        fields only, which lie by falling size: they are the longest such prefix that gives it.
-        """
-        text, size, found, width = f"{self.name} ".encode(), 0, self.size, 8
-        for field in self.fields:
-            if Struct(field.code).size > width:
-                break
-            width = Struct(field.code).size
-            text += f"{_TYPE_NAMES[field.code]} {field.name} ".encode()
-            text += bytes([field.length]) if field.length else b""
-            size += Struct("<" + field.format).size
-            crc = crc16.mcrf4xx(text)
-            if (crc & 0xFF) ^ (crc >> 8) == self.crc_extra:
-                found = size
-        return found
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -124,16 +82,15 @@ class Layout:
         return namedtuple(self.name, self.names)
 
     @cached_property
-    def spans(self) -> tuple[tuple[str, int, int], ...] | None:
-        """Name, first and last place of each field among the unpacked values; None: no arrays."""
-        if not any(field.length and field.code != "s" for field in self.fields):
-            return None
-        spans, start = [], 0
+    def places(self) -> tuple[int | slice, ...] | None:
+        """Where each field lies among the unpacked values; None: no arrays."""
+        places: list[int | slice] = []
+        start = 0
         for field in self.fields:
-            count = field.length if field.length and field.code != "s" else 1
-            spans.append((field.name, start, start + count))
+            count = 1 if field.code == "s" else field.length or 1
+            places.append(start if count == 1 else slice(start, start + count))
             start += count
-        return tuple(spans)
+        return tuple(places) if start > len(places) else None
 
     @cached_property
     def has_text(self) -> bool:
@@ -146,40 +103,17 @@ class Layout:
         return np.dtype([_column(field) for field in self.fields])
 
 
-def _column(field: Field) -> tuple[str, str] | tuple[str, str, tuple[int]]:
+def _column(field: Field) -> tuple[str, str, tuple[int, ...]]:
     if field.code == "s":
-        return field.name, f"S{field.length}"
-    code = np.dtype({"c": "S1"}.get(field.code, f"<{field.code}")).str
-    return (field.name, code, (field.length,)) if field.length else (field.name, code)
-
-
-class _Layouts(Mapping[int, Layout]):
-    """Layouts by message id, each made when first asked for."""
-
-    def __init__(self) -> None:
-        self._made = {missing[0]: _from_words(*missing) for missing in _MISSING}
-        self._ids = tuple({**dialect.mavlink_map, **self._made})
-
-    def __getitem__(self, message_id: int) -> Layout:
-        if message_id not in self._made:
-            self._made[message_id] = _from_definition(dialect.mavlink_map[message_id])
-        return self._made[message_id]
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._ids)
-
-    def __len__(self) -> int:
-        return len(self._ids)
+        return field.name, f"S{field.length}", ()
+    code = "S1" if field.code == "c" else f"<{field.code}"
+    return field.name, code, (field.length,) if field.length else ()
 
 
 def _from_words(message_id: int, name: str, crc_extra: int, words: str) -> Layout:
-    fields = [field.split(" ") for field in words.split(", ")]
-    return Layout(
-        message_id,
-        name,
-        crc_extra,
-        tuple(Field(field, kind[-1], int(kind[:-1] or 0)) for kind, field in fields),
-    )
+    pairs = (pair.split(" ") for pair in words.split(", "))
+    fields = tuple(Field(field, kind[-1], int(kind[:-1] or 0)) for kind, field in pairs)
+    return Layout(message_id, name, crc_extra, fields)
 
 
 def _from_definition(definition: Any) -> Layout:
@@ -188,28 +122,21 @@ def _from_definition(definition: Any) -> Layout:
         Field(name, code, int(count or 0))
         for name, (count, code) in zip(definition.ordered_fieldnames, tokens, strict=True)
     ]
-    have = {field.name for field in fields}
-    fields += [
-        Field(*extension)
-        for extension in _EXTENSIONS.get(definition.msgname, ())
-        if extension[0] not in have
-    ]
+    extensions = _EXTENSIONS.get(definition.msgname, ())
+    fields += [field for field in extensions if field.name not in definition.ordered_fieldnames]
     return Layout(definition.id, definition.msgname, definition.crc_extra, tuple(fields))
 
 
-LAYOUTS: Mapping[int, Layout] = _Layouts()
+LAYOUTS: Mapping[int, Layout] = {
+    **{number: _from_definition(one) for number, one in dialect.mavlink_map.items()},
+    **{missing[0]: _from_words(*missing) for missing in _MISSING},
+}
 """Every known message by id."""
 
-IDS: Mapping[str, int] = {
-    **{definition.msgname: number for number, definition in dialect.mavlink_map.items()},
-    **{name: number for number, name, _, _ in _MISSING},
-}
+IDS: Mapping[str, int] = {layout.name: number for number, layout in LAYOUTS.items()}
 """Message id by name."""
 
-CRC_EXTRAS: Mapping[int, bytes] = {
-    **{number: bytes([definition.crc_extra]) for number, definition in dialect.mavlink_map.items()},
-    **{number: bytes([seed]) for number, _, seed, _ in _MISSING},
-}
+CRC_EXTRAS: Mapping[int, bytes] = {n: bytes([layout.crc_extra]) for n, layout in LAYOUTS.items()}
 """Seed of the checksum by message id, as the byte that is appended."""
 
 

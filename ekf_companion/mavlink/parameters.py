@@ -16,6 +16,7 @@ from typing import Any
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.event import Emit, ParameterSet
 from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.guard import DOES_NOT_EXIST
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
@@ -23,7 +24,6 @@ from ekf_companion.mavlink.stamp import SECOND_NS
 
 _REAL32 = 9
 """MAV_PARAM_TYPE of all of them."""
-_DOES_NOT_EXIST = 1
 _PACE_NS = SECOND_NS // 20
 """Between two of a list: with 37 bytes each an eighth of a link at 57600 baud."""
 _FLOAT = Struct("<f")
@@ -92,14 +92,14 @@ class ParameterServer(Service):
     def _read(self, request: Any, frame: Frame, now_ns: int) -> None:
         index = request.param_index
         if index < 0:
-            index = self._index.get(_name(request), len(self._table))
+            index = self._index.get(request.param_id.decode("ascii", "replace"), len(self._table))
         if index < len(self._table):
             self._send(index, now_ns)
         else:
             self._refuse(request, frame, now_ns)
 
     def _set(self, request: Any, frame: Frame, now_ns: int) -> None:
-        index = self._index.get(_name(request))
+        index = self._index.get(request.param_id.decode("ascii", "replace"))
         if index is None:
             self._refuse(request, frame, now_ns)
             return
@@ -140,14 +140,9 @@ class ParameterServer(Service):
             target_component=frame.component_id,
             param_id=request.param_id,
             param_index=getattr(request, "param_index", -1),
-            error=_DOES_NOT_EXIST,
+            error=DOES_NOT_EXIST,
         )
         self._outbox.send("PARAM_ERROR", payload, now_ns)
-
-
-def _name(request: Any) -> str:
-    name: str = request.param_id.decode("ascii", errors="replace")
-    return name
 
 
 def _written(value: float) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 from ekf_companion.mavlink import encode
@@ -38,16 +37,14 @@ _RESULTS = (
 )
 """MAV_RESULT in words."""
 
-_GROUPS: Mapping[str, int] = MappingProxyType(
-    {
-        "RAW_IMU": 1,
-        "SCALED_PRESSURE": 1,
-        "GPS_RAW_INT": 2,
-        "GLOBAL_POSITION_INT": 6,
-        "ATTITUDE": 10,
-        "SYSTEM_TIME": 12,
-    }
-)
+_GROUPS = {
+    "RAW_IMU": 1,
+    "SCALED_PRESSURE": 1,
+    "GPS_RAW_INT": 2,
+    "GLOBAL_POSITION_INT": 6,
+    "ATTITUDE": 10,
+    "SYSTEM_TIME": 12,
+}
 """MAV_DATA_STREAM of each message, as an ArduPilot from before SET_MESSAGE_INTERVAL knows it."""
 
 
@@ -161,14 +158,9 @@ class Requests(Service):
             self._fall_back(self._peer, now_ns)
 
     def _send(self, request: _Request, peer: PeerFound, now_ns: int) -> None:
-        target = {"target_system": peer.system_id, "target_component": peer.component_id}
-        message_id, confirmation = IDS[request.name], request.sent
-        if request.rate is None:
-            payload = encode.request_message(message_id, confirmation=confirmation, **target)
-        else:
-            payload = encode.set_message_interval(
-                message_id, request.rate, confirmation=confirmation, **target
-            )
+        payload = encode.request_message(
+            IDS[request.name], request.rate, **peer.target, confirmation=request.sent
+        )
         request.first_ns = request.first_ns if request.sent else now_ns
         request.sent, request.last_ns = request.sent + 1, now_ns
         request.deadline_ns = now_ns + self._timeout_ns
@@ -177,39 +169,32 @@ class Requests(Service):
     def _fall_back(self, peer: PeerFound, now_ns: int) -> None:
         """Request by REQUEST_DATA_STREAM the groups of which no message was granted."""
         self._has_fallen_back = True
+        granted = {_GROUPS.get(name) for name, result in self.results.items() if result == ACCEPTED}
         groups: dict[int, float] = {}
-        for name, result in self.results.items():
-            if name in _GROUPS and result != ACCEPTED:
-                group = _GROUPS[name]
+        for name in self.results:
+            if (group := _GROUPS.get(name)) is not None and group not in granted:
                 groups[group] = max(self._rate(name), groups.get(group, 0.0))
-        for name, result in self.results.items():
-            if result == ACCEPTED:
-                groups.pop(_GROUPS.get(name, 0), None)
         for group, rate in groups.items():
-            payload = encode.request_data_stream(
-                group, rate, target_system=peer.system_id, target_component=peer.component_id
-            )
+            payload = encode.request_data_stream(group, rate, **peer.target)
             self._outbox.send("REQUEST_DATA_STREAM", payload, now_ns)
 
     def _rate(self, name: str) -> float:
         return self.rates.get("HIGHRES_IMU" if name == "RAW_IMU" else name, 0.0)
 
     def _take(self, ack: Any, frame: Frame, now_ns: int) -> None:
-        if not (self._wanted and self._wanted[0].sent):
-            return
-        if ack.command != self._wanted[0].command:
+        request = self._wanted[0] if self._wanted else None
+        if request is None or not request.sent or ack.command != request.command:
             return
         if ack.result == _IN_PROGRESS:
-            self._wanted[0].deadline_ns = now_ns + self._timeout_ns
+            request.deadline_ns = now_ns + self._timeout_ns
             return
-        self._expect_others(now_ns, self._wanted[0])
+        if request.sent > 1:
+            self._expect_others(now_ns, request)
         self._settle(_RESULTS[ack.result] if ack.result < len(_RESULTS) else f"result {ack.result}")
         self.tick(now_ns)
 
     def _expect_others(self, now_ns: int, request: _Request) -> None:
         """Wait for the other answers to a request sent more than once, and longer from now on."""
-        if request.sent == 1:
-            return
         took_ns = now_ns - request.first_ns
         self._timeout_ns = min(max(self._timeout_ns, took_ns * 3 // 2), _LONGEST_NS)
         self._quiet_ns = request.last_ns + took_ns * 3 // 2

@@ -14,25 +14,24 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 from ekf_companion.mavlink.admission import SETUP_SIGNING, Admission
 from ekf_companion.mavlink.audit import Audit
-from ekf_companion.mavlink.clash import ClashWatch
-from ekf_companion.mavlink.clock import Timesync, TimesyncService
+from ekf_companion.mavlink.clock import Timesync, TimesyncOptions
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
-from ekf_companion.mavlink.decision import StreamState, stream_state
-from ekf_companion.mavlink.decode import Decoder
+from ekf_companion.mavlink.decision import Decision, stream_state
+from ekf_companion.mavlink.decode import Decoder, DecoderOptions
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import Event, Noted, PeerFound, Rebooted
 from ekf_companion.mavlink.frame import JUNK, Frame, Sequence, Splitter
 from ekf_companion.mavlink.guard import Guard, GuardOptions
-from ekf_companion.mavlink.heartbeat import Heartbeat
+from ekf_companion.mavlink.heartbeat import ClashWatch, Heartbeat
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
-from ekf_companion.mavlink.options import SessionOptions
-from ekf_companion.mavlink.outbox import Message, Outbox, Outgoing
-from ekf_companion.mavlink.parameters import ParameterServer
+from ekf_companion.mavlink.outbox import Message, Outbox
+from ekf_companion.mavlink.parameters import Parameter, ParameterServer
 from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.signing import Signing
@@ -46,6 +45,49 @@ JUNK_BYTES = 1 << 16
 and no way to fill a disk, where the oldest recordings make room for it."""
 
 
+RATES: Mapping[str, float] = {
+    "HIGHRES_IMU": 250.0,
+    "GPS_RAW_INT": 10.0,
+    "ATTITUDE": 10.0,
+    "GLOBAL_POSITION_INT": 5.0,
+    "SCALED_PRESSURE": 10.0,
+    "SYSTEM_TIME": 1.0,
+    "EXTENDED_SYS_STATE": 1.0,
+}
+"""Rates to request of the autopilot, Hz. GNSS at twice its usual rate comes half as late."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionOptions:
+    """Our ids, whom to listen to, and what to request."""
+
+    system_id: int | None = None
+    """Ours; None: the autopilot's, and 1 until it is known."""
+    component_id: int = 194
+    """Ours: MAV_COMP_ID_ONBOARD_COMPUTER4."""
+    autopilot_system_id: int | None = None
+    """The one autopilot to listen to; None: the best that is heard."""
+    allow_systems: tuple[int, ...] = ()
+    """System ids that may speak; empty: all."""
+    allow_components: tuple[int, ...] = ()
+    """Component ids that may speak; empty: all."""
+    accept_unsigned: bool = False
+    """Whether, with a key, frames without a signature are believed too."""
+    rates: Mapping[str, float] = field(default_factory=lambda: RATES)
+    """Messages to request, Hz, by name; 0 stops one; empty: nothing is requested."""
+    expected: PeerFound | None = None
+    """An autopilot that is known from an earlier run: found by its first frame of any kind, so that
+    its heartbeat need not be waited for."""
+    is_recording: bool = False
+    """Whether what goes in and out is kept for ``take_record``."""
+    parameters: tuple[Parameter, ...] = ()
+    """Our own, as a ground station sees them; empty: none are served."""
+    decoder: DecoderOptions = field(default_factory=DecoderOptions)
+    timesync: TimesyncOptions = field(default_factory=TimesyncOptions)
+    guard: GuardOptions | None = None
+    """When ODOMETRY is withheld; None: this session sends none, and reads no parameter."""
+
+
 class Session:
     """The conversation with one autopilot: it is found, asked, listened to and answered."""
 
@@ -57,7 +99,6 @@ class Session:
             options.allow_systems, options.allow_components, signing, options.accept_unsigned
         )
         self.decoder = Decoder(options=options.decoder)
-        self.timesync = Timesync(options.timesync)
         self.received_bytes = 0
         self.received: Counter[int] = Counter()
         """Frames of the autopilot by message id."""
@@ -79,9 +120,8 @@ class Session:
         self.has_events = False
         """Whether something has happened that :meth:`events` has not returned yet."""
         self._events: list[Event] = []
-
-        guard = options.guard or GuardOptions(mode="never")
-        self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, guard)
+        when = options.guard or GuardOptions(mode="never")
+        self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, when)
         self.discovery = Discovery(
             self._emit,
             self._begin,
@@ -97,15 +137,15 @@ class Session:
         self.requests = Requests(self.outbox, self._emit, options.rates)
         self.audit = Audit(self.received, self.requests, self._emit)
         self.statustext = StatusText(self.outbox)
+        self.timesync = Timesync(self.outbox, options.timesync)
 
         # Conversations with everybody
         self._with_all: list[Service] = [self.heartbeat, self.discovery, self.clash]
         self._with_all += [self.commands, self.parameters]
         # Conversations with the autopilot only, while it is heard
         guards = [] if options.guard is None else [self.guard]
-        timesync = TimesyncService(self.outbox, self.timesync)
-        self._with_peer: list[Service] = [self.requests, *guards, timesync, self.audit]
-        self._with_peer += [self.statustext]
+        self._with_peer: list[Service] = [self.requests, *guards, self.timesync]
+        self._with_peer += [self.audit, self.statustext]
         self._all_routes, self._peer_routes = _routes(self._with_all), _routes(self._with_peer)
         self._splitter, self._junk_left = Splitter(), JUNK_BYTES
         self._autopilot_sender: Hashable = None
@@ -257,20 +297,9 @@ class Session:
         else:
             self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable)
 
-    def frames_to_send(self) -> list[Outgoing]:
-        """Return the frames that wait to be sent, and forget them."""
-        return self.outbox.take()
-
     def data_to_send(self) -> list[bytes]:
         """Return the bytes of the frames that wait to be sent, one item each, and forget them."""
         return [frame.data for frame in self.outbox.take()]
-
-    def take_record(self) -> list[tuple[int, bytes]]:
-        """Return stamp (us) and bytes of all that went in and out, in order, and forget it.
-
-        Each item is a frame or, of what came in, a run of junk. Empty unless recording.
-        """
-        return self.outbox.take_record()
 
     def events(self) -> list[Event]:
         """Return what has happened, and forget it."""
@@ -288,7 +317,7 @@ class Session:
         return self.guard.decision.is_streaming and not self.clash.is_clash
 
     @property
-    def stream_state(self) -> StreamState:
+    def stream_state(self) -> Decision:
         """Whether ODOMETRY is sent, why, and what would change it."""
         twin = self.outbox.ids if self.clash.is_clash else None
         return stream_state(self.guard.decision, twin, self.commands.slowed_by("ODOMETRY"))

@@ -62,23 +62,16 @@ class Signing:
         """Frames whose signature was right."""
 
     def sign(self, frame: bytes, now_ns: int) -> bytes:
-        """Return a frame, whose flags announce a signature, with that signature.
+        """Return a whole frame, whose flags announce a signature, with that signature.
 
-        Args:
-            frame: Whole, with its checksum.
-            now_ns: Unix time, ns.
+        ``now_ns`` is unix time, here and below.
         """
         self._time = min(max(self._time + 1, time_of(now_ns)), LARGEST)
         data = frame + self._link_id + self._time.to_bytes(6, "little")
         return data + self._digest(data)[:6]
 
     def verify(self, frame: Frame, now_ns: int) -> str:
-        """Return why a signed frame is refused; empty if it is accepted, and its time noted.
-
-        Args:
-            frame: With a signature.
-            now_ns: Unix time, ns.
-        """
+        """Return why a signed frame is refused; empty if it is accepted, and its time noted."""
         raw = frame.raw
         if not hmac.compare_digest(self._digest(raw[:-6])[:6], raw[-6:]):
             return WRONG

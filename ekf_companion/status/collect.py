@@ -7,8 +7,6 @@ from collections.abc import Mapping
 
 from ekf_companion.engine.companion import Companion
 from ekf_companion.link.link import Link
-from ekf_companion.mavlink.clock import Timesync
-from ekf_companion.mavlink.decode import Decoder
 from ekf_companion.mavlink.session import Session
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.status.snapshot import (
@@ -18,7 +16,6 @@ from ekf_companion.status.snapshot import (
     MessageState,
     OutputState,
     PeerState,
-    ReloadState,
     TimeState,
 )
 
@@ -52,7 +49,7 @@ def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> Peer
         version=session.requests.version,
         is_heard=session.peer is not None,
         silent_s=seconds_since(session.discovery.heard_ns or None, now_ns),
-        is_armed=session.decoder.is_armed,
+        is_armed=session.decoder.vehicle.is_armed,
         reboots=sum(restarts.values()),
     )
 
@@ -62,11 +59,8 @@ def output_state(
 ) -> OutputState:
     """Return what is sent, and why.
 
-    Args:
-        session: That sends it.
-        new: ODOMETRY messages in the last seconds.
-        rate: Of these, Hz.
-        unheard: Datagrams that found no monitor, by its address.
+    ``new`` and ``rate`` are those of ODOMETRY in the last seconds, Hz; ``unheard`` are the
+    datagrams that found no monitor, by its address.
     """
     decision, state = session.guard.decision, session.stream_state
     return OutputState(
@@ -86,20 +80,16 @@ def output_state(
     )
 
 
-def imu_state(decoder: Decoder, messages: Mapping[str, MessageState]) -> ImuState:
+def imu_state(session: Session, messages: Mapping[str, MessageState]) -> ImuState:
     """Return the source of the inertial samples, given the messages that are heard."""
+    decoder = session.decoder
     message = messages.get(decoder.imu_source)
     return ImuState(
         message=decoder.imu_source,
-        instance=decoder.imu_instance,
+        instance=decoder.inertial.instance,
         rate=0.0 if message is None else message.rate,
-        is_dejittered=decoder.is_dejittered,
+        is_dejittered=decoder.inertial.is_dejittered,
     )
-
-
-def reload_state(companion: Companion) -> ReloadState:
-    """Return how often the configuration was reloaded, and the result of the last time."""
-    return ReloadState(count=companion.reloads, words=companion.last_reload)
 
 
 def requested_rates(session: Session) -> dict[str, float]:
@@ -111,29 +101,26 @@ def requested_rates(session: Session) -> dict[str, float]:
     return rates
 
 
-def time_state(timesync: Timesync, decoder: Decoder, now_ns: int) -> TimeState:
+def time_state(session: Session, now_ns: int) -> TimeState:
     """Return what is known of the autopilot's clock."""
+    timesync, base = session.timesync, session.decoder.clock
     peer_ns = timesync.peer_ns(now_ns)
-    quality, base = timesync.quality, decoder.clock
     return TimeState(
         base="unknown" if base.latest_us is None else "unix" if base.is_unix else "boot",
         is_locked=timesync.is_locked,
         offset_s=math.nan if peer_ns is None else (peer_ns - now_ns) * 1e-9,
         skew_ppm=timesync.skew * 1e6,
-        rtt_p50_ms=_ms(quality.rtt_p50_ns),
-        rtt_p95_ms=_ms(quality.rtt_p95_ns),
-        residual_us=math.nan if quality.residual is None else quality.residual * 1e6,
-        answers=quality.answers,
+        rtt_p50_ms=timesync.rtt_ns(50) * 1e-6,
+        rtt_p95_ms=timesync.rtt_ns(95) * 1e-6,
+        residual_us=timesync.residual_ns * 1e-9 * 1e6,
+        answers=timesync.answers,
         refused=dict(timesync.refused),
     )
 
 
-def _ms(ns: int | None) -> float:
-    return math.nan if ns is None else ns * 1e-6
-
-
-def frame_state(counters: Mapping[str, int]) -> FrameState:
-    """Return what the bytes were, out of ``Session.counters``."""
+def frame_state(session: Session) -> FrameState:
+    """Return what the bytes were."""
+    counters = session.counters()
     return FrameState(
         frames=counters["frames"],
         bad_crc=counters["bad_crc"],
@@ -144,18 +131,9 @@ def frame_state(counters: Mapping[str, int]) -> FrameState:
         late=counters["late"],
         duplicates=counters["duplicate"],
         signed=counters["signed"],
-        refused=with_prefix(counters, "not admitted: "),
-        ignored=with_prefix(counters, "ignored: "),
+        refused=dict(session.admission.refused),
+        ignored=dict(session.ignored),
     )
-
-
-def with_prefix(counters: Mapping[str, int], prefix: str) -> dict[str, int]:
-    """Return the counters whose names begin with a prefix, without it."""
-    return {
-        name.removeprefix(prefix): count
-        for name, count in counters.items()
-        if name.startswith(prefix)
-    }
 
 
 def seconds_since(since_ns: int | None, now_ns: int) -> float:

@@ -30,8 +30,7 @@ class Host:
 def read_host(sys: Path = _SYS) -> Host:
     """Read memory and temperatures; leave out what the computer does not report.
 
-    Args:
-        sys: Folder that holds ``thermal`` and ``hwmon``.
+    ``sys`` is the folder that holds ``thermal`` and ``hwmon``.
 
     Source: Linux, Documentation/ABI/testing/sysfs-class-thermal and sysfs-class-hwmon.
     """

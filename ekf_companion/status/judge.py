@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 import msgspec
 
 from ekf_companion.nav.state import Status
-from ekf_companion.status.progress import BARREN_S
 from ekf_companion.status.snapshot import LinkState, OutputState, Snapshot
 
+BARREN_S = 3.0
+"""Samples for so long without an estimate: the filter is stuck, and only a restart helps."""
 STALL_S = 2.0
 """The filter's task runs at least ten times a second."""
 SILENCE_S = 2.0
@@ -58,7 +59,14 @@ def judge(snapshot: Snapshot) -> HealthCheck:
         return HealthCheck(True, f"{line}; {silence}")
     if health is not None:
         line += f", {snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output)}"
-    return HealthCheck(True, "; ".join([line, *_rates_in_vain(snapshot), *_recording(snapshot)]))
+    in_vain = [
+        f"{name} at {message.rate:.0f} of {message.asked:.0f} Hz: {message.cause}"
+        for name, message in snapshot.messages.items()
+        if message.cause
+    ]
+    trouble = snapshot.process.recording_trouble
+    recording = [f"not all is recorded: {trouble}"] if trouble else []
+    return HealthCheck(True, "; ".join([line, *in_vain, *recording]))
 
 
 def _odometry(output: OutputState) -> str:
@@ -72,19 +80,6 @@ def _odometry(output: OutputState) -> str:
         )
     remedy = f"; {output.remedy}" if output.remedy else ""
     return f"ODOMETRY withheld: {output.reason}{remedy}"
-
-
-def _rates_in_vain(snapshot: Snapshot) -> list[str]:
-    return [
-        f"{name} at {message.rate:.0f} of {message.asked:.0f} Hz: {message.cause}"
-        for name, message in snapshot.messages.items()
-        if message.cause
-    ]
-
-
-def _recording(snapshot: Snapshot) -> list[str]:
-    trouble = snapshot.process.recording_trouble
-    return [f"not all is recorded: {trouble}"] if trouble else []
 
 
 def _silence(snapshot: Snapshot) -> str:
@@ -135,9 +130,7 @@ def to_plain(value: Any) -> Any:
 def to_json(snapshot: Snapshot, pause: Callable[[], None] = lambda: None) -> bytes:
     """Return a snapshot, and its check as ``health``, as JSON; null is what is not known.
 
-    Args:
-        snapshot: What to write.
-        pause: Called between two stages: lets other threads run while the text is made.
+    ``pause`` is called between two stages: it lets other threads run while the text is made.
     """
     check = judge(snapshot)
     plain: dict[str, Any] = {"health": {"is_healthy": check.is_healthy, "words": check.line}}

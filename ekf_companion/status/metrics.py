@@ -102,22 +102,15 @@ def types_in(hint: Any) -> Iterator[type]:
         yield from types_in(argument)
 
 
-def _by_name() -> dict[str, list[tuple[Metric, Path]]]:
-    found: dict[str, list[tuple[Metric, Path]]] = {}
-    for metric, path in declared():
-        found.setdefault(metric.name, []).append((metric, path))
-    return found
-
-
-_FAMILIES = _by_name()
+_FAMILIES: dict[str, list[tuple[Metric, Path]]] = {}
+for _metric, _path in declared():
+    _FAMILIES.setdefault(_metric.name, []).append((_metric, _path))
 
 
 def registry_of(snapshot: Snapshot, pause: Callable[[], None] = lambda: None) -> CollectorRegistry:
     """Return a registry of its own that holds one snapshot.
 
-    Args:
-        snapshot: What is exposed.
-        pause: Called between two families: lets other threads run while the text is made.
+    ``pause`` is called between two families: it lets other threads run while the text is made.
     """
     registry = CollectorRegistry()
     registry.register(_Collector(snapshot, pause))

@@ -16,13 +16,12 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import accumulate
-from typing import NamedTuple
 
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.health import Aid
 from ekf_companion.engine.pipeline import Array, Pipeline
 from ekf_companion.link.link import Link
-from ekf_companion.mavlink.messages import IDS
+from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.status.collect import (
     frame_state,
@@ -30,16 +29,19 @@ from ekf_companion.status.collect import (
     link_state,
     output_state,
     peer_state,
-    reload_state,
     requested_rates,
     seconds_since,
     time_state,
-    with_prefix,
 )
 from ekf_companion.status.host import Host
-from ekf_companion.status.judge import judge
-from ekf_companion.status.progress import BARREN_S, Progress
-from ekf_companion.status.snapshot import MessageState, OutputState, ProcessState, Snapshot
+from ekf_companion.status.judge import BARREN_S, judge
+from ekf_companion.status.snapshot import (
+    MessageState,
+    OutputState,
+    ProcessState,
+    ReloadState,
+    Snapshot,
+)
 from ekf_companion.version import __version__
 
 BUCKETS_MS = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -74,44 +76,69 @@ SPAN = 20
 _STEP = 2
 
 
-class _Sums(NamedTuple):
-    """Sums of the squared innovations, and how many they are of, since the filter began."""
-
-    now_ns: int
-    nis: Array
-    counts: Array
-
-
 class RecentNis:
     """Mean normalised innovation squared of each aid over the last ``SPAN`` seconds."""
 
     def __init__(self) -> None:
         self._pipeline: Pipeline | None = None
-        self._history: deque[_Sums] = deque(maxlen=SPAN // _STEP)
+        self._history: deque[tuple[int, Array, Array]] = deque(maxlen=SPAN // _STEP)
+        """When, ns, and by aid the sums of the squared innovations, and how many they are of."""
 
     def update(self, pipeline: Pipeline, now_ns: int) -> None:
         """Keep the sums of this moment; call it every second or two."""
         if pipeline is not self._pipeline:
             self._pipeline = pipeline
             self._history.clear()
-        if self._history and now_ns - self._history[-1].now_ns < _STEP * SECOND_NS:
+        if self._history and now_ns - self._history[-1][0] < _STEP * SECOND_NS:
             return
-        sums = _Sums(now_ns, *pipeline.nis_sums())
-        if self._history and (sums.counts < self._history[-1].counts).any():
+        nis, counts = pipeline.nis_sums()
+        if self._history and (counts < self._history[-1][2]).any():
             self._history.clear()  # the filter began anew
-        self._history.append(sums)
+        self._history.append((now_ns, nis, counts))
 
     def mean(self) -> dict[Aid, float]:
         """Return the mean over its degrees of freedom: 1 if all is well, NaN if there was none."""
         if self._pipeline is None or not self._history:
             return dict.fromkeys(Aid, math.nan)
         nis, counts = self._pipeline.nis_sums()
-        first = self._history[0]
-        new = counts - first.counts
+        _, first_nis, first_counts = self._history[0]
+        new = counts - first_counts
         return {
-            aid: float((nis[aid] - first.nis[aid]) / new[aid]) if new[aid] > 0.0 else math.nan
+            aid: float((nis[aid] - first_nis[aid]) / new[aid]) if new[aid] > 0.0 else math.nan
             for aid in Aid
         }
+
+
+_PAUSE_NS = 2 * SECOND_NS
+"""Without a sample for so long no estimate is expected: the link is silent."""
+
+
+class Progress:
+    """Compares the samples that the filter takes with its estimates, every half second."""
+
+    def __init__(self) -> None:
+        self._stamp_ns = 0
+        self._given = 0
+        self._given_ns = 0
+        self._since_ns: int | None = None
+
+    def update(self, pipeline: Pipeline, now_ns: int) -> None:
+        """Note the samples and estimates since the last call."""
+        stamp_ns, given = pipeline.stamp_ns, pipeline.given
+        if stamp_ns != self._stamp_ns:
+            self._since_ns = None
+        if given != self._given:
+            is_first = self._since_ns is None or now_ns - self._given_ns > _PAUSE_NS
+            if stamp_ns == self._stamp_ns and is_first:
+                self._since_ns = now_ns
+            self._given_ns = now_ns
+        self._stamp_ns, self._given = stamp_ns, given
+
+    def barren_s(self, now_ns: int) -> float:
+        """Return for how long samples have come without an estimate, s; 0 if none do."""
+        if self._since_ns is None or now_ns - self._given_ns > _PAUSE_NS:
+            return 0.0
+        return (self._given_ns - self._since_ns) * 1e-9
 
 
 _log = logging.getLogger(__name__)
@@ -121,7 +148,6 @@ PERIOD_NS = SECOND_NS // 2
 _COPIES = 11
 """Kept: they span five seconds."""
 _ODOMETRY = "ODOMETRY"
-_NAMES = {message_id: name for name, message_id in IDS.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,11 +249,11 @@ class Observer:
         return _Counters(
             now_ns=now_ns,
             cpu_s=time.process_time(),
-            received={_NAMES[number]: count for number, count in session.received.items()},
+            received={LAYOUTS[number].name: count for number, count in session.received.items()},
             odometries=self._odometries,
             unsent=session.outbox.sent.get(_ODOMETRY, 0)
             - self._odometries
-            - self._link.replaceable_waiting,
+            - self._link.backlog.replaceable,
             lag_ns=self._longest_ns,
         )
 
@@ -246,9 +272,7 @@ class Observer:
             self._bytes_in, self._heard_ns = self._link.bytes_in, now_ns
         self._peer = self._companion.session.peer or self._peer
         pipeline = self._companion.pipeline
-        if pipeline is None:
-            return
-        if pipeline.stamp_ns not in (self._stamp_ns, 0):
+        if pipeline is not None and pipeline.stamp_ns not in (self._stamp_ns, 0):
             self._stamp_ns, self._sampled_ns = pipeline.stamp_ns, now_ns
 
     def _count_resets(self) -> None:
@@ -278,24 +302,23 @@ class Observer:
     def snapshot(self, host: Host) -> Snapshot:
         """Return the state at this moment; takes about 0.1 ms.
 
-        Args:
-            host: Read outside of the loop, which must not wait for it.
+        ``host`` is read outside of the loop, which must not wait for it.
         """
         now_ns, session = self._clock(), self._companion.session
         self._note_changes(now_ns)
         now = self._counters(now_ns)
         first = self._history[0] if self._history else now
-        pipeline, counters = self._companion.pipeline, session.counters()
+        pipeline = self._companion.pipeline
         messages = self._messages(now, first)
         return Snapshot(
             unix_ns=now_ns,
             link=link_state(self._link, seconds_since(self._heard_ns, now_ns)),
-            frames=frame_state(counters),
+            frames=frame_state(session),
             peer=None if self._peer is None else peer_state(self._companion, self._peer, now_ns),
             messages=messages,
-            refused=with_prefix(counters, "refused: "),
-            imu=imu_state(session.decoder, messages),
-            time=time_state(session.timesync, session.decoder, now_ns),
+            refused=session.refused,
+            imu=imu_state(session, messages),
+            time=time_state(session, now_ns),
             estimator=None
             if pipeline is None
             else replace(pipeline.health(), nis=self._nis.mean()),
@@ -305,7 +328,7 @@ class Observer:
             sample_age_s=seconds_since(self._sampled_ns, now_ns),
             resets=dict(self._resets),
             tuned=self._companion.tuning.changed,
-            reload=reload_state(self._companion),
+            reload=ReloadState(count=self._companion.reloads, words=self._companion.last_reload),
         )
 
     def _messages(self, now: _Counters, first: _Counters) -> dict[str, MessageState]:

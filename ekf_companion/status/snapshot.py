@@ -55,16 +55,8 @@ def _is_said(words: str) -> float:
     return 1.0 if words else math.nan
 
 
-def _is_heard(peer: PeerState | None) -> bool:
-    return peer is not None and peer.is_heard
-
-
 def _by_message_and_reason(counts: Mapping[str, int]) -> dict[tuple[str, ...], int]:
     return {key.partition(": ")[::2]: count for key, count in counts.items()}
-
-
-def _by_key_and_value(tuned: Mapping[str, object]) -> dict[tuple[str, ...], float]:
-    return {(key, str(value)): 1.0 for key, value in tuned.items()}
 
 
 def _latency(process: ProcessState) -> tuple[dict[str, float], float]:
@@ -157,14 +149,24 @@ class MessageState:
     """0: it comes no more."""
     asked: Annotated[
         float,
-        gauge("message_asked_hertz", "What was asked for.", ("message",), rows=_unless_zero),
+        gauge(
+            "message_asked_hertz",
+            "What was asked for.",
+            ("message",),
+            rows=_unless_zero,
+        ),
     ]
     """0: nobody asked."""
     answer: str
     """To the request; empty: none was made."""
     cause: Annotated[
         str,
-        gauge("message_in_vain", "1 if it comes too rarely.", ("message",), rows=_is_said),
+        gauge(
+            "message_in_vain",
+            "1 if it comes too rarely.",
+            ("message",),
+            rows=_is_said,
+        ),
     ] = ""
     """Why it probably comes so rarely, however often it is asked for, and what to change; empty:
     it comes, or there is hope."""
@@ -320,7 +322,7 @@ class Snapshot:
         gauge(
             "autopilot_heard",
             "1 while its heartbeat came in the last five seconds.",
-            rows=_is_heard,
+            rows=lambda peer: peer is not None and peer.is_heard,
         ),
     ]
     """None: none has been heard."""
@@ -376,7 +378,7 @@ class Snapshot:
             "tuned",
             "1 for what was set over MAVLink and differs from the user's file.",
             ("key", "value"),
-            rows=_by_key_and_value,
+            rows=lambda tuned: {(key, str(value)): 1.0 for key, value in tuned.items()},
         ),
     ] = field(default_factory=dict)
     reload: ReloadState = field(default_factory=ReloadState)

@@ -6,7 +6,7 @@ import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sim_autopilot.faults.fault import Fault, Layer, of_layer
+from sim_autopilot.faults.fault import Fault, Layer
 
 _AHEAD_NS = 50_000_000
 """A stamp so far ahead of its arrival is of the same stretch: lateness of the loop, jitter."""
@@ -26,6 +26,12 @@ class _Stretch:
     silent_until_ns: int
     """The autopilot is starting up until then, on the world's clock."""
 
+    def shown(self, t_ns: int) -> int:
+        return self.shown_ns + round((t_ns - self.from_ns) * self.rate)
+
+    def true(self, shown_ns: int) -> int:
+        return self.from_ns + round((shown_ns - self.shown_ns) / self.rate)
+
 
 class Clock:
     """The autopilot's clock; the world's is the one that flights are planned on."""
@@ -34,7 +40,7 @@ class Clock:
         """Read the faults of a flight that starts at ``zero_ns``."""
         self._stretches = [_Stretch(0, 0, 1.0, 0, 0)]
         incidents = []
-        for _, fault in of_layer(faults, Layer.CLOCK):
+        for fault in (one for one in faults if one.kind.layer is Layer.CLOCK):
             begin_ns = zero_ns + _ns(fault.start)
             incidents.append((begin_ns, fault, True))
             if fault.kind.name == "clock-skew":
@@ -45,7 +51,7 @@ class Clock:
 
     def shown_ns(self, t_ns: int) -> int:
         """Return what it shows at a time of the world's clock."""
-        return _shown(self._at(t_ns), t_ns)
+        return self._at(t_ns).shown(t_ns)
 
     def boot(self, t_ns: int) -> int:
         """Return the number of reboots until a time."""
@@ -62,19 +68,18 @@ class Clock:
         """
         present = bisect.bisect_right(self._starts, now_ns) - 1
         for index in range(present, -1, -1):
-            found = _true(self._stretches[index], shown_ns)
-            is_last = index == present
-            end_ns = now_ns + _AHEAD_NS if is_last else self._starts[index + 1]
+            found = self._stretches[index].true(shown_ns)
+            end_ns = now_ns + _AHEAD_NS if index == present else self._starts[index + 1]
             if self._starts[index] <= found < end_ns:
                 return found
-        return _true(self._stretches[present], shown_ns)
+        return self._stretches[present].true(shown_ns)
 
     def _at(self, t_ns: int) -> _Stretch:
         return self._stretches[max(0, bisect.bisect_right(self._starts, t_ns) - 1)]
 
     def _incident(self, at_ns: int, fault: Fault, is_start: bool) -> None:
         last = self._stretches[-1]
-        shown_ns = _shown(last, at_ns)
+        shown_ns = last.shown(at_ns)
         rate, boot, silent_ns = last.rate, last.boot, last.silent_until_ns
         name = fault.kind.name
         if name == "reboot":
@@ -84,14 +89,6 @@ class Clock:
         else:
             rate = 1.0 + fault.number("ppm") * 1e-6 if is_start else 1.0
         self._stretches.append(_Stretch(at_ns, shown_ns, rate, boot, silent_ns))
-
-
-def _shown(stretch: _Stretch, t_ns: int) -> int:
-    return stretch.shown_ns + round((t_ns - stretch.from_ns) * stretch.rate)
-
-
-def _true(stretch: _Stretch, shown_ns: int) -> int:
-    return stretch.from_ns + round((shown_ns - stretch.shown_ns) / stretch.rate)
 
 
 def _ns(seconds: float) -> int:

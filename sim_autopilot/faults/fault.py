@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from enum import Enum
-from types import MappingProxyType
 
 import numpy as np
 
@@ -43,11 +42,11 @@ class Word:
 
 
 Value = Number | Word
-_NONE: Mapping[str, Value] = MappingProxyType({})
 _SHARE = Number(0.2, 0.0, 1.0)
 _WAY = Word(("both", "out", "in"))
 """out: from the autopilot to the companion."""
 _METRES = Number(0.0, -1e6, 1e6)
+_GAUSS = Number(0.0, -100.0, 100.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,131 +54,97 @@ class FaultKind:
     """A kind of failure."""
 
     name: str
-    layer: Layer
     summary: str
-    values: Mapping[str, Value] = field(default_factory=lambda: _NONE)
-    duration: float = 5.0
+    duration: float
     """By default, s."""
+    values: Mapping[str, Value]
+    layer: Layer
 
 
+_Kinds = dict[str, tuple[str, float, dict[str, Value]]]
+"""By name: summary, duration and values."""
+
+_WIRE: _Kinds = {
+    "loss": ("a share of the frames is lost", 5.0, {"share": _SHARE, "way": _WAY}),
+    "duplicate": ("a share of the frames comes twice", 5.0, {"share": _SHARE, "way": _WAY}),
+    "reorder": (
+        "a share of the frames is held back by `delay` seconds, and overtaken",
+        5.0,
+        {"share": _SHARE, "delay": Number(0.02, 0.0, 10.0), "way": _WAY},
+    ),
+    "jitter": (
+        "each frame is late by up to `delay` seconds, in order",
+        5.0,
+        {"delay": Number(0.05, 0.0, 10.0), "way": _WAY},
+    ),
+    "corrupt": (
+        "`bits` bits of a share of the frames are flipped",
+        5.0,
+        {"share": _SHARE, "bits": Number(3, 1, 1000), "way": _WAY},
+    ),
+    "cut": ("nothing passes", 5.0, {"way": _WAY}),
+}
+_CLOCK: _Kinds = {
+    "reboot": ("the autopilot starts anew: silence, its clock from 0, requests forgotten", 5.0, {}),
+    "clock-jump": (
+        "the autopilot's clock jumps by `by` seconds at the start, for good",
+        1.0,
+        {"by": Number(0.5, -1e6, 1e6)},
+    ),
+    "clock-skew": (
+        "the autopilot's clock runs `ppm` millionths fast; what is gained stays",
+        20.0,
+        {"ppm": Number(200.0, -1e5, 1e5)},
+    ),
+}
+_SENSOR: _Kinds = {
+    "gnss-outage": (
+        "no fix: the receiver is silent, or says fix_type 0 with true coordinates (nofix)",
+        10.0,
+        {"how": Word(("silent", "nofix"))},
+    ),
+    "gnss-jump": (
+        "fixes are elsewhere at once, by metres",
+        10.0,
+        {"north": _METRES, "east": Number(50.0, -1e6, 1e6), "down": _METRES},
+    ),
+    "gnss-drag": (
+        "fixes are dragged off, m/s, towards a course in degrees; their velocity says so too",
+        30.0,
+        {"speed": Number(1.0, 0.0, 1e3), "course": Number(90.0, -360.0, 360.0)},
+    ),
+    "gnss-frozen": (
+        "the same fix again and again, its time going on or the same",
+        10.0,
+        {"time": Word(("advancing", "same"))},
+    ),
+    "imu-saturation": (
+        "gyro and accelerometer end at so many rad/s and m/s^2",
+        2.0,
+        {"gyro": Number(0.5, 0.0, 100.0), "accel": Number(11.0, 0.0, 1e3)},
+    ),
+    "imu-stuck": ("the last inertial sample again and again", 2.0, {}),
+    "imu-nan": ("inertial samples are no numbers", 2.0, {}),
+    "imu-gap": ("no inertial samples", 2.0, {}),
+    "mag-disturbance": (
+        "a field is added, gauss in the body",
+        10.0,
+        {"forward": Number(0.3, -100.0, 100.0), "right": _GAUSS, "down": _GAUSS},
+    ),
+    "baro-step": (
+        "the barometer reads `height` metres more",
+        10.0,
+        {"height": Number(20.0, -1e4, 1e4)},
+    ),
+}
 KINDS = {
-    kind.name: kind
-    for kind in (
-        FaultKind(
-            "loss", Layer.WIRE, "a share of the frames is lost", {"share": _SHARE, "way": _WAY}
-        ),
-        FaultKind(
-            "duplicate",
-            Layer.WIRE,
-            "a share of the frames comes twice",
-            {"share": _SHARE, "way": _WAY},
-        ),
-        FaultKind(
-            "reorder",
-            Layer.WIRE,
-            "a share of the frames is held back by `delay` seconds, and overtaken",
-            {"share": _SHARE, "delay": Number(0.02, 0.0, 10.0), "way": _WAY},
-        ),
-        FaultKind(
-            "jitter",
-            Layer.WIRE,
-            "each frame is late by up to `delay` seconds, in order",
-            {"delay": Number(0.05, 0.0, 10.0), "way": _WAY},
-        ),
-        FaultKind(
-            "corrupt",
-            Layer.WIRE,
-            "`bits` bits of a share of the frames are flipped",
-            {"share": _SHARE, "bits": Number(3, 1, 1000), "way": _WAY},
-        ),
-        FaultKind("cut", Layer.WIRE, "nothing passes", {"way": _WAY}),
-        FaultKind(
-            "reboot",
-            Layer.CLOCK,
-            "the autopilot starts anew: silence, its clock from 0, requests forgotten",
-        ),
-        FaultKind(
-            "clock-jump",
-            Layer.CLOCK,
-            "the autopilot's clock jumps by `by` seconds at the start, for good",
-            {"by": Number(0.5, -1e6, 1e6)},
-            1.0,
-        ),
-        FaultKind(
-            "clock-skew",
-            Layer.CLOCK,
-            "the autopilot's clock runs `ppm` millionths fast; what is gained stays",
-            {"ppm": Number(200.0, -1e5, 1e5)},
-            20.0,
-        ),
-        FaultKind(
-            "gnss-outage",
-            Layer.SENSOR,
-            "no fix: the receiver is silent, or says fix_type 0 with true coordinates (nofix)",
-            {"how": Word(("silent", "nofix"))},
-            10.0,
-        ),
-        FaultKind(
-            "gnss-jump",
-            Layer.SENSOR,
-            "fixes are elsewhere at once, by metres",
-            {"north": _METRES, "east": Number(50.0, -1e6, 1e6), "down": _METRES},
-            10.0,
-        ),
-        FaultKind(
-            "gnss-drag",
-            Layer.SENSOR,
-            "fixes are dragged off, m/s, towards a course in degrees; their velocity says so too",
-            {"speed": Number(1.0, 0.0, 1e3), "course": Number(90.0, -360.0, 360.0)},
-            30.0,
-        ),
-        FaultKind(
-            "gnss-frozen",
-            Layer.SENSOR,
-            "the same fix again and again, its time going on or the same",
-            {"time": Word(("advancing", "same"))},
-            10.0,
-        ),
-        FaultKind(
-            "imu-saturation",
-            Layer.SENSOR,
-            "gyro and accelerometer end at so many rad/s and m/s^2",
-            {"gyro": Number(0.5, 0.0, 100.0), "accel": Number(11.0, 0.0, 1e3)},
-            2.0,
-        ),
-        FaultKind(
-            "imu-stuck", Layer.SENSOR, "the last inertial sample again and again", _NONE, 2.0
-        ),
-        FaultKind("imu-nan", Layer.SENSOR, "inertial samples are no numbers", _NONE, 2.0),
-        FaultKind("imu-gap", Layer.SENSOR, "no inertial samples", _NONE, 2.0),
-        FaultKind(
-            "mag-disturbance",
-            Layer.SENSOR,
-            "a field is added, gauss in the body",
-            {
-                "forward": Number(0.3, -100.0, 100.0),
-                "right": Number(0.0, -100.0, 100.0),
-                "down": Number(0.0, -100.0, 100.0),
-            },
-            10.0,
-        ),
-        FaultKind(
-            "baro-step",
-            Layer.SENSOR,
-            "the barometer reads `height` metres more",
-            {"height": Number(20.0, -1e4, 1e4)},
-            10.0,
-        ),
-    )
+    name: FaultKind(name, *kind, layer)
+    for layer, kinds in ((Layer.WIRE, _WIRE), (Layer.CLOCK, _CLOCK), (Layer.SENSOR, _SENSOR))
+    for name, kind in kinds.items()
 }
 """By name."""
 
-VARIETY = (
-    *KINDS,
-    "gnss-outage:how=nofix",
-    "gnss-frozen:time=same",
-    "clock-jump:by=-0.5",
-)
+VARIETY = (*KINDS, "gnss-outage:how=nofix", "gnss-frozen:time=same", "clock-jump:by=-0.5")
 """Every kind, and the variants that other code handles."""
 
 
@@ -220,14 +185,17 @@ def parse(text: str, flight_duration: float = math.inf) -> Fault:
     """
     name, texts = spec.split(text)
     kind = KINDS[spec.choose(text, "fault", name, KINDS)]
-    known = {"start": Number(0.0, 0.0, 1e6), "duration": Number(kind.duration, 0.0, 1e6)}
+    rules = {
+        "start": Number(0.0, 0.0, 1e6),
+        "duration": Number(kind.duration, 0.0, 1e6),
+        **kind.values,
+    }
     values: dict[str, float | str] = {
-        key: value.default if isinstance(value, Number) else value.words[0]
-        for key, value in {**known, **kind.values}.items()
+        key: rule.default if isinstance(rule, Number) else rule.words[0]
+        for key, rule in rules.items()
     }
     for key, value in texts.items():
-        spec.choose(text, f"value of {name}", key, values)
-        rule = {**known, **kind.values}[key]
+        rule = rules[spec.choose(text, f"value of {name}", key, rules)]
         if isinstance(rule, Number):
             values[key] = spec.number(text, key, value, rule.low, rule.high)
         else:
@@ -238,7 +206,7 @@ def parse(text: str, flight_duration: float = math.inf) -> Fault:
             f"{text}: starts at {start:g} s, but the flight ends at "
             f"{flight_duration:g} s; start earlier or fly longer"
         )
-    return Fault(kind, start, duration, MappingProxyType(values))
+    return Fault(kind, start, duration, values)
 
 
 def schedule(
@@ -246,12 +214,8 @@ def schedule(
 ) -> list[Fault]:
     """Schedule faults in random order with quiet time between them, round after round.
 
-    Args:
-        kinds: Names, or names with values, as ``parse`` reads them, without ``start``.
-        seed: Of the order.
-        duration: Of the flight, s: the last fault and its gap end before.
-        gap: Quiet time between two faults, s.
-        first: Quiet time before the first, s.
+    Kinds are names, or names with values, as ``parse`` reads them, without ``start``. Quiet are
+    ``first`` seconds, and ``gap`` seconds after each fault, the last within the flight's duration.
 
     Raises:
         ConfigError: A kind cannot be read, or not all of them fit into the duration.
@@ -268,19 +232,10 @@ def schedule(
     at = first
     while texts:
         for index in rng.permutation(len(texts)).tolist():
-            fault = _at(texts[index], at)
+            joint = "," if ":" in texts[index] else ":"
+            fault = parse(f"{texts[index]}{joint}start={at!r}")
             if fault.end + gap > duration:
                 return found
             found.append(fault)
             at = fault.end + gap
     return found
-
-
-def of_layer(faults: Sequence[Fault], layer: Layer) -> list[tuple[int, Fault]]:
-    """Return the faults of a layer, each with its index among all, which seeds its chance."""
-    return [(place, fault) for place, fault in enumerate(faults) if fault.kind.layer is layer]
-
-
-def _at(text: str, start: float) -> Fault:
-    joint = "," if ":" in text else ":"
-    return parse(f"{text}{joint}start={start!r}")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from ekf_companion.nav.earth import radii
-from sim_autopilot.faults.fault import Fault, Layer, of_layer
+from sim_autopilot.faults.fault import Fault, Layer
 from sim_autopilot.flight import Cycle, Fix, Vector
 from sim_autopilot.sensors import pressure
 
@@ -18,15 +18,17 @@ class SensorFaults:
 
     def __init__(self, faults: Sequence[Fault], zero_ns: int) -> None:
         """Read the faults of a flight that starts at ``zero_ns`` of the world's clock."""
-        self._faults = [fault for _, fault in of_layer(faults, Layer.SENSOR)]
+        self._faults = [fault for fault in faults if fault.kind.layer is Layer.SENSOR]
         self._zero_ns = zero_ns
         self._good: Cycle | None = None
         self._good_fix: Fix | None = None
-        self._acts: dict[str, Callable[[Fault, Cycle, float], Cycle]] = {
+        self._on_fix: dict[str, Callable[[Fault, Fix, float], Fix | None]] = {
             "gnss-outage": _outage,
             "gnss-jump": _jump,
             "gnss-drag": _drag,
             "gnss-frozen": self._frozen,
+        }
+        self._on_cycle: dict[str, Callable[[Fault, Cycle, float], Cycle]] = {
             "imu-saturation": _saturation,
             "imu-stuck": self._stuck,
             "imu-nan": lambda fault, cycle, t: cycle._replace(gyro_b=_NAN, accel_b=_NAN),
@@ -41,7 +43,11 @@ class SensorFaults:
         acting = [fault for fault in self._faults if fault.start <= t < fault.end]
         right = cycle
         for fault in acting:
-            cycle = self._acts[fault.kind.name](fault, cycle, t - fault.start)
+            if (act := self._on_cycle.get(fault.kind.name)) is not None:
+                cycle = act(fault, cycle, t - fault.start)
+            elif cycle.fix is not None:
+                fix = self._on_fix[fault.kind.name](fault, cycle.fix, t - fault.start)
+                cycle = cycle._replace(fix=fix)
         names = {fault.kind.name for fault in acting}
         if self._good is None or "imu-stuck" not in names:
             self._good = right
@@ -53,36 +59,25 @@ class SensorFaults:
         right = self._good or cycle
         return cycle._replace(gyro_b=right.gyro_b, accel_b=right.accel_b)
 
-    def _frozen(self, fault: Fault, cycle: Cycle, t: float) -> Cycle:
-        if cycle.fix is None or self._good_fix is None:
-            return cycle
-        frozen = self._good_fix
-        if fault.values["time"] == "advancing":
-            frozen = frozen._replace(t_ns=cycle.fix.t_ns)
-        return cycle._replace(fix=frozen)
+    def _frozen(self, fault: Fault, fix: Fix, t: float) -> Fix:
+        frozen = self._good_fix or fix
+        return frozen._replace(t_ns=fix.t_ns) if fault.values["time"] == "advancing" else frozen
 
 
-def _outage(fault: Fault, cycle: Cycle, t: float) -> Cycle:
-    if cycle.fix is None or fault.values["how"] == "silent":
-        return cycle._replace(fix=None)
-    return cycle._replace(fix=cycle.fix._replace(fix_type=0))
+def _outage(fault: Fault, fix: Fix, t: float) -> Fix | None:
+    return None if fault.values["how"] == "silent" else fix._replace(fix_type=0)
 
 
-def _jump(fault: Fault, cycle: Cycle, t: float) -> Cycle:
-    if cycle.fix is None:
-        return cycle
-    north, east, down = (fault.number(key) for key in ("north", "east", "down"))
-    return cycle._replace(fix=_moved(cycle.fix, north, east, down))
+def _jump(fault: Fault, fix: Fix, t: float) -> Fix:
+    return _moved(fix, fault.number("north"), fault.number("east"), fault.number("down"))
 
 
-def _drag(fault: Fault, cycle: Cycle, t: float) -> Cycle:
-    if cycle.fix is None:
-        return cycle
+def _drag(fault: Fault, fix: Fix, t: float) -> Fix:
     speed, course = fault.number("speed"), math.radians(fault.number("course"))
     north, east = speed * math.cos(course), speed * math.sin(course)
-    fix = _moved(cycle.fix, north * t, east * t, 0.0)
     vel_north, vel_east, vel_down = fix.vel_n
-    return cycle._replace(fix=fix._replace(vel_n=(vel_north + north, vel_east + east, vel_down)))
+    fix = _moved(fix, north * t, east * t, 0.0)
+    return fix._replace(vel_n=(vel_north + north, vel_east + east, vel_down))
 
 
 def _saturation(fault: Fault, cycle: Cycle, t: float) -> Cycle:
@@ -96,8 +91,8 @@ def _disturbance(fault: Fault, cycle: Cycle, t: float) -> Cycle:
     if cycle.mag_b is None:
         return cycle
     x, y, z = cycle.mag_b
-    added = [fault.number(key) for key in ("forward", "right", "down")]
-    return cycle._replace(mag_b=(x + added[0], y + added[1], z + added[2]))
+    right, down = fault.number("right"), fault.number("down")
+    return cycle._replace(mag_b=(x + fault.number("forward"), y + right, z + down))
 
 
 def _step(fault: Fault, cycle: Cycle, t: float) -> Cycle:

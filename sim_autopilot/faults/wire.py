@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim_autopilot.faults.fault import Fault, Layer, of_layer
+from sim_autopilot.faults.fault import Fault, Layer
 
-_DIRECTIONS = {"out": 0, "in": 1}
+_DIRECTIONS = ("out", "in")
 
 
 class Wire:
@@ -23,21 +23,17 @@ class Wire:
         way: str = "out",
         latency: float = 0.0,
     ) -> None:
-        """Begin without a frame.
+        """Begin a flight at ``zero_ns`` on the clock of ``push``; every frame takes ``latency`` s.
 
-        Args:
-            faults: All of the flight; those of the wire in this direction act.
-            seed: Of the flight.
-            zero_ns: Time of the start of the flight on the clock of ``push``.
-            way: ``out``: from the autopilot to the companion, or ``in``.
-            latency: Every frame takes so long, s.
+        Of the flight's faults those of the wire in this direction act: ``out``, from the autopilot
+        to the companion, or ``in``. Each draws from a generator of its own.
         """
         self._zero_ns = zero_ns
         self._latency_ns = round(latency * 1e9)
         self._faults = [
             (fault, np.random.default_rng(_sequence(seed, place, way)))
-            for place, fault in of_layer(faults, Layer.WIRE)
-            if fault.values["way"] in ("both", way)
+            for place, fault in enumerate(faults)
+            if fault.kind.layer is Layer.WIRE and fault.values["way"] in ("both", way)
         ]
         self._heap: list[tuple[int, int, bytes]] = []
         self._count = 0
@@ -91,4 +87,4 @@ def _flipped(frame: bytes, bits: int, rng: np.random.Generator) -> bytes:
 
 
 def _sequence(seed: int, place: int, way: str) -> np.random.SeedSequence:
-    return np.random.SeedSequence(seed, spawn_key=(300, place, _DIRECTIONS[way]))
+    return np.random.SeedSequence(seed, spawn_key=(300, place, _DIRECTIONS.index(way)))

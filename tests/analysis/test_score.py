@@ -6,6 +6,7 @@ import pytest
 from ekf_companion.analysis import score, trajectory_figure
 from ekf_companion.errors import CompanionError, LogError
 from ekf_companion.logs import tlog, tlog_trajectory
+from ekf_companion.logs.estimate import read_estimate, read_truth, to_trajectory
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.state import COLUMNS, Trajectory
@@ -148,11 +149,11 @@ def test_our_columns_and_our_csv_score_alike(tmp_path):
     rows = zip(*(columns[name].tolist() for name in COLUMNS), strict=True)
     lines = [",".join(COLUMNS), *(",".join(map(repr, row)) for row in rows)]
     path.write_text("\n".join(lines) + "\n")
-    direct = score.score(columns, circle())
-    read = score.score(score.read_estimate(path), circle())
+    direct = score.score(to_trajectory(columns), circle())
+    read = score.score(read_estimate(path), circle())
     assert read.horizontal == direct.horizontal
     assert read.yaw == direct.yaw
-    assert score.score(score.read_truth(path), circle()).velocity == direct.velocity
+    assert score.score(read_truth(path), circle()).velocity == direct.velocity
 
 
 def test_rows_before_the_alignment_are_left_out():
@@ -160,14 +161,14 @@ def test_rows_before_the_alignment_are_left_out():
     for name in COLUMNS[1:]:
         columns[name] = columns[name].astype(float)
         columns[name][:100] = np.nan
-    assert len(score.to_trajectory(columns).pos_t_ns) == 1400
+    assert len(to_trajectory(columns).pos_t_ns) == 1400
 
 
 def test_a_file_without_the_columns_is_refused(tmp_path):
     path = tmp_path / "estimate.csv"
     path.write_text("time_us,lat_deg\n1,2\n")
     with pytest.raises(LogError, match="no column 'lon_deg'; there are: time_us, lat_deg"):
-        score.read_estimate(path)
+        read_estimate(path)
 
 
 def test_scores_stand_beside_each_other_and_go_into_json():

@@ -4,7 +4,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ekf_companion.calibrate import delay, delay_result
+from ekf_companion.calibrate import delay
 from ekf_companion.config.config import Config
 from ekf_companion.core.settings import FilterSettings, GnssSettings
 from ekf_companion.errors import LogError
@@ -92,7 +92,7 @@ def test_a_log_that_cannot_serve_is_named_with_the_reason():
 
 def test_the_keys_say_the_delay_and_how_sure_it_is():
     found, _ = measured()
-    keys = {one.key: one for one in delay_result.result(found).settings}
+    keys = {one.key: one for one in delay.result(found).settings}
     assert keys["gnss.delay"].value == pytest.approx(0.12, abs=0.005)
     assert keys["gnss.delay"].comment.startswith("s; 95 %: 0.1")
     assert 0.002 <= keys["gnss.delay_std"].value <= 0.005

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.calibrate import ellipsoid, mag, mag_result
+from ekf_companion.calibrate import ellipsoid, mag
 from ekf_companion.calibrate.result import lines
 from ekf_companion.config.config import Config, _Loader, parse_config
 from ekf_companion.core.settings import FilterSettings
@@ -103,7 +103,7 @@ def test_flat_turns_that_leave_an_axis_open_name_it(strength):
     assert found.determined.tolist() == [True, True, False]
     assert np.allclose(found.fit.hard[:2], HARD[:2], atol=0.01)
     assert found.fit.hard[2] == 0.0
-    result = mag_result.result(found)
+    result = mag.result(found)
     assert any("hard iron down is not determined" in note for note in result.notes)
     assert result.to_dict("log")["determined"] == {"forward": True, "right": True, "down": False}
     assert "down not determined" in result.settings[0].comment
@@ -130,7 +130,7 @@ def test_the_simulators_hard_iron_is_found(name):
 
 
 def test_a_compass_without_iron_is_left_alone():
-    result = mag_result.result(mag.measure(fly("figure-eight", 60.0), SETTINGS))
+    result = mag.result(mag.measure(fly("figure-eight", 60.0), SETTINGS))
     assert not result.settings[0].is_sure
     assert result.settings[0].comment.endswith("no more than its uncertainty: leave it as it is")
 
@@ -144,7 +144,7 @@ def test_what_is_printed_brings_the_heading_back():
     )
     events = wire.events(flown, has_vel_down=True)
     recording = fly("figure-eight", 60.0, compass=CompassConfig(hard_iron=hard))
-    text = "\n".join(lines("mag", mag_result.result(mag.measure(recording, SETTINGS))))
+    text = "\n".join(lines("mag", mag.result(mag.measure(recording, SETTINGS))))
     config = parse_config(yaml.load(text, _Loader), "printed")
     late = slice(5000, None)
     truth = so3.to_euler(wire.truth(flown).q_nb)[late, 2]
@@ -202,4 +202,4 @@ def test_a_recorded_flight_of_a_simulator_needs_no_correction(flight):
     log = flight("sitl-arducopter-bin/flight.bin")
     found = mag.measure(read(log, Config()), Config())
     assert np.abs(found.fit.hard).max() < 0.005
-    assert not mag_result.result(found).settings[0].is_sure
+    assert not mag.result(found).settings[0].is_sure

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ekf_companion.calibrate import fixes, noise, noise_result, rest
+from ekf_companion.calibrate import fixes, noise, rest
 from ekf_companion.calibrate.result import lines
 from ekf_companion.config.config import Config, _Loader, parse_config
 from ekf_companion.core.settings import FilterSettings, GnssSettings, ImuSettings
@@ -17,7 +17,7 @@ SLOW = GnssConfig(noise_h=0.2, noise_v=0.3, slow_h=1.0, slow_v=1.5, slow_time=20
 
 
 def measured(recording, settings=SETTINGS):
-    result = noise_result.result(noise.measure(recording, settings), settings)
+    result = noise.result(noise.measure(recording, settings), settings)
     return {one.key: one for one in result.settings}, result
 
 

@@ -15,7 +15,7 @@ def command(*arguments):
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
-    """Give logs of a flight and of a vehicle that stands."""
+    """Return logs of a flight and of a vehicle that stands."""
     logs = {}
     for name in ("figure-eight", "static"):
         logs[name] = tmp_path_factory.mktemp("flown") / f"{name}.tlog"

@@ -32,7 +32,7 @@ def status(*arguments):
 
 @pytest.fixture(scope="module")
 def daemon(tmp_path_factory):
-    """Give the address of a daemon that nobody flies."""
+    """Return the address of a daemon that nobody flies."""
     port = free_port(socket.SOCK_STREAM)
     link = f"udpin:127.0.0.1:{free_port()}"
     folder = tmp_path_factory.mktemp("status")

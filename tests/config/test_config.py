@@ -28,7 +28,7 @@ WORDS = ("link.url", "link.peer", "record.path", "checkpoint.file", "signing.key
 
 
 def leaves(config, path=""):
-    """Give every key with its value, by its dotted name."""
+    """Return every key with its value, by its dotted name."""
     found = {}
     for field in fields(config):
         value = getattr(config, field.name)

@@ -70,7 +70,7 @@ def flown():
 
 
 def fly(rows, settings, change=None, at=0.5):
-    """Give an estimate per inertial sample; in the middle, other settings."""
+    """Return an estimate per inertial sample; in the middle, other settings."""
     pipeline, estimates = Pipeline(settings), []
     for count, row in enumerate(rows):
         if change is not None and count == round(at * len(rows)):

@@ -22,7 +22,7 @@ def flight(
     yaw: bool = False,
     noise: tuple[float, float] = (1.0, 0.0),
 ) -> tuple[Events, Trajectory]:
-    """Give the events of a flight, and the truth; noise of fixes: white and slow, m."""
+    """Return the events of a flight, and the truth; noise of fixes: white and slow, m."""
     white, slow = noise
     receiver = GnssConfig(
         yaw=yaw, noise_h=white, slow_h=slow, noise_v=1.5 * white, slow_v=1.5 * slow

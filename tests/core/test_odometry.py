@@ -37,14 +37,14 @@ def odometry(euler=(0.1, -0.2, 1.5), P=None, scale=1.0):
 
 
 def upper(numbers):
-    """Give the symmetric matrix of 21 numbers, row by row."""
+    """Return the symmetric matrix of 21 numbers, row by row."""
     P = np.zeros((6, 6))
     P[np.triu_indices(6)] = numbers
     return P + np.triu(P, 1).T
 
 
 def euler_jacobian(q_nb):
-    """Give d(roll, pitch, yaw) / d(rotation vector in n) by central differences."""
+    """Return d(roll, pitch, yaw) / d(rotation vector in n) by central differences."""
     step, columns = 1e-6, []
     for axis in np.eye(3):
         ahead, behind = (

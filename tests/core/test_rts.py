@@ -32,7 +32,7 @@ TINY = 1e-7
 
 
 def rows_of(events: Events, settings: FilterSettings = KNOWN) -> np.ndarray:
-    """Give what a timeline went through, in its order."""
+    """Return what a timeline went through, in its order."""
     timeline = Timeline(
         parameters(settings, "unknown"),
         delays_ns(settings, "unknown"),
@@ -89,7 +89,7 @@ class Batch:
         self.rows.append((root @ H @ self.A, root @ (z - H @ self.b)))
 
     def solve(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Give mean and covariance of the error at each time that was kept."""
+        """Return mean and covariance of the error at each time that was kept."""
         n = self.A.shape[1]
         stack = [np.eye(n)] + [np.pad(a, ((0, 0), (0, n - a.shape[1]))) for a, _ in self.rows]
         right = np.concatenate([np.zeros(n)] + [z for _, z in self.rows])

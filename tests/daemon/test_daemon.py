@@ -33,7 +33,7 @@ from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
-from ekf_companion.mavlink.options import RATES
+from ekf_companion.mavlink.session import RATES
 from ekf_companion.nav import so3
 from ekf_companion.nav.state import Status
 from ekf_companion.replay import convert
@@ -41,8 +41,7 @@ from ekf_companion.replay import run as replay
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import HomeConfig, SimConfig
 from sim_autopilot.flight import Flight
-from sim_autopilot.fly import fly, over
-from sim_autopilot.pace import run
+from sim_autopilot.fly import fly, over, run
 from tests.daemon.waiting import LIMIT
 
 SPEED = 3.0

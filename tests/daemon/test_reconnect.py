@@ -15,7 +15,8 @@ import tty
 import pytest
 
 from ekf_companion.daemon.reception import deliver
-from ekf_companion.link.link import open_link
+from ekf_companion.link.address import parse_url
+from ekf_companion.link.link import Link
 from ekf_companion.link.peers import Peers
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.frame import Splitter
@@ -196,7 +197,7 @@ def test_a_link_resumes_whenever_the_other_end_returns_rule_35(tmp_path, kind, c
     rng = random.Random(7)
 
     async def scenario():
-        link = open_link(url, peers=Peers())
+        link = Link(parse_url(url), peers=Peers())
         task = asyncio.create_task(serve(link))
         times, counts = [], []
         for _ in range(CYCLES):

@@ -14,8 +14,7 @@ from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.config import HomeConfig, SimConfig
 from sim_autopilot.flight import Flight
-from sim_autopilot.fly import Flown, fly, over
-from sim_autopilot.pace import run
+from sim_autopilot.fly import Flown, fly, over, run
 from tests.daemon.test_daemon import SYSTEM, Daemon, Open, Record, free_port
 
 CONFIG = "output: {odometry: {rate: 50}}\n"

@@ -16,8 +16,7 @@ import pytest
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.autopilot import Kind
-from sim_autopilot.fly import fly, over
-from sim_autopilot.pace import run
+from sim_autopilot.fly import fly, over, run
 from tests.daemon.test_daemon import Daemon, Open, Record, Wire, free_port, plan
 
 RESTART_SEC = 1.0

@@ -1,5 +1,7 @@
 """The fake autopilot connected to the doctor without a socket; faults are put in between."""
 
+from dataclasses import replace
+
 from ekf_companion.config.config import Config
 from ekf_companion.doctor.collector import EvidenceCollector
 from ekf_companion.doctor.diagnosis import diagnose
@@ -26,6 +28,11 @@ ARDUPILOT_OURS = {
     **{f"EK3_SRC{k}_{part}": 0 for k in (2, 3) for part in _PARTS},
 }
 """All that decides, so that ours alone counts."""
+
+
+def evidence_of(**known):
+    """Return the evidence of a link on which nothing has come, but what is given."""
+    return replace(EvidenceCollector(Config(), Means.LIVE).evidence(0), **known)
 
 
 def simulated(rate=100.0, **options):

@@ -7,15 +7,15 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import LinkConfig
-from ekf_companion.doctor.counters import MessageCounter, StampCounter
+from ekf_companion.doctor.counters import MessageCounter, Stamps
 from ekf_companion.doctor.diagnosis import diagnose
-from ekf_companion.doctor.evidence import Evidence, Feedback, Sent, Stamps
+from ekf_companion.doctor.evidence import Feedback, Sent
 from ekf_companion.doctor.report import lines
 from ekf_companion.doctor.stage import Outcome, Stage
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.nav.state import Status
 from sim_autopilot.autopilot import Kind
-from tests.doctor.simulated import ARDUPILOT_OURS, examine, simulated, stage, words
+from tests.doctor.simulated import ARDUPILOT_OURS, evidence_of, examine, simulated, stage, words
 
 SECOND = 1_000_000_000
 OURS_ALONE = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0}
@@ -197,7 +197,7 @@ def _imu(evidence):
 
 
 def test_every_stage_has_its_finding_in_order_whatever_is_lacking():
-    assert [result.stage for result in diagnose(Evidence())] == list(Stage)
+    assert [result.stage for result in diagnose(evidence_of())] == list(Stage)
 
 
 # Counting
@@ -225,11 +225,9 @@ def test_a_pause_counts_for_no_rate():
 
 
 def test_stamps_are_counted_by_what_is_strange():
-    counter = StampCounter("RAW_IMU")
+    stamps = Stamps(message="RAW_IMU")
     for stamp in (0, 1000, 3000, 3000, 2000, 4000, 6000, 90_000):
-        counter.add(stamp)
-    expected = Stamps(
-        message="RAW_IMU", count=8, repeated=1, backward=1, gaps=1, zero=1, is_whole_ms=True
-    )
-    assert counter.state() == expected
-    assert math.isnan(Evidence().time.offset_s)
+        stamps.add(stamp)
+    assert (stamps.count, stamps.repeated, stamps.backward, stamps.gaps) == (8, 1, 1, 1)
+    assert (stamps.zero, stamps.is_whole_ms) == (1, True)
+    assert math.isnan(evidence_of().time.offset_s)

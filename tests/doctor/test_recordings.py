@@ -35,7 +35,7 @@ def recorded(system_id):
         companion.receive(b"".join(autopilot.data_to_send()), now_ns)
         companion.tick(now_ns)
         autopilot.receive(b"".join(companion.data_to_send()), now_ns)
-        record += companion.session.take_record()
+        record += companion.session.outbox.take_record()
     return record
 
 
@@ -56,12 +56,12 @@ def test_an_autopilot_switched_off_before_the_board_sent_what_it_sent():
         companion.receive(b"".join(autopilot.data_to_send()), now_ns)
         companion.tick(now_ns)
         autopilot.receive(b"".join(companion.data_to_send()), now_ns)
-        record += companion.session.take_record()
+        record += companion.session.outbox.take_record()
     asked = len(record)
     for _ in range(300):
         now_ns += 50_000_000
         companion.tick(now_ns)
-        record += companion.session.take_record()
+        record += companion.session.outbox.take_record()
     said = [frame.message_id for _, raw in record[asked:] for frame in Splitter().feed(raw)]
     assert IDS["COMMAND_LONG"] in said  # it is asked again when it falls silent
     evidence = diagnosed(record)

@@ -11,13 +11,13 @@ from pymavlink.dialects.v10 import ardupilotmega as first
 from ekf_companion.config.config import Config
 from ekf_companion.doctor.collector import EvidenceCollector
 from ekf_companion.doctor.diagnosis import diagnose, first_failure
-from ekf_companion.doctor.evidence import Evidence, Holder, Means, Opening
+from ekf_companion.doctor.evidence import Holder, Means, Opening
 from ekf_companion.doctor.report import lines
 from ekf_companion.doctor.stage import Outcome, Stage
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.status.snapshot import LinkState
-from tests.doctor.simulated import UDP, examine, stage, words
+from tests.doctor.simulated import UDP, evidence_of, examine, stage, words
 
 TTY = Opening(url="serial:/dev/ttyS7:57600", kind="serial", device="/dev/ttyS7", baud=57600)
 OURS = Holder(pid=7, name="ekf-companion", unit="ekf-companion.service", is_daemon=True)
@@ -54,7 +54,7 @@ def collect(data, opening=TTY):
 )
 def test_a_link_that_does_not_open_says_why_and_what_to_do(opening, number, options, said):
     opening = replace(opening, failure="it does not", number=number, **options)
-    results = diagnose(Evidence(opening=opening))
+    results = diagnose(evidence_of(opening=opening))
     assert first_failure(results).stage is Stage.LINK
     assert said in words(results[0])
     assert {result.outcome for result in results[1:]} == {Outcome.UNKNOWN}
@@ -72,7 +72,7 @@ def test_a_link_that_does_not_open_says_why_and_what_to_do(opening, number, opti
 @pytest.mark.parametrize("means", [Means.LIVE, Means.LISTENING])
 def test_a_link_without_bytes_says_what_may_be_silent(kind, means, said):
     opening = Opening(url=f"{kind}:x:14540", kind=kind)
-    found = first_failure(diagnose(Evidence(means=means, opening=opening, seconds=15.0)))
+    found = first_failure(diagnose(evidence_of(means=means, opening=opening, seconds=15.0)))
     assert found.stage is Stage.BYTES
     assert said in words(found)
     assert ("--listen" in words(found)) == (means is Means.LISTENING)
@@ -85,14 +85,14 @@ def link_state(**options):
 
 
 def test_refused_datagrams_are_not_silence():
-    refused = Evidence(opening=UDP, link=link_state(refused={"another peer": 12}))
+    refused = evidence_of(opening=UDP, link=link_state(refused={"another peer": 12}))
     found = first_failure(diagnose(refused))
     assert found.stage is Stage.BYTES
     assert "link.peer" in words(found)
 
 
 def test_a_link_that_comes_and_goes_and_a_full_wire_are_warnings():
-    evidence = Evidence(
+    evidence = evidence_of(
         opening=TTY, link=link_state(opened=4, dropped=2), bytes_in=60_000, bytes_rate=5600.0
     )
     assert "opened again 3 times" in words(stage(evidence, "link"))
@@ -163,7 +163,7 @@ def test_mavlink_1_alone_is_a_warning():
 
 def test_the_report_has_a_line_a_stage_then_the_first_remedy():
     opening = replace(TTY, failure="No such file or directory", number=errno.ENOENT)
-    said = lines(diagnose(Evidence(opening=opening)), 80)
+    said = lines(diagnose(evidence_of(opening=opening)), 80)
     assert [line.split()[1] for _, line in said[: len(Stage)]] == [stage.value for stage in Stage]
     assert said[0][1].startswith("FAILED   link")
     assert max(len(line) for _, line in said) <= 80

@@ -81,7 +81,7 @@ def flight(folder, hub, kind):
 
 
 def odometry(frames):
-    """Give the ODOMETRY of ours among frames, by their stamps."""
+    """Return the ODOMETRY of ours among frames, by their stamps."""
     said = {}
     for frame in frames:
         if frame.message_id == IDS["ODOMETRY"] and frame.component_id == OURS:

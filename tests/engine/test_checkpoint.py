@@ -273,7 +273,7 @@ def test_a_boot_that_is_not_known_is_no_boot_in_common():
 
 
 def told(timeline):
-    """Give a timeline's state but for what a restart itself writes down."""
+    """Return a timeline's state but for what a restart itself writes down."""
     block = timeline.block()
     x = as_state(block)
     x.resets = x.reset_reason = 0.0

@@ -16,10 +16,11 @@ from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.fusion import NAMES
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.replay.convert import convert, estimate, estimate_and_smooth, read
-from sim_autopilot.acceptance import DEFAULTS, Stack
+from sim_autopilot.acceptance import DEFAULTS
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig, StreamConfig
 from sim_autopilot.flight import Flight
+from sim_autopilot.judgement import Stack
 
 SECOND_NS = 1_000_000_000
 US = 194
@@ -91,7 +92,7 @@ class Link:
             if frame.message_id == READ and unpack(frame).param_id.decode() in self.is_deaf_to:
                 continue
             self.autopilot.receive(data, now_ns)
-        self.record += self.companion.session.take_record()
+        self.record += self.companion.session.outbox.take_record()
 
     def times(self, name):
         return [now_ns for now_ns, frame in self.sent if frame.message_id == IDS[name]]

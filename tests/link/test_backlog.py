@@ -9,8 +9,9 @@ import termios
 import time
 import tty
 
+from ekf_companion.link.address import parse_url
 from ekf_companion.link.backlog import FRESH_NS, LARGEST, PATIENCE_NS, Backlog
-from ekf_companion.link.link import open_link
+from ekf_companion.link.link import Link
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
@@ -95,7 +96,7 @@ def test_after_a_stall_of_the_line_what_comes_is_fresh():
         tty.setraw(slave)
         os.set_blocking(master, False)
         now_ns = SECOND_NS
-        link = open_link(f"serial:{os.ttyname(slave)}:57600", clock=lambda: now_ns)
+        link = Link(parse_url(f"serial:{os.ttyname(slave)}:57600"), clock=lambda: now_ns)
         task = await opened(link)
         sender, splitter, frames = Sender(1, 194), Splitter(), []
         # Fill what the system holds; then thirty times a second for 1.5 s, and the reader is back
@@ -163,7 +164,7 @@ def test_no_more_waits_in_the_system_than_leaves_in_a_twentieth_of_a_second(monk
         master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(master, False)
-        link = open_link(f"serial:{os.ttyname(slave)}:57600")
+        link = Link(parse_url(f"serial:{os.ttyname(slave)}:57600"))
         task = await opened(link)
         uart, splitter, sender = Uart(monkeypatch), Splitter(), Sender(1, 194)
         count, begin = 0, time.monotonic()

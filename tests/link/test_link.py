@@ -10,7 +10,7 @@ import pytest
 from ekf_companion.errors import LinkError
 from ekf_companion.link import link as link_module
 from ekf_companion.link.address import DEFAULT_BAUD, Address, Kind, parse_url
-from ekf_companion.link.link import open_link
+from ekf_companion.link.link import Link
 
 
 @pytest.mark.parametrize(
@@ -125,8 +125,8 @@ def _quick_to_reopen(monkeypatch):
 def test_udp_carries_both_ways_and_answers_the_last_who_spoke():
     async def scenario():
         port = free_port()
-        ours = open_link(f"udpin:127.0.0.1:{port}")
-        first, second = (open_link(f"udpout:127.0.0.1:{port}") for _ in range(2))
+        ours = Link(parse_url(f"udpin:127.0.0.1:{port}"))
+        first, second = (Link(parse_url(f"udpout:127.0.0.1:{port}")) for _ in range(2))
         async with running(ours, first, second):
             await until(lambda: ours.is_open and first.is_open and second.is_open)
             ours.send(b"nobody yet")
@@ -145,7 +145,7 @@ def test_udp_carries_both_ways_and_answers_the_last_who_spoke():
 
 def test_udp_asks_the_kernel_for_a_large_buffer():
     async def scenario():
-        ours = open_link(f"udpin:127.0.0.1:{free_port()}")
+        ours = Link(parse_url(f"udpin:127.0.0.1:{free_port()}"))
         async with running(ours):
             await until(lambda: ours.is_open)
             with socket.socket(fileno=os.dup(ours._port.fileno())) as twin:
@@ -160,13 +160,13 @@ def test_udp_asks_the_kernel_for_a_large_buffer():
 def test_a_udp_peer_that_has_not_started_is_no_error():
     async def scenario():
         port = free_port()
-        ours = open_link(f"udpout:127.0.0.1:{port}")
+        ours = Link(parse_url(f"udpout:127.0.0.1:{port}"))
         async with running(ours):
             await until(lambda: ours.is_open)
             for _ in range(5):
                 ours.send(b"anybody?")
                 await asyncio.sleep(0.002)  # the refusal comes back over the real network stack
-            theirs = open_link(f"udpin:127.0.0.1:{port}")
+            theirs = Link(parse_url(f"udpin:127.0.0.1:{port}"))
             async with running(theirs):
                 await until(lambda: theirs.is_open)
                 ours.send(b"hello")
@@ -182,10 +182,10 @@ def test_tcp_carries_both_ways_and_comes_back_when_either_end_restarts():
     async def scenario():
         port = free_port(socket.SOCK_STREAM)
         states = []
-        client = open_link(f"tcp:127.0.0.1:{port}", on_state=states.append)
+        client = Link(parse_url(f"tcp:127.0.0.1:{port}"), on_state=states.append)
         async with running(client):
             for turn in range(3):
-                server = open_link(f"tcpin:127.0.0.1:{port}")
+                server = Link(parse_url(f"tcpin:127.0.0.1:{port}"))
                 async with running(server):
                     await until(lambda server=server: client.is_open and server.is_open)
                     client.send(b"hello")
@@ -204,12 +204,12 @@ def test_a_new_tcp_client_takes_the_place_of_a_silent_one(monkeypatch):
 
     async def scenario():
         port = free_port(socket.SOCK_STREAM)
-        server = open_link(f"tcpin:127.0.0.1:{port}")
+        server = Link(parse_url(f"tcpin:127.0.0.1:{port}"))
         async with running(server):
             await until(lambda: server._server is not None)
             first = socket.create_connection(("127.0.0.1", port))
             await until(lambda: server.is_open)
-            second = open_link(f"tcp:127.0.0.1:{port}")
+            second = Link(parse_url(f"tcp:127.0.0.1:{port}"))
             async with running(second):
                 await until(lambda: server.opened == 2)
                 second.send(b"alive")
@@ -224,7 +224,7 @@ def test_a_tcp_client_that_speaks_keeps_its_place_and_strangers_are_counted(capl
 
     async def scenario():
         port = free_port(socket.SOCK_STREAM)
-        server = open_link(f"tcpin:127.0.0.1:{port}")
+        server = Link(parse_url(f"tcpin:127.0.0.1:{port}"))
         async with running(server):
             await until(lambda: server._server is not None)
             with socket.create_connection(("127.0.0.1", port)) as autopilot:
@@ -247,7 +247,7 @@ def test_a_tcp_client_that_speaks_keeps_its_place_and_strangers_are_counted(capl
 def test_a_slow_tcp_reader_costs_whole_messages_and_they_are_counted():
     async def scenario():
         port = free_port(socket.SOCK_STREAM)
-        server = open_link(f"tcpin:127.0.0.1:{port}")
+        server = Link(parse_url(f"tcpin:127.0.0.1:{port}"))
         async with running(server):
             await until(lambda: server._server is not None)
             with socket.create_connection(("127.0.0.1", port)) as client:
@@ -277,7 +277,7 @@ def test_a_slow_tcp_reader_costs_whole_messages_and_they_are_counted():
 def test_a_serial_port_carries_both_ways_and_survives_that_it_vanishes(tmp_path):
     async def scenario():
         device = tmp_path / "ttyFC"
-        ours = open_link(f"serial:{device}:57600")
+        ours = Link(parse_url(f"serial:{device}:57600"))
         async with running(ours):
             for turn in range(3):
                 master, slave = os.openpty()
@@ -300,7 +300,7 @@ def test_a_serial_port_carries_both_ways_and_survives_that_it_vanishes(tmp_path)
 def test_restarts_leak_no_descriptor(tmp_path):
     async def scenario():
         device = tmp_path / "ttyFC"
-        ours = open_link(f"serial:{device}:57600")
+        ours = Link(parse_url(f"serial:{device}:57600"))
         counts = []
         async with running(ours):
             for _ in range(20):
@@ -322,7 +322,10 @@ def test_a_caller_who_is_too_slow_loses_the_oldest_and_it_is_counted(monkeypatch
 
     async def scenario():
         port = free_port()
-        ours, theirs = open_link(f"udpin:127.0.0.1:{port}"), open_link(f"udpout:127.0.0.1:{port}")
+        ours, theirs = (
+            Link(parse_url(f"udpin:127.0.0.1:{port}")),
+            Link(parse_url(f"udpout:127.0.0.1:{port}")),
+        )
         async with running(ours, theirs):
             await until(lambda: ours.is_open and theirs.is_open)
             for n in range(20):
@@ -337,8 +340,8 @@ def test_a_caller_who_is_too_slow_loses_the_oldest_and_it_is_counted(monkeypatch
 def test_what_is_read_carries_the_time_of_the_links_clock():
     async def scenario():
         port = free_port()
-        ours = open_link(f"udpin:127.0.0.1:{port}", clock=lambda: 42)
-        theirs = open_link(f"udpout:127.0.0.1:{port}")
+        ours = Link(parse_url(f"udpin:127.0.0.1:{port}"), clock=lambda: 42)
+        theirs = Link(parse_url(f"udpout:127.0.0.1:{port}"))
         async with running(ours, theirs):
             await until(lambda: ours.is_open and theirs.is_open)
             theirs.send(b"now")
@@ -352,7 +355,7 @@ def test_a_taken_port_is_tried_again_until_it_is_free(caplog):
         port = free_port()
         taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         taken.bind(("127.0.0.1", port))
-        ours = open_link(f"udpin:127.0.0.1:{port}")
+        ours = Link(parse_url(f"udpin:127.0.0.1:{port}"))
         async with running(ours):
             await until(lambda: "in use" in caplog.text)
             assert not ours.is_open

@@ -13,7 +13,8 @@ ALONE = ["unshare", "--map-root-user", "--net"]
 
 SCRIPT = """
 import asyncio, subprocess, time
-from ekf_companion.link.link import open_link
+from ekf_companion.link.address import parse_url
+from ekf_companion.link.link import Link
 
 def ip(words):
     subprocess.run(["ip", *words.split()], check=True)
@@ -50,7 +51,7 @@ ip("link set lo up")
 for address in ("10.9.0.1", "10.9.0.2"):
     ip(f"addr add {address}/32 dev lo")
 ip("route replace local 10.9.0.1/32 dev lo table local src 10.9.0.2")
-link = open_link("udpout:10.9.0.1:14550")
+link = Link(parse_url("udpout:10.9.0.1:14550"))
 asyncio.run(main())
 """
 

@@ -9,7 +9,8 @@ import pytest
 
 from ekf_companion.config.config import parse_config
 from ekf_companion.errors import ConfigError, LinkError
-from ekf_companion.link.link import open_link
+from ekf_companion.link.address import parse_url
+from ekf_companion.link.link import Link
 from ekf_companion.link.peers import NOT_NAMED, NOT_PINNED, RELEASE_NS, SAME_HOST_NS, Peers
 from ekf_companion.status.collect import link_state
 
@@ -129,7 +130,7 @@ def test_that_somebody_is_not_heard_is_said_once(caplog):
 )
 def test_a_peer_that_cannot_be_meant_is_a_sentence(url, peer, words):
     with pytest.raises(LinkError, match=words):
-        open_link(url, peer=peer)
+        Link(parse_url(url), peer=peer)
     with pytest.raises(ConfigError, match=rf"^x\.yaml: link\.peer: .*{words}"):
         parse_config({"link": {"url": url, "peer": peer}}, "x.yaml")
 
@@ -145,11 +146,11 @@ def test_a_peer_that_cannot_be_meant_is_a_sentence(url, peer, words):
     ],
 )
 def test_a_peer_is_a_host_and_perhaps_a_port(peer, meant):
-    assert open_link("udpin:0.0.0.0:14540", peer=peer).address.peer == meant
+    assert Link(parse_url("udpin:0.0.0.0:14540"), peer=peer).address.peer == meant
 
 
 def test_what_is_told_of_the_refused_is_a_copy_and_no_counter_that_goes_on():
-    link = open_link("udpin:127.0.0.1:14540", peers=pinned_to(A))
+    link = Link(parse_url("udpin:127.0.0.1:14540"), peers=pinned_to(A))
     link.peers.accepts(B, 1)
     told = link_state(link).refused
     link.peers.refused["another reason"] += 1
@@ -174,7 +175,7 @@ async def heard_by(peer="", **options):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
-        link = open_link(f"udpin:127.0.0.1:{port}", peer=peer, peers=Peers(**options))
+        link = Link(parse_url(f"udpin:127.0.0.1:{port}"), peer=peer, peers=Peers(**options))
         task = asyncio.create_task(link.run())
         end = time.monotonic() + 60.0
         while not link.is_open:

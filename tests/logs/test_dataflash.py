@@ -8,6 +8,8 @@ from pymavlink import DFReader
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import dataflash
+from ekf_companion.logs.dataflash_records import read_columns
+from ekf_companion.logs.estimate import read_truth
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 
@@ -161,7 +163,7 @@ def test_a_row_whose_type_was_damaged_is_not_taken_for_a_shorter_one(tmp_path):
     data[-10 * 35 + 2] = 2
     path = tmp_path / "flight.bin"
     path.write_bytes(bytes(data))
-    tables = dataflash.columns(path)
+    tables = read_columns(path)[0]
     assert "BARO" not in tables
     assert len(tables["IMU"]) == 19
 
@@ -203,7 +205,7 @@ def test_a_cut_log_gives_what_stands_before_the_cut(tmp_path_factory, place):
     path = tmp_path_factory.getbasetemp() / "cut.bin"
     path.write_bytes(WHOLE[:place])
     try:
-        tables = dataflash.columns(path)
+        tables = read_columns(path)[0]
     except LogError:
         assert place < 89 or WHOLE[:place].count(b"FMT") == 0
     else:
@@ -238,7 +240,7 @@ def test_a_log_with_nothing_to_estimate_from_says_what_to_record(read):
 def test_columns_agree_with_pymavlink(flight, name):
     path = flight(name)
     reader = DFReader.DFReader_binary(str(path))
-    tables = dataflash.columns(path)
+    tables = read_columns(path)[0]
     for message in ("IMU", "GPS", "ATT", "BARO", "MAG", "EKF1", "NKF1", "XKF1"):
         rows = []
         reader.rewind()
@@ -276,7 +278,7 @@ def test_the_simulators_truth_agrees_with_what_was_recorded_beside_it(flight):
     from ekf_companion.analysis import score
 
     recording = dataflash.read(flight("sitl-arducopter-bin/flight.bin"))
-    truth = score.read_truth(flight("sitl-arducopter-bin/truth.csv"))
+    truth = read_truth(flight("sitl-arducopter-bin/truth.csv"))
     found = score.score(recording.truth, truth)
     assert found.horizontal.rms < 0.01
     assert found.yaw.rms < np.deg2rad(0.01)

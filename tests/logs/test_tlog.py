@@ -9,6 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as second
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import tlog, tlog_trajectory
+from ekf_companion.logs.estimate import read_truth
 
 START_US = 1_700_000_000_000_000
 
@@ -190,7 +191,7 @@ def test_the_simulators_truth_gets_the_stamp_of_the_sample_before_it(flight, nam
     log = tlog.read(flight(f"{name}/flight.tlog"))
     truth = tlog_trajectory.truth(log)
     assert message in truth.name
-    found = score.score(truth, score.read_truth(flight(f"{name}/truth.csv")))
+    found = score.score(truth, read_truth(flight(f"{name}/truth.csv")))
     assert abs(found.lag) <= 0.004 + 1e-4  # good to one inertial period of PX4's
     assert found.horizontal.rms < 0.02
     assert found.tilt.rms < np.deg2rad(0.1)

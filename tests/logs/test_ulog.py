@@ -8,7 +8,8 @@ from pyulog import ULog
 
 from ekf_companion.analysis import score
 from ekf_companion.errors import LogError
-from ekf_companion.logs import ulog, ulog_trajectory
+from ekf_companion.logs import ulog
+from ekf_companion.logs.estimate import read_truth
 from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 
 CODES = {"uint64_t": "Q", "float": "f", "double": "d", "int32_t": "i", "uint8_t": "B", "bool": "?"}
@@ -160,18 +161,16 @@ def test_the_projection_agrees_with_px4s_own_at_a_kilometre():
     # North 1000 m and east 1000 m of 47.4 N, 8.5 E on PX4's sphere, by its forward formula.
     lat0, lon0 = np.deg2rad(47.4), np.deg2rad(8.5)
     x, y = np.array([1000.0]), np.array([1000.0])
-    lat, lon = ulog_trajectory._unproject(x, y, lat0, lon0)
+    lat, lon = ulog._unproject(x, y, lat0, lon0)
     c = np.arccos(np.sin(lat0) * np.sin(lat) + np.cos(lat0) * np.cos(lat) * np.cos(lon - lon0))
-    k = c / np.sin(c) * ulog_trajectory.EARTH_RADIUS
+    k = c / np.sin(c) * ulog.EARTH_RADIUS
     north = k * (np.cos(lat0) * np.sin(lat) - np.sin(lat0) * np.cos(lat) * np.cos(lon - lon0))
     east = k * np.cos(lat) * np.sin(lon - lon0)
     assert (north[0], east[0]) == pytest.approx((1000.0, 1000.0), abs=1e-3)  # arccos near 0
 
 
 def test_the_projections_origin_is_itself():
-    lat, lon = ulog_trajectory._unproject(
-        np.zeros(1), np.zeros(1), np.array([0.8]), np.array([0.1])
-    )
+    lat, lon = ulog._unproject(np.zeros(1), np.zeros(1), np.array([0.8]), np.array([0.1]))
     assert (lat[0], lon[0]) == pytest.approx((0.8, 0.1), abs=1e-15)
 
 
@@ -242,7 +241,7 @@ def test_a_damaged_flight_keeps_its_longest_run_of_the_clock(flight):
 
 
 def test_the_simulators_truth_agrees_with_what_was_recorded_beside_it(flight):
-    truth = score.read_truth(flight("sitl-px4-ulg/truth.csv"))
+    truth = read_truth(flight("sitl-px4-ulg/truth.csv"))
     found = score.score(ulog.read(flight("sitl-px4-ulg/flight.ulg")).truth, truth)
     assert found.horizontal.rms < 0.01
     assert found.velocity.rms < 0.01

@@ -105,14 +105,14 @@ def test_an_autopilot_that_goes_over_to_another_instance_is_followed():
     peer = Peer(Family.ARDUPILOT)
     assert imu_times(peer, 0, range(1000, 2000, 4))[0] == 1000
     assert imu_times(peer, 1, range(2000, 8000, 4))[0] == 5004  # after more than 3 s
-    assert peer.decoder.imu_instance == 1
+    assert peer.decoder.inertial.instance == 1
     assert list(peer.decoder.notes) == [
         "Inertial sensor 1 is used: 0 has been silent, or much slower, for 3 s; its biases are "
         "other ones"
     ]
     peer.decoder.notes.clear()
     assert imu_times(peer, 0, range(8000, 9100, 4)) == list(range(9000, 9100, 4))
-    assert peer.decoder.imu_instance == 0
+    assert peer.decoder.inertial.instance == 0
     assert imu_times(peer, 1, range(9100, 9900, 4)) == []
     assert list(peer.decoder.notes) == [
         "Inertial sensor 0 speaks steadily; its biases are other ones"
@@ -129,7 +129,7 @@ def test_a_configured_instance_that_hardly_speaks_does_not_starve_the_other(peri
     times = range(1000 + begin_ms, 31_000 + begin_ms, 4)
     taken = [t for t in times if imu_times(peer, 0 if t % period_ms == 0 else 1, [t])]
     assert len(taken) > 0.89 * len(times)  # of 30 s, 3 s of waiting for the configured one
-    assert peer.decoder.imu_instance == 1
+    assert peer.decoder.inertial.instance == 1
     assert len(peer.decoder.notes) == 1
 
 

@@ -139,7 +139,7 @@ def test_stamps_of_sending_are_brought_back_to_the_loops_turns():
     """Rule 10: RAW and SCALED stamps are de-jittered, and ArduPilot's HIGHRES_IMU."""
     peer, stamps = Peer(), sent()
     found = samples(peer, stamps)
-    assert peer.decoder.is_dejittered
+    assert peer.decoder.inertial.is_dejittered
     late = [t - (10**8 + 5000 * n) for n, t in enumerate(found)][2000:]
     assert max(late) - min(late) < 400.0
     assert max(stamps[n] - 10**8 - 5000 * n for n in range(2000, 4000)) == 1800
@@ -157,7 +157,7 @@ def test_stamps_of_sampling_are_left_alone(family):
     """Rule 10: PX4 stamps HIGHRES_IMU with the time of the sample."""
     peer, stamps = Peer(family), sent()
     assert samples(peer, stamps) == stamps
-    assert not peer.decoder.is_dejittered
+    assert not peer.decoder.inertial.is_dejittered
 
 
 def test_nobody_need_have_stamps_moved():

@@ -6,7 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ekf_companion.mavlink import encode
-from ekf_companion.mavlink.codec import Sender
+from ekf_companion.mavlink.codec import Sender, pack
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import EstimatorType, Frame, SystemStatus
 from ekf_companion.mavlink.messages import by_name
@@ -65,9 +65,9 @@ def test_quality_keeps_to_its_range(quality, said):
 
 
 def test_no_autopilot_is_told_a_type_that_it_refuses():
-    assert encode.estimator_type(Family.PX4) is EstimatorType.VIO
-    assert encode.estimator_type(Family.ARDUPILOT) is EstimatorType.GPS_INS
-    assert encode.estimator_type(Family.UNKNOWN) is EstimatorType.GPS_INS
+    assert encode.label(Family.PX4, "LOCAL_FRD", "auto").estimator is EstimatorType.VIO
+    assert encode.label(Family.ARDUPILOT, "LOCAL_FRD", "auto").estimator is EstimatorType.GPS_INS
+    assert encode.label(Family.UNKNOWN, "LOCAL_FRD", "auto").estimator is EstimatorType.GPS_INS
     assert (EstimatorType.VIO, EstimatorType.GPS_INS) == (
         dialect.MAV_ESTIMATOR_TYPE_VIO,
         dialect.MAV_ESTIMATOR_TYPE_GPS_INS,
@@ -98,9 +98,7 @@ def test_every_status_has_a_word_in_the_heartbeat():
 
 @pytest.mark.parametrize(("rate", "interval_us"), [(250.0, 4000.0), (3.0, 333333.0), (0.0, -1.0)])
 def test_a_message_is_asked_for_by_its_interval(rate, interval_us):
-    payload = encode.set_message_interval(
-        105, rate, target_system=3, target_component=1, confirmation=2
-    )
+    payload = encode.request_message(105, rate, target_system=3, target_component=1, confirmation=2)
     m = read("COMMAND_LONG", payload)
     assert (m.target_system, m.target_component, m.confirmation) == (3, 1, 2)
     assert (m.command, m.param1, m.param2) == (511, 105.0, interval_us)
@@ -108,7 +106,7 @@ def test_a_message_is_asked_for_by_its_interval(rate, interval_us):
 
 def test_timesync_carries_its_targets_in_18_bytes():
     """Rule 27."""
-    payload = encode.timesync(5, -7, target_system=1, target_component=1)
+    payload = pack("TIMESYNC", tc1=5, ts1=-7, target_system=1, target_component=1)
     assert len(payload) == 18
     assert payload[16:] == b"\x01\x01"
     m = read("TIMESYNC", payload)
@@ -116,17 +114,9 @@ def test_timesync_carries_its_targets_in_18_bytes():
 
 
 def test_estimator_status_says_ratios_and_accuracies():
-    health = encode.EstimatorHealth(
-        t_ns=5_000_000,
-        flags=encode.StatusFlag.ATTITUDE | encode.StatusFlag.POS_HORIZ_ABS,
-        vel_ratio=0.25,
-        pos_horiz_ratio=0.5,
-        pos_vert_ratio=0.75,
-        heading_ratio=1.5,
-        std_horiz=2.0,
-        std_vert=3.0,
-    )
-    m = read("ESTIMATOR_STATUS", encode.estimator_status(health))
+    flags = encode.StatusFlag.ATTITUDE | encode.StatusFlag.POS_HORIZ_ABS
+    payload = encode.estimator_status(5_000_000, flags, (0.25, 0.5, 0.75, 1.5), (2.0, 3.0))
+    m = read("ESTIMATOR_STATUS", payload)
     assert (m.time_usec, m.flags) == (5_000, 17)
     assert (m.vel_ratio, m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio) == (0.25, 0.5, 0.75, 1.5)
     assert (m.pos_horiz_accuracy, m.pos_vert_accuracy) == (2.0, 3.0)

@@ -8,7 +8,8 @@ import pytest
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.fusion import NAMES, decide, missing, watched
-from sim_autopilot.acceptance import DEFAULTS, Stack, would_accept
+from sim_autopilot.acceptance import DEFAULTS, would_accept
+from sim_autopilot.judgement import Stack
 
 PX4, ARDUPILOT, UNKNOWN = Family.PX4, Family.ARDUPILOT, Family.UNKNOWN
 PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")

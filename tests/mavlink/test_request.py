@@ -3,9 +3,8 @@
 import pytest
 
 from ekf_companion.mavlink.event import FirmwareReported, RequestAnswered
-from ekf_companion.mavlink.options import RATES, SessionOptions
 from ekf_companion.mavlink.request import ACCEPTED
-from ekf_companion.mavlink.session import Session
+from ekf_companion.mavlink.session import RATES, Session, SessionOptions
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight

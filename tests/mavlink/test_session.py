@@ -16,8 +16,7 @@ from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import PeerFound, PeerLost, Rebooted, RequestAnswered
 from ekf_companion.mavlink.frame import JUNK, Splitter
 from ekf_companion.mavlink.messages import LAYOUTS
-from ekf_companion.mavlink.options import RATES, SessionOptions
-from ekf_companion.mavlink.session import JUNK_BYTES, Session
+from ekf_companion.mavlink.session import JUNK_BYTES, RATES, Session, SessionOptions
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import quantise
 from ekf_companion.nav.measurements import ImuSample, Kind, Restart
@@ -370,7 +369,7 @@ def test_a_recording_fed_frame_by_frame_gives_what_was_measured_live(seed, place
         now_ns += rng.randrange(1, 300 * MS)
         measured += live.receive(stream[start:end], now_ns)
         live.tick(now_ns)
-        record += live.take_record()
+        record += live.outbox.take_record()
     ours = set(live.data_to_send())
     assert stream.startswith(b"".join(raw for _, raw in record if raw not in ours))
 
@@ -386,7 +385,7 @@ def test_nothing_is_kept_unless_it_is_to_be_recorded():
     session, autopilot = met()
     session.receive(autopilot.imu(1000), 0)
     session.tick(0)
-    assert session.take_record() == []
+    assert session.outbox.take_record() == []
 
 
 def test_a_recording_holds_every_byte_in_and_out_in_order():
@@ -395,14 +394,14 @@ def test_a_recording_holds_every_byte_in_and_out_in_order():
     session.receive(b"noise" + first, 1_234_567_891)
     session.outbox.send("HEARTBEAT", encode.heartbeat(SystemStatus.ACTIVE), 1_300_000_000)
     session.receive(second, 1_400_000_000)
-    record = session.take_record()
+    record = session.outbox.take_record()
     assert [raw for _, raw in record] == [b"noise", first, *session.data_to_send(), second]
     assert [stamp for stamp, _ in record] == [1_234_564, 1_234_564, 1_300_000, 1_400_000]
-    assert session.take_record() == []
+    assert session.outbox.take_record() == []
 
 
 def recorded(session):
-    return b"".join(raw for _, raw in session.take_record())
+    return b"".join(raw for _, raw in session.outbox.take_record())
 
 
 def test_junk_of_strangers_is_not_recorded_and_the_autopilots_is():
@@ -428,7 +427,7 @@ def test_a_line_of_noise_is_recorded_until_it_is_enough_and_again_after_frames()
     assert JUNK_BYTES - 1000 < len(recorded(session)) <= JUNK_BYTES
     for _ in range(100):
         session.receive(autopilot.heartbeat(), 0)
-    session.take_record()
+    session.outbox.take_record()
     session.receive(bytes(1000), 0)
     session.receive(bytes(2000), 0)
     assert recorded(session) == bytes(1000)
@@ -443,12 +442,12 @@ def test_where_all_is_signed_only_the_autopilots_own_radio_is_recorded_and_no_fl
     def flood(sender):
         for k in range(1000):
             session.receive(radio.message("RADIO_STATUS", rssi=1), now_ns + k * MS, sender)
-        return len(session.take_record())
+        return len(session.outbox.take_record())
 
     assert [flood(None), flood("stranger")] == [0, 0]  # no autopilot is heard
     heartbeat = theirs.frame("HEARTBEAT", pack("HEARTBEAT", autopilot=12), now_ns)
     session.receive(heartbeat, now_ns, "autopilot")
-    session.take_record()
+    session.outbox.take_record()
     assert [flood("stranger"), flood("autopilot")] == [0, 10]
     assert session.admission.refused == {"not signed": 4000 - 10}
 

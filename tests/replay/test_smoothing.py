@@ -114,7 +114,7 @@ def smoothed_blocks(events: Events, settings: FilterSettings) -> np.ndarray:
 
 
 def normalised(block: np.ndarray, truth, row: int) -> list[float]:
-    """Give the error squared over its covariance: of all nine, of the motion, of the attitude."""
+    """Return the error squared over its covariance: of all nine, of the motion, of the attitude."""
     x = as_state(block.copy())
     frame = LocalFrame(x.origin.lat, x.origin.lon, x.origin.alt)
     error = np.concatenate(

@@ -7,9 +7,9 @@ import pytest
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import Sender, pack, unpack
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.encode import Frame
 from ekf_companion.mavlink.frame import Splitter
-from sim_autopilot.acceptance import Quantity, Stack, judge, would_accept
+from sim_autopilot.acceptance import judge, would_accept
+from sim_autopilot.judgement import Quantity, Stack
 
 ALL = frozenset(Quantity)
 PERIOD_US = 33_333
@@ -77,8 +77,8 @@ def test_the_types_that_we_send_are_refused_by_nobody():
         (Stack.PX4_OLD, Family.PX4),
         (Stack.ARDUPILOT, Family.ARDUPILOT),
     ):
-        ours = {"estimator_type": encode.estimator_type(family), "frame_id": Frame.LOCAL_FRD}
-        judgement = judged(stack, ours)
+        ours = encode.label(family, "LOCAL_FRD", "auto")
+        judgement = judged(stack, {"estimator_type": ours.estimator, "frame_id": ours.frame})
         assert judgement.fused == ALL
         assert judgement.text == ""
 

@@ -3,22 +3,18 @@ import math
 import numpy as np
 import pytest
 
-from sim_autopilot.episodes import ErrorSeries, Limits, episode, episodes, sentence
+from sim_autopilot.episodes import ErrorSeries, episode, episodes, sentence
 from sim_autopilot.faults.fault import parse
 
-LIMITS = Limits(position=2.0, velocity=1.0, attitude=0.1)
+LIMITS = (2.0, 1.0, 0.1)
 
 
 def error_series(position, velocity=None, attitude=None):
     """Return errors at 10 Hz, as functions of the time."""
     t = np.arange(0.0, 60.0, 0.1)
     zero = np.zeros_like(t)
-    return ErrorSeries(
-        t=t,
-        position=position(t),
-        velocity=zero if velocity is None else velocity(t),
-        attitude=zero if attitude is None else attitude(t),
-    )
+    sizes = [zero if one is None else one(t) for one in (position, velocity, attitude)]
+    return ErrorSeries(t, np.stack(sizes, axis=-1))
 
 
 def between(t, start, end):
@@ -56,12 +52,7 @@ def test_what_never_gets_small_has_not_recovered():
 
 def test_no_odometry_is_no_error_and_no_recovery():
     errors = error_series(lambda t: 0 * t)
-    silent = ErrorSeries(
-        t=errors.t[:100],
-        position=errors.position[:100],
-        velocity=errors.velocity[:100],
-        attitude=errors.attitude[:100],
-    )
+    silent = ErrorSeries(errors.t[:100], errors.size[:100])
     found = episode(silent, 20.0, 25.0, LIMITS)
     assert math.isnan(found.position)
     assert (found.count, found.recovery) == (0, math.inf)

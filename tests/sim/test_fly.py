@@ -10,7 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from ekf_companion.errors import CompanionError
-from ekf_companion.link.link import open_link
+from ekf_companion.link.address import parse_url
+from ekf_companion.link.link import Link
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
@@ -20,8 +21,7 @@ from sim_autopilot.__main__ import app
 from sim_autopilot.config import SimConfig
 from sim_autopilot.firmware import parse as parse_personality
 from sim_autopilot.flight import Flight
-from sim_autopilot.fly import fly, over, play
-from sim_autopilot.pace import Pace, run
+from sim_autopilot.fly import Pace, fly, over, play, run
 from sim_autopilot.recording import TlogWriter
 
 CONFIG = SimConfig()
@@ -37,7 +37,7 @@ class Oracle:
     """Answers inertial samples with the truth, as an estimator without error would."""
 
     def __init__(self, flight, url):
-        self.link = open_link(url)
+        self.link = Link(parse_url(url))
         self.counts = {}
         self._flight = flight
 
@@ -133,7 +133,7 @@ def test_recorded_frames_are_played_at_their_spacing():
             yield number * 10_000_000, sent.message("HEARTBEAT", autopilot=12)
 
     async def both():
-        theirs = open_link(f"udpin:127.0.0.1:{port}")
+        theirs = Link(parse_url(f"udpin:127.0.0.1:{port}"))
         pump = asyncio.create_task(theirs.run())
         try:
             await asyncio.sleep(0)

@@ -1,7 +1,6 @@
 """The bench: an autopilot with its faults, and whoever is at the other end."""
 
 import functools
-import math
 import time
 
 import numpy as np
@@ -12,7 +11,7 @@ from ekf_companion.config.service import OdometryConfig, OutputConfig
 from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink.codec import Sender
 from sim_autopilot.config import SimConfig
-from sim_autopilot.episodes import Limits, episodes, error_series
+from sim_autopilot.episodes import USUAL, episodes, error_series
 from sim_autopilot.faults.fault import KINDS, parse
 from sim_autopilot.firmware import PERSONALITIES
 from sim_autopilot.flight import Flight
@@ -177,11 +176,10 @@ def test_a_companion_is_scored_fault_by_fault():
     witness = run.run()
     errors = error_series(witness, run.flight)
     assert (np.diff(errors.t) > 0).all()
-    assert len(errors.t) == len(errors.position) == len(errors.velocity) == len(errors.attitude)
-    limits = Limits(position=4.0, velocity=1.0, attitude=math.radians(6))
+    assert errors.size.shape == (len(errors.t), 3)
     quiet = (errors.t > 10.0) & (errors.t < 15.0)
-    assert errors.position[quiet].max() < limits.position
-    (_, jump), (_, cut) = episodes(errors, [parse(text) for text in faults], limits)
+    assert errors.size[quiet, 0].max() < USUAL[0]
+    (_, jump), (_, cut) = episodes(errors, [parse(text) for text in faults], USUAL)
     assert jump.count == pytest.approx(60, abs=3)
     assert cut.count <= 2
     assert 0.0 <= cut.recovery < 5.0

@@ -10,7 +10,7 @@ from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import SimConfig
 from sim_autopilot.firmware import PERSONALITIES, parse
 from sim_autopilot.loop import Bench, StreamRequester
-from sim_autopilot.reception import sentence
+from sim_autopilot.score_table import reception
 from tests.sim.imitated import FULL, cycles, planned, run
 from tests.sim.wire import US, ask, named, read
 
@@ -47,7 +47,7 @@ def test_px4_refuses_an_estimator_type_aloud_each_time(name):
     assert [(m.severity, m.text) for m in texts] == [
         (2, b"ODOMETRY: estimator_type 5 unsupported")
     ] * 3
-    line = sentence(autopilot.reception.summary())
+    line = reception(autopilot.reception.summary())
     assert line == "odometry: accepted 0, refused 3: estimator_type 5 is refused (3)"
 
 

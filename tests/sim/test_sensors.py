@@ -110,7 +110,7 @@ def test_the_compass_gives_the_heading_with_its_sigma():
     config = CompassConfig()
     t = np.arange(1, 5000) / config.rate
     data = sensors.compass(STILL, config, np.random.default_rng(4), t)
-    field_n = sensors.magnetic_field(STILL, config)
+    field_n = sensors.earth_field(STILL.frame.lat, STILL.frame.lon, STILL.frame.alt, config.year)
     mag_n = so3.rotate(STILL.at(t).q_nb, data.mag_b)
     assert_sigma(mag_n - field_n, config.noise_heading * math.hypot(field_n[0], field_n[1]))
     turned = np.arctan2(mag_n[:, 1], mag_n[:, 0]) - math.atan2(field_n[1], field_n[0])
@@ -123,7 +123,7 @@ def test_the_slow_error_of_the_compass_is_that_of_its_heading():
     config = CompassConfig(noise_heading=0.0, slow_heading=0.02, slow_time=0.5)
     t = np.arange(1, 40_000) / config.rate
     data = sensors.compass(EIGHT, config, np.random.default_rng(4), t)
-    field_n = sensors.magnetic_field(EIGHT, config)
+    field_n = sensors.earth_field(EIGHT.frame.lat, EIGHT.frame.lon, EIGHT.frame.alt, config.year)
     mag_n = so3.rotate(EIGHT.at(t).q_nb, data.mag_b)
     azimuth = np.arctan2(mag_n[:, 1], mag_n[:, 0]) - math.atan2(field_n[1], field_n[0])
     # a heading is what the declination lies beyond the field: too large where the field turns back

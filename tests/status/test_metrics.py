@@ -35,7 +35,7 @@ def samples(snapshot):
 
 
 def read(text):
-    """Give value by name, without the prefix, and labels."""
+    """Return value by name, without the prefix, and labels."""
     return {
         (sample.name.removeprefix(PREFIX), *sorted(sample.labels.items())): sample.value
         for family in parse(text)

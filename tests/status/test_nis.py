@@ -19,7 +19,7 @@ GOOD, BAD, SILENT = 120.0, 150.0, 180.0
 
 
 def fly():
-    """Give the pipeline's own mean, and that of the last seconds, by the second of a flight."""
+    """Return the pipeline's own mean, and that of the last seconds, by the second of a flight."""
     rng = np.random.default_rng(1)
     config = SimConfig(imu=ImuConfig(rate=50.0))
     log = events(Flight.plan("figure-eight", config, duration=SILENT))

@@ -13,7 +13,8 @@ from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfi
 from ekf_companion.engine.checkpoint import Clocks
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.warm_start import WarmStart
-from ekf_companion.link.link import open_link
+from ekf_companion.link.address import parse_url
+from ekf_companion.link.link import Link
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.nav.state import Status
 from ekf_companion.status.host import Host, read_host
@@ -37,8 +38,8 @@ class Watched:
         self.delay_ns = delay_ns
         self.begin_ns = None
         self.last_ns = 0
-        self.link = open_link(
-            url, clock=lambda: self.now_ns, on_sent=lambda ns: self.observer.on_sent(ns)
+        self.link = Link(
+            parse_url(url), clock=lambda: self.now_ns, on_sent=lambda ns: self.observer.on_sent(ns)
         )
         self.companion = Companion(config or Config(), warm_start=warm_start)
         self.observer = Observer(self.link, self.companion, lambda: self.now_ns)
@@ -190,7 +191,7 @@ def test_after_a_warm_restart_the_resets_are_those_of_this_run_each_under_its_re
 
 
 def later(flight, seconds):
-    """Give the part of a flight that begins so many seconds after its start."""
+    """Return the part of a flight that begins so many seconds after its start."""
     first = None
     for t_ns, data in flight:
         first = t_ns if first is None else first

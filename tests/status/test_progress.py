@@ -12,7 +12,8 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.health import Arrival
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.status.progress import BARREN_S, Progress
+from ekf_companion.status.judge import BARREN_S
+from ekf_companion.status.observer import Progress
 from sim_autopilot.config import ImuConfig, SimConfig
 from sim_autopilot.events import events
 from sim_autopilot.flight import Flight

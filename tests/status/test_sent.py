@@ -26,7 +26,7 @@ def odometries(data):
 
 @contextlib.contextmanager
 def wire():
-    """Give a line, and its other end, which nobody reads."""
+    """Return a line, and its other end, which nobody reads."""
     theirs, ours = os.openpty()
     tty.setraw(ours)
     os.set_blocking(theirs, False)
@@ -65,7 +65,7 @@ def test_what_a_stuck_line_throws_away_was_not_sent():
     async def body(watched):
         watched.feed(cycles(25.0))  # and the loop, which would write, does not go round
         snapshot, offered = watched.snapshot(), watched.companion.session.outbox.sent["ODOMETRY"]
-        waiting, data, end = watched.link.replaceable_waiting, b"", time.monotonic() + 60.0
+        waiting, data, end = watched.link.backlog.replaceable, b"", time.monotonic() + 60.0
         while len(data) < watched.link.bytes_out:
             assert time.monotonic() < end
             data += read(theirs)
@@ -86,13 +86,13 @@ def test_what_a_stuck_line_throws_away_was_not_sent():
 def test_what_had_to_wait_for_room_was_late_by_that():
     async def body(watched):
         flight = cycles(60.0)
-        while not watched.link.replaceable_waiting:
+        while not watched.link.backlog.replaceable:
             watched.feed([next(flight)])
         before = watched.observer.latency.count
         watched.now_ns += FRESH_NS // 2
         read(theirs)
         end = time.monotonic() + 60.0
-        while watched.link.replaceable_waiting:
+        while watched.link.backlog.replaceable:
             assert time.monotonic() < end
             await asyncio.sleep(0.002)
         process = watched.snapshot().process

@@ -68,9 +68,8 @@ class Barometer:
         """Read SCALED_PRESSURE."""
         m = unpack(frame)
         out, t_ns = self._context.follow_ms(m.time_boot_ms, "SCALED_PRESSURE")
-        if t_ns is None:
-            return out
-        self.add(out, 1, t_ns, m.press_abs)
+        if t_ns is not None:
+            self.add(out, 1, t_ns, m.press_abs)
         return out
 
     def add(self, out: Measurements, rank: int, t_ns: int, pressure: float) -> None:

@@ -63,11 +63,8 @@ class Context:
     ) -> None:
         """Begin with nothing known of its clock.
 
-        Args:
-            family: Whose habits apply.
-            options: How messages that leave something open are read.
-            forget: Called when the autopilot's clock began anew or was set, after the clock took
-                the new time.
+        ``forget`` is called when the autopilot's clock began anew or was set, after it took the new
+        time.
         """
         self.family = family
         self.options = options
@@ -85,10 +82,6 @@ class Context:
         """Count a refusal; return no measurements."""
         self.refused[reason] += 1
         return []
-
-    def note(self, note: str) -> None:
-        """Add a note."""
-        self.notes.append(note)
 
     def note_once(self, note: str) -> None:
         """Add a note unless it was added before."""
@@ -115,15 +108,11 @@ class Context:
         The time is None as above, or where nothing relates the milliseconds to the inertial stamps:
         not yet, or no more since the reboot.
         """
-        out: Measurements = []
         # 0 is no time, so it says nothing of a reboot
-        if boot_ms != 0:
-            step = self.clock.advance_boot_ms(boot_ms)
-            if step is not Step.FOLLOWED:
-                leapt = self._leapt(step, message)
-                if leapt is None:
-                    return [], None
-                out = leapt
+        step = self.clock.advance_boot_ms(boot_ms) if boot_ms != 0 else Step.FOLLOWED
+        out = [] if step is Step.FOLLOWED else self._leapt(step, message)
+        if out is None:
+            return [], None
         t_ns = self.clock.from_boot_ms(boot_ms)
         if t_ns is None:
             self.refuse(f"{message}: time base unknown")
@@ -141,7 +130,9 @@ class Context:
         self._forget(step)
         if step is Step.SET:
             self.refused["clock set back"] += 1
-            self.note("The autopilot's clock was set back by less than a second; going on by it")
+            self.notes.append(
+                "The autopilot's clock was set back by less than a second; going on by it"
+            )
         return [Restart(goes_on=step is Step.SET)]
 
 
@@ -167,15 +158,13 @@ class Preference:
     def __init__(self, starving: float = 0.0) -> None:
         """Begin with the best.
 
-        Args:
-            starving: A source in use that brings less than this share of the messages of a worse
-                one, for three seconds, counts as silent.
+        A source in use that brings less than the share ``starving`` of the messages of a worse one,
+        for three seconds, counts as silent.
         """
         self.rank = 0
         """Of the source in use: 0 is the best."""
         self.sole = 0
-        """The same while no other source speaks, and then :meth:`admit` need not be asked; else -1.
-        """
+        """The same while no other source speaks: :meth:`admit` need not be asked then; else -1."""
         self._starving = starving
         self._used = 0
         """Messages of the source in use, counted while others speak."""

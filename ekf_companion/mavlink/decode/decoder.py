@@ -25,44 +25,42 @@ class Decoder:
     def __init__(
         self, family: Family = Family.UNKNOWN, options: DecoderOptions | None = None
     ) -> None:
-        self.options = options or DecoderOptions()
-        self._context = Context(family, self.options, self._forget)
+        self._context = Context(family, options or DecoderOptions(), self._forget)
         self.refused = self._context.refused
         """How often, by reason: ``message: why``."""
         self.notes = self._context.notes
         """Sentences for a human, oldest first, a few at most; whoever reads them takes them out."""
         self._mag, self._baro = Magnetometer(self._context), Barometer(self._context)
-        self._heading, self._vehicle = Heading(self._context), Vehicle(self._context)
-        self._inertial = Inertial(self._context, self._mag, self._baro)
+        self._heading, self.vehicle = Heading(self._context), Vehicle(self._context)
+        self.inertial = Inertial(self._context, self._mag, self._baro)
+        self._ranked: list[Inertial | Magnetometer | Barometer | Heading]
+        self._ranked = [self.inertial, self._mag, self._baro, self._heading]
         self._position = Position(self._context, self._heading)
-        self._readers: dict[int, Callable[[Frame], Measurements]] = {
-            IDS[name]: reader
-            for name, reader in {
-                "HIGHRES_IMU": self._inertial.highres_imu,
-                "RAW_IMU": self._inertial.raw_imu,
-                "SCALED_IMU": self._inertial.scaled_imu,
-                "SCALED_IMU2": self._inertial.scaled_imu,
-                "SCALED_IMU3": self._inertial.scaled_imu,
-                "SCALED_PRESSURE": self._baro.scaled_pressure,
-                "GPS_RAW_INT": self._position.gps_raw_int,
-                "GPS2_RAW": self._position.gps2_raw,
-                "GLOBAL_POSITION_INT": self._position.global_position_int,
-                "ATTITUDE": self._heading.attitude,
-                "VFR_HUD": self._heading.vfr_hud,
-                "HEARTBEAT": self._vehicle.heartbeat,
-                "EXTENDED_SYS_STATE": self._vehicle.extended_sys_state,
-                "SYSTEM_TIME": self._vehicle.system_time,
-            }.items()
+        readers: dict[str, Callable[[Frame], Measurements]] = {
+            "HIGHRES_IMU": self.inertial.highres_imu,
+            "RAW_IMU": self.inertial.raw_imu,
+            "SCALED_IMU": self.inertial.scaled_imu,
+            "SCALED_IMU2": self.inertial.scaled_imu,
+            "SCALED_IMU3": self.inertial.scaled_imu,
+            "SCALED_PRESSURE": self._baro.scaled_pressure,
+            "GPS_RAW_INT": self._position.gps_raw_int,
+            "GPS2_RAW": self._position.gps2_raw,
+            "GLOBAL_POSITION_INT": self._position.global_position_int,
+            "ATTITUDE": self._heading.attitude,
+            "VFR_HUD": self._heading.vfr_hud,
+            "HEARTBEAT": self.vehicle.heartbeat,
+            "EXTENDED_SYS_STATE": self.vehicle.extended_sys_state,
+            "SYSTEM_TIME": self.vehicle.system_time,
         }
-
+        self._readers = {IDS[name]: reader for name, reader in readers.items()}
         self._held: list[tuple[Frame, Measurements]] = []
 
     def _forget(self, step: Step) -> None:
         """Begin anew after a reboot; the clock has already taken the new time."""
-        for reader in (self._inertial, self._mag, self._baro, self._heading, self._position):
+        for reader in (*self._ranked, self._position):
             reader.forget()
         if step is Step.BEGUN:
-            self._vehicle.forget()
+            self.vehicle.forget()
 
     def begin(self) -> None:
         """Begin anew with another autopilot, of whose clock nothing is known."""
@@ -75,11 +73,6 @@ class Decoder:
         self._context.is_ours, self._context.is_yaw_ours = is_ours, is_yaw_ours
 
     @property
-    def is_armed(self) -> bool:
-        """Whether the autopilot's last heartbeat said that it is armed."""
-        return self._vehicle.is_armed
-
-    @property
     def family(self) -> Family:
         """Whose habits apply: the autopilot's."""
         return self._context.family
@@ -88,7 +81,7 @@ class Decoder:
     def family(self, family: Family) -> None:
         if family is not self._context.family:
             self._context.family = family
-            self._inertial.begin_stream()
+            self.inertial.begin_stream()
 
     @property
     def clock(self) -> TimeBase:
@@ -98,34 +91,18 @@ class Decoder:
     @property
     def imu_source(self) -> str:
         """The message that inertial samples are taken from."""
-        return SOURCES[self._inertial.sources.rank]
+        return SOURCES[self.inertial.sources.rank]
 
     @property
-    def imu_instance(self) -> int:
-        """The inertial sensor in use, as HIGHRES_IMU numbers them."""
-        return self._inertial.instance
-
-    @property
-    def is_dejittered(self) -> bool:
-        """Whether the stamps of inertial samples are being corrected."""
-        return self._inertial.is_dejittered
-
-    @property
-    def ranks(self) -> tuple[int, int, int, int]:
+    def ranks(self) -> tuple[int, ...]:
         """Ranks of the sources in use: inertial, magnetometer, barometer, heading."""
-        return (
-            self._inertial.sources.rank,
-            self._mag.sources.rank,
-            self._baro.sources.rank,
-            self._heading.sources.rank,
-        )
+        return tuple(reader.sources.rank for reader in self._ranked)
 
-    def prefer(self, imu: int, mag: int, baro: int, heading: int) -> None:
+    def prefer(self, *ranks: int) -> None:
         """Use the sources of these ranks at once: better ones are known to be silent."""
-        self._inertial.prefer(imu)
-        self._mag.sources.use(mag)
-        self._baro.sources.use(baro)
-        self._heading.sources.use(heading)
+        for reader, rank in zip(self._ranked, ranks, strict=True):
+            reader.sources.use(rank)
+        self.inertial.begin_stream()
 
     def decode(self, frame: Frame) -> Measurements:
         """Return the measurements of a frame: none, one or several.

@@ -28,9 +28,8 @@ class Heading:
         """Read ATTITUDE."""
         m = unpack(frame)
         out, t_ns = self._context.follow_ms(m.time_boot_ms, "ATTITUDE")
-        if t_ns is None:
-            return out
-        self.add(out, 0, t_ns, m.yaw)
+        if t_ns is not None:
+            self.add(out, 0, t_ns, m.yaw)
         return out
 
     def vfr_hud(self, frame: Frame) -> Measurements:

@@ -53,11 +53,6 @@ class Inertial:
         if self._context.options.is_dejittered and (is_ms or is_sent):
             self._dejitter = Dejitter(_MILLISECOND_US if is_ms else 1)
 
-    def prefer(self, rank: int) -> None:
-        """Use the source of this rank at once: better ones are known to be silent."""
-        self.sources.use(rank)
-        self.begin_stream()
-
     @property
     def is_dejittered(self) -> bool:
         """Whether stamps are being corrected."""
@@ -74,10 +69,8 @@ class Inertial:
             return []
         t_ns = t_us * 1000
         # The configured one goes first
-        rank, was = (
-            (0 if instance == context.options.imu_id else instance + 1),
-            self._instances.rank,
-        )
+        rank = 0 if instance == context.options.imu_id else instance + 1
+        was = self._instances.rank
         if rank != self._instances.sole and not self._instances.admit(rank, t_ns):
             context.refused["HIGHRES_IMU: another instance"] += 1
             return out
@@ -114,7 +107,7 @@ class Inertial:
         away = f"is used: {self.instance} has been silent, or much slower, for 3 s"
         why = "speaks steadily" if is_better else away
         self._context.refused["HIGHRES_IMU: instance changed"] += 1
-        self._context.note(f"Inertial sensor {instance} {why}; its biases are other ones")
+        self._context.notes.append(f"Inertial sensor {instance} {why}; its biases are other ones")
         self.instance = instance
 
     def raw_imu(self, frame: Frame) -> Measurements:
@@ -179,7 +172,7 @@ class Inertial:
         self.begin_stream()
         away = f"is used: {SOURCES[was]} has been silent, or much slower, for 3 s"
         why = "speaks steadily" if now < was else away
-        self._context.note(f"{SOURCES[now]} {why}")
+        self._context.notes.append(f"{SOURCES[now]} {why}")
 
 
 _Sample = tuple[float, float, float, float, float, float]

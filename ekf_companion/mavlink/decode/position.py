@@ -55,8 +55,7 @@ class Position:
     def gps_raw_int(self, frame: Frame) -> Measurements:
         """Read GPS_RAW_INT."""
         m = unpack(frame)
-        refusal = self._refusal(m)
-        if refusal is not None:
+        if (refusal := self._refusal(m)) is not None:
             return self._context.refuse(f"GPS_RAW_INT: {refusal}")
         t_ns = self._time(m.time_usec)
         if isinstance(t_ns, str):
@@ -85,12 +84,9 @@ class Position:
     def _refusal(self, m: Any) -> str | None:
         """Return why a message holds no new fix; None if it does."""
         key = (m.time_usec,) if m.time_usec else (0, m.lat, m.lon, m.alt, m.vel, m.cog)
-        if m.fix_type < _FIX_3D:
+        if m.fix_type < _FIX_3D or not _is_place(m.lat, m.lon):
             self._fixes = 0
-            return "no 3-D fix"
-        if not _is_place(m.lat, m.lon):
-            self._fixes = 0
-            return "no position"
+            return "no 3-D fix" if m.fix_type < _FIX_3D else "no position"
         if key == self._last:
             return "repeated"
         self._last = key
