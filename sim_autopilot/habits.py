@@ -12,7 +12,7 @@ import numpy as np
 from ekf_companion.nav import so3
 from sim_autopilot import telemetry
 from sim_autopilot.config import SimConfig
-from sim_autopilot.flight import Cycle, Fix, Vector
+from sim_autopilot.flight import Cycle, Fix, Motion, Vector
 from sim_autopilot.personality import Personality
 from sim_autopilot.sensors import earth_field
 from sim_autopilot.telemetry import (
@@ -54,6 +54,10 @@ class FirmwareSensors:
         self._updated = INERTIAL_AND_TEMPERATURE
         self._fix: Fix | None = None
         self._fix_ns: int | None = None
+        self._good_ns: int | None = None
+        """When a fix last had a position, on the world's clock."""
+        self._held: Motion | None = None
+        """The estimate that it reports for good while GNSS is lost."""
         self._begin_ns: int | None = None
         """Time of the first fix, on the world's clock, like the two beside it."""
         self._next_marker_ns = 0
@@ -76,6 +80,7 @@ class FirmwareSensors:
             cycle = cycle._replace(number=cycle.number // every)
         if late_ns := self._lateness_ns():
             cycle = cycle._replace(t_ns=cycle.t_ns + late_ns, flight_ns=cycle.flight_ns + late_ns)
+        cycle = self._without_gnss(cycle)
         return cycle if self._has_origin(cycle.flight_ns) else self._by_compass(cycle)
 
     def fields(self, name: str, cycle: Cycle) -> Fields | None:
@@ -154,8 +159,34 @@ class FirmwareSensors:
             self._fix_ns = cycle.flight_ns
         if cycle.fix is not None:
             self._fix, self._fix_ns = cycle.fix, cycle.flight_ns
+            if cycle.fix.fix_type >= 3:
+                self._good_ns = cycle.flight_ns
             if self._begin_ns is None and cycle.fix.fix_type >= 3:
                 self._begin_ns = cycle.flight_ns
+
+    def _without_gnss(self, cycle: Cycle) -> Cycle:
+        """Let the autopilot's own estimate drift, then stand, while GNSS is lost."""
+        lost_ns = 0 if self._good_ns is None else cycle.flight_ns - self._good_ns
+        if lost_ns < _SECOND_NS:
+            self._held = None
+            return cycle
+        t, after, now = lost_ns * 1e-9, self._habits.holds_position_after, cycle.estimate
+        north = 0.5 * self._habits.outage_drift * t * t
+        drifted = now._replace(
+            lat=now.lat + north / _METRES_PER_RADIAN,
+            pos_n=(now.pos_n[0] + north, *now.pos_n[1:]),
+            vel_n=(now.vel_n[0] + self._habits.outage_drift * t, *now.vel_n[1:]),
+        )
+        if not after or t < after:
+            return cycle._replace(estimate=drifted)
+        held = self._held = self._held or drifted
+        stands = drifted._replace(
+            lat=held.lat,
+            lon=held.lon,
+            pos_n=(*held.pos_n[:2], now.pos_n[2]),
+            vel_n=(0.0, 0.0, now.vel_n[2]),
+        )
+        return cycle._replace(estimate=stands)
 
     def _is_lost(self, now_ns: int) -> bool:
         after = self._habits.no_gps_after

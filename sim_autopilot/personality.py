@@ -109,6 +109,10 @@ class Personality:
     utc_after: float = 0.0
     """GPS_RAW_INT.time_usec is 0 until so long after the first fix, when the receiver knows UTC, s
     (PX4; the time is assumed)."""
+    outage_drift: float = 0.0
+    """Acceleration of the error of the autopilot's own position while GNSS is lost, m/s^2."""
+    holds_position_after: float = 0.0
+    """Seconds without GNSS after which it reports one position and no velocity; 0: never."""
     no_gps_after: float = 0.0
     """Without fixes for so long, s, GPS_RAW_INT reports NO_GPS: PX4 after 1 s, once a second and
     without numbers; ArduPilot after 4 s with the last fix's. 0: it is not sent."""

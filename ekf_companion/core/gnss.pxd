@@ -16,4 +16,5 @@ cdef void learn_white_share(
 cdef bint is_dragged(State *x, Observation *o, Py_ssize_t aid) noexcept nogil
 cdef bint fuse_velocity(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef void fuse_position(State *x, Parameters *k, Scratch *w) noexcept nogil
+cdef double position_patience(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef void fuse_height(State *x, Parameters *k, Scratch *w) noexcept nogil

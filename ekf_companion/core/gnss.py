@@ -68,6 +68,10 @@ JERK = cython.declare(cython.double, 0.25)
 """Variance of the error of our acceleration while velocity is refused, m^2/s^4."""
 DERIVED = cython.declare(cython.int, 1)
 SUSPECT = cython.declare(cython.int, 2)
+OWN_DRIFT = cython.declare(cython.double, 1.0)
+"""Drift of our position that is possible while the velocity is fused and agrees, m/s."""
+LONGEST_PATIENCE = cython.declare(cython.double, 25.0)
+"""Longest time for which a position that drift cannot explain is refused, s."""
 SAME_CAUSE = cython.declare(cython.double, 2.0)
 """A height refused for this time when the position is reset is reset too, s."""
 
@@ -314,7 +318,7 @@ def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
     observe.position(x, k, fix, address(w.observation))
     if (
         fuse(x, k, w, AID_POSITION)
-        or not gate.is_timed_out(x, AID_POSITION, k.timeout_pos)
+        or not gate.is_timed_out(x, AID_POSITION, position_patience(x, k, w))
         or not gate.is_proven(x, AID_POSITION, 2, fix.stated_var[0], drift)
     ):
         return
@@ -324,6 +328,21 @@ def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
         reset_unknown_velocity(x, 0, 2)
     if gate.is_timed_out(x, AID_HEIGHT, SAME_CAUSE):
         reset_height(x, k, w)
+
+
+def position_patience(x: State, k: Parameters, w: Scratch) -> float:
+    """Return how long this position is refused before it may reset ours, s.
+
+    While the velocity is fused, our position can have drifted only slowly: a distance that would
+    have taken longer is the receiver's jump.
+    """
+    if gate.is_timed_out(x, AID_VELOCITY, SAME_CAUSE):
+        return k.timeout_pos
+    z = w.observation.z
+    needed = sqrt(z[0] * z[0] + z[1] * z[1]) / OWN_DRIFT
+    if needed > LONGEST_PATIENCE:
+        needed = LONGEST_PATIENCE
+    return needed if needed > k.timeout_pos else k.timeout_pos
 
 
 def fuse_height(x: State, k: Parameters, w: Scratch) -> None:

@@ -52,7 +52,7 @@ from cython.cimports.ekf_companion.core.enums import (
 from cython.cimports.ekf_companion.core.memory import Structs
 from cython.cimports.ekf_companion.core.noise import learn_noise
 from cython.cimports.ekf_companion.core.parameters import Parameters
-from cython.cimports.ekf_companion.core.rest import begin_window, check_rest
+from cython.cimports.ekf_companion.core.rest import add_field, begin_window, check_rest
 from cython.cimports.ekf_companion.core.rotation import to_dcm
 from cython.cimports.ekf_companion.core.scratch import Event, ImuRow, Motion, Scratch
 from cython.cimports.ekf_companion.core.state import State
@@ -346,6 +346,7 @@ def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
         else:
             gate.count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
     elif event.kind == KIND_MAG:
+        add_field(x, v.mag_b)
         if heading.is_field_used(x, k):
             heading.fuse_field(x, k, o, r, v.mag_b)
         else:

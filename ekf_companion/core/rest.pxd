@@ -3,6 +3,9 @@ from ekf_companion.core.scratch cimport Scratch
 from ekf_companion.core.state cimport State
 cdef void begin_window(State *x, double t) noexcept nogil
 cdef void add_to_window(State *x) noexcept nogil
+cdef void add_field(State *x, double *mag_b) noexcept nogil
+cdef double compare_with_field(State *x, Parameters *k, Scratch *w, double hidden_turn) noexcept nogil
+cdef double gyro_bias_std(State *x) noexcept nogil
 cdef double largest_at_rest(double learnt, double largest) noexcept nogil
 cdef bint was_at_rest(State *x, Parameters *k) noexcept nogil
 cdef void check_rest(State *x, Parameters *k, Scratch *w) noexcept nogil

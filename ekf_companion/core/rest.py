@@ -16,10 +16,12 @@ from cython.cimports.ekf_companion.core.enums import (
     MODE_LEVEL,
     MODE_NAVIGATE,
 )
+from cython.cimports.ekf_companion.core.memory import Vector
 from cython.cimports.ekf_companion.core.parameters import Parameters
+from cython.cimports.ekf_companion.core.rotation import to_dcm, wrap
 from cython.cimports.ekf_companion.core.scratch import Scratch
 from cython.cimports.ekf_companion.core.state import State
-from cython.cimports.libc.math import sqrt
+from cython.cimports.libc.math import atan2, sqrt
 
 FEWEST = cython.declare(cython.double, 5.0)
 """Samples to judge rest by."""
@@ -38,6 +40,12 @@ REST_RATE = cython.declare(cython.double, 1e-4)
 HIDDEN_TURN = cython.declare(cython.double, 0.02)
 """One sigma of a steady turn about the vertical that a window of rest cannot tell from the gyro's
 bias, rad/s; there is none only where the autopilot reports that it stands."""
+HIDDEN_LATER = cython.declare(cython.double, 1.0)
+"""The same for the windows after the first, rad/s: a turn that it has hidden is hidden in all."""
+FIELD_TURN = cython.declare(cython.double, 0.01)
+"""One sigma of a turn of the magnetic field itself between two windows, rad."""
+LONGEST_STILL = cython.declare(cython.double, 60.0)
+"""Time after which the field is compared with that of a newer window, s."""
 
 
 def begin_window(x: State, t: float) -> None:
@@ -45,7 +53,9 @@ def begin_window(x: State, t: float) -> None:
     rest = address(x.alignment.rest)
     rest.t0 = t
     rest.n = 0.0
+    rest.mag_n = 0.0
     for i in range(3):
+        rest.mag_b[i] = 0.0
         rest.gyro[i] = 0.0
         rest.accel[i] = 0.0
         rest.gyro2[i] = 0.0
@@ -61,6 +71,14 @@ def add_to_window(x: State) -> None:
         rest.accel[i] += x.accel[i]
         rest.gyro2[i] += x.gyro[i] * x.gyro[i]
         rest.accel2[i] += x.accel[i] * x.accel[i]
+
+
+def add_field(x: State, mag_b: Vector) -> None:
+    """Add a magnetic field (gauss) to the rest statistics."""
+    rest = address(x.alignment.rest)
+    rest.mag_n += 1.0
+    for i in range(3):
+        rest.mag_b[i] += mag_b[i]
 
 
 def largest_at_rest(learnt: float, largest: float) -> float:
@@ -128,19 +146,19 @@ def check_rest(x: State, k: Parameters, w: Scratch) -> None:
 def use_rest_window(x: State, k: Parameters, w: Scratch) -> None:
     """Find out whether the window saw rest; level by it, or fuse it."""
     # an autopilot that reports flight excludes rest: a smooth flight looks like it
+    was_still = x.at_rest
     x.at_rest = 0.0
     if (x.armed != 1.0 or x.landed == 1.0) and was_at_rest(x, k) and not is_moving(x):
         x.at_rest = 1.0
+    if was_still == 0.0 or x.at_rest == 0.0:
+        x.alignment.still.t0 = 0.0
     if x.mode == MODE_LEVEL:
         if x.at_rest != 0.0:
             align.level_at_rest(x, k, w)
             observe_rate(x, k, w, HIDDEN_TURN)
             innovate(x, address(w.observation))
             apply_update(x, address(w.observation))
-            largest = x.P[E_BG][E_BG]
-            for i in range(E_BG + 1, E_BG + 3):
-                largest = x.P[i][i] if x.P[i][i] > largest else largest
-            yaw_bank.take_bias(x, sqrt(largest))
+            yaw_bank.take_bias(x, gyro_bias_std(x))
         elif x.t - x.alignment.start_t > ROUGH_AFTER and x.t - x.fix_t > ROUGH_AFTER:
             align.level_roughly(x, k, w)
     elif x.at_rest != 0.0 and k.use_rest != 0.0 and x.needs_reset == 0.0:
@@ -180,17 +198,31 @@ def fuse_zero_velocity(x: State, k: Parameters, w: Scratch) -> None:
             return
         x.ground = x.pos_n[2]
         x.has_ground = 1.0
-    observe_rate(x, k, w, 1.0)
-    gate.fuse(x, k, o, AID_REST)
+    observe_rate(x, k, w, HIDDEN_LATER)
+    if gate.fuse(x, k, o, AID_REST) and x.yaw_bank.has_moved == 0.0:
+        std = gyro_bias_std(x)
+        if std < x.yaw_bank.gyro_bias_std:
+            yaw_bank.take_bias(x, std)
+
+
+def gyro_bias_std(x: State) -> float:
+    """Return the largest sigma of the gyro bias about an axis of the body, rad/s."""
+    largest = 0.0
+    for i in range(E_BG, E_BG + 3):
+        largest = x.P[i][i] if x.P[i][i] > largest else largest
+    return sqrt(largest)
 
 
 def observe_rate(x: State, k: Parameters, w: Scratch, hidden_turn: float) -> None:
-    """Observe the mean rate of a window of rest, with one sigma of a turn about the vertical.
+    """Observe the mean rate of a window of rest as the gyro's bias.
 
-    A turn about a level axis shows in the specific force: a tilt that changes steadily over the
-    window makes a twelfth of its change squared.
+    Unless the autopilot reports that it stands, the vehicle may turn steadily. About a level axis
+    that shows in the specific force: a tilt that changes over the window makes a twelfth of its
+    change squared. About the vertical it shows in the magnetic field, if there is one; else it has
+    one sigma of ``hidden_turn`` (rad/s).
     """
     rest = address(x.alignment.rest)
+    o = address(w.observation)
     noise = 0.0
     var_accel = 0.0
     for i in range(3):
@@ -199,14 +231,64 @@ def observe_rate(x: State, k: Parameters, w: Scratch, hidden_turn: float) -> Non
         var_accel += rest.accel2[i] / rest.n - (rest.accel[i] / rest.n) * (rest.accel[i] / rest.n)
     noise = sqrt(noise / rest.n) + REST_RATE if noise > 0.0 else REST_RATE
     if x.landed == 1.0 or x.armed == 0.0:
-        observe.zero_rate(x, address(w.observation), w.mean_rate, noise, noise)
+        observe.zero_rate(x, o, w.mean_rate, noise, noise)
         return
     tilting = 0.0
     if var_accel > 0.0:
         tilting = sqrt(12.0 * var_accel) / (k.gravity * (x.t - rest.t0) * 1e-9)
     if tilting > HIDDEN_TURN:
         tilting = HIDDEN_TURN
-    observe.zero_rate(x, address(w.observation), w.mean_rate, noise + tilting, noise + hidden_turn)
+    hidden_turn = compare_with_field(x, k, w, hidden_turn)
+    observe.zero_rate(x, o, w.mean_rate, noise + tilting, noise + hidden_turn)
+
+
+def compare_with_field(x: State, k: Parameters, w: Scratch, hidden_turn: float) -> float:
+    """Put the bias about the vertical that gyro and field show together into ``w.mean_rate``.
+
+    Return one sigma of it, rad/s, such that all windows together leave the field's own error.
+    """
+    rest = address(x.alignment.rest)
+    still = address(x.alignment.still)
+    C_nb = w.observation.C_nb
+    rate = 0.0
+    variance = 0.0
+    north = 0.0
+    east = 0.0
+    north_now = 0.0
+    east_now = 0.0
+    to_dcm(x.q_nb, C_nb)
+    for i in range(3):
+        rate += C_nb[2][i] * w.mean_rate[i]
+        for j in range(3):
+            variance += C_nb[2][i] * x.P[E_BG + i][E_BG + j] * C_nb[2][j]
+    span = (0.5 * (rest.t0 + x.t) - still.t0) * 1e-9
+    half = 0.5 * rate * (x.t - rest.t0) * 1e-9
+    if still.t0 != 0.0 and rest.mag_n >= FEWEST:
+        for i in range(3):
+            north += C_nb[0][i] * still.mag_b[i]
+            east += C_nb[1][i] * still.mag_b[i]
+            north_now += C_nb[0][i] * rest.mag_b[i] / rest.mag_n
+            east_now += C_nb[1][i] * rest.mag_b[i] / rest.mag_n
+        cross = north * east_now - east * north_now
+        dot = north * north_now + east * east_now
+        # the field turns in the body against the body's turn
+        bias = wrap(still.turn + half + atan2(cross, dot)) / span
+        strength = sqrt(north * north + east * east)
+        std = (FIELD_TURN + k.mag_noise / (strength * sqrt(rest.mag_n) + 1e-9)) / span
+        if std * std < variance:
+            for i in range(3):
+                w.mean_rate[i] += (bias - rate) * C_nb[2][i]
+            hidden_turn = std * sqrt(variance / (variance - std * std))
+    if still.t0 != 0.0:
+        still.turn += 2.0 * half
+    elif rest.mag_n >= FEWEST:
+        still.t0 = 0.5 * (rest.t0 + x.t)
+        still.turn = half
+        for i in range(3):
+            still.mag_b[i] = rest.mag_b[i] / rest.mag_n
+    if span > LONGEST_STILL:
+        still.t0 = 0.0
+    return hidden_turn
 
 
 def fuse_no_travel(x: State, w: Scratch) -> None:

@@ -102,6 +102,21 @@ class RestWindow:
     """Sum of the squares of the rates."""
     accel2: Annotated[Vector, 3]
     """Sum of the squares of the specific forces."""
+    mag_b: Annotated[Vector, 3]
+    """Sum of the magnetic fields, gauss."""
+    mag_n: Real
+
+
+@struct
+class Stillness:
+    """Consecutive windows of rest: does the magnetic field turn in the body?"""
+
+    t0: Real
+    """Middle of the first window, ns; 0: there is none."""
+    mag_b: Annotated[Vector, 3]
+    """Mean field of the first window, gauss."""
+    turn: Real
+    """Integral since then of the rate about the vertical, by the gyro, rad."""
 
 
 @struct
@@ -145,6 +160,7 @@ class Alignment:
     """Sums for the initial alignment."""
 
     rest: RestWindow
+    still: Stillness
     motion: MotionWindow
     reference: Reference
     start_t: Real

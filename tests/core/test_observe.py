@@ -27,7 +27,7 @@ MODELS = {
     "velocity 2-D": lambda m, x, k, o: m.velocity(x, k, a_fix(np.nan), o),
     "velocity 3-D": lambda m, x, k, o: m.velocity(x, k, a_fix(), o),
     "zero velocity": lambda m, x, k, o: m.zero_velocity(x, o, 0.1),
-    "zero rate": lambda m, x, k, o: m.zero_rate(x, o, RATE, 0.1),
+    "zero rate": lambda m, x, k, o: m.zero_rate(x, o, RATE, 0.1, 0.3),
     "pressure": lambda m, x, k, o: m.pressure_altitude(x, o, 500.0, 1.0),
 }
 
