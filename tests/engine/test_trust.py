@@ -53,13 +53,15 @@ def test_a_doubtful_fix_moves_less_than_it_would_in_full():
 
 @pytest.mark.parametrize("name", ["hover", "figure-eight"])
 def test_a_jump_is_not_followed_until_it_is_proved_and_then_once(name):
-    events, truth = flight(name, duration=60.0)
+    events, truth = flight(name, duration=80.0)
     table, pipeline = run(changed(events, fixes(events, 30.0, 99.0), 0, 300.0 * METRE))
     t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
     north = errors(table, truth, 0.0)["pos"][:, 0]
     health = pipeline.health()
-    assert np.abs(north[(t > 30.0) & (t < 36.0)]).max() < 2.0
-    assert np.abs(north[t > 45.0] - 300.0).max() < 3.0
+    status = table.column("status")
+    assert np.abs(north[(t > 30.0) & (t < 54.0)]).max() < 2.0
+    assert np.all(status[(t > 33.0) & (t < 54.0)] == Status.DEGRADED)
+    assert np.abs(north[t > 65.0] - 300.0).max() < 3.0
     assert (health.resets, health.reset_reason) == (1, "position")
     assert health.reset_delta[0] == pytest.approx(300.0, abs=3.0)
 
