@@ -98,9 +98,9 @@ installcheck: $(STAMP)
 	rm -rf $(CHECKED) && mkdir -p $(CHECKED)
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation \
 		--wheel-dir $(CHECKED) .
-	$(MAKE) install PREFIX=$(CHECKED)/opt DESTDIR=$(CHECKED)/root WHEEL=$$(ls $(CHECKED)/*.whl)
-	mv $(CHECKED)/root$(CHECKED)/opt $(CHECKED)/opt
-	$(CHECKED)/opt/bin/ekf-companion check-config $(CHECKED)/root/etc/ekf-companion/config.yaml \
+	$(MAKE) install PREFIX=$(CHECKED)/opt DESTDIR=$(CHECKED)/board WHEEL=$$(ls $(CHECKED)/*.whl)
+	mv $(CHECKED)/board$(CHECKED)/opt $(CHECKED)/opt
+	$(CHECKED)/opt/bin/ekf-companion check-config $(CHECKED)/board/etc/ekf-companion/config.yaml \
 		> /dev/null
 	$(CHECKED)/opt/bin/sim-autopilot generate --duration 15 -o $(CHECKED)/flight.tlog
 	$(CHECKED)/opt/bin/ekf-companion convert $(CHECKED)/flight.tlog -o $(CHECKED)/flight.csv

@@ -32,6 +32,7 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.core.state import State
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Table
@@ -39,7 +40,6 @@ from sim_autopilot import events as wire
 from sim_autopilot.config import CompassConfig, GnssConfig, ImuConfig, SimConfig
 from sim_autopilot.flight import Flight
 
-Array = npt.NDArray[np.float64]
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 

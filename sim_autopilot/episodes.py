@@ -8,15 +8,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from sim_autopilot.faults.fault import Fault
 from sim_autopilot.flight import Flight
 from sim_autopilot.score import Witness
-
-Array = npt.NDArray[np.float64]
-
 
 Limits = tuple[float, float, float]
 """Largest errors of an estimate that has recovered: position, m, velocity, m/s, attitude, rad."""

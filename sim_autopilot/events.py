@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Trajectory
 from sim_autopilot.flight import Flight
-
-Array = npt.NDArray[np.float64]
 
 
 def events(flight: Flight, *, has_vel_down: bool = False) -> Events:

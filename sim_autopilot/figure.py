@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from sim_autopilot.flight import Flight
 from sim_autopilot.score import Estimate, Witness
 from sim_autopilot.truth import Truth
-
-Array = npt.NDArray[np.float64]
 
 _TRUTH = {"color": "#9aa5b1", "linewidth": 4.0, "solid_capstyle": "round", "label": "truth"}
 _ESTIMATE = {"color": "#d1495b", "linewidth": 1.3, "label": "ODOMETRY received"}

@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import LocalFrame
 from sim_autopilot import sensors
 from sim_autopilot.config import SimConfig
 from sim_autopilot.scenarios import SCENARIOS, Scenario
 from sim_autopilot.truth import Trajectory, Truth
 
-Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 _CHUNK = 256

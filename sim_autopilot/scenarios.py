@@ -10,12 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import STANDARD_GRAVITY, LocalFrame
 from sim_autopilot.truth import Trajectory, spline
-
-Array = npt.NDArray[np.float64]
 
 REST = 5.0
 """Rest at the start of every scenario, at least, s."""

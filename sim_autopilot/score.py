@@ -12,12 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import LocalFrame
 from sim_autopilot.autopilot import COMPONENT_ID, Received
 from sim_autopilot.flight import Flight
 from sim_autopilot.telemetry import POSE_DIAGONAL
-
-Array = npt.NDArray[np.float64]
 
 LOCAL_NED, BODY_NED, BODY_FRD, LOCAL_FRD = 1, 8, 12, 20
 _FRAMES = {(LOCAL_NED, BODY_FRD), (LOCAL_FRD, BODY_FRD), (LOCAL_NED, BODY_NED)}

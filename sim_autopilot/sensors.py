@@ -15,10 +15,10 @@ from pygeomag import GeoMag
 from scipy.signal import butter, lfilter, lfilter_zi
 
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from sim_autopilot.config import BaroConfig, CompassConfig, GnssConfig, ImuConfig
 from sim_autopilot.truth import Trajectory
 
-Array = npt.NDArray[np.float64]
 Value = TypeVar("Value", float, npt.NDArray[np.float64])
 
 GAUSS_LEGENDRE = 4

@@ -14,10 +14,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import BSpline
 
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import (
     ECCENTRICITY_SQUARED,
     SEMI_MAJOR_AXIS,
@@ -27,8 +27,6 @@ from ekf_companion.nav.earth import (
     radii,
     transport_rate_n,
 )
-
-Array = npt.NDArray[np.float64]
 
 DEGREE = 5
 """Of the splines: specific force is then three times, body rate four times differentiable."""

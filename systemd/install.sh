@@ -44,7 +44,7 @@ check() {
 # Whether the unit's ProtectHome= hides a folder; folders under DESTDIR are for another system
 is_hidden() {
     case $1/ in
-    /home/* | /root/* | /run/user/*) ;;
+    /home/* | ~root/* | /run/user/*) ;;
     *) return 1 ;;
     esac
 }

@@ -10,6 +10,7 @@ import pytest
 
 from tests.paths import ROOT
 
+ROOTS_HOME = Path("~root").expanduser()
 NAME = "ekf_companion-0.1.0"
 
 
@@ -158,7 +159,11 @@ def make_python(folder, home):
     [
         ("/home/pilot/ekf", "/usr", "PREFIX=/home/pilot/ekf: is in /home/pilot/ekf, and the serv"),
         ("/opt/nowhere/ekf", "/home/pilot/.pyenv/versions/3.12.1", "is in /home/pilot/.pyenv/vers"),
-        ("/opt/nowhere/ekf", "/root/.local/share/uv", "name one of the system's, as in PYTHON="),
+        (
+            "/opt/nowhere/ekf",
+            ROOTS_HOME / ".local/share/uv",
+            "name one of the system's, as in PYTHON=",
+        ),
     ],
 )
 def test_what_the_service_cannot_see_is_no_place_for_it(tmp_path, prefix, home, words):

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.accuracy.consistency import settings_of
 from benchmarks.campaign import (
@@ -25,8 +24,6 @@ from benchmarks.document import table
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Status
-
-Array = npt.NDArray[np.float64]
 
 FLIGHTS = 10
 DURATION = 180.0

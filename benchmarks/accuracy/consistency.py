@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.campaign import (
     DELAY_STD,
@@ -31,8 +30,7 @@ from ekf_companion.core.enums import N
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.core.state import State
 from ekf_companion.engine.health import Aid, Health, Verdict
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 FLIGHTS = 100
 DURATION = 180.0

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import chi2
 
 from benchmarks.accuracy.consistency import KINDS, settings_of
@@ -15,10 +14,10 @@ from benchmarks.document import table
 from benchmarks.recorded import MISSION, TRUTH, recorded
 from ekf_companion.core.enums import E_POS
 from ekf_companion.core.settings import FilterSettings
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Trajectory
 
-Array = npt.NDArray[np.float64]
 Drift = tuple[float, float, bool, bool]
 """Horizontal and vertical error at the end of an outage, m, and whether each is covered."""
 

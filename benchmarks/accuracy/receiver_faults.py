@@ -21,11 +21,11 @@ from benchmarks.campaign import (
 )
 from benchmarks.document import table
 from ekf_companion.engine.health import Aid, Health, Verdict
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind
 from ekf_companion.nav.state import Status
 
-Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 FLIGHTS = 10

@@ -13,19 +13,17 @@ from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.document import is_there, table
 from benchmarks.matched import ALMOST_NONE
 from ekf_companion.core.settings import FilterSettings, GnssSettings, HeadingSettings, ImuSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import FREE_AIR, LocalFrame, gravity
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Table
 from ekf_companion.replay.smoothing import smooth
-
-Array = npt.NDArray[np.float64]
 
 FOLDER = "seed-basicekf-sim"
 PERIOD = 0.1

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.document import insert
 from benchmarks.reliability.soak_daemon import Minute, minute
-from benchmarks.reliability.soak_flight import Array, Flown, Look, fly
+from benchmarks.reliability.soak_flight import Flown, Look, fly
 from benchmarks.reliability.soak_score import (
     SCALE,
     UNITS,
@@ -30,6 +30,7 @@ from benchmarks.reliability.soak_score import (
     rows,
     unnoticed,
 )
+from ekf_companion.nav.arrays import Array
 from sim_autopilot.faults.fault import VARIETY, schedule
 
 GAP = 20.0

@@ -14,8 +14,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from benchmarks.reliability.soak_flight import RATE, Array, Errors, fly, plan, sizes
+from benchmarks.reliability.soak_flight import RATE, Errors, fly, plan, sizes
 from benchmarks.reliability.soak_score import Episode, episodes, normal
+from ekf_companion.nav.arrays import Array
 from sim_autopilot.faults.fault import Fault, schedule
 from sim_autopilot.firmware import PERSONALITIES
 from sim_autopilot.fly import fly as fly_live

@@ -13,6 +13,7 @@ from benchmarks.reliability.fuzz import resident_mb
 from ekf_companion.config.config import Config
 from ekf_companion.engine.companion import Companion
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from sim_autopilot.autopilot import Received
 from sim_autopilot.config import SimConfig
 from sim_autopilot.faults.fault import Fault
@@ -20,8 +21,6 @@ from sim_autopilot.firmware import PERSONALITIES
 from sim_autopilot.flight import Flight
 from sim_autopilot.loop import Bench
 from sim_autopilot.score import Witness
-
-Array = npt.NDArray[np.float64]
 
 RATE = 250.0
 """Of the inertial samples, Hz."""

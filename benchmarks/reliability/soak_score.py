@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.document import table
-from benchmarks.reliability.soak_flight import Array, Errors
+from benchmarks.reliability.soak_flight import Errors
+from ekf_companion.nav.arrays import Array
 from sim_autopilot.faults.fault import Fault
 
 QUANTILE = 0.999

@@ -10,16 +10,14 @@ Systems", ch. 14, with the attitude error in n.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.settings import ImuSettings
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import LocalFrame, gravity
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.so3 import skew
 from sim_autopilot.truth import Truth
-
-Array = npt.NDArray[np.float64]
 
 ATT, VEL, POS, BG, BA = (slice(i, i + 3) for i in range(0, 15, 3))
 

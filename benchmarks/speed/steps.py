@@ -13,13 +13,12 @@ from benchmarks.speed.reference import Reference
 from benchmarks.speed.result import Result
 from ekf_companion.engine.checkpoint import Checkpoint, Clocks, Sources, Vehicle, encode
 from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind, Measurement
 from ekf_companion.nav.state import Table
 from ekf_companion.replay.smoothing import Smoothing
 from sim_autopilot import events as wireless
 from sim_autopilot.flight import Flight
-
-Array = npt.NDArray[np.float64]
 
 REPEATS = 5
 """The fastest one counts: the others were disturbed."""

@@ -6,13 +6,12 @@ import math
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.settings import HeadingSettings
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.magnetic import magnetic_field
 from ekf_companion.nav.measurements import Events, Kind, Row
 
-Array = npt.NDArray[np.float64]
 Axis = TypeVar("Axis", float, Array)
 
 LAT, LON, DECLINATION, FLAGS, FIELD = 0, 1, 9, 10, 11

@@ -8,14 +8,12 @@ import ctypes
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.declare import Structs, Vector
 from ekf_companion.core.parameters import Parameters
 from ekf_companion.core.scratch import Estimate, Event, OdometryNumbers, TapeRecord
 from ekf_companion.core.state import State
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 
 def as_state(block: Array) -> State:

@@ -29,9 +29,8 @@ from ekf_companion.core.memory import as_state
 from ekf_companion.core.scratch import ROW
 from ekf_companion.core.settings import HABITS
 from ekf_companion.core.state import BLOCK, Alignment, Field
+from ekf_companion.nav.arrays import Array
 from ekf_companion.version import __version__
-
-Array = npt.NDArray[np.float64]
 
 MAGIC = b"\x89EKFCKPT"
 FORMAT = 2

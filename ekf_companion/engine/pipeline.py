@@ -6,7 +6,6 @@ import math
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.field import Field
 from ekf_companion.core.from_settings import delays_ns, parameters
@@ -17,10 +16,9 @@ from ekf_companion.core.state import BLOCK
 from ekf_companion.core.timeline import COMPILED_BLOCK, Timeline
 from ekf_companion.engine.checkpoint import State, settings_fingerprint
 from ekf_companion.engine.health import RESET_REASONS, Aid, Arrival, Health, Verdict
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind, Measurement, Row
 from ekf_companion.nav.state import Odometry, Status, Table
-
-Array = npt.NDArray[np.float64]
 
 QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Status.INVALID: -1}
 """Quality of an estimate by its status, as ODOMETRY carries it: per cent, -1 for failed."""

@@ -41,13 +41,13 @@ class Gate:
 
     def test(self, aid: str, t_ns: int, z: Array, S: Array) -> Decision:
         """Test an innovation of 1 to 3 rows; the first that fails after a time-out resets."""
-        return self.test_nis(aid, t_ns, float(z @ np.linalg.solve(S, z)), len(z))
+        return self.decide(aid, t_ns, float(z @ np.linalg.solve(S, z)), len(z))
 
     def is_within(self, nis: float, dof: int) -> bool:
         """Return whether a normalised innovation squared is within the gate."""
         return nis <= self._limits[dof - 1]
 
-    def test_nis(self, aid: str, t_ns: int, nis: float, dof: int) -> Decision:
+    def decide(self, aid: str, t_ns: int, nis: float, dof: int) -> Decision:
         """Test an innovation by its normalised square, as :meth:`test` does."""
         accepted, refused = self.counts.get(aid, (0, 0))
         # The time-out counts from the first measurement

@@ -138,7 +138,7 @@ class Iterated:
         gate = self._setup.gate
         if self._iterations > 1 and not gate.is_within(nis, len(z)):
             nis = min(nis, self._solve([aid]).cost)
-        return gate.test_nis(aid.aid, t_ns, nis, len(z))
+        return gate.decide(aid.aid, t_ns, nis, len(z))
 
     def _solve(self, aids: Sequence[Observation]) -> Correction[RobocentricState]:
         return gauss_newton.correct(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import namedtuple
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from struct import Struct
@@ -127,16 +127,34 @@ def _from_definition(definition: Any) -> Layout:
     return Layout(definition.id, definition.msgname, definition.crc_extra, tuple(fields))
 
 
-LAYOUTS: Mapping[int, Layout] = {
-    **{number: _from_definition(one) for number, one in dialect.mavlink_map.items()},
-    **{missing[0]: _from_words(*missing) for missing in _MISSING},
-}
+class _Layouts(Mapping[int, Layout]):
+    """Layouts by message id, each made when first asked for: a start needs few of them."""
+
+    def __init__(self) -> None:
+        self._made = {missing[0]: _from_words(*missing) for missing in _MISSING}
+
+    def __getitem__(self, message_id: int) -> Layout:
+        if message_id not in self._made:
+            self._made[message_id] = _from_definition(dialect.mavlink_map[message_id])
+        return self._made[message_id]
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(CRC_EXTRAS)
+
+    def __len__(self) -> int:
+        return len(CRC_EXTRAS)
+
+
+LAYOUTS: Mapping[int, Layout] = _Layouts()
 """Every known message by id."""
 
-IDS: Mapping[str, int] = {layout.name: number for number, layout in LAYOUTS.items()}
+_KNOWN = [(one.id, one.msgname, one.crc_extra) for one in dialect.mavlink_map.values()]
+_KNOWN += [missing[:3] for missing in _MISSING]
+
+IDS: Mapping[str, int] = {name: number for number, name, _ in _KNOWN}
 """Message id by name."""
 
-CRC_EXTRAS: Mapping[int, bytes] = {n: bytes([layout.crc_extra]) for n, layout in LAYOUTS.items()}
+CRC_EXTRAS: Mapping[int, bytes] = {number: bytes([seed]) for number, _, seed in _KNOWN}
 """Seed of the checksum by message id, as the byte that is appended."""
 
 

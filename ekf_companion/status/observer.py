@@ -19,10 +19,11 @@ from itertools import accumulate
 
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.health import Aid
-from ekf_companion.engine.pipeline import Array, Pipeline
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.link.link import Link
 from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.nav.arrays import Array
 from ekf_companion.status.collect import (
     frame_state,
     imu_state,

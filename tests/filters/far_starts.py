@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from benchmarks.matched import matched
 from ekf_companion.core.settings import GateSettings
@@ -27,12 +26,11 @@ from ekf_companion.filters.strapdown import (
     Nominal,
 )
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from sim_autopilot import events as wire
 from sim_autopilot.config import GnssConfig, ImuConfig, SimConfig
 from sim_autopilot.flight import Flight
 from tests.filters.sighting import Sighting
-
-Array = npt.NDArray[np.float64]
 
 HEADING_STD = np.radians(100.0)
 """One sigma of the first heading, as the filter's prior has it, rad."""
@@ -49,9 +47,9 @@ CARRIER_STD = 0.01
 class Open(Gate):
     """Accepts every observation, also those that a linear step cannot explain."""
 
-    def test_nis(self, aid: str, t_ns: int, nis: float, dof: int) -> Decision:
+    def decide(self, aid: str, t_ns: int, nis: float, dof: int) -> Decision:
         """Judge as if the NIS were zero."""
-        return super().test_nis(aid, t_ns, 0.0 * nis, dof)
+        return super().decide(aid, t_ns, 0.0 * nis, dof)
 
 
 def at_rest(

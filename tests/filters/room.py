@@ -10,8 +10,7 @@ import numpy.typing as npt
 from ekf_companion.filters.gauss_newton import Correction, Form, Manifold, Rows, correct
 from ekf_companion.filters.strapdown import ATT, POS, N, Nominal
 from ekf_companion.nav import so3
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 WALLS = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
 """Normals, out of the room."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.filters.strapdown import ATT, N, Nominal
 from ekf_companion.nav import so3
-
-Array = npt.NDArray[np.float64]
+from ekf_companion.nav.arrays import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.filters.euler import Euler
@@ -18,10 +17,9 @@ from ekf_companion.filters.iterated import Iterated
 from ekf_companion.filters.sequence import MeasurementSequence, NavigationFilter, run_sequence
 from ekf_companion.filters.solution import Solution
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import SIMULATED
 from ekf_companion.nav.measurements import Events, Kind, merge
-
-Array = npt.NDArray[np.float64]
 
 DT = 0.02
 SPEED, GRAVITY = 20.0, 9.81

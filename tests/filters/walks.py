@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind
 
-Array = npt.NDArray[np.float64]
 GRAVITY = 9.81
 
 
