@@ -58,6 +58,9 @@ def find_status(x: State, k: Parameters) -> int:
         return STATUS_DEAD_RECKONING
     if x.dt > SLOW_STREAM or x.needs_reset != 0.0:
         return STATUS_DEGRADED
+    # by the autopilot's own position, whose errors last
+    if k.use_derived == 2.0 or x.fix_t > x.raw_fix_t:
+        return STATUS_DEGRADED
     if is_timed_out(x, AID_POSITION, late + 1.0):
         return STATUS_DEGRADED
     for e in range(E_ATT, E_ATT + 3):

@@ -43,8 +43,6 @@ from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import isnan, sqrt
 
 NEVER = cython.declare(cython.double, -1e18)
-PREFERRED_AGE = cython.declare(cython.double, 5e9)
-"""Silence of the receiver after which the autopilot's own position is used, ns."""
 WHITE_MEMORY = cython.declare(cython.double, 100.0)
 """Fixes over which a receiver's white noise is learnt."""
 FIRST_MEMORY = cython.declare(cython.double, 10.0)
@@ -139,9 +137,13 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
 
 
 def is_used(x: State, k: Parameters, flags: int) -> bool:
-    """Return whether a fix is used: the receiver's own, unless it reports spoofing or jamming."""
+    """Return whether a fix is used: the receiver's own, unless it reports spoofing or jamming.
+
+    The autopilot's own position is used only for a vehicle that never sent a fix of its receiver:
+    while a receiver is silent it is the autopilot's dead reckoning.
+    """
     if flags & DERIVED:
-        if k.use_derived == 0.0 or (k.use_derived == 1.0 and x.t - x.raw_fix_t < PREFERRED_AGE):
+        if k.use_derived == 0.0 or (k.use_derived == 1.0 and x.raw_fix_t > NEVER):
             gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
             return False
     else:

@@ -29,7 +29,7 @@ class Parameters:
     vel_std_default: Real
     use_velocity: Real
     use_derived: Real
-    """Use the autopilot's own position: 0 never, 1 while the receiver is silent, 2 only that."""
+    """Use the autopilot's own position: 0 never, 1 if no receiver ever sent a fix, 2 only that."""
     gnss_offset_time: Real
     white_share: Real
     """NaN: learnt."""

@@ -123,7 +123,8 @@ class GnssSettings:
 
     source: Annotated[Literal["auto", "raw", "global"], Setting(reload=True)] = "auto"
     """raw: GPS_RAW_INT. global: GLOBAL_POSITION_INT, the autopilot's own estimate, which is no
-    independent measurement. auto: the second only while the first has been silent for 5 s."""
+    independent measurement: the status is degraded at best. auto: the second only for an autopilot
+    that never sends a fix of its receiver."""
     delay: Annotated[
         Seconds | Auto, Setting("s", auto="gnss_delay", param=Param(3, "EC_GPS_DELAY", -1.0, 1.0))
     ] = "auto"

@@ -60,6 +60,7 @@ class Announcer:
         self._resets = 0
         self._decimated = 0
         self._imu_source = ""
+        self._is_position_autopilots = False
         self._next_ns: dict[str, int] = {}
         self._waiting: dict[str, Event] = {}
         self._silent_from_ns: int | None = None
@@ -93,6 +94,13 @@ class Announcer:
             _log.warning("Inertial samples are of %s, were of %s", imu_source, self._imu_source)
             self._text(Severity.WARNING, f"IMU is {imu_source}, was {self._imu_source}")
         self._imu_source = imu_source
+        if health.is_position_autopilots and not self._is_position_autopilots:
+            _log.warning(
+                "No fix of the receiver (GPS_RAW_INT) comes: the position is the autopilot's own "
+                "estimate (GLOBAL_POSITION_INT), which is no independent measurement"
+            )
+            self._text(Severity.WARNING, "position is the autopilot's own")
+        self._is_position_autopilots = health.is_position_autopilots
         if health.status != self._status:
             _log.info(
                 "Estimate is %s, was %s",

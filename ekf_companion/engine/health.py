@@ -62,6 +62,8 @@ class Health:
     """One sigma of the horizontal position, m; NaN: no position yet."""
     std_vertical: float
     """One sigma of the height, m."""
+    is_position_autopilots: bool
+    """Whether the position in use is the autopilot's own estimate, not its receiver's."""
     start: str
     """How it began: ``cold``, ``cold: `` and why a checkpoint was refused, or ``warm: `` and what
     was lost."""

@@ -192,6 +192,7 @@ class Pipeline:
             accel_noise=math.sqrt(max(x.noise[3:])),
             std_horizontal=float(np.hypot(now.std_pos[0], now.std_pos[1])),
             std_vertical=now.std_pos[2],
+            is_position_autopilots=bool(x.fix_t > x.raw_fix_t),
             start=self.start,
         )
 

@@ -145,8 +145,10 @@ def _estimator_status(health: Health, t_ns: int) -> bytes:
     if health.status == Status.DEAD_RECKONING:
         flags &= ~StatusFlag.POS_HORIZ_ABS
         flags |= StatusFlag.PRED_POS_HORIZ_REL
-    elif health.status == Status.INVALID:
+    elif health.status in (Status.INVALID, Status.ATTITUDE):
         flags = StatusFlag.ATTITUDE
+    elif health.status < Status.ATTITUDE:
+        flags = StatusFlag(0)
     if max(health.ratios[Aid.POSITION], health.ratios[Aid.VELOCITY]) > 1.0:
         flags |= StatusFlag.GPS_GLITCH
     aids = (Aid.VELOCITY, Aid.POSITION, Aid.HEIGHT, Aid.HEADING)

@@ -32,7 +32,7 @@ class Report:
     notes: list[str] = field(default_factory=list)
     counts: Counter[Kind] = field(default_factory=Counter)
     derived: int = 0
-    """Positions of the autopilot's own, which stand in while GNSS is silent."""
+    """Positions of the autopilot's own, used only if no fix of its receiver comes."""
     rates: dict[Kind, float] = field(default_factory=dict)
     """Hz, the median over all blocks: a stream may begin at another rate."""
     steps: dict[Kind, list[float]] = field(default_factory=dict)

@@ -58,6 +58,9 @@ HEALTH = {
     "reruns": counter("reruns", "Late measurements that made the filter redo."),
     "std_horizontal": gauge("position_std_meters", "One sigma.", ("axis=horizontal",)),
     "std_vertical": gauge("position_std_meters", "One sigma.", ("axis=vertical",)),
+    "is_position_autopilots": gauge(
+        "position_is_autopilots", "1: the autopilot's own estimate is used in place of GNSS."
+    ),
     "gnss_delay": gauge("gnss_extra_delay_seconds", "What the filter adds to gnss.delay."),
     "white_shares": gauge(
         "gnss_white_share_ratio",

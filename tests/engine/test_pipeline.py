@@ -155,20 +155,6 @@ def test_a_suspect_receiver_is_not_heard():
     assert pipeline.health().verdicts[Aid.POSITION][Verdict.SUSPECT] > 40
 
 
-def test_the_autopilots_own_position_is_used_only_when_the_receiver_is_silent():
-    events, _ = flight("hover", duration=30.0)
-    fixes = events.take(events.kind == Kind.GNSS)
-    derived = changed(fixes, np.full(len(fixes), True), 10, 1.0)
-    derived = Events(t_ns=derived.t_ns + 50_000_000, kind=derived.kind, values=derived.values)
-    raw_ends = ~(between(events, 15.0, 99.0) & (events.kind == Kind.GNSS))
-    both = merge(events.take(raw_ends), derived)
-    _, pipeline = run(both)
-    verdicts = pipeline.health().verdicts[Aid.POSITION]
-    assert 60 <= verdicts[Verdict.SUPERSEDED] <= 110
-    _, refusing = run(both, FilterSettings(gnss=GnssSettings(source="raw", delay=0.12)))
-    assert refusing.health().status is Status.DEAD_RECKONING
-
-
 def test_a_dual_antenna_is_preferred_to_the_compass():
     events, _ = flight("hover", duration=20.0, yaw=True)
     _, pipeline = run(events)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -15,9 +15,12 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.health import Health
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.engine.publisher import STREAMS, Due, Publisher
+from ekf_companion.mavlink.codec import columns
 from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.encode import StatusFlag
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.stamp import SECOND_NS
-from ekf_companion.nav.state import Odometry
+from ekf_companion.nav.state import Odometry, Status
 
 NUMBERS = np.arange(55, dtype="<f4").tobytes()
 ORIGIN = (0.1, 0.2, 300.0)
@@ -77,6 +80,16 @@ def test_an_invalid_estimate_is_published_once_until_it_is_valid_again():
     ]
     assert published == [True, True, False, False, True, True, False]
     assert not ours.request("ODOMETRY", Given(t_ns=7 * SECOND_NS, quality=-1))
+
+
+@pytest.mark.parametrize("status", [Status.INIT, Status.ALIGNING, Status.ATTITUDE])
+def test_without_a_position_of_now_no_flag_claims_one(status):
+    """After a long outage the filter keeps an attitude only, while the origin is still known."""
+    health = replace(Pipeline(FilterSettings()).health(), status=status)
+    *_, message = publisher().due(Given(t_ns=SECOND_NS, quality=None, health=health))
+    flags = columns(IDS["ESTIMATOR_STATUS"], [message.payload])["flags"][0]
+    assert message.name == "ESTIMATOR_STATUS"
+    assert flags == (StatusFlag.ATTITUDE if status == Status.ATTITUDE else 0)
 
 
 def test_an_origin_that_moves_is_published_before_the_odometry_about_it():
