@@ -15,10 +15,9 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.health import Health
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.engine.publisher import STREAMS, Due, Publisher
-from ekf_companion.mavlink.codec import columns
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import StatusFlag
-from ekf_companion.mavlink.messages import IDS
+from ekf_companion.mavlink.messages import by_name
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.state import Odometry, Status
 
@@ -87,7 +86,8 @@ def test_without_a_position_of_now_no_flag_claims_one(status):
     """After a long outage the filter keeps an attitude only, while the origin is still known."""
     health = replace(Pipeline(FilterSettings()).health(), status=status)
     *_, message = publisher().due(Given(t_ns=SECOND_NS, quality=None, health=health))
-    flags = columns(IDS["ESTIMATOR_STATUS"], [message.payload])["flags"][0]
+    layout = by_name("ESTIMATOR_STATUS")
+    (flags,) = np.frombuffer(message.payload.ljust(layout.size, b"\0"), layout.dtype)["flags"]
     assert message.name == "ESTIMATOR_STATUS"
     assert flags == (StatusFlag.ATTITUDE if status == Status.ATTITUDE else 0)
 
