@@ -40,6 +40,10 @@ REFERENCE_AGE = cython.declare(cython.double, 1.5e9)
 """Oldest heading reference to start from, ns."""
 LONGEST_MOTION = cython.declare(cython.double, 5e9)
 """Longest stretch to level over in motion, ns: the gyro's bias turns the frame meanwhile."""
+UNKNOWN_DELAY = cython.declare(cython.double, 0.05)
+"""Delay of a receiver beside its sigma while nothing has shown it, s."""
+LEVEL_ENOUGH = cython.declare(cython.double, 0.1)
+"""Largest acceleration to level in without north, as a share of gravity."""
 UNKNOWN_YAW = cython.declare(cython.double, 3.29)
 """Variance of an unknown angle: pi^2 / 3, rad^2."""
 
@@ -147,6 +151,11 @@ def start_filter(x: State, k: Parameters, w: Scratch, tilt: float, gyro_bias: fl
     reset_variance(x, E_IRON, 3, iron)
     reset_variance(x, E_HEADING, 1, x.heading_std * x.heading_std)
     x.mode = MODE_ATTITUDE
+    for i in range(3):
+        x.accel_n[i] = 0.0
+        for j in range(3):
+            x.accel_n[i] += o.C_nb[i][j] * (x.accel[j] - x.accel_bias[j])
+    x.accel_n[2] += g
     if has_reference(x) and azimuth(x, o, address(x.alignment.reference)):
         # the attitude points there already; the row says how sure that is
         o.z[0] = 0.0
@@ -194,6 +203,8 @@ def begin_motion(x: State, fix: Fix) -> None:
     motion.has_fix = 1.0
     motion.fix_t = x.t
     motion.fix_std = fix.std[2]
+    for i in range(3):
+        motion.force[i] = x.accel[i]
     motion.q[0] = 1.0
     for i in range(3):
         motion.fix_vel[i] = fix.vel_n[i]
@@ -275,7 +286,7 @@ def find_down(x: State, k: Parameters, w: Scratch) -> float:
     """Set the attitude at the fix ``w.fix`` from the velocity gained since the first one.
 
     Turns the summed force into the body frame of now, so that the attitude is of now. Return one
-    sigma of the tilt, rad; 0 if it is too early, or nothing gives north.
+    sigma of the tilt, rad; 0 if it is too early, or too much was gained where nothing gives north.
     """
     fix = address(w.fix)
     motion = address(x.alignment.motion)
@@ -285,7 +296,7 @@ def find_down(x: State, k: Parameters, w: Scratch) -> float:
     if motion.has_fix == 0.0 or x.t - motion.fix_t > LONGEST_MOTION:
         begin_motion(x, fix)
         return 0.0
-    if span < k.align_time or not has_reference(x):
+    if span < k.align_time:
         return 0.0
     down = 0.0
     doubt = 2.0 * fix.std[2]
@@ -297,17 +308,31 @@ def find_down(x: State, k: Parameters, w: Scratch) -> float:
     de = fix.vel_n[1] - motion.fix_vel[1]
     down = down - k.gravity * span
     to_dcm(motion.q, o.C_nb)
+    change = 0.0
     for i in range(3):
         p.b[i] = (
             o.C_nb[0][i] * motion.dv[0] + o.C_nb[1][i] * motion.dv[1] + o.C_nb[2][i] * motion.dv[2]
         )
+        gained = -motion.force[i]
+        for j in range(3):
+            gained += o.C_nb[i][j] * x.accel[j]
+        change += gained * gained
+    # A receiver that is late tells of another stretch
+    doubt = doubt + sqrt(change) * (k.delay_std + UNKNOWN_DELAY)
+    if not has_reference(x):
+        # without north, what was gained is tilt
+        doubt = doubt + sqrt(dn * dn + de * de)
+        if doubt > LEVEL_ENOUGH * k.gravity * span:
+            return 0.0
+        dn = 0.0
+        de = 0.0
     p.n[0] = dn
     p.n[1] = de
     p.n[2] = down
     set_attitude(x, w, p)
     # A wrong turn about a force that was not upright is tilt as well
     size = sqrt(dn * dn + de * de + down * down)
-    turned = turn_to_field(x, w, p)
+    turned = turn_to_field(x, w, p) if has_reference(x) else 0.0
     doubt = doubt / (k.gravity * span) + k.gyro_bias_std * span + 0.02
     return sqrt(doubt * doubt + turned * (dn * dn + de * de) / (size * size))
 
@@ -318,11 +343,13 @@ def level_in_motion(x: State, k: Parameters, w: Scratch) -> bool:
     if tilt == 0.0:
         return False
     start_filter(x, k, w, tilt, k.gyro_bias_std)
-    return True
+    return x.has_yaw != 0.0
 
 
 def level_again(x: State, k: Parameters, w: Scratch) -> bool:
     """Find the attitude of a running filter anew at the fix ``w.fix``, if it can be found."""
+    if not has_reference(x) and x.alignment.motion.has_fix != 0.0:
+        return False
     tilt = find_down(x, k, w)
     if tilt == 0.0:
         return False

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core import align, gate, observe, yaw_bank, yaw_reset
+from cython.cimports.ekf_companion.core import align, doubt, gate, observe, rest, yaw_bank, yaw_reset
 from cython.cimports.ekf_companion.core.correct import apply_update, innovate
 from cython.cimports.ekf_companion.core.enums import (
     AID_HEIGHT,
@@ -89,9 +89,13 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
         return True
     learn_field(x, values)
     read_fix(x, k, fix, values)
+    if x.origin.is_known != 0.0:
+        doubt.compare_fixes(x, fix)
     if x.fix_t > NEVER and x.t > x.fix_t:
         x.fix_dt = (x.t - x.fix_t) * 1e-9
     x.fix_t = x.t
+
+    rest.add_velocity(x, fix)
 
     # The yaw bank uses every velocity; without another heading it starts the filter
     if has_vel:
@@ -246,6 +250,8 @@ def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
         nis = DRAGGED_NIS
     if nis <= hard or aid == AID_VELOCITY:
         learn_white_share(x, o, aid, w.fix.stated_var[aid])
+    if aid == AID_VELOCITY:
+        doubt.learn_doubt(x, o, nis)
     gate.score(x, o, nis, hard)
     return gate.fuse_judged(x, k, o, aid, nis)
 
@@ -254,14 +260,21 @@ def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> 
     """Learn what share of the stated variance is white, from an observation that was judged.
 
     What the innovations have beyond the filter's own doubt is white. Where that doubt is large
-    they tell little of it, and weigh less.
+    they tell little of it, and weigh less. Of the velocity's, only what changes from fix to fix is
+    white: what stays is an error of the inertial samples.
     """
     seen = 0.0
     own = 0.0
     noise = 0.0
     memory = FIRST_MEMORY + x.nis_n[aid]
+    is_next = cython.declare(cython.bint, aid == AID_VELOCITY and doubt.is_next(x))
     for r in range(o.rows):
-        seen += o.z[r] * o.z[r]
+        z = o.z[r]
+        if is_next:
+            change = z - x.last_difference[r]
+            seen += 0.5 * change * change
+        else:
+            seen += z * z
         noise += o.R[r][r]
         for j in range(N):
             own += o.H[r][j] * o.PHt[r][j]
@@ -300,7 +313,14 @@ def fuse_velocity(x: State, k: Parameters, w: Scratch) -> bool:
     fix = address(w.fix)
     o = address(w.observation)
     observe.velocity(x, k, fix, o)
-    if fuse(x, k, w, AID_VELOCITY) or not gate.is_timed_out(x, AID_VELOCITY, k.timeout_vel):
+    if fuse(x, k, w, AID_VELOCITY):
+        return True
+    if doubt.contradicts_itself(x, fix):
+        if not gate.is_timed_out(x, AID_POSITION, k.timeout_vel):
+            return True
+    else:
+        doubt.doubt_refusal(x, k, o)
+    if not gate.is_timed_out(x, AID_VELOCITY, k.timeout_vel):
         return True
     if gate.is_proven(x, AID_VELOCITY, o.rows, fix.stated_var[2], JERK):
         gate.begin_reset(x, RESET_VELOCITY)

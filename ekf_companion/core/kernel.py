@@ -24,6 +24,7 @@ from cython.cimports.ekf_companion.core import (
     yaw_frame,
 )
 from cython.cimports.ekf_companion.core.correct import copy_nominal
+from cython.cimports.ekf_companion.core.doubt import find_clipping
 from cython.cimports.ekf_companion.core.enums import (
     AID_HEADING,
     AID_HEIGHT,
@@ -107,6 +108,7 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
 
     # Learn from the sample itself: noise, rest, which aids are silent
     learn_noise(x, imu, span)
+    find_clipping(x, imu)
     keep_sample(x, imu)
     check_rest(x, k, w)
 
@@ -188,6 +190,7 @@ def start(x: State, t: float) -> None:
     x.q_nb[0] = 1.0
     x.field.declination = NAN
     if x.white_share[AID_POSITION] == 0.0:
+        x.doubt = 1.0
         # of a receiver that nothing is known of from before
         x.white_share[AID_POSITION] = FIRST_SHARE
         x.white_share[AID_HEIGHT] = FIRST_SHARE
@@ -197,6 +200,8 @@ def start(x: State, t: float) -> None:
     x.fix_t = NEVER
     x.raw_fix_t = NEVER
     x.mag_t = NEVER
+    x.innovation_t = NEVER
+    x.split_t = NEVER
     x.fake_t = t
     x.restored_t = NEVER
     for i in range(3):

@@ -9,6 +9,7 @@ Source: Groves 2013, chapters 5 and 14; Sola 2017, section 7 (global angular err
 from __future__ import annotations
 
 import cython
+from cython.cimports.ekf_companion.core.doubt import write_noise
 from cython.cimports.ekf_companion.core.enums import (
     E_ATT,
     E_BA,
@@ -307,14 +308,7 @@ def multiply_columns(x: State, m: Motion, dt: float) -> None:
 def add_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
     """Add Q to the upper triangle of P: white noise of rate and force, walks of the slow states."""
     h = 0.5 * dt
-    for j in range(3):
-        m.q[j] = k.gyro_noise * k.gyro_noise * dt
-        m.q[j + 3] = k.accel_noise * k.accel_noise * dt
-        if k.learn_noise != 0.0:
-            if x.noise[j] * dt > m.q[j]:
-                m.q[j] = x.noise[j] * dt
-            if x.noise[j + 3] * dt > m.q[j + 3]:
-                m.q[j + 3] = x.noise[j + 3] * dt
+    write_noise(x, k, m, dt)
     for i in range(3):
         for j in range(i, 3):
             s0 = 0.0

@@ -19,9 +19,9 @@ from cython.cimports.ekf_companion.core.enums import (
 from cython.cimports.ekf_companion.core.memory import Vector
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.rotation import to_dcm, wrap
-from cython.cimports.ekf_companion.core.scratch import Scratch
+from cython.cimports.ekf_companion.core.scratch import Fix, Scratch
 from cython.cimports.ekf_companion.core.state import State
-from cython.cimports.libc.math import atan2, sqrt
+from cython.cimports.libc.math import atan2, isnan, sqrt
 
 FEWEST = cython.declare(cython.double, 5.0)
 """Samples to judge rest by."""
@@ -35,6 +35,13 @@ LONGEST_OUTAGE = cython.declare(cython.double, 60.0)
 """Time without GNSS after which it is dropped, s."""
 REST_SPEED = cython.declare(cython.double, 0.05)
 """One sigma of the velocity at rest, m/s."""
+SLOW_VELOCITY = cython.declare(cython.double, 0.04)
+"""Error of the receiver's mean velocity over a window at rest beside noise, one sigma, m/s."""
+REST_SIGMAS = cython.declare(cython.double, 3.0)
+CHANGE_OF_RATE = cython.declare(cython.double, 5e-3)
+"""Largest steady change of the rate over a window at rest beside noise, rad/s."""
+CHANGE_OF_FORCE = cython.declare(cython.double, 0.1)
+"""Likewise of the specific force, m/s^2."""
 REST_RATE = cython.declare(cython.double, 1e-4)
 """One sigma of the rate at rest beside noise, rad/s: soft ground, wind."""
 HIDDEN_TURN = cython.declare(cython.double, 0.02)
@@ -60,13 +67,25 @@ def begin_window(x: State, t: float) -> None:
         rest.accel[i] = 0.0
         rest.gyro2[i] = 0.0
         rest.accel2[i] = 0.0
+        rest.gyro_t[i] = 0.0
+        rest.accel_t[i] = 0.0
+        rest.vel_n[i] = 0.0
+    rest.t1 = 0.0
+    rest.t2 = 0.0
+    rest.vel_var = 0.0
+    rest.vel_count = 0.0
 
 
 def add_to_window(x: State) -> None:
     """Add the newest sample to the rest statistics."""
     rest = address(x.alignment.rest)
     rest.n += 1.0
+    tau = (x.t - rest.t0) * 1e-9
+    rest.t1 += tau
+    rest.t2 += tau * tau
     for i in range(3):
+        rest.gyro_t[i] += tau * x.gyro[i]
+        rest.accel_t[i] += tau * x.accel[i]
         rest.gyro[i] += x.gyro[i]
         rest.accel[i] += x.accel[i]
         rest.gyro2[i] += x.gyro[i] * x.gyro[i]
@@ -79,6 +98,56 @@ def add_field(x: State, mag_b: Vector) -> None:
     rest.mag_n += 1.0
     for i in range(3):
         rest.mag_b[i] += mag_b[i]
+
+
+def add_velocity(x: State, fix: Fix) -> None:
+    """Add a velocity of the receiver to the rest statistics."""
+    rest = address(x.alignment.rest)
+    if isnan(fix.vel_n[0]):
+        return
+    rest.vel_count += 1.0
+    rest.vel_var += fix.std[2] * fix.std[2]
+    for i in range(3):
+        rest.vel_n[i] += 0.0 if isnan(fix.vel_n[i]) else fix.vel_n[i]
+
+
+def is_receiver_moving(x: State) -> bool:
+    """Return whether the receiver's mean velocity over the window excludes rest."""
+    rest = address(x.alignment.rest)
+    speed = 0.0
+    if rest.vel_count == 0.0:
+        return False
+    for i in range(3):
+        speed += rest.vel_n[i] * rest.vel_n[i]
+    level = rest.vel_var + SLOW_VELOCITY * SLOW_VELOCITY * rest.vel_count * rest.vel_count
+    return speed > REST_SIGMAS * REST_SIGMAS * level
+
+
+def is_changing(x: State) -> bool:
+    """Return whether rate or force change steadily over the window, as on a rocking deck."""
+    rest = address(x.alignment.rest)
+    n = rest.n
+    turn = 0.0
+    push = 0.0
+    noise = 0.0
+    shaking = 0.0
+    spread = rest.t2 - rest.t1 * rest.t1 / n
+    span = (x.t - rest.t0) * 1e-9
+    if not spread > 0.0:
+        return False
+    for i in range(3):
+        slope = (rest.gyro_t[i] - rest.t1 * rest.gyro[i] / n) / spread * span
+        turn += slope * slope
+        noise += rest.gyro2[i] - rest.gyro[i] * rest.gyro[i] / n
+        slope = (rest.accel_t[i] - rest.t1 * rest.accel[i] / n) / spread * span
+        push += slope * slope
+        shaking += rest.accel2[i] - rest.accel[i] * rest.accel[i] / n
+    # the noise of a slope times the span, from what is scattered about the mean
+    scale = 9.0 * span * span / (spread * n)
+    return (
+        turn > CHANGE_OF_RATE * CHANGE_OF_RATE + scale * noise
+        or push > CHANGE_OF_FORCE * CHANGE_OF_FORCE + scale * shaking
+    )
 
 
 def largest_at_rest(learnt: float, largest: float) -> float:
@@ -107,6 +176,8 @@ def was_at_rest(x: State, k: Parameters) -> bool:
     if var_gyro > largest_at_rest(x.rest_gyro, k.rest_gyro):
         return False
     if var_accel > largest_at_rest(x.rest_accel, k.rest_accel):
+        return False
+    if is_changing(x) or is_receiver_moving(x):
         return False
     if rate > 0.01:  # 0.1 rad/s: no gyro of today has such a bias
         return False

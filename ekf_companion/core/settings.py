@@ -66,7 +66,7 @@ HABITS = {
     ),
     "unknown": Habit(
         gnss_delay=0.0,
-        gnss_delay_std=0.05,
+        gnss_delay_std=0.1,
         imu_lag=0.0,
         imu_samples="mean",
         mag_delay=0.0,

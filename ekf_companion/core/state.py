@@ -102,6 +102,19 @@ class RestWindow:
     """Sum of the squares of the rates."""
     accel2: Annotated[Vector, 3]
     """Sum of the squares of the specific forces."""
+    gyro_t: Annotated[Vector, 3]
+    """Sum of the rates times the time since t0, rad."""
+    accel_t: Annotated[Vector, 3]
+    """Likewise of the specific forces, m/s."""
+    t1: Real
+    """Sum of these times, s."""
+    t2: Real
+    """Sum of their squares, s^2."""
+    vel_n: Annotated[Vector, 3]
+    """Sum of the receiver's velocities, m/s."""
+    vel_var: Real
+    """Sum of their white variances, (m/s)^2."""
+    vel_count: Real
     mag_b: Annotated[Vector, 3]
     """Sum of the magnetic fields, gauss."""
     mag_n: Real
@@ -134,6 +147,8 @@ class MotionWindow:
     """Velocity of the antenna then, n e d, m/s."""
     fix_std: Real
     """One sigma per axis, m/s."""
+    force: Annotated[Vector, 3]
+    """Specific force then, m/s^2."""
 
 
 @struct
@@ -334,6 +349,28 @@ class State:
     noise: Annotated[Vector, 6]
     """Learnt white noise of rate and force, variance times interval: (rad/s)^2 s, (m/s^2)^2 s."""
     noise_block: NoiseBlock
+    doubt: Real
+    """Share of the configured inertial noise that counts beside the learnt one."""
+    correlation: Real
+    """Of the last two innovations of the receiver's velocity, per row."""
+    innovation_t: Real
+    """Time of the last of them, ns."""
+    last_innovation: Annotated[Vector, 3]
+    """Whitened, sigmas."""
+    last_difference: Annotated[Vector, 3]
+    """Not whitened, m/s."""
+    largest_reading: Annotated[Vector, 6]
+    """Largest rate and specific force that each axis has shown."""
+    is_clipped: Annotated[Vector, 6]
+    """The axis is at the end of its range: rate, specific force."""
+    split: Annotated[Vector, 3]
+    """What the receiver's position lately moved beside the integral of its velocity, n e d, m."""
+    split_pos: Annotated[Vector, 3]
+    """Its last position, n e d, m."""
+    split_vel: Annotated[Vector, 3]
+    """Its last velocity, m/s."""
+    split_t: Real
+    """ns."""
     white_share: Annotated[Vector, RUNS]
     """Learnt share of the receiver's stated variances that is white, by aid."""
     gnss_offset_var: Annotated[Vector, 2]

@@ -1,0 +1,169 @@
+"""Doubt in the inertial samples: how much further off they are than their white noise says.
+
+White noise shows in the samples themselves. Vibration near a multiple of their rate, a range that
+is exceeded, a sensor that sits askew do not: they show at the receiver, where what the samples add
+up to is off to the same side at one fix as at the one before. So the correlation of consecutive
+innovations raises the doubt, and innovations smaller than expected lower it. A receiver that is
+refused again and again shows it too, if its position moves as its velocity says.
+
+Source: correlated innovations of a filter that trusts its model too much, Mehra 1970.
+"""
+
+from __future__ import annotations
+
+import cython
+from cython.cimports.ekf_companion.core.parameters import Parameters
+from cython.cimports.ekf_companion.core.rotation import wrap
+from cython.cimports.ekf_companion.core.scratch import Fix, ImuRow, Motion, Observation
+from cython.cimports.ekf_companion.core.state import State
+from cython.cimports.libc.math import exp, fabs, isnan, sqrt
+
+LEAST_DOUBT = cython.declare(cython.double, 0.01)
+LARGEST_DOUBT = cython.declare(cython.double, 1e4)
+GAIN = cython.declare(cython.double, 0.3)
+"""Change of the logarithm of the doubt for a correlation of one."""
+SMALLNESS = cython.declare(cython.double, 0.5)
+"""Weight of innovations that are smaller than expected, beside their correlation."""
+LARGEST_TERM = cython.declare(cython.double, 3.0)
+"""Largest whitened innovation that counts, sigmas."""
+OLD = cython.declare(cython.double, 3e9)
+"""Time after which the innovation before says nothing of this one, ns."""
+EXPECTED = cython.declare(cython.double, 9.0)
+"""A refused innovation raises the doubt until its square is this times its new variance."""
+LEAST_NOISE = cython.declare(cython.double, 1e-8)
+"""Variance of the white noise of the best gyro that flies, rad^2/s."""
+LEAST_FORCE_NOISE = cython.declare(cython.double, 4e-6)
+"""Likewise of its accelerometer, m^2/s^3."""
+MARGIN = cython.declare(cython.double, 2.0)
+"""How much larger than the second differences show the variance of the noise may be."""
+SCALE_VAR = cython.declare(cython.double, 2.5e-5)
+"""Variance of the errors of scale and mounting, over one second."""
+CLIPPED_RATE_VAR = cython.declare(cython.double, 0.05)
+"""Variance that a gyro at the end of its range adds about its axis, rad^2/s."""
+CLIPPED_FORCE_VAR = cython.declare(cython.double, 2.0)
+"""Likewise of an accelerometer, m^2/s^3."""
+LEAST_RANGE = cython.declare(cython.double, 0.5)
+"""rad/s; no gyro has a smaller range."""
+LEAST_FORCE_RANGE = cython.declare(cython.double, 11.5)
+"""m/s^2."""
+SAME = cython.declare(cython.double, 1e-4)
+"""Relative difference of two readings at the end of a range."""
+SPLIT_TIME = cython.declare(cython.double, 10.0)
+"""Time constant of the difference between a receiver's position and its integrated velocity, s."""
+SPLIT_SIGMAS = cython.declare(cython.double, 3.0)
+SPLIT_DRIFT = cython.declare(cython.double, 1.0)
+"""What the slow error of the velocity adds to that difference, m."""
+
+
+def write_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
+    """Write the variance that rate and force add over dt (s) into ``m.q``, an axis each."""
+    rate2 = 0.0
+    accel2 = 0.0
+    for j in range(3):
+        m.q[j] = k.gyro_noise * k.gyro_noise * dt
+        m.q[j + 3] = k.accel_noise * k.accel_noise * dt
+    if k.learn_noise == 0.0:
+        return
+    for j in range(3):
+        rate2 += m.rate[j] * m.rate[j]
+        accel2 += x.accel_n[j] * x.accel_n[j]
+    for j in range(3):
+        q = MARGIN * x.noise[j]
+        q = (q if q > LEAST_NOISE else LEAST_NOISE) + SCALE_VAR * rate2
+        m.q[j] = x.doubt * m.q[j] + (q + CLIPPED_RATE_VAR * x.is_clipped[j]) * dt
+        q = MARGIN * x.noise[j + 3]
+        q = (q if q > LEAST_FORCE_NOISE else LEAST_FORCE_NOISE) + SCALE_VAR * accel2
+        m.q[j + 3] = x.doubt * m.q[j + 3] + (q + CLIPPED_FORCE_VAR * x.is_clipped[j + 3]) * dt
+
+
+def find_clipping(x: State, imu: ImuRow) -> None:
+    """Find the axes that repeat the largest reading they ever gave: they are at their range's end.
+
+    To be called before the sample is kept.
+    """
+    for j in range(6):
+        now = imu.gyro[j] if j < 3 else imu.accel[j - 3]
+        before = x.gyro[j] if j < 3 else x.accel[j - 3]
+        size = fabs(now)
+        least = LEAST_RANGE if j < 3 else LEAST_FORCE_RANGE
+        x.is_clipped[j] = 0.0
+        if size > least:
+            if size >= x.largest_reading[j] * (1.0 - SAME) and fabs(now - before) <= SAME * size:
+                x.is_clipped[j] = 1.0
+            if size > x.largest_reading[j]:
+                x.largest_reading[j] = size
+
+
+def learn_doubt(x: State, o: Observation, nis: float) -> None:
+    """Learn from the innovation of the receiver's velocity, just judged."""
+    correlation = 0.0
+    smallness = nis / o.rows - 1.0
+    for r in range(o.rows):
+        y = o.y[r]
+        y = y if y < LARGEST_TERM else LARGEST_TERM
+        y = y if y > -LARGEST_TERM else -LARGEST_TERM
+        correlation += y * x.last_innovation[r]
+        x.last_innovation[r] = y
+        x.last_difference[r] = o.z[r]
+    if o.rows < 3:
+        x.last_innovation[2] = 0.0
+    x.correlation = correlation / o.rows if is_next(x) else 0.0
+    x.innovation_t = x.t
+    x.doubt *= exp(GAIN * (x.correlation + SMALLNESS * (smallness if smallness < 0.0 else 0.0)))
+    bound_doubt(x)
+
+
+def is_next(x: State) -> bool:
+    """Return whether the innovation of the velocity before is recent."""
+    return x.t - x.innovation_t < OLD
+
+
+def bound_doubt(x: State) -> None:
+    """Keep the doubt within its bounds."""
+    if not x.doubt > LEAST_DOUBT:
+        x.doubt = LEAST_DOUBT
+    if x.doubt > LARGEST_DOUBT:
+        x.doubt = LARGEST_DOUBT
+
+
+def doubt_refusal(x: State, k: Parameters, o: Observation) -> None:
+    """Doubt the inertial side for a velocity that is refused to the same side as the one before."""
+    largest = 0.0
+    for r in range(o.rows):
+        if o.z[r] * o.z[r] > largest:
+            largest = o.z[r] * o.z[r]
+    if x.doubt < 1.0:
+        x.doubt = 1.0
+    if x.correlation > 1.0 and x.fix_dt > 0.0:
+        needed = largest / (EXPECTED * k.accel_noise * k.accel_noise * x.fix_dt)
+        x.doubt = needed if needed > x.doubt else x.doubt
+    bound_doubt(x)
+
+
+def compare_fixes(x: State, fix: Fix) -> None:
+    """Add to what the receiver's position has moved beside the integral of its velocity."""
+    dt = (x.t - x.split_t) * 1e-9
+    for i in range(3):
+        here = -fix.alt
+        if i == 0:
+            here = (fix.lat - x.origin.lat) * x.origin.scale_n
+        if i == 1:
+            here = wrap(fix.lon - x.origin.lon) * x.origin.scale_e
+        v = 0.0 if isnan(fix.vel_n[i]) else fix.vel_n[i]
+        if dt < OLD * 1e-9:
+            x.split[i] *= exp(-dt / SPLIT_TIME)
+            x.split[i] += here - x.split_pos[i] - 0.5 * dt * (v + x.split_vel[i])
+        else:
+            x.split[i] = 0.0
+        x.split_pos[i] = here
+        x.split_vel[i] = v
+    x.split_t = x.t
+
+
+def contradicts_itself(x: State, fix: Fix) -> bool:
+    """Return whether the receiver's position lately moved otherwise than its velocity says."""
+    level = SPLIT_SIGMAS * sqrt(fix.stated_var[0]) + SPLIT_DRIFT
+    vertical = SPLIT_SIGMAS * sqrt(fix.stated_var[1]) + SPLIT_DRIFT
+    if x.split[0] * x.split[0] + x.split[1] * x.split[1] > level * level:
+        return True
+    return not isnan(fix.vel_n[2]) and fabs(x.split[2]) > vertical
