@@ -18,8 +18,12 @@ from cython.cimports.ekf_companion.core.scratch import Fix, ImuRow, Motion, Obse
 from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
-LEAST_DOUBT = cython.declare(cython.double, 0.01)
+LEAST_DOUBT = cython.declare(cython.double, 0.03)
 LARGEST_DOUBT = cython.declare(cython.double, 1e4)
+MEMORY = cython.declare(cython.double, 60e9)
+"""Time constant with which the worst doubt is forgotten, ns: vibration comes back."""
+REMEMBERED = cython.declare(cython.double, 0.03)
+"""Share of the worst doubt that is kept."""
 GAIN = cython.declare(cython.double, 0.3)
 """Change of the logarithm of the doubt for a correlation of one."""
 SMALLNESS = cython.declare(cython.double, 0.5)
@@ -107,7 +111,10 @@ def learn_doubt(x: State, o: Observation, nis: float) -> None:
         x.last_difference[r] = o.z[r]
     if o.rows < 3:
         x.last_innovation[2] = 0.0
-    x.correlation = correlation / o.rows if is_next(x) else 0.0
+    x.correlation = 0.0
+    if is_next(x):
+        x.correlation = correlation / sqrt(o.rows)
+        x.worst_doubt *= exp((x.innovation_t - x.t) / MEMORY)
     x.innovation_t = x.t
     x.doubt *= exp(GAIN * (x.correlation + SMALLNESS * (smallness if smallness < 0.0 else 0.0)))
     bound_doubt(x)
@@ -119,11 +126,16 @@ def is_next(x: State) -> bool:
 
 
 def bound_doubt(x: State) -> None:
-    """Keep the doubt within its bounds."""
-    if not x.doubt > LEAST_DOUBT:
-        x.doubt = LEAST_DOUBT
+    """Keep the doubt within its bounds, and remember the worst."""
+    least = REMEMBERED * x.worst_doubt
+    if least < LEAST_DOUBT:
+        least = LEAST_DOUBT
+    if not x.doubt > least:
+        x.doubt = least
     if x.doubt > LARGEST_DOUBT:
         x.doubt = LARGEST_DOUBT
+    if x.doubt > x.worst_doubt:
+        x.worst_doubt = x.doubt
 
 
 def doubt_refusal(x: State, k: Parameters, o: Observation) -> None:

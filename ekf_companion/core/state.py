@@ -351,8 +351,10 @@ class State:
     noise_block: NoiseBlock
     doubt: Real
     """Share of the configured inertial noise that counts beside the learnt one."""
+    worst_doubt: Real
+    """Its largest value lately."""
     correlation: Real
-    """Of the last two innovations of the receiver's velocity, per row."""
+    """Of the last two innovations of the receiver's velocity, one sigma if they are white."""
     innovation_t: Real
     """Time of the last of them, ns."""
     last_innovation: Annotated[Vector, 3]
