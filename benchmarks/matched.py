@@ -42,6 +42,7 @@ def matched(
             timing_std=0.0,
             velocity_slow_std=0.0,
             lever_arm=gnss.lever_arm,
+            lever_arm_std=0.0,
             white_share=gnss.noise_h**2 / (gnss.noise_h**2 + gnss.slow_h**2),
             slow_time=gnss.slow_time,
             position_std=0.0,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core import gate, observe
+from cython.cimports.ekf_companion.core import gate, observe, voices
 from cython.cimports.ekf_companion.core.enums import (
     AID_BARO,
     E_BARO,
@@ -12,6 +12,8 @@ from cython.cimports.ekf_companion.core.enums import (
     MODE_LEVEL,
     VERDICT_FUSED,
     VERDICT_SUPERSEDED,
+    VERDICT_SUSPECT,
+    VOICE_BARO,
     N,
 )
 from cython.cimports.ekf_companion.core.parameters import Parameters
@@ -28,6 +30,12 @@ def fuse_baro(x: State, k: Parameters, w: Scratch, alt: float) -> None:
     """Fuse a pressure altitude; the first one gives the offset, with the height's error."""
     if k.use_baro == 0.0 or x.mode == MODE_LEVEL:
         gate.count_verdict(x, AID_BARO, VERDICT_SUPERSEDED)
+        return
+    voices.add_baro(x, alt)
+    if x.voices.loser == VOICE_BARO:
+        # it is heard again from where it will be then
+        x.has_baro = 0.0
+        gate.count_verdict(x, AID_BARO, VERDICT_SUSPECT)
         return
     if x.has_baro != 0.0:
         std = k.baro_std

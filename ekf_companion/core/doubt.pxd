@@ -3,9 +3,9 @@ from ekf_companion.core.scratch cimport Fix, ImuRow, Motion, Observation
 from ekf_companion.core.state cimport State
 cdef void write_noise(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
 cdef void find_clipping(State *x, ImuRow *imu) noexcept nogil
-cdef void learn_doubt(State *x, Observation *o, double nis) noexcept nogil
+cdef void learn_doubt(State *x, Parameters *k, Observation *o, double nis) noexcept nogil
 cdef bint is_next(State *x) noexcept nogil
 cdef void bound_doubt(State *x) noexcept nogil
-cdef void doubt_refusal(State *x, Parameters *k, Observation *o) noexcept nogil
+cdef void doubt_refusal(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
 cdef void compare_fixes(State *x, Fix *fix) noexcept nogil
 cdef bint contradicts_itself(State *x, Fix *fix) noexcept nogil

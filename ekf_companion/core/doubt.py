@@ -12,6 +12,7 @@ Source: correlated innovations of a filter that trusts its model too much, Mehra
 from __future__ import annotations
 
 import cython
+from cython.cimports.ekf_companion.core.enums import AID_VELOCITY
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.rotation import wrap
 from cython.cimports.ekf_companion.core.scratch import Fix, ImuRow, Motion, Observation
@@ -32,6 +33,8 @@ LARGEST_TERM = cython.declare(cython.double, 3.0)
 """Largest whitened innovation that counts, sigmas."""
 OLD = cython.declare(cython.double, 3e9)
 """Time after which the innovation before says nothing of this one, ns."""
+SHOWN_SIGMAS = cython.declare(cython.double, 2.0)
+"""Way in sigmas of a fix that shows whether the position moves as the velocity says."""
 EXPECTED = cython.declare(cython.double, 9.0)
 """A refused innovation raises the doubt until its square is this times its new variance."""
 LEAST_NOISE = cython.declare(cython.double, 1e-8)
@@ -98,7 +101,7 @@ def find_clipping(x: State, imu: ImuRow) -> None:
                 x.largest_reading[j] = size
 
 
-def learn_doubt(x: State, o: Observation, nis: float) -> None:
+def learn_doubt(x: State, k: Parameters, o: Observation, nis: float) -> None:
     """Learn from the innovation of the receiver's velocity, just judged."""
     correlation = 0.0
     smallness = nis / o.rows - 1.0
@@ -116,6 +119,8 @@ def learn_doubt(x: State, o: Observation, nis: float) -> None:
         x.correlation = correlation / sqrt(o.rows)
         x.worst_doubt *= exp((x.innovation_t - x.t) / MEMORY)
     x.innovation_t = x.t
+    if nis > k.gate[o.rows - 1]:  # who is wrong is not known yet
+        return
     x.doubt *= exp(GAIN * (x.correlation + SMALLNESS * (smallness if smallness < 0.0 else 0.0)))
     bound_doubt(x)
 
@@ -138,17 +143,30 @@ def bound_doubt(x: State) -> None:
         x.worst_doubt = x.doubt
 
 
-def doubt_refusal(x: State, k: Parameters, o: Observation) -> None:
-    """Doubt the inertial side for a velocity that is refused to the same side as the one before."""
+def doubt_refusal(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
+    """Doubt the inertial side for a velocity that goes on being refused, if the position proves it.
+
+    The receiver's position must have moved with that velocity, and so far that its noise cannot
+    have made it.
+    """
     largest = 0.0
+    is_shown = cython.declare(cython.bint, False)
     for r in range(o.rows):
+        if x.refused_t[AID_VELOCITY] == x.t:
+            x.refused_way[r] = 0.0
+        x.refused_way[r] += o.z[r] * x.fix_dt
+        way = fabs(x.refused_way[r])
+        if way > SHOWN_SIGMAS * fix.std[0 if r < 2 else 1] and fabs(x.split[r]) < 0.5 * way:
+            is_shown = True
         if o.z[r] * o.z[r] > largest:
             largest = o.z[r] * o.z[r]
-    if x.doubt < 1.0:
-        x.doubt = 1.0
-    if x.correlation > 1.0 and x.fix_dt > 0.0:
+    if not is_shown:
+        return
+    needed = 1.0
+    if x.fix_dt > 0.0:
         needed = largest / (EXPECTED * k.accel_noise * k.accel_noise * x.fix_dt)
-        x.doubt = needed if needed > x.doubt else x.doubt
+    if x.doubt < needed:
+        x.doubt = needed
     bound_doubt(x)
 
 

@@ -95,6 +95,19 @@ class Azimuth(IntEnum):
     """The magnetic field, and its declination."""
 
 
+class Voice(IntEnum):
+    """Who contradicts the others about the climb."""
+
+    NONE = 0
+    HEIGHT = 1
+    """The receiver's height."""
+    VELOCITY = 2
+    """Its vertical velocity."""
+    BARO = 3
+    ANY = 4
+    """They disagree, and no two agree against a third."""
+
+
 class Reset(IntEnum):
     """Why the state jumped."""
 
@@ -136,6 +149,7 @@ ENUMS: dict[str, type[IntEnum]] = {
     "AZIMUTH": Azimuth,
     "RESET": Reset,
     "LINK": Link,
+    "VOICE": Voice,
 }
 """Enumerations that the kernel knows, by the prefix of their members: ``MODE_LEVEL``."""
 

@@ -6,7 +6,6 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.correct import copy_nominal
 from cython.cimports.ekf_companion.core.enums import (
-    AID_BARO,
     AID_HEADING,
     AID_HEIGHT,
     AID_POSITION,
@@ -25,6 +24,7 @@ from cython.cimports.ekf_companion.core.enums import (
     STATUS_INIT,
     STATUS_INVALID,
     STATUS_OK,
+    VOICE_NONE,
 )
 from cython.cimports.ekf_companion.core.gate import is_timed_out
 from cython.cimports.ekf_companion.core.parameters import Parameters
@@ -69,7 +69,7 @@ def find_status(x: State, k: Parameters) -> int:
     if is_timed_out(x, AID_HEADING, 5.0) and x.azimuth != 0.0:
         # where there never was a compass, turns show the heading as well
         return STATUS_DEGRADED
-    if is_timed_out(x, AID_HEIGHT, late + 1.0) and is_timed_out(x, AID_BARO, 2.0):
+    if is_timed_out(x, AID_HEIGHT, late + 1.0) or x.voices.loser != VOICE_NONE:
         return STATUS_DEGRADED
     return STATUS_OK
 

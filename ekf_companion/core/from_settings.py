@@ -34,6 +34,7 @@ def parameters(settings: FilterSettings, family: str) -> npt.NDArray[np.float64]
     k.gap, k.gap_reset = imu.gap, imu.gap_reset
 
     k.lever_arm_b[:] = gnss.lever_arm
+    k.lever_var = gnss.lever_arm_std**2
     k.delay_std = habit.gnss_delay_std if gnss.delay_std == "auto" else gnss.delay_std
     k.use_velocity = gnss.use_velocity
     k.use_derived = ("raw", "auto", "global").index(gnss.source)

@@ -54,6 +54,11 @@ def is_timed_out(x: State, aid: int, limit: float) -> bool:
     return x.t - x.used_t[aid] > limit * 1e9
 
 
+def is_refused_for(x: State, aid: int, limit: float) -> bool:
+    """Return whether all of an aid have been refused for longer than a time, s."""
+    return x.refused_t[aid] > x.used_t[aid] and x.t - x.refused_t[aid] > limit * 1e9
+
+
 def fuse(x: State, k: Parameters, o: Observation, aid: int) -> bool:
     """Fuse an observation if it passes the gate, and keep the account; return whether it did."""
     return fuse_judged(x, k, o, aid, innovate(x, o))
@@ -82,7 +87,10 @@ def fuse_judged(x: State, k: Parameters, o: Observation, aid: int, nis: float) -
         apply_yaw_update(x, o)
     else:
         apply_update(x, o)
-    note_used(x, aid)
+    if nis > soft:  # one that is hardly believed ends no run of refused ones
+        x.used_t[aid] = x.t
+    else:
+        note_used(x, aid)
     return True
 
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core import align, doubt, gate, observe, rest, yaw_bank, yaw_reset
+from cython.cimports.ekf_companion.core import align, doubt, gate, observe, rest, voices, yaw_bank, yaw_reset
 from cython.cimports.ekf_companion.core.correct import apply_update, innovate
 from cython.cimports.ekf_companion.core.enums import (
     AID_HEIGHT,
     AID_POSITION,
     AID_VELOCITY,
     E_GNSS,
+    E_POS,
     E_VEL,
     MODE_LEVEL,
     MODE_NAVIGATE,
@@ -26,6 +27,8 @@ from cython.cimports.ekf_companion.core.enums import (
     VERDICT_BEFORE_ALIGNMENT,
     VERDICT_SUPERSEDED,
     VERDICT_SUSPECT,
+    VOICE_HEIGHT,
+    VOICE_VELOCITY,
     N,
 )
 from cython.cimports.ekf_companion.core.gnss_reset import (
@@ -42,6 +45,7 @@ from cython.cimports.ekf_companion.core.scratch import Fix, GnssRow, Observation
 from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import isnan, sqrt
 
+NAN = cython.declare(cython.double, float("nan"))
 NEVER = cython.declare(cython.double, -1e18)
 WHITE_MEMORY = cython.declare(cython.double, 100.0)
 """Fixes over which a receiver's white noise is learnt."""
@@ -68,9 +72,11 @@ JERK = cython.declare(cython.double, 0.25)
 """Variance of the error of our acceleration while velocity is refused, m^2/s^4."""
 DERIVED = cython.declare(cython.int, 1)
 SUSPECT = cython.declare(cython.int, 2)
-OWN_DRIFT = cython.declare(cython.double, 1.0)
+FEW_SIGMAS = cython.declare(cython.double, 10.0)
+"""A position off by less than so many sigmas of ours may have become so by itself."""
+OWN_DRIFT = cython.declare(cython.double, 0.5)
 """Drift of our position that is possible while the velocity is fused and agrees, m/s."""
-LONGEST_PATIENCE = cython.declare(cython.double, 25.0)
+LONGEST_PATIENCE = cython.declare(cython.double, 30.0)
 """Longest time for which a position that drift cannot explain is refused, s."""
 SAME_CAUSE = cython.declare(cython.double, 2.0)
 """A height refused for this time when the position is reset is reset too, s."""
@@ -91,6 +97,9 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
     read_fix(x, k, fix, values)
     if x.origin.is_known != 0.0:
         doubt.compare_fixes(x, fix)
+    voices.compare_climbs(x, fix)
+    if x.voices.loser == VOICE_VELOCITY:
+        fix.vel_n[2] = NAN
     if x.fix_t > NEVER and x.t > x.fix_t:
         x.fix_dt = (x.t - x.fix_t) * 1e-9
     x.fix_t = x.t
@@ -251,7 +260,7 @@ def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
     if nis <= hard or aid == AID_VELOCITY:
         learn_white_share(x, o, aid, w.fix.stated_var[aid])
     if aid == AID_VELOCITY:
-        doubt.learn_doubt(x, o, nis)
+        doubt.learn_doubt(x, k, o, nis)
     gate.score(x, o, nis, hard)
     return gate.fuse_judged(x, k, o, aid, nis)
 
@@ -319,7 +328,7 @@ def fuse_velocity(x: State, k: Parameters, w: Scratch) -> bool:
         if not gate.is_timed_out(x, AID_POSITION, k.timeout_vel):
             return True
     else:
-        doubt.doubt_refusal(x, k, o)
+        doubt.doubt_refusal(x, k, fix, o)
     if not gate.is_timed_out(x, AID_VELOCITY, k.timeout_vel):
         return True
     if gate.is_proven(x, AID_VELOCITY, o.rows, fix.stated_var[2], JERK):
@@ -338,7 +347,7 @@ def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
     observe.position(x, k, fix, address(w.observation))
     if (
         fuse(x, k, w, AID_POSITION)
-        or not gate.is_timed_out(x, AID_POSITION, position_patience(x, k, w))
+        or not gate.is_refused_for(x, AID_POSITION, position_patience(x, k, w))
         or not gate.is_proven(x, AID_POSITION, 2, fix.stated_var[0], drift)
     ):
         return
@@ -359,6 +368,9 @@ def position_patience(x: State, k: Parameters, w: Scratch) -> float:
     if gate.is_timed_out(x, AID_VELOCITY, SAME_CAUSE):
         return k.timeout_pos
     z = w.observation.z
+    sigma = x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1]
+    if z[0] * z[0] + z[1] * z[1] < FEW_SIGMAS * FEW_SIGMAS * sigma:
+        return k.timeout_pos
     needed = sqrt(z[0] * z[0] + z[1] * z[1]) / OWN_DRIFT
     if needed > LONGEST_PATIENCE:
         needed = LONGEST_PATIENCE
@@ -369,6 +381,9 @@ def fuse_height(x: State, k: Parameters, w: Scratch) -> None:
     """Fuse the height, or reset it if refused fixes are consistent."""
     fix = address(w.fix)
     drift = x.P[E_VEL + 2][E_VEL + 2]
+    if x.voices.loser == VOICE_HEIGHT:
+        gate.count_verdict(x, AID_HEIGHT, VERDICT_SUSPECT)
+        return
     observe.height(x, k, fix, address(w.observation))
     if (
         fuse(x, k, w, AID_HEIGHT)

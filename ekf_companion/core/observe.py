@@ -118,6 +118,11 @@ def velocity(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     clear(o, 2 if isnan(fix.vel_n[2]) else 3, fix.std[2] * fix.std[2])
     add_timing_noise(o, k, x.accel_n)
     lever_arm(x, k, o)
+    turn = 0.0
+    for i in range(3):
+        turn += (x.gyro[i] - x.gyro_bias[i]) * (x.gyro[i] - x.gyro_bias[i])
+    for r in range(o.rows):
+        o.R[r][r] += k.lever_var * turn
     for i in range(o.rows):
         o.z[i] = fix.vel_n[i] - (x.vel_n[i] + o.arm_vel_n[i] - late * x.accel_n[i])
         o.H[i][E_VEL + i] = 1.0

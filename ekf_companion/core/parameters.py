@@ -23,6 +23,8 @@ class Parameters:
     mean_samples: Real
     """Samples are means since the one before; 0: readings at their time."""
     lever_arm_b: Annotated[Vector, 3]
+    lever_var: Real
+    """Variance of the lever arm, m^2."""
     delay_std: Real
     gnss_floor: Annotated[Vector, RUNS]
     """Least sigma of position, height, velocity."""

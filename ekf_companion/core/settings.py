@@ -136,6 +136,8 @@ class GnssSettings:
     lever_arm: Annotated[tuple[float, float, float], Setting("m")] = (0.0, 0.0, 0.0)
     """The antenna from the inertial sensor: forward, right, down. Measure it to a few centimetres:
     in a turn of 2 rad/s, 0.3 m of it are 0.6 m/s."""
+    lever_arm_std: Annotated[NotNegative, Setting("m", reload=True)] = 0.2
+    """One sigma of the lever arm per axis. Lower it to 0.02 when it has been measured."""
     use_velocity: Annotated[bool, Setting(reload=True, param=Param(4, "EC_GPS_VEL_USE"))] = True
     """Use the receiver's velocity beside its position. false only where that velocity is wrong."""
     white_share: Annotated[Share | Auto, Setting(reload=True)] = "auto"

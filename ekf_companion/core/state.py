@@ -88,6 +88,29 @@ class Run:
 
 
 @struct
+class Voices:
+    """What receiver and barometer say of the climb, and who contradicts the others."""
+
+    t: Real
+    """Of the last fix, ns."""
+    height: Real
+    """Its altitude, m."""
+    down: Real
+    """Its vertical velocity, m/s."""
+    baro: Real
+    """Mean pressure altitude before it, m."""
+    has_baro: Real
+    has_vel: Real
+    baro_sum: Real
+    """Since then, m."""
+    baro_n: Real
+    difference: Annotated[Vector, 3]
+    """Of the climbs lately: height less velocity, baro less height, baro less velocity, m."""
+    loser: Real
+    """:class:`Voice`."""
+
+
+@struct
 class RestWindow:
     """Sums over a window of inertial samples: was the vehicle at rest?"""
 
@@ -361,6 +384,8 @@ class State:
     """Whitened, sigmas."""
     last_difference: Annotated[Vector, 3]
     """Not whitened, m/s."""
+    refused_way: Annotated[Vector, 3]
+    """Integral of the velocity's innovations since it is refused, n e d, m."""
     largest_reading: Annotated[Vector, 6]
     """Largest rate and specific force that each axis has shown."""
     is_clipped: Annotated[Vector, 6]
@@ -379,6 +404,7 @@ class State:
     """Variance of the slow error of its position: horizontal, vertical, m^2."""
     innovation_mean: Annotated[Vector, 3]
     """Recent mean of the whitened innovations of its position n e d, sigmas."""
+    voices: Voices
     run: Annotated[Structs, Run, RUNS]
     alignment: Alignment
     log_likelihood: Real

@@ -1,0 +1,5 @@
+from ekf_companion.core.scratch cimport Fix
+from ekf_companion.core.state cimport State
+cdef void add_baro(State *x, double alt) noexcept nogil
+cdef void compare_climbs(State *x, Fix *fix) noexcept nogil
+cdef void find_loser(State *x, double height_std) noexcept nogil

@@ -1,0 +1,101 @@
+"""Three voices of height: the receiver's height, its vertical velocity, and the barometer.
+
+Each can go astray by itself: a barometer in the airflow, a receiver among houses, a velocity that
+runs wild. What each says of the climb of the last half minute is compared in pairs. Where two agree
+and the third contradicts both, the third is not heard until it agrees again; nor is the estimate
+called good while any two disagree.
+"""
+
+from __future__ import annotations
+
+import cython
+from cython import address
+from cython.cimports.ekf_companion.core.enums import (
+    E_POS,
+    MODE_NAVIGATE,
+    VOICE_ANY,
+    VOICE_BARO,
+    VOICE_HEIGHT,
+    VOICE_NONE,
+    VOICE_VELOCITY,
+)
+from cython.cimports.ekf_companion.core.scratch import Fix
+from cython.cimports.ekf_companion.core.state import State
+from cython.cimports.libc.math import exp, fabs, isnan, sqrt
+
+MEMORY = cython.declare(cython.double, 30.0)
+"""Time constant over which the climbs are compared, s."""
+LONGEST = cython.declare(cython.double, 3e9)
+"""Longest interval between two fixes to compare over, ns."""
+SIGMAS = cython.declare(cython.double, 3.0)
+DRIFT = cython.declare(cython.double, 1.5)
+"""What the slow error of a velocity, or of a barometer, adds up to meanwhile, m."""
+
+
+def add_baro(x: State, alt: float) -> None:
+    """Add a pressure altitude (m) to the mean until the next fix."""
+    voices = address(x.voices)
+    voices.baro_sum += alt
+    voices.baro_n += 1.0
+
+
+def compare_climbs(x: State, fix: Fix) -> None:
+    """Compare what the three say of the climb since the fix before; find the one that is wrong."""
+    voices = address(x.voices)
+    is_next = cython.declare(cython.bint, x.t - voices.t < LONGEST)
+    had_baro = cython.declare(cython.bint, voices.has_baro != 0.0)
+    has_vel = cython.declare(cython.bint, not isnan(fix.vel_n[2]))
+    voices.has_vel = 1.0 if has_vel else 0.0
+    baro = voices.baro
+    voices.has_baro = 0.0
+    if voices.baro_n > 0.0:
+        baro = voices.baro_sum / voices.baro_n
+        voices.has_baro = 1.0
+    voices.baro_sum = 0.0
+    voices.baro_n = 0.0
+    down = fix.vel_n[2] if has_vel else 0.0
+    dt = (x.t - voices.t) * 1e-9
+    if is_next:
+        faded = exp(-dt / MEMORY)
+        by_height = fix.alt - voices.height
+        by_velocity = -0.5 * dt * (down + voices.down)
+        by_baro = baro - voices.baro
+        for i in range(3):
+            voices.difference[i] *= faded
+        if has_vel:
+            voices.difference[0] += by_height - by_velocity
+        if voices.has_baro != 0.0 and had_baro:
+            voices.difference[1] += by_baro - by_height
+            if has_vel:
+                voices.difference[2] += by_baro - by_velocity
+    else:
+        for i in range(3):
+            voices.difference[i] = 0.0
+    voices.t = x.t
+    voices.height = fix.alt
+    voices.down = down
+    voices.baro = baro
+    find_loser(x, sqrt(fix.stated_var[1]))
+
+
+def find_loser(x: State, height_std: float) -> None:
+    """Find the voice that contradicts two others that agree; what it said until now is doubted."""
+    voices = address(x.voices)
+    level = SIGMAS * height_std + DRIFT
+    # of the pairs: height and velocity, baro and height, baro and velocity
+    a = fabs(voices.difference[0]) / level
+    b = fabs(voices.difference[1]) / level
+    c = fabs(voices.difference[2]) / (2.0 * DRIFT)
+    before = voices.loser
+    voices.loser = VOICE_NONE
+    if a > 1.0 or b > 1.0 or c > 1.0:
+        voices.loser = VOICE_ANY
+        if voices.has_baro != 0.0 and voices.has_vel != 0.0:
+            if a <= 1.0 and a <= b and a <= c:
+                voices.loser = VOICE_BARO
+            elif c <= 1.0 and c <= b:
+                voices.loser = VOICE_HEIGHT
+            elif b <= 1.0:
+                voices.loser = VOICE_VELOCITY
+    if voices.loser != VOICE_NONE and before == VOICE_NONE and x.mode == MODE_NAVIGATE:
+        x.P[E_POS + 2][E_POS + 2] += DRIFT * DRIFT
