@@ -2,4 +2,5 @@ from ekf_companion.core.scratch cimport Fix
 from ekf_companion.core.state cimport State
 cdef void add_baro(State *x, double alt) noexcept nogil
 cdef void compare_climbs(State *x, Fix *fix) noexcept nogil
-cdef void find_loser(State *x, double height_std) noexcept nogil
+cdef void find_loser(State *x, Fix *fix) noexcept nogil
+cdef double compare(State *x, Py_ssize_t pair, double variance) noexcept nogil

@@ -23,13 +23,21 @@ from cython.cimports.ekf_companion.core.scratch import Fix
 from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
-MEMORY = cython.declare(cython.double, 30.0)
+MEMORY = cython.declare(cython.double, 40.0)
 """Time constant over which the climbs are compared, s."""
+LONG_MEMORY = cython.declare(cython.double, 300.0)
+"""The same while the receiver's height is not heard: it may come back from afar, s."""
 LONGEST = cython.declare(cython.double, 3e9)
 """Longest interval between two fixes to compare over, ns."""
 SIGMAS = cython.declare(cython.double, 3.0)
-DRIFT = cython.declare(cython.double, 1.5)
-"""What the slow error of a velocity, or of a barometer, adds up to meanwhile, m."""
+SLOW_VELOCITY = cython.declare(cython.double, 0.3)
+"""Slow error of a velocity, as a share of its stated sigma."""
+SLOW_TIME = cython.declare(cython.double, 20.0)
+"""Its time constant, s."""
+BARO_STD = cython.declare(cython.double, 1.0)
+"""One sigma of what weather, wind and rotors change in a barometer meanwhile, m."""
+LARGEST = cython.declare(cython.double, 2.0)
+"""A difference is kept up to so many times its limit: it must not last when its cause is gone."""
 
 
 def add_baro(x: State, alt: float) -> None:
@@ -56,7 +64,8 @@ def compare_climbs(x: State, fix: Fix) -> None:
     down = fix.vel_n[2] if has_vel else 0.0
     dt = (x.t - voices.t) * 1e-9
     if is_next:
-        faded = exp(-dt / MEMORY)
+        memory = LONG_MEMORY if voices.loser == VOICE_HEIGHT else MEMORY
+        faded = exp(-dt / memory)
         by_height = fix.alt - voices.height
         by_velocity = -0.5 * dt * (down + voices.down)
         by_baro = baro - voices.baro
@@ -75,18 +84,18 @@ def compare_climbs(x: State, fix: Fix) -> None:
     voices.height = fix.alt
     voices.down = down
     voices.baro = baro
-    find_loser(x, sqrt(fix.stated_var[1]))
+    find_loser(x, fix)
 
 
-def find_loser(x: State, height_std: float) -> None:
+def find_loser(x: State, fix: Fix) -> None:
     """Find the voice that contradicts two others that agree; what it said until now is doubted."""
     voices = address(x.voices)
-    level = SIGMAS * height_std + DRIFT
-    # of the pairs: height and velocity, baro and height, baro and velocity
-    a = fabs(voices.difference[0]) / level
-    b = fabs(voices.difference[1]) / level
-    c = fabs(voices.difference[2]) / (2.0 * DRIFT)
     before = voices.loser
+    by_velocity = SLOW_VELOCITY * SLOW_VELOCITY * fix.stated_var[2] * SLOW_TIME * MEMORY
+    # of the pairs: height and velocity, baro and height, baro and velocity
+    a = compare(x, 0, fix.stated_var[1] + by_velocity)
+    b = compare(x, 1, fix.stated_var[1] + BARO_STD * BARO_STD)
+    c = compare(x, 2, by_velocity + BARO_STD * BARO_STD)
     voices.loser = VOICE_NONE
     if a > 1.0 or b > 1.0 or c > 1.0:
         voices.loser = VOICE_ANY
@@ -98,4 +107,19 @@ def find_loser(x: State, height_std: float) -> None:
             elif b <= 1.0:
                 voices.loser = VOICE_VELOCITY
     if voices.loser != VOICE_NONE and before == VOICE_NONE and x.mode == MODE_NAVIGATE:
-        x.P[E_POS + 2][E_POS + 2] += DRIFT * DRIFT
+        x.P[E_POS + 2][E_POS + 2] += 0.25 * (
+            voices.difference[0] * voices.difference[0]
+            + voices.difference[1] * voices.difference[1]
+            + voices.difference[2] * voices.difference[2]
+        )
+
+
+def compare(x: State, pair: int, variance: float) -> float:
+    """Return the difference of a pair as a share of its limit."""
+    voices = address(x.voices)
+    limit = SIGMAS * sqrt(variance)
+    share = fabs(voices.difference[pair]) / limit
+    if share > LARGEST and voices.loser != VOICE_HEIGHT:
+        voices.difference[pair] *= LARGEST / share
+        share = LARGEST
+    return share
