@@ -1,0 +1,99 @@
+"""One flight of a case: generated, converted with the default settings, judged."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
+
+from benchmarks.truth import log
+from benchmarks.truth.cases import generate
+from benchmarks.truth.judge import Verdict, judge, read_estimate
+from ekf_companion.config.config import Config
+from ekf_companion.errors import CompanionError
+from ekf_companion.replay import convert
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One flight, and where its files are."""
+
+    case: str
+    seed: int
+    logs: Path | None = None
+    """Folder that keeps the logs; one that is there is not generated again."""
+    keep: Path | None = None
+    """Folder that keeps the estimates."""
+    ekf: Path | None = None
+    """Another build's `ekf-companion`; None: this one, in this process."""
+
+    @property
+    def name(self) -> str:
+        """Return the name of the flight's files."""
+        return f"{self.case}-{self.seed:02d}"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of a flight."""
+
+    job: Job
+    verdict: Verdict | None
+    failure: str = ""
+    """Why there is no verdict."""
+
+
+def run(job: Job) -> Outcome:
+    """Generate, convert and judge one flight."""
+    with tempfile.TemporaryDirectory() as folder:
+        path, truth_path = (
+            (job.logs or Path(folder)) / f"{job.name}{suffix}" for suffix in (".csv", ".npz")
+        )
+        if not (path.exists() and truth_path.exists()):
+            readings = generate(job.case, job.seed)
+            log.write_log(path, readings)
+            log.write_truth(truth_path, log.truth_of(readings))
+        estimate = (job.keep or Path(folder)) / f"{job.name}.est.csv"
+        try:
+            _convert(path, estimate, job.ekf)
+        except (CompanionError, subprocess.SubprocessError) as error:
+            return Outcome(job, None, str(error)[-200:])
+        truth = log.read_truth(truth_path)
+        return Outcome(job, judge(read_estimate(estimate, truth.stamp_us), truth))
+
+
+def run_all(jobs: Iterable[Job], processes: int) -> Iterator[Outcome]:
+    """Run jobs, in their order."""
+    if processes == 1:
+        yield from map(run, jobs)
+        return
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(run, jobs)
+
+
+def jobs_of(
+    names: Iterable[str],
+    seeds: Iterable[int],
+    logs: Path | None,
+    keep: Path | None,
+    ekf: Path | None,
+) -> list[Job]:
+    """Return a job for each case and seed, seed by seed within a case."""
+    return [Job(name, seed, logs, keep, ekf) for name, seed in product(names, list(seeds))]
+
+
+def _convert(path: Path, out: Path, ekf: Path | None) -> None:
+    if ekf is None:
+        convert.convert(path, out, Config())
+        return
+    command = [str(ekf), "convert", str(path), "-o", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    if done.returncode or not out.exists():
+        raise CompanionError(
+            " ".join((done.stderr or done.stdout).split()) or f"exit {done.returncode}"
+        )
