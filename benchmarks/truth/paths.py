@@ -103,7 +103,7 @@ def hover(draw: Draw, gust: float = 0.6) -> Motion:
     def pos_t(t: Array) -> Array:
         aloft = ramp(t, 7.0, 6.0)[:, None]
         gusts = np.stack([p(t) for p in push], axis=1)
-        return np.asarray(aloft * (gusts + [0.0, 0.0, -15.0]))
+        return np.asarray(aloft * (gusts - np.array([0.0, 0.0, 15.0])))
 
     return Motion(pos_t, multirotor(swing(draw, 8.0, 15.0 * DEG, 25.0)))
 
@@ -170,14 +170,14 @@ def straight_then_turns(draw: Draw, turns_at: float, speed: float = 20.0) -> Mot
 
 
 def circuits(
-    draw: Draw, gust: float = 1.5, speed: float = 25.0, bank: float = 42.0 * DEG
+    draw: Draw, gust: float = 0.2, speed: float = 25.0, bank: float = 42.0 * DEG
 ) -> Motion:
     """Return an aeroplane's circuits: legs of 10 s, turns of 180 degrees, gusts along all axes."""
     rate = 9.81 / speed * np.tan(bank)
     leg = draw.about(10.0, 0.2)
     lap = leg + np.pi / rate + 2.0
     side = draw.sign()
-    push = [draw.wander(gust / 4.0, 6.0, 0.8) for _ in range(3)]
+    push = [draw.wander(gust, 8.0, 2.5) for _ in range(3)]
 
     def turn(t: Array) -> Array:
         phase = np.mod(t, lap)
