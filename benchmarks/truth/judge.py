@@ -103,12 +103,11 @@ def judge(estimate: Estimate, truth: Truth) -> Verdict:
     tilt, yaw = attitude_error(estimate, truth)
     sd_pos = estimate.stack("sd_pos_n", "sd_pos_e", "sd_pos_d")
     sd_vel = estimate.stack("sd_vel_n", "sd_vel_e", "sd_vel_d")
-    norm = lambda v: np.linalg.norm(v, axis=1)  # noqa: E731
     errors = {
-        "pos_h": (norm(pos_n[:, :2]), norm(sd_pos[:, :2])),
+        "pos_h": (_norm(pos_n[:, :2]), _norm(sd_pos[:, :2])),
         "pos_d": (np.abs(pos_n[:, 2]), sd_pos[:, 2]),
-        "vel": (norm(vel_n), norm(sd_vel)),
-        "tilt": (tilt, norm(estimate.stack("sd_roll", "sd_pitch"))),
+        "vel": (_norm(vel_n), _norm(sd_vel)),
+        "tilt": (tilt, _norm(estimate.stack("sd_roll", "sd_pitch"))),
         "yaw": (yaw, estimate.columns["sd_yaw"]),
     }
     is_ok, is_late = estimate.status == "ok", t >= SETTLED
@@ -165,6 +164,10 @@ def attitude_error(estimate: Estimate, truth: Truth) -> tuple[Array, Array]:
         found_b[is_known] = C_nb[:, 2, :]
     cross = np.linalg.norm(np.cross(found_b, down_b), axis=1)
     return np.arctan2(cross, np.sum(found_b * down_b, axis=1)), yaw
+
+
+def _norm(vectors: Array) -> Array:
+    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def _nees(error: Array, sigma: Array) -> float:

@@ -2,67 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
+from benchmarks.truth.draw import DEG, TURN, Draw, Function, integrated, ramp, ramped, still
 from benchmarks.truth.earth import Array
 from benchmarks.truth.motion import Motion, aeroplane, from_euler, multirotor, posed
-
-Function = Callable[[Array], Array]
-DEG = np.pi / 180.0
-TURN = 2.0 * np.pi
-
-
-class Draw:
-    """What differs from seed to seed."""
-
-    def __init__(self, seed: int, name: str) -> None:
-        self.rng = np.random.default_rng([seed, *name.encode()])
-
-    def about(self, value: float, share: float = 0.3) -> float:
-        """Draw around a value, within a share of it."""
-        return value * self.rng.uniform(1.0 - share, 1.0 + share)
-
-    def sign(self) -> float:
-        """Draw -1 or 1."""
-        return float(self.rng.choice([-1.0, 1.0]))
-
-    def angle(self) -> float:
-        """Draw any angle."""
-        return float(self.rng.uniform(-np.pi, np.pi))
-
-    def level(self) -> Array:
-        """Draw a horizontal unit vector."""
-        angle = self.angle()
-        return np.array([np.cos(angle), np.sin(angle), 0.0])
-
-    def unit(self) -> Array:
-        """Draw a unit vector."""
-        v = self.rng.standard_normal(3)
-        return np.asarray(v / np.linalg.norm(v))
-
-    def wander(self, std: float, slowest: float, fastest: float) -> Function:
-        """Draw a smooth wandering function of one sigma, its periods between two, s."""
-        waves = 12
-        rate = TURN / np.exp(self.rng.uniform(np.log(fastest), np.log(slowest), waves))
-        phase = self.rng.uniform(0.0, TURN, waves)
-        share = std * np.sqrt(2.0 / waves)
-        return lambda t: share * np.sin(np.multiply.outer(t, rate) + phase).sum(axis=-1)
-
-
-def ramp(t: Array, begin: float, length: float) -> Array:
-    """Rise from 0 to 1 with two continuous derivatives."""
-    x = np.clip((t - begin) / length, 0.0, 1.0)
-    return np.asarray(x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
-
-
-def ramped(t: Array, begin: float, length: float) -> Array:
-    """Return the integral of `ramp`: time that begins to run softly."""
-    x = np.clip((t - begin) / length, 0.0, 1.0)
-    return np.asarray(
-        length * (2.5 * x**4 - 3.0 * x**5 + x**6) + np.maximum(t - begin - length, 0.0)
-    )
 
 
 def turned(angle: float, north: Array, east: Array, down: Array) -> Array:
@@ -77,11 +21,6 @@ def swing(
     """Return a yaw that swings about a drawn one, from a moment on."""
     middle, phase = draw.angle(), draw.angle()
     return lambda t: middle + by * ramp(t, begin, 8.0) * np.sin(TURN * t / period + phase)
-
-
-def still(value: float) -> Function:
-    """Return a constant function of time."""
-    return lambda t: np.full_like(t, value)
 
 
 def figure_eights(draw: Draw, period: float = 22.0, begin: float = 6.0) -> Motion:
@@ -123,127 +62,124 @@ def boat(draw: Draw) -> Motion:
     yaw, size = draw.angle(), [draw.about(x) for x in (3.0, 1.8, 3.0, 0.15, 0.3)]
 
     def rock(i: int, rate: float, t: Array) -> Array:
-        return size[i] * np.sin(TURN * rate * t + phase[i]) * (1.0 - ramp(t, leave - 2.0, 4.0))
+        wave = size[i] * np.sin(TURN * rate * t + phase[i])
+        return np.asarray(wave * (1.0 - ramp(t, leave - 2.0, 4.0)))
 
     def pos_t(t: Array) -> Array:
         deck = turned(yaw, rock(4, 0.12, t), 0.0 * t, rock(3, 0.2, t))
         return np.asarray(deck + flight.pos_t(t))
 
     def attitude(t: Array, vel: Array, acc: Array) -> Array:
-        flown = multirotor(lambda t: yaw + rock(2, 0.03, t) * DEG)(
-            t, vel, acc * ramp(t, leave, 2.0)[:, None]
-        )
-        zero = np.zeros_like(t)
-        return flown @ posed(
-            lambda t: rock(0, 0.15, t) * DEG, lambda t: rock(1, 0.2, t) * DEG, still(0.0)
-        )(t, zero, zero)
+        aloft = acc * ramp(t, leave, 2.0)[:, None]
+        flown = multirotor(lambda t: yaw + rock(2, 0.03, t) * DEG)(t, vel, aloft)
+        return flown @ from_euler(rock(0, 0.15, t) * DEG, rock(1, 0.2, t) * DEG, np.zeros_like(t))
 
     return Motion(pos_t, attitude)
 
 
-def along(draw: Draw, rate: Function, speed: Function, climb: Function | None = None) -> Function:
-    """Return the path of a course rate (rad/s) and a speed from a drawn course, level or not."""
-    course0 = draw.angle()
+def along(draw: Draw, turn: Function, speed: Function, climb: Function | None = None) -> Function:
+    """Return the path of a rate of turning (rad/s) and a speed from a drawn course on.
+
+    Args:
+        draw: The seed's draws.
+        turn: Rate of the course, rad/s.
+        speed: Over ground, m/s.
+        climb: Down from the start, m; None: level.
+    """
+    first = draw.angle()
 
     def pos_t(t: Array) -> Array:
-        dt = 1.0 / 400.0
-        fine = np.arange(t[0], t[-1] + dt, dt)
-        course = course0 + _integral(rate(fine), dt)
-        v = speed(fine)
-        north, east = _integral(v * np.cos(course), dt), _integral(v * np.sin(course), dt)
-        down = np.zeros_like(fine) if climb is None else climb(fine)
-        return np.stack([np.interp(t, fine, x) for x in (north, east, down)], axis=1)
+        def vel_t(fine: Array) -> Array:
+            course = first + integrated(fine, turn)
+            return np.stack([speed(fine) * np.cos(course), speed(fine) * np.sin(course)], axis=1)
+
+        down = np.zeros_like(t) if climb is None else climb(t)
+        return np.column_stack([integrated(t, vel_t), down])
 
     return pos_t
-
-
-def _integral(rate: Array, dt: float) -> Array:
-    return np.concatenate([[0.0], np.cumsum(rate[1:] + rate[:-1]) * 0.5 * dt])
 
 
 def straight_then_turns(draw: Draw, turns_at: float, speed: float = 20.0) -> Motion:
     """Return level flight, straight at first and S-turns later; in the air from the start."""
     size, period = draw.about(24.0 * DEG), draw.about(16.0)
-    bank = lambda t: size * ramp(t, turns_at, 4.0) * np.sin(TURN * (t - turns_at) / period)  # noqa: E731
-    way = along(draw, lambda t: 9.81 / speed * np.tan(bank(t)), still(speed))
-    return Motion(way, aeroplane(np.zeros(3)))
+
+    def turn(t: Array) -> Array:
+        bank = size * ramp(t, turns_at, 4.0) * np.sin(TURN * (t - turns_at) / period)
+        return np.asarray(9.81 / speed * np.tan(bank))
+
+    return Motion(along(draw, turn, still(speed)), aeroplane(np.zeros(3)))
 
 
-def circuits(
-    draw: Draw, gust: float = 0.2, speed: float = 25.0, bank: float = 42.0 * DEG
-) -> Motion:
-    """Return an aeroplane's circuits: legs of 10 s, turns of 180 degrees, gusts along all axes."""
-    rate = 9.81 / speed * np.tan(bank)
+def circuits(draw: Draw, gust: float = 0.2, speed: float = 25.0) -> Motion:
+    """Return an aeroplane's circuits: legs of 10 s, turns of 1.34 g, gusts along all axes."""
+    rate = 9.81 / speed * np.tan(42.0 * DEG)
     leg = draw.about(10.0, 0.2)
     lap = leg + np.pi / rate + 2.0
     side = draw.sign()
-    push = [draw.wander(gust, 8.0, 2.5) for _ in range(3)]
+    push = [draw.wander(size, 8.0, 2.5) for size in (0.5 * gust, 0.5 * gust, gust)]
 
     def turn(t: Array) -> Array:
         phase = np.mod(t, lap)
-        return side * rate * (ramp(phase, leg, 2.0) - ramp(phase, lap - 2.0, 2.0))
+        return np.asarray(side * rate * (ramp(phase, leg, 2.0) - ramp(phase, lap - 2.0, 2.0)))
 
-    level = along(draw, turn, still(speed), lambda t: -10.0 * (1.0 - np.cos(TURN * t / 40.0)))
+    smooth = along(draw, turn, still(speed), lambda t: -10.0 * (1.0 - np.cos(TURN * t / 40.0)))
     return Motion(
-        lambda t: level(t) + np.stack([p(t) for p in push], axis=1) * [0.5, 0.5, 1.0],
+        lambda t: smooth(t) + np.stack([p(t) for p in push], axis=1),
         aeroplane(draw.about(3.0) * draw.level()),
     )
 
 
 def fast_and_straight(draw: Draw) -> Motion:
     """Return a take-off, turns at 12 m/s, then straight on at 25 m/s from 30 s."""
-    speed = lambda t: 12.0 * ramp(t, 8.0, 8.0) + 13.0 * ramp(t, 26.0, 8.0)  # noqa: E731
     size = draw.about(0.35) * draw.sign()
-    rate = lambda t: (
-        size * np.sin(TURN * (t - 10.0) / 9.0) * (ramp(t, 10.0, 3.0) - ramp(t, 26.0, 3.0))
-    )  # noqa: E731
-    way = along(draw, rate, speed, lambda t: -20.0 * ramp(t, 6.0, 10.0))
+
+    def turn(t: Array) -> Array:
+        wave = size * np.sin(TURN * (t - 10.0) / 9.0)
+        return np.asarray(wave * (ramp(t, 10.0, 3.0) - ramp(t, 26.0, 3.0)))
+
+    def speed(t: Array) -> Array:
+        return 12.0 * ramp(t, 8.0, 8.0) + 13.0 * ramp(t, 26.0, 8.0)
+
+    way = along(draw, turn, speed, lambda t: -20.0 * ramp(t, 6.0, 10.0))
     return Motion(way, multirotor(swing(draw, 8.0, 20.0 * DEG)))
 
 
-def aerobatics(draw: Draw, speed: float = 25.0, radius: float = 25.0) -> Motion:
-    """Return straight legs with a loop or a full roll in turn, every 12 s from 15 s on.
+def aerobatics(draw: Draw, speed: float = 25.0) -> Motion:
+    """Return a loop or a full roll in turn, every 16 s from 15 s on, and a turn after each."""
+    way, side = draw.angle(), draw.sign()
+    starts = np.arange(15.0, 400.0, 16.0)
 
-    The loop's path has its rate of turning rise and fall smoothly within each figure.
-    """
-    way, side, loop = draw.angle(), draw.sign(), TURN * radius / speed
-    starts = np.arange(15.0, 400.0, 12.0)
+    def summed(angle: float, starts: Array, length: float, t: Array) -> Array:
+        return np.asarray(sum(angle * ramp(t, start, length) for start in starts))
 
-    def pos_t(t: Array) -> Array:
-        dt = 1.0 / 400.0
-        fine = np.arange(t[0], t[-1] + dt, dt)
-        pitch = sum((TURN * ramp(fine, s, 1.5 * loop) for s in starts[::2]), np.zeros_like(fine))
-        course = sum(
-            (np.pi * ramp(fine, s + 8.0, 4.0) * side for s in starts), np.full_like(fine, way)
-        )
-        parts = (np.cos(pitch) * np.cos(course), np.cos(pitch) * np.sin(course), -np.sin(pitch))
-        return np.stack([np.interp(t, fine, _integral(speed * x, dt)) for x in parts], axis=1)
+    def vel_t(t: Array) -> Array:
+        pitch = summed(TURN, starts[::2], 9.4, t)
+        course = way + summed(side * np.pi, starts + 10.0, 5.0, t)
+        north, east = np.cos(pitch) * np.cos(course), np.cos(pitch) * np.sin(course)
+        return speed * np.stack([north, east, -np.sin(pitch)], axis=1)
 
-    def attitude(t: Array, vel: Array, acc: Array) -> Array:
-        roll = sum((TURN * side * ramp(t, s, 3.0) for s in starts[1::2]), np.zeros_like(t))
-        return aeroplane(np.zeros(3), lambda _: roll)(t, vel, acc)
-
-    return Motion(pos_t, attitude)
+    return Motion(
+        lambda t: integrated(t, vel_t),
+        aeroplane(np.zeros(3), lambda t: summed(side * TURN, starts[1::2], 3.0, t)),
+    )
 
 
 def car(draw: Draw, gain: float = 11.0, within: float = 8.0) -> Motion:
     """Return a car that stands for 10 s, speeds up straight ahead, and takes bends from 40 s on."""
-    start, bend = draw.angle(), draw.about(12.0)
-    turn = lambda t: 0.25 * ramp(t, 40.0, 4.0) * np.sin(TURN * (t - 40.0) / bend)  # noqa: E731
+    first, bend = draw.angle(), draw.about(12.0)
     rough = [draw.wander(0.3 * DEG, 4.0, 0.5) for _ in range(2)]
 
     def course(t: Array) -> Array:
-        fine = np.arange(-1.0, t[-1] + 0.0025, 0.0025)
-        return np.asarray(start + np.interp(t, fine, _integral(turn(fine), 0.0025)))
+        return first + integrated(
+            t, lambda t: 0.25 * ramp(t, 40.0, 4.0) * np.sin(TURN * (t - 40.0) / bend)
+        )
 
-    def pos_t(t: Array) -> Array:
-        fine = np.arange(t[0], t[-1] + 0.0025, 0.0025)
-        v = gain * np.clip(ramp(fine, 10.0, within), 0.0, 1.0)
-        parts = (v * np.cos(course(fine)), v * np.sin(course(fine)), 0.0 * v)
-        return np.stack([np.interp(t, fine, _integral(x, 0.0025)) for x in parts], axis=1)
+    def vel_t(t: Array) -> Array:
+        speed, ahead = gain * ramp(t, 10.0, within), course(t)
+        return np.stack([speed * np.cos(ahead), speed * np.sin(ahead), np.zeros_like(t)], axis=1)
 
     def attitude(t: Array, vel: Array, acc: Array) -> Array:
         moving = ramp(t, 10.0, within)
         return from_euler(rough[0](t) * moving, rough[1](t) * moving, course(t))
 
-    return Motion(pos_t, attitude)
+    return Motion(lambda t: integrated(t, vel_t), attitude)

@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -47,6 +46,11 @@ class Outcome:
     failure: str = ""
     """Why there is no verdict."""
 
+    @property
+    def is_honest(self) -> bool:
+        """Return whether there is an estimate, and none of its "ok" was a lie."""
+        return self.verdict is not None and self.verdict.lie == 0.0
+
 
 def run(job: Job) -> Outcome:
     """Generate, convert and judge one flight."""
@@ -74,17 +78,6 @@ def run_all(jobs: Iterable[Job], processes: int) -> Iterator[Outcome]:
         return
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         yield from pool.map(run, jobs)
-
-
-def jobs_of(
-    names: Iterable[str],
-    seeds: Iterable[int],
-    logs: Path | None,
-    keep: Path | None,
-    ekf: Path | None,
-) -> list[Job]:
-    """Return a job for each case and seed, seed by seed within a case."""
-    return [Job(name, seed, logs, keep, ekf) for name, seed in product(names, list(seeds))]
 
 
 def _convert(path: Path, out: Path, ekf: Path | None) -> None:

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.truth import earth, judge, log, paths
 from benchmarks.truth.cases import CASES, generate
+from benchmarks.truth.draw import DEG, Draw
 from benchmarks.truth.motion import FINE, fly
-from benchmarks.truth.paths import DEG, Draw
 from benchmarks.truth.run import Job, run
 from ekf_companion.nav import earth as nav_earth
 

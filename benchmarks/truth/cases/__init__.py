@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from benchmarks.truth.cases import height, inertial, nothing, receiver, stamps, start
 from benchmarks.truth.cases.case import Case
-from benchmarks.truth.paths import Draw
+from benchmarks.truth.draw import Draw
 from benchmarks.truth.sensors import Readings
 
 CASES: dict[str, Case] = {

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.truth.draw import DEG, Draw
 from benchmarks.truth.earth import Array
 from benchmarks.truth.motion import Motion, fly
-from benchmarks.truth.paths import DEG, Draw
 from benchmarks.truth.sensors import Readings, measure
 
 PLACES = (

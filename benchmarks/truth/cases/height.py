@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.truth import paths
 from benchmarks.truth.cases.case import Case, during, flown
-from benchmarks.truth.paths import Draw, ramp
+from benchmarks.truth.draw import Draw, ramp
 from benchmarks.truth.sensors import Readings
 
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.truth import paths
 from benchmarks.truth.cases.case import Case, flown
-from benchmarks.truth.paths import DEG, TURN, Draw
+from benchmarks.truth.draw import DEG, TURN, Draw
 from benchmarks.truth.sensors import Readings
 
 G = 9.81

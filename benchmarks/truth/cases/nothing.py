@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks.truth import paths
 from benchmarks.truth.cases.case import Case, flown
-from benchmarks.truth.paths import Draw
+from benchmarks.truth.draw import Draw
 from benchmarks.truth.sensors import Readings, gauss_markov
 
 

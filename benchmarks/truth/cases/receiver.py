@@ -6,8 +6,8 @@ import numpy as np
 
 from benchmarks.truth import paths
 from benchmarks.truth.cases.case import Case, during, flown, lose, shift
+from benchmarks.truth.draw import Draw
 from benchmarks.truth.motion import Motion
-from benchmarks.truth.paths import Draw
 from benchmarks.truth.sensors import Readings
 
 

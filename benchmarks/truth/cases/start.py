@@ -6,8 +6,8 @@ import numpy as np
 
 from benchmarks.truth import paths
 from benchmarks.truth.cases.case import Case, flown
+from benchmarks.truth.draw import DEG, Draw, ramped
 from benchmarks.truth.earth import Array
-from benchmarks.truth.paths import DEG, Draw, ramped
 from benchmarks.truth.sensors import Readings
 
 AIRBORNE = -100.0
