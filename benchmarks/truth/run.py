@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -59,9 +60,7 @@ def run(job: Job) -> Outcome:
             (job.logs or Path(folder)) / f"{job.name}{suffix}" for suffix in (".csv", ".npz")
         )
         if not (path.exists() and truth_path.exists()):
-            readings = generate(job.case, job.seed)
-            log.write_log(path, readings)
-            log.write_truth(truth_path, log.truth_of(readings))
+            _write(job, path, truth_path)
         estimate = (job.keep or Path(folder)) / f"{job.name}.est.csv"
         try:
             _convert(path, estimate, job.ekf)
@@ -78,6 +77,16 @@ def run_all(jobs: Iterable[Job], processes: int) -> Iterator[Outcome]:
         return
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         yield from pool.map(run, jobs)
+
+
+def _write(job: Job, path: Path, truth_path: Path) -> None:
+    """Write a log and its truth, each complete at once: another process may look for them."""
+    readings = generate(job.case, job.seed)
+    part, truth_part = (x.with_name(f"{os.getpid()}-{x.name}") for x in (path, truth_path))
+    log.write_log(part, readings)
+    log.write_truth(truth_part, log.truth_of(readings))
+    part.replace(path)
+    truth_part.replace(truth_path)
 
 
 def _convert(path: Path, out: Path, ekf: Path | None) -> None:

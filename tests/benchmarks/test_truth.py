@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.truth import earth, judge, log, paths
+from benchmarks.truth.__main__ import main
 from benchmarks.truth.cases import CASES, generate
 from benchmarks.truth.draw import DEG, Draw
 from benchmarks.truth.motion import FINE, fly
@@ -90,6 +91,26 @@ def test_cases_without_a_fault_are_honest(tmp_path):
         assert verdict.rms["tilt"] < 0.5 * DEG
         # Kept, for the next run
         assert (tmp_path / f"{name}-03.csv").exists()
+
+
+def test_the_table_goes_between_its_marks(monkeypatch, tmp_path, capsys):
+    document = tmp_path / "doc.md"
+    document.write_text("<!-- independent truth -->\n<!-- end -->\n", encoding="utf-8")
+    command = ["truth", "--only", "fig8", "--seeds", "1", "--jobs", "1", "--logs", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", [*command, "--write", str(document)])
+    assert main() == 0
+    head, rule, row = document.read_text(encoding="utf-8").splitlines()[1:-1]
+    assert row in capsys.readouterr().out
+    assert row.startswith("| fig8 | ")
+    assert row.endswith("| 0 of 1 | 0.0 |")
+    assert head.count("|") == rule.count("|") == row.count("|")
+
+    # A log that cannot be read is no honest one
+    (tmp_path / "fig8-00.csv").write_text("time_us\n", encoding="utf-8")
+    assert main() == 1
+    row = document.read_text(encoding="utf-8").splitlines()[3]
+    assert row.startswith("| fig8 | fails in 1 of 1: ")
+    assert head.count("|") == row.count("|")
 
 
 def test_a_seed_is_a_flight():
