@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from benchmarks.truth.earth import Array
+from benchmarks.truth.motion import Function
 
-Function = Callable[[Array], Array]
 DEG = np.pi / 180.0
 TURN = 2.0 * np.pi
 

@@ -25,6 +25,7 @@ KNOTS = 50
 GRAVITY_T = np.array([0.0, 0.0, 9.81])
 """The gravity that a pilot leans against; a rough one, for attitudes only."""
 
+Function = Callable[[Array], Array]
 Attitude = Callable[[Array, Array, Array], Array]
 """C_tb, shape (n, 3, 3), from times, velocities and accelerations in the tangent plane."""
 
@@ -33,7 +34,7 @@ Attitude = Callable[[Array, Array, Array], Array]
 class Motion:
     """A path and how the vehicle leans along it."""
 
-    pos_t: Callable[[Array], Array]
+    pos_t: Function
     """Position in the tangent plane at given times, shape (n, 3); smooth."""
     attitude: Attitude
 
@@ -119,19 +120,15 @@ def from_euler(roll: Array, pitch: Array, yaw: Array) -> Array:
         [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
         [-sp, sr * cp, cr * cp],
     ]
-    return np.moveaxis(np.array(np.broadcast_arrays(*rows[0], *rows[1], *rows[2])), 0, -1).reshape(
-        -1, 3, 3
-    )
+    return np.moveaxis(np.array(rows), -1, 0)
 
 
-def posed(
-    roll: Callable[..., Array], pitch: Callable[..., Array], yaw: Callable[..., Array]
-) -> Attitude:
-    """Return an attitude given as functions of time: a boat, a car, a vehicle at rest."""
+def posed(roll: Function, pitch: Function, yaw: Function) -> Attitude:
+    """Return an attitude given as functions of time: a vehicle at rest, or turned by hand."""
     return lambda t, vel, acc: from_euler(roll(t), pitch(t), yaw(t))
 
 
-def multirotor(yaw: Callable[[Array], Array]) -> Attitude:
+def multirotor(yaw: Function) -> Attitude:
     """Return the attitude that points the rotors' thrust where the path needs it."""
 
     def attitude(t: Array, vel: Array, acc: Array) -> Array:
@@ -142,7 +139,7 @@ def multirotor(yaw: Callable[[Array], Array]) -> Attitude:
     return attitude
 
 
-def aeroplane(wind_t: Array, roll: Callable[[Array], Array] | None = None) -> Attitude:
+def aeroplane(wind_t: Array, roll: Function | None = None) -> Attitude:
     """Return coordinated flight: nose into the air flow, lift along -z; then an extra roll."""
 
     def attitude(t: Array, vel: Array, acc: Array) -> Array:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.truth.draw import DEG, TURN, Draw, Function, integrated, ramp, ramped, still
+from benchmarks.truth.draw import DEG, TURN, Draw, integrated, ramp, ramped, still
 from benchmarks.truth.earth import Array
-from benchmarks.truth.motion import Motion, aeroplane, from_euler, multirotor, posed
+from benchmarks.truth.motion import Function, Motion, aeroplane, from_euler, multirotor, posed
 
 
 def turned(angle: float, north: Array, east: Array, down: Array) -> Array:

@@ -65,7 +65,7 @@ def run(job: Job) -> Outcome:
         try:
             _convert(path, estimate, job.ekf)
         except (CompanionError, subprocess.SubprocessError) as error:
-            return Outcome(job, None, str(error)[-200:])
+            return Outcome(job, None, " ".join(str(error).split())[-200:])
         truth = log.read_truth(truth_path)
         return Outcome(job, judge(read_estimate(estimate, truth.stamp_us), truth))
 

@@ -1,12 +1,15 @@
 """The independent truth: its mechanics, its cases, its judge."""
 
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benchmarks import truth
 from benchmarks.truth import earth, judge, log, paths
 from benchmarks.truth.__main__ import main
 from benchmarks.truth.cases import CASES, generate
@@ -47,6 +50,14 @@ def strapdown(flight, step):
         lat += n / meridian * dt
     pos_e = earth.to_ecef(np.float64(lat), np.float64(lon), np.float64(alt))
     return pos_e, vel_n, C_nb, count * step
+
+
+def test_the_generator_and_the_judge_know_nothing_of_the_estimator():
+    folder = Path(truth.__file__).parent
+    files = [path for path in folder.rglob("*.py") if path.name not in ("run.py", "__main__.py")]
+    assert len(files) > 10
+    known = re.compile(r"^\s*(import|from) (ekf_companion|sim_autopilot)", re.MULTILINE)
+    assert [path for path in files if known.search(path.read_text(encoding="utf-8"))] == []
 
 
 @pytest.mark.parametrize("motion", [paths.figure_eights, paths.aerobatics])
@@ -125,20 +136,20 @@ def test_a_case_says_what_it_is(name):
     assert CASES[name].__doc__.endswith(".")
 
 
-def as_estimate(truth, error_north=0.0):
+def as_estimate(true, error_north=0.0):
     """Return the truth as an estimate that is sure to a metre, m/s or degree."""
-    count = len(truth.stamp_us)
-    roll, pitch, _ = Rotation.from_matrix(truth.C_nb).as_euler("xyz").T
+    count = len(true.stamp_us)
+    roll, pitch, _ = Rotation.from_matrix(true.C_nb).as_euler("xyz").T
     columns = {
-        "lat_deg": np.degrees(truth.lat + error_north / 6.4e6),
-        "lon_deg": np.degrees(truth.lon),
-        "alt_m": truth.alt,
+        "lat_deg": np.degrees(true.lat + error_north / 6.4e6),
+        "lon_deg": np.degrees(true.lon),
+        "alt_m": true.alt,
         "roll": roll,
         "pitch": pitch,
         "reset_count": np.zeros(count),
     }
-    columns |= dict(zip(("vel_n", "vel_e", "vel_d"), truth.vel_n.T, strict=True))
-    quaternions = Rotation.from_matrix(truth.C_nb).as_quat()[:, [3, 0, 1, 2]]
+    columns |= dict(zip(("vel_n", "vel_e", "vel_d"), true.vel_n.T, strict=True))
+    quaternions = Rotation.from_matrix(true.C_nb).as_quat()[:, [3, 0, 1, 2]]
     columns |= dict(zip(("q_w", "q_x", "q_y", "q_z"), quaternions.T, strict=True))
     for name in ("pos_n", "pos_e", "pos_d", "vel_n", "vel_e", "vel_d"):
         columns[f"sd_{name}"] = np.ones(count)
@@ -148,13 +159,13 @@ def as_estimate(truth, error_north=0.0):
 
 
 def test_a_lie_is_an_ok_beyond_five_sigma():
-    truth = log.truth_of(generate("slow-yaw", 1))
-    exact = judge.judge(as_estimate(truth), truth)
+    true = log.truth_of(generate("slow-yaw", 1))
+    exact = judge.judge(as_estimate(true), true)
     assert exact.lie == 0.0
     assert exact.ok == 1.0
     assert max(exact.rms.values()) < 1e-6
     # The sigma of the horizontal position is the root of two variances
-    within, beyond = (judge.judge(as_estimate(truth, x), truth) for x in (7.0, 7.2))
+    within, beyond = (judge.judge(as_estimate(true, x), true) for x in (7.0, 7.2))
     assert within.lie == 0.0
     assert beyond.lies["pos_h"] == beyond.lie == pytest.approx(200.0)
     assert beyond.worst["pos_h"] == pytest.approx(7.2 / math.sqrt(2.0), rel=0.01)
@@ -162,11 +173,11 @@ def test_a_lie_is_an_ok_beyond_five_sigma():
 
 
 def test_an_ok_without_a_number_is_a_lie_and_a_warning_is_none():
-    truth = log.truth_of(generate("slow-yaw", 1))
-    estimate = as_estimate(truth, 100.0)
-    status = np.full(len(truth.stamp_us), "degraded")
-    assert judge.judge(replace(estimate, status=status), truth).lie == 0.0
-    without = dict(as_estimate(truth).columns, q_w=np.full(len(truth.stamp_us), np.nan))
-    found = judge.judge(judge.Estimate(without, estimate.status), truth)
+    true = log.truth_of(generate("slow-yaw", 1))
+    estimate = as_estimate(true, 100.0)
+    status = np.full(len(true.stamp_us), "degraded")
+    assert judge.judge(replace(estimate, status=status), true).lie == 0.0
+    without = dict(as_estimate(true).columns, q_w=np.full(len(true.stamp_us), np.nan))
+    found = judge.judge(judge.Estimate(without, estimate.status), true)
     assert found.lies["yaw"] == found.lie > 0.0
     assert found.lies["tilt"] == 0.0
