@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore reference lint types contracts check demo bench bits accuracy filters fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
+.PHONY: setup test explore reference lint types contracts check demo bench bits accuracy truth filters fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -51,6 +51,10 @@ bits: $(STAMP)
 
 accuracy: $(STAMP)
 	$(BIN)/python -m benchmarks.accuracy
+
+# Flights with faults from an independent generator; a quarter of an hour
+truth: $(STAMP)
+	$(BIN)/python -m benchmarks.truth
 
 filters: $(STAMP)
 	$(BIN)/python -m benchmarks.filters

@@ -1,0 +1,54 @@
+"""What cases are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.truth.draw import DEG, Draw
+from benchmarks.truth.earth import Array
+from benchmarks.truth.motion import Motion, fly
+from benchmarks.truth.sensors import Readings, measure
+
+PLACES = (
+    (47.4, 8.5, 500.0),
+    (-33.9, 151.2, 20.0),
+    (39.7, -105.0, 1600.0),
+    (1.35, 103.8, 10.0),
+    (-17.8, 179.9995, 30.0),
+    (64.1, -21.9, 50.0),
+)
+"""Latitude, longitude (deg) and height; one of them is on the date line."""
+Case = Callable[[Draw], Readings]
+
+
+def flown(
+    draw: Draw,
+    motion: Motion,
+    duration: float,
+    *,
+    imu_rate: int = 125,
+    has_mag: bool = True,
+    delay: float = 0.0,
+) -> Readings:
+    """Measure a motion at a drawn place."""
+    lat, lon, alt = PLACES[draw.rng.integers(len(PLACES))]
+    flight = fly(motion, duration, (lat * DEG, lon * DEG, alt))
+    return measure(flight, draw.rng, imu_rate=imu_rate, has_mag=has_mag, delay=delay)
+
+
+def during(t: Array, begin: float, length: float) -> npt.NDArray[np.bool_]:
+    """Return which times lie in an interval."""
+    return (t >= begin) & (t < begin + length)
+
+
+def lose(readings: Readings, begin: float, length: float) -> None:
+    """Take the fixes of an interval away."""
+    readings.fixes.is_lost |= during(readings.fixes.t, begin, length)
+
+
+def shift(readings: Readings, begin: float, length: float, by_n: Array) -> None:
+    """Move the receiver's positions of an interval; its velocities stay true."""
+    readings.fixes.pos_error_n[during(readings.fixes.t, begin, length)] += by_n

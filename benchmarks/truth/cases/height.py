@@ -1,0 +1,59 @@
+"""Barometer and receiver disagree about the height."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.truth import paths
+from benchmarks.truth.cases.case import Case, during, flown
+from benchmarks.truth.draw import Draw, ramp
+from benchmarks.truth.sensors import Readings
+
+
+def baro_drift(draw: Draw) -> Readings:
+    """Figure-eights; the barometer drifts away by about 20 m over 60 s, and stays there."""
+    readings = flown(draw, paths.figure_eights(draw), 150.0)
+    share = np.clip((readings.baro_t - draw.about(45.0)) / draw.about(60.0), 0.0, 1.0)
+    readings.baro += draw.about(20.0) * draw.sign() * share
+    return readings
+
+
+def baro_step(draw: Draw) -> Readings:
+    """Hover; the barometer steps by about 10 m."""
+    readings = flown(draw, paths.hover(draw), 120.0)
+    readings.baro[readings.baro_t > draw.about(60.0)] += draw.about(10.0) * draw.sign()
+    return readings
+
+
+def baro_frozen(draw: Draw) -> Readings:
+    """Figure-eights; the barometer repeats its last value from about 50 s on."""
+    readings = flown(draw, paths.figure_eights(draw), 120.0)
+    rows = np.flatnonzero(readings.baro_t > draw.about(50.0))
+    readings.baro[rows] = readings.baro[rows[0]]
+    return readings
+
+
+def receiver_height(draw: Draw) -> Readings:
+    """Hover; the receiver's height goes about 15 m away within 60 s, and back in 60 s."""
+    readings = flown(draw, paths.hover(draw), 180.0)
+    begin, length, t = draw.about(40.0), draw.about(60.0), readings.fixes.t
+    there_and_back = ramp(t, begin, length) - ramp(t, begin + length, length)
+    readings.fixes.pos_error_n[:, 2] += draw.about(15.0) * draw.sign() * there_and_back
+    return readings
+
+
+def vertical_velocity_biased(draw: Draw) -> Readings:
+    """Hover; the receiver's vertical velocity about 1 m/s off for 30 s."""
+    readings = flown(draw, paths.hover(draw), 120.0)
+    rows = during(readings.fixes.t, draw.about(50.0), draw.about(30.0))
+    readings.fixes.vel_error_n[rows, 2] += draw.about(1.0) * draw.sign()
+    return readings
+
+
+CASES: tuple[Case, ...] = (
+    baro_drift,
+    baro_step,
+    baro_frozen,
+    receiver_height,
+    vertical_velocity_biased,
+)

@@ -1,0 +1,121 @@
+"""The receiver is lost, or jumps, slides and runs wild."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.truth import paths
+from benchmarks.truth.cases.case import Case, during, flown, lose, shift
+from benchmarks.truth.draw import Draw
+from benchmarks.truth.motion import Motion
+from benchmarks.truth.sensors import Readings
+
+
+def outage_60(draw: Draw) -> Readings:
+    """Figure-eights; no fix for about 60 s."""
+    readings = flown(draw, paths.figure_eights(draw), 160.0)
+    lose(readings, draw.about(50.0), draw.about(60.0))
+    return readings
+
+
+def outage_30_straight(draw: Draw) -> Readings:
+    """Straight on at 25 m/s; no fix for about 30 s."""
+    readings = flown(draw, paths.fast_and_straight(draw), 120.0)
+    lose(readings, draw.about(55.0), draw.about(30.0))
+    return readings
+
+
+def outage_120_hover(draw: Draw) -> Readings:
+    """Hover in gusts; no fix for about 120 s."""
+    readings = flown(draw, paths.hover(draw, 1.0), 240.0)
+    lose(readings, draw.about(50.0), draw.about(120.0))
+    return readings
+
+
+def jump_80(draw: Draw) -> Readings:
+    """Figure-eights; position about 80 m off for 10 s, velocity true."""
+    return _jumping(draw, paths.figure_eights(draw), 80.0, 10.0)
+
+
+def jump_25(draw: Draw) -> Readings:
+    """Figure-eights; position about 25 m off for 20 s, velocity true."""
+    return _jumping(draw, paths.figure_eights(draw), 25.0, 20.0)
+
+
+def jump_25_hover(draw: Draw) -> Readings:
+    """Hover; position about 25 m off for 20 s, velocity true."""
+    return _jumping(draw, paths.hover(draw), 25.0, 20.0)
+
+
+def _jumping(draw: Draw, motion: Motion, by: float, length: float) -> Readings:
+    readings = flown(draw, motion, 120.0)
+    shift(readings, draw.about(60.0), draw.about(length), draw.about(by) * draw.level())
+    return readings
+
+
+def slide_2(draw: Draw) -> Readings:
+    """Figure-eights; position slides away at about 2 m/s for 20 s, velocity true."""
+    return _sliding(draw, paths.figure_eights(draw))
+
+
+def slide_2_hover(draw: Draw) -> Readings:
+    """Hover; position slides away at about 2 m/s for 20 s, velocity true."""
+    return _sliding(draw, paths.hover(draw))
+
+
+def _sliding(draw: Draw, motion: Motion) -> Readings:
+    readings = flown(draw, motion, 120.0)
+    begin, length = draw.about(60.0), draw.about(20.0)
+    rows = during(readings.fixes.t, begin, length)
+    since = readings.fixes.t[rows] - begin
+    readings.fixes.pos_error_n[rows] += np.outer(since, draw.about(2.0) * draw.level())
+    return readings
+
+
+def return_wrong(draw: Draw) -> Readings:
+    """Figure-eights; no fix for about 20 s, then positions 300 m off for 20 s, then right ones."""
+    readings = flown(draw, paths.figure_eights(draw), 150.0)
+    begin, gap = draw.about(50.0), draw.about(20.0)
+    lose(readings, begin, gap)
+    shift(readings, begin + gap, draw.about(20.0), draw.about(300.0) * draw.level())
+    return readings
+
+
+def return_right(draw: Draw) -> Readings:
+    """Figure-eights; no fix for about 30 s, then right ones."""
+    readings = flown(draw, paths.figure_eights(draw), 120.0)
+    lose(readings, draw.about(50.0), draw.about(30.0))
+    return readings
+
+
+def vertical_velocity_wild(draw: Draw) -> Readings:
+    """Figure-eights; the receiver's vertical velocity about 10 m/s off for 15 s."""
+    return _climbing(draw, paths.figure_eights(draw))
+
+
+def vertical_velocity_wild_hover(draw: Draw) -> Readings:
+    """Hover; the receiver's vertical velocity about 10 m/s off for 15 s, the barometer flat."""
+    return _climbing(draw, paths.hover(draw))
+
+
+def _climbing(draw: Draw, motion: Motion) -> Readings:
+    readings = flown(draw, motion, 120.0)
+    rows = during(readings.fixes.t, draw.about(60.0), draw.about(15.0))
+    readings.fixes.vel_error_n[rows, 2] += draw.about(10.0) * draw.sign()
+    return readings
+
+
+CASES: tuple[Case, ...] = (
+    outage_60,
+    outage_30_straight,
+    outage_120_hover,
+    jump_80,
+    jump_25,
+    jump_25_hover,
+    slide_2,
+    slide_2_hover,
+    return_wrong,
+    return_right,
+    vertical_velocity_wild,
+    vertical_velocity_wild_hover,
+)
