@@ -111,7 +111,6 @@ def learn_doubt(x: State, k: Parameters, o: Observation, nis: float) -> None:
         y = y if y > -LARGEST_TERM else -LARGEST_TERM
         correlation += y * x.last_innovation[r]
         x.last_innovation[r] = y
-        x.last_difference[r] = o.z[r]
     if o.rows < 3:
         x.last_innovation[2] = 0.0
     x.correlation = 0.0

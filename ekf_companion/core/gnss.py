@@ -49,6 +49,8 @@ NAN = cython.declare(cython.double, float("nan"))
 NEVER = cython.declare(cython.double, -1e18)
 WHITE_MEMORY = cython.declare(cython.double, 100.0)
 """Fixes over which a receiver's white noise is learnt."""
+NEXT = cython.declare(cython.double, 3e9)
+"""Longest time between innovations that are compared, ns."""
 FIRST_MEMORY = cython.declare(cython.double, 10.0)
 """Weight of the initial share, in fixes."""
 LEAST_SHARE = cython.declare(cython.double, 0.01)
@@ -268,25 +270,24 @@ def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
 def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> None:
     """Learn what share of the stated variance is white, from an observation that was judged.
 
-    What the innovations have beyond the filter's own doubt is white. Where that doubt is large
-    they tell little of it, and weigh less. Of the velocity's, only what changes from fix to fix is
-    white: what stays is an error of the inertial samples.
+    White is what changes from one innovation to the next, beyond the filter's own doubt. Where that
+    doubt is large they tell little of it, and weigh less.
     """
     seen = 0.0
     own = 0.0
     noise = 0.0
     memory = FIRST_MEMORY + x.nis_n[aid]
-    is_next = cython.declare(cython.bint, aid == AID_VELOCITY and doubt.is_next(x))
+    is_next = cython.declare(cython.bint, x.t - x.last_z_t[aid] < NEXT)
+    x.last_z_t[aid] = x.t
     for r in range(o.rows):
-        z = o.z[r]
-        if is_next:
-            change = z - x.last_difference[r]
-            seen += 0.5 * change * change
-        else:
-            seen += z * z
+        change = o.z[r] - x.last_z[aid][r]
+        seen += 0.5 * change * change
+        x.last_z[aid][r] = o.z[r]
         noise += o.R[r][r]
         for j in range(N):
             own += o.H[r][j] * o.PHt[r][j]
+    if not is_next:
+        return
     seen = (seen - own) / (o.rows * stated_var)
     seen = seen if seen < LARGEST_SHARE else LARGEST_SHARE
     seen = seen if seen > -LARGEST_SHARE else -LARGEST_SHARE

@@ -212,6 +212,7 @@ def start(x: State, t: float) -> None:
         x.refused_t[aid] = NEVER
     for aid in range(RUNS):
         gate.clear_run(x, aid)
+        x.last_z_t[aid] = NEVER
     x.alignment.start_t = t
     begin_window(x, t)
 

@@ -382,8 +382,6 @@ class State:
     """Time of the last of them, ns."""
     last_innovation: Annotated[Vector, 3]
     """Whitened, sigmas."""
-    last_difference: Annotated[Vector, 3]
-    """Not whitened, m/s."""
     refused_way: Annotated[Vector, 3]
     """Integral of the velocity's innovations since it is refused, n e d, m."""
     largest_reading: Annotated[Vector, 6]
@@ -402,6 +400,10 @@ class State:
     """Learnt share of the receiver's stated variances that is white, by aid."""
     gnss_offset_var: Annotated[Vector, 2]
     """Variance of the slow error of its position: horizontal, vertical, m^2."""
+    last_z: Annotated[Vector, RUNS, 3]
+    """Its last innovations, by aid: m, m, m/s."""
+    last_z_t: Annotated[Vector, RUNS]
+    """Their times, ns."""
     innovation_mean: Annotated[Vector, 3]
     """Recent mean of the whitened innovations of its position n e d, sigmas."""
     voices: Voices

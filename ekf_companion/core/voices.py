@@ -11,6 +11,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.enums import (
+    E_BARO,
     E_POS,
     MODE_NAVIGATE,
     VOICE_ANY,
@@ -36,6 +37,8 @@ SLOW_TIME = cython.declare(cython.double, 20.0)
 """Its time constant, s."""
 BARO_STD = cython.declare(cython.double, 1.0)
 """One sigma of what weather, wind and rotors change in a barometer meanwhile, m."""
+BACK = cython.declare(cython.double, 0.4)
+"""Share of the limit below which a height is heard again."""
 LARGEST = cython.declare(cython.double, 2.0)
 """A difference is kept up to so many times its limit: it must not last when its cause is gone."""
 
@@ -106,12 +109,26 @@ def find_loser(x: State, fix: Fix) -> None:
                 voices.loser = VOICE_HEIGHT
             elif b <= 1.0:
                 voices.loser = VOICE_VELOCITY
+    if before == VOICE_HEIGHT and voices.loser == VOICE_NONE and b > BACK:
+        voices.loser = VOICE_HEIGHT
     if voices.loser != VOICE_NONE and before == VOICE_NONE and x.mode == MODE_NAVIGATE:
-        x.P[E_POS + 2][E_POS + 2] += 0.25 * (
-            voices.difference[0] * voices.difference[0]
-            + voices.difference[1] * voices.difference[1]
-            + voices.difference[2] * voices.difference[2]
-        )
+        doubt_height(x)
+
+
+def doubt_height(x: State) -> None:
+    """Doubt the height by half of what the voices differ by: until now it was led astray.
+
+    An offset of the barometer that was found by a wrong height is wrong by as much.
+    """
+    voices = address(x.voices)
+    doubt = 0.0
+    for i in range(3):
+        doubt += 0.25 * voices.difference[i] * voices.difference[i]
+    x.P[E_POS + 2][E_POS + 2] += doubt
+    if voices.loser != VOICE_BARO:
+        x.P[E_BARO][E_BARO] += doubt
+        x.P[E_POS + 2][E_BARO] += doubt
+        x.P[E_BARO][E_POS + 2] += doubt
 
 
 def compare(x: State, pair: int, variance: float) -> float:
