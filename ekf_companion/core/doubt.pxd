@@ -6,6 +6,7 @@ cdef void find_clipping(State *x, ImuRow *imu) noexcept nogil
 cdef void learn_doubt(State *x, Parameters *k, Observation *o, double nis) noexcept nogil
 cdef bint is_next(State *x) noexcept nogil
 cdef void bound_doubt(State *x) noexcept nogil
+cdef double receiver_share(State *x) noexcept nogil
 cdef void doubt_refusal(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
 cdef void compare_fixes(State *x, Fix *fix) noexcept nogil
 cdef bint contradicts_itself(State *x, Fix *fix) noexcept nogil

@@ -33,6 +33,8 @@ LARGEST_TERM = cython.declare(cython.double, 3.0)
 """Largest whitened innovation that counts, sigmas."""
 OLD = cython.declare(cython.double, 3e9)
 """Time after which the innovation before says nothing of this one, ns."""
+SHARED_DOUBT = cython.declare(cython.double, 0.3)
+"""Doubt at which the receiver's variance has grown by half of what it may."""
 SHOWN_SIGMAS = cython.declare(cython.double, 2.0)
 """Way in sigmas of a fix that shows whether the position moves as the velocity says."""
 EXPECTED = cython.declare(cython.double, 9.0)
@@ -140,6 +142,14 @@ def bound_doubt(x: State) -> None:
         x.doubt = LARGEST_DOUBT
     if x.doubt > x.worst_doubt:
         x.worst_doubt = x.doubt
+
+
+def receiver_share(x: State) -> float:
+    """Return by how much the least sigma of the receiver's velocity grows, 1 to 2.
+
+    Innovations to the same side may come of the receiver's own slow error as well.
+    """
+    return sqrt(1.0 + 3.0 * x.doubt / (x.doubt + SHARED_DOUBT))
 
 
 def doubt_refusal(x: State, k: Parameters, fix: Fix, o: Observation) -> None:

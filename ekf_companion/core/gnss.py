@@ -224,8 +224,11 @@ def read_fix(x: State, k: Parameters, fix: Fix, values: GnssRow) -> None:
         if aid < 2:
             x.gnss_offset_var[aid] = fix.stated_var[aid] * (1.0 - share) if share < 1.0 else 0.0
         fix.std[aid] *= sqrt(share)
-        if fix.std[aid] < k.gnss_floor[aid]:
-            fix.std[aid] = k.gnss_floor[aid]
+        least = k.gnss_floor[aid]
+        if aid == AID_VELOCITY and k.learn_noise != 0.0:
+            least = least * doubt.receiver_share(x)
+        if fix.std[aid] < least:
+            fix.std[aid] = least
 
 
 def white_share(x: State, k: Parameters, aid: int) -> float:

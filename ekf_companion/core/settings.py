@@ -156,7 +156,7 @@ class GnssSettings:
     """Least one sigma of the white noise of the height, likewise; 0.04 for RTK."""
     velocity_std: Annotated[
         NotNegative, Setting("m/s", reload=True, param=Param(7, "EC_GPS_VEL_NSE", 0.0, 10.0))
-    ] = 0.1
+    ] = 0.05
     """Least one sigma of the velocity per axis."""
     velocity_slow_std: Annotated[NotNegative, Setting("m/s", reload=True)] = 0.03
     """One sigma of the slow error of the velocity per axis: its integral drifts from the position
