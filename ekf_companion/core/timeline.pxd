@@ -23,7 +23,7 @@ cdef class Timeline:
     cdef Scratch w
     cdef Held ahead, behind
     cdef Py_ssize_t size, capacity, cursor, snaps, lost, stretch, behind_samples
-    cdef double window, newest, oldest, reach, interval, behind_t, behind_first
+    cdef double window, newest, oldest, reach, interval, late_t, behind_t, behind_first
     cdef readonly long long epoch_ns, stamp_ns, reruns
     cdef bint has_epoch, is_restored, is_set, is_leaping, keeps
     cdef list gone

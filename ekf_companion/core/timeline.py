@@ -59,6 +59,8 @@ SURE = cython.declare(cython.Py_ssize_t, 8)
 """So many samples in a row that are behind and find no room mean that the clock was set back."""
 ROOM = cython.declare(cython.double, 1.9)
 """Intervals between two samples, between which there is room for another: one was lost or late."""
+ORDERLY = cython.declare(cython.double, 1e9)
+"""Time, ns, in which no sample came late."""
 EVER = cython.declare(cython.double, 1e300)
 COMPILED_BLOCK = BLOCK
 """Size of the state that this module was compiled for."""
@@ -112,7 +114,7 @@ class Timeline:
         self.counters = np.zeros((len(self.delay), 8), dtype=np.int64)
         self.ahead = Held(AHEAD)
         self.behind = Held(BEHIND)
-        self.interval = self.behind_t = self.behind_first = 0.0
+        self.interval = self.late_t = self.behind_t = self.behind_first = 0.0
         self.has_epoch = False
         self.is_restored = False
         self.is_set = False
@@ -327,9 +329,9 @@ class Timeline:
 
     def learn_interval(self, step: float) -> None:
         """Learn the usual interval from a step to the next sample: rather the shorter ones."""
-        if self.newest < 0.0 or step <= 0.0:
-            return
-        if self.interval == 0.0:
+        if self.newest < 0.0:
+            self.late_t = self.newest + step
+        elif self.interval == 0.0:
             self.interval = step
         elif step < self.interval:
             self.interval += 0.2 * (step - self.interval)
@@ -395,15 +397,18 @@ class Timeline:
     def settle(self, t: float) -> None:
         """Decide on the samples that wait whose time the others have reached.
 
-        One that came early finds room there. One without room had a wrong stamp.
+        One that came early finds room there. One without room had a wrong stamp; but as long as
+        samples come late it cannot be said what room there will be.
         """
+        is_orderly = t - self.late_t > ORDERLY
+        margin = self.interval if is_orderly else 0.0
         while True:
             i = self.earliest()
-            if i < 0 or self.time_of(self.ahead, i) + self.interval > t:
+            if i < 0 or self.time_of(self.ahead, i) + margin > t:
                 return
             at = self.time_of(self.ahead, i)
             result = enums.ARRIVAL_STRAY
-            if self.has_room(at):
+            if not is_orderly or self.has_room(at):
                 result = self.fit(self.ahead.t_ns[i], at, enums.KIND_IMU, self.ahead.values[i])
             self.recount(self.ahead, i, result)
             self.ahead.remove(i)
@@ -430,6 +435,7 @@ class Timeline:
         elif self.is_known(t, values):
             return enums.ARRIVAL_DUPLICATE
         elif self.has_room(t):
+            self.late_t = self.newest
             self.flush()
             return self.fit(t_ns, t, enums.KIND_IMU, values)
         step = t - self.behind_t

@@ -97,6 +97,8 @@ class Position:
         clock = self._context.clock
         if stamp_us > LAST_US:
             return "no time"
+        if not stamp_us and clock.is_in_doubt:
+            return "stamp leaps"
         t_ns = clock.from_us(stamp_us) if stamp_us else clock.latest_ns
         if t_ns is None or clock.latest_ns is None:
             return "time base unknown"
