@@ -342,9 +342,7 @@ class Timeline:
 
     def time_of(self, held: Held, i: int) -> float:
         """Return the time of an event that is held."""
-        return cython.cast(
-            cython.double, held.t_ns[i] - self.delay[held.kind[i]] - self.epoch_ns
-        )
+        return cython.cast(cython.double, held.t_ns[i] - self.delay[held.kind[i]] - self.epoch_ns)
 
     def recount(self, held: Held, i: int, result: int) -> None:
         """Count for an event that was held what became of it."""

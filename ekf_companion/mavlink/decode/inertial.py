@@ -152,9 +152,7 @@ class Inertial:
                 return
         self._mag.add(out, rank, t_ns, xmag * 1e-3, ymag * 1e-3, zmag * 1e-3)
 
-    def _add(
-        self, out: Measurements, rank: int, t_us: int, sample: _Sample, is_sure: bool
-    ) -> int:
+    def _add(self, out: Measurements, rank: int, t_us: int, sample: _Sample, is_sure: bool) -> int:
         """Append a sample if it is good; return the time, ns, of all that came with it.
 
         A stamp that is not sure yet is left as it is, and nothing is learnt from it.
