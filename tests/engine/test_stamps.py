@@ -250,3 +250,47 @@ def test_fixes_on_another_clock_that_nothing_relates_count_as_of_now(on_unix):
     counts = companion.session.refused
     assert counts["GPS_RAW_INT: stamp replaced by the time of arrival"] > 100
     assert counts["GPS_RAW_INT: time base unknown"] == 25  # five seconds
+
+
+# A log
+
+_COLUMNS = {
+    Kind.GNSS: (
+        "gps_lat_rad",
+        "gps_lon_rad",
+        "gps_alt_m",
+        "gps_vn_mps",
+        "gps_ve_mps",
+        "gps_vd_mps",
+    ),
+    Kind.MAG: ("mag_x_gauss", "mag_y_gauss", "mag_z_gauss"),
+    Kind.BARO: ("baro_alt_m",),
+    Kind.IMU: (
+        *(f"gyro_{axis}_rps" for axis in "xyz"),
+        *(f"accel_{axis}_mps2" for axis in "xyz"),
+    ),
+}
+
+
+@pytest.mark.parametrize("by", [0.5, 1.5])
+def test_a_log_whose_clock_is_set_back_is_converted_to_its_end(by, tmp_path):
+    """As a row per event, in the order in which they were written."""
+    events = set_back(by)
+    names = [name for columns in _COLUMNS.values() for name in columns]
+    places = {kind: names.index(columns[0]) for kind, columns in _COLUMNS.items()}
+    lines = [",".join(("time_us", *names))]
+    for t_ns, number, values in zip(events.t_ns, events.kind, events.values, strict=True):
+        cells, kind = [""] * len(names), Kind(number)
+        count = len(_COLUMNS[kind])
+        cells[places[kind] : places[kind] + count] = [repr(float(one)) for one in values[:count]]
+        lines.append(",".join((str(t_ns // 1000), *cells)))
+    path = Path(tmp_path) / "flight.csv"
+    path.write_text("\n".join(lines))
+    run = Run(path, STREAMING, BlockPipeline)
+    tables = [block.table for block in run.blocks()]
+    health = run.pipelines[-1].health()
+    assert health.status is Status.OK
+    assert health.samples == np.count_nonzero(events.kind == Kind.IMU)
+    assert (health.resets, health.reset_reason) == (1, "clock")
+    _, truth = flown()
+    assert np.abs(tables[-1].values[-1, 6:9] - truth.vel_n[-1]).max() < MOST_VELOCITY
