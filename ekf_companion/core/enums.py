@@ -50,6 +50,10 @@ class Arrival(IntEnum):
     RESTARTED = 4
     ESTIMATED = 5
     """The newest inertial sample: there is an estimate for its stamp."""
+    HELD = 6
+    """An inertial sample whose stamp leaps ahead, until others go on from it."""
+    STRAY = 7
+    """An inertial sample whose stamp has leapt ahead alone: not used."""
 
 
 class Mode(IntEnum):

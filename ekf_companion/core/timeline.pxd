@@ -1,3 +1,4 @@
+from ekf_companion.core.held cimport Held
 from ekf_companion.core.parameters cimport Parameters
 from ekf_companion.core.scratch cimport Event, Scratch
 from ekf_companion.core.state cimport State
@@ -20,10 +21,11 @@ cdef class Timeline:
     cdef State *first
     cdef Parameters *k
     cdef Scratch w
-    cdef Py_ssize_t size, capacity, cursor, snaps, lost, stretch
-    cdef double window, newest, oldest
+    cdef Held ahead, behind
+    cdef Py_ssize_t size, capacity, cursor, snaps, lost, stretch, behind_samples
+    cdef double window, newest, oldest, reach, interval, late_t, behind_t, behind_first
     cdef readonly long long epoch_ns, stamp_ns, reruns
-    cdef bint has_epoch, is_restored, is_set, keeps
+    cdef bint has_epoch, is_restored, is_set, is_leaping, keeps
     cdef list gone
     cdef void clear(self)
     cpdef void restart(self)
@@ -36,6 +38,20 @@ cdef class Timeline:
     cpdef int insert(self, long long t_ns, int kind, values) except -1
     cdef int put(self, long long t_ns, int kind, double[::1] values)
     cdef int place(self, long long t_ns, int kind, double[::1] values)
+    cdef int fit(self, long long t_ns, double t, int kind, double[::1] values)
+    cdef void learn_interval(self, double step)
+    cdef double time_of(self, Held held, Py_ssize_t i)
+    cdef void recount(self, Held held, Py_ssize_t i, int result)
+    cdef bint has_room(self, double t)
+    cdef bint is_confirmed(self, double t)
+    cdef int hold(self, long long t_ns, double[::1] values)
+    cdef void release(self, double t)
+    cdef void settle(self, double t)
+    cdef Py_ssize_t earliest(self)
+    cdef int go_behind(self, long long t_ns, double t, double[::1] values, bint is_stale)
+    cdef bint is_known(self, double t, double[::1] values)
+    cdef int follow_clock(self)
+    cdef void flush(self)
     cdef void write_row(self, Py_ssize_t i, double t, int kind, double[::1] values)
     cdef void go_back(self, Py_ssize_t i)
     cdef void run(self)

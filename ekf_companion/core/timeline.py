@@ -7,6 +7,12 @@ depends on what was measured, never on the order in which it arrived.
 An event between two inertial samples waits for the second one, whose interval it splits: no guess
 about the rate is ever made and corrected later.
 
+An inertial stamp is believed when its neighbours confirm it. One that leaps ahead waits for a
+second: if the stamps go on from it, samples were lost; if they go on from before, it was wrong, or
+it came early, and then there is room for it when they reach it. Late samples fill holes; samples
+that are all behind the newest and fill none, one interval after another, are of a clock that was
+set back.
+
 Rows, snapshots and cursor only ever change together: so one class holds them, in a long file.
 """
 
@@ -18,6 +24,8 @@ from cython import address
 from cython.cimports.ekf_companion.core import enums, kernel
 from cython.cimports.ekf_companion.core.estimate import write_estimate
 from cython.cimports.ekf_companion.core.events import compare, is_sane
+from cython.cimports.ekf_companion.core.gate import begin_reset
+from cython.cimports.ekf_companion.core.held import Held
 from cython.cimports.ekf_companion.core.memory import (
     Vector,
     as_estimate,
@@ -39,6 +47,21 @@ SNAPSHOT_EVERY = cython.declare(cython.Py_ssize_t, 16)
 """Inertial samples between two snapshots: at 250 Hz a late event re-runs 32 ms more at the most."""
 LOST_AFTER = cython.declare(cython.Py_ssize_t, 250)
 """So many inertial samples in a row too old for the window mean that the clock itself went back."""
+LEAP = cython.declare(cython.double, 1e8)
+"""An inertial stamp that is further ahead than this, ns, and than LEAP_STEPS, waits for another."""
+LEAP_STEPS = cython.declare(cython.double, 10.0)
+"""Intervals of the stream; a slow one leaps further."""
+AHEAD = cython.declare(cython.Py_ssize_t, 16)
+"""Samples that wait for another, at most."""
+BEHIND = cython.declare(cython.Py_ssize_t, 1024)
+"""Events that wait until it is known whether the clock was set back, at most."""
+SURE = cython.declare(cython.Py_ssize_t, 8)
+"""So many samples in a row that are behind and find no room mean that the clock was set back."""
+ROOM = cython.declare(cython.double, 1.9)
+"""Intervals between two samples, between which there is room for another: one was lost or late."""
+ORDERLY = cython.declare(cython.double, 1e9)
+"""Time, ns, in which no sample came late."""
+EVER = cython.declare(cython.double, 1e300)
 COMPILED_BLOCK = BLOCK
 """Size of the state that this module was compiled for."""
 
@@ -88,7 +111,10 @@ class Timeline:
         self.numbers = np.zeros(ODOMETRY)
         self.singles = np.zeros(ODOMETRY, dtype=np.float32)
         self.given = np.zeros(VALUES)
-        self.counters = np.zeros((len(self.delay), 6), dtype=np.int64)
+        self.counters = np.zeros((len(self.delay), 8), dtype=np.int64)
+        self.ahead = Held(AHEAD)
+        self.behind = Held(BEHIND)
+        self.interval = self.late_t = self.behind_t = self.behind_first = 0.0
         self.has_epoch = False
         self.is_restored = False
         self.is_set = False
@@ -109,7 +135,14 @@ class Timeline:
         copy_state(address(self.snapshots[0]), self.x)
         self.newest = -1.0
         self.oldest = -1.0
+        self.reach = EVER
         self.stamp_ns = 0
+        self.behind.size = 0
+        self.behind_samples = 0
+        self.is_leaping = False
+        while self.ahead.size > 0:
+            self.recount(self.ahead, 0, enums.ARRIVAL_STRAY)
+            self.ahead.remove(0)
 
     def restart(self) -> None:
         """Begin anew on a clock that began anew.
@@ -140,10 +173,12 @@ class Timeline:
         """Continue on a clock that was set: its first inertial sample follows the last of the old.
 
         How long there was between the two nobody knows; it is taken for the usual interval. What
-        was heard by the old clock stays as it is, and no event goes behind it.
+        was heard by the old clock stays as it is, and no event goes behind it. It counts as a
+        reset: whoever compares stamps is told that they have moved.
         """
         self.is_set = False
         self.hand_over(self.cursor)
+        begin_reset(self.x, enums.RESET_CLOCK)
         shown = cython.cast(cython.longlong, self.x.t + 1e9 * self.x.dt)
         self.epoch_ns = t_ns - self.delay[enums.KIND_IMU] - shown
         self.begin_stretch()
@@ -230,19 +265,40 @@ class Timeline:
         # Too old to go back to?
         if self.size == self.capacity:
             self.trim()
-        if self.newest >= 0.0 and (t < self.newest - self.window or t <= self.oldest):
-            if kind == enums.KIND_IMU:
-                self.lost += 1
-                if self.lost >= LOST_AFTER:
-                    self.restart()
-            return enums.ARRIVAL_STALE
+        is_stale = self.newest >= 0.0 and (t < self.newest - self.window or t <= self.oldest)
+        if kind != enums.KIND_IMU:
+            if self.behind.size > 0 and self.behind.add(t_ns, kind, values, enums.ARRIVAL_TAKEN):
+                return enums.ARRIVAL_TAKEN
+            return enums.ARRIVAL_STALE if is_stale else self.fit(t_ns, t, kind, values)
 
         # The first sample after a restart: what waits for it was true while nobody listened?
-        if kind == enums.KIND_IMU and self.is_restored:
+        if self.is_restored and not is_stale:
             self.is_restored = False
             is_bridge = (t - self.x.t) * 1e-9 > self.k.gap
             if is_bridge:
                 self.size = 0
+
+        # Do its neighbours confirm its stamp?
+        elif t > self.reach:
+            if not self.is_confirmed(t):
+                return self.hold(t_ns, values)
+            self.release(t)
+        elif t <= self.newest:
+            return self.go_behind(t_ns, t, values, is_stale)
+        if self.behind.size > 0:
+            self.flush()
+        self.learn_interval(t - self.newest)
+        result = self.fit(t_ns, t, kind, values)
+        if is_bridge:
+            self.begin_from(t, t_ns)
+        elif self.ahead.size > 0:
+            self.settle(t)
+        return result
+
+    def fit(self, t_ns: int, t: float, kind: int, values: Vector) -> int:
+        """Insert an event that is neither too old nor in doubt; rerun what came after it."""
+        if self.size == self.capacity:
+            self.trim()
 
         # Find the place: after all that is earlier, in an order that arrival has no part in
         i = self.size
@@ -264,9 +320,180 @@ class Timeline:
         self.lost = 0
         self.newest = t
         self.stamp_ns = t_ns
-        if is_bridge:
-            self.begin_from(t, t_ns)
+        self.is_leaping = False
+        self.reach = EVER
+        if self.interval > 0.0:
+            far = LEAP_STEPS * self.interval
+            self.reach = t + (far if far > LEAP else LEAP)
         return enums.ARRIVAL_ESTIMATED
+
+    def learn_interval(self, step: float) -> None:
+        """Learn the usual interval from a step to the next sample: rather the shorter ones."""
+        if self.newest < 0.0:
+            self.late_t = self.newest + step
+        elif self.interval == 0.0:
+            self.interval = step
+        elif step < self.interval:
+            self.interval += 0.2 * (step - self.interval)
+        elif step < 2.0 * self.interval:
+            self.interval += 0.05 * (step - self.interval)
+        else:
+            self.interval *= 1.05
+
+    def time_of(self, held: Held, i: int) -> float:
+        """Return the time of an event that is held."""
+        return cython.cast(cython.double, held.t_ns[i] - self.delay[held.kind[i]] - self.epoch_ns)
+
+    def recount(self, held: Held, i: int, result: int) -> None:
+        """Count for an event that was held what became of it."""
+        self.counters[held.kind[i], held.result[i]] -= 1
+        self.counters[held.kind[i], result] += 1
+
+    def has_room(self, t: float) -> bool:
+        """Return whether a sample is missing where an earlier time than the newest's lies."""
+        before = self.oldest
+        after = self.newest
+        i = self.size - 1
+        while i >= 0 and (self.rows[i].kind != enums.KIND_IMU or self.rows[i].t > t):
+            if self.rows[i].kind == enums.KIND_IMU:
+                after = self.rows[i].t
+            i -= 1
+        if i >= 0:
+            before = self.rows[i].t
+        return before < 0.0 or after - before > ROOM * self.interval
+
+    def is_confirmed(self, t: float) -> bool:
+        """Return whether a stamp that leaps ahead goes on from one that did so before."""
+        if self.ahead.size == 0:
+            return False
+        if self.is_leaping and t > self.time_of(self.ahead, self.ahead.size - 1):
+            return True
+        for i in range(self.ahead.size):
+            step = t - self.time_of(self.ahead, i)
+            if 0.0 < step <= self.reach - self.newest:
+                return True
+        return False
+
+    def hold(self, t_ns: int, values: Vector) -> int:
+        """Let a sample whose stamp leaps ahead wait."""
+        self.is_leaping = True
+        if not self.ahead.add(t_ns, enums.KIND_IMU, values, enums.ARRIVAL_HELD):
+            return enums.ARRIVAL_STRAY
+        return enums.ARRIVAL_HELD
+
+    def release(self, t: float) -> None:
+        """Insert the samples that wait and are not later than a time: samples before were lost."""
+        while True:
+            i = self.earliest()
+            if i < 0 or self.time_of(self.ahead, i) > t:
+                return
+            at = self.time_of(self.ahead, i)
+            self.fit(self.ahead.t_ns[i], at, enums.KIND_IMU, self.ahead.values[i])
+            self.recount(self.ahead, i, enums.ARRIVAL_TAKEN)
+            self.ahead.remove(i)
+
+    def settle(self, t: float) -> None:
+        """Decide on the samples that wait whose time the others have reached.
+
+        One that came early finds room there. One without room had a wrong stamp; but as long as
+        samples come late it cannot be said what room there will be.
+        """
+        is_orderly = t - self.late_t > ORDERLY
+        margin = self.interval if is_orderly else 0.0
+        while True:
+            i = self.earliest()
+            if i < 0 or self.time_of(self.ahead, i) + margin > t:
+                return
+            at = self.time_of(self.ahead, i)
+            result = enums.ARRIVAL_STRAY
+            if not is_orderly or self.has_room(at):
+                result = self.fit(self.ahead.t_ns[i], at, enums.KIND_IMU, self.ahead.values[i])
+            self.recount(self.ahead, i, result)
+            self.ahead.remove(i)
+
+    def earliest(self) -> int:
+        """Return which of the samples that wait is the earliest; -1: none does."""
+        first = -1
+        for i in range(self.ahead.size):
+            if first < 0 or self.ahead.t_ns[i] < self.ahead.t_ns[first]:
+                first = i
+        return first
+
+    def go_behind(self, t_ns: int, t: float, values: Vector, is_stale: bool) -> int:
+        """Insert a sample that is not the newest, unless it may be of a clock that was set back.
+
+        Samples that find no room wait, with all that came since. When SURE of them have followed
+        one another by the interval, it was: no stream has room for so many that are merely late.
+        """
+        if is_stale:
+            self.lost += 1
+            if self.lost >= LOST_AFTER:
+                self.restart()
+                return enums.ARRIVAL_STALE
+        elif self.is_known(t, values):
+            return enums.ARRIVAL_DUPLICATE
+        elif self.has_room(t):
+            self.late_t = self.newest
+            self.flush()
+            return self.fit(t_ns, t, enums.KIND_IMU, values)
+        step = t - self.behind_t
+        if self.behind.size > 0 and not 0.0 < step <= self.reach - self.newest:
+            self.flush()
+        result = enums.ARRIVAL_STALE if is_stale else enums.ARRIVAL_TAKEN
+        if not self.behind.add(t_ns, enums.KIND_IMU, values, result):
+            self.flush()
+            return result if is_stale else self.fit(t_ns, t, enums.KIND_IMU, values)
+        if self.behind.size > 1 and step < self.interval:
+            self.interval += 0.2 * (step - self.interval)
+        self.behind_t = t
+        if is_stale:
+            return result
+        self.behind_samples += 1
+        if self.behind_samples == 1:
+            self.behind_first = t
+        if self.behind_samples < SURE:
+            return result
+        usual = (SURE - 1) * self.interval
+        if 0.5 * usual <= t - self.behind_first <= 1.5 * usual:
+            return self.follow_clock()
+        self.flush()
+        return result
+
+    def is_known(self, t: float, values: Vector) -> bool:
+        """Return whether a sample is a copy of one that is in the window."""
+        for i in range(self.size - 1, -1, -1):
+            order = compare(address(self.rows[i]), t, enums.KIND_IMU, values)
+            if order <= 0:
+                return order == 0
+        return False
+
+    def follow_clock(self) -> int:
+        """Go on by a clock that was set back, from the first event that came by it."""
+        events = self.behind
+        self.behind = Held(BEHIND)
+        self.set_clock(events.t_ns[0])
+        self.counters[enums.KIND_RESTART, enums.ARRIVAL_RESTARTED] += 1
+        result = enums.ARRIVAL_TAKEN
+        for i in range(events.size):
+            result = self.place(events.t_ns[i], events.kind[i], events.values[i])
+            if i < events.size - 1:
+                self.recount(events, i, result)
+        return result
+
+    def flush(self) -> None:
+        """Insert the events that waited until it was known that the clock was not set back."""
+        self.behind_samples = 0
+        for i in range(self.behind.size):
+            result = self.behind.result[i]
+            if result == enums.ARRIVAL_TAKEN:
+                t = self.time_of(self.behind, i)
+                if t < self.newest - self.window or t <= self.oldest:
+                    result = enums.ARRIVAL_STALE
+                else:
+                    kind = self.behind.kind[i]
+                    result = self.fit(self.behind.t_ns[i], t, kind, self.behind.values[i])
+            self.recount(self.behind, i, result)
+        self.behind.size = 0
 
     def write_row(self, i: int, t: float, kind: int, values: Vector) -> None:
         """Write an event as row i; the rows from there on move up."""

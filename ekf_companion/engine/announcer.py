@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Iterable
 
-from ekf_companion.engine.health import Health
+from ekf_companion.engine.health import Arrival, Health
 from ekf_companion.mavlink.event import (
     Clash,
     Event,
@@ -26,6 +26,7 @@ from ekf_companion.mavlink.event import (
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.mavlink.statustext import Severity
+from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
 
 _log = logging.getLogger(__name__)
@@ -61,6 +62,7 @@ class Announcer:
         self._decimated = 0
         self._imu_source = ""
         self._is_position_autopilots = False
+        self._strays = 0
         self._next_ns: dict[str, int] = {}
         self._waiting: dict[str, Event] = {}
         self._silent_from_ns: int | None = None
@@ -69,7 +71,7 @@ class Announcer:
 
     def on_begin(self, warnings: Iterable[str]) -> None:
         """Begin with an estimator that begins anew, and the warnings about its output."""
-        self._resets, self._imu_source = 0, ""
+        self._resets, self._imu_source, self._strays = 0, "", 0
         for warning in warnings:
             _log.warning("%s", warning)
 
@@ -90,6 +92,13 @@ class Announcer:
                 health.imu_rate,
                 DECIMATED,
             )
+        strays = health.arrivals[Kind.IMU][Arrival.STRAY]
+        if strays and not self._strays:
+            _log.warning(
+                "An inertial sample was stamped ahead of those after it; it is not used, nor are "
+                "others of its kind, which are counted as stray"
+            )
+        self._strays = strays
         if self._imu_source and imu_source != self._imu_source:
             _log.warning("Inertial samples are of %s, were of %s", imu_source, self._imu_source)
             self._text(Severity.WARNING, f"IMU is {imu_source}, was {self._imu_source}")

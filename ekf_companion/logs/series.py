@@ -13,7 +13,7 @@ from ekf_companion.nav.arrays import Array, Mask, Stamps
 Spans = list[tuple[int, int]]
 """First and last stamp of each stretch of time, ns, ascending."""
 
-BACK_NS = 1_000_000_000
+BACK_NS = 2_000_000_000
 """Step back beyond which a clock has restarted, or a stamp is damaged."""
 GAP_NS = 60_000_000_000
 """Step forward beyond which the same holds."""

@@ -10,7 +10,10 @@ costs one message. Backward (or to the other base, or by more than an hour), the
 if nothing else is heard for a quarter of a second. What counts as far depends on the rate of the
 stamps: where they come less often than once a second, two of their steps do not.
 
-A step back by less than a second is at first taken for packets that were overtaken. Those have
+A stamp that is ahead by more than the stream's steps, and by less than a leap, is used, for packets
+may have been lost before it; but the clock follows only when a second one goes on from it.
+
+A step back by less than two seconds is at first taken for packets that were overtaken. Those have
 others before and after them that are not; where all stamps stay behind while they go on by a
 quarter of a second, the clock itself was set back.
 """
@@ -25,12 +28,16 @@ LAST_US = 4_000_000_000_000_000
 """The year 2096: what is stamped later holds no time."""
 WRAP_US = (1 << 32) * 1000
 """The milliseconds since boot go round."""
-BACK_US = 1_000_000
+BACK_US = 2_000_000
 """A clock that goes back by more has restarted; by less, packets may have overtaken each other."""
+SAME_US = 1_000_000
+"""Two relations of unix time to the time since boot that differ by less are the same."""
+NEAR_US = 100_000
+"""A stamp that is further ahead moves the clock only when a second one goes on from it."""
+STEPS = 16
+"""Stamps after which a long step is all but forgotten; slow streams come several at a time."""
 AHEAD_US = 1_000_000
 """After a silence of the link of up to so long the next stamp is believed."""
-SLOW_US = AHEAD_US // 2
-"""A longer step is that of a slow stream, which may be silent for two such steps."""
 LONG_US = 10_000_000
 """Another stamp confirms one that is held back if it is no further away; at no rate is a longer
 step believed at once."""
@@ -49,22 +56,26 @@ class Step(Enum):
     BEGUN = "begun"
     """The clock has restarted."""
     SET = "set"
-    """The clock was set back by less than a second; the stamps since then must be read again."""
+    """The clock was set back by less than two seconds; the stamps since then must be read again."""
 
 
 class Count:
     """A clock in microseconds, from stamps that may come late or be wrong."""
 
-    __slots__ = ("ahead_us", "behind_us", "latest_us", "leap_us")
+    __slots__ = ("behind_us", "doubt_us", "latest_us", "leap_end_us", "leap_us", "step_us")
 
     def __init__(self) -> None:
         self.latest_us: int | None = None
-        self.ahead_us = AHEAD_US
-        """How far ahead the next may be and is believed at once."""
+        self.step_us = 0
+        """The longest of the last steps; in a slow stream the next may be twice as long."""
+        self.doubt_us: int | None = None
+        """The last stamp, if it was so far ahead that the clock did not follow it."""
         self.behind_us: int | None = None
         """The first of the last stamps, which were all behind the latest; None: they were not."""
         self.leap_us: int | None = None
         """The first stamp after a leap that is held back."""
+        self.leap_end_us = 0
+        """The last that went on from it."""
 
     def take(self, stamp_us: int) -> Step:
         """Judge the next stamp, and follow it unless it is a leap."""
@@ -72,24 +83,40 @@ class Count:
             self.latest_us = stamp_us
             return Step.FOLLOWED
         step = stamp_us - self.latest_us
-        if -BACK_US <= step <= self.ahead_us:
+        near = max(NEAR_US, min(2 * self.step_us, LONG_US))
+        is_of_leap = self.leap_us is not None and 0 <= stamp_us - self.leap_end_us <= NEAR_US
+        is_late = -BACK_US <= step < 0 and not is_of_leap
+        if is_late or 0 <= step <= near or (step > near and self._is_confirmed(stamp_us)):
             self.leap_us = None
             return self._follow(stamp_us, step)
+        if near < step <= AHEAD_US:
+            self.leap_us, self.doubt_us = None, stamp_us
+            return Step.FOLLOWED
         if self.leap_us is None or not -BACK_US <= stamp_us - self.leap_us <= LONG_US:
-            self.leap_us = stamp_us
+            self.leap_us = self.leap_end_us = stamp_us
             return Step.HELD
+        self.leap_end_us = stamp_us
         is_gap = 0 < step <= GAP_US
         step = stamp_us - self.leap_us
         if step < (1 if is_gap else SURE_US):
             return Step.HELD
-        self.latest_us, self.leap_us, self.behind_us = stamp_us, None, None
-        self.ahead_us = _ahead(step)
+        self.latest_us, self.step_us = stamp_us, step
+        self.leap_us = self.behind_us = self.doubt_us = None
         return Step.FOLLOWED if is_gap else Step.BEGUN
+
+    def _is_confirmed(self, stamp_us: int) -> bool:
+        """Whether a stamp goes on from one that the clock did not follow."""
+        if self.latest_us is None or self.doubt_us is None:
+            return False
+        far = max(AHEAD_US, min(2 * (self.doubt_us - self.latest_us), LONG_US))
+        return -NEAR_US <= stamp_us - self.doubt_us <= far
 
     def _follow(self, stamp_us: int, step: int) -> Step:
         """Follow a stamp that goes on, or is behind: late, or of a clock that was set back."""
+        self.doubt_us = None
         if step >= 0:
-            self.latest_us, self.behind_us, self.ahead_us = stamp_us, None, _ahead(step)
+            self.latest_us, self.behind_us = stamp_us, None
+            self.step_us = max(step, self.step_us - self.step_us // STEPS)
             return Step.FOLLOWED
         if self.behind_us is None or stamp_us < self.behind_us:
             self.behind_us = stamp_us
@@ -97,11 +124,6 @@ class Count:
             return Step.FOLLOWED
         self.latest_us, self.behind_us = self.behind_us - 1, None
         return Step.SET
-
-
-def _ahead(step_us: int) -> int:
-    """Return how far ahead a stamp may be after a step."""
-    return min(max(AHEAD_US, 2 * step_us), LONG_US)
 
 
 class TimeBase:
@@ -132,13 +154,20 @@ class TimeBase:
         latest = self._main.latest_us
         return latest is not None and latest > UNIX_FROM_US
 
+    @property
+    def is_in_doubt(self) -> bool:
+        """Whether the last stamp is so far ahead that the clock has not followed it."""
+        return self._main.doubt_us is not None
+
     def follow(self, stamp_us: int) -> bool:
         """Follow a stamp that plainly comes next; return False, changing nothing, for another."""
         main = self._main
         latest = main.latest_us
-        if latest is None or main.leap_us is not None or not 0 < stamp_us - latest <= SLOW_US:
+        if latest is None or main.leap_us is not None or not 0 < stamp_us - latest <= NEAR_US:
             return False
-        main.latest_us, main.behind_us, main.ahead_us = stamp_us, None, AHEAD_US
+        if main.step_us > NEAR_US:
+            return False
+        main.latest_us, main.behind_us, main.doubt_us = stamp_us, None, None
         self.is_behind = False
         return True
 
@@ -178,7 +207,7 @@ class TimeBase:
         """Learn how the clocks are related; a relation far from the last must come twice."""
         known = (self._unix_minus_boot_us, self._held_relation_us)
         is_confirmed = any(
-            one is not None and abs(unix_minus_boot_us - one) <= BACK_US for one in known
+            one is not None and abs(unix_minus_boot_us - one) <= SAME_US for one in known
         )
         if known[0] is None or is_confirmed:
             self._unix_minus_boot_us, self._held_relation_us = unix_minus_boot_us, None

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.engine.announcer import DECIMATED
-from ekf_companion.engine.health import Aid, Health
+from ekf_companion.engine.health import Aid, Arrival, Health
 from ekf_companion.errors import LogError
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind
 from ekf_companion.nav.state import Status, Table
@@ -105,6 +105,10 @@ def note_shortcomings(report: Report, path: Path) -> None:
         raise LogError(
             f"{path}: holds no inertial samples (HIGHRES_IMU, RAW_IMU, SCALED_IMU, IMU or "
             "sensor_combined), so nothing can be estimated; ask the autopilot to log or stream them"
+        )
+    if report.health and (strays := report.health.arrivals[Kind.IMU][Arrival.STRAY]):
+        report.notes.append(
+            f"{strays} inertial samples are stamped ahead of those after them, and were not used"
         )
     rate = report.rates.get(Kind.IMU, 0.0)
     if rate < _SLOW:

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ekf_companion.core.enums import E_BA, E_BARO, E_BG, E_DELAY, E_IRON, Mode
+from ekf_companion.core.enums import E_BA, E_BARO, E_BG, E_DELAY, E_IRON, Mode, Reset
 from ekf_companion.core.from_settings import delays_ns, parameters
 from ekf_companion.core.memory import as_state
 from ekf_companion.core.scratch import OUT
@@ -80,6 +80,7 @@ def test_interpreted_and_compiled_agree_to_the_last_bit():
     events = some_events(3.5)
     rng = np.random.default_rng(4)
     late = events.take(np.argsort(events.t_ns + rng.uniform(0.0, 2e8, len(events)), kind="stable"))
+    late = with_clock_set_back(with_stray(late, 300_000_000), 500_000_000)
     ends = []
     for kind in (Timeline, load().timeline.Timeline):
         timeline = a_timeline(kind)
@@ -87,6 +88,55 @@ def test_interpreted_and_compiled_agree_to_the_last_bit():
         ends.append((arrivals, timeline.block().tobytes(), timeline.describe().tobytes()))
     assert as_state(np.frombuffer(ends[0][1]).copy()).mode == Mode.NAVIGATE
     assert ends[0] == ends[1]
+
+
+def with_stray(events: Events, ahead_ns: int) -> Events:
+    """Return events of which an inertial sample in flight is stamped ahead."""
+    stamps = events.t_ns.copy()
+    stamps[np.flatnonzero(events.kind == Kind.IMU)[250]] += ahead_ns
+    return Events(t_ns=stamps, kind=events.kind, values=events.values)
+
+
+def with_clock_set_back(events: Events, by_ns: int) -> Events:
+    """Return events whose clock goes back once, in flight."""
+    is_late = events.t_ns > events.t_ns[0] + 2_500_000_000
+    return Events(t_ns=events.t_ns - by_ns * is_late, kind=events.kind, values=events.values)
+
+
+@pytest.mark.parametrize("ahead_ns", [150_000_000, 900_000_000, 1_500_000_000])
+def test_a_sample_that_is_stamped_ahead_is_as_good_as_lost(ahead_ns):
+    events = some_events()
+    stray = np.flatnonzero(events.kind == Kind.IMU)[250]
+    without = events.take(np.arange(len(events)) != stray)
+    timeline = a_timeline()
+    assert settled(timeline, with_stray(events, ahead_ns)) == settled(a_timeline(), without)
+    assert timeline.arrivals[Kind.IMU, Arrival.STRAY] == 1
+    assert timeline.arrivals[Kind.IMU, Arrival.HELD] == 0
+
+
+@pytest.mark.parametrize("by_ns", [100_000_000, 500_000_000, 1_500_000_000])
+def test_a_clock_that_is_set_back_is_found_out_by_the_samples_themselves(by_ns):
+    """Every sample is used, and old and new ones do not interleave."""
+    events = some_events()
+    timeline = a_timeline()
+    arrivals = put(timeline, with_clock_set_back(events, by_ns))
+    x = as_state(timeline.block())
+    assert (x.resets, x.reset_reason) == (1.0, Reset.CLOCK)
+    assert x.samples == np.count_nonzero(events.kind == Kind.IMU)
+    # the last of eight that are behind tells
+    held = [kind for kind, a in zip(events.kind, arrivals, strict=True) if a == Arrival.TAKEN]
+    assert held.count(Kind.IMU) == 7
+
+
+def test_no_burst_of_late_samples_is_taken_for_a_clock_that_was_set_back():
+    events = some_events()
+    imu = np.flatnonzero(events.kind == Kind.IMU)
+    arrival = events.t_ns.astype(float)
+    arrival[imu[200:300:2]] += 1.1e9  # every other one, a second and a bunch later
+    late = events.take(np.argsort(arrival, kind="stable"))
+    timeline = a_timeline()
+    assert settled(timeline, late) == IN_ORDER
+    assert timeline.resets == 0
 
 
 def test_a_table_and_one_event_at_a_time_give_the_same_estimates():
@@ -166,7 +216,7 @@ def test_a_restart_before_anything_was_learnt_forgets_all_but_the_count_of_reset
     assert a.tobytes() == b.tobytes()
 
 
-def test_a_clock_that_is_set_moves_the_stamps_and_nothing_else():
+def test_a_clock_that_is_set_moves_the_stamps_and_counts_as_a_reset():
     """Whatever the clock shows from some sample on, the estimate is the same to the bit."""
     events = some_events().take(np.flatnonzero(some_events().kind == Kind.IMU))
     regular = events.t_ns[0] + np.arange(len(events)) * 10_000_000
@@ -179,7 +229,12 @@ def test_a_clock_that_is_set_moves_the_stamps_and_nothing_else():
                 assert timeline.insert(0, Kind.RESTART, goes_on) == Arrival.RESTARTED
             stamp = int(regular[n]) + (by if n >= half else 0)
             assert timeline.insert(stamp, Kind.IMU, values) == Arrival.ESTIMATED
-    assert moved.block().tobytes() == straight.block().tobytes()
+    told = moved.block()
+    assert (as_state(told).resets, as_state(told).reset_reason) == (1.0, Reset.CLOCK)
+    expected = as_state(straight.block())
+    for name in ("resets", "reset_reason", "reset_t"):
+        setattr(as_state(told), name, getattr(expected, name))
+    assert told.tobytes() == straight.block().tobytes()
     assert straight.stamp_ns - moved.stamp_ns == 500_000_000
 
 

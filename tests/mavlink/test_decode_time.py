@@ -113,11 +113,11 @@ def test_a_single_attitude_that_is_five_seconds_ahead_costs_itself_only():
 
 
 def test_an_old_packet_is_refused_and_counted():
-    """Rule 10: what is more than a second old leaps back, and nothing confirms it."""
+    """Rule 10: what is more than two seconds old leaps back, and nothing confirms it."""
     peer = Peer()
     for t_us in range(50_000_000, 53_000_000, 4000):
         peer.highres(t_us)
-    assert peer.highres(51_000_000) == []
+    assert peer.highres(50_500_000) == []
     assert peer.decoder.refused == {"HIGHRES_IMU: stamp leaps": 1}
 
 

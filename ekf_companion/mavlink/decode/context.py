@@ -131,7 +131,7 @@ class Context:
         if step is Step.SET:
             self.refused["clock set back"] += 1
             self.notes.append(
-                "The autopilot's clock was set back by less than a second; going on by it"
+                "The autopilot's clock was set back by less than two seconds; going on by it"
             )
         return [Restart(goes_on=step is Step.SET)]
 

@@ -64,9 +64,12 @@ class Inertial:
         (t_us, ax, ay, az, gx, gy, gz, mx, my, mz, pressure, _, _, _, updated, instance) = (
             layout.struct.unpack(frame.payload.ljust(layout.size, b"\0")[: layout.size])
         )
-        out = [] if context.clock.follow(t_us) else context.follow_us(t_us, "HIGHRES_IMU")
-        if out is None:
-            return []
+        out, is_sure = [], True
+        if not context.clock.follow(t_us):
+            followed = context.follow_us(t_us, "HIGHRES_IMU")
+            if followed is None:
+                return []
+            out, is_sure = followed, not context.clock.is_in_doubt
         t_ns = t_us * 1000
         # The configured one goes first
         rank = 0 if instance == context.options.imu_id else instance + 1
@@ -85,7 +88,9 @@ class Inertial:
             # nor the magnetometer: it turned with the vehicle, and by how much is not known
             return out
         else:
-            t_ns = self._add(out, 0, t_us, sample)
+            t_ns = self._add(out, 0, t_us, sample, is_sure)
+        if not is_sure:
+            return out  # what came with it cannot wait for the next, as the sample will
         if updated & _MAG == _MAG:
             self._mag.add(out, 0, t_ns, mx, my, mz)
         if updated & _PRESSURE:
@@ -141,11 +146,17 @@ class Inertial:
         else:
             rates = (xgyro * 1e-3, ygyro * 1e-3, zgyro * 1e-3)
             forces = (xacc * _MILLI_G, yacc * _MILLI_G, zacc * _MILLI_G)
-            t_ns = self._add(out, rank, t_us, rates + forces)
+            is_sure = not self._context.clock.is_in_doubt
+            t_ns = self._add(out, rank, t_us, rates + forces, is_sure)
+            if not is_sure:
+                return
         self._mag.add(out, rank, t_ns, xmag * 1e-3, ymag * 1e-3, zmag * 1e-3)
 
-    def _add(self, out: Measurements, rank: int, t_us: int, sample: _Sample) -> int:
-        """Append a sample if it is good; return the time, ns, of all that came with it."""
+    def _add(self, out: Measurements, rank: int, t_us: int, sample: _Sample, is_sure: bool) -> int:
+        """Append a sample if it is good; return the time, ns, of all that came with it.
+
+        A stamp that is not sure yet is left as it is, and nothing is learnt from it.
+        """
         context = self._context
         t_ns = t_us * 1000
         was = self.sources.rank
@@ -158,6 +169,9 @@ class Inertial:
         else:
             if rank != was:
                 self._note_source(was, rank)
+            if not is_sure:
+                out.append(ImuSample(t_ns, *sample))
+                return t_ns
             self._last_us = t_us
             if self._dejitter is not None:
                 sampled = self._dejitter.smooth(t_us)

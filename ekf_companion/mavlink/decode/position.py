@@ -16,6 +16,8 @@ _UNKNOWN_16 = 65535
 _FIX_3D = 3
 _STRAY_NS = 30_000_000_000
 """A fix stamped further from the inertial samples is on another clock."""
+_UNRELATED_NS = 5_000_000_000
+"""Where nothing relates the stamps of fixes to the inertial ones for so long, nothing will."""
 _GEOID = 120.0
 """m; nowhere is the sea level further from the ellipsoid: -107 to +86 m (EGM96)."""
 
@@ -50,6 +52,7 @@ class Position:
         self._derived_pace = Pace(self._context.options.derived_rate)
         self._last: tuple[int, ...] = ()
         self._fixes = 0
+        self._unrelated_ns: int | None = None
         self._std = (0.0, 0.0, 0.0)
 
     def gps_raw_int(self, frame: Frame) -> Measurements:
@@ -93,14 +96,32 @@ class Position:
         return None
 
     def _time(self, stamp_us: int) -> int | str:
-        """Return the time of a fix, ns, or why there is none; a stamp of 0 means now."""
+        """Return the time of a fix, ns, or why there is none.
+
+        A stamp of 0 means now. So does one on the other base where SYSTEM_TIME, which would relate
+        the two, has been missing or without unix time for long.
+        """
         clock = self._context.clock
         if stamp_us > LAST_US:
             return "no time"
-        t_ns = clock.from_us(stamp_us) if stamp_us else clock.latest_ns
-        if t_ns is None or clock.latest_ns is None:
+        if not stamp_us and clock.is_in_doubt:
+            return "stamp leaps"
+        now_ns = clock.latest_ns
+        t_ns = clock.from_us(stamp_us) if stamp_us else now_ns
+        if now_ns is None:
             return "time base unknown"
-        if abs(t_ns - clock.latest_ns) > _STRAY_NS:
+        if t_ns is None:
+            if self._unrelated_ns is None:
+                self._unrelated_ns = now_ns
+            if now_ns - self._unrelated_ns < _UNRELATED_NS or clock.is_in_doubt:
+                return "time base unknown"
+            self._context.refused["GPS_RAW_INT: stamp replaced by the time of arrival"] += 1
+            self._context.note_once(
+                "GPS_RAW_INT and the inertial samples are stamped by different clocks, and no "
+                "SYSTEM_TIME relates them: fixes count as of the newest inertial sample"
+            )
+            return now_ns
+        if abs(t_ns - now_ns) > _STRAY_NS:
             return "stamp far from the inertial samples"
         return t_ns
 
