@@ -3,7 +3,7 @@ from ekf_companion.core.scratch cimport Fix, ImuRow, Motion, Observation
 from ekf_companion.core.state cimport State
 cdef void write_noise(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
 cdef void find_clipping(State *x, ImuRow *imu) noexcept nogil
-cdef void learn_doubt(State *x, Parameters *k, Observation *o, double nis) noexcept nogil
+cdef void learn_doubt(State *x, Parameters *k, Fix *fix, Observation *o, double nis) noexcept nogil
 cdef bint is_next(State *x) noexcept nogil
 cdef void bound_doubt(State *x) noexcept nogil
 cdef double receiver_share(State *x) noexcept nogil

@@ -12,7 +12,7 @@ Source: correlated innovations of a filter that trusts its model too much, Mehra
 from __future__ import annotations
 
 import cython
-from cython.cimports.ekf_companion.core.enums import AID_VELOCITY
+from cython.cimports.ekf_companion.core.enums import AID_VELOCITY, N
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.rotation import wrap
 from cython.cimports.ekf_companion.core.scratch import Fix, ImuRow, Motion, Observation
@@ -29,6 +29,11 @@ GAIN = cython.declare(cython.double, 0.3)
 """Change of the logarithm of the doubt for a correlation of one."""
 SMALLNESS = cython.declare(cython.double, 0.5)
 """Weight of innovations that are smaller than expected, beside their correlation."""
+EXCESS = cython.declare(cython.double, 1.0)
+"""Weight of innovations beyond what the receiver states: either of the two may be worse."""
+FAIR_EXCESS = cython.declare(cython.double, 2.0)
+"""Mean square of these, of its expected value, that is no excess."""
+LARGEST_EXCESS = cython.declare(cython.double, 9.0)
 LARGEST_TERM = cython.declare(cython.double, 3.0)
 """Largest whitened innovation that counts, sigmas."""
 OLD = cython.declare(cython.double, 3e9)
@@ -103,11 +108,16 @@ def find_clipping(x: State, imu: ImuRow) -> None:
                 x.largest_reading[j] = size
 
 
-def learn_doubt(x: State, k: Parameters, o: Observation, nis: float) -> None:
+def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -> None:
     """Learn from the innovation of the receiver's velocity, just judged."""
     correlation = 0.0
     smallness = nis / o.rows - 1.0
+    excess = 0.0
     for r in range(o.rows):
+        own = fix.stated_var[AID_VELOCITY]
+        for j in range(N):
+            own += o.H[r][j] * o.PHt[r][j]
+        excess += o.z[r] * o.z[r] / (o.rows * own)
         y = o.y[r]
         y = y if y < LARGEST_TERM else LARGEST_TERM
         y = y if y > -LARGEST_TERM else -LARGEST_TERM
@@ -122,7 +132,13 @@ def learn_doubt(x: State, k: Parameters, o: Observation, nis: float) -> None:
     x.innovation_t = x.t
     if nis > k.gate[o.rows - 1]:  # who is wrong is not known yet
         return
-    x.doubt *= exp(GAIN * (x.correlation + SMALLNESS * (smallness if smallness < 0.0 else 0.0)))
+    pull = x.correlation
+    if smallness < 0.0:
+        pull += SMALLNESS * smallness
+    if excess > FAIR_EXCESS:
+        excess = excess if excess < LARGEST_EXCESS else LARGEST_EXCESS
+        pull += EXCESS * (excess - FAIR_EXCESS)
+    x.doubt *= exp(GAIN * pull)
     bound_doubt(x)
 
 

@@ -51,7 +51,7 @@ WHITE_MEMORY = cython.declare(cython.double, 100.0)
 """Fixes over which a receiver's white noise is learnt."""
 NEXT = cython.declare(cython.double, 3e9)
 """Longest time between innovations that are compared, ns."""
-FIRST_MEMORY = cython.declare(cython.double, 10.0)
+FIRST_MEMORY = cython.declare(cython.double, 25.0)
 """Weight of the initial share, in fixes."""
 LEAST_SHARE = cython.declare(cython.double, 0.01)
 """Least white share: receivers overstate their white error at most ten times."""
@@ -265,7 +265,7 @@ def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
     if nis <= hard or aid == AID_VELOCITY:
         learn_white_share(x, o, aid, w.fix.stated_var[aid])
     if aid == AID_VELOCITY:
-        doubt.learn_doubt(x, k, o, nis)
+        doubt.learn_doubt(x, k, address(w.fix), o, nis)
     gate.score(x, o, nis, hard)
     return gate.fuse_judged(x, k, o, aid, nis)
 
