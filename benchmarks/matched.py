@@ -58,7 +58,7 @@ def matched(
             magnetometer_noise=compass.noise_heading * strength * math.cos(dip),
             slow_time=compass.slow_time,
         ),
-        baro=BaroSettings(std=baro.noise, walk=_walk(baro.drift, baro.drift_time)),
+        baro=BaroSettings(std=baro.noise, walk=_walk(baro.drift, baro.drift_time), speed_walk=0.0),
     )
 
 

@@ -52,6 +52,7 @@ def parameters(settings: FilterSettings, family: str) -> npt.NDArray[np.float64]
     k.heading_time, k.heading_floor = heading.slow_time, heading.heading_std
 
     k.use_baro, k.baro_std, k.baro_walk = settings.baro.use, settings.baro.std, settings.baro.walk
+    k.baro_speed_walk = settings.baro.speed_walk
     k.align_time, k.use_rest = settings.align.time, settings.align.use_rest
     k.rest_gyro, k.rest_accel = settings.align.rest_gyro, settings.align.rest_accel
     k.gate[:] = [chi_square_quantile(gate.probability, dof) for dof in (1, 2, 3)]

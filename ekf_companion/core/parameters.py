@@ -50,6 +50,7 @@ class Parameters:
     field_dip: Real
     baro_std: Real
     baro_walk: Real
+    baro_speed_walk: Real
     use_baro: Real
     gate: Annotated[Vector, 3]
     """Largest NIS to fuse, for 1, 2 and 3 degrees of freedom."""

@@ -328,7 +328,9 @@ def add_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
         x.P[E_BG + j][E_BG + j] += k.gyro_bias_walk * k.gyro_bias_walk * dt
         x.P[E_BA + j][E_BA + j] += k.accel_bias_walk * k.accel_bias_walk * dt
         x.P[E_IRON + j][E_IRON + j] += k.iron_walk * k.iron_walk * dt
-    x.P[E_BARO][E_BARO] += k.baro_walk * k.baro_walk * dt
+    speed2 = x.vel_n[0] * x.vel_n[0] + x.vel_n[1] * x.vel_n[1] + x.vel_n[2] * x.vel_n[2]
+    walk2 = k.baro_walk * k.baro_walk + k.baro_speed_walk * k.baro_speed_walk * speed2
+    x.P[E_BARO][E_BARO] += walk2 * dt
 
 
 def decay(x: State, e: int, g: float, level: float) -> None:

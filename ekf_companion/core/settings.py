@@ -228,7 +228,9 @@ class BaroSettings:
     ] = 0.5
     """White noise of the pressure altitude."""
     walk: Annotated[NotNegative, Setting("m/sqrt(s)", reload=True)] = 0.05
-    """Random walk of the offset: weather, wind, temperature. Raise it in fast flight."""
+    """Random walk of the offset: weather, wind, temperature."""
+    speed_walk: Annotated[NotNegative, Setting("m/sqrt(s) per m/s", reload=True)] = 0.01
+    """Random walk of the offset for each m/s of speed: the air's pressure on the hull."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
