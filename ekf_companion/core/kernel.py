@@ -15,6 +15,7 @@ from cython import address
 from cython.cimports.ekf_companion.core import (
     align,
     baro,
+    drag,
     gate,
     gnss,
     heading,
@@ -111,6 +112,7 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
     find_clipping(x, imu)
     keep_sample(x, imu)
     check_rest(x, k, w)
+    drag.add_force(x, k, w)
 
 
 def advance(x: State, k: Parameters, w: Scratch, t: float, begin: float, span: float) -> None:
@@ -214,6 +216,7 @@ def start(x: State, t: float) -> None:
         gate.clear_run(x, aid)
         x.last_z_t[aid] = NEVER
     x.alignment.start_t = t
+    drag.restart(x)
     begin_window(x, t)
 
 

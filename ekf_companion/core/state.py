@@ -88,6 +88,22 @@ class Run:
 
 
 @struct
+class Drag:
+    """Drag across a multirotor's axis: what the sideways force tells of the velocity."""
+
+    t0: Real
+    """Begin of the block of samples, ns."""
+    n: Real
+    force: Annotated[Vector, 3]
+    """Sum of the specific forces, m/s^2."""
+    theta: Annotated[Vector, 3]
+    """Coefficient (1/s); coefficient times wind, north and east (m/s^2)."""
+    P: Annotated[Vector, 3, 3]
+    variance: Real
+    """Of what the model leaves of the force, m^2/s^4."""
+
+
+@struct
 class Voices:
     """What receiver and barometer say of the climb, and who contradicts the others."""
 
@@ -407,6 +423,7 @@ class State:
     innovation_mean: Annotated[Vector, 3]
     """Recent mean of the whitened innovations of its position n e d, sigmas."""
     voices: Voices
+    drag: Drag
     run: Annotated[Structs, Run, RUNS]
     alignment: Alignment
     log_likelihood: Real
