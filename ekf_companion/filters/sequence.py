@@ -27,7 +27,7 @@ from ekf_companion.filters.solution import Recorder, Solution
 from ekf_companion.filters.strapdown import Earth, Interval, Noise, Nominal
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.measurements import GNSS_POSITION, Events
+from ekf_companion.nav.measurements import GNSS_POSITION, Events, Kind
 
 AROUND_NS = 2_000_000_000
 """Largest distance of a fix or a heading from the inertial samples."""
@@ -91,7 +91,7 @@ class MeasurementSequence:
         Raises:
             LogError: There are no inertial samples, no fixes or no heading.
         """
-        self._settings = settings
+        self._settings, self._family = settings, family
         kind = settings.imu.samples
         self.is_mean = (HABITS[family].imu_samples if kind == "auto" else kind) == "mean"
         """Whether an inertial sample is the mean since the one before."""
@@ -105,6 +105,8 @@ class MeasurementSequence:
         imu, self.notes = longest_part(imu, settings.imu.gap_reset)
         is_near = ordered.t_ns > imu.t_ns[0] - AROUND_NS
         ordered = ordered.take(is_near & (ordered.t_ns < imu.t_ns[-1] + AROUND_NS))
+        is_part = (ordered.t_ns >= imu.t_ns[0]) & (ordered.t_ns <= imu.t_ns[-1])
+        self._events = ordered.take((ordered.kind != Kind.IMU) | is_part)
         self.t_ns: Stamps = imu.t_ns
         """Times of the inertial samples."""
         self.gyro: Array = imu.values[:, :3]
@@ -120,6 +122,11 @@ class MeasurementSequence:
         aids += aiding.azimuths(ordered, fixes, settings)
         self.aids: list[tuple[int, Observation]] = sorted(aids, key=lambda one: one[0])
         """Times and aids, ascending."""
+
+    @property
+    def window_ns(self) -> int:
+        """Return how old a heading may be at a start that is not the main estimator's, ns."""
+        return round(self._settings.align.time * 1e9)
 
     @property
     def noise(self) -> Noise:
@@ -138,9 +145,7 @@ class MeasurementSequence:
         Raises:
             LogError: The recording ends before level, north and position are known.
         """
-        start = align(
-            self.t_ns, self.gyro, self.accel, self.aids, self._settings, self.earth.rate_n
-        )
+        start = align(self._events, self.frame, self._settings, self._family)
         gate = Gate(self._settings.gate)
         return Setup(start=start, earth=self.earth, noise=self.noise, gate=gate)
 
