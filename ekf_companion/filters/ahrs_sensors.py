@@ -291,9 +291,9 @@ class FieldTurn:
         self._square = 0.0
 
     def add(self, azimuth: float | None, bias: float, dt: float) -> None:
-        """Add a step, s, over which a bias, rad/s, was taken from the gyro; and the field's azimuth.
+        """Add the field's azimuth in frame i, rad, at the end of a step, s; None: there was none.
 
-        The azimuth, rad, is that in frame i; None: there was no field.
+        The bias, rad/s, is the one that was taken from the gyro meanwhile.
         """
         self._t += dt
         self._removed += bias * dt
