@@ -29,16 +29,13 @@ from ekf_companion.filters.ahrs_sensors import (
     RestDetector,
     Wander,
 )
+from ekf_companion.filters.gap import Lost
 from ekf_companion.filters.marg import MargSamples, marg_samples
 from ekf_companion.filters.solution import AttitudeEstimates, Solution, attitude_solution
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events
 
-GAP = 0.25
-"""Step between samples beyond which the motion between them is lost, s."""
-LOST_RATE = 1.0
-"""One sigma of the rate in a gap, rad/s."""
 HIDDEN_LATER = 1.0
 """One sigma of a turn about the vertical that a rest after the first may hide, rad/s."""
 GATE = 16.0
@@ -159,10 +156,11 @@ class _Estimator:
         """Run over all samples."""
         frame, gravity, rest, step = self._frame, self._gravity, self._rest, self.settings.step
         bias = [0.0, 0.0, 0.0]
-        for dt, gyro, accel, mag in samples.rows():
-            if dt > GAP:
-                self._bridge(dt)
-                dt = 1e-3  # the turn in the gap is not known
+        for dt, gyro, accel, mag, missed in samples.rows():
+            if missed is not None:
+                if missed.gyro is not None:
+                    frame.rotate(missed.gyro, bias, missed.span)
+                self._bridge(missed.lost)
             frame.rotate(gyro, bias, dt)
             gravity.add(*frame.to_frame(accel), dt)
             rest.add(gyro, accel, dt)
@@ -176,13 +174,14 @@ class _Estimator:
             self.step_of.append(len(self.biases) - 1)
             self.is_still.append(rest.is_still)
 
-    def _bridge(self, dt: float) -> None:
+    def _bridge(self, lost: Lost) -> None:
         """Inflate the attitude's covariance after a gap, and restart the low-pass."""
-        lost = min(LOST_RATE * dt, UNKNOWN_YAW) ** 2
-        self._P = self._P + lost * np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+        self._P = self._P + np.diag([lost.tilt**2, lost.tilt**2, lost.yaw**2, 0.0, 0.0, 0.0])
         self._gravity.restart()
         self._wander.restart()
         self._rest.restart()
+        # What was averaged before was seen from elsewhere
+        self._field_time = 0.0
         self._keep()
 
     def _advance(self) -> None:

@@ -20,6 +20,7 @@ from ekf_companion.core.settings import HABITS, FilterSettings
 from ekf_companion.errors import FilterError, LogError
 from ekf_companion.filters import aiding
 from ekf_companion.filters.alignment import InitialEstimate, align
+from ekf_companion.filters.gap import BLIND, IRREGULAR, Lost, lost_motion, without_motion
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.inertial import inertial_samples, longest_part
 from ekf_companion.filters.observation import Azimuth, Observation
@@ -44,6 +45,10 @@ class Step:
     aids: tuple[Observation, ...]
     is_sample: bool
     """The interval ends at an inertial sample: an estimate is due."""
+    is_blind: bool = False
+    """The interval is of a gap too long to interpolate the motion over."""
+    lost: Lost | None = None
+    """What the gap hides that ends with the sample."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -65,6 +70,9 @@ class NavigationFilter(Protocol):
 
     def predict(self, over: Interval) -> None:
         """Predict the estimate over an interval."""
+
+    def inflate(self, Q: Array) -> None:
+        """Add to the covariance of the error state, shape (15, 15)."""
 
     def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
         """Fuse the aids of one time."""
@@ -120,6 +128,7 @@ class MeasurementSequence:
         nearest = np.clip(np.searchsorted(self.t_ns, fixes.t_ns), 0, len(self.t_ns) - 1)
         aids = aiding.fix_observations(fixes, self.gyro[nearest], self.frame, settings)
         aids += aiding.azimuths(ordered, fixes, settings)
+        self._usual = float(np.median(np.diff(self.t_ns))) * 1e-9
         self.aids: list[tuple[int, Observation]] = sorted(aids, key=lambda one: one[0])
         """Times and aids, ascending."""
 
@@ -156,19 +165,42 @@ class MeasurementSequence:
         waiting = deque((t_ns, tuple(aid for _, aid in group)) for t_ns, group in later)
         for k in range(max(first, 1), len(self.t_ns)):
             now, end = self.t_ns[k - 1 : k + 1].tolist()
+            span = (end - now) * 1e-9
+            is_blind = span > BLIND
+            lost = lost_motion(span, self._usual, self._settings.imu.gap)
             while waiting and waiting[0][0] <= end:
                 at_ns, aids = waiting.popleft()
                 over = self._interval(k, now, at_ns)
-                yield Step(t_ns=at_ns, over=over, aids=aids, is_sample=at_ns == end)
+                yield Step(
+                    t_ns=at_ns,
+                    over=over,
+                    aids=aids,
+                    is_sample=at_ns == end,
+                    is_blind=is_blind,
+                    lost=lost if at_ns == end else None,
+                )
                 now = at_ns
             if now < end:
-                yield Step(t_ns=end, over=self._interval(k, now, end), aids=(), is_sample=True)
+                over = self._interval(k, now, end)
+                yield Step(
+                    t_ns=end, over=over, aids=(), is_sample=True, is_blind=is_blind, lost=lost
+                )
 
     def _interval(self, k: int, begin: int, end: int) -> Interval | None:
         """Return the measurements between two times within those of samples k - 1 and k."""
         if end <= begin:
             return None
         ends = []
+        if self.t_ns[k] - self.t_ns[k - 1] > IRREGULAR * self._usual * 1e9:
+            # Of the time that the sample does not stand for, both ends say as much
+            middle = [0.5 * (one[k - 1] + one[k]) for one in (self.gyro, self.accel)]
+            return Interval(
+                dt=(end - begin) * 1e-9,
+                gyro0=middle[0],
+                gyro1=middle[0],
+                accel0=middle[1],
+                accel1=middle[1],
+            )
         for readings in (self.gyro, self.accel):
             before, after = (readings[k], readings[k]) if self.is_mean else readings[k - 1 : k + 1]
             t0, t1 = int(self.t_ns[k - 1]), int(self.t_ns[k])
@@ -180,10 +212,13 @@ class MeasurementSequence:
         )
 
 
-def advance(tried: NavigationFilter, step: Step) -> None:
+def advance(tried: NavigationFilter, step: Step, earth: Earth) -> None:
     """Predict a filter over an interval, and correct it at the end."""
     if step.over is not None:
-        tried.predict(step.over)
+        over = without_motion(step.over, tried.state, earth) if step.is_blind else step.over
+        tried.predict(over)
+    if step.lost is not None:
+        tried.inflate(step.lost.covariance(tried.state.q_nb))
     if step.aids:
         now = tried.state
         aids = [
@@ -206,7 +241,7 @@ def run_sequence(
     notes = sequence.notes
     for step in sequence.steps(setup.start.t_ns):
         try:
-            advance(tried, step)
+            advance(tried, step, setup.earth)
         except FilterError as why:
             if not len(recorder):
                 raise
