@@ -45,8 +45,8 @@ class Step:
     aids: tuple[Observation, ...]
     is_sample: bool
     """The interval ends at an inertial sample: an estimate is due."""
-    is_blind: bool = False
-    """The interval is of a gap too long to interpolate the motion over."""
+    still: Earth | None = None
+    """In a gap too long to interpolate the motion over: the Earth on which the vehicle stands."""
     lost: Lost | None = None
     """What the gap hides that ends with the sample."""
 
@@ -166,7 +166,7 @@ class MeasurementSequence:
         for k in range(max(first, 1), len(self.t_ns)):
             now, end = self.t_ns[k - 1 : k + 1].tolist()
             span = (end - now) * 1e-9
-            is_blind = span > BLIND
+            still = self.earth if span > BLIND else None
             lost = lost_motion(span, self._usual, self._settings.imu.gap)
             while waiting and waiting[0][0] <= end:
                 at_ns, aids = waiting.popleft()
@@ -176,15 +176,13 @@ class MeasurementSequence:
                     over=over,
                     aids=aids,
                     is_sample=at_ns == end,
-                    is_blind=is_blind,
+                    still=still,
                     lost=lost if at_ns == end else None,
                 )
                 now = at_ns
             if now < end:
                 over = self._interval(k, now, end)
-                yield Step(
-                    t_ns=end, over=over, aids=(), is_sample=True, is_blind=is_blind, lost=lost
-                )
+                yield Step(t_ns=end, over=over, aids=(), is_sample=True, still=still, lost=lost)
 
     def _interval(self, k: int, begin: int, end: int) -> Interval | None:
         """Return the measurements between two times within those of samples k - 1 and k."""
@@ -212,10 +210,12 @@ class MeasurementSequence:
         )
 
 
-def advance(tried: NavigationFilter, step: Step, earth: Earth) -> None:
+def advance(tried: NavigationFilter, step: Step) -> None:
     """Predict a filter over an interval, and correct it at the end."""
     if step.over is not None:
-        over = without_motion(step.over, tried.state, earth) if step.is_blind else step.over
+        over = step.over
+        if step.still is not None:
+            over = without_motion(over, tried.state, step.still)
         tried.predict(over)
     if step.lost is not None:
         tried.inflate(step.lost.covariance(tried.state.q_nb))
@@ -241,7 +241,7 @@ def run_sequence(
     notes = sequence.notes
     for step in sequence.steps(setup.start.t_ns):
         try:
-            advance(tried, step, setup.earth)
+            advance(tried, step)
         except FilterError as why:
             if not len(recorder):
                 raise
