@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore reference lint types contracts check demo bench bits accuracy truth filters fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
+.PHONY: setup test explore reference lint types contracts check demo bench bits accuracy truth filters delays fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -58,6 +58,10 @@ truth: $(STAMP)
 
 filters: $(STAMP)
 	$(BIN)/python -m benchmarks.filters
+
+# Whether the interval of calibrate delay contains the truth, in 120 flights; seven minutes
+delays: $(STAMP)
+	$(BIN)/python -m benchmarks.delay
 
 # A quarter of an hour: 10^7 bytes, 10^6 messages, then what coverage leads to
 fuzz: $(STAMP)

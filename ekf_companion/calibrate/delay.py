@@ -2,18 +2,21 @@
 
 The estimator runs over the log once for each delay tried, and sums the log-likelihood of every
 position, height and velocity that it judges (:attr:`Pipeline.log_likelihood`). The sum is highest
-at the delay at which GNSS and inertial sensors agree on the motion: found on a grid, then by golden
-section, and then smoothed, since the noise of the inertial samples about each fix makes the sum
-rough: the result is the top of a parabola through the sums nearby.
+at the delay at which GNSS and inertial sensors agree on the motion: found on a grid, then on a fine
+one, and then smoothed, since the noise of the inertial samples about each fix makes the sum rough:
+the result is the top of a parabola through the sums nearby.
 
-Its 95 % interval ends where the parabola has lost 1.92. Innovations that are correlated from one
-fix to the next carry less information than independent ones. So the sum is taken by blocks of some
-seconds; if the blocks' slopes at the top scatter more than the curvature of their sum predicts, the
-1.92 is multiplied by that ratio of variances ("sandwich").
+Its 95 % interval holds two. The one ends where the parabola has lost 1.92. Innovations that are
+correlated from one fix to the next carry less information than independent ones. So the sum is
+taken by blocks of some seconds; if the blocks' slopes at the top scatter more than the curvature of
+their sum predicts, the 1.92 is multiplied by that ratio of variances ("sandwich"). But a fix that a
+gate refuses, or a reset, changes the sum by tens from one delay to the next: a few such blocks make
+a narrow peak that has nothing to do with the delay. So the other interval asks what the top would
+be had other blocks been flown: the blocks are drawn again, with repetition, many times.
 
 Source: Maybeck 1982, vol. 2, ch. 10 (maximum likelihood by innovations); White 1982, Econometrica
 50, 1 (misspecified likelihoods); Newey and West 1987, Econometrica 55, 3 (neighbouring blocks);
-Kiefer 1953 (golden section).
+Kuensch 1989, Annals of Statistics 17, 3 (bootstrap of blocks).
 """
 
 from __future__ import annotations
@@ -42,9 +45,11 @@ Progress = Callable[[int, int], None]
 SPAN = (-0.2, 0.6)
 """Range of delays tried, s: no receiver is later, and a correct stamp is not early."""
 STEP = 0.02
-"""Step of the grid of delays, s."""
-FINE = 0.001
-"""Resolution of the search, s."""
+"""Step of the grid of delays, s; within as much of its top the sum is smoothed by a parabola."""
+FINE = 0.005
+"""Step near the best, s."""
+NEAR = 0.08
+"""Distance from the best within which that step is used, s."""
 DROP = 1.92
 """Loss of log-likelihood at the ends of a 95 % interval: half the chi-square quantile, 1 dof."""
 BLOCK = 4.0
@@ -52,13 +57,10 @@ BLOCK = 4.0
 FEWEST_BLOCKS = 5
 SETTLING = 5.0
 """Time after the first position that is not counted, s: the filter is settling."""
-NEAR = 10.0
-"""Loss from the best sum within which the parabola is fitted."""
-POINTS = 25
-"""Number of delays that it is fitted to."""
+DRAWS = 500
+"""How often the blocks are drawn again."""
 WIDEST = 0.05
 """Largest half interval of a delay that the motion shows, s."""
-GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -75,7 +77,7 @@ class Delay:
     """Lower end of the 95 % interval, s."""
     high: float
     widening: float
-    """Ratio of variances, >= 1, by which the scatter of the blocks widened the interval."""
+    """Square of the interval's width over that by independent innovations, >= 1."""
     rows: int
     """Number of positions, heights and velocities judged."""
     seconds: float
@@ -199,76 +201,72 @@ def _maximise(
 ) -> tuple[float, float, float, float]:
     """Return the likeliest delay, the ends of its interval, and the widening."""
     grid = np.arange(SPAN[0], SPAN[1] + 0.5 * STEP, STEP)
+    fine = np.arange(-NEAR, NEAR + 0.5 * FINE, FINE)
     for done, delay in enumerate(grid, 1):
         likelihood.total(float(delay))
         if progress is not None:
-            progress(done, len(grid) + 60)  # some 60 more are tried near the best
+            progress(done, len(grid) + len(fine))
     if likelihood.rows == 0:
         raise LogError(f"{name}: no fix after the first seconds, so no delay can be seen in it")
-    best = likelihood.best()
-    _golden(likelihood, best - STEP, best + STEP)
-    best = likelihood.best()
-    reach = max(abs(_edge(likelihood, best, side, NEAR) - best) for side in (-1.0, 1.0))
-    while True:
-        centre, half, widening = _parabola(likelihood, best, reach)
-        if 2.0 * half <= reach or reach >= SPAN[1] - SPAN[0]:
-            break
-        reach *= 2.0
-    # Another delay, far off, may be as likely, where the motion repeats itself
-    delays, gain = likelihood.curve()
-    likely = delays[gain >= -DROP * widening]
-    low, high = min(centre - half, float(likely[0])), max(centre + half, float(likely[-1]))
-    return centre, low, high, widening
-
-
-def _parabola(likelihood: Likelihood, best: float, reach: float) -> tuple[float, float, float]:
-    """Return the top of a parabola through the sums near the best, its half interval, the widening.
-
-    Each block has a parabola of its own; the widening is the scatter of their slopes at the top,
-    neighbours counted together, over the curvature.
-    """
-    delays = np.linspace(max(best - reach, SPAN[0]), min(best + reach, SPAN[1]), POINTS)
+    near = likelihood.best() + fine
+    for delay in near[(near >= SPAN[0]) & (near <= SPAN[1])]:
+        likelihood.total(float(delay))
+    delays = likelihood.curve()[0]
     blocks = np.stack([likelihood.scaled(float(delay)) for delay in delays])
-    offset = (delays - best) / reach
-    powers = np.stack([np.ones(POINTS), offset, offset**2], axis=1)
-    terms = np.linalg.lstsq(powers, blocks, rcond=None)[0]
-    curvature = -2.0 * float(terms[2].sum())
-    if curvature <= 0.0:
-        return best, reach, math.inf
-    top = float(terms[1].sum()) / curvature
-    slope = terms[1] + 2.0 * terms[2] * top
-    scatter = float(slope @ slope + slope[1:] @ slope[:-1]) * len(slope) / (len(slope) - 1)
-    few = float(t.ppf(0.975, len(slope) - 1)) / 1.96
-    widening = max(scatter / curvature, 1.0) * few**2
-    return best + top * reach, reach * math.sqrt(2.0 * DROP * widening / curvature), widening
+    best = _top(delays, blocks.sum(axis=1))
+    low, high = _redrawn(delays, blocks, best)
+    independent, half = _by_scatter(delays, blocks, best)
+    low, high = min(low, best - half), max(high, best + half)
+    return best, low, high, (0.5 * (high - low) / independent) ** 2 if half < math.inf else math.inf
 
 
-def _golden(likelihood: Likelihood, low: float, high: float) -> None:
-    """Try delays between two limits until the best is known to ``FINE``."""
-    inner = [high - GOLDEN * (high - low), low + GOLDEN * (high - low)]
-    while high - low > FINE:
-        if likelihood.total(inner[0]) > likelihood.total(inner[1]):
-            high, inner = inner[1], [inner[1] - GOLDEN * (inner[1] - low), inner[0]]
-        else:
-            low, inner = inner[0], [inner[1], inner[0] + GOLDEN * (high - inner[0])]
+def _top(delays: Array, sums: Array) -> float:
+    """Return the top of the parabola through the sums near the largest."""
+    middle = delays[np.argmax(sums)]
+    offset = (delays - middle) / STEP
+    near = np.abs(offset) < 1.001
+    if np.count_nonzero(near) < 3:  # at the end of the range
+        return float(middle)
+    curve, slope, _ = np.polyfit(offset[near], sums[near], 2)
+    return float(middle + STEP * (np.clip(-0.5 * slope / curve, -1.0, 1.0) if curve < 0.0 else 0.0))
 
 
-def _edge(likelihood: Likelihood, best: float, side: float, drop: float) -> float:
-    """Return the delay at which the sum has lost ``drop``, on one side of the best."""
-    level = likelihood.total(best) - drop
-    inside, step = 0.0, FINE
-    while likelihood.total(best + side * (inside + step)) > level:
-        inside, step = inside + step, 2.0 * step
-        if not SPAN[0] < best + side * (inside + step) < SPAN[1]:
-            return SPAN[0] if side < 0.0 else SPAN[1]
-    outside = inside + step
-    while outside - inside > 0.25 * FINE:
-        middle = 0.5 * (inside + outside)
-        if likelihood.total(best + side * middle) > level:
-            inside = middle
-        else:
-            outside = middle
-    return best + side * outside
+def _redrawn(delays: Array, blocks: Array, best: float) -> tuple[float, float]:
+    """Return the ends of the 95 % interval of the tops with the blocks drawn again.
+
+    The percentiles of a few blocks scatter too little, as a variance about a mean does.
+    """
+    n = blocks.shape[1]
+    weights = np.random.default_rng(n).multinomial(n, np.full(n, 1.0 / n), size=DRAWS)
+    tops = [_top(delays, sums) for sums in weights @ blocks.T]
+    low, high = np.percentile(tops, [2.5, 97.5]) - best
+    few = float(t.ppf(0.975, n - 1)) / 1.96 * math.sqrt(n / (n - 1))
+    return best + few * min(float(low), 0.0), best + few * max(float(high), 0.0)
+
+
+def _by_scatter(delays: Array, blocks: Array, best: float) -> tuple[float, float]:
+    """Return the half 95 % interval by the curvature alone, and by the scatter of the slopes too.
+
+    Each block has a parabola of its own; the scatter is that of their slopes at the top,
+    neighbours counted together.
+    """
+    reach = STEP
+    while True:
+        offset = (delays - best) / reach
+        near = np.abs(offset) < 1.001
+        powers = np.stack([np.ones_like(offset), offset, offset**2], axis=1)[near]
+        terms = np.linalg.lstsq(powers, blocks[near], rcond=None)[0]
+        curvature = -2.0 * float(terms[2].sum())
+        half = independent = math.inf
+        if curvature > 0.0:
+            slope = terms[1] + 2.0 * terms[2] * float(terms[1].sum()) / curvature
+            scatter = float(slope @ slope + slope[1:] @ slope[:-1]) * len(slope) / (len(slope) - 1)
+            few = float(t.ppf(0.975, len(slope) - 1)) / 1.96
+            independent = reach * math.sqrt(2.0 * DROP / curvature)
+            half = independent * few * math.sqrt(max(scatter / curvature, 1.0))
+        if 2.0 * half <= reach or reach >= NEAR:
+            return independent, half
+        reach *= 2.0
 
 
 def _acceleration(table: Table, begin: float) -> float:

@@ -2,6 +2,7 @@
 
 What they share
     inertial      inertial samples: screening, gaps, rest, levelling
+    gap           what a gap in the samples hides
     marg          the same with the magnetic field, for attitude alone
     strapdown     the motion: state, integration, transition, noise
     observation   models of position, velocity and azimuth, with their Jacobians

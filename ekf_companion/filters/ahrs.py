@@ -21,22 +21,23 @@ import numpy as np
 
 from ekf_companion.filters.ahrs_sensors import (
     REST_MEMORY,
+    FieldTurn,
     GravityFilter,
     GyroFrame,
     LowPass,
     ReferenceField,
     RestDetector,
+    Wander,
 )
+from ekf_companion.filters.gap import Lost
 from ekf_companion.filters.marg import MargSamples, marg_samples
 from ekf_companion.filters.solution import AttitudeEstimates, Solution, attitude_solution
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events
 
-GAP = 0.25
-"""Step between samples beyond which the motion between them is lost, s."""
-LOST_RATE = 1.0
-"""One sigma of the rate in a gap, rad/s."""
+HIDDEN_LATER = 1.0
+"""One sigma of a turn about the vertical that a rest after the first may hide, rad/s."""
 GATE = 16.0
 """Largest normalised innovation squared of the rate at rest; beyond, it is a slow turn."""
 UNKNOWN_YAW = math.pi
@@ -79,6 +80,10 @@ class AhrsSettings:
     """Likewise of the specific force, m/s^2."""
     rest_sigma: float = 5e-4
     """One sigma of the mean rate at rest, rad/s."""
+    hidden_turn: float = 0.02
+    """One sigma of a steady turn about the vertical that the first rest may hide, rad/s."""
+    field_turn: float = 0.01
+    """One sigma of a turn of the magnetic field itself during a rest, rad."""
     step: float = 0.05
     """Time from one correction to the next, s."""
 
@@ -137,9 +142,13 @@ class _Estimator:
         self._q_ni = np.array([1.0, 0.0, 0.0, 0.0])
         self._bias = np.zeros(3)
         self._P = np.diag([1.0, 1.0, UNKNOWN_YAW**2] + [settings.bias_sigma**2] * 3)
+        self._wander = Wander(settings.spread_memory)
+        self._slope = 0.0
         self._since_field = 0.0
         self._field_time = 0.0
         self._has_moved = False
+        self._has_rested = False
+        self._turn = FieldTurn(self._q_ni)
         self._lag = LowPass(settings.gravity_memory, (3, 4))
         self._stray2 = 0.0
 
@@ -147,10 +156,11 @@ class _Estimator:
         """Run over all samples."""
         frame, gravity, rest, step = self._frame, self._gravity, self._rest, self.settings.step
         bias = [0.0, 0.0, 0.0]
-        for dt, gyro, accel, mag in samples.rows():
-            if dt > GAP:
-                self._bridge(dt)
-                dt = 1e-3  # the turn in the gap is not known
+        for dt, gyro, accel, mag, missed in samples.rows():
+            if missed is not None:
+                if missed.gyro is not None:
+                    frame.rotate(missed.gyro, bias, missed.span)
+                self._bridge(missed.lost)
             frame.rotate(gyro, bias, dt)
             gravity.add(*frame.to_frame(accel), dt)
             rest.add(gyro, accel, dt)
@@ -164,12 +174,14 @@ class _Estimator:
             self.step_of.append(len(self.biases) - 1)
             self.is_still.append(rest.is_still)
 
-    def _bridge(self, dt: float) -> None:
+    def _bridge(self, lost: Lost) -> None:
         """Inflate the attitude's covariance after a gap, and restart the low-pass."""
-        lost = min(LOST_RATE * dt, UNKNOWN_YAW) ** 2
-        self._P = self._P + lost * np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+        self._P = self._P + np.diag([lost.tilt**2, lost.tilt**2, lost.yaw**2, 0.0, 0.0, 0.0])
         self._gravity.restart()
+        self._wander.restart()
         self._rest.restart()
+        # What was averaged before was seen from elsewhere
+        self._field_time = 0.0
         self._keep()
 
     def _advance(self) -> None:
@@ -188,8 +200,9 @@ class _Estimator:
         theta = self._correct_tilt()
         if self._rest.is_still:
             self._correct_bias_at_rest()
-        elif self._gravity.is_warm:
-            self._has_moved = True
+        else:
+            self._turn = FieldTurn(self._q_ni)
+            self._has_moved = self._has_moved or self._gravity.is_warm
         self._correct_bias_in_motion(theta / frame.elapsed, A / frame.elapsed)
         self._since_field += frame.elapsed
         if frame.fields:
@@ -197,9 +210,15 @@ class _Estimator:
         self._keep()
 
     def _keep(self) -> None:
+        """Keep the result, with the acceleration that cannot be told from tilt in its covariance.
+
+        It lasts for seconds, so it is no noise that more steps would average. A dipping field
+        turns the yaw by it.
+        """
         self.corrections.append(self._q_ni)
         self.biases.append(self._bias)
-        self.covariances.append(self._P)
+        one = np.array([1.0, 1.0, self._slope**2, 0.0, 0.0, 0.0])
+        self.covariances.append(self._P + self._wander.variance * np.diag(one))
 
     def _correct_tilt(self) -> Array:
         """Correct roll and pitch by the low-passed gravity; return the turn about north and east.
@@ -208,8 +227,11 @@ class _Estimator:
         """
         s, gravity = self.settings, self._gravity
         sigma = gravity.sigma(self._frame.elapsed)
-        up = so3.rotate(self._q_ni, np.array([gravity.x, gravity.y, gravity.z]))
-        x, y, z = (up / -max(math.sqrt(float(up @ up)), 1e-6)).tolist()
+        force_i = np.array([gravity.x, gravity.y, gravity.z])
+        down_i = force_i / -max(math.sqrt(float(force_i @ force_i)), 1e-6)
+        if gravity.is_warm:
+            self._wander.add(down_i, self._frame.elapsed)
+        x, y, z = so3.rotate(self._q_ni, down_i).tolist()
         across = math.hypot(x, y)
         angle = math.atan2(across, z)
         scale = angle / across if across > 1e-9 else 1.0
@@ -251,15 +273,43 @@ class _Estimator:
         self._correct(H, innovation, R * np.eye(2))
 
     def _correct_bias_at_rest(self) -> None:
-        """Fuse the mean rate at rest as bias; refuse it as a slow turn beyond the gate."""
+        """Fuse the mean rate at rest as bias, about the vertical only as far as nothing turns.
+
+        A slow turn about a level axis is refused beyond the gate; one about the vertical looks like
+        rest, and what it has hidden once is hidden in every later rest too.
+        """
+        s, frame = self.settings, self._frame
+        down_b = so3.to_matrix(so3.multiply(self._q_ni, np.array(frame.q_ib)))[2]
+        hidden = s.hidden_turn if not self._has_rested else HIDDEN_LATER
+        down2 = np.outer(down_b, down_b)
         innovation = np.array(self._rest.rate) - self._bias
-        S = np.diagonal(self._P)[3:] + self.settings.rest_sigma**2
-        if float(np.max(innovation**2 / S)) > GATE:
+        level = innovation - down_b * float(down_b @ innovation)
+        S = np.diagonal(self._P)[3:] + s.rest_sigma**2
+        if float(np.max(level**2 / S)) > GATE:
             self.refused["rest"] += 1
             return
-        R = self.settings.rest_sigma**2 * max(2.0 * REST_MEMORY / self._frame.elapsed, 1.0)
-        self._correct(np.eye(6)[3:], innovation, R * np.eye(3))
+        R = s.rest_sigma**2 * max(2.0 * REST_MEMORY / frame.elapsed, 1.0) * np.eye(3)
+        self._correct(np.eye(6)[3:], innovation, R + hidden**2 * down2)
+        self._has_rested = True
         self.counts["rest"] += 1
+        self._compare_with_field(down_b)
+
+    def _compare_with_field(self, down_b: Array) -> None:
+        """Fuse the bias about the vertical at which the field, at rest, would not turn.
+
+        However many steps say so, the field's own error remains.
+        """
+        s, frame, turn = self.settings, self._frame, self._turn
+        if not frame.fields:
+            turn.add(None, float(down_b @ self._bias), frame.elapsed)
+            return
+        north, east, _ = so3.rotate(turn.q_ni, np.array(frame.field_sum)).tolist()
+        turn.add(math.atan2(east, north), float(down_b @ self._bias), frame.elapsed)
+        H = np.concatenate([np.zeros(3), down_b])[None]
+        variance, std = float(H[0] @ self._P @ H[0]), turn.std(s.field_turn)
+        if std * std < 0.9 * variance:
+            R = std * std * variance / (variance - std * std)
+            self._correct(H, turn.bias - H[:, 3:] @ self._bias, np.array([[R]]))
 
     def _correct_yaw(self, field_i: Array) -> None:
         """Correct yaw by the horizontal direction of the field."""
@@ -269,7 +319,8 @@ class _Estimator:
         dt, self._since_field = self._since_field, 0.0
         still = self._rest.is_still
         innovation = -math.atan2(y, x)
-        tilt2 = 0.5 * (P[0, 0] + P[1, 1]) * (z / max(horizontal, 1e-6)) ** 2
+        self._slope = z / max(horizontal, 1e-6)
+        tilt2 = 0.5 * (P[0, 0] + P[1, 1]) * self._slope**2
         across, is_new = 0.0, False
         if self._gravity.is_warm:
             across, is_new = self._reference.judge(horizontal, z, dt, is_still=still)

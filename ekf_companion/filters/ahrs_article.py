@@ -90,15 +90,14 @@ def _filter(samples: MargSamples, mag_b: Array, *, is_original: bool) -> tuple[A
     roll, pitch, yaw = so3.to_euler(samples.first_attitude()).tolist()
     rolls = pitches = yaws = 1.0
     angles, variances = [], []
-    for dt, (p, q, r), (fx, fy, fz), mag in replace(samples, mag_b=mag_b).rows():
+    for dt, gyro, (fx, fy, fz), mag, missed in replace(samples, mag_b=mag_b).rows():
         # Predict by Euler's kinematics
-        sr, cr = math.sin(roll), math.cos(roll)
-        cp = math.cos(pitch)
-        cp = math.copysign(max(abs(cp), STEEP), cp)
-        across = q * sr + r * cr
-        roll += (p + across * math.sin(pitch) / cp) * dt
-        pitch += (q * cr - r * sr) * dt
-        yaw += across / cp * dt
+        if missed is not None:
+            if missed.gyro is not None:
+                roll, pitch, yaw = _turned(roll, pitch, yaw, missed.gyro, missed.span)
+            rolls, pitches = (v + missed.lost.tilt**2 for v in (rolls, pitches))
+            yaws += missed.lost.yaw**2
+        roll, pitch, yaw = _turned(roll, pitch, yaw, gyro, dt)
         rolls, pitches, yaws = (v + GYRO * dt for v in (rolls, pitches, yaws))
         # Correct roll and pitch by the accelerometer
         roll, rolls = _fused(roll, rolls, math.atan2(-fy, -fz), ACCEL)
@@ -117,6 +116,19 @@ def _filter(samples: MargSamples, mag_b: Array, *, is_original: bool) -> tuple[A
         angles.append((roll, pitch, yaw))
         variances.append((rolls, pitches, yaws))
     return np.array(angles), np.array(variances)
+
+
+def _turned(
+    roll: float, pitch: float, yaw: float, gyro: list[float], dt: float
+) -> tuple[float, float, float]:
+    """Return the angles after a time, s, by Euler's kinematics in one step."""
+    p, q, r = gyro
+    sr, cr = math.sin(roll), math.cos(roll)
+    cp = math.cos(pitch)
+    cp = math.copysign(max(abs(cp), STEEP), cp)
+    across = q * sr + r * cr
+    turned = roll + (p + across * math.sin(pitch) / cp) * dt
+    return turned, pitch + (q * cr - r * sr) * dt, yaw + across / cp * dt
 
 
 def _fused(angle: float, variance: float, measured: float, R: float) -> tuple[float, float]:

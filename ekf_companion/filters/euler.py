@@ -21,7 +21,7 @@ from scipy.linalg import expm
 
 from ekf_companion.errors import FilterError
 from ekf_companion.filters.gate import Decision
-from ekf_companion.filters.observation import Observation, reset
+from ekf_companion.filters.observation import Observation
 from ekf_companion.filters.sequence import MeasurementSequence, Setup, run_sequence
 from ekf_companion.filters.solution import Solution
 from ekf_companion.filters.strapdown import (
@@ -222,6 +222,11 @@ class Euler:
         self.P = Phi @ self.P @ Phi.T + Q
         refuse_steep(self.x, self._limit)
 
+    def inflate(self, Q: Array) -> None:
+        """Add to the covariance of the error state of ``strapdown``, shape (15, 15)."""
+        T = by_error_state(self.x)
+        self.P = self.P + T @ Q @ T.T
+
     def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
         """Fuse the aids of one time, one after the other, by the Joseph form.
 
@@ -238,7 +243,7 @@ class Euler:
             if decision is Decision.REFUSED:
                 continue
             if decision is Decision.RESET:
-                K, inflation = reset(aid, now, self._setup.gate.patience[aid.aid])
+                K, inflation = self._setup.gate.reset(aid, now, t_ns)
                 T = by_error_state(self.x)
                 K, inflation = T @ K, T @ inflation @ T.T
             else:

@@ -170,7 +170,7 @@ def epochs(sequence: MeasurementSequence, frame: LocalFrame) -> Iterator[Epoch]:
 
 
 def run(sequence: MeasurementSequence, constants: Constants = ARTICLE) -> Solution:
-    """Run the article's filter over a recording, from the first heading and fix on.
+    """Run the article's filter over a recording, from the first fix with a recent heading on.
 
     Positions are metres of ``nav.earth.SIMULATED`` if the first fix is near it, so that those of a
     simulation are its own; else of the first fix.
@@ -183,17 +183,18 @@ def run(sequence: MeasurementSequence, constants: Constants = ARTICLE) -> Soluti
     here = SIMULATED.to_ned(first.lat, first.lon, first.alt)
     frame = SIMULATED if np.hypot(here[0], here[1]) < NEAR else first
     recorder = Recorder("euler:article", frame)
-    yaw: float | None = None
-    fix: Array | None = None
+    heading: Azimuth | None = None
+    heard_ns = 0
     tried: Direct | None = None
     for epoch in epochs(sequence, frame):
         if tried is None:
-            # Start at the first heading and the first fix, level
-            yaw = _yaw(np.zeros(N), epoch.headings[0]) if epoch.headings and yaw is None else yaw
-            fix = epoch.fixes[0] if epoch.fixes and fix is None else fix
-            if yaw is None or fix is None:
+            # Start at a fix with a heading shortly before it, level
+            if epoch.headings:
+                heading, heard_ns = epoch.headings[-1], epoch.t_ns
+            if heading is None or not epoch.fixes or epoch.t_ns - heard_ns > sequence.window_ns:
                 continue
-            tried = Direct([0.0, 0.0, yaw, *fix, *np.zeros(6)], constants)
+            yaw = _yaw(np.zeros(N), heading)
+            tried = Direct([0.0, 0.0, yaw, *epoch.fixes[0], *np.zeros(6)], constants)
         try:
             tried.step(epoch)
         except FilterError as why:

@@ -8,6 +8,8 @@ import numpy as np
 
 from ekf_companion.core.from_settings import chi_square_quantile
 from ekf_companion.core.settings import GateSettings
+from ekf_companion.filters.observation import Observation, reset
+from ekf_companion.filters.strapdown import Nominal
 from ekf_companion.nav.arrays import Array
 
 
@@ -42,6 +44,14 @@ class Gate:
     def test(self, aid: str, t_ns: int, z: Array, S: Array) -> Decision:
         """Test an innovation of 1 to 3 rows; the first that fails after a time-out resets."""
         return self.decide(aid, t_ns, float(z @ np.linalg.solve(S, z)), len(z))
+
+    def reset(self, aid: Observation, state: Nominal, t_ns: int) -> tuple[Array, Array]:
+        """Return gain and inflation of a reset, as :func:`~.observation.reset` does."""
+        has_velocity = self.counts.get("velocity", (0, 0))[0] > 0
+        if has_velocity:
+            silent_ns = t_ns - self._accepted_ns["velocity"]
+            has_velocity = silent_ns * 1e-9 < self.patience["velocity"]
+        return reset(aid, state, self.patience[aid.aid], has_velocity=has_velocity)
 
     def is_within(self, nis: float, dof: int) -> bool:
         """Return whether a normalised innovation squared is within the gate."""

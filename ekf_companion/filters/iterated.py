@@ -20,7 +20,7 @@ from scipy.linalg import block_diag
 from ekf_companion.filters import gauss_newton
 from ekf_companion.filters.gate import Decision
 from ekf_companion.filters.gauss_newton import MAX_ITERATIONS, Correction, Form, Manifold, Rows
-from ekf_companion.filters.observation import Observation, reset
+from ekf_companion.filters.observation import Observation
 from ekf_companion.filters.robocentric import DOWN, FRAME_ATT, FRAME_POS, FULL, RobocentricState
 from ekf_companion.filters.sequence import MeasurementSequence, Setup, run_sequence
 from ekf_companion.filters.solution import Solution
@@ -101,13 +101,17 @@ class Iterated:
         self.P = Phi @ self.P @ Phi.T
         self.P[:N, :N] += self._setup.noise.covariance(over.dt)
 
+    def inflate(self, Q: Array) -> None:
+        """Add to the covariance of the error state, shape (15, 15)."""
+        self.P[:N, :N] += Q
+
     def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
         """Fuse the aids of one time that pass the gate in one update."""
         judged = [(aid, self._test(t_ns, aid)) for aid in aids]
         resets = [aid for aid, decision in judged if decision is Decision.RESET]
         accepted = [aid for aid, decision in judged if decision is Decision.FUSED]
         for aid in resets:
-            self._reset(aid)
+            self._reset(t_ns, aid)
         if accepted:
             found = self._solve(accepted)
             self._x, self.P, self.is_settled = found.state, found.P, found.is_settled
@@ -116,12 +120,12 @@ class Iterated:
             G = G[self._active_by_active]
             self.P = G @ self.P @ G.T
 
-    def _reset(self, aid: Observation) -> None:
+    def _reset(self, t_ns: int, aid: Observation) -> None:
         """Set what an aid measures to the measurement; in n, where it is a block of the state."""
         T = np.eye(len(self.P))
         T[:N] = self._x.in_n_jacobian()[:, self._active]
         z, H, R = self._rows([aid], self._x)[:3]
-        K, inflation = reset(aid, self.state, self._setup.gate.patience[aid.aid])
+        K, inflation = self._setup.gate.reset(aid, self.state, t_ns)
         back = np.linalg.solve(T, np.eye(len(T), N))
         K, inflation = back @ K, back @ inflation @ back.T
         A = np.eye(len(self.P)) - K @ H

@@ -48,7 +48,10 @@ def run(
     q: Quaternion = (w, x, y, z)
     bias: Vector = (0.0, 0.0, 0.0)
     attitudes, biases = [], []
-    for dt, gyro, accel, mag in samples.rows():
+    for dt, gyro, accel, mag, missed in samples.rows():
+        if missed is not None and missed.gyro is not None:
+            p, r, s = (rate - each for rate, each in zip(missed.gyro, bias, strict=True))
+            q = rotated(q, p, r, s, missed.span)
         ex, ey, ez = _gravity_error(q, accel)
         if mag is not None:
             mx, my, mz = _field_error(q, mag)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ekf_companion.errors import LogError
+from ekf_companion.filters.gap import BLIND, SHORTEST, SLOW, Lost, lost_motion
 from ekf_companion.filters.inertial import (
     LONGEST_GAP,
     inertial_samples,
@@ -21,6 +23,21 @@ from ekf_companion.nav.measurements import GNSS_DECLINATION, Events, Kind
 
 LONGEST_CARRY = 0.1
 """Longest time over which a field is rotated to the next inertial sample, s."""
+
+
+class Missed(NamedTuple):
+    """A gap, up to one usual step before the sample that ends it."""
+
+    span: float
+    """s."""
+    gyro: list[float] | None
+    """Mean of the rates at both ends, rad/s; None: too long to interpolate the turn over."""
+    lost: Lost
+    """What it hides."""
+
+
+Row = tuple[float, list[float], list[float], list[float] | None, Missed | None]
+"""Step, s, rate, specific force, field (None: no new one), and the gap that it ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -51,14 +68,23 @@ class MargSamples:
         """Return which samples have a new field, shape (n,)."""
         return known_rows(self.mag_b)
 
-    def rows(self) -> Iterator[tuple[float, list[float], list[float], list[float] | None]]:
-        """Yield step, rate, specific force and field (None: no new one) of each sample."""
+    def rows(self) -> Iterator[Row]:
+        """Yield each sample; the step of one that ends a gap is the usual one."""
         fields = (
             field if is_known else None
             for field, is_known in zip(self.mag_b.tolist(), self.has_mag.tolist(), strict=True)
         )
-        gyro, accel = self.gyro_b.tolist(), self.accel_b.tolist()
-        return zip(self.steps.tolist(), gyro, accel, fields, strict=True)
+        gyro, accel, steps = self.gyro_b.tolist(), self.accel_b.tolist(), self.steps
+        usual = float(np.median(steps))
+        missed: list[Missed | None] = [None] * len(steps)
+        for i in np.flatnonzero(steps > SHORTEST).tolist():
+            span = float(steps[i])
+            mean = (0.5 * (self.gyro_b[i - 1] + self.gyro_b[i])).tolist()
+            lost = lost_motion(span, usual)
+            if i and lost is not None and span > SLOW * usual:
+                missed[i] = Missed(span - usual, mean if span <= BLIND else None, lost)
+        steps = np.where([one is not None for one in missed], usual, steps)
+        return zip(steps.tolist(), gyro, accel, fields, missed, strict=True)
 
     def first_attitude(self) -> Array:
         """Return q_nb by the first specific force and the first field, from magnetic north."""

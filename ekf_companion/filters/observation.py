@@ -152,7 +152,9 @@ class Azimuth:
         return H
 
 
-def reset(aid: Observation, state: Nominal, seconds: float) -> tuple[Array, Array]:
+def reset(
+    aid: Observation, state: Nominal, seconds: float, *, has_velocity: bool = True
+) -> tuple[Array, Array]:
     """Return the update by an aid that the gate has refused for too long.
 
     That is the gain that sets what the aid measures to the measurement, shape (15, m), and what is
@@ -161,7 +163,8 @@ def reset(aid: Observation, state: Nominal, seconds: float) -> tuple[Array, Arra
     It measures position, velocity or the turn about down, in its axes. The other states do
     not change, whatever their correlation with it in P, and its dependence on them (by a lever arm,
     a tilt) is kept. A velocity becomes wrong by a wrong attitude only, whose covariance is inflated
-    by as much, given the seconds since the aid was last fused.
+    by as much, given the seconds since the aid was last fused. A position becomes wrong by a wrong
+    velocity, unless that has been fused meanwhile (``has_velocity``).
     """
     H = aid.jacobian(state)
     # The error states that it measures
@@ -175,4 +178,7 @@ def reset(aid: Observation, state: Nominal, seconds: float) -> tuple[Array, Arra
         error = float(np.linalg.norm(aid.innovation(state)))
         tilt = min(error / (STANDARD_GRAVITY * seconds), 1.0)
         inflation[ATT, ATT] = tilt * tilt * np.eye(3)
+    if aid.aid == "position" and not has_velocity:
+        drift = aid.innovation(state) / seconds
+        inflation[VEL, VEL] = float(drift @ drift) * np.eye(3)
     return np.asarray(measured.T @ np.linalg.pinv(H @ measured.T)), inflation

@@ -20,6 +20,7 @@ from ekf_companion.core.settings import HABITS, FilterSettings
 from ekf_companion.errors import FilterError, LogError
 from ekf_companion.filters import aiding
 from ekf_companion.filters.alignment import InitialEstimate, align
+from ekf_companion.filters.gap import BLIND, IRREGULAR, Lost, lost_motion, without_motion
 from ekf_companion.filters.gate import Gate
 from ekf_companion.filters.inertial import inertial_samples, longest_part
 from ekf_companion.filters.observation import Azimuth, Observation
@@ -27,7 +28,7 @@ from ekf_companion.filters.solution import Recorder, Solution
 from ekf_companion.filters.strapdown import Earth, Interval, Noise, Nominal
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.measurements import GNSS_POSITION, Events
+from ekf_companion.nav.measurements import GNSS_POSITION, Events, Kind
 
 AROUND_NS = 2_000_000_000
 """Largest distance of a fix or a heading from the inertial samples."""
@@ -44,6 +45,10 @@ class Step:
     aids: tuple[Observation, ...]
     is_sample: bool
     """The interval ends at an inertial sample: an estimate is due."""
+    still: Earth | None = None
+    """In a gap too long to interpolate the motion over: the Earth on which the vehicle stands."""
+    lost: Lost | None = None
+    """What the gap hides that ends with the sample."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -65,6 +70,9 @@ class NavigationFilter(Protocol):
 
     def predict(self, over: Interval) -> None:
         """Predict the estimate over an interval."""
+
+    def inflate(self, Q: Array) -> None:
+        """Add to the covariance of the error state, shape (15, 15)."""
 
     def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
         """Fuse the aids of one time."""
@@ -91,7 +99,7 @@ class MeasurementSequence:
         Raises:
             LogError: There are no inertial samples, no fixes or no heading.
         """
-        self._settings = settings
+        self._settings, self._family = settings, family
         kind = settings.imu.samples
         self.is_mean = (HABITS[family].imu_samples if kind == "auto" else kind) == "mean"
         """Whether an inertial sample is the mean since the one before."""
@@ -105,6 +113,8 @@ class MeasurementSequence:
         imu, self.notes = longest_part(imu, settings.imu.gap_reset)
         is_near = ordered.t_ns > imu.t_ns[0] - AROUND_NS
         ordered = ordered.take(is_near & (ordered.t_ns < imu.t_ns[-1] + AROUND_NS))
+        is_part = (ordered.t_ns >= imu.t_ns[0]) & (ordered.t_ns <= imu.t_ns[-1])
+        self._events = ordered.take((ordered.kind != Kind.IMU) | is_part)
         self.t_ns: Stamps = imu.t_ns
         """Times of the inertial samples."""
         self.gyro: Array = imu.values[:, :3]
@@ -118,8 +128,14 @@ class MeasurementSequence:
         nearest = np.clip(np.searchsorted(self.t_ns, fixes.t_ns), 0, len(self.t_ns) - 1)
         aids = aiding.fix_observations(fixes, self.gyro[nearest], self.frame, settings)
         aids += aiding.azimuths(ordered, fixes, settings)
+        self._usual = float(np.median(np.diff(self.t_ns))) * 1e-9
         self.aids: list[tuple[int, Observation]] = sorted(aids, key=lambda one: one[0])
         """Times and aids, ascending."""
+
+    @property
+    def window_ns(self) -> int:
+        """Return how old a heading may be at a start that is not the main estimator's, ns."""
+        return round(self._settings.align.time * 1e9)
 
     @property
     def noise(self) -> Noise:
@@ -138,9 +154,7 @@ class MeasurementSequence:
         Raises:
             LogError: The recording ends before level, north and position are known.
         """
-        start = align(
-            self.t_ns, self.gyro, self.accel, self.aids, self._settings, self.earth.rate_n
-        )
+        start = align(self._events, self.frame, self._settings, self._family)
         gate = Gate(self._settings.gate)
         return Setup(start=start, earth=self.earth, noise=self.noise, gate=gate)
 
@@ -151,19 +165,40 @@ class MeasurementSequence:
         waiting = deque((t_ns, tuple(aid for _, aid in group)) for t_ns, group in later)
         for k in range(max(first, 1), len(self.t_ns)):
             now, end = self.t_ns[k - 1 : k + 1].tolist()
+            span = (end - now) * 1e-9
+            still = self.earth if span > BLIND else None
+            lost = lost_motion(span, self._usual, self._settings.imu.gap)
             while waiting and waiting[0][0] <= end:
                 at_ns, aids = waiting.popleft()
                 over = self._interval(k, now, at_ns)
-                yield Step(t_ns=at_ns, over=over, aids=aids, is_sample=at_ns == end)
+                yield Step(
+                    t_ns=at_ns,
+                    over=over,
+                    aids=aids,
+                    is_sample=at_ns == end,
+                    still=still,
+                    lost=lost if at_ns == end else None,
+                )
                 now = at_ns
             if now < end:
-                yield Step(t_ns=end, over=self._interval(k, now, end), aids=(), is_sample=True)
+                over = self._interval(k, now, end)
+                yield Step(t_ns=end, over=over, aids=(), is_sample=True, still=still, lost=lost)
 
     def _interval(self, k: int, begin: int, end: int) -> Interval | None:
         """Return the measurements between two times within those of samples k - 1 and k."""
         if end <= begin:
             return None
         ends = []
+        if self.t_ns[k] - self.t_ns[k - 1] > IRREGULAR * self._usual * 1e9:
+            # Of the time that the sample does not stand for, both ends say as much
+            middle = [0.5 * (one[k - 1] + one[k]) for one in (self.gyro, self.accel)]
+            return Interval(
+                dt=(end - begin) * 1e-9,
+                gyro0=middle[0],
+                gyro1=middle[0],
+                accel0=middle[1],
+                accel1=middle[1],
+            )
         for readings in (self.gyro, self.accel):
             before, after = (readings[k], readings[k]) if self.is_mean else readings[k - 1 : k + 1]
             t0, t1 = int(self.t_ns[k - 1]), int(self.t_ns[k])
@@ -178,7 +213,12 @@ class MeasurementSequence:
 def advance(tried: NavigationFilter, step: Step) -> None:
     """Predict a filter over an interval, and correct it at the end."""
     if step.over is not None:
-        tried.predict(step.over)
+        over = step.over
+        if step.still is not None:
+            over = without_motion(over, tried.state, step.still)
+        tried.predict(over)
+    if step.lost is not None:
+        tried.inflate(step.lost.covariance(tried.state.q_nb))
     if step.aids:
         now = tried.state
         aids = [

@@ -18,7 +18,7 @@ import numpy as np
 
 from ekf_companion.filters import sigma_points
 from ekf_companion.filters.gate import Decision
-from ekf_companion.filters.observation import Observation, reset
+from ekf_companion.filters.observation import Observation
 from ekf_companion.filters.sequence import MeasurementSequence, Setup, run_sequence
 from ekf_companion.filters.sigma_points import SigmaPoints
 from ekf_companion.filters.solution import Solution
@@ -52,6 +52,10 @@ class Unscented:
         self.state, dx = sigma_points.average(there, points.mean)
         self.P = _covariance(dx, points) + self._setup.noise.covariance(over.dt)
 
+    def inflate(self, Q: Array) -> None:
+        """Add to the covariance of the error state, shape (15, 15)."""
+        self.P = self.P + Q
+
     def correct(self, t_ns: int, aids: Sequence[Observation]) -> None:
         """Fuse the aids of one time, one after the other."""
         for aid in aids:
@@ -73,7 +77,7 @@ class Unscented:
             return
         inflation = 0.0 * self.P
         if decision is Decision.RESET:
-            K, inflation = reset(aid, self.state, self._setup.gate.patience[aid.aid])
+            K, inflation = self._setup.gate.reset(aid, self.state, t_ns)
             z = aid.innovation(self.state)
         else:
             K = np.linalg.solve(S, weighted.T @ points.dx).T

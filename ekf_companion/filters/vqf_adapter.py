@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.errors import ConfigError
+from ekf_companion.filters.gap import BLIND, SHORTEST, SLOW
 from ekf_companion.filters.inertial import LONGEST_GAP, turn
-from ekf_companion.filters.marg import marg_samples
+from ekf_companion.filters.marg import MargSamples, marg_samples
 from ekf_companion.filters.solution import AttitudeEstimates, Solution, attitude_solution
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Mask
+from ekf_companion.nav.arrays import Array, Indices, Mask, known_rows
 from ekf_companion.nav.measurements import Events
 
 UNEVEN = 0.2
@@ -42,15 +43,15 @@ def run(events: Events, gap: float = LONGEST_GAP) -> Solution:
     steps = samples.steps
     step = float(np.median(steps))
     estimator = package.VQF(step)
-    gyro, accel, mag = (
-        _forward_left_up(v) for v in (samples.gyro_b, samples.accel_b, samples.mag_b)
-    )
-    has_mag = samples.has_mag
+    at, *even = _even(samples, step)
+    gyro, accel, mag = (_forward_left_up(v) for v in even)
+    has_mag = known_rows(mag)
     if has_mag.all():
         found = estimator.updateBatch(gyro, accel, mag)
         q_nb, bias, is_still = found["quat9D"], found["bias"], found["restDetected"]
     else:
         q_nb, bias, is_still = _one_by_one(estimator, gyro, accel, mag, has_mag)
+    q_nb, bias, is_still = q_nb[at], bias[at], np.asarray(is_still)[at]
     q_nb = _north_east_down(q_nb)
     if not has_mag.any():
         # Its yaw of 0 points east
@@ -62,6 +63,29 @@ def run(events: Events, gap: float = LONGEST_GAP) -> Solution:
     bias = _forward_left_up(bias)
     found = AttitudeEstimates(q_nb=q_nb, bias=bias, is_still=is_still, notes=notes)
     return attitude_solution("vqf", samples, found)
+
+
+def _even(samples: MargSamples, step: float) -> tuple[Indices, Array, Array, Array]:
+    """Return where the samples are among even ones, and these: rates, specific forces, fields.
+
+    In a gap they are interpolated or, where it is too long for that, do not turn.
+    """
+    t = (samples.t_ns - samples.t_ns[0]) * 1e-9
+    spans = np.where(samples.steps > max(SHORTEST, SLOW * step), samples.steps, step)
+    spans[0] = step
+    at = np.cumsum(np.maximum(np.rint(spans / step), 1.0).astype(np.int64)) - 1
+    index = np.arange(at[-1] + 1)
+    time = np.interp(index, at, t)
+    gyro, accel = (
+        np.stack([np.interp(time, t, axis) for axis in values.T], axis=1)
+        for values in (samples.gyro_b, samples.accel_b)
+    )
+    gyro[at], accel[at] = samples.gyro_b, samples.accel_b
+    for i in np.flatnonzero(spans > BLIND):
+        gyro[at[i - 1] + 1 : at[i]] = 0.0
+    mag = np.full_like(gyro, np.nan)
+    mag[at] = samples.mag_b
+    return at, gyro, accel, mag
 
 
 def _one_by_one(

@@ -14,17 +14,19 @@ Nilsson, Skog, Haendel, Hari 2012, "Foot-mounted INS for everybody", IEEE/ION PL
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ekf_companion.errors import LogError
+from ekf_companion.filters.gap import BLIND, lost_motion, without_motion
 from ekf_companion.filters.inertial import LONGEST_GAP, inertial_samples, longest_part
 from ekf_companion.filters.solution import Recorder, Solution
 from ekf_companion.filters.strapdown import (
     ATT,
     BA,
     BG,
+    POS,
     VEL,
     Earth,
     Interval,
@@ -44,6 +46,11 @@ LEVER = slice(15, 18)
 SIZE = 18
 """Number of errors; those that are not estimated have no variance and stay zero."""
 ONE = np.eye(3)
+SHORTEST_GAP = 0.05
+"""Longest step between samples that is no gap, s: a swing lasts ten times as long."""
+SWING = (3.0, 20.0)
+"""One sigma of what a gap hides of a foot: it turns by 1 rad and goes 1.3 m in 0.6 s. rad/s,
+m/s^2."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,6 +77,9 @@ class ZuptSettings:
     """Largest normalised innovation squared: chi-square, 3 dof, 0.9999."""
     patience: float = 0.3
     """Time after which a refused stance is fused nevertheless, s."""
+    swing_scale: float = 0.01
+    """Error of the attitude in a swing per rad turned in it: a small gyro's scale and axes. It is
+    the same in each stride, so that the heights that it makes add up."""
     gyro: float = 1e-3
     """Noise of the rate, rad/s per square root of Hz: 0.9 deg/s at 250 Hz."""
     gyro_scale: float = 1e-3
@@ -153,6 +163,10 @@ class _Filter:
             self._P[BA, BA] = settings.accel_bias**2 * ONE
         self._P[LEVER, LEVER] = settings.lever**2 * ONE
         self._refused = 0.0
+        self._unaided = 0.0
+        self._planted = rest.q_nb
+        self._climb = 0.0
+        self._period = rest.period
 
     def run(self, imu: Events, is_still: Mask) -> tuple[int, int]:
         """Process all samples; return how many zero velocities were fused and refused."""
@@ -161,24 +175,46 @@ class _Filter:
         for index in range(1, len(imu)):
             over = _between(imu, index)
             self._predict(over)
+            self._unaided += over.dt
             # A still sensor has zero velocity
             if is_still[index]:
+                self._planted = self._state.q_nb
                 is_fused = self._correct(imu.values[index, :3], over.dt)
                 fused, refused = fused + is_fused, refused + (not is_fused)
             else:
                 self._refused = 0.0
+                self._add_climb(over.dt)
             self._record(int(imu.t_ns[index]))
         return fused, refused
 
     def _record(self, t_ns: int) -> None:
-        self._recorder.add(t_ns, self._state, covariance_in_n(self._P, self._state.q_nb))
+        P = covariance_in_n(self._P, self._state.q_nb)
+        P[8, 8] += self._climb**2
+        self._recorder.add(t_ns, self._state, P)
+
+    def _add_climb(self, dt: float) -> None:
+        """Add the height that an attitude makes which is wrong by a share of the turn of the swing.
+
+        It is gone at the next stance, so no zero velocity shows it, and it comes again in each
+        stride: no noise that is new each time, and no state that is known from the last.
+        """
+        # A turn about the vertical makes no height
+        down_b, planted_b = (so3.to_matrix(q)[2] for q in (self._state.q_nb, self._planted))
+        turn = float(np.arccos(np.clip(down_b @ planted_b, -1.0, 1.0)))
+        speed = float(np.hypot(self._state.vel_n[0], self._state.vel_n[1]))
+        self._climb += self._settings.swing_scale * turn * speed * dt
 
     def _predict(self, over: Interval) -> None:
+        if over.dt > BLIND:
+            over = without_motion(over, self._state, self._earth)
         Phi = np.eye(SIZE)
         Phi[:15, :15] = transition(self._state, over, self._earth)
         before = self._state.vel_n
         self._state = integrate_strapdown(self._state, over, self._earth)
         self._P = Phi @ self._P @ Phi.T + self._noise(over, before)
+        lost = lost_motion(over.dt, self._period, SHORTEST_GAP, SWING, SWING)
+        if lost is not None:
+            self._P[:15, :15] += lost.covariance(self._state.q_nb)
 
     def _noise(self, over: Interval, before: Array) -> Array:
         """Return the covariance that the interval adds, which grows with rate and acceleration."""
@@ -213,6 +249,9 @@ class _Filter:
             self._refused += dt
             if self._refused < self._settings.patience:
                 return False
+            self._reset(innovation, R)
+            return True
+        self._unaided = 0.0
         K = np.linalg.solve(S, PHt.T).T
         A = np.eye(SIZE) - K @ H
         P = A @ P @ A.T + K @ R @ K.T
@@ -221,6 +260,21 @@ class _Filter:
         self._state = state.plus(dx[:15])
         self._lever = self._lever + dx[LEVER]
         return True
+
+    def _reset(self, innovation: Array, R: Array) -> None:
+        """Set the velocity that the gate has refused for too long, and leave the others alone.
+
+        By the covariance that has refused it, it would turn and move them. That is too small: for
+        as long as no velocity was fused the position was wrong by it, and a tilt has made it.
+        """
+        error, seconds = float(np.linalg.norm(innovation)), self._unaided
+        tilt = min(error / (self._earth.gravity * max(seconds, self._settings.patience)), 1.0)
+        self._state = replace(self._state, vel_n=self._state.vel_n + innovation)
+        self._P[VEL] = self._P[:, VEL] = 0.0
+        self._P[VEL, VEL] = R
+        self._P[POS, POS] += (error * seconds) ** 2 * ONE
+        self._P[ATT, ATT] += tilt**2 * ONE
+        self._refused = self._unaided = 0.0
 
 
 def _between(imu: Events, index: int) -> Interval:

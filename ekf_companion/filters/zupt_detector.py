@@ -16,7 +16,7 @@ from enum import Enum
 import numpy as np
 
 from ekf_companion.errors import LogError
-from ekf_companion.filters.inertial import level
+from ekf_companion.filters.inertial import LARGEST_BIAS, level
 from ekf_companion.nav.arrays import Array, runs
 from ekf_companion.nav.measurements import Events
 
@@ -143,13 +143,24 @@ def first_rest(imu: Events) -> Rest:
     half = round(0.5 * WINDOW / period)
     is_still = moving_variance(gyro, half) < GYRO**2
     is_still &= moving_variance(accel, half) < ACCEL**2
+    # As quiet as a rest is a steady turn; no gyro has such a bias
+    rate = np.stack([_mean(axis, half) for axis in gyro.T], axis=1)
+    is_still &= np.linalg.norm(rate, axis=1) < LARGEST_BIAS
     stamps = (imu.t_ns - imu.t_ns[0]) * 1e-9
+    dead = None
     for first, last in runs(is_still):
         # Half a window next to a motion contains some of it, and would bias the gyro's mean
         first, last = first + half * (first > 0), last - half * (last < len(imu))
         is_long = first < last and stamps[last - 1] - stamps[first] >= SHORTEST
         if is_long and stamps[first] <= LATEST:
-            return _rest(gyro[first:last], accel[first:last], first, period, float(stamps[first]))
+            try:
+                return _rest(
+                    gyro[first:last], accel[first:last], first, period, float(stamps[first])
+                )
+            except LogError as error:
+                dead = error
+    if dead is not None:
+        raise dead
     raise LogError(
         f"no rest of {SHORTEST:g} s in the first {LATEST:g} s of {stamps[-1]:.1f} s: down and the "
         "bias of the gyro cannot be found; stand still for two seconds before walking"

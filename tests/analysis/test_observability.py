@@ -179,9 +179,8 @@ def test_a_turn_that_is_all_there_is_does_not_show_them():
     for bias, angle in LEVEL_PAIRS:
         told = said(found)[bias]
         assert told.since is None
-        assert "this motion does not show it (changes of heading by 3" in told.sentence
+        assert "no change of tilt; it cannot be told from a gyro " in told.sentence
         assert f"a {angle} error of " in told.sentence
-        assert "a gyro " in told.sentence
     assert (found.singular[-1, -2:] < 1e-3).all()
 
 
@@ -207,7 +206,7 @@ def test_a_rest_shows_no_heading_without_an_aid(standing):
 
 @pytest.mark.parametrize("name", ["static", "figure-eight", "loiter"])
 def test_the_gramian_is_that_of_differences_through_the_motion(name):
-    course = simulated(name, 21.0, noise=0.0)
+    course = simulated(name, 21.0, noise=1e-6)
     setup = course.setup()
     steps = list(course.steps(setup.start.t_ns))
     # Where the flight moves, from the filter's state on
@@ -286,13 +285,17 @@ def test_biases_that_count_as_observable_are_known_that_well():
     assert np.sqrt(np.mean(np.square(errors))) > 0.1
 
 
-def test_a_start_in_a_manoeuvre_that_the_gate_would_not_survive_is_told_and_survived():
+def test_a_start_that_the_gate_would_not_survive_is_told_and_survived():
     config = SimConfig(imu=ImuConfig(rate=RATE))
     flight = Flight.plan("figure-eight", config, seed=1, duration=20.0, skip=20.0)
     course = MeasurementSequence(wire.events(flight, has_vel_down=True), SETTINGS, "px4")
-    setup = course.setup()
+    start = course.setup().start
+    # Off by 40 degrees, and as sure of itself as of a tenth of its sigmas
+    tilted = so3.multiply(start.state.q_nb, so3.exp(np.radians([40.0, 0.0, 0.0])))
+    off = replace(start, state=replace(start.state, q_nb=tilted), P=0.01 * start.P)
+    setup = replace(course.setup(), start=off)
     assert run(course, ObservabilityFilter(setup, prior(setup, SETTINGS))).is_lost
-    found = analyse(course, course.setup(), SETTINGS)
+    found = analyse(course, replace(course.setup(), start=off), SETTINGS)
     assert "with its gate the filter loses its way here: nothing is refused" in found.notes
     t_ns = int(course.t_ns[0]) + np.rint(found.motion.t * 1e9).astype(np.int64)
     off = so3.wrap(found.motion.yaw - flight.truth_at(t_ns).euler[:, 2])

@@ -27,6 +27,7 @@ from ekf_companion.filters.strapdown import (
 )
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.measurements import Events, VehicleState, merge
 from sim_autopilot import events as wire
 from sim_autopilot.config import GnssConfig, ImuConfig, SimConfig
 from sim_autopilot.flight import Flight
@@ -128,7 +129,10 @@ class Sortie:
         """Draw a figure-eight that begins at rest, without fixes in a time after the start (s)."""
         config = SimConfig(imu=ImuConfig(rate=50.0), gnss=GnssConfig(delay=0.0))
         flight = Flight.plan("figure-eight", config, seed=seed, duration=seconds + 2.0)
-        course = MeasurementSequence(wire.events(flight, has_vel_down=True), matched(config))
+        # The autopilot reports that it stands: the rest shows the bias of the gyro
+        standing = VehicleState(t_ns=flight.to_ns(0.1), is_armed=False, is_landed=True)
+        events = merge(Events.from_rows([standing.row()]), wire.events(flight, has_vel_down=True))
+        course = MeasurementSequence(events, matched(config))
         setup = course.setup()
         first, last = (setup.start.t_ns + round(t * 1e9) for t in quiet)
         course.aids = [

@@ -10,6 +10,9 @@ from ekf_companion.logs.recording import Counted
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Events, GnssFix, Kind, merge
 from ekf_companion.nav.state import Status
+from sim_autopilot import events as wire
+from sim_autopilot.config import ImuConfig, SimConfig
+from sim_autopilot.flight import Flight
 from tests.filters.swings import Swing, swing
 from tests.filters.trials import TRIALS, trial
 
@@ -107,15 +110,60 @@ def test_what_it_states_of_its_errors_holds():
     assert 0.002 < np.mean(bias) < 1.5
 
 
-def test_a_slow_turn_after_a_rest_is_not_taken_for_a_bias():
-    events, _ = swing(Swing(seconds=40.0, still=50.0, turn=0.0))
+def turning(events, rate, begin=0.0):
+    """Turn a still sensor about its own down axis at a rate, rad/s, from a time on, s."""
     values = events.values.copy()
-    slow = (events.kind == Kind.IMU) & (events.t_ns > 20e9)
-    values[slow, 2] += 0.5 * DEG
-    turned = Events(t_ns=events.t_ns, kind=events.kind, values=values)
-    solution = ahrs.run(turned)
+    t = np.maximum(events.t_ns * 1e-9 - begin, 0.0)
+    q = so3.exp(np.outer(rate * t, [0.0, 0.0, 1.0]))
+    imu, mag = events.kind == Kind.IMU, events.kind == Kind.MAG
+    values[imu & (t > 0.0), 2] += rate
+    values[mag, :3] = so3.rotate(so3.conjugate(q[mag]), values[mag, :3])
+    values[imu, 3:6] = so3.rotate(so3.conjugate(q[imu]), values[imu, 3:6])
+    return Events(t_ns=events.t_ns, kind=events.kind, values=values)
+
+
+LEVEL = {"still": 50.0, "turn": 0.0, "start": (0.0, 0.0, 0.0)}
+
+
+def test_a_slow_turn_after_a_rest_is_not_taken_for_a_bias():
+    events, _ = swing(Swing(seconds=40.0, **LEVEL))
+    solution = ahrs.run(turning(events, 0.5 * DEG, begin=20.0))
     assert abs(solution.table.column("gyro_bias_z")[-1] - 0.008) < 0.1 * DEG
-    assert solution.counts["rest"][1] > 0
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0])
+def test_a_slow_turn_from_the_start_is_seen_by_the_field(rate):
+    events, _ = swing(Swing(seconds=40.0, **LEVEL))
+    table = ahrs.run(turning(events, rate * DEG)).table
+    off = table.column("gyro_bias_z")[1000:] - 0.008
+    assert np.abs(off).max() < 0.3 * DEG
+
+
+def test_a_slow_turn_that_nothing_shows_is_in_the_sigma_of_the_yaw():
+    events, _ = swing(Swing(seconds=40.0, **LEVEL))
+    turned = turning(events, 1.0 * DEG)
+    table = ahrs.run(turned.take(turned.kind == Kind.IMU)).table
+    yaw = np.unwrap(table.column("yaw"))
+    t = table.stamp_ns * 1e-9
+    off = (yaw - yaw[0]) - 1.0 * DEG * (t - t[0])
+    assert (np.abs(off) < 3.0 * table.column("sd_yaw")).all()
+
+
+@pytest.mark.parametrize("name", ["figure-eight", "loiter", "square-spiral"])
+def test_a_tilt_by_accelerations_that_last_is_within_its_sigma(name):
+    """A level acceleration turns the specific force, and hardly changes its length."""
+    flight = Flight.plan(name, SimConfig(imu=ImuConfig(rate=50.0)), seed=1, duration=60.0)
+    solution = ahrs.run(wire.events(flight, has_vel_down=True))
+    late = solution.covariance_ns > solution.covariance_ns[0] + 10_000_000_000
+    at = np.searchsorted(solution.table.stamp_ns, solution.covariance_ns[late])
+    q_nb = np.stack([solution.table.column(f"q_{one}")[at] for one in "wxyz"], axis=1)
+    truth = flight.truth_at(solution.covariance_ns[late]).q_nb
+    error = so3.log(so3.multiply(truth, so3.conjugate(q_nb)))
+    sigma = np.sqrt(np.diagonal(solution.covariance[late], axis1=1, axis2=2))
+    tilt = np.hypot(error[:, 0], error[:, 1])
+    assert tilt.max() > 4.0 * DEG
+    assert (tilt / np.hypot(sigma[:, 0], sigma[:, 1])).max() < 3.0
+    assert (np.abs(error[:, 2]) / sigma[:, 2]).max() < 3.0
 
 
 def test_over_a_gap_the_attitude_becomes_uncertain_and_is_found_again():

@@ -1,174 +1,232 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from ekf_companion.core.settings import FilterSettings, ImuSettings
+from ekf_companion.core.enums import E_ATT, E_VEL, Mode
+from ekf_companion.core.memory import as_state
+from ekf_companion.core.settings import FilterSettings, GnssSettings, ImuSettings
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
-from ekf_companion.filters.alignment import MOVING_TILT, UNKNOWN_VELOCITY, align
-from ekf_companion.filters.observation import Azimuth, Position, Velocity
-from ekf_companion.filters.strapdown import ATT, BA, BG, POS, VEL
+from ekf_companion.filters import euler_article
+from ekf_companion.filters.observation import Position
+from ekf_companion.filters.sequence import MeasurementSequence
+from ekf_companion.filters.strapdown import ATT, BA, BG, VEL
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import STANDARD_GRAVITY, earth_rate_n
+from ekf_companion.nav.measurements import Events, Kind, VehicleState, merge
 
+SECOND = 1_000_000_000
 TRUE = so3.from_euler(0.15, -0.1, 2.5)
 FIELD_N = np.array([0.215, 0.013, 0.433])
+DECLINATION, DIP = float(np.arctan2(0.013, 0.215)), float(np.arctan2(0.433, np.hypot(0.215, 0.013)))
 GYRO_BIAS = np.array([0.004, -0.003, 0.002])
-RATE_N = earth_rate_n(0.83)
-SETTINGS = FilterSettings(imu=ImuSettings(accel_bias=0.05, gyro_bias=0.01))
+LAT, LON, ALT = 0.83, 0.2, 300.0
 LEVER = np.array([0.3, 0.0, -0.2])
+SETTINGS = FilterSettings(
+    imu=ImuSettings(accel_bias=0.05, gyro_bias=0.01),
+    gnss=GnssSettings(delay=0.0, lever_arm=(0.3, 0.0, -0.2)),
+)
 
 
-def readings(rng, shake=0.02, bias=(0.0, 0.0, 0.0)):
-    C_nb = so3.to_matrix(TRUE)
-    t_ns = np.arange(300, dtype=np.int64) * 10_000_000
-    gyro = GYRO_BIAS + C_nb.T @ RATE_N + rng.normal(0.0, 0.002, (300, 3))
-    accel = C_nb.T @ [0.0, 0.0, -STANDARD_GRAVITY] + bias + rng.normal(0.0, shake, (300, 3))
-    return t_ns, gyro, accel
+def recording(
+    rng,
+    *,
+    seconds=6.0,
+    turn=0.0,
+    shake=0.02,
+    bias=(0.0, 0.0, 0.0),
+    speed=0.0,
+    has_mag=True,
+    headings=(),
+    fixes=None,
+):
+    """Stand, or turn about down at a steady rate (rad/s), or go north at a steady speed (m/s)."""
+    t = np.arange(0.0, seconds, 0.01)
+    q_nb = so3.multiply(so3.exp(np.outer(turn * t, [0.0, 0.0, 1.0])), TRUE)
+    C_bn = np.swapaxes(so3.to_matrix(q_nb), 1, 2)
+    rate_n = earth_rate_n(LAT) + np.array([0.0, 0.0, turn])
+    gyro = C_bn @ rate_n + GYRO_BIAS + rng.normal(0.0, 0.002, (len(t), 3))
+    accel = C_bn @ [0.0, 0.0, -STANDARD_GRAVITY] + bias + rng.normal(0.0, shake, (len(t), 3))
+    t_ns = np.rint(t * 1e9).astype(np.int64) + SECOND
+    parts = [Events.from_columns(t_ns, Kind.IMU, *gyro.T, *accel.T)]
+    if has_mag:
+        field = (C_bn @ FIELD_N)[::4] + rng.normal(0.0, 0.003, (len(t[::4]), 3))
+        parts.append(Events.from_columns(t_ns[::4] + 1, Kind.MAG, *field.T))
+    if len(headings):
+        one = np.ones(len(headings))
+        at = np.array(headings, dtype=np.int64) + SECOND
+        parts.append(Events.from_columns(at, Kind.HEADING, 2.5 * one, 0.02 * one, 0.0 * one))
+    at = np.arange(0.0, seconds, 0.2) + 0.003 if fixes is None else np.array(fixes)
+    antenna = so3.rotate(TRUE, LEVER) + np.outer(speed * at, [1.0, 0.0, 0.0])
+    lat, lon = LAT + antenna[:, 0] / 6.37e6, LON + antenna[:, 1] / (6.39e6 * np.cos(LAT))
+    rest = np.broadcast_to(
+        [speed, 0.0, 0.0, 1.0, 2.0, 0.1, DECLINATION, 0.0, DIP, 0.483], (len(at), 10)
+    )
+    parts.append(
+        Events.from_columns(
+            np.rint(at * 1e9).astype(np.int64) + SECOND,
+            Kind.GNSS,
+            lat,
+            lon,
+            ALT - antenna[:, 2],
+            *rest.T,
+        )
+    )
+    return merge(*parts)
 
 
-def aids(rng, vel_n=(0.0, 0.0, 0.0), noise=0.0):
-    C_nb = so3.to_matrix(TRUE)
-    field = C_nb.T @ FIELD_N
-    declination = float(np.arctan2(FIELD_N[1], FIELD_N[0]))
-    pos_n = np.array([1.0, 2.0, 3.0])
-    found = [
-        (1_200_000_000, Position(pos_n=pos_n, std=np.array([1.0, 1.0, 2.0]), lever_b=LEVER)),
-        (1_200_000_000, Velocity(vel_n=np.array(vel_n), std=0.2, swing_b=np.zeros(3))),
-    ]
-    for k in range(40):
-        seen_b = field + noise * rng.standard_normal(3)
-        t_ns = 20_000_000 * k + 500_000_000
-        found.append((t_ns, Azimuth(seen_b=seen_b, azimuth=declination, std=0.02)))
-    return sorted(found, key=lambda one: one[0])
+def started(events, settings=SETTINGS):
+    return MeasurementSequence(events, settings).setup().start
 
 
-def error_n(start):
-    return so3.log(so3.multiply(TRUE, so3.conjugate(start.state.q_nb)))
+def error_n(start, turn=0.0):
+    now = so3.multiply(so3.exp(np.array([0.0, 0.0, turn * (start.t_ns - SECOND) * 1e-9])), TRUE)
+    return so3.log(so3.multiply(now, so3.conjugate(start.state.q_nb)))
+
+
+def standing(events):
+    reported = VehicleState(t_ns=int(events.t_ns[0]) + 50_000_000, is_armed=False, is_landed=True)
+    return merge(Events.from_rows([reported.row()]), events)
 
 
 def test_at_rest_it_finds_level_north_and_the_bias_of_the_gyro():
-    rng = np.random.default_rng(1)
-    start = align(*readings(rng), aids(rng), SETTINGS, RATE_N)
-    assert start.t_ns == 1_200_000_000
-    np.testing.assert_allclose(error_n(start), 0.0, atol=2e-3)
-    np.testing.assert_allclose(
-        start.state.gyro_bias, GYRO_BIAS, atol=8e-4
-    )  # 4 sigma of 100 samples
-    antenna = start.state.pos_n + so3.to_matrix(TRUE) @ LEVER
-    np.testing.assert_allclose(antenna, [1.0, 2.0, 3.0], atol=2e-3)
-    assert np.linalg.eigvalsh(start.P).min() > 0.0
-    np.testing.assert_allclose(np.sqrt(np.diag(start.P)[POS]), [1.0, 1.0, 2.0])
+    start = started(standing(recording(np.random.default_rng(1))))
+    assert 2.0 < start.t_ns / SECOND < 3.0
+    assert np.abs(error_n(start)[:2]).max() < 2e-3
+    assert abs(error_n(start)[2]) < 0.02
+    # 4 sigma of 100 samples, and the rotation of the Earth, which no fix has shown by then
+    np.testing.assert_allclose(start.state.gyro_bias, GYRO_BIAS, atol=9e-4)
     assert (np.sqrt(np.diag(start.P)[BG]) < 0.002).all()
+    antenna = start.state.pos_n + so3.to_matrix(TRUE) @ LEVER
+    assert np.abs(antenna - so3.to_matrix(TRUE) @ LEVER).max() < 0.5
+    assert np.linalg.eigvalsh(start.P).min() > 0.0
+
+
+@pytest.mark.parametrize("has_mag", [True, False])
+@pytest.mark.parametrize("turn", [0.02, 0.05, 0.09])
+def test_a_slow_steady_turn_is_no_bias(turn, has_mag):
+    """As quiet as a rest; with a heading from elsewhere where there is no magnetometer."""
+    headings = () if has_mag else np.arange(0, 6_000_000_000, 200_000_000)
+    events = recording(np.random.default_rng(8), turn=turn, has_mag=has_mag, headings=headings)
+    start = started(events)
+    off = GYRO_BIAS - start.state.gyro_bias
+    assert off @ np.linalg.solve(start.P[BG, BG], off) < 25.0  # 3 dof: five sigmas
 
 
 def test_its_errors_are_as_large_and_tied_together_as_it_says():
     rng = np.random.default_rng(2)
     squares = []
-    for _ in range(60):
+    for _ in range(40):
         bias = rng.normal(0.0, 0.05, 3)
-        start = align(*readings(rng, bias=bias), aids(rng, noise=0.004), SETTINGS, RATE_N)
+        start = started(recording(rng, seconds=3.0, bias=bias))
         C_nb = so3.to_matrix(start.state.q_nb)
-        gap = np.concatenate([C_nb.T @ error_n(start), bias])
+        gap = np.concatenate([C_nb.T @ error_n(start), bias - start.state.accel_bias])
         both = np.r_[ATT, BA]
         squares.append(gap @ np.linalg.solve(start.P[np.ix_(both, both)], gap) / 6.0)
-    # Many looks at north count as one, whose errors may be slow: so below 1
-    assert 0.5 < np.mean(squares) < 1.2
+    # The field of this place has no slow error: so below 1
+    assert 0.3 < np.mean(squares) < 1.2
 
 
 def test_a_level_is_as_wrong_as_the_bias_makes_it():
-    rng = np.random.default_rng(3)
     bias = so3.to_matrix(TRUE).T @ [0.3, 0.0, 0.0]
-    start = align(*readings(rng, bias=bias), aids(rng), SETTINGS, RATE_N)
+    start = started(recording(np.random.default_rng(3), bias=bias))
     assert error_n(start)[1] == pytest.approx(-0.3 / STANDARD_GRAVITY, rel=0.05)
     # Told the bias, the covariance turns the level back
     back = start.P[ATT, BA] @ np.linalg.solve(start.P[BA, BA], bias)
     left = so3.to_matrix(start.state.q_nb).T @ error_n(start) - back
-    assert np.linalg.norm(left) < 0.1 * np.linalg.norm(error_n(start))
+    assert np.linalg.norm(left[:2]) < 0.1 * np.linalg.norm(error_n(start))
 
 
 def test_in_motion_nothing_is_taken_for_rest():
-    rng = np.random.default_rng(4)
-    start = align(*readings(rng), aids(rng, vel_n=(5.0, 0.0, 0.0)), SETTINGS, RATE_N)
-    assert (start.state.gyro_bias == 0.0).all()
-    assert start.state.vel_n[0] == 5.0
-    assert np.sqrt(np.trace(start.P[ATT, ATT])) > MOVING_TILT
-    shaken = align(*readings(rng, shake=2.0), aids(rng), SETTINGS, RATE_N)
-    assert (shaken.state.gyro_bias == 0.0).all()
+    start = started(recording(np.random.default_rng(4), speed=5.0))
+    assert np.abs(start.state.gyro_bias).max() < 1e-6
+    assert start.state.vel_n[0] == pytest.approx(5.0, abs=0.3)
+    assert np.sqrt(np.trace(start.P[ATT, ATT])) > 0.03
+    assert np.sqrt(start.P[BG, BG].max()) == pytest.approx(0.01)
 
 
-def test_a_vertical_velocity_that_no_fix_says_is_unknown():
+def test_a_fix_that_is_too_old_is_not_started_from():
+    """Going north at 20 m/s: its only heading comes 25 s after the first fix."""
+    late = np.arange(28.0, 33.0, 0.2)
+    events = recording(
+        np.random.default_rng(10),
+        seconds=34.0,
+        speed=20.0,
+        has_mag=False,
+        headings=np.arange(25_000_000_000, 34_000_000_000, 100_000_000),
+        fixes=[0.5, *late],
+    )
+    start = started(events)
+    true = 20.0 * (start.t_ns - SECOND) * 1e-9 - 10.0
+    assert start.t_ns / SECOND > 28.0
+    assert start.state.pos_n[0] == pytest.approx(true, abs=3.0)
+
+
+def test_the_article_too_starts_at_a_fix_with_a_recent_heading():
+    """Going north at 20 m/s: a fix at first, headings only 25 s later."""
+    events = recording(
+        np.random.default_rng(10),
+        seconds=30.0,
+        speed=20.0,
+        has_mag=False,
+        headings=np.arange(25_000_000_000, 30_000_000_000, 100_000_000),
+        fixes=[0.5, *np.arange(27.0, 29.0, 0.2)],
+    )
+    table = euler_article.run(MeasurementSequence(events, SETTINGS)).table
+    assert table.stamp_ns[0] / SECOND >= 28.0
+    assert table.column("pos_n")[0] == pytest.approx(20.0 * 26.5, abs=2.0)
+
+
+def test_the_start_is_that_of_the_main_estimator():
+    events = recording(np.random.default_rng(12))
+    start = started(events)
+    pipeline = Pipeline(SETTINGS)
+    for row in zip(events.t_ns.tolist(), events.kind.tolist(), events.values, strict=True):
+        pipeline.process_row((row[0], row[1], tuple(row[2].tolist())))
+        x = as_state(pipeline.state().block)
+        if x.mode == Mode.NAVIGATE:
+            break
+    assert pipeline.stamp_ns == start.t_ns
+    assert np.array(x.q_nb).tolist() == pytest.approx(start.state.q_nb.tolist(), abs=1e-12)
+    P = np.array(x.P)
+    C_nb = so3.to_matrix(start.state.q_nb)
+    np.testing.assert_allclose(C_nb @ start.P[ATT, ATT] @ C_nb.T, P[:3, :3], atol=1e-15)
+    assert E_ATT == 0
+    np.testing.assert_allclose(start.P[VEL, VEL], P[E_VEL : E_VEL + 3, E_VEL : E_VEL + 3])
+
+
+def test_the_sigma_of_the_first_position_is_what_the_receiver_states():
     rng = np.random.default_rng(5)
-    start = align(*readings(rng, shake=2.0), aids(rng, vel_n=(3.0, 0.0)), SETTINGS, RATE_N)
-    sigmas = np.sqrt(np.diag(start.P)[VEL])
-    np.testing.assert_allclose(sigmas, [0.2, 0.2, UNKNOWN_VELOCITY])
+    start = started(recording(rng))
+    first = next(
+        aid
+        for _, aid in MeasurementSequence(recording(rng), SETTINGS).aids
+        if isinstance(aid, Position)
+    )
+    np.testing.assert_allclose(np.sqrt(np.diag(start.P)[6:9]), first.std, rtol=0.05)
 
 
 def test_a_recording_that_ends_too_early_is_refused():
     rng = np.random.default_rng(6)
-    t_ns, gyro, accel = readings(rng)
     with pytest.raises(LogError, match="ends before"):
-        align(t_ns[:50], gyro[:50], accel[:50], aids(rng), SETTINGS)
-    only_fixes = [one for one in aids(rng) if not isinstance(one[1], Azimuth)]
+        started(recording(rng, seconds=0.5))
     with pytest.raises(LogError, match="no heading"):
-        align(t_ns, gyro, accel, only_fixes, SETTINGS)
-
-
-def test_headings_about_south_are_averaged_there():
-    rng = np.random.default_rng(7)
-    forward = np.array([1.0, 0.0, 0.0])
-    both = [
-        (500_000_000 + k, Azimuth(seen_b=forward, azimuth=np.pi + 0.01 * (-1) ** k, std=0.02))
-        for k in range(10)
-    ]
-    found = [one for one in aids(rng) if not isinstance(one[1], Azimuth)]
-    start = align(*readings(rng), sorted(both + found, key=lambda one: one[0]), SETTINGS)
-    assert abs(so3.to_euler(start.state.q_nb)[2]) == pytest.approx(np.pi, abs=1e-3)
-
-
-@pytest.mark.parametrize("rate", [0.15, 0.3])
-def test_a_slow_steady_turn_is_no_bias(rate):
-    rng = np.random.default_rng(8)
-    t_ns, gyro, accel = readings(rng)
-    start = align(t_ns, gyro + np.array([0.0, 0.0, rate]), accel, aids(rng), SETTINGS, RATE_N)
-    assert (start.state.gyro_bias == 0.0).all()
-    assert np.sqrt(start.P[BG, BG].max()) == pytest.approx(SETTINGS.imu.gyro_bias)
-
-
-def test_a_steady_push_is_no_rest():
-    rng = np.random.default_rng(9)
-    t_ns, gyro, accel = readings(rng)
-    start = align(t_ns, gyro, 1.2 * accel, aids(rng), SETTINGS, RATE_N)
-    assert (start.state.gyro_bias == 0.0).all()
-
-
-def test_what_is_older_than_the_window_is_not_begun_from():
-    rng = np.random.default_rng(10)
-    t_ns, gyro, accel = readings(rng)
-    norths = [one for one in aids(rng) if isinstance(one[1], Azimuth)]
-    std = np.ones(3)
-
-    def fix(t, north, speed):
-        pos_n = np.array([north, 0.0, 0.0])
-        vel_n = np.array([speed, 0.0, 0.0])
-        return [
-            (t, Position(pos_n=pos_n, std=std, lever_b=np.zeros(3))),
-            (t, Velocity(vel_n=vel_n, std=0.1, swing_b=np.zeros(3))),
-        ]
-
-    # The only heading comes long after the first fix
-    late = [(t + 1_900_000_000, aid) for t, aid in norths[:5]]
-    early = fix(100_000_000, 0.0, 50.0)
-    with pytest.raises(LogError, match="within 1 s"):
-        align(t_ns, gyro, accel, sorted(early + late, key=lambda o: o[0]), SETTINGS)
-    both = sorted(early + late + fix(2_600_000_000, 70.0, 0.0), key=lambda o: o[0])
-    start = align(t_ns, gyro, accel, both, SETTINGS)
-    assert start.t_ns == 2_600_000_000
-    assert start.state.pos_n[0] == 70.0
-    assert start.state.vel_n[0] == 0.0
+        started(recording(rng, has_mag=False))
 
 
 def test_a_start_at_the_last_sample_leaves_nothing_to_estimate():
-    rng = np.random.default_rng(11)
-    t_ns, gyro, accel = readings(rng)
+    events = recording(np.random.default_rng(11))
+    t_ns = started(events).t_ns
+    imu = np.unique(events.t_ns[events.kind == Kind.IMU])
+    after = int(imu[np.searchsorted(imu, t_ns) + 1])
+    assert started(events.take(events.t_ns <= after)).t_ns == t_ns
     with pytest.raises(LogError, match="ends before"):
-        align(t_ns[:121], gyro[:121], accel[:121], aids(rng), SETTINGS)
-    assert align(t_ns[:122], gyro[:122], accel[:122], aids(rng), SETTINGS).t_ns == t_ns[120]
+        started(events.take(events.t_ns <= t_ns))
+
+
+def test_another_receiver_delay_is_taken_off_first():
+    events = recording(np.random.default_rng(12))
+    late = replace(events, t_ns=events.t_ns + 100_000_000 * (events.kind == Kind.GNSS))
+    settings = replace(SETTINGS, gnss=replace(SETTINGS.gnss, delay=0.1))
+    assert started(late, settings).t_ns == started(events).t_ns

@@ -108,7 +108,7 @@ def test_a_heading_far_off_is_found_in_one_update_and_not_by_one_linear_step(aid
 
 @pytest.mark.parametrize("error", [90.0, -150.0])
 def test_a_fix_after_a_sprint_shows_north_to_the_robocentric_filter_only(error):
-    one = Sortie.plan(1, QUIET, 14.0)
+    one = Sortie.plan(2, QUIET, 14.0)
     found = {
         name: np.degrees(flown(one, Iterated(turned(one.setup, error), **options), QUIET[1], [5]))
         for name, options in FILTERS.items()

@@ -166,3 +166,61 @@ def test_xio_closes_over_the_ground_as_its_authors_do_in_space():
     # It climbs 18 mm a stride, of a cause not found (docs/filters/zupt.md).
     assert end.distance <= 0.35
     assert end.path == pytest.approx(25.0, abs=1.0)
+
+
+def test_the_sigma_of_the_height_grows_with_every_stride_alike():
+    """An attitude that is wrong in each swing by the same adds up, other than noise."""
+
+    def variance(strides, scale):
+        settings = ZuptSettings(swing_scale=scale)
+        table = zupt.run(walk(3, rate=100.0, strides=strides).events, settings).table
+        return table.column("sd_pos_d")[-1] ** 2
+
+    of_swings = [variance(n, 0.01) - variance(n, 0.0) for n in (4, 8)]
+    assert np.sqrt(of_swings[1] / of_swings[0]) == pytest.approx(2.0, rel=0.1)
+
+
+def test_the_climb_of_the_xio_walk_is_within_two_sigmas():
+    events = recorded(XIO)
+    table = zupt.run(events).table
+    assert abs(table.column("pos_d")[-1]) < 2.0 * table.column("sd_pos_d")[-1]
+
+
+def test_a_velocity_that_was_refused_for_too_long_is_reset_and_turns_nothing():
+    """A blow that the sensor does not show leaves 4 m/s at a small sigma."""
+    one = walk(4, rate=100.0, strides=6)
+    values = one.events.values.copy()
+    swing = np.flatnonzero(~one.is_planted)
+    blow = swing[len(swing) // 2]
+    values[blow, 3:6] += np.array([400.0, 0.0, 0.0])
+    solution = zupt.run(dataclasses.replace(one.events, values=values))
+    table = solution.table
+    assert solution.counts["zero velocity"][1] > 0
+    t = table.stamp_ns
+    at = np.searchsorted(t, one.events.t_ns[blow])
+    # It stands at the end as it stood at first
+    q_nb = np.stack([table.column(f"q_{c}")[[0, -1]] for c in "wxyz"], axis=1)
+    down_b = so3.to_matrix(q_nb)[:, 2]
+    assert np.degrees(np.arccos(np.clip(down_b[0] @ down_b[1], -1.0, 1.0))) < 3.0
+    speed = np.hypot(table.column("vel_n"), table.column("vel_e"))
+    assert speed[-1] < 0.1
+    lost = np.hypot(*(table.column(f"pos_{a}")[-1] - table.column(f"pos_{a}")[at] for a in "ne"))
+    sigma = np.hypot(table.column("sd_pos_n")[-1], table.column("sd_pos_e")[-1])
+    assert lost < 3.0 * sigma + 1.3 * 3
+
+
+def test_a_steady_turn_is_no_rest_to_begin_with():
+    events = walk(5, rate=100.0, strides=2).events
+    values = events.values.copy()
+    values[:, 2] += 0.5
+    with pytest.raises(LogError, match="no rest of"):
+        zupt.run(dataclasses.replace(events, values=values))
+
+
+def test_a_rest_without_gravity_is_passed_over():
+    events = walk(5, rate=100.0, strides=2).events
+    values = events.values.copy()
+    values[:100, 3:6] = 0.0
+    solution = zupt.run(dataclasses.replace(events, values=values))
+    assert solution.table.stamp_ns[0] > events.t_ns[90]
+    assert np.isfinite(solution.table.column("roll")).all()

@@ -67,8 +67,25 @@ def test_a_hole_in_the_hosts_times_is_a_gap_and_stretches_nothing(read, count, a
     assert steps[at - 1] == pytest.approx(6.004, abs=0.01)
     assert np.delete(steps, at - 1) == pytest.approx(0.004, rel=0.005)
     assert recording.notes == (
-        "samples are missing at 1 places, where the host's time ran on alone",
+        "samples are missing at 1 places, by the sensor's counter or the host's time",
     )
+
+
+@pytest.mark.parametrize(("apart", "missing"), [(400, 10), (100, 30)])
+def test_short_holes_are_seen_by_the_counter_and_stretch_nothing(read, apart, missing):
+    """The counter goes on by 78643 a sample, and begins anew each second."""
+    rng = np.random.default_rng(2)
+    index = np.arange(4000)
+    kept = index[(index % apart >= missing) | (index < apart)]
+    times = 1274439406.0 + 0.004 * kept + np.abs(rng.normal(0.0, 0.003, len(kept)))
+    counter = 3_000_000 + kept * 78643 % 19_660_750
+    text = HEAD + "".join(
+        ROW.replace("22658603", str(c)).format(sum="0x1377", number=k + 1, time=f"{time:.6f}")
+        for k, (c, time) in enumerate(zip(counter, times, strict=True))
+    )
+    events = read(text).events
+    steps = np.diff(events.t_ns) * 1e-9
+    assert steps == pytest.approx(0.004 * np.diff(kept), rel=0.005)
 
 
 def test_a_blank_checksum_shifts_nothing_that_counts(read):
