@@ -50,8 +50,10 @@ LEAST_FORCE_NOISE = cython.declare(cython.double, 4e-6)
 """Likewise of its accelerometer, m^2/s^3."""
 MARGIN = cython.declare(cython.double, 2.0)
 """How much larger than the second differences show the variance of the noise may be."""
-SCALE_VAR = cython.declare(cython.double, 2.5e-5)
-"""Variance of the errors of scale and mounting, over one second."""
+SCALE_VAR = cython.declare(cython.double, 2e-6)
+"""Variance of the errors of scale and mounting of a calibrated sensor, over one second."""
+DOUBTED_SCALE_VAR = cython.declare(cython.double, 1e-4)
+"""The same of one that is doubted."""
 CLIPPED_RATE_VAR = cython.declare(cython.double, 0.05)
 """Variance that a gyro at the end of its range adds about its axis, rad^2/s."""
 CLIPPED_FORCE_VAR = cython.declare(cython.double, 2.0)
@@ -71,6 +73,7 @@ SPLIT_DRIFT = cython.declare(cython.double, 1.0)
 
 def write_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
     """Write the variance that rate and force add over dt (s) into ``m.q``, an axis each."""
+    scale = SCALE_VAR + DOUBTED_SCALE_VAR * (x.doubt if x.doubt < 1.0 else 1.0)
     rate2 = 0.0
     accel2 = 0.0
     for j in range(3):
@@ -83,10 +86,10 @@ def write_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
         accel2 += x.accel_n[j] * x.accel_n[j]
     for j in range(3):
         q = MARGIN * x.noise[j]
-        q = (q if q > LEAST_NOISE else LEAST_NOISE) + SCALE_VAR * rate2
+        q = (q if q > LEAST_NOISE else LEAST_NOISE) + scale * rate2
         m.q[j] = x.doubt * m.q[j] + (q + CLIPPED_RATE_VAR * x.is_clipped[j]) * dt
         q = MARGIN * x.noise[j + 3]
-        q = (q if q > LEAST_FORCE_NOISE else LEAST_FORCE_NOISE) + SCALE_VAR * accel2
+        q = (q if q > LEAST_FORCE_NOISE else LEAST_FORCE_NOISE) + scale * accel2
         m.q[j + 3] = x.doubt * m.q[j + 3] + (q + CLIPPED_FORCE_VAR * x.is_clipped[j + 3]) * dt
 
 
