@@ -1,6 +1,7 @@
 from ekf_companion.core.parameters cimport Parameters
 from ekf_companion.core.scratch cimport Fix, ImuRow, Motion, Observation
 from ekf_companion.core.state cimport State
+cdef void restart(State *x) noexcept nogil
 cdef void write_noise(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
 cdef void find_clipping(State *x, ImuRow *imu) noexcept nogil
 cdef void learn_doubt(State *x, Parameters *k, Fix *fix, Observation *o, double nis) noexcept nogil

@@ -19,10 +19,13 @@ from cython.cimports.ekf_companion.core.scratch import Fix, ImuRow, Motion, Obse
 from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
+NEVER = cython.declare(cython.double, -1e18)
 LEAST_DOUBT = cython.declare(cython.double, 0.03)
 LARGEST_DOUBT = cython.declare(cython.double, 1e4)
 MEMORY = cython.declare(cython.double, 60e9)
 """Time constant with which the worst doubt is forgotten, ns: vibration comes back."""
+LARGEST_MEMORY = cython.declare(cython.double, 300.0)
+"""Largest doubt that is remembered."""
 REMEMBERED = cython.declare(cython.double, 0.03)
 """Share of the worst doubt that is kept."""
 GAIN = cython.declare(cython.double, 0.3)
@@ -69,6 +72,13 @@ SPLIT_TIME = cython.declare(cython.double, 10.0)
 SPLIT_SIGMAS = cython.declare(cython.double, 3.0)
 SPLIT_DRIFT = cython.declare(cython.double, 1.0)
 """What the slow error of the velocity adds to that difference, m."""
+
+
+def restart(x: State) -> None:
+    """Begin anew with the configured noise: what raised the doubt has been found."""
+    x.doubt = 1.0
+    x.worst_doubt = 1.0
+    x.innovation_t = NEVER
 
 
 def write_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
@@ -160,7 +170,7 @@ def bound_doubt(x: State) -> None:
     if x.doubt > LARGEST_DOUBT:
         x.doubt = LARGEST_DOUBT
     if x.doubt > x.worst_doubt:
-        x.worst_doubt = x.doubt
+        x.worst_doubt = x.doubt if x.doubt < LARGEST_MEMORY else LARGEST_MEMORY
 
 
 def receiver_share(x: State) -> float:

@@ -74,6 +74,8 @@ JERK = cython.declare(cython.double, 0.25)
 """Variance of the error of our acceleration while velocity is refused, m^2/s^4."""
 DERIVED = cython.declare(cython.int, 1)
 SUSPECT = cython.declare(cython.int, 2)
+DOUBTED_NIS = cython.declare(cython.double, 0.02)
+"""NIS that a doubt of one is worth where the heading is judged."""
 FEW_SIGMAS = cython.declare(cython.double, 10.0)
 """A position off by less than so many sigmas of ours may have become so by itself."""
 OWN_DRIFT = cython.declare(cython.double, 0.5)
@@ -145,10 +147,13 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
             return False
         rows = 2 if isnan(fix.vel_n[2]) else 3
         nis = x.ratio[AID_VELOCITY] * k.gate[rows - 1] / rows
+        if nis < DOUBTED_NIS * x.doubt:  # much doubt is a contradiction, however small its NIS
+            nis = DOUBTED_NIS * x.doubt
         if yaw_reset.is_needed(x, nis, x.fix_dt, sqrt(fix.stated_var[2])):
             gate.begin_reset(x, RESET_MOTION)
             start_from_yaw_bank(x, k, w)
             yaw_reset.note_repair(x)
+            doubt.restart(x)
             return True
     fuse_position(x, k, w)
     fuse_height(x, k, w)

@@ -15,6 +15,7 @@ from cython import address
 from cython.cimports.ekf_companion.core import (
     align,
     baro,
+    doubt,
     drag,
     gate,
     gnss,
@@ -192,7 +193,7 @@ def start(x: State, t: float) -> None:
     x.q_nb[0] = 1.0
     x.field.declination = NAN
     if x.white_share[AID_POSITION] == 0.0:
-        x.doubt = 1.0
+        doubt.restart(x)
         # of a receiver that nothing is known of from before
         x.white_share[AID_POSITION] = FIRST_SHARE
         x.white_share[AID_HEIGHT] = FIRST_SHARE

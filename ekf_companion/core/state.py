@@ -122,6 +122,8 @@ class Voices:
     baro_n: Real
     difference: Annotated[Vector, 3]
     """Of the climbs lately: height less velocity, baro less height, baro less velocity, m."""
+    smooth: Annotated[Vector, 3]
+    """The same without a height's noise, m."""
     loser: Real
     """:class:`Voice`."""
 

@@ -30,6 +30,8 @@ LONG_MEMORY = cython.declare(cython.double, 300.0)
 """The same while the receiver's height is not heard: it may come back from afar, s."""
 LONGEST = cython.declare(cython.double, 3e9)
 """Longest interval between two fixes to compare over, ns."""
+SMOOTH = cython.declare(cython.double, 2.0)
+"""Time constant of what the receiver's height is compared by, s."""
 SIGMAS = cython.declare(cython.double, 3.0)
 SLOW_VELOCITY = cython.declare(cython.double, 0.3)
 """Slow error of a velocity, as a share of its stated sigma."""
@@ -80,9 +82,14 @@ def compare_climbs(x: State, fix: Fix) -> None:
             voices.difference[1] += by_baro - by_height
             if has_vel:
                 voices.difference[2] += by_baro - by_velocity
+        # a receiver's height is noisy from fix to fix
+        for i in range(3):
+            gain = dt / (dt + SMOOTH) if i < 2 else 1.0
+            voices.smooth[i] += gain * (voices.difference[i] - voices.smooth[i])
     else:
         for i in range(3):
             voices.difference[i] = 0.0
+            voices.smooth[i] = 0.0
     voices.t = x.t
     voices.height = fix.alt
     voices.down = down
@@ -103,16 +110,21 @@ def find_loser(x: State, fix: Fix) -> None:
     if a > 1.0 or b > 1.0 or c > 1.0:
         voices.loser = VOICE_ANY
         if voices.has_baro != 0.0 and voices.has_vel != 0.0:
-            if a <= 1.0 and a <= b and a <= c:
+            if agrees(a, b, c):
                 voices.loser = VOICE_BARO
-            elif c <= 1.0 and c <= b:
+            elif agrees(c, a, b):
                 voices.loser = VOICE_HEIGHT
-            elif b <= 1.0:
+            elif agrees(b, a, c):
                 voices.loser = VOICE_VELOCITY
     if before == VOICE_HEIGHT and voices.loser == VOICE_NONE and b > BACK:
         voices.loser = VOICE_HEIGHT
     if voices.loser != VOICE_NONE and before == VOICE_NONE and x.mode == MODE_NAVIGATE:
         doubt_height(x)
+
+
+def agrees(pair: float, other: float, third: float) -> bool:
+    """Return whether a pair agrees, and much better than the other two."""
+    return pair <= 1.0 and 2.0 * pair <= other and 2.0 * pair <= third
 
 
 def doubt_height(x: State) -> None:
@@ -123,7 +135,7 @@ def doubt_height(x: State) -> None:
     voices = address(x.voices)
     doubt = 0.0
     for i in range(3):
-        doubt += 0.25 * voices.difference[i] * voices.difference[i]
+        doubt += 0.25 * voices.smooth[i] * voices.smooth[i]
     x.P[E_POS + 2][E_POS + 2] += doubt
     if voices.loser != VOICE_BARO:
         x.P[E_BARO][E_BARO] += doubt
@@ -135,8 +147,9 @@ def compare(x: State, pair: int, variance: float) -> float:
     """Return the difference of a pair as a share of its limit."""
     voices = address(x.voices)
     limit = SIGMAS * sqrt(variance)
-    share = fabs(voices.difference[pair]) / limit
+    share = fabs(voices.smooth[pair]) / limit
     if share > LARGEST and voices.loser != VOICE_HEIGHT:
         voices.difference[pair] *= LARGEST / share
+        voices.smooth[pair] *= LARGEST / share
         share = LARGEST
     return share
