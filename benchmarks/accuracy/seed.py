@@ -165,6 +165,7 @@ def settings() -> FilterSettings:
             delay=0.0,
             delay_std=0.0,
             timing_std=0.0,
+            lever_arm_std=0.0,
             velocity_slow_std=0.0,
             white_share=1.0,
             position_std=0.0,

@@ -90,6 +90,7 @@ def compare_climbs(x: State, fix: Fix) -> None:
         for i in range(3):
             voices.difference[i] = 0.0
             voices.smooth[i] = 0.0
+        voices.has_baro = 0.0
     voices.t = x.t
     voices.height = fix.alt
     voices.down = down

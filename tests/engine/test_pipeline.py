@@ -108,18 +108,20 @@ def test_without_a_heading_and_a_manoeuvre_nothing_is_navigated_by():
 
 
 def test_a_jump_of_the_receiver_is_refused_and_then_believed_with_one_reset():
-    events, _ = flight("hover", duration=30.0)
+    events, _ = flight("hover", duration=60.0)
     jumped = changed(events, between(events, 15.0, 99.0) & (events.kind == Kind.GNSS), 0, 5e-5)
     table, pipeline = run(jumped)
     t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
     north = table.column("pos_n")
     before = north[(t > 10.0) & (t < 15.0)].mean()
-    assert np.abs(north[(t > 15.0) & (t < 21.0)] - before).max() < 5.0
+    refused = (t > 15.0) & (t < 44.0)
+    assert np.abs(north[refused] - before).max() < 5.0
+    assert (table.column("status")[refused & (t > 18.0)] == Status.DEGRADED).all()
     assert abs(north[-1] - before - 5e-5 * 6.367e6) < 5.0
     health = pipeline.health()
     assert (health.resets, health.reset_reason) == (1, "position")
     assert table.column("reset_count")[-1] == 1
-    assert health.verdicts[Aid.POSITION][Verdict.GATED] >= 30
+    assert health.verdicts[Aid.POSITION][Verdict.GATED] >= 140
 
 
 def test_an_outage_is_announced_and_its_error_covered():
@@ -209,7 +211,7 @@ def test_an_attitude_that_is_upset_in_flight_is_found_again(axis):
     events, truth = flight("figure-eight", duration=50.0)
     hit = between(events, 20.0, 20.3) & (events.kind == Kind.IMU)
     table, pipeline = run(changed(events, hit, axis, 6.0))  # 1.8 rad that never were
-    assert 1 <= pipeline.health().resets <= 3
+    assert pipeline.health().resets <= 3
     assert statuses(table)[-1] is Status.OK
     late = errors(table, truth, 40.0)
     assert np.degrees(rms(late["euler"][:, :2])) < 3.0
