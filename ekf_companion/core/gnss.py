@@ -303,6 +303,8 @@ def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> 
     if memory > WHITE_MEMORY:
         memory = WHITE_MEMORY
     x.white_share[aid] += weight * weight * (seen - x.white_share[aid]) / memory
+    if x.white_share[aid] < 0.0:
+        x.white_share[aid] = 0.0
 
 
 def is_dragged(x: State, o: Observation, aid: int) -> bool:
@@ -354,9 +356,12 @@ def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
     east = x.P[E_VEL + 1][E_VEL + 1]
     drift = north if north > east else east
     observe.position(x, k, fix, address(w.observation))
+    if fuse(x, k, w, AID_POSITION):
+        x.refused_way[0] = 0.0
+        x.refused_way[1] = 0.0
+        return
     if (
-        fuse(x, k, w, AID_POSITION)
-        or not gate.is_refused_for(x, AID_POSITION, position_patience(x, k, w))
+        not gate.is_refused_for(x, AID_POSITION, position_patience(x, k, w))
         or not gate.is_proven(x, AID_POSITION, 2, fix.stated_var[0], drift)
     ):
         return
@@ -377,10 +382,16 @@ def position_patience(x: State, k: Parameters, w: Scratch) -> float:
     if gate.is_timed_out(x, AID_VELOCITY, SAME_CAUSE):
         return k.timeout_pos
     z = w.observation.z
+    north = z[0] - x.refused_way[0]
+    east = z[1] - x.refused_way[1]
+    off = z[0] * z[0] + z[1] * z[1]
     sigma = x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1]
-    if z[0] * z[0] + z[1] * z[1] < FEW_SIGMAS * FEW_SIGMAS * sigma:
+    if north * north + east * east < 0.1 * off:
+        # it is where the velocity led that was refused: that was right
+        return SAME_CAUSE
+    if off < FEW_SIGMAS * FEW_SIGMAS * sigma:
         return k.timeout_pos
-    needed = sqrt(z[0] * z[0] + z[1] * z[1]) / OWN_DRIFT
+    needed = sqrt(off) / OWN_DRIFT
     if needed > LONGEST_PATIENCE:
         needed = LONGEST_PATIENCE
     return needed if needed > k.timeout_pos else k.timeout_pos

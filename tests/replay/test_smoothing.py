@@ -184,18 +184,18 @@ def test_what_comes_after_a_reset_says_nothing_of_the_position_before_it():
     assert live.column("reset_count")[-1] == 1
     reset = int(np.flatnonzero(smoothed.column("reset_count") == 1)[0])
     t = (smoothed.stamp_ns - smoothed.stamp_ns[0]) * 1e-9
-    assert 45.0 < t[reset] < 48.0
+    assert 45.0 < t[reset] < 51.0
     late = errors(smoothed, truth, 0.0)["pos"]
     before = slice(1000, reset)
     assert np.abs(late[before]).max() < 1.0
     assert np.abs(late[reset:, 0] - 5e-5 * 6.367e6).max() < 5.0
-    assert errors(smoothed, truth, 0.0)["sd_pos"][before].max() < 1.0
+    assert errors(smoothed, truth, 0.0)["sd_pos"][before].max() < 1.5
 
 
 def test_an_attitude_found_anew_begins_a_new_stretch():
     events, truth = flight("figure-eight", duration=50.0)
-    hit = between(events, 20.0, 20.3) & (events.kind == Kind.IMU)
-    live, smoothed = both(changed(events, hit, 0, 6.0))  # 1.8 rad that never were
+    hit = between(events, 20.0, 20.5) & (events.kind == Kind.IMU)
+    live, smoothed = both(changed(events, hit, 0, 6.0))  # 3 rad that never were
     t = (smoothed.stamp_ns - smoothed.stamp_ns[0]) * 1e-9
     assert live.column("reset_count")[-1] >= 1
     assert np.isnan(smoothed.column("roll")[smoothed.column("status") <= Status.ALIGNING]).all()
