@@ -49,8 +49,9 @@ def write_log(path: Path, readings: Readings) -> None:
         (readings.baro_t, readings.baro_t, readings.baro[:, None]),
     ]
     lines: list[str] = []
+    moment, step = readings.set_back
     for form, (_, stamp, values) in zip(ROWS, tables, strict=True):
-        rows = np.hstack([to_us(stamp)[:, None], values])
+        rows = np.hstack([to_us(stamp - step * (stamp > moment))[:, None], values])
         lines += [form % tuple(row) for row in rows.tolist()]
     order = np.argsort(np.concatenate([table[0] for table in tables]).round(6), kind="stable")
     with path.open("w", encoding="utf-8") as file:
@@ -59,12 +60,14 @@ def write_log(path: Path, readings: Readings) -> None:
 
 
 def truth_of(readings: Readings) -> Truth:
-    """Return the truth at 25 Hz, at whole inertial intervals."""
+    """Return the truth at 25 Hz, at whole inertial intervals, but for stamps that come twice."""
     flight = readings.flight
+    moment, step = readings.set_back
     t = np.arange(1, int(flight.t[-1] * 25) + 1) / 25.0
+    t = t[(t <= moment - step) | (t > moment + step)]
     k = flight.index(t)
     lat, lon, alt = earth.to_geodetic(flight.pos_e[k])
-    return Truth(to_us(t), lat, lon, alt, flight.vel_n[k], flight.C_nb[k])
+    return Truth(to_us(t - step * (t > moment)), lat, lon, alt, flight.vel_n[k], flight.C_nb[k])
 
 
 def write_truth(path: Path, truth: Truth) -> None:

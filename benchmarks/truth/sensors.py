@@ -62,6 +62,8 @@ class Readings:
     baro_t: Array
     baro: Array
     """Pressure height, m."""
+    set_back: tuple[float, float] = (np.inf, 0.0)
+    """When the log's clock is set back, and by how much, s."""
 
 
 def measure(

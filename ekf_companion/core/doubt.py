@@ -28,7 +28,7 @@ LARGEST_MEMORY = cython.declare(cython.double, 300.0)
 """Largest doubt that is remembered."""
 REMEMBERED = cython.declare(cython.double, 0.03)
 """Share of the worst doubt that is kept."""
-GAIN = cython.declare(cython.double, 0.3)
+GAIN = cython.declare(cython.double, 0.4)
 """Change of the logarithm of the doubt for a correlation of one."""
 SMALLNESS = cython.declare(cython.double, 0.5)
 """Weight of innovations that are smaller than expected, beside their correlation."""

@@ -76,6 +76,8 @@ DERIVED = cython.declare(cython.int, 1)
 SUSPECT = cython.declare(cython.int, 2)
 DOUBTED_NIS = cython.declare(cython.double, 0.02)
 """NIS that a doubt of one is worth where the heading is judged."""
+FAR_WORSE = cython.declare(cython.double, 18.0)
+"""Square of a velocity's innovation over the variance that the yaw bank meets."""
 FEW_SIGMAS = cython.declare(cython.double, 10.0)
 """A position off by less than so many sigmas of ours may have become so by itself."""
 OWN_DRIFT = cython.declare(cython.double, 0.5)
@@ -147,7 +149,9 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
             return False
         rows = 2 if isnan(fix.vel_n[2]) else 3
         nis = x.ratio[AID_VELOCITY] * k.gate[rows - 1] / rows
-        if nis < DOUBTED_NIS * x.doubt:  # much doubt is a contradiction, however small its NIS
+        z = o.z[0] * o.z[0] + o.z[1] * o.z[1]
+        if nis < DOUBTED_NIS * x.doubt and z > FAR_WORSE * x.yaw_bank.vel_var:
+            # much doubt is a contradiction, however small its NIS, where the bank has none
             nis = DOUBTED_NIS * x.doubt
         if yaw_reset.is_needed(x, nis, x.fix_dt, sqrt(fix.stated_var[2])):
             gate.begin_reset(x, RESET_MOTION)

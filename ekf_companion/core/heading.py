@@ -57,6 +57,8 @@ AZIMUTH_STD = cython.declare(cython.double, 0.003)
 """White error of a magnetic azimuth beside that of the field, rad."""
 INSISTENCE = cython.declare(cython.double, 9e8)
 """Least time that a heading is refused before it resets anything, ns."""
+CONVINCING = cython.declare(cython.double, 10.0)
+"""Natural fields in a row that a magnetometer needs once it was disturbed."""
 STEADY = cython.declare(cython.double, 0.1)
 """Share by which the strength of an undisturbed field may differ from its own mean."""
 STEADY_TIME = cython.declare(cython.double, 10.0)
@@ -157,6 +159,12 @@ def fuse_heading(x: State, k: Parameters, o: Observation, r: Reference, values: 
 def fuse_field(x: State, k: Parameters, o: Observation, r: Reference, mag_b: Vector) -> None:
     """Fuse the magnetic field: it points to the declination, as far as that is known."""
     if not is_natural(x, k, o, mag_b):
+        count_verdict(x, AID_HEADING, VERDICT_DISTURBED)
+        x.natural_fields = 0.0
+        return
+    # by chance one of many disturbed fields looks like the Earth's
+    x.natural_fields += 1.0
+    if x.natural_fields < CONVINCING and x.count[AID_HEADING][VERDICT_DISTURBED] > 0.0:
         count_verdict(x, AID_HEADING, VERDICT_DISTURBED)
         return
     x.mag_t = x.t

@@ -33,6 +33,8 @@ LOST = cython.declare(cython.double, 100.0)
 """Position variance over its limit beyond which the position is dropped."""
 LONGEST_OUTAGE = cython.declare(cython.double, 60.0)
 """Time without GNSS after which it is dropped, s."""
+LEAST_SPEED = cython.declare(cython.double, 0.2)
+"""Estimated speed that excludes rest, beside its sigmas, m/s."""
 REST_SPEED = cython.declare(cython.double, 0.05)
 """One sigma of the velocity at rest, m/s."""
 SLOW_VELOCITY = cython.declare(cython.double, 0.04)
@@ -248,7 +250,7 @@ def is_moving(x: State) -> bool:
     # a velocity that is not known speaks against it as well
     if sigma > 1.0:
         return True
-    return speed > 0.25 + 9.0 * sigma
+    return speed > LEAST_SPEED * LEAST_SPEED + 9.0 * sigma
 
 
 def fuse_zero_velocity(x: State, k: Parameters, w: Scratch) -> None:

@@ -353,6 +353,8 @@ class State:
     """When each :class:`~.measurements.HeadingSource` was last received, ns."""
     mag_t: Real
     """When an undisturbed field was seen last, ns."""
+    natural_fields: Real
+    """Fields in a row that are the Earth's."""
     strength_t: Real
     """When the mean strength was brought up to date, ns."""
     strength_t0: Real

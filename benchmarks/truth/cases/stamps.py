@@ -1,4 +1,4 @@
-"""Inertial rows with stamps that are not the time."""
+"""Stamps that are not the time."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ def stamp_ahead_each_second(draw: Draw) -> Readings:
 
 
 def clock_back(draw: Draw) -> Readings:
-    """Figure-eights; the clock of the inertial rows steps back by 0.5 to 1.5 s and stays there."""
+    """Figure-eights; the clock of the whole log is set back by 0.5 to 1.5 s."""
     readings = flown(draw, paths.figure_eights(draw), 120.0)
-    row = int(draw.about(60.0) * 125)
-    readings.inertial.stamp[row:] -= draw.rng.uniform(0.5, 1.5)
+    # whole inertial intervals, so that the truth has their stamps
+    moment = round(draw.about(60.0) * 25.0) / 25.0
+    readings.set_back = moment, float(draw.rng.integers(13, 38)) / 25.0
     return readings
 
 
