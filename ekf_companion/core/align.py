@@ -42,6 +42,12 @@ LONGEST_MOTION = cython.declare(cython.double, 5e9)
 """Longest stretch to level over in motion, ns: the gyro's bias turns the frame meanwhile."""
 UNKNOWN_DELAY = cython.declare(cython.double, 0.05)
 """Delay of a receiver beside its sigma while nothing has shown it, s."""
+SHAKEN = cython.declare(cython.double, 0.4)
+"""Share of the force's spread that may be vibration which samples as a slow wave."""
+SHAKEN_TIME = cython.declare(cython.double, 0.4)
+"""Time for which such a wave pushes to one side, s."""
+LARGEST_SHAKEN = cython.declare(cython.double, 300.0)
+"""Largest doubt to start with."""
 LEVEL_ENOUGH = cython.declare(cython.double, 0.1)
 """Largest acceleration to level in without north, as a share of gravity."""
 UNKNOWN_YAW = cython.declare(cython.double, 3.29)
@@ -319,6 +325,7 @@ def find_down(x: State, k: Parameters, w: Scratch) -> float:
         change += gained * gained
     # A receiver that is late tells of another stretch
     doubt = doubt + sqrt(change) * (k.delay_std + UNKNOWN_DELAY)
+    doubt = doubt + SHAKEN * force_spread(x) * span
     if not has_reference(x):
         # without north, what was gained is tilt
         doubt = doubt + sqrt(dn * dn + de * de)
@@ -337,12 +344,30 @@ def find_down(x: State, k: Parameters, w: Scratch) -> float:
     return sqrt(doubt * doubt + turned * (dn * dn + de * de) / (size * size))
 
 
+def force_spread(x: State) -> float:
+    """Return one sigma of the specific force over the window, all axes together, m/s^2."""
+    rest = address(x.alignment.rest)
+    variance = 0.0
+    if rest.n < 2.0:
+        return 0.0
+    for i in range(3):
+        mean = rest.accel[i] / rest.n
+        variance += rest.accel2[i] / rest.n - mean * mean
+    return sqrt(variance) if variance > 0.0 else 0.0
+
+
 def level_in_motion(x: State, k: Parameters, w: Scratch) -> bool:
     """Start the filter at the fix ``w.fix`` if its attitude can be found in motion."""
     tilt = find_down(x, k, w)
     if tilt == 0.0:
         return False
     start_filter(x, k, w, tilt, k.gyro_bias_std)
+    # what shakes it is motion or vibration: the first fixes will tell
+    shaken = SHAKEN * force_spread(x) / k.accel_noise
+    shaken = shaken * shaken * SHAKEN_TIME
+    shaken = shaken if shaken < LARGEST_SHAKEN else LARGEST_SHAKEN
+    if x.doubt < shaken:
+        x.doubt = shaken
     return x.has_yaw != 0.0
 
 

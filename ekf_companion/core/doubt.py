@@ -26,7 +26,7 @@ MEMORY = cython.declare(cython.double, 60e9)
 """Time constant with which the worst doubt is forgotten, ns: vibration comes back."""
 LARGEST_MEMORY = cython.declare(cython.double, 300.0)
 """Largest doubt that is remembered."""
-REMEMBERED = cython.declare(cython.double, 0.03)
+REMEMBERED = cython.declare(cython.double, 0.1)
 """Share of the worst doubt that is kept."""
 GAIN = cython.declare(cython.double, 0.4)
 """Change of the logarithm of the doubt for a correlation of one."""
@@ -34,7 +34,7 @@ SMALLNESS = cython.declare(cython.double, 0.5)
 """Weight of innovations that are smaller than expected, beside their correlation."""
 EXCESS = cython.declare(cython.double, 1.0)
 """Weight of innovations beyond what the receiver states: either of the two may be worse."""
-FAIR_EXCESS = cython.declare(cython.double, 2.0)
+FAIR_EXCESS = cython.declare(cython.double, 1.5)
 """Mean square of these, of its expected value, that is no excess."""
 LARGEST_EXCESS = cython.declare(cython.double, 9.0)
 LARGEST_TERM = cython.declare(cython.double, 3.0)
