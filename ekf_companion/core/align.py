@@ -42,9 +42,9 @@ LONGEST_MOTION = cython.declare(cython.double, 5e9)
 """Longest stretch to level over in motion, ns: the gyro's bias turns the frame meanwhile."""
 UNKNOWN_DELAY = cython.declare(cython.double, 0.05)
 """Delay of a receiver beside its sigma while nothing has shown it, s."""
-SHAKEN = cython.declare(cython.double, 0.4)
+SHAKEN = cython.declare(cython.double, 0.2)
 """Share of the force's spread that may be vibration which samples as a slow wave."""
-SHAKEN_TIME = cython.declare(cython.double, 0.4)
+SHAKEN_TIME = cython.declare(cython.double, 1.6)
 """Time for which such a wave pushes to one side, s."""
 LARGEST_SHAKEN = cython.declare(cython.double, 300.0)
 """Largest doubt to start with."""
