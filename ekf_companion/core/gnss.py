@@ -9,7 +9,16 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core import align, doubt, gate, observe, rest, voices, yaw_bank, yaw_reset
+from cython.cimports.ekf_companion.core import (
+    align,
+    doubt,
+    gate,
+    observe,
+    rest,
+    voices,
+    yaw_bank,
+    yaw_reset,
+)
 from cython.cimports.ekf_companion.core.correct import apply_update, innovate
 from cython.cimports.ekf_companion.core.enums import (
     AID_HEIGHT,
@@ -364,9 +373,8 @@ def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
         x.refused_way[0] = 0.0
         x.refused_way[1] = 0.0
         return
-    if (
-        not gate.is_refused_for(x, AID_POSITION, position_patience(x, k, w))
-        or not gate.is_proven(x, AID_POSITION, 2, fix.stated_var[0], drift)
+    if not gate.is_refused_for(x, AID_POSITION, position_patience(x, k, w)) or not gate.is_proven(
+        x, AID_POSITION, 2, fix.stated_var[0], drift
     ):
         return
     gate.begin_reset(x, RESET_POSITION)

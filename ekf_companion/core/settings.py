@@ -100,8 +100,9 @@ class ImuSettings:
     """One sigma of the accelerometer bias at the start: 0.02 g, a MEMS sensor over temperature.
     Raise it where nobody has calibrated."""
     learn_noise: Annotated[bool, Setting(reload=True)] = True
-    """Raise both white noises to what the differences between samples show. false: only the
-    numbers above count."""
+    """Take both white noises from the differences between samples; the numbers above then count as
+    far as the fixes show that the samples are worse than that. false: only the numbers above
+    count."""
     lag: Annotated[Seconds | Auto, Setting("s", auto="imu_lag")] = "auto"
     """An inertial sample says what was true this long before its stamp. ArduPilot's was measured
     with INS_GYRO_FILTER and INS_ACCEL_FILTER at 20 Hz; with 60 Hz give 0.006."""

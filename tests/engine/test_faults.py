@@ -35,7 +35,9 @@ def judge(events, truth):
     lies = 0
     for block, floor in (("pos", 2.0), ("vel", 0.5)):
         off = np.abs(late[block])
-        lies += np.count_nonzero(ok & ((off > 5.0 * late[f"sd_{block}"]) & (off > floor)).any(axis=1))
+        lies += np.count_nonzero(
+            ok & ((off > 5.0 * late[f"sd_{block}"]) & (off > floor)).any(axis=1)
+        )
     return table, late, lies, pipeline
 
 
@@ -45,7 +47,9 @@ def test_a_barometer_that_drifts_away_is_left_to_itself():
     values = events.values.copy()
     rows = events.kind == Kind.BARO
     values[rows, 0] += drift[rows]
-    _, late, lies, pipeline = judge(Events(t_ns=events.t_ns, kind=events.kind, values=values), truth)
+    _, late, lies, pipeline = judge(
+        Events(t_ns=events.t_ns, kind=events.kind, values=values), truth
+    )
     assert lies == 0
     assert np.nanmax(np.abs(late["pos"][:, 2])) < 5.0
     assert pipeline.health().verdicts[Aid.BARO][Verdict.SUSPECT] > 100
@@ -122,7 +126,7 @@ def test_an_accelerometer_at_the_end_of_its_range_is_doubted():
 
 
 def test_a_drift_too_quiet_for_the_samples_is_no_rest_where_the_receiver_shows_it():
-    events, truth = flight("static", duration=60.0, noise=NOISE)
+    events, _ = flight("static", duration=60.0, noise=NOISE)
     t = seconds(events)
     moved = 0.3 * np.clip(t - 15.0, 0.0, None)
     values = events.values.copy()
