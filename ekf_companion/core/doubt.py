@@ -41,6 +41,11 @@ LARGEST_TERM = cython.declare(cython.double, 3.0)
 """Largest whitened innovation that counts, sigmas."""
 OLD = cython.declare(cython.double, 3e9)
 """Time after which the innovation before says nothing of this one, ns."""
+LARGEST_FAULT = cython.declare(cython.double, 15.0)
+"""Largest error of an acceleration, by a wrong attitude or a fault, m/s^2: a receiver that gains
+speed faster than that against the samples is wrong itself."""
+LARGEST_STEP = cython.declare(cython.double, 2.0)
+"""m/s, beside it."""
 SHARED_DOUBT = cython.declare(cython.double, 0.3)
 """Doubt at which the receiver's variance has grown by half of what it may."""
 SHOWN_SIGMAS = cython.declare(cython.double, 2.0)
@@ -151,6 +156,8 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
     if excess > FAIR_EXCESS:
         excess = excess if excess < LARGEST_EXCESS else LARGEST_EXCESS
         pull += EXCESS * (excess - FAIR_EXCESS)
+    if pull > 0.0 and contradicts_itself(x, fix):
+        return
     x.doubt *= exp(GAIN * pull)
     bound_doubt(x)
 
@@ -198,7 +205,9 @@ def doubt_refusal(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
             is_shown = True
         if o.z[r] * o.z[r] > largest:
             largest = o.z[r] * o.z[r]
-    if not is_shown:
+    since = (x.t - x.used_t[AID_VELOCITY]) * 1e-9
+    most = LARGEST_FAULT * since + LARGEST_STEP
+    if not is_shown or largest > most * most:
         return
     needed = 1.0
     if x.fix_dt > 0.0:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.enums import (
+    AID_VELOCITY,
     E_BARO,
     E_POS,
     MODE_NAVIGATE,
@@ -48,6 +49,9 @@ LARGEST = cython.declare(cython.double, 2.0)
 def add_baro(x: State, alt: float) -> None:
     """Add a pressure altitude (m) to the mean until the next fix."""
     voices = address(x.voices)
+    if x.t - voices.t > LONGEST:  # the mean is to be that before a fix
+        voices.baro_sum = 0.0
+        voices.baro_n = 0.0
     voices.baro_sum += alt
     voices.baro_n += 1.0
 
@@ -86,11 +90,14 @@ def compare_climbs(x: State, fix: Fix) -> None:
         for i in range(3):
             gain = dt / (dt + SMOOTH) if i < 2 else 1.0
             voices.smooth[i] += gain * (voices.difference[i] - voices.smooth[i])
+    elif x.t - voices.t < MEMORY * 1e9 and voices.has_baro != 0.0 and had_baro:
+        # while there was no velocity, the two heights went on
+        voices.difference[1] += (baro - voices.baro) - (fix.alt - voices.height)
+        voices.smooth[1] = voices.difference[1]
     else:
         for i in range(3):
             voices.difference[i] = 0.0
             voices.smooth[i] = 0.0
-        voices.has_baro = 0.0
     voices.t = x.t
     voices.height = fix.alt
     voices.down = down
@@ -112,12 +119,17 @@ def find_loser(x: State, fix: Fix) -> None:
         voices.loser = VOICE_ANY
         if voices.has_baro != 0.0 and voices.has_vel != 0.0:
             if agrees(a, b, c):
-                voices.loser = VOICE_BARO
+                # height and velocity come of one receiver: the inertial samples may deny both
+                is_denied = cython.declare(
+                    cython.bint, x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]
+                )
+                voices.loser = VOICE_HEIGHT if is_denied else VOICE_BARO
             elif agrees(c, a, b):
                 voices.loser = VOICE_HEIGHT
             elif agrees(b, a, c):
                 voices.loser = VOICE_VELOCITY
-    if before == VOICE_HEIGHT and voices.loser == VOICE_NONE and b > BACK:
+    has_none = cython.declare(cython.bint, voices.loser == VOICE_NONE or voices.loser == VOICE_BARO)
+    if before == VOICE_HEIGHT and has_none and b > BACK:
         voices.loser = VOICE_HEIGHT
     if voices.loser != VOICE_NONE and before == VOICE_NONE and x.mode == MODE_NAVIGATE:
         doubt_height(x)
