@@ -4,6 +4,7 @@ from ekf_companion.core.state cimport State
 cdef void restart(State *x) noexcept nogil
 cdef void write_noise(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
 cdef void find_clipping(State *x, ImuRow *imu) noexcept nogil
+cdef double is_at_end(State *x, Py_ssize_t axis, double size, double change) noexcept nogil
 cdef void learn_doubt(State *x, Parameters *k, Fix *fix, Observation *o, double nis) noexcept nogil
 cdef bint is_next(State *x) noexcept nogil
 cdef void bound_doubt(State *x) noexcept nogil

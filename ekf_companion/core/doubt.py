@@ -113,17 +113,26 @@ def find_clipping(x: State, imu: ImuRow) -> None:
 
     To be called before the sample is kept.
     """
-    for j in range(6):
-        now = imu.gyro[j] if j < 3 else imu.accel[j - 3]
-        before = x.gyro[j] if j < 3 else x.accel[j - 3]
-        size = fabs(now)
-        least = LEAST_RANGE if j < 3 else LEAST_FORCE_RANGE
+    for j in range(3):
+        size = fabs(imu.gyro[j])
         x.is_clipped[j] = 0.0
-        if size > least:
-            if size >= x.largest_reading[j] * (1.0 - SAME) and fabs(now - before) <= SAME * size:
-                x.is_clipped[j] = 1.0
-            if size > x.largest_reading[j]:
-                x.largest_reading[j] = size
+        if size > LEAST_RANGE:
+            x.is_clipped[j] = is_at_end(x, j, size, imu.gyro[j] - x.gyro[j])
+        size = fabs(imu.accel[j])
+        x.is_clipped[j + 3] = 0.0
+        if size > LEAST_FORCE_RANGE:
+            x.is_clipped[j + 3] = is_at_end(x, j + 3, size, imu.accel[j] - x.accel[j])
+
+
+def is_at_end(x: State, axis: int, size: float, change: float) -> float:
+    """Return 1 if a large reading repeats the largest one of its axis; keep the largest."""
+    is_same = cython.declare(
+        cython.bint,
+        size >= x.largest_reading[axis] * (1.0 - SAME) and fabs(change) <= SAME * size,
+    )
+    if size > x.largest_reading[axis]:
+        x.largest_reading[axis] = size
+    return 1.0 if is_same else 0.0
 
 
 def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -> None:
