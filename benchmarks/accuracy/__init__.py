@@ -4,6 +4,7 @@
 
 consistency      NEES, and NIS of each aid
 outages          drift without GNSS, and whether sigma covers it
+four_imus        the same for four units on one real quadrotor
 receiver_faults  a receiver that is wrong
 compassless      flight without a compass, or with a wrong one
 seed             the flight of the seed article

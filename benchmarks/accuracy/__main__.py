@@ -15,6 +15,7 @@ from benchmarks import document
 from benchmarks.accuracy import (
     compassless,
     consistency,
+    four_imus,
     outages,
     receiver_faults,
     seed,
@@ -105,6 +106,7 @@ PARTS: dict[str, Part] = {
     "consistency": of_flights(consistency.tables),
     "seed": of_logs(seed.tables),
     "outages": outages.tables,
+    "four imus": of_logs(four_imus.tables),
     "receiver faults": of_flights(receiver_faults.tables),
     "compassless": of_flights(compassless.tables),
 }
