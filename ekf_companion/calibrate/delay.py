@@ -59,6 +59,10 @@ SETTLING = 5.0
 """Time after the first position that is not counted, s: the filter is settling."""
 DRAWS = 500
 """How often the blocks are drawn again."""
+BIASED = 10.0
+"""Widening beyond which the innovations are anything but independent."""
+MOST_BIAS = 0.045
+"""Largest half interval that the filter's own estimate asks for, s."""
 WIDEST = 0.05
 """Largest half interval of a delay that the motion shows, s."""
 
@@ -117,6 +121,11 @@ def measure(
     likelihood = Likelihood(recording, settings, edges)
     best, low, high, widening = _maximise(likelihood, name, progress)
     configured = delays_ns(settings, recording.family, recording.gnss_delay)[Kind.GNSS] * 1e-9
+    learnt = float(configured) + pipeline.health().gnss_delay
+    if widening > BIASED:
+        # clipped or shaken samples bias all blocks alike, and the filter's own estimate otherwise
+        half = min(abs(best - learnt), MOST_BIAS)
+        low, high = min(low, best - half), max(high, best + half)
     delays, gain = likelihood.curve()
     found = Delay(
         delays=delays,
@@ -128,7 +137,7 @@ def measure(
         rows=likelihood.rows,
         seconds=end - begin,
         acceleration=_acceleration(table, begin),
-        learnt=float(configured) + pipeline.health().gnss_delay,
+        learnt=learnt,
     )
     is_edge = not SPAN[0] + STEP < best < SPAN[1] - STEP
     if is_edge or 0.5 * (high - low) > WIDEST:
