@@ -12,6 +12,6 @@ cdef void begin_motion(State *x, Fix *fix) noexcept nogil
 cdef void integrate(State *x, Motion *m, double dt) noexcept nogil
 cdef double turn_to_field(State *x, Scratch *w, Pair *p) noexcept nogil
 cdef double find_down(State *x, Parameters *k, Scratch *w) noexcept nogil
-cdef double force_spread(State *x) noexcept nogil
+cdef double force_variance(State *x) noexcept nogil
 cdef bint level_in_motion(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef bint level_again(State *x, Parameters *k, Scratch *w) noexcept nogil

@@ -168,6 +168,18 @@ def start_filter(x: State, k: Parameters, w: Scratch, tilt: float, gyro_bias: fl
         reset_yaw(x, o)
 
 
+def force_variance(x: State) -> float:
+    """Return the variance of the specific force over the window, all axes together, m^2/s^4."""
+    rest = address(x.alignment.rest)
+    variance = 0.0
+    if rest.n < 2.0:
+        return 0.0
+    for i in range(3):
+        mean = rest.accel[i] / rest.n
+        variance += rest.accel2[i] / rest.n - mean * mean
+    return variance if variance > 0.0 else 0.0
+
+
 def level_by_window(x: State, w: Scratch) -> None:
     """Set the attitude so that the window's mean specific force points up."""
     rest = address(x.alignment.rest)
@@ -184,16 +196,13 @@ def level_at_rest(x: State, k: Parameters, w: Scratch) -> None:
     rest = address(x.alignment.rest)
     n = rest.n
     var_gyro = 0.0
-    var_accel = 0.0
     for i in range(3):
         mean = rest.gyro[i] / n
         var_gyro += rest.gyro2[i] / n - mean * mean
-        mean = rest.accel[i] / n
-        var_accel += rest.accel2[i] / n - mean * mean
     level_by_window(x, w)
     # Equal samples have no variance, but rounding may leave it below zero
     x.rest_gyro = var_gyro if var_gyro > 0.0 else 0.0
-    x.rest_accel = var_accel if var_accel > 0.0 else 0.0
+    x.rest_accel = force_variance(x)
     start_filter(x, k, w, sqrt(x.rest_accel / n) / k.gravity + 1e-3, k.gyro_bias_std)
 
 
@@ -325,7 +334,7 @@ def find_down(x: State, k: Parameters, w: Scratch) -> float:
         change += gained * gained
     # A receiver that is late tells of another stretch
     doubt = doubt + sqrt(change) * (k.delay_std + UNKNOWN_DELAY)
-    doubt = doubt + SHAKEN * force_spread(x) * span
+    doubt = doubt + SHAKEN * sqrt(force_variance(x)) * span
     if not has_reference(x):
         # without north, what was gained is tilt
         doubt = doubt + sqrt(dn * dn + de * de)
@@ -344,18 +353,6 @@ def find_down(x: State, k: Parameters, w: Scratch) -> float:
     return sqrt(doubt * doubt + turned * (dn * dn + de * de) / (size * size))
 
 
-def force_spread(x: State) -> float:
-    """Return one sigma of the specific force over the window, all axes together, m/s^2."""
-    rest = address(x.alignment.rest)
-    variance = 0.0
-    if rest.n < 2.0:
-        return 0.0
-    for i in range(3):
-        mean = rest.accel[i] / rest.n
-        variance += rest.accel2[i] / rest.n - mean * mean
-    return sqrt(variance) if variance > 0.0 else 0.0
-
-
 def level_in_motion(x: State, k: Parameters, w: Scratch) -> bool:
     """Start the filter at the fix ``w.fix`` if its attitude can be found in motion."""
     tilt = find_down(x, k, w)
@@ -363,7 +360,7 @@ def level_in_motion(x: State, k: Parameters, w: Scratch) -> bool:
         return False
     start_filter(x, k, w, tilt, k.gyro_bias_std)
     # what shakes it is motion or vibration: the first fixes will tell
-    shaken = SHAKEN * force_spread(x) / k.accel_noise
+    shaken = SHAKEN * sqrt(force_variance(x)) / k.accel_noise
     shaken = shaken * shaken * SHAKEN_TIME
     shaken = shaken if shaken < LARGEST_SHAKEN else LARGEST_SHAKEN
     if x.doubt < shaken:

@@ -94,13 +94,19 @@ def is_flying(x: State) -> bool:
     return x.armed == 1.0 or speed > FLYING * FLYING
 
 
+def let_wind_walk(x: State) -> None:
+    """Let the wind change over a block."""
+    drag = address(x.drag)
+    walk = drag.theta[0] * WIND_WALK
+    for i in range(1, 3):
+        drag.P[i][i] += walk * walk * BLOCK * 1e-9
+
+
 def learn(x: State, w: Scratch) -> None:
     """Learn coefficient and wind from the block's mean force and the estimated velocity."""
     drag = address(x.drag)
     o = address(w.observation)
-    walk = drag.theta[0] * WIND_WALK
-    for i in range(1, 3):
-        drag.P[i][i] += walk * walk * BLOCK * 1e-9
+    let_wind_walk(x)
     for axis in range(2):
         o.y[0] = 0.0
         for i in range(3):
@@ -128,10 +134,7 @@ def use(x: State, k: Parameters, w: Scratch) -> None:
     drag = address(x.drag)
     o = address(w.observation)
     d = drag.theta[0]
-    # the wind goes on walking; what is not known of it is the same in all blocks
-    walk = d * WIND_WALK
-    for i in range(1, 3):
-        drag.P[i][i] += walk * walk * BLOCK * 1e-9
+    let_wind_walk(x)
     vn = x.vel_n[0] - drag.theta[1] / d
     ve = x.vel_n[1] - drag.theta[2] / d
     vd = x.vel_n[2]
@@ -151,6 +154,7 @@ def use(x: State, k: Parameters, w: Scratch) -> None:
         o.H[axis][E_ATT + 2] = -d * (cn * ve - ce * vn)
         o.H[axis][E_BA + axis] = 1.0
         unknown = through * through * drag.P[0][0] + cn * cn * drag.P[1][1] + ce * ce * drag.P[2][2]
+        # what is not known of coefficient and wind is the same in all blocks
         o.R[axis][axis] = SAME_ERROR * (drag.variance + unknown)
     if innovate(x, o) <= k.gate[1]:
         apply_update(x, o)

@@ -26,7 +26,6 @@ from cython.cimports.ekf_companion.core import (
     yaw_frame,
 )
 from cython.cimports.ekf_companion.core.correct import copy_nominal
-from cython.cimports.ekf_companion.core.doubt import find_clipping
 from cython.cimports.ekf_companion.core.enums import (
     AID_HEADING,
     AID_HEIGHT,
@@ -110,7 +109,7 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
 
     # Learn from the sample itself: noise, rest, which aids are silent
     learn_noise(x, imu, span)
-    find_clipping(x, imu)
+    doubt.find_clipping(x, imu)
     keep_sample(x, imu)
     check_rest(x, k, w)
     drag.add_force(x, k, w)

@@ -297,18 +297,14 @@ def observe_rate(x: State, k: Parameters, w: Scratch, hidden_turn: float) -> Non
     rest = address(x.alignment.rest)
     o = address(w.observation)
     noise = 0.0
-    var_accel = 0.0
     for i in range(3):
         w.mean_rate[i] = rest.gyro[i] / rest.n
         noise += rest.gyro2[i] / rest.n - w.mean_rate[i] * w.mean_rate[i]
-        var_accel += rest.accel2[i] / rest.n - (rest.accel[i] / rest.n) * (rest.accel[i] / rest.n)
     noise = sqrt(noise / rest.n) + REST_RATE if noise > 0.0 else REST_RATE
     if x.landed == 1.0 or x.armed == 0.0:
         observe.zero_rate(x, o, w.mean_rate, noise, noise)
         return
-    tilting = 0.0
-    if var_accel > 0.0:
-        tilting = sqrt(12.0 * var_accel) / (k.gravity * (x.t - rest.t0) * 1e-9)
+    tilting = sqrt(12.0 * align.force_variance(x)) / (k.gravity * (x.t - rest.t0) * 1e-9)
     if tilting > HIDDEN_TURN:
         tilting = HIDDEN_TURN
     hidden_turn = compare_with_field(x, k, w, hidden_turn)

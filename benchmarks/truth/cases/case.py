@@ -52,3 +52,11 @@ def lose(readings: Readings, begin: float, length: float) -> None:
 def shift(readings: Readings, begin: float, length: float, by_n: Array) -> None:
     """Move the receiver's positions of an interval; its velocities stay true."""
     readings.fixes.pos_error_n[during(readings.fixes.t, begin, length)] += by_n
+
+
+def climbing(draw: Draw, motion: Motion, begin: float, length: float, by: float) -> Readings:
+    """Measure a motion for 120 s; for a while the receiver's vertical velocity is off."""
+    readings = flown(draw, motion, 120.0)
+    rows = during(readings.fixes.t, draw.about(begin), draw.about(length))
+    readings.fixes.vel_error_n[rows, 2] += draw.about(by) * draw.sign()
+    return readings

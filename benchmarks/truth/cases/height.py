@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.truth import paths
-from benchmarks.truth.cases.case import Case, during, flown
+from benchmarks.truth.cases.case import Case, climbing, flown
 from benchmarks.truth.draw import Draw, ramp
 from benchmarks.truth.sensors import Readings
 
@@ -44,10 +44,7 @@ def receiver_height(draw: Draw) -> Readings:
 
 def vertical_velocity_biased(draw: Draw) -> Readings:
     """Hover; the receiver's vertical velocity about 1 m/s off for 30 s."""
-    readings = flown(draw, paths.hover(draw), 120.0)
-    rows = during(readings.fixes.t, draw.about(50.0), draw.about(30.0))
-    readings.fixes.vel_error_n[rows, 2] += draw.about(1.0) * draw.sign()
-    return readings
+    return climbing(draw, paths.hover(draw), 50.0, 30.0, 1.0)
 
 
 CASES: tuple[Case, ...] = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.truth import paths
-from benchmarks.truth.cases.case import Case, during, flown, lose, shift
+from benchmarks.truth.cases.case import Case, climbing, during, flown, lose, shift
 from benchmarks.truth.draw import Draw
 from benchmarks.truth.motion import Motion
 from benchmarks.truth.sensors import Readings
@@ -90,19 +90,12 @@ def return_right(draw: Draw) -> Readings:
 
 def vertical_velocity_wild(draw: Draw) -> Readings:
     """Figure-eights; the receiver's vertical velocity about 10 m/s off for 15 s."""
-    return _climbing(draw, paths.figure_eights(draw))
+    return climbing(draw, paths.figure_eights(draw), 60.0, 15.0, 10.0)
 
 
 def vertical_velocity_wild_hover(draw: Draw) -> Readings:
     """Hover; the receiver's vertical velocity about 10 m/s off for 15 s, the barometer flat."""
-    return _climbing(draw, paths.hover(draw))
-
-
-def _climbing(draw: Draw, motion: Motion) -> Readings:
-    readings = flown(draw, motion, 120.0)
-    rows = during(readings.fixes.t, draw.about(60.0), draw.about(15.0))
-    readings.fixes.vel_error_n[rows, 2] += draw.about(10.0) * draw.sign()
-    return readings
+    return climbing(draw, paths.hover(draw), 60.0, 15.0, 10.0)
 
 
 CASES: tuple[Case, ...] = (
