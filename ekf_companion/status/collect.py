@@ -55,12 +55,16 @@ def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> Peer
 
 
 def output_state(
-    session: Session, new: int, rate: float, unheard: Mapping[str, int] | None = None
+    session: Session,
+    new: int,
+    rate: float,
+    unheard: Mapping[str, int] | None = None,
+    silence: str = "",
 ) -> OutputState:
     """Return what is sent, and why.
 
     ``new`` and ``rate`` are those of ODOMETRY in the last seconds, Hz; ``unheard`` are the
-    datagrams that found no monitor, by its address.
+    datagrams that found no monitor, by its address; ``silence`` is the companion's.
     """
     decision, state = session.guard.decision, session.stream_state
     return OutputState(
@@ -71,6 +75,7 @@ def output_state(
         is_settled=decision.is_settled,
         is_clash=session.clash.is_clash,
         reason=state.reason,
+        silence=silence,
         remedy=state.remedy,
         parameters=dict(decision.parameters),
         sent=dict(session.outbox.sent),

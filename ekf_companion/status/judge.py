@@ -72,6 +72,8 @@ def judge(snapshot: Snapshot) -> HealthCheck:
 def _odometry(output: OutputState) -> str:
     if output.is_allowed:
         line = f"ODOMETRY {output.rate:.0f} Hz" if output.is_streaming else "no ODOMETRY"
+        if output.silence:
+            line = f"no ODOMETRY: {output.silence}"
         if output.unsent_rate < MANY_UNSENT:
             return line
         return (

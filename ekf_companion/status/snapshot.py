@@ -239,6 +239,9 @@ class OutputState:
     )
     reason: Annotated[str, info(*_OUTPUT, ("reason",))]
     """Of the guard's verdict."""
+    silence: str = ""
+    """Why nothing is sent of the estimate that is there, as after long dead reckoning; empty: it
+    is sent, or the guard withholds it."""
     remedy: Annotated[str, info(*_OUTPUT, ("remedy",))]
     """The parameter to change; empty: nothing need be."""
     parameters: Annotated[
