@@ -95,6 +95,7 @@ def _inertial(imu: Data) -> str:
 def _time(time: Data) -> str:
     text = f"base {time['base']}, {'locked' if time['is_locked'] else 'not locked'}"
     text += f" within {_number(time['residual_us'], 'us', 0)}" if time["is_locked"] else ""
+    text += f" ({time['trouble']})" if time["trouble"] else ""
     text += f", skew {_number(time['skew_ppm'], 'ppm', 1)}"
     trips = f"{_number(time['rtt_p50_ms'], 'ms', 2)} and {_number(time['rtt_p95_ms'], 'ms', 2)}"
     return _with_losses(f"{text}, round trip {trips} (median, 95 %)", time["refused"])

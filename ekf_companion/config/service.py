@@ -147,8 +147,8 @@ class RecordConfig:
     """What we keep."""
 
     path: str | None = None
-    """A .tlog of every byte in and out, and of the estimate, about 2 MB a minute; null: none. %s in
-    the name becomes the time of start, as in /var/log/ekf-companion/%s.tlog. No file is written
+    """A .tlog of every frame in and out, and of the estimate, about 2 MB a minute; null: none. %s
+    in the name becomes the time of start, as in /var/log/ekf-companion/%s.tlog. No file is written
     over: the new one gets a number behind its name. It is on the disk within a second.
     `ekf-companion convert` makes the same estimates of it, to the bit."""
     file_size: Megabytes = 256.0

@@ -113,6 +113,7 @@ def time_state(session: Session, now_ns: int) -> TimeState:
     return TimeState(
         base="unknown" if base.latest_us is None else "unix" if base.is_unix else "boot",
         is_locked=timesync.is_locked,
+        trouble=timesync.trouble,
         offset_s=math.nan if peer_ns is None else (peer_ns - now_ns) * 1e-9,
         skew_ppm=timesync.skew * 1e6,
         rtt_p50_ms=timesync.rtt_ns(50) * 1e-6,
