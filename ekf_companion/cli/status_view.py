@@ -20,7 +20,8 @@ def view(data: Data) -> Group:
     from rich.text import Text
 
     health = data["health"]
-    verdict = Text(health["words"], style="bold green" if health["is_healthy"] else "bold red")
+    colour = "green" if health["is_ok"] else "yellow" if health["is_healthy"] else "red"
+    verdict = Text(health["words"], style=f"bold {colour}")
     tables = [_stages(data), _rates(data["messages"])]
     if data["estimator"]:
         tables.append(_aids(data["estimator"]))
