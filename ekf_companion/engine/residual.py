@@ -145,6 +145,20 @@ def scale_errors(odometry: Odometry, factor: float) -> Odometry:
 
 def std_horizontal(odometry: Odometry) -> float:
     """Return one sigma of the horizontal position, m; infinite where it is not known."""
-    variances = np.frombuffer(odometry.numbers, dtype="<f4")[[_POSE_COV, _POSE_COV + 6]]
-    variance = float(variances.sum())
-    return math.sqrt(variance) if math.isfinite(variance) else math.inf
+    return _std(odometry, (_POSE_COV, _POSE_COV + 6))
+
+
+def std_velocity(odometry: Odometry) -> float:
+    """Return one sigma of the velocity, m/s, likewise."""
+    return _std(odometry, (_TWIST_COV, _TWIST_COV + 6, _TWIST_COV + 11))
+
+
+def std_yaw(odometry: Odometry) -> float:
+    """Return one sigma of the yaw, rad, likewise."""
+    return _std(odometry, (_POSE_COV + 20,))
+
+
+def _std(odometry: Odometry, places: tuple[int, ...]) -> float:
+    numbers = np.frombuffer(odometry.numbers, dtype="<f4")
+    is_known = math.isfinite(numbers[_POSE_COV]) and math.isfinite(numbers[_TWIST_COV])
+    return math.sqrt(sum(float(numbers[place]) for place in places)) if is_known else math.inf

@@ -8,6 +8,7 @@ between them. That holds for whatever the filter does inside, a reset or one lar
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ _USUAL_S = 20.0
 _MANY = 10.0
 """Times the usual step. The looks at which a fix is fused are one in six, so this is four times the
 usual correction by a fix."""
+_START_S = 5.0
+"""After a start the first fixes correct each other by as much as they are uncertain."""
 _SMOOTH_S = 0.05
 """Interval up to which the samples between two looks explain any flight."""
 
@@ -130,23 +133,28 @@ class JumpDetector:
     def __init__(self) -> None:
         # Until the usual step is known, only what no follower takes is a jump
         self._squares = [(limit.most / _MANY) ** 2 for limit in _LIMITS]
+        self._age = 0.0
 
-    def judge(self, step: Step, sigma: float) -> tuple[bool, bool, bool]:
+    def judge(self, step: Step, stated: Sequence[float]) -> tuple[bool, bool, bool]:
         """Return whether a step is a jump in position, in velocity and in yaw.
 
         Args:
             step: The step.
-            sigma: One sigma of the position that was aided and sent before it, m; 0: it was not.
-                A step within it is none for a receiver: every gate has three sigma and more.
+            stated: One sigma of position, velocity and yaw as it was sent before the step; 0: of
+                what was not aided. A step within it is none for a receiver, nor is one of the
+                position within three just after a start, when one fix is all there is: every gate
+                has three sigma and more.
         """
         weight = min(step.dt / _USUAL_S, 1.0)
-        stated = sigma, 0.0, 0.0
+        self._age += step.dt
+        factors = (3.0 if self._age < _START_S else 1.0), 1.0, 1.0
         jumps = []
         for i, (size, limit) in enumerate(zip(step.sizes, _LIMITS, strict=True)):
             beyond = max(step.dt - _SMOOTH_S, 0.0)
             allowed = limit.slow * (beyond * beyond if limit is POSITION else beyond)
             usual = _MANY * math.sqrt(self._squares[i])
-            largest = max(min(max(limit.least, usual), limit.most), stated[i]) + allowed
+            largest = max(min(max(limit.least, usual), limit.most), factors[i] * stated[i])
+            largest += allowed
             jumps.append(size > largest)
             self._squares[i] += weight * (min(size, largest) ** 2 - self._squares[i])
         return jumps[0], jumps[1], jumps[2]

@@ -17,7 +17,14 @@ from dataclasses import dataclass
 
 from ekf_companion.config.service import OdometryConfig
 from ekf_companion.engine.pipeline import QUALITY, Estimate
-from ekf_companion.engine.residual import Offset, Residual, scale_errors, std_horizontal
+from ekf_companion.engine.residual import (
+    Offset,
+    Residual,
+    scale_errors,
+    std_horizontal,
+    std_velocity,
+    std_yaw,
+)
 from ekf_companion.engine.step import JumpDetector, Pose, Step, StepMeter, to_pose
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.stamp import SECOND_NS
@@ -126,12 +133,11 @@ class OdometryStream:
             assert last is not None
             self._is_begun &= step.dt * 1e9 < BROKEN_NS
             self._residual.decay(step.dt)
-            sigma = std_horizontal(last[0]) if last[0].quality == _BEST else 0.0
-            self._is_told |= self._take_step(step, pose, sigma)
+            self._is_told |= self._take_step(step, pose, _stated(last[0]))
 
-    def _take_step(self, step: Step, pose: Pose, sigma: float) -> bool:
+    def _take_step(self, step: Step, pose: Pose, stated: tuple[float, float, float]) -> bool:
         """Keep a jump from the receiver in the parts that are not told; return whether one is."""
-        position, velocity, yaw = self._detector.judge(step, sigma)
+        position, velocity, yaw = self._detector.judge(step, stated)
         if not (position or velocity or yaw):
             return False
         policy = self._policy
@@ -221,3 +227,11 @@ class OdometryStream:
             self._since_ns = estimate.t_ns
         has_waited = estimate.t_ns - self._since_ns >= WAIT_NS
         return not has_waited and (not is_good or estimate.is_reset_due)
+
+
+def _stated(odometry: Odometry) -> tuple[float, float, float]:
+    """Return one sigma of position, velocity and yaw, 0 of what lacked its aid."""
+    if odometry.quality < _GOOD:
+        return 0.0, 0.0, 0.0
+    position = std_horizontal(odometry) if odometry.quality == _BEST else 0.0
+    return position, std_velocity(odometry), std_yaw(odometry)

@@ -9,6 +9,7 @@ from ekf_companion.engine.step import JumpDetector, Pose, Step, StepMeter
 from ekf_companion.nav import so3
 
 DT = 1.0 / 30.0
+NOT_AIDED = (0.0, 0.0, 0.0)
 
 
 def pose(t: float, pos_n, vel_n, angles) -> Pose:
@@ -86,7 +87,7 @@ def settled(usual=0.0) -> JumpDetector:
     """Return a detector that has seen a minute of usual steps, of fixes at 5 Hz."""
     detector = JumpDetector()
     for k in range(1800):
-        detector.judge(step(position=usual if k % 6 == 0 else 0.0), 0.0)
+        detector.judge(step(position=usual if k % 6 == 0 else 0.0), NOT_AIDED)
     return detector
 
 
@@ -103,16 +104,20 @@ def settled(usual=0.0) -> JumpDetector:
     ],
 )
 def test_a_jump_is_beyond_what_followers_take_for_noise(given, expected):
-    assert settled().judge(step(**given), 0.0) == expected
+    assert settled().judge(step(**given), NOT_AIDED) == expected
 
 
 def test_corrections_that_are_usual_are_no_jumps_but_a_metre_always_is():
     noisy = settled(usual=0.3)
-    assert noisy.judge(step(position=0.8), 0.0) == (False, False, False)
-    assert noisy.judge(step(position=1.1), 0.0) == (True, False, False)
-    assert JumpDetector().judge(step(position=0.8), 0.0) == (False, False, False)
+    assert noisy.judge(step(position=0.8), NOT_AIDED) == (False, False, False)
+    assert noisy.judge(step(position=1.1), NOT_AIDED) == (True, False, False)
+    assert JumpDetector().judge(step(position=0.8), NOT_AIDED) == (False, False, False)
 
 
 def test_a_step_within_the_sigma_that_was_stated_is_no_jump():
-    assert settled().judge(step(position=1.2), 1.4) == (False, False, False)
-    assert settled().judge(step(position=1.5), 1.4) == (True, False, False)
+    assert settled().judge(step(position=1.2), (1.4, 0.0, 0.0)) == (False, False, False)
+    assert settled().judge(step(position=1.5), (1.4, 0.0, 0.0)) == (True, False, False)
+    # The second fix of a start corrects the first by as much as both are uncertain
+    assert JumpDetector().judge(step(position=4.1), (1.4, 0.0, 0.0)) == (False, False, False)
+    assert JumpDetector().judge(step(position=4.3), (1.4, 0.0, 0.0)) == (True, False, False)
+    assert settled().judge(step(velocity=0.9, yaw=0.3), (0.0, 1.0, 0.2)) == (False, False, True)

@@ -7,7 +7,6 @@ The recorded flights are of PX4's and ArduPilot's simulators, flown on what was 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from ekf_companion.nav import so3
 from ekf_companion.replay.convert import convert
 from tests.engine.conversation import SECOND_NS, as_messages, converse, cycles, named
 from tests.engine.recorded import OURS, Sent, configured, frames, odometry, sent
+from tests.paths import DATA
 
 PX4, PASSIVE = "sitl-px4-flown-on-odometry", "sitl-px4-live-outage"
 ARDUPILOT, RESTARTED = "sitl-arducopter-flown-on-odometry", "sitl-px4-warm-restart"
@@ -128,9 +128,8 @@ def test_dead_reckoning_ends_in_silence_in_time_for_the_failsafe(flight):
 
 
 def test_the_vehicle_drifts_no_further_than_ten_metres_until_then():
-    path = Path(__file__).parents[2].parent / "shared" / "data" / PX4 / "truth.csv"
     frames(PX4)
-    truth = np.genfromtxt(path, delimiter=",", names=True)
+    truth = np.genfromtxt(DATA / PX4 / "truth.csv", delimiter=",", names=True)
     t = truth["time_us"] * 1e-6
     given = odometry(PX4)
     last = given.t[given.quality == 20][-1]
@@ -164,27 +163,24 @@ def test_many_messages_of_dead_reckoning_say_no_more_than_one():
 # The first message of a run
 
 
-def restarted(kill_s: float, begin_s: float, until_s: float) -> tuple[list, list, Companion]:
-    """Return the ODOMETRY of two runs, the second from the checkpoint of the first, and the second.
+CLOCKS = Clocks(1_800_000_000 * SECOND_NS, 7 * SECOND_NS, bytes(range(16)))
 
-    Times in seconds since the recording's first frame.
-    """
-    clocks, runs = Clocks(1_800_000_000 * SECOND_NS, 7 * SECOND_NS, bytes(range(16))), []
+
+def part(begin_s: float, end_s: float) -> list[tuple[int, bytes]]:
+    """Return the frames of some seconds since the recording's first."""
     given = frames(RESTARTED)
-    first_ns = given[0][0]
+    return [one for one in given if begin_s <= (one[0] - given[0][0]) * 1e-9 < end_s]
 
-    def between(begin, end):
-        return [one for one in given if begin <= (one[0] - first_ns) * 1e-9 < end]
 
-    before = between(0.0, kill_s)
-    companion = Companion(configured())
-    runs.append(odometry_of(companion, before))
-    data = companion.checkpoint(clocks.later(before[-1][0]))
-    after = between(begin_s, until_s)
-    found = WarmStart(data, clocks.later(after[0][0]), after[0][0])
-    companion = Companion(configured(), warm_start=found)
-    runs.append(odometry_of(companion, after))
-    return runs[0], runs[1], companion
+def run(begin_s: float, end_s: float, found: bytes | None = None) -> tuple[list, bytes, Companion]:
+    """Return the ODOMETRY of a run from what another left, what it leaves, and its companion."""
+    given = part(begin_s, end_s)
+    warm_start = WarmStart(found, CLOCKS.later(given[0][0]), given[0][0])
+    companion = Companion(configured(), warm_start=warm_start)
+    said = odometry_of(companion, given)
+    left = companion.checkpoint(CLOCKS.later(given[-1][0]))
+    assert left is not None
+    return said, left, companion
 
 
 def odometry_of(companion: Companion, given: list) -> list:
@@ -199,15 +195,10 @@ def _feed(companion: Companion, now_ns: int, frame: bytes) -> list[bytes]:
 
 def test_after_a_restart_the_first_message_waits_for_its_fix():
     """The recorded restart sent eight with sigmas of 17.5 m and 11.9 m/s, and PX4 reset to them."""
-    gap = next(
-        (now_ns, frame)
-        for (last_ns, _), (now_ns, frame) in zip(
-            frames(RESTARTED), frames(RESTARTED)[1:], strict=False
-        )
-        if now_ns - last_ns > SECOND_NS
-    )
-    begin = (gap[0] - frames(RESTARTED)[0][0]) * 1e-9
-    first, second, companion = restarted(begin - 0.1, begin, begin + 4.0)
+    stamps = np.array([now_ns for now_ns, _ in frames(RESTARTED)])
+    begin = float((stamps[np.argmax(np.diff(stamps)) + 1] - stamps[0]) * 1e-9)
+    first, left, _ = run(0.0, begin - 0.1)
+    second, _, companion = run(begin, begin + 4.0, left)
     before, after = Sent(first), Sent(second)
     assert after.quality[0] >= 50
     assert after.sd[0] < 1.5
@@ -215,6 +206,29 @@ def test_after_a_restart_the_first_message_waits_for_its_fix():
     assert after.count[0] == before.count[-1] + 2  # the restart, and the reset by the fix
     assert np.linalg.norm(after.pos_n[0] - before.pos_n[-1]) < 2.5
     assert companion.pipeline.health().start.startswith("warm: ")
+
+
+def test_ten_restarts_in_a_row_keep_the_place():
+    """Killed and begun again 1.5 s later every 6 s, in a hover and a figure of eight."""
+    frames(RESTARTED)
+    truth = np.genfromtxt(DATA / RESTARTED / "truth.csv", delimiter=",", names=True)
+    place = np.stack([truth[name] for name in ("n_m", "e_m", "d_m")])
+    said, left, _ = run(41.0, 49.0)
+    runs = [Sent(said)]
+    for begin in np.arange(50.5, 110.0, 6.0):
+        said, left, companion = run(begin, begin + 4.5, left)
+        assert companion.pipeline.health().start.startswith("warm: ")
+        runs.append(Sent(said))
+    assert len(runs) == 11
+    reference = None
+    for before, after in zip([runs[0], *runs], runs, strict=False):
+        error = after.pos_n - np.stack(
+            [np.interp(after.t, truth["time_us"] * 1e-6, x) for x in place], 1
+        )
+        reference = np.median(error, axis=0) if reference is None else reference
+        assert np.linalg.norm(error - reference, axis=1).max() < 1.0
+        assert after.quality[0] >= 50
+        assert after is before or after.count[0] > before.count[-1]
 
 
 def test_a_restart_without_fixes_waits_no_longer_than_two_seconds():
@@ -225,11 +239,10 @@ def test_a_restart_without_fixes_waits_no_longer_than_two_seconds():
         [one for one in turns if is_part((one[0] - first_ns) * 1e-9)]
         for is_part in (lambda t: t < 8.0, lambda t: t >= 9.5)
     )
-    clocks = Clocks(1_800_000_000 * SECOND_NS, 7 * SECOND_NS, bytes(range(16)))
     companion = Companion(config)
     converse(companion, before)
-    data = companion.checkpoint(clocks.later(before[-1][0]))
-    found = WarmStart(data, clocks.later(after[0][0]), after[0][0])
+    data = companion.checkpoint(CLOCKS.later(before[-1][0]))
+    found = WarmStart(data, CLOCKS.later(after[0][0]), after[0][0])
     companion = Companion(config, warm_start=found)
     silent = cycles(14.0, "hover", without=("GPS_RAW_INT", "GLOBAL_POSITION_INT"))
     said = converse(companion, (one for one in silent if one[0] >= after[0][0]))
