@@ -87,20 +87,27 @@ class StepMeter:
     def measure(self, pose: Pose) -> Step | None:
         """Return the step since the last look; None if there was none, or no sample came since."""
         last, count = self._last, self._count
-        mean = np.array(self._sums) / max(count, 1)
+        mean = [value / max(count, 1) for value in self._sums]
         self._last, self._sums, self._count = pose, [0.0] * 6, 0
         if last is None or count == 0 or pose.t_ns <= last.t_ns:
             return None
         dt = (pose.t_ns - last.t_ns) * 1e-9
-        turned = last.C_nb @ so3.to_matrix(so3.exp(mean[:3] * dt))
-        error = pose.C_nb @ turned.T
+        turned = last.C_nb @ _rotation(*(rate * dt for rate in mean[:3]))
+        error = pose.C_nb @ turned[0]  # the first column of the matrix that leads from one to two
         accel_n = 0.5 * (last.C_nb + turned) @ mean[3:] + GRAVITY
         return Step(
             dt,
             pose.pos_n - last.pos_n - 0.5 * dt * (last.vel_n + pose.vel_n),
             pose.vel_n - last.vel_n - dt * accel_n,
-            math.atan2(error[1, 0], error[0, 0]),
+            math.atan2(error[1], error[0]),
         )
+
+
+def _rotation(x: float, y: float, z: float) -> Array:
+    """Return the matrix of a rotation vector, rad: at 30 Hz the time of a general one counts."""
+    half = 0.5 * math.sqrt(x * x + y * y + z * z)
+    scale = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
+    return so3.to_matrix(np.array([math.cos(half), scale * x, scale * y, scale * z]))
 
 
 class Limit(NamedTuple):
