@@ -61,7 +61,9 @@ def fetch(url: str) -> Answer:
         with build_opener(ProxyHandler({})).open(where, timeout=TIMEOUT) as answer:
             data = json.load(answer)
         health = data["health"]
-        return Answer(0 if health["is_ok"] else NOT_OK, health["words"], data)
+        # A daemon that was not restarted after an upgrade does not say is_ok
+        is_ok = health["is_ok" if "is_ok" in health else "is_healthy"]
+        return Answer(0 if is_ok else NOT_OK, health["words"], data)
     except HTTPError as error:
         if error.headers.get_content_type() != "text/plain":
             return Answer(NO_DAEMON, _FOREIGN.format(where), {})

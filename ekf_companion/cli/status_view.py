@@ -20,7 +20,7 @@ def view(data: Data) -> Group:
     from rich.text import Text
 
     health = data["health"]
-    colour = "green" if health["is_ok"] else "yellow" if health["is_healthy"] else "red"
+    colour = "green" if health.get("is_ok") else "yellow" if health["is_healthy"] else "red"
     verdict = Text(health["words"], style=f"bold {colour}")
     tables = [_stages(data), _rates(data["messages"])]
     if data["estimator"]:
