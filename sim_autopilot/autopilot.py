@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ekf_companion.mavlink.codec import Sender, unpack
-from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
+from ekf_companion.mavlink.frame import Frame, Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from sim_autopilot.acceptance import Reception
 from sim_autopilot.config import SimConfig
@@ -129,7 +129,7 @@ class Autopilot:
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes from the link, and answer them."""
         for frame in self._splitter.feed(data):
-            if frame.message_id == JUNK:
+            if frame.message_id < 0:
                 continue
             fields = unpack(frame)
             name = LAYOUTS[frame.message_id].name

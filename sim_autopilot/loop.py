@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 from ekf_companion.mavlink.codec import Sender, unpack
-from ekf_companion.mavlink.frame import JUNK, Splitter
+from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from sim_autopilot.autopilot import SET_MESSAGE_INTERVAL, Received
 from sim_autopilot.faults.fault import Fault
@@ -150,7 +150,7 @@ class Bench:
         """Deliver the peer's bytes to the autopilot and the witness."""
         for data in answers:
             for frame in self._splitter.feed(data):
-                if frame.message_id != JUNK:
+                if frame.message_id >= 0:
                     name = LAYOUTS[frame.message_id].name
                     self.witness.receive(
                         Received(self._now_ns, frame.component_id, name, unpack(frame), frame.raw)

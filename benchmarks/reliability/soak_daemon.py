@@ -29,7 +29,10 @@ FIRST = 60.0
 accelerometer's bias is estimated, recovery from a cut takes 10.8 s, also without the daemon."""
 QUIET = 300.0
 """Length of the flight without faults that the normal errors are taken from, s."""
-CONFIG = f"link: {{imu_rate: {RATE}}}\nhttp: {{port: 0}}\n"
+CONFIG = (
+    f"link: {{imu_rate: {RATE}}}\nhttp: {{port: 0}}\n"
+    "output: {odometry: {jumps: tell, dead_reckoning_time: 3600, dead_reckoning_std: 1.0e4}}\n"
+)
 PATIENCE = 60.0
 """s; a daemon that has sent nothing by then never will."""
 

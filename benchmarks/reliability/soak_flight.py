@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from benchmarks.reliability.fuzz import resident_mb
 from ekf_companion.config.config import Config
+from ekf_companion.config.service import OdometryConfig, OutputConfig
 from ekf_companion.engine.companion import Companion
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
@@ -26,6 +27,8 @@ RATE = 250.0
 """Of the inertial samples, Hz."""
 LATENCY = 0.001
 """Of the link, each way, s."""
+UNLIMITED = OdometryConfig(jumps="tell", dead_reckoning_time=3600.0, dead_reckoning_std=1e4)
+"""The errors are the estimator's: dead reckoning is judged too, and no jump is spread."""
 LARGEST_RATE = 60.0
 """Most ODOMETRY per second that are kept."""
 LOOK_EVERY = 10.0
@@ -141,7 +144,7 @@ def fly(
 ) -> Flown:
     """Fly with faults, and check memory and queues now and then."""
     flight = plan(personality, seed, duration, scenario)
-    config = Config()
+    config = Config(output=OutputConfig(odometry=UNLIMITED))
     companion = Companion(replace(config, link=replace(config.link, imu_rate=RATE)))
     bench = Bench(
         flight,

@@ -18,7 +18,7 @@ TIMEOUT = 3.0
 """Longest wait for an answer, s."""
 PERIOD = 1.0
 """Seconds between two requests of ``--watch``."""
-UNHEALTHY, NO_DAEMON = 1, 4
+NOT_OK, NO_DAEMON = 1, 4
 """Exit codes."""
 _FOREIGN = "{}: what answers is no ekf-companion; name its address with --url"
 
@@ -38,7 +38,7 @@ def status(
     as_json: Annotated[bool, typer.Option("--json", help="Print the JSON of /status.")] = False,
     watch: Annotated[bool, typer.Option("--watch", help="Repeat every second.")] = False,
 ) -> None:
-    """Show the daemon's state. Exit code: 0 healthy, 1 unhealthy, 4 no answer."""
+    """Show the daemon's state. Exit code: 0 ok, 1 no estimate of now or invalid, 4 no answer."""
     if watch:
         answer = _watch(url, as_json)
     else:
@@ -61,11 +61,13 @@ def fetch(url: str) -> Answer:
         with build_opener(ProxyHandler({})).open(where, timeout=TIMEOUT) as answer:
             data = json.load(answer)
         health = data["health"]
-        return Answer(0 if health["is_healthy"] else UNHEALTHY, health["words"], data)
+        # A daemon that was not restarted after an upgrade does not say is_ok
+        is_ok = health["is_ok" if "is_ok" in health else "is_healthy"]
+        return Answer(0 if is_ok else NOT_OK, health["words"], data)
     except HTTPError as error:
         if error.headers.get_content_type() != "text/plain":
             return Answer(NO_DAEMON, _FOREIGN.format(where), {})
-        return Answer(UNHEALTHY, error.read().decode(errors="replace").strip(), {})
+        return Answer(NOT_OK, error.read().decode(errors="replace").strip(), {})
     except (ValueError, LookupError, TypeError, HTTPException):
         return Answer(NO_DAEMON, _FOREIGN.format(where), {})
     except OSError as error:

@@ -20,7 +20,8 @@ def view(data: Data) -> Group:
     from rich.text import Text
 
     health = data["health"]
-    verdict = Text(health["words"], style="bold green" if health["is_healthy"] else "bold red")
+    colour = "green" if health.get("is_ok") else "yellow" if health["is_healthy"] else "red"
+    verdict = Text(health["words"], style=f"bold {colour}")
     tables = [_stages(data), _rates(data["messages"])]
     if data["estimator"]:
         tables.append(_aids(data["estimator"]))
@@ -95,6 +96,7 @@ def _inertial(imu: Data) -> str:
 def _time(time: Data) -> str:
     text = f"base {time['base']}, {'locked' if time['is_locked'] else 'not locked'}"
     text += f" within {_number(time['residual_us'], 'us', 0)}" if time["is_locked"] else ""
+    text += f" ({time['trouble']})" if time["trouble"] else ""
     text += f", skew {_number(time['skew_ppm'], 'ppm', 1)}"
     trips = f"{_number(time['rtt_p50_ms'], 'ms', 2)} and {_number(time['rtt_p95_ms'], 'ms', 2)}"
     return _with_losses(f"{text}, round trip {trips} (median, 95 %)", time["refused"])
@@ -115,6 +117,7 @@ def _estimate(data: Data) -> str:
 def _output(output: Data) -> str:
     streams = f"streams at {output['rate']:.1f} Hz" if output["is_streaming"] else "is not sent"
     text = f"ODOMETRY {streams}"
+    text += f": {output['silence']}" if output["silence"] else ""
     losses = {"withheld": output["withheld"], "thrown away by the link": output["unsent"]}
     losses |= {"texts dropped": output["texts_dropped"]}
     return _with_losses(f"{text}, sent {_counts(output['sent']) or 'nothing'}", losses)

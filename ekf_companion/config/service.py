@@ -99,9 +99,23 @@ class OdometryConfig:
     ] = 30.0
     """Rate, at most one message per inertial sample. PX4 wants 30 to 50, and fuses nothing that
     comes too rarely; ArduPilot wants 4 to 50, and is sent no more."""
-    frame: Literal["LOCAL_FRD", "LOCAL_NED"] = "LOCAL_FRD"
-    """Frame of the pose. PX4 takes both, ArduPilot only LOCAL_FRD; a listener that is no autopilot
-    may understand only LOCAL_NED. The numbers are the same."""
+    frame: Literal["LOCAL_FRD", "LOCAL_NED", "continuous"] = "LOCAL_FRD"
+    """Frame of the pose. PX4 takes both of the first, ArduPilot only LOCAL_FRD; a listener that is
+    no autopilot may understand only LOCAL_NED. The numbers are the same. continuous: a LOCAL_FRD in
+    which position and heading never jump, for a controller that must see no step; where it lies in
+    the frame of GPS_GLOBAL_ORIGIN is sent as LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET."""
+    jumps: Annotated[Literal["auto", "tell", "spread"], Setting(reload=True)] = "auto"
+    """What becomes of a correction that nobody would take for motion, as after a loss of GNSS.
+    tell: it is sent at once, and reset_counter moves. spread: ODOMETRY goes on without a step, and
+    comes to the estimate by 0.5 m/s, 1 m/s2 and 5 deg/s; the covariance covers the rest. auto:
+    tell; to ArduPilot, whose filter takes only the position anew, velocity and heading are
+    spread."""
+    dead_reckoning_time: Annotated[float, Meta(gt=0.0, le=3600.0), Setting("s", reload=True)] = 2.0
+    """Without a position or velocity of GNSS for longer, nothing is sent, so that the autopilot's
+    own failsafe acts: PX4's 5 s later (EKF2_NOAID_TOUT), ArduPilot's 8 s later."""
+    dead_reckoning_std: Annotated[float, Meta(gt=0.0, le=1e4), Setting("m", reload=True)] = 5.0
+    """Nor while dead reckoning with a sigma of the horizontal position beyond this, which is where
+    PX4 gives a position up (COM_POS_FS_EPH)."""
     estimator_type: Literal["auto", "GPS_INS", "VIO"] = "auto"
     """What ODOMETRY says that it is from. auto: GPS_INS, which is true, but VIO towards PX4, which
     refuses the true type with a critical message for each frame."""
@@ -133,8 +147,8 @@ class RecordConfig:
     """What we keep."""
 
     path: str | None = None
-    """A .tlog of every byte in and out, and of the estimate, about 2 MB a minute; null: none. %s in
-    the name becomes the time of start, as in /var/log/ekf-companion/%s.tlog. No file is written
+    """A .tlog of every frame in and out, and of the estimate, about 2 MB a minute; null: none. %s
+    in the name becomes the time of start, as in /var/log/ekf-companion/%s.tlog. No file is written
     over: the new one gets a number behind its name. It is on the disk within a second.
     `ekf-companion convert` makes the same estimates of it, to the bit."""
     file_size: Megabytes = 256.0

@@ -71,7 +71,7 @@ class Monitors:
         if self._publisher is None or pipeline is not self._pipeline:
             # The true frame and type
             label = encode.label(Family.UNKNOWN, "LOCAL_NED", "GPS_INS")
-            self._publisher = Publisher(config, Family.UNKNOWN, label)
+            self._publisher = Publisher(config, Family.UNKNOWN, label, is_monitor=True)
         elif config is not self._config:
             self._publisher.set_rates(config)
         self._pipeline, self._config = pipeline, config

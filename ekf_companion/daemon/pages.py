@@ -100,9 +100,9 @@ class Handler(BaseHTTPRequestHandler):
 
 
 def _healthz(snapshot: Snapshot, _: str) -> Answer:
-    is_healthy, words = judge(snapshot)
-    status = HTTPStatus.OK if is_healthy else HTTPStatus.SERVICE_UNAVAILABLE
-    return status, _TEXT, f"{words}\n".encode()
+    check = judge(snapshot)
+    status = HTTPStatus.OK if check.is_healthy else HTTPStatus.SERVICE_UNAVAILABLE
+    return status, _TEXT, f"{check.line}\n".encode()
 
 
 def _status(snapshot: Snapshot, _: str) -> Answer:

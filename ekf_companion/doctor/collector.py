@@ -18,7 +18,7 @@ from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decision import Decision
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.frame import JUNK, Frame, Splitter
+from ekf_companion.mavlink.frame import Frame, Splitter
 from ekf_companion.mavlink.fusion import decide
 from ekf_companion.mavlink.guard import DOES_NOT_EXIST, value_of
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
@@ -98,7 +98,7 @@ class EvidenceCollector:
         self._last_peer = self.companion.session.peer or self._last_peer
         for frame in self._frames:
             self._traffic.add(frame)
-            if frame.message_id != JUNK:
+            if frame.message_id >= 0:
                 self._early.append((frame, now_ns))
         self._frames.clear()
         if self._last_peer is not None:

@@ -88,8 +88,7 @@ def _timesync(evidence: Evidence) -> Iterator[Problem]:
     state, wanted = evidence.time, evidence.config.timesync
     if evidence.means is not Means.LIVE or not wanted.request or evidence.seconds < 6.0:
         return
-    slow = state.refused.get("slow", 0)
-    if not state.is_locked and slow:
+    if not state.is_locked and state.rtt_p50_ms > wanted.largest_rtt * 1e3:
         yield warning(
             f"TIMESYNC takes too long: {state.rtt_p50_ms:.0f} ms there and back.",
             f"Set timesync.largest_rtt = {max(state.rtt_p50_ms * 2e-3, 0.02):.2g}, or take a "
@@ -101,10 +100,18 @@ def _timesync(evidence: Evidence) -> Iterator[Problem]:
             "none, PX4 does to place our ODOMETRY in time.",
             "Let TIMESYNC (id 111) pass the router both ways.",
         )
-    if abs(state.skew_ppm) > _TOO_MUCH_SKEW:
+    elif state.trouble:
         yield warning(
-            f"The autopilot's clock runs {state.skew_ppm:+.0f} ppm against ours.",
-            "Stop what steps this board's clock; a crystal has less than 100 ppm.",
+            f"The autopilot's clock cannot be compared with ours: {state.trouble}.",
+            "A simulator: give it more of the processor, or less to simulate. Else stop what steps "
+            "this board's clock.",
+        )
+    if abs(state.skew_ppm) > _TOO_MUCH_SKEW:
+        runs = "faster" if state.skew_ppm > 0.0 else "slower"
+        yield warning(
+            f"The autopilot's clock runs {abs(state.skew_ppm) * 1e-4:.2g} % {runs} than ours.",
+            "A crystal has less than 0.01 %: stop what steps this board's clock, or give a "
+            "simulator more of the processor.",
         )
 
 

@@ -21,6 +21,8 @@ _HOW = {
     "ardupilot": "VISO_TYPE = 1 and EK3_SRC1_* = 6",
 }
 """The parameters by which each family fuses ODOMETRY and no GNSS of its own."""
+_LEAST_QUALITY = {"px4": "EKF2_EV_QMIN", "ardupilot": "VISO_QUAL_MIN"}
+"""Parameters that name the least quality of an ODOMETRY that is fused."""
 _HEIGHTS = {1.0: ("EKF2_GPS_CTRL", 2), 3.0: ("EKF2_EV_CTRL", 2)}
 """Values of EKF2_HGT_REF, GNSS and ours, with the parameter and its bit that fuses that height."""
 _DELAY = 20.0
@@ -106,7 +108,22 @@ def fused(evidence: Evidence) -> StageResult:
         saw = f"{decision.reason}; it would with {_HOW[evidence.family]}"
         return judged(Stage.FUSED, saw, [refusal])
     problems = [refusal, *_unfavourable(evidence), _rejects(evidence)]
-    return judged(Stage.FUSED, decision.reason, problems)
+    return judged(Stage.FUSED, f"{decision.reason}{_dead_reckoning(evidence)}", problems)
+
+
+def _dead_reckoning(evidence: Evidence) -> str:
+    """Return what the autopilot does with dead reckoning, by its least quality; empty: unknown."""
+    name = _LEAST_QUALITY[evidence.family]
+    if (least := evidence.parameters.get(name)) is None:
+        return ""
+    ours = QUALITY[Status.DEAD_RECKONING]
+    if least > ours:
+        return f"; dead reckoning (quality {ours}) is not fused: {name} = {least:g}"
+    return (
+        f"; so is dead reckoning (quality {ours}), for as long as "
+        f"output.odometry.dead_reckoning_time and _std let it be sent: {name} = {least:g}, "
+        "with 30 it is refused at once"
+    )
 
 
 def _unread(evidence: Evidence) -> Problem:
@@ -140,12 +157,12 @@ def _refusal(evidence: Evidence) -> Problem | None:
 def _unfavourable(evidence: Evidence) -> Iterator[Problem]:
     """Yield the parameters by which the autopilot refuses or misplaces our ODOMETRY."""
     parameters, reached = evidence.parameters, QUALITY[Status.DEGRADED]
-    quality = "EKF2_EV_QMIN" if evidence.family == "px4" else "VISO_QUAL_MIN"
+    quality = _LEAST_QUALITY[evidence.family]
     if (least := parameters.get(quality, 0.0)) > reached:
         yield warning(
             f"{quality} = {least:g} refuses ODOMETRY of a quality below that; ours is 100 when all "
             f"is well, {reached} without an aid.",
-            f"Set {quality} = 1.",
+            f"Set {quality} = 30: dead reckoning (20) is then refused, and nothing else.",
         )
     reference = parameters.get("EKF2_HGT_REF", 0.0)
     name, bit = _HEIGHTS.get(reference, ("", 0))

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable
 
 from ekf_companion.engine.health import Arrival, Health
+from ekf_companion.engine.stream import WAITING, OdometryStream
 from ekf_companion.mavlink.event import (
     Clash,
     Event,
@@ -47,6 +48,12 @@ _STATUS_TEXTS = {
 """What the pilot reads when the status changes; the others come before there is an estimate."""
 
 
+def _size(distance: float, speed: float, angle: float) -> str:
+    """Return the size of a jump (m, m/s, rad) in words, two digits or more of each."""
+    numbers = (distance, "m"), (speed, "m/s"), (math.degrees(angle), "deg")
+    return " ".join(f"{value:.{0 if value >= 9.95 else 1}f} {unit}" for value, unit in numbers)
+
+
 def _fields(event: str, reason: str) -> dict[str, str]:
     """Return the fields of a log line in the journal."""
     return {"EKF_EVENT": event, "EKF_REASON": reason}
@@ -61,6 +68,8 @@ class Announcer:
         self._resets = 0
         self._decimated = 0
         self._imu_source = ""
+        self._jumps = 0
+        self._silence = ""
         self._is_position_autopilots = False
         self._strays = 0
         self._next_ns: dict[str, int] = {}
@@ -72,6 +81,7 @@ class Announcer:
     def on_begin(self, warnings: Iterable[str]) -> None:
         """Begin with an estimator that begins anew, and the warnings about its output."""
         self._resets, self._imu_source, self._strays = 0, "", 0
+        self._jumps, self._silence = 0, ""
         for warning in warnings:
             _log.warning("%s", warning)
 
@@ -122,23 +132,35 @@ class Announcer:
                 self._text(*_STATUS_TEXTS[health.status])
 
     def _announce_reset(self, health: Health) -> None:
-        moved = health.reset_delta
-        distance, speed = math.hypot(*moved[:3]), math.hypot(*moved[3:6])
-        yaw = math.degrees(moved[6])
+        moved, reason = health.reset_delta, health.reset_reason
+        size = _size(math.hypot(*moved[:3]), math.hypot(*moved[3:6]), abs(moved[6]))
         _log.warning(
-            "Reset %d: %s; moved by %.1f m, %.1f m/s, %.0f deg of yaw",
+            "Reset %d: %s; moved by %s of yaw",
             health.resets,
-            health.reset_reason,
-            distance,
-            speed,
-            yaw,
-            extra=_fields("reset", health.reset_reason),
+            reason,
+            size,
+            extra=_fields("reset", reason),
         )
-        reason = health.reset_reason
-        self._text(
-            Severity.WARNING, f"reset, {reason}: {distance:.1f} m {speed:.1f} m/s {yaw:.0f} deg"
-        )
+        self._text(Severity.WARNING, f"reset {size}, {reason}")
         self._resets = health.resets
+
+    def on_stream(self, stream: OdometryStream) -> None:
+        """Announce a jump of ODOMETRY, and that it stops or comes again; once a second."""
+        if stream.jump is not None and stream.jumps != self._jumps:
+            size = _size(*stream.jump.step.sizes)
+            what = "told by reset_counter" if stream.jump.is_told else "kept from the autopilot"
+            _log.warning("ODOMETRY jumps by %s of yaw: %s", size, what, extra=_fields("jump", what))
+            self._text(Severity.WARNING, f"ODOMETRY jumps {size}")
+        self._jumps = stream.jumps
+        if stream.silence == self._silence or stream.silence == WAITING:
+            return
+        if stream.silence:
+            _log.warning("No ODOMETRY: %s", stream.silence, extra=_fields("stream", "silent"))
+            self._text(Severity.WARNING, f"no ODOMETRY: {stream.silence}")
+        else:
+            _log.info("ODOMETRY is sent again", extra=_fields("stream", "sent"))
+            self._text(Severity.INFO, "ODOMETRY is sent again")
+        self._silence = stream.silence
 
     def on_event(self, event: Event, now_ns: int) -> None:
         """Announce an event on the link; one that anybody can cause, once a second at most."""

@@ -44,7 +44,8 @@ LARGEST = 1e12
 """In the motion and its covariance."""
 MOST_STARTS = 5
 """After so many restarts, each within :data:`STEADY_NS` of the last, the state may be the cause."""
-STEADY_NS = 60_000_000_000
+STEADY_NS = 3_000_000_000
+"""What a bad state breaks, it breaks at the first samples and fixes."""
 _HEADER = struct.Struct("<8sI8s8s32s12s2B4BH5q16s2I")
 _LARGEST_RANK = 4
 
@@ -281,7 +282,7 @@ def decode(data: bytes) -> Checkpoint | Refusal:
     if starts >= MOST_STARTS:
         return Refusal(
             Why.LOOP,
-            f"{starts} restarts came within a minute of each other, and the state may be their "
+            f"{starts} restarts came within seconds of each other, and the state may be their "
             "cause; harmless now, but look above for what ended the daemon",
             state.next_reset,
         )

@@ -145,6 +145,8 @@ class Companion:
         if self._announcer is not None and self._health_due.is_due(estimate.t_ns):
             health = estimate.health
             self._announcer.on_health(health)
+            if (stream := self._publisher.stream) is not None and self.session.may_stream:
+                self._announcer.on_stream(stream)
             self.session.set_state(encode.SYSTEM_STATUS[health.status], health.status)
         messages = self._publisher.due(estimate)
         for message in messages:
@@ -201,6 +203,8 @@ class Companion:
         if self.pipeline is not None:
             self.pipeline.retune(config)
         self.session.retune(session_options(config))
+        if self._publisher is not None:
+            self._publisher.retune(config)
         self._offer_streams()
 
     def _offer_streams(self) -> None:
@@ -239,6 +243,12 @@ class Companion:
         if self.pipeline is None or self._warm_start is None:
             return None
         return self._warm_start.checkpoint(self.pipeline, self.session.decoder, clocks)
+
+    @property
+    def silence(self) -> str:
+        """Why no ODOMETRY is sent of the estimate that is there; empty: it is, or there is none."""
+        publisher = self._publisher
+        return "" if publisher is None or publisher.stream is None else publisher.stream.silence
 
     @property
     def resets(self) -> int:

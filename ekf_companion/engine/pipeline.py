@@ -7,12 +7,14 @@ from typing import Literal
 
 import numpy as np
 
+from ekf_companion.core.enums import NeedsReset
 from ekf_companion.core.field import Field
 from ekf_companion.core.from_settings import delays_ns, parameters
 from ekf_companion.core.memory import as_estimate, as_state
 from ekf_companion.core.scratch import OUT
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.core.state import BLOCK
+from ekf_companion.core.state import State as FilterState
 from ekf_companion.core.timeline import COMPILED_BLOCK, Timeline
 from ekf_companion.engine.checkpoint import State, settings_fingerprint
 from ekf_companion.engine.health import RESET_REASONS, Aid, Arrival, Health, Verdict
@@ -76,7 +78,7 @@ class Pipeline:
 
         # Refuse what no sensor can say, put the rest in its place in time, redo what came after
         self._arrival = self._timeline.insert(t_ns, kind, values)
-        return Estimate(self, t_ns) if self._arrival == _ESTIMATED else None
+        return Estimate(self, t_ns, values) if self._arrival == _ESTIMATED else None
 
     def run(self, events: Events) -> Table:
         """Process a whole recording by the same steps; return an estimate per inertial sample."""
@@ -126,7 +128,12 @@ class Pipeline:
 
         Whether the state may be used is decided in :mod:`.checkpoint`, not here.
         """
-        self._timeline.restore(state.block, state.waiting, state.epoch_ns, state.stamp_ns)
+        block = state.block.copy()
+        # What the last reset before it has moved is not what this one moves
+        moved = as_state(block).moved
+        moved.pos_n[:] = moved.vel_n[:] = (0.0, 0.0, 0.0)
+        moved.yaw = 0.0
+        self._timeline.restore(block, state.waiting, state.epoch_ns, state.stamp_ns)
         self.sent_before = state.sent_before
         self.start = "warm"
         self.resets_before = int(as_state(state.block).resets)
@@ -195,6 +202,11 @@ class Pipeline:
         )
 
     @property
+    def filter_state(self) -> FilterState:
+        """A copy of the filter's state."""
+        return as_state(self._timeline.block())
+
+    @property
     def log_likelihood(self) -> float:
         """Sum over all GNSS rows judged so far, -(nis + log det S) / 2, nis no more than its gate.
 
@@ -216,11 +228,16 @@ class Estimate:
     asked for: ask before the next sample is processed.
     """
 
-    __slots__ = ("_odometry", "_pipeline", "t_ns")
+    __slots__ = ("_odometry", "_pipeline", "sample", "t_ns")
 
-    def __init__(self, pipeline: Pipeline, t_ns: int) -> None:
+    def __init__(
+        self, pipeline: Pipeline, t_ns: int, sample: tuple[float, ...] | None = None
+    ) -> None:
         self.t_ns = t_ns
         """Time of validity: the sample's stamp, autopilot clock, ns."""
+        self.sample = sample
+        """The sample: angular rate (rad/s) and specific force (m/s^2), b, before anything else;
+        None: not given."""
         self._pipeline = pipeline
         self._odometry: Odometry | Literal[False] | None = False
 
@@ -250,3 +267,19 @@ class Estimate:
     def values(self) -> Array:
         """The whole estimate: ``nav.state.COLUMNS`` without the time, shape (33,)."""
         return self._pipeline.values()
+
+    @property
+    def unaided_s(self) -> float:
+        """Time since a position or a velocity was fused, s."""
+        x = self._pipeline.filter_state
+        return float(x.t - max(x.used_t[Aid.POSITION], x.used_t[Aid.VELOCITY])) * 1e-9
+
+    @property
+    def is_reset_due(self) -> bool:
+        """Whether the next fix resets position and velocity, as it does after a gap."""
+        return bool(self._pipeline.filter_state.needs_reset == NeedsReset.FIX)
+
+    def add_resets(self, count: int) -> None:
+        """Count jumps that were told beside the filter's own resets."""
+        self._pipeline.sent_before += count
+        self._odometry = False

@@ -7,6 +7,8 @@ import math
 from ekf_companion.config.config import Config
 from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Estimate
+from ekf_companion.engine.residual import NO_OFFSET
+from ekf_companion.engine.stream import OdometryStream
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import Label, StatusFlag, label
@@ -14,7 +16,8 @@ from ekf_companion.mavlink.outbox import Message
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.state import Odometry, Status
 
-STREAMS = ("ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN")
+_OFFSET = "LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET"
+STREAMS = ("ODOMETRY", "ESTIMATOR_STATUS", "GPS_GLOBAL_ORIGIN", _OFFSET)
 """Messages about an estimate, which may be requested."""
 _LARGEST = {Family.ARDUPILOT: 50.0}
 """Of ODOMETRY, Hz: its EKF throws away what comes faster."""
@@ -22,6 +25,8 @@ _SMALLEST = {"ODOMETRY": 1.0}
 _SELDOM = 0.1
 """Hz; more rarely is as good as never."""
 _ANY = 1000.0
+_LOOKS = 30.0
+"""Of the estimate, Hz, whether ODOMETRY is due or not: between two of them it moves smoothly."""
 
 
 def largest_rate(name: str, family: Family) -> float:
@@ -36,6 +41,8 @@ def smallest_rate(name: str) -> float:
 
 def default_rate(name: str, config: Config, family: Family) -> float:
     """Return the rate at which a message is sent where nobody asks for another, Hz."""
+    if name == _OFFSET:
+        return 1.0 if config.output.odometry.frame == "continuous" else 0.0
     if name != "ODOMETRY":
         return 1.0
     return min(config.output.odometry.rate, largest_rate(name, family))
@@ -73,21 +80,33 @@ class Due:
 class Publisher:
     """Turns the estimates of one vehicle into messages, each at its rate."""
 
-    def __init__(self, config: Config, family: Family, ours: Label | None = None) -> None:
+    def __init__(
+        self, config: Config, family: Family, ours: Label | None = None, *, is_monitor: bool = False
+    ) -> None:
         """Begin with nothing published.
 
         Args:
-            config: The rates, and the labels of ODOMETRY.
+            config: The rates, the labels of ODOMETRY, and which estimates are sent as such.
             family: The listener's.
             ours: Labels of ODOMETRY, whatever the configuration says.
+            is_monitor: Whether the listener only looks on: it gets each estimate as it is.
         """
         self._family = family
         self._due = {name: Due(default_rate(name, config, family)) for name in STREAMS}
         odometry = config.output.odometry
         self.label = ours or label(family, odometry.frame, odometry.estimator_type)
         """How every ODOMETRY is labelled."""
+        self.stream = None if is_monitor else OdometryStream(odometry, family)
+        """Which estimates are sent as ODOMETRY; None: each as it is."""
+        self._look = Due(_LOOKS)
         self._was_invalid = False
         self._origin: tuple[float, float, float] | None = None
+        self._offset = NO_OFFSET
+
+    def retune(self, config: Config) -> None:
+        """Decide by another configuration what is sent as ODOMETRY."""
+        if self.stream is not None:
+            self.stream.retune(config.output.odometry)
 
     def set_rates(self, config: Config) -> None:
         """Send each message at the rate of another configuration."""
@@ -102,6 +121,9 @@ class Publisher:
         """Make a message due with the next estimate; return whether there is something to send."""
         if name == "ODOMETRY":
             has_one = estimate.odometry is not None and estimate.odometry.quality >= 0
+            has_one &= self.stream is None or not self.stream.silence
+        elif name == _OFFSET:
+            has_one = self.stream is not None and self.stream.is_continuous
         else:
             has_one = estimate.origin is not None
         if has_one:
@@ -112,30 +134,50 @@ class Publisher:
         """Return the messages that are due at the stamp of an estimate."""
         messages: list[Message] = []
         t_ns, due = estimate.t_ns, self._due
-        odometry: Odometry | None = None
-        if due["ODOMETRY"].is_due(t_ns):
-            odometry = estimate.odometry
-            # A new origin goes before the first ODOMETRY that counts from it
-            last, self._origin = self._origin, estimate.origin
-            if self._origin not in (None, last):
-                due["GPS_GLOBAL_ORIGIN"].request()
+        odometry = self._due_odometry(estimate)
         if due["GPS_GLOBAL_ORIGIN"].is_due(t_ns) and (origin := estimate.origin) is not None:
             payload = encode.gps_global_origin(*origin, t_ns=t_ns)
             messages.append(Message("GPS_GLOBAL_ORIGIN", payload))
-
-        # An invalid estimate is sent once, and then not again
+        if self.stream is not None and due[_OFFSET].is_due(t_ns) and self.stream.is_continuous:
+            messages.append(Message(_OFFSET, encode.global_offset(t_ns, *self.stream.offset)))
         if odometry is not None:
-            is_invalid = odometry.quality < 0
-            if not (is_invalid and self._was_invalid):
-                ours = self.label
-                payload = encode.odometry(odometry, frame=ours.frame, estimator=ours.estimator)
-                messages.append(Message("ODOMETRY", payload, is_replaceable=True))
-            self._was_invalid = is_invalid
-
+            ours = self.label
+            payload = encode.odometry(odometry, frame=ours.frame, estimator=ours.estimator)
+            messages.append(Message("ODOMETRY", payload, is_replaceable=True))
         if due["ESTIMATOR_STATUS"].is_due(t_ns) and estimate.origin is not None:
             payload = _estimator_status(estimate.health, t_ns)
             messages.append(Message("ESTIMATOR_STATUS", payload))
         return messages
+
+    def _due_odometry(self, estimate: Estimate) -> Odometry | None:
+        """Return the ODOMETRY that is due; where its frame has moved, so is the message on that."""
+        stream, due, t_ns = self.stream, self._due, estimate.t_ns
+        if stream is not None:
+            stream.add(estimate)
+        is_due, is_look = due["ODOMETRY"].is_due(t_ns), self._look.is_due(t_ns)
+        if stream is not None and (is_due or is_look):
+            stream.look(estimate)
+        if not is_due:
+            return None
+
+        # A new origin goes before the first ODOMETRY that counts from it, and so does an offset
+        last, self._origin = self._origin, estimate.origin
+        if self._origin not in (None, last):
+            due["GPS_GLOBAL_ORIGIN"].request()
+        if stream is None:
+            return self._once_invalid(estimate.odometry)
+        odometry = stream.send(estimate)
+        if stream.offset != self._offset:
+            self._offset = stream.offset
+            due[_OFFSET].request()
+        return odometry
+
+    def _once_invalid(self, odometry: Odometry | None) -> Odometry | None:
+        """Return an estimate as it is, an invalid one once."""
+        if odometry is None:
+            return None
+        was_invalid, self._was_invalid = self._was_invalid, odometry.quality < 0
+        return None if was_invalid and self._was_invalid else odometry
 
 
 def _estimator_status(health: Health, t_ns: int) -> bytes:

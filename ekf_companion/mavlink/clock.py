@@ -45,8 +45,14 @@ _JUMPS = 5
 """After so many answers in a row that contradict it, the clock is another; PX4's number."""
 _SKEW_SPAN_NS = 10 * SECOND_NS
 """A skew is fitted over no shorter span: at 0.1 ms of jitter it would be worse than none."""
-_LARGEST_SKEW = 500e-6
-"""Crystals are better than 100 ppm; more is jitter."""
+_CRYSTAL = 500e-6
+"""Crystals are better than 100 ppm; more is jitter, unless many answers prove it."""
+_PROOF = 10.0
+"""Sigmas of a skew beyond which it is proved."""
+_PROVING = 4
+"""Answers that may prove one: at 2 % the tenth would be taken for a jump otherwise."""
+_LARGEST_SKEW = 0.2
+"""A simulator on a busy machine runs a per cent or two slower than time."""
 
 
 class Timesync(Service):
@@ -90,6 +96,22 @@ class Timesync(Service):
         # An offset is wrong by half a round trip at most; a scatter as wide as that tells no more
         # than the bound
         return len(self._samples) >= _LOCK and self.residual_ns <= 0.25 * self._largest_rtt_ns
+
+    @property
+    def trouble(self) -> str:
+        """Why the offset is not known; empty: it is, or too few answers have come to say."""
+        if self.is_locked or not self.options.request:
+            return ""
+        if len(self._samples) >= _LOCK:
+            return (
+                f"answers scatter by {self.residual_ns * 1e-6:.1f} ms: the clock runs unevenly, as "
+                "a simulator's does on a busy machine"
+            )
+        if self.rtt_ns(50) > self._largest_rtt_ns:
+            return f"answers take {self.rtt_ns(50) * 1e-6:.0f} ms there and back"
+        if self._jumps:
+            return "the clock jumps"
+        return ""
 
     @property
     def skew(self) -> float:
@@ -180,7 +202,7 @@ class Timesync(Service):
             return False
         at, known, skew = self._fit
         elapsed = middle - at
-        explained = self._largest_rtt_ns + _LARGEST_SKEW * abs(elapsed)
+        explained = self._largest_rtt_ns + _CRYSTAL * abs(elapsed)
         return abs(offset - known - skew * elapsed) > explained
 
     def _notice_silence(self, now_ns: int) -> None:
@@ -195,12 +217,27 @@ class Timesync(Service):
         at, base, _ = fast[-1]
         points = [(middle - at, offset - base) for middle, offset, _ in fast]
         mean_age, mean = (sum(column) / len(fast) for column in zip(*points, strict=True))
-        skew = 0.0
-        if points[-1][0] - points[0][0] >= _SKEW_SPAN_NS:
-            square = sum((age - mean_age) ** 2 for age, _ in points)
-            product = sum((age - mean_age) * offset for age, offset in points)
-            skew = min(max(product / square, -_LARGEST_SKEW), _LARGEST_SKEW)
+        skew = _skew(points, mean_age, mean)
         constant = mean - skew * mean_age
         self._fit = (at, base + round(constant), skew)
-        squares = sum((offset - constant - skew * age) ** 2 for age, offset in points)
-        self.residual_ns = math.sqrt(squares / len(fast))
+        self.residual_ns = _scatter(points, constant, skew)
+
+
+def _skew(points: list[tuple[int, int]], mean_age: float, mean: float) -> float:
+    """Return the slope of offsets over their ages, ns: 0 over a short span, unless it is proved."""
+    square = sum((age - mean_age) ** 2 for age, _ in points)
+    if len(points) < _PROVING or square == 0.0:
+        return 0.0
+    slope = sum((age - mean_age) * offset for age, offset in points) / square
+    freedom = len(points) / (len(points) - 2) / square
+    sigma = _scatter(points, mean - slope * mean_age, slope) * math.sqrt(freedom)
+    if abs(slope) > max(_CRYSTAL, _PROOF * sigma):
+        return min(max(slope, -_LARGEST_SKEW), _LARGEST_SKEW)
+    is_long = points[-1][0] - points[0][0] >= _SKEW_SPAN_NS
+    return min(max(slope, -_CRYSTAL), _CRYSTAL) if is_long else 0.0
+
+
+def _scatter(points: list[tuple[int, int]], constant: float, skew: float) -> float:
+    """Return the RMS distance of offsets from a line, ns."""
+    squares = sum((offset - constant - skew * age) ** 2 for age, offset in points)
+    return math.sqrt(squares / len(points))

@@ -185,6 +185,23 @@ def gps_global_origin(lat: float, lon: float, alt: float, *, t_ns: int) -> bytes
     )
 
 
+def global_offset(t_ns: int, shift: tuple[float, float, float], yaw: float) -> bytes:
+    """Return the payload of LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET.
+
+    Args:
+        t_ns: Time of the estimate, autopilot clock.
+        shift: Where the origin of the frame of our ODOMETRY lies, north, east, down of
+            GPS_GLOBAL_ORIGIN, m.
+        yaw: Of that frame's first axis from north, rad.
+    """
+    return pack(
+        "LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET",
+        time_boot_ms=t_ns // 1_000_000 & 0xFFFF_FFFF,
+        **dict(zip("xyz", shift, strict=True)),
+        yaw=yaw,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Label:
     """How every ODOMETRY on a link is labelled."""
@@ -197,7 +214,7 @@ class Label:
 
 def label(
     family: Family,
-    frame: Literal["LOCAL_FRD", "LOCAL_NED"],
+    frame: Literal["LOCAL_FRD", "LOCAL_NED", "continuous"],
     chosen: Literal["auto", "GPS_INS", "VIO"],
 ) -> Label:
     """Return the label that is configured, but never a type that the autopilot refuses.
@@ -214,9 +231,11 @@ def label(
                 "output.odometry.estimator_type: PX4 refuses GPS_INS with a critical text for each "
                 "message; VIO is sent instead: set auto or VIO"
             )
-    if family is Family.ARDUPILOT and frame != "LOCAL_FRD":
+    # A frame whose axes may turn away from north and east is a LOCAL_FRD
+    named = Frame.LOCAL_FRD if frame == "continuous" else Frame[frame]
+    if family is Family.ARDUPILOT and named is not Frame.LOCAL_FRD:
         warnings.append(
             f"output.odometry.frame: ArduPilot ignores {frame} without a word; set LOCAL_FRD for "
             "it to take our estimate"
         )
-    return Label(Frame[frame], estimator, tuple(warnings))
+    return Label(named, estimator, tuple(warnings))

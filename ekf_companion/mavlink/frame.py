@@ -2,11 +2,12 @@
 
 Only a right checksum makes a frame. After a wrong one the search continues at the byte after the
 start byte, so that a false start or a damaged frame costs nothing but itself: every good frame
-that does not begin inside another good frame is found, however the bytes were cut into pieces.
+that does not begin inside another frame is found, however the bytes were cut into pieces.
 
-The checksum of a frame of unknown id cannot be tested. Its bytes are searched like any others; if
-the search reaches its end without having found a frame, and finds a start byte there, it is counted
-as one unknown frame, else its bytes were junk. Either way they are handed on as junk.
+The checksum of a frame of unknown id cannot be tested. Directly behind another frame, while the
+framing holds, it is one where a header of the same sender, or of a message that is known, follows
+at its end: newer firmware sends messages that no packaged definition has. Anywhere else its bytes
+are searched like any others, and are junk.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ from typing import NamedTuple
 
 from fastcrc import crc16
 
-from ekf_companion.mavlink.messages import CRC_EXTRAS
+from ekf_companion.mavlink.messages import CRC_EXTRAS, LAYOUTS
 from ekf_companion.mavlink.stamp import SECOND_NS
 
 STX_1 = 0xFE
 STX_2 = 0xFD
-JUNK = -1
-"""The message id of a run of bytes that is no frame."""
+JUNK, UNKNOWN = -1, -2
+"""Message ids of a run of bytes that is no frame, and of a frame whose message is not known. Those
+of messages are not negative."""
 SIGNED = 0x01
 """The only known incompatibility flag: 13 bytes of signature follow."""
 HEADER_SIZE = 12
@@ -33,7 +35,9 @@ SIGNATURE_SIZE = 13
 SENDERS = 16
 """Streams whose unfinished frames are kept; beyond, the one unused for longest is dropped."""
 LARGEST_FRAME = HEADER_SIZE + 255 + SIGNATURE_SIZE
-"""Bytes; at most one less may wait for the rest of a frame."""
+"""Bytes."""
+LARGEST_REST = LARGEST_FRAME + 9
+"""Bytes that may wait for the rest of a frame, or for the header behind one."""
 
 _STARTS = (STX_1, STX_2)
 _START = re.compile(rb"[\xfd\xfe]")
@@ -42,7 +46,10 @@ _crc = crc16.mcrf4xx
 
 
 class Frame(NamedTuple):
-    """One message as it was on the wire, or (id ``JUNK``) bytes that are no message."""
+    """One message as it was on the wire, or (id ``JUNK``) bytes that are no message.
+
+    Of a message that is not known (id ``UNKNOWN``) nobody has tested the checksum.
+    """
 
     message_id: int
     system_id: int
@@ -71,17 +78,18 @@ class Splitter:
         self.incompatible = 0
         """Frames with a right checksum and an unknown incompatibility flag."""
         self.unknown_id = 0
+        """Frames whose message is not known."""
         self.junk_bytes = 0
-        """Bytes that belonged to no known frame."""
+        """Bytes that belonged to no frame."""
         self._rest = b""
-        self._unknown_end = -1  # where the frame of unknown id, being searched, would end in _rest
+        self._is_framed = True  # whether a frame should begin where the rest does
         self._sender: Hashable = None
-        self._others: dict[Hashable, tuple[bytes, int]] = {}  # of those who do not speak now
+        self._others: dict[Hashable, tuple[bytes, bool]] = {}  # of those who do not speak now
 
     def feed(self, data: bytes, sender: Hashable = None) -> list[Frame]:
         """Return the frames that the bytes complete, and junk, in order; every byte comes out once.
 
-        At most ``LARGEST_FRAME - 1`` bytes wait for more from the same sender.
+        At most ``LARGEST_REST`` bytes wait for more from the same sender.
         """
         if sender != self._sender:
             self._switch_to(sender)
@@ -90,8 +98,6 @@ class Splitter:
         start, junk, end = 0, 0, len(buffer)  # junk: first byte not handed out yet
         while start < end:
             stx = buffer[start]
-            if self._unknown_end >= 0:
-                self._settle_unknown(start, is_start=stx in _STARTS)
             if stx == STX_2:
                 if end - start < 10:
                     break
@@ -106,18 +112,31 @@ class Splitter:
             else:
                 match = _START.search(buffer, start)
                 start = match.start() if match else end
+                self._is_framed = False
                 continue
 
+            tail = start + header + size
             if (extra := CRC_EXTRAS.get(message_id)) is None:
-                if self._unknown_end < 0:
-                    self._unknown_end = start + total
+                if self._is_framed and flags <= SIGNED:
+                    if (
+                        is_whole := _is_followed(buffer, start + total, (system, component))
+                    ) is None:
+                        break
+                    if is_whole:
+                        raw, version = buffer[start : start + total], 2 if stx == STX_2 else 1
+                        ids = UNKNOWN, system, component, number
+                        found.append(Frame(*ids, buffer[start + header : tail], raw, version))
+                        self.unknown_id += 1
+                        start = junk = start + total
+                        continue
+                self._is_framed = False
                 start += 1
                 continue
             if end - start < total:
                 break
-            tail = start + header + size
             if _crc(buffer[start + 1 : tail] + extra) != buffer[tail] | buffer[tail + 1] << 8:
                 self.bad_crc += 1
+                self._is_framed = False
                 start += 1
                 continue
             if flags > SIGNED:
@@ -132,34 +151,51 @@ class Splitter:
             found.append(Frame(message_id, system, component, number, payload, raw, version))
             self.frames += 1
             start = junk = start + total
-            self._unknown_end = -1
+            self._is_framed = True
 
         if junk < start:
             found.append(self._junk(buffer, junk, start))
-        self._rest, self._unknown_end = buffer[start:], max(self._unknown_end - start, -1)
+        self._rest = buffer[start:]
         return found
 
     def _switch_to(self, sender: Hashable) -> None:
         """Set one sender's stream aside and resume another's, so that neither cuts the other."""
-        if self._rest or self._unknown_end >= 0:
-            self._others[self._sender] = (self._rest, self._unknown_end)
+        if self._rest or not self._is_framed:
+            self._others[self._sender] = (self._rest, self._is_framed)
         self._sender = sender
-        self._rest, self._unknown_end = self._others.pop(sender, (b"", -1))
+        self._rest, self._is_framed = self._others.pop(sender, (b"", True))
         if len(self._others) > SENDERS:
             rest, _ = self._others.pop(next(iter(self._others)))
             self.junk_bytes += len(rest)
-
-    def _settle_unknown(self, position: int, *, is_start: bool) -> None:
-        if position == self._unknown_end and is_start:
-            self.unknown_id += 1
-        if position >= self._unknown_end:
-            self._unknown_end = -1
 
     def _junk(self, buffer: bytes, start: int, end: int) -> Frame:
         self.junk_bytes += end - start
         return Frame(JUNK, 0, 0, 0, b"", buffer[start:end], 0)
 
 
+def _is_followed(buffer: bytes, place: int, sender: tuple[int, int]) -> bool | None:
+    """Whether a header of the same sender, or of a known message, is at a place; None: not yet."""
+    if place >= len(buffer):
+        return None
+    stx, rest = buffer[place], len(buffer) - place
+    if stx == STX_2:
+        if rest < 10:
+            return None
+        size, flags, _, system, component, low, high = _header(buffer, place)
+        message_id = low | high << 16
+    elif stx == STX_1:
+        if rest < 6:
+            return None
+        size, _, system, component, message_id = buffer[place + 1 : place + 6]
+        flags = 0
+    else:
+        return False
+    is_known = message_id in CRC_EXTRAS and size <= LAYOUTS[message_id].size
+    return flags <= SIGNED and (is_known or (system, component) == sender)
+
+
+_NEAR = 16
+"""Frames that may be lost before one whose checksum nobody can test; no larger gap is believed."""
 _OVERTAKEN = 16
 """A number so little behind is that of a late frame; further behind, the numbers wrapped."""
 _SILENCE_NS = 5 * SECOND_NS
@@ -196,3 +232,8 @@ class Sequence:
             self.lost += gap
         self._last = number
         self._last_ns = now_ns
+
+    def count_unverified(self, number: int, now_ns: int) -> None:
+        """Count the number of a frame whose checksum nobody can test, if it is near the last."""
+        if self._last is not None and (number - self._last - 1) & 0xFF <= _NEAR:
+            self.count(number, now_ns)

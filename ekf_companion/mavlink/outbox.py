@@ -77,7 +77,7 @@ class Outbox:
     def take_record(self) -> list[tuple[int, bytes]]:
         """Return stamp (us) and bytes of all that went in and out, in order, and forget it.
 
-        Each item is a frame or, of what came in, a run of junk. Empty unless recording.
+        Each item is a whole frame. Empty unless recording.
         """
         record, self._record = self._record, []
         return record

@@ -26,7 +26,7 @@ from ekf_companion.mavlink.decode import Decoder, DecoderOptions
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import Event, Noted, PeerFound, Rebooted
-from ekf_companion.mavlink.frame import JUNK, Frame, Sequence, Splitter
+from ekf_companion.mavlink.frame import JUNK, UNKNOWN, Frame, Sequence, Splitter
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import ClashWatch, Heartbeat
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
@@ -40,9 +40,6 @@ from ekf_companion.nav.measurements import Measurement, Restart
 
 MISADDRESSED = "addressed to another"
 """Why a message of a kind that we answer was not answered."""
-JUNK_BYTES = 1 << 16
-"""Of what is no frame, recorded beyond as many bytes as of frames: enough to see a wrong baud rate,
-and no way to fill a disk, where the oldest recordings make room for it."""
 
 
 RATES: Mapping[str, float] = {
@@ -147,7 +144,7 @@ class Session:
         self._with_peer: list[Service] = [self.requests, *guards, self.timesync]
         self._with_peer += [self.audit, self.statustext]
         self._all_routes, self._peer_routes = _routes(self._with_all), _routes(self._with_peer)
-        self._splitter, self._junk_left = Splitter(), JUNK_BYTES
+        self._splitter = Splitter()
         self._autopilot_sender: Hashable = None
         self._vehicle: PeerFound | None = None
         """The one begun with last; kept when it is lost."""
@@ -171,8 +168,7 @@ class Session:
             if self.on_frame is not None:
                 self.on_frame(frame)
             if frame.message_id == JUNK:
-                self._record_junk(frame.raw, now_ns, sender)
-                continue
+                continue  # of no use to a replay, and other readers of a .tlog would trip over it
 
             # What is not admitted is not recorded either: a stranger neither fills the disk nor
             # speaks in a replay, which so needs no key
@@ -182,20 +178,15 @@ class Session:
                     continue
             if self.options.is_recording:
                 self.outbox.record(frame.raw, now_ns)
-                self._junk_left = min(self._junk_left + len(frame.raw), JUNK_BYTES)
 
-            if self._is_of_autopilot(frame, now_ns):
+            if frame.message_id == UNKNOWN:
+                if frame[1:3] == self.discovery.peer:
+                    self.sequence.count_unverified(frame.sequence, now_ns)
+            elif self._is_of_autopilot(frame, now_ns):
                 self._autopilot_sender = sender
                 yield self._receive_from_autopilot(frame, now_ns)
             else:
                 yield []
-
-    def _record_junk(self, raw: bytes, now_ns: int, sender: Hashable) -> None:
-        """Record bytes that are no frame if the autopilot may have sent them, within a limit."""
-        is_single = sender is None  # there is but one other end
-        if (is_single or sender == self._autopilot_sender) and len(raw) <= self._junk_left:
-            self._junk_left -= len(raw)
-            self.outbox.record(raw, now_ns)
 
     def _is_of_autopilot(self, frame: Frame, now_ns: int) -> bool:
         """Handle what anybody may say; return whether it was the autopilot who said it."""

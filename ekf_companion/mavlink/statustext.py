@@ -16,6 +16,7 @@ CHUNK = 50
 """Bytes of a message's text."""
 LARGEST = 4 * CHUNK
 """Bytes of a text; the rest is in the log."""
+_MORE = b"..."
 _WAITING = 16
 """Texts that may wait; beyond, the least severe is dropped, and of those the oldest."""
 _PACE_NS = SECOND_NS // 5
@@ -98,17 +99,25 @@ class StatusText(Service):
 
 
 def chunks(text: str) -> list[bytes]:
-    """Return a text cut into chunks of 50 bytes, none through a character.
+    """Return a text cut into chunks of 50 bytes, where there is a space, and through no character.
 
-    A zero byte ends a text, so a chunk into which a character did not fit is filled with spaces,
-    and a last chunk without room for a zero is followed by an empty one.
+    A zero byte ends a text, so a chunk that is cut short is filled with spaces, and a last chunk
+    without room for a zero is followed by an empty one.
     """
-    rest = text.replace("\0", "").encode()[:LARGEST].decode(errors="ignore").encode()
-    if len(rest) <= CHUNK:
-        return [rest]
-    pieces = []
-    while len(rest) >= CHUNK:
-        piece = rest[:CHUNK].decode(errors="ignore").encode()
+    rest = text.replace("\0", "").encode()
+    if len(rest) > LARGEST:
+        rest = _cut(rest, LARGEST - len(_MORE)).rstrip() + _MORE
+    pieces: list[bytes] = []
+    while len(rest) > CHUNK or (pieces and len(rest) == CHUNK):
+        piece = _cut(rest, CHUNK)
         rest = rest[len(piece) :]
         pieces.append(piece.ljust(CHUNK))
     return [*pieces, rest]
+
+
+def _cut(text: bytes, size: int) -> bytes:
+    """Return the beginning of a text, up to a space if there is one in its second half."""
+    piece = text[:size].decode(errors="ignore").encode()
+    end = piece.rfind(b" ") + 1
+    is_whole = len(piece) == len(text) or text[len(piece) : len(piece) + 1] == b" "
+    return piece if is_whole or end <= size // 2 else piece[:end]

@@ -55,12 +55,16 @@ def peer_state(companion: Companion, peer: tuple[int, int], now_ns: int) -> Peer
 
 
 def output_state(
-    session: Session, new: int, rate: float, unheard: Mapping[str, int] | None = None
+    session: Session,
+    new: int,
+    rate: float,
+    unheard: Mapping[str, int] | None = None,
+    silence: str = "",
 ) -> OutputState:
     """Return what is sent, and why.
 
     ``new`` and ``rate`` are those of ODOMETRY in the last seconds, Hz; ``unheard`` are the
-    datagrams that found no monitor, by its address.
+    datagrams that found no monitor, by its address; ``silence`` is the companion's.
     """
     decision, state = session.guard.decision, session.stream_state
     return OutputState(
@@ -71,6 +75,7 @@ def output_state(
         is_settled=decision.is_settled,
         is_clash=session.clash.is_clash,
         reason=state.reason,
+        silence=silence,
         remedy=state.remedy,
         parameters=dict(decision.parameters),
         sent=dict(session.outbox.sent),
@@ -108,6 +113,7 @@ def time_state(session: Session, now_ns: int) -> TimeState:
     return TimeState(
         base="unknown" if base.latest_us is None else "unix" if base.is_unix else "boot",
         is_locked=timesync.is_locked,
+        trouble=timesync.trouble,
         offset_s=math.nan if peer_ns is None else (peer_ns - now_ns) * 1e-9,
         skew_ppm=timesync.skew * 1e6,
         rtt_p50_ms=timesync.rtt_ns(50) * 1e-6,

@@ -30,12 +30,15 @@ class HealthCheck(NamedTuple):
     """Whether the daemon does its work."""
 
     is_healthy: bool
+    """Whether a restart would change nothing for the better, and the estimate may be used."""
     line: str
     """The state, and where something is wrong, the remedy."""
+    is_ok: bool = False
+    """Whether it also has what it needs: an estimate of now comes of what it hears."""
 
 
 def judge(snapshot: Snapshot) -> HealthCheck:
-    """Return whether the filter runs and can be used; missing input is reported, and no fault."""
+    """Return whether the filter runs and can be used; missing input is not ok, and no fault."""
     stuck_s, health = snapshot.process.tick_age_s, snapshot.estimator
     if stuck_s > STALL_S:
         return HealthCheck(False, f"stalled: the filter's task has not run for {stuck_s:.1f} s")
@@ -50,15 +53,17 @@ def judge(snapshot: Snapshot) -> HealthCheck:
             False,
             "invalid: the error has passed its limit; /status says which aids it lacks",
         )
-    line = "ok: waiting for an autopilot"
-    if health is not None:
-        line = f"ok: the estimate is {health.status.name}"
     if silence := _silence(snapshot):
-        if health is not None and snapshot.sample_age_s > SILENCE_S:
-            line = f"ok: no estimate, the last was {health.status.name}"
+        line = "waiting for an autopilot"
+        if health is not None:
+            is_old = snapshot.sample_age_s > SILENCE_S
+            line = "no estimate, the last was" if is_old else "the estimate is"
+            line += f" {health.status.name}"
         return HealthCheck(True, f"{line}; {silence}")
-    if health is not None:
-        line += f", {snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output)}"
+    if health is None:
+        return HealthCheck(True, "waiting for an autopilot")
+    line = f"ok: the estimate is {health.status.name}"
+    line += f", {snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output)}"
     in_vain = [
         f"{name} at {message.rate:.0f} of {message.asked:.0f} Hz: {message.cause}"
         for name, message in snapshot.messages.items()
@@ -66,12 +71,14 @@ def judge(snapshot: Snapshot) -> HealthCheck:
     ]
     trouble = snapshot.process.recording_trouble
     recording = [f"not all is recorded: {trouble}"] if trouble else []
-    return HealthCheck(True, "; ".join([line, *in_vain, *recording]))
+    return HealthCheck(True, "; ".join([line, *in_vain, *recording]), is_ok=True)
 
 
 def _odometry(output: OutputState) -> str:
     if output.is_allowed:
         line = f"ODOMETRY {output.rate:.0f} Hz" if output.is_streaming else "no ODOMETRY"
+        if output.silence:
+            line = f"no ODOMETRY: {output.silence}"
         if output.unsent_rate < MANY_UNSENT:
             return line
         return (
@@ -133,7 +140,8 @@ def to_json(snapshot: Snapshot, pause: Callable[[], None] = lambda: None) -> byt
     ``pause`` is called between two stages: it lets other threads run while the text is made.
     """
     check = judge(snapshot)
-    plain: dict[str, Any] = {"health": {"is_healthy": check.is_healthy, "words": check.line}}
+    health = {"is_healthy": check.is_healthy, "is_ok": check.is_ok, "words": check.line}
+    plain: dict[str, Any] = {"health": health}
     for entry in fields(snapshot):
         plain[entry.name] = to_plain(getattr(snapshot, entry.name))
         pause()

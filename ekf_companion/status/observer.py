@@ -349,7 +349,8 @@ class Observer:
     def _output(self, now: _Counters, first: _Counters) -> OutputState:
         new = now.odometries - first.odometries
         rate = now.rate(new, first)
-        state = output_state(self._companion.session, new, rate, self._unheard())
+        companion = self._companion
+        state = output_state(companion.session, new, rate, self._unheard(), companion.silence)
         taken = {_ODOMETRY: now.odometries} if _ODOMETRY in state.sent else {}
         return replace(
             state,

@@ -194,6 +194,8 @@ class TimeState:
     base: str
     """``boot``, ``unix`` or ``unknown``: what the inertial messages count from."""
     is_locked: Annotated[bool, gauge("timesync_locked", "1 while the clocks' offset is known.")]
+    trouble: str = ""
+    """Why it is not; empty: it is, or there is hope."""
     offset_s: Annotated[float, gauge("clock_offset_seconds", "The autopilot's clock less ours.")]
     """NaN until locked."""
     skew_ppm: Annotated[
@@ -239,6 +241,9 @@ class OutputState:
     )
     reason: Annotated[str, info(*_OUTPUT, ("reason",))]
     """Of the guard's verdict."""
+    silence: str = ""
+    """Why nothing is sent of the estimate that is there, as after long dead reckoning; empty: it
+    is sent, or the guard withholds it."""
     remedy: Annotated[str, info(*_OUTPUT, ("remedy",))]
     """The parameter to change; empty: nothing need be."""
     parameters: Annotated[

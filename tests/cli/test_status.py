@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
@@ -41,11 +42,12 @@ def daemon(tmp_path_factory):
         yield f"http://127.0.0.1:{port}"
 
 
-def test_a_healthy_daemon_is_shown_and_is_exit_code_0(daemon):
+def test_a_daemon_that_hears_nothing_is_shown_and_is_not_ok(daemon):
+    """Whoever waits for exit code 0 before a take-off must not get it from a dead wire."""
     result = status("--url", daemon)
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 1, result.output
     words = " ".join(result.output.split())
-    assert words.startswith("ok: waiting for an autopilot; not a byte has come over the link")
+    assert words.startswith("waiting for an autopilot; not a byte has come over the link")
     for stage in ("link", "frames", "autopilot", "time", "estimate", "output", "process"):
         assert f"\n{stage} " in result.output.replace("\n ", "\n")
     assert "HIGHRES_IMU" in words
@@ -53,9 +55,9 @@ def test_a_healthy_daemon_is_shown_and_is_exit_code_0(daemon):
 
 def test_json_is_what_the_daemon_gave(daemon):
     result = status("--url", daemon + "/", "--json")
-    assert result.exit_code == 0
+    assert result.exit_code == 1
     data = json.loads(result.stdout)
-    assert data["health"]["is_healthy"]
+    assert (data["health"]["is_healthy"], data["health"]["is_ok"]) == (True, False)
     assert data["link"]["is_open"]
 
 
@@ -65,7 +67,7 @@ def test_watching_ends_with_the_last_finding(daemon):
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         first, second = (json.loads(process.stdout.readline()) for _ in range(2))
         process.send_signal(signal.SIGINT)
-        assert process.wait(60.0) == 0
+        assert process.wait(60.0) == 1
     assert second["unix_ns"] > first["unix_ns"]
 
 
@@ -122,6 +124,29 @@ def test_a_daemon_that_is_stuck_is_exit_code_1(monkeypatch):
     asyncio.run(body())
     assert results[0].exit_code == 1
     assert "ekf-companion: stalled: the loop has not answered for 1 s" in results[0].stderr
+
+
+@pytest.mark.parametrize(("is_open", "code"), [(True, 0), (False, 1)])
+def test_only_with_an_estimate_of_what_comes_is_the_exit_code_0(is_open, code):
+    snapshot = Watched().fly(4.0).snapshot()
+    page = to_json(replace(snapshot, link=replace(snapshot.link, is_open=is_open)))
+
+    class Served(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(page)
+
+        def log_message(self, *_):
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Served) as server:
+        thread = threading.Thread(target=server.handle_request)
+        thread.start()
+        result = status("--url", f"http://127.0.0.1:{server.server_port}")
+        thread.join()
+    assert result.exit_code == code, result.output
+    assert ("ok: the estimate is OK" in result.output) == is_open
 
 
 def test_what_is_watched_through_a_pipe_comes_out_of_it():

@@ -110,8 +110,9 @@ def test_it_estimates_within_a_second_of_its_first_sample(restarted, number):
     heard = restarted.ear.runs()[number]
     answer = next(when for when, message_id in heard if message_id == IDS["ODOMETRY"])
     assert answer - heard[0][0] < BUSY
-    # It is the answer to that very sample
-    assert odometry.time_usec == sample.time_usec
+    # It is the answer to the first fix, which comes five times a second
+    assert 0 <= odometry.time_usec - sample.time_usec < 500_000
+    assert odometry.quality >= 50
     words = restarted.words[number]
     assert "Going on from a checkpoint that is" in words
     assert "not used" not in words
@@ -143,7 +144,10 @@ def test_the_count_of_resets_moves_on_with_every_restart(restarted):
         for record in restarted.records
     ]
     for before, after in itertools.pairwise(counts):
-        assert (after[0] - before[-1]) % 255 == 1
+        assert (after[0] - before[-1]) % 255 in (
+            1,
+            2,
+        )  # the restart, and the reset by its first fix
     for numbers in counts:
         assert {(after - before) % 255 for before, after in itertools.pairwise(numbers)} <= {0, 1}
 

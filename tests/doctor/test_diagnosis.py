@@ -112,7 +112,7 @@ def test_strange_stamps_are_named(well, stamps, said):
 
 def test_a_clock_that_drifts_and_a_slow_timesync_are_named(well):
     fast = replace(well, time=replace(well.time, skew_ppm=400.0))
-    assert "+400 ppm against ours" in words(stage(fast, "time"))
+    assert "clock runs 0.04 % faster than ours" in words(stage(fast, "time"))
     refused = {"slow": 60}
     state = replace(well.time, is_locked=False, refused=refused, rtt_p50_ms=40.0)
     found = stage(replace(well, time=state), "time")
@@ -124,10 +124,22 @@ def with_parameter(evidence, name, value):
 
 
 def test_a_quality_that_ours_does_not_reach_is_named(well, arducopter):
-    assert "Set EKF2_EV_QMIN = 1" in words(stage(with_parameter(well, "EKF2_EV_QMIN", 60), "fused"))
+    assert "Set EKF2_EV_QMIN = 30" in words(
+        stage(with_parameter(well, "EKF2_EV_QMIN", 60), "fused")
+    )
     strict = with_parameter(arducopter, "VISO_QUAL_MIN", 80)
-    assert "Set VISO_QUAL_MIN = 1" in words(stage(strict, "fused"))
+    assert "Set VISO_QUAL_MIN = 30" in words(stage(strict, "fused"))
     assert stage(with_parameter(well, "EKF2_EV_QMIN", 1), "fused").outcome is Outcome.OK
+
+
+def test_what_becomes_of_dead_reckoning_is_named(well, arducopter):
+    for case, name in ((well, "EKF2_EV_QMIN"), (arducopter, "VISO_QUAL_MIN")):
+        fused = stage(with_parameter(case, name, 0), "fused")
+        assert fused.outcome is Outcome.OK
+        assert "so is dead reckoning (quality 20), for as long as output.odometry" in fused.saw
+        assert f"{name} = 0, with 30 it is refused at once" in fused.saw
+        strict = stage(with_parameter(case, name, 30), "fused")
+        assert f"dead reckoning (quality 20) is not fused: {name} = 30" in strict.saw
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,8 @@ from ekf_companion.mavlink.messages import by_name
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.state import Odometry, Status
 
-NUMBERS = np.arange(55, dtype="<f4").tobytes()
+NUMBERS = np.array([1, 2, 3, 1, 0, 0, 0, *[0.0] * 6, *np.ones(42)], dtype="<f4").tobytes()
+"""At rest, level, with its nose to the north."""
 ORIGIN = (0.1, 0.2, 300.0)
 
 
@@ -31,6 +32,9 @@ class Given:
 
     t_ns: int
     quality: int | None = 100
+    sample: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, -9.81)
+    unaided_s: float = 0.0
+    is_reset_due: bool = False
     origin: tuple[float, float, float] | None = ORIGIN
     health: Health = field(default_factory=lambda: Pipeline(FilterSettings()).health())
 
@@ -70,15 +74,17 @@ def test_without_a_position_nothing_is_published_and_nothing_can_be_requested():
     assert not any(ours.request(name, nowhere) for name in STREAMS)
 
 
-def test_an_invalid_estimate_is_published_once_until_it_is_valid_again():
-    ours = publisher()
-    qualities = [100, -1, -1, -1, 20, -1, -1]
+@pytest.mark.parametrize("is_monitor", [False, True])
+def test_an_invalid_estimate_is_published_once_until_it_is_valid_again(is_monitor):
+    config = Config(output=OutputConfig(odometry=OdometryConfig(rate=10.0)))
+    ours = Publisher(config, Family.PX4, is_monitor=is_monitor)
+    qualities = [100, -1, -1, -1, 50, -1, -1]
     published = [
-        "ODOMETRY" in names(ours.due(Given(t_ns=k * SECOND_NS, quality=quality)))
+        "ODOMETRY" in names(ours.due(Given(t_ns=k * SECOND_NS // 10, quality=quality)))
         for k, quality in enumerate(qualities)
     ]
     assert published == [True, True, False, False, True, True, False]
-    assert not ours.request("ODOMETRY", Given(t_ns=7 * SECOND_NS, quality=-1))
+    assert not ours.request("ODOMETRY", Given(t_ns=SECOND_NS, quality=-1))
 
 
 @pytest.mark.parametrize("status", [Status.INIT, Status.ALIGNING, Status.ATTITUDE])

@@ -8,6 +8,7 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfig
+from ekf_companion.core.memory import as_state
 from ekf_companion.core.settings import GnssSettings
 from ekf_companion.engine.checkpoint import MOST_STARTS, Clocks, Vehicle, decode, encode
 from ekf_companion.engine.companion import Companion
@@ -63,9 +64,11 @@ def test_it_estimates_from_its_first_sample_on_without_waiting_for_a_heartbeat(l
     companion = begun(turns)
     said = converse(companion, turns)
     first = odometry(said)[0]
-    assert first.time_usec == turns[0][0] // 1000
-    assert first.quality >= 20
-    assert first.reset_counter == before.reset_counter + 1
+    # After a long gap it waits for a fix, which comes five times a second
+    waited = first.time_usec * 1000 - turns[0][0]
+    assert waited == 0 if lost < 1.0 else 0 < waited < SECOND_NS // 2
+    assert first.quality >= 50
+    assert before.reset_counter < first.reset_counter <= before.reset_counter + 2
     health = companion.pipeline.health()
     assert health.start == f"warm: {lost + 0.004:.2f} s lost"
     assert health.status is Status.OK
@@ -75,6 +78,21 @@ def test_it_estimates_from_its_first_sample_on_without_waiting_for_a_heartbeat(l
     assert "ALIGNING" not in caplog.text
     # Everything is asked of the autopilot again
     assert named("COMMAND_LONG", said)
+
+
+def test_a_restart_tells_what_it_has_moved_and_not_what_the_reset_before_it_had():
+    """A pilot read 13 degrees where the heading had stayed: those of a reset long before."""
+    found = decode(left()[0])
+    block = found.state.block.copy()
+    moved = as_state(block).moved
+    moved.pos_n[:], moved.yaw = (100.0, 0.0, 0.0), 0.23
+    data = encode(replace(found, state=replace(found.state, block=block)))
+    companion = begun(part(10.3), data=data)
+    assert companion.pipeline is None
+    converse(companion, part(10.3, 10.35))
+    health = companion.pipeline.health()
+    assert health.reset_reason == "restart"
+    assert health.reset_delta == (0.0,) * 7
 
 
 def assert_cold(companion, said, reason, caplog):
@@ -116,7 +134,7 @@ REFUSALS = {
     },
     "checkpoint.limit is 1 s": {"limit": 1.0},
     "by the autopilot's clock, 62.1 s by ours": {"clocks": CLOCKS.later(60 * SECOND_NS)},
-    "5 restarts came within a minute": {
+    "5 restarts came within seconds": {
         "data": lambda: encode(replace(decode(left()[0]), starts=MOST_STARTS))
     },
 }
@@ -198,7 +216,7 @@ def test_what_was_found_is_not_replaced_before_it_is_judged():
     assert companion.checkpoint(CLOCKS) is None
 
 
-def test_restarts_are_counted_until_one_has_lasted_a_minute():
+def test_restarts_are_counted_until_one_has_lasted_three_seconds():
     data = left()[0]
     for starts in (1, 2, 3):
         turns = part(10.0 + 0.5 * starts, 10.5 + 0.5 * starts)
@@ -206,11 +224,11 @@ def test_restarts_are_counted_until_one_has_lasted_a_minute():
         converse(companion, turns)
         data = companion.checkpoint(CLOCKS.later(turns[-1][0]))
         assert decode(data).starts == starts
-    turns = part(12.0, duration=80.0)
+    turns = part(12.0)
     companion = begun(turns, data=data)
-    converse(companion, turns[:1000])
+    converse(companion, turns[:700])
     assert decode(companion.checkpoint(CLOCKS)).starts == 4
-    converse(companion, turns[1000:])
+    converse(companion, turns[700:])
     assert decode(companion.checkpoint(CLOCKS)).starts == 0
 
 
@@ -223,4 +241,4 @@ def test_the_count_of_resets_never_goes_back():
         counts += [message.reset_counter for message in odometry(converse(companion, turns))]
         data = companion.checkpoint(CLOCKS.later(turns[-1][0]))
     assert counts == sorted(counts)
-    assert counts[-1] == counts[0] + 3 + 1  # and one gap of more than a second
+    assert counts[-1] >= counts[0] + 3 + 1  # and one gap of more than a second

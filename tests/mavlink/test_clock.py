@@ -42,6 +42,43 @@ def test_two_clocks_that_drift_are_compared_to_the_delay_of_the_link():
     assert abs(ours.peer_ns(at_ns) - at_ns - offset_at(at_ns)) < 150_000  # the jitter of the way
 
 
+@pytest.mark.parametrize("slower", [0.01, 0.02])
+def test_a_simulators_clock_that_is_slow_is_followed_and_its_questions_are_answered(slower):
+    """PX4 asks ten times a second, and places our ODOMETRY by the answers."""
+    rng = np.random.default_rng(7)
+    ours = timesync()
+
+    def offset_at(now_ns):
+        return 5_000 * MS - round(slower * now_ns)
+
+    for at_ns in range(0, 30_000 * MS, 50 * MS):
+        there, back = (int(ns) for ns in 100_000 + rng.exponential(100_000, 2))
+        exchange(ours, offset_at, at_ns, there, back)
+        if at_ns >= 3_000 * MS:
+            assert ours.is_locked
+            assert abs(ours.answer(at_ns) - at_ns - offset_at(at_ns)) < MS
+    assert ours.skew == pytest.approx(-slower, abs=2e-4)
+    assert ours.trouble == ""
+    assert not ours.refused
+
+
+def test_why_the_clock_is_not_known_is_named():
+    rng = np.random.default_rng(8)
+    cases = {
+        "the clock runs unevenly": (lambda at: round(8e6 * np.sin(at * 1e-9 / 0.6)), 0.2 * MS),
+        "answers take 31 ms there and back": (lambda _: 0, 15.5 * MS),
+    }
+    for words, (offset_at, way) in cases.items():
+        ours = timesync()
+        assert ours.trouble == ""
+        for at_ns in range(0, 20_000 * MS, 50 * MS):
+            waits = (int(way + ns) for ns in rng.exponential(50_000, 2))
+            exchange(ours, offset_at, at_ns, *waits)
+        assert not ours.is_locked
+        assert words in ours.trouble
+        assert ours.answer(at_ns) is None
+
+
 def test_answers_that_waited_on_one_way_do_not_move_the_offset():
     rng = np.random.default_rng(6)
     ours = timesync()

@@ -9,7 +9,13 @@ from pymavlink.dialects.v10 import ardupilotmega as dialect_1
 from pymavlink.dialects.v20 import ardupilotmega as dialect_2
 
 from ekf_companion.mavlink.codec import Sender
-from ekf_companion.mavlink.frame import JUNK, LARGEST_FRAME, Splitter
+from ekf_companion.mavlink.frame import (
+    LARGEST_FRAME,
+    LARGEST_REST,
+    UNKNOWN,
+    Sequence,
+    Splitter,
+)
 from ekf_companion.mavlink.messages import LAYOUTS
 
 IDS_1 = sorted(dialect_1.mavlink_map)
@@ -47,7 +53,7 @@ def cut(data, places):
 
 
 def raws(found):
-    return [frame.raw for frame in found if frame.message_id != JUNK]
+    return [frame.raw for frame in found if frame.message_id >= 0]
 
 
 def feed_all(pieces):
@@ -77,7 +83,7 @@ def test_any_cut_of_a_clean_stream_gives_every_frame_as_pymavlink_does(stream, p
 )
 @settings(deadline=None, max_examples=150)
 def test_every_byte_comes_out_once_and_in_order_however_the_stream_is_cut(parts, places):
-    data = b"".join(parts) + bytes(LARGEST_FRAME)  # zeros start nothing: all is decided
+    data = b"".join(parts) + bytes(LARGEST_REST)  # zeros start nothing: all is decided
     whole, found = feed_all([data])
     pieces, again = feed_all(cut(data, places))
     assert b"".join(frame.raw for frame in found) == data
@@ -102,7 +108,7 @@ def test_garbage_between_frames_costs_no_frame(stream, data):
 @settings(deadline=None, max_examples=100)
 def test_noise_never_raises_and_never_piles_up(noise, places):
     _, found = feed_all(cut(noise, places))
-    assert len(noise) - sum(len(frame.raw) for frame in found) < LARGEST_FRAME
+    assert len(noise) - sum(len(frame.raw) for frame in found) <= LARGEST_REST
 
 
 @pytest.mark.parametrize("flipped", [0x10, 0x40])
@@ -116,30 +122,72 @@ def test_a_damaged_frame_costs_only_itself(flipped):
         assert raws(found) == [*good[:2], *good[3:]]
 
 
-def unknown_frame(size):
-    return b"\xfd" + bytes([size, 0, 0, 7, 1, 1, 0xEE, 0xEE, 0x33]) + bytes(size + 2)
+def unknown_frame(size, sequence=7, payload=b""):
+    """Return a frame of no known message, filled up with what looks like starts."""
+    header = b"\xfd" + bytes([size, 0, 0, sequence, 1, 1, 0xEE, 0xEE, 0x33])
+    return header + payload.ljust(size + 2, b"\xfe")
 
 
-def test_an_unknown_id_is_counted_and_passed_over():
+def test_a_frame_of_unknown_id_is_whole_and_not_searched_while_the_framing_holds():
+    """Its payload is full of what looks like starts; newer firmware sends many such messages."""
+    good = [pymavlink_frame(30, bytes(range(28)), n, version=2) for n in (6, 8, 10)]
+    hidden = unknown_frame(60, 9, payload=good[0])
+    stream = [good[0], unknown_frame(20), good[1], hidden, unknown_frame(0, 9), good[2]]
+    for data in ([b"".join(stream)], [bytes([byte]) for byte in b"".join(stream)]):
+        splitter, found = feed_all(data)
+        assert [frame.raw for frame in found] == stream
+        assert [f.message_id for f in found] == [30, UNKNOWN, 30, UNKNOWN, UNKNOWN, 30]
+        assert [f.sequence for f in found] == [6, 7, 8, 9, 9, 10]
+        assert {frame[1:3] for frame in found} == {(1, 1)}
+        assert (splitter.unknown_id, splitter.frames) == (3, 3)
+        assert splitter.bad_crc == splitter.junk_bytes == 0
+
+
+@pytest.mark.parametrize(
+    "behind",
+    [
+        bytes(20),  # no start byte
+        b"\xfd" + bytes([9, 0x40, 0, 0, 1, 1, 30, 0, 0]) + bytes(30),  # an unknown flag
+        b"\xfd" + bytes([9, 0, 0, 0, 7, 7, 0xEE, 0xEE, 0x33]) + bytes(30),  # unknown, another's
+        b"\xfd" + bytes([200, 0, 0, 0, 7, 7, 30, 0, 0]) + bytes(30),  # longer than that message is
+    ],
+)
+def test_without_a_header_behind_it_a_frame_of_unknown_id_is_junk(behind):
     good = pymavlink_frame(30, bytes(range(28)), 0, version=2)
-    splitter, found = feed_all([unknown_frame(20), good, unknown_frame(9), good])
-    assert raws(found) == [good, good]
-    assert splitter.unknown_id == 2
-    assert splitter.bad_crc == 0
-
-
-def test_what_looks_like_an_unknown_frame_counts_only_if_a_start_byte_follows():
-    # The last byte is a start byte, so that the search meets the very end of it
-    splitter, _ = feed_all([unknown_frame(20)[:-1] + b"\xfd", bytes(LARGEST_FRAME)])
+    data = good + unknown_frame(20) + behind + bytes(LARGEST_REST)
+    splitter, found = feed_all([data])
+    assert raws(found) == [good]
     assert splitter.unknown_id == 0
-    assert splitter.junk_bytes == 32 + LARGEST_FRAME
+    assert splitter.junk_bytes == len(data) - len(good)
+
+
+def test_behind_damage_a_frame_of_unknown_id_is_searched_and_hides_nothing():
+    good = pymavlink_frame(30, bytes(range(28)), 0, version=2)
+    data = good + b"static" + unknown_frame(60, payload=good) + good * 2
+    splitter, found = feed_all([data, bytes(LARGEST_REST)])
+    assert raws(found) == [good] * 4
+    assert splitter.unknown_id == 0
 
 
 def test_a_false_start_with_an_unknown_id_hides_no_frame_behind_it():
     good = pymavlink_frame(30, bytes(range(28)), 0, version=2)
-    splitter, found = feed_all([unknown_frame(60)[:12] + good * 3])
+    splitter, found = feed_all([unknown_frame(60)[:12] + good * 3, bytes(LARGEST_REST)])
     assert raws(found) == [good] * 3
     assert splitter.unknown_id == 0
+
+
+def test_sequence_numbers_count_for_frames_whose_checksum_nobody_can_test():
+    sequence = Sequence()
+    for number in (5, 7, 9):
+        sequence.count(number, 0)
+        sequence.count_unverified(number + 1, 0)
+    assert sequence.lost == 0
+    sequence.count_unverified(12, 0)
+    assert sequence.lost == 1
+    # One that is far off is more likely damage than a loss of so many
+    sequence.count_unverified(100, 0)
+    sequence.count(13, 0)
+    assert (sequence.lost, sequence.late) == (1, 0)
 
 
 def test_an_unknown_incompatibility_flag_drops_the_frame():

@@ -1,7 +1,7 @@
 """Frames read back, for the tests of the fake autopilot."""
 
 from ekf_companion.mavlink.codec import Sender, unpack
-from ekf_companion.mavlink.frame import JUNK, Splitter
+from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 
 US, THEM = (1, 194), (1, 1)
@@ -11,7 +11,7 @@ SECOND_NS = 1_000_000_000
 def read(frames):
     """Return name and frame of each."""
     found = Splitter().feed(b"".join(frames))
-    return [(LAYOUTS[frame.message_id].name, frame) for frame in found if frame.message_id != JUNK]
+    return [(LAYOUTS[frame.message_id].name, frame) for frame in found if frame.message_id >= 0]
 
 
 def named(messages, name):

@@ -299,11 +299,11 @@ def test_a_bug_in_what_is_only_told_stops_no_flight(caplog):
 # Judged
 
 
-def test_a_silent_link_is_told_and_is_no_fault_of_the_process():
+def test_a_silent_link_is_not_ok_and_no_fault_of_the_process():
     finding = judge(Watched().snapshot())
-    assert finding.is_healthy
+    assert (finding.is_healthy, finding.is_ok) == (True, False)
     assert finding.line == (
-        "ok: waiting for an autopilot; the link udpin:127.0.0.1:14550 is being opened"
+        "waiting for an autopilot; the link udpin:127.0.0.1:14550 is being opened"
     )
 
 
@@ -327,7 +327,7 @@ def test_an_invalid_estimate_is_not_healthy(flown):
     _, snapshot = flown
     link = replace(snapshot.link, is_open=True)
     words = "ok: the estimate is OK, 250 Hz IMU, ODOMETRY 30 Hz"
-    assert judge(replace(snapshot, link=link)) == (True, words)
+    assert judge(replace(snapshot, link=link)) == (True, words, True)
     invalid = replace(snapshot.estimator, status=Status.INVALID)
     finding = judge(replace(snapshot, estimator=invalid))
     assert not finding.is_healthy

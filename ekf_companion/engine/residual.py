@@ -1,0 +1,168 @@
+"""What is sent less what is estimated: a jump that is kept from a follower.
+
+A jump can be *spread*: what is sent goes on without a step, and comes to the estimate at a speed
+that a follower takes for noise. Or it goes into the *offset* of a continuous frame, and stays.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ekf_companion.engine.step import Pose, Step
+from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.state import Odometry
+
+SPEEDS = (0.5, 1.0, math.radians(5.0))
+"""At which what is spread comes to the estimate: m/s, m/s^2, rad/s. A filter that follows within
+0.3 s, as EKF2 and EKF3 do at 30 Hz, lags by half a gate at most: see :mod:`.step`."""
+_POSITION = slice(0, 3)
+_QUATERNION = slice(3, 7)
+_VELOCITY = slice(7, 10)
+_POSE_COV, _TWIST_COV = 13, 34
+_DIAGONAL = (0, 6, 11, 15, 18, 20)
+"""Of the upper triangle of a 6 x 6 matrix, row by row."""
+
+
+class Offset(NamedTuple):
+    """Where a continuous frame c lies in n: ``pos_n = R(yaw) pos_c + shift``."""
+
+    shift: tuple[float, float, float]
+    """n, m."""
+    yaw: float
+    """About down, rad."""
+
+
+NO_OFFSET = Offset((0.0, 0.0, 0.0), 0.0)
+
+
+def about_down(angle: float) -> Array:
+    """Return the matrix of a rotation about the axis down, rad."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+class Residual:
+    """What is added to the estimate before it is sent, and the frame in which it is sent."""
+
+    def __init__(self) -> None:
+        self.offset = NO_OFFSET
+        """Of the frame in which positions are sent."""
+        self.clear()
+
+    def clear(self) -> None:
+        """Send the estimate as it is, in the same frame."""
+        self._pos_n = np.zeros(3)
+        self._vel_n = np.zeros(3)
+        self._yaw = 0.0
+        self._is_any = False
+
+    def spread(self, step: Step, position: bool, velocity: bool, yaw: bool) -> None:
+        """Keep a step from what is sent, in those of its parts that are named."""
+        self._is_any |= position or velocity or yaw
+        if position:
+            self._pos_n = self._pos_n - step.pos_n
+        if velocity:
+            self._vel_n = self._vel_n - step.vel_n
+        if yaw:
+            self._yaw = math.remainder(self._yaw - step.yaw, math.tau)
+
+    def move_frame(self, step: Step, pose: Pose) -> None:
+        """Put a step of position and yaw into the frame, given the estimate after it."""
+        shift, yaw = self.offset
+        pos_c = about_down(-yaw) @ (pose.pos_n - step.pos_n - np.array(shift))
+        yaw = math.remainder(yaw + step.yaw, math.tau)
+        moved = pose.pos_n - about_down(yaw) @ pos_c
+        self.offset = Offset((float(moved[0]), float(moved[1]), float(moved[2])), yaw)
+
+    def decay(self, dt: float) -> None:
+        """Let what is spread come nearer to the estimate over a time, s."""
+        if not self._is_any:
+            return
+        speeds = [speed * dt for speed in SPEEDS]
+        self._pos_n = _shorten(self._pos_n, speeds[0])
+        self._vel_n = _shorten(self._vel_n, speeds[1])
+        self._yaw = math.copysign(max(abs(self._yaw) - speeds[2], 0.0), self._yaw)
+        self._is_any = bool(self._yaw != 0.0 or self._pos_n.any() or self._vel_n.any())
+
+    def apply(self, odometry: Odometry, pose: Pose) -> Odometry:
+        """Return what is sent of an estimate: the same bytes where there is nothing to add.
+
+        The variances grow by the square of what is added.
+        """
+        shift, yaw = self.offset
+        if not self._is_any and self.offset == NO_OFFSET:
+            return odometry
+        numbers = np.frombuffer(odometry.numbers, dtype="<f4").astype(float)
+        R_cn = about_down(-yaw)
+        turn = so3.exp(np.array([0.0, 0.0, self._yaw - yaw]))
+        numbers[_POSITION] = R_cn @ (pose.pos_n + self._pos_n - np.array(shift))
+        numbers[_QUATERNION] = so3.normalise(so3.multiply(turn, pose.q_nb))
+        C_cb = so3.to_matrix(numbers[_QUATERNION])
+        numbers[_VELOCITY] = C_cb.T @ R_cn @ (pose.vel_n + self._vel_n)
+        if yaw != 0.0:
+            _turn_pose_covariance(numbers, R_cn)
+        _inflate(numbers, _POSE_COV, [*(R_cn @ self._pos_n), 0.0, 0.0, self._yaw])
+        _inflate(numbers, _TWIST_COV, C_cb.T @ R_cn @ self._vel_n)
+        return odometry._replace(numbers=numbers.astype("<f4").tobytes())
+
+
+def _shorten(vector: Array, by: float) -> Array:
+    length = float(np.linalg.norm(vector))
+    return vector * (1.0 - by / length) if length > by else np.zeros(3)
+
+
+def _inflate(numbers: Array, start: int, residual: Array | list[float]) -> None:
+    """Add squares to the variances of a covariance that is known."""
+    if math.isfinite(numbers[start]):
+        for place, value in zip(_DIAGONAL, residual, strict=False):
+            numbers[start + place] += value * value
+
+
+def _turn_pose_covariance(numbers: Array, R: Array) -> None:
+    """Turn the position's rows and columns of the pose's covariance."""
+    triangle = numbers[_POSE_COV : _POSE_COV + 21]
+    if not math.isfinite(triangle[0]):
+        return
+    rows, columns = np.triu_indices(6)
+    P = np.zeros((6, 6))
+    P[rows, columns] = P[columns, rows] = triangle
+    T = np.eye(6)
+    T[:3, :3] = R
+    triangle[:] = (T @ P @ T.T)[rows, columns]
+
+
+def scale_errors(odometry: Odometry, factor: float) -> Odometry:
+    """Return an ODOMETRY with the covariances of position and velocity times a factor."""
+    numbers = np.frombuffer(odometry.numbers, dtype="<f4").astype(float)
+    rows, columns = np.triu_indices(6)
+    root = math.sqrt(factor)
+    for start in (_POSE_COV, _TWIST_COV):
+        if math.isfinite(numbers[start]):
+            scale = np.where(rows < 3, root, 1.0) * np.where(columns < 3, root, 1.0)
+            numbers[start : start + 21] *= scale
+    return odometry._replace(numbers=numbers.astype("<f4").tobytes())
+
+
+def std_horizontal(odometry: Odometry) -> float:
+    """Return one sigma of the horizontal position, m; infinite where it is not known."""
+    return _std(odometry, (_POSE_COV, _POSE_COV + 6))
+
+
+def std_velocity(odometry: Odometry) -> float:
+    """Return one sigma of the velocity, m/s, likewise."""
+    return _std(odometry, (_TWIST_COV, _TWIST_COV + 6, _TWIST_COV + 11))
+
+
+def std_yaw(odometry: Odometry) -> float:
+    """Return one sigma of the yaw, rad, likewise."""
+    return _std(odometry, (_POSE_COV + 20,))
+
+
+def _std(odometry: Odometry, places: tuple[int, ...]) -> float:
+    numbers = np.frombuffer(odometry.numbers, dtype="<f4")
+    is_known = math.isfinite(numbers[_POSE_COV]) and math.isfinite(numbers[_TWIST_COV])
+    return math.sqrt(sum(float(numbers[place]) for place in places)) if is_known else math.inf

@@ -1,0 +1,170 @@
+"""What an estimate was corrected by between two looks at it: the step that no motion explains.
+
+A follower sees one ODOMETRY after the other, and nothing of the filter behind them. So the step is
+measured from outside: the second estimate less the first, carried on by the inertial samples
+between them. That holds for whatever the filter does inside, a reset or one large correction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.state import Odometry
+
+GRAVITY = np.array([0.0, 0.0, 9.81])
+"""Down, m/s^2: over a tenth of a second no place on Earth differs by more than 3 mm/s."""
+_USUAL_S = 20.0
+"""Time constant of the usual step."""
+_MANY = 10.0
+"""Times the usual step. The looks at which a fix is fused are one in six, so this is four times the
+usual correction by a fix."""
+_START_S = 5.0
+"""After a start the first fixes correct each other by as much as they are uncertain."""
+_SMOOTH_S = 0.05
+"""Interval up to which the samples between two looks explain any flight."""
+
+
+class Step(NamedTuple):
+    """The second of two estimates less what the first and the motion between them lead to."""
+
+    dt: float
+    """Time between the two, s."""
+    pos_n: Array
+    """m, shape (3,)."""
+    vel_n: Array
+    """m/s, shape (3,)."""
+    yaw: float
+    """About down, rad, in [-pi, pi]."""
+
+    @property
+    def sizes(self) -> tuple[float, float, float]:
+        """Distance (m), speed (m/s) and angle (rad)."""
+        return math.hypot(*self.pos_n), math.hypot(*self.vel_n), abs(self.yaw)
+
+
+class Pose(NamedTuple):
+    """Of an ODOMETRY's numbers, what a step is measured by."""
+
+    t_ns: int
+    pos_n: Array
+    q_nb: Array
+    C_nb: Array
+    vel_n: Array
+
+
+def to_pose(odometry: Odometry) -> Pose:
+    """Return position, attitude and velocity of an ODOMETRY."""
+    numbers = np.frombuffer(odometry.numbers, dtype="<f4", count=10).astype(float)
+    C_nb = so3.to_matrix(numbers[3:7])
+    return Pose(odometry.t_ns, numbers[:3], numbers[3:7], C_nb, C_nb @ numbers[7:10])
+
+
+class StepMeter:
+    """Measures the step from one look at the estimate to the next."""
+
+    def __init__(self) -> None:
+        self._last: Pose | None = None
+        self._sums = [0.0] * 6
+        self._count = 0
+
+    def add(self, sample: tuple[float, ...]) -> None:
+        """Add an inertial sample: angular rate (rad/s), specific force (m/s^2), b."""
+        sums = self._sums
+        for i in range(6):
+            sums[i] += sample[i]
+        self._count += 1
+
+    def forget(self) -> None:
+        """Forget the last look: there is no estimate now."""
+        self._last = None
+
+    def measure(self, pose: Pose) -> Step | None:
+        """Return the step since the last look; None if there was none, or no sample came since."""
+        last, count = self._last, self._count
+        mean = [value / max(count, 1) for value in self._sums]
+        self._last, self._sums, self._count = pose, [0.0] * 6, 0
+        if last is None or count == 0 or pose.t_ns <= last.t_ns:
+            return None
+        dt = (pose.t_ns - last.t_ns) * 1e-9
+        turned = last.C_nb @ _rotation(*(rate * dt for rate in mean[:3]))
+        error = pose.C_nb @ turned[0]  # the first column of the matrix that leads from one to two
+        accel_n = 0.5 * (last.C_nb + turned) @ mean[3:] + GRAVITY
+        return Step(
+            dt,
+            pose.pos_n - last.pos_n - 0.5 * dt * (last.vel_n + pose.vel_n),
+            pose.vel_n - last.vel_n - dt * accel_n,
+            math.atan2(error[1], error[0]),
+        )
+
+
+def _rotation(x: float, y: float, z: float) -> Array:
+    """Return the matrix of a rotation vector, rad: at 30 Hz the time of a general one counts."""
+    half = 0.5 * math.sqrt(x * x + y * y + z * z)
+    scale = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
+    return so3.to_matrix(np.array([math.cos(half), scale * x, scale * y, scale * z]))
+
+
+class Limit(NamedTuple):
+    """How large a step must be at least, and need be at most, to be a jump."""
+
+    least: float
+    most: float
+    slow: float
+    """What motion may add over a longer interval, per s, or per s^2 of position."""
+
+
+POSITION = Limit(0.5, 1.0, 2.5)
+"""m. EKF2 refuses beyond 5 sigma (EKF2_EVP_GATE), sigma no less than 0.1 m (EKF2_EVP_NOISE); EKF3
+beyond 5 sigma (EK3_POS_I_GATE) of 0.2 m (VISO_POS_M_NSE) on two axes, 1.4 m."""
+VELOCITY = Limit(0.4, 0.8, 10.0)
+"""m/s. EKF2: 3 sigma (EKF2_EVV_GATE) of 0.1 m/s (EKF2_EVV_NOISE) and its own; EKF3: 5 sigma
+(EK3_VEL_I_GATE) of 0.1 m/s (VISO_VEL_M_NSE) on three axes, 0.87 m/s."""
+YAW = Limit(0.175, 0.26, 1.0)
+"""rad: 10 and 15 degrees. EKF2: 2.6 sigma (EKF2_HDG_GATE) of 0.1 rad (EKF2_EVA_NOISE), 15 degrees;
+EKF3: 3 sigma (EK3_YAW_I_GATE) of 0.2 rad (VISO_YAW_M_NSE), 34 degrees."""
+
+
+class JumpDetector:
+    """Tells a jump from the corrections that are usual: those of a fix, the noise of the samples.
+
+    A step is a jump beyond many times the usual one, between two bounds: at the lower, no follower
+    refuses it; at the upper, one of them does, however noisy the receiver.
+    """
+
+    def __init__(self) -> None:
+        # Until the usual step is known, only what no follower takes is a jump
+        self._squares = [(limit.most / _MANY) ** 2 for limit in _LIMITS]
+        self._age = 0.0
+
+    def judge(self, step: Step, stated: Sequence[float]) -> tuple[bool, bool, bool]:
+        """Return whether a step is a jump in position, in velocity and in yaw.
+
+        Args:
+            step: The step.
+            stated: One sigma of position, velocity and yaw as it was sent before the step; 0: of
+                what was not aided. A step within it is none for a receiver, nor is one of the
+                position within three just after a start, when one fix is all there is: every gate
+                has three sigma and more.
+        """
+        weight = min(step.dt / _USUAL_S, 1.0)
+        self._age += step.dt
+        factors = (3.0 if self._age < _START_S else 1.0), 1.0, 1.0
+        jumps = []
+        for i, (size, limit) in enumerate(zip(step.sizes, _LIMITS, strict=True)):
+            beyond = max(step.dt - _SMOOTH_S, 0.0)
+            allowed = limit.slow * (beyond * beyond if limit is POSITION else beyond)
+            usual = _MANY * math.sqrt(self._squares[i])
+            largest = max(min(max(limit.least, usual), limit.most), factors[i] * stated[i])
+            largest += allowed
+            jumps.append(size > largest)
+            self._squares[i] += weight * (min(size, largest) ** 2 - self._squares[i])
+        return jumps[0], jumps[1], jumps[2]
+
+
+_LIMITS = (POSITION, VELOCITY, YAW)

@@ -1,0 +1,83 @@
+"""Recorded flights of simulated autopilots, through a companion: what it would send them today."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import OdometryConfig, OutputConfig
+from ekf_companion.engine.companion import Companion
+from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.logs import tlog
+from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.messages import IDS
+from ekf_companion.nav import so3
+from tests.paths import DATA
+
+OURS = 194
+
+
+@cache
+def frames(flight: str) -> list[tuple[int, bytes]]:
+    """Return the frames of a flight that are not ours, with their stamps, ns; skip without it."""
+    path = DATA / flight / "flight.tlog"
+    if not path.is_file():
+        pytest.skip(f"the recorded flight {flight} is not beside this checkout")
+    return [
+        (stamp_us * 1000, frame)
+        for stamp_us, frame in tlog.read(path).frames()
+        if frame[6 if frame[0] == 0xFD else 4] != OURS
+    ]
+
+
+def configured(**odometry: Any) -> Config:
+    """Return a configuration that streams whatever the autopilot's parameters are."""
+    return Config(output=OutputConfig(odometry=OdometryConfig(mode="always", **odometry)))
+
+
+@cache
+def sent(flight: str, *names: str, **odometry: Any) -> list[Any]:
+    """Return what a companion publishes during a flight, of the named messages."""
+    return list(flown(flight, names, configured(**odometry)))
+
+
+def flown(flight: str, names: tuple[str, ...], config: Config) -> Iterator[Any]:
+    """Yield the published messages of some names."""
+    companion = Companion(config, open_pipeline=Pipeline)
+    for now_ns, frame in frames(flight):
+        for name, payload, _ in companion.receive(frame, now_ns):
+            if name in names:
+                yield unpack(Frame(IDS[name], 1, OURS, 0, payload, b"", 2))
+        companion.frames_to_send()
+
+
+class Sent:
+    """ODOMETRY as columns."""
+
+    def __init__(self, messages: list[Any]) -> None:
+        self.t = np.array([m.time_usec for m in messages]) * 1e-6
+        self.pos_n = np.array([(m.x, m.y, m.z) for m in messages])
+        q = np.array([m.q for m in messages])
+        self.vel_n = so3.rotate(q, np.array([(m.vx, m.vy, m.vz) for m in messages]))
+        self.yaw = so3.to_euler(q)[:, 2]
+        self.count = np.array([m.reset_counter for m in messages])
+        self.quality = np.array([m.quality for m in messages])
+        cov = np.array([m.pose_covariance for m in messages])
+        self.sd = np.sqrt(cov[:, 0] + cov[:, 6])
+
+    def steps(self) -> np.ndarray:
+        """Return the distance that each message moves beside its velocity, shape (n - 1,)."""
+        dt = np.diff(self.t)[:, None]
+        moved = np.diff(self.pos_n, axis=0) - 0.5 * dt * (self.vel_n[1:] + self.vel_n[:-1])
+        return np.linalg.norm(moved, axis=1)
+
+
+def odometry(flight: str, **odometry: Any) -> Sent:
+    """Return the ODOMETRY that a companion sends during a flight."""
+    return Sent(sent(flight, "ODOMETRY", **odometry))
