@@ -105,6 +105,11 @@ class OdometryConfig:
     estimator_type: Literal["auto", "GPS_INS", "VIO"] = "auto"
     """What ODOMETRY says that it is from. auto: GPS_INS, which is true, but VIO towards PX4, which
     refuses the true type with a critical message for each frame."""
+    covariance: Literal["auto", "whole", "relative"] = "auto"
+    """What the covariance of the position states. whole: all of its error over ground. relative:
+    all but the slow error of the receiver's position, an offset that stays for minutes: what an
+    autopilot wants, which takes each message for a measurement with noise of its own. auto:
+    relative towards PX4 and ArduPilot, whole towards others and monitors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

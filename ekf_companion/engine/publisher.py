@@ -86,6 +86,9 @@ class Publisher:
         odometry = config.output.odometry
         self.label = ours or label(family, odometry.frame, odometry.estimator_type)
         """How every ODOMETRY is labelled."""
+        states = odometry.covariance
+        is_follower = ours is None and family in (Family.PX4, Family.ARDUPILOT)
+        self._is_relative = states == "relative" or (states == "auto" and is_follower)
         self._was_invalid = False
         self._origin: tuple[float, float, float] | None = None
 
@@ -128,7 +131,12 @@ class Publisher:
             is_invalid = odometry.quality < 0
             if not (is_invalid and self._was_invalid):
                 ours = self.label
-                payload = encode.odometry(odometry, frame=ours.frame, estimator=ours.estimator)
+                payload = encode.odometry(
+                    odometry,
+                    frame=ours.frame,
+                    estimator=ours.estimator,
+                    is_relative=self._is_relative,
+                )
                 messages.append(Message("ODOMETRY", payload, is_replaceable=True))
             self._was_invalid = is_invalid
 

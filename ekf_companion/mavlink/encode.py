@@ -55,6 +55,8 @@ SYSTEM_STATUS = {
 
 
 _ODOMETRY = Struct("<Q220s4Bb")
+_POSE_COVARIANCE = slice(52, 136)
+"""Its bytes among the numbers of ODOMETRY."""
 
 
 def odometry(
@@ -62,11 +64,20 @@ def odometry(
     *,
     frame: Frame = Frame.LOCAL_FRD,
     estimator: EstimatorType = EstimatorType.GPS_INS,
+    is_relative: bool = False,
 ) -> bytes:
-    """Return the payload of ODOMETRY."""
+    """Return the payload of ODOMETRY.
+
+    ``is_relative`` states the covariance of the pose apart from the slow error of the receiver's
+    position, where that is known.
+    """
+    numbers = estimate.numbers
+    if is_relative and estimate.relative is not None:
+        whole = _POSE_COVARIANCE
+        numbers = numbers[: whole.start] + estimate.relative + numbers[whole.stop :]
     return _ODOMETRY.pack(
         estimate.t_ns // 1000,
-        estimate.numbers,
+        numbers,
         frame,
         Frame.BODY_FRD,
         # From 1 to 255: 0 would mean that none are counted

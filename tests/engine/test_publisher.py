@@ -15,6 +15,7 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.health import Health
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.engine.publisher import STREAMS, Due, Publisher
+from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import StatusFlag
 from ekf_companion.mavlink.messages import by_name
@@ -37,6 +38,16 @@ class Given:
     @property
     def odometry(self):
         return None if self.quality is None else Odometry(self.t_ns, NUMBERS, 0, self.quality)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithRelative(Given):
+    """An estimate that knows its covariance apart from the slow error of the receiver, too."""
+
+    @property
+    def odometry(self):
+        relative = np.full(21, 7.0, dtype="<f4").tobytes()
+        return Odometry(self.t_ns, NUMBERS, 0, 100, relative)
 
 
 def publisher(rate=50.0):
@@ -136,3 +147,25 @@ def test_what_is_due_follows_a_clock_that_begins_anew(leap_ns):
     assert not due.is_due(5_050_000_000)
     assert due.is_due(5_050_000_000 + leap_ns)
     assert not due.is_due(5_100_000_000 + leap_ns)
+
+
+@pytest.mark.parametrize(
+    ("states", "family", "is_monitor", "is_relative"),
+    [
+        ("auto", Family.PX4, False, True),
+        ("auto", Family.ARDUPILOT, False, True),
+        ("auto", Family.UNKNOWN, False, False),
+        ("auto", Family.PX4, True, False),
+        ("whole", Family.PX4, False, False),
+        ("relative", Family.UNKNOWN, False, True),
+    ],
+)
+def test_who_fuses_a_message_is_told_the_covariance_without_the_slow_error(
+    states, family, is_monitor, is_relative
+):
+    config = Config(output=OutputConfig(odometry=OdometryConfig(covariance=states)))
+    ours = encode.label(Family.UNKNOWN, "LOCAL_NED", "auto") if is_monitor else None
+    sent = Publisher(config, family, ours).due(WithRelative(t_ns=SECOND_NS))
+    (payload,) = (one.payload for one in sent if one.name == "ODOMETRY")
+    first = np.frombuffer(payload[8:228], dtype="<f4")[13]
+    assert first == (7.0 if is_relative else 13.0)

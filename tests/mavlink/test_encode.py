@@ -43,6 +43,17 @@ def test_odometry_says_its_numbers_in_their_order():
     assert (m.reset_counter, m.estimator_type, m.quality) == (1, 5, 80)
 
 
+def test_a_relative_covariance_takes_the_place_of_the_whole_one_alone():
+    relative = [100.0 + n for n in range(21)]
+    said = estimate(relative=array("f", relative).tobytes())
+    assert odometry(said).pose_covariance == NUMBERS[13:34]
+    m = odometry(said, is_relative=True)
+    assert m.pose_covariance == relative
+    assert [m.x, m.rollspeed, m.yawspeed] == [NUMBERS[0], NUMBERS[10], NUMBERS[12]]
+    assert m.velocity_covariance == NUMBERS[34:]
+    assert odometry(is_relative=True).pose_covariance == NUMBERS[13:34]
+
+
 def test_its_payload_is_what_the_definition_says():
     assert len(encode.odometry(estimate())) == by_name("ODOMETRY").size
 
