@@ -1,4 +1,4 @@
-"""A small filter that fuses our ODOMETRY as the autopilots' own do, to ask how well one flies on it.
+"""A small filter that fuses our ODOMETRY as the autopilots' own do: how well does one fly on it?
 
 Position, velocity, attitude and the biases of gyro and accelerometer, fifteen errors, at a horizon
 in the past; what is given out is carried on to now by the samples since then. What it does with a

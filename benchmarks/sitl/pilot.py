@@ -162,9 +162,7 @@ class Pilot:
             if self.is_px4 and self._is_integer(name):
                 kind, sent = 6, struct.unpack("<f", struct.pack("<i", int(value)))[0]
             self.parameters.pop(name, None)
-            self._link.mav.param_set_send(
-                self._link.target_system, 1, name.encode(), sent, kind
-            )
+            self._link.mav.param_set_send(self._link.target_system, 1, name.encode(), sent, kind)
             if self.wait_for(lambda: self.parameters.get(name) is not None, 1.0) and (
                 abs(self.parameters[name] - value) < 1e-4 * max(1.0, abs(value))
             ):

@@ -11,6 +11,7 @@ import subprocess
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
+from typing import ClassVar
 
 from benchmarks.sitl.tracks import Flown, from_ardupilot, from_px4
 from ekf_companion.errors import CompanionError
@@ -29,13 +30,13 @@ class Simulator(ABC):
     """Link of the daemon."""
     pilot: str
     """Link of the ground station, as pymavlink names it."""
-    always: Mapping[str, float]
+    always: ClassVar[Mapping[str, float]]
     """Parameters of every flight."""
-    flown_on: Mapping[str, float]
+    flown_on: ClassVar[Mapping[str, float]]
     """Parameters to fly on ODOMETRY: those of the README."""
-    back: Mapping[str, float]
+    back: ClassVar[Mapping[str, float]]
     """What puts the vehicle back on its own receiver in flight."""
-    into: Mapping[str, float]
+    into: ClassVar[Mapping[str, float]]
     """What puts it on ODOMETRY in flight."""
     receiver: str
     """Parameter that switches the receiver."""
@@ -96,10 +97,20 @@ class Px4(Simulator):
     companion = "udpin:127.0.0.1:14540"
     pilot = "udpin:127.0.0.1:14550"
     # Nobody holds a remote control
-    always = {"COM_RC_IN_MODE": 4, "COM_RCL_EXCEPT": 4, "NAV_DLL_ACT": 0, "CBRK_SUPPLY_CHK": 894281}
-    into = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0}
-    back = {"EKF2_GPS_CTRL": 7, "EKF2_EV_CTRL": 0}
-    flown_on = {**into, "EKF2_HGT_REF": 3, "EKF2_BARO_CTRL": 0, "EKF2_MAG_TYPE": 5}
+    always: ClassVar[Mapping[str, float]] = {
+        "COM_RC_IN_MODE": 4,
+        "COM_RCL_EXCEPT": 4,
+        "NAV_DLL_ACT": 0,
+        "CBRK_SUPPLY_CHK": 894281,
+    }
+    into: ClassVar[Mapping[str, float]] = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0}
+    back: ClassVar[Mapping[str, float]] = {"EKF2_GPS_CTRL": 7, "EKF2_EV_CTRL": 0}
+    flown_on: ClassVar[Mapping[str, float]] = {
+        **into,
+        "EKF2_HGT_REF": 3,
+        "EKF2_BARO_CTRL": 0,
+        "EKF2_MAG_TYPE": 5,
+    }
     receiver, receiver_on, receiver_off = "SIM_GPS_USED", 10, 0
 
     def command(self, folder: Path, parameters: Mapping[str, float]) -> list[str]:
@@ -128,8 +139,20 @@ class ArduCopter(Simulator):
     name = "ArduCopter"
     companion = "tcp:127.0.0.1:5762"
     pilot = "tcp:127.0.0.1:5760"
-    # Without noise of the magnetometer it does not take two readings for two (SIM_MAG_RND)
-    always = {
+    # A frame, calibrated sensors; and noise of the magnetometer, since two equal readings
+    # count as one: without it the heading is not believed, and the vehicle does not arm
+    always: ClassVar[Mapping[str, float]] = {
+        "FRAME_CLASS": 1,
+        "FRAME_TYPE": 0,
+        "MOT_THST_EXPO": 0.65,
+        "MOT_THST_HOVER": 0.39,
+        "ATC_RAT_YAW_P": 0.3,
+        "ATC_RAT_YAW_I": 0.02,
+        **{f"COMPASS_OFS{k}_X": 5 for k in ("", 2, 3)},
+        **{f"COMPASS_OFS{k}_Y": 13 for k in ("", 2, 3)},
+        **{f"COMPASS_OFS{k}_Z": -18 for k in ("", 2, 3)},
+        **{f"INS_ACC{k}OFFS_{axis}": 0.001 for k in ("", 2) for axis in "XYZ"},
+        **{f"INS_ACC{k}SCAL_{axis}": 1.001 for k in ("", 2) for axis in "XYZ"},
         "LOG_DISARMED": 1,
         "SIM_MAG_RND": 5,
         "SIM_BARO_RND": 0.2,
@@ -138,9 +161,13 @@ class ArduCopter(Simulator):
         "SERIAL1_PROTOCOL": 2,
     }
     _parts = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
-    into = {f"EK3_SRC1_{part}": 6 for part in _parts}
-    back = {**{f"EK3_SRC1_{part}": 3 for part in _parts}, "EK3_SRC1_POSZ": 1, "EK3_SRC1_YAW": 1}
-    flown_on = {"VISO_TYPE": 1, **into}
+    into: ClassVar[Mapping[str, float]] = {f"EK3_SRC1_{part}": 6 for part in _parts}
+    back: ClassVar[Mapping[str, float]] = {
+        **{f"EK3_SRC1_{part}": 3 for part in _parts},
+        "EK3_SRC1_POSZ": 1,
+        "EK3_SRC1_YAW": 1,
+    }
+    flown_on: ClassVar[Mapping[str, float]] = {"VISO_TYPE": 1, **into}
     receiver, receiver_on, receiver_off = "SIM_GPS1_ENABLE", 1, 0
 
     def command(self, folder: Path, parameters: Mapping[str, float]) -> list[str]:
@@ -149,9 +176,8 @@ class ArduCopter(Simulator):
         lines = [f"{name} {value:g}" for name, value in parameters.items()]
         own.write_text("\n".join(lines) + "\n", encoding="ascii")
         lat, lon, alt = HOME
-        defaults = f"@ROMFS/default_params/copter.parm,{own}"
         place = f"{lat},{lon},{alt},0"
-        base = [str(self.binary), "--model", "quad", "--speedup", "1", "--defaults", defaults]
+        base = [str(self.binary), "--model", "quad", "--speedup", "1", "--defaults", str(own)]
         return [*base, "--home", place, "--wipe", "-I0"]
 
     def flown(self, folder: Path, recording: Path) -> Flown:
