@@ -22,6 +22,10 @@ _STOP = 5.0
 """Longest time to its end, s."""
 
 
+Values = Mapping[str, float]
+"""Parameters by name."""
+
+
 class Simulator(ABC):
     """One simulated vehicle."""
 
@@ -30,13 +34,13 @@ class Simulator(ABC):
     """Link of the daemon."""
     pilot: str
     """Link of the ground station, as pymavlink names it."""
-    always: ClassVar[Mapping[str, float]]
+    always: ClassVar[Values]
     """Parameters of every flight."""
-    flown_on: ClassVar[Mapping[str, float]]
+    flown_on: ClassVar[Values]
     """Parameters to fly on ODOMETRY: those of the README."""
-    back: ClassVar[Mapping[str, float]]
+    back: ClassVar[Values]
     """What puts the vehicle back on its own receiver in flight."""
-    into: ClassVar[Mapping[str, float]]
+    into: ClassVar[Values]
     """What puts it on ODOMETRY in flight."""
     receiver: str
     """Parameter that switches the receiver."""
@@ -97,15 +101,15 @@ class Px4(Simulator):
     companion = "udpin:127.0.0.1:14540"
     pilot = "udpin:127.0.0.1:14550"
     # Nobody holds a remote control
-    always: ClassVar[Mapping[str, float]] = {
+    always: ClassVar[Values] = {
         "COM_RC_IN_MODE": 4,
         "COM_RCL_EXCEPT": 4,
         "NAV_DLL_ACT": 0,
         "CBRK_SUPPLY_CHK": 894281,
     }
-    into: ClassVar[Mapping[str, float]] = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0}
-    back: ClassVar[Mapping[str, float]] = {"EKF2_GPS_CTRL": 7, "EKF2_EV_CTRL": 0}
-    flown_on: ClassVar[Mapping[str, float]] = {
+    into: ClassVar[Values] = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0}
+    back: ClassVar[Values] = {"EKF2_GPS_CTRL": 7, "EKF2_EV_CTRL": 0}
+    flown_on: ClassVar[Values] = {
         **into,
         "EKF2_HGT_REF": 3,
         "EKF2_BARO_CTRL": 0,
@@ -141,7 +145,7 @@ class ArduCopter(Simulator):
     pilot = "tcp:127.0.0.1:5760"
     # A frame, calibrated sensors; and noise of the magnetometer, since two equal readings
     # count as one: without it the heading is not believed, and the vehicle does not arm
-    always: ClassVar[Mapping[str, float]] = {
+    always: ClassVar[Values] = {
         "FRAME_CLASS": 1,
         "FRAME_TYPE": 0,
         "MOT_THST_EXPO": 0.65,
@@ -161,13 +165,13 @@ class ArduCopter(Simulator):
         "SERIAL1_PROTOCOL": 2,
     }
     _parts = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
-    into: ClassVar[Mapping[str, float]] = {f"EK3_SRC1_{part}": 6 for part in _parts}
-    back: ClassVar[Mapping[str, float]] = {
+    into: ClassVar[Values] = {f"EK3_SRC1_{part}": 6 for part in _parts}
+    back: ClassVar[Values] = {
         **{f"EK3_SRC1_{part}": 3 for part in _parts},
         "EK3_SRC1_POSZ": 1,
         "EK3_SRC1_YAW": 1,
     }
-    flown_on: ClassVar[Mapping[str, float]] = {"VISO_TYPE": 1, **into}
+    flown_on: ClassVar[Values] = {"VISO_TYPE": 1, **into}
     receiver, receiver_on, receiver_off = "SIM_GPS1_ENABLE", 1, 0
 
     def command(self, folder: Path, parameters: Mapping[str, float]) -> list[str]:

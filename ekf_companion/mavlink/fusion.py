@@ -5,7 +5,8 @@ beside them it makes the covariance too small, and brings a glitch past the gate
 sent to an autopilot whose parameters cannot be read.
 
 Sources: PX4, parameters EKF2_EV_CTRL, EKF2_GPS_CTRL (1.14 and later), EKF2_SENS_EN (1.18),
-EKF2_AID_MASK, EKF2_HGT_MODE (before); ArduPilot, EKF Source Selection and Switching, and ``AP_NavEKF_Source``.
+EKF2_AID_MASK, EKF2_HGT_MODE (before); ArduPilot, EKF Source Selection and Switching, and
+``AP_NavEKF_Source``.
 """
 
 from __future__ import annotations
