@@ -163,6 +163,8 @@ class ArduCopter(Simulator):
         "FS_GCS_ENABLE": 0,
         "FS_THR_ENABLE": 0,
         "SERIAL1_PROTOCOL": 2,
+        # It takes off the time that a message needs on a wire of this speed: on TCP none
+        "SERIAL1_BAUD": 1500,
     }
     _parts = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
     into: ClassVar[Values] = {f"EK3_SRC1_{part}": 6 for part in _parts}

@@ -99,9 +99,10 @@ class OdometryConfig:
     ] = 30.0
     """Rate, at most one message per inertial sample. PX4 wants 30 to 50, and fuses nothing that
     comes too rarely; ArduPilot wants 4 to 50, and is sent no more."""
-    frame: Literal["LOCAL_FRD", "LOCAL_NED"] = "LOCAL_FRD"
-    """Frame of the pose. PX4 takes both, ArduPilot only LOCAL_FRD; a listener that is no autopilot
-    may understand only LOCAL_NED. The numbers are the same."""
+    frame: Literal["auto", "LOCAL_FRD", "LOCAL_NED"] = "auto"
+    """Frame of the pose; the numbers are the same. auto: LOCAL_NED to PX4, which takes LOCAL_FRD
+    for a frame that may point anywhere: its heading stays unaligned, its global position unknown;
+    LOCAL_FRD to others: ArduPilot silently drops any other."""
     estimator_type: Literal["auto", "GPS_INS", "VIO"] = "auto"
     """What ODOMETRY says that it is from. auto: GPS_INS, which is true, but VIO towards PX4, which
     refuses the true type with a critical message for each frame."""
@@ -110,6 +111,10 @@ class OdometryConfig:
     all but the slow error of the receiver's position, an offset that stays for minutes: what an
     autopilot wants, which takes each message for a measurement with noise of its own. auto:
     relative towards PX4 and ArduPilot, whole towards others and monitors."""
+    velocity_time: Annotated[float, Meta(ge=0.0, le=10.0), Setting("s")] = 0.5
+    """How long an error of our velocity lasts. Who takes thirty messages a second for independent
+    ones believes their mean far too much, so with relative covariances that of the velocity counts
+    2 * velocity_time * rate times. 0: it is stated as it is. ArduPilot does not read it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -51,6 +51,8 @@ class Due:
 
     def set_rate(self, rate: float) -> None:
         """Go on at another rate, Hz; 0: only when requested."""
+        self.rate = rate
+        """Hz; 0: only when requested."""
         self._period_ns = round(SECOND_NS / rate) if rate > 0.0 else 0
 
     def request(self) -> None:
@@ -89,6 +91,7 @@ class Publisher:
         states = odometry.covariance
         is_follower = ours is None and family in (Family.PX4, Family.ARDUPILOT)
         self._is_relative = states == "relative" or (states == "auto" and is_follower)
+        self._velocity_time = odometry.velocity_time if self._is_relative else 0.0
         self._was_invalid = False
         self._origin: tuple[float, float, float] | None = None
 
@@ -136,6 +139,7 @@ class Publisher:
                     frame=ours.frame,
                     estimator=ours.estimator,
                     is_relative=self._is_relative,
+                    velocity_factor=max(1.0, 2.0 * self._velocity_time * due["ODOMETRY"].rate),
                 )
                 messages.append(Message("ODOMETRY", payload, is_replaceable=True))
             self._was_invalid = is_invalid

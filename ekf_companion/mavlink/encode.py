@@ -9,6 +9,8 @@ from enum import IntEnum, IntFlag
 from struct import Struct
 from typing import Literal
 
+import numpy as np
+
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.nav.state import Odometry, Status
@@ -55,8 +57,10 @@ SYSTEM_STATUS = {
 
 
 _ODOMETRY = Struct("<Q220s4Bb")
-_POSE_COVARIANCE = slice(52, 136)
-"""Its bytes among the numbers of ODOMETRY."""
+_POSE_COVARIANCE, _VELOCITY_COVARIANCE = slice(52, 136), slice(136, 220)
+"""Their bytes among the numbers of ODOMETRY."""
+_OF_VELOCITY = [0, 1, 2, 6, 7, 11]
+"""Elements of the second that are of the velocity alone, not of the rates."""
 
 
 def odometry(
@@ -65,16 +69,20 @@ def odometry(
     frame: Frame = Frame.LOCAL_FRD,
     estimator: EstimatorType = EstimatorType.GPS_INS,
     is_relative: bool = False,
+    velocity_factor: float = 1.0,
 ) -> bytes:
     """Return the payload of ODOMETRY.
 
     ``is_relative`` states the covariance of the pose apart from the slow error of the receiver's
-    position, where that is known.
+    position, where that is known; ``velocity_factor`` multiplies the covariance of the velocity.
     """
-    numbers = estimate.numbers
+    numbers, pose, twist = estimate.numbers, _POSE_COVARIANCE, _VELOCITY_COVARIANCE
     if is_relative and estimate.relative is not None:
-        whole = _POSE_COVARIANCE
-        numbers = numbers[: whole.start] + estimate.relative + numbers[whole.stop :]
+        numbers = numbers[: pose.start] + estimate.relative + numbers[pose.stop :]
+    if velocity_factor != 1.0:
+        stated = np.frombuffer(numbers[twist], dtype="<f4").copy()
+        stated[_OF_VELOCITY] *= velocity_factor
+        numbers = numbers[: twist.start] + stated.tobytes()
     return _ODOMETRY.pack(
         estimate.t_ns // 1000,
         numbers,
@@ -208,13 +216,14 @@ class Label:
 
 def label(
     family: Family,
-    frame: Literal["LOCAL_FRD", "LOCAL_NED"],
+    frame: Literal["auto", "LOCAL_FRD", "LOCAL_NED"],
     chosen: Literal["auto", "GPS_INS", "VIO"],
 ) -> Label:
     """Return the label that is configured, but never a type that the autopilot refuses.
 
-    PX4 answers every GPS_INS with a critical text; ArduPilot silently drops every frame of the pose
-    but LOCAL_FRD. An autopilot of unknown family is labelled as one of a known family is.
+    PX4 answers every GPS_INS with a critical text, and takes the heading of LOCAL_FRD for unknown;
+    ArduPilot silently drops every frame of the pose but LOCAL_FRD. An autopilot of unknown family
+    is labelled as one of a known family is.
     """
     warnings = []
     estimator = EstimatorType.GPS_INS if chosen == "auto" else EstimatorType[chosen]
@@ -225,6 +234,8 @@ def label(
                 "output.odometry.estimator_type: PX4 refuses GPS_INS with a critical text for each "
                 "message; VIO is sent instead: set auto or VIO"
             )
+    if frame == "auto":
+        frame = "LOCAL_NED" if family is Family.PX4 else "LOCAL_FRD"
     if family is Family.ARDUPILOT and frame != "LOCAL_FRD":
         warnings.append(
             f"output.odometry.frame: ArduPilot ignores {frame} without a word; set LOCAL_FRD for "

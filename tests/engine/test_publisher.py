@@ -169,3 +169,30 @@ def test_who_fuses_a_message_is_told_the_covariance_without_the_slow_error(
     (payload,) = (one.payload for one in sent if one.name == "ODOMETRY")
     first = np.frombuffer(payload[8:228], dtype="<f4")[13]
     assert first == (7.0 if is_relative else 13.0)
+
+
+@pytest.mark.parametrize(("rate", "time", "factor"), [(30.0, 0.5, 30.0), (10.0, 0.5, 10.0)])
+def test_a_velocity_whose_error_lasts_is_stated_as_many_times_as_it_is_repeated(rate, time, factor):
+    config = Config(output=OutputConfig(odometry=OdometryConfig(rate=rate, velocity_time=time)))
+    assert stated_velocity(Publisher(config, Family.PX4)) == factor * 34.0
+
+
+@pytest.mark.parametrize(
+    ("family", "changes"),
+    [
+        (Family.UNKNOWN, {}),
+        (Family.PX4, {"covariance": "whole"}),
+        (Family.PX4, {"velocity_time": 0.0}),
+        (Family.PX4, {"velocity_time": 0.01}),
+    ],
+)
+def test_where_nobody_takes_it_for_noise_it_is_stated_as_it_is(family, changes):
+    config = Config(output=OutputConfig(odometry=OdometryConfig(rate=30.0, **changes)))
+    assert stated_velocity(Publisher(config, family)) == 34.0
+
+
+def stated_velocity(publisher):
+    """Return the first variance of the velocity that is sent; the estimate's is 34."""
+    sent = publisher.due(WithRelative(t_ns=SECOND_NS))
+    (payload,) = (one.payload for one in sent if one.name == "ODOMETRY")
+    return np.frombuffer(payload[8:228], dtype="<f4")[34]

@@ -54,6 +54,21 @@ def test_a_relative_covariance_takes_the_place_of_the_whole_one_alone():
     assert odometry(is_relative=True).pose_covariance == NUMBERS[13:34]
 
 
+def test_a_factor_on_the_covariance_of_the_velocity_leaves_the_rates_alone():
+    said = odometry(velocity_factor=4.0)
+    factors = [b / a for a, b in zip(NUMBERS[34:], said.velocity_covariance, strict=True)]
+    assert [n for n, factor in enumerate(factors) if factor == 4.0] == [0, 1, 2, 6, 7, 11]
+    assert factors.count(1.0) == 15
+    assert said.pose_covariance == NUMBERS[13:34]
+
+
+def test_px4_is_told_north_and_ardupilot_what_it_takes():
+    assert encode.label(Family.PX4, "auto", "auto").frame is Frame.LOCAL_NED
+    assert encode.label(Family.ARDUPILOT, "auto", "auto").frame is Frame.LOCAL_FRD
+    assert encode.label(Family.UNKNOWN, "auto", "auto").frame is Frame.LOCAL_FRD
+    assert encode.label(Family.PX4, "LOCAL_FRD", "auto").frame is Frame.LOCAL_FRD
+
+
 def test_its_payload_is_what_the_definition_says():
     assert len(encode.odometry(estimate())) == by_name("ODOMETRY").size
 
