@@ -90,7 +90,7 @@ class Pilot:
         self._start: tuple[float, float, float] = (0.0, 0.0, 0.0)
         if not self.is_px4:
             for message_id, rate in ((32, 10), (33, 2), (1, 1), (193, 2)):
-                self._command(511, message_id, 1e6 / rate)
+                self.command(511, message_id, 1e6 / rate)
 
     def close(self) -> None:
         """Close the link."""
@@ -151,7 +151,8 @@ class Pilot:
 
     # Orders
 
-    def _command(self, command: int, *values: float) -> None:
+    def command(self, command: int, *values: float) -> None:
+        """Send a COMMAND_LONG, once."""
         values = (*values, *([0.0] * (7 - len(values))))
         self._link.mav.command_long_send(self._link.target_system, 1, command, 0, *values)
 
@@ -187,13 +188,13 @@ class Pilot:
             self._aim(0.0, 0.0, 0.0, 0.0)
             if not self.is_px4:
                 self._setpoint = None
-            self._command(_SET_MODE, 1.0, 6.0 if self.is_px4 else float(_GUIDED))
-            self._command(_ARM, 1.0)
+            self.command(_SET_MODE, 1.0, 6.0 if self.is_px4 else float(_GUIDED))
+            self.command(_ARM, 1.0)
             self.wait_for(lambda: self.is_armed, 2.0)
         if not self.is_armed:
             return False
         if not self.is_px4:
-            self._command(_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, HEIGHT)
+            self.command(_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, HEIGHT)
         up = self._start[2] - HEIGHT
         came = self.wait_for(lambda: abs(self.local.z - up) < 0.7, 25.0)
         self._aim(0.0, 0.0, 0.0, 0.0)
@@ -221,11 +222,7 @@ class Pilot:
         """Land; return whether it disarmed."""
         self._setpoint = None
         if self.is_px4:
-            self._command(21)  # NAV_LAND
+            self.command(21)  # NAV_LAND
         else:
-            self._command(_SET_MODE, 1.0, float(_LAND))
+            self.command(_SET_MODE, 1.0, float(_LAND))
         return self.wait_for(lambda: not self.is_armed, patience)
-
-    def reboot(self) -> None:
-        """Reboot the autopilot."""
-        self._command(246, 1.0)

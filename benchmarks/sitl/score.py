@@ -77,4 +77,4 @@ def _at(t: Array, stamps: Array, values: Array) -> Array:
 
 
 def _rms(values: Array, axis: int | None = None) -> Array:
-    return np.sqrt(np.mean(np.square(values), axis=axis))
+    return np.asarray(np.sqrt(np.mean(np.square(values), axis=axis)))

@@ -13,11 +13,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar
 
+from benchmarks.sitl.pilot import Pilot
 from benchmarks.sitl.tracks import Flown, from_ardupilot, from_px4
 from ekf_companion.errors import CompanionError
 
 HOME = (47.397743, 8.545594, 489.4)
 """Latitude and longitude, deg; altitude, m."""
+_SET_EKF_SOURCE_SET = 42007
+"""MAV_CMD."""
+_PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
 _STOP = 5.0
 """Longest time to its end, s."""
 
@@ -38,10 +42,8 @@ class Simulator(ABC):
     """Parameters of every flight."""
     flown_on: ClassVar[Values]
     """Parameters to fly on ODOMETRY: those of the README."""
-    back: ClassVar[Values]
-    """What puts the vehicle back on its own receiver in flight."""
-    into: ClassVar[Values]
-    """What puts it on ODOMETRY in flight."""
+    alternative: ClassVar[Values]
+    """Parameters to fly on its own receiver, and change to ODOMETRY in flight."""
     receiver: str
     """Parameter that switches the receiver."""
     receiver_on: float
@@ -58,6 +60,10 @@ class Simulator(ABC):
     def environment(self, parameters: Mapping[str, float]) -> dict[str, str]:
         """Return the variables that it is started with."""
         return dict(os.environ)
+
+    @abstractmethod
+    def change(self, pilot: Pilot, *, is_into: bool) -> None:
+        """Change to ODOMETRY in flight, or back to the receiver."""
 
     @abstractmethod
     def flown(self, folder: Path, recording: Path) -> Flown:
@@ -107,14 +113,14 @@ class Px4(Simulator):
         "NAV_DLL_ACT": 0,
         "CBRK_SUPPLY_CHK": 894281,
     }
-    into: ClassVar[Values] = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0}
-    back: ClassVar[Values] = {"EKF2_GPS_CTRL": 7, "EKF2_EV_CTRL": 0}
     flown_on: ClassVar[Values] = {
-        **into,
+        "EKF2_EV_CTRL": 15,
+        "EKF2_GPS_CTRL": 0,
         "EKF2_HGT_REF": 3,
         "EKF2_BARO_CTRL": 0,
         "EKF2_MAG_TYPE": 5,
     }
+    alternative: ClassVar[Values] = {}
     receiver, receiver_on, receiver_off = "SIM_GPS_USED", 10, 0
 
     def command(self, folder: Path, parameters: Mapping[str, float]) -> list[str]:
@@ -131,6 +137,12 @@ class Px4(Simulator):
         home = {"PX4_HOME_LAT": str(lat), "PX4_HOME_LON": str(lon), "PX4_HOME_ALT": str(alt)}
         values = {f"PX4_PARAM_{name}": f"{value:g}" for name, value in parameters.items()}
         return {**os.environ, **model, **home, **values}
+
+    def change(self, pilot: Pilot, *, is_into: bool) -> None:
+        """Set what is fused: what is given up first, so that nothing counts twice."""
+        gnss, vision = ("EKF2_GPS_CTRL", 0.0 if is_into else 7.0), ("EKF2_EV_CTRL", 15.0 * is_into)
+        for name, value in (gnss, vision) if is_into else (vision, gnss):
+            pilot.set(name, value)
 
     def flown(self, folder: Path, recording: Path) -> Flown:
         """Read the last .ulg."""
@@ -166,14 +178,17 @@ class ArduCopter(Simulator):
         # It takes off the time that a message needs on a wire of this speed: on TCP none
         "SERIAL1_BAUD": 1500,
     }
-    _parts = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
-    into: ClassVar[Values] = {f"EK3_SRC1_{part}": 6 for part in _parts}
-    back: ClassVar[Values] = {
-        **{f"EK3_SRC1_{part}": 3 for part in _parts},
-        "EK3_SRC1_POSZ": 1,
-        "EK3_SRC1_YAW": 1,
+    flown_on: ClassVar[Values] = {
+        "VISO_TYPE": 1,
+        "VISO_DELAY_MS": 0,
+        **{f"EK3_SRC1_{part}": 6 for part in _PARTS},
     }
-    flown_on: ClassVar[Values] = {"VISO_TYPE": 1, **into}
+    alternative: ClassVar[Values] = {
+        "VISO_TYPE": 1,
+        "VISO_DELAY_MS": 0,
+        "EK3_SRC_OPTIONS": 0,
+        **{f"EK3_SRC2_{part}": 6 for part in _PARTS},
+    }
     receiver, receiver_on, receiver_off = "SIM_GPS1_ENABLE", 1, 0
 
     def command(self, folder: Path, parameters: Mapping[str, float]) -> list[str]:
@@ -185,6 +200,10 @@ class ArduCopter(Simulator):
         place = f"{lat},{lon},{alt},0"
         base = [str(self.binary), "--model", "quad", "--speedup", "1", "--defaults", str(own)]
         return [*base, "--home", place, "--wipe", "-I0"]
+
+    def change(self, pilot: Pilot, *, is_into: bool) -> None:
+        """Choose the source set."""
+        pilot.command(_SET_EKF_SOURCE_SET, 2.0 if is_into else 1.0)
 
     def flown(self, folder: Path, recording: Path) -> Flown:
         """Read the last .BIN."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from ekf_companion.nav.arrays import Array
 
 COMPONENT_ID = 194
 """The daemon's."""
+_ACCEL_BIAS = (13, 14, 15)
+"""Among the states of EKF2."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -45,7 +48,9 @@ class Flown:
     quality: Array
     """Of each ODOMETRY, shape (n,)."""
     accel_bias: Array
-    """The autopilot's estimate, m/s^2, shape (m, 3)."""
+    """The autopilot's estimate, m/s^2, shape (m, 3); without rows where its log lacks it."""
+    dead_reckoning: float | None = None
+    """Longest time for which the autopilot went without aid in the air, s; None: not logged."""
 
 
 def from_px4(log: Path, recording: Path) -> Flown:
@@ -65,11 +70,11 @@ def from_px4(log: Path, recording: Path) -> Flown:
             euler=_euler(np.stack([turned[f"q[{k}]"] for k in range(4)], axis=1)),
         )
 
-    biases = topics.get(("estimator_sensor_bias", 0))
+    states = topics.get(("estimator_states", 0))
     accel = (
         np.zeros((0, 3))
-        if biases is None
-        else np.stack([biases[f"accel_bias[{k}]"] for k in range(3)], axis=1)
+        if states is None
+        else np.stack([states[f"states[{k}]"] for k in _ACCEL_BIAS], axis=1)
     )
     ours, resets, quality = _ours(recording)
     return Flown(
@@ -79,7 +84,36 @@ def from_px4(log: Path, recording: Path) -> Flown:
         resets=resets,
         quality=quality,
         accel_bias=accel,
+        dead_reckoning=_longest(topics.get(("estimator_status_flags", 0))),
     )
+
+
+def _longest(flags: Any) -> float | None:
+    """Return the longest time for which EKF2 was in inertial dead reckoning in the air, s."""
+    if flags is None or "cs_inertial_dead_reckoning" not in flags:
+        return None
+    t = flags["timestamp"] * 1e-6
+    is_lost = (flags["cs_inertial_dead_reckoning"] != 0) & (flags["cs_in_air"] != 0)
+    longest, since = 0.0, None
+    for now, lost in zip(t, is_lost, strict=True):
+        since = (now if since is None else since) if lost else None
+        longest = max(longest, now - since if since is not None else 0.0)
+    return float(longest)
+
+
+def resumed_after(recording: Path) -> float:
+    """Return the time from the autopilot's restart to the next ODOMETRY, s; infinite: none came."""
+    log = tlog.read(recording)
+    ours = log.columns(("ODOMETRY",), 1, COMPONENT_ID).get("ODOMETRY")
+    theirs = log.columns(("SYSTEM_TIME",), 1, 1).get("SYSTEM_TIME")
+    if ours is None or theirs is None:
+        return float("inf")
+    backwards = np.flatnonzero(np.diff(theirs["time_boot_ms"].astype(np.int64)) < 0)
+    if not len(backwards):
+        return float("inf")
+    begun = theirs[tlog.STAMP][backwards[-1] + 1]
+    later = ours[tlog.STAMP][ours[tlog.STAMP] > begun]
+    return float((later[0] - begun) * 1e-6) if len(later) else float("inf")
 
 
 def from_ardupilot(log: Path, recording: Path) -> Flown:

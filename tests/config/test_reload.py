@@ -52,8 +52,6 @@ def test_rates_gates_and_noise_are_taken_and_the_rest_is_refused_by_name():
             "link.url",
             "link.component_id",
             "output.odometry.frame",
-            "output.odometry.covariance",
-            "output.odometry.velocity_time",
             "imu.lag",
         )
     }
