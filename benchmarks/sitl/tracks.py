@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pyulog import ULog
 
 from ekf_companion.logs import dataflash_records, tlog
-from ekf_companion.logs.ulog_topics import load
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 
@@ -55,7 +55,7 @@ class Flown:
 
 def from_px4(log: Path, recording: Path) -> Flown:
     """Read a .ulg of PX4's simulator and the daemon's recording of the same flight."""
-    topics = {(one.name, one.multi_id): one.data for one in load(log).data_list}
+    topics = {(one.name, one.multi_id): one.data for one in ULog(str(log)).data_list}
 
     def track(suffix: str) -> Track:
         local = topics[f"vehicle_local_position{suffix}", 0]

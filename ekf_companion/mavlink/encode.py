@@ -59,8 +59,8 @@ SYSTEM_STATUS = {
 _ODOMETRY = Struct("<Q220s4Bb")
 _POSE_COVARIANCE, _VELOCITY_COVARIANCE = slice(52, 136), slice(136, 220)
 """Their bytes among the numbers of ODOMETRY."""
-_OF_VELOCITY = [0, 1, 2, 6, 7, 11]
-"""Elements of the second that are of the velocity alone, not of the rates."""
+_FIRST_THREE = [0, 1, 2, 6, 7, 11]
+"""Elements of a triangle that are of position or velocity alone, not of angles or rates."""
 
 
 def odometry(
@@ -69,20 +69,22 @@ def odometry(
     frame: Frame = Frame.LOCAL_FRD,
     estimator: EstimatorType = EstimatorType.GPS_INS,
     is_relative: bool = False,
-    velocity_factor: float = 1.0,
+    repeats: tuple[float, float] = (1.0, 1.0),
 ) -> bytes:
     """Return the payload of ODOMETRY.
 
     ``is_relative`` states the covariance of the pose apart from the slow error of the receiver's
-    position, where that is known; ``velocity_factor`` multiplies the covariance of the velocity.
+    position, where that is known; ``repeats`` are factors on the covariances of position and
+    velocity, for who takes messages that repeat an error for independent ones.
     """
     numbers, pose, twist = estimate.numbers, _POSE_COVARIANCE, _VELOCITY_COVARIANCE
     if is_relative and estimate.relative is not None:
         numbers = numbers[: pose.start] + estimate.relative + numbers[pose.stop :]
-    if velocity_factor != 1.0:
-        stated = np.frombuffer(numbers[twist], dtype="<f4").copy()
-        stated[_OF_VELOCITY] *= velocity_factor
-        numbers = numbers[: twist.start] + stated.tobytes()
+    for place, factor in zip((pose, twist), repeats, strict=True):
+        if factor != 1.0:
+            stated = np.frombuffer(numbers[place], dtype="<f4").copy()
+            stated[_FIRST_THREE] *= factor
+            numbers = numbers[: place.start] + stated.tobytes() + numbers[place.stop :]
     return _ODOMETRY.pack(
         estimate.t_ns // 1000,
         numbers,

@@ -163,36 +163,34 @@ def test_what_is_due_follows_a_clock_that_begins_anew(leap_ns):
 def test_who_fuses_a_message_is_told_the_covariance_without_the_slow_error(
     states, family, is_monitor, is_relative
 ):
-    config = Config(output=OutputConfig(odometry=OdometryConfig(covariance=states)))
+    config = Config(output=OutputConfig(odometry=OdometryConfig(rate=30.0, covariance=states)))
     ours = encode.label(Family.UNKNOWN, "LOCAL_NED", "auto") if is_monitor else None
     sent = Publisher(config, family, ours).due(WithRelative(t_ns=SECOND_NS))
     (payload,) = (one.payload for one in sent if one.name == "ODOMETRY")
     first = np.frombuffer(payload[8:228], dtype="<f4")[13]
-    assert first == (7.0 if is_relative else 13.0)
-
-
-@pytest.mark.parametrize(("rate", "time", "factor"), [(30.0, 0.5, 30.0), (10.0, 0.5, 10.0)])
-def test_a_velocity_whose_error_lasts_is_stated_as_many_times_as_it_is_repeated(rate, time, factor):
-    config = Config(output=OutputConfig(odometry=OdometryConfig(rate=rate, velocity_time=time)))
-    assert stated_velocity(Publisher(config, Family.PX4)) == factor * 34.0
+    assert first == (6.0 * 7.0 if is_relative else 13.0)
 
 
 @pytest.mark.parametrize(
-    ("family", "changes"),
-    [
-        (Family.UNKNOWN, {}),
-        (Family.PX4, {"covariance": "whole"}),
-        (Family.PX4, {"velocity_time": 0.0}),
-        (Family.PX4, {"velocity_time": 0.01}),
-    ],
+    ("rate", "times", "factors"),
+    [(30.0, (0.1, 0.5), (6.0, 30.0)), (10.0, (0.1, 0.5), (2.0, 10.0)), (30.0, (0.0, 0.01), (1, 1))],
 )
-def test_where_nobody_takes_it_for_noise_it_is_stated_as_it_is(family, changes):
-    config = Config(output=OutputConfig(odometry=OdometryConfig(rate=30.0, **changes)))
-    assert stated_velocity(Publisher(config, family)) == 34.0
+def test_an_error_that_lasts_is_stated_as_large_as_it_is_often_repeated(rate, times, factors):
+    position, velocity = times
+    odometry = OdometryConfig(rate=rate, position_time=position, velocity_time=velocity)
+    config = Config(output=OutputConfig(odometry=odometry))
+    assert stated(Publisher(config, Family.PX4)) == (factors[0] * 7.0, factors[1] * 34.0)
 
 
-def stated_velocity(publisher):
-    """Return the first variance of the velocity that is sent; the estimate's is 34."""
+@pytest.mark.parametrize(("family", "states"), [(Family.UNKNOWN, "auto"), (Family.PX4, "whole")])
+def test_where_nobody_takes_it_for_noise_it_is_stated_as_it_is(family, states):
+    config = Config(output=OutputConfig(odometry=OdometryConfig(covariance=states)))
+    assert stated(Publisher(config, family)) == (13.0, 34.0)
+
+
+def stated(publisher):
+    """Return the first variances of position and velocity; the estimate's are 13 (7) and 34."""
     sent = publisher.due(WithRelative(t_ns=SECOND_NS))
     (payload,) = (one.payload for one in sent if one.name == "ODOMETRY")
-    return np.frombuffer(payload[8:228], dtype="<f4")[34]
+    numbers = np.frombuffer(payload[8:228], dtype="<f4")
+    return numbers[13], numbers[34]
