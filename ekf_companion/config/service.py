@@ -111,12 +111,11 @@ class OdometryConfig:
     all but the slow error of the receiver's position, an offset that stays for minutes: what an
     autopilot wants, which takes each message for a measurement with noise of its own. auto:
     relative towards PX4 and ArduPilot, whole towards others and monitors."""
-    position_time: Annotated[float, Meta(ge=0.0, le=10.0), Setting("s")] = 0.1
-    """How long an error of our position lasts, beside the slow one. Who takes thirty messages a
-    second for independent ones believes their mean far too much, so that a relative covariance of
-    the position is stated 2 * position_time * rate times as large. 0: as it is."""
-    velocity_time: Annotated[float, Meta(ge=0.0, le=10.0), Setting("s")] = 0.5
-    """The same of the velocity. ArduPilot does not read its covariance."""
+    climb_time: Annotated[float, Meta(ge=0.0, le=10.0), Setting("s")] = 0.5
+    """How long an error of our vertical velocity lasts, which no receiver reports in GPS_RAW_INT.
+    Who takes thirty messages a second for independent ones believes it far too much, so that with
+    relative covariances its variance is stated 2 * climb_time * rate times as large. 0: as it is.
+    ArduPilot does not read it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -91,9 +91,7 @@ class Publisher:
         states = odometry.covariance
         is_follower = ours is None and family in (Family.PX4, Family.ARDUPILOT)
         self._is_relative = states == "relative" or (states == "auto" and is_follower)
-        times = (odometry.position_time, odometry.velocity_time)
-        self._error_times = times if self._is_relative else (0.0, 0.0)
-        """How long errors of position and velocity last where that counts, s."""
+        self._climb_time = odometry.climb_time if self._is_relative else 0.0
         self._was_invalid = False
         self._origin: tuple[float, float, float] | None = None
 
@@ -115,11 +113,6 @@ class Publisher:
         if has_one:
             self._due[name].request()
         return has_one
-
-    def _repeats(self) -> tuple[float, float]:
-        """Return in how many messages an error of position, and of velocity, is repeated."""
-        rate, (position, velocity) = self._due["ODOMETRY"].rate, self._error_times
-        return max(1.0, 2.0 * position * rate), max(1.0, 2.0 * velocity * rate)
 
     def due(self, estimate: Estimate) -> list[Message]:
         """Return the messages that are due at the stamp of an estimate."""
@@ -146,7 +139,7 @@ class Publisher:
                     frame=ours.frame,
                     estimator=ours.estimator,
                     is_relative=self._is_relative,
-                    repeats=self._repeats(),
+                    climb_factor=max(1.0, 2.0 * self._climb_time * due["ODOMETRY"].rate),
                 )
                 messages.append(Message("ODOMETRY", payload, is_replaceable=True))
             self._was_invalid = is_invalid

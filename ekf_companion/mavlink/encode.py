@@ -9,8 +9,6 @@ from enum import IntEnum, IntFlag
 from struct import Struct
 from typing import Literal
 
-import numpy as np
-
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.nav.state import Odometry, Status
@@ -57,10 +55,9 @@ SYSTEM_STATUS = {
 
 
 _ODOMETRY = Struct("<Q220s4Bb")
-_POSE_COVARIANCE, _VELOCITY_COVARIANCE = slice(52, 136), slice(136, 220)
-"""Their bytes among the numbers of ODOMETRY."""
-_FIRST_THREE = [0, 1, 2, 6, 7, 11]
-"""Elements of a triangle that are of position or velocity alone, not of angles or rates."""
+_POSE_COVARIANCE, _CLIMB = slice(52, 136), slice(180, 184)
+"""Bytes among the numbers of ODOMETRY: a covariance, and the variance of the velocity down."""
+_SINGLE = Struct("<f")
 
 
 def odometry(
@@ -69,22 +66,20 @@ def odometry(
     frame: Frame = Frame.LOCAL_FRD,
     estimator: EstimatorType = EstimatorType.GPS_INS,
     is_relative: bool = False,
-    repeats: tuple[float, float] = (1.0, 1.0),
+    climb_factor: float = 1.0,
 ) -> bytes:
     """Return the payload of ODOMETRY.
 
     ``is_relative`` states the covariance of the pose apart from the slow error of the receiver's
-    position, where that is known; ``repeats`` are factors on the covariances of position and
-    velocity, for who takes messages that repeat an error for independent ones.
+    position, where that is known; ``climb_factor`` multiplies the variance of the velocity down.
     """
-    numbers, pose, twist = estimate.numbers, _POSE_COVARIANCE, _VELOCITY_COVARIANCE
+    numbers, pose = estimate.numbers, _POSE_COVARIANCE
     if is_relative and estimate.relative is not None:
         numbers = numbers[: pose.start] + estimate.relative + numbers[pose.stop :]
-    for place, factor in zip((pose, twist), repeats, strict=True):
-        if factor != 1.0:
-            stated = np.frombuffer(numbers[place], dtype="<f4").copy()
-            stated[_FIRST_THREE] *= factor
-            numbers = numbers[: place.start] + stated.tobytes() + numbers[place.stop :]
+    if climb_factor != 1.0:
+        (variance,) = _SINGLE.unpack(numbers[_CLIMB])
+        stated = _SINGLE.pack(variance * climb_factor)
+        numbers = numbers[: _CLIMB.start] + stated + numbers[_CLIMB.stop :]
     return _ODOMETRY.pack(
         estimate.t_ns // 1000,
         numbers,

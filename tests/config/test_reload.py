@@ -27,8 +27,7 @@ def test_what_decides_on_the_state_the_link_or_files_waits_for_a_restart():
         *(
             "output.odometry.frame",
             "output.odometry.covariance",
-            "output.odometry.position_time",
-            "output.odometry.velocity_time",
+            "output.odometry.climb_time",
             "output.odometry.estimator_type",
             "output.monitors",
         ),

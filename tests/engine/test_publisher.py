@@ -168,29 +168,26 @@ def test_who_fuses_a_message_is_told_the_covariance_without_the_slow_error(
     sent = Publisher(config, family, ours).due(WithRelative(t_ns=SECOND_NS))
     (payload,) = (one.payload for one in sent if one.name == "ODOMETRY")
     first = np.frombuffer(payload[8:228], dtype="<f4")[13]
-    assert first == (6.0 * 7.0 if is_relative else 13.0)
+    assert first == (7.0 if is_relative else 13.0)
 
 
 @pytest.mark.parametrize(
-    ("rate", "times", "factors"),
-    [(30.0, (0.1, 0.5), (6.0, 30.0)), (10.0, (0.1, 0.5), (2.0, 10.0)), (30.0, (0.0, 0.01), (1, 1))],
+    ("rate", "time", "factor"), [(30.0, 0.5, 30.0), (10.0, 0.5, 10.0), (30.0, 0.01, 1.0)]
 )
-def test_an_error_that_lasts_is_stated_as_large_as_it_is_often_repeated(rate, times, factors):
-    position, velocity = times
-    odometry = OdometryConfig(rate=rate, position_time=position, velocity_time=velocity)
-    config = Config(output=OutputConfig(odometry=odometry))
-    assert stated(Publisher(config, Family.PX4)) == (factors[0] * 7.0, factors[1] * 34.0)
+def test_an_error_of_the_climb_is_stated_as_large_as_it_is_often_repeated(rate, time, factor):
+    config = Config(output=OutputConfig(odometry=OdometryConfig(rate=rate, climb_time=time)))
+    assert stated(Publisher(config, Family.PX4)) == (7.0, factor * 45.0)
 
 
 @pytest.mark.parametrize(("family", "states"), [(Family.UNKNOWN, "auto"), (Family.PX4, "whole")])
 def test_where_nobody_takes_it_for_noise_it_is_stated_as_it_is(family, states):
     config = Config(output=OutputConfig(odometry=OdometryConfig(covariance=states)))
-    assert stated(Publisher(config, family)) == (13.0, 34.0)
+    assert stated(Publisher(config, family)) == (13.0, 45.0)
 
 
 def stated(publisher):
-    """Return the first variances of position and velocity; the estimate's are 13 (7) and 34."""
+    """Return the variances north and of the velocity down; the estimate's are 13 (7) and 45."""
     sent = publisher.due(WithRelative(t_ns=SECOND_NS))
     (payload,) = (one.payload for one in sent if one.name == "ODOMETRY")
     numbers = np.frombuffer(payload[8:228], dtype="<f4")
-    return numbers[13], numbers[34]
+    return numbers[13], numbers[45]
