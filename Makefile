@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore reference lint types contracts check demo bench bits accuracy truth filters delays fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
+.PHONY: setup test explore reference lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -62,6 +62,10 @@ filters: $(STAMP)
 # Whether the interval of calibrate delay contains the truth, in 120 flights; seven minutes
 delays: $(STAMP)
 	$(BIN)/python -m benchmarks.delay
+
+# PX4's and ArduCopter's simulators, where a built one is named; half an hour each: docs/SITL.md
+sitl: $(STAMP)
+	$(BIN)/python -m benchmarks.sitl $(if $(PX4),--px4 $(PX4)) $(if $(ARDUPILOT),--ardupilot $(ARDUPILOT))
 
 # A quarter of an hour: 10^7 bytes, 10^6 messages, then what coverage leads to
 fuzz: $(STAMP)

@@ -19,6 +19,7 @@ acceptance  what either autopilot does with an ODOMETRY it receives (judgement, 
 faults      failures on the wire, in the sensors and of the clock
 spec        the syntax of a personality and a fault
 rig         the autopilot with its faults
+follower    a filter that fuses ODOMETRY as the autopilots' own do; flown asks how it flies on it
 loop        a rig and a companion in one process, faster than real time
 score       the estimate against the truth; score_table prints it
 episodes    the effect of each fault on the estimate, and the time of recovery

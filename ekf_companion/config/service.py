@@ -99,11 +99,12 @@ class OdometryConfig:
     ] = 30.0
     """Rate, at most one message per inertial sample. PX4 wants 30 to 50, and fuses nothing that
     comes too rarely; ArduPilot wants 4 to 50, and is sent no more."""
-    frame: Literal["LOCAL_FRD", "LOCAL_NED", "continuous"] = "LOCAL_FRD"
-    """Frame of the pose. PX4 takes both of the first, ArduPilot only LOCAL_FRD; a listener that is
-    no autopilot may understand only LOCAL_NED. The numbers are the same. continuous: a LOCAL_FRD in
-    which position and heading never jump, for a controller that must see no step; where it lies in
-    the frame of GPS_GLOBAL_ORIGIN is sent as LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET."""
+    frame: Literal["auto", "LOCAL_FRD", "LOCAL_NED", "continuous"] = "auto"
+    """Frame of the pose; the numbers are the same. auto: LOCAL_NED to PX4, which takes LOCAL_FRD
+    for a frame that may point anywhere: its heading stays unaligned, its global position unknown;
+    LOCAL_FRD to others: ArduPilot silently drops any other. continuous: a LOCAL_FRD in which
+    position and heading never jump, for a controller that must see no step; where it lies in the
+    frame of GPS_GLOBAL_ORIGIN is sent as LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET."""
     jumps: Annotated[Literal["auto", "tell", "spread"], Setting(reload=True)] = "auto"
     """What becomes of a correction that nobody would take for motion, as after a loss of GNSS.
     tell: it is sent at once, and reset_counter moves. spread: ODOMETRY goes on without a step, and
@@ -119,6 +120,16 @@ class OdometryConfig:
     estimator_type: Literal["auto", "GPS_INS", "VIO"] = "auto"
     """What ODOMETRY says that it is from. auto: GPS_INS, which is true, but VIO towards PX4, which
     refuses the true type with a critical message for each frame."""
+    covariance: Literal["auto", "whole", "relative"] = "auto"
+    """What the covariance of the position states. whole: all of its error over ground. relative:
+    all but the slow error of the receiver's position, an offset that stays for minutes: what an
+    autopilot wants, which takes each message for a measurement with noise of its own. auto:
+    relative towards PX4 and ArduPilot, whole towards others and monitors."""
+    climb_time: Annotated[float, Meta(ge=0.0, le=10.0), Setting("s")] = 0.5
+    """How long an error of our vertical velocity lasts, which no receiver reports in GPS_RAW_INT.
+    Who takes thirty messages a second for independent ones believes it far too much, so that with
+    relative covariances its variance is stated 2 * climb_time * rate times as large. 0: as it is.
+    ArduPilot does not read it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.enums import E_ATT, E_POS, E_VEL
+from cython.cimports.ekf_companion.core.enums import E_ATT, E_GNSS, E_POS, E_VEL
 from cython.cimports.ekf_companion.core.memory import Vector
 from cython.cimports.ekf_companion.core.rotation import to_dcm
 from cython.cimports.ekf_companion.core.scratch import Estimate, OdometryNumbers, Pose, Scratch
@@ -46,6 +46,7 @@ def write_odometry(x: State, out: Estimate, w: Scratch, n: OdometryNumbers) -> N
     for i in range(21):
         n.pose_cov[i] = 0.0
         n.twist_cov[i] = 0.0
+        n.relative_cov[i] = 0.0
 
     # Velocity and its covariance, turned into b
     to_dcm(n.q_nb, p.C_nb)
@@ -62,13 +63,18 @@ def write_odometry(x: State, out: Estimate, w: Scratch, n: OdometryNumbers) -> N
     else:
         n.twist_cov[0] = NAN
 
-    # Position as it is, the attitude error as angles
+    # Position as it is, the attitude error as angles; then the same beside the receiver's offset
     if read_covariance(x, p, E_POS, E_ATT):
         write_euler_jacobian(out, p)
         turn_errors(p, 3)
         write_triangle(p, n.pose_cov, 6)
+        read_covariance(x, p, E_POS, E_ATT)
+        add_offset(x, p)
+        turn_errors(p, 3)
+        write_triangle(p, n.relative_cov, 6)
     else:
         n.pose_cov[0] = NAN
+        n.relative_cov[0] = NAN
 
 
 def read_covariance(x: State, p: Pose, first: int, second: int) -> bool:
@@ -82,6 +88,20 @@ def read_covariance(x: State, p: Pose, first: int, second: int) -> bool:
                 return False
             p.cov[i][j] = min(max(value, -LARGEST_VAR), LARGEST_VAR)
     return True
+
+
+def add_offset(x: State, p: Pose) -> None:
+    """Make the covariance of position and attitude that of the place in the receiver's own frame.
+
+    That is the position plus the receiver's slow error, which the fixes show without it: an offset
+    that is the same for minutes is no noise of a message.
+    """
+    for i in range(3):
+        for j in range(3):
+            p.cov[i][j] += x.P[E_GNSS + i][E_POS + j] + x.P[E_POS + i][E_GNSS + j]
+            p.cov[i][j] += x.P[E_GNSS + i][E_GNSS + j]
+            p.cov[i][j + 3] += x.P[E_GNSS + i][E_ATT + j]
+            p.cov[i + 3][j] += x.P[E_ATT + i][E_GNSS + j]
 
 
 def write_euler_jacobian(out: Estimate, p: Pose) -> None:

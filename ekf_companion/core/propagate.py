@@ -36,6 +36,8 @@ EARTH_RATE = cython.declare(cython.double, 7.292115e-5)
 G_EQUATOR = cython.declare(cython.double, 9.7803253359)
 SOMIGLIANA = cython.declare(cython.double, 0.00193185265241)
 FREE_AIR = cython.declare(cython.double, 3.0877e-6)
+SMOOTH = cython.declare(cython.double, 0.05)
+"""s; time constant of the acceleration that corrects for the delay of a fix."""
 
 
 def set_origin(x: State, lat: float, lon: float, alt: float) -> None:
@@ -88,9 +90,11 @@ def integrate_strapdown(x: State, k: Parameters, m: Motion, dt: float) -> None:
     m.dv_n[0] = un
     m.dv_n[1] = ue
     m.dv_n[2] = ud
-    x.accel_n[0] = un / dt + cn
-    x.accel_n[1] = ue / dt + ce
-    x.accel_n[2] = ud / dt + cd
+    # One sample's noise would count as acceleration, and hold the delay of a fix where it is
+    share = dt / (dt + SMOOTH)
+    x.accel_n[0] += share * (un / dt + cn - x.accel_n[0])
+    x.accel_n[1] += share * (ue / dt + ce - x.accel_n[1])
+    x.accel_n[2] += share * (ud / dt + cd - x.accel_n[2])
 
 
 def integrate_increments(x: State, m: Motion, dt: float) -> None:

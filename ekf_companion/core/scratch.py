@@ -280,7 +280,7 @@ class Estimate:
 
 @struct
 class OdometryNumbers:
-    """The numbers of ODOMETRY, in its order."""
+    """The numbers of ODOMETRY, in its order, and another covariance that may take its place."""
 
     pos_n: Annotated[Vector, 3]
     q_nb: Annotated[Vector, 4]
@@ -288,6 +288,8 @@ class OdometryNumbers:
     rate_b: Annotated[Vector, 3]
     pose_cov: Annotated[Vector, 21]
     twist_cov: Annotated[Vector, 21]
+    relative_cov: Annotated[Vector, 21]
+    """``pose_cov`` apart from the slow error of the receiver's position; not in the message."""
 
 
 VALUES = WIDTH

@@ -335,7 +335,7 @@ class State:
     needs_reset: Real
     """:class:`NeedsReset`."""
     accel_n: Annotated[Vector, 3]
-    """Acceleration in n over the last interval, m/s^2."""
+    """Acceleration in n, smoothed over some samples, m/s^2."""
     armed: Real
     landed: Real
     ground: Real

@@ -20,7 +20,7 @@ from ekf_companion.engine.checkpoint import State, settings_fingerprint
 from ekf_companion.engine.health import RESET_REASONS, Aid, Arrival, Health, Verdict
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind, Measurement, Row
-from ekf_companion.nav.state import Odometry, Status, Table
+from ekf_companion.nav.state import ODOMETRY_SIZE, Odometry, Status, Table
 
 QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Status.INVALID: -1}
 """Quality of an estimate by its status, as ODOMETRY carries it: per cent, -1 for failed."""
@@ -250,7 +250,8 @@ class Estimate:
                 self._odometry = None
             else:
                 count, quality = self._pipeline.sent_before + resets, QUALITY[Status(status)]
-                self._odometry = Odometry(self.t_ns, numbers, count, quality)
+                whole, relative = numbers[:ODOMETRY_SIZE], numbers[ODOMETRY_SIZE:]
+                self._odometry = Odometry(self.t_ns, whole, count, quality, relative)
         return self._odometry
 
     @property

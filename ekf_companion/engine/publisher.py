@@ -7,7 +7,7 @@ import math
 from ekf_companion.config.config import Config
 from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Estimate
-from ekf_companion.engine.residual import NO_OFFSET
+from ekf_companion.engine.residual import NO_OFFSET, state_covariance
 from ekf_companion.engine.stream import OdometryStream
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
@@ -58,6 +58,8 @@ class Due:
 
     def set_rate(self, rate: float) -> None:
         """Go on at another rate, Hz; 0: only when requested."""
+        self.rate = rate
+        """Hz; 0: only when requested."""
         self._period_ns = round(SECOND_NS / rate) if rate > 0.0 else 0
 
     def request(self) -> None:
@@ -96,7 +98,13 @@ class Publisher:
         odometry = config.output.odometry
         self.label = ours or label(family, odometry.frame, odometry.estimator_type)
         """How every ODOMETRY is labelled."""
-        self.stream = None if is_monitor else OdometryStream(odometry, family)
+        states = odometry.covariance
+        is_follower = ours is None and family in (Family.PX4, Family.ARDUPILOT)
+        self._is_relative = states == "relative" or (states == "auto" and is_follower)
+        self._climb_time = odometry.climb_time if self._is_relative else 0.0
+        self.stream = (
+            None if is_monitor else OdometryStream(odometry, family, is_relative=self._is_relative)
+        )
         """Which estimates are sent as ODOMETRY; None: each as it is."""
         self._look = Due(_LOOKS)
         self._was_invalid = False
@@ -164,9 +172,11 @@ class Publisher:
         last, self._origin = self._origin, estimate.origin
         if self._origin not in (None, last):
             due["GPS_GLOBAL_ORIGIN"].request()
+        climb_factor = max(1.0, 2.0 * self._climb_time * due["ODOMETRY"].rate)
         if stream is None:
-            return self._once_invalid(estimate.odometry)
-        odometry = stream.send(estimate)
+            odometry = self._once_invalid(estimate.odometry)
+            return odometry and state_covariance(odometry, self._is_relative, climb_factor)
+        odometry = stream.send(estimate, climb_factor)
         if stream.offset != self._offset:
             self._offset = stream.offset
             due[_OFFSET].request()

@@ -7,6 +7,7 @@ that a follower takes for noise. Or it goes into the *offset* of a continuous fr
 from __future__ import annotations
 
 import math
+from struct import Struct
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,9 @@ _POSITION = slice(0, 3)
 _QUATERNION = slice(3, 7)
 _VELOCITY = slice(7, 10)
 _POSE_COV, _TWIST_COV = 13, 34
+_POSE_BYTES, _CLIMB_BYTES = slice(52, 136), slice(180, 184)
+"""The pose's covariance, and the variance of the velocity down."""
+_SINGLE = Struct("<f")
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
 """Of the upper triangle of a 6 x 6 matrix, row by row."""
 
@@ -133,6 +137,24 @@ def _turn_pose_covariance(numbers: Array, R: Array) -> None:
     T = np.eye(6)
     T[:3, :3] = R
     triangle[:] = (T @ P @ T.T)[rows, columns]
+
+
+def state_covariance(
+    odometry: Odometry, is_relative: bool = False, climb_factor: float = 1.0
+) -> Odometry:
+    """Return an ODOMETRY with the covariances that its receiver is told.
+
+    ``is_relative`` leaves the slow error of the receiver's position out of the pose's, where that
+    is known; ``climb_factor`` multiplies the variance of the velocity down.
+    """
+    numbers = odometry.numbers
+    if is_relative and odometry.relative is not None:
+        numbers = numbers[: _POSE_BYTES.start] + odometry.relative + numbers[_POSE_BYTES.stop :]
+    if climb_factor != 1.0:
+        (variance,) = _SINGLE.unpack(numbers[_CLIMB_BYTES])
+        stated = _SINGLE.pack(variance * climb_factor)
+        numbers = numbers[: _CLIMB_BYTES.start] + stated + numbers[_CLIMB_BYTES.stop :]
+    return odometry if numbers is odometry.numbers else odometry._replace(numbers=numbers)
 
 
 def scale_errors(odometry: Odometry, factor: float) -> Odometry:

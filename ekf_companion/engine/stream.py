@@ -21,6 +21,7 @@ from ekf_companion.engine.residual import (
     Offset,
     Residual,
     scale_errors,
+    state_covariance,
     std_horizontal,
     std_velocity,
     std_yaw,
@@ -71,9 +72,11 @@ class Jump:
 class OdometryStream:
     """Turns the estimates of one vehicle into what its autopilot is sent as ODOMETRY."""
 
-    def __init__(self, config: OdometryConfig, family: Family) -> None:
-        """Begin with nothing sent."""
-        self._family = family
+    def __init__(
+        self, config: OdometryConfig, family: Family, *, is_relative: bool = False
+    ) -> None:
+        """Begin with nothing sent; the covariance may leave out the receiver's slow error."""
+        self._family, self._is_relative = family, is_relative
         self._meter, self._detector, self._residual = StepMeter(), JumpDetector(), Residual()
         self._looked: tuple[Odometry, Pose] | None = None
         self._count = 0
@@ -123,6 +126,7 @@ class OdometryStream:
             self._meter.forget()
             self._looked, self._is_begun, self.silence = None, False, ""
             return
+        odometry = state_covariance(odometry, self._is_relative)
         pose = to_pose(odometry)
         step = self._meter.measure(pose)
         resets, last = odometry.reset_count, self._looked
@@ -168,10 +172,11 @@ class OdometryStream:
             estimate.add_resets(self._count - self._resets)
             self._resets = self._count
 
-    def send(self, estimate: Estimate) -> Odometry | None:
+    def send(self, estimate: Estimate, climb_factor: float = 1.0) -> Odometry | None:
         """Return what is sent of the estimate that was looked at last; None: nothing.
 
-        Where a stream ends, its last message has the quality of a failure.
+        Where a stream ends, its last message has the quality of a failure. ``climb_factor``
+        multiplies the variance of the velocity down.
         """
         if self._looked is None:
             return None
@@ -193,6 +198,7 @@ class OdometryStream:
                 self._tell(estimate)
             self._is_begun, self._is_told = True, False
             self._since_ns, self._sent_ns = None, estimate.t_ns
+        odometry = state_covariance(odometry, climb_factor=climb_factor)
         self._unaided = self._unaided + 1 if odometry.quality < _GOOD else 0
         if self._unaided > 1:
             # They share one error: together they say no more than the first of them alone
@@ -217,7 +223,8 @@ class OdometryStream:
             return ""
         if estimate.unaided_s > config.dead_reckoning_time:
             return f"dead reckoning over {config.dead_reckoning_time:g} s"
-        if std_horizontal(odometry) > config.dead_reckoning_std:
+        # By all of the error over ground, whatever of it is told
+        if std_horizontal(estimate.odometry or odometry) > config.dead_reckoning_std:
             return f"dead reckoning beyond {config.dead_reckoning_std:g} m"
         return ""
 

@@ -214,13 +214,14 @@ class Label:
 
 def label(
     family: Family,
-    frame: Literal["LOCAL_FRD", "LOCAL_NED", "continuous"],
+    frame: Literal["auto", "LOCAL_FRD", "LOCAL_NED", "continuous"],
     chosen: Literal["auto", "GPS_INS", "VIO"],
 ) -> Label:
     """Return the label that is configured, but never a type that the autopilot refuses.
 
-    PX4 answers every GPS_INS with a critical text; ArduPilot silently drops every frame of the pose
-    but LOCAL_FRD. An autopilot of unknown family is labelled as one of a known family is.
+    PX4 answers every GPS_INS with a critical text, and takes the heading of LOCAL_FRD for unknown;
+    ArduPilot silently drops every frame of the pose but LOCAL_FRD. An autopilot of unknown family
+    is labelled as one of a known family is.
     """
     warnings = []
     estimator = EstimatorType.GPS_INS if chosen == "auto" else EstimatorType[chosen]
@@ -231,6 +232,8 @@ def label(
                 "output.odometry.estimator_type: PX4 refuses GPS_INS with a critical text for each "
                 "message; VIO is sent instead: set auto or VIO"
             )
+    if frame == "auto":
+        frame = "LOCAL_NED" if family is Family.PX4 else "LOCAL_FRD"
     # A frame whose axes may turn away from north and east is a LOCAL_FRD
     named = Frame.LOCAL_FRD if frame == "continuous" else Frame[frame]
     if family is Family.ARDUPILOT and named is not Frame.LOCAL_FRD:

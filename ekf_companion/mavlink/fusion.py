@@ -4,8 +4,9 @@ Pure functions of the autopilot's parameters. Our estimate is a function of the 
 beside them it makes the covariance too small, and brings a glitch past the gate twice. Nothing is
 sent to an autopilot whose parameters cannot be read.
 
-Sources: PX4, parameters EKF2_EV_CTRL, EKF2_GPS_CTRL (1.14 and later), EKF2_AID_MASK, EKF2_HGT_MODE
-(before); ArduPilot, EKF Source Selection and Switching, and ``AP_NavEKF_Source``.
+Sources: PX4, parameters EKF2_EV_CTRL, EKF2_GPS_CTRL (1.14 and later), EKF2_SENS_EN (1.18),
+EKF2_AID_MASK, EKF2_HGT_MODE (before); ArduPilot, EKF Source Selection and Switching, and
+``AP_NavEKF_Source``.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ Parameters = Mapping[str, float | None]
 """By name, as read; None: the autopilot has no such parameter. One that is absent has not been
 answered."""
 
-_VISION, _GNSS = "EKF2_EV_CTRL", "EKF2_GPS_CTRL"
+_VISION, _GNSS, _ENABLED = "EKF2_EV_CTRL", "EKF2_GPS_CTRL", "EKF2_SENS_EN"
 _MASK, _HEIGHT = "EKF2_AID_MASK", "EKF2_HGT_MODE"
 _DRIVER, _OPTIONS = "VISO_TYPE", "EK3_SRC_OPTIONS"
 _PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
@@ -30,9 +31,12 @@ _SETS = {k: tuple(f"EK3_SRC{k}_{part}" for part in _PARTS) for k in (1, 2, 3)}
 
 _PX4_NEW = (_VISION, _GNSS)
 _PX4_OLD = (_MASK, _HEIGHT)
+SUCCESSORS: Mapping[str, tuple[str, ...]] = dict.fromkeys(_PX4_OLD, _PX4_NEW)
+"""By a parameter that newer firmware lacks, those that it has instead: the old one is requested
+only where these stay unanswered or do not exist."""
 _ARDUPILOT = (_DRIVER, _OPTIONS, *_SETS[1], *_SETS[2], *_SETS[3])
 NAMES: Mapping[Family, tuple[str, ...]] = {
-    Family.PX4: (*_PX4_NEW, *_PX4_OLD),
+    Family.PX4: (*_PX4_NEW, _ENABLED, *_PX4_OLD),
     Family.ARDUPILOT: _ARDUPILOT,
     Family.UNKNOWN: (),
 }
@@ -40,6 +44,9 @@ NAMES: Mapping[Family, tuple[str, ...]] = {
 
 _EV_BITS = {1: "horizontal position", 2: "height", 4: "velocity", 8: "yaw"}
 _GNSS_BITS = {1: "position", 2: "height", 4: "velocity", 8: "yaw"}
+_ENABLED_GNSS, _ENABLED_VISION = 0b11, 0b1000
+"""Of EKF2_SENS_EN, PX4 1.18: what a ground station may switch off in flight, whatever the other
+parameters say: both receivers; vision. Source: PX4 #26739, ``EstimatorFusionControl.msg``."""
 _AID_EV_BITS = {8: "horizontal position", 16: "yaw", 256: "velocity"}
 _AID_GNSS_BITS = {1: "position and velocity", 128: "yaw"}
 _AID_OTHER_BITS = {2: "flow", 4: "no IMU bias", 32: "drag", 64: "a turned frame"}
@@ -101,11 +108,21 @@ def missing(family: Family, parameters: Parameters) -> tuple[str, ...]:
     if family is Family.PX4:
         vision = parameters.get(_VISION)
         if vision is None:
-            return _unanswered(NAMES[family], parameters)
-        return _unanswered((_GNSS,), parameters) if _bits(vision, _EV_BITS) else ()
+            return _unanswered((*_PX4_NEW, *_PX4_OLD), parameters)
+        if not _bits(vision, _EV_BITS):
+            return ()
+        return _unanswered((_GNSS,), parameters)
     if family is Family.ARDUPILOT and (_DRIVER not in parameters or parameters[_DRIVER]):
         return _unanswered(_ARDUPILOT, parameters)
     return ()
+
+
+def helpful(family: Family, parameters: Parameters) -> tuple[str, ...]:
+    """Return what may yet lift the guard, and is not waited for: much firmware lacks it."""
+    if family is not Family.PX4:
+        return ()
+    both = _bits(parameters.get(_VISION), _EV_BITS) and _bits(parameters.get(_GNSS), _GNSS_BITS)
+    return _unanswered((_ENABLED,), parameters) if both else ()
 
 
 def _taken(family: Family, parameters: Parameters) -> tuple[bool, bool]:
@@ -120,7 +137,7 @@ def _taken(family: Family, parameters: Parameters) -> tuple[bool, bool]:
         own = {name for names in _SETS.values() for name in names if parameters[name] == _EXTERNAL}
         return bool(own), any(name.endswith("YAW") for name in own)
     if parameters.get(_VISION) is not None:
-        ours = _bits(parameters[_VISION], _EV_BITS)
+        ours = _bits(parameters[_VISION], _EV_BITS) if _is_on(parameters, _ENABLED_VISION) else []
         return bool(ours), _EV_BITS[8] in ours
     mask = parameters.get(_MASK)
     if mask is not None and parameters.get(_GNSS) is None:
@@ -133,7 +150,9 @@ def _taken(family: Family, parameters: Parameters) -> tuple[bool, bool]:
 def watched(family: Family, parameters: Parameters) -> tuple[str, ...]:
     """Return the parameters whose change would change the decision."""
     if family is Family.PX4:
-        return _PX4_NEW if parameters.get(_VISION) is not None else NAMES[family]
+        if parameters.get(_VISION) is None:
+            return (*_PX4_NEW, *_PX4_OLD)
+        return _PX4_NEW if parameters.get(_ENABLED) is None else (*_PX4_NEW, _ENABLED)
     if family is Family.ARDUPILOT and not parameters.get(_DRIVER, 1):
         return (_DRIVER,)
     return NAMES[family]
@@ -155,6 +174,11 @@ def _by_px4(parameters: Parameters) -> Decision:
     if not theirs:
         reason = says(_GNSS, parameters[_GNSS], "the autopilot fuses ours, and no GNSS")
         return streamed(reason)
+    enabled = parameters.get(_ENABLED)
+    if not _is_on(parameters, _ENABLED_VISION):
+        return streamed(says(_ENABLED, enabled, "vision is switched off in the autopilot"))
+    if not _is_on(parameters, _ENABLED_GNSS):
+        return streamed(says(_ENABLED, enabled, "GNSS is switched off in the autopilot"))
     return withheld(
         f"{_VISION} is {vision:g} and {_GNSS} is {parameters[_GNSS]:g}: the autopilot would fuse "
         f"our {listed(ours)} together with the {listed(theirs)} of the GNSS that is in it",
@@ -162,6 +186,12 @@ def _by_px4(parameters: Parameters) -> Decision:
         f"no ODOMETRY: set {_GNSS} 0",
         is_double=True,
     )
+
+
+def _is_on(parameters: Parameters, bits: int) -> bool:
+    """Return whether one of these bits of EKF2_SENS_EN is set; firmware without it has all on."""
+    enabled = parameters.get(_ENABLED)
+    return enabled is None or bool(int(enabled) % _BITS & bits)
 
 
 def _by_old_px4(parameters: Parameters, mask: int) -> Decision:

@@ -22,7 +22,7 @@ from ekf_companion.mavlink.decision import Decision, shared, silent
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Emit, GuardChanged, PeerFound
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.mavlink.fusion import NAMES, Mode, decide, missing, watched
+from ekf_companion.mavlink.fusion import NAMES, SUCCESSORS, Mode, decide, helpful, missing, watched
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Handler, Service
@@ -133,8 +133,10 @@ class Guard(Service):
         """Request what is missing, then read again what could change."""
         if not self._is_asking:
             return
-        for name in missing(self._family, self._answers):
-            self._request(name, now_ns)
+        family, answers = self._family, self._answers
+        for name in (*missing(family, answers), *helpful(family, answers)):
+            if not self._is_superseded(name, now_ns):
+                self._request(name, now_ns)
         if not self.is_waiting and now_ns >= self._next_ns:
             names = watched(self._family, self._answers)
             self._next_ns = now_ns + min(_ROUND_NS // len(names), _SLOWEST_NS)
@@ -186,6 +188,16 @@ class Guard(Service):
         self.tick(now_ns)
 
     # Requests
+
+    def _is_superseded(self, name: str, now_ns: int) -> bool:
+        """Return whether the parameters of newer firmware may still be answered in its place."""
+        newer = SUCCESSORS.get(name, ())
+        if any(self._answers.get(one) is not None for one in newer):
+            return True
+        open_ones = [one for one in newer if one not in self._answers]
+        return any(now_ns < self._requests.get(one, (0, now_ns + 1))[1] for one in open_ones) and (
+            not any(self._requests.get(one, (0, 0))[0] > 1 for one in open_ones)
+        )
 
     def _request(self, name: str, now_ns: int) -> None:
         tries, until_ns = self._requests.get(name, (0, now_ns))

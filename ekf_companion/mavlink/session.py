@@ -30,6 +30,7 @@ from ekf_companion.mavlink.frame import JUNK, UNKNOWN, Frame, Sequence, Splitter
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import ClashWatch, Heartbeat
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
+from ekf_companion.mavlink.origin import OriginSetter
 from ekf_companion.mavlink.outbox import Message, Outbox
 from ekf_companion.mavlink.parameters import Parameter, ParameterServer
 from ekf_companion.mavlink.request import Requests
@@ -119,6 +120,7 @@ class Session:
         self._events: list[Event] = []
         when = options.guard or GuardOptions(mode="never")
         self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, when)
+        self.origin = OriginSetter(self.outbox, self.guard)
         self.discovery = Discovery(
             self._emit,
             self._begin,
@@ -140,7 +142,7 @@ class Session:
         self._with_all: list[Service] = [self.heartbeat, self.discovery, self.clash]
         self._with_all += [self.commands, self.parameters]
         # Conversations with the autopilot only, while it is heard
-        guards = [] if options.guard is None else [self.guard]
+        guards: list[Service] = [] if options.guard is None else [self.guard, self.origin]
         self._with_peer: list[Service] = [self.requests, *guards, self.timesync]
         self._with_peer += [self.audit, self.statustext]
         self._all_routes, self._peer_routes = _routes(self._with_all), _routes(self._with_peer)
@@ -283,6 +285,8 @@ class Session:
     def publish(self, message: Message, now_ns: int) -> None:
         """Send a message about the estimate; only record an ODOMETRY that must not be sent."""
         name, payload, is_replaceable = message
+        if name == "GPS_GLOBAL_ORIGIN":
+            self.origin.note(payload)
         if name == "ODOMETRY" and not self.may_stream:
             self.outbox.withhold(name, payload, now_ns)
         else:

@@ -102,6 +102,10 @@ class Trajectory:
     """Shape (k, 4)."""
 
 
+ODOMETRY_SIZE = 220
+"""Bytes of the 55 numbers of ODOMETRY."""
+
+
 class Odometry(NamedTuple):
     """The numbers of one ODOMETRY message."""
 
@@ -117,3 +121,6 @@ class Odometry(NamedTuple):
     """Discontinuities so far, >= 0."""
     quality: int
     """-1 failed, 0 not known, 1 to 100 per cent."""
+    relative: bytes | None = None
+    """21 floats of 32 bits that may take the place of the first covariance: apart from the slow
+    error of the receiver's position, which is the same for minutes. None: not known."""

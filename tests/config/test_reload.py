@@ -24,7 +24,13 @@ def test_what_decides_on_the_state_the_link_or_files_waits_for_a_restart():
         *("imu", "gnss", "heading", "align", "window"),
     }
     assert {name for name in waiting if name.startswith(("output", "align"))} == {
-        *("output.odometry.frame", "output.odometry.estimator_type", "output.monitors"),
+        *(
+            "output.odometry.frame",
+            "output.odometry.covariance",
+            "output.odometry.climb_time",
+            "output.odometry.estimator_type",
+            "output.monitors",
+        ),
         "align.time",
     }
     assert not any(name.endswith(("_walk", "_noise", "_rate")) for name in waiting)
@@ -42,7 +48,12 @@ def test_rates_gates_and_noise_are_taken_and_the_rest_is_refused_by_name():
         *("link.imu_rate", "output.odometry.rate", "imu.gyro_noise", "gate.probability")
     }
     assert set(found.refused) == {
-        *("link.url", "link.component_id", "output.odometry.frame", "imu.lag")
+        *(
+            "link.url",
+            "link.component_id",
+            "output.odometry.frame",
+            "imu.lag",
+        )
     }
     assert found.config.link.imu_rate == 100.0
     assert found.config.link.url == Config().link.url

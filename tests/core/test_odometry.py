@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ekf_companion.core.enums import E_ATT, E_POS, E_VEL, N
+from ekf_companion.core.enums import E_ATT, E_GNSS, E_POS, E_VEL, N
 from ekf_companion.core.scratch import Estimate, OdometryNumbers, Scratch
 from ekf_companion.core.state import State
 from ekf_companion.nav import so3
@@ -127,3 +127,27 @@ def test_compiled_and_interpreted_write_the_same_bits():
         numbers.append(timeline.odometry())
     assert numbers[0] == numbers[1]
     assert numbers[0][0] >= Status.OK
+
+
+def test_the_relative_covariance_leaves_out_what_position_and_receiver_have_in_common():
+    """A receiver's slow error moves the position and the fixes alike: no noise of a message."""
+    P = np.diag(np.full(N, 1e-4))
+    slow, white = 0.8**2, 0.1**2
+    for k in range(3):
+        P[E_POS + k, E_POS + k] = slow + white
+        P[E_GNSS + k, E_GNSS + k] = slow
+        P[E_POS + k, E_GNSS + k] = P[E_GNSS + k, E_POS + k] = -slow
+    numbers, _ = odometry(P=P)
+    assert array(numbers.pose_cov)[DIAGONAL[:3]] == pytest.approx(slow + white)
+    assert array(numbers.relative_cov)[DIAGONAL[:3]] == pytest.approx(white)
+    assert array(numbers.relative_cov)[DIAGONAL[3:]] == pytest.approx(
+        array(numbers.pose_cov)[DIAGONAL[3:]]
+    )
+
+
+def test_the_relative_covariance_is_that_of_the_sum():
+    numbers, P = odometry((0.3, -0.5, 2.0))
+    J = np.zeros((6, N))
+    J[:3, E_POS : E_POS + 3] = J[:3, E_GNSS : E_GNSS + 3] = np.eye(3)
+    J[3:, E_ATT : E_ATT + 3] = euler_jacobian(so3.from_euler(0.3, -0.5, 2.0))
+    assert upper(numbers.relative_cov) == pytest.approx(J @ P @ J.T, rel=1e-6, abs=1e-8)

@@ -103,6 +103,9 @@ def flown(tmp_path_factory):
     return Flown(Record(folder / "flight.tlog", daemon.config), wire, monitor, crowd, nobody, words)
 
 
+COVARIANCES = ("pose_covariance", "velocity_covariance")
+
+
 def test_a_monitor_gets_the_odometry_that_the_guard_withholds_rule_25(flown):
     assert not [f for f in flown.wire.frames() if f.message_id == IDS["ODOMETRY"]]
     assert "ODOMETRY is withheld: EKF2_EV_CTRL is 15" in flown.words
@@ -114,9 +117,12 @@ def test_a_monitor_gets_the_odometry_that_the_guard_withholds_rule_25(flown):
     # It is what was withheld, but for what it says of itself
     withheld = {message.time_usec: message for _, message in flown.record.of("ODOMETRY")}
     for message in heard:
-        as_withheld = message._replace(frame_id=20, estimator_type=3)
-        if message.time_usec in withheld:
-            assert as_withheld == withheld[message.time_usec]
+        if (theirs := withheld.get(message.time_usec)) is None:
+            continue
+        covariances = {name: getattr(theirs, name) for name in COVARIANCES}
+        assert message._replace(estimator_type=3, **covariances) == theirs
+        # An autopilot is told nothing of the slow error of the receiver
+        assert message.pose_covariance[0] > theirs.pose_covariance[0]
     assert len(withheld.keys() & {message.time_usec for message in heard}) > 300
 
 

@@ -106,7 +106,7 @@ def reloaded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("reloaded")
     port = free_port()
     options = ("--link", f"udpout:127.0.0.1:{port}", "--record", str(folder / "flight.tlog"))
-    slow = "output: {odometry: {rate: 10, frame: LOCAL_NED}}\ngate: {probability: 0.9999}\n"
+    slow = "output: {odometry: {rate: 10, frame: LOCAL_FRD}}\ngate: {probability: 0.9999}\n"
     moments = []
     config = "output: {odometry: {rate: 50}}\n"
     with Pilot(port) as pilot, Daemon(folder, *options, config=config) as daemon:
@@ -248,7 +248,7 @@ def test_the_rest_is_refused_by_name(reloaded):
     _, record, words, _ = reloaded
     assert "only at the next start: output.odometry.frame" in words
     assert "output.odometry.rate: 'fast'" in words
-    assert {m.frame_id for _, m in record.of("ODOMETRY")} == {20}
+    assert {m.frame_id for _, m in record.of("ODOMETRY")} == {1}
 
 
 def test_no_sample_is_dropped_meanwhile(reloaded):

@@ -15,6 +15,7 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.health import Health
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.engine.publisher import STREAMS, Due, Publisher
+from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import StatusFlag
 from ekf_companion.mavlink.messages import by_name
@@ -41,6 +42,18 @@ class Given:
     @property
     def odometry(self):
         return None if self.quality is None else Odometry(self.t_ns, NUMBERS, 0, self.quality)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithRelative(Given):
+    """An estimate that knows its covariance apart from the slow error of the receiver, too."""
+
+    @property
+    def odometry(self):
+        relative = np.full(21, 7.0, dtype="<f4").tobytes()
+        numbers = np.frombuffer(NUMBERS, dtype="<f4").copy()
+        numbers[[13, 45]] = 13.0, 45.0
+        return Odometry(self.t_ns, numbers.tobytes(), 0, 100, relative)
 
 
 def publisher(rate=50.0):
@@ -142,3 +155,47 @@ def test_what_is_due_follows_a_clock_that_begins_anew(leap_ns):
     assert not due.is_due(5_050_000_000)
     assert due.is_due(5_050_000_000 + leap_ns)
     assert not due.is_due(5_100_000_000 + leap_ns)
+
+
+@pytest.mark.parametrize(
+    ("states", "family", "is_monitor", "is_relative"),
+    [
+        ("auto", Family.PX4, False, True),
+        ("auto", Family.ARDUPILOT, False, True),
+        ("auto", Family.UNKNOWN, False, False),
+        ("auto", Family.PX4, True, False),
+        ("whole", Family.PX4, False, False),
+        ("relative", Family.UNKNOWN, False, True),
+    ],
+)
+def test_who_fuses_a_message_is_told_the_covariance_without_the_slow_error(
+    states, family, is_monitor, is_relative
+):
+    config = Config(output=OutputConfig(odometry=OdometryConfig(rate=30.0, covariance=states)))
+    ours = encode.label(Family.UNKNOWN, "LOCAL_NED", "auto") if is_monitor else None
+    sent = Publisher(config, family, ours, is_monitor=is_monitor).due(WithRelative(t_ns=SECOND_NS))
+    (payload,) = (one.payload for one in sent if one.name == "ODOMETRY")
+    first = np.frombuffer(payload[8:228], dtype="<f4")[13]
+    assert first == (7.0 if is_relative else 13.0)
+
+
+@pytest.mark.parametrize(
+    ("rate", "time", "factor"), [(30.0, 0.5, 30.0), (10.0, 0.5, 10.0), (30.0, 0.01, 1.0)]
+)
+def test_an_error_of_the_climb_is_stated_as_large_as_it_is_often_repeated(rate, time, factor):
+    config = Config(output=OutputConfig(odometry=OdometryConfig(rate=rate, climb_time=time)))
+    assert stated(Publisher(config, Family.PX4)) == (7.0, factor * 45.0)
+
+
+@pytest.mark.parametrize(("family", "states"), [(Family.UNKNOWN, "auto"), (Family.PX4, "whole")])
+def test_where_nobody_takes_it_for_noise_it_is_stated_as_it_is(family, states):
+    config = Config(output=OutputConfig(odometry=OdometryConfig(covariance=states)))
+    assert stated(Publisher(config, family)) == (13.0, 45.0)
+
+
+def stated(publisher):
+    """Return the variances north and of the velocity down; the estimate's are 13 (7) and 45."""
+    sent = publisher.due(WithRelative(t_ns=SECOND_NS))
+    (payload,) = (one.payload for one in sent if one.name == "ODOMETRY")
+    numbers = np.frombuffer(payload[8:228], dtype="<f4")
+    return numbers[13], numbers[45]

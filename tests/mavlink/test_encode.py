@@ -5,6 +5,7 @@ from array import array
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from ekf_companion.engine.residual import state_covariance
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import Sender, pack
 from ekf_companion.mavlink.decode import Family
@@ -41,6 +42,35 @@ def test_odometry_says_its_numbers_in_their_order():
     said = [m.x, m.y, m.z, *m.q, m.vx, m.vy, m.vz, m.rollspeed, m.pitchspeed, m.yawspeed]
     assert said + m.pose_covariance + m.velocity_covariance == NUMBERS
     assert (m.reset_counter, m.estimator_type, m.quality) == (1, 5, 80)
+
+
+def test_a_relative_covariance_takes_the_place_of_the_whole_one_alone():
+    relative = [100.0 + n for n in range(21)]
+    said = estimate(relative=array("f", relative).tobytes())
+    assert odometry(said).pose_covariance == NUMBERS[13:34]
+    m = odometry(state_covariance(said, is_relative=True))
+    assert m.pose_covariance == relative
+    assert [m.x, m.rollspeed, m.yawspeed] == [NUMBERS[0], NUMBERS[10], NUMBERS[12]]
+    assert m.velocity_covariance == NUMBERS[34:]
+    assert (
+        odometry(state_covariance(estimate(), is_relative=True)).pose_covariance == NUMBERS[13:34]
+    )
+
+
+def test_a_factor_on_the_velocity_down_leaves_all_else_alone():
+    said = odometry(state_covariance(estimate(), climb_factor=4.0))
+    factors = [b / a for a, b in zip(NUMBERS[34:], said.velocity_covariance, strict=True)]
+    assert [n for n, found in enumerate(factors) if found != 1.0] == [11]
+    assert factors[11] == 4.0
+    assert said.pose_covariance == NUMBERS[13:34]
+    assert [said.x, said.yawspeed] == [NUMBERS[0], NUMBERS[12]]
+
+
+def test_px4_is_told_north_and_ardupilot_what_it_takes():
+    assert encode.label(Family.PX4, "auto", "auto").frame is Frame.LOCAL_NED
+    assert encode.label(Family.ARDUPILOT, "auto", "auto").frame is Frame.LOCAL_FRD
+    assert encode.label(Family.UNKNOWN, "auto", "auto").frame is Frame.LOCAL_FRD
+    assert encode.label(Family.PX4, "LOCAL_FRD", "auto").frame is Frame.LOCAL_FRD
 
 
 def test_its_payload_is_what_the_definition_says():

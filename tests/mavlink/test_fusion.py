@@ -29,6 +29,10 @@ def px4(vision, gnss):
     return {"EKF2_EV_CTRL": float(vision), "EKF2_GPS_CTRL": float(gnss)}
 
 
+def enabled(bits):
+    return px4(15, 7) | {"EKF2_SENS_EN": float(bits)}
+
+
 OURS, GNSS, NONE = (6, 6, 6, 6, 6), (3, 3, 1, 3, 1), (0, 0, 1, 0, 0)
 
 
@@ -55,6 +59,12 @@ OURS, GNSS, NONE = (6, 6, 6, 6, 6), (3, 3, 1, 3, 1), (0, 0, 1, 0, 0)
         (PX4, px4(15, 16), False, "together with the something unknown (16) of the GNSS"),
         (PX4, px4(-1, 7), False, "EKF2_EV_CTRL is -1"),
         (PX4, px4(16, 0), True, "fuses ours, and no GNSS"),
+        # Switched off in flight, whatever the other parameters say (1.18)
+        (PX4, enabled(8191), False, "set EKF2_GPS_CTRL to 0 to fly on our estimate"),
+        (PX4, enabled(8191 - 8), True, "EKF2_SENS_EN is 8183: vision is switched off"),
+        (PX4, enabled(8191 - 1), False, "would fuse our"),
+        (PX4, enabled(8191 - 3), True, "EKF2_SENS_EN is 8188: GNSS is switched off"),
+        (PX4, px4(15, 7) | {"EKF2_SENS_EN": None}, False, "would fuse our"),
         # Before 1.14
         (PX4, {"EKF2_AID_MASK": 1.0}, True, "EKF2_AID_MASK is 1: the autopilot fuses nothing"),
         (PX4, {"EKF2_AID_MASK": 281.0}, False, "set EKF2_AID_MASK to 280 to fly on our estimate"),
@@ -154,12 +164,13 @@ def test_nothing_is_sent_before_the_answers_are_there(family):
     decision = decide(family, {}, is_complete=False)
     assert not decision.is_streaming
     assert not decision.is_settled
-    assert missing(family, {}) == NAMES[family]
+    assert set(NAMES[family]) - set(missing(family, {})) <= {"EKF2_SENS_EN"}
 
 
 def test_what_decides_is_watched_and_no_more():
     assert watched(PX4, px4(0, 7)) == ("EKF2_EV_CTRL", "EKF2_GPS_CTRL")
-    assert watched(PX4, {"EKF2_AID_MASK": 1.0}) == NAMES[PX4]
+    old = ("EKF2_AID_MASK", "EKF2_HGT_MODE")
+    assert watched(PX4, {"EKF2_AID_MASK": 1.0}) == ("EKF2_EV_CTRL", "EKF2_GPS_CTRL", *old)
     for nothing in (0.0, None):  # it takes none, or was built without
         assert watched(ARDUPILOT, {"VISO_TYPE": nothing}) == ("VISO_TYPE",)
         assert missing(ARDUPILOT, {"VISO_TYPE": nothing}) == ()
@@ -217,3 +228,10 @@ def test_where_ardupilot_fuses_ours_beside_gnss_in_any_set_nothing_is_sent():
             in_any = in_any or bool(fused)
         assert decision.is_fused is (is_streaming and in_any)
     assert min(found.values()) > 300
+
+
+def test_vision_that_is_switched_off_is_not_fused():
+    assert decide(PX4, px4(15, 0) | {"EKF2_SENS_EN": 8183.0}).is_fused is False
+    assert decide(PX4, px4(15, 0) | {"EKF2_SENS_EN": 8191.0}).is_fused is True
+    assert "EKF2_SENS_EN" in watched(PX4, enabled(8191))
+    assert "EKF2_SENS_EN" not in watched(PX4, px4(15, 7) | {"EKF2_SENS_EN": None})

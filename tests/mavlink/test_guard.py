@@ -1,5 +1,7 @@
 """Rule 25: the guard in time, and beside others on the link."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
@@ -107,3 +109,32 @@ def test_rule_25_a_choice_that_was_made_or_who_is_no_such_autopilot_withholds_no
 
 def test_rule_25_one_stray_heartbeat_of_another_withholds_nothing():
     assert all(fused_by_none(GuardOptions(), Voice(2), until=SECOND)[1])
+
+
+def requested(answers, seconds=6):
+    """Return how often each parameter is requested of a PX4 that has these and no others."""
+    session, autopilot = met(PX4, guard=GuardOptions())
+    names = Counter()
+    for now_ns in range(0, seconds * SECOND, 50 * MS):
+        if now_ns % SECOND == 0:
+            session.receive(autopilot.heartbeat(), now_ns)
+        session.tick(now_ns)
+        for request in sent(session, "PARAM_REQUEST_READ"):
+            name = request.param_id.rstrip(b"\0")
+            names[name.decode()] += 1
+            if name.decode() in answers:
+                said = autopilot.say("PARAM_VALUE", param_id=name, param_value=0.0, param_type=6)
+                session.receive(said, now_ns + 20 * MS)
+    return session, names
+
+
+def test_parameters_that_newer_firmware_lacks_are_not_requested_of_it():
+    session, names = requested({"EKF2_EV_CTRL", "EKF2_GPS_CTRL"})
+    assert session.may_stream
+    assert set(names) == {"EKF2_EV_CTRL", "EKF2_GPS_CTRL"}
+
+
+def test_older_firmware_that_says_nothing_of_the_newer_ones_is_asked_for_its_own():
+    session, names = requested({"EKF2_AID_MASK", "EKF2_HGT_MODE"})
+    assert session.may_stream
+    assert names["EKF2_AID_MASK"] >= 1

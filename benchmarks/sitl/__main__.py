@@ -1,0 +1,176 @@
+"""Fly the autopilots' simulators, score them against their truth, and judge each line.
+
+``make sitl PX4=PATH ARDUPILOT=PATH``: a simulator without a path is left out, in a sentence.
+docs/SITL.md says what each line means.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.document import table
+from benchmarks.sitl import flights
+from benchmarks.sitl.flights import Log
+from benchmarks.sitl.score import Score
+from benchmarks.sitl.simulator import ArduCopter, Px4, Simulator
+from ekf_companion.errors import CompanionError
+
+HEAD = "simulator | flight | quantity | found | limit | verdict"
+_RESTARTS = 10
+
+
+class Line(NamedTuple):
+    """One line of the table."""
+
+    flight: str
+    quantity: str
+    found: float
+    limit: float
+    """The largest that is good."""
+    unit: str = ""
+
+    def row(self, simulator: str) -> str:
+        """Return its cells."""
+        verdict = "good" if self.found <= self.limit else "**bad**"
+        cells = (f"{self.found:.3g}{self.unit}", f"{self.limit:g}{self.unit}", verdict)
+        return " | ".join((simulator, self.flight, self.quantity, *cells))
+
+
+def compared(simulator: Simulator, folder: Path) -> Iterator[Line]:
+    """Fly the same paths on the receiver and on ODOMETRY; compare the autopilot's errors."""
+    own = flights.paths(simulator, folder / "own", is_flown_on=False)
+    yield from _passive(own)
+    ours = flights.paths(simulator, folder / "flown-on", is_flown_on=True)
+    a, b = own.score("autopilot"), ours.score("autopilot")
+    name = "flown on ODOMETRY"
+    for quantity, limit in (("horizontal", 0.8), ("velocity", 0.8), ("vertical", 1.0)):
+        yield Line(name, f"{quantity} error, over own GNSS", _ratio(b, a, quantity), limit)
+    for quantity in ("roll", "pitch", "yaw"):
+        yield Line(name, f"{quantity} error, over own GNSS", _ratio(b, a, quantity), 1.0)
+    if b.lead is not None:
+        yield Line(name, "lead or lag", 1e3 * abs(b.lead), 10.0, " ms")
+    if ours.flown is not None and len(ours.flown.accel_bias) and own.flown is not None:
+        biases = [float(abs(one.flown.accel_bias).max()) for one in (ours, own) if one.flown]
+        yield Line(name, "largest accelerometer bias, over own GNSS", biases[0] / biases[1], 1.0)
+    yield Line(name, "failsafes", len(ours.failsafes), 0)
+    yield Line(name, "without a global position", 0 if ours.has_global else 1, 0)
+
+
+def _passive(own: Log) -> Iterator[Line]:
+    theirs, ours = own.score("autopilot"), own.score("ours")
+    for quantity in ("horizontal", "velocity", "vertical"):
+        yield Line(
+            "passive", f"our {quantity} error, over its own", _ratio(ours, theirs, quantity), 1
+        )
+    if ours.lead is not None:
+        yield Line("passive", "our lead or lag", 1e3 * abs(ours.lead), 10.0, " ms")
+
+
+def _ratio(score: Score, other: Score, quantity: str) -> float:
+    return float(getattr(score, quantity) / getattr(other, quantity))
+
+
+def lost(simulator: Simulator, folder: Path) -> Iterator[Line]:
+    """Lose the receiver for twenty seconds, passive and flown on."""
+    passive = flights.outage(simulator, folder / "outage-passive", is_flown_on=False)
+    yield Line("receiver off, passive", "untold steps over 1 m", _steps(passive), 0)
+    flown = flights.outage(simulator, folder / "outage-flown-on", is_flown_on=True)
+    name = "receiver off, flown on"
+    yield Line(name, "untold steps over 1 m", _steps(flown), 0)
+    yield Line(name, "drift until it acts or the fix returns", _drift(flown), 10.0, " m")
+
+
+def _steps(log: Log) -> int:
+    """Count steps of ODOMETRY over 1 m beyond its own motion with an unmoved counter."""
+    flown = log.flown
+    if flown is None or flown.ours is None:
+        return 0
+    track, dt = flown.ours, np.diff(flown.ours.t)
+    moved = np.linalg.norm(np.diff(track.pos_n, axis=0) - track.vel_n[:-1] * dt[:, None], axis=1)
+    is_untold = (np.diff(flown.resets.astype(int)) == 0) & (dt < 0.2)
+    return int(((moved > 1.0) & is_untold).sum())
+
+
+def _drift(log: Log) -> float:
+    """Return how far the vehicle went from its place until a failsafe or the fix's return, m."""
+    assert log.flown is not None
+    acted = [t for t, text in log.texts if "failsafe" in text.lower() and t > log.marks["off"]]
+    end = min([log.marks["on"], *acted])
+    truth = log.flown.truth
+    rows = (truth.t >= log.marks["off"]) & (truth.t <= end)
+    away = truth.pos_n[rows, :2] - truth.pos_n[rows, :2][0]
+    return float(np.hypot(*away.T).max())
+
+
+def restarted(simulator: Simulator, folder: Path) -> Iterator[Line]:
+    """Kill and restart the daemon in flight."""
+    log = flights.restarts(simulator, folder / "restarts", _RESTARTS)
+    name = f"kill -9, {_RESTARTS} times"
+    yield Line(name, "largest horizontal error", log.score("autopilot").horizontal_max, 1.0, " m")
+    yield Line(name, "failsafes", len(log.failsafes), 0)
+
+
+def switched(simulator: Simulator, folder: Path) -> Iterator[Line]:
+    """Change from the receiver to ODOMETRY in flight, and back."""
+    log = flights.switch(simulator, folder / "switch")
+    name = "in and out in flight"
+    yield Line(name, "failsafes", len(log.failsafes), 0)
+    if log.flown is not None and log.flown.dead_reckoning is not None:
+        yield Line(name, "longest dead reckoning", log.flown.dead_reckoning, 1.0, " s")
+
+
+def rebooted(simulator: Simulator, folder: Path) -> Iterator[Line]:
+    """Restart the autopilot."""
+    yield Line("reboot", "until ODOMETRY", flights.reboot(simulator, folder / "reboot"), 15.0, " s")
+
+
+PARTS: dict[str, Callable[[Simulator, Path], Iterator[Line]]] = {
+    "paths": compared,
+    "outage": lost,
+    "restart": restarted,
+    "switch": switched,
+    "reboot": rebooted,
+}
+
+
+def main() -> int:
+    """Fly; return 1 if a line is bad."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--px4", metavar="PATH", help="bin/px4 in a build of px4_sitl_default")
+    parser.add_argument("--ardupilot", metavar="PATH", help="bin/arducopter in a build for sitl")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--out", type=Path, default=Path("build/sitl"), help="for all logs")
+    arguments = parser.parse_args()
+    kinds = (Px4, arguments.px4, "PX4"), (ArduCopter, arguments.ardupilot, "ARDUPILOT")
+    rows, is_bad = [], False
+    for kind, path, variable in kinds:
+        if not path:
+            print(
+                f"{kind.name}: left out; give the path of its simulator: make sitl {variable}=PATH"
+            )
+            continue
+        simulator = kind(Path(path))
+        for part in arguments.only:
+            try:
+                for line in PARTS[part](simulator, (arguments.out / kind.name).resolve()):
+                    is_bad |= not line.found <= line.limit
+                    rows.append(line.row(kind.name))
+                    print(rows[-1], flush=True)
+            except (CompanionError, OSError) as error:
+                is_bad = True
+                rows.append(f"{kind.name} | {part} | {error} | | | **not flown**")
+                print(rows[-1], flush=True)
+    if rows:
+        print()
+        print("\n".join(table(HEAD, rows)))
+    return int(is_bad)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,58 @@
+"""The daemon as a process beside a simulator."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+_STOP = 5.0
+"""Longest time to its end, s."""
+
+
+class Companion:
+    """One daemon on one link; each of its runs records into a file of its own."""
+
+    def __init__(self, folder: Path, link: str, settings: str = "") -> None:
+        """Prepare a daemon.
+
+        Args:
+            folder: For its configuration, recordings, checkpoint and log.
+            link: Where the simulator is: ``udpin:127.0.0.1:14540``.
+            settings: YAML that is added to the configuration.
+        """
+        self.folder, self._link = folder, link
+        self._config = folder / "companion.yaml"
+        self._config.write_text(f"http: {{port: 0}}\n{settings}\n", encoding="utf-8")
+        self._process: subprocess.Popen[bytes] | None = None
+        self.runs = 0
+
+    @property
+    def recordings(self) -> list[Path]:
+        """One .tlog for each run so far."""
+        return [self.folder / f"companion-{run}.tlog" for run in range(1, self.runs + 1)]
+
+    def start(self) -> None:
+        """Start it, with the checkpoint of the run before."""
+        self.runs += 1
+        command = [sys.executable, "-m", "ekf_companion", "run", "--config", str(self._config)]
+        command += ["--link", self._link, "--record", str(self.recordings[-1])]
+        command += ["--checkpoint", str(self.folder / "checkpoint")]
+        with (self.folder / f"companion-{self.runs}.log").open("wb") as log:
+            self._process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+
+    def kill(self) -> None:
+        """End it at once, as a crash does."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+    def stop(self) -> None:
+        """End it orderly."""
+        if self._process is None:
+            return
+        self._process.terminate()
+        try:
+            self._process.wait(_STOP)
+        except subprocess.TimeoutExpired:
+            self._process.kill()

@@ -1,0 +1,185 @@
+"""Truth, the autopilot's own estimate and ours: position, velocity and attitude on one clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyulog import ULog
+
+from ekf_companion.logs import dataflash_records, tlog
+from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
+
+COMPONENT_ID = 194
+"""The daemon's."""
+_ACCEL_BIAS = (13, 14, 15)
+"""Among the states of EKF2."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Track:
+    """A motion sampled in time, on the vehicle's boot clock."""
+
+    t: Array
+    """s, ascending, shape (n,)."""
+    pos_n: Array
+    """m, north, east, down, shape (n, 3)."""
+    vel_n: Array
+    """m/s, shape (n, 3)."""
+    att_t: Array
+    """s, shape (k,)."""
+    euler: Array
+    """Roll, pitch, yaw, rad, unwrapped, shape (k, 3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Flown:
+    """What the logs of one flight hold."""
+
+    truth: Track
+    autopilot: Track
+    ours: Track | None
+    """None: no ODOMETRY was sent."""
+    resets: Array
+    """reset_counter of each ODOMETRY, shape (n,)."""
+    quality: Array
+    """Of each ODOMETRY, shape (n,)."""
+    accel_bias: Array
+    """The autopilot's estimate, m/s^2, shape (m, 3); without rows where its log lacks it."""
+    dead_reckoning: float | None = None
+    """Longest time for which the autopilot went without aid in the air, s; None: not logged."""
+
+
+def from_px4(log: Path, recording: Path) -> Flown:
+    """Read a .ulg of PX4's simulator and the daemon's recording of the same flight."""
+    topics = {(one.name, one.multi_id): one.data for one in ULog(str(log)).data_list}
+
+    def track(suffix: str) -> Track:
+        local = topics[f"vehicle_local_position{suffix}", 0]
+        turned = topics[f"vehicle_attitude{suffix}", 0]
+        stamp = "timestamp_sample" if local["timestamp_sample"].any() else "timestamp"
+        att_stamp = "timestamp_sample" if turned["timestamp_sample"].any() else "timestamp"
+        return Track(
+            t=local[stamp] * 1e-6,
+            pos_n=np.stack([local[name] for name in ("x", "y", "z")], axis=1).astype(float),
+            vel_n=np.stack([local[name] for name in ("vx", "vy", "vz")], axis=1).astype(float),
+            att_t=turned[att_stamp] * 1e-6,
+            euler=_euler(np.stack([turned[f"q[{k}]"] for k in range(4)], axis=1)),
+        )
+
+    states = topics.get(("estimator_states", 0))
+    accel = (
+        np.zeros((0, 3))
+        if states is None
+        else np.stack([states[f"states[{k}]"] for k in _ACCEL_BIAS], axis=1)
+    )
+    ours, resets, quality = _ours(recording)
+    return Flown(
+        truth=track("_groundtruth"),
+        autopilot=track(""),
+        ours=ours,
+        resets=resets,
+        quality=quality,
+        accel_bias=accel,
+        dead_reckoning=_longest(topics.get(("estimator_status_flags", 0))),
+    )
+
+
+def _longest(flags: Any) -> float | None:
+    """Return the longest time for which EKF2 was in inertial dead reckoning in the air, s."""
+    if flags is None or "cs_inertial_dead_reckoning" not in flags:
+        return None
+    t = flags["timestamp"] * 1e-6
+    is_lost = (flags["cs_inertial_dead_reckoning"] != 0) & (flags["cs_in_air"] != 0)
+    longest, since = 0.0, None
+    for now, lost in zip(t, is_lost, strict=True):
+        since = (now if since is None else since) if lost else None
+        longest = max(longest, now - since if since is not None else 0.0)
+    return float(longest)
+
+
+def resumed_after(recording: Path) -> float:
+    """Return the time from the autopilot's restart to the next ODOMETRY, s; infinite: none came."""
+    log = tlog.read(recording)
+    ours = log.columns(("ODOMETRY",), 1, COMPONENT_ID).get("ODOMETRY")
+    theirs = log.columns(("SYSTEM_TIME",), 1, 1).get("SYSTEM_TIME")
+    if ours is None or theirs is None:
+        return float("inf")
+    backwards = np.flatnonzero(np.diff(theirs["time_boot_ms"].astype(np.int64)) < 0)
+    if not len(backwards):
+        return float("inf")
+    begun = theirs[tlog.STAMP][backwards[-1] + 1]
+    later = ours[tlog.STAMP][ours[tlog.STAMP] > begun]
+    return float((later[0] - begun) * 1e-6) if len(later) else float("inf")
+
+
+def from_ardupilot(log: Path, recording: Path) -> Flown:
+    """Read a .bin of ArduPilot's simulator and the daemon's recording of the same flight."""
+    tables, _ = dataflash_records.read_columns(log)
+    fast, slow, own = tables["SIM2"], tables["SIM"], tables["XKF1"]
+    own = own[own["C"] == 0]
+    truth = Track(
+        t=fast["TimeUS"] * 1e-6,
+        pos_n=np.stack([fast[name] for name in ("PN", "PE", "PD")], axis=1),
+        vel_n=np.stack([fast[name] for name in ("VN", "VE", "VD")], axis=1),
+        att_t=slow["TimeUS"] * 1e-6,
+        euler=_angles(slow),
+    )
+    autopilot = Track(
+        t=own["TimeUS"] * 1e-6,
+        pos_n=np.stack([own[name] for name in ("PN", "PE", "PD")], axis=1),
+        vel_n=np.stack([own[name] for name in ("VN", "VE", "VD")], axis=1),
+        att_t=own["TimeUS"] * 1e-6,
+        euler=_angles(own),
+    )
+    biases = tables["XKF2"]
+    biases = biases[biases["C"] == 0]
+    ours, resets, quality = _ours(recording)
+    return Flown(
+        truth=truth,
+        autopilot=autopilot,
+        ours=ours,
+        resets=resets,
+        quality=quality,
+        accel_bias=np.stack([biases[name] for name in ("AX", "AY", "AZ")], axis=1),
+    )
+
+
+def _ours(recording: Path) -> tuple[Track | None, Array, Array]:
+    """Return the ODOMETRY that the daemon sent, its reset counters and its qualities."""
+    if not recording.exists():
+        return None, np.zeros(0), np.zeros(0)
+    log = tlog.read(recording)
+    rows = log.columns(("ODOMETRY",), 1, COMPONENT_ID).get("ODOMETRY")
+    if rows is None:
+        return None, np.zeros(0), np.zeros(0)
+    q_nb = np.asarray(rows["q"], dtype=float)
+    q_nb /= np.linalg.norm(q_nb, axis=1, keepdims=True)
+    vel_b = np.stack([rows[name] for name in ("vx", "vy", "vz")], axis=1).astype(float)
+    t = rows["time_usec"] * 1e-6
+    track = Track(
+        t=t,
+        pos_n=np.stack([rows[name] for name in ("x", "y", "z")], axis=1).astype(float),
+        vel_n=so3.rotate(q_nb, vel_b),
+        att_t=t,
+        euler=_euler(q_nb),
+    )
+    return track, np.asarray(rows["reset_counter"]), np.asarray(rows["quality"])
+
+
+def _euler(q_nb: Array) -> Array:
+    """Return roll, pitch, yaw of quaternions, unwrapped, shape (n, 3)."""
+    w, x, y, z = np.asarray(q_nb, dtype=float).T
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.unwrap(np.stack([roll, pitch, yaw], axis=1), axis=0)
+
+
+def _angles(table: tlog.Column) -> Array:
+    """Return roll, pitch, yaw of a table in degrees, unwrapped, rad."""
+    degrees = np.stack([table[name] for name in ("Roll", "Pitch", "Yaw")], axis=1)
+    return np.unwrap(np.deg2rad(degrees), axis=0)
