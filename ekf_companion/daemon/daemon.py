@@ -44,6 +44,9 @@ LEAST_NS = 50_000_000
 """Between two periodic runs while much comes: each costs as much as several samples."""
 DRAIN = 0.1
 """Seconds for the last message to leave a serial port, whose closing discards what waits."""
+READING = 3.0
+"""Longest time for a reload to read the configuration, s: less than ``ekf-companion reload`` waits.
+"""
 CLOSING = 1.2
 """Seconds that all our threads have to end, however many disks hang: with the drain, and the
 interpreter's own end, no more than 2 s pass from SIGTERM."""
@@ -107,6 +110,8 @@ class Daemon:
         for words in overloads(config):
             _log.warning("%s", words)
         self._due_ns = 0
+        self._is_reading = False
+        self._reading_limit: asyncio.TimerHandle | None = None
         # The state of the last run is read by threads while the rest is made ready
         self._checkpoint = open_checkpoint_file(config.checkpoint.file, config.checkpoint.interval)
         self._parameters = parameters = open_parameter_file(config.checkpoint.file)
@@ -175,7 +180,10 @@ class Daemon:
             log.flush()
 
     def reload(self, read: Callable[[], Config]) -> None:
-        """Read the configuration again, on a thread, and apply what can be applied in flight."""
+        """Read the configuration again, on a thread, and apply what can be applied in flight.
+
+        A file that takes too long to read, such as one on a share that is gone, is not waited for.
+        """
         loop = asyncio.get_running_loop()
 
         def read_again() -> None:
@@ -188,10 +196,28 @@ class Daemon:
                 _log.exception("The configuration cannot be read, by a bug")
                 answer = ConfigError(f"cannot be read, by a bug: {error!r}; please report it")
             with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
-                loop.call_soon_threadsafe(self._apply, answer)
+                loop.call_soon_threadsafe(self._on_read, answer)
 
         self._systemd.notify_reloading()
+        if self._is_reading:
+            self._apply(ConfigError("the configuration is still being read; wait for that"))
+            return
+        self._is_reading = True
+        self._reading_limit = loop.call_later(READING, self._on_unread)
         threading.Thread(target=read_again, name="reload", daemon=True).start()
+
+    def _on_read(self, answer: Config | CompanionError) -> None:
+        """Take what was read, unless it was given up."""
+        self._is_reading = False
+        if self._reading_limit is not None:
+            self._reading_limit.cancel()
+            self._reading_limit = None
+            self._apply(answer)
+
+    def _on_unread(self) -> None:
+        """Give up the reading; another may begin when the thread has ended."""
+        self._reading_limit = None
+        self._apply(ConfigError(f"the configuration could not be read within {READING:g} s"))
 
     def _apply(self, read: Config | CompanionError) -> None:
         """Apply the configuration that was read, or log why there is none."""

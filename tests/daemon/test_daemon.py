@@ -57,7 +57,7 @@ ODOMETRY = IDS["ODOMETRY"]
 class Daemon:
     """``ekf-companion run`` in its own process."""
 
-    def __init__(self, folder, *options, config="", environment=None, **process):
+    def __init__(self, folder, *options, config="link:\n", environment=None, **process):
         self.folder = folder
         self.config = folder / "config.yaml"
         self.config.write_text(config)
