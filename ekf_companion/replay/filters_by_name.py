@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ekf_companion.core.enums import E_ATT, E_POS, E_VEL
 from ekf_companion.core.field import Field
@@ -50,25 +51,31 @@ class Filter(NamedTuple):
 
 
 def run_filter(
-    recording: Recording, name: str = "eskf", settings: FilterSettings | None = None
+    recording: Recording, name: str | Run = "eskf", settings: FilterSettings | None = None
 ) -> Solution:
     """Run a filter over a recording.
 
     Args:
         recording: From ``open_log``.
-        name: ``NAME`` or ``NAME:OPTION`` of :data:`FILTERS`.
+        name: ``NAME`` or ``NAME:OPTION`` of :data:`FILTERS`; or a filter of your own, a function of
+            recording, settings and option (empty).
         settings: The estimator's, or a whole configuration; None: the defaults.
 
     Raises:
         ConfigError: There is no filter, or no option, of that name.
         LogError: The recording lacks what the filter needs.
     """
-    label, option = parse_name(name)
+    if callable(name):
+        label, option, run = getattr(name, "__name__", "own filter"), "", name
+    else:
+        label, option = parse_name(name)
+        run = FILTERS[label.partition(":")[0]].run
     # A filter cannot follow a clock that restarts
     events, notes = longest_clock_run(recording.events)
     recording = replace(recording, events=events)
-    run = FILTERS[label.partition(":")[0]].run
-    found = run(recording, settings or FilterSettings(), option)
+    # On matrices of 15 rows the threads of a BLAS only wait for each other
+    with threadpool_limits(1, "blas"):
+        found = run(recording, settings or FilterSettings(), option)
     return replace(found, name=label, notes=(*found.notes, *notes))
 
 
