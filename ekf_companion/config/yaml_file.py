@@ -19,10 +19,11 @@ LARGEST = 1 << 17
 """Bytes of a configuration: four times those of config/reference.yaml."""
 
 
-class _Loader(yaml.SafeLoader):
+class YamlLoader(yaml.SafeLoader):
     """Read YAML as PyYAML does, but 1e-3 is a number, no key comes twice, no value is an alias."""
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """Refuse an alias."""
         if self.check_event(yaml.events.AliasEvent):
             # Ten lines of aliases to aliases stand for more values than any memory holds
             event: Any = self.peek_event()  # type: ignore[no-untyped-call]
@@ -33,6 +34,7 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """Put the mark of its place into every error."""
         try:
             return super().construct_object(node, deep)
         except (ValueError, LookupError, AttributeError) as error:
@@ -44,6 +46,7 @@ class _Loader(yaml.SafeLoader):
             ) from error
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Refuse a key that comes twice."""
         pairs = node.value if isinstance(node, yaml.MappingNode) else ()
         names = [key.value for key, _ in pairs if isinstance(key, yaml.ScalarNode)]
         for name, count in Counter(names).items():
@@ -55,7 +58,7 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-_Loader.add_implicit_resolver(
+YamlLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?\d+[eE][-+]?\d+\Z"), list("-+0123456789")
 )
 
@@ -85,7 +88,7 @@ def read_yaml(path: Path) -> Any:
                 f"{path}: line {last} has no end: the file may be cut off, half written; end its "
                 "last line as all others"
             )
-        found = yaml.load(text, _Loader)
+        found = yaml.load(text, YamlLoader)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split()).replace(' in "<unicode string>",', " in")
         raise ConfigError(f"{path}: is not YAML: {reason:.400}") from error

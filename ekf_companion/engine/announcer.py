@@ -236,14 +236,17 @@ class Announcer:
                 self._text(
                     Severity.WARNING, f"using autopilot {now[0]}/{now[1]}, not {was[0]}/{was[1]}"
                 )
-            case Clash(system_id, component_id):
+            case Clash(system_id, component_id, is_yielding):
+                does = "no ODOMETRY while it sends any" if is_yielding else "ODOMETRY goes on"
                 _log.warning(
-                    "Somebody else speaks as system %d, component %d: no ODOMETRY until it stops; "
-                    "give one of us another link.component_id",
+                    "Somebody else speaks as system %d, component %d: %s; give one of us another "
+                    "link.component_id",
                     system_id,
                     component_id,
+                    does,
                 )
-                self._text(Severity.CRITICAL, f"id {component_id} is taken twice, not sending")
+                does = "not sending" if is_yielding else "still sending"
+                self._text(Severity.CRITICAL, f"id {component_id} is taken twice, {does}")
             case RateTooLow(message, asked, measured, cause):
                 _log.warning(
                     "%s comes at %.1f Hz, asked for %.0f: %s", message, measured, asked, cause

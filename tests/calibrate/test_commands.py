@@ -7,7 +7,8 @@ import yaml
 from typer.testing import CliRunner
 
 from ekf_companion.cli import app
-from ekf_companion.config.config import _Loader, parse_config
+from ekf_companion.config.config import parse_config
+from ekf_companion.config.yaml_file import YamlLoader
 from sim_autopilot.__main__ import app as simulator
 
 
@@ -43,7 +44,7 @@ def _elsewhere(tmp_path, monkeypatch):
 def test_a_calibration_prints_yaml_and_writes_a_figure_and_json(flown, tmp_path, kind, name, key):
     result = command(kind, flown[name], "--json", "all.json")
     assert result.exit_code == 0, result.output
-    pasted = parse_config(yaml.load(result.stdout, _Loader), "printed")
+    pasted = parse_config(yaml.load(result.stdout, YamlLoader), "printed")
     if kind == "delay":
         assert pasted.gnss.delay == pytest.approx(0.12, abs=0.01)
     assert result.stdout.startswith(f"# ekf-companion calibrate {kind} ")

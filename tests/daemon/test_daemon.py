@@ -88,9 +88,12 @@ class Daemon:
     def wait(self):
         return self._process.wait(LIMIT)
 
+    def kill(self, number):
+        self._process.send_signal(number)
+
     def hang_up(self):
         """Ask it to read its configuration again."""
-        self._process.send_signal(signal.SIGHUP)
+        self.kill(signal.SIGHUP)
 
     def stop(self, number=signal.SIGTERM):
         """Ask it to end; return its exit code."""
@@ -274,6 +277,7 @@ UDP_CONFIG = """
 output:
   odometry:
     rate: 50
+    age_limit: 10  # of a busy machine
 gnss:
   lever_arm: [0.02, -0.01, 0.05]
 """
@@ -562,7 +566,7 @@ def wired(tmp_path_factory):
     config = (
         f"link: {{url: 'serial:{here}:921600'}}\n"
         f"record: {{path: {folder}/flight.tlog}}\n"
-        "imu: {lag: 0.002}\n"
+        "imu: {lag: 0.002}\noutput: {odometry: {age_limit: 10}}\n"
     )
     cable = Cable(here, there)
     with Daemon(folder, config=config) as daemon:

@@ -28,7 +28,7 @@ BUSY = 20.0
 class Pilot:
     """A flight in a thread of its own; keeps the wire, and when it heard what."""
 
-    def __init__(self, port, boot=50.0):
+    def __init__(self, port, boot=50.0, kind="udpin"):
         self.wire = None
         self._flight = Open(plan(240.0, boot=boot))
 
@@ -36,7 +36,7 @@ class Pilot:
             self.wire = Wire(link)
             await fly(self._flight, self.wire, personality=Kind.PX4, wait=60.0)
 
-        self._thread = threading.Thread(target=lambda: run(over(f"udpin:127.0.0.1:{port}", body)))
+        self._thread = threading.Thread(target=lambda: run(over(f"{kind}:127.0.0.1:{port}", body)))
         self._thread.start()
 
     def __enter__(self):

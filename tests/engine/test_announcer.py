@@ -47,7 +47,7 @@ CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
         ),
         (
             Clash(1, 194),
-            "no ODOMETRY until it stops; give one of us another link.component_id",
+            "no ODOMETRY while it sends any; give one of us another link.component_id",
             Severity.CRITICAL,
             "id 194 is taken twice, not sending",
         ),

@@ -24,6 +24,11 @@ class Vehicle:
         self.is_armed = False
         self._is_landed: bool | None = None
 
+    @property
+    def is_flying(self) -> bool:
+        """Whether it is armed, and not reported on the ground."""
+        return self.is_armed and self._is_landed is not True
+
     def heartbeat(self, frame: Frame) -> Measurements:
         """Read HEARTBEAT."""
         m = unpack(frame)
