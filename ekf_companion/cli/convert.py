@@ -19,7 +19,7 @@ def convert(
         float | None, typer.Option(min=0.001, help="Largest number of rows per second.")
     ] = None,
     smooth: terminal.SmoothOption = False,
-    json_file: terminal.JsonOption = None,
+    as_json: terminal.JsonOption = False,
     name: Annotated[
         str, typer.Option("--filter", help="NAME or NAME:OPTION; docs/FILTERS.md lists them.")
     ] = "eskf",
@@ -34,23 +34,18 @@ def convert(
 
     with terminal.exit_on_error(), terminal.progress_bar(log.name) as progress:
         inputs = {"the log": log, "the configuration": config}
-        terminal.check_outputs(inputs, {"--out": out, "--json": json_file})
+        terminal.check_outputs(inputs, {"--out": out})
         chosen = _choose(name, [preset, frame, detector])
         if chosen != "eskf":
             if smooth:
                 raise ConfigError("--smooth: smooths eskf only; leave it or --filter out")
             solution = converter.convert_by(chosen, log, out, terminal.load(config), rate)
-            terminal.write_json(json_file, solution.to_dict())
-            typer.echo(f"{log}:")
-            for line in solution.summary():
-                typer.echo(line)
+            terminal.show(as_json, solution.to_dict(), [f"{log}:", *solution.summary()])
             return
         report = converter.convert(
             log, out, terminal.load(config), rate, progress, is_smoothed=smooth
         )
-        terminal.write_json(json_file, report.to_dict())
-    for line in converter.summary(report):
-        typer.echo(line)
+    terminal.show(as_json, report.to_dict(), converter.summary(report))
 
 
 def _choose(name: str, options: list[str | None]) -> str:

@@ -36,6 +36,7 @@ from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.statustext import StatusText
+from ekf_companion.mavlink.trim_request import TrimRequest
 from ekf_companion.nav.measurements import Measurement, Restart
 
 MISADDRESSED = "addressed to another"
@@ -147,7 +148,8 @@ class Session:
         self._with_all += [self.commands, self.parameters]
         # Conversations with the autopilot only, while it is heard
         guards = [] if options.guard is None else [self.guard]
-        self._with_peer: list[Service] = [self.requests, *guards, self.timesync]
+        trim = TrimRequest(self.outbox, lambda: self.decoder.trim.missing)
+        self._with_peer: list[Service] = [self.requests, trim, *guards, self.timesync]
         self._with_peer += [self.audit, self.statustext]
         self._all_routes, self._peer_routes = _routes(self._with_all), _routes(self._with_peer)
         self._splitter, self._junk_left = Splitter(), JUNK_BYTES

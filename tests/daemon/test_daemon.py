@@ -255,7 +255,8 @@ class Record:
         if not out.exists():
             command = [sys.executable, "-W", "error", "-m", "ekf_companion", "convert"]
             command += [str(self.path), "-o", str(out), "--config", str(self.config)]
-            subprocess.run([*command, "--json", f"{out}.json"], check=True, stdout=subprocess.PIPE)
+            told = subprocess.run([*command, "--json"], check=True, stdout=subprocess.PIPE).stdout
+            out.with_name(f"{out.name}.json").write_bytes(told)
         return out
 
 

@@ -6,6 +6,7 @@ import math
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Measurements, Preference
+from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.earth import pressure_altitude
 from ekf_companion.nav.measurements import BaroSample, MagSample
@@ -19,8 +20,8 @@ _LOWEST, _HIGHEST = 30_000.0, 120_000.0
 class Magnetometer:
     """Reads the magnetic field from the best message that carries one."""
 
-    def __init__(self, context: Context) -> None:
-        self._context = context
+    def __init__(self, context: Context, trim: Trim) -> None:
+        self._context, self._trim = context, trim
         self.forget()
 
     def forget(self) -> None:
@@ -49,6 +50,7 @@ class Magnetometer:
         if not _WEAKEST <= norm <= _STRONGEST:
             self._context.refuse("mag: no field of the Earth")
             return
+        x, y, z = self._trim.to_vehicle(x, y, z)
         out.append(MagSample(t_ns=t_ns, mag_x=x, mag_y=y, mag_z=z))
 
 
