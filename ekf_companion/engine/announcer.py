@@ -23,6 +23,7 @@ from ekf_companion.mavlink.event import (
     RequestAnswered,
     SeveralAutopilots,
 )
+from ekf_companion.mavlink.request import ACCEPTED
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.mavlink.statustext import Severity
@@ -45,6 +46,12 @@ _STATUS_TEXTS = {
     Status.INVALID: (Severity.CRITICAL, "estimate invalid, not sent"),
 }
 """What the pilot reads when the status changes; the others come before there is an estimate."""
+
+_SPARE = {
+    "SCALED_PRESSURE": "autopilots whose inertial message has no pressure need it",
+    "GLOBAL_POSITION_INT": "autopilots without fixes of their receiver need it",
+}
+"""Messages that a vehicle may do without, and who may not."""
 
 
 def _fields(event: str, reason: str) -> dict[str, str]:
@@ -203,6 +210,8 @@ class Announcer:
                 )
             case Noted(text):
                 _log.warning("%s", text)
+            case RequestAnswered(message, result) if result != ACCEPTED and message in _SPARE:
+                _log.info("Request for %s: not offered; only %s", message, _SPARE[message])
             case RequestAnswered(message, result):
                 _log.info("Request for %s: %s", message, result)
             case FirmwareReported(version):
