@@ -63,7 +63,13 @@ def read(path: Path) -> Recording:
     arrivals: Arrivals = [*gnss, *_vehicle(tables), *_sensor(tables, "IMU", Kind.IMU)]
     arrivals += [*_gnss_heading(tables), *_attitude_heading(tables), *_magnetometer(tables)]
     arrivals = _to_vehicle(arrivals, tables, notes)
-    arrivals += _sensor(tables, "BARO", Kind.BARO)
+    if _is_submarine(tables):
+        notes.append(
+            "this is a submarine: its first barometer measures the air within the hull, which is "
+            "no height, and is not used"
+        )
+    else:
+        arrivals += _sensor(tables, "BARO", Kind.BARO)
     if not arrivals:
         raise LogError(
             f"{path}: a DataFlash log without IMU, GPS, MAG, BARO or ATT rows; "
@@ -216,6 +222,13 @@ def _stamps_by_place(tables: Columns, table: Column) -> Stamps:
         return np.zeros(len(table), dtype=np.int64)
     before = np.searchsorted(rows[0][OFFSET], table[OFFSET]) - 1
     return rows[1][np.clip(before, 0, None)]
+
+
+def _is_submarine(tables: Columns) -> bool:
+    """Return whether the firmware names itself ArduSub."""
+    if "MSG" not in tables or "Message" not in names_of(tables["MSG"]):
+        return False
+    return any(bytes(words).startswith(b"ArduSub") for words in tables["MSG"]["Message"])
 
 
 def _to_vehicle(arrivals: Arrivals, tables: Columns, notes: list[str]) -> Arrivals:

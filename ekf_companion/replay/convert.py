@@ -197,9 +197,12 @@ def read(
     chosen = max(pieces, key=len)
     longest = events.take(chosen)
     if len(pieces) > 1:
-        run.report.notes.append(
-            "the autopilot or its clock begins anew in this log; the longest part counts"
+        what = (
+            "the autopilot rebooted in this log, and its clock"
+            if (run.report.reboots)
+            else "another autopilot, or its clock,"
         )
+        run.report.notes.append(f"{what} begins anew; the longest part counts")
     return Recording(
         family=families[chosen[-1]],
         events=longest.take(longest.kind != Kind.RESTART),

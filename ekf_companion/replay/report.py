@@ -39,6 +39,8 @@ class Report:
     """From one event to the next, ns: the median of each block."""
     seconds: dict[Status, float] = field(default_factory=dict)
     estimates: int = 0
+    reboots: int = 0
+    """How often the autopilot's clock began anew."""
     health: Health | None = None
     refused: dict[str, int] = field(default_factory=dict)
 
@@ -53,6 +55,7 @@ class Report:
             "events": {kind.name.lower(): count for kind, count in self.counts.items()},
             "derived_positions": self.derived,
             "estimates": self.estimates,
+            "reboots": self.reboots,
             "seconds": {status.name.lower(): spent for status, spent in self.seconds.items()},
             "resets": health.resets if health else 0,
             "gaps": health.gaps if health else 0,
@@ -72,6 +75,8 @@ def _by_name(table: Mapping[Any, Mapping[Any, int]]) -> dict[str, dict[str, int]
 
 def add_block(report: Report, events: Events, table: Table) -> None:
     """Add a block of events and their estimates to the report."""
+    is_restart = events.kind == Kind.RESTART
+    report.reboots += int(np.count_nonzero(is_restart & (events.values[:, 0] == 0.0)))
     derived = (events.kind == Kind.GNSS) & (events.values[:, _FLAGS] == GnssFlag.DERIVED)
     report.derived += int(np.count_nonzero(derived))
     for kind in Kind:
@@ -105,6 +110,11 @@ def note_shortcomings(report: Report, path: Path) -> None:
         raise LogError(
             f"{path}: holds no inertial samples (HIGHRES_IMU, RAW_IMU, SCALED_IMU, IMU or "
             "sensor_combined), so nothing can be estimated; ask the autopilot to log or stream them"
+        )
+    if report.reboots:
+        times = "once" if report.reboots == 1 else f"{report.reboots} times"
+        report.notes.append(
+            f"the autopilot rebooted {times}: its clock began anew, and the estimate with it"
         )
     if report.health and (strays := report.health.arrivals[Kind.IMU][Arrival.STRAY]):
         report.notes.append(

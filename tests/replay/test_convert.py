@@ -271,3 +271,15 @@ def test_progress_goes_through_both_runs_and_ends(flown):
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     assert any(0.5 < share < 0.9 for share in shares)
+
+
+def test_a_reboot_is_named_as_one(flown, tmp_path):
+    twice = tmp_path / "twice.tlog"
+    twice.write_bytes((flown / "flight.tlog").read_bytes() * 2)
+    result = command("convert", twice, "-o", tmp_path / "out.csv")
+    said = " ".join(result.output.split())
+    assert (
+        "note: the autopilot rebooted once: its clock began anew, and the estimate with it" in said
+    )
+    once = command("convert", flown / "flight.tlog", "-o", tmp_path / "out.csv")
+    assert "rebooted" not in once.output

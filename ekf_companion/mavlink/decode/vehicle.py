@@ -10,6 +10,8 @@ from ekf_companion.nav.measurements import VehicleState
 _ARMED = 128
 _INVALID_AUTOPILOT = 8
 _ON_GROUND = 1
+_SUBMARINE = 12
+"""MAV_TYPE."""
 
 
 class Vehicle:
@@ -35,6 +37,7 @@ class Vehicle:
         if m.autopilot == _INVALID_AUTOPILOT:
             return []
         self.is_armed = bool(m.base_mode & _ARMED)
+        self._context.is_submarine = m.type == _SUBMARINE
         return self._state()
 
     def extended_sys_state(self, frame: Frame) -> Measurements:
