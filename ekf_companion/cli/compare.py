@@ -45,7 +45,7 @@ def compare(
         str | None,
         typer.Option(
             help="Run several over the log: eskf,euler,iterated,ukf; zupt; ahrs,mahony,vqf. "
-            "docs/FILTERS.md has their options."
+            "NAME:? lists the options of one."
         ),
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw all trajectories into a .png.")] = None,

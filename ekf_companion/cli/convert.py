@@ -21,7 +21,7 @@ def convert(
     smooth: terminal.SmoothOption = False,
     as_json: terminal.JsonOption = False,
     name: Annotated[
-        str, typer.Option("--filter", help="NAME or NAME:OPTION; docs/FILTERS.md lists them.")
+        str, typer.Option("--filter", help="NAME or NAME:OPTION; ? lists them.")
     ] = "eskf",
     preset: Annotated[
         str | None, typer.Option(help="For euler and ahrs: article or corrected.")

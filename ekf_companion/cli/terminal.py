@@ -28,7 +28,7 @@ PlotOption = Annotated[
 ]
 ConfigOption = Annotated[
     Path | None,
-    typer.Option("--config", "-c", help="YAML file; config/reference.yaml explains it."),
+    typer.Option("--config", "-c", help="YAML file; check-config prints every key."),
 ]
 LinkOption = Annotated[
     str | None,

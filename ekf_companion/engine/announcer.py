@@ -175,7 +175,8 @@ class Announcer:
         if refused := self._session.admission.refused:
             why, count = refused.most_common(1)[0]
             _log.warning(
-                "No heartbeat of an autopilot was let in: %d frames: %s; see docs/LINK.md",
+                "No heartbeat of an autopilot was let in: %d frames: %s; "
+                "link.allow_systems, link.allow_components and signing decide",
                 count,
                 why,
             )

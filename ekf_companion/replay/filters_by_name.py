@@ -186,4 +186,4 @@ FILTERS: Mapping[str, Filter] = {
     "mahony": Filter(_mahony),
     "vqf": Filter(_vqf),
 }
-"""The names of ``--filters`` and :func:`run_filter`; docs/FILTERS.md describes each."""
+"""The names of ``--filters`` and :func:`run_filter`; a file of ``filters`` describes each."""
