@@ -31,6 +31,7 @@ def convert(
 ) -> None:
     """Re-run the estimator, or another filter, over a recorded flight."""
     from ekf_companion.replay import convert as converter
+    from ekf_companion.replay.verdict import judge
 
     with terminal.exit_on_error(), terminal.progress_bar(log.name) as progress:
         inputs = {"the log": log, "the configuration": config}
@@ -45,7 +46,9 @@ def convert(
         report = converter.convert(
             log, out, terminal.load(config), rate, progress, is_smoothed=smooth
         )
-    terminal.show(as_json, report.to_dict(), converter.summary(report))
+    judgement = judge(report)
+    data = {"verdict": judgement.sentence, "grade": judgement.grade, **report.to_dict()}
+    terminal.show(as_json, data, [judgement.sentence, *converter.summary(report)])
 
 
 def _choose(name: str, options: list[str | None]) -> str:

@@ -41,8 +41,15 @@ class Report:
     estimates: int = 0
     reboots: int = 0
     """How often the autopilot's clock began anew."""
+    horizontal_stds: list[float] = field(default_factory=list)
+    """One sigma of the horizontal position while there was one, m: the median of each block."""
     health: Health | None = None
     refused: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def horizontal_std(self) -> float:
+        """Median of one sigma of the horizontal position, m; NaN: there was no position."""
+        return float(np.median(self.horizontal_stds)) if self.horizontal_stds else float("nan")
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything for JSON, names in lower case."""
@@ -89,6 +96,9 @@ def add_block(report: Report, events: Events, table: Table) -> None:
             medians.append(float(np.median(steps)))
             report.rates[kind] = 1e9 / float(np.median(medians))
     report.estimates += len(table)
+    std = np.hypot(table.column("sd_pos_n"), table.column("sd_pos_e"))
+    if (is_known := (table.column("status") >= Status.OK) & np.isfinite(std)).any():
+        report.horizontal_stds.append(float(np.median(std[is_known])))
     if len(table) > 1:
         status = table.column("status")[1:]
         spans = np.diff(table.stamp_ns) * 1e-9
