@@ -150,6 +150,11 @@ def _place_legend(plot: Any) -> None:
     plot.add_layout(legend, "below")
 
 
+def _short(name: str) -> str:
+    """Return a trajectory's name without the messages that it is from: a legend is narrow."""
+    return name.partition(" (")[0]
+
+
 def thin(x: Array, y: Array) -> tuple[Array, Array]:
     """Return a line with few points that has the same outline: the extremes of each piece."""
     if len(x) <= POINTS:
@@ -198,17 +203,21 @@ def _track(review: FlightReview, sheet: _Sheet) -> list[Any]:
     for one, colour in reversed(list(zip(placed, _COLOURS, strict=False))):
         some = slice(None, None, -(-len(one.pos_t_ns) // POINTS))
         ned = frame.to_ned(one.lat[some], one.lon[some], np.nan_to_num(one.alt[some]))
-        plot.line(ned[:, 1], ned[:, 0], line_color=colour, line_width=1.6, legend_label=one.name)
+        plot.line(
+            ned[:, 1], ned[:, 0], line_color=colour, line_width=1.6, legend_label=_short(one.name)
+        )
     _place_legend(plot)
     return [plot]
 
 
 def _motion(trajectories: Sequence[Trajectory], sheet: _Sheet) -> list[Any]:
     coloured = list(zip(trajectories, _COLOURS, strict=False))
-    heights = [(one.name, one.pos_t_ns, one.alt, colour) for one, colour in coloured]
+    heights = [(_short(one.name), one.pos_t_ns, one.alt, colour) for one, colour in coloured]
     plots = sheet.lines("height above mean sea level", "m", heights)
     for axis, name in enumerate(("north", "east", "down")):
-        series = [(one.name, one.vel_t_ns, one.vel_n[:, axis], colour) for one, colour in coloured]
+        series = [
+            (_short(one.name), one.vel_t_ns, one.vel_n[:, axis], colour) for one, colour in coloured
+        ]
         plots += sheet.lines(f"velocity {name}", "m/s", series)
     return plots
 
@@ -220,7 +229,7 @@ def _attitude(trajectories: Sequence[Trajectory], sheet: _Sheet) -> list[Any]:
         for one, colour in zip(trajectories, _COLOURS, strict=False):
             angle = np.rad2deg(so3.to_euler(one.q_nb)[:, axis]) if len(one.q_nb) else np.zeros(0)
             turned = np.abs(np.diff(angle, append=angle[-1:])) > 180.0
-            series.append((one.name, one.att_t_ns, np.where(turned, np.nan, angle), colour))
+            series.append((_short(one.name), one.att_t_ns, np.where(turned, np.nan, angle), colour))
         plots += sheet.lines(name, "deg", series)
     return plots
 

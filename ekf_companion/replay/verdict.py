@@ -89,7 +89,8 @@ def _of_resets(report: Report) -> tuple[list[str], list[str]]:
     resets = report.health.resets if report.health else 0
     resets -= report.reboots
     if resets <= 0:
-        return [], [f"{report.reboots} reboots of the autopilot"] if report.reboots else []
+        times = "once" if report.reboots == 1 else f"{report.reboots} times"
+        return [], [f"the autopilot rebooted {times}"] if report.reboots else []
     reason = report.health.reset_reason if report.health else ""
     words = [f"{resets} reset{'s' if resets > 1 else ''} (last: {reason})"]
     return (words, []) if resets > 2 else ([], words)
