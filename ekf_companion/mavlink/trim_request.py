@@ -12,7 +12,7 @@ from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
 
 _TRIES = 3
-_PERIOD_NS = SECOND_NS // 2
+_PERIOD_NS = SECOND_NS
 
 
 class TrimRequest(Service):
