@@ -12,8 +12,12 @@ setup: $(STAMP)
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
+# Whoever waits sees every five seconds that it goes on
 $(STAMP): $(VENV)/bin/python pyproject.toml $(KERNEL)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@echo "Setting up $(VENV): packages are downloaded and the kernel is compiled, one to three minutes"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]' & job=$$!; \
+	seconds=0; while kill -0 $$job 2> /dev/null; do sleep 1; seconds=$$((seconds + 1)); \
+	[ $$((seconds % 5)) -ne 0 ] || echo "  setting up, $$seconds s"; done; wait $$job
 	@touch $@
 
 test: $(STAMP)

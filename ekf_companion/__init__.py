@@ -26,30 +26,56 @@ Rooms, from the bottom up; imports point down only
     doctor     what is wrong on this link, and what to do
     cli        the commands
 
-As a library: ``open_log`` reads a recording, ``run_filter`` takes a filter through it.
+As a library
+    ``estimate`` takes arrays and returns a trajectory, ``Stream`` takes sample by sample;
+    ``open_log`` reads a recording, ``run_filter`` takes a filter through it, ``OwnAid`` is a
+    measurement of your own.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ekf_companion.version import __version__
 
 if TYPE_CHECKING:
+    from ekf_companion.filters.own_aid import OwnAid
+    from ekf_companion.replay.arrays import estimate
     from ekf_companion.replay.convert import read as open_log
+    from ekf_companion.replay.estimates import Estimates
     from ekf_companion.replay.filters_by_name import run_filter
+    from ekf_companion.replay.stream import Stream, StreamEstimate
 
-__all__ = ["__version__", "open_log", "run_filter"]
+__all__ = [
+    "Estimates",
+    "OwnAid",
+    "Stream",
+    "StreamEstimate",
+    "__version__",
+    "estimate",
+    "open_log",
+    "run_filter",
+]
+_PLACES = {
+    "Estimates": ("replay.estimates", "Estimates"),
+    "OwnAid": ("filters.own_aid", "OwnAid"),
+    "Stream": ("replay.stream", "Stream"),
+    "StreamEstimate": ("replay.stream", "StreamEstimate"),
+    "estimate": ("replay.arrays", "estimate"),
+    "open_log": ("replay.convert", "read"),
+    "run_filter": ("replay.filters_by_name", "run_filter"),
+}
 
 
 def __getattr__(name: str) -> Any:
     """Import what a library's user asks for, and not before: the daemon starts without it."""
-    if name == "open_log":
-        from ekf_companion.replay.convert import read
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, attribute = _PLACES[name]
+    return getattr(import_module(f"{__name__}.{module}"), attribute)
 
-        return read
-    if name == "run_filter":
-        from ekf_companion.replay.filters_by_name import run_filter
 
-        return run_filter
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+def __dir__() -> list[str]:
+    """Return what a library's user may want, and Tab completes."""
+    return __all__

@@ -2,6 +2,7 @@
 
 CompanionError
 ├── ConfigError   a key, a value or a file of the configuration
+├── DataError     arrays that cannot be meant: units, axes, times (a ValueError too)
 ├── LinkError     a URL that names no link, or a link that cannot be opened at all
 └── LogError      a recorded file that cannot be read, or holds nothing to estimate from
     └── FilterError  a filter whose mathematics end before the recording does
@@ -18,6 +19,10 @@ class CompanionError(Exception):
 
 class ConfigError(CompanionError):
     """The configuration holds something that cannot be meant."""
+
+
+class DataError(CompanionError, ValueError):
+    """Arrays of measurements hold something that cannot be meant."""
 
 
 class LinkError(CompanionError):

@@ -217,7 +217,11 @@ def demo(
     """Fly figure-eight against the real daemon over UDP, and compare the errors with limits."""
     with _exit_on_error():
         score, files = demonstration.fly(
-            out, duration=duration, seed=seed, daemon_config=daemon_config
+            out,
+            duration=duration,
+            seed=seed,
+            daemon_config=daemon_config,
+            tell=lambda words: _errors.print(words, highlight=False),
         )
     _report(score, demonstration.LIMITS)
     for file in files:

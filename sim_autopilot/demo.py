@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from ekf_companion.errors import CompanionError
+from ekf_companion.link.link import Link
 from sim_autopilot import figure
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
+from sim_autopilot.fly import Flown, over, run
 from sim_autopilot.fly import fly as fly_over
-from sim_autopilot.fly import over, run
 from sim_autopilot.recording import write_truth
 from sim_autopilot.score_table import TITLES
 
@@ -31,14 +33,23 @@ LIMITS = {
 """Of the RMS error after ten seconds."""
 _START = 15.0
 """Longest time to the daemon's first answer, s."""
+_NEWS = 5.0
+"""Seconds between two lines of progress."""
 _STOP = 5.0
 """Longest time to its end, s."""
 
 
 def fly(
-    out: Path, *, duration: float, seed: int, daemon_config: Path | None = None
+    out: Path,
+    *,
+    duration: float,
+    seed: int,
+    daemon_config: Path | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Fly figure-eight against the daemon; return the score, and the files that were written.
+
+    ``tell`` is called with what is going on, every five seconds or more often.
 
     Raises:
         CompanionError: The daemon did not start or never answered.
@@ -49,10 +60,17 @@ def fly(
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
+
+    async def body(link: Link) -> Flown:
+        news = asyncio.create_task(_tell_time(duration, tell))
+        try:
+            return await fly_over(flight, link, wait=_START)
+        finally:
+            news.cancel()
+
     with _daemon(daemon_config, port, out / "daemon.log"):
-        flown = run(
-            over(f"udpout:127.0.0.1:{port}", lambda link: fly_over(flight, link, wait=_START))
-        )
+        flown = run(over(f"udpout:127.0.0.1:{port}", body))
+    tell("drawing the figure")
     score = flown.witness.score()
     score["pacing_late_ms"] = flown.pace.lateness()
     (out / "score.json").write_text(json.dumps(score, indent=2) + "\n", encoding="utf-8")
@@ -61,6 +79,14 @@ def fly(
         figure.draw(out / "demo.png", flight, flown.witness, score)
         files.insert(0, out / "demo.png")
     return score, files
+
+
+async def _tell_time(duration: float, tell: Callable[[str], None]) -> None:
+    begin = asyncio.get_running_loop().time()
+    tell(f"flying for {duration:g} s, in real time, over UDP")
+    while True:
+        await asyncio.sleep(_NEWS)
+        tell(f"flying, {asyncio.get_running_loop().time() - begin:.0f} of {duration:g} s")
 
 
 def complaints(score: dict[str, Any], log: Path) -> list[str]:

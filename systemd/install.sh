@@ -32,6 +32,12 @@ is_live() {
 
 # Refuse a folder that is neither empty nor a virtual environment
 check() {
+    # They go into units, scripts and a sed expression, of which each reads other signs its own way
+    case $prefix$root in
+    *[!A-Za-z0-9/._+-]*)
+        fail "PREFIX=$prefix DESTDIR=$root: use letters, digits and / . _ + - only, no space"
+        ;;
+    esac
     case $prefix in
     /*) ;;
     *) fail "PREFIX=$prefix: write it from the root, as in /opt/ekf-companion" ;;

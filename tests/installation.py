@@ -184,3 +184,24 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path, target):
     assert "PREFIX=/usr" in words or f"PREFIX={tmp_path}/usr" in words
     assert "holds something else; name a folder of its own" in words
     assert [path.name for path in tmp_path.rglob("*")] == ["usr", "precious"]
+
+
+@pytest.mark.parametrize("target", ["install", "uninstall"])
+@pytest.mark.parametrize("sign", [" ", "|", "&", "%", "'", "\\", "*", "\n"])
+@pytest.mark.parametrize("key", ["PREFIX", "DESTDIR"])
+def test_a_path_that_a_unit_or_a_script_would_misread_is_refused_up_front(
+    tmp_path, target, sign, key
+):
+    places = {"PREFIX": "/opt/ekf", "DESTDIR": str(tmp_path / "root")}
+    places[key] += f"{sign}x"
+    result = subprocess.run(
+        [ROOT / "systemd/install.sh", target],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, **places, "PYTHON": sys.executable},
+    )
+    assert result.returncode == 1
+    assert f"{key}={places[key]}" in result.stderr
+    assert "use letters, digits and / . _ + - only, no space" in result.stderr
+    assert not list(tmp_path.iterdir())

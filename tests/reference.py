@@ -33,7 +33,10 @@ _HEAD = """\
 #
 # In brackets: the unit; the values that a key takes; "reloadable" where `ekf-companion reload`
 # takes a change in flight (all others wait for the next start); the MAVLink parameter that sets the
-# key, and its values."""
+# key, and its values.
+#
+# A file that is empty or cut off is refused. So is a reload of a file in which a key no longer
+# stands that would go back to its default: write the default out."""
 _WIDTH = 100
 _UNBOUNDED = 1e6
 _FAMILIES = {"px4": "PX4", "ardupilot": "ArduPilot", "unknown": "others"}

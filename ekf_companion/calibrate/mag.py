@@ -226,6 +226,8 @@ def result(found: Iron) -> Result:
     is_sure = bool((np.abs(fit.hard) > 2.0 * fit.hard_std).any())
     is_sure |= is_whole and bool(np.abs(fit.soft - np.eye(3)).max() > 2.0 * fit.soft_std)
     remark = "" if is_sure else "; no more than its uncertainty: leave it as it is"
+    if found.method == "hard iron" and found.share < FEW:
+        is_sure, remark = False, f"; from {found.share:.0%} of all directions: a guess, to confirm"
     axes = zip(AXES, fit.hard_std, found.determined, strict=True)
     stds = [f"{axis} {f'{std:.3f}' if known else 'not determined'}" for axis, std, known in axes]
     settings = [
@@ -265,7 +267,7 @@ def _notes(found: Iron) -> list[str]:
     if found.method == "hard iron" and found.share < FEW:
         notes.append(
             "that is very few: the answer leans on the strength of the field and on the "
-            "magnetometer's scale. Believe it only if another flight agrees"
+            "magnetometer's scale. It is a comment below: use it only if another flight agrees"
         )
     if found.method == "circle":
         axis = AXES[int(np.argmin(found.determined))]

@@ -17,6 +17,7 @@ from ekf_companion.cli.convert import convert
 from ekf_companion.cli.doctor import doctor
 from ekf_companion.cli.observability import observability
 from ekf_companion.cli.reload import reload
+from ekf_companion.cli.report import report
 from ekf_companion.cli.service import check_config, run
 from ekf_companion.cli.status import status
 from ekf_companion.version import __version__
@@ -50,6 +51,7 @@ app.command()(status)
 app.command()(reload)
 app.command()(convert)
 app.command()(compare)
+app.command()(report)
 app.add_typer(calibrate, name="calibrate")
 app.command()(observability)
 app.command()(doctor)

@@ -25,16 +25,16 @@ def calibrate_noise(
     log: terminal.LogArgument,
     config: terminal.ConfigOption = None,
     plot: terminal.PlotOption = None,
-    json_file: terminal.JsonOption = None,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Measure noise: of the inertial sensors at rest (Allan deviation), and of the receiver."""
     from ekf_companion.analysis.calibration_figure import draw_noise
     from ekf_companion.calibrate import noise
 
-    with terminal.open_log(log, config, plot, json_file) as (recording, settings):
+    with terminal.open_log(log, config, plot) as (recording, settings):
         found = noise.measure(recording, settings, str(log))
         result = noise.result(found, settings).after(recording.notes)
-        _report("noise", log, plot, json_file, result, partial(draw_noise, found))
+        _report("noise", log, plot, as_json, result, partial(draw_noise, found))
 
 
 @calibrate.command("delay")
@@ -42,17 +42,17 @@ def calibrate_delay(
     log: terminal.LogArgument,
     config: terminal.ConfigOption = None,
     plot: terminal.PlotOption = None,
-    json_file: terminal.JsonOption = None,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Measure the delay of the receiver's fixes: the most likely one."""
     from ekf_companion.analysis.calibration_figure import draw_delay
     from ekf_companion.calibrate import delay
 
-    with terminal.open_log(log, config, plot, json_file) as (recording, settings):
+    with terminal.open_log(log, config, plot) as (recording, settings):
         with terminal.progress_bar(f"{log.name}: delays") as progress:
             found = delay.measure(recording, settings, str(log), progress)
         result = delay.result(found).after(recording.notes)
-        _report("delay", log, plot, json_file, result, partial(draw_delay, found))
+        _report("delay", log, plot, as_json, result, partial(draw_delay, found))
 
 
 @calibrate.command("mag")
@@ -60,27 +60,26 @@ def calibrate_mag(
     log: terminal.LogArgument,
     config: terminal.ConfigOption = None,
     plot: terminal.PlotOption = None,
-    json_file: terminal.JsonOption = None,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Measure the vehicle's hard and soft iron, by an ellipsoid fitted to the field."""
     from ekf_companion.analysis.calibration_figure import draw_mag
     from ekf_companion.calibrate import mag
 
-    with terminal.open_log(log, config, plot, json_file) as (recording, settings):
+    with terminal.open_log(log, config, plot) as (recording, settings):
         found = mag.measure(recording, settings, str(log))
         result = mag.result(found).after(recording.notes)
-        _report("mag", log, plot, json_file, result, partial(draw_mag, found))
+        _report("mag", log, plot, as_json, result, partial(draw_mag, found))
 
 
 def _report(
-    kind: str, log: Path, plot: Path | None, json_file: Path | None, result: Result, draw: Draw
+    kind: str, log: Path, plot: Path | None, as_json: bool, result: Result, draw: Draw
 ) -> None:
-    """Print the result of a calibration, and write its JSON and its figure."""
+    """Print the result of a calibration, and write its figure."""
     from ekf_companion.analysis import figure_file
     from ekf_companion.calibrate.result import lines
 
-    for line in lines(f"ekf-companion calibrate {kind} {log}", result):
-        typer.echo(line)
-    terminal.write_json(json_file, result.to_dict(str(log)))
+    text = lines(f"ekf-companion calibrate {kind} {log}", result)
+    terminal.show(as_json, result.to_dict(str(log)), text)
     write = partial(figure_file.write, title=f"calibrate {kind} {log.name}", draw=draw)
-    typer.echo(f"# {terminal.write_figure(log, kind, plot, write)}")
+    typer.echo(f"# {terminal.write_figure(log, kind, plot, write)}", err=as_json)

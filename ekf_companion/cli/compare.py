@@ -45,25 +45,25 @@ def compare(
         str | None,
         typer.Option(
             help="Run several over the log: eskf,euler,iterated,ukf; zupt; ahrs,mahony,vqf. "
-            "docs/FILTERS.md has their options."
+            "NAME:? lists the options of one."
         ),
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw all trajectories into a .png.")] = None,
     smooth: terminal.SmoothOption = False,
-    json_file: terminal.JsonOption = None,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Compare our estimate, or several filters', with a truth or the autopilot's own."""
     with terminal.exit_on_error():
         inputs = {"the log": log, "the reference": reference, "the configuration": config}
-        terminal.check_outputs(inputs, {"--plot": plot, "--json": json_file})
+        terminal.check_outputs(inputs, {"--plot": plot})
         if filters is None:
-            ours = _ours(log, terminal.load(config), is_smoothed=smooth)
-            _compare_ours(log, ours, reference, (skip, until), plot, json_file)
+            ours = _ours(log, terminal.load(config), is_smoothed=smooth, is_silent=as_json)
+            _compare_ours(log, ours, reference, (skip, until), plot, as_json)
         elif smooth:
             raise ConfigError("--smooth: smooths eskf only; leave --filters or --smooth out")
         else:
             _compare_filters(
-                log, filters, reference, terminal.load(config), (skip, until), plot, json_file
+                log, filters, reference, terminal.load(config), (skip, until), plot, as_json
             )
 
 
@@ -78,7 +78,7 @@ class _Ours(NamedTuple):
     truth: Trajectory | None = None
 
 
-def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
+def _ours(log: Path, config: Config, *, is_smoothed: bool, is_silent: bool) -> _Ours:
     """Run the estimator over a log, or read an estimate that it has written."""
     from ekf_companion.logs.estimate import is_estimate, of_table, read_estimate
     from ekf_companion.replay import convert as converter
@@ -99,9 +99,8 @@ def _ours(log: Path, config: Config, *, is_smoothed: bool) -> _Ours:
         else:
             table, report, own, truth = converter.estimate(log, config, progress)
             estimate = of_table(table, "ekf-companion")
-    for line in converter.summary(report):
-        typer.echo(line)
-    typer.echo()
+    if not is_silent:
+        typer.echo("\n".join(converter.summary(report)) + "\n")
     return _Ours(estimate, live, own, truth)
 
 
@@ -111,7 +110,7 @@ def _compare_ours(
     reference: Path | None,
     span: tuple[float | None, float | None],
     plot: Path | None,
-    json_file: Path | None,
+    as_json: bool,
 ) -> None:
     """Print the errors of our estimate against a truth or the autopilot's."""
     from ekf_companion.analysis import score, trajectory_figure
@@ -139,11 +138,9 @@ def _compare_ours(
     start = scores[0].start_ns
     for rival in (*ours.live, *own):
         scores.append(score.score(rival, against, 0.0, start_ns=start, end_ns=end))
-    for line in score.table(scores):
-        typer.echo(line)
+    terminal.show(as_json, [one.to_dict() for one in scores], score.table(scores))
     if plot is not None:
         trajectory_figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
-    terminal.write_json(json_file, [score.to_dict() for score in scores])
 
 
 def _compare_filters(
@@ -153,7 +150,7 @@ def _compare_filters(
     config: Config,
     span: tuple[float | None, float | None],
     plot: Path | None,
-    json_file: Path | None,
+    as_json: bool,
 ) -> None:
     """Run several filters over a log, and print the errors of each."""
     from ekf_companion.analysis import comparison, trajectory_figure, walk_figure
@@ -178,12 +175,10 @@ def _compare_filters(
         entries = comparison.score_filters(entries, against, skipped, until, recording.counted)
     elif all(one.is_still is None for one in solutions):
         raise LogError(_WITHOUT_REFERENCE.format(log))
-    typer.echo(f"{log}" + (f" against {against.name}" if against is not None else "") + "\n")
-    for line in comparison.table(entries):
-        typer.echo(line)
-    for note in recording.notes:
-        typer.echo(f"  note: {log.name}: {note}")
-    terminal.write_json(json_file, [entry.to_dict() for entry in entries])
+    title = f"{log}" + (f" against {against.name}" if against is not None else "")
+    notes = [f"  note: {log.name}: {note}" for note in recording.notes]
+    data = [entry.to_dict() for entry in entries]
+    terminal.show(as_json, data, [title, "", *comparison.table(entries), *notes])
     if plot is not None and against is not None:
         lines = [one.trajectory for one in entries if one.trajectory is not None]
         trajectory_figure.plot(

@@ -19,9 +19,9 @@ def convert(
         float | None, typer.Option(min=0.001, help="Largest number of rows per second.")
     ] = None,
     smooth: terminal.SmoothOption = False,
-    json_file: terminal.JsonOption = None,
+    as_json: terminal.JsonOption = False,
     name: Annotated[
-        str, typer.Option("--filter", help="NAME or NAME:OPTION; docs/FILTERS.md lists them.")
+        str, typer.Option("--filter", help="NAME or NAME:OPTION; ? lists them.")
     ] = "eskf",
     preset: Annotated[
         str | None, typer.Option(help="For euler and ahrs: article or corrected.")
@@ -31,26 +31,24 @@ def convert(
 ) -> None:
     """Re-run the estimator, or another filter, over a recorded flight."""
     from ekf_companion.replay import convert as converter
+    from ekf_companion.replay.verdict import judge
 
     with terminal.exit_on_error(), terminal.progress_bar(log.name) as progress:
         inputs = {"the log": log, "the configuration": config}
-        terminal.check_outputs(inputs, {"--out": out, "--json": json_file})
+        terminal.check_outputs(inputs, {"--out": out})
         chosen = _choose(name, [preset, frame, detector])
         if chosen != "eskf":
             if smooth:
                 raise ConfigError("--smooth: smooths eskf only; leave it or --filter out")
             solution = converter.convert_by(chosen, log, out, terminal.load(config), rate)
-            terminal.write_json(json_file, solution.to_dict())
-            typer.echo(f"{log}:")
-            for line in solution.summary():
-                typer.echo(line)
+            terminal.show(as_json, solution.to_dict(), [f"{log}:", *solution.summary()])
             return
         report = converter.convert(
             log, out, terminal.load(config), rate, progress, is_smoothed=smooth
         )
-        terminal.write_json(json_file, report.to_dict())
-    for line in converter.summary(report):
-        typer.echo(line)
+    judgement = judge(report)
+    data = {"verdict": judgement.sentence, "grade": judgement.grade, **report.to_dict()}
+    terminal.show(as_json, data, [judgement.sentence, *converter.summary(report)])
 
 
 def _choose(name: str, options: list[str | None]) -> str:

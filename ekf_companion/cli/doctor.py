@@ -33,7 +33,9 @@ def doctor(
     listen: Annotated[
         bool, typer.Option("--listen", help="Send nothing: no heartbeat and no request.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the findings as JSON, and nothing else.")
+    ] = False,
 ) -> None:
     """Find the stage that loses the data, and the parameter to change."""
     from ekf_companion.doctor.diagnosis import diagnose, first_failure

@@ -15,7 +15,7 @@ def observability(
     log: terminal.LogArgument,
     config: terminal.ConfigOption = None,
     plot: terminal.PlotOption = None,
-    json_file: terminal.JsonOption = None,
+    as_json: terminal.JsonOption = False,
     window: Annotated[
         float, typer.Option(min=1.0, max=600.0, help="Length of the sliding windows, s.")
     ] = 10.0,
@@ -26,7 +26,7 @@ def observability(
     from ekf_companion.analysis import observability_report as report
     from ekf_companion.filters.sequence import MeasurementSequence
 
-    with terminal.open_log(log, config, plot, json_file) as (recording, settings):
+    with terminal.open_log(log, config, plot) as (recording, settings):
         try:
             course = MeasurementSequence(
                 recording.events, settings, recording.family, recording.gnss_delay
@@ -37,8 +37,7 @@ def observability(
                 )
         except LogError as error:
             raise LogError(f"{log}: {error}") from error
-        for line in (*recording.notes, *report.lines(found)):
-            typer.echo(line)
-        terminal.write_json(json_file, {"log": str(log), **report.to_dict(found)})
+        data = {"log": str(log), **report.to_dict(found)}
+        terminal.show(as_json, data, (*recording.notes, *report.lines(found)))
         draw = partial(observability_figure.plot, found=found, title=f"observability {log.name}")
-        typer.echo(terminal.write_figure(log, "observability", plot, draw))
+        typer.echo(terminal.write_figure(log, "observability", plot, draw), err=as_json)

@@ -10,8 +10,8 @@ from typing import Annotated
 import typer
 import yaml
 
-from ekf_companion.cli.terminal import ConfigOption, LinkOption, exit_on_error, load
-from ekf_companion.config.config import Config, describe_config, load_config
+from ekf_companion.cli.terminal import ConfigOption, LinkOption, exit_on_error
+from ekf_companion.config.config import Config, ConfigFile, describe_config, load_config
 from ekf_companion.config.file_name import why_not_writable
 from ekf_companion.errors import ConfigError
 
@@ -32,14 +32,15 @@ def run(
     from ekf_companion.daemon import logging as journal
 
     has_started = False
+    file = None if config is None else ConfigFile(config)
 
     def read() -> Config:
         """Return the file's configuration, overridden by the command line."""
         nonlocal has_started
-        if has_started and config is None:
+        if has_started and file is None:
             raise ConfigError("the daemon was started without --config: no file could have changed")
         has_started = True
-        settings = load(config)
+        settings = Config() if file is None else file.read()
         if link is not None:
             settings = replace(settings, link=replace(settings.link, url=link))
         if record is not None:

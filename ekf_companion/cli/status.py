@@ -35,7 +35,9 @@ class Answer(NamedTuple):
 
 def status(
     url: Annotated[str, typer.Option(help="Where the daemon answers: http.host, http.port.")] = URL,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the JSON of /status.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print /status as JSON, and nothing else.")
+    ] = False,
     watch: Annotated[bool, typer.Option("--watch", help="Repeat every second.")] = False,
 ) -> None:
     """Show the daemon's state. Exit code: 0 ok, 1 no estimate of now or invalid, 4 no answer."""

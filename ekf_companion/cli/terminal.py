@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,11 +23,12 @@ LogArgument = Annotated[
     Path, typer.Argument(help=".tlog, .bin, .ulg, .csv; also .txt (OpenShoe), .mat (BROAD).")
 ]
 PlotOption = Annotated[
-    Path | None, typer.Option("--plot", help="File of the figure; by default LOG.KIND.png, here.")
+    Path | None,
+    typer.Option("--plot", help="File of the figure; by default LOG.KIND.png, beside the log."),
 ]
 ConfigOption = Annotated[
     Path | None,
-    typer.Option("--config", "-c", help="YAML file; config/reference.yaml explains it."),
+    typer.Option("--config", "-c", help="YAML file; check-config prints every key."),
 ]
 LinkOption = Annotated[
     str | None,
@@ -34,7 +37,9 @@ LinkOption = Annotated[
 SmoothOption = Annotated[
     bool, typer.Option("--smooth", help="Smooth: each estimate uses the whole flight.")
 ]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result as JSON too.")]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
+]
 
 
 @contextmanager
@@ -66,17 +71,13 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
-def write_json(path: Path | None, data: object) -> None:
-    """Write data where a path is given.
-
-    Raises:
-        ConfigError: It cannot be written there.
-    """
-    if path is not None:
-        try:
-            path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
+def show(as_json: bool, data: object, lines: Iterable[str]) -> None:
+    """Print a result: the lines, or in their place the data as JSON."""
+    if as_json:
+        typer.echo(json.dumps(data, indent=2, ensure_ascii=False))
+    else:
+        for line in lines:
+            typer.echo(line)
 
 
 def check_outputs(inputs: dict[str, Path | None], outputs: dict[str, Path | None]) -> None:
@@ -108,26 +109,40 @@ def read(log: Path, config: Config) -> Recording:
 
 @contextmanager
 def open_log(
-    log: Path, config: Path | None, plot: Path | None, json_file: Path | None
+    log: Path, config: Path | None, plot: Path | None
 ) -> Iterator[tuple[Recording, Config]]:
-    """Read a log for a command that prints what it finds, draws it and writes JSON.
+    """Read a log for a command that prints what it finds, and draws it.
 
     Yields:
         The log and the configuration. Errors become sentences, as by ``exit_on_error``.
     """
     with exit_on_error():
         inputs = {"the log": log, "the configuration": config}
-        check_outputs(inputs, {"--plot": plot, "--json": json_file})
+        check_outputs(inputs, {"--plot": plot})
         settings = load(config)
         yield read(log, settings), settings
 
 
 def write_figure(log: Path, kind: str, plot: Path | None, write: Callable[[Path], None]) -> str:
-    """Write a figure; return a line that names its file, or says why there is none."""
+    """Write a figure; return a line that names its file, or says why there is none.
+
+    Where no file is named, it goes beside the log, and overwrites nothing.
+    """
     from ekf_companion.analysis.figure_file import has_matplotlib
 
     if plot is None and not has_matplotlib():
         return "no figure: install ekf-companion with the extra: plot"
-    path = plot if plot is not None else Path(f"{log.stem}.{kind}.png")
+    path = plot if plot is not None else beside(log, kind, ".png")
+    if plot is None and not os.access(path.parent, os.W_OK):
+        return f"no figure: {path.parent} cannot be written to; name a file with --plot"
     write(path)
     return f"figure: {path}"
+
+
+def beside(log: Path, kind: str, suffix: str) -> Path:
+    """Return the name of a new file beside a log: LOG.KIND.png, LOG.KIND-2.png and so on."""
+    for number in count(1):
+        name = f"{log.stem}.{kind}{'' if number == 1 else f'-{number}'}{suffix}"
+        if not (path := log.with_name(name)).exists():
+            return path
+    raise AssertionError("count ends")

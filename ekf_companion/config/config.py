@@ -8,14 +8,12 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
-import yaml
 
 from ekf_companion.config.service import (
     CheckpointConfig,
@@ -27,6 +25,7 @@ from ekf_companion.config.service import (
     SigningConfig,
     TimesyncConfig,
 )
+from ekf_companion.config.yaml_file import read_yaml
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LinkError
 from ekf_companion.link.address import parse_monitor, parse_peer, parse_url
@@ -46,34 +45,36 @@ class Config(FilterSettings):
     http: HttpConfig = field(default_factory=HttpConfig)
 
 
-class _Loader(yaml.SafeLoader):
-    """Read YAML as PyYAML does, but 1e-3 is a number, no key comes twice, and errors have marks."""
+class ConfigFile:
+    """A configuration in a file that is read at the start, and again at each reload."""
 
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        try:
-            return super().construct_object(node, deep)
-        except (ValueError, LookupError, AttributeError) as error:
-            # It looks like a date or a number and is none, such as 2024-13-45 and 0x_
-            kind = node.tag.rpartition(":")[2]
-            raise yaml.constructor.ConstructorError(
-                problem=f"{node.value!r:.40} is no {kind}; put text in quotes",
-                problem_mark=node.start_mark,
-            ) from error
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._last: tuple[Config, frozenset[str]] | None = None
+        """What the last good reading gave, and which keys stood in the file."""
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        pairs = node.value if isinstance(node, yaml.MappingNode) else ()
-        names = [key.value for key, _ in pairs if isinstance(key, yaml.ScalarNode)]
-        for name, count in Counter(names).items():
-            if count > 1:
-                raise yaml.constructor.ConstructorError(
-                    problem=f"{name} stands {count} times; keep one", problem_mark=node.start_mark
-                )
-        return super().construct_mapping(node, deep)
+    def read(self) -> Config:
+        """Read the file.
 
+        A key that stood in it before, and no longer does, is refused where its value would change:
+        the file may be half written, and no setting may go back to its default in flight unseen.
 
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?\d+[eE][-+]?\d+\Z"), list("-+0123456789")
-)
+        Raises:
+            ConfigError: The file cannot be read, or a key, a type or a value is wrong.
+        """
+        data = read_yaml(self.path)
+        config, keys = parse_config(data, str(self.path)), frozenset(_leaves(data))
+        if self._last is not None:
+            before, earlier = self._last
+            for key in sorted(earlier - keys):
+                old, new = _value_of(before, key), _value_of(config, key)
+                if old != new:
+                    raise ConfigError(
+                        f"{self.path}: {key} is no longer in it, and was {old!r}: the file may be "
+                        f"half written; to go back to the default, write {key} as {new!r}"
+                    )
+        self._last = config, keys
+        return config
 
 
 def load_config(path: Path) -> Config:
@@ -82,16 +83,24 @@ def load_config(path: Path) -> Config:
     Raises:
         ConfigError: The file cannot be read, or a key, a type or a value is wrong.
     """
-    try:
-        data = yaml.load(path.read_text(encoding="utf-8"), _Loader)
-        return parse_config({} if data is None else data, str(path))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a YAML file") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split()).replace(' in "<unicode string>",', " in")
-        raise ConfigError(f"{path}: is not YAML: {reason}") from error
-    except RecursionError as error:
-        raise ConfigError(f"{path}: a list stands too deep in lists, or in itself") from error
+    return ConfigFile(path).read()
+
+
+def _leaves(data: Any, path: str = "", kind: Any = Config) -> Iterator[str]:
+    """Return the dotted names of the keys that a valid file sets."""
+    for key, value in (data or {}).items():
+        hint = get_type_hints(kind)[key]
+        if is_dataclass(hint):
+            yield from _leaves(value, f"{path}{key}.", hint)
+        else:
+            yield path + key
+
+
+def _value_of(config: Config, name: str) -> Any:
+    value: Any = config
+    for part in name.split("."):
+        value = getattr(value, part)
+    return value
 
 
 def parse_config(data: object, name: str) -> Config:
@@ -105,6 +114,11 @@ def parse_config(data: object, name: str) -> Config:
         config = msgspec.convert(table, Config)
     except msgspec.ValidationError as error:
         raise ConfigError(_explain(error, table, name)) from error
+    if not config.http.host.isprintable() or not config.http.host.strip():
+        raise ConfigError(
+            f"{name}: http.host: {config.http.host!r:.60} is no address; 127.0.0.1 is this board "
+            "only, and http.port: 0 serves nothing"
+        )
     key = "link.url"
     try:
         address = parse_url(config.link.url)
@@ -128,7 +142,7 @@ def _check_keys(data: object, kind: type, name: str, path: tuple[str, ...]) -> d
     if not isinstance(data, dict):
         where = ".".join(path) or "the file"
         raise ConfigError(
-            f"{name}: {where}: {data!r} is not a table; write keys and values, as in key: value"
+            f"{name}: {where}: {data!r:.60} is not a table; write keys and values, as in key: value"
         )
     known = {entry.name for entry in fields(kind)}
     hints = get_type_hints(kind)
@@ -138,11 +152,13 @@ def _check_keys(data: object, kind: type, name: str, path: tuple[str, ...]) -> d
         if key not in known:
             close = difflib.get_close_matches(str(key), known, n=1)
             advice = f"did you mean {close[0]}?" if close else f"known: {', '.join(sorted(known))}"
-            raise ConfigError(f"{name}: {where}: unknown key; {advice}")
+            raise ConfigError(f"{name}: {where:.60}: unknown key; {advice}")
         if is_dataclass(hints[key]):
             value = _check_keys(value, hints[key], name, (*path, key))
         elif not _is_finite(value):
-            raise ConfigError(f"{name}: {where}: {value} is no number to work with; give another")
+            raise ConfigError(
+                f"{name}: {where}: {value!s:.60} is no number to work with; give another"
+            )
         table[key] = value
     return table
 
@@ -164,7 +180,7 @@ def _explain(error: msgspec.ValidationError, data: object, name: str) -> str:
     message = message.replace("`", "")
     if keys and not keys[-1].isdigit() and message.startswith(("Invalid", "Expected float | str")):
         message = f"expected {_choices(keys)}"
-    return f"{name}: {'.'.join(keys)}: {value!r}: {message[0].lower() + message[1:]}"
+    return f"{name}: {'.'.join(keys)}: {value!r:.60}: {message[0].lower() + message[1:]}"
 
 
 def _choices(keys: list[str]) -> str:

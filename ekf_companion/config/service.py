@@ -92,6 +92,11 @@ class OdometryConfig:
     independent: Annotated[bool, Setting(reload=True)] = False
     """true where our GNSS and inertial sensor are our own, not the autopilot's: nothing is then
     counted twice, and auto always streams."""
+    withhold_in_flight: Annotated[bool, Setting(reload=True)] = False
+    """Whether what is no proof also withholds what is streamed already, in auto and in flight: the
+    heartbeat of another autopilot, parameters that are no longer answered, somebody under our ids.
+    Anybody on the link can forge a heartbeat. On the ground these withhold in any case; in flight a
+    parameter that was read and says that GNSS would count twice does."""
     rate: Annotated[
         float,
         Meta(ge=1.0, le=1000.0),
@@ -99,6 +104,10 @@ class OdometryConfig:
     ] = 30.0
     """Rate, at most one message per inertial sample. PX4 wants 30 to 50, and fuses nothing that
     comes too rarely; ArduPilot wants 4 to 50, and is sent no more."""
+    age_limit: Annotated[float, Meta(ge=0.05, le=60.0), Setting("s", reload=True)] = 0.25
+    """An estimate that is older when it could be sent is not sent: what waited to be read while the
+    board stood still harms who flies on it. ArduPilot takes a delay of up to 0.25 s
+    (VISO_DELAY_MS), PX4 0.3 s (EKF2_EV_DELAY)."""
     frame: Literal["auto", "LOCAL_FRD", "LOCAL_NED", "continuous"] = "auto"
     """Frame of the pose; the numbers are the same. auto: LOCAL_NED to PX4, which takes LOCAL_FRD
     for a frame that may point anywhere: its heading stays unaligned, its global position unknown;

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import gc
 import logging
+import random
 import signal
 import sys
 import threading
@@ -17,6 +18,7 @@ from ekf_companion.daemon import logging as log
 from ekf_companion.daemon.bandwidth import overloads
 from ekf_companion.daemon.checkpoint_file import open_checkpoint_file, open_parameter_file
 from ekf_companion.daemon.clock import read_clocks, unix_clock
+from ekf_companion.daemon.freshness import Freshness
 from ekf_companion.daemon.http import open_http_server
 from ekf_companion.daemon.key_file import open_signing
 from ekf_companion.daemon.monitors import Monitors
@@ -44,6 +46,11 @@ LEAST_NS = 50_000_000
 """Between two periodic runs while much comes: each costs as much as several samples."""
 DRAIN = 0.1
 """Seconds for the last message to leave a serial port, whose closing discards what waits."""
+READING = 3.0
+"""Longest time for a reload to read the configuration, s: less than ``ekf-companion reload`` waits.
+"""
+CLASH_PATIENCE_NS = (5_000_000_000, 15_000_000_000)
+"""Wait for an ODOMETRY of another under our ids: drawn, as of two daemons only one is to begin."""
 CLOSING = 1.2
 """Seconds that all our threads have to end, however many disks hang: with the drain, and the
 interpreter's own end, no more than 2 s pass from SIGTERM."""
@@ -107,6 +114,8 @@ class Daemon:
         for words in overloads(config):
             _log.warning("%s", words)
         self._due_ns = 0
+        self._is_reading = False
+        self._reading_limit: asyncio.TimerHandle | None = None
         # The state of the last run is read by threads while the rest is made ready
         self._checkpoint = open_checkpoint_file(config.checkpoint.file, config.checkpoint.interval)
         self._parameters = parameters = open_parameter_file(config.checkpoint.file)
@@ -127,11 +136,13 @@ class Daemon:
         if parameters is not None:
             tuning = Tuning(config, parameters.read(), str(parameters.path), parameters.write)
         self._companion = Companion(config, self._recorder is not None, warm_start, signing, tuning)
+        self._companion.session.clash.patience_ns = random.randint(*CLASH_PATIENCE_NS)
         self._observer = Observer(
             self.link, self._companion, unix_clock, self._recorded, self._monitors.unsent
         )
         self._http = open_http_server(config.http, self._observer, asyncio.get_running_loop())
         self._systemd = Systemd()
+        self._freshness = Freshness()
 
     def __enter__(self) -> Daemon:
         # Objects that live as long as the daemon need no garbage collection
@@ -175,7 +186,10 @@ class Daemon:
             log.flush()
 
     def reload(self, read: Callable[[], Config]) -> None:
-        """Read the configuration again, on a thread, and apply what can be applied in flight."""
+        """Read the configuration again, on a thread, and apply what can be applied in flight.
+
+        A file that takes too long to read, such as one on a share that is gone, is not waited for.
+        """
         loop = asyncio.get_running_loop()
 
         def read_again() -> None:
@@ -188,10 +202,28 @@ class Daemon:
                 _log.exception("The configuration cannot be read, by a bug")
                 answer = ConfigError(f"cannot be read, by a bug: {error!r}; please report it")
             with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
-                loop.call_soon_threadsafe(self._apply, answer)
+                loop.call_soon_threadsafe(self._on_read, answer)
 
         self._systemd.notify_reloading()
+        if self._is_reading:
+            self._apply(ConfigError("the configuration is still being read; wait for that"))
+            return
+        self._is_reading = True
+        self._reading_limit = loop.call_later(READING, self._on_unread)
         threading.Thread(target=read_again, name="reload", daemon=True).start()
+
+    def _on_read(self, answer: Config | CompanionError) -> None:
+        """Take what was read, unless it was given up."""
+        self._is_reading = False
+        if self._reading_limit is not None:
+            self._reading_limit.cancel()
+            self._reading_limit = None
+            self._apply(answer)
+
+    def _on_unread(self) -> None:
+        """Give up the reading; another may begin when the thread has ended."""
+        self._reading_limit = None
+        self._apply(ConfigError(f"the configuration could not be read within {READING:g} s"))
 
     def _apply(self, read: Config | CompanionError) -> None:
         """Apply the configuration that was read, or log why there is none."""
@@ -230,10 +262,18 @@ class Daemon:
         self._systemd.report(now_ns, self._observer.health_line)
 
     def _send(self, now_ns: int) -> None:
-        for data, is_replaceable in self._companion.frames_to_send():
-            self.link.send(data, is_replaceable=is_replaceable)
+        fresh, newest = self._freshness, self._companion.estimate
+        limit = self._companion.tuning.config.output.odometry.age_limit
+        if newest is not None:
+            fresh.on_estimate(newest.t_ns, now_ns)
+        for data, is_replaceable, t_ns in self._companion.frames_to_send():
+            if is_replaceable and t_ns is not None and not fresh.is_fresh(t_ns, now_ns, limit):
+                self.link.unsent += 1  # it waited to be read
+            else:
+                self.link.send(data, is_replaceable=is_replaceable)
         if self._monitors.links:
-            self._monitors.send_due(self._companion, now_ns)
+            is_fresh = newest is not None and fresh.is_fresh(newest.t_ns, now_ns, limit)
+            self._monitors.send_due(self._companion, now_ns, is_fresh=is_fresh)
         if self._recorder is not None:
             self._recorder.write(self._companion.session.outbox.take_record())
         self._observer.tick(now_ns)

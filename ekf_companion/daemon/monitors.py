@@ -48,15 +48,15 @@ class Monitors:
         """Return how many datagrams found no listener, by its address."""
         return {str(link.address): link.unsent for link in self.links}
 
-    def send_due(self, companion: Companion, now_ns: int) -> None:
-        """Send the heartbeat, and what is due of the newest estimate."""
+    def send_due(self, companion: Companion, now_ns: int, *, is_fresh: bool = True) -> None:
+        """Send the heartbeat, and what is due of the newest estimate, if that is fresh."""
         session = companion.session
         self._sender.system_id = session.outbox.ids[0]
         if self._heartbeat.is_due(now_ns):
             state = session.heartbeat
             payload = encode.heartbeat(state.status, state.mode)
             self._send(Message("HEARTBEAT", payload), now_ns)
-        if (estimate := companion.estimate) is None:
+        if not is_fresh or (estimate := companion.estimate) is None:
             return
         for message in self._publisher_for(companion).due(estimate):
             self._send(message, now_ns)

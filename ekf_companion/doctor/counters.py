@@ -17,7 +17,7 @@ class MessageCounter:
     def __init__(self) -> None:
         self.count = 0
         self.asked = 0.0
-        """Highest rate asked for, Hz: what is asked after a refusal is lower."""
+        """Rate asked for last, Hz, and before any refusal: what is asked after one is lower."""
         self.granted = 0.0
         """Hz; 0 if none was."""
         self.answer = ""
@@ -40,8 +40,10 @@ class MessageCounter:
 
     def request(self, rate: float) -> None:
         """Note that a rate is asked for, Hz."""
+        # Another rate than the one that was granted: a reload has changed it
+        is_changed = self.answer == ACCEPTED and rate != self._requested
+        self.asked = rate if is_changed else max(self.asked, rate)
         self._requested = rate
-        self.asked = max(self.asked, rate)
         self.answer = self.answer or "no answer"
 
     def receive_answer(self, answer: str) -> None:

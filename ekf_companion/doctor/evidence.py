@@ -158,7 +158,7 @@ class Evidence:
     is_clash: bool
     """Whether somebody else sends with our ids."""
     messages: Mapping[str, MessageState]
-    """The autopilot's messages by name; the rate asked is the highest that was."""
+    """The autopilot's messages by name; the rate asked is the last that was."""
     granted: Mapping[str, float]
     """Rates that it granted us, Hz, which after a refusal are lower than was asked."""
     overridden: float

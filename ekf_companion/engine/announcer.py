@@ -24,6 +24,7 @@ from ekf_companion.mavlink.event import (
     RequestAnswered,
     SeveralAutopilots,
 )
+from ekf_companion.mavlink.request import ACCEPTED
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.mavlink.statustext import Severity
@@ -46,6 +47,12 @@ _STATUS_TEXTS = {
     Status.INVALID: (Severity.CRITICAL, "estimate invalid, not sent"),
 }
 """What the pilot reads when the status changes; the others come before there is an estimate."""
+
+_SPARE = {
+    "SCALED_PRESSURE": "autopilots whose inertial message has no pressure need it",
+    "GLOBAL_POSITION_INT": "autopilots without fixes of their receiver need it",
+}
+"""Messages that a vehicle may do without, and who may not."""
 
 
 def _size(distance: float, speed: float, angle: float) -> str:
@@ -190,7 +197,8 @@ class Announcer:
         if refused := self._session.admission.refused:
             why, count = refused.most_common(1)[0]
             _log.warning(
-                "No heartbeat of an autopilot was let in: %d frames: %s; see docs/LINK.md",
+                "No heartbeat of an autopilot was let in: %d frames: %s; "
+                "link.allow_systems, link.allow_components and signing decide",
                 count,
                 why,
             )
@@ -225,6 +233,8 @@ class Announcer:
                 )
             case Noted(text):
                 _log.warning("%s", text)
+            case RequestAnswered(message, result) if result != ACCEPTED and message in _SPARE:
+                _log.info("Request for %s: not offered; only %s", message, _SPARE[message])
             case RequestAnswered(message, result):
                 _log.info("Request for %s: %s", message, result)
             case FirmwareReported(version):
@@ -258,14 +268,17 @@ class Announcer:
                 self._text(
                     Severity.WARNING, f"using autopilot {now[0]}/{now[1]}, not {was[0]}/{was[1]}"
                 )
-            case Clash(system_id, component_id):
+            case Clash(system_id, component_id, is_yielding):
+                does = "no ODOMETRY while it sends any" if is_yielding else "ODOMETRY goes on"
                 _log.warning(
-                    "Somebody else speaks as system %d, component %d: no ODOMETRY until it stops; "
-                    "give one of us another link.component_id",
+                    "Somebody else speaks as system %d, component %d: %s; give one of us another "
+                    "link.component_id",
                     system_id,
                     component_id,
+                    does,
                 )
-                self._text(Severity.CRITICAL, f"id {component_id} is taken twice, not sending")
+                does = "not sending" if is_yielding else "still sending"
+                self._text(Severity.CRITICAL, f"id {component_id} is taken twice, {does}")
             case RateTooLow(message, asked, measured, cause):
                 _log.warning(
                     "%s comes at %.1f Hz, asked for %.0f: %s", message, measured, asked, cause

@@ -150,7 +150,7 @@ class Companion:
             self.session.set_state(encode.SYSTEM_STATUS[health.status], health.status)
         messages = self._publisher.due(estimate)
         for message in messages:
-            self.session.publish(message, now_ns)
+            self.session.publish(message, now_ns, estimate.t_ns)
         return messages
 
     # What changes

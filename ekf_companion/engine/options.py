@@ -34,7 +34,11 @@ def session_options(
             request=timesync.request,
             largest_rtt_ms=timesync.largest_rtt * 1e3,
         ),
-        guard=GuardOptions(mode=odometry.mode, independent=odometry.independent),
+        guard=GuardOptions(
+            mode=odometry.mode,
+            independent=odometry.independent,
+            withhold_in_flight=odometry.withhold_in_flight,
+        ),
     )
 
 

@@ -27,7 +27,7 @@ QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Statu
 _IMU, _ESTIMATED = int(Kind.IMU), int(Arrival.ESTIMATED)  # faster to compare than enums
 
 if COMPILED_BLOCK != BLOCK:
-    raise ImportError("the compiled kernel is older than its source; build it anew: make setup")
+    raise ImportError("the compiled kernel is older than its source; install the package anew")
 
 
 class Pipeline:

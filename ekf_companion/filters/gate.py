@@ -34,7 +34,7 @@ class Gate:
             "velocity": settings.timeout_velocity,
             "heading": settings.timeout_heading,
         }
-        """By aid, the time after which it resets the estimate, s."""
+        """By aid, the time after which it resets the estimate, s; others never do."""
         self.counts: dict[str, tuple[int, int]] = {}
         """By aid, how many measurements were accepted, and how many refused."""
         self.resets: dict[str, int] = {}
@@ -64,7 +64,7 @@ class Gate:
         since_ns = self._accepted_ns.setdefault(aid, t_ns)
         decision = Decision.FUSED
         if not self.is_within(nis, dof):
-            is_over = (t_ns - since_ns) * 1e-9 > self.patience[aid]
+            is_over = (t_ns - since_ns) * 1e-9 > self.patience.get(aid, np.inf)
             decision = Decision.RESET if is_over else Decision.REFUSED
         if decision is Decision.RESET:
             self.resets[aid] = self.resets.get(aid, 0) + 1

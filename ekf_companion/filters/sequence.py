@@ -90,11 +90,12 @@ class MeasurementSequence:
         settings: FilterSettings,
         family: str = "unknown",
         gnss_delay: float | None = None,
+        own: Sequence[tuple[int, Observation]] = (),
     ) -> None:
         """Sort events in any order, and select the aids by the daemon's settings.
 
         The family of the autopilot resolves ``auto`` in them; ``gnss_delay`` is the delay that the
-        log declares, s.
+        log declares, s; ``own`` are further aids, with the times at which they were true, ns.
 
         Raises:
             LogError: There are no inertial samples, no fixes or no heading.
@@ -128,6 +129,7 @@ class MeasurementSequence:
         nearest = np.clip(np.searchsorted(self.t_ns, fixes.t_ns), 0, len(self.t_ns) - 1)
         aids = aiding.fix_observations(fixes, self.gyro[nearest], self.frame, settings)
         aids += aiding.azimuths(ordered, fixes, settings)
+        aids += own
         self._usual = float(np.median(np.diff(self.t_ns))) * 1e-9
         self.aids: list[tuple[int, Observation]] = sorted(aids, key=lambda one: one[0])
         """Times and aids, ascending."""

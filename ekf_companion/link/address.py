@@ -76,6 +76,8 @@ def parse_url(url: str) -> Address:
     Raises:
         LinkError: The URL names no link; the message says what would.
     """
+    if not url.isprintable():
+        raise LinkError(f"{url!r}: has a character that no address has; take it out")
     if url.startswith("/"):
         return _parse_serial(url, url)
     scheme, separator, rest = url.partition(":")
@@ -109,6 +111,8 @@ def parse_peer(peer: str, address: Address) -> tuple[str, int] | None:
     """
     if not peer:
         return None
+    if not peer.isprintable():
+        raise LinkError(f"{peer!r}: has a character that no address has; take it out")
     if address.kind not in (Kind.UDP_IN, Kind.UDP_BROADCAST):
         raise LinkError(
             f"{peer}: only udpin: and udpbcast: hear several senders, and the link is {address}; "
@@ -155,12 +159,16 @@ def parse_monitor(url: str, link: Address) -> Address:
 
 
 def _parse_serial(url: str, rest: str) -> Address:
-    match = re.fullmatch(r"(/.+?)(?:[:,](\d+))?", rest)
+    match = re.fullmatch(r"(/.+?)(?:[:,](-?\w*))?", rest, re.ASCII)
     if match is None:
         raise LinkError(f"{url}: a serial link needs a device, as in serial:/dev/ttyACM0:921600")
-    baud = int(match[2]) if match[2] else DEFAULT_BAUD
+    words = match[2]
+    is_number = words is None or (words.isdigit() and len(words) <= 8)
+    baud = DEFAULT_BAUD if words is None else int(words) if is_number else 0
     if not 1200 <= baud <= 12_000_000:
-        raise LinkError(f"{url}: {baud} is no rate of a serial port; 921600 and 57600 are usual")
+        raise LinkError(
+            f"{url}: {words or 'nothing'} is no rate of a serial port; 921600 and 57600 are usual"
+        )
     return Address(kind=Kind.SERIAL, device=match[1], baud=baud)
 
 

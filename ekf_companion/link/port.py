@@ -285,7 +285,7 @@ async def resolve(
             )
         except OSError as error:
             found.set_exception(error)
-        except UnicodeError:
+        except ValueError:  # no text for the resolver, or a NUL in it
             found.set_exception(OSError(errno.EINVAL, f"{host} is no name of a host"))
 
     threading.Thread(target=look_up, name="resolver", daemon=True).start()

@@ -9,6 +9,7 @@ AP_InertialSensor, AP_Compass, AP_Baro, AP_AHRS, AP_NavEKF3 and SITL (fields, un
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HE
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
+from ekf_companion.nav.mounting import trim_matrix
 
 Arrivals = list[tuple[Events, Stamps]]
 """Events and their positions in the file."""
@@ -60,7 +62,14 @@ def read(path: Path) -> Recording:
     gnss = _gnss(tables)
     arrivals: Arrivals = [*gnss, *_vehicle(tables), *_sensor(tables, "IMU", Kind.IMU)]
     arrivals += [*_gnss_heading(tables), *_attitude_heading(tables), *_magnetometer(tables)]
-    arrivals += _sensor(tables, "BARO", Kind.BARO)
+    arrivals = _to_vehicle(arrivals, tables, notes)
+    if _is_submarine(tables):
+        notes.append(
+            "this is a submarine: its first barometer measures the air within the hull, which is "
+            "no height, and is not used"
+        )
+    else:
+        arrivals += _sensor(tables, "BARO", Kind.BARO)
     if not arrivals:
         raise LogError(
             f"{path}: a DataFlash log without IMU, GPS, MAG, BARO or ATT rows; "
@@ -213,6 +222,41 @@ def _stamps_by_place(tables: Columns, table: Column) -> Stamps:
         return np.zeros(len(table), dtype=np.int64)
     before = np.searchsorted(rows[0][OFFSET], table[OFFSET]) - 1
     return rows[1][np.clip(before, 0, None)]
+
+
+def _is_submarine(tables: Columns) -> bool:
+    """Return whether the firmware names itself ArduSub."""
+    if "MSG" not in tables or "Message" not in names_of(tables["MSG"]):
+        return False
+    return any(bytes(words).startswith(b"ArduSub") for words in tables["MSG"]["Message"])
+
+
+def _to_vehicle(arrivals: Arrivals, tables: Columns, notes: list[str]) -> Arrivals:
+    """Return inertial samples and magnetic fields in the axes of the vehicle, not of the board."""
+    roll, pitch = (_parameter(tables, name) or 0.0 for name in (b"AHRS_TRIM_X", b"AHRS_TRIM_Y"))
+    if not (roll or pitch):
+        return arrivals
+    C_vb = trim_matrix(roll, pitch)
+    notes.append(
+        f"the board is mounted at roll {np.degrees(roll):.1f} and pitch {np.degrees(pitch):.1f} "
+        "deg (AHRS_TRIM): its samples are turned into the axes of the vehicle"
+    )
+    turned: Arrivals = []
+    for events, places in arrivals:
+        values = events.values.copy()
+        for first, kinds in ((0, (Kind.IMU, Kind.MAG)), (3, (Kind.IMU,))):
+            chosen = np.isin(events.kind, kinds)
+            values[chosen, first : first + 3] = values[chosen, first : first + 3] @ C_vb.T
+        turned.append((replace(events, values=values), places))
+    return turned
+
+
+def _parameter(tables: Columns, name: bytes) -> float | None:
+    """Return the first value that a log has of a parameter: what was flown with."""
+    if "PARM" not in tables or "Name" not in names_of(tables["PARM"]):
+        return None
+    found = tables["PARM"]["Value"][tables["PARM"]["Name"] == name]
+    return float(found[0]) if len(found) and np.isfinite(found[0]) else None
 
 
 def _gnss_delay(tables: Columns) -> float | None:

@@ -31,6 +31,7 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "ARM": ("ArmState",),
     "EV": ("Id",),
     "PARM": ("Value",),
+    "MSG": (),
 }
 """The messages that are used, and the columns that each needs."""
 
@@ -47,8 +48,9 @@ def choose(tables: Columns, notes: list[str]) -> Columns:
     }
     # Rows whose stamps are damaged, or of another boot, are dropped; tables without stamps kept
     stamps = {name: t_ns for name, one in tables.items() if (t_ns := boot_ns(one)) is not None}
-    masks = series.common_run(stamps, "IMU", apart=("PARM", "ORGN"))
-    masks.pop("PARM", None)
+    masks = series.common_run(stamps, "IMU", apart=("PARM", "ORGN", "MSG"))
+    for name in ("PARM", "MSG"):
+        masks.pop(name, None)
     sensors = ("IMU", "GPS", "MAG", "BARO", "ATT")
     if wild := sum(int((~masks[name]).sum()) for name in sensors if name in masks):
         notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")

@@ -24,6 +24,7 @@ from ekf_companion.nav.state import COLUMNS, EULER, GEODETIC, QUATERNION, VELOCI
 from ekf_companion.nav.state import Table as EstimateTable
 
 _NEEDED = ("time_us", *GEODETIC, *VELOCITY, *QUATERNION)
+_UNITS = {"deg": np.pi / 180.0, "rad": 1.0}
 _SIMULATED = ("time_s", "north_m", "east_m", "h_msl_m", "vn_mps", "ve_mps", "vd_mps")
 
 
@@ -78,8 +79,9 @@ def read_estimate(path: Path) -> Trajectory:
 def read_truth(path: Path) -> Trajectory:
     """Read a truth from a CSV file with these columns.
 
-    ``time_us, lat_deg, lon_deg, alt_m, vn_mps, ve_mps, vd_mps`` and ``q_w, q_x, q_y, q_z``, other
-    columns are ignored. An estimate of ours is accepted as a truth too, and so is one over the
+    ``time_us, lat_deg, lon_deg, alt_m, vn_mps, ve_mps, vd_mps`` and the attitude as ``q_w, q_x,
+    q_y, q_z`` or as ``roll, pitch, yaw``, all three with ``_deg`` or ``_rad``; other columns are
+    ignored. An estimate of ours is accepted as a truth too, and so is one over the
     flat Earth of a simulation.
 
     Raises:
@@ -90,8 +92,22 @@ def read_truth(path: Path) -> Trajectory:
         return to_trajectory(_timed(path, simulated), path.name)
     own = dict(zip(VELOCITY, ("vn_mps", "ve_mps", "vd_mps"), strict=True))
     names = {name: own.get(name, name) if name not in table.names else name for name in _NEEDED}
-    columns = _timed(path, table.read(list(names.values())))
-    return to_trajectory({ours: columns[name] for ours, name in names.items()}, path.name)
+    unit = None if set(QUATERNION) <= set(table.names) else _euler_unit(table)
+    if unit is None:
+        columns = _timed(path, table.read(list(names.values())))
+        return to_trajectory({ours: columns[name] for ours, name in names.items()}, path.name)
+    euler = [f"{name}_{unit}" for name in EULER]
+    names = {ours: name for ours, name in names.items() if ours not in QUATERNION}
+    columns = _timed(path, table.read([*names.values(), *euler]))
+    found = {ours: columns[name] for ours, name in names.items()}
+    q_nb = so3.from_euler(*(columns[name] * _UNITS[unit] for name in euler))
+    return to_trajectory(found | dict(zip(QUATERNION, q_nb.T, strict=True)), path.name)
+
+
+def _euler_unit(table: Table) -> str | None:
+    """Return the unit of a table's roll, pitch and yaw; None if it does not have all three."""
+    own = set(table.names)
+    return next((unit for unit in _UNITS if {f"{name}_{unit}" for name in EULER} <= own), None)
 
 
 def _simulated(table: Table) -> dict[str, npt.NDArray[Any]] | None:
@@ -100,15 +116,14 @@ def _simulated(table: Table) -> dict[str, npt.NDArray[Any]] | None:
     Its columns are ``time_s, north_m, east_m, h_msl_m, vn_mps, ve_mps, vd_mps`` and
     ``roll, pitch, yaw``, all three with ``_deg`` or with ``_rad``; None if they are not there.
     """
-    units = {"deg": np.pi / 180.0, "rad": 1.0}
-    names = {unit: [f"{name}_{unit}" for name in EULER] for unit in units}
-    unit = next((one for one in units if {*_SIMULATED, *names[one]} <= set(table.names)), None)
-    if unit is None:
+    unit = _euler_unit(table)
+    if unit is None or not set(_SIMULATED) <= set(table.names):
         return None
-    read = table.read([*_SIMULATED, *names[unit]])
+    euler = [f"{name}_{unit}" for name in EULER]
+    read = table.read([*_SIMULATED, *euler])
     pos_n = np.stack([read["north_m"], read["east_m"], -read["h_msl_m"]], axis=1)
     lat, lon, alt = SIMULATED.to_geodetic(pos_n)
-    q_nb = so3.from_euler(*(read[name] * units[unit] for name in names[unit]))
+    q_nb = so3.from_euler(*(read[name] * _UNITS[unit] for name in euler))
     return {
         "time_us": np.rint(read["time_s"] * 1e6),
         "lat_deg": np.degrees(lat),

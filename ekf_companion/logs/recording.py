@@ -53,5 +53,5 @@ def longest_clock_run(events: Events) -> tuple[Events, tuple[str, ...]]:
         return events, ()
     longest = events.take(max(np.split(np.arange(len(events)), restarts), key=len))
     return longest.take(longest.kind != Kind.RESTART), (
-        "the autopilot's clock begins anew in this log; the longest part counts",
+        "the autopilot rebooted in this log: its clock begins anew; the longest part counts",
     )

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import TracebackType
 from typing import BinaryIO
 
 import numpy as np
@@ -16,16 +20,30 @@ _STATUS = COLUMNS.index("status") - 1
 _NAMES = [status.name.lower().encode() for status in Status]
 
 
-def create(path: Path) -> BinaryIO:
-    """Open a file to write to.
+@contextmanager
+def create(path: Path) -> Iterator[BinaryIO]:
+    """Open a file to write to; it has its name once it is complete.
+
+    What is interrupted leaves nothing, and an older file of that name as it was.
 
     Raises:
         LogError: It cannot be opened.
     """
+    is_plain = path.is_file() or not path.exists()  # a pipe or /dev/stdout is written as it is
+    target = path.with_name(f".{path.name}.{os.getpid()}") if is_plain else path
     try:
-        return path.open("wb")
+        file = target.open("wb")
     except OSError as error:
         raise LogError(f"{path}: cannot be written: {error.strerror}") from error
+    try:
+        with file:
+            yield file
+        if is_plain:
+            target.replace(path)
+    except BaseException:
+        if is_plain:
+            target.unlink(missing_ok=True)
+        raise
 
 
 class CsvWriter:
@@ -37,15 +55,21 @@ class CsvWriter:
         Raises:
             LogError: The file cannot be opened.
         """
-        self._file = create(path)
+        self._stack = ExitStack()
+        self._file = self._stack.enter_context(create(path))
         self._file.write(",".join(COLUMNS).encode() + b"\n")
 
     def __enter__(self) -> CsvWriter:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Close the file."""
-        self._file.close()
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the file; after an error there is none."""
+        self._stack.__exit__(kind, error, trace)
 
     def write(self, stamp_ns: Stamps, values: Array) -> None:
         """Append estimates: stamps, shape (n,), and the columns after the time, shape (n, 33)."""

@@ -81,6 +81,17 @@ def shared(decision: Decision, other_id: int) -> Decision:
     )
 
 
+def kept(decision: Decision, doubt: Decision) -> Decision:
+    """Return the decision to go on in flight in spite of a doubt: a heartbeat may be forged."""
+    return replace(
+        decision,
+        is_warning=True,
+        reason=f"{doubt.reason}; this began in flight and is no proof, so it goes on",
+        remedy=f"{doubt.remedy}; output.odometry.withhold_in_flight: true would have stopped it",
+        text=f"{doubt.text.removeprefix('no ODOMETRY: ')}, still sent",
+    )
+
+
 def stream_state(
     decision: Decision, twin: tuple[int, int] | None, slowed: tuple[int, int, float] | None
 ) -> Decision:

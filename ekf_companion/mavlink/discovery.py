@@ -46,6 +46,7 @@ class Presence:
 
 
 _PEER_TIMEOUT_NS = 5 * SECOND_NS
+_FAMILY_NS = SECOND_NS * 3 // 2
 _REBOOT_NS = 30 * SECOND_NS
 """A vehicle may be back so long after its last heartbeat: a bootloader, a self-test, a start."""
 _SOON_NS = 300 * SECOND_NS
@@ -108,6 +109,8 @@ class Discovery(Service):
         """Whether the family is known from a heartbeat."""
         self._doubt: Family | None = None
         """The other family that the last heartbeat named."""
+        self._named_ns = 0
+        """When a heartbeat last named the present family."""
         self._beats: dict[int, Presence] = {}
         """Of each system whose autopilot was heard."""
         self._known: set[int] = set()
@@ -173,7 +176,7 @@ class Discovery(Service):
             self._change(sender)
         self._report_other()
         self.heard_ns = quantise(now_ns)
-        if self._is_new(family) or self.is_lost:
+        if self._is_new(family, self.heard_ns) or self.is_lost:
             # A known family stays known when a heartbeat names none, as a bootloader's does
             is_named = family is not Family.UNKNOWN or not self._is_sure
             self._find(family if is_named else self.family, now_ns)
@@ -211,13 +214,20 @@ class Discovery(Service):
         self.peer, self.is_lost, self._is_sure = sender, True, False
         self.family = Family.UNKNOWN
 
-    def _is_new(self, family: Family) -> bool:
-        """Whether the peer proves to be of another family; a known one takes two heartbeats."""
+    def _is_new(self, family: Family, now_ns: int) -> bool:
+        """Whether the peer proves to be of another family.
+
+        One that is known takes two heartbeats, and none of its own for so long that it cannot be
+        there any more: else two that are forged would begin the estimate anew.
+        """
         if family is self.family or (family is Family.UNKNOWN and self._is_sure):
+            if family is self.family:
+                self._named_ns = now_ns
             self._doubt = None
             return False
         is_sure = self._is_sure and self.family is not Family.UNKNOWN
-        if is_sure and not self.is_lost and self._doubt is not family:
+        is_proven = self._doubt is family and now_ns - self._named_ns > _FAMILY_NS
+        if is_sure and not self.is_lost and not is_proven:
             self._doubt = family
             return False
         self._doubt = None
@@ -233,7 +243,7 @@ class Discovery(Service):
             self._emit(SeveralAutopilots(self.peer[0], other_id))
 
     def _find(self, family: Family, now_ns: int) -> None:
-        self.heard_ns = quantise(now_ns)
+        self.heard_ns = self._named_ns = quantise(now_ns)
         self.is_lost = False
         self.family = family
         found = PeerFound(*(self.peer or (0, 0)), family)

@@ -93,6 +93,8 @@ class Clash(Event):
 
     system_id: int
     component_id: int
+    is_yielding: bool = True
+    """Whether we send no ODOMETRY because of that."""
 
 
 @dataclass(frozen=True, slots=True)

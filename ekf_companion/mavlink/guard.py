@@ -18,7 +18,7 @@ from struct import Struct
 from typing import Any
 
 from ekf_companion.mavlink.codec import pack
-from ekf_companion.mavlink.decision import Decision, shared, silent
+from ekf_companion.mavlink.decision import Decision, kept, shared, silent
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Emit, GuardChanged, PeerFound
 from ekf_companion.mavlink.frame import Frame
@@ -55,6 +55,8 @@ class GuardOptions:
     mode: Mode = "auto"
     independent: bool = False
     """Whether our sensors are other ones than the autopilot's."""
+    withhold_in_flight: bool = False
+    """Whether a doubt that begins in flight stops what was streamed; else proof is needed."""
 
 
 class Guard(Service):
@@ -66,11 +68,13 @@ class Guard(Service):
         emit: Emit,
         refuse_ours: Callable[[bool, bool], None],
         options: GuardOptions | None = None,
+        is_flying: Callable[[], bool] = lambda: False,
     ) -> None:
         """Begin with no autopilot.
 
         ``refuse_ours`` is called with whether our ODOMETRY is fused in the autopilot's own
-        position, and in its yaw, as soon as that is known.
+        position, and in its yaw, as soon as that is known; ``is_flying`` returns whether the
+        vehicle is in the air.
         """
         self.options = options or GuardOptions()
         # A dialect from before PARAM_ERROR lacks its layout, and silence says the same
@@ -79,6 +83,7 @@ class Guard(Service):
         self._outbox = outbox
         self._emit = emit
         self._refuse_ours = refuse_ours
+        self._is_flying = is_flying
         self._forget()
         self._other_id: int | None = None
         self._last: tuple[bool, str, str] | None = None
@@ -245,9 +250,9 @@ class Guard(Service):
         if options.mode == "auto" and not options.independent and decision.is_streaming:
             # Whether it fuses what it gets does not change by that
             if self._is_silent:
-                decision = silent(decision)
+                decision = self._doubted(decision, silent(decision))
             elif self._other_id is not None:
-                decision = shared(decision, self._other_id)
+                decision = self._doubted(decision, shared(decision, self._other_id))
         self.decision = decision
         if not self.is_waiting:
             self._refuse_ours(decision.is_fused, decision.is_yaw_fused)
@@ -255,6 +260,13 @@ class Guard(Service):
         if decision.is_settled and shown != self._last:
             self._last = shown
             self._emit(GuardChanged(decision))
+
+    def _doubted(self, decision: Decision, doubt: Decision) -> Decision:
+        """Return what to do in doubt: anybody can forge a heartbeat, and fall silent in flight."""
+        is_kept = self.decision.is_streaming and self._is_flying()
+        if is_kept and not self.options.withhold_in_flight:
+            return kept(decision, doubt)
+        return doubt
 
     def _nobody(self) -> Decision:
         options = self.options

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.discovery import Presence
@@ -73,28 +74,59 @@ class ClashWatch(Service):
 
     To the autopilot, two of us would look like one that jumps. One heartbeat that is not ours says
     nothing: it may be the last run's, still on its way. Somebody who is there sends another.
+
+    Of two with the same ids one must send in the end. Who streams in flight goes on, for anybody
+    can forge a heartbeat. Who does not waits while the ODOMETRY of the other is heard, and for
+    some time; each waits for another time, so that the second hears the first.
     """
 
-    def __init__(self, emit: Emit, heartbeat: Heartbeat) -> None:
+    def __init__(
+        self,
+        emit: Emit,
+        heartbeat: Heartbeat,
+        is_streaming_in_flight: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Begin with nobody.
+
+        Args:
+            emit: Takes the events.
+            heartbeat: Ours, to tell its echo.
+            is_streaming_in_flight: Returns whether ODOMETRY is sent and must not stop.
+        """
         self._emit = emit
         self._heartbeat = heartbeat
+        self._is_streaming_in_flight = is_streaming_in_flight
+        self.patience_ns = 10 * SECOND_NS
+        """How long nothing is sent where no ODOMETRY of the other is heard: no two of us may have
+        the same, or both would begin at once."""
         self.is_clash = False
         """Whether somebody else speaks under our ids now."""
+        self.is_yielding = False
+        """Whether no ODOMETRY is sent because of that."""
         self._other = Presence(_GONE_NS)
         self._warned_ns: int | None = None
+        self._since_ns = 0
+        """When we began to wait, or when an ODOMETRY of the other last came."""
 
     def on_frame(self, frame: Frame, now_ns: int) -> None:
         """Handle a frame that came in under our ids."""
+        now_ns = quantise(now_ns)
+        if frame.message_id == IDS["ODOMETRY"] and self.is_yielding:
+            self._since_ns = now_ns  # no echo: we send none
         if frame.message_id != IDS["HEARTBEAT"] or not self._heartbeat.is_foreign(frame):
             return
         self._other.on_heartbeat(now_ns)
+        if self._other.is_there and not self.is_clash:
+            self.is_yielding = not self._is_streaming_in_flight()
+            self._since_ns = now_ns
         self.is_clash = self._other.is_there
-        now_ns = quantise(now_ns)
         if self.is_clash and (self._warned_ns is None or now_ns - self._warned_ns >= _AGAIN_NS):
             self._warned_ns = now_ns
-            self._emit(Clash(frame.system_id, frame.component_id))
+            self._emit(Clash(frame.system_id, frame.component_id, self.is_yielding))
 
     def tick(self, now_ns: int) -> None:
-        """Notice that the other has gone."""
+        """Notice that the other has gone, or sends no ODOMETRY."""
         self._other.tick(now_ns)
         self.is_clash = self._other.is_there
+        is_patient = quantise(now_ns) - self._since_ns <= self.patience_ns
+        self.is_yielding = self.is_yielding and self.is_clash and is_patient

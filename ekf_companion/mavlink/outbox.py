@@ -24,6 +24,8 @@ class Outgoing(NamedTuple):
     data: bytes
     is_replaceable: bool
     """As of its message."""
+    t_ns: int | None = None
+    """Of a message about an estimate: when that was true, autopilot clock, ns."""
 
 
 class Outbox:
@@ -51,11 +53,19 @@ class Outbox:
         self._sender.system_id = system_id
         self.ids = system_id, self._sender.component_id
 
-    def send(self, name: str, payload: bytes, now_ns: int, *, is_replaceable: bool = False) -> None:
-        """Frame a message and queue it."""
+    def send(
+        self,
+        name: str,
+        payload: bytes,
+        now_ns: int,
+        *,
+        is_replaceable: bool = False,
+        t_ns: int | None = None,
+    ) -> None:
+        """Frame a message and queue it; ``t_ns`` is when the estimate that it is of was true."""
         frame = self._sender.frame(name, payload, now_ns)
         self.sent[name] += 1
-        self._out.append(Outgoing(frame, is_replaceable))
+        self._out.append(Outgoing(frame, is_replaceable, t_ns))
         self.record(frame, now_ns)
 
     def withhold(self, name: str, payload: bytes, now_ns: int) -> None:

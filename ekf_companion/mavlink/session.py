@@ -37,6 +37,7 @@ from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.statustext import StatusText
+from ekf_companion.mavlink.trim_request import TrimRequest
 from ekf_companion.nav.measurements import Measurement, Restart
 
 MISADDRESSED = "addressed to another"
@@ -119,7 +120,10 @@ class Session:
         """Whether something has happened that :meth:`events` has not returned yet."""
         self._events: list[Event] = []
         when = options.guard or GuardOptions(mode="never")
-        self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, when)
+        vehicle = self.decoder.vehicle
+        self.guard = Guard(
+            self.outbox, self._emit, self.decoder.refuse_ours, when, lambda: vehicle.is_flying
+        )
         self.origin = OriginSetter(self.outbox, self.guard)
         self.discovery = Discovery(
             self._emit,
@@ -130,7 +134,7 @@ class Session:
             expected=options.expected,
         )
         self.heartbeat = Heartbeat(self.outbox)
-        self.clash = ClashWatch(self._emit, self.heartbeat)
+        self.clash = ClashWatch(self._emit, self.heartbeat, self._goes_on_in_flight)
         self.commands = Commands(self.outbox, self._emit, self.heartbeat)
         self.parameters = ParameterServer(self.outbox, self._emit, options.parameters)
         self.requests = Requests(self.outbox, self._emit, options.rates)
@@ -143,7 +147,8 @@ class Session:
         self._with_all += [self.commands, self.parameters]
         # Conversations with the autopilot only, while it is heard
         guards: list[Service] = [] if options.guard is None else [self.guard, self.origin]
-        self._with_peer: list[Service] = [self.requests, *guards, self.timesync]
+        trim = TrimRequest(self.outbox, lambda: self.decoder.trim.missing)
+        self._with_peer: list[Service] = [self.requests, trim, *guards, self.timesync]
         self._with_peer += [self.audit, self.statustext]
         self._all_routes, self._peer_routes = _routes(self._with_all), _routes(self._with_peer)
         self._splitter = Splitter()
@@ -282,15 +287,18 @@ class Session:
         """Carry this state of ours in the heartbeat from now on."""
         self.heartbeat.status, self.heartbeat.mode = status, mode
 
-    def publish(self, message: Message, now_ns: int) -> None:
-        """Send a message about the estimate; only record an ODOMETRY that must not be sent."""
+    def publish(self, message: Message, now_ns: int, t_ns: int | None = None) -> None:
+        """Send a message about the estimate at ``t_ns``; only record an ODOMETRY that is withheld.
+
+        ``t_ns`` is on the autopilot's clock.
+        """
         name, payload, is_replaceable = message
         if name == "GPS_GLOBAL_ORIGIN":
             self.origin.note(payload)
         if name == "ODOMETRY" and not self.may_stream:
             self.outbox.withhold(name, payload, now_ns)
         else:
-            self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable)
+            self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable, t_ns=t_ns)
 
     def data_to_send(self) -> list[bytes]:
         """Return the bytes of the frames that wait to be sent, one item each, and forget them."""
@@ -308,13 +316,19 @@ class Session:
 
     @property
     def may_stream(self) -> bool:
-        """Whether ODOMETRY may be sent: the guard lets it, and nobody else speaks under our ids."""
-        return self.guard.decision.is_streaming and not self.clash.is_clash
+        """Whether ODOMETRY may be sent: the guard lets it, and nobody else does under our ids."""
+        return self.guard.decision.is_streaming and not self.clash.is_yielding
+
+    def _goes_on_in_flight(self) -> bool:
+        """Whether ODOMETRY is sent, in flight, and no doubt may stop it."""
+        guard = self.guard
+        is_flying = self.decoder.vehicle.is_flying and not guard.options.withhold_in_flight
+        return is_flying and guard.decision.is_streaming
 
     @property
     def stream_state(self) -> Decision:
         """Whether ODOMETRY is sent, why, and what would change it."""
-        twin = self.outbox.ids if self.clash.is_clash else None
+        twin = self.outbox.ids if self.clash.is_yielding else None
         return stream_state(self.guard.decision, twin, self.commands.slowed_by("ODOMETRY"))
 
     def counters(self) -> dict[str, int]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -82,7 +81,7 @@ def _convert_to_messages(
     run = Run(path, config, StepPipeline)
     if isinstance(run.log, Recording) and run.log.events.t_ns.min(initial=0) < 0:
         raise LogError(f"{path}: has times before zero, which a .tlog cannot hold; name a .csv")
-    with closing(create(out)) as file:
+    with create(out) as file:
         for stamp_us, frame in run.messages(progress):
             file.write(stamp_us.to_bytes(8, "big") + frame)
     return run.finish()
@@ -198,9 +197,12 @@ def read(
     chosen = max(pieces, key=len)
     longest = events.take(chosen)
     if len(pieces) > 1:
-        run.report.notes.append(
-            "the autopilot or its clock begins anew in this log; the longest part counts"
+        what = (
+            "the autopilot rebooted in this log, and its clock"
+            if (run.report.reboots)
+            else "another autopilot, or its clock,"
         )
+        run.report.notes.append(f"{what} begins anew; the longest part counts")
     return Recording(
         family=families[chosen[-1]],
         events=longest.take(longest.kind != Kind.RESTART),

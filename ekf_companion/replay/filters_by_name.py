@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ekf_companion.core.enums import E_ATT, E_POS, E_VEL
 from ekf_companion.core.field import Field
@@ -27,6 +29,7 @@ from ekf_companion.filters import (
     vqf_adapter,
     zupt,
 )
+from ekf_companion.filters.observation import Observation
 from ekf_companion.filters.sequence import MeasurementSequence
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
 from ekf_companion.filters.zupt_detector import Detector
@@ -36,6 +39,9 @@ from ekf_companion.nav.state import Status, join
 
 Run = Callable[[Recording, FilterSettings, str], Solution]
 """Recording, settings and option in, solution out."""
+
+Over = Callable[[MeasurementSequence, str], Solution]
+"""A filter over fixes and headings, with its option."""
 
 BLOCKS = [first + axis for first in (E_ATT, E_VEL, E_POS) for axis in range(3)]
 """Where the estimator's covariance holds what a solution keeps of it."""
@@ -50,25 +56,42 @@ class Filter(NamedTuple):
 
 
 def run_filter(
-    recording: Recording, name: str = "eskf", settings: FilterSettings | None = None
+    recording: Recording,
+    name: str | Run = "eskf",
+    settings: FilterSettings | None = None,
+    *,
+    aids: Sequence[tuple[int, Observation]] = (),
 ) -> Solution:
     """Run a filter over a recording.
 
     Args:
         recording: From ``open_log``.
-        name: ``NAME`` or ``NAME:OPTION`` of :data:`FILTERS`.
+        name: ``NAME`` or ``NAME:OPTION`` of :data:`FILTERS`; or a filter of your own, a function of
+            recording, settings and option (empty).
         settings: The estimator's, or a whole configuration; None: the defaults.
+        aids: Measurements of your own for ``euler``, ``iterated`` and ``ukf``, with the times at
+            which they were true, ns: see :class:`~ekf_companion.filters.own_aid.OwnAid`.
 
     Raises:
-        ConfigError: There is no filter, or no option, of that name.
+        ConfigError: There is no filter, or no option, of that name, or it takes no aids.
         LogError: The recording lacks what the filter needs.
     """
-    label, option = parse_name(name)
+    if callable(name):
+        label, option, run = getattr(name, "__name__", "own filter"), "", name
+    else:
+        label, option = parse_name(name)
+        run = FILTERS[label.partition(":")[0]].run
+    if aids:
+        over = None if callable(name) else _OVER.get(label.partition(":")[0])
+        if over is None:
+            raise ConfigError(f"{label}: takes no aids of your own; {', '.join(_OVER)} do")
+        run = partial(_run_with, over, aids)
     # A filter cannot follow a clock that restarts
     events, notes = longest_clock_run(recording.events)
     recording = replace(recording, events=events)
-    run = FILTERS[label.partition(":")[0]].run
-    found = run(recording, settings or FilterSettings(), option)
+    # On matrices of 15 rows the threads of a BLAS only wait for each other
+    with threadpool_limits(1, "blas"):
+        found = run(recording, settings or FilterSettings(), option)
     return replace(found, name=label, notes=(*found.notes, *notes))
 
 
@@ -119,9 +142,19 @@ def _eskf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
     )
 
 
-def _euler(recording: Recording, settings: FilterSettings, option: str) -> Solution:
-    run = euler_article.run if option == "article" else euler.run
-    return run(_sequence(recording, settings))
+def _run_with(
+    over: Over,
+    aids: Sequence[tuple[int, Observation]],
+    recording: Recording,
+    settings: FilterSettings,
+    option: str,
+) -> Solution:
+    family, delay = recording.family, recording.gnss_delay
+    return over(MeasurementSequence(recording.events, settings, family, delay, aids), option)
+
+
+def _euler(sequence: MeasurementSequence, option: str) -> Solution:
+    return (euler_article.run if option == "article" else euler.run)(sequence)
 
 
 def _zupt(recording: Recording, settings: FilterSettings, option: str) -> Solution:
@@ -129,16 +162,16 @@ def _zupt(recording: Recording, settings: FilterSettings, option: str) -> Soluti
     return zupt.run(events, detector=Detector(option), gap=settings.imu.gap_reset)
 
 
-def _iterated(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+def _iterated(sequence: MeasurementSequence, option: str) -> Solution:
     return iterated.run(
-        _sequence(recording, settings),
+        sequence,
         frame="robocentric" if option == "robocentric" else "global",
         gravity="sphere" if option == "sphere" else "known",
     )
 
 
-def _ukf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
-    return ukf.run(_sequence(recording, settings))
+def _ukf(sequence: MeasurementSequence, _: str) -> Solution:
+    return ukf.run(sequence)
 
 
 def _ahrs(recording: Recording, settings: FilterSettings, option: str) -> Solution:
@@ -157,10 +190,6 @@ def _vqf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
     return vqf_adapter.run(_completed(recording, settings), gap=settings.imu.gap_reset)
 
 
-def _sequence(recording: Recording, settings: FilterSettings) -> MeasurementSequence:
-    return MeasurementSequence(recording.events, settings, recording.family, recording.gnss_delay)
-
-
 def _completed(recording: Recording, settings: FilterSettings) -> Events:
     """Return the events at their true times, with declination and corrected for iron."""
     events = recording.events
@@ -169,14 +198,15 @@ def _completed(recording: Recording, settings: FilterSettings) -> Events:
     return replace(events, t_ns=events.t_ns - late_ns[events.kind], values=values)
 
 
+_OVER: Mapping[str, Over] = {"euler": _euler, "iterated": _iterated, "ukf": _ukf}
 FILTERS: Mapping[str, Filter] = {
     "eskf": Filter(_eskf),
-    "euler": Filter(_euler, ("corrected", "article")),
-    "iterated": Filter(_iterated, ("global", "robocentric", "sphere")),
-    "ukf": Filter(_ukf),
+    "euler": Filter(partial(_run_with, _euler, ()), ("corrected", "article")),
+    "iterated": Filter(partial(_run_with, _iterated, ()), ("global", "robocentric", "sphere")),
+    "ukf": Filter(partial(_run_with, _ukf, ())),
     "zupt": Filter(_zupt, tuple(one.value for one in Detector)),
     "ahrs": Filter(_ahrs, ("error-state", "corrected", "article")),
     "mahony": Filter(_mahony),
     "vqf": Filter(_vqf),
 }
-"""The names of ``--filters`` and :func:`run_filter`; docs/FILTERS.md describes each."""
+"""The names of ``--filters`` and :func:`run_filter`; a file of ``filters`` describes each."""

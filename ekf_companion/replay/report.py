@@ -39,8 +39,17 @@ class Report:
     """From one event to the next, ns: the median of each block."""
     seconds: dict[Status, float] = field(default_factory=dict)
     estimates: int = 0
+    reboots: int = 0
+    """How often the autopilot's clock began anew."""
+    horizontal_stds: list[float] = field(default_factory=list)
+    """One sigma of the horizontal position while there was one, m: the median of each block."""
     health: Health | None = None
     refused: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def horizontal_std(self) -> float:
+        """Median of one sigma of the horizontal position, m; NaN: there was no position."""
+        return float(np.median(self.horizontal_stds)) if self.horizontal_stds else float("nan")
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything for JSON, names in lower case."""
@@ -53,6 +62,7 @@ class Report:
             "events": {kind.name.lower(): count for kind, count in self.counts.items()},
             "derived_positions": self.derived,
             "estimates": self.estimates,
+            "reboots": self.reboots,
             "seconds": {status.name.lower(): spent for status, spent in self.seconds.items()},
             "resets": health.resets if health else 0,
             "gaps": health.gaps if health else 0,
@@ -72,6 +82,8 @@ def _by_name(table: Mapping[Any, Mapping[Any, int]]) -> dict[str, dict[str, int]
 
 def add_block(report: Report, events: Events, table: Table) -> None:
     """Add a block of events and their estimates to the report."""
+    is_restart = events.kind == Kind.RESTART
+    report.reboots += int(np.count_nonzero(is_restart & (events.values[:, 0] == 0.0)))
     derived = (events.kind == Kind.GNSS) & (events.values[:, _FLAGS] == GnssFlag.DERIVED)
     report.derived += int(np.count_nonzero(derived))
     for kind in Kind:
@@ -84,6 +96,9 @@ def add_block(report: Report, events: Events, table: Table) -> None:
             medians.append(float(np.median(steps)))
             report.rates[kind] = 1e9 / float(np.median(medians))
     report.estimates += len(table)
+    std = np.hypot(table.column("sd_pos_n"), table.column("sd_pos_e"))
+    if (is_known := (table.column("status") >= Status.OK) & np.isfinite(std)).any():
+        report.horizontal_stds.append(float(np.median(std[is_known])))
     if len(table) > 1:
         status = table.column("status")[1:]
         spans = np.diff(table.stamp_ns) * 1e-9
@@ -105,6 +120,11 @@ def note_shortcomings(report: Report, path: Path) -> None:
         raise LogError(
             f"{path}: holds no inertial samples (HIGHRES_IMU, RAW_IMU, SCALED_IMU, IMU or "
             "sensor_combined), so nothing can be estimated; ask the autopilot to log or stream them"
+        )
+    if report.reboots:
+        times = "once" if report.reboots == 1 else f"{report.reboots} times"
+        report.notes.append(
+            f"the autopilot rebooted {times}: its clock began anew, and the estimate with it"
         )
     if report.health and (strays := report.health.arrivals[Kind.IMU][Arrival.STRAY]):
         report.notes.append(

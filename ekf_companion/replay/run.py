@@ -26,6 +26,7 @@ from ekf_companion.mavlink.outbox import Message
 from ekf_companion.nav.measurements import Events, Row
 from ekf_companion.nav.state import COLUMNS, Table
 from ekf_companion.replay.log_source import open_log
+from ekf_companion.replay.magnetometer import MagnetometerCheck
 from ekf_companion.replay.report import Report, add_block, note_shortcomings
 
 CHUNK = 20_000
@@ -145,6 +146,7 @@ class Run(Generic[P]):
         self._path, self._config, self._kind = path, config, kind
         self._blocks: list[Block] = []  # of all pipelines, finished
         self._done = 0  # frames or measurements so far
+        self._magnetometer = MagnetometerCheck(config.heading.year)
         self._vehicle: Vehicle | None = None
         self._system_id = config.link.system_id or 1
         if isinstance(self.log, Recording):
@@ -187,6 +189,7 @@ class Run(Generic[P]):
         """
         if self.pipelines:
             self.report.health = self.pipelines[-1].health()
+        self.report.notes += self._magnetometer.notes()
         note_shortcomings(self.report, self._path)
         return self.report
 
@@ -245,6 +248,7 @@ class Run(Generic[P]):
         self._blocks.clear()  # the pipelines hold on to the list
         for block in blocks:
             add_block(self.report, block.events, block.table)
+            self._magnetometer.add(block.events, block.table)
         if progress is not None:
             progress(self._done, self.size)
         return blocks

@@ -103,7 +103,10 @@ def _silence(snapshot: Snapshot) -> str:
         return f"the link has been silent for {link.silent_s:.1f} s: check {_other_end(link)}"
     if peer is None and snapshot.frames.refused:
         why, count = max(snapshot.frames.refused.items(), key=lambda entry: entry[1])
-        return f"no autopilot has been admitted: {count} frames: {why}; see docs/LINK.md"
+        return (
+            f"no autopilot has been admitted: {count} frames: {why}; link.allow_systems, "
+            "link.allow_components and signing decide"
+        )
     if peer is None:
         return "no autopilot has been heard: check the baud rate and link.autopilot"
     if not peer.is_heard:

@@ -254,7 +254,9 @@ class OutputState:
         Mapping[str, int],
         counter("messages_sent", "Ours; ODOMETRY as the link took it.", ("message",)),
     ]
-    unsent: Annotated[int, counter("odometry_unsent", "Found no link, or too slow a one.")] = 0
+    unsent: Annotated[
+        int, counter("odometry_unsent", "Found no link, too slow a one, or was too old.")
+    ] = 0
     unsent_rate: float = 0.0
     """Of these over the last seconds, Hz."""
     withheld: Annotated[int, counter("odometry_withheld", "Not sent by the guard.")]

@@ -7,7 +7,8 @@ import yaml
 from typer.testing import CliRunner
 
 from ekf_companion.cli import app
-from ekf_companion.config.config import _Loader, parse_config
+from ekf_companion.config.config import parse_config
+from ekf_companion.config.yaml_file import YamlLoader
 from sim_autopilot.__main__ import app as simulator
 
 
@@ -41,14 +42,21 @@ def _elsewhere(tmp_path, monkeypatch):
     ],
 )
 def test_a_calibration_prints_yaml_and_writes_a_figure_and_json(flown, tmp_path, kind, name, key):
-    result = command(kind, flown[name], "--json", "all.json")
+    result = command(kind, flown[name])
     assert result.exit_code == 0, result.output
-    pasted = parse_config(yaml.load(result.stdout, _Loader), "printed")
+    pasted = parse_config(yaml.load(result.stdout, YamlLoader), "printed")
     if kind == "delay":
         assert pasted.gnss.delay == pytest.approx(0.12, abs=0.01)
     assert result.stdout.startswith(f"# ekf-companion calibrate {kind} ")
-    assert (tmp_path / f"{name}.{kind}.png").read_bytes().startswith(b"\x89PNG")
-    assert key in json.loads((tmp_path / "all.json").read_text())["keys"]
+    figure = flown[name].with_name(f"{name}.{kind}.png")
+    before = figure.read_bytes()
+    assert result.stdout.endswith(f"# figure: {figure}\n")
+    assert before.startswith(b"\x89PNG")
+    again = command(kind, flown[name], "--json")
+    assert key in json.loads(again.stdout)["keys"]
+    assert again.stderr == f"# figure: {figure.with_name(f'{name}.{kind}-2.png')}\n"
+    assert figure.read_bytes() == before
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_figure_goes_where_it_is_asked_for_and_what_is_printed_says_so(flown, tmp_path):
@@ -73,10 +81,9 @@ def test_a_log_that_cannot_serve_ends_with_3_and_a_sentence(flown, tmp_path, kin
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("option", ["--plot", "--json"])
-def test_nothing_overwrites_the_log(flown, option):
+def test_nothing_overwrites_the_log(flown):
     before = flown["static"].read_bytes()
-    result = command("noise", flown["static"], option, flown["static"])
+    result = command("noise", flown["static"], "--plot", flown["static"])
     assert result.exit_code == 2
     assert "is the log; name another file" in result.stderr
     assert flown["static"].read_bytes() == before
@@ -105,4 +112,7 @@ def test_a_log_with_a_restart_serves_by_its_longest_part(flown, tmp_path):
     imu = recording.events.t_ns[recording.events.kind == Kind.IMU]
     assert not (recording.events.kind == Kind.RESTART).any()
     assert (imu[-1] - imu[0]) * 1e-9 == pytest.approx(40.0, abs=1.0)
-    assert any("begins anew" in note for note in recording.notes)
+    assert (
+        "the autopilot rebooted in this log, and its clock begins anew; the longest part counts"
+        in (recording.notes)
+    )

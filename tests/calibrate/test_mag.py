@@ -3,7 +3,8 @@ import pytest
 
 from ekf_companion.calibrate import ellipsoid, mag
 from ekf_companion.calibrate.result import lines
-from ekf_companion.config.config import Config, _Loader, parse_config
+from ekf_companion.config.config import Config, parse_config
+from ekf_companion.config.yaml_file import YamlLoader
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
@@ -145,7 +146,7 @@ def test_what_is_printed_brings_the_heading_back():
     events = wire.events(flown, has_vel_down=True)
     recording = fly("figure-eight", 60.0, compass=CompassConfig(hard_iron=hard))
     text = "\n".join(lines("mag", mag.result(mag.measure(recording, SETTINGS))))
-    config = parse_config(yaml.load(text, _Loader), "printed")
+    config = parse_config(yaml.load(text, YamlLoader), "printed")
     late = slice(5000, None)
     truth = so3.to_euler(wire.truth(flown).q_nb)[late, 2]
     errors = []

@@ -5,7 +5,8 @@ import pytest
 
 from ekf_companion.calibrate import fixes, noise, rest
 from ekf_companion.calibrate.result import lines
-from ekf_companion.config.config import Config, _Loader, parse_config
+from ekf_companion.config.config import Config, parse_config
+from ekf_companion.config.yaml_file import YamlLoader
 from ekf_companion.core.settings import FilterSettings, GnssSettings, ImuSettings
 from ekf_companion.errors import LogError
 from ekf_companion.nav.measurements import Kind
@@ -101,7 +102,7 @@ def test_what_is_printed_is_a_configuration():
 
     _, result = measured(fly("static", 400.0, gnss=SLOW))
     text = "\n".join(lines("calibrate noise", result))
-    config = parse_config(yaml.load(text, _Loader), "printed")
+    config = parse_config(yaml.load(text, YamlLoader), "printed")
     assert config.imu.gyro_noise == pytest.approx(3e-4, rel=0.05)
     assert config.gnss.position_std == pytest.approx(0.2, rel=0.1)
     assert max(map(len, text.splitlines())) <= 100

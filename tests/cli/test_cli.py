@@ -1,5 +1,7 @@
 """What the command line refuses, in a sentence and with which exit code."""
 
+import json
+
 import pytest
 from typer.testing import CliRunner
 
@@ -38,16 +40,32 @@ def test_what_leaves_nothing_to_compare_is_named(flown):
     assert result.stderr.endswith("after the first 80 s; leave out fewer with --skip\n")
 
 
-@pytest.mark.parametrize("is_log", [True, False])
-def test_the_summary_overwrites_neither_the_log_nor_the_estimates(flown, tmp_path, is_log):
-    out = tmp_path / "out.csv"
+def test_the_estimates_do_not_overwrite_the_log(flown):
     before = flown.read_bytes()
-    result = command("convert", flown, "-o", out, "--json", flown if is_log else out)
+    result = command("convert", flown, "-o", flown)
     assert result.exit_code == 2
-    other = "the log" if is_log else "what --out writes"
-    assert f"is {other}; name another file" in result.stderr
+    assert "is the log; name another file" in result.stderr
     assert flown.read_bytes() == before
-    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "convert LOG -o out.csv",
+        "convert LOG -o out.csv --filter mahony",
+        "compare LOG --skip 2",
+        "compare LOG --skip 2 --filters mahony",
+        "observability LOG",
+        "doctor --log LOG",
+    ],
+)
+def test_json_means_the_same_everywhere_the_result_in_place_of_the_text(
+    flown, tmp_path, monkeypatch, words
+):
+    monkeypatch.chdir(tmp_path)
+    result = command(*words.replace("LOG", str(flown)).split(), "--json")
+    assert result.exit_code in (0, 5), result.output
+    assert json.loads(result.stdout)
 
 
 def test_a_link_that_is_none_is_a_wrong_command_line():

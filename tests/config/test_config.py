@@ -2,13 +2,15 @@
 
 import re
 from dataclasses import fields, is_dataclass
+from itertools import pairwise
+from pathlib import Path
 
 import msgspec
 import pytest
 from typer.testing import CliRunner
 
 from ekf_companion.cli import app
-from ekf_companion.config.config import Config, load_config, parse_config
+from ekf_companion.config.config import Config, ConfigFile, load_config, parse_config
 from ekf_companion.config.keys import KEYS
 from ekf_companion.errors import ConfigError
 from tests.paths import ROOT
@@ -41,7 +43,7 @@ def leaves(config, path=""):
 
 def load(tmp_path, text):
     path = tmp_path / "quad.yaml"
-    path.write_text(text)
+    path.write_text(text.rstrip("\n") + "\n")
     return load_config(path)
 
 
@@ -99,7 +101,7 @@ def test_the_reference_says_unit_range_reload_and_parameter():
         ("1: 2", "1: unknown key; known: "),
         ("link: {component_id: 300}", "link.component_id: 300: expected int <= 255"),
         ("link: {component_id: 1.5}", "link.component_id: 1.5: expected int, got float"),
-        ("imu: {gyro_noise: -1}", "imu.gyro_noise: -1: expected float > 0.0"),
+        ("imu: {gyro_noise: -1}", "imu.gyro_noise: -1: expected float >= 1e-09"),
         ("imu: {gyro_noise: fast}", "imu.gyro_noise: 'fast': expected float, got str"),
         ("imu: {learn_noise: 1}", "imu.learn_noise: 1: expected bool, got int"),
         ("gnss: {delay: late}", "gnss.delay: 'late': expected auto or a number"),
@@ -135,8 +137,22 @@ def test_the_reference_says_unit_range_reload_and_parameter():
         ("baro: {use: !!timestamp x}", "is not YAML: 'x' is no timestamp; put text in quotes"),
         ("baro: {std: !!int ''}", "is not YAML: '' is no int; put text in quotes in line 1"),
         ("baro: !!map x", "is not YAML: expected a mapping node, but found scalar in line 1"),
-        (f"baro: {{std: {'[' * 3000}", "a list stands too deep in lists, or in itself"),
-        ("link: {allow_systems: &a [*a]}", "a list stands too deep in lists, or in itself"),
+        (f"baro: {{std: {'[' * 3000}", "a list stands too deep in lists"),
+        (
+            "link: {allow_systems: &a [*a]}",
+            "is not YAML: *a is an alias; write the value itself in line 1",
+        ),
+        ("link: &a {}\nimu: {<<: *a}", "is not YAML: *a is an alias; write the value it"),
+        ('http: {host: "a\\0b"}', "http.host: 'a\\x00b' is no address; 127.0.0.1 is this board"),
+        ("http: {host: ''}", "http.host: '' is no address"),
+        ('link: {url: "udpin:a\\0b:14540"}', "link.url: 'udpin:a\\x00b:14540': has a character"),
+        ('link: {peer: "a\\0b"}', "link.peer: 'a\\x00b': has a character that no address has"),
+        ("link: {url: 'serial:/dev/ttyS0:-9600'}", "link.url: serial:/dev/ttyS0:-9600: -9600 is"),
+        ("link: {url: 'serial:/dev/ttyS0:fast'}", "link.url: serial:/dev/ttyS0:fast: fast is"),
+        ("link: {url: 'serial:/dev/ttyS0:'}", "link.url: serial:/dev/ttyS0:: nothing is no"),
+        ("imu: {gyro_noise: 1e-300}", "imu.gyro_noise: 1e-300: expected float >= 1e-09"),
+        ("", "is empty: nothing is set in it; name at least a section, as in link:"),
+        ("# nothing", "is empty: nothing is set in it"),
         ("link: {allow_systems: !!set {a}}", "link.allow_systems.0: {'a'}: expected int, got str"),
         ("link: {url: com3}", "link.url: com3: not a link; write for example udpin:0.0.0.0:14540"),
     ],
@@ -160,7 +176,7 @@ def test_every_number_has_a_range_and_every_word_its_rivals():
                 parse_config(data, "quad.yaml")
 
 
-@pytest.mark.parametrize("text", ["", "# nothing\n", "imu:\ngnss:\n  # use_velocity: false\n"])
+@pytest.mark.parametrize("text", ["imu:\n", "imu:\ngnss:\n  # use_velocity: false\n"])
 def test_what_is_left_out_is_at_its_default(tmp_path, text):
     assert load(tmp_path, text) == Config()
 
@@ -219,8 +235,50 @@ def keys(table, path=""):
 def test_the_command_line_says_the_sentence_and_exits_with_2(tmp_path, command, text, sentence):
     path = tmp_path / "quad.yaml"
     if text is not None:
-        path.write_text(text)
+        path.write_text(text + "\n")
     result = CliRunner().invoke(app, [*command, str(path)])
     assert result.exit_code == 2
     assert result.stdout == ""
     assert result.stderr == f"ekf-companion: {path}: {sentence}\n"
+
+
+BOMB = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in pairwise("abcdefgh"))
+
+
+def test_a_file_of_aliases_to_aliases_is_refused_before_it_is_unfolded(tmp_path):
+    with pytest.raises(ConfigError, match=r"is not YAML: \*a is an alias; write the value itself"):
+        load(tmp_path, BOMB)
+
+
+def test_a_file_larger_than_any_configuration_is_not_read(tmp_path):
+    for path in (tmp_path / "large.yaml", Path("/dev/zero")):
+        if path.parent == tmp_path:
+            path.write_text("# comment\n" * 20_000)
+        with pytest.raises(ConfigError, match="is larger than 128 KiB, which no configuration is"):
+            load_config(path)
+
+
+def test_a_file_that_is_cut_off_within_a_line_is_refused(tmp_path):
+    path = tmp_path / "quad.yaml"
+    path.write_text("output: {odometry: {mode: never}}\nlink:\n  imu_rate: 25")  # of 250.0
+    with pytest.raises(ConfigError, match="line 3 has no end: the file may be cut off, half writt"):
+        load_config(path)
+
+
+def test_a_key_that_vanished_is_no_change_of_mind(tmp_path):
+    """A reload of half a file must not set what was in the other half back to its default."""
+    path = tmp_path / "quad.yaml"
+    whole = "link: {imu_rate: 100}\nbaro: {std: 0.5}\noutput: {odometry: {mode: never}}\n"
+    path.write_text(whole)
+    file = ConfigFile(path)
+    assert file.read().output.odometry.mode == "never"
+    for count in range(len(whole)):
+        path.write_text(whole[:count])
+        with pytest.raises(
+            ConfigError, match=r"is empty|has no end|is not YAML|is no longer in it"
+        ):
+            file.read()
+    path.write_text("link: {imu_rate: 100}\noutput: {odometry: {mode: auto}}\n")
+    assert file.read().output.odometry.mode == "auto"  # written out; baro.std was the default
+    path.write_text("link: {imu_rate: 100}\n")
+    assert file.read() == file.read()

@@ -57,7 +57,7 @@ ODOMETRY = IDS["ODOMETRY"]
 class Daemon:
     """``ekf-companion run`` in its own process."""
 
-    def __init__(self, folder, *options, config="", environment=None, **process):
+    def __init__(self, folder, *options, config="link:\n", environment=None, **process):
         self.folder = folder
         self.config = folder / "config.yaml"
         self.config.write_text(config)
@@ -88,9 +88,12 @@ class Daemon:
     def wait(self):
         return self._process.wait(LIMIT)
 
+    def kill(self, number):
+        self._process.send_signal(number)
+
     def hang_up(self):
         """Ask it to read its configuration again."""
-        self._process.send_signal(signal.SIGHUP)
+        self.kill(signal.SIGHUP)
 
     def stop(self, number=signal.SIGTERM):
         """Ask it to end; return its exit code."""
@@ -253,7 +256,8 @@ class Record:
         if not out.exists():
             command = [sys.executable, "-W", "error", "-m", "ekf_companion", "convert"]
             command += [str(self.path), "-o", str(out), "--config", str(self.config)]
-            subprocess.run([*command, "--json", f"{out}.json"], check=True, stdout=subprocess.PIPE)
+            told = subprocess.run([*command, "--json"], check=True, stdout=subprocess.PIPE).stdout
+            out.with_name(f"{out.name}.json").write_bytes(told)
         return out
 
 
@@ -275,6 +279,7 @@ UDP_CONFIG = """
 output:
   odometry:
     rate: 50
+    age_limit: 10  # of a busy machine
 gnss:
   lever_arm: [0.02, -0.01, 0.05]
 """
@@ -564,7 +569,7 @@ def wired(tmp_path_factory):
         f"link: {{url: 'serial:{here}:921600'}}\n"
         f"record: {{path: {folder}/flight.tlog}}\n"
         "imu: {lag: 0.002}\n"
-        "output: {odometry: {jumps: tell}}\n"
+        "output: {odometry: {jumps: tell, age_limit: 10}}\n"
     )
     cable = Cable(here, there)
     with Daemon(folder, config=config) as daemon:

@@ -86,7 +86,8 @@ def flown(tmp_path_factory):
         f"udpout:127.0.0.1:{nobody}",
         f"udpout:127.0.0.1:{own}",
     ]
-    config = f"output: {{monitors: {monitors}, odometry: {{rate: 50}}}}\nhttp: {{port: 0}}\n"
+    odometry = "{rate: 50, age_limit: 10}"
+    config = f"output: {{monitors: {monitors}, odometry: {odometry}}}\nhttp: {{port: 0}}\n"
     options = ("--link", f"udpin:127.0.0.1:{port}", "--record", str(folder / "flight.tlog"))
     home = replace(HomeConfig(), boot=20.0)
     plan = SimConfig(system_id=SYSTEM, home=home, parameters=WITHHELD)

@@ -17,7 +17,7 @@ from sim_autopilot.flight import Flight
 from sim_autopilot.fly import Flown, fly, over, run
 from tests.daemon.test_daemon import SYSTEM, Daemon, Open, Record, free_port
 
-CONFIG = "output: {odometry: {rate: 50}}\n"
+CONFIG = "output: {odometry: {rate: 50, age_limit: 10}}\n"
 RUNS = (3.0, 4.5, 4.5)
 """Seconds for which each of three runs of the daemon estimates: killed, stopped, stopped."""
 BUSY = 15.0

@@ -28,7 +28,7 @@ BUSY = 20.0
 class Pilot:
     """A flight in a thread of its own; keeps the wire, and when it heard what."""
 
-    def __init__(self, port, boot=50.0):
+    def __init__(self, port, boot=50.0, kind="udpin"):
         self.wire = None
         self._flight = Open(plan(240.0, boot=boot))
 
@@ -36,7 +36,7 @@ class Pilot:
             self.wire = Wire(link)
             await fly(self._flight, self.wire, personality=Kind.PX4, wait=60.0)
 
-        self._thread = threading.Thread(target=lambda: run(over(f"udpin:127.0.0.1:{port}", body)))
+        self._thread = threading.Thread(target=lambda: run(over(f"{kind}:127.0.0.1:{port}", body)))
         self._thread.start()
 
     def __enter__(self):
@@ -45,6 +45,11 @@ class Pilot:
     def __exit__(self, *_):
         self._flight.land()
         self._thread.join()
+
+
+BOMB_PAIRS = list(itertools.pairwise("abcdefghijkl"))
+BOMB = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in BOMB_PAIRS)
+"""Aliases to aliases: 2 KB that stand for 4000 values, and twice as many for each line more."""
 
 
 def odometry(wire):
@@ -102,7 +107,7 @@ def test_every_restart_moves_the_reset_counter(killed):
 
 @pytest.fixture(scope="module")
 def reloaded(tmp_path_factory):
-    """Fly; change the configuration three times on the way: good, wrong, and good again."""
+    """Fly; change the configuration on the way: good, wrong, cut, a bomb, and good again."""
     folder = tmp_path_factory.mktemp("reloaded")
     port = free_port()
     options = ("--link", f"udpout:127.0.0.1:{port}", "--record", str(folder / "flight.tlog"))
@@ -114,7 +119,9 @@ def reloaded(tmp_path_factory):
         for text, words in (
             (slow, "Reload: Taken: gate.probability: 0.999999 -> 0.9999, output.odometry.rate"),
             ("output: {odometry: {rate: fast}}\n", "all stays as it was"),
-            ("output: {odometry: {rate: 25}}\n", "output.odometry.rate: 10.0 -> 25.0"),
+            ("gate: {probability: 0.9999}\n", "frame is no longer in it, and was 'LOCAL_NED'"),
+            (BOMB, "is an alias; write the value itself"),
+            (slow.replace("10", "25"), "output.odometry.rate: 10.0 -> 25.0"),
         ):
             time.sleep(2.0)
             daemon.config.write_text(text)
@@ -199,6 +206,25 @@ def test_a_file_that_cannot_even_be_read_ends_the_reload_too(tmp_path, text):
         assert "Traceback" not in daemon.words.read_text()
 
 
+def test_a_file_that_does_not_end_is_not_waited_for(tmp_path):
+    with Daemon(tmp_path, "--link", f"udpin:127.0.0.1:{free_port()}") as daemon:
+        daemon.wait_for(": open")
+        daemon.config.unlink()
+        os.mkfifo(daemon.config)  # opens once somebody writes
+        daemon.hang_up()
+        daemon.wait_for("the configuration could not be read within 3 s; all stays as it was")
+        daemon.hang_up()
+        daemon.wait_for("the configuration is still being read; wait for that; all stays as it was")
+        with daemon.config.open("w") as file:
+            file.write("baro: {std: 1.0}\n")  # too late
+        daemon.config.unlink()
+        daemon.config.write_text("baro: {std: 2.0}\n")
+        while "Taken: baro.std: 0.5 -> 2.0" not in daemon.words.read_text():
+            daemon.hang_up()
+            time.sleep(0.1)
+        assert daemon.stop() == 0
+
+
 BUG = """
 from ekf_companion.daemon import daemon
 from ekf_companion.config.config import Config
@@ -237,11 +263,11 @@ def rate(record, begin, end):
 
 def test_a_changed_rate_is_taken_and_a_wrong_file_changes_nothing(reloaded):
     """Rule 36: SIGHUP reloads the safe keys."""
-    _, record, _, (first, second, third) = reloaded
+    _, record, _, (first, second, third, _, last) = reloaded
     assert rate(record, first - 2_000_000, first) == pytest.approx(50.0, rel=0.15)
     assert rate(record, first, second) == pytest.approx(10.0, rel=0.15)
     assert rate(record, second, third) == pytest.approx(10.0, rel=0.15)
-    assert rate(record, third, third + 2_000_000) == pytest.approx(25.0, rel=0.15)
+    assert rate(record, last, last + 2_000_000) == pytest.approx(25.0, rel=0.15)
 
 
 def test_the_rest_is_refused_by_name(reloaded):

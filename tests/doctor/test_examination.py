@@ -47,7 +47,7 @@ def first_trouble(stages):
 
 
 GUARDED = "parameters: {EKF2_EV_CTRL: 15, EKF2_GPS_CTRL: 7}"
-PATIENT = "link: {imu_rate: 100}\ntimesync: {largest_rtt: 0.5}"
+PATIENT = "link: {imu_rate: 100}\ntimesync: {largest_rtt: 0.5}\n"
 """On a machine that has other work."""
 
 

@@ -32,6 +32,12 @@ CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
         (PeerLost(0), "Autopilot lost", None, ""),
         (Rebooted(), "Autopilot rebooted", None, ""),
         (RequestAnswered("ATTITUDE", "denied"), "Request for ATTITUDE: denied", None, ""),
+        (
+            RequestAnswered("SCALED_PRESSURE", "failed"),
+            "Request for SCALED_PRESSURE: not offered; only autopilots whose inertial message has",
+            None,
+            "",
+        ),
         (FirmwareReported("1.16.0"), "firmware: 1.16.0", None, ""),
         (
             SeveralAutopilots(1, 2),
@@ -47,7 +53,7 @@ CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
         ),
         (
             Clash(1, 194),
-            "no ODOMETRY until it stops; give one of us another link.component_id",
+            "no ODOMETRY while it sends any; give one of us another link.component_id",
             Severity.CRITICAL,
             "id 194 is taken twice, not sending",
         ),

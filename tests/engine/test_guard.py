@@ -98,12 +98,13 @@ class Link:
         return [now_ns for now_ns, frame in self.sent if frame.message_id == IDS[name]]
 
     def asked(self):
-        """Return time and name of each parameter that was asked for."""
-        return [
+        """Return time and name of each parameter that was asked for, but for the board's trim."""
+        asked = [
             (now_ns, unpack(frame).param_id.decode())
             for now_ns, frame in self.sent
             if frame.message_id == READ
         ]
+        return [one for one in asked if not one[1].startswith("AHRS_TRIM")]
 
     def recorded(self, name):
         frames = Splitter().feed(b"".join(data for _, data in self.record))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ekf_companion.errors import LogError
 from ekf_companion.logs import csv, csv_known
 from ekf_companion.logs.estimate import read_truth
 from ekf_companion.nav import so3
@@ -82,6 +83,22 @@ def test_a_simulations_truth_is_read_in_degrees_and_in_radians(
     np.testing.assert_allclose(pos_n, [[0.0, 0.0, -110.0], [100.0, -200.0, -111.0]], atol=1e-8)
     np.testing.assert_allclose(so3.to_euler(truth.q_nb)[:, 0], [0.0, np.pi / 6.0], atol=1e-12)
     np.testing.assert_allclose(truth.vel_n[1], [3.0, 4.0, -1.0])
+
+
+@pytest.mark.parametrize(("unit", "roll"), [("deg", 30.0), ("rad", np.radians(30.0))])
+def test_a_truth_may_have_roll_pitch_and_yaw(tmp_path: Path, unit: str, roll: float):
+    path = tmp_path / "truth.csv"
+    angles = ",".join(f"{name}_{unit}" for name in ("roll", "pitch", "yaw"))
+    path.write_text(
+        f"time_us,lat_deg,lon_deg,alt_m,vn_mps,ve_mps,vd_mps,{angles}\n"
+        f"0,47,8,500,3,4,-1,0,0,0\n100000,47,8,500,3,4,-1,{roll},0,0\n"
+    )
+    truth = read_truth(path)
+    np.testing.assert_allclose(so3.to_euler(truth.q_nb)[:, 0], [0.0, np.pi / 6.0], atol=1e-12)
+    np.testing.assert_allclose(truth.vel_n[1], [3.0, 4.0, -1.0])
+    path.write_text(path.read_text().replace("yaw", "course"))
+    with pytest.raises(LogError, match="q_w"):
+        read_truth(path)
 
 
 def test_the_seeds_flight_is_read_whole(flight: Flight):

@@ -12,6 +12,7 @@ from ekf_companion.logs.dataflash_records import read_columns
 from ekf_companion.logs.estimate import read_truth
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
+from ekf_companion.nav.mounting import trim_matrix
 
 CODES = {"c": "h", "C": "H", "e": "i", "E": "I", "L": "i", "n": "4s", "N": "16s", "Z": "64s"}
 CODES |= {"M": "B"}
@@ -286,3 +287,37 @@ def test_the_simulators_truth_agrees_with_what_was_recorded_beside_it(flight):
     # The attitude of SIM is its quaternion.
     assert np.allclose(np.linalg.norm(recording.truth.q_nb, axis=1), 1.0)
     assert so3.to_euler(recording.truth.q_nb).shape == (1520, 3)
+
+
+def test_the_boards_trim_turns_its_sensors_into_the_vehicles_axes(read):
+    rows = Writer()
+    rows.define(8, "MAG", "QBhhh", "TimeUS,I,MagX,MagY,MagZ")
+    for index in range(10):
+        rows.row("MAG", 1_000_000 + 50_000 * index, 0, 210, 30, 420)
+    before = read(new_log() + rows.data)
+    rows.define(7, "PARM", "QNf", "TimeUS,Name,Value")
+    for name, value in ((b"AHRS_TRIM_X", 0.03), (b"AHRS_TRIM_Y", -0.05), (b"AHRS_TRIM_X", 0.1)):
+        rows.row("PARM", 0, name, value)  # what is set later, in flight, does not count
+    after = read(new_log() + rows.data)
+    assert len(of_kind(before, Kind.MAG)) == 10
+    C_vb = trim_matrix(0.03, -0.05)
+    for kind, columns in ((Kind.IMU, (slice(0, 3), slice(3, 6))), (Kind.MAG, (slice(0, 3),))):
+        for part in columns:
+            expected = of_kind(before, kind).values[:, part] @ C_vb.T
+            assert np.allclose(of_kind(after, kind).values[:, part], expected, atol=1e-9)
+    assert any("roll 1.7 and pitch -2.9 deg (AHRS_TRIM)" in note for note in after.notes)
+    assert not any("AHRS_TRIM" in note for note in before.notes)
+
+
+def test_the_hull_pressure_of_a_submarine_is_no_height(read):
+    rows = Writer()
+    rows.define(8, "BARO", "QBf", "TimeUS,I,Alt")
+    rows.define(9, "MSG", "QZ", "TimeUS,Message")
+    for index in range(10):
+        rows.row("BARO", 1_000_000 + 50_000 * index, 0, 100.0)
+    before = read(new_log() + rows.data)
+    rows.row("MSG", 1_000_000, b"ArduSub V4.1.0 (f2af3c7e)")
+    after = read(new_log() + rows.data)
+    assert len(of_kind(before, Kind.BARO)) > 0
+    assert len(of_kind(after, Kind.BARO)) == 0
+    assert any("air within the hull" in note for note in after.notes)

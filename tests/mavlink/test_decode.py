@@ -774,3 +774,24 @@ def test_after_a_restart_the_source_that_was_in_use_is_not_waited_for():
     for t_us in range(5_010_000, 6_020_000, 10_000):
         warm.highres(t_us)
     assert warm.decoder.ranks == (0, 1, 0, 0)
+
+
+def test_the_hull_pressure_of_a_submarine_is_no_height():
+    for kind, heights in ((2, 2), (12, 0)):
+        peer = Peer(Family.ARDUPILOT)
+        peer.say("heartbeat", type=kind, autopilot=3)
+        found = peer.highres(1_000_000, fields_updated=0x1FFF, abs_pressure=1013.0)
+        found += peer.say("scaled_pressure", time_boot_ms=5_000, press_abs=1014.0)
+        found += peer.highres(5_010_000, fields_updated=0x1FFF, abs_pressure=1015.0)
+        assert len(only(BaroSample, found)) == heights
+        assert bool(peer.refused.get("baro: pressure within the hull")) == (heights == 0)
+        assert any("within the hull" in note for note in peer.decoder.notes) == (heights == 0)
+
+
+def test_a_field_that_is_never_the_earths_is_told_to_a_human():
+    peer = Peer()
+    for k in range(120):
+        field = {"xmag": 21.0 + 0.01 * k, "ymag": 3.0, "zmag": 42.0}  # microtesla
+        peer.highres(1_000_000 + 4_000 * k, fields_updated=ACCEL_GYRO | MAG, **field)
+    (note,) = [note for note in peer.decoder.notes if "magnetometer" in note]
+    assert note.startswith("The magnetometer measures 47.5 gauss, and the Earth's field has 0.22")

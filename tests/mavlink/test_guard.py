@@ -8,7 +8,7 @@ import pytest
 from ekf_companion.config.config import Config
 from ekf_companion.engine.companion import Companion
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.event import GuardChanged
+from ekf_companion.mavlink.event import GuardChanged, PeerFound
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.guard import GuardOptions
 from ekf_companion.mavlink.messages import IDS
@@ -138,3 +138,49 @@ def test_older_firmware_that_says_nothing_of_the_newer_ones_is_asked_for_its_own
     session, names = requested({"EKF2_AID_MASK", "EKF2_HGT_MODE"})
     assert session.may_stream
     assert names["EKF2_AID_MASK"] >= 1
+
+
+def test_rule_25_what_begins_in_flight_needs_proof_or_a_switch():
+    """Anybody on the link can forge the heartbeat of another autopilot."""
+
+    def flown(other, options=None, *, answers=True, values=()):
+        session, autopilot = met(PX4, guard=options or GuardOptions())
+        session.receive(answer(autopilot), 0)
+        streaming = []
+        for now_ns in range(0, 40 * SECOND, 100 * MS):
+            on_ground = now_ns < 3 * SECOND or now_ns >= 30 * SECOND
+            if now_ns % SECOND == 0:
+                session.receive(autopilot.heartbeat(base_mode=0 if on_ground else 128), now_ns)
+                if other is not None and now_ns >= 10 * SECOND:
+                    session.receive(other.heartbeat(), now_ns)
+            session.tick(now_ns)
+            if sent(session, "PARAM_REQUEST_READ") and (answers or now_ns < 10 * SECOND):
+                value = dict(values).get(now_ns // SECOND, 0)
+                said = autopilot.say(
+                    "PARAM_VALUE", param_id=b"EKF2_EV_CTRL", param_type=9, param_value=value
+                )
+                session.receive(said, now_ns)
+            streaming.append(session.may_stream)
+        return session, [all(streaming[10 * k : 10 * k + 10]) for k in range(40)]
+
+    session, streaming = flown(Voice(2))
+    assert streaming[:30] == [True] * 30
+    assert not any(streaming[32:])  # landed: it is withheld as on any ground
+    told = [event.decision for event in session.events() if type(event) is GuardChanged]
+    doubt = told[1]
+    assert (doubt.is_streaming, doubt.is_warning) == (True, True)
+    assert "system 2 is on this link too" in doubt.reason
+    assert "began in flight and is no proof" in doubt.reason
+    assert "output.odometry.withhold_in_flight" in doubt.remedy
+    assert len(f"Companion: {doubt.text}") <= 50
+
+    assert all(flown(None, answers=False)[1][:30])  # who falls silent proves nothing either
+    assert not any(flown(Voice(2), GuardOptions(withhold_in_flight=True))[1][12:])
+
+
+def test_rule_1_forged_heartbeats_of_our_own_autopilot_begin_nothing_anew():
+    session, autopilot = met(PX4, guard=GuardOptions())
+    for now_ns in range(0, 30 * SECOND, 250 * MS):
+        family = PX4 if now_ns % SECOND == 0 else 3
+        session.receive(autopilot.heartbeat(autopilot=family), now_ns)
+    assert not [event for event in session.events() if type(event) is PeerFound]

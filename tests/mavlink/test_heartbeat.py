@@ -58,7 +58,8 @@ def test_rule_4_a_foreign_heartbeat_under_our_ids_stops_odometry_and_is_named_tw
     for now_ns in range(0, 60 * SECOND, SECOND):
         session.receive(autopilot.heartbeat(), now_ns)
         session.tick(now_ns)
-        session.receive(other.heartbeat(type=18, autopilot=8), now_ns)
+        said = other.heartbeat(type=18, autopilot=8) + other.say("ODOMETRY", time_usec=1)
+        session.receive(said, now_ns)
         assert session.may_stream is (now_ns == 0)  # one alone may be an echo of an earlier run
         told += [event for event in session.events() if type(event) is Clash]
     assert told == [Clash(*OURS)] * 2
@@ -125,3 +126,41 @@ def test_the_one_account_of_what_is_streamed_names_the_clash_first():
     assert not state.is_streaming
     assert state.reason == "somebody else speaks as system 1, component 194"
     assert "link.component_id" in state.remedy
+
+
+FLYING = {"base_mode": 128}
+"""Armed, and nothing is known of the ground."""
+
+
+def beside_a_twin(seconds, *, twin_sends, guard=STREAMING, **heartbeat):
+    """Return the session, and whether it streams after each second beside another of our ids."""
+    session, autopilot = met(guard=guard)
+    other = Voice(*OURS)
+    other.sender.sequence = 77
+    streaming = []
+    for now_ns in range(0, seconds * SECOND, SECOND):
+        session.receive(autopilot.heartbeat(**heartbeat), now_ns)
+        if now_ns > 2 * SECOND:
+            said = other.say("ODOMETRY", time_usec=1) if twin_sends else b""
+            session.receive(other.heartbeat(type=18, autopilot=8) + said, now_ns)
+        session.tick(now_ns)
+        streaming.append(session.may_stream)
+    return session, streaming
+
+
+def test_rule_4_two_of_us_do_not_silence_each_other_for_good():
+    _, streaming = beside_a_twin(40, twin_sends=False)
+    assert streaming == [True] * 4 + [False] * 11 + [True] * 25  # 10 s of patience
+    _, streaming = beside_a_twin(40, twin_sends=True)
+    assert streaming == [True] * 4 + [False] * 36
+
+
+def test_rule_4_who_streams_in_flight_is_not_silenced_by_a_heartbeat():
+    """Anybody on the link can forge one."""
+    session, streaming = beside_a_twin(40, twin_sends=True, **FLYING)
+    assert all(streaming)
+    assert [event.is_yielding for event in session.events() if type(event) is Clash] == [False] * 2
+    assert session.clash.is_clash
+    strict = GuardOptions(mode="always", withhold_in_flight=True)
+    _, streaming = beside_a_twin(40, twin_sends=True, guard=strict, **FLYING)
+    assert streaming == [True] * 4 + [False] * 36

@@ -49,3 +49,15 @@ def test_the_picture_is_drawn_even_of_silence(tmp_path):
     witness = Witness(flight)
     figure.draw(tmp_path / "demo.png", flight, witness, witness.score())
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_whoever_waits_sees_every_five_seconds_that_it_flies(tmp_path):
+    told = []
+    demo.fly(tmp_path, duration=12.0, seed=1, tell=told.append)
+    assert told[0] == "flying for 12 s, in real time, over UDP"
+    assert "flying, 5 of 12 s" in told
+    assert "flying, 10 of 12 s" in told
+    assert told[-1] == "drawing the figure"
+    log = (tmp_path / "daemon.log").read_text()
+    assert "failed" not in log  # of what nobody needs
+    assert "SCALED_PRESSURE: not offered; only autopilots whose inertial message has no" in log

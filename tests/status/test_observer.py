@@ -70,13 +70,13 @@ class Watched:
         self.companion.tick(read_ns)
         self.now_ns += self.delay_ns
         said = self.companion.frames_to_send()
-        for frame, is_replaceable in said:
+        for frame, is_replaceable, _ in said:
             if self.link.is_open:
                 self.link.send(frame, is_replaceable=is_replaceable)
             elif is_replaceable:
                 self.observer.on_sent(0)  # as a link says that has room
         self.observer.tick(read_ns)
-        return [frame for frame, _ in said]
+        return [frame for frame, *_ in said]
 
     def hear(self, *frames):
         """Feed what somebody else says."""

@@ -6,12 +6,15 @@ import math
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.context import Context, Measurements, Preference
+from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.earth import pressure_altitude
 from ekf_companion.nav.measurements import BaroSample, MagSample
 
 _WEAKEST, _STRONGEST = 0.15, 0.8
 """gauss; the Earth's field has 0.22 to 0.67, and a vehicle adds some."""
+_STRANGE = 100
+"""Fields in a row that are not the Earth's, before a human is told."""
 _LOWEST, _HIGHEST = 30_000.0, 120_000.0
 """Pa; from 9000 m up to below the Dead Sea."""
 
@@ -19,14 +22,15 @@ _LOWEST, _HIGHEST = 30_000.0, 120_000.0
 class Magnetometer:
     """Reads the magnetic field from the best message that carries one."""
 
-    def __init__(self, context: Context) -> None:
-        self._context = context
+    def __init__(self, context: Context, trim: Trim) -> None:
+        self._context, self._trim = context, trim
         self.forget()
 
     def forget(self) -> None:
         """Forget everything after a reboot."""
         self.sources = Preference()
         self._last: tuple[float, ...] = ()
+        self._strange = 0
 
     def add(self, out: Measurements, rank: int, t_ns: int, x: float, y: float, z: float) -> None:
         """Append a field in gauss if it may be the Earth's and is not the last one again."""
@@ -48,7 +52,15 @@ class Magnetometer:
             x, y, z, norm = x * 1e-6, y * 1e-6, z * 1e-6, norm * 1e-6
         if not _WEAKEST <= norm <= _STRONGEST:
             self._context.refuse("mag: no field of the Earth")
+            self._strange += 1
+            if self._strange == _STRANGE:
+                self._context.note_once(
+                    f"The magnetometer measures {norm:.3g} gauss, and the Earth's field has 0.22 "
+                    "to 0.67: it is not used; check its unit, its calibration, and what is near it"
+                )
             return
+        self._strange = 0
+        x, y, z = self._trim.to_vehicle(x, y, z)
         out.append(MagSample(t_ns=t_ns, mag_x=x, mag_y=y, mag_z=z))
 
 
@@ -79,6 +91,13 @@ class Barometer:
         if pressure == self._last:
             return
         self._last = pressure
+        if self._context.is_submarine:
+            self._context.refuse("baro: pressure within the hull")
+            self._context.note_once(
+                "This is a submarine: its barometer measures the air within the hull, which is no "
+                "height, and is not used"
+            )
+            return
         is_pascal = _LOWEST <= pressure <= _HIGHEST
         if not is_pascal:
             pressure *= 100.0

@@ -68,6 +68,8 @@ class Context:
         """
         self.family = family
         self.options = options
+        self.is_submarine = False
+        """Whether the air pressure is that within a hull."""
         self.is_ours = self.is_yaw_ours = False
         """Whether the autopilot's own position, and its yaw, are made of our ODOMETRY."""
         self.clock = TimeBase()

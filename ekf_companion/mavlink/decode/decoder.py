@@ -9,6 +9,7 @@ from ekf_companion.mavlink.decode.context import Context, DecoderOptions, Family
 from ekf_companion.mavlink.decode.heading import Heading
 from ekf_companion.mavlink.decode.inertial import SOURCES, Inertial
 from ekf_companion.mavlink.decode.position import Position
+from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.decode.vehicle import Vehicle
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import IDS
@@ -30,9 +31,10 @@ class Decoder:
         """How often, by reason: ``message: why``."""
         self.notes = self._context.notes
         """Sentences for a human, oldest first, a few at most; whoever reads them takes them out."""
-        self._mag, self._baro = Magnetometer(self._context), Barometer(self._context)
+        self.trim = Trim(self._context)
+        self._mag, self._baro = Magnetometer(self._context, self.trim), Barometer(self._context)
         self._heading, self.vehicle = Heading(self._context), Vehicle(self._context)
-        self.inertial = Inertial(self._context, self._mag, self._baro)
+        self.inertial = Inertial(self._context, self._mag, self._baro, self.trim)
         self._ranked: list[Inertial | Magnetometer | Barometer | Heading]
         self._ranked = [self.inertial, self._mag, self._baro, self._heading]
         self._position = Position(self._context, self._heading)
@@ -51,13 +53,14 @@ class Decoder:
             "HEARTBEAT": self.vehicle.heartbeat,
             "EXTENDED_SYS_STATE": self.vehicle.extended_sys_state,
             "SYSTEM_TIME": self.vehicle.system_time,
+            "PARAM_VALUE": self.trim.param_value,
         }
         self._readers = {IDS[name]: reader for name, reader in readers.items()}
         self._held: list[tuple[Frame, Measurements]] = []
 
     def _forget(self, step: Step) -> None:
         """Begin anew after a reboot; the clock has already taken the new time."""
-        for reader in (*self._ranked, self._position):
+        for reader in (*self._ranked, self._position, self.trim):
             reader.forget()
         if step is Step.BEGUN:
             self.vehicle.forget()

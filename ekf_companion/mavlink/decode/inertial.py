@@ -8,6 +8,7 @@ from typing import Any
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements, Preference
+from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import by_name
@@ -29,8 +30,8 @@ _STARVING = 0.25
 class Inertial:
     """Reads inertial samples from the best message that carries them."""
 
-    def __init__(self, context: Context, mag: Magnetometer, baro: Barometer) -> None:
-        self._context, self._mag, self._baro = context, mag, baro
+    def __init__(self, context: Context, mag: Magnetometer, baro: Barometer, trim: Trim) -> None:
+        self._context, self._mag, self._baro, self._trim = context, mag, baro, trim
         self._layout = by_name("HIGHRES_IMU")
         self._ranks = {by_name(name).message_id: rank for rank, name in enumerate(SOURCES)}
         self.forget()
@@ -169,6 +170,9 @@ class Inertial:
         else:
             if rank != was:
                 self._note_source(was, rank)
+            trim = self._trim
+            trim.begin(t_ns)
+            sample = (*trim.to_vehicle(*sample[:3]), *trim.to_vehicle(*sample[3:]))
             if not is_sure:
                 out.append(ImuSample(t_ns, *sample))
                 return t_ns

@@ -10,6 +10,8 @@ from ekf_companion.nav.measurements import VehicleState
 _ARMED = 128
 _INVALID_AUTOPILOT = 8
 _ON_GROUND = 1
+_SUBMARINE = 12
+"""MAV_TYPE."""
 
 
 class Vehicle:
@@ -24,12 +26,18 @@ class Vehicle:
         self.is_armed = False
         self._is_landed: bool | None = None
 
+    @property
+    def is_flying(self) -> bool:
+        """Whether it is armed, and not reported on the ground."""
+        return self.is_armed and self._is_landed is not True
+
     def heartbeat(self, frame: Frame) -> Measurements:
         """Read HEARTBEAT."""
         m = unpack(frame)
         if m.autopilot == _INVALID_AUTOPILOT:
             return []
         self.is_armed = bool(m.base_mode & _ARMED)
+        self._context.is_submarine = m.type == _SUBMARINE
         return self._state()
 
     def extended_sys_state(self, frame: Frame) -> Measurements:

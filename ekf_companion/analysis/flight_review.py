@@ -1,0 +1,175 @@
+"""Everything that a report on a flight shows: estimates, what they are compared with, looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ekf_companion.analysis import difference
+from ekf_companion.analysis.difference import rms
+from ekf_companion.config.config import Config
+from ekf_companion.core.from_settings import delays_ns
+from ekf_companion.logs.estimate import of_table
+from ekf_companion.nav.arrays import Array, Stamps, known_rows
+from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.measurements import Events, GnssFlag, Kind, merge
+from ekf_companion.nav.state import Status, Table, Trajectory, join
+from ekf_companion.replay.log_source import reference, truth
+from ekf_companion.replay.report import Report
+from ekf_companion.replay.run import Progress, Run
+from ekf_companion.replay.verdict import Judgement, judge
+from ekf_companion.replay.watched import Look, WatchedPipeline
+
+SETTLED_NS = 20_000_000_000
+"""After the first position, the errors of the start no longer count."""
+SEGMENT = 1024
+"""Samples of a piece of the spectrum."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Innovations:
+    """Fixes less the estimate at their time, which did not know them yet."""
+
+    t_ns: Stamps
+    """Shape (n,)."""
+    values: Array
+    """North, east, down (m), velocity north, east, down (m/s), shape (n, 6)."""
+    bounds: Array
+    """Three sigmas of each, of estimate and fix together, shape (n, 6)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Spectra:
+    """Amplitude densities of the inertial samples."""
+
+    frequency: Array
+    """Hz, shape (n,)."""
+    gyro: Array
+    """rad/s per square root of Hz, by axis, shape (n, 3)."""
+    accel: Array
+    """m/s^2 per square root of Hz, likewise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FlightReview:
+    """One flight, run through the estimator and looked at."""
+
+    name: str
+    judgement: Judgement
+    report: Report
+    table: Table
+    ours: Trajectory
+    others: tuple[Trajectory, ...]
+    """A truth first, then the autopilot's own estimate, as far as the log holds them."""
+    fixes: Events
+    innovations: Innovations | None
+    looks: tuple[Look, ...]
+    spectra: Spectra | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the verdict and the numbers for JSON."""
+        judgement = self.judgement
+        return {
+            "verdict": judgement.sentence,
+            "grade": judgement.grade,
+            "reasons": list(judgement.reasons),
+            "compared_with": [one.name for one in self.others],
+            **self.report.to_dict(),
+        }
+
+
+def review(path: Path, config: Config, progress: Progress | None = None) -> FlightReview:
+    """Run the estimator over a log, and collect what a report shows of it.
+
+    Raises:
+        LogError: The log cannot be read, or nothing can be estimated from it.
+    """
+    run = Run(path, config, WatchedPipeline)
+    blocks = list(run.blocks(progress))
+    report = run.finish()
+    table = join([block.table for block in blocks])
+    arrival = [np.zeros(len(block.events), dtype=np.int64) for block in blocks]
+    events = merge(*(block.events for block in blocks), arrival_ns=arrival)
+    ours = of_table(table, "ekf-companion")
+    others = tuple(one for one in (truth(run.log), reference(run.log)) if one is not None)
+    pipelines = run.pipelines
+    family = pipelines[-1].family if pipelines else "unknown"
+    late_ns = int(delays_ns(config, family, run.gnss_delay)[Kind.GNSS])
+    fixes = events.take((events.kind == Kind.GNSS) & known_rows(events.values[:, :3]))
+    fixes = fixes.take(fixes.values[:, 10] != GnssFlag.DERIVED) if len(fixes) else fixes
+    return FlightReview(
+        name=path.name,
+        judgement=judge(report, _difference(ours, others, has_truth=truth(run.log) is not None)),
+        report=report,
+        table=table,
+        ours=ours,
+        others=others,
+        fixes=fixes,
+        innovations=_innovations(table, fixes, late_ns),
+        looks=tuple(look for pipeline in pipelines for look in pipeline.looks),
+        spectra=_spectra(events),
+    )
+
+
+def _difference(
+    ours: Trajectory, others: tuple[Trajectory, ...], *, has_truth: bool
+) -> tuple[float, str, bool] | None:
+    """Return how far we are from the first that has a position, m RMS, its name, if it is true."""
+    for number, other in enumerate(others):
+        if not len(ours.pos_t_ns) or not len(other.pos_t_ns):
+            continue
+        span = (int(ours.pos_t_ns[0]) + SETTLED_NS, int(ours.pos_t_ns[-1]))
+        found = difference.in_position(ours, other, span)
+        if found is not None and len(found[0]):
+            is_truth = has_truth and number == 0
+            name = "the truth" if is_truth else "the autopilot's own estimate"
+            return rms(np.hypot(found[1][:, 0], found[1][:, 1])), name, is_truth
+    return None
+
+
+def _innovations(table: Table, fixes: Events, late_ns: int) -> Innovations | None:
+    status = table.column("status")
+    is_good = (status >= Status.OK) & known_rows(table.columns(("lat_deg", "vel_n", "sd_pos_n")))
+    if not is_good.any() or not len(fixes):
+        return None
+    at_ns, order = np.unique(table.stamp_ns[is_good], return_index=True)
+    t_ns = fixes.t_ns - late_ns
+    near = np.clip(np.searchsorted(at_ns, t_ns), 0, len(at_ns) - 1)
+    is_near = np.abs(at_ns[near] - t_ns) < 100_000_000
+    if not is_near.any():
+        return None
+    rows = np.flatnonzero(is_good)[order][near[is_near]]
+    lat, lon, alt = (table.column(name)[rows] for name in ("lat_deg", "lon_deg", "alt_m"))
+    frame = LocalFrame(float(np.deg2rad(lat[0])), float(np.deg2rad(lon[0])), float(alt[0]))
+    mine = frame.to_ned(np.deg2rad(lat), np.deg2rad(lon), alt)
+    values = fixes.values[is_near]
+    theirs = frame.to_ned(values[:, 0], values[:, 1], values[:, 2])
+    velocity = values[:, 3:6] - table.columns(("vel_n", "vel_e", "vel_d"))[rows]
+    names = [f"sd_{part}_{axis}" for part in ("pos", "vel") for axis in "ned"]
+    stated = values[:, [6, 6, 7, 8, 8, 8]]
+    bounds = 3.0 * np.hypot(table.columns(names)[rows], np.nan_to_num(stated))
+    found = np.hstack([theirs - mine, velocity])
+    return Innovations(t_ns=t_ns[is_near], values=found, bounds=bounds)
+
+
+def _spectra(events: Events) -> Spectra | None:
+    """Return the mean spectra over all pieces without a gap."""
+    from scipy.signal import welch
+
+    imu = events.take((events.kind == Kind.IMU) & known_rows(events.values[:, :6]))
+    if len(imu) < 2 * SEGMENT:
+        return None
+    steps = np.diff(imu.t_ns)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    if step <= 0.0:
+        return None
+    cuts = np.flatnonzero((steps > 3.0 * step) | (steps <= 0)) + 1
+    piece = max(np.split(imu.values[:, :6], cuts), key=len)
+    if len(piece) < 2 * SEGMENT:
+        return None
+    frequency, power = welch(piece, fs=1e9 / step, nperseg=SEGMENT, axis=0)
+    root = np.sqrt(power[1:])
+    return Spectra(frequency=frequency[1:], gyro=root[:, :3], accel=root[:, 3:])

@@ -1,0 +1,38 @@
+"""A report on a recorded flight, to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ekf_companion.cli import terminal
+
+
+def report(
+    log: terminal.LogArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="The .html; by default LOG.report.html, beside the log."),
+    ] = None,
+    config: terminal.ConfigOption = None,
+    png: Annotated[bool, typer.Option("--png", help="Draw a .png beside it too.")] = False,
+    as_json: terminal.JsonOption = False,
+) -> None:
+    """Show a flight in one HTML file: a verdict, tracks, innovations, biases, spectra."""
+    from ekf_companion.analysis import flight_review, report_page, trajectory_figure
+
+    with terminal.exit_on_error():
+        terminal.check_outputs({"the log": log, "the configuration": config}, {"--out": out})
+        with terminal.progress_bar(log.name) as progress:
+            found = flight_review.review(log, terminal.load(config), progress)
+        path = out if out is not None else terminal.beside(log, "report", ".html")
+        report_page.write(path, found)
+        files = [path]
+        if png:
+            files.append(path.with_suffix(".png"))
+            lines = [found.ours, *found.others]
+            trajectory_figure.plot(files[-1], lines, found.judgement.sentence)
+    terminal.show(as_json, found.to_dict(), [found.judgement.sentence])
+    typer.echo(f"report: {', '.join(map(str, files))}", err=as_json)

@@ -1,0 +1,256 @@
+"""Arrays of measurements in, a trajectory out: for those who have neither a log nor a link."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.errors import ConfigError, DataError, LogError
+from ekf_companion.filters.observation import Observation
+from ekf_companion.logs.recording import Recording
+from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array, Stamps
+from ekf_companion.nav.earth import STANDARD_GRAVITY, pressure_altitude
+from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
+from ekf_companion.replay import plausibility
+from ekf_companion.replay.estimates import Estimates
+from ekf_companion.replay.filters_by_name import Run, run_filter
+from ekf_companion.replay.smoothing import smooth as smooth_events
+
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
+    "gyro": {"rad/s": 1.0, "deg/s": float(np.deg2rad(1.0))},
+    "accel": {"m/s2": 1.0, "g": STANDARD_GRAVITY},
+    "mag": {"gauss": 1.0, "uT": 1e-2, "mG": 1e-3, "nT": 1e-5},
+}
+"""Units that may be named, and their size in ns, rad/s, m/s^2 and gauss."""
+_GNSS = ("lat_deg", "lon_deg", "lat_rad", "lon_rad", "alt", "vel_n", "std_h", "std_v", "std_vel")
+STD_H, STD_V, STD_VEL = 1.5, 2.5, 0.3
+"""One sigma of fixes whose accuracy is not given, m, m and m/s."""
+
+
+def estimate(
+    time: npt.ArrayLike,
+    gyro: npt.ArrayLike,
+    accel: npt.ArrayLike,
+    *,
+    gnss: Mapping[str, npt.ArrayLike] | None = None,
+    heading: Mapping[str, npt.ArrayLike] | None = None,
+    mag: Mapping[str, npt.ArrayLike] | None = None,
+    baro: Mapping[str, npt.ArrayLike] | None = None,
+    filter: str | Run = "eskf",
+    smooth: bool = False,
+    settings: FilterSettings | None = None,
+    aids: Sequence[tuple[int, Observation]] = (),
+    units: Mapping[str, str] | None = None,
+    check: bool = True,
+) -> Estimates:
+    """Estimate a trajectory from arrays of measurements.
+
+    Axes are the vehicle's: forward, right, down. All times are of one clock: floats in s, integers
+    in ns, or in the unit that ``units`` names.
+
+    Args:
+        time: Of the inertial samples, shape (n,).
+        gyro: Angular rates, rad/s, shape (n, 3).
+        accel: Specific force, m/s^2, shape (n, 3): about (0, 0, -9.81) at rest and level.
+        gnss: Fixes: ``time``, ``lat_deg`` and ``lon_deg`` (or ``lat_rad``, ``lon_rad``), ``alt`` (m
+            above mean sea level), each of shape (m,); optionally ``vel_n`` (north, east, down, m/s,
+            shape (m, 3)) and one sigma ``std_h``, ``std_v`` (m), ``std_vel`` (m/s), each a number
+            or of shape (m,).
+        heading: ``time`` and ``heading`` (rad from true north, clockwise), each of shape (m,);
+            optionally ``std`` (rad; 0.05).
+        mag: ``time``, shape (m,), and ``field`` (gauss, shape (m, 3)).
+        baro: ``time`` and ``alt`` (m) or ``pressure`` (Pa), each of shape (m,).
+        filter: ``eskf``, ``euler``, ``iterated``, ``ukf``, ``ahrs``, ``mahony``, ``vqf``,
+            ``zupt``, with an option as in ``iterated:robocentric``; or a function of your own.
+        smooth: Whether each estimate also uses what came later (``eskf`` only).
+        settings: Noise, gates, lever arm and so on; None: the defaults.
+        aids: Measurements of your own, with their times, ns: see
+            :class:`~ekf_companion.filters.own_aid.OwnAid`.
+        units: Units of ``time``, ``gyro``, ``accel`` and ``mag`` that are not the ones above, of
+            :data:`UNITS`: ``{"gyro": "deg/s", "accel": "g", "time": "us"}``.
+        check: Whether to refuse what cannot be meant: degrees for radians, another sign of
+            gravity, times in another unit.
+
+    Returns:
+        An estimate per inertial sample.
+
+    Raises:
+        DataError: The arrays cannot be meant; the sentence says why, and what would do.
+        ConfigError: There is no such filter, unit or column.
+        LogError: Nothing can be estimated from them.
+    """
+    events = to_events(
+        time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro, units=units, check=check
+    )
+    chosen = settings or FilterSettings()
+    if smooth:
+        if filter != "eskf" or aids:
+            raise ConfigError("smooth: smooths eskf without aids of your own; leave it or them out")
+        found = Estimates(smooth_events(events, chosen))
+    else:
+        recording = Recording(family="unknown", events=events)
+        solution = run_filter(recording, filter, chosen, aids=aids)
+        found = Estimates(solution.table, solution.notes)
+    if not len(found):
+        raise LogError("nothing could be estimated: the recording is too short to find down in it")
+    return found
+
+
+def to_events(
+    time: npt.ArrayLike,
+    gyro: npt.ArrayLike,
+    accel: npt.ArrayLike,
+    *,
+    gnss: Mapping[str, npt.ArrayLike] | None = None,
+    heading: Mapping[str, npt.ArrayLike] | None = None,
+    mag: Mapping[str, npt.ArrayLike] | None = None,
+    baro: Mapping[str, npt.ArrayLike] | None = None,
+    units: Mapping[str, str] | None = None,
+    check: bool = True,
+) -> Events:
+    """Return arrays as the events of a recording; arguments and errors as for :func:`estimate`."""
+    read = _Reader(dict(units or {}), check)
+    t_ns = read.times("time", time, is_inertial=True)
+    turn = read.array("gyro", gyro, (len(t_ns), 3))
+    force = read.array("accel", accel, (len(t_ns), 3))
+    if check:
+        plausibility.check_inertial(turn, force, t_ns)
+    tables = [
+        convert(read, given, t_ns)
+        for convert, given in ((_gnss, gnss), (_heading, heading), (_mag, mag), (_baro, baro))
+        if given is not None
+    ]
+    return merge(*tables, Events.from_columns(t_ns, Kind.IMU, *turn.T, *force.T))
+
+
+class _Reader:
+    """Reads what the user gives into arrays of the right shape and unit, or says what is wrong."""
+
+    def __init__(self, units: dict[str, str], check: bool) -> None:
+        for name, unit in units.items():
+            if unit not in UNITS.get(name, {}):
+                known = {key: list(values) for key, values in UNITS.items()}
+                raise ConfigError(f"units: {name}: {unit!r}: known are {known}")
+        self._units, self.check = units, check
+
+    def times(self, name: str, given: npt.ArrayLike, *, is_inertial: bool = False) -> Stamps:
+        """Return stamps, ns: floats are s and integers ns, unless the unit is named."""
+        values = np.asarray(given)
+        if values.ndim != 1 or not len(values) or values.dtype.kind not in "iuf":
+            raise DataError(f"{name}: must be numbers in one row, shape (n,), not {_shape(values)}")
+        unit = self._units.get("time", "s" if values.dtype.kind == "f" else "ns")
+        if not np.isfinite(values).all():
+            raise DataError(f"{name}: holds NaN or infinity; leave such rows out")
+        size = UNITS["time"][unit]
+        exact = values.dtype.kind != "f" and size == 1.0
+        t_ns = values.astype(np.int64) if exact else np.rint(values * size).astype(np.int64)
+        if self.check:
+            plausibility.check_times(name, t_ns, unit, is_inertial=is_inertial)
+        return t_ns
+
+    def array(self, name: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
+        """Return an array in SI; a number stands for all rows."""
+        values = np.asarray(given, dtype=np.float64)
+        if values.ndim == 0 and len(shape) == 1:
+            values = np.full(shape, float(values))
+        if values.shape != shape:
+            hint = "; transpose it" if values.shape == shape[::-1] else ""
+            raise DataError(f"{name}: must have the shape {shape}, not {_shape(values)}{hint}")
+        plausibility.check_known(name, values)
+        quantity = name.rpartition(".")[2]
+        unit = self._units.get("mag" if quantity == "field" else quantity)
+        table = UNITS.get("mag" if quantity == "field" else quantity, {})
+        return values * table[unit] if unit is not None and quantity != "time" else values
+
+    def columns(
+        self, name: str, given: Mapping[str, npt.ArrayLike], known: Sequence[str], imu_ns: Stamps
+    ) -> Stamps:
+        """Return the stamps of a table; refuse columns that are not known."""
+        for column in given:
+            if column not in ("time", *known):
+                raise ConfigError(f"{name}: {column}: known are time, {', '.join(known)}")
+        if "time" not in given:
+            raise DataError(f"{name}: needs the times of its rows: time")
+        t_ns = self.times(f"{name}.time", given["time"])
+        if self.check:
+            plausibility.check_overlap(imu_ns, t_ns, name)
+        return t_ns
+
+
+def _shape(values: npt.NDArray[Any]) -> str:
+    return f"{values.shape}" + ("" if values.dtype.kind in "iuf" else f" of {values.dtype}")
+
+
+def _gnss(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
+    t_ns = read.columns("gnss", given, _GNSS, imu_ns)
+    unit = "deg" if "lat_deg" in given else "rad"
+    for needed in (f"lat_{unit}", f"lon_{unit}", "alt"):
+        if needed not in given:
+            raise DataError(f"gnss: needs {needed}, beside time, lat_deg, lon_deg and alt")
+    count = (len(t_ns),)
+    lat, lon, alt = (
+        read.array(f"gnss.{name}", given[name], count) * size
+        for name, size in (
+            (f"lat_{unit}", np.deg2rad(1.0) if unit == "deg" else 1.0),
+            (f"lon_{unit}", np.deg2rad(1.0) if unit == "deg" else 1.0),
+            ("alt", 1.0),
+        )
+    )
+    vel_n = np.full((len(t_ns), 3), np.nan)
+    if "vel_n" in given:
+        vel_n = read.array("gnss.vel_n", given["vel_n"], (len(t_ns), 3))
+    if read.check:
+        plausibility.check_place(lat, lon, unit)
+        plausibility.check_velocity(t_ns, alt, vel_n)
+    stds = [
+        read.array(f"gnss.{name}", given.get(name, default), count)
+        for name, default in (("std_h", STD_H), ("std_v", STD_V), ("std_vel", STD_VEL))
+    ]
+    flags = np.full(count, float(GnssFlag.NONE))
+    nothing = np.full(count, np.nan)
+    return Events.from_columns(
+        t_ns, Kind.GNSS, lat, so3.wrap(lon), alt, *vel_n.T, *stds, nothing, flags
+    )
+
+
+def _heading(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
+    t_ns = read.columns("heading", given, ("heading", "std"), imu_ns)
+    angle = read.array("heading.heading", given.get("heading", np.nan), (len(t_ns),))
+    if read.check and np.nanmax(np.abs(angle)) > 2.0 * np.pi + 1e-6:
+        raise DataError("heading: reaches beyond 2 pi; it must be rad: give np.deg2rad(heading)")
+    std = read.array("heading.std", given.get("std", 0.05), (len(t_ns),))
+    source = np.full(len(t_ns), float(HeadingSource.GNSS))
+    return Events.from_columns(t_ns, Kind.HEADING, so3.wrap(angle), std, source)
+
+
+def _mag(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
+    t_ns = read.columns("mag", given, ("field",), imu_ns)
+    field = read.array("mag.field", given.get("field", np.nan), (len(t_ns), 3))
+    size = float(np.nanmedian(np.linalg.norm(field, axis=1)))
+    if read.check and not 0.1 < size < 1.5:
+        raise DataError(
+            f"mag: its median strength is {size:.3g} gauss, and the Earth's field has 0.22 to "
+            f"0.67; name its unit, units={{'mag': ...}}, of {', '.join(UNITS['mag'])}"
+        )
+    return Events.from_columns(t_ns, Kind.MAG, *field.T)
+
+
+def _baro(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
+    t_ns = read.columns("baro", given, ("alt", "pressure"), imu_ns)
+    if "pressure" in given:
+        pressure = read.array("baro.pressure", given["pressure"], (len(t_ns),))
+        if read.check and not 30_000.0 < float(np.nanmedian(pressure)) < 120_000.0:
+            raise DataError(
+                f"baro: pressure: its median is {np.nanmedian(pressure):.5g} Pa, which no air has; "
+                "1013 hPa are 101300 Pa"
+            )
+        alt = np.array([pressure_altitude(one) for one in pressure.tolist()])
+    else:
+        alt = read.array("baro.alt", given.get("alt", np.nan), (len(t_ns),))
+    return Events.from_columns(t_ns, Kind.BARO, alt)

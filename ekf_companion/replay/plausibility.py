@@ -1,0 +1,184 @@
+"""Arrays of measurements that cannot be meant: another unit, another sign, other axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ekf_companion.errors import DataError
+from ekf_companion.nav.arrays import Array, Stamps
+from ekf_companion.nav.earth import STANDARD_GRAVITY
+
+SLOWEST, FASTEST = 1.0, 20_000.0
+"""Of inertial samples, Hz."""
+FASTEST_TURN = 40.0
+"""rad/s: more than any MEMS gyro measures (2000 deg/s is 35)."""
+LARGEST_BIAS = 0.2
+"""rad/s at rest, which is 11 deg/s."""
+LARGEST_FORCE = 16.0 * 20.0 * STANDARD_GRAVITY
+_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+def check_times(name: str, t_ns: Stamps, given: str, *, is_inertial: bool = False) -> None:
+    """Refuse times that do not go on, or that are plainly in another unit.
+
+    Args:
+        name: Of the array, for the sentence.
+        t_ns: Stamps, shape (n,), ns.
+        given: The unit in which they were taken.
+        is_inertial: Whether they are those of inertial samples, whose rate is known about.
+
+    Raises:
+        DataError: They cannot be meant.
+    """
+    steps = np.diff(t_ns)
+    if len(steps) and (back := np.flatnonzero(steps < 0)).size:
+        row = int(back[0]) + 1
+        raise DataError(
+            f"{name}: goes back at row {row}, from {t_ns[row - 1] * 1e-9:.6f} to "
+            f"{t_ns[row] * 1e-9:.6f} s; sort the rows, or run each recording by itself"
+        )
+    if not is_inertial or not len(steps):
+        return
+    step = float(np.median(steps)) * 1e-9 / _UNITS[given]
+    rate = 1.0 / (step * _UNITS[given]) if step > 0.0 else np.inf
+    if SLOWEST <= rate <= FASTEST:
+        return
+    fits = [unit for unit, size in _UNITS.items() if step > 0 and 10 <= 1 / (step * size) <= 5000]
+    advice = f"it looks like {fits[0]}: say units={{'time': '{fits[0]}'}}" if fits else "check it"
+    raise DataError(
+        f"{name}: taken as {given}, inertial samples come at {rate:.3g} Hz, which none do; {advice}"
+    )
+
+
+def check_known(name: str, values: Array) -> None:
+    """Refuse an array without a single finite number.
+
+    Raises:
+        DataError: There is none.
+    """
+    if not np.isfinite(values).any():
+        raise DataError(f"{name}: all {len(values)} rows are NaN or infinity; there is no data")
+
+
+def check_inertial(gyro: Array, accel: Array, t_ns: Stamps) -> None:
+    """Refuse inertial samples in other units, of the other sign of gravity, or along other axes.
+
+    Args:
+        gyro: Angular rates, rad/s, forward, right, down, shape (n, 3).
+        accel: Specific force, m/s^2, likewise.
+        t_ns: Their stamps, ns.
+
+    Raises:
+        DataError: They cannot be meant; the sentence says what they look like.
+    """
+    known = np.isfinite(gyro).all(axis=1) & np.isfinite(accel).all(axis=1)
+    gyro, accel, t_ns = gyro[known], accel[known], t_ns[known]
+    size = np.linalg.norm(accel, axis=1)
+    force = float(np.median(size))
+    # Without gravity it would be next to nothing at times
+    is_steady = float(np.percentile(size, 10.0)) > 0.5 * force
+    for unit, one in (("g", 1.0), ("milli-g", 1e3), ("cm/s2", 100.0 * STANDARD_GRAVITY)):
+        if 0.7 * one < force < 1.4 * one and is_steady:
+            raise DataError(
+                f"accel: its median size is {force:.3g} m/s2, where gravity is 9.81: it looks like "
+                f"{unit}" + ("; say units={'accel': 'g'}" if unit == "g" else "; convert it")
+            )
+    if not 0.3 * STANDARD_GRAVITY < force < 5.0 * STANDARD_GRAVITY:
+        raise DataError(
+            f"accel: its median size is {force:.3g} m/s2, where gravity is 9.81; it must be the "
+            "specific force (what an accelerometer measures), in m/s2, gravity not removed"
+        )
+    _check_rates(gyro, accel)
+    _check_axes(accel, force)
+
+
+def _check_rates(gyro: Array, accel: Array) -> None:
+    """Refuse degrees for radians."""
+    size = np.linalg.norm(gyro, axis=1)
+    fast = float(np.percentile(size, 99.0))
+    advice = "it looks like deg/s; say units={'gyro': 'deg/s'}"
+    if fast > FASTEST_TURN:
+        raise DataError(f"gyro: reaches {fast:.3g} rad/s, faster than any sensor turns: {advice}")
+    pieces = max(1, len(gyro) // 100)
+    still = [
+        np.abs(turn.mean(axis=0)).max()
+        for turn, pull in zip(
+            np.array_split(gyro, pieces), np.array_split(accel, pieces), strict=True
+        )
+        if len(pull) > 20 and pull.std(axis=0).max() < 0.15
+    ]
+    if still and float(np.median(still)) > LARGEST_BIAS:
+        raise DataError(
+            f"gyro: {np.median(still):.3g} rad/s while the accelerometer stands still: {advice}, "
+            "or the sensor has a bias of more than 11 deg/s"
+        )
+    spread = np.linalg.norm(accel - np.median(accel, axis=0), axis=1)
+    if float(np.median(size)) > 3.0 and float(np.median(spread)) < 4.0:
+        raise DataError(
+            f"gyro: turns at {np.median(size):.3g} rad/s all the time, and the accelerometer does "
+            f"not follow: {advice}"
+        )
+
+
+def _check_axes(accel: Array, force: float) -> None:
+    """Refuse another sign of gravity, and axes that are not forward, right, down."""
+    mean = np.median(accel, axis=0) / force
+    axis = int(np.argmax(np.abs(mean)))
+    if abs(mean[axis]) < 0.8 or (axis == 2 and mean[axis] < 0.0):
+        return
+    what = f"accel: gravity shows as {mean[axis] * force:+.1f} m/s2 along {'xyz'[axis]}"
+    if axis == 2:
+        raise DataError(
+            f"{what}; a level vehicle measures -9.8 along its down axis. Either the sign is that "
+            "of an acceleration (give -accel), or the axes are forward, left, up (give gyro and "
+            "accel times [1, -1, -1]); a vehicle that hangs upside down: check=False"
+        )
+    raise DataError(
+        f"{what}, so that axis is not level: the axes must be those of the vehicle, forward, "
+        "right, down; turn gyro and accel into them, or, if it does stand so, check=False"
+    )
+
+
+def check_place(lat: Array, lon: Array, unit: str) -> None:
+    """Refuse latitudes and longitudes, rad, that were given in the other unit.
+
+    Raises:
+        DataError: They are no place on the Earth.
+    """
+    if np.nanmax(np.abs(lat)) > np.pi / 2 + 1e-9 or np.nanmax(np.abs(lon)) > 2.0 * np.pi + 1e-9:
+        other = "lat_deg and lon_deg" if unit == "rad" else "other columns"
+        raise DataError(f"gnss: lat_{unit}, lon_{unit} are no place on the Earth; is it {other}?")
+
+
+def check_velocity(t_ns: Stamps, alt: Array, vel_n: Array) -> None:
+    """Refuse a vertical velocity that is positive upwards.
+
+    Raises:
+        DataError: It contradicts the heights.
+    """
+    known = np.isfinite(alt) & np.isfinite(vel_n[:, 2])
+    if np.count_nonzero(known) < 20:
+        return
+    seconds, heights, down = t_ns[known] * 1e-9, alt[known], vel_n[known, 2]
+    climb = -np.cumsum(0.5 * (down[1:] + down[:-1]) * np.diff(seconds))
+    if np.std(climb) < 1.0 or np.std(heights[1:]) < 1.0:
+        return
+    if float(np.corrcoef(climb, heights[1:])[0, 1]) < -0.7:
+        raise DataError(
+            "gnss: vel_n: its third column rises with the height; it must be the velocity down, "
+            "as in north, east, down"
+        )
+
+
+def check_overlap(imu_ns: Stamps, other_ns: Stamps, name: str) -> None:
+    """Refuse another clock or epoch.
+
+    Raises:
+        DataError: The times have nothing in common.
+    """
+    if other_ns[-1] < imu_ns[0] or other_ns[0] > imu_ns[-1]:
+        spans = [f"{t[0] * 1e-9:.3f} to {t[-1] * 1e-9:.3f} s" for t in (imu_ns, other_ns)]
+        raise DataError(
+            f"{name}: its times ({spans[1]}) and those of the inertial samples ({spans[0]}) have "
+            "nothing in common; both must be of one clock, in units that are said"
+        )

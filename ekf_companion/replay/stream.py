@@ -1,0 +1,157 @@
+"""The estimator sample by sample, for those who step it themselves."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ekf_companion.core.settings import FilterSettings
+from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.errors import DataError
+from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.measurements import (
+    BaroSample,
+    GnssFix,
+    HeadingSample,
+    HeadingSource,
+    ImuSample,
+    MagSample,
+)
+from ekf_companion.nav.state import COLUMNS, EULER, POSITION, QUATERNION, VELOCITY, Status
+from ekf_companion.replay.arrays import STD_H, STD_V, STD_VEL
+from ekf_companion.replay.plausibility import check_inertial
+
+CHECKED = 200
+"""Inertial samples that are looked at before any is believed to be meant."""
+_PLACES = {
+    name: [COLUMNS.index(one) - 1 for one in names]
+    for name, names in (
+        ("pos_n", POSITION),
+        ("vel_n", VELOCITY),
+        ("q_nb", QUATERNION),
+        ("euler", EULER),
+        ("sigma", [f"sd_{one}" for one in (*POSITION, *VELOCITY, *EULER)]),
+    )
+}
+
+
+class StreamEstimate(NamedTuple):
+    """The estimate at the newest inertial sample; NaN where nothing is known yet."""
+
+    t_ns: int
+    pos_n: Array
+    """North, east, down of the first position, m, shape (3,)."""
+    vel_n: Array
+    """m/s, shape (3,)."""
+    q_nb: Array
+    """Quaternion (w, x, y, z) from body to north-east-down, shape (4,)."""
+    euler: Array
+    """Roll, pitch, yaw, rad, shape (3,)."""
+    sigma: Array
+    """One sigma of position, velocity and roll, pitch, yaw, shape (9,)."""
+    status: Status
+
+
+class Stream:
+    """The daemon's estimator, fed by hand; measurements may come late by up to 2 s.
+
+    Times are of one clock: floats in s, whole numbers in ns. Axes are the vehicle's: forward,
+    right, down. Example::
+
+        stream = Stream()
+        stream.gnss(0.2, lat_deg=47.4, lon_deg=8.5, alt=488.0, vel_n=(0.0, 0.0, 0.0))
+        found = stream.imu(0.21, gyro=(0.0, 0.0, 0.0), accel=(0.0, 0.0, -9.81))
+    """
+
+    def __init__(self, settings: FilterSettings | None = None, *, check: bool = True) -> None:
+        """Begin with nothing known; ``check`` is whether the first samples must be plausible."""
+        self.pipeline = Pipeline(settings or FilterSettings())
+        """The estimator itself: its health, biases and counts."""
+        self._first: list[tuple[int, npt.NDArray[np.float64]]] | None = [] if check else None
+
+    def imu(self, t: float, gyro: npt.ArrayLike, accel: npt.ArrayLike) -> StreamEstimate | None:
+        """Take an inertial sample, rad/s and m/s^2; return the estimate if it is the newest.
+
+        Raises:
+            DataError: The first samples cannot be meant: another unit, sign or other axes.
+        """
+        t_ns, numbers = _ns(t), np.concatenate([_row("gyro", gyro), _row("accel", accel)])
+        if self._first is not None:
+            self._check(t_ns, numbers)
+        if self.pipeline.process(ImuSample(t_ns, *numbers.tolist())) is None:
+            return None
+        values = self.pipeline.values()
+        parts = {name: values[places] for name, places in _PLACES.items()}
+        status = Status(int(values[COLUMNS.index("status") - 1]))
+        return StreamEstimate(t_ns=t_ns, status=status, **parts)
+
+    def gnss(
+        self,
+        t: float,
+        *,
+        lat_deg: float,
+        lon_deg: float,
+        alt: float,
+        vel_n: npt.ArrayLike | None = None,
+        std_h: float = STD_H,
+        std_v: float = STD_V,
+        std_vel: float = STD_VEL,
+    ) -> None:
+        """Take a fix: degrees, m above mean sea level, m/s north, east, down, and one sigma."""
+        if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0):
+            raise DataError(f"gnss: {lat_deg}, {lon_deg} is no place on the Earth, in degrees")
+        given = np.full(3, np.nan) if vel_n is None else _row("vel_n", vel_n)
+        north, east, down = (value if np.isfinite(value) else None for value in given.tolist())
+        fix = GnssFix(
+            t_ns=_ns(t),
+            lat=float(np.deg2rad(lat_deg)),
+            lon=float(so3.wrap(np.deg2rad(lon_deg))),
+            alt=alt,
+            vel_north=north,
+            vel_east=east,
+            vel_down=down,
+            std_h=std_h,
+            std_v=std_v,
+            std_vel=std_vel,
+        )
+        self.pipeline.process(fix)
+
+    def heading(self, t: float, heading: float, std: float = 0.05) -> None:
+        """Take a heading from true north, clockwise, and its sigma, rad."""
+        if abs(heading) > 2.0 * np.pi + 1e-6:
+            raise DataError(f"heading: {heading} is no angle in rad; give np.deg2rad(heading)")
+        angle, source = float(so3.wrap(heading)), HeadingSource.GNSS
+        self.pipeline.process(HeadingSample(t_ns=_ns(t), heading=angle, std=std, source=source))
+
+    def mag(self, t: float, field: npt.ArrayLike) -> None:
+        """Take a magnetic field, gauss."""
+        x, y, z = _row("field", field).tolist()
+        self.pipeline.process(MagSample(t_ns=_ns(t), mag_x=x, mag_y=y, mag_z=z))
+
+    def baro(self, t: float, alt: float) -> None:
+        """Take a barometric height, m; its zero need not be known."""
+        self.pipeline.process(BaroSample(t_ns=_ns(t), alt=alt))
+
+    def _check(self, t_ns: int, numbers: npt.NDArray[np.float64]) -> None:
+        """Look at the first samples together."""
+        assert self._first is not None
+        self._first.append((t_ns, numbers))
+        if len(self._first) == CHECKED:
+            stamps, rows = zip(*self._first, strict=True)
+            values = np.array(rows)
+            self._first = None
+            check_inertial(values[:, :3], values[:, 3:], np.array(stamps, dtype=np.int64))
+
+
+def _ns(t: float) -> int:
+    return int(t) if isinstance(t, (int, np.integer)) else round(t * 1e9)
+
+
+def _row(name: str, given: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    values = np.asarray(given, dtype=np.float64)
+    if values.shape != (3,):
+        raise DataError(f"{name}: must be three numbers, not of the shape {values.shape}")
+    return values

@@ -1,0 +1,68 @@
+"""Files of estimates: whole, or not there."""
+
+import os
+import subprocess
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from ekf_companion.config.config import Config
+from ekf_companion.errors import LogError
+from ekf_companion.logs.writer import CsvWriter, create
+from ekf_companion.nav.state import COLUMNS
+from ekf_companion.replay.convert import convert
+from sim_autopilot.__main__ import app as simulator
+
+ROW = np.zeros((1, len(COLUMNS) - 1))
+
+
+def test_a_file_has_its_name_once_it_is_complete(tmp_path):
+    path = tmp_path / "out.csv"
+    with CsvWriter(path) as writer:
+        writer.write(np.array([5_000]), ROW)
+        assert not path.exists()
+    assert [one.name for one in tmp_path.iterdir()] == ["out.csv"]
+    assert len(path.read_text().splitlines()) == 2
+
+
+def interrupted(path, error):
+    with CsvWriter(path) as writer:
+        writer.write(np.array([5_000]), ROW)
+        raise error
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, LogError])
+def test_what_is_interrupted_leaves_nothing_and_the_older_file_as_it_was(tmp_path, error):
+    path = tmp_path / "out.csv"
+    for before in (None, "older\n"):
+        if before is not None:
+            path.write_text(before)
+        with pytest.raises(error):
+            interrupted(path, error)
+        assert [one.read_text() for one in tmp_path.iterdir()] == ([before] if before else [])
+
+
+def test_a_pipe_is_written_as_it_is(tmp_path):
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    with subprocess.Popen(["cat", path], stdout=subprocess.PIPE) as reader:
+        with create(path) as file:
+            file.write(b"estimates")
+        assert reader.communicate()[0] == b"estimates"
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".tlog"])
+def test_ctrl_c_leaves_no_file(tmp_path, suffix):
+    log, out = tmp_path / "flight.tlog", tmp_path / f"out{suffix}"
+    made = CliRunner().invoke(simulator, ["generate", "-o", str(log), "--duration", "12"])
+    assert made.exit_code == 0, made.output
+    before = sorted(tmp_path.iterdir())
+
+    def interrupt(done, total):
+        assert len(list(tmp_path.iterdir())) > len(before)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        convert(log, out, Config(), progress=interrupt)
+    assert sorted(tmp_path.iterdir()) == before

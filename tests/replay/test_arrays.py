@@ -1,0 +1,261 @@
+"""Arrays in, a trajectory out; mistakes are said."""
+
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+import ekf_companion
+from ekf_companion import OwnAid, estimate
+from ekf_companion.core.settings import FilterSettings, GnssSettings
+from ekf_companion.errors import ConfigError, DataError
+from ekf_companion.filters import mahony
+from ekf_companion.nav import so3
+from ekf_companion.nav.measurements import Kind
+from ekf_companion.replay.arrays import to_events
+from sim_autopilot.config import SimConfig
+from sim_autopilot.events import events, truth
+from sim_autopilot.flight import Flight
+
+COARSE = replace(SimConfig(), imu=replace(SimConfig().imu, rate=100.0))
+
+
+class Flown:
+    """A simulated flight as arrays, and its truth."""
+
+    def __init__(self):
+        flight = Flight.plan("figure-eight", COARSE, duration=30.0, seed=4)
+        self.truth, self.events = truth(flight), events(flight)
+        imu, gnss, mag, baro = (self.of(k) for k in (Kind.IMU, Kind.GNSS, Kind.MAG, Kind.BARO))
+        self.time = imu.t_ns * 1e-9
+        self.gyro, self.accel = imu.values[:, :3], imu.values[:, 3:6]
+        self.gnss = {
+            "time": gnss.t_ns * 1e-9,
+            "lat_deg": np.rad2deg(gnss.values[:, 0]),
+            "lon_deg": np.rad2deg(gnss.values[:, 1]),
+            "alt": gnss.values[:, 2],
+            "vel_n": gnss.values[:, 3:6],
+            "std_h": gnss.values[:, 6],
+            "std_v": gnss.values[:, 7],
+            "std_vel": gnss.values[:, 8],
+        }
+        self.mag = {"time": mag.t_ns * 1e-9, "field": mag.values[:, :3]}
+        at = np.searchsorted(self.truth.vel_t_ns, gnss.t_ns)
+        self.velocity = self.truth.vel_n[np.minimum(at, len(self.truth.vel_n) - 1)]
+        self.baro = {"time": baro.t_ns * 1e-9, "alt": baro.values[:, 0]}
+
+    def of(self, kind):
+        return self.events.take(self.events.kind == kind)
+
+    def estimate(self, **changed):
+        late = FilterSettings(gnss=GnssSettings(delay=0.12))  # as the simulator's receiver
+        sensors = {"gnss": self.gnss, "mag": self.mag, "baro": self.baro}
+        parts = {**sensors, "settings": late, **changed}
+        sensors = {name: getattr(self, name) for name in ("time", "gyro", "accel")} | {
+            name: parts.pop(name) for name in ("time", "gyro", "accel") if name in parts
+        }
+        return estimate(*sensors.values(), **parts)
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return Flown()
+
+
+def error(flown, found):
+    """Return the RMS of the horizontal position and of the yaw, m and deg, after 15 s."""
+    truth = flown.truth
+    at = np.searchsorted(truth.att_t_ns, found.t_ns)
+    late = found.time - found.time[0] > 15.0
+    lat, lon = np.rad2deg(truth.lat[at]), np.rad2deg(truth.lon[at])
+    north = (found.lat_deg - lat)[late] * 111_200.0
+    east = (found.lon_deg - lon)[late] * 111_200.0 * np.cos(truth.lat[0])
+    yaw = so3.wrap(found.euler[:, 2] - so3.to_euler(truth.q_nb[at])[:, 2])[late]
+    return np.sqrt(np.mean(north**2 + east**2)), np.degrees(np.sqrt(np.mean(yaw**2)))
+
+
+@pytest.mark.parametrize("name", ["eskf", "iterated", "ukf", "euler"])
+def test_a_flight_is_estimated_by_any_filter(flown, name):
+    found = flown.estimate(filter=name)
+    assert len(found) == pytest.approx(len(flown.time), abs=600)
+    assert found.pos_n.shape == found.vel_n.shape == found.euler.shape == (len(found), 3)
+    assert found.q_nb.shape == (len(found), 4)
+    assert found.sigma.shape == (len(found), 9)
+    position, yaw = error(flown, found)
+    assert position < 1.5
+    assert yaw < 4.0
+    assert repr(found).startswith(f"<Estimates: {len(found)} in ")
+
+
+def test_smoothing_is_a_keyword_and_better(flown):
+    live, smoothed = flown.estimate(), flown.estimate(smooth=True)
+    assert error(flown, smoothed)[0] < error(flown, live)[0]
+    assert np.array_equal(live.t_ns, smoothed.t_ns)
+    with pytest.raises(ConfigError, match="smooth: smooths eskf"):
+        flown.estimate(smooth=True, filter="ukf")
+
+
+def test_units_and_times_may_be_named_or_told_by_their_type(flown):
+    expected = flown.estimate().pos_n
+    whole = {
+        "time": np.rint(flown.time * 1e9).astype(np.int64),
+        "gnss": flown.gnss | {"time": np.rint(flown.gnss["time"] * 1e9).astype(np.int64)},
+        "mag": flown.mag | {"time": np.rint(flown.mag["time"] * 1e9).astype(np.int64)},
+        "baro": flown.baro | {"time": np.rint(flown.baro["time"] * 1e9).astype(np.int64)},
+    }
+    assert np.allclose(flown.estimate(**whole).pos_n, expected, atol=1e-6, equal_nan=True)
+    other = flown.estimate(
+        gyro=np.rad2deg(flown.gyro),
+        accel=flown.accel / 9.80665,
+        mag=flown.mag | {"field": flown.mag["field"] * 100.0},
+        units={"gyro": "deg/s", "accel": "g", "mag": "uT"},
+    )
+    assert np.allclose(other.pos_n, expected, atol=1e-6, equal_nan=True)
+
+
+DOWN = np.array([0.0, 0.0, 1.0])
+AXES = np.array([1.0, -1.0, -1.0])
+NAN = np.nan
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda f: {"gyro": np.rad2deg(f.gyro)}, "it looks like deg/s; say units="),
+        (lambda f: {"accel": f.accel / 9.81}, r"it looks like g; say units=\{'accel': 'g'\}"),
+        (lambda f: {"accel": f.accel + DOWN * 9.81}, "gravity not removed"),
+        (lambda f: {"accel": -f.accel}, r"gravity shows as \+1?\d\.\d m/s2 along z.*give -accel"),
+        (lambda f: {"accel": f.accel * AXES, "gyro": f.gyro * AXES}, "axes are forward, left, up"),
+        (lambda f: {"accel": f.accel[:, [2, 1, 0]]}, "along x, so that axis is not level"),
+        (lambda f: {"accel": np.full_like(f.accel, NAN)}, r"accel: all \d+ rows are NaN"),
+        (lambda f: {"accel": f.accel.T}, "must have the shape .*; transpose it"),
+        (lambda f: {"time": f.time * 1e3}, r"it looks like ms: say units=\{'time': 'ms'\}"),
+        (lambda f: {"time": np.rint(f.time * 1e6).astype(int)}, "it looks like us"),
+        (lambda f: {"time": f.time[::-1]}, "goes back at row 1, from"),
+        (lambda f: {"time": f.time * NAN}, "time: holds NaN"),
+        (lambda f: {"gnss": f.gnss | {"time": f.gnss["time"] + 1e6}}, "have nothing in common"),
+        (
+            lambda f: {"gnss": f.gnss | {"lat_deg": f.gnss["lat_deg"] * 1e7}},
+            "no place on the Earth",
+        ),
+        (lambda f: {"gnss": f.gnss | {"vel_n": f.velocity * AXES}}, "third column rises"),
+        (lambda f: {"gnss": {"time": f.gnss["time"]}}, "gnss: needs lat_rad"),
+        (lambda f: {"gnss": f.gnss | {"height": 1.0}}, "gnss: height: known are time, lat_deg"),
+        (lambda f: {"mag": f.mag | {"field": f.mag["field"] * 100.0}}, "mag: its median strength"),
+        (lambda f: {"baro": {"time": f.baro["time"], "pressure": 1013.0}}, "1013 hPa are 101300"),
+        (lambda f: {"heading": {"time": f.time, "heading": 90.0}}, "give np.deg2rad"),
+        (lambda f: {"units": {"gyro": "rpm"}}, "units: gyro: 'rpm': known are"),
+        (lambda f: {"filter": "kalman"}, "unknown filter; known are eskf"),
+    ],
+)
+def test_mistakes_are_said(flown, change, sentence):
+    with pytest.raises((DataError, ConfigError), match=sentence):
+        flown.estimate(**change(flown))
+
+
+def test_what_is_meant_all_the_same_may_be_insisted_on(flown):
+    with pytest.raises(ValueError, match="along x"):
+        to_events(flown.time, flown.gyro, flown.accel[:, [2, 1, 0]])
+    assert len(to_events(flown.time, flown.gyro, flown.accel[:, [2, 1, 0]], check=False))
+
+
+def test_degrees_at_rest_are_known_by_the_bias():
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, 20.0, 0.01)
+    accel = DOWN * -9.81 + rng.normal(0.0, 0.03, (len(time), 3))
+    gyro = rng.normal(0.0, 0.002, (len(time), 3)) + 0.01
+    to_events(time, gyro, accel)
+    with pytest.raises(DataError, match="while the accelerometer stands still: it looks like deg"):
+        to_events(time, np.rad2deg(gyro), accel)
+
+
+def test_a_trajectory_becomes_a_data_frame_and_a_file_of_tums_format(flown, tmp_path):
+    found = flown.estimate()
+    for library in ("pandas", "polars"):
+        if find_spec(library) is None:
+            continue
+        frame = found.to_dataframe(library)
+        assert len(frame) == len(found)
+        assert np.array_equal(frame["pos_n"].to_numpy(), found.pos_n[:, 0], equal_nan=True)
+    with pytest.raises(ConfigError, match="use 'pandas' or 'polars'"):
+        found.to_dataframe("excel")
+    found.to_tum(tmp_path / "flight.tum")
+    rows = np.loadtxt(tmp_path / "flight.tum")
+    known = found.status >= 3
+    assert rows.shape == (np.count_nonzero(known), 8)
+    assert np.allclose(rows[:, 1], found.pos_n[known, 1], atol=1e-8)
+    assert np.allclose(rows[:, 3], -found.pos_n[known, 2], atol=1e-8)
+    # Body forward, left, up to east, north, up: forward of the last row by its yaw
+    x, y, z, w = rows[-1, 4:]
+    forward = so3.rotate(np.array([w, x, y, z]), np.array([1.0, 0.0, 0.0]))
+    yaw, pitch = found.euler[known][-1, 2], found.euler[known][-1, 1]
+    level = np.cos(pitch)
+    assert forward == pytest.approx(
+        [np.sin(yaw) * level, np.cos(yaw) * level, np.sin(pitch)], abs=1e-6
+    )
+    up = so3.rotate(np.array([w, x, y, z]), np.array([0.0, 0.0, 1.0]))
+    assert up[2] > 0.7
+
+
+class Rangefinder(OwnAid):
+    """Height above a level ground."""
+
+    aid = "range"
+
+    def __init__(self, height, std):
+        self.height, self.std = height, std
+
+    def innovation(self, state):
+        return self.height + state.pos_n[..., 2:3]
+
+    def covariance(self):
+        return np.array([[self.std**2]])
+
+
+@pytest.mark.parametrize("name", ["iterated", "euler", "ukf"])
+def test_an_aid_of_ones_own_is_fused(flown, name):
+    baseless = {"filter": name, "baro": None}
+    without = flown.estimate(**baseless)
+    at_ns = without.t_ns[::100]
+    place = np.searchsorted(flown.truth.att_t_ns, at_ns)
+    # Of the frame's origin, the first fix
+    heights = flown.truth.alt[place] - flown.gnss["alt"][0]
+    aids = [(int(t), Rangefinder(h, 0.02)) for t, h in zip(at_ns, heights, strict=True)]
+    aided = flown.estimate(**baseless, aids=aids)
+    late = slice(len(aided) // 2, None)
+    errors = [
+        np.std((one.alt - flown.truth.alt[np.searchsorted(flown.truth.att_t_ns, one.t_ns)])[late])
+        for one in (without, aided)
+    ]
+    assert errors[1] < 0.05 < errors[0]
+    with pytest.raises(ConfigError, match="eskf: takes no aids of your own; euler, iterated, ukf"):
+        flown.estimate(aids=aids)
+
+
+def test_the_jacobian_by_differences_is_that_of_the_model(flown):
+    from ekf_companion.filters.strapdown import Nominal
+
+    state = Nominal(
+        q_nb=so3.from_euler(0.3, -0.2, 1.0), vel_n=np.array([3.0, 1.0, 0.2]), pos_n=np.ones(3)
+    )
+    H = Rangefinder(1.0, 0.1).jacobian(state)
+    assert pytest.approx(np.eye(15)[8:9] * -1.0, abs=1e-8) == H  # central difference, step 1e-6
+
+
+def test_a_filter_of_ones_own_runs_over_arrays(flown):
+    def complementary(recording, settings, option):
+        return mahony.run(recording.events, gap=settings.imu.gap_reset)
+
+    found = flown.estimate(filter=complementary)
+    assert np.abs(found.euler[-1, :2]).max() < 0.5
+
+
+def test_tab_and_types_find_it():
+    assert {"estimate", "Stream", "open_log", "run_filter", "OwnAid"} <= set(dir(ekf_companion))
+    assert all(getattr(ekf_companion, name) is not None for name in dir(ekf_companion))
+    for name in ("estimate", "Stream", "Estimates"):
+        assert "shape" in getattr(ekf_companion, name).__doc__ or name != "estimate"
+    from importlib.resources import files
+
+    assert (files("ekf_companion") / "py.typed").is_file()

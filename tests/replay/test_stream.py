@@ -1,0 +1,58 @@
+"""The estimator fed by hand, sample by sample."""
+
+import numpy as np
+import pytest
+
+from ekf_companion import Stream, estimate
+from ekf_companion.errors import DataError
+from ekf_companion.nav.state import Status
+from ekf_companion.replay.stream import CHECKED
+from tests.replay.test_arrays import Flown
+
+
+def test_a_flight_sample_by_sample_is_the_same_as_at_once():
+    flown = Flown()
+    at_once = estimate(flown.time, flown.gyro, flown.accel, gnss=flown.gnss, mag=flown.mag)
+    stream, found = Stream(), []
+    fixes = [(t, "fix", k) for k, t in enumerate(flown.gnss["time"])]
+    fields = [(t, "field", k) for k, t in enumerate(flown.mag["time"])]
+    samples = [(t, "imu", k) for k, t in enumerate(flown.time)]
+    order = {"fix": 0, "field": 1, "imu": 2}
+    for t, kind, k in sorted(fixes + fields + samples, key=lambda one: (one[0], order[one[1]])):
+        if kind == "fix":
+            g = flown.gnss
+            place = {name: float(g[name][k]) for name in ("lat_deg", "lon_deg", "alt")}
+            stds = {name: float(g[name][k]) for name in ("std_h", "std_v", "std_vel")}
+            stream.gnss(t, **place, **stds, vel_n=g["vel_n"][k])
+        elif kind == "field":
+            stream.mag(t, flown.mag["field"][k])
+        elif (now := stream.imu(t, flown.gyro[k], flown.accel[k])) is not None:
+            found.append(now)
+    assert [one.t_ns for one in found] == at_once.t_ns.tolist()
+    last = found[-1]
+    assert last.status is Status.OK
+    assert last.pos_n == pytest.approx(at_once.pos_n[-1], abs=1e-9)
+    assert last.euler == pytest.approx(at_once.euler[-1], abs=1e-9)
+    assert last.sigma == pytest.approx(at_once.sigma[-1], abs=1e-9)
+
+
+def test_the_first_samples_must_be_plausible():
+    still = np.zeros(3)
+    for accel in ((0.0, 0.0, 9.81), (0.0, 0.0, -1.0)):
+        stream = Stream()
+        for k in range(CHECKED - 1):
+            stream.imu(0.01 * k, still, accel)
+        with pytest.raises(DataError, match="accel: "):
+            stream.imu(0.01 * CHECKED, still, accel)
+        for k in range(300):
+            Stream(check=False).imu(0.01 * k, still, accel)
+
+
+def test_mistakes_are_said():
+    stream = Stream()
+    with pytest.raises(DataError, match="no place on the Earth, in degrees"):
+        stream.gnss(0.0, lat_deg=473977420.0, lon_deg=8.5, alt=488.0)
+    with pytest.raises(DataError, match=r"give np\.deg2rad"):
+        stream.heading(0.0, 90.0)
+    with pytest.raises(DataError, match="gyro: must be three numbers"):
+        stream.imu(0.0, [1.0], [0.0, 0.0, -9.81])
