@@ -7,6 +7,8 @@ an instance column (``I``, for the estimators ``C``).
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from ekf_companion.logs import series
@@ -35,11 +37,14 @@ NEEDED: dict[str, tuple[str, ...]] = {
 """The messages that are used, and the columns that each needs."""
 
 
-def choose(tables: Columns, notes: list[str]) -> Columns:
-    """Keep the usable messages of the first sensor, on one clock run; note what is left out."""
-    others = [name for name in ("IMU2", "IMU3", "GPS2", "MAG2", "MAG3", "BAR2") if name in tables]
-    if others:
-        notes.append(f"only the first sensor of each kind is used, not {', '.join(others)}")
+def choose(tables: Columns, others: Collection[str], notes: list[str]) -> Columns:
+    """Keep the usable messages of the first sensor, on one clock run; note what is left out.
+
+    ``others`` are the names of messages that the log holds besides the tables.
+    """
+    more = [name for name in ("IMU2", "IMU3", "GPS2", "MAG2", "MAG3", "BAR2") if name in others]
+    if more:
+        notes.append(f"only the first sensor of each kind is used, not {', '.join(more)}")
     tables = {
         name: _first_instance(name, table, notes)
         for name, table in tables.items()

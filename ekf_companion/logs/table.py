@@ -14,6 +14,8 @@ from ekf_companion.logs.source import read_bytes
 from ekf_companion.nav.arrays import Array
 
 KIND = "CSV file"
+MOST_COLUMNS = 10_000
+"""Beyond, the first line is no header."""
 
 
 class Table:
@@ -23,12 +25,17 @@ class Table:
         """Read the file and its header.
 
         Raises:
-            LogError: The file is missing, empty, not text, or names a column twice.
+            LogError: The file is missing, empty, not text, or its first line is no header.
         """
         self.path = path
         self._delimiter = delimiter
         data = read_bytes(path, KIND).replace(b"\r\n", b"\n")
         head, _, self._body = data.partition(b"\n")
+        if (count := head.count(delimiter.encode()) + 1) > MOST_COLUMNS:
+            raise LogError(
+                f"{path}: the first line has {count} columns, so it is no header (at most "
+                f"{MOST_COLUMNS}); check the file or its name"
+            )
         try:
             line = head.decode("utf-8-sig")
             cells = next(csv.reader([line], delimiter=delimiter), [])

@@ -12,18 +12,16 @@ module finds the frames, and reads columns of their fields.
 
 from __future__ import annotations
 
-import re
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from struct import Struct
 
 import numpy as np
 import numpy.typing as npt
-from fastcrc import crc16
 
 from ekf_companion.errors import LogError
+from ekf_companion.logs import tlog_search
 from ekf_companion.logs.source import read_bytes
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
 from ekf_companion.nav.arrays import Stamps
@@ -33,15 +31,11 @@ Column = npt.NDArray[np.void]
 KIND = "telemetry log (.tlog)"
 STAMP, ORDER, COMPONENT = "@stamp_us", "@order", "@component"
 """Columns before a message's own: the recorder's stamp, the record's number, the component."""
-DAY_US = 86_400_000_000
-PLAUSIBLE_US = 3 * DAY_US
-"""Largest plausible difference of a stamp from the last good one, us."""
+BLOCK = 1 << 20
+"""Bytes that are searched at once."""
 _FAMILIES = {3: "ardupilot", 12: "px4"}
 """MAV_AUTOPILOT."""
 _NO_AUTOPILOT = 8
-_STAMP = Struct(">Q")
-_START = re.compile(rb"[\xfd\xfe]")
-_crc = crc16.mcrf4xx
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,12 +136,12 @@ def read(path: Path) -> Tlog:
     """
     data = read_bytes(path, KIND)
     records, damaged = _find_records(data)
-    if not records:
+    if not len(records):
         raise LogError(
             f"{path}: holds no stamped MAVLink frame, so it is not a {KIND}; "
             "a raw stream of MAVLink without stamps cannot be read"
         )
-    stamp_us, place, size, message_id = np.frombuffer(records, dtype=np.int64).reshape(-1, 4).T
+    stamp_us, place, size, message_id = records.T.copy()
     return Tlog(
         data=data,
         stamp_us=stamp_us,
@@ -170,85 +164,26 @@ def _left_out(data: bytes, starts: Stamps, ends: Stamps) -> Iterator[str]:
         yield f"the last {len(rest)} bytes are {what}: the recording was cut off there"
 
 
-def _find_records(data: bytes) -> tuple[array[int], int]:
+def _find_records(data: bytes) -> tuple[Stamps, int]:
     """Return stamp, position, size, message id of each record, and the number of bad runs."""
-    records = array("q")
-    damaged = 0
-    last: int | None = None
-    start = 0  # of the record: its stamp
-    while start + 16 <= len(data):  # the shortest frame has 8 bytes
-        place = start + 8
-        message_id, tail, after = _frame(data, place)
-        (stamp,) = _STAMP.unpack_from(data, start)
-        if tail == 0 or after > len(data):
-            good = False
-        elif message_id in CRC_EXTRAS:
-            good = _is_whole(data, place, tail, message_id)
-            good = good and _is_plausible(data, stamp, after, last)
-        else:
-            # No checksum can be tested: damage must not swallow the records after it
-            good = _continues(data, after, stamp) and _resume(data, start + 1, last) >= after
-        if good:
-            last = stamp & 0x7FFF_FFFF_FFFF_FFFF
-            records.extend((last, place, after - place, message_id))
-            start = after
-        else:
-            damaged += 1
-            start = _resume(data, start + 1, last)
-    return records, damaged
-
-
-def _frame(data: bytes, place: int) -> tuple[int, int, int]:
-    """Return the message id of a frame, the ends of its payload and its own; zeros if it is none.
-
-    It may end beyond the data.
-    """
-    if data[place] == 0xFE:
-        tail = place + 6 + data[place + 1]
-        return data[place + 5], tail, tail + 2
-    if data[place] == 0xFD and place + 12 <= len(data):
-        tail = place + 10 + data[place + 1]
-        message_id = data[place + 7] | data[place + 8] << 8 | data[place + 9] << 16
-        return message_id, tail, tail + (15 if data[place + 2] & 1 else 2)
-    return 0, 0, 0
-
-
-def _is_whole(data: bytes, place: int, tail: int, message_id: int) -> bool:
-    """Return whether the checksum behind the payload is right, of a known message."""
-    expected = _crc(data[place + 1 : tail] + CRC_EXTRAS[message_id])
-    return bool(expected == data[tail] | data[tail + 1] << 8)
-
-
-def _continues(data: bytes, start: int, stamp: int) -> bool:
-    """Return whether a record with a stamp near this one begins here, or the file ends."""
-    if start == len(data):
-        return True
-    if start + 16 > len(data) or data[start + 8] not in (0xFD, 0xFE):
-        return False
-    return abs(int(_STAMP.unpack_from(data, start)[0]) - stamp) < PLAUSIBLE_US
-
-
-def _is_plausible(data: bytes, stamp: int, after: int, last: int | None) -> bool:
-    """Return whether a stamp is near the last one, or else the record after it is near it."""
-    if last is None or abs(stamp - last) < PLAUSIBLE_US:
-        return True
-    return _continues(data, after, stamp)
-
-
-def _resume(data: bytes, start: int, last: int | None) -> int:
-    """Return the next position of a plausible stamp and a frame with a right checksum."""
-    for match in _START.finditer(data, start + 8):
-        place = match.start()
-        if place + 8 > len(data):
-            break
-        message_id, tail, after = _frame(data, place)
-        if tail == 0 or tail + 2 > len(data) or message_id not in CRC_EXTRAS:
-            continue
-        if _is_whole(data, place, tail, message_id):
-            (stamp,) = _STAMP.unpack_from(data, place - 8)
-            if _is_plausible(data, stamp, after, last):
-                return place - 8
-    return len(data)
+    steps, moves = tlog_search.byte_steps(), tlog_search.zero_moves()
+    extras = np.full(max(CRC_EXTRAS) + 1, -1, dtype=np.int16)
+    for number, extra in CRC_EXTRAS.items():
+        extras[number] = extra[0]
+    sums = np.empty(BLOCK + 1, dtype=np.uint16)
+    found = np.empty((BLOCK // 16 + 1, 4), dtype=np.int64)
+    state = array("q", [0] * tlog_search.STATE)
+    parts: list[Stamps] = []
+    place, is_end = 0, False
+    while not is_end:
+        block = memoryview(data)[place : place + BLOCK]
+        is_end = place + len(block) == len(data)
+        tlog_search.checksum_all(block, steps, sums)
+        n, after = tlog_search.find_records(block, sums, steps, moves, extras, state, found, is_end)
+        found[:n, 1] += place
+        parts.append(found[:n].copy())
+        place += after
+    return np.concatenate(parts), state[-1]
 
 
 def _find_autopilot(data: bytes, heartbeats: Stamps) -> Autopilot | None:

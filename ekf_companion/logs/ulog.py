@@ -1,6 +1,6 @@
 """Reading of PX4's logs (.ulg) into a recording.
 
-pyulog finds the topics, also in damaged files. Both generations of names are read: position as
+Both generations of names are read: position as
 ``lat, lon`` (1e-7 deg), ``alt`` (mm) and as ``latitude_deg, longitude_deg, altitude_msl_m``.
 The first instance of each topic is used. Rows count as arrived in the order in which they were
 published (``timestamp``).
@@ -59,8 +59,8 @@ def read(path: Path) -> Recording:
         LogError: The file is not a ULog, or holds none of the topics that are used.
     """
     log = load(path)
-    notes = ["the file is damaged: what could not be read is lost"] if log.file_corruption else []
-    if lost := sum(dropout.duration for dropout in log.dropouts) * 1e-3:
+    notes = ["the file is damaged: what could not be read is lost"] if log.is_damaged else []
+    if lost := sum(log.dropouts):
         count = len(log.dropouts)
         notes.append(f"{count} dropouts, {lost:.1f} s in all, while the log was written")
     topics = choose(log, notes)
@@ -73,14 +73,13 @@ def read(path: Path) -> Recording:
             f"{path}: a ULog without sensor_combined, GPS, magnetometer, barometer and attitude "
             "topics; log with the default or estimator replay profile (SDLOG_PROFILE)"
         )
-    delay = log.initial_parameters.get("EKF2_GPS_DELAY")
-    is_delay = isinstance(delay, (int, float)) and 0.0 <= delay <= 1000.0
+    delay = log.parameters.get("EKF2_GPS_DELAY", -1.0)
     return Recording(
         family="px4",
         events=merge(*(e for e, _ in arrivals), arrival_ns=[at_ns for _, at_ns in arrivals]),
         reference=_trajectory(topics, "", "EKF2"),
         truth=_trajectory(topics, "_groundtruth", "simulator"),
-        gnss_delay=float(delay) * 1e-3 if is_delay else None,
+        gnss_delay=float(delay) * 1e-3 if 0.0 <= delay <= 1000.0 else None,
         notes=tuple(notes),
     )
 

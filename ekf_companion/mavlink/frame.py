@@ -37,6 +37,20 @@ LARGEST_FRAME = HEADER_SIZE + 255 + SIGNATURE_SIZE
 
 _STARTS = (STX_1, STX_2)
 _START = re.compile(rb"[\xfd\xfe]")
+
+
+def _known_start() -> re.Pattern[bytes]:
+    """Return what the first bytes of a frame of known id match."""
+    low: dict[bytes, bytes] = {}  # the lowest bytes of ids, by the two higher ones
+    for number in sorted(CRC_EXTRAS):
+        high = re.escape((number >> 8).to_bytes(2, "little"))
+        low[high] = low.get(high, b"") + re.escape(bytes([number & 0xFF]))
+    ids = b"|".join(b"[%b]%b" % (each, high) for high, each in low.items())
+    first = low[re.escape(bytes(2))]
+    return re.compile(rb"\xfd.{6}(?:%b)|\xfe.{4}[%b]" % (ids, first), re.DOTALL)
+
+
+_KNOWN_START = _known_start()
 _header = Struct("<xBBxBBBHB").unpack_from
 _crc = crc16.mcrf4xx
 
@@ -90,7 +104,7 @@ class Splitter:
         start, junk, end = 0, 0, len(buffer)  # junk: first byte not handed out yet
         while start < end:
             stx = buffer[start]
-            if self._unknown_end >= 0:
+            if 0 <= self._unknown_end <= start:
                 self._settle_unknown(start, is_start=stx in _STARTS)
             if stx == STX_2:
                 if end - start < 10:
@@ -111,7 +125,10 @@ class Splitter:
             if (extra := CRC_EXTRAS.get(message_id)) is None:
                 if self._unknown_end < 0:
                     self._unknown_end = start + total
-                start += 1
+                # Until its end only a frame of known id matters, or one whose id is not here yet
+                match = _KNOWN_START.search(buffer, start + 1, self._unknown_end + 9)
+                known = match.start() if match else end
+                start = max(start + 1, min(known, self._unknown_end, end - 9))
                 continue
             if end - start < total:
                 break
@@ -150,10 +167,10 @@ class Splitter:
             self.junk_bytes += len(rest)
 
     def _settle_unknown(self, position: int, *, is_start: bool) -> None:
+        """Decide what a frame of unknown id was, of which the search has reached the end."""
         if position == self._unknown_end and is_start:
             self.unknown_id += 1
-        if position >= self._unknown_end:
-            self._unknown_end = -1
+        self._unknown_end = -1
 
     def _junk(self, buffer: bytes, start: int, end: int) -> Frame:
         self.junk_bytes += end - start
