@@ -2,6 +2,7 @@
 
 Both generations of names are read: position as
 ``lat, lon`` (1e-7 deg), ``alt`` (mm) and as ``latitude_deg, longitude_deg, altitude_msl_m``.
+Logs of PX4 before 1.8 hold magnetometer and barometer within ``sensor_combined``.
 The first instance of each topic is used. Rows count as arrived in the order in which they were
 published (``timestamp``).
 
@@ -45,6 +46,8 @@ SPOOFING_INDICATED = 2
 """sensor_gps.spoofing_state: 0 unknown, 1 none, 2 indicated, 3 multiple indications."""
 ARMED = 2
 """vehicle_status.arming_state: 1 disarmed (standby), 2 armed."""
+NO_SAMPLE = 2**31 - 1
+"""sensor_combined.*_timestamp_relative: RELATIVE_TIMESTAMP_INVALID."""
 EARTH_RADIUS = 6371000.0
 """m; of the sphere that PX4 projects on (CONSTANTS_RADIUS_OF_EARTH)."""
 
@@ -88,8 +91,9 @@ def _events(topic: Topic, kind: Kind, mask: Mask, *columns: Any) -> Arrivals:
     """Build events stamped by the topic's sample time, or where absent its publication."""
     if not mask.any():
         return []
-    events = Events.from_columns(sample_ns(topic), kind, *columns)
-    return [(events.take(mask), topic["t_ns"][mask])]
+    kept = [one[mask] if isinstance(one, np.ndarray) else one for one in columns]
+    events = Events.from_columns(sample_ns(topic)[mask], kind, *kept)
+    return [(events, topic["t_ns"][mask])]
 
 
 def _imu(topics: Topics) -> Arrivals:
@@ -170,7 +174,8 @@ def _attitude_heading(topics: Topics) -> Arrivals:
 
 
 def _magnetometer(topics: Topics) -> Arrivals:
-    if (topic := topics.get("vehicle_magnetometer")) is not None:
+    combined = _combined(topics, "magnetometer", "magnetometer_ga[0]")
+    if (topic := combined or topics.get("vehicle_magnetometer")) is not None:
         field = vectors(topic, "magnetometer_ga")
     elif (topic := topics.get("sensor_mag")) is not None:
         field = series.stack(topic, *"xyz")
@@ -181,10 +186,29 @@ def _magnetometer(topics: Topics) -> Arrivals:
 
 
 def _barometer(topics: Topics) -> Arrivals:
-    if (topic := topics.get("vehicle_air_data")) is None:
+    topic = _combined(topics, "baro", "baro_alt_meter") or topics.get("vehicle_air_data")
+    if topic is None:
         return []
     alt = np.asarray(topic["baro_alt_meter"], dtype=float)
     return _events(topic, Kind.BARO, np.asarray(np.isfinite(alt)), alt)
+
+
+def _combined(topics: Topics, sensor: str, column: str) -> Topic | None:
+    """Return the rows of sensor_combined with a new sample of another sensor: PX4 before 1.8.
+
+    ``SENSOR_timestamp_relative`` is the sample's time from the row's, us; the largest number where
+    the row has no sample.
+    """
+    topic, relative = topics.get("sensor_combined", {}), f"{sensor}_timestamp_relative"
+    if not {column, relative} <= topic.keys():
+        return None
+    behind_ns = np.asarray(topic[relative], dtype=np.int64) * 1000
+    sampled_ns = topic["t_ns"] + behind_ns
+    is_new = (topic[relative] != NO_SAMPLE) & series.changed(sampled_ns)
+    # From the row's own time by less than a second, or the stamp is damaged
+    is_new &= np.abs(behind_ns) < 1_000_000_000
+    rows = {name: values[is_new] for name, values in topic.items()}
+    return {**rows, "timestamp_sample": sampled_ns[is_new].astype(np.uint64) // 1000}
 
 
 def _vehicle(topics: Topics) -> Arrivals:

@@ -7,6 +7,7 @@ from pathlib import Path
 from ekf_companion.errors import LogError
 from ekf_companion.logs import broad, csv, dataflash, openshoe, tlog, tlog_trajectory, ulog
 from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.state import Trajectory
 
 READERS = {
@@ -17,7 +18,7 @@ READERS = {
     ".mat": broad.read,
 }
 """Readers of the logs that hold columns, by suffix."""
-FORMATS = ".tlog, .bin, .ulg, .csv, .txt (OpenShoe), .mat (BROAD)"
+FORMATS = ".tlog, .bin, .ulg, .csv, .txt (OpenShoe), .mat (BROAD); all but .mat also as .gz, .zst"
 
 Log = tlog.Tlog | Recording
 """Frames that a session must decode, or columns of measurements."""
@@ -29,7 +30,7 @@ def open_log(path: Path) -> Log:
     Raises:
         LogError: It cannot be read, or is of an unknown kind.
     """
-    suffix = path.suffix.lower()
+    suffix = suffix_of(path)
     if suffix == ".tlog":
         return tlog.read(path)
     if suffix not in READERS:

@@ -336,3 +336,36 @@ def test_after_damage_the_search_goes_on_at_the_next_synchronisation(read):
     recording = read(log + b"\xff" * 50 + sync + more.data[before:])
     assert of_kind(recording, Kind.IMU).t_ns[-1] == 1_205_000_000
     assert "the file is damaged: what could not be read is lost" in recording.notes
+
+
+OLD_COMBINED = (
+    "sensor_combined",
+    [
+        ("uint64_t", "timestamp"),
+        ("float[3]", "gyro_rad"),
+        ("float[3]", "accelerometer_m_s2"),
+        ("int32_t", "magnetometer_timestamp_relative"),
+        ("float[3]", "magnetometer_ga"),
+        ("int32_t", "baro_timestamp_relative"),
+        ("float", "baro_alt_meter"),
+    ],
+)
+
+
+def test_px4_before_1_8_holds_magnetometer_and_barometer_within_the_inertial_rows(read):
+    log = Writer([OLD_COMBINED])
+    none = 2**31 - 1
+    for index in range(20):
+        us = 1_000_000 + 4000 * index
+        # a magnetic field each second row, 1 ms old; a pressure each fourth, repeated in between
+        mag = -1000 if index % 2 == 0 else none
+        baro = -2000 - 4000 * (index % 4)
+        field = (0.2, 0.0, 0.4 + 0.001 * index)
+        log.row(0, us, 0, 0, 0, 0, 0, -9.8, mag, *field, baro, 500.0 + index // 4)
+    recording = read(log.data)
+    mags, baros = of_kind(recording, Kind.MAG), of_kind(recording, Kind.BARO)
+    assert len(of_kind(recording, Kind.IMU)) == 20
+    assert mags.t_ns.tolist() == [999_000_000 + 8_000_000 * i for i in range(10)]
+    assert mags.values[:, 2] == pytest.approx([0.4 + 0.002 * i for i in range(10)])
+    assert baros.t_ns.tolist() == [998_000_000 + 16_000_000 * i for i in range(5)]
+    assert baros.values[:, 0].tolist() == [500.0, 501.0, 502.0, 503.0, 504.0]
