@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ekf_companion.cli import terminal
-from ekf_companion.config.config import Config
 from ekf_companion.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
+    from ekf_companion.config.config import Config
     from ekf_companion.nav.state import Trajectory
 
 _WITHOUT_REFERENCE = (

@@ -55,9 +55,11 @@ def convert(
 
 def _choose(name: str, options: list[str | None]) -> str:
     """Return a filter's name with its option, which may also have been given by itself."""
-    from ekf_companion.replay.filters_by_name import parse_name
-
     given = [option for option in options if option is not None]
     if (count := len(given) + (":" in name)) > 1:
         raise ConfigError(f"--filter: {name} takes one option, not {count}")
+    if name == "eskf" and not given:
+        return name  # without importing the others
+    from ekf_companion.replay.filters_by_name import parse_name
+
     return parse_name(":".join([name, *given]))[0]

@@ -5,15 +5,15 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-import yaml
 
 from ekf_companion.cli.terminal import ConfigOption, LinkOption, exit_on_error, load
-from ekf_companion.config.config import Config, describe_config, load_config
-from ekf_companion.config.file_name import why_not_writable
 from ekf_companion.errors import ConfigError
+
+if TYPE_CHECKING:
+    from ekf_companion.config.config import Config
 
 
 def run(
@@ -60,6 +60,11 @@ def check_config(
     config: Annotated[Path, typer.Argument(help="YAML file.")],
 ) -> None:
     """Check a configuration and print it with all its defaults."""
+    import yaml
+
+    from ekf_companion.config.config import describe_config, load_config
+    from ekf_companion.config.file_name import why_not_writable
+
     with exit_on_error():
         read = load_config(config)
         files = (("record.path", read.record.path), ("checkpoint.file", read.checkpoint.file))

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ekf_companion.config.config import Config, load_config
 from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError
 
 if TYPE_CHECKING:
+    from ekf_companion.config.config import Config
     from ekf_companion.logs.recording import Recording
 
 LogArgument = Annotated[
@@ -51,17 +51,21 @@ def exit_on_error() -> Iterator[None]:
 
 def load(path: Path | None) -> Config:
     """Return the configuration of a file, or the defaults."""
+    from ekf_companion.config.config import Config, load_config
+
     return Config() if path is None else load_config(path)
 
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar on a terminal, and nothing elsewhere."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
     from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not sys.stderr.isatty()) as progress:
+    with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(title, total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
 

@@ -6,22 +6,24 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ekf_companion.config.config import Config
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import ConfigError, LogError
-from ekf_companion.filters.solution import Solution
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.writer import CsvWriter, create
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Table, Trajectory, join
-from ekf_companion.replay.filters_by_name import run_filter
 from ekf_companion.replay.log_source import reference, truth
 from ekf_companion.replay.report import Report, summary
 from ekf_companion.replay.run import BlockPipeline, IdlePipeline, Progress, Run, StepPipeline
 from ekf_companion.replay.smoothing import Smoothing
+
+if TYPE_CHECKING:
+    from ekf_companion.filters.solution import Solution
 
 
 def convert(
@@ -97,6 +99,8 @@ def convert_by(
         LogError: As :func:`convert`, or the log lacks what the filter needs.
         ConfigError: As :func:`convert`.
     """
+    from ekf_companion.replay.filters_by_name import run_filter
+
     if out.resolve() == path.resolve():
         raise ConfigError(f"{out}: is the log itself; name another file")
     if out.suffix != ".csv":

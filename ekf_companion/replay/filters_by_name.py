@@ -1,10 +1,13 @@
-"""The filters by name: our own estimator and those of the articles, over the same recording."""
+"""The filters by name: our own estimator and those of the articles, over the same recording.
+
+Each is imported when it is run: some need much of SciPy.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,23 +19,15 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import ConfigError, LogError
-from ekf_companion.filters import (
-    ahrs,
-    ahrs_article,
-    euler,
-    euler_article,
-    iterated,
-    mahony,
-    ukf,
-    vqf_adapter,
-    zupt,
-)
-from ekf_companion.filters.sequence import MeasurementSequence
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
 from ekf_companion.filters.zupt_detector import Detector
 from ekf_companion.logs.recording import Recording, longest_clock_run
 from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.state import Status, join
+
+if TYPE_CHECKING:
+    from ekf_companion.filters.ahrs_article import Preset
+    from ekf_companion.filters.sequence import MeasurementSequence
 
 Run = Callable[[Recording, FilterSettings, str], Solution]
 """Recording, settings and option in, solution out."""
@@ -120,16 +115,22 @@ def _eskf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
 
 
 def _euler(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    from ekf_companion.filters import euler, euler_article
+
     run = euler_article.run if option == "article" else euler.run
     return run(_sequence(recording, settings))
 
 
 def _zupt(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    from ekf_companion.filters import zupt
+
     events = _completed(recording, settings)
     return zupt.run(events, detector=Detector(option), gap=settings.imu.gap_reset)
 
 
 def _iterated(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    from ekf_companion.filters import iterated
+
     return iterated.run(
         _sequence(recording, settings),
         frame="robocentric" if option == "robocentric" else "global",
@@ -138,26 +139,36 @@ def _iterated(recording: Recording, settings: FilterSettings, option: str) -> So
 
 
 def _ukf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
+    from ekf_companion.filters import ukf
+
     return ukf.run(_sequence(recording, settings))
 
 
 def _ahrs(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    from ekf_companion.filters import ahrs, ahrs_article
+
     events = _completed(recording, settings)
     if option == "error-state":
         return ahrs.run(events)
-    preset: ahrs_article.Preset = "article" if option == "article" else "corrected"
+    preset: Preset = "article" if option == "article" else "corrected"
     return ahrs_article.run(events, preset, gap=settings.imu.gap_reset)
 
 
 def _mahony(recording: Recording, settings: FilterSettings, _: str) -> Solution:
+    from ekf_companion.filters import mahony
+
     return mahony.run(_completed(recording, settings), gap=settings.imu.gap_reset)
 
 
 def _vqf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
+    from ekf_companion.filters import vqf_adapter
+
     return vqf_adapter.run(_completed(recording, settings), gap=settings.imu.gap_reset)
 
 
 def _sequence(recording: Recording, settings: FilterSettings) -> MeasurementSequence:
+    from ekf_companion.filters.sequence import MeasurementSequence
+
     return MeasurementSequence(recording.events, settings, recording.family, recording.gnss_delay)
 
 
