@@ -55,7 +55,7 @@ def compare(
     """Compare our estimate, or several filters', with a truth or the autopilot's own."""
     with terminal.exit_on_error():
         inputs = {"the log": log, "the reference": reference, "the configuration": config}
-        terminal.check_outputs(inputs, {"--plot": plot, "--json": json_file})
+        terminal.check_outputs(inputs, [("--plot", plot), ("--json", json_file)])
         if filters is None:
             ours = _ours(log, terminal.load(config), is_smoothed=smooth)
             _compare_ours(log, ours, reference, (skip, until), plot, json_file)

@@ -13,7 +13,15 @@ from ekf_companion.errors import ConfigError
 
 def convert(
     log: terminal.LogArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help=".csv or .tlog, by its suffix.")],
+    outs: Annotated[
+        list[Path],
+        typer.Option(
+            "--out",
+            "-o",
+            help=".csv, .tlog, .mcap, .parquet, .tum, .kml, .gpx or .ulg, by its suffix; - for CSV "
+            "on a pipe; may be given several times.",
+        ),
+    ],
     config: terminal.ConfigOption = None,
     rate: Annotated[
         float | None, typer.Option(min=0.001, help="Largest number of rows per second.")
@@ -34,23 +42,23 @@ def convert(
 
     with terminal.exit_on_error(), terminal.progress_bar(log.name) as progress:
         inputs = {"the log": log, "the configuration": config}
-        terminal.check_outputs(inputs, {"--out": out, "--json": json_file})
+        terminal.check_outputs(inputs, [*(("--out", out) for out in outs), ("--json", json_file)])
+        is_piped = Path("-") in outs  # the summary does not follow the numbers
         chosen = _choose(name, [preset, frame, detector])
         if chosen != "eskf":
             if smooth:
                 raise ConfigError("--smooth: smooths eskf only; leave it or --filter out")
-            solution = converter.convert_by(chosen, log, out, terminal.load(config), rate)
+            solution = converter.convert_by(chosen, log, outs, terminal.load(config), rate)
             terminal.write_json(json_file, solution.to_dict())
-            typer.echo(f"{log}:")
-            for line in solution.summary():
-                typer.echo(line)
+            for line in [f"{log}:", *solution.summary()]:
+                typer.echo(line, err=is_piped)
             return
         report = converter.convert(
-            log, out, terminal.load(config), rate, progress, is_smoothed=smooth
+            log, outs, terminal.load(config), rate, progress, is_smoothed=smooth
         )
         terminal.write_json(json_file, report.to_dict())
     for line in converter.summary(report):
-        typer.echo(line)
+        typer.echo(line, err=is_piped)
 
 
 def _choose(name: str, options: list[str | None]) -> str:

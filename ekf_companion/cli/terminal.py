@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -83,7 +83,9 @@ def write_json(path: Path | None, data: object) -> None:
             raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def check_outputs(inputs: dict[str, Path | None], outputs: dict[str, Path | None]) -> None:
+def check_outputs(
+    inputs: dict[str, Path | None], outputs: Sequence[tuple[str, Path | None]]
+) -> None:
     """Refuse an output that is an input or another output, or whose folder does not exist.
 
     Inputs are named by what they are, as in ``the log``, outputs by their option.
@@ -92,7 +94,7 @@ def check_outputs(inputs: dict[str, Path | None], outputs: dict[str, Path | None
         ConfigError: An output is refused.
     """
     taken = {path.resolve(): name for name, path in inputs.items() if path is not None}
-    for option, path in outputs.items():
+    for option, path in outputs:
         if path is None:
             continue
         if (other := taken.get(path.resolve())) is not None:
@@ -121,7 +123,7 @@ def open_log(
     """
     with exit_on_error():
         inputs = {"the log": log, "the configuration": config}
-        check_outputs(inputs, {"--plot": plot, "--json": json_file})
+        check_outputs(inputs, [("--plot", plot), ("--json", json_file)])
         settings = load(config)
         yield read(log, settings), settings
 

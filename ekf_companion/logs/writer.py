@@ -1,19 +1,92 @@
-"""Writing of estimates to a CSV file."""
+"""Writing of estimates to a file of the kind that its suffix names, chunk by chunk."""
 
 from __future__ import annotations
 
+import os
+import sys
+from importlib import import_module
 from pathlib import Path
-from typing import BinaryIO
+from types import TracebackType
+from typing import BinaryIO, cast
 
 import numpy as np
-import orjson
 
 from ekf_companion.errors import LogError
-from ekf_companion.nav.arrays import Array, Stamps
-from ekf_companion.nav.state import COLUMNS, Status
+from ekf_companion.nav.arrays import Array, known_rows
+from ekf_companion.nav.state import GEODETIC, POSITION, QUATERNION, VELOCITY, Status, Table
 
-_STATUS = COLUMNS.index("status") - 1
-_NAMES = [status.name.lower().encode() for status in Status]
+STDOUT = Path("-")
+"""The name of the standard output."""
+STATUS_NAMES = [status.name.lower() for status in Status]
+"""Words for ``Status``, by its number."""
+WRITERS = {
+    ".csv": "csv_writer",
+    ".gpx": "gpx_writer",
+    ".kml": "kml_writer",
+    ".mcap": "mcap_writer",
+    ".parquet": "parquet_writer",
+    ".tum": "tum_writer",
+    ".ulg": "ulog_writer",
+}
+"""The module by suffix: its class ``Writer``, imported when it is needed."""
+RATES = {".gpx": 5.0, ".kml": 5.0}
+"""Rows per second at most where none are asked for, Hz: of a track on a map. Otherwise all."""
+
+
+class EstimateWriter:
+    """A file of estimates."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the file and write what comes before the first estimate.
+
+        Raises:
+            LogError: The file cannot be opened.
+        """
+        self.path = path
+        self.file = create(path)
+
+    def __enter__(self) -> EstimateWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Write what comes after the last estimate, and close the file."""
+        self.finish()
+        if self.path != STDOUT:
+            self.file.close()
+
+    def write(self, table: Table) -> None:
+        """Append estimates.
+
+        Raises:
+            LogError: This format cannot hold them.
+        """
+        raise NotImplementedError
+
+    def finish(self) -> None:
+        """Write what comes after the last estimate."""
+        self.file.flush()
+
+
+def open_writer(path: Path) -> EstimateWriter:
+    """Open a file by its suffix; ``-`` is CSV on the standard output.
+
+    Raises:
+        LogError: It cannot be opened, or a package that its kind needs is missing.
+    """
+    name = WRITERS[".csv" if path == STDOUT else path.suffix]
+    try:
+        module = import_module(f"ekf_companion.logs.{name}")
+    except ImportError as error:
+        raise LogError(
+            f"{path}: writing needs the package {error.name}; install ekf-companion with the "
+            "extra: formats"
+        ) from None
+    return cast("EstimateWriter", module.Writer(path))
 
 
 def create(path: Path) -> BinaryIO:
@@ -22,42 +95,47 @@ def create(path: Path) -> BinaryIO:
     Raises:
         LogError: It cannot be opened.
     """
+    if path == STDOUT:
+        return sys.stdout.buffer
     try:
         return path.open("wb")
     except OSError as error:
-        raise LogError(f"{path}: cannot be written: {error.strerror}") from error
+        raise LogError(f"{path}: cannot be written: {os.strerror(error.errno or 0)}") from error
 
 
-class CsvWriter:
-    """Writes estimates as CSV, every number with enough digits to be read back to the bit."""
+class Thinning:
+    """Keeps the first estimate of each period, chunk after chunk."""
 
-    def __init__(self, path: Path) -> None:
-        """Open the file and write the header.
+    def __init__(self, rate: float | None) -> None:
+        """Keep at most so many per second, Hz; None: all."""
+        self._period = None if rate is None else np.int64(round(1e9 / rate))
+        self._slot: int | None = None
 
-        Raises:
-            LogError: The file cannot be opened.
-        """
-        self._file = create(path)
-        self._file.write(",".join(COLUMNS).encode() + b"\n")
+    def thin(self, table: Table) -> Table:
+        """Return what is kept of the next estimates."""
+        if self._period is None or len(table) == 0:
+            return table
+        slot = table.stamp_ns // self._period
+        first = np.diff(slot, prepend=slot[0] - 1 if self._slot is None else self._slot) != 0
+        self._slot = int(slot[-1])
+        return Table(stamp_ns=table.stamp_ns[first], values=table.values[first])
 
-    def __enter__(self) -> CsvWriter:
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        """Close the file."""
-        self._file.close()
+def with_position(table: Table) -> Table:
+    """Return the estimates that have a position, velocity and attitude."""
+    known = known_rows(table.columns((*GEODETIC, *POSITION, *VELOCITY, *QUATERNION)))
+    return Table(stamp_ns=table.stamp_ns[known], values=table.values[known])
 
-    def write(self, stamp_ns: Stamps, values: Array) -> None:
-        """Append estimates: stamps, shape (n,), and the columns after the time, shape (n, 33)."""
-        if len(stamp_ns) == 0:
-            return
-        # JSON prints the shortest digits that read back the same, and does it fast
-        text = orjson.dumps(
-            np.ascontiguousarray(values[:, :_STATUS]), option=orjson.OPT_SERIALIZE_NUMPY
-        )
-        bodies = text[2:-2].replace(b"null", b"").split(b"],[")
-        times = orjson.dumps(stamp_ns // 1000, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].split(b",")
-        names = [_NAMES[status] for status in values[:, _STATUS].astype(int).tolist()]
-        resets = values[:, _STATUS + 1].astype(int).tolist()
-        lines = [b"%s,%s,%s,%d\n" % line for line in zip(times, bodies, names, resets, strict=True)]
-        self._file.write(b"".join(lines))
+
+def east_north_up(table: Table) -> tuple[Array, Array]:
+    """Return positions east, north, up of the origin, m, and the attitudes from there.
+
+    The attitudes turn a body frame of forward, left, up into east, north, up: the frames of ROS
+    REP 103, which most viewers expect. Quaternions are (w, x, y, z), shape (n, 4).
+    """
+    north, east, down = (table.column(name) for name in POSITION)
+    w, x, y, z = (table.column(name) for name in QUATERNION)
+    half = np.sqrt(0.5)
+    # From north-east-down to east-north-up on the left, by half a turn about x on the right
+    q = np.stack([half * (w + z), half * (x + y), half * (x - y), half * (w - z)], axis=1)
+    return np.stack([east, north, -down], axis=1), q
