@@ -52,4 +52,3 @@ class Writer(EstimateWriter):
     def finish(self) -> None:
         """Close the track."""
         self.file.write(b"</trkseg></trk>\n</gpx>\n")
-        super().finish()

@@ -70,4 +70,3 @@ class Writer(EstimateWriter):
     def finish(self) -> None:
         """Close the document."""
         self.file.write(b"</Document>\n</kml>\n")
-        super().finish()

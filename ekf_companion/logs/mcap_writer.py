@@ -100,7 +100,7 @@ class Writer(EstimateWriter):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._mcap = Mcap(self.file, compression=CompressionType.ZSTD)
+        self._mcap = Mcap(self.file, compression=CompressionType.LZ4)
         self._mcap.start(library=f"ekf-companion {__version__}")
         self._channels = {}
         for topic, (name, schema) in _SCHEMAS.items():
@@ -130,7 +130,6 @@ class Writer(EstimateWriter):
     def finish(self) -> None:
         """Write the index."""
         self._mcap.finish()
-        super().finish()
 
     def _add(self, topic: str, stamp_ns: int, data: bytes) -> None:
         self._mcap.add_message(self._channels[topic], stamp_ns, data, stamp_ns)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
@@ -43,7 +45,9 @@ class EstimateWriter:
             LogError: The file cannot be opened.
         """
         self.path = path
-        self.file = create(path)
+        self._stack = ExitStack()
+        self.file = self._stack.enter_context(create(path))
+        self._stack.callback(self.finish)  # before the file is closed
 
     def __enter__(self) -> EstimateWriter:
         return self
@@ -54,10 +58,8 @@ class EstimateWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Write what comes after the last estimate, and close the file."""
-        self.finish()
-        if self.path != STDOUT:
-            self.file.close()
+        """Write what comes after the last estimate, and close the file; after an error, drop it."""
+        self._stack.__exit__(kind, error, trace)
 
     def write(self, table: Table) -> None:
         """Append estimates.
@@ -69,7 +71,6 @@ class EstimateWriter:
 
     def finish(self) -> None:
         """Write what comes after the last estimate."""
-        self.file.flush()
 
 
 def open_writer(path: Path) -> EstimateWriter:
@@ -89,18 +90,34 @@ def open_writer(path: Path) -> EstimateWriter:
     return cast("EstimateWriter", module.Writer(path))
 
 
-def create(path: Path) -> BinaryIO:
-    """Open a file to write to.
+@contextmanager
+def create(path: Path) -> Iterator[BinaryIO]:
+    """Open a file to write to; it has its name once it is complete.
+
+    What is interrupted leaves nothing, and an older file of that name as it was.
 
     Raises:
         LogError: It cannot be opened.
     """
     if path == STDOUT:
-        return sys.stdout.buffer
+        yield sys.stdout.buffer
+        sys.stdout.buffer.flush()
+        return
+    is_plain = path.is_file() or not path.exists()  # a pipe or a device is written as it is
+    target = path.with_name(f".{path.name}.{os.getpid()}") if is_plain else path
     try:
-        return path.open("wb")
+        file = target.open("wb")
     except OSError as error:
-        raise LogError(f"{path}: cannot be written: {os.strerror(error.errno or 0)}") from error
+        raise LogError(f"{path}: cannot be written: {error.strerror}") from error
+    try:
+        with file:
+            yield file
+        if is_plain:
+            target.replace(path)
+    except BaseException:
+        if is_plain:
+            target.unlink(missing_ok=True)
+        raise
 
 
 class Thinning:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -101,7 +101,7 @@ def _convert_to_files(
         for table in tables:
             for writer, thinning in writers:
                 writer.write(thinning.thin(table))
-    return run.finish()
+        return run.finish()  # raises where nothing was estimated: then no file is left
 
 
 def _convert_to_messages(
@@ -110,7 +110,7 @@ def _convert_to_messages(
     run = Run(path, config, StepPipeline)
     if isinstance(run.log, Recording) and run.log.events.t_ns.min(initial=0) < 0:
         raise LogError(f"{path}: has times before zero, which a .tlog cannot hold; name a .csv")
-    with closing(create(out)) as file:
+    with create(out) as file:
         for stamp_us, frame in run.messages(progress):
             file.write(stamp_us.to_bytes(8, "big") + frame)
     return run.finish()

@@ -236,3 +236,15 @@ def test_an_unknown_kind_of_output_is_refused_with_all_that_are_known(flown):
     result = CliRunner().invoke(app, ["convert", str(folder / "flight.tlog"), "-o", "out.xyz"])
     assert result.exit_code == 2
     assert "known are .csv, .gpx, .kml, .mcap, .parquet, .tum, .ulg, .tlog" in result.output
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_what_fails_leaves_no_file_and_an_older_one_as_it_was(tmp_path, suffix):
+    log = tmp_path / "log.csv"
+    log.write_text("time_us,baro_alt_m\n1000,7\n2000,8\n")
+    out = tmp_path / f"out{suffix}"
+    out.write_bytes(b"older")
+    with pytest.raises(LogError, match="no inertial samples"):
+        convert(log, [out, tmp_path / "new.csv"], Config())
+    assert out.read_bytes() == b"older"
+    assert {path.name for path in tmp_path.iterdir()} == {"log.csv", out.name}
