@@ -45,6 +45,9 @@ COMMANDS = {
         "compare",
         "Compare our estimate, or several filters', with a truth or the autopilot's own.",
     ),
+    "batch": _Entry(
+        "batch", "batch", "Estimate from many logs; write one table with a row for each."
+    ),
     "calibrate": _Entry(
         "calibrate",
         "calibrate",
