@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import gzip
+import os
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -30,18 +33,63 @@ def read_bytes(path: Path, kind: str) -> bytes:
     Raises:
         LogError: The file is missing, empty, a folder or not readable.
     """
+    with _opened(path, kind) as file:
+        data = _unpack(path, file) if path.suffix.lower() in PACKED else file.read()
+    if not data:
+        raise LogError(f"{path}: an empty file, not a {kind}; record or download it again")
+    return data
+
+
+class Source:
+    """The bytes of a file, read piece by piece; a packed one, or a pipe, is held in memory."""
+
+    def __init__(self, path: Path, kind: str) -> None:
+        """Look at a file; its kind is for messages.
+
+        Raises:
+            LogError: As :func:`read_bytes`.
+        """
+        self._path, self._kind = path, kind
+        self._data: bytes | None = None
+        if path.suffix.lower() in PACKED or (path.exists() and not path.is_file()):
+            self._data = read_bytes(path, kind)
+        with _opened(path, kind) as file:
+            self._size = file.seek(0, os.SEEK_END) if self._data is None else len(self._data)
+        if not self._size:
+            raise LogError(f"{path}: an empty file, not a {kind}; record or download it again")
+
+    def __len__(self) -> int:
+        return self._size
+
+    def read(self, start: int, end: int) -> bytes:
+        """Return the bytes from ``start`` to before ``end``, or to the end that was there at first.
+
+        Raises:
+            LogError: The file was cut short since, or cannot be read any more.
+        """
+        end = min(end, self._size)
+        if self._data is not None:
+            return self._data[start:end]
+        with _opened(self._path, self._kind) as file:
+            file.seek(start)
+            data = file.read(end - start)
+        if len(data) < end - start:
+            raise LogError(f"{self._path}: was cut short while it was read; read it again")
+        return data
+
+
+@contextmanager
+def _opened(path: Path, kind: str) -> Iterator[BinaryIO]:
+    """Open a file, and turn an error of the file system into one that names the remedy."""
     try:
         with path.open("rb") as file:
-            data = _unpack(path, file) if path.suffix.lower() in PACKED else file.read()
+            yield file
     except FileNotFoundError:
         raise LogError(f"{path}: no such file; check the path of the {kind}") from None
     except IsADirectoryError:
         raise LogError(f"{path}: a folder; name the {kind} inside it") from None
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror}); check its rights") from None
-    if not data:
-        raise LogError(f"{path}: an empty file, not a {kind}; record or download it again")
-    return data
 
 
 def _unpack(path: Path, file: BinaryIO) -> bytes:

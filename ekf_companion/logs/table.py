@@ -67,8 +67,8 @@ class Table:
                     f"{self.path}: {what} column {name!r}; there are: {', '.join(self.names)}"
                 )
         body = self._whole_lines()
-        if not names or not (bytes(body[:SMALL]).strip() or bytes(body).strip()):
-            return {name: np.zeros(0) for name in names}
+        if not names:
+            return {}
         where = [self.names.index(name) for name in names]
         columns = _read_columns(body, self._delimiter, len(self.names), where)
         if columns is None:
@@ -93,6 +93,8 @@ class Table:
         """
         mark = self._delimiter.encode()
         body = body.replace(b"\r\n", b"\n").replace(b" ", b"").replace(b'"', b"")
+        if not body.strip():
+            return np.zeros((len(where), 0))
         body += b"" if body.endswith(b"\n") else b"\n"
         for _ in range(2):  # twice: of ",,," the first pass fills every other cell
             body = body.replace(mark + mark, mark + b"nan" + mark)

@@ -9,6 +9,7 @@ import pytest
 from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
 from ekf_companion.logs import dataflash_records, tlog, tlog_search, ulog_messages
+from ekf_companion.logs.source import Source
 from ekf_companion.logs.ulog_messages import HEADER, MAGIC
 from ekf_companion.replay.convert import convert
 from tests.logs import sources
@@ -92,7 +93,9 @@ def damaged(whole, seed):
 @pytest.mark.parametrize("seed", range(20))
 def test_the_searches_find_the_same_uncompiled(monkeypatch, tmp_path, seed):
     def found():
-        records, count = tlog._find_records(damaged(b"".join(small_tlog()), seed))
+        path = tmp_path / "flight.tlog"
+        path.write_bytes(damaged(b"".join(small_tlog()), seed))
+        records, count = tlog._find_records(Source(path, ""))
         bins = dataflash_records._find_records(damaged(new_log(), seed), None)
         path = tmp_path / "flight.ulg"
         whole = small_ulog()
@@ -101,7 +104,7 @@ def test_the_searches_find_the_same_uncompiled(monkeypatch, tmp_path, seed):
         places = {kind: one.tolist() for kind, one in bins.places.items()}
         tables = [(one.topic, one.instance, one.rows.tobytes()) for one in ulog.tables]
         totals = (count, bins.damaged, ulog.is_damaged, ulog.parameters, ulog.dropouts)
-        return records.tolist(), places, tables, totals
+        return [one.tolist() for one in records], places, tables, totals
 
     compiled = found()
     for room, name in (
@@ -114,11 +117,13 @@ def test_the_searches_find_the_same_uncompiled(monkeypatch, tmp_path, seed):
 
 
 @pytest.mark.parametrize("block", [2048, 4096, 7001])
-def test_a_log_read_in_blocks_has_the_same_records(monkeypatch, block):
-    data = damaged(b"".join(small_tlog(n=200)), seed=block)
-    whole = tlog._find_records(data)[0]
+def test_a_log_read_in_blocks_has_the_same_records(monkeypatch, tmp_path, block):
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(damaged(b"".join(small_tlog(n=200)), seed=block))
+    whole = list(tlog.read(path).frames())
     monkeypatch.setattr(tlog, "BLOCK", block)
-    assert tlog._find_records(data)[0].tolist() == whole.tolist()
+    monkeypatch.setattr(tlog, "AT_ONCE", 7)
+    assert list(tlog.read(path).frames()) == whole
 
 
 def test_every_checksum_is_that_of_the_library():
