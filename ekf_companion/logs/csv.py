@@ -105,7 +105,8 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     if not isinstance(hold, list) or any(name not in _HOLDABLE for name in hold):
         raise LogError(f"{where}: hold: {hold!r} is not a list of {', '.join(_HOLDABLE)}")
     values = _values(table, sources)
-    t_ns, row, values = _in_time(path, table, sources, values, notes)
+    del table  # of an hour it has a hundred megabytes
+    t_ns, row, values = _in_time(path, sources, values, notes)
     events: list[tuple[Events, Mask]] = []
     events += _gnss(where, t_ns, values, hold, options.get("origin"), notes)
     events += _heading(where, t_ns, values, hold, options.get("heading_source", "magnetometer"))
@@ -144,7 +145,7 @@ def _values(table: Table, sources: Mapping[str, Source]) -> Columns:
 
 
 def _in_time(
-    path: Path, table: Table, sources: Mapping[str, Source], values: Columns, notes: list[str]
+    path: Path, sources: Mapping[str, Source], values: Columns, notes: list[str]
 ) -> tuple[Stamps, Indices, Columns]:
     """Return stamps, ns, row numbers and values of the rows on one run of the clock."""
     time = values["time"]

@@ -57,7 +57,10 @@ def choose(tables: Columns, others: Collection[str], notes: list[str]) -> Column
     sensors = ("IMU", "GPS", "MAG", "BARO", "ATT")
     if wild := sum(int((~masks[name]).sum()) for name in sensors if name in masks):
         notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
-    kept = {name: one[masks[name]] if name in masks else one for name, one in tables.items()}
+    kept = {
+        name: one if name not in masks or masks[name].all() else one[masks[name]]
+        for name, one in tables.items()
+    }
     return {name: table for name, table in kept.items() if len(table)}
 
 

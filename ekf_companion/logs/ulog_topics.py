@@ -71,11 +71,14 @@ def choose(log: Messages, notes: list[str]) -> Topics:
     masks = series.common_run(stamps, "sensor_combined")
     if wild := sum(int((~mask).sum()) for mask in masks.values()):
         notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
-    return {
-        name: {field: column[masks[name]] for field, column in topic.items()}
-        for name, topic in topics.items()
-        if masks[name].any()
-    }
+    kept: Topics = {}
+    for name, topic in topics.items():
+        mask = masks[name]
+        if mask.all():
+            kept[name] = topic
+        elif mask.any():
+            kept[name] = {field: column[mask] for field, column in topic.items()}
+    return kept
 
 
 def vectors(topic: Topic, field: str, size: int = 3) -> Array:
