@@ -165,7 +165,8 @@ def read(path: Path) -> Tlog:
 
 def _left_out(source: Source, starts: Stamps, ends: Stamps) -> Iterator[str]:
     """Describe the bytes that are in no record."""
-    gaps = np.diff(np.concatenate([[0], np.column_stack([starts, ends]).ravel()]))[::2]
+    gaps = starts.copy()
+    gaps[1:] -= ends[:-1]
     if runs := np.count_nonzero(gaps):
         yield f"{runs} runs of damaged bytes, {int(gaps.sum())} bytes in all, were left out"
     if rest := len(source) - int(ends[-1]):
