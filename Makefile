@@ -2,7 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd)
+KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd) \
+	$(wildcard ekf_companion/logs/*_search.py ekf_companion/logs/*.pxd)
 STAMP := $(VENV)/.installed
 
 .PHONY: setup test explore reference lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
@@ -123,4 +124,5 @@ installcheck: $(STAMP)
 	rm -rf $(CHECKED)
 
 clean:
-	rm -rf $(VENV) $(VENV)-e2e build dist demo *.egg-info ekf_companion/core/*.so ekf_companion/core/*.c
+	rm -rf $(VENV) $(VENV)-e2e build dist demo *.egg-info ekf_companion/core/*.so ekf_companion/core/*.c \
+		ekf_companion/logs/*.so ekf_companion/logs/*.c

@@ -1,4 +1,4 @@
-"""Compile the kernel: what ``pyproject.toml`` cannot say.
+"""Compile the kernel and the readers of logs: what ``pyproject.toml`` cannot say.
 
 The same files also run as plain Python. No -ffast-math, and no contraction of a*b+c: every board
 gives the same bits.
@@ -13,6 +13,7 @@ from setuptools import Extension, setup
 
 ROOT = Path(__file__).resolve().parent
 CORE = ROOT / "ekf_companion" / "core"
+LOGS = ROOT / "ekf_companion" / "logs"
 DECLARED = ("enums", "state", "parameters", "scratch")
 """Modules whose structs and numbers the compiler is told of by a file that is made here."""
 HEADERS_ONLY = ("memory",)
@@ -32,16 +33,18 @@ def declare() -> None:
 
 declare()
 names = sorted({path.stem for path in CORE.glob("*.pxd")} - {*DECLARED, *HEADERS_ONLY})
+modules = [f"core.{name}" for name in names]
+modules += sorted(f"logs.{path.stem}" for path in LOGS.glob("*.pxd"))
 setup(
     ext_modules=cythonize(
         [
             Extension(
-                f"ekf_companion.core.{name}",
-                [f"ekf_companion/core/{name}.py"],
+                f"ekf_companion.{name}",
+                [f"ekf_companion/{name.replace('.', '/')}.py"],
                 extra_compile_args=["-O3", "-ffp-contract=off", "-g0"],
                 extra_link_args=["-s"],
             )
-            for name in names
+            for name in modules
         ],
         compiler_directives={
             "language_level": 3,

@@ -13,7 +13,7 @@ from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import merge
 from ekf_companion.nav.state import Table, Trajectory
 from ekf_companion.replay import convert
-from ekf_companion.replay.log_source import READERS, reference, truth
+from ekf_companion.replay.log_source import READERS, open_log, reference, truth
 from ekf_companion.replay.run import IdlePipeline, Run
 
 
@@ -73,7 +73,9 @@ def recorded(path: Path) -> Recording:
     """Read a log as events and what to compare them with, whatever its format."""
     suffix = path.suffix.lower()
     if suffix in READERS:
-        return READERS[suffix](path)
+        recording = open_log(path)
+        assert isinstance(recording, Recording)
+        return recording
     run = Run(path, Config(), IdlePipeline)  # a .tlog becomes events only by a session
     parts = [block.events for block in run.blocks()]
     return Recording(

@@ -78,7 +78,7 @@ install_program() {
         # In a copy, so that root leaves no files in the checkout
         mkdir "$built/src"
         cp -R pyproject.toml setup.py README.md LICENSE ekf_companion sim_autopilot "$built/src"
-        rm -f "$built"/src/ekf_companion/core/*.c "$built"/src/ekf_companion/core/*.so
+        rm -f "$built"/src/ekf_companion/*/*.c "$built"/src/ekf_companion/*/*.so
         $pip wheel ${PIP_FLAGS:-} --no-deps --wheel-dir "$built" "$built/src"
     else
         [ -f "$WHEEL" ] || fail "WHEEL=$WHEEL: there is no such file; make wheel makes one in dist/"

@@ -7,26 +7,102 @@ finds no daemon (and 1 one that is not healthy), 5 the doctor has found a stage 
 
 from __future__ import annotations
 
-from typing import Annotated
+from importlib import import_module
+from typing import Annotated, Any, NamedTuple
 
 import typer
+from typer.core import TyperGroup
 
-from ekf_companion.cli.calibrate import calibrate
-from ekf_companion.cli.compare import compare
-from ekf_companion.cli.convert import convert
-from ekf_companion.cli.doctor import doctor
-from ekf_companion.cli.observability import observability
-from ekf_companion.cli.reload import reload
-from ekf_companion.cli.report import report
-from ekf_companion.cli.service import check_config, run
-from ekf_companion.cli.status import status
 from ekf_companion.version import __version__
 
+
+class _Entry(NamedTuple):
+    """A command, not imported yet."""
+
+    module: str
+    function: str
+    help: str
+    """The first line of its docstring."""
+
+
+COMMANDS = {
+    "run": _Entry("service", "run", "Run the daemon until SIGTERM."),
+    "status": _Entry(
+        "status",
+        "status",
+        "Show the daemon's state. Exit code: 0 healthy, 1 unhealthy, 4 no answer.",
+    ),
+    "reload": _Entry(
+        "reload",
+        "reload",
+        "Reload the daemon's configuration; rates, gates and noise change in flight.",
+    ),
+    "convert": _Entry(
+        "convert", "convert", "Re-run the estimator, or another filter, over a recorded flight."
+    ),
+    "compare": _Entry(
+        "compare",
+        "compare",
+        "Compare our estimate, or several filters', with a truth or the autopilot's own.",
+    ),
+    "report": _Entry(
+        "report",
+        "report",
+        "Show a flight in one HTML file: a verdict, tracks, innovations, biases, spectra.",
+    ),
+    "batch": _Entry(
+        "batch", "batch", "Estimate from many logs; write one table with a row for each."
+    ),
+    "calibrate": _Entry(
+        "calibrate",
+        "calibrate",
+        "Measure numbers of the configuration from your own logs: YAML to paste, and a figure.",
+    ),
+    "observability": _Entry(
+        "observability",
+        "observability",
+        "Show when each bias, tilt and heading becomes observable in a flight, and why not before.",
+    ),
+    "doctor": _Entry(
+        "doctor", "doctor", "Find the stage that loses the data, and the parameter to change."
+    ),
+    "check-config": _Entry(
+        "service", "check_config", "Check a configuration and print it with all its defaults."
+    ),
+}
+
+
+class _Commands(TyperGroup):
+    """The commands, each imported when it is called: the help of all starts without any."""
+
+    def list_commands(self, ctx: object) -> list[str]:
+        """Return the names in the order of the help."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: object, cmd_name: str) -> Any:
+        """Import a command; return None where there is none of that name."""
+        if (entry := COMMANDS.get(cmd_name)) is None:
+            return None
+        found = getattr(import_module(f"ekf_companion.cli.{entry.module}"), entry.function)
+        if not isinstance(found, typer.Typer):
+            alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+            alone.command(cmd_name)(found)
+            found = alone
+        return typer.main.get_command(found)
+
+    def format_commands(self, ctx: object, formatter: Any) -> None:
+        """Write the list of commands."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, entry.help) for name, entry in COMMANDS.items()])
+
+
 app = typer.Typer(
+    cls=_Commands,
     help="State estimation on a drone's companion computer: MAVLink in, ODOMETRY out.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
 )
 
 
@@ -44,15 +120,3 @@ def main(
     ] = False,
 ) -> None:
     """Take the options that are common to all commands."""
-
-
-app.command()(run)
-app.command()(status)
-app.command()(reload)
-app.command()(convert)
-app.command()(compare)
-app.command()(report)
-app.add_typer(calibrate, name="calibrate")
-app.command()(observability)
-app.command()(doctor)
-app.command("check-config")(check_config)

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 calibrate = typer.Typer(
     help="Measure numbers of the configuration from your own logs: YAML to paste, and a figure.",
     no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
 )
 
 

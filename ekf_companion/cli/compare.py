@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ekf_companion.cli import terminal
-from ekf_companion.config.config import Config
 from ekf_companion.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
+    from ekf_companion.config.config import Config
     from ekf_companion.nav.state import Trajectory
 
 _WITHOUT_REFERENCE = (
@@ -55,7 +55,7 @@ def compare(
     """Compare our estimate, or several filters', with a truth or the autopilot's own."""
     with terminal.exit_on_error():
         inputs = {"the log": log, "the reference": reference, "the configuration": config}
-        terminal.check_outputs(inputs, {"--plot": plot})
+        terminal.check_outputs(inputs, [("--plot", plot)])
         if filters is None:
             ours = _ours(log, terminal.load(config), is_smoothed=smooth, is_silent=as_json)
             _compare_ours(log, ours, reference, (skip, until), plot, as_json)

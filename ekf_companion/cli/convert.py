@@ -13,7 +13,15 @@ from ekf_companion.errors import ConfigError
 
 def convert(
     log: terminal.LogArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help=".csv or .tlog, by its suffix.")],
+    outs: Annotated[
+        list[Path],
+        typer.Option(
+            "--out",
+            "-o",
+            help=".csv, .tlog, .mcap, .parquet, .tum, .kml, .gpx or .ulg, by its suffix; - for CSV "
+            "on a pipe; may be given several times.",
+        ),
+    ],
     config: terminal.ConfigOption = None,
     rate: Annotated[
         float | None, typer.Option(min=0.001, help="Largest number of rows per second.")
@@ -35,27 +43,31 @@ def convert(
 
     with terminal.exit_on_error(), terminal.progress_bar(log.name) as progress:
         inputs = {"the log": log, "the configuration": config}
-        terminal.check_outputs(inputs, {"--out": out})
+        terminal.check_outputs(inputs, [("--out", out) for out in outs])
+        is_piped = Path("-") in outs  # the summary does not follow the numbers
         chosen = _choose(name, [preset, frame, detector])
         if chosen != "eskf":
             if smooth:
                 raise ConfigError("--smooth: smooths eskf only; leave it or --filter out")
-            solution = converter.convert_by(chosen, log, out, terminal.load(config), rate)
-            terminal.show(as_json, solution.to_dict(), [f"{log}:", *solution.summary()])
+            solution = converter.convert_by(chosen, log, outs, terminal.load(config), rate)
+            lines = [f"{log}:", *solution.summary()]
+            terminal.show(as_json, solution.to_dict(), lines, err=is_piped)
             return
         report = converter.convert(
-            log, out, terminal.load(config), rate, progress, is_smoothed=smooth
+            log, outs, terminal.load(config), rate, progress, is_smoothed=smooth
         )
     judgement = judge(report)
     data = {"verdict": judgement.sentence, "grade": judgement.grade, **report.to_dict()}
-    terminal.show(as_json, data, [judgement.sentence, *converter.summary(report)])
+    terminal.show(as_json, data, [judgement.sentence, *converter.summary(report)], err=is_piped)
 
 
 def _choose(name: str, options: list[str | None]) -> str:
     """Return a filter's name with its option, which may also have been given by itself."""
-    from ekf_companion.replay.filters_by_name import parse_name
-
     given = [option for option in options if option is not None]
     if (count := len(given) + (":" in name)) > 1:
         raise ConfigError(f"--filter: {name} takes one option, not {count}")
+    if name == "eskf" and not given:
+        return name  # without importing the others
+    from ekf_companion.replay.filters_by_name import parse_name
+
     return parse_name(":".join([name, *given]))[0]

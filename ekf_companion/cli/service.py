@@ -8,11 +8,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-import yaml
 
 from ekf_companion.cli.terminal import ConfigOption, LinkOption, exit_on_error
-from ekf_companion.config.config import Config, ConfigFile, describe_config, load_config
-from ekf_companion.config.file_name import why_not_writable
 from ekf_companion.errors import ConfigError
 
 
@@ -28,6 +25,7 @@ def run(
     log_level: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
 ) -> None:
     """Run the daemon until SIGTERM."""
+    from ekf_companion.config.config import Config, ConfigFile
     from ekf_companion.daemon import daemon as service
     from ekf_companion.daemon import logging as journal
 
@@ -61,6 +59,11 @@ def check_config(
     config: Annotated[Path, typer.Argument(help="YAML file.")],
 ) -> None:
     """Check a configuration and print it with all its defaults."""
+    import yaml
+
+    from ekf_companion.config.config import describe_config, load_config
+    from ekf_companion.config.file_name import why_not_writable
+
     with exit_on_error():
         read = load_config(config)
         files = (("record.path", read.record.path), ("checkpoint.file", read.checkpoint.file))

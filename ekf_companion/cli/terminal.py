@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ekf_companion.config.config import Config, load_config
 from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError
 
 if TYPE_CHECKING:
+    from ekf_companion.config.config import Config
     from ekf_companion.logs.recording import Recording
 
 LogArgument = Annotated[
@@ -56,31 +56,37 @@ def exit_on_error() -> Iterator[None]:
 
 def load(path: Path | None) -> Config:
     """Return the configuration of a file, or the defaults."""
+    from ekf_companion.config.config import Config, load_config
+
     return Config() if path is None else load_config(path)
 
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar on a terminal, and nothing elsewhere."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
     from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not sys.stderr.isatty()) as progress:
+    with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(title, total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
-def show(as_json: bool, data: object, lines: Iterable[str]) -> None:
-    """Print a result: the lines, or in their place the data as JSON."""
+def show(as_json: bool, data: object, lines: Iterable[str], *, err: bool = False) -> None:
+    """Print a result, on the standard error if asked: the lines, or in their place JSON."""
     if as_json:
-        typer.echo(json.dumps(data, indent=2, ensure_ascii=False))
+        typer.echo(json.dumps(data, indent=2, ensure_ascii=False), err=err)
     else:
         for line in lines:
-            typer.echo(line)
+            typer.echo(line, err=err)
 
 
-def check_outputs(inputs: dict[str, Path | None], outputs: dict[str, Path | None]) -> None:
+def check_outputs(
+    inputs: dict[str, Path | None], outputs: Sequence[tuple[str, Path | None]]
+) -> None:
     """Refuse an output that is an input or another output, or whose folder does not exist.
 
     Inputs are named by what they are, as in ``the log``, outputs by their option.
@@ -89,7 +95,7 @@ def check_outputs(inputs: dict[str, Path | None], outputs: dict[str, Path | None
         ConfigError: An output is refused.
     """
     taken = {path.resolve(): name for name, path in inputs.items() if path is not None}
-    for option, path in outputs.items():
+    for option, path in outputs:
         if path is None:
             continue
         if (other := taken.get(path.resolve())) is not None:
@@ -118,7 +124,7 @@ def open_log(
     """
     with exit_on_error():
         inputs = {"the log": log, "the configuration": config}
-        check_outputs(inputs, {"--plot": plot})
+        check_outputs(inputs, [("--plot", plot)])
         settings = load(config)
         yield read(log, settings), settings
 

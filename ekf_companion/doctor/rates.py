@@ -11,7 +11,7 @@ from statistics import median
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.rate_override import ALIKE, GROUND, STREAMED
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
-from ekf_companion.engine.announcer import DECIMATED
+from ekf_companion.engine.health import DECIMATED
 from ekf_companion.status.snapshot import MessageState
 
 SLOWEST = 25.0

@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Iterable
 
-from ekf_companion.engine.health import Arrival, Health
+from ekf_companion.engine.health import DECIMATED, Arrival, Health
 from ekf_companion.engine.stream import WAITING, OdometryStream
 from ekf_companion.mavlink.event import (
     Clash,
@@ -33,8 +33,6 @@ from ekf_companion.nav.state import Status
 
 _log = logging.getLogger(__name__)
 
-DECIMATED = 80.0
-"""Inertial samples below this rate miss what a multicopter does, Hz."""
 _PATIENCE = 5
 """Seconds until that is announced: at first an autopilot streams as it likes."""
 SILENCE_NS = 10 * SECOND_NS

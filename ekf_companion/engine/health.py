@@ -22,6 +22,9 @@ RESET_REASONS = (
     "restart",
 )
 
+DECIMATED = 80.0
+"""Inertial samples below this rate miss what a multicopter does, Hz."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Health:

@@ -1,1 +1,4 @@
-"""Recorded flights, one file per format: columns first, objects never in the loop."""
+"""Recorded flights, one file per format: columns first, objects never in the loop.
+
+What looks at every byte is compiled ahead of time, like the kernel: the files named ``*_search``.
+"""

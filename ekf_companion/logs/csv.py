@@ -33,7 +33,7 @@ map: :mod:`ekf_companion.logs.csv_known`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +105,8 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     if not isinstance(hold, list) or any(name not in _HOLDABLE for name in hold):
         raise LogError(f"{where}: hold: {hold!r} is not a list of {', '.join(_HOLDABLE)}")
     values = _values(table, sources)
-    t_ns, row, values = _in_time(path, table, sources, values, notes)
+    del table  # of an hour it has a hundred megabytes
+    t_ns, row, values = _in_time(path, sources, values, notes)
     events: list[tuple[Events, Mask]] = []
     events += _gnss(where, t_ns, values, hold, options.get("origin"), notes)
     events += _heading(where, t_ns, values, hold, options.get("heading_source", "magnetometer"))
@@ -119,7 +120,7 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
             f"{path}: no measurement found; declare its columns in {path.name}.columns.yaml "
             f"(quantities: {', '.join(QUANTITIES)})"
         )
-    taken = [(found.take(mask), row[mask]) for found, mask in events]
+    taken = [(found, row[mask]) for found, mask in events]
     return Recording(
         family="unknown",
         events=merge(*(kept for kept, _ in taken), arrival_ns=[at for _, at in taken]),
@@ -144,7 +145,7 @@ def _values(table: Table, sources: Mapping[str, Source]) -> Columns:
 
 
 def _in_time(
-    path: Path, table: Table, sources: Mapping[str, Source], values: Columns, notes: list[str]
+    path: Path, sources: Mapping[str, Source], values: Columns, notes: list[str]
 ) -> tuple[Stamps, Indices, Columns]:
     """Return stamps, ns, row numbers and values of the rows on one run of the clock."""
     time = values["time"]
@@ -161,29 +162,43 @@ def _in_time(
     kept = series.clock_run(t_ns)[0]
     if len(kept) == 0:
         raise LogError(f"{path}: no row with a time; the file ends after its header")
-    if lost := len(values["time"]) - int(kept.sum()):
+    lost = len(values["time"]) - int(kept.sum())
+    if lost:
         notes.append(f"{lost} rows without a time, or one that does not fit the rest, were dropped")
     row, t_ns = row[kept], t_ns[kept]
-    return t_ns, row, {name: column[row] for name, column in values.items()}
+    if lost:
+        values = {name: column[row] for name, column in values.items()}
+    return t_ns, row, dict(values)
 
 
 Found = list[tuple[Events, Mask]]
-"""Events of all rows, and in which rows there is one."""
+"""Events, and in which rows there is one."""
 
 
-def _found(events: Events, needed: list[Array], held: list[Array] | None) -> Found:
-    """Return the events whose needed columns are known and, where values are held, have changed."""
-    mask = np.asarray(np.isfinite(needed).all(axis=0))
+def _found(
+    t_ns: Stamps,
+    kind: Kind,
+    columns: Sequence[Array | float],
+    needed: list[Array],
+    held: list[Array] | None,
+) -> Found:
+    """Return events where the needed columns are known and, where values are held, have changed."""
+    mask = np.ones(len(t_ns), dtype=bool)
+    for column in needed:
+        mask &= np.isfinite(column)
     if held is not None:
         mask &= series.changed(*held)
-    return [(events, mask)] if mask.any() else []
+    if not mask.any():
+        return []
+    kept = [one[mask] if isinstance(one, np.ndarray) else one for one in columns]
+    return [(Events.from_columns(t_ns[mask], kind, *kept), mask)]
 
 
 def _sensor(group: str, kind: Kind, t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
     if not values.keys() >= {*GROUPS[group]}:
         return []
     axes = [values[name] for name in GROUPS[group]]
-    return _found(Events.from_columns(t_ns, kind, *axes), axes, axes if group in hold else None)
+    return _found(t_ns, kind, axes, axes, axes if group in hold else None)
 
 
 def _barometer(t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
@@ -196,7 +211,7 @@ def _barometer(t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
     else:
         return []
     held = [alt] if "baro" in hold else None
-    return _found(Events.from_columns(t_ns, Kind.BARO, alt), [alt], held)
+    return _found(t_ns, Kind.BARO, [alt], [alt], held)
 
 
 def _heading(where: str, t_ns: Stamps, values: Columns, hold: list[str], source: Any) -> Found:
@@ -207,8 +222,9 @@ def _heading(where: str, t_ns: Stamps, values: Columns, hold: list[str], source:
         return []
     heading = values["heading"]
     std = series.accuracy(values.get("heading_std", np.nan * heading), HEADING_STD_DEG * DEGREE)
-    events = Events.from_columns(t_ns, Kind.HEADING, so3.wrap(heading), std, float(known[source]))
-    return _found(events, [heading], [heading] if "heading" in hold else None)
+    columns = (so3.wrap(heading), std, float(known[source]))
+    held = [heading] if "heading" in hold else None
+    return _found(t_ns, Kind.HEADING, columns, [heading], held)
 
 
 def _gnss(
@@ -240,9 +256,7 @@ def _gnss(
         notes.append(f"accuracy not declared, so assumed (m, m/s): {said}")
     std = [series.accuracy(values.get(name, unknown), least) for name, least in GNSS_STD.items()]
     position = (lat, so3.wrap(lon), alt)
-    events = Events.from_columns(
-        t_ns, Kind.GNSS, *position, *velocity, *std, np.nan, float(GnssFlag.NONE)
-    )
+    columns: list[Any] = [*position, *velocity, *std, np.nan, float(GnssFlag.NONE)]
     # A new fix moves; loggers update altitude, speed and course some rows later
     held = [lat, lon]
     repeated = int((np.isfinite(lat[1:]) & ~series.changed(*held)[1:]).sum())
@@ -251,7 +265,8 @@ def _gnss(
             f"{repeated} of {n} rows repeat the GPS values of the row before: if the file holds "
             "them until new ones come, declare hold: [gps]"
         )
-    return _found(events, [lat, lon, alt], held if "gps" in hold else None)
+    needed = [lat, lon, alt]
+    return _found(t_ns, Kind.GNSS, columns, needed, held if "gps" in hold else None)
 
 
 def _origin(where: str, origin: Any) -> LocalFrame:

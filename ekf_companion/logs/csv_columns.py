@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from ekf_companion.errors import LogError
+from ekf_companion.logs.source import unpacked_name
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 
 DEGREE = float(np.pi / 180.0)
@@ -61,7 +62,7 @@ def find_map(path: Path, columns: Mapping[str, Any] | None) -> tuple[str, Mappin
     """Return the name of the map for messages, and the map."""
     if columns is not None:
         return f"{path} (columns)", columns
-    beside = path.with_name(path.name + ".columns.yaml")
+    beside = path.with_name(unpacked_name(path).name + ".columns.yaml")
     if not beside.is_file():
         return str(path), {}
     try:

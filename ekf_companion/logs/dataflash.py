@@ -57,8 +57,8 @@ def read(path: Path) -> Recording:
     Raises:
         LogError: The file is not a DataFlash log, or holds none of the messages that are used.
     """
-    tables, notes = read_columns(path)
-    tables = choose(tables, notes)
+    tables, notes, others = read_columns(path, NEEDED)
+    tables = choose(tables, others, notes)
     gnss = _gnss(tables)
     arrivals: Arrivals = [*gnss, *_vehicle(tables), *_sensor(tables, "IMU", Kind.IMU)]
     arrivals += [*_gnss_heading(tables), *_attitude_heading(tables), *_magnetometer(tables)]

@@ -10,14 +10,19 @@ Source: ArduPilot libraries/AP_Logger (LogStructure.h: format characters).
 from __future__ import annotations
 
 import re
+from array import array
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.errors import LogError
+from ekf_companion.logs import dataflash_search
 from ekf_companion.logs.source import read_bytes
+from ekf_companion.nav.arrays import Stamps
 
 Column = npt.NDArray[np.void]
 Columns = dict[str, Column]
@@ -27,6 +32,8 @@ OFFSET = "@"
 
 KIND = "DataFlash .bin log of ArduPilot"
 
+AT_ONCE = 1 << 16
+"""Records that are searched at once."""
 _FMT = 0x80
 _FMT_SIZE = 89
 _MAGIC = b"\xa3\x95"
@@ -100,55 +107,57 @@ def _parse_format(record: bytes) -> tuple[int, _Format] | None:
     return (record[3], layout) if layout.wire.itemsize == record[4] else None
 
 
-def _find_records(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]], int]:
-    """Return the layouts, the positions of each type's records, and the number of bad runs."""
+class _Found(NamedTuple):
+    """The records of a log."""
+
+    formats: dict[int, _Format]
+    """By type."""
+    places: dict[int, Stamps]
+    """Of the records wanted, by type."""
+    counts: Stamps
+    """Of all records, by type, shape (256,)."""
+    damaged: int
+    """Runs of bytes that are no record."""
+
+
+def _find_records(data: bytes, names: Collection[str] | None) -> _Found:
+    """Find the records of some names; None: of all."""
     formats: dict[int, _Format] = {}
-    sizes = [0] * 256
-    sizes[_FMT] = _FMT_SIZE
-    places: list[list[int]] = [[] for _ in range(256)]
-    damaged = 0
-    end = len(data)
-    place, last = 0, -1
-    while place + 3 <= end:
-        kind = data[place + 2]
-        size = sizes[kind]
-        if data[place] == 0xA3 and data[place + 1] == 0x95 and size:
-            if place + size > end:
-                break
-            places[kind].append(place)
-            if kind == _FMT and (parsed := _parse_format(data[place : place + size])):
-                # The first layout of a type is kept: a later, different one is damage
-                formats.setdefault(*parsed)
-                sizes[parsed[0]] = formats[parsed[0]].wire.itemsize
-            last = place
-            place += size
-            continue
-        # The last record ends where none begins: it, or what follows it, is damaged.
-        if last >= 0:
-            places[data[last + 2]].pop()
-        place = _resume(data, sizes, last + 3 if last >= 0 else place + 1)
-        last = -1
-        damaged += place < end
-    return formats, {kind: places[kind] for kind in formats if places[kind]}, damaged
+    sizes, counts = np.zeros((256, 2), dtype=np.int32), np.zeros(256, dtype=np.int64)
+    sizes[_FMT] = _FMT_SIZE, 1
+    state = array("q", [-1, 0])
+    found, n = np.empty((AT_ONCE, 2), dtype=np.int64), 0
+    parts: list[Stamps] = []
+    place = 0
+    while place + 3 <= len(data):
+        n, place = dataflash_search.find_records(
+            memoryview(data), place, sizes, counts, state, found, n
+        )
+        last = state[0]
+        if last >= 0 and data[last + 2] == _FMT and place == last + _FMT_SIZE:
+            parsed = _parse_format(data[last:place])
+            # The first layout of a type is kept: a later, different one is damage
+            if parsed is not None and parsed[0] not in formats:
+                kind, layout = parsed
+                formats[kind] = layout
+                sizes[kind] = layout.wire.itemsize, names is None or layout.name in names
+        if n == len(found):
+            # The last one waits: it counts only if a record begins at its end
+            parts.append(found[: n - 1].copy())
+            found[0], n = found[n - 1], 1
+    rows = np.concatenate([*parts, found[:n]])
+    rows = rows[np.argsort(rows[:, 1].astype(np.uint8), kind="stable")]
+    ends = np.searchsorted(rows[:, 1], np.arange(256), "right")
+    by_type = np.split(rows[:, 0], ends)
+    places = {kind: by_type[kind] for kind in formats if sizes[kind, 1]}
+    return _Found(formats, places, counts, state[1])
 
 
-def _resume(data: bytes, sizes: list[int], place: int) -> int:
-    """Return the next position where a record of known type begins and another at its end."""
-    end = len(data)
-    while (place := data.find(_MAGIC, place)) >= 0 and place + 3 <= end:
-        after = place + sizes[data[place + 2]]
-        is_followed = data[after : after + 2] == _MAGIC and after + 3 <= end
-        if after > place and (after == end or (is_followed and sizes[data[after + 2]])):
-            return place
-        place += 1
-    return end
-
-
-def _gather(data: bytes, places: list[int], layout: _Format) -> Column:
+def _gather(data: bytes, places: Stamps, layout: _Format) -> Column:
     """Return the records of one type as a table in their units."""
     raw = np.frombuffer(data, dtype=np.uint8)
     windows = np.lib.stride_tricks.sliding_window_view(raw, layout.wire.itemsize)
-    wire = windows[np.array(places)].view(layout.wire)[:, 0]
+    wire = windows[places].view(layout.wire)[:, 0]
     table = np.zeros(len(places), dtype=layout.table)
     table[OFFSET] = places
     for name, character in zip(layout.names, layout.characters, strict=True):
@@ -159,23 +168,34 @@ def _gather(data: bytes, places: list[int], layout: _Format) -> Column:
 
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
-def read_columns(path: Path) -> tuple[Columns, list[str]]:
-    """Return every message of a log as a table, and a sentence for each fault of the file.
+def read_columns(
+    path: Path, names: Collection[str] | None = None
+) -> tuple[Columns, list[str], set[str]]:
+    """Return messages of a log as one table each, and a sentence for each fault of the file.
 
     The fields are in their units, the records in file order.
+
+    Args:
+        path: The log.
+        names: Of the messages; None: all.
+
+    Returns:
+        The tables, the sentences, and the names of the messages that the log holds besides.
 
     Raises:
         LogError: The file is missing, empty, or holds no FMT record.
     """
-    formats, places, damaged = _find_records(data := read_bytes(path, KIND))
-    if not formats:
+    found = _find_records(data := read_bytes(path, KIND), names)
+    if not found.formats:
         raise LogError(f"{path}: holds no FMT record, so it is not a {KIND}; check the file")
     tables: Columns = {}
-    for kind, found in places.items():
-        table = _gather(data, found, formats[kind])
-        name = formats[kind].name
+    for kind, places in found.places.items():
+        name = found.formats[kind].name
         # Two types of one name come from a damaged FMT: keep the one with more rows
-        if name not in tables or len(table) > len(tables[name]):
-            tables[name] = table
-    notes = [f"{damaged} damaged places in the file: the records there are lost"] if damaged else []
-    return tables, notes
+        if len(places) > len(tables.get(name, ())):
+            tables[name] = _gather(data, places, found.formats[kind])
+    others = {layout.name for kind, layout in found.formats.items() if found.counts[kind]}
+    notes = []
+    if found.damaged:
+        notes.append(f"{found.damaged} damaged places in the file: the records there are lost")
+    return tables, notes, others - {*tables}

@@ -7,6 +7,8 @@ an instance column (``I``, for the estimators ``C``).
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from ekf_companion.logs import series
@@ -36,11 +38,14 @@ NEEDED: dict[str, tuple[str, ...]] = {
 """The messages that are used, and the columns that each needs."""
 
 
-def choose(tables: Columns, notes: list[str]) -> Columns:
-    """Keep the usable messages of the first sensor, on one clock run; note what is left out."""
-    others = [name for name in ("IMU2", "IMU3", "GPS2", "MAG2", "MAG3", "BAR2") if name in tables]
-    if others:
-        notes.append(f"only the first sensor of each kind is used, not {', '.join(others)}")
+def choose(tables: Columns, others: Collection[str], notes: list[str]) -> Columns:
+    """Keep the usable messages of the first sensor, on one clock run; note what is left out.
+
+    ``others`` are the names of messages that the log holds besides the tables.
+    """
+    more = [name for name in ("IMU2", "IMU3", "GPS2", "MAG2", "MAG3", "BAR2") if name in others]
+    if more:
+        notes.append(f"only the first sensor of each kind is used, not {', '.join(more)}")
     tables = {
         name: _first_instance(name, table, notes)
         for name, table in tables.items()
@@ -54,7 +59,10 @@ def choose(tables: Columns, notes: list[str]) -> Columns:
     sensors = ("IMU", "GPS", "MAG", "BARO", "ATT")
     if wild := sum(int((~masks[name]).sum()) for name in sensors if name in masks):
         notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
-    kept = {name: one[masks[name]] if name in masks else one for name, one in tables.items()}
+    kept = {
+        name: one if name not in masks or masks[name].all() else one[masks[name]]
+        for name, one in tables.items()
+    }
     return {name: table for name, table in kept.items() if len(table)}
 
 

@@ -12,19 +12,18 @@ module finds the frames, and reads columns of their fields.
 
 from __future__ import annotations
 
-import re
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from struct import Struct
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from fastcrc import crc16
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs.source import read_bytes
+from ekf_companion.logs import tlog_search
+from ekf_companion.logs.source import Source
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
 from ekf_companion.nav.arrays import Stamps
 
@@ -33,15 +32,13 @@ Column = npt.NDArray[np.void]
 KIND = "telemetry log (.tlog)"
 STAMP, ORDER, COMPONENT = "@stamp_us", "@order", "@component"
 """Columns before a message's own: the recorder's stamp, the record's number, the component."""
-DAY_US = 86_400_000_000
-PLAUSIBLE_US = 3 * DAY_US
-"""Largest plausible difference of a stamp from the last good one, us."""
+BLOCK = 1 << 20
+"""Bytes that are searched at once."""
+AT_ONCE = 1 << 14
+"""Records that are read at once."""
 _FAMILIES = {3: "ardupilot", 12: "px4"}
 """MAV_AUTOPILOT."""
 _NO_AUTOPILOT = 8
-_STAMP = Struct(">Q")
-_START = re.compile(rb"[\xfd\xfe]")
-_crc = crc16.mcrf4xx
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,15 +55,15 @@ class Autopilot:
 class Tlog:
     """The records of a log; each array has one element per record, in file order."""
 
-    data: bytes
-    """The whole file."""
+    source: Source
+    """The file, of which only pieces are in memory."""
     stamp_us: Stamps
     """The recorder's clock, as recorded."""
     place: Stamps
     """Position of the frame in the file, bytes."""
-    size: Stamps
+    size: npt.NDArray[np.uint16]
     """Bytes of the frame."""
-    message_id: Stamps
+    message_id: npt.NDArray[np.int32]
     damaged: int
     """Number of runs of bytes that are no record."""
     autopilot: Autopilot | None
@@ -77,9 +74,15 @@ class Tlog:
 
     def frames(self) -> Iterator[tuple[int, bytes]]:
         """Yield each record's stamp (us, the recorder's clock) and raw frame, in file order."""
-        arrays = (self.stamp_us, self.place, self.size)
-        for stamp, place, size in zip(*(one.tolist() for one in arrays), strict=True):
-            yield stamp, self.data[place : place + size]
+        for first in range(0, len(self), AT_ONCE):
+            rows = slice(first, first + AT_ONCE)
+            starts = self.place[rows]
+            ends = starts + self.size[rows]
+            begin = int(starts[0])
+            data = self.source.read(begin, int(ends[-1]))
+            columns = (self.stamp_us[rows], starts - begin, ends - begin)
+            for stamp, start, end in zip(*(one.tolist() for one in columns), strict=True):
+                yield stamp, data[start:end]
 
     def columns(
         self, names: Sequence[str], system_id: int, component_id: int | None = None
@@ -92,7 +95,7 @@ class Tlog:
             Tables by name: ``STAMP``, ``ORDER``, ``COMPONENT`` and the message's own fields in
             wire order and wire units. Fields that a short MAVLink payload omits are 0.
         """
-        raw = np.frombuffer(self.data, dtype=np.uint8)
+        raw = np.frombuffer(self.source.read(0, len(self.source)), dtype=np.uint8)
         tables: dict[str, Column] = {}
         for name in names:
             order = np.flatnonzero(self.message_id == IDS[name])
@@ -140,122 +143,69 @@ def read(path: Path) -> Tlog:
     Raises:
         LogError: The file is missing, empty, or holds no MAVLink frame.
     """
-    data = read_bytes(path, KIND)
-    records, damaged = _find_records(data)
-    if not records:
+    source = Source(path, KIND)
+    records, damaged = _find_records(source)
+    stamp_us, place, size, message_id = records
+    if not len(place):
         raise LogError(
             f"{path}: holds no stamped MAVLink frame, so it is not a {KIND}; "
             "a raw stream of MAVLink without stamps cannot be read"
         )
-    stamp_us, place, size, message_id = np.frombuffer(records, dtype=np.int64).reshape(-1, 4).T
     return Tlog(
-        data=data,
+        source=source,
         stamp_us=stamp_us,
         place=place,
         size=size,
         message_id=message_id,
         damaged=damaged,
-        autopilot=_find_autopilot(data, place[message_id == IDS["HEARTBEAT"]]),
-        notes=tuple(_left_out(data, place - 8, place + size)),
+        autopilot=_find_autopilot(source, place[message_id == IDS["HEARTBEAT"]]),
+        notes=tuple(_left_out(source, place - 8, place + size)),
     )
 
 
-def _left_out(data: bytes, starts: Stamps, ends: Stamps) -> Iterator[str]:
+def _left_out(source: Source, starts: Stamps, ends: Stamps) -> Iterator[str]:
     """Describe the bytes that are in no record."""
-    gaps = np.diff(np.concatenate([[0], np.column_stack([starts, ends]).ravel()]))[::2]
+    gaps = starts.copy()
+    gaps[1:] -= ends[:-1]
     if runs := np.count_nonzero(gaps):
         yield f"{runs} runs of damaged bytes, {int(gaps.sum())} bytes in all, were left out"
-    if rest := data[int(ends[-1]) :]:
-        what = "no whole record" if any(rest) else "zeros"
-        yield f"the last {len(rest)} bytes are {what}: the recording was cut off there"
+    if rest := len(source) - int(ends[-1]):
+        tail = range(int(ends[-1]), len(source), BLOCK)
+        is_zeros = not any(any(source.read(place, place + BLOCK)) for place in tail)
+        what = "zeros" if is_zeros else "no whole record"
+        yield f"the last {rest} bytes are {what}: the recording was cut off there"
 
 
-def _find_records(data: bytes) -> tuple[array[int], int]:
+def _find_records(source: Source) -> tuple[list[npt.NDArray[Any]], int]:
     """Return stamp, position, size, message id of each record, and the number of bad runs."""
-    records = array("q")
-    damaged = 0
-    last: int | None = None
-    start = 0  # of the record: its stamp
-    while start + 16 <= len(data):  # the shortest frame has 8 bytes
-        place = start + 8
-        message_id, tail, after = _frame(data, place)
-        (stamp,) = _STAMP.unpack_from(data, start)
-        if tail == 0 or after > len(data):
-            good = False
-        elif message_id in CRC_EXTRAS:
-            good = _is_whole(data, place, tail, message_id)
-            good = good and _is_plausible(data, stamp, after, last)
-        else:
-            # No checksum can be tested: damage must not swallow the records after it
-            good = _continues(data, after, stamp) and _resume(data, start + 1, last) >= after
-        if good:
-            last = stamp & 0x7FFF_FFFF_FFFF_FFFF
-            records.extend((last, place, after - place, message_id))
-            start = after
-        else:
-            damaged += 1
-            start = _resume(data, start + 1, last)
-    return records, damaged
+    steps, moves = tlog_search.byte_steps(), tlog_search.zero_moves()
+    extras = np.full(max(CRC_EXTRAS) + 1, -1, dtype=np.int16)
+    for number, extra in CRC_EXTRAS.items():
+        extras[number] = extra[0]
+    sums = np.empty(BLOCK + 1, dtype=np.uint16)
+    found = np.empty((BLOCK // 16 + 1, 4), dtype=np.int64)
+    state = array("q", [0] * tlog_search.STATE)
+    kinds = (np.int64, np.int64, np.uint16, np.int32)  # small: of hours there are millions
+    parts: list[list[npt.NDArray[Any]]] = [[] for _ in kinds]
+    place, is_end = 0, False
+    while not is_end:
+        block = memoryview(source.read(place, place + BLOCK))
+        is_end = place + len(block) == len(source)
+        tlog_search.checksum_all(block, steps, sums)
+        n, after = tlog_search.find_records(block, sums, steps, moves, extras, state, found, is_end)
+        found[:n, 1] += place
+        for column, kind, part in zip(found[:n].T, kinds, parts, strict=True):
+            part.append(column.astype(kind))
+        place += after
+    return [np.concatenate(parts.pop(0)) for _ in kinds], state[-1]
 
 
-def _frame(data: bytes, place: int) -> tuple[int, int, int]:
-    """Return the message id of a frame, the ends of its payload and its own; zeros if it is none.
-
-    It may end beyond the data.
-    """
-    if data[place] == 0xFE:
-        tail = place + 6 + data[place + 1]
-        return data[place + 5], tail, tail + 2
-    if data[place] == 0xFD and place + 12 <= len(data):
-        tail = place + 10 + data[place + 1]
-        message_id = data[place + 7] | data[place + 8] << 8 | data[place + 9] << 16
-        return message_id, tail, tail + (15 if data[place + 2] & 1 else 2)
-    return 0, 0, 0
-
-
-def _is_whole(data: bytes, place: int, tail: int, message_id: int) -> bool:
-    """Return whether the checksum behind the payload is right, of a known message."""
-    expected = _crc(data[place + 1 : tail] + CRC_EXTRAS[message_id])
-    return bool(expected == data[tail] | data[tail + 1] << 8)
-
-
-def _continues(data: bytes, start: int, stamp: int) -> bool:
-    """Return whether a record with a stamp near this one begins here, or the file ends."""
-    if start == len(data):
-        return True
-    if start + 16 > len(data) or data[start + 8] not in (0xFD, 0xFE):
-        return False
-    return abs(int(_STAMP.unpack_from(data, start)[0]) - stamp) < PLAUSIBLE_US
-
-
-def _is_plausible(data: bytes, stamp: int, after: int, last: int | None) -> bool:
-    """Return whether a stamp is near the last one, or else the record after it is near it."""
-    if last is None or abs(stamp - last) < PLAUSIBLE_US:
-        return True
-    return _continues(data, after, stamp)
-
-
-def _resume(data: bytes, start: int, last: int | None) -> int:
-    """Return the next position of a plausible stamp and a frame with a right checksum."""
-    for match in _START.finditer(data, start + 8):
-        place = match.start()
-        if place + 8 > len(data):
-            break
-        message_id, tail, after = _frame(data, place)
-        if tail == 0 or tail + 2 > len(data) or message_id not in CRC_EXTRAS:
-            continue
-        if _is_whole(data, place, tail, message_id):
-            (stamp,) = _STAMP.unpack_from(data, place - 8)
-            if _is_plausible(data, stamp, after, last):
-                return place - 8
-    return len(data)
-
-
-def _find_autopilot(data: bytes, heartbeats: Stamps) -> Autopilot | None:
+def _find_autopilot(source: Source, heartbeats: Stamps) -> Autopilot | None:
     for place in heartbeats.tolist():
-        ids, payload = (place + 5, place + 10) if data[place] == 0xFD else (place + 3, place + 6)
+        data = source.read(place, place + 16)
+        ids, payload = (5, 10) if data[0] == 0xFD else (3, 6)
         # Behind custom_mode and type; 0 if the payload is cut short
-        autopilot = data[payload + 5] if data[place + 1] > 5 else 0
+        autopilot = data[payload + 5] if data[1] > 5 else 0
         if autopilot != _NO_AUTOPILOT:
             return Autopilot(data[ids], data[ids + 1], _FAMILIES.get(autopilot, "unknown"))
     return None

@@ -1,7 +1,8 @@
 """Reading of PX4's logs (.ulg) into a recording.
 
-pyulog finds the topics, also in damaged files. Both generations of names are read: position as
+Both generations of names are read: position as
 ``lat, lon`` (1e-7 deg), ``alt`` (mm) and as ``latitude_deg, longitude_deg, altitude_msl_m``.
+Logs of PX4 before 1.8 hold magnetometer and barometer within ``sensor_combined``.
 The first instance of each topic is used. Rows count as arrived in the order in which they were
 published (``timestamp``).
 
@@ -45,6 +46,8 @@ SPOOFING_INDICATED = 2
 """sensor_gps.spoofing_state: 0 unknown, 1 none, 2 indicated, 3 multiple indications."""
 ARMED = 2
 """vehicle_status.arming_state: 1 disarmed (standby), 2 armed."""
+NO_SAMPLE = 2**31 - 1
+"""sensor_combined.*_timestamp_relative: RELATIVE_TIMESTAMP_INVALID."""
 EARTH_RADIUS = 6371000.0
 """m; of the sphere that PX4 projects on (CONSTANTS_RADIUS_OF_EARTH)."""
 
@@ -59,8 +62,8 @@ def read(path: Path) -> Recording:
         LogError: The file is not a ULog, or holds none of the topics that are used.
     """
     log = load(path)
-    notes = ["the file is damaged: what could not be read is lost"] if log.file_corruption else []
-    if lost := sum(dropout.duration for dropout in log.dropouts) * 1e-3:
+    notes = ["the file is damaged: what could not be read is lost"] if log.is_damaged else []
+    if lost := sum(log.dropouts):
         count = len(log.dropouts)
         notes.append(f"{count} dropouts, {lost:.1f} s in all, while the log was written")
     topics = choose(log, notes)
@@ -73,14 +76,13 @@ def read(path: Path) -> Recording:
             f"{path}: a ULog without sensor_combined, GPS, magnetometer, barometer and attitude "
             "topics; log with the default or estimator replay profile (SDLOG_PROFILE)"
         )
-    delay = log.initial_parameters.get("EKF2_GPS_DELAY")
-    is_delay = isinstance(delay, (int, float)) and 0.0 <= delay <= 1000.0
+    delay = log.parameters.get("EKF2_GPS_DELAY", -1.0)
     return Recording(
         family="px4",
         events=merge(*(e for e, _ in arrivals), arrival_ns=[at_ns for _, at_ns in arrivals]),
         reference=_trajectory(topics, "", "EKF2"),
         truth=_trajectory(topics, "_groundtruth", "simulator"),
-        gnss_delay=float(delay) * 1e-3 if is_delay else None,
+        gnss_delay=float(delay) * 1e-3 if 0.0 <= delay <= 1000.0 else None,
         notes=tuple(notes),
     )
 
@@ -89,8 +91,9 @@ def _events(topic: Topic, kind: Kind, mask: Mask, *columns: Any) -> Arrivals:
     """Build events stamped by the topic's sample time, or where absent its publication."""
     if not mask.any():
         return []
-    events = Events.from_columns(sample_ns(topic), kind, *columns)
-    return [(events.take(mask), topic["t_ns"][mask])]
+    kept = [one[mask] if isinstance(one, np.ndarray) else one for one in columns]
+    events = Events.from_columns(sample_ns(topic)[mask], kind, *kept)
+    return [(events, topic["t_ns"][mask])]
 
 
 def _imu(topics: Topics) -> Arrivals:
@@ -171,7 +174,8 @@ def _attitude_heading(topics: Topics) -> Arrivals:
 
 
 def _magnetometer(topics: Topics) -> Arrivals:
-    if (topic := topics.get("vehicle_magnetometer")) is not None:
+    combined = _combined(topics, "magnetometer", "magnetometer_ga[0]")
+    if (topic := combined or topics.get("vehicle_magnetometer")) is not None:
         field = vectors(topic, "magnetometer_ga")
     elif (topic := topics.get("sensor_mag")) is not None:
         field = series.stack(topic, *"xyz")
@@ -182,10 +186,29 @@ def _magnetometer(topics: Topics) -> Arrivals:
 
 
 def _barometer(topics: Topics) -> Arrivals:
-    if (topic := topics.get("vehicle_air_data")) is None:
+    topic = _combined(topics, "baro", "baro_alt_meter") or topics.get("vehicle_air_data")
+    if topic is None:
         return []
     alt = np.asarray(topic["baro_alt_meter"], dtype=float)
     return _events(topic, Kind.BARO, np.asarray(np.isfinite(alt)), alt)
+
+
+def _combined(topics: Topics, sensor: str, column: str) -> Topic | None:
+    """Return the rows of sensor_combined with a new sample of another sensor: PX4 before 1.8.
+
+    ``SENSOR_timestamp_relative`` is the sample's time from the row's, us; the largest number where
+    the row has no sample.
+    """
+    topic, relative = topics.get("sensor_combined", {}), f"{sensor}_timestamp_relative"
+    if not {column, relative} <= topic.keys():
+        return None
+    behind_ns = np.asarray(topic[relative], dtype=np.int64) * 1000
+    sampled_ns = topic["t_ns"] + behind_ns
+    is_new = (topic[relative] != NO_SAMPLE) & series.changed(sampled_ns)
+    # From the row's own time by less than a second, or the stamp is damaged
+    is_new &= np.abs(behind_ns) < 1_000_000_000
+    rows = {name: values[is_new] for name, values in topic.items()}
+    return {**rows, "timestamp_sample": sampled_ns[is_new].astype(np.uint64) // 1000}
 
 
 def _vehicle(topics: Topics) -> Arrivals:

@@ -1,28 +1,21 @@
-"""The topics of a PX4 log (.ulg), read by pyulog, which copes with damaged files."""
+"""The topics of a PX4 log (.ulg) that are used, as columns."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pyulog import ULog
-from pyulog.exceptions import ULogException
 
-from ekf_companion.errors import LogError
-from ekf_companion.logs import series
-from ekf_companion.logs.source import read_bytes
+from ekf_companion.logs import series, ulog_messages
+from ekf_companion.logs.ulog_messages import Messages
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
 
 Topic = dict[str, npt.NDArray[Any]]
 """Columns of one topic by field name, and ``t_ns``: when each row was published."""
 Topics = dict[str, Topic]
-
-KIND = "ULog (.ulg) of PX4"
 
 _ROTATION = ("q[0]", "q[1]", "q[2]", "q[3]")
 _LOCAL = ("x", "y", "z", "vx", "vy", "vz", "ref_lat", "ref_lon", "ref_alt")
@@ -49,77 +42,43 @@ _TOPICS: dict[str, tuple[str, ...]] = {
 """The topics that are used, and the fields that each needs."""
 
 
-DAMAGE = (ULogException, RecursionError, MemoryError, LookupError, ValueError, TypeError)
-"""What pyulog fails with on a damaged file."""
-
-
-class _Watched(io.BytesIO):
-    """A file that stops pyulog where damaged message sizes lead it into an endless loop."""
-
-    def __init__(self, data: bytes) -> None:
-        super().__init__(data)
-        self._missing = 0  # bytes that the last read was short of
-        self._visits: dict[int, int] = {}
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        """Return bytes; refuse to read a message header (3 bytes) at one place over and over."""
-        if size == 3:
-            place = self.tell()
-            self._visits[place] = self._visits.get(place, 0) + 1
-            if self._visits[place] > 4:
-                raise ULogException("its message sizes lead in circles")
-        data = super().read(size)
-        self._missing = max(0, (size or 0) - len(data))
-        return data
-
-    def seek(self, offset: int, whence: int = 0, /) -> int:
-        """Move to a position; back over a message, by no more than the file holds of it."""
-        if whence == 1 and offset < 0:
-            offset = min(0, offset + self._missing)
-        return super().seek(offset, whence)
-
-
-def load(path: Path) -> ULog:
-    """Read the topics that are used.
-
-    Raises:
-        LogError: The file is missing, empty, no ULog, or too damaged for pyulog.
-    """
-    data = read_bytes(path, KIND)
-    if data[:7] != ULog.HEADER_BYTES:
-        raise LogError(f"{path}: does not begin as a {KIND}; check the file or its name")
-    try:
-        # pyulog prints what it finds damaged; the notes say so in our words.
-        with contextlib.redirect_stdout(io.StringIO()):
-            return ULog(_Watched(data), list(_TOPICS))
-    except DAMAGE as error:
-        raise LogError(f"{path}: too damaged to be read as a {KIND}: {error}") from None
-
-
 def nanoseconds(stamps_us: npt.NDArray[Any]) -> Stamps:
     """Convert unsigned microseconds to ns; what would overflow is damage, and stays huge."""
     return np.asarray(np.minimum(stamps_us, 2**62 // 1000), dtype=np.int64) * 1000
 
 
-def choose(log: ULog, notes: list[str]) -> Topics:
+def load(path: Path) -> Messages:
+    """Read the topics that are used.
+
+    Raises:
+        LogError: The file cannot be read as a ULog.
+    """
+    return ulog_messages.read(path, _TOPICS)
+
+
+def choose(log: Messages, notes: list[str]) -> Topics:
     """Return each topic's first instance that has the fields needed, on one clock run.
 
     Rows whose stamps are damaged, or of another boot, are dropped.
     """
     topics: Topics = {}
-    for data in sorted(log.data_list, key=lambda found: found.multi_id):
-        needed = {"timestamp", *_TOPICS[data.name]}
-        if needed <= data.data.keys() and data.name not in topics:
-            topics[data.name] = {**data.data, "t_ns": nanoseconds(data.data["timestamp"])}
+    for table in sorted(log.tables, key=lambda table: (table.instance, -len(table.rows))):
+        names = table.rows.dtype.names or ()
+        if {"timestamp", *_TOPICS[table.topic]} <= {*names} and table.topic not in topics:
+            columns = {name: table.rows[name] for name in names}
+            topics[table.topic] = {**columns, "t_ns": nanoseconds(columns["timestamp"])}
     stamps = {name: topic["t_ns"] for name, topic in topics.items()}
     masks = series.common_run(stamps, "sensor_combined")
     if wild := sum(int((~mask).sum()) for mask in masks.values()):
         notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
-    return {
-        name: {field: column[masks[name]] for field, column in topic.items()}
-        for name, topic in topics.items()
-        if masks[name].any()
-    }
+    kept: Topics = {}
+    for name, topic in topics.items():
+        mask = masks[name]
+        if mask.all():
+            kept[name] = topic
+        elif mask.any():
+            kept[name] = {field: column[mask] for field, column in topic.items()}
+    return kept
 
 
 def vectors(topic: Topic, field: str, size: int = 3) -> Array:

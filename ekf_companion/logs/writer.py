@@ -1,23 +1,93 @@
-"""Writing of estimates to a CSV file."""
+"""Writing of estimates to a file of the kind that its suffix names, chunk by chunk."""
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from importlib import import_module
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 import numpy as np
-import orjson
 
 from ekf_companion.errors import LogError
-from ekf_companion.nav.arrays import Array, Stamps
-from ekf_companion.nav.state import COLUMNS, Status
+from ekf_companion.nav.arrays import Array, known_rows
+from ekf_companion.nav.state import GEODETIC, POSITION, QUATERNION, VELOCITY, Status, Table
 
-_STATUS = COLUMNS.index("status") - 1
-_NAMES = [status.name.lower().encode() for status in Status]
+STDOUT = Path("-")
+"""The name of the standard output."""
+STATUS_NAMES = [status.name.lower() for status in Status]
+"""Words for ``Status``, by its number."""
+WRITERS = {
+    ".csv": "csv_writer",
+    ".gpx": "gpx_writer",
+    ".kml": "kml_writer",
+    ".mcap": "mcap_writer",
+    ".parquet": "parquet_writer",
+    ".tum": "tum_writer",
+    ".ulg": "ulog_writer",
+}
+"""The module by suffix: its class ``Writer``, imported when it is needed."""
+RATES = {".gpx": 5.0, ".kml": 5.0}
+"""Rows per second at most where none are asked for, Hz: of a track on a map. Otherwise all."""
+
+
+class EstimateWriter:
+    """A file of estimates."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the file and write what comes before the first estimate.
+
+        Raises:
+            LogError: The file cannot be opened.
+        """
+        self.path = path
+        self._stack = ExitStack()
+        self.file = self._stack.enter_context(create(path))
+        self._stack.callback(self.finish)  # before the file is closed
+
+    def __enter__(self) -> EstimateWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Write what comes after the last estimate, and close the file; after an error, drop it."""
+        self._stack.__exit__(kind, error, trace)
+
+    def write(self, table: Table) -> None:
+        """Append estimates.
+
+        Raises:
+            LogError: This format cannot hold them.
+        """
+        raise NotImplementedError
+
+    def finish(self) -> None:
+        """Write what comes after the last estimate."""
+
+
+def open_writer(path: Path) -> EstimateWriter:
+    """Open a file by its suffix; ``-`` is CSV on the standard output.
+
+    Raises:
+        LogError: It cannot be opened, or a package that its kind needs is missing.
+    """
+    name = WRITERS[".csv" if path == STDOUT else path.suffix]
+    try:
+        module = import_module(f"ekf_companion.logs.{name}")
+    except ImportError as error:
+        raise LogError(
+            f"{path}: writing needs the package {error.name}; install ekf-companion with the "
+            "extra: formats"
+        ) from None
+    return cast("EstimateWriter", module.Writer(path))
 
 
 @contextmanager
@@ -29,7 +99,11 @@ def create(path: Path) -> Iterator[BinaryIO]:
     Raises:
         LogError: It cannot be opened.
     """
-    is_plain = path.is_file() or not path.exists()  # a pipe or /dev/stdout is written as it is
+    if path == STDOUT:
+        yield sys.stdout.buffer
+        sys.stdout.buffer.flush()
+        return
+    is_plain = path.is_file() or not path.exists()  # a pipe or a device is written as it is
     target = path.with_name(f".{path.name}.{os.getpid()}") if is_plain else path
     try:
         file = target.open("wb")
@@ -46,42 +120,39 @@ def create(path: Path) -> Iterator[BinaryIO]:
         raise
 
 
-class CsvWriter:
-    """Writes estimates as CSV, every number with enough digits to be read back to the bit."""
+class Thinning:
+    """Keeps the first estimate of each period, chunk after chunk."""
 
-    def __init__(self, path: Path) -> None:
-        """Open the file and write the header.
+    def __init__(self, rate: float | None) -> None:
+        """Keep at most so many per second, Hz; None: all."""
+        self._period = None if rate is None else np.int64(round(1e9 / rate))
+        self._slot: int | None = None
 
-        Raises:
-            LogError: The file cannot be opened.
-        """
-        self._stack = ExitStack()
-        self._file = self._stack.enter_context(create(path))
-        self._file.write(",".join(COLUMNS).encode() + b"\n")
+    def thin(self, table: Table) -> Table:
+        """Return what is kept of the next estimates."""
+        if self._period is None or len(table) == 0:
+            return table
+        slot = table.stamp_ns // self._period
+        first = np.diff(slot, prepend=slot[0] - 1 if self._slot is None else self._slot) != 0
+        self._slot = int(slot[-1])
+        return Table(stamp_ns=table.stamp_ns[first], values=table.values[first])
 
-    def __enter__(self) -> CsvWriter:
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the file; after an error there is none."""
-        self._stack.__exit__(kind, error, trace)
+def with_position(table: Table) -> Table:
+    """Return the estimates that have a position, velocity and attitude."""
+    known = known_rows(table.columns((*GEODETIC, *POSITION, *VELOCITY, *QUATERNION)))
+    return Table(stamp_ns=table.stamp_ns[known], values=table.values[known])
 
-    def write(self, stamp_ns: Stamps, values: Array) -> None:
-        """Append estimates: stamps, shape (n,), and the columns after the time, shape (n, 33)."""
-        if len(stamp_ns) == 0:
-            return
-        # JSON prints the shortest digits that read back the same, and does it fast
-        text = orjson.dumps(
-            np.ascontiguousarray(values[:, :_STATUS]), option=orjson.OPT_SERIALIZE_NUMPY
-        )
-        bodies = text[2:-2].replace(b"null", b"").split(b"],[")
-        times = orjson.dumps(stamp_ns // 1000, option=orjson.OPT_SERIALIZE_NUMPY)[1:-1].split(b",")
-        names = [_NAMES[status] for status in values[:, _STATUS].astype(int).tolist()]
-        resets = values[:, _STATUS + 1].astype(int).tolist()
-        lines = [b"%s,%s,%s,%d\n" % line for line in zip(times, bodies, names, resets, strict=True)]
-        self._file.write(b"".join(lines))
+
+def east_north_up(table: Table) -> tuple[Array, Array]:
+    """Return positions east, north, up of the origin, m, and the attitudes from there.
+
+    The attitudes turn a body frame of forward, left, up into east, north, up: the frames of ROS
+    REP 103, which most viewers expect. Quaternions are (w, x, y, z), shape (n, 4).
+    """
+    north, east, down = (table.column(name) for name in POSITION)
+    w, x, y, z = (table.column(name) for name in QUATERNION)
+    half = np.sqrt(0.5)
+    # From north-east-down to east-north-up on the left, by half a turn about x on the right
+    q = np.stack([half * (w + z), half * (x + y), half * (x - y), half * (w - z)], axis=1)
+    return np.stack([east, north, -down], axis=1), q

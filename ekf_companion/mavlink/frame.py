@@ -41,6 +41,20 @@ LARGEST_REST = LARGEST_FRAME + 9
 
 _STARTS = (STX_1, STX_2)
 _START = re.compile(rb"[\xfd\xfe]")
+
+
+def _known_start() -> re.Pattern[bytes]:
+    """Return what the first bytes of a frame of known id match."""
+    low: dict[bytes, bytes] = {}  # the lowest bytes of ids, by the two higher ones
+    for number in sorted(CRC_EXTRAS):
+        high = re.escape((number >> 8).to_bytes(2, "little"))
+        low[high] = low.get(high, b"") + re.escape(bytes([number & 0xFF]))
+    ids = b"|".join(b"[%b]%b" % (each, high) for high, each in low.items())
+    first = low[re.escape(bytes(2))]
+    return re.compile(rb"\xfd.{6}(?:%b)|\xfe.{4}[%b]" % (ids, first), re.DOTALL)
+
+
+_KNOWN_START = _known_start()
 _header = Struct("<xBBxBBBHB").unpack_from
 _crc = crc16.mcrf4xx
 
@@ -130,7 +144,9 @@ class Splitter:
                         start = junk = start + total
                         continue
                 self._is_framed = False
-                start += 1
+                # Only a frame of known id matters now, or one whose id is not here yet
+                match = _KNOWN_START.search(buffer, start + 1)
+                start = max(start + 1, min(match.start() if match else end, end - 9))
                 continue
             if end - start < total:
                 break

@@ -253,15 +253,26 @@ class Events:
 
     def take(self, index: npt.NDArray[np.integer] | Mask) -> Events:
         """Return the events of an index or a mask, in its order."""
+        if index.dtype == np.bool_ and index.all():
+            return self
         return Events(t_ns=self.t_ns[index], kind=self.kind[index], values=self.values[index])
 
 
 def merge(*tables: Events, arrival_ns: list[Stamps] | None = None) -> Events:
     """Merge tables into one by arrival; without arrival times, by stamp. Ties keep their order."""
-    joined = Events(
-        t_ns=np.concatenate([table.t_ns for table in tables]),
-        kind=np.concatenate([table.kind for table in tables]),
-        values=np.concatenate([table.values for table in tables]),
+    stamps = [table.t_ns for table in tables]
+    order = np.argsort(np.concatenate(stamps if arrival_ns is None else arrival_ns), kind="stable")
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    merged = Events(
+        t_ns=np.empty(len(order), dtype=np.int64),
+        kind=np.empty(len(order), dtype=np.int64),
+        values=np.empty((len(order), WIDTH)),
     )
-    key = joined.t_ns if arrival_ns is None else np.concatenate(arrival_ns)
-    return joined.take(np.argsort(key, kind="stable"))
+    first = 0
+    for table in tables:
+        rows = place[first : first + len(table)]
+        first += len(table)
+        merged.t_ns[rows], merged.kind[rows] = table.t_ns, table.kind
+        merged.values[rows] = table.values
+    return merged

@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ekf_companion.config.config import Config
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import ConfigError, LogError
-from ekf_companion.filters.solution import Solution
 from ekf_companion.logs.recording import Recording
-from ekf_companion.logs.writer import CsvWriter, create
+from ekf_companion.logs.writer import RATES, STDOUT, WRITERS, Thinning, create, open_writer
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Table, Trajectory, join
-from ekf_companion.replay.filters_by_name import run_filter
 from ekf_companion.replay.log_source import reference, truth
 from ekf_companion.replay.report import Report, summary
 from ekf_companion.replay.run import BlockPipeline, IdlePipeline, Progress, Run, StepPipeline
 from ekf_companion.replay.smoothing import Smoothing
 
+if TYPE_CHECKING:
+    from ekf_companion.filters.solution import Solution
+
 
 def convert(
     path: Path,
-    out: Path,
+    outs: Path | Sequence[Path],
     config: Config,
     rate: float | None = None,
     progress: Progress | None = None,
@@ -36,32 +39,59 @@ def convert(
 
     Args:
         path: The log, its format told by its suffix: .tlog, .bin, .ulg, .csv.
-        out: The file to write: a .csv gets a row per inertial sample, a .tlog the messages that the
-            daemon sends (beside the original ones, where the log is a .tlog too).
+        outs: The files to write, by their suffixes: a .tlog gets the messages that the daemon sends
+            (beside the original ones, where the log is a .tlog too), the kinds of
+            :data:`.writer.WRITERS` an estimate per inertial sample; ``-`` is CSV on the standard
+            output.
         config: The estimator's configuration.
-        rate: Rows per second at most, Hz; None: all.
+        rate: Estimates per second at most, Hz; None: all, but on maps.
         progress: Called with how much is done.
         is_smoothed: Whether each estimate uses the whole log, not only what came before it.
 
     Raises:
         LogError: The log cannot be read, or nothing can be estimated from it.
-        ConfigError: The output is the log itself, or of no known kind; smoothed estimates are
+        ConfigError: An output is the log itself, or of no known kind; smoothed estimates are
             asked for as a .tlog.
     """
+    outs = [outs] if isinstance(outs, Path) else list(outs)
+    for out in outs:
+        _check_output(path, out, is_smoothed=is_smoothed)
+    files = [out for out in outs if out.suffix != ".tlog"]
+    report = _convert_to_files(path, files, config, rate, progress, is_smoothed) if files else None
+    for out in outs:
+        if out.suffix == ".tlog":
+            report = _convert_to_messages(path, out, config, progress)
+    assert report is not None, "no output"
+    return report
+
+
+def _check_output(path: Path, out: Path, *, is_smoothed: bool) -> None:
     if is_smoothed and out.suffix == ".tlog":
         raise ConfigError(
             f"{out}: a .tlog holds what the daemon sends, which knows nothing of what comes later; "
             "name a .csv for smoothed estimates"
         )
-    if out.suffix not in (".csv", ".tlog"):
-        raise ConfigError(f"{out}: unknown kind of output; name it .csv or .tlog")
+    if out != STDOUT and out.suffix not in (*WRITERS, ".tlog"):
+        known = ", ".join([*WRITERS, ".tlog"])
+        raise ConfigError(f"{out}: unknown kind of output; known are {known}, and - for CSV")
     if out.resolve() == path.resolve():
         raise ConfigError(f"{out}: is the log itself; name another file")
-    if out.suffix == ".tlog":
-        return _convert_to_messages(path, out, config, progress)
-    with CsvWriter(out) as writer:
-        last_ns: int | None = None
-        run: Run[Smoothing] | Run[BlockPipeline]
+
+
+def _convert_to_files(
+    path: Path,
+    outs: Sequence[Path],
+    config: Config,
+    rate: float | None,
+    progress: Progress | None,
+    is_smoothed: bool,
+) -> Report:
+    run: Run[Smoothing] | Run[BlockPipeline]
+    with ExitStack() as stack:
+        writers = [
+            (stack.enter_context(open_writer(out)), Thinning(rate or RATES.get(out.suffix)))
+            for out in outs
+        ]
         if is_smoothed:
             run = Run(path, config, Smoothing)
             tables = _smoothed(run, progress)
@@ -69,10 +99,9 @@ def convert(
             run = Run(path, config, BlockPipeline)
             tables = (block.table for block in run.blocks(progress))
         for table in tables:
-            kept = _thin(table, rate, last_ns)
-            writer.write(kept.stamp_ns, kept.values)
-            last_ns = int(table.stamp_ns[-1]) if len(table) else last_ns
-    return run.finish()
+            for writer, thinning in writers:
+                writer.write(thinning.thin(table))
+        return run.finish()  # raises where nothing was estimated: then no file is left
 
 
 def _convert_to_messages(
@@ -88,28 +117,34 @@ def _convert_to_messages(
 
 
 def convert_by(
-    name: str, path: Path, out: Path, config: Config, rate: float | None = None
+    name: str,
+    path: Path,
+    outs: Path | Sequence[Path],
+    config: Config,
+    rate: float | None = None,
 ) -> Solution:
     """Run a filter of :mod:`.filters_by_name` over a log and write its estimates.
 
     Raises:
         LogError: As :func:`convert`, or the log lacks what the filter needs.
-        ConfigError: As :func:`convert`.
+        ConfigError: As :func:`convert`; a .tlog is asked for.
     """
-    if out.resolve() == path.resolve():
-        raise ConfigError(f"{out}: is the log itself; name another file")
-    if out.suffix != ".csv":
-        raise ConfigError(f"{out}: estimates of {name} are written as .csv; name such a file")
+    from ekf_companion.replay.filters_by_name import run_filter
+
+    outs = [outs] if isinstance(outs, Path) else list(outs)
+    for out in outs:
+        _check_output(path, out, is_smoothed=False)
+        if out.suffix == ".tlog":
+            raise ConfigError(f"{out}: estimates of {name} are no messages; name a .csv")
     recording = read(path, config)
     try:
         solution = run_filter(recording, name, config)
     except LogError as error:
         raise LogError(f"{path}: {error}") from error
-    solution = replace(solution, notes=(*solution.notes, *recording.notes))
-    with CsvWriter(out) as writer:
-        kept = _thin(solution.table, rate, None)
-        writer.write(kept.stamp_ns, kept.values)
-    return solution
+    for out in outs:
+        with open_writer(out) as writer:
+            writer.write(Thinning(rate or RATES.get(out.suffix)).thin(solution.table))
+    return replace(solution, notes=(*solution.notes, *recording.notes))
 
 
 def estimate(
@@ -212,17 +247,6 @@ def read(
         gnss_delay=run.gnss_delay,
         notes=tuple(run.report.notes),
     )
-
-
-def _thin(table: Table, rate: float | None, last_ns: int | None) -> Table:
-    """Keep the first estimate of each period; ``last_ns`` is the stamp before the table."""
-    if rate is None or len(table) == 0:
-        return table
-    period = np.int64(round(1e9 / rate))
-    slot = table.stamp_ns // period
-    before = slot[0] - 1 if last_ns is None else last_ns // period
-    first = np.diff(slot, prepend=before) != 0
-    return Table(stamp_ns=table.stamp_ns[first], values=table.values[first])
 
 
 __all__ = ["Report", "convert", "estimate", "estimate_and_smooth", "read", "summary"]

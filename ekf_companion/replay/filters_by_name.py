@@ -1,11 +1,14 @@
-"""The filters by name: our own estimator and those of the articles, over the same recording."""
+"""The filters by name: our own estimator and those of the articles, over the same recording.
+
+Each is imported when it is run: some need much of SciPy.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -18,29 +21,21 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import ConfigError, LogError
-from ekf_companion.filters import (
-    ahrs,
-    ahrs_article,
-    euler,
-    euler_article,
-    iterated,
-    mahony,
-    ukf,
-    vqf_adapter,
-    zupt,
-)
-from ekf_companion.filters.observation import Observation
-from ekf_companion.filters.sequence import MeasurementSequence
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
 from ekf_companion.filters.zupt_detector import Detector
 from ekf_companion.logs.recording import Recording, longest_clock_run
 from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.state import Status, join
 
+if TYPE_CHECKING:
+    from ekf_companion.filters.ahrs_article import Preset
+    from ekf_companion.filters.observation import Observation
+    from ekf_companion.filters.sequence import MeasurementSequence
+
 Run = Callable[[Recording, FilterSettings, str], Solution]
 """Recording, settings and option in, solution out."""
 
-Over = Callable[[MeasurementSequence, str], Solution]
+Over = Callable[["MeasurementSequence", str], Solution]
 """A filter over fixes and headings, with its option."""
 
 BLOCKS = [first + axis for first in (E_ATT, E_VEL, E_POS) for axis in range(3)]
@@ -149,20 +144,28 @@ def _run_with(
     settings: FilterSettings,
     option: str,
 ) -> Solution:
+    from ekf_companion.filters.sequence import MeasurementSequence
+
     family, delay = recording.family, recording.gnss_delay
     return over(MeasurementSequence(recording.events, settings, family, delay, aids), option)
 
 
 def _euler(sequence: MeasurementSequence, option: str) -> Solution:
+    from ekf_companion.filters import euler, euler_article
+
     return (euler_article.run if option == "article" else euler.run)(sequence)
 
 
 def _zupt(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    from ekf_companion.filters import zupt
+
     events = _completed(recording, settings)
     return zupt.run(events, detector=Detector(option), gap=settings.imu.gap_reset)
 
 
 def _iterated(sequence: MeasurementSequence, option: str) -> Solution:
+    from ekf_companion.filters import iterated
+
     return iterated.run(
         sequence,
         frame="robocentric" if option == "robocentric" else "global",
@@ -171,22 +174,30 @@ def _iterated(sequence: MeasurementSequence, option: str) -> Solution:
 
 
 def _ukf(sequence: MeasurementSequence, _: str) -> Solution:
+    from ekf_companion.filters import ukf
+
     return ukf.run(sequence)
 
 
 def _ahrs(recording: Recording, settings: FilterSettings, option: str) -> Solution:
+    from ekf_companion.filters import ahrs, ahrs_article
+
     events = _completed(recording, settings)
     if option == "error-state":
         return ahrs.run(events)
-    preset: ahrs_article.Preset = "article" if option == "article" else "corrected"
+    preset: Preset = "article" if option == "article" else "corrected"
     return ahrs_article.run(events, preset, gap=settings.imu.gap_reset)
 
 
 def _mahony(recording: Recording, settings: FilterSettings, _: str) -> Solution:
+    from ekf_companion.filters import mahony
+
     return mahony.run(_completed(recording, settings), gap=settings.imu.gap_reset)
 
 
 def _vqf(recording: Recording, settings: FilterSettings, _: str) -> Solution:
+    from ekf_companion.filters import vqf_adapter
+
     return vqf_adapter.run(_completed(recording, settings), gap=settings.imu.gap_reset)
 
 

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import broad, csv, dataflash, openshoe, tlog, tlog_trajectory, ulog
 from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.state import Trajectory
 
-READERS = {
-    ".bin": dataflash.read,
-    ".ulg": ulog.read,
-    ".csv": csv.read,
-    ".txt": openshoe.read,
-    ".mat": broad.read,
-}
-"""Readers of the logs that hold columns, by suffix."""
-FORMATS = ".tlog, .bin, .ulg, .csv, .txt (OpenShoe), .mat (BROAD)"
+if TYPE_CHECKING:
+    from ekf_companion.logs.tlog import Tlog
 
-Log = tlog.Tlog | Recording
+READERS = {
+    ".bin": "dataflash",
+    ".ulg": "ulog",
+    ".csv": "csv",
+    ".txt": "openshoe",
+    ".mat": "broad",
+}
+"""Readers of the logs that hold columns, by suffix; each is imported when it is needed."""
+FORMATS = ".tlog, .bin, .ulg, .csv, .txt (OpenShoe), .mat (BROAD); all but .mat also as .gz, .zst"
+
+Log: TypeAlias = "Tlog | Recording"
 """Frames that a session must decode, or columns of measurements."""
 
 
@@ -29,19 +34,29 @@ def open_log(path: Path) -> Log:
     Raises:
         LogError: It cannot be read, or is of an unknown kind.
     """
-    suffix = path.suffix.lower()
+    suffix = suffix_of(path)
     if suffix == ".tlog":
+        from ekf_companion.logs import tlog
+
         return tlog.read(path)
     if suffix not in READERS:
         raise LogError(f"{path}: unknown kind of log; known are {FORMATS}")
-    return READERS[suffix](path)
+    return cast("Recording", import_module(f"ekf_companion.logs.{READERS[suffix]}").read(path))
 
 
 def reference(log: Log) -> Trajectory | None:
     """Return the autopilot's own estimate; None if the log has none."""
-    return log.reference if isinstance(log, Recording) else tlog_trajectory.reference(log)
+    if isinstance(log, Recording):
+        return log.reference
+    from ekf_companion.logs import tlog_trajectory
+
+    return tlog_trajectory.reference(log)
 
 
 def truth(log: Log) -> Trajectory | None:
     """Return the truth of a simulator or an optical system; None if the log has none."""
-    return log.truth if isinstance(log, Recording) else tlog_trajectory.truth(log)
+    if isinstance(log, Recording):
+        return log.truth
+    from ekf_companion.logs import tlog_trajectory
+
+    return tlog_trajectory.truth(log)

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.engine.announcer import DECIMATED
-from ekf_companion.engine.health import Aid, Arrival, Health
+from ekf_companion.engine.health import DECIMATED, Aid, Arrival, Health
 from ekf_companion.errors import LogError
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind
 from ekf_companion.nav.state import Status, Table

@@ -1,33 +1,31 @@
 """A recorded flight through the estimator.
 
 The frames of a .tlog go through the daemon's companion, which begins and retunes the pipelines. The
-columns of other logs enter behind it, at a pipeline.
+columns of other logs enter behind it, at a pipeline; they start without anything of MAVLink.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
 from ekf_companion.config.config import Config
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.checkpoint import Vehicle
-from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Estimate, Pipeline
-from ekf_companion.engine.publisher import Publisher
 from ekf_companion.logs.recording import Recording
-from ekf_companion.logs.tlog import Tlog
-from ekf_companion.mavlink.codec import Sender
-from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.outbox import Message
 from ekf_companion.nav.measurements import Events, Row
 from ekf_companion.nav.state import COLUMNS, Table
 from ekf_companion.replay.log_source import open_log
 from ekf_companion.replay.magnetometer import MagnetometerCheck
 from ekf_companion.replay.report import Report, add_block, note_shortcomings
+
+if TYPE_CHECKING:
+    from ekf_companion.logs.tlog import Tlog
+    from ekf_companion.mavlink.outbox import Message
 
 CHUNK = 20_000
 """Measurements in a block, and between two reports of progress."""
@@ -36,7 +34,7 @@ Progress = Callable[[int, int], None]
 """Called with how much is done, of how much."""
 
 
-Step = tuple[int, bytes, list[Message]]
+Step: TypeAlias = "tuple[int, bytes, list[Message]]"
 """Stamp (us), the log's frame there, empty where it has none, and the messages that follow."""
 
 
@@ -170,6 +168,8 @@ class Run(Generic[P]):
         They are those of the log, and behind the sample that makes each due the messages about the
         estimates, as the daemon sends them.
         """
+        from ekf_companion.mavlink.codec import Sender
+
         ours = Sender(1, self._config.link.component_id)
         steps = self._rows(self.log) if isinstance(self.log, Recording) else self._frames(self.log)
         for stamp_us, frame, messages in steps:
@@ -195,6 +195,8 @@ class Run(Generic[P]):
 
     def _frames(self, log: Tlog) -> Iterator[Step]:
         """Let the companion receive each frame."""
+        from ekf_companion.engine.companion import Companion
+
         companion = Companion(self._config, open_pipeline=self._open_pipeline)
         for self._done, (stamp_us, frame) in enumerate(log.frames(), 1):
             messages = companion.receive(frame, stamp_us * 1000)
@@ -218,6 +220,9 @@ class Run(Generic[P]):
 
     def _rows(self, log: Recording) -> Iterator[Step]:
         """Let a pipeline process the columns row by row, and a publisher send what is due."""
+        from ekf_companion.engine.publisher import Publisher
+        from ekf_companion.mavlink.decode import Family
+
         pipeline = self._open_pipeline(self._config, log.family)
         publisher = Publisher(self._config, Family(log.family))
         t_ns, kind, values = log.events.t_ns, log.events.kind, log.events.values

@@ -1,11 +1,15 @@
+import gzip
+
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import csv
+from ekf_companion.logs import csv, table
 from ekf_companion.nav.measurements import HeadingSource, Kind
+from ekf_companion.replay.log_source import open_log
 
 IMU = "gyro_x_rps,gyro_y_rps,gyro_z_rps,accel_x_mps2,accel_y_mps2,accel_z_mps2"
 GPS = "gps_lat_deg,gps_lon_deg,gps_alt_m"
@@ -260,3 +264,56 @@ def test_the_seeds_file_is_read_by_its_map(flight):
     assert heading.values[0, 1] == pytest.approx(np.deg2rad(1.74))
     assert heading.values[0, 2] == HeadingSource.MAGNETOMETER
     assert of_kind(recording, Kind.GNSS).values[0, 2] == pytest.approx(110.0651038)
+
+
+def table_of(rows, rng, damage=""):
+    """Return a native file with numbers of all lengths, and empty cells."""
+    lines = [f"time_us,{IMU},{GPS}"]
+    for index in range(rows):
+        cells = [repr(float(x)) for x in rng.normal(size=6) * 10.0 ** rng.integers(-12, 6)]
+        cells += ["", "", ""] if index % 5 else ["47.25", " 8.5", "nan"]
+        lines.append(",".join([str(1_700_000_000_000_000 + 4000 * index), *cells]))
+    return "\n".join([*lines[: rows // 2], *([damage] if damage else []), *lines[rows // 2 :], ""])
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_large_table_has_the_bits_of_a_small_one(read, monkeypatch, end):
+    text = table_of(500, np.random.default_rng(4)).replace("\n", end)
+    small = read(text).events
+    monkeypatch.setattr(table, "SMALL", 0)
+    monkeypatch.delattr(table.Table, "_read_rows")  # Arrow reads it, or nobody
+    large = read(text).events
+    assert large.t_ns.tolist() == small.t_ns.tolist()
+    assert large.values.tobytes() == small.values.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        ("1,2,3", "invalid column index"),
+        ("1,2,3,4,5,6,x,8,9,10", "could not convert string 'x' to float"),
+        ("1700000000000000,1,2,3,4,5,6,8,9,10,11,12", None),  # a cell too many does no harm
+    ],
+)
+def test_a_large_table_is_refused_as_a_small_one(read, monkeypatch, damage, words):
+    text = table_of(60, np.random.default_rng(4), damage)
+    monkeypatch.setattr(table, "SMALL", 0)
+    if words is None:
+        assert len(of_kind(read(text), Kind.IMU)) == 61
+        return
+    with pytest.raises(LogError, match=words):
+        read(text)
+
+
+@pytest.mark.parametrize("suffix", [".gz", ".zst"])
+def test_a_packed_file_is_read_with_the_map_of_the_one_within(tmp_path, suffix):
+    pack = {".gz": gzip.compress, ".zst": zstandard.ZstdCompressor().compress}[suffix]
+    path = tmp_path / f"log.csv{suffix}"
+    path.write_bytes(pack(b"millis,h\n1000,7\n2000,8\n"))
+    (tmp_path / "log.csv.columns.yaml").write_text(
+        "time: {column: millis, unit: ms}\nbaro_alt: {column: h, unit: m}\n"
+    )
+    assert open_log(path).events.values[:, 0].tolist() == [7.0, 8.0]
+    path.write_bytes(pack(b"millis,h\n1000,7\n2000,8\n" * 100)[:-20])
+    with pytest.raises(LogError, match=r"log\.csv\.(gz|zst): cannot be unpacked"):
+        open_log(path)

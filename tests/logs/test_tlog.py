@@ -1,3 +1,4 @@
+import gzip
 import struct
 
 import numpy as np
@@ -204,3 +205,18 @@ def test_damaged_and_rebooted_telemetry_gives_what_it_has(flight):
     reference = tlog_trajectory.reference(log)
     assert np.all(np.diff(reference.att_t_ns) > 0)
     assert (reference.att_t_ns[-1] - reference.att_t_ns[0]) * 1e-9 > 700.0
+
+
+def test_a_file_that_is_cut_while_it_is_read_says_so(written):
+    path = written(b"".join(small_log()))
+    log = tlog.read(path)
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(LogError, match="was cut short while it was read"):
+        list(log.frames())
+
+
+def test_a_packed_recording_has_the_same_frames(written, tmp_path):
+    data = b"".join(small_log())
+    packed = tmp_path / "flight.tlog.gz"
+    packed.write_bytes(gzip.compress(data))
+    assert list(tlog.read(packed).frames()) == list(tlog.read(written(data)).frames())

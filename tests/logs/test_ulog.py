@@ -8,7 +8,7 @@ from pyulog import ULog
 
 from ekf_companion.analysis import score
 from ekf_companion.errors import LogError
-from ekf_companion.logs import ulog
+from ekf_companion.logs import ulog, ulog_messages
 from ekf_companion.logs.estimate import read_truth
 from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 
@@ -247,3 +247,125 @@ def test_the_simulators_truth_agrees_with_what_was_recorded_beside_it(flight):
     assert found.velocity.rms < 0.01
     assert found.tilt.rms < np.deg2rad(0.01)
     assert abs(found.lag) < 1e-3
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "px4-ulg-x500-mission/x500_mission_2023.ulg",
+        "px4-ulg-fixedwing-ground/fw_ground_v6c.ulg",
+        "px4-ulg-damaged-fixedwing/damaged_format_not_utf8.ulg",
+        "sitl-px4-ulg/flight.ulg",
+    ],
+)
+def test_every_row_of_every_topic_is_pyulogs(flight, name, capsys):
+    theirs = ULog(str(flight(name)))
+    capsys.readouterr()  # it prints what it finds damaged
+    log = ulog_messages.read(flight(name), {one.name for one in theirs.data_list})
+    ours = {(table.topic, table.instance): table.rows for table in log.tables}
+    assert ours.keys() == {(one.name, one.multi_id) for one in theirs.data_list}
+    for one in theirs.data_list:
+        rows = ours[one.name, one.multi_id]
+        assert rows.dtype.names == tuple(one.data)
+        for field, column in one.data.items():
+            assert np.ascontiguousarray(rows[field]).tobytes() == column.tobytes()
+    assert log.is_damaged == theirs.file_corruption
+    assert len(log.dropouts) == len(theirs.dropouts)
+    for name, value in theirs.initial_parameters.items():
+        assert log.parameters[name] == value
+
+
+def test_padding_at_the_end_of_a_row_is_left_out(read):
+    topic, fields = COMBINED
+    padded = Writer([(topic, [*fields, ("uint8_t[4]", "_padding0")])])
+    padded.row(0, 1_000_000, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8, 0, 0, 0, 0)
+    assert of_kind(read(padded.data), Kind.IMU).values[0, 2] == np.float32(0.3)
+
+
+def test_data_that_were_appended_after_the_log_are_read(read, tmp_path):
+    log = small_log(n=20)
+    # flags: the file goes on at a place, whatever was left half written before it
+    flags = struct.pack("<8B8B3Q", *[0] * 8, 1, *[0] * 7, len(log) + 43 + 4, 0, 0)
+    head, body = log[:16], log[16:]
+    message = struct.pack("<HB", len(flags), ord("B")) + flags
+    again = Writer([COMBINED])
+    again.data = again.data[:16]
+    again.row(0, 1_200_000, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8)
+    recording = read(head + message + body + b"\x30\x00D\x00" + again.data[16:])
+    assert of_kind(recording, Kind.IMU).t_ns[-1] == 1_200_000_000
+
+
+@pytest.mark.parametrize("size", [b"65535", b"99999999", b"-1", b"x"])
+def test_a_format_that_no_row_can_have_is_damage(read, size):
+    log = small_log()
+    big = b"sensor_gyro:big[%b] a;" % size
+    big += b"" if size == b"x" else b"big[65535] b;"
+    definitions = b"".join(
+        struct.pack("<HB", len(text), ord("F")) + text
+        for text in (b"big:more[65535] c;", b"more:float[65535] d;", big)
+    )
+    name = b"\x00\x00\x40sensor_gyro"
+    subscription = struct.pack("<HB", len(name), ord("A")) + name
+    assert len(of_kind(read(log[:16] + definitions + log[16:] + subscription), Kind.IMU)) == 40
+
+
+def test_a_format_within_itself_is_damage(read):
+    log = small_log(n=4)
+    text = b"vehicle_attitude:vehicle_attitude q;"
+    message = struct.pack("<HB", len(text), ord("F")) + text
+    name = struct.pack("<BH", 0, 77) + b"vehicle_attitude"
+    subscription = struct.pack("<HB", len(name), ord("A")) + name
+    recording = read(log[:16] + message + log[16:] + subscription)
+    assert "the file is damaged: what could not be read is lost" in recording.notes
+
+
+def test_a_flag_that_changes_the_meaning_of_bytes_is_refused(read):
+    flags = struct.pack("<8B8B3Q", *[0] * 8, 2, *[0] * 7, 0, 0, 0)
+    message = struct.pack("<HB", len(flags), ord("B")) + flags
+    log = small_log()
+    with pytest.raises(LogError, match="a feature that is not known here"):
+        read(log[:16] + message + log[16:])
+
+
+def test_after_damage_the_search_goes_on_at_the_next_synchronisation(read):
+    log = small_log(n=40)
+    sync = b"\x08\x00S\x2f\x73\x13\x20\x25\x0c\xbb\x12"
+    more = Writer([COMBINED])
+    before = len(more.data)
+    more.row(0, 1_205_000, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8)
+    recording = read(log + b"\xff" * 50 + sync + more.data[before:])
+    assert of_kind(recording, Kind.IMU).t_ns[-1] == 1_205_000_000
+    assert "the file is damaged: what could not be read is lost" in recording.notes
+
+
+OLD_COMBINED = (
+    "sensor_combined",
+    [
+        ("uint64_t", "timestamp"),
+        ("float[3]", "gyro_rad"),
+        ("float[3]", "accelerometer_m_s2"),
+        ("int32_t", "magnetometer_timestamp_relative"),
+        ("float[3]", "magnetometer_ga"),
+        ("int32_t", "baro_timestamp_relative"),
+        ("float", "baro_alt_meter"),
+    ],
+)
+
+
+def test_px4_before_1_8_holds_magnetometer_and_barometer_within_the_inertial_rows(read):
+    log = Writer([OLD_COMBINED])
+    none = 2**31 - 1
+    for index in range(20):
+        us = 1_000_000 + 4000 * index
+        # a magnetic field each second row, 1 ms old; a pressure each fourth, repeated in between
+        mag = -1000 if index % 2 == 0 else none
+        baro = -2000 - 4000 * (index % 4)
+        field = (0.2, 0.0, 0.4 + 0.001 * index)
+        log.row(0, us, 0, 0, 0, 0, 0, -9.8, mag, *field, baro, 500.0 + index // 4)
+    recording = read(log.data)
+    mags, baros = of_kind(recording, Kind.MAG), of_kind(recording, Kind.BARO)
+    assert len(of_kind(recording, Kind.IMU)) == 20
+    assert mags.t_ns.tolist() == [999_000_000 + 8_000_000 * i for i in range(10)]
+    assert mags.values[:, 2] == pytest.approx([0.4 + 0.002 * i for i in range(10)])
+    assert baros.t_ns.tolist() == [998_000_000 + 16_000_000 * i for i in range(5)]
+    assert baros.values[:, 0].tolist() == [500.0, 501.0, 502.0, 503.0, 504.0]

@@ -1,0 +1,143 @@
+"""Many logs: which they are, and a row of a table on each."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ekf_companion.analysis import score
+from ekf_companion.config.config import Config
+from ekf_companion.errors import CompanionError, ConfigError
+from ekf_companion.logs import csv_known
+from ekf_companion.logs.estimate import is_estimate, of_table
+from ekf_companion.logs.source import suffix_of, unpacked_name
+from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.state import Status, Table, Trajectory
+from ekf_companion.replay import convert
+from ekf_companion.replay.report import Report
+
+Row = dict[str, str | int | float | None]
+"""What is found of one log, by column; None: not known."""
+
+SUFFIXES = (".tlog", ".bin", ".ulg", ".csv")
+"""Kinds of logs that are looked for in folders."""
+SKIPPED = {"truth": 30.0, "autopilot": 20.0}
+"""Seconds at the start that do not count in the errors, as in ``compare``."""
+_RATES = (Kind.IMU, Kind.GNSS, Kind.HEADING, Kind.MAG, Kind.BARO)
+_ERRORS = {
+    "horizontal_m": ("horizontal", 1.0),
+    "vertical_m": ("vertical", 1.0),
+    "velocity_mps": ("velocity", 1.0),
+    "tilt_deg": ("tilt", 180.0 / np.pi),
+    "yaw_deg": ("yaw", 180.0 / np.pi),
+}
+"""RMS errors: the score's field, and its size in the column's unit."""
+_NUMBERS = {
+    "duration_s": float,
+    "estimates": int,
+    **{f"{kind.name.lower()}_hz": float for kind in _RATES},
+    **{f"{status.name.lower()}_s": float for status in Status},
+    "resets": int,
+    "gaps": int,
+    "late": int,
+    "gnss_delay_s": float,
+    "gyro_noise_rps": float,
+    "accel_noise_mps2": float,
+    **{f"{whose}_{name}": float for whose in SKIPPED for name in _ERRORS},
+}
+COLUMNS: Mapping[str, type] = {
+    "log": str,
+    "outcome": str,
+    "why": str,
+    "autopilot": str,
+    **_NUMBERS,
+    "last_reset": str,
+    "notes": str,
+}
+"""The columns and their types. ``outcome`` is ``estimated`` or ``failed``, ``why`` says why it
+failed. Errors are RMS, against the autopilot's own estimate and against the log's truth."""
+
+
+def find_logs(names: Sequence[str]) -> list[Path]:
+    """Return the logs of files, folders (with all below) and patterns, each once, in their order.
+
+    Raises:
+        ConfigError: A name is nothing of these, or there is no log at all.
+    """
+    found: dict[Path, None] = {}
+    for name in names:
+        path = Path(name)
+        if path.is_dir():
+            below = [one for one in sorted(path.rglob("*")) if one.is_file() and _is_log(one)]
+        elif path.exists():
+            below = [path]
+        else:
+            matches = sorted(glob.glob(name, recursive=True))
+            below = [one for one in map(Path, matches) if one.is_file()]
+            if not below:
+                raise ConfigError(f"{name}: no such file or folder, and no file matches it")
+        found |= dict.fromkeys(below)
+    if not found:
+        raise ConfigError(f"{', '.join(names)}: no log in there ({', '.join(SUFFIXES)})")
+    return list(found)
+
+
+def _is_log(path: Path) -> bool:
+    """Return whether a file in a folder may be a log: no estimate, and no other table."""
+    if suffix_of(path) not in SUFFIXES:
+        return False
+    if path.suffix.lower() != ".csv":
+        return True
+    if path.with_name(unpacked_name(path).name + ".columns.yaml").is_file():
+        return True
+    with path.open(encoding="utf-8", errors="replace") as file:
+        names = [name.strip() for name in file.readline(1 << 16).split(",")]
+    has_motion = any(name.startswith("gyro_x") for name in names)
+    return (has_motion and not is_estimate(path)) or csv_known.find(names) is not None
+
+
+def examine(path: Path, config: Config) -> Row:
+    """Run the estimator over a log, and return its row; a log that fails has one that says why."""
+    try:
+        table, report, own, truth = convert.estimate(path, config)
+    except CompanionError as error:
+        return failed(path, str(error).removeprefix(f"{path}: "))
+    return {**dict.fromkeys(COLUMNS), **dict(_found(path, table, report, own, truth))}
+
+
+def failed(path: Path, why: str) -> Row:
+    """Return the row of a log that could not be estimated from."""
+    return {**dict.fromkeys(COLUMNS), "log": str(path), "outcome": "failed", "why": why}
+
+
+def _found(
+    path: Path, table: Table, report: Report, own: Trajectory | None, truth: Trajectory | None
+) -> Iterator[tuple[str, str | int | float]]:
+    """Yield what is known of a log, by column."""
+    yield from {"log": str(path), "outcome": "estimated", "autopilot": report.family}.items()
+    yield "estimates", len(table)
+    yield "duration_s", round(sum(report.seconds.values()), 3)
+    for kind in _RATES:
+        if report.counts[kind]:
+            yield f"{kind.name.lower()}_hz", round(report.rates.get(kind, 0.0), 3)
+    for status, seconds in report.seconds.items():
+        yield f"{status.name.lower()}_s", round(seconds, 3)
+    if (health := report.health) is not None:
+        yield from {"resets": health.resets, "gaps": health.gaps, "late": health.reruns}.items()
+        yield "gyro_noise_rps", health.gyro_noise
+        yield "accel_noise_mps2", health.accel_noise
+        if report.counts[Kind.GNSS]:
+            yield "gnss_delay_s", health.gnss_delay
+        if health.resets:
+            yield "last_reset", health.reset_reason
+    estimate = of_table(table, "ekf-companion")
+    for whose, other in (("autopilot", own), ("truth", truth)):
+        if other is not None:
+            found = score.score(estimate, other, SKIPPED[whose])
+            for name, (field, scale) in _ERRORS.items():
+                if (spread := getattr(found, field)) is not None:
+                    yield f"{whose}_{name}", spread.rms * scale
+    yield "notes", "; ".join(report.notes)

@@ -1,0 +1,158 @@
+"""Many logs in several processes: one that fails stops no other, and a run goes on where it ended.
+
+What is finished stands in a journal beside the table, a line per log, until the table is complete.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from pathlib import Path
+from typing import Protocol, TextIO
+
+from ekf_companion.analysis.batch import Row, examine, failed
+from ekf_companion.config.config import Config
+from ekf_companion.errors import ConfigError
+from ekf_companion.version import __version__
+
+Task = Callable[[Path], Row]
+Progress = Callable[[int, int], None]
+"""Called with how many bytes of the logs are done, of how many."""
+
+
+class Executor(Protocol):
+    """Where the logs are examined: processes of this machine, or an engine in their place."""
+
+    def run(self, task: Task, logs: Sequence[Path]) -> Iterator[tuple[Path, Row]]:
+        """Yield each log and its row once it is known, in any order; no log stops the others."""
+
+
+class Processes:
+    """An executor of several processes on this machine."""
+
+    def __init__(self, jobs: int) -> None:
+        """Use so many processes, >= 1."""
+        self._jobs = jobs
+
+    def run(self, task: Task, logs: Sequence[Path]) -> Iterator[tuple[Path, Row]]:
+        """Yield each log and its row once it is known.
+
+        Where a process dies, the logs that were not finished are examined again, each in a process
+        of its own: so only the one that kills it fails.
+        """
+        again: list[Path] = []
+        for log, row in self._run_together(task, logs, self._jobs):
+            if row is None:
+                again.append(log)
+            else:
+                yield log, row
+        for log in again:
+            ((_, row),) = self._run_together(task, [log], 1)
+            why = "the process that read it was killed, perhaps for want of memory"
+            yield log, failed(log, why) if row is None else row
+
+    def _run_together(
+        self, task: Task, logs: Sequence[Path], jobs: int
+    ) -> Iterator[tuple[Path, Row | None]]:
+        """Yield each log and its row, or None where a process has died."""
+        context = multiprocessing.get_context("spawn")
+        pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker)
+        try:
+            futures = {pool.submit(task, log): log for log in logs}
+            for future in as_completed(futures):
+                log, error = futures[future], future.exception()
+                if isinstance(error, BrokenProcessPool):
+                    yield log, None
+                elif error is not None:
+                    yield log, failed(log, f"a bug: {type(error).__name__}: {error}")
+                else:
+                    yield log, future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _begin_worker() -> None:
+    """Leave Ctrl-C to the parent, and end with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def end_with_parent() -> None:
+        if (parent := multiprocessing.parent_process()) is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
+
+
+def run(
+    logs: Sequence[Path],
+    config: Config,
+    journal: Path,
+    executor: Executor,
+    progress: Progress | None = None,
+) -> list[Row]:
+    """Examine logs, those in the journal excepted; return their rows in the order of the logs.
+
+    Raises:
+        ConfigError: The journal cannot be written.
+    """
+    keys = {log: _key(log) for log in logs}
+    written = _read_journal(journal, config)
+    rows = {log: written[key] for log, key in keys.items() if key in written}
+    sizes = {log: log.stat().st_size + 1 if log.exists() else 1 for log in logs}
+    done, total = sum(sizes[log] for log in rows), sum(sizes.values())
+    left = [log for log in logs if log not in rows]
+    try:
+        with journal.open("a" if written else "w", encoding="utf-8") as file:
+            if not written:
+                _add_line(file, _fingerprint(config), {})
+            # The largest first, so that no process ends long after the others
+            by_size = sorted(left, key=sizes.__getitem__, reverse=True)
+            for log, row in executor.run(partial(examine, config=config), by_size):
+                rows[log] = row
+                _add_line(file, keys[log], row)
+                done += sizes[log]
+                if progress is not None:
+                    progress(done, total)
+    except OSError as error:
+        raise ConfigError(f"{journal}: cannot be written: {error.strerror}") from error
+    return [rows[log] for log in logs]
+
+
+def _add_line(file: TextIO, key: str, row: Row) -> None:
+    file.write(json.dumps([key, row]) + "\n")
+    file.flush()
+
+
+def _read_journal(path: Path, config: Config) -> dict[str, Row]:
+    """Return the rows of an earlier run by key; none where its settings were others."""
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return {}
+    found: dict[str, Row] = {}
+    for line in text.splitlines():
+        try:
+            key, row = json.loads(line)
+        except ValueError:
+            continue  # the last line was cut short
+        found[key] = row
+    return found if _fingerprint(config) in found else {}
+
+
+def _key(log: Path) -> str:
+    """Return what says that a log is still the same."""
+    about = log.stat() if log.exists() else None
+    return f"{log} {about.st_size} {about.st_mtime_ns}" if about else str(log)
+
+
+def _fingerprint(config: Config) -> str:
+    text = f"{__version__} {config!r}"
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

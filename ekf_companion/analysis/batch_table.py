@@ -1,0 +1,75 @@
+"""The table on many logs: as a file, and as lines to read."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from ekf_companion.analysis.batch import COLUMNS, Row
+from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.logs.writer import create
+
+KINDS = (".csv", ".parquet")
+
+
+def check(path: Path) -> None:
+    """Refuse a file of no known kind.
+
+    Raises:
+        ConfigError: It is refused.
+    """
+    if path.suffix not in KINDS:
+        raise ConfigError(f"{path}: unknown kind of table; known are {', '.join(KINDS)}")
+
+
+def write(path: Path, rows: Sequence[Row]) -> None:
+    """Write the table by the file's suffix.
+
+    Raises:
+        LogError: The file cannot be written, or the package for Parquet is missing.
+    """
+    with create(path) as file:
+        if path.suffix == ".parquet":
+            try:
+                import pyarrow as pa
+                from pyarrow import parquet
+            except ImportError:
+                raise LogError(
+                    f"{path}: writing needs the package pyarrow; install ekf-companion with the "
+                    "extra: formats"
+                ) from None
+            types = {str: pa.string(), int: pa.int64(), float: pa.float64()}
+            schema = pa.schema([(name, types[kind]) for name, kind in COLUMNS.items()])
+            parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), file)
+            return
+        text = io.StringIO()
+        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        file.write(text.getvalue().encode())
+
+
+def lines(rows: Sequence[Row]) -> list[str]:
+    """Return a line on each log, and the number of each outcome."""
+    width = max((len(str(row["log"])) for row in rows), default=0)
+    found = [f"{row['log']!s:{width}}  {_words(row)}" for row in rows]
+    counts = Counter(str(row["outcome"]) for row in rows)
+    total = ", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items()))
+    return [*found, f"{len(rows)} logs: {total}"]
+
+
+def _words(row: Row) -> str:
+    if row["outcome"] == "failed":
+        return f"failed: {row['why']}"
+    words = [f"{row['duration_s'] or 0:.0f} s", f"ok {row['ok_s'] or 0:.0f} s"]
+    words.append(f"{row['resets']} resets")
+    for column, name in (
+        ("truth_horizontal_m", "the truth"),
+        ("autopilot_horizontal_m", "the autopilot's own"),
+    ):
+        if (error := row[column]) is not None:
+            words.append(f"{error:.2f} m RMS from {name}")
+    return ", ".join(words)

@@ -1,0 +1,200 @@
+"""Writing of estimates as MCAP, for Foxglove and what else reads it.
+
+Channels, as JSON with schemas: ``/estimate``, all numbers of each estimate, for plots; ``/pose``
+and ``/tf`` in the frames of ROS REP 103 (``map``: east, north, up of the origin; ``base_link``:
+forward, left, up); ``/location``, the position on a map; ``/log``, a line per change of the status
+and per reset.
+
+Source: MCAP specification, mcap.dev; Foxglove's message schemas (names and fields).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+from mcap.writer import CompressionType
+from mcap.writer import Writer as Mcap
+
+from ekf_companion.errors import LogError
+from ekf_companion.logs.writer import (
+    STATUS_NAMES,
+    EstimateWriter,
+    Thinning,
+    east_north_up,
+    with_position,
+)
+from ekf_companion.nav.state import COLUMNS, GEODETIC, Status, Table
+from ekf_companion.version import __version__
+
+POSE_RATE = 25.0
+"""Poses and transforms per second at most, Hz: more than a screen shows."""
+LOCATION_RATE = 5.0
+"""Fixes on the map per second at most, Hz."""
+_INFO, _WARNING = 2, 3
+"""Levels of foxglove.Log."""
+_DIAGONAL = 2
+"""position_covariance_type: the diagonal is known."""
+
+
+def _object(**properties: Any) -> dict[str, Any]:
+    return {"type": "object", "properties": properties}
+
+
+_NUMBER, _TEXT, _WHOLE = {"type": "number"}, {"type": "string"}, {"type": "integer"}
+_TIME = _object(sec=_WHOLE, nsec=_WHOLE)
+_VECTOR = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER)
+_QUATERNION = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
+_SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
+    "/estimate": (
+        "ekf_companion.Estimate",
+        _object(
+            **{name: {"type": ["number", "null"]} for name in COLUMNS[1:-2]},
+            status=_TEXT,
+            reset_count=_WHOLE,
+        ),
+    ),
+    "/pose": (
+        "foxglove.PoseInFrame",
+        _object(
+            timestamp=_TIME,
+            frame_id=_TEXT,
+            pose=_object(position=_VECTOR, orientation=_QUATERNION),
+        ),
+    ),
+    "/tf": (
+        "foxglove.FrameTransform",
+        _object(
+            timestamp=_TIME,
+            parent_frame_id=_TEXT,
+            child_frame_id=_TEXT,
+            translation=_VECTOR,
+            rotation=_QUATERNION,
+        ),
+    ),
+    "/location": (
+        "foxglove.LocationFix",
+        _object(
+            timestamp=_TIME,
+            frame_id=_TEXT,
+            latitude=_NUMBER,
+            longitude=_NUMBER,
+            altitude=_NUMBER,
+            position_covariance={"type": "array", "items": _NUMBER},
+            position_covariance_type=_WHOLE,
+        ),
+    ),
+    "/log": (
+        "foxglove.Log",
+        _object(timestamp=_TIME, level=_WHOLE, message=_TEXT, name=_TEXT, file=_TEXT, line=_WHOLE),
+    ),
+}
+"""Name and JSON schema of each channel."""
+
+
+class Writer(EstimateWriter):
+    """Writes each estimate, and some of them as poses and fixes."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._mcap = Mcap(self.file, compression=CompressionType.LZ4)
+        self._mcap.start(library=f"ekf-companion {__version__}")
+        self._channels = {}
+        for topic, (name, schema) in _SCHEMAS.items():
+            number = self._mcap.register_schema(name, "jsonschema", orjson.dumps(schema))
+            self._channels[topic] = self._mcap.register_channel(topic, "json", number)
+        self._poses, self._locations = Thinning(POSE_RATE), Thinning(LOCATION_RATE)
+        self._last: tuple[int, int] | None = None  # status and resets
+
+    def write(self, table: Table) -> None:
+        """Append estimates.
+
+        Raises:
+            LogError: A time is before zero.
+        """
+        if len(table) and table.stamp_ns.min() < 0:
+            raise LogError(
+                f"{self.path}: an .mcap cannot hold times before zero, which the log has; "
+                "name a .csv"
+            )
+        for stamp_ns, data in zip(table.stamp_ns.tolist(), _estimates(table), strict=True):
+            self._add("/estimate", stamp_ns, data)
+        known = with_position(table)
+        self._add_poses(self._poses.thin(known))
+        self._add_locations(self._locations.thin(known))
+        self._add_changes(table)
+
+    def finish(self) -> None:
+        """Write the index."""
+        self._mcap.finish()
+
+    def _add(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        self._mcap.add_message(self._channels[topic], stamp_ns, data, stamp_ns)
+
+    def _add_poses(self, table: Table) -> None:
+        pos_enu, q = east_north_up(table)
+        rows = zip(table.stamp_ns.tolist(), pos_enu.tolist(), q.tolist(), strict=True)
+        for stamp_ns, (x, y, z), (qw, qx, qy, qz) in rows:
+            position, rotation = {"x": x, "y": y, "z": z}, {"x": qx, "y": qy, "z": qz, "w": qw}
+            pose = {"position": position, "orientation": rotation}
+            head = {"timestamp": _time(stamp_ns)}
+            self._add("/pose", stamp_ns, orjson.dumps(head | {"frame_id": "map", "pose": pose}))
+            frames = {"parent_frame_id": "map", "child_frame_id": "base_link"}
+            motion = {"translation": position, "rotation": rotation}
+            self._add("/tf", stamp_ns, orjson.dumps(head | frames | motion))
+
+    def _add_locations(self, table: Table) -> None:
+        sigmas = table.columns(("sd_pos_e", "sd_pos_n", "sd_pos_d"))
+        rows = zip(
+            table.stamp_ns.tolist(), table.columns(GEODETIC).tolist(), sigmas.tolist(), strict=True
+        )
+        for stamp_ns, (lat, lon, alt), (east, north, up) in rows:
+            fix = {
+                "timestamp": _time(stamp_ns),
+                "frame_id": "map",
+                "latitude": lat,
+                "longitude": lon,
+                "altitude": alt,
+                "position_covariance": [east**2, 0, 0, 0, north**2, 0, 0, 0, up**2],
+                "position_covariance_type": _DIAGONAL,
+            }
+            self._add("/location", stamp_ns, orjson.dumps(fix))
+
+    def _add_changes(self, table: Table) -> None:
+        """Add a line where the status or the number of resets differs from the row before."""
+        now = table.columns(("status", "reset_count")).astype(int)
+        is_new = np.ones(len(now), dtype=bool)
+        is_new[1:] = (np.diff(now, axis=0) != 0).any(axis=1)
+        for row in np.flatnonzero(is_new).tolist():
+            status, resets = now[row].tolist()
+            if self._last == (status, resets):
+                continue
+            words = f"status {STATUS_NAMES[status]}, {resets} resets so far"
+            line = {
+                "timestamp": _time(int(table.stamp_ns[row])),
+                "level": _INFO if status <= Status.OK else _WARNING,
+                "message": words,
+                "name": "ekf-companion",
+                "file": "",
+                "line": 0,
+            }
+            self._last = status, resets
+            self._add("/log", int(table.stamp_ns[row]), orjson.dumps(line))
+
+
+def _time(stamp_ns: int) -> dict[str, int]:
+    return {"sec": stamp_ns // 1_000_000_000, "nsec": stamp_ns % 1_000_000_000}
+
+
+def _estimates(table: Table) -> Iterator[bytes]:
+    """Yield each estimate as a JSON object."""
+    names = COLUMNS[1:]
+    numbers = np.ascontiguousarray(table.values[:, :-2])
+    status = table.column("status").astype(int).tolist()
+    resets = table.column("reset_count").astype(int).tolist()
+    for row, number, count in zip(numbers.tolist(), status, resets, strict=True):
+        # JSON has no NaN: orjson writes null
+        yield orjson.dumps(dict(zip(names, (*row, STATUS_NAMES[number], count), strict=True)))

@@ -1,0 +1,293 @@
+"""The messages of a ULog (.ulg), as one table per topic and instance.
+
+Damage costs the messages that it touched, and what lies before the next synchronisation message.
+A topic's rows are those of exactly the size that its format declares, with or without the padding
+at its end.
+
+Source: PX4 user guide, "ULog file format".
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from struct import Struct
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
+
+from ekf_companion.errors import LogError
+from ekf_companion.logs import ulog_search
+from ekf_companion.logs.source import read_bytes
+
+Column = npt.NDArray[np.void]
+Fields = list[tuple[str, str]]
+"""Name and numpy type of each field, in the order in which they lie in a row."""
+Formats = dict[str, list[tuple[str, int, str]]]
+"""Type, number (0: no array) and name of each field, by the name of the format."""
+
+KIND = "ULog (.ulg) of PX4"
+MAGIC = b"ULog\x01\x12\x35"
+HEADER = 16
+"""Bytes before the first message."""
+LARGEST_ROW = 65_535
+"""Bytes that a message's size can state."""
+AT_ONCE = 1 << 16
+"""Messages that are searched at once."""
+MOST_DEFINITIONS = 1 << 16
+"""Formats, parameters and subscriptions; beyond, they are damage."""
+DEEPEST = 16
+"""Formats within a format."""
+_TYPES = {
+    f"{sign}int{8 * size}_t": f"<{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)
+}
+_TYPES |= {"float": "<f4", "double": "<f8", "bool": "i1", "char": "i1"}
+"""Numpy's codes of the basic types."""
+_ids = Struct("<BH").unpack_from
+_offsets = Struct("<8x8B3Q").unpack_from
+_VALUES = {"int32_t": Struct("<i"), "float": Struct("<f")}
+"""Types of a parameter."""
+
+
+@dataclass(slots=True, eq=False)
+class Table:
+    """The rows of one instance of a topic."""
+
+    topic: str
+    instance: int
+    rows: Column
+
+
+@dataclass(slots=True, eq=False)
+class Messages:
+    """What is read of a log."""
+
+    tables: list[Table] = field(default_factory=list)
+    """In the order of their subscriptions, without those of no row."""
+    parameters: dict[str, float] = field(default_factory=dict)
+    """As they were when the log began."""
+    dropouts: tuple[float, ...] = ()
+    """Lengths of the gaps while the log was written, s."""
+    is_damaged: bool = False
+
+
+class _Layout(NamedTuple):
+    """How a topic's rows lie in its messages."""
+
+    dtype: np.dtype[np.void]
+    """Without the padding at the end."""
+    most: int
+    """Bytes with it."""
+
+
+class _Subscription(NamedTuple):
+    """What messages of an id are, from some place in the file on."""
+
+    topic: str
+    instance: int
+    layout: _Layout
+
+
+def read(path: Path, topics: Collection[str]) -> Messages:
+    """Read the topics of some names.
+
+    Raises:
+        LogError: The file is missing, empty, or no ULog; or of a version with features that
+            change what its bytes mean.
+    """
+    data = read_bytes(path, KIND)
+    if data[: len(MAGIC)] != MAGIC:
+        raise LogError(f"{path}: does not begin as a {KIND}; check the file or its name")
+    return _Reader(path, data, topics).read()
+
+
+class _Reader:
+    def __init__(self, path: Path, data: bytes, topics: Collection[str]) -> None:
+        self._path, self._data, self._topics = path, data, topics
+        self._formats: Formats = {}
+        self._layouts: dict[str, _Layout | None] = {}
+        self._found = Messages()
+        self._definitions = 0
+        self._ends: list[int] = []  # of the parts of the data: more was appended later
+        self._state = array("q", [0, 0])
+        self._subscriptions: list[_Subscription] = []
+        self._sizes = np.zeros((1 << 16, 2), dtype=np.int32)
+        self._owner = np.zeros(1 << 16, dtype=np.int64)  # subscription by message id
+        self._rows: list[npt.NDArray[np.int64]] = []  # subscription and place of each
+        self._dropouts: list[int] = []  # ms
+
+    def read(self) -> Messages:
+        """Read all."""
+        place = self._read_definitions()
+        for end in [*self._ends, len(self._data)]:
+            self._read_data(place, end)
+            place = max(place, end)
+        self._found.tables = list(self._tables())
+        self._found.dropouts = tuple(ms * 1e-3 for ms in self._dropouts)
+        self._found.is_damaged |= bool(self._state[1])
+        return self._found
+
+    def _tables(self) -> Iterator[Table]:
+        """Yield the rows of each subscription that has any."""
+        raw = np.frombuffer(self._data, dtype=np.uint8)
+        rows = np.concatenate([np.zeros((0, 2), dtype=np.int64), *self._rows])
+        order = np.argsort(rows[:, 0], kind="stable")
+        ends = np.searchsorted(rows[order, 0], np.arange(len(self._subscriptions)), "right")
+        for one, chosen in zip(self._subscriptions, np.split(order, ends)[:-1], strict=True):
+            if len(chosen):
+                windows = sliding_window_view(raw, one.layout.dtype.itemsize)
+                table = windows[rows[chosen, 1]].view(one.layout.dtype)[:, 0]
+                yield Table(one.topic, one.instance, table)
+
+    def _read_definitions(self) -> int:
+        """Read the formats and parameters; return where the data begin."""
+        place = HEADER
+        while True:
+            kind, place = ulog_search.find_definition(memoryview(self._data), place, self._state)
+            if kind not in b"FPB" or kind == 0:
+                return place
+            content, place = self._message(place)
+            take = {70: self._take_format, 80: self._take_parameter, 66: self._take_flags}[kind]
+            try:
+                take(content)
+            except (LookupError, ValueError):
+                self._found.is_damaged = True
+
+    def _message(self, place: int) -> tuple[bytes, int]:
+        """Return what a message that defines something holds, and where it ends.
+
+        Raises:
+            LogError: There are too many of them.
+        """
+        self._definitions += 1
+        if self._definitions > MOST_DEFINITIONS:
+            raise LogError(
+                f"{self._path}: more than {MOST_DEFINITIONS} formats, parameters and "
+                f"subscriptions: too damaged to be read as a {KIND}"
+            )
+        end = place + 3 + int.from_bytes(self._data[place : place + 2], "little")
+        return self._data[place + 3 : end], end
+
+    def _take_format(self, content: bytes) -> None:
+        """Take ``NAME:TYPE FIELD;TYPE[SIZE] FIELD;``."""
+        name, colon, text = content.decode("utf-8", "ignore").partition(":")
+        fields = []
+        for part in text.split(";"):
+            if part:
+                kind, space, label = part.partition(" ")
+                kind, bracket, size = kind.partition("[")
+                if not space:
+                    raise ValueError(part)
+                fields.append((kind, int(size.rstrip("]")) if bracket else 0, label.split(" ")[0]))
+        if not colon:
+            raise ValueError(name)
+        self._formats[name] = fields
+
+    def _take_parameter(self, content: bytes) -> None:
+        """Take the value of ``TYPE NAME``."""
+        after = 1 + content[0]
+        kind, _, name = content[1:after].decode("utf-8", "ignore").partition(" ")
+        if len(content) == after + 4:
+            self._found.parameters[name] = _VALUES[kind].unpack(content[after:])[0]
+        else:
+            self._found.is_damaged = True
+
+    def _take_flags(self, content: bytes) -> None:
+        """Take what says how to read the file.
+
+        Raises:
+            LogError: A flag that is not known.
+        """
+        if len(content) < 40:
+            raise ValueError(content)
+        *flags, first, second, third = _offsets(content)
+        if flags[0] & ~1 or any(flags[1:]):
+            raise LogError(
+                f"{self._path}: a {KIND} with a feature that is not known here (incompatible "
+                f"flags {bytes(flags).hex()}), so its messages cannot be read"
+            )
+        if flags[0]:
+            known = [place for place in (first, second, third) if 0 < place < len(self._data)]
+            self._ends = sorted(known)
+
+    def _read_data(self, place: int, end: int) -> None:
+        """Find the rows and dropouts of a part of the file."""
+        view, found = memoryview(self._data), np.empty((AT_ONCE, 2), dtype=np.int64)
+        kind = -1
+        while kind:
+            n, kind, place = ulog_search.find_data(
+                view, place, end, self._sizes, self._state, found
+            )
+            if n:
+                self._take_rows(found[:n])
+            if kind == ord("A"):
+                content, place = self._message(place)
+                try:
+                    self._subscribe(content)
+                except (LookupError, ValueError):
+                    self._found.is_damaged = True
+
+    def _take_rows(self, found: npt.NDArray[np.int64]) -> None:
+        """Keep the places of rows by what they are subscribed to, and the dropouts' lengths."""
+        is_row = found[:, 1] >= 0
+        rows = found[is_row]
+        self._rows.append(np.column_stack([self._owner[rows[:, 1]], rows[:, 0]]))
+        for place in found[~is_row, 0].tolist():
+            self._dropouts.append(int.from_bytes(self._data[place : place + 2], "little"))
+
+    def _subscribe(self, content: bytes) -> None:
+        """Note that messages of an id are of a topic from now on."""
+        if len(content) < 3:
+            raise ValueError(content)
+        instance, number = _ids(content)
+        topic = content[3:].decode("utf-8", "ignore")
+        if topic not in self._topics:
+            self._sizes[number] = -1 if topic in self._formats else 0
+            return
+        if topic not in self._layouts:
+            self._layouts[topic] = _layout(self._formats, topic)
+        layout = self._layouts[topic]
+        if layout is None:
+            raise ValueError(topic)
+        self._sizes[number] = layout.dtype.itemsize, layout.most
+        self._owner[number] = len(self._subscriptions)
+        self._subscriptions.append(_Subscription(topic, instance, layout))
+
+
+def _layout(formats: Formats, topic: str) -> _Layout | None:
+    """Return how the rows of a topic lie; None if its format is damaged."""
+    fields: Fields = []
+    size = 0
+    try:
+        for label, code in _flatten(formats, topic, "", DEEPEST):
+            fields.append((label, code))
+            size += int(code[-1])
+            if size > LARGEST_ROW:
+                return None
+        while fields and fields[-1][0].startswith("_padding"):
+            fields.pop()
+        dtype = np.dtype(fields)
+    except (LookupError, ValueError):
+        return None
+    return _Layout(dtype, size) if fields else None
+
+
+def _flatten(formats: Formats, name: str, before: str, depth: int) -> Iterator[tuple[str, str]]:
+    """Yield name and type of each field of a format, and of the formats within it.
+
+    Raises:
+        KeyError: A format is not there.
+        ValueError: A format has no fields, or formats lie too deep in each other.
+    """
+    if not formats[name] or not depth:
+        raise ValueError(name)
+    for kind, count, label in formats[name]:
+        for suffix in [f"[{index}]" for index in range(min(count, LARGEST_ROW))] or [""]:
+            if kind in _TYPES:
+                yield before + label + suffix, _TYPES[kind]
+            else:
+                yield from _flatten(formats, kind, f"{before}{label}{suffix}.", depth - 1)

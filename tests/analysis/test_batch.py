@@ -1,0 +1,196 @@
+"""Many logs at once: one row each, whatever becomes of the others."""
+
+import csv
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ekf_companion.analysis import batch_run
+from ekf_companion.analysis.batch import COLUMNS, examine, failed, find_logs
+from ekf_companion.analysis.batch_run import Processes, run
+from ekf_companion.cli import app
+from ekf_companion.config.config import Config
+from ekf_companion.errors import ConfigError
+from sim_autopilot.__main__ import app as sim
+from tests.analysis import batch_tasks
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder of whole, damaged and foreign logs, and of tables that are none."""
+    root = tmp_path_factory.mktemp("logs")
+    words = ("generate", "--scenario", "figure-eight", "--duration", "12", "--imu-rate", "50")
+    result = CliRunner().invoke(
+        sim, [*words, "-o", str(root / "a0.tlog"), "--truth", str(root / "truth.csv")]
+    )
+    assert result.exit_code == 0, result.output
+    whole = (root / "a0.tlog").read_bytes()
+    for index in range(1, 5):
+        shutil.copy(root / "a0.tlog", root / f"a{index}.tlog")
+    (root / "below").mkdir()
+    (root / "below" / "cut.tlog").write_bytes(whole[: len(whole) // 2 + 5])
+    (root / "below" / "hole.tlog").write_bytes(whole[:9000] + bytes(5000) + whole[14000:])
+    (root / "noise.bin").write_bytes(b"\xfd\xa3\x95" * 9000)
+    (root / "empty.ulg").write_bytes(b"")
+    rows = [f"{20000 * index},0,0,0,0,{0.001 * (index % 3)},-9.8" for index in range(500)]
+    head = ",".join(["time_us", *(f"gyro_{axis}_rps" for axis in "xyz")])
+    head += "," + ",".join(f"accel_{axis}_mps2" for axis in "xyz")
+    (root / "own.csv").write_text("\n".join([head, *rows, ""]))
+    (root / "notes.txt").write_text("no log")
+    return root
+
+
+@pytest.fixture(scope="module")
+def expected(folder):
+    """Return the rows of the logs one by one, in this process."""
+    return [examine(log, Config()) for log in find_logs([str(folder)])]
+
+
+def rows_of(path: Path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def as_text(rows):
+    return [{k: "" if v is None else str(v) for k, v in row.items()} for row in rows]
+
+
+def test_a_folder_gives_its_logs_and_no_other_table(folder):
+    names = [str(log.relative_to(folder)) for log in find_logs([str(folder)])]
+    below = ["below/cut.tlog", "below/hole.tlog"]
+    whole = [f"a{index}.tlog" for index in range(5)]
+    assert names == [*whole, *below, "empty.ulg", "noise.bin", "own.csv"]
+
+
+def test_files_folders_and_patterns_give_each_log_once(folder):
+    names = [str(folder / "a1.tlog"), f"{folder}/a[01].tlog", str(folder / "below")]
+    found = [log.name for log in find_logs(names)]
+    assert found == ["a1.tlog", "a0.tlog", "cut.tlog", "hole.tlog"]
+    assert len(find_logs([f"{folder}/**/*.tlog"])) == 7
+
+
+@pytest.mark.parametrize("name", ["none.tlog", "none/*.tlog"])
+def test_a_name_that_matches_nothing_is_said(tmp_path, name):
+    with pytest.raises(ConfigError, match="no such file or folder"):
+        find_logs([str(tmp_path / name)])
+    with pytest.raises(ConfigError, match="no log in there"):
+        find_logs([str(tmp_path)])
+
+
+def test_rows_say_what_was_found_and_why_a_log_failed(folder, expected):
+    rows = {Path(str(row["log"])).name: row for row in expected}
+    assert all(row.keys() == COLUMNS.keys() for row in expected)
+    whole = rows["a0.tlog"]
+    assert (whole["outcome"], whole["autopilot"], whole["resets"]) == ("estimated", "px4", 0)
+    assert whole["imu_hz"] == pytest.approx(50.0)
+    assert whole["duration_s"] == pytest.approx(12.0, abs=0.2)
+    assert rows["noise.bin"]["outcome"] == rows["empty.ulg"]["outcome"] == "failed"
+    assert rows["noise.bin"]["why"].startswith("holds no FMT record")
+    assert rows["cut.tlog"]["duration_s"] < 8.0
+    assert "cut off there" in rows["cut.tlog"]["notes"]
+
+
+def test_two_processes_give_the_rows_of_one(folder, expected, tmp_path):
+    out, parquet = tmp_path / "table.csv", tmp_path / "table.parquet"
+    result = CliRunner().invoke(
+        app, ["batch", str(folder), "-o", str(out), "-o", str(parquet), "--jobs", "2"]
+    )
+    assert result.exit_code == 0, result.output
+    assert rows_of(out) == as_text(expected)
+    assert "10 logs: 8 estimated, 2 failed" in result.output
+    assert [path.name for path in sorted(tmp_path.iterdir())] == [out.name, parquet.name]
+    from pyarrow import parquet as reader
+
+    assert reader.read_table(parquet).to_pylist() == expected
+
+
+def test_killed_in_the_middle_it_goes_on_where_it_ended(folder, expected, tmp_path):
+    out, journal = tmp_path / "table.csv", tmp_path / "table.csv.journal"
+    command = [sys.executable, "-m", "ekf_companion", "batch", str(folder), "-o", str(out)]
+    with subprocess.Popen([*command, "--jobs", "2"]) as process:
+        deadline = time.monotonic() + 60.0
+        while not (journal.exists() and journal.read_text().count("\n") >= 3):
+            assert process.poll() is None, "it ended before it could be killed"
+            assert time.monotonic() < deadline
+            time.sleep(0.001)
+        process.send_signal(signal.SIGKILL)
+    before = journal.read_text().splitlines()
+    assert not out.exists()
+    with journal.open("a") as file:
+        file.write('["half a li')
+    done = subprocess.run([*command, "--jobs", "1"], capture_output=True, timeout=60, check=True)
+    assert rows_of(out) == as_text(expected)
+    assert not journal.exists()
+    assert len(before) >= 3
+    assert b"10 logs: 8 estimated" in done.stdout
+
+
+class Counted:
+    """An executor that examines nothing, and counts what it is asked for."""
+
+    def __init__(self):
+        self.asked = []
+
+    def run(self, task, logs):
+        for log in logs:
+            self.asked.append(log.name)
+            yield log, failed(log, "examined by nobody")
+
+
+def test_what_stands_in_the_journal_is_not_examined_again_unless_it_changed(folder, tmp_path):
+    logs = [tmp_path / name for name in ("a.tlog", "b.tlog")]
+    for log in logs:
+        shutil.copy(folder / "a0.tlog", log)
+    journal, config = tmp_path / "journal", Config()
+    first, second, third = Counted(), Counted(), Counted()
+    rows = run(logs, config, journal, first)
+    assert [row["log"] for row in rows] == [str(log) for log in logs]
+    assert sorted(first.asked) == ["a.tlog", "b.tlog"]
+    logs[1].write_bytes(logs[1].read_bytes()[:-100])
+    run(logs, config, journal, second)
+    assert second.asked == ["b.tlog"]
+    other = Config(window=0.5)
+    run(logs, other, journal, third)
+    assert sorted(third.asked) == ["a.tlog", "b.tlog"]
+
+
+def test_progress_counts_the_bytes_of_the_logs(folder, tmp_path):
+    logs = find_logs([str(folder)])
+    said = []
+    run(logs, Config(), tmp_path / "journal", Counted(), lambda *two: said.append(two))
+    assert said[-1][0] == said[-1][1] == sum(log.stat().st_size + 1 for log in logs)
+    assert [done for done, _ in said] == sorted(done for done, _ in said)
+
+
+@pytest.mark.parametrize(
+    ("task", "jobs", "words"),
+    [
+        (batch_tasks.kill_at_b, 2, "the process that read it was killed"),
+        (batch_tasks.stumble_at_b, 1, "a bug: ZeroDivisionError: by nothing"),
+    ],
+)
+def test_a_log_that_kills_its_process_stops_no_other(task, jobs, words):
+    rows = {log.name: row["why"] for log, row in Processes(jobs).run(task, [*map(Path, "abc")])}
+    assert {"a", "b", "c"} == rows.keys()
+    assert rows["a"] == rows["c"] == "examined"
+    assert rows["b"].startswith(words)
+
+
+def test_a_log_that_vanishes_has_a_row_too(folder, tmp_path):
+    gone = tmp_path / "gone.tlog"
+    rows = run([gone], Config(), tmp_path / "journal", Processes(1))
+    assert rows[0]["why"].startswith("no such file")
+
+
+def test_a_table_of_no_known_kind_is_refused_before_any_work(folder, tmp_path):
+    result = CliRunner().invoke(app, ["batch", str(folder), "-o", str(tmp_path / "table.xyz")])
+    assert result.exit_code == 2
+    assert "known are .csv, .parquet" in result.output
+    assert list(tmp_path.iterdir()) == []
+    assert batch_run._read_journal(tmp_path / "none", Config()) == {}

@@ -1,0 +1,141 @@
+"""Bytes that are no log: a sentence, in a time that grows with their number and no faster.
+
+What was quadratic took minutes for a megabyte; here the time-out of a test tells.
+"""
+
+import numpy as np
+import pytest
+
+from ekf_companion.config.config import Config
+from ekf_companion.errors import LogError
+from ekf_companion.logs import dataflash_records, tlog, tlog_search, ulog_messages
+from ekf_companion.logs.source import Source
+from ekf_companion.logs.ulog_messages import HEADER, MAGIC
+from ekf_companion.replay.convert import convert
+from tests.logs import sources
+from tests.logs.test_dataflash import new_log
+from tests.logs.test_tlog import small_log as small_tlog
+from tests.logs.test_ulog import small_log as small_ulog
+
+SIZE = 4_000_000
+PATTERNS = {
+    "MAVLink 2 starts": b"\xfd",
+    "MAVLink 1 starts": b"\xfe",
+    "both starts": b"\xfd\xfe",
+    "zeros": b"\0",
+    "ones": b"\xff",
+    "DataFlash starts": b"\xa3\x95",
+    "DataFlash formats": b"\xa3\x95\x80",
+    "ULog data": b"\x03\x00D\x00\x00\x00",
+    "ULog subscriptions": b"\x04\x00A\x00\x00\x00x",
+    "ULog formats": b"\x04\x00Fa:b ",
+    "ULog synchronisation": b"\x2f\x73\x13\x20\x25\x0c\xbb\x12",
+    "half of it": b"\x2f\x73\x13\x20",
+    "lines": b"\n",
+    "cells": b",",
+    "quotes": b'"',
+    "digits": b"1",
+    "rows": b"1,2,3\n",
+}
+CSV_HEAD = b"time_us,gyro_x_rps,gyro_y_rps,gyro_z_rps,accel_x_mps2,accel_y_mps2,accel_z_mps2\n"
+HEADS = {
+    ".tlog": (b"", b"".join(small_tlog(n=2))),
+    ".bin": (b"", new_log(n=2)),
+    ".ulg": (MAGIC + bytes(HEADER - len(MAGIC)), small_ulog(n=2)),
+    ".csv": (b"", CSV_HEAD),
+    ".txt": (b"",),
+    ".mat": (b"",),
+}
+
+
+@pytest.mark.parametrize("suffix", HEADS)
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_any_pattern_is_refused_by_a_sentence_and_soon(tmp_path, suffix, pattern):
+    bytes_ = PATTERNS[pattern]
+    for head in HEADS[suffix]:
+        path = tmp_path / f"hostile{suffix}"
+        path.write_bytes(head + bytes_ * (SIZE // len(bytes_)))
+        with pytest.raises(LogError, match=rf"hostile\{suffix}: ") as refused:
+            convert(path, tmp_path / "out.csv", Config())
+        assert len(str(refused.value)) < 1000
+
+
+@pytest.mark.parametrize("suffix", HEADS)
+def test_noise_is_refused_by_a_sentence(tmp_path, suffix):
+    rng = np.random.default_rng(1)
+    alphabet = np.frombuffer(b"\xfd\xfe\x00\xa3\x95\x80DAF1,\n", dtype=np.uint8)
+    for head in HEADS[suffix]:
+        for noise in (rng.bytes(SIZE), rng.choice(alphabet, SIZE).tobytes()):
+            path = tmp_path / f"hostile{suffix}"
+            path.write_bytes(head + noise)
+            with pytest.raises(LogError, match=rf"hostile\{suffix}: "):
+                convert(path, tmp_path / "out.csv", Config())
+
+
+def damaged(whole, seed):
+    """Return a log with bits flipped, bytes lost, and bytes put in."""
+    rng = np.random.default_rng(seed)
+    data = bytearray(whole)
+    for _ in range(int(rng.integers(1, 20))):
+        place, size = int(rng.integers(len(data))), int(rng.integers(1, 300))
+        change = rng.integers(4)
+        if change == 0:
+            data[place] ^= 1 << int(rng.integers(8))
+        elif change == 1:
+            del data[place : place + size]
+        elif change == 2:
+            data[place:place] = rng.bytes(size)
+        else:
+            data[place : place + size] = rng.choice([0xFD, 0xFE, 0x00, 0xA3, 0x95], size).tolist()
+    return bytes(data[: int(rng.integers(20, len(data) + 1))])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_searches_find_the_same_uncompiled(monkeypatch, tmp_path, seed):
+    def found():
+        path = tmp_path / "flight.tlog"
+        path.write_bytes(damaged(b"".join(small_tlog()), seed))
+        records, count = tlog._find_records(Source(path, ""))
+        bins = dataflash_records._find_records(damaged(new_log(), seed), None)
+        path = tmp_path / "flight.ulg"
+        whole = small_ulog()
+        path.write_bytes(whole[:500] + damaged(whole[500:], seed))
+        ulog = ulog_messages.read(path, {"sensor_combined", "vehicle_gps_position"})
+        places = {kind: one.tolist() for kind, one in bins.places.items()}
+        tables = [(one.topic, one.instance, one.rows.tobytes()) for one in ulog.tables]
+        totals = (count, bins.damaged, ulog.is_damaged, ulog.parameters, ulog.dropouts)
+        return [one.tolist() for one in records], places, tables, totals
+
+    compiled = found()
+    for room, name in (
+        (tlog, "tlog_search"),
+        (dataflash_records, "dataflash_search"),
+        (ulog_messages, "ulog_search"),
+    ):
+        monkeypatch.setattr(room, name, sources.load(name))
+    assert found() == compiled
+
+
+@pytest.mark.parametrize("block", [2048, 4096, 7001])
+def test_a_log_read_in_blocks_has_the_same_records(monkeypatch, tmp_path, block):
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(damaged(b"".join(small_tlog(n=200)), seed=block))
+    whole = list(tlog.read(path).frames())
+    monkeypatch.setattr(tlog, "BLOCK", block)
+    monkeypatch.setattr(tlog, "AT_ONCE", 7)
+    assert list(tlog.read(path).frames()) == whole
+
+
+def test_every_checksum_is_that_of_the_library():
+    from fastcrc import crc16
+
+    rng = np.random.default_rng(2)
+    data = rng.bytes(400)
+    steps, moves = tlog_search.byte_steps(), tlog_search.zero_moves()
+    sums = np.empty(len(data) + 1, dtype=np.uint16)
+    tlog_search.checksum_all(memoryview(data), steps, sums)
+    for count in range(len(moves)):
+        first = int(rng.integers(len(data) - count + 1))
+        begun = int(sums[first]) ^ 0xFFFF
+        value = sums[first + count] ^ moves[count, begun & 0xFF] ^ moves[count, 256 + (begun >> 8)]
+        assert value == crc16.mcrf4xx(data[first : first + count])
