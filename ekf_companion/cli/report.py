@@ -24,7 +24,7 @@ def report(
     from ekf_companion.analysis import flight_review, report_page, trajectory_figure
 
     with terminal.exit_on_error():
-        terminal.check_outputs({"the log": log, "the configuration": config}, {"--out": out})
+        terminal.check_outputs({"the log": log, "the configuration": config}, [("--out", out)])
         with terminal.progress_bar(log.name) as progress:
             found = flight_review.review(log, terminal.load(config), progress)
         path = out if out is not None else terminal.beside(log, "report", ".html")
