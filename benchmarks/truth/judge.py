@@ -74,12 +74,15 @@ class Verdict:
 
 
 def read_estimate(path: Path, stamp_us: Array) -> Estimate:
-    """Read the rows of a converted log that are nearest to given stamps."""
+    """Read the rows of a converted log that are nearest to given stamps.
+
+    A clock that is set back comes by a stamp a second time: the later row counts, as in the truth.
+    """
     with path.open(encoding="utf-8", newline="") as file:
         header, *rows = csv.reader(file)
     times = np.array([float(row[0]) for row in rows])
     order = np.argsort(times, kind="stable")
-    after = np.clip(np.searchsorted(times[order], stamp_us), 1, len(rows) - 1)
+    after = np.clip(np.searchsorted(times[order], stamp_us, side="right"), 1, len(rows) - 1)
     left, right = order[after - 1], order[after]
     nearest = np.where(stamp_us - times[left] < times[right] - stamp_us, left, right)
     is_near = np.abs(times[nearest] - stamp_us) <= NEAR_US

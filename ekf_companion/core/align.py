@@ -154,6 +154,7 @@ def start_filter(x: State, k: Parameters, w: Scratch, tilt: float, gyro_bias: fl
         x.vel_n[i] = 0.0
         x.pos_n[i] = 0.0
         x.gnss_offset[i] = 0.0
+        x.gnss_vel_offset[i] = 0.0
     reset_variance(x, E_IRON, 3, iron)
     reset_variance(x, E_HEADING, 1, x.heading_std * x.heading_std)
     x.mode = MODE_ATTITUDE

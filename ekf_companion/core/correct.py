@@ -17,6 +17,7 @@ from cython.cimports.ekf_companion.core.enums import (
     E_BG,
     E_DELAY,
     E_GNSS,
+    E_GNSS_VEL,
     E_HEADING,
     E_IRON,
     E_POS,
@@ -156,6 +157,7 @@ def inject(x: State, o: Observation) -> None:
         x.accel_bias[i] += o.dx[E_BA + i]
         x.gnss_offset[i] += o.dx[E_GNSS + i]
         x.hard_iron[i] += o.dx[E_IRON + i]
+        x.gnss_vel_offset[i] += o.dx[E_GNSS_VEL + i]
     x.baro_offset += o.dx[E_BARO]
     x.gnss_delay += o.dx[E_DELAY]
     x.heading_offset += o.dx[E_HEADING]
@@ -230,6 +232,7 @@ def difference(x: State, y: State, o: Observation) -> None:
         o.dx[E_BA + i] = y.accel_bias[i] - x.accel_bias[i]
         o.dx[E_GNSS + i] = y.gnss_offset[i] - x.gnss_offset[i]
         o.dx[E_IRON + i] = y.hard_iron[i] - x.hard_iron[i]
+        o.dx[E_GNSS_VEL + i] = y.gnss_vel_offset[i] - x.gnss_vel_offset[i]
     o.dx[E_BARO] = y.baro_offset - x.baro_offset
     o.dx[E_DELAY] = y.gnss_delay - x.gnss_delay
     o.dx[E_HEADING] = y.heading_offset - x.heading_offset
@@ -301,6 +304,7 @@ def copy_nominal(x: State, source: State) -> None:
         x.accel_bias[i] = source.accel_bias[i]
         x.gnss_offset[i] = source.gnss_offset[i]
         x.hard_iron[i] = source.hard_iron[i]
+        x.gnss_vel_offset[i] = source.gnss_vel_offset[i]
     x.baro_offset = source.baro_offset
     x.gnss_delay = source.gnss_delay
     x.heading_offset = source.heading_offset

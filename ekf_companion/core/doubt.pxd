@@ -2,11 +2,13 @@ from ekf_companion.core.parameters cimport Parameters
 from ekf_companion.core.scratch cimport Fix, ImuRow, Motion, Observation
 from ekf_companion.core.state cimport State
 cdef void restart(State *x) noexcept nogil
+cdef double walk_share(State *x) noexcept nogil
 cdef void write_noise(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
 cdef void find_clipping(State *x, ImuRow *imu) noexcept nogil
 cdef double is_at_end(State *x, Py_ssize_t axis, double size, double change) noexcept nogil
 cdef void learn_doubt(State *x, Parameters *k, Fix *fix, Observation *o, double nis) noexcept nogil
 cdef bint is_next(State *x) noexcept nogil
+cdef void remember_doubt(State *x) noexcept nogil
 cdef void bound_doubt(State *x) noexcept nogil
 cdef double receiver_share(State *x) noexcept nogil
 cdef void doubt_refusal(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil

@@ -12,7 +12,7 @@ Source: correlated innovations of a filter that trusts its model too much, Mehra
 from __future__ import annotations
 
 import cython
-from cython.cimports.ekf_companion.core.enums import AID_VELOCITY, N
+from cython.cimports.ekf_companion.core.enums import AID_POSITION, AID_VELOCITY, N
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.rotation import wrap
 from cython.cimports.ekf_companion.core.scratch import Fix, ImuRow, Motion, Observation
@@ -20,7 +20,7 @@ from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
 NEVER = cython.declare(cython.double, -1e18)
-LEAST_DOUBT = cython.declare(cython.double, 0.03)
+LEAST_DOUBT = cython.declare(cython.double, 0.003)
 LARGEST_DOUBT = cython.declare(cython.double, 1e4)
 MEMORY = cython.declare(cython.double, 60e9)
 """Time constant with which the worst doubt is forgotten, ns: vibration comes back."""
@@ -30,8 +30,11 @@ REMEMBERED = cython.declare(cython.double, 0.1)
 """Share of the worst doubt that is kept."""
 GAIN = cython.declare(cython.double, 0.4)
 """Change of the logarithm of the doubt for a correlation of one."""
-SMALLNESS = cython.declare(cython.double, 0.5)
+SMALLNESS = cython.declare(cython.double, 0.3)
 """Weight of innovations that are smaller than expected, beside their correlation."""
+POWER_MEMORY = cython.declare(cython.double, 30.0)
+"""Fixes over which the mean NIS is taken that a correlation is a share of."""
+LEAST_POWER = cython.declare(cython.double, 0.01)
 EXCESS = cython.declare(cython.double, 1.0)
 """Weight of innovations beyond what the receiver states: either of the two may be worse."""
 FAIR_EXCESS = cython.declare(cython.double, 1.5)
@@ -56,9 +59,13 @@ LEAST_NOISE = cython.declare(cython.double, 1e-8)
 """Variance of the white noise of the best gyro that flies, rad^2/s."""
 LEAST_FORCE_NOISE = cython.declare(cython.double, 4e-6)
 """Likewise of its accelerometer, m^2/s^3."""
-MARGIN = cython.declare(cython.double, 2.0)
+USUAL_DOUBT = cython.declare(cython.double, 0.03)
+"""Doubt at which biases walk as configured."""
+LEAST_WALK = cython.declare(cython.double, 0.1)
+LARGEST_WALK = cython.declare(cython.double, 4.0)
+MARGIN = cython.declare(cython.double, 1.5)
 """How much larger than the second differences show the variance of the noise may be."""
-SCALE_VAR = cython.declare(cython.double, 2e-6)
+SCALE_VAR = cython.declare(cython.double, 2e-8)
 """Variance of the errors of scale and mounting of a calibrated sensor, over one second."""
 DOUBTED_SCALE_VAR = cython.declare(cython.double, 1e-4)
 """The same of one that is doubted."""
@@ -82,8 +89,19 @@ SPLIT_DRIFT = cython.declare(cython.double, 1.0)
 def restart(x: State) -> None:
     """Begin anew with the configured noise: what raised the doubt has been found."""
     x.doubt = 1.0
-    x.worst_doubt = 1.0
+    x.worst_doubt = 0.0
+    x.innovation_power = 1.0
     x.innovation_t = NEVER
+
+
+def walk_share(x: State) -> float:
+    """Return the share of the configured random walks of the biases that counts.
+
+    A bias that changes with vibration or temperature shows as any other doubt.
+    """
+    share = x.doubt / USUAL_DOUBT
+    share = share if share > LEAST_WALK else LEAST_WALK
+    return share if share < LARGEST_WALK else LARGEST_WALK
 
 
 def write_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
@@ -153,8 +171,16 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
     if o.rows < 3:
         x.last_innovation[2] = 0.0
     x.correlation = 0.0
+    seen = nis / o.rows if nis < o.rows else 1.0
+    x.innovation_power += (seen - x.innovation_power) / POWER_MEMORY
+    if x.innovation_power < LEAST_POWER:
+        x.innovation_power = LEAST_POWER
     if is_next(x):
-        x.correlation = correlation / sqrt(o.rows)
+        # of innovations that are all too small the correlation says as much; but what raises the
+        # doubt beyond the configured noise must be larger than that explains
+        power = x.doubt * x.doubt
+        power = power if power > x.innovation_power else x.innovation_power
+        x.correlation = correlation / (sqrt(o.rows) * (power if power < 1.0 else 1.0))
         x.worst_doubt *= exp((x.innovation_t - x.t) / MEMORY)
     x.innovation_t = x.t
     if nis > k.gate[o.rows - 1]:  # who is wrong is not known yet
@@ -165,9 +191,12 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
     if excess > FAIR_EXCESS:
         excess = excess if excess < LARGEST_EXCESS else LARGEST_EXCESS
         pull += EXCESS * (excess - FAIR_EXCESS)
-    if pull > 0.0 and contradicts_itself(x, fix):
+    is_dragged = cython.declare(cython.bint, x.refused_t[AID_POSITION] > x.used_t[AID_POSITION])
+    if pull > 0.0 and (is_dragged or contradicts_itself(x, fix)):
         return
     x.doubt *= exp(GAIN * pull)
+    if pull > 0.0:
+        remember_doubt(x)
     bound_doubt(x)
 
 
@@ -176,17 +205,21 @@ def is_next(x: State) -> bool:
     return x.t - x.innovation_t < OLD
 
 
+def remember_doubt(x: State) -> None:
+    """Remember a doubt that has just risen, if it is the worst."""
+    if x.doubt > x.worst_doubt:
+        x.worst_doubt = x.doubt if x.doubt < LARGEST_MEMORY else LARGEST_MEMORY
+
+
 def bound_doubt(x: State) -> None:
-    """Keep the doubt within its bounds, and remember the worst."""
-    least = REMEMBERED * x.worst_doubt
+    """Keep the doubt within its bounds."""
+    least = REMEMBERED * (x.worst_doubt - 1.0)
     if least < LEAST_DOUBT:
         least = LEAST_DOUBT
     if not x.doubt > least:
         x.doubt = least
     if x.doubt > LARGEST_DOUBT:
         x.doubt = LARGEST_DOUBT
-    if x.doubt > x.worst_doubt:
-        x.worst_doubt = x.doubt if x.doubt < LARGEST_MEMORY else LARGEST_MEMORY
 
 
 def receiver_share(x: State) -> float:
@@ -223,6 +256,7 @@ def doubt_refusal(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
         needed = largest / (EXPECTED * k.accel_noise * k.accel_noise * x.fix_dt)
     if x.doubt < needed:
         x.doubt = needed
+        remember_doubt(x)
     bound_doubt(x)
 
 

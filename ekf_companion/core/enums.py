@@ -182,7 +182,9 @@ E_GNSS = 18
 """Slow error of the receiver's position, in n."""
 E_IRON = 21
 """Hard iron: the vehicle's own magnetic field, in b."""
-N = 24
+E_GNSS_VEL = 24
+"""Slow error of the receiver's velocity, in n."""
+N = 27
 
 AIDS = len(Aid)
 VERDICTS = len(Verdict)

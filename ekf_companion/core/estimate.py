@@ -58,7 +58,7 @@ def find_status(x: State, k: Parameters) -> int:
     late = 1.0 + (x.fix_dt if x.fix_dt < 2.0 else 2.0)
     if is_timed_out(x, AID_POSITION, late) and is_timed_out(x, AID_VELOCITY, late):
         return STATUS_DEAD_RECKONING
-    if x.dt > SLOW_STREAM or x.needs_reset != 0.0 or x.doubt > DOUBTED:
+    if x.dt > SLOW_STREAM or x.needs_reset != 0.0 or x.doubt > DOUBTED or x.t < x.proven_t:
         return STATUS_DEGRADED
     # by the autopilot's own position, whose errors last
     if k.use_derived == 2.0 or x.fix_t > x.raw_fix_t:

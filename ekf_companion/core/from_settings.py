@@ -39,7 +39,8 @@ def parameters(settings: FilterSettings, family: str) -> npt.NDArray[np.float64]
     k.use_velocity = gnss.use_velocity
     k.use_derived = ("raw", "auto", "global").index(gnss.source)
     k.gnss_floor[:] = gnss.position_std, gnss.height_std, gnss.velocity_std
-    k.pos_walk = gnss.velocity_slow_std * math.sqrt(2.0 * gnss.velocity_slow_time)
+    k.gnss_vel_slow_std = gnss.velocity_slow_std
+    k.gnss_vel_offset_time = gnss.velocity_slow_time
     k.timing_std = gnss.timing_std
     k.gnss_offset_time = gnss.slow_time
     k.white_share = math.nan if gnss.white_share == "auto" else gnss.white_share

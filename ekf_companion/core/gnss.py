@@ -19,12 +19,13 @@ from cython.cimports.ekf_companion.core import (
     yaw_bank,
     yaw_reset,
 )
-from cython.cimports.ekf_companion.core.correct import apply_update, innovate
+from cython.cimports.ekf_companion.core.correct import apply_update, innovate, reset_variance
 from cython.cimports.ekf_companion.core.enums import (
     AID_HEIGHT,
     AID_POSITION,
     AID_VELOCITY,
     E_GNSS,
+    E_GNSS_VEL,
     E_POS,
     E_VEL,
     MODE_LEVEL,
@@ -68,6 +69,8 @@ LARGEST_SHARE = cython.declare(cython.double, 9.0)
 """Largest white share: they understate it at most three times."""
 LEAST_LEVEL = cython.declare(cython.double, 1e-6)
 """Least variance of a slow error, m^2."""
+GOOD_VELOCITY = cython.declare(cython.double, 0.1)
+"""White noise of a velocity above which its slow error is larger in proportion, m/s."""
 MEAN_TIME = cython.declare(cython.double, 3.0)
 """Time constant of the mean of the innovations, s."""
 LARGEST_TERM = cython.declare(cython.double, 4.0)
@@ -81,6 +84,8 @@ REPEATS = cython.declare(cython.double, 2.0)
 """Repeats of one position after which a moving receiver counts as frozen."""
 JERK = cython.declare(cython.double, 0.25)
 """Variance of the error of our acceleration while velocity is refused, m^2/s^4."""
+FROZEN = cython.declare(cython.double, 1e9)
+"""Repeats that stand for a receiver that was found to be frozen."""
 DERIVED = cython.declare(cython.int, 1)
 SUSPECT = cython.declare(cython.int, 2)
 DOUBTED_NIS = cython.declare(cython.double, 0.02)
@@ -195,7 +200,10 @@ def is_used(x: State, k: Parameters, flags: int) -> bool:
 
 
 def is_frozen(x: State, values: GnssRow) -> bool:
-    """Return whether the receiver repeats one position to the bit while the vehicle moves."""
+    """Return whether the receiver repeats one position to the bit while the vehicle moves.
+
+    Found once, it stays so until the position changes: our own velocity is soon not known well.
+    """
     is_same = cython.declare(
         cython.bint,
         x.last_fix[0] == values.lat and x.last_fix[1] == values.lon and x.last_fix[2] == values.alt,
@@ -209,7 +217,9 @@ def is_frozen(x: State, values: GnssRow) -> bool:
         speed += x.vel_n[i] * x.vel_n[i]
         sigma += x.P[E_VEL + i][E_VEL + i]
     x.fix_repeats = x.fix_repeats + 1.0 if is_same else 0.0
-    return x.mode == MODE_NAVIGATE and x.fix_repeats >= REPEATS and speed > 1.0 + 9.0 * sigma
+    if x.mode == MODE_NAVIGATE and x.fix_repeats >= REPEATS and speed > 1.0 + 9.0 * sigma:
+        x.fix_repeats = FROZEN
+    return x.fix_repeats >= FROZEN
 
 
 def learn_field(x: State, values: GnssRow) -> None:
@@ -242,6 +252,12 @@ def read_fix(x: State, k: Parameters, fix: Fix, values: GnssRow) -> None:
         if aid < 2:
             x.gnss_offset_var[aid] = fix.stated_var[aid] * (1.0 - share) if share < 1.0 else 0.0
         fix.std[aid] *= sqrt(share)
+        if aid == AID_VELOCITY:
+            slow = k.gnss_vel_slow_std
+            slow *= doubt.receiver_share(x) if k.learn_noise != 0.0 else 1.0
+            white = sqrt(share * fix.stated_var[aid])
+            slow *= white / GOOD_VELOCITY if white > GOOD_VELOCITY else 1.0
+            x.gnss_vel_offset_var = slow * slow
         least = k.gnss_floor[aid]
         if aid == AID_VELOCITY and k.learn_noise != 0.0:
             least = least * doubt.receiver_share(x)
@@ -278,14 +294,23 @@ def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
     o = address(w.observation)
     nis = innovate(x, o)
     hard = k.gate[o.rows - 1]
-    if aid != AID_VELOCITY and is_dragged(x, o, aid):
+    if aid != AID_VELOCITY and is_dragged(x, o, aid, w.fix.stated_var[aid]):
         nis = DRAGGED_NIS
+        if x.refused_t[aid] <= x.used_t[aid]:
+            forget_vel_offset(x)
     if nis <= hard or aid == AID_VELOCITY:
         learn_white_share(x, o, aid, w.fix.stated_var[aid])
     if aid == AID_VELOCITY:
         doubt.learn_doubt(x, k, address(w.fix), o, nis)
     gate.score(x, o, nis, hard)
     return gate.fuse_judged(x, k, o, aid, nis)
+
+
+def forget_vel_offset(x: State) -> None:
+    """Forget the slow error of the velocity: a position that is dragged off has taught it."""
+    for i in range(3):
+        x.gnss_vel_offset[i] = 0.0
+    reset_variance(x, E_GNSS_VEL, 3, x.gnss_vel_offset_var)
 
 
 def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> None:
@@ -320,15 +345,17 @@ def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> 
         x.white_share[aid] = 0.0
 
 
-def is_dragged(x: State, o: Observation, aid: int) -> bool:
+def is_dragged(x: State, o: Observation, aid: int, stated_var: float) -> bool:
     """Return whether the fixes deviate to one side, each by too little for its gate.
 
     The mean of the whitened innovations over some seconds is near zero unless fixes and motion
-    disagree; a receiver that is dragged off shows so long before any single fix does.
+    disagree; a receiver that is dragged off shows so long before any single fix does. While the
+    inertial samples are in doubt, what is within the sigma that it states is no drag.
     """
     first = 0 if aid == AID_POSITION else 2
     gain = x.fix_dt / (x.fix_dt + MEAN_TIME)
     size = 0.0
+    way = 0.0
     largest = MEAN_SIGMAS * sqrt(gain / (2.0 - gain))
     if largest < LARGEST_MEAN:
         largest = LARGEST_MEAN
@@ -338,7 +365,9 @@ def is_dragged(x: State, o: Observation, aid: int) -> bool:
         y = y if y > -LARGEST_TERM else -LARGEST_TERM
         x.innovation_mean[first + r] += gain * (y - x.innovation_mean[first + r])
         size += x.innovation_mean[first + r] * x.innovation_mean[first + r]
-    return size > largest * largest
+        off = x.innovation_mean[first + r] * o.L[r][r]
+        way += off * off
+    return size > largest * largest and (x.doubt <= 1.0 or way > stated_var)
 
 
 def fuse_velocity(x: State, k: Parameters, w: Scratch) -> bool:

@@ -15,6 +15,7 @@ from cython.cimports.ekf_companion.core.enums import (
     E_ATT,
     E_BG,
     E_GNSS,
+    E_GNSS_VEL,
     E_HEADING,
     E_POS,
     E_VEL,
@@ -38,6 +39,8 @@ LEAST_YAW_VAR = cython.declare(cython.double, 2.5e-3)
 of the accelerometer is taken for a part of the turn."""
 PATIENCE = cython.declare(cython.double, 3e9)
 """Where no heading comes to find the attitude with, it is left to the filter after so long, ns."""
+PROVING = cython.declare(cython.double, 2.5e9)
+"""Time for which an attitude found in motion is not called good: fixes are to confirm it, ns."""
 ANY = cython.declare(cython.double, 1e6)
 """Variance of an unknown position or velocity, m^2 or (m/s)^2."""
 
@@ -52,6 +55,7 @@ def start_navigation(x: State, k: Parameters, w: Scratch, has_vel: bool) -> None
         x.vel_n[i] = 0.0
     reset_variance(x, E_VEL, 3, 0.04 if x.at_rest != 0.0 else 100.0)
     reset_to_fix(x, k, w, has_vel)
+    x.proven_t = x.t if x.at_rest != 0.0 else x.t + PROVING
     x.used_t[AID_VELOCITY] = x.t
     x.used_t[AID_BARO] = x.t
 
@@ -144,8 +148,11 @@ def reset_height(x: State, k: Parameters, w: Scratch) -> None:
 
 
 def reset_velocity(x: State, k: Parameters, w: Scratch) -> None:
-    """Set the velocity from a fix; an unknown vertical one to 0 with one sigma of 2 m/s."""
+    """Set the velocity from a fix, with its slow error; an unknown vertical one: 0, sigma 2 m/s."""
     o = address(w.observation)
+    for i in range(3):
+        x.gnss_vel_offset[i] = 0.0
+    reset_variance(x, E_GNSS_VEL, 3, x.gnss_vel_offset_var)
     reset_variance(x, E_VEL, 3, ANY)
     observe.velocity(x, k, address(w.fix), o)
     for i in range(o.rows):

@@ -54,7 +54,12 @@ from cython.cimports.ekf_companion.core.enums import (
 from cython.cimports.ekf_companion.core.memory import Structs
 from cython.cimports.ekf_companion.core.noise import learn_noise
 from cython.cimports.ekf_companion.core.parameters import Parameters
-from cython.cimports.ekf_companion.core.rest import add_field, begin_window, check_rest
+from cython.cimports.ekf_companion.core.rest import (
+    add_field,
+    begin_window,
+    check_rest,
+    forget_field,
+)
 from cython.cimports.ekf_companion.core.rotation import to_dcm
 from cython.cimports.ekf_companion.core.scratch import Event, ImuRow, Motion, Scratch
 from cython.cimports.ekf_companion.core.state import State
@@ -206,6 +211,7 @@ def start(x: State, t: float) -> None:
     x.split_t = NEVER
     x.voices.t = NEVER
     x.fake_t = t
+    x.proven_t = NEVER
     x.restored_t = NEVER
     for i in range(3):
         x.heading_t[i] = NEVER
@@ -271,6 +277,7 @@ def start_over(x: State, t: float, reason: float) -> None:
         x.gyro_bias[i] = 0.0
         x.accel_bias[i] = 0.0
         x.gnss_offset[i] = 0.0
+        x.gnss_vel_offset[i] = 0.0
         x.hard_iron[i] = 0.0
         x.gyro[i] = 0.0
         x.accel[i] = 0.0
@@ -292,11 +299,18 @@ def start_over(x: State, t: float, reason: float) -> None:
     x.alignment.reference.is_known = 0.0
     x.resets += 1.0
     x.reset_reason = reason
+    # what the sensors have said of each other and of the vehicle is not the estimate's fault
     armed = x.armed
     landed = x.landed
+    raw_fix_t = x.raw_fix_t
+    split_t = x.split_t
+    voices_t = x.voices.t
     start(x, t)
     x.armed = armed
     x.landed = landed
+    x.raw_fix_t = raw_fix_t
+    x.split_t = split_t
+    x.voices.t = voices_t
 
 
 def inflate_after_gap(x: State, k: Parameters, span: float, is_gap: bool) -> None:
@@ -359,6 +373,8 @@ def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
         add_field(x, v.mag_b)
         if heading.is_field_used(x, k):
             heading.fuse_field(x, k, o, r, v.mag_b)
+            if x.natural_fields == 0.0:
+                forget_field(x)
         else:
             gate.count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
     elif event.kind == KIND_BARO:

@@ -14,6 +14,7 @@ from cython.cimports.ekf_companion.core.enums import (
     E_BG,
     E_DELAY,
     E_GNSS,
+    E_GNSS_VEL,
     E_HEADING,
     E_IRON,
     E_POS,
@@ -124,8 +125,10 @@ def velocity(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     for r in range(o.rows):
         o.R[r][r] += k.lever_var * turn
     for i in range(o.rows):
-        o.z[i] = fix.vel_n[i] - (x.vel_n[i] + o.arm_vel_n[i] - late * x.accel_n[i])
+        antenna = x.vel_n[i] + o.arm_vel_n[i] - late * x.accel_n[i]
+        o.z[i] = fix.vel_n[i] - (antenna + x.gnss_vel_offset[i])
         o.H[i][E_VEL + i] = 1.0
+        o.H[i][E_GNSS_VEL + i] = 1.0
         o.H[i][E_DELAY] = -x.accel_n[i]
         # the gyro bias turns the lever arm: C (l x bg)
         o.H[i][E_BG] = o.C_nb[i][1] * k.lever_arm_b[2] - o.C_nb[i][2] * k.lever_arm_b[1]

@@ -36,8 +36,10 @@ class Parameters:
     white_share: Real
     """NaN: learnt."""
     timing_std: Real
-    pos_walk: Real
-    """Random walk of position that a slow error of the receiver's velocity makes, m/sqrt(s)."""
+    gnss_vel_slow_std: Real
+    """One sigma of the slow error of the receiver's velocity, m/s."""
+    gnss_vel_offset_time: Real
+    """Its time constant, s."""
     heading: Real
     """:class:`HeadingChoice`."""
     mag_std: Real

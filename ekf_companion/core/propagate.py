@@ -9,13 +9,14 @@ Source: Groves 2013, chapters 5 and 14; Sola 2017, section 7 (global angular err
 from __future__ import annotations
 
 import cython
-from cython.cimports.ekf_companion.core.doubt import write_noise
+from cython.cimports.ekf_companion.core.doubt import walk_share, write_noise
 from cython.cimports.ekf_companion.core.enums import (
     E_ATT,
     E_BA,
     E_BARO,
     E_BG,
     E_GNSS,
+    E_GNSS_VEL,
     E_HEADING,
     E_IRON,
     E_POS,
@@ -38,6 +39,8 @@ SOMIGLIANA = cython.declare(cython.double, 0.00193185265241)
 FREE_AIR = cython.declare(cython.double, 3.0877e-6)
 SMOOTH = cython.declare(cython.double, 0.05)
 """s; time constant of the acceleration that corrects for the delay of a fix."""
+SLOW_INTERVAL = cython.declare(cython.double, 0.0199)
+"""Interval at which the slow errors of heading and GNSS are carried on, s: 20 ms, give or take."""
 
 
 def set_origin(x: State, lat: float, lon: float, alt: float) -> None:
@@ -82,10 +85,6 @@ def integrate_strapdown(x: State, k: Parameters, m: Motion, dt: float) -> None:
     x.vel_n[2] = vd + ud + cd * dt
     rotate_body(x.q_nb, m.turn_b[0], m.turn_b[1], m.turn_b[2])
     rotate(x.q_nb, -m.frame_rate[0] * dt, -m.frame_rate[1] * dt, -m.frame_rate[2] * dt)
-    x.heading_offset -= dt / (dt + k.heading_time) * x.heading_offset
-    faded = dt / (dt + k.gnss_offset_time)
-    for i in range(3):
-        x.gnss_offset[i] -= faded * x.gnss_offset[i]
 
     m.dv_n[0] = un
     m.dv_n[1] = ue
@@ -212,13 +211,13 @@ def propagate_covariance(x: State, k: Parameters, m: Motion, dt: float) -> None:
     multiply_columns(x, m, dt)
     add_noise(x, k, m, dt)
 
-    # Slow errors of heading and GNSS position forget themselves; each is kept at its level
-    faded = dt / (dt + k.heading_time)
-    decay(x, E_HEADING, faded, x.heading_std * x.heading_std)
-    faded = dt / (dt + k.gnss_offset_time)
-    decay(x, E_GNSS, faded, x.gnss_offset_var[0])
-    decay(x, E_GNSS + 1, faded, x.gnss_offset_var[0])
-    decay(x, E_GNSS + 2, faded, x.gnss_offset_var[1])
+    # What changes within a minute need not be carried on every few milliseconds
+    x.slow_dt += dt
+    m.slow_dt = 0.0
+    if x.slow_dt >= SLOW_INTERVAL:
+        m.slow_dt = x.slow_dt
+        x.slow_dt = 0.0
+        fade_slow_errors(x, k, m.slow_dt)
 
     # Both halves the same: within the nine rows the lower triangle follows the upper,
     # but for velocity by position, which was made as position by velocity; then the rows below
@@ -327,14 +326,29 @@ def add_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
             if j > i:
                 x.P[E_POS + j][E_VEL + i] += h * s1
             x.P[E_POS + i][E_POS + j] += (dt * dt / 3.0) * s1
-        x.P[E_POS + i][E_POS + i] += k.pos_walk * k.pos_walk * dt
+    share = walk_share(x) if k.learn_noise != 0.0 else 1.0
     for j in range(3):
-        x.P[E_BG + j][E_BG + j] += k.gyro_bias_walk * k.gyro_bias_walk * dt
-        x.P[E_BA + j][E_BA + j] += k.accel_bias_walk * k.accel_bias_walk * dt
+        x.P[E_BG + j][E_BG + j] += share * k.gyro_bias_walk * k.gyro_bias_walk * dt
+        x.P[E_BA + j][E_BA + j] += share * k.accel_bias_walk * k.accel_bias_walk * dt
         x.P[E_IRON + j][E_IRON + j] += k.iron_walk * k.iron_walk * dt
     speed2 = x.vel_n[0] * x.vel_n[0] + x.vel_n[1] * x.vel_n[1] + x.vel_n[2] * x.vel_n[2]
     walk2 = k.baro_walk * k.baro_walk + k.baro_speed_walk * k.baro_speed_walk * speed2
     x.P[E_BARO][E_BARO] += walk2 * dt
+
+
+def fade_slow_errors(x: State, k: Parameters, dt: float) -> None:
+    """Let the slow errors of heading and GNSS forget themselves; each is kept at its level."""
+    faded = dt / (dt + k.heading_time)
+    x.heading_offset -= faded * x.heading_offset
+    decay(x, E_HEADING, faded, x.heading_std * x.heading_std)
+    faded = dt / (dt + k.gnss_offset_time)
+    for i in range(3):
+        x.gnss_offset[i] -= faded * x.gnss_offset[i]
+        decay(x, E_GNSS + i, faded, x.gnss_offset_var[0 if i < 2 else 1])
+    faded = dt / (dt + k.gnss_vel_offset_time)
+    for i in range(3):
+        x.gnss_vel_offset[i] -= faded * x.gnss_vel_offset[i]
+        decay(x, E_GNSS_VEL + i, faded, x.gnss_vel_offset_var)
 
 
 def decay(x: State, e: int, g: float, level: float) -> None:
@@ -371,6 +385,8 @@ def write_transition(k: Parameters, m: Motion, dt: float, Phi: Vector) -> None:
             Phi[E_POS + i][E_ATT + j] = 0.5 * dt * s
             Phi[E_POS + i][E_BG + j] = dt / 3.0 * b
             Phi[E_POS + i][E_BA + j] = 0.5 * dt * g
-    Phi[E_HEADING][E_HEADING] = 1.0 - dt / (dt + k.heading_time)
+    faded = m.slow_dt
+    Phi[E_HEADING][E_HEADING] = 1.0 - faded / (faded + k.heading_time)
     for i in range(3):
-        Phi[E_GNSS + i][E_GNSS + i] = 1.0 - dt / (dt + k.gnss_offset_time)
+        Phi[E_GNSS + i][E_GNSS + i] = 1.0 - faded / (faded + k.gnss_offset_time)
+        Phi[E_GNSS_VEL + i][E_GNSS_VEL + i] = 1.0 - faded / (faded + k.gnss_vel_offset_time)

@@ -7,6 +7,7 @@ cdef void add_field(State *x, double *mag_b) noexcept nogil
 cdef double compare_with_field(State *x, Parameters *k, Scratch *w, double hidden_turn) noexcept nogil
 cdef double gyro_bias_std(State *x) noexcept nogil
 cdef double largest_at_rest(double learnt, double largest) noexcept nogil
+cdef void forget_field(State *x) noexcept nogil
 cdef void add_velocity(State *x, Fix *fix) noexcept nogil
 cdef bint is_receiver_moving(State *x) noexcept nogil
 cdef bint is_changing(State *x) noexcept nogil

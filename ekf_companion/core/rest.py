@@ -102,6 +102,14 @@ def add_field(x: State, mag_b: Vector) -> None:
         rest.mag_b[i] += mag_b[i]
 
 
+def forget_field(x: State) -> None:
+    """Take the field of the window, and of the one to compare it with, for no compass."""
+    x.alignment.rest.mag_n = 0.0
+    x.alignment.still.t0 = 0.0
+    for i in range(3):
+        x.alignment.rest.mag_b[i] = 0.0
+
+
 def add_velocity(x: State, fix: Fix) -> None:
     """Add a velocity of the receiver to the rest statistics."""
     rest = address(x.alignment.rest)

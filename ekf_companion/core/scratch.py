@@ -161,6 +161,8 @@ class Motion:
     """S G / 2 with G = -C_nb dt: from gyro bias to velocity."""
     q: Annotated[Vector, 6]
     """Variance that white noise adds to angle and velocity, per axis of b."""
+    slow_dt: Real
+    """Time over which the slow errors were carried on with this interval, s; 0: they were not."""
     row: Annotated[Vector, N]
     row2: Annotated[Vector, N]
 

@@ -90,8 +90,9 @@ class ImuSettings:
         Positive, Setting("m/s^2/sqrt(Hz)", reload=True, param=Param(9, "EC_ACC_NSE", 1e-4, 5.0))
     ] = 3e-2
     """White noise of the specific force, likewise. EKF2: 0.35 m/s^2 at 100 Hz, which is 3.5e-2."""
-    gyro_bias_walk: Annotated[NotNegative, Setting("rad/s/sqrt(s)", reload=True)] = 5e-5
-    """Random walk of the gyro bias. Raise it for a sensor that warms up in flight."""
+    gyro_bias_walk: Annotated[NotNegative, Setting("rad/s/sqrt(s)", reload=True)] = 1e-4
+    """Random walk of the gyro bias, as EKF2 and EKF3 take it. Raise it for a sensor that warms up
+    in flight."""
     accel_bias_walk: Annotated[NotNegative, Setting("m/s^2/sqrt(s)", reload=True)] = 5e-4
     """Random walk of the accelerometer bias, likewise."""
     gyro_bias: Annotated[Positive, Setting("rad/s")] = 0.02
@@ -160,8 +161,8 @@ class GnssSettings:
     ] = 0.05
     """Least one sigma of the velocity per axis."""
     velocity_slow_std: Annotated[NotNegative, Setting("m/s", reload=True)] = 0.03
-    """One sigma of the slow error of the velocity per axis: its integral drifts from the position
-    by as much."""
+    """One sigma of the slow error of the velocity per axis, of a receiver whose white noise is
+    0.1 m/s or less; of a noisier one it is larger in proportion. 0: there is none."""
     velocity_slow_time: Annotated[Positive, Setting("s", reload=True)] = 20.0
     """Time constant of the slow error of the velocity."""
     velocity_std_unknown: Annotated[Positive, Setting("m/s", reload=True)] = 0.3

@@ -311,6 +311,8 @@ class State:
     """Slow error of the heading in use, rad."""
     gnss_offset: Annotated[Vector, 3]
     """Slow error of the receiver's position, n e d, m."""
+    gnss_vel_offset: Annotated[Vector, 3]
+    """Slow error of the receiver's velocity, in n, m/s."""
     hard_iron: Annotated[Vector, 3]
     """The vehicle's own magnetic field, b, gauss."""
 
@@ -392,10 +394,16 @@ class State:
     noise: Annotated[Vector, 6]
     """Learnt white noise of rate and force, variance times interval: (rad/s)^2 s, (m/s^2)^2 s."""
     noise_block: NoiseBlock
+    slow_dt: Real
+    """Time since the slow errors of heading and GNSS were carried on, s."""
     doubt: Real
     """Share of the configured inertial noise that counts beside the learnt one."""
+    innovation_power: Real
+    """Mean NIS a row of the receiver's velocity, up to 1."""
     worst_doubt: Real
     """Its largest value lately."""
+    proven_t: Real
+    """Time until which the attitude is to be confirmed, ns."""
     correlation: Real
     """Of the last two innovations of the receiver's velocity, one sigma if they are white."""
     innovation_t: Real
@@ -418,6 +426,8 @@ class State:
     """ns."""
     white_share: Annotated[Vector, RUNS]
     """Learnt share of the receiver's stated variances that is white, by aid."""
+    gnss_vel_offset_var: Real
+    """Variance that the slow error of the velocity has in the long run, (m/s)^2."""
     gnss_offset_var: Annotated[Vector, 2]
     """Variance of the slow error of its position: horizontal, vertical, m^2."""
     last_z: Annotated[Vector, RUNS, 3]
@@ -436,7 +446,7 @@ class State:
     redrawn: Annotated[Vector, N]
     """How often each error state was given a new variance, uncorrelated with the others."""
     P: Annotated[Vector, N, N]
-    """Covariance of the error states, E_ATT to E_IRON."""
+    """Covariance of the error states, E_ATT to E_GNSS_VEL."""
 
 
 BLOCK = doubles(State)

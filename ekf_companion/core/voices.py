@@ -27,7 +27,7 @@ from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
 MEMORY = cython.declare(cython.double, 40.0)
 """Time constant over which the climbs are compared, s."""
-LONG_MEMORY = cython.declare(cython.double, 300.0)
+LONG_MEMORY = cython.declare(cython.double, 1000.0)
 """The same while the receiver's height is not heard: it may come back from afar, s."""
 LONGEST = cython.declare(cython.double, 3e9)
 """Longest interval between two fixes to compare over, ns."""

@@ -302,7 +302,17 @@ def _refuse_state(state: State) -> Refusal | None:
         return Refusal(Why.ALIGNING, "it had not found its attitude yet; harmless: nothing is lost")
     P = np.array(x.P)
     nominal = (x.q_nb, x.vel_n, x.pos_n, x.gyro_bias, x.accel_bias, x.gnss_offset, x.hard_iron)
-    motion = np.hstack([*nominal, x.gyro, x.accel, x.baro_offset, x.gnss_delay, x.heading_offset])
+    motion = np.hstack(
+        [
+            *nominal,
+            x.gnss_vel_offset,
+            x.gyro,
+            x.accel,
+            x.baro_offset,
+            x.gnss_delay,
+            x.heading_offset,
+        ]
+    )
     is_possible = (
         _is_known(state.block)
         and bool((np.abs(motion) < LARGEST).all())

@@ -9,6 +9,7 @@ from ekf_companion.core.enums import (
     E_BG,
     E_DELAY,
     E_GNSS,
+    E_GNSS_VEL,
     E_HEADING,
     E_IRON,
     E_POS,
@@ -27,6 +28,7 @@ VECTORS = {
     "accel_bias": E_BA,
     "gnss_offset": E_GNSS,
     "hard_iron": E_IRON,
+    "gnss_vel_offset": E_GNSS_VEL,
 }
 """Parts of the nominal state that are vectors, and where their errors are."""
 NUMBERS = {"baro_offset": E_BARO, "gnss_delay": E_DELAY, "heading_offset": E_HEADING}
@@ -56,6 +58,7 @@ def a_state(seed: int) -> State:
     x.hard_iron[:] = rng.normal(0.0, 0.02, 3)
     x.gyro[:] = rng.normal(0.0, 1.0, 3)
     x.accel_n[:] = rng.normal(0.0, 3.0, 3)
+    x.gnss_vel_offset[:] = rng.normal(0.0, 0.1, 3)
     load().propagate.set_origin(x, 0.82, 0.15, 480.0)
     return x
 
@@ -65,6 +68,7 @@ def some_parameters() -> Parameters:
     k = Parameters()
     k.lever_arm_b[:] = [0.4, -0.3, -0.2]
     k.gravity, k.heading_time, k.gnss_offset_time = 9.8, 50.0, 80.0
+    k.gnss_vel_offset_time = 25.0
     return k
 
 
