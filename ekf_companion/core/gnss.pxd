@@ -10,7 +10,6 @@ cdef void read_fix(State *x, Parameters *k, Fix *fix, GnssRow *values) noexcept 
 cdef double white_share(State *x, Parameters *k, Py_ssize_t aid) noexcept nogil
 cdef void bound_offset(State *x, Observation *o, Py_ssize_t axis, double level) noexcept nogil
 cdef bint fuse(State *x, Parameters *k, Scratch *w, Py_ssize_t aid) noexcept nogil
-cdef void forget_vel_offset(State *x) noexcept nogil
 cdef void learn_white_share(
     State *x, Observation *o, Py_ssize_t aid, double stated_var
 ) noexcept nogil

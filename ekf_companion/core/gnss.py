@@ -19,13 +19,12 @@ from cython.cimports.ekf_companion.core import (
     yaw_bank,
     yaw_reset,
 )
-from cython.cimports.ekf_companion.core.correct import apply_update, innovate, reset_variance
+from cython.cimports.ekf_companion.core.correct import apply_update, innovate
 from cython.cimports.ekf_companion.core.enums import (
     AID_HEIGHT,
     AID_POSITION,
     AID_VELOCITY,
     E_GNSS,
-    E_GNSS_VEL,
     E_POS,
     E_VEL,
     MODE_LEVEL,
@@ -42,6 +41,7 @@ from cython.cimports.ekf_companion.core.enums import (
     N,
 )
 from cython.cimports.ekf_companion.core.gnss_reset import (
+    forget_vel_offset,
     reset_height,
     reset_position,
     reset_unknown_velocity,
@@ -304,13 +304,6 @@ def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
         doubt.learn_doubt(x, k, address(w.fix), o, nis)
     gate.score(x, o, nis, hard)
     return gate.fuse_judged(x, k, o, aid, nis)
-
-
-def forget_vel_offset(x: State) -> None:
-    """Forget the slow error of the velocity: a position that is dragged off has taught it."""
-    for i in range(3):
-        x.gnss_vel_offset[i] = 0.0
-    reset_variance(x, E_GNSS_VEL, 3, x.gnss_vel_offset_var)
 
 
 def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> None:

@@ -7,5 +7,6 @@ cdef void resume_after_gap(State *x, Parameters *k, Scratch *w, bint has_vel) no
 cdef void reset_to_fix(State *x, Parameters *k, Scratch *w, bint has_vel) noexcept nogil
 cdef void reset_position(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef void reset_height(State *x, Parameters *k, Scratch *w) noexcept nogil
+cdef void forget_vel_offset(State *x) noexcept nogil
 cdef void reset_velocity(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef void reset_unknown_velocity(State *x, Py_ssize_t first, Py_ssize_t count) noexcept nogil

@@ -147,12 +147,17 @@ def reset_height(x: State, k: Parameters, w: Scratch) -> None:
     note_used(x, AID_HEIGHT)
 
 
-def reset_velocity(x: State, k: Parameters, w: Scratch) -> None:
-    """Set the velocity from a fix, with its slow error; an unknown vertical one: 0, sigma 2 m/s."""
-    o = address(w.observation)
+def forget_vel_offset(x: State) -> None:
+    """Forget the slow error of the velocity: what taught it is wrong, or of before."""
     for i in range(3):
         x.gnss_vel_offset[i] = 0.0
     reset_variance(x, E_GNSS_VEL, 3, x.gnss_vel_offset_var)
+
+
+def reset_velocity(x: State, k: Parameters, w: Scratch) -> None:
+    """Set the velocity from a fix, with its slow error; an unknown vertical one: 0, sigma 2 m/s."""
+    o = address(w.observation)
+    forget_vel_offset(x)
     reset_variance(x, E_VEL, 3, ANY)
     observe.velocity(x, k, address(w.fix), o)
     for i in range(o.rows):

@@ -224,9 +224,8 @@ def test_the_last_estimate_is_that_of_the_filter_and_no_sigma_is_larger_than_its
     np.testing.assert_allclose(blocks[-1], live[-1], rtol=1e-12, atol=1e-15)
     late = records(live)["mode"] == Mode.NAVIGATE
     sigmas = [np.sqrt(np.diagonal(records(b)["P"][late], axis1=1, axis2=2)) for b in (blocks, live)]
-    # yaw and gyro bias may be worse by a little: a compass corrects them by a gain that is not the
-    # best one, and injected errors bend yaw
-    assert (sigmas[0] <= sigmas[1] * 1.01).all()
+    # yaw may be worse by what the injected errors bend it: a share of 1e-3
+    assert (sigmas[0] <= sigmas[1] * 1.001).all()
     assert (sigmas[0][:, :9].mean(axis=0) < 0.8 * sigmas[1][:, :9].mean(axis=0)).all()
     # what is not of the state is as the filter had it
     for name in ("mode", "gyro", "accel", "t", "samples", "resets"):
