@@ -62,11 +62,12 @@ class Residual:
         self._pos_n = np.zeros(3)
         self._vel_n = np.zeros(3)
         self._yaw = 0.0
-        self._is_any = False
+        self.is_any = False
+        """Whether something is to come to the estimate yet."""
 
     def spread(self, step: Step, position: bool, velocity: bool, yaw: bool) -> None:
         """Keep a step from what is sent, in those of its parts that are named."""
-        self._is_any |= position or velocity or yaw
+        self.is_any |= position or velocity or yaw
         if position:
             self._pos_n = self._pos_n - step.pos_n
         if velocity:
@@ -84,13 +85,13 @@ class Residual:
 
     def decay(self, dt: float) -> None:
         """Let what is spread come nearer to the estimate over a time, s."""
-        if not self._is_any:
+        if not self.is_any:
             return
         speeds = [speed * dt for speed in SPEEDS]
         self._pos_n = _shorten(self._pos_n, speeds[0])
         self._vel_n = _shorten(self._vel_n, speeds[1])
         self._yaw = math.copysign(max(abs(self._yaw) - speeds[2], 0.0), self._yaw)
-        self._is_any = bool(self._yaw != 0.0 or self._pos_n.any() or self._vel_n.any())
+        self.is_any = bool(self._yaw != 0.0 or self._pos_n.any() or self._vel_n.any())
 
     def apply(self, odometry: Odometry, pose: Pose) -> Odometry:
         """Return what is sent of an estimate: the same bytes where there is nothing to add.
@@ -98,7 +99,7 @@ class Residual:
         The variances grow by the square of what is added.
         """
         shift, yaw = self.offset
-        if not self._is_any and self.offset == NO_OFFSET:
+        if not self.is_any and self.offset == NO_OFFSET:
             return odometry
         numbers = np.frombuffer(odometry.numbers, dtype="<f4").astype(float)
         R_cn = about_down(-yaw)

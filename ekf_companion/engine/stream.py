@@ -207,9 +207,10 @@ class OdometryStream:
 
     def _end_silence(self, span_ns: int) -> None:
         """Tell what was to be spread: whoever has ended its fusion goes on from nothing."""
-        if self._policy == SPREAD and span_ns > BROKEN_NS and not self.is_continuous:
-            self._residual.clear()
-            self._is_told = True
+        if span_ns <= BROKEN_NS or self.is_continuous:
+            return
+        self._is_told |= self._policy == SPREAD or self._residual.is_any
+        self._residual.clear()
 
     def _reason(self, estimate: Estimate, odometry: Odometry) -> str:
         """Return why an estimate is not worth to be sent; empty: it is."""

@@ -119,7 +119,7 @@ def reloaded(tmp_path_factory):
         for text, words in (
             (slow, "Reload: Taken: gate.probability: 0.999999 -> 0.9999, output.odometry.rate"),
             ("output: {odometry: {rate: fast}}\n", "all stays as it was"),
-            ("gate: {probability: 0.9999}\n", "frame is no longer in it, and was 'LOCAL_NED'"),
+            ("gate: {probability: 0.9999}\n", "frame is no longer in it, and was 'LOCAL_FRD'"),
             (BOMB, "is an alias; write the value itself"),
             (slow.replace("10", "25"), "output.odometry.rate: 10.0 -> 25.0"),
         ):

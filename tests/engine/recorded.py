@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pymavlink.generator.mavcrc import x25crc
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import OdometryConfig, OutputConfig
@@ -42,19 +43,35 @@ def configured(**odometry: Any) -> Config:
 
 
 @cache
-def sent(flight: str, *names: str, **odometry: Any) -> list[Any]:
-    """Return what a companion publishes during a flight, of the named messages."""
-    return list(flown(flight, names, configured(**odometry)))
+def sent(flight: str, *names: str, autopilot: int | None = None, **odometry: Any) -> list[Any]:
+    """Return what a companion publishes during a flight, of the named messages.
+
+    ``autopilot`` is a MAV_AUTOPILOT that the recorded heartbeats are to name instead.
+    """
+    return list(flown(flight, names, configured(**odometry), autopilot))
 
 
-def flown(flight: str, names: tuple[str, ...], config: Config) -> Iterator[Any]:
+def flown(
+    flight: str, names: tuple[str, ...], config: Config, autopilot: int | None = None
+) -> Iterator[Any]:
     """Yield the published messages of some names."""
     companion = Companion(config, open_pipeline=Pipeline)
-    for now_ns, frame in frames(flight):
+    for now_ns, recorded in frames(flight):
+        frame = recorded if autopilot is None else with_autopilot(recorded, autopilot)
         for name, payload, _ in companion.receive(frame, now_ns):
             if name in names:
                 yield unpack(Frame(IDS[name], 1, OURS, 0, payload, b"", 2))
         companion.frames_to_send()
+
+
+def with_autopilot(frame: bytes, autopilot: int) -> bytes:
+    """Return a frame; a HEARTBEAT of MAVLink 2 with another autopilot in it."""
+    if frame[0] != 0xFD or int.from_bytes(frame[7:10], "little") != IDS["HEARTBEAT"]:
+        return frame
+    body = bytearray(frame[1:-2])
+    body[9 + 5] = autopilot
+    crc = x25crc(bytes([*body, 50])).crc  # the CRC_EXTRA of HEARTBEAT
+    return frame[:1] + bytes(body) + crc.to_bytes(2, "little")
 
 
 class Sent:

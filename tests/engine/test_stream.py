@@ -25,6 +25,7 @@ from tests.paths import DATA
 
 PX4, PASSIVE = "sitl-px4-flown-on-odometry", "sitl-px4-live-outage"
 ARDUPILOT, RESTARTED = "sitl-arducopter-flown-on-odometry", "sitl-px4-warm-restart"
+ARDUPILOTMEGA = 3
 FOR_EVER = {"dead_reckoning_time": 3600.0, "dead_reckoning_std": 1e4}
 OFFSET = "LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET"
 OUTAGES = {PX4: (34.43, 54.4), PASSIVE: (60.2, 80.2), ARDUPILOT: (415.49, 435.6)}
@@ -74,16 +75,28 @@ def test_a_spread_jump_of_46_m_is_no_step_for_any_follower():
 
 def test_to_ardupilot_the_position_is_told_and_the_velocity_is_spread():
     """Its filter takes the position of a moved counter, and goes on with its own velocity."""
-    told = odometry(ARDUPILOT, jumps="tell", **FOR_EVER)
-    best = odometry(ARDUPILOT, **FOR_EVER)
-    at = np.searchsorted(best.t, 435.7)
-    assert best.count[at] == best.count[at - 2] + 1
-    change = [np.linalg.norm(one.vel_n[at] - one.vel_n[at - 1]) for one in (told, best)]
-    assert change[0] > 0.8
-    assert change[1] < 0.2
-    assert np.linalg.norm(best.pos_n[at] - told.pos_n[at]) < 1e-5
-    later = slice(*np.searchsorted(best.t, [437.0, 460.0]))
+    told = odometry(PX4, jumps="tell", autopilot=ARDUPILOTMEGA, **FOR_EVER)
+    best = odometry(PX4, autopilot=ARDUPILOTMEGA, **FOR_EVER)
+    at = np.searchsorted(best.t, 54.5)
+    change = [
+        np.linalg.norm(np.diff(one.vel_n[at - 8 : at + 8], axis=0), axis=1) for one in (told, best)
+    ]
+    assert change[0].max() > 1.0
+    assert change[1].max() < 0.2
+    assert best.count[at + 8] == best.count[at - 8] + 1
+    assert np.linalg.norm(best.pos_n[at + 8] - told.pos_n[at + 8]) < 1e-5
+    later = slice(*np.searchsorted(best.t, [60.0, 80.0]))
     assert best.vel_n[later] == pytest.approx(told.vel_n[later], abs=1e-4)
+
+
+def test_after_a_silence_nothing_is_spread():
+    """Whoever has ended its fusion meanwhile goes on from nothing."""
+    limits = {"autopilot": ARDUPILOTMEGA, "dead_reckoning_time": 15.0, "dead_reckoning_std": 1e4}
+    told, best = odometry(PX4, jumps="tell", **limits), odometry(PX4, **limits)
+    first = int(np.argmax(np.diff(best.t))) + 1
+    assert best.t[first] - best.t[first - 1] > 2.0
+    assert best.vel_n[first] == pytest.approx(told.vel_n[first], abs=1e-4)
+    assert best.count[first] > best.count[first - 1]
 
 
 def test_in_a_continuous_frame_nothing_steps_and_the_offset_leads_to_the_other():

@@ -9,18 +9,19 @@ from typer.testing import CliRunner
 
 from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
-from ekf_companion.logs.writer import CsvWriter, create
-from ekf_companion.nav.state import COLUMNS
+from ekf_companion.logs.csv_writer import Writer as CsvWriter
+from ekf_companion.logs.writer import create
+from ekf_companion.nav.state import COLUMNS, Table
 from ekf_companion.replay.convert import convert
 from sim_autopilot.__main__ import app as simulator
 
-ROW = np.zeros((1, len(COLUMNS) - 1))
+ROW = Table(stamp_ns=np.array([5_000]), values=np.zeros((1, len(COLUMNS) - 1)))
 
 
 def test_a_file_has_its_name_once_it_is_complete(tmp_path):
     path = tmp_path / "out.csv"
     with CsvWriter(path) as writer:
-        writer.write(np.array([5_000]), ROW)
+        writer.write(ROW)
         assert not path.exists()
     assert [one.name for one in tmp_path.iterdir()] == ["out.csv"]
     assert len(path.read_text().splitlines()) == 2
@@ -28,7 +29,7 @@ def test_a_file_has_its_name_once_it_is_complete(tmp_path):
 
 def interrupted(path, error):
     with CsvWriter(path) as writer:
-        writer.write(np.array([5_000]), ROW)
+        writer.write(ROW)
         raise error
 
 
