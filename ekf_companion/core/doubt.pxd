@@ -13,4 +13,5 @@ cdef void bound_doubt(State *x) noexcept nogil
 cdef double receiver_share(State *x) noexcept nogil
 cdef void doubt_refusal(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
 cdef void compare_fixes(State *x, Fix *fix) noexcept nogil
+cdef bint is_receivers_own(State *x, Fix *fix) noexcept nogil
 cdef bint contradicts_itself(State *x, Fix *fix) noexcept nogil

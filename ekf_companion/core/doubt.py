@@ -12,6 +12,7 @@ Source: correlated innovations of a filter that trusts its model too much, Mehra
 from __future__ import annotations
 
 import cython
+from cython.cimports.ekf_companion.core import force
 from cython.cimports.ekf_companion.core.enums import AID_POSITION, AID_VELOCITY, N
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.rotation import wrap
@@ -192,7 +193,7 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
         excess = excess if excess < LARGEST_EXCESS else LARGEST_EXCESS
         pull += EXCESS * (excess - FAIR_EXCESS)
     is_dragged = cython.declare(cython.bint, x.refused_t[AID_POSITION] > x.used_t[AID_POSITION])
-    if pull > 0.0 and (is_dragged or contradicts_itself(x, fix)):
+    if pull > 0.0 and (is_dragged or is_receivers_own(x, fix)):
         return
     x.doubt *= exp(GAIN * pull)
     if pull > 0.0:
@@ -263,6 +264,7 @@ def doubt_refusal(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
 def compare_fixes(x: State, fix: Fix) -> None:
     """Add to what the receiver's position has moved beside the integral of its velocity."""
     dt = (x.t - x.split_t) * 1e-9
+    force.compare(x, fix, dt)
     for i in range(3):
         here = -fix.alt
         if i == 0:
@@ -278,6 +280,11 @@ def compare_fixes(x: State, fix: Fix) -> None:
         x.split_pos[i] = here
         x.split_vel[i] = v
     x.split_t = x.t
+
+
+def is_receivers_own(x: State, fix: Fix) -> bool:
+    """Return whether a disagreement is the receiver's, whatever the filter is in doubt of."""
+    return contradicts_itself(x, fix) or force.is_contradicted(x, fix)
 
 
 def contradicts_itself(x: State, fix: Fix) -> bool:

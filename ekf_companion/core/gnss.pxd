@@ -13,7 +13,7 @@ cdef bint fuse(State *x, Parameters *k, Scratch *w, Py_ssize_t aid) noexcept nog
 cdef void learn_white_share(
     State *x, Observation *o, Py_ssize_t aid, double stated_var
 ) noexcept nogil
-cdef bint is_dragged(State *x, Observation *o, Py_ssize_t aid, double stated_var) noexcept nogil
+cdef bint is_dragged(State *x, Observation *o, Fix *fix, Py_ssize_t aid) noexcept nogil
 cdef bint fuse_velocity(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef void fuse_position(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef double position_patience(State *x, Parameters *k, Scratch *w) noexcept nogil

@@ -12,6 +12,7 @@ from cython import address
 from cython.cimports.ekf_companion.core import (
     align,
     doubt,
+    force,
     gate,
     observe,
     rest,
@@ -294,7 +295,9 @@ def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
     o = address(w.observation)
     nis = innovate(x, o)
     hard = k.gate[o.rows - 1]
-    if aid != AID_VELOCITY and is_dragged(x, o, aid, w.fix.stated_var[aid]):
+    if force.is_contradicted(x, address(w.fix)):
+        nis = DRAGGED_NIS
+    if aid != AID_VELOCITY and is_dragged(x, o, address(w.fix), aid):
         nis = DRAGGED_NIS
         if x.refused_t[aid] <= x.used_t[aid]:
             forget_vel_offset(x)
@@ -338,7 +341,7 @@ def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> 
         x.white_share[aid] = 0.0
 
 
-def is_dragged(x: State, o: Observation, aid: int, stated_var: float) -> bool:
+def is_dragged(x: State, o: Observation, fix: Fix, aid: int) -> bool:
     """Return whether the fixes deviate to one side, each by too little for its gate.
 
     The mean of the whitened innovations over some seconds is near zero unless fixes and motion
@@ -360,7 +363,9 @@ def is_dragged(x: State, o: Observation, aid: int, stated_var: float) -> bool:
         size += x.innovation_mean[first + r] * x.innovation_mean[first + r]
         off = x.innovation_mean[first + r] * o.L[r][r]
         way += off * off
-    return size > largest * largest and (x.doubt <= 1.0 or way > stated_var)
+    if size <= largest * largest:
+        return False
+    return x.doubt <= 1.0 or way > fix.stated_var[aid] or doubt.contradicts_itself(x, fix)
 
 
 def fuse_velocity(x: State, k: Parameters, w: Scratch) -> bool:
@@ -370,7 +375,7 @@ def fuse_velocity(x: State, k: Parameters, w: Scratch) -> bool:
     observe.velocity(x, k, fix, o)
     if fuse(x, k, w, AID_VELOCITY):
         return True
-    if doubt.contradicts_itself(x, fix):
+    if doubt.is_receivers_own(x, fix):
         if not gate.is_timed_out(x, AID_POSITION, k.timeout_vel):
             return True
     else:
@@ -403,7 +408,7 @@ def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
     reset_position(x, k, w)
     if gate.is_timed_out(x, AID_VELOCITY, k.timeout_pos):
         reset_unknown_velocity(x, 0, 2)
-    if gate.is_timed_out(x, AID_HEIGHT, SAME_CAUSE):
+    if x.voices.loser != VOICE_HEIGHT and gate.is_timed_out(x, AID_HEIGHT, SAME_CAUSE):
         reset_height(x, k, w)
 
 

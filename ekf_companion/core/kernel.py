@@ -326,6 +326,7 @@ def inflate_after_gap(x: State, k: Parameters, span: float, is_gap: bool) -> Non
     yawed = turned
     if is_gap:
         x.gaps += 1.0
+        x.force_sum[0] = NAN
         begin_window(x, x.t)
     if x.mode == MODE_LEVEL:
         if is_gap:

@@ -89,6 +89,9 @@ def integrate_strapdown(x: State, k: Parameters, m: Motion, dt: float) -> None:
     m.dv_n[0] = un
     m.dv_n[1] = ue
     m.dv_n[2] = ud
+    x.force_sum[0] += un
+    x.force_sum[1] += ue
+    x.force_sum[2] += ud
     # One sample's noise would count as acceleration, and hold the delay of a fix where it is
     share = dt / (dt + SMOOTH)
     x.accel_n[0] += share * (un / dt + cn - x.accel_n[0])

@@ -124,6 +124,10 @@ class Voices:
     """Of the climbs lately: height less velocity, baro less height, baro less velocity, m."""
     smooth: Annotated[Vector, 3]
     """The same without a height's noise, m."""
+    rush: Real
+    """Climb over the last second, barometer less velocity, m."""
+    is_rushing: Real
+    """The receiver's vertical velocity is contradicted by barometer and inertial samples."""
     loser: Real
     """:class:`Voice`."""
 
@@ -424,6 +428,12 @@ class State:
     """Its last velocity, m/s."""
     split_t: Real
     """ns."""
+    force_sum: Annotated[Vector, 3]
+    """Integral of the specific force since that fix, n, m/s."""
+    felt_force: Annotated[Vector, 3]
+    """The same over the last half second or so."""
+    fix_force: Annotated[Vector, 3]
+    """What it is by the change of the receiver's velocity."""
     white_share: Annotated[Vector, RUNS]
     """Learnt share of the receiver's stated variances that is white, by aid."""
     gnss_vel_offset_var: Real

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import cython
 from cython import address
+from cython.cimports.ekf_companion.core import force
 from cython.cimports.ekf_companion.core.enums import (
     AID_VELOCITY,
     E_BARO,
     E_POS,
+    E_VEL,
     MODE_NAVIGATE,
     VOICE_ANY,
     VOICE_BARO,
@@ -25,6 +27,7 @@ from cython.cimports.ekf_companion.core.scratch import Fix
 from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
+NAN = cython.declare(cython.double, float("nan"))
 MEMORY = cython.declare(cython.double, 40.0)
 """Time constant over which the climbs are compared, s."""
 LONG_MEMORY = cython.declare(cython.double, 1000.0)
@@ -42,6 +45,10 @@ BARO_STD = cython.declare(cython.double, 1.0)
 """One sigma of what weather, wind and rotors change in a barometer meanwhile, m."""
 BACK = cython.declare(cython.double, 0.4)
 """Share of the limit below which a height is heard again."""
+RUSH_TIME = cython.declare(cython.double, 1.0)
+"""Time constant over which barometer and vertical velocity are compared at once, s."""
+RUSH = cython.declare(cython.double, 2.0)
+"""What gusts and rotors may change in a pressure altitude within it, m."""
 LARGEST = cython.declare(cython.double, 2.0)
 """A difference is kept up to so many times its limit: it must not last when its cause is gone."""
 
@@ -86,6 +93,7 @@ def compare_climbs(x: State, fix: Fix) -> None:
             voices.difference[1] += by_baro - by_height
             if has_vel:
                 voices.difference[2] += by_baro - by_velocity
+                voices.rush += by_baro - by_velocity
         # a receiver's height is noisy from fix to fix
         for i in range(3):
             gain = dt / (dt + SMOOTH) if i < 2 else 1.0
@@ -98,11 +106,39 @@ def compare_climbs(x: State, fix: Fix) -> None:
         for i in range(3):
             voices.difference[i] = 0.0
             voices.smooth[i] = 0.0
+    find_rush(x, fix, dt, is_next and had_baro and voices.has_baro != 0.0 and has_vel)
     voices.t = x.t
     voices.height = fix.alt
     voices.down = down
     voices.baro = baro
     find_loser(x, fix)
+
+
+def find_rush(x: State, fix: Fix, dt: float, is_known: bool) -> None:
+    """Find out whether the receiver's vertical velocity runs wild, within a second or two.
+
+    It does where the barometer shows nothing of it, and the inertial samples deny it: they felt no
+    such change, or the velocity is refused. It is not heard until the barometer agrees again.
+    """
+    voices = address(x.voices)
+    if not is_known:
+        voices.rush = 0.0
+        voices.is_rushing = 0.0
+        return
+    voices.rush *= exp(-dt / RUSH_TIME)
+    size = fabs(voices.rush) / (RUSH + SIGMAS * RUSH_TIME * sqrt(fix.stated_var[2]))
+    if voices.is_rushing != 0.0:
+        voices.is_rushing = 1.0 if size > BACK else 0.0
+    elif size > 1.0 and (
+        force.is_denied(x, fix, voices.rush) or x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]
+    ):
+        voices.is_rushing = 1.0
+        # what was fused until now has led us along
+        lead = voices.rush * voices.rush
+        x.P[E_POS + 2][E_POS + 2] += lead
+        x.P[E_VEL + 2][E_VEL + 2] += lead / (RUSH_TIME * RUSH_TIME)
+    if voices.is_rushing != 0.0:
+        fix.vel_n[2] = NAN
 
 
 def find_loser(x: State, fix: Fix) -> None:
@@ -123,6 +159,7 @@ def find_loser(x: State, fix: Fix) -> None:
                 is_denied = cython.declare(
                     cython.bint, x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]
                 )
+                is_denied = is_denied or voices.is_rushing != 0.0
                 voices.loser = VOICE_HEIGHT if is_denied else VOICE_BARO
             elif agrees(c, a, b):
                 voices.loser = VOICE_HEIGHT
