@@ -137,3 +137,24 @@ def test_a_drift_too_quiet_for_the_samples_is_no_rest_where_the_receiver_shows_i
     table, _ = run(events.take(events.kind != Kind.VEHICLE))
     late = (table.stamp_ns - table.stamp_ns[0]) * 1e-9 > 30.0
     assert abs(table.column("vel_n")[late].mean() - 0.3) < 0.03
+
+
+def test_a_receiver_that_falls_and_leaps_as_no_accelerometer_felt_is_wrong_itself():
+    """Position and velocity agree with each other, and the samples are in doubt by vibration."""
+    events, truth = flight("hover", duration=60.0, noise=NOISE)
+    t, values = seconds(events), events.values.copy()
+    imu = events.kind == Kind.IMU
+    values[imu, 3:6] += 2.0 * np.sin(2.0 * np.pi * 0.4 * t[imu])[:, None]
+    gnss = events.kind == Kind.GNSS
+    after = np.clip(t[gnss] - 40.0, 0.0, None)
+    gained = np.where(after < 2.0, 12.0 * after, np.clip(24.0 - 48.0 * (after - 2.0), 0.0, None))
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (gained[1:] + gained[:-1]) * np.diff(t[gnss]))])
+    back = np.where(after > 3.0, np.exp(-(after - 3.0) / 3.0), 1.0)
+    values[gnss, 3] += 3.0 * gained
+    values[gnss, VEL_DOWN] += gained
+    values[gnss, 0] += 3.0 * way * back * METRE
+    values[gnss, ALT] -= way * back
+    assert way.max() > 25.0
+    _, late, lies, _ = judge(Events(t_ns=events.t_ns, kind=events.kind, values=values), truth)
+    assert lies == 0
+    assert np.nanmax(np.abs(late["pos"][:, 2])) < 20.0
