@@ -20,6 +20,7 @@ from cython.cimports.ekf_companion.core.scratch import Fix, ImuRow, Motion, Obse
 from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
+NAN = cython.declare(cython.double, float("nan"))
 NEVER = cython.declare(cython.double, -1e18)
 LEAST_DOUBT = cython.declare(cython.double, 0.003)
 LARGEST_DOUBT = cython.declare(cython.double, 1e4)
@@ -141,6 +142,8 @@ def find_clipping(x: State, imu: ImuRow) -> None:
         x.is_clipped[j + 3] = 0.0
         if size > LEAST_FORCE_RANGE:
             x.is_clipped[j + 3] = is_at_end(x, j + 3, size, imu.accel[j] - x.accel[j])
+        if x.is_clipped[j] != 0.0 or x.is_clipped[j + 3] != 0.0:
+            x.force_sum[j] = NAN
 
 
 def is_at_end(x: State, axis: int, size: float, change: float) -> float:

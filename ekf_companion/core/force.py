@@ -2,8 +2,9 @@
 
 What a vehicle gains in velocity, less what gravity gives, is the integral of its specific force.
 Of that integral the attitude turns only the direction: its length follows from the inertial samples
-alone. So a receiver that claims a fall or a leap which the accelerometers did not feel is wrong
-itself, however much the attitude, the biases or the filter are in doubt.
+alone. So where receiver and accelerometers disagree about it, one of them is wrong itself, however
+much the attitude, the biases or the filter are in doubt: the one that shows what no flight is like,
+further from the one g that carries a vehicle. A receiver runs wild, an accelerometer vibrates.
 """
 
 from __future__ import annotations
@@ -27,18 +28,23 @@ SIGMAS = cython.declare(cython.double, 3.0)
 
 def compare(x: State, fix: Fix, dt: float) -> None:
     """Add what both gained since the fix dt (s) before, whose velocity is ``x.split_vel``."""
-    is_known = cython.declare(cython.bint, 0.0 < dt < LONGEST and not isnan(x.force_sum[0]))
+    is_known = cython.declare(cython.bint, 0.0 < dt < LONGEST)
+    for i in range(3):  # after a gap, or samples at the end of their range, no sum is known
+        is_known = is_known and not isnan(fix.vel_n[i]) and not isnan(x.force_sum[i])
+    faded = exp(-dt / MEMORY)
     for i in range(3):
-        is_known = is_known and not isnan(fix.vel_n[i]) and x.is_clipped[i] == 0.0
-        is_known = is_known and x.is_clipped[i + 3] == 0.0
-    faded = exp(-dt / MEMORY) if is_known else 0.0
-    for i in range(3):
-        gained = fix.vel_n[i] - x.split_vel[i] if is_known else 0.0
-        x.fix_force[i] = faded * (x.fix_force[i] + gained)
-        x.felt_force[i] = faded * (x.felt_force[i] + x.force_sum[i])
+        if is_known:
+            x.fix_force[i] = faded * (x.fix_force[i] + fix.vel_n[i] - x.split_vel[i])
+            x.felt_force[i] = faded * (x.felt_force[i] + x.force_sum[i])
+        else:
+            x.fix_force[i] = 0.0
+            x.felt_force[i] = 0.0
         x.force_sum[i] = 0.0
     if is_known:
         x.fix_force[2] -= faded * GRAVITY * dt
+        x.force_time = faded * (x.force_time + dt)
+    else:
+        x.force_time = 0.0
 
 
 def is_contradicted(x: State, fix: Fix) -> bool:
@@ -48,7 +54,7 @@ def is_contradicted(x: State, fix: Fix) -> bool:
     for i in range(3):
         claimed += x.fix_force[i] * x.fix_force[i]
         felt += x.felt_force[i] * x.felt_force[i]
-    return fabs(sqrt(claimed) - sqrt(felt)) > limit(x, fix)
+    return is_odd(x, sqrt(claimed), sqrt(felt)) and fabs(sqrt(claimed) - sqrt(felt)) > limit(x, fix)
 
 
 def is_denied(x: State, fix: Fix, way: float) -> bool:
@@ -57,7 +63,15 @@ def is_denied(x: State, fix: Fix, way: float) -> bool:
     What an attitude is wrong by tells little in the vertical.
     """
     more = x.fix_force[2] - x.felt_force[2]
-    return (more if way > 0.0 else -more) > limit(x, fix)
+    return is_odd(x, -x.fix_force[2], -x.felt_force[2]) and (more if way > 0.0 else -more) > limit(
+        x, fix
+    )
+
+
+def is_odd(x: State, claimed: float, felt: float) -> bool:
+    """Return whether the receiver's claim is further from one g than what the samples felt."""
+    usual = GRAVITY * x.force_time
+    return fabs(claimed - usual) > fabs(felt - usual)
 
 
 def limit(x: State, fix: Fix) -> float:

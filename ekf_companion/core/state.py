@@ -434,6 +434,8 @@ class State:
     """The same over the last half second or so."""
     fix_force: Annotated[Vector, 3]
     """What it is by the change of the receiver's velocity."""
+    force_time: Real
+    """Over how long, faded likewise, s."""
     white_share: Annotated[Vector, RUNS]
     """Learnt share of the receiver's stated variances that is white, by aid."""
     gnss_vel_offset_var: Real
