@@ -148,7 +148,7 @@ def frame_state(session: Session) -> FrameState:
 
 def vehicle_estimate(companion: Companion, watch: AidWatch, now_ns: int) -> VehicleEstimate:
     """Return where the vehicle is by our estimate, and by the autopilot's."""
-    pipeline = companion.pipeline
+    pipeline, config = companion.pipeline, companion.tuning.config
     out = None if pipeline is None else as_estimate(pipeline.values())
     nowhere = (math.nan,) * 3
     lla, vel_n = (nowhere, nowhere) if out is None else (out.lla, out.vel_n)
@@ -179,7 +179,8 @@ def vehicle_estimate(companion: Companion, watch: AidWatch, now_ns: int) -> Vehi
         aids=watch.states(now_ns),
         drift=watch.drift(),
         autopilot=_autopilot(companion.session, now_ns),
-        needs_fix=companion.tuning.config.preflight.needs_fix,
+        needs_fix=config.preflight.needs_fix,
+        takes_own_position=config.gnss.source == "global",
     )
 
 

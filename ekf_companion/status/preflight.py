@@ -50,6 +50,7 @@ HEADING_DRIFT = 3.0
 """Likewise of the heading, deg: a gyro of 0.15 deg/s that nothing corrects, in 20 s."""
 LEAST_REST_S = 5.0
 """Rest over which a drift is judged."""
+_HEADING_UNSURE = "heading is known to {:.0f} deg only"
 UNJUDGED = Preflight(ready=False, sentence="", reasons=())
 """Stands for the verdict on a snapshot that it was not asked of yet."""
 
@@ -130,12 +131,16 @@ def _of_fix(snapshot: Snapshot, health: Health) -> Iterator[Reason]:
         yield Reason("fix refused", f"fixes refused: {position.why}")
     elif position.state == "lost":
         yield Reason("no fix", f"no fix for {position.used_s:.0f} s{_why_no_fix(snapshot)}")
-    elif math.isnan(vehicle.lat_deg) and not math.isnan(vehicle.heading_deg):
-        yield Reason("no fix", f"no fix{_why_no_fix(snapshot)}")
     elif math.isnan(vehicle.lat_deg):
-        yield Reason("no fix", f"no position{_why_no_fix(snapshot)}")
+        # A position waits for a heading: where that alone is missing, it is told as such
+        why = _why_no_fix(snapshot)
+        if why or not math.isnan(vehicle.heading_deg):
+            yield Reason("no fix", f"no fix{why}")
     elif health.status is Status.DEAD_RECKONING:
         yield Reason("no fix", "no fix: dead reckoning")
+    elif health.is_position_autopilots and not vehicle.takes_own_position:
+        instead = "the position is the autopilot's own estimate"
+        yield Reason("no fix", f"no fix{_why_no_fix(snapshot)}; {instead}")
     if height.state == "refused":
         yield Reason("height refused", f"the height of the fixes is refused: {height.why}")
     if (std := vehicle.sigma.horizontal_m) > LARGEST_HORIZONTAL_STD:
@@ -170,8 +175,9 @@ def _of_heading(vehicle: VehicleEstimate) -> Iterator[Reason]:
         yield Reason("no heading", f"no heading from {aid.source} for {aid.used_s:.0f} s")
     elif math.isnan(vehicle.heading_deg):
         yield Reason("no heading", "no heading: neither a compass nor another source is used")
-    if std > LARGEST_HEADING_STD:
-        yield Reason("heading unsure", f"heading is known to {std:.0f} deg only")
+    # Before there is a position, the declination is not known
+    if std > LARGEST_HEADING_STD and not math.isnan(vehicle.lat_deg):
+        yield Reason("heading unsure", _HEADING_UNSURE.format(std))
 
 
 def _is_field_refused(aid: AidState) -> bool:
@@ -314,7 +320,10 @@ def _of_output(snapshot: Snapshot) -> Iterator[Reason]:
 
 def _remarks(snapshot: Snapshot) -> Iterator[str]:
     """Find what is good to know, and speaks against no take-off."""
-    health, output = snapshot.estimator, snapshot.output
+    health, output, vehicle = snapshot.estimator, snapshot.output, snapshot.vehicle
+    std = vehicle.sigma.heading_deg
+    if std > LARGEST_HEADING_STD and math.isnan(vehicle.lat_deg) and not vehicle.needs_fix:
+        yield f"{_HEADING_UNSURE.format(std)}: no position shows the declination"
     if health is not None and 0.0 < health.imu_rate < DECIMATED:
         yield f"inertial samples come at {health.imu_rate:.0f} Hz: fast motion is missed"
     if health is not None and not output.is_allowed:

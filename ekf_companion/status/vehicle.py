@@ -153,6 +153,8 @@ class VehicleEstimate:
     """None: it has said neither."""
     needs_fix: bool
     """Whether the configuration wants a position before take-off."""
+    takes_own_position: bool
+    """Whether it names the autopilot's own position as the source, not a receiver."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
