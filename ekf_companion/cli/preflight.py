@@ -28,16 +28,16 @@ def preflight(
     ] = 0.0,
 ) -> None:
     """Say whether the vehicle may take off, and why not. Exit code: 0 ready, 5 not, 4 no answer."""
-    end_s, said = time.monotonic() + wait, ""
+    end_s, said = time.monotonic() + wait, [""]
     while True:
         code, verdict = _ask(url)
         left_s = end_s - time.monotonic()
         if code == 0 or left_s <= 0.0 or not url.startswith(("http://", "https://")):
             break
         # What is waited for, on the standard error: the result alone goes to the other
-        if verdict["sentence"] != said:
-            said = verdict["sentence"]
-            typer.echo(f"{said} (waiting)", err=True)
+        if verdict["causes"] != said:
+            said = verdict["causes"]
+            typer.echo(f"{verdict['sentence']} (waiting)", err=True)
         time.sleep(min(PERIOD, left_s))
     if code == NO_DAEMON:
         typer.echo(f"ekf-companion: {verdict['sentence']}", err=True)
