@@ -23,7 +23,7 @@ LAPSE_NS = 3 * SECOND_NS
 what is refused once is no news."""
 REST_SPAN_NS = 20 * SECOND_NS
 """Of the rest over which the attitude is looked at."""
-SETTLED_NS = 10 * SECOND_NS
+SETTLED_NS = 5 * SECOND_NS
 """After an alignment the first fixes and the learning of the biases move the attitude."""
 
 _WHY = {
@@ -63,6 +63,8 @@ class AidWatch:
         self._level: deque[tuple[int, float, float, float]] = deque()
         """When, ns, and roll, pitch, yaw, rad, of one rest."""
         self._settled_ns: int | None = None
+        self._begun = (0.0, 0.0)
+        """Source of the azimuth and number of resets."""
 
     def update(self, pipeline: Pipeline, session: Session, now_ns: int) -> None:
         """Note what has become of the aids since the last call, and the attitude."""
@@ -83,7 +85,10 @@ class AidWatch:
                 if count > one.refused[why]:
                     one.refused_ns, one.why = now_ns, _WHY[why]
             one.used, one.refused = used[aid], refused[aid]
-        self._watch_level(pipeline, is_at_rest=bool(x.at_rest), now_ns=now_ns)
+        # Another source, a declination that becomes known, or a reset move it at once
+        begun = (x.azimuth, x.resets)
+        is_same, self._begun = begun == self._begun, begun
+        self._watch_level(pipeline, is_at_rest=is_same and bool(x.at_rest), now_ns=now_ns)
 
     def _watch_level(self, pipeline: Pipeline, *, is_at_rest: bool, now_ns: int) -> None:
         values = pipeline.values()

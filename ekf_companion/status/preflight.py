@@ -46,9 +46,11 @@ LEANING, UPSIDE_DOWN = 45.0, 120.0
 the second nothing stands."""
 LEVEL_DRIFT = 0.5
 """Change of roll or pitch at rest, deg: to that the autopilots' level calibrations hold."""
-HEADING_DRIFT = 3.0
-"""Likewise of the heading, deg: a gyro of 0.15 deg/s that nothing corrects, in 20 s."""
-LEAST_REST_S = 5.0
+HEADING_DRIFT = 5.0
+"""Likewise of the heading, deg: one sigma of a calibrated compass."""
+SETTLING_S = 10.0
+"""Use of an aid without a break before it is relied on: what EKF2 wants too (EKF2_REQ_GPS_H)."""
+LEAST_REST_S = 4.0
 """Rest over which a drift is judged."""
 _HEADING_UNSURE = "heading is known to {:.0f} deg only"
 UNJUDGED = Preflight(ready=False, sentence="", reasons=())
@@ -74,6 +76,8 @@ def check(snapshot: Snapshot) -> Preflight:
                 notes.append(one) if isinstance(one, str) else reasons.append(one)
         reasons += _of_rest(snapshot)
         reasons += _of_output(snapshot)
+        if not reasons:
+            reasons += _of_beginning(snapshot.vehicle)
         if not reasons and snapshot.estimator.status is Status.DEGRADED and not notes:
             reasons.append(Reason("degraded", "the estimate is degraded; wait, or see its sigmas"))
     notes += _remarks(snapshot)
@@ -166,8 +170,11 @@ def _why_no_fix(snapshot: Snapshot) -> str:
 def _of_heading(vehicle: VehicleEstimate) -> Iterator[Reason]:
     aid, std = vehicle.aids["heading"], vehicle.sigma.heading_deg
     if _is_field_refused(aid):
-        instead = f"; heading is from {aid.source}" if aid.state == "used" else ""
-        yield Reason("compass refused", f"compass refused: {aid.why}{instead}")
+        is_at_times = aid.state == "used" and "magnetometer" in aid.source
+        is_replaced = aid.state == "used" and not is_at_times
+        words = f"compass refused{' now and then' if is_at_times else ''}: {aid.why}"
+        words += f"; heading is from {aid.source}" if is_replaced else ""
+        yield Reason("compass refused", words)
     elif aid.state == "refused":
         what = "compass" if "magnetometer" in aid.source else "heading"
         yield Reason("compass refused", f"{what} refused: {aid.why}")
@@ -307,6 +314,14 @@ def _of_rest(snapshot: Snapshot) -> Iterator[Reason]:
             yield Reason("levels drift", f"levels drift: {name} by {moved:.1f} deg {span}")
     if drift.heading_deg > max(HEADING_DRIFT, sigma.heading_deg):
         yield Reason("heading drifts", f"heading drifts: by {drift.heading_deg:.0f} deg {span}")
+
+
+def _of_beginning(vehicle: VehicleEstimate) -> Iterator[Reason]:
+    """Find out whether the estimate is too young: the first fixes are the worst."""
+    name = "position" if vehicle.needs_fix else "heading"
+    if (since_s := vehicle.aids[name].since_s) < SETTLING_S:
+        words = f"settling: {name} is aided for {since_s:.0f} of {SETTLING_S:.0f} s"
+        yield Reason("settling", words)
 
 
 def _of_output(snapshot: Snapshot) -> Iterator[Reason]:

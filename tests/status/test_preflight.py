@@ -1,6 +1,8 @@
 """The verdict before take-off: each thing that speaks against it, as a vehicle would show it."""
 
+import inspect
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -10,12 +12,14 @@ from ekf_companion.config.service import PreflightConfig
 from ekf_companion.core.settings import GnssSettings
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav.state import Status
+from ekf_companion.status import preflight
 from ekf_companion.status.preflight import check
 from sim_autopilot.autopilot import Autopilot
-from sim_autopilot.config import SimConfig, StreamConfig
+from sim_autopilot.config import HomeConfig, SimConfig, StreamConfig
 from sim_autopilot.faults.fault import parse
 from sim_autopilot.faults.sensors import SensorFaults
 from sim_autopilot.flight import Flight
+from tests.paths import ROOT
 from tests.status.test_observer import MS, Watched
 
 OPEN = object()
@@ -24,7 +28,7 @@ NO_SATELLITES = f"gnss-outage:how=nofix,{WHOLE}"
 NO_COMPASS_FIELD = f"mag-disturbance:{WHOLE},forward=0.5"
 
 
-def stand(*faults, duration=8.0, config=None, scenario="static", silent=(), **options):
+def stand(*faults, duration=12.5, config=None, scenario="static", silent=(), **options):
     """Return a companion beside an autopilot that stands, with what is wrong with it.
 
     ``silent`` are messages that the autopilot does not have.
@@ -146,8 +150,10 @@ def test_a_vehicle_without_gnss_by_configuration_is_not_asked_for_a_fix():
     silent = ("GPS_RAW_INT", "GLOBAL_POSITION_INT")
     config = Config(preflight=PreflightConfig(needs_fix=False))
     found = verdict(stand(config=config, silent=silent))
-    assert found.sentence == (
-        "ready (heading is known to 12 deg only: no position shows the declination)"
+    assert found.ready
+    (note,) = found.notes
+    assert re.fullmatch(
+        r"heading is known to 1\d deg only: no position shows the declination", note
     )
 
 
@@ -210,6 +216,14 @@ def test_an_estimate_that_has_stopped_is_not_compared():
     assert check(snapshot).reasons == ("the estimate is 1.5 s old",)
 
 
+def test_until_fixes_have_been_used_for_ten_seconds_it_is_settling():
+    """The first fixes of a receiver are its worst."""
+    early, late = (verdict(stand(duration=duration)) for duration in (9.0, 12.5))
+    assert early.causes == ("settling",)
+    assert re.fullmatch(r"settling: position is aided for [78] of 10 s", early.reasons[0])
+    assert late.ready
+
+
 def test_before_it_has_aligned_it_is_not_ready():
     found = verdict(stand(duration=0.5))
     assert found.reasons == ("still aligning: leave the vehicle at rest",)
@@ -231,6 +245,18 @@ def test_in_flight_a_lean_is_no_mounting(good):
 def test_a_stall_is_told(good):
     stalled = replace(good, process=replace(good.process, tick_age_s=3.0))
     assert check(stalled).causes == ("unhealthy",)
+
+
+def test_before_the_first_sample_nothing_is_estimated(good):
+    assert check(replace(good, estimator=None)).reasons == ("nothing is estimated yet",)
+
+
+def test_every_cause_is_explained_with_what_to_do():
+    source = inspect.getsource(preflight)
+    causes = set(re.findall(r'Reason\(\s*"([^"]+)"', source))
+    page = (ROOT / "docs" / "PREFLIGHT.md").read_text(encoding="utf-8")
+    assert len(causes) > 20
+    assert {cause for cause in causes if f"`{cause}`" not in page} == set()
 
 
 # How far apart is too far
@@ -398,7 +424,22 @@ def test_a_heading_that_nothing_shows_is_told(good):
 def test_a_heading_that_drifts_is_told(good):
     drift = replace(good.vehicle.drift, seconds=20.0, heading_deg=9.0)
     assert changed(good, drift=drift).reasons == ("heading drifts: by 9 deg in 20 s at rest",)
-    assert changed(good, drift=replace(drift, seconds=4.0)).ready
+    assert changed(good, drift=replace(drift, heading_deg=4.9)).ready
+    assert changed(good, drift=replace(drift, seconds=3.9)).ready
+
+
+def test_a_declination_that_becomes_known_is_no_drift():
+    """Before the first fix the heading is magnetic: 18 deg from true north at this place."""
+    home = HomeConfig(lat=64.0, lon=-147.0)
+    watched = stand("gnss-outage:how=silent,duration=16", duration=28.0, home=home)
+    assert verdict(watched).ready
+    assert watched.snapshot().vehicle.drift.seconds > 4.0
+
+
+def test_a_compass_that_is_refused_at_times_is_told_as_such(good):
+    aid = replace(good.vehicle.aids["heading"], refused_s=0.5, why="the magnetic field is not so")
+    found = changed(good, aids={**good.vehicle.aids, "heading": aid})
+    assert found.reasons == ("compass refused now and then: the magnetic field is not so",)
 
 
 def test_a_drift_within_its_own_sigma_is_none(good):
