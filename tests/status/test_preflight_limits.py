@@ -83,10 +83,33 @@ def test_a_height_counts_beyond_10_m(good):
     assert changed(good, alt_m=own + 10.3).causes == ("height differs",)
 
 
-def test_a_velocity_that_differs_is_told(good):
+@pytest.mark.parametrize(("std", "limit"), [(0.0, 1.0), (0.4, 1.5)])
+def test_a_velocity_counts_beyond_three_sigmas_and_1_m_s(good, std, limit):
     north, east, down = good.vehicle.autopilot.vel_ned_m_s
-    found = changed(good, vel_ned_m_s=(north + 1.5, east, down))
-    assert found.reasons == ("velocity differs from the autopilot's by 1.5 m/s",)
+    sigma = replace(good.vehicle.sigma, vel_ned_m_s=(std, 0.0, 0.0))
+    for speed, is_ready in ((limit - 0.05, True), (limit + 0.05, False)):
+        found = changed(good, vel_ned_m_s=(north + speed, east, down), sigma=sigma)
+        assert found.ready is is_ready
+    assert found.reasons == (f"velocity differs from the autopilot's by {speed:.1f} m/s",)
+
+
+@pytest.mark.parametrize("angle", ["roll_deg", "pitch_deg"])
+def test_a_vehicle_leans_beyond_45_deg_and_is_upside_down_beyond_120(good, angle):
+    level = {"roll_deg": 0.0, "pitch_deg": 0.0}
+    found = {
+        lean: [
+            reason.partition(":")[0].partition(",")[0]
+            for reason in changed(good, **level | {angle: lean}).reasons
+            if "mounting" in reason
+        ]
+        for lean in (44.0, -46.0, 119.0, -121.0)
+    }
+    assert found == {
+        44.0: [],
+        -46.0: ["mounting looks wrong"],
+        119.0: ["mounting looks wrong"],
+        -121.0: ["mounting looks upside down"],
+    }
 
 
 # What is not compared
@@ -179,8 +202,8 @@ def test_a_heading_that_nothing_shows_is_told(good):
 
 
 def test_a_heading_that_drifts_is_told(good):
-    drift = replace(good.vehicle.drift, seconds=20.0, heading_deg=9.0)
-    assert changed(good, drift=drift).reasons == ("heading drifts: by 9 deg in 20 s at rest",)
+    drift = replace(good.vehicle.drift, seconds=20.0, heading_deg=5.1)
+    assert changed(good, drift=drift).reasons == ("heading drifts: by 5 deg in 20 s at rest",)
     assert changed(good, drift=replace(drift, heading_deg=4.9)).ready
     assert changed(good, drift=replace(drift, seconds=3.9)).ready
 
@@ -192,10 +215,11 @@ def test_a_compass_that_is_refused_at_times_is_told_as_such(good):
 
 
 def test_a_drift_within_its_own_sigma_is_none(good):
-    drift = replace(good.vehicle.drift, seconds=20.0, roll_deg=0.8)
+    drift = replace(good.vehicle.drift, seconds=20.0, roll_deg=0.55)
     sure = replace(good.vehicle.sigma, roll_deg=0.3)
     assert changed(good, drift=drift, sigma=replace(sure, roll_deg=1.0)).ready
     assert changed(good, drift=drift, sigma=sure).causes == ("levels drift",)
+    assert changed(good, drift=replace(drift, roll_deg=0.45), sigma=sure).ready
 
 
 def test_a_degraded_estimate_without_another_reason_is_not_ready(good):
