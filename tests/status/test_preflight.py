@@ -137,7 +137,8 @@ def test_levels_that_drift_at_rest_are_told():
 def test_a_declination_that_becomes_known_is_no_drift():
     """Before the first fix the heading is magnetic: 18 deg from true north at this place."""
     home = HomeConfig(lat=64.0, lon=-147.0)
-    watched = stand("gnss-outage:how=silent,duration=16", duration=28.0, home=home)
+    outage, silent = "gnss-outage:how=silent,duration=16", ("GLOBAL_POSITION_INT",)
+    watched = stand(outage, duration=28.0, home=home, silent=silent)
     assert verdict(watched).ready
     assert watched.snapshot().vehicle.drift.seconds > 4.0
 

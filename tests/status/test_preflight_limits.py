@@ -206,6 +206,7 @@ def test_a_heading_that_drifts_is_told(good):
     assert changed(good, drift=drift).reasons == ("heading drifts: by 5 deg in 20 s at rest",)
     assert changed(good, drift=replace(drift, heading_deg=4.9)).ready
     assert changed(good, drift=replace(drift, seconds=3.9)).ready
+    assert not changed(good, drift=replace(drift, seconds=4.1)).ready
 
 
 def test_a_compass_that_is_refused_at_times_is_told_as_such(good):
