@@ -2,7 +2,8 @@
 
 Exit codes: 0 done, 1 a figure cannot be drawn or a bug, 2 the command line or the configuration is
 wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from, 4 ``status``
-finds no daemon (and 1 one that is not healthy), 5 the doctor has found a stage that fails.
+finds no daemon (and 1 one that is not healthy), 5 the doctor has found a stage that fails, or
+``preflight`` what speaks against a take-off.
 """
 
 from __future__ import annotations
@@ -31,6 +32,12 @@ COMMANDS = {
         "status",
         "status",
         "Show the daemon's state. Exit code: 0 ok, 1 no estimate of now or invalid, 4 no answer.",
+    ),
+    "preflight": _Entry(
+        "preflight",
+        "preflight",
+        "Say whether the vehicle may take off, and why not. Exit code: 0 ready, 5 not, 4 no "
+        "answer.",
     ),
     "reload": _Entry(
         "reload",

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import signal
 import sys
-from contextlib import nullcontext
 from threading import Event
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from ekf_companion.cli.status_view import view
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 URL = "http://127.0.0.1:9331"
 TIMEOUT = 3.0
@@ -38,14 +40,19 @@ def status(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print /status as JSON, and nothing else.")
     ] = False,
-    watch: Annotated[bool, typer.Option("--watch", help="Repeat every second.")] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Repeat every second; arrows scroll, q ends.")
+    ] = False,
+    brief: Annotated[
+        bool, typer.Option("--brief", help="Only the verdicts, the vehicle and its aids: 80 x 24.")
+    ] = False,
 ) -> None:
     """Show the daemon's state. Exit code: 0 ok, 1 no estimate of now or invalid, 4 no answer."""
     if watch:
-        answer = _watch(url, as_json)
+        answer = _watch(url, as_json, is_brief=brief)
     else:
         answer = fetch(url)
-        _print(answer, as_json)
+        _print(answer, as_json, is_brief=brief)
     raise typer.Exit(answer.code)
 
 
@@ -82,7 +89,7 @@ def fetch(url: str) -> Answer:
         return Answer(NO_DAEMON, sentence, {})
 
 
-def _print(answer: Answer, as_json: bool) -> None:
+def _print(answer: Answer, as_json: bool, *, is_brief: bool) -> None:
     from rich.console import Console
 
     if answer.code == NO_DAEMON or not answer.data:
@@ -90,33 +97,44 @@ def _print(answer: Answer, as_json: bool) -> None:
     elif as_json:
         typer.echo(json.dumps(answer.data, indent=2))
     else:
-        Console().print(view(answer.data))
+        Console().print(view(answer.data, is_brief=is_brief))
 
 
-def _watch(url: str, as_json: bool) -> Answer:
-    """Show the state every second until Ctrl-C; return the last answer."""
+def _watch(url: str, as_json: bool, *, is_brief: bool) -> Answer:
+    """Show the state every second until Ctrl-C, or ``q``; return the last answer."""
     from rich.console import Console
-    from rich.live import Live
+
+    if as_json or not Console().is_terminal:
+        return _repeat(url, as_json, is_brief=is_brief)
     from rich.text import Text
 
+    from ekf_companion.cli.watch import watch
+
+    answer = Answer(NO_DAEMON, "", {})
+
+    def page() -> RenderableType:
+        nonlocal answer
+        answer = fetch(url)
+        return view(answer.data, is_brief=is_brief) if answer.data else Text(answer.sentence)
+
+    watch(page, PERIOD)
+    return answer
+
+
+def _repeat(url: str, as_json: bool, *, is_brief: bool) -> Answer:
+    """Print the state every second until Ctrl-C; return the last answer."""
     # No exception ends it: one that comes in a finaliser is lost
     stop = Event()
     before = signal.signal(signal.SIGINT, lambda *_: stop.set())
-    has_screen = not as_json and Console().is_terminal
     try:
-        with Live(auto_refresh=False) if has_screen else nullcontext() as live:
-            while True:
-                answer = fetch(url)
-                if live is not None:
-                    live.update(
-                        view(answer.data) if answer.data else Text(answer.sentence), refresh=True
-                    )
-                elif as_json:
-                    typer.echo(json.dumps(answer.data or {"words": answer.sentence}))
-                else:
-                    _print(answer, as_json)
-                    sys.stdout.flush()
-                if stop.wait(PERIOD):
-                    return answer
+        while True:
+            answer = fetch(url)
+            if as_json:
+                typer.echo(json.dumps(answer.data or {"words": answer.sentence}))
+            else:
+                _print(answer, as_json, is_brief=is_brief)
+                sys.stdout.flush()
+            if stop.wait(PERIOD):
+                return answer
     finally:
         signal.signal(signal.SIGINT, before)

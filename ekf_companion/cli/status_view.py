@@ -1,9 +1,11 @@
-"""Lay a status out for a terminal: the stages that a measurement passes, from top to bottom."""
+"""Lay a status out for a terminal: the verdicts, the vehicle, then the stages of a measurement."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
+
+from ekf_companion.cli.vehicle_view import vehicle_parts
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -14,18 +16,21 @@ _SLOW = 0.5
 """A message at less than this share of the requested rate is marked."""
 
 
-def view(data: Data) -> Group:
-    """Return the page of what ``/status`` answered."""
+def view(data: Data, *, is_brief: bool = False) -> Group:
+    """Return the page of what ``/status`` answered, the most useful first; in brief, that alone."""
     from rich.console import Group
     from rich.text import Text
 
     health = data["health"]
     colour = "green" if health.get("is_ok") else "yellow" if health["is_healthy"] else "red"
     verdict = Text(health["words"], style=f"bold {colour}")
-    tables = [_stages(data), _rates(data["messages"])]
+    parts = [verdict, *vehicle_parts(data)]
+    if is_brief:
+        return Group(*parts)
+    parts += [_stages(data), _rates(data["messages"])]
     if data["estimator"]:
-        tables.append(_aids(data["estimator"]))
-    return Group(verdict, *tables)
+        parts.append(_aids(data["estimator"]))
+    return Group(*parts)
 
 
 def _table(*columns: str) -> Table:

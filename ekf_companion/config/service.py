@@ -205,3 +205,12 @@ class HttpConfig:
     name."""
     port: Annotated[int, Meta(ge=0, le=65535)] = 9331
     """0: nowhere. Several vehicles on one board need several."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreflightConfig:
+    """What the verdict before take-off asks for."""
+
+    needs_fix: Annotated[bool, Setting(reload=True)] = True
+    """Whether a position is needed to take off. false for a vehicle that flies without GNSS, as
+    indoors: then attitude and heading are enough."""

@@ -46,6 +46,7 @@ _SHARE = Number(0.2, 0.0, 1.0)
 _WAY = Word(("both", "out", "in"))
 """out: from the autopilot to the companion."""
 _METRES = Number(0.0, -1e6, 1e6)
+_ANGLE = Number(0.0, -180.0, 180.0)
 _GAUSS = Number(0.0, -100.0, 100.0)
 
 
@@ -137,15 +138,43 @@ _SENSOR: _Kinds = {
         {"height": Number(20.0, -1e4, 1e4)},
     ),
 }
+_SETUP: _Kinds = {
+    "mounting": (
+        "the board is turned in the vehicle, deg, and the autopilot does not know",
+        3600.0,
+        {"roll": Number(180.0, -180.0, 180.0), "pitch": _ANGLE, "yaw": _ANGLE},
+    ),
+    "own-estimate": (
+        "the autopilot's own estimate is off, by degrees of heading and by metres",
+        3600.0,
+        {
+            "heading": Number(34.0, -180.0, 180.0),
+            "north": _METRES,
+            "east": _METRES,
+            "down": _METRES,
+        },
+    ),
+    "accel-drift": (
+        "the accelerometers drift, m/s^2 in each second, as while a board warms up",
+        3600.0,
+        {"forward": Number(0.02, -10.0, 10.0), "right": Number(0.0, -10.0, 10.0)},
+    ),
+}
+_PASSING = ((Layer.WIRE, _WIRE), (Layer.CLOCK, _CLOCK), (Layer.SENSOR, _SENSOR))
 KINDS = {
     name: FaultKind(name, *kind, layer)
-    for layer, kinds in ((Layer.WIRE, _WIRE), (Layer.CLOCK, _CLOCK), (Layer.SENSOR, _SENSOR))
+    for layer, kinds in (*_PASSING, (Layer.SENSOR, _SETUP))
     for name, kind in kinds.items()
 }
 """By name."""
 
-VARIETY = (*KINDS, "gnss-outage:how=nofix", "gnss-frozen:time=same", "clock-jump:by=-0.5")
-"""Every kind, and the variants that other code handles."""
+VARIETY = (
+    *(name for name in KINDS if name not in _SETUP),
+    "gnss-outage:how=nofix",
+    "gnss-frozen:time=same",
+    "clock-jump:by=-0.5",
+)
+"""Every kind that comes and goes in flight, and the variants that other code handles."""
 
 
 @dataclass(frozen=True, slots=True)

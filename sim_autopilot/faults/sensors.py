@@ -5,6 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
+from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import radii
 from sim_autopilot.faults.fault import Fault, Layer
 from sim_autopilot.flight import Cycle, Fix, Vector
@@ -35,6 +39,9 @@ class SensorFaults:
             "imu-gap": lambda fault, cycle, t: cycle._replace(has_imu=False),
             "mag-disturbance": _disturbance,
             "baro-step": _step,
+            "mounting": _mounting,
+            "own-estimate": _own_estimate,
+            "accel-drift": _accel_drift,
         }
 
     def apply(self, cycle: Cycle) -> Cycle:
@@ -100,6 +107,55 @@ def _step(fault: Fault, cycle: Cycle, t: float) -> Cycle:
         return cycle
     alt = cycle.baro[1] + fault.number("height")
     return cycle._replace(baro=(pressure(alt), alt))
+
+
+def _mounting(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+    """Turn all that the board measures, and what the autopilot makes of it."""
+    angles = (math.radians(fault.number(key)) for key in ("roll", "pitch", "yaw"))
+    q_vb = so3.from_euler(*angles)
+    estimate = cycle.estimate
+    q_nb = so3.multiply(np.array(estimate.q_nb), q_vb)
+    return cycle._replace(
+        gyro_b=_turned(q_vb, cycle.gyro_b),
+        accel_b=_turned(q_vb, cycle.accel_b),
+        mag_b=None if cycle.mag_b is None else _turned(q_vb, cycle.mag_b),
+        estimate=estimate._replace(
+            q_nb=tuple(q_nb.tolist()),
+            euler=tuple(so3.to_euler(q_nb).tolist()),
+            rate_b=_turned(q_vb, estimate.rate_b),
+            accel_b=_turned(q_vb, estimate.accel_b),
+        ),
+    )
+
+
+def _turned(q_vb: Array, vector: Vector) -> Vector:
+    """Return a vector of the vehicle in the axes of the board."""
+    x, y, z = so3.rotate(so3.conjugate(q_vb), np.array(vector)).tolist()
+    return x, y, z
+
+
+def _own_estimate(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+    own = cycle.estimate
+    north, east, down = (fault.number(key) for key in ("north", "east", "down"))
+    roll, pitch, yaw = own.euler
+    euler = (roll, pitch, float(so3.wrap(yaw + math.radians(fault.number("heading")))))
+    meridian, transverse = radii(own.lat)
+    moved = own._replace(
+        lat=own.lat + north / (float(meridian) + own.alt),
+        lon=own.lon + east / ((float(transverse) + own.alt) * math.cos(own.lat)),
+        alt=own.alt - down,
+        pos_n=(own.pos_n[0] + north, own.pos_n[1] + east, own.pos_n[2] + down),
+        euler=euler,
+        q_nb=tuple(so3.from_euler(*euler).tolist()),
+    )
+    return cycle._replace(estimate=moved)
+
+
+def _accel_drift(fault: Fault, cycle: Cycle, t: float) -> Cycle:
+    x, y, z = cycle.accel_b
+    return cycle._replace(
+        accel_b=(x + fault.number("forward") * t, y + fault.number("right") * t, z)
+    )
 
 
 def _moved(fix: Fix, north: float, east: float, down: float) -> Fix:

@@ -2,12 +2,18 @@
 
 import asyncio
 import contextlib
+import fcntl
 import json
+import os
+import pty
 import re
+import select
 import signal
 import socket
+import struct
 import subprocess
 import sys
+import termios
 import threading
 import time
 from dataclasses import replace
@@ -24,6 +30,7 @@ from ekf_companion.engine.health import Aid
 from ekf_companion.status.judge import to_json
 from tests.daemon.test_daemon import Daemon, free_port
 from tests.daemon.test_http import listening, serving
+from tests.daemon.waiting import LIMIT
 from tests.status.test_observer import Watched
 
 
@@ -170,10 +177,10 @@ def data():
     return json.loads(to_json(Watched().fly(8.0).snapshot()))
 
 
-def page(data, width=200):
+def page(data, width=200, **options):
     console = Console(width=width, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
     with contextlib.closing(console.file):
-        console.print(view(data))
+        console.print(view(data, **options))
     return console.export_text()
 
 
@@ -213,3 +220,118 @@ def test_the_page_shows_what_differs_from_the_file_and_what_comes_in_vain(data):
     text = " ".join(page(told).split())
     assert "gnss.delay 0.1 over MAVLink; reloaded 2 times, last: Nothing to take" in text
     assert "the link is full" in text
+
+
+# The vehicle, on a small screen
+
+
+def test_the_page_begins_with_the_verdicts_and_where_the_vehicle_is(data):
+    lines = page(data).splitlines()
+    assert lines[1].startswith("take-off: not ready: the vehicle is armed already")
+    names = [line.split("  ")[0] for line in lines[2:19]]
+    assert names[:4] == ["Vehicle", "latitude", "longitude", "height"]
+    assert names[-6:] == ["position", "height", "velocity", "heading", "baro", "rest"]
+    vehicle = data["vehicle"]
+    (heading,) = [line.split() for line in lines if line.startswith("heading") and "deg" in line]
+    own = vehicle["autopilot"]["heading_deg"]
+    sigma = vehicle["sigma"]["heading_deg"]
+    assert heading[1:4] == [f"{vehicle['heading_deg']:.1f}", f"{sigma:.1f}", "deg"]
+    assert heading[4] == f"{own:.1f}"
+    assert re.search(r"^heading +\d s  HIGHRES_IMU, magnetometer", page(data), re.MULTILINE)
+
+
+def test_in_brief_it_fits_80_by_24_also_with_a_long_verdict(data):
+    reasons = "; ".join(f"a reason of usual length, the {number}th" for number in range(4))
+    told = {**data, "preflight": {**data["preflight"], "sentence": f"not ready: {reasons}"}}
+    lines = page(told, width=80, is_brief=True).splitlines()
+    assert len(lines) <= 23  # and a line for the keys
+    assert max(map(len, lines)) <= 80
+    assert "…" not in "".join(lines)
+    assert not any(line.startswith(" link") for line in lines)
+
+
+def test_what_is_refused_is_shown_with_why(data):
+    refused = {**data["vehicle"]["aids"]["baro"], "state": "refused", "why": "outside its gate"}
+    vehicle = {**data["vehicle"], "aids": {**data["vehicle"]["aids"], "baro": refused}}
+    text = " ".join(page({**data, "vehicle": vehicle}).split())
+    assert "baro refused HIGHRES_IMU, barometer: outside its gate" in text
+
+
+def test_before_anything_is_known_it_is_shown_as_such():
+    data = json.loads(to_json(Watched().snapshot()))
+    text = page(data, is_brief=True)
+    assert re.search(r"^latitude +- +- m +- +deg", text, re.MULTILINE)
+
+
+def test_the_page_of_a_daemon_from_before_has_no_vehicle(data):
+    old = {key: value for key, value in data.items() if key not in ("vehicle", "preflight")}
+    assert "latitude" not in page(old)
+    assert "HIGHRES_IMU" in page(old)
+
+
+class Screen:
+    """A terminal of 80 by 24 on which a command runs, and what it shows there."""
+
+    def __init__(self, *command):
+        self.shown = ""
+        ours, theirs = pty.openpty()
+        fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
+        self._terminal = ours
+        with os.fdopen(theirs, "r+b", 0) as terminal:
+            files = {"stdin": terminal, "stdout": terminal, "stderr": terminal}
+            self.process = subprocess.Popen(
+                command, **files, env=environment, start_new_session=True
+            )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.kill()
+        self.process.wait()
+        os.close(self._terminal)
+
+    def press(self, key):
+        os.write(self._terminal, key)
+
+    def wait_for(self, words):
+        """Read until it shows them, and return the screen that does, line by line."""
+        end = time.monotonic() + LIMIT
+        while True:
+            screens = self.shown.split("\x1b[H")
+            for screen in screens:
+                plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", screen)
+                if words in plain:
+                    self.shown = ""
+                    return plain.replace("\r", "").split("\n")
+            assert time.monotonic() < end, self.shown
+            if select.select([self._terminal], [], [], 1.0)[0]:
+                self.shown += os.read(self._terminal, 1 << 16).decode()
+
+
+def test_what_is_watched_fits_the_terminal_scrolls_and_ends_with_a_key(daemon):
+    command = [sys.executable, "-W", "error", "-m", "ekf_companion", "status", "--watch"]
+    with Screen(*command, "--url", daemon) as screen:
+        first = screen.wait_for("lines 1 to 23 of ")
+        assert len(first) == 24
+        assert first[0].startswith("waiting for an autopilot; not a byte")
+        assert any(line.startswith("latitude") for line in first)
+        assert max(map(len, first)) <= 80
+        screen.press(b"\x1b[B")
+        screen.wait_for("lines 2 to 24 of ")
+        screen.press(b"G")
+        last = screen.wait_for("of ")
+        assert any("TIMESYNC" in line or "HIGHRES_IMU" in line for line in last)
+        screen.press(b"\x1b[H")
+        screen.wait_for("lines 1 to 23 of ")
+        screen.press(b"q")
+        assert screen.process.wait(LIMIT) == 1
+
+
+def test_ctrl_c_ends_what_is_watched_with_the_last_finding(daemon):
+    command = [sys.executable, "-W", "error", "-m", "ekf_companion", "status", "--watch", "--brief"]
+    with Screen(*command, "--url", daemon) as screen:
+        screen.wait_for("q ends")
+        screen.process.send_signal(signal.SIGINT)
+        assert screen.process.wait(LIMIT) == 1

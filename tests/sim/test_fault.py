@@ -42,14 +42,15 @@ def test_a_fault_that_cannot_be_meant_is_refused_with_a_remedy(text, words):
 
 def test_a_schedule_holds_every_kind_in_random_order_with_quiet_between():
     faults = schedule(VARIETY, seed=3, duration=1500.0, gap=20.0)
-    assert {fault.kind.name for fault in faults} == set(KINDS)
+    setups = {"mounting", "own-estimate", "accel-drift"}  # wrong from the start, and to its end
+    assert {fault.kind.name for fault in faults} == set(KINDS) - setups
     assert sum(fault.values.get("how") == "nofix" for fault in faults) >= 1
     assert faults[0].start == 30.0
     for before, after in itertools.pairwise(faults):
         assert after.start == pytest.approx(before.end + 20.0)
     assert faults[-1].end <= 1480.0
     # The first round holds all of them
-    assert len({str(fault.kind.name) for fault in faults[: len(VARIETY)]}) == len(KINDS)
+    assert len({str(fault.kind.name) for fault in faults[: len(VARIETY)]}) == len(KINDS) - 3
     again = schedule(VARIETY, seed=3, duration=1500.0, gap=20.0)
     assert [str(fault) for fault in again] == [str(fault) for fault in faults]
     other = schedule(VARIETY, seed=4, duration=1500.0, gap=20.0)

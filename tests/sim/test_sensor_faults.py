@@ -124,3 +124,34 @@ def test_the_field_and_the_pressure_are_shifted():
 def test_faults_can_overlap():
     both = faulty(f"imu-nan:{WHEN}", f"gnss-outage:{WHEN}")
     assert all(math.isnan(both[k].gyro_b[0]) and both[k].fix is None for k in INSIDE)
+
+
+def test_a_board_that_is_mounted_upside_down_measures_and_believes_so():
+    for k in INSIDE[::100]:
+        was, now = right()[k], faulty(f"mounting:{WHEN},roll=180")[k]
+        forward, side, down = was.accel_b
+        assert now.accel_b == pytest.approx((forward, -side, -down))
+        assert now.truth == was.truth
+        turned = was.estimate.euler[0] + math.pi - now.estimate.euler[0]
+        assert math.remainder(turned, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_board_that_is_mounted_turned_feels_the_force_elsewhere():
+    was, now = right()[800], faulty(f"mounting:{WHEN},roll=0,yaw=90")[800]
+    forward, side, down = was.accel_b
+    assert now.accel_b == pytest.approx((side, -forward, down))
+
+
+def test_an_own_estimate_that_is_off_leaves_the_sensors_alone():
+    was, now = right()[800], faulty(f"own-estimate:{WHEN},heading=34,north=100,down=-20")[800]
+    assert now._replace(estimate=was.estimate) == was
+    turned = math.degrees(now.estimate.euler[2] - was.estimate.euler[2])
+    assert turned % 360.0 == pytest.approx(34.0)
+    assert (now.estimate.lat - was.estimate.lat) * 6.37e6 == pytest.approx(100.0, rel=0.01)
+    assert now.estimate.alt - was.estimate.alt == pytest.approx(20.0)
+
+
+def test_accelerometers_that_drift_are_off_by_more_and_more():
+    text = f"accel-drift:{WHEN},forward=0.1"
+    offs = [faulty(text)[k].accel_b[0] - right()[k].accel_b[0] for k in (INSIDE[0], INSIDE[-1])]
+    assert offs == pytest.approx([0.0, 0.3], abs=0.002)

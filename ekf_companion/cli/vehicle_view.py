@@ -1,0 +1,77 @@
+"""Lay out for a terminal where the vehicle is, what aids the estimate, and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.table import Table
+
+Data = Mapping[str, Any]
+_COLOURS = {"used": None, "refused": "red", "lost": "red", "none": "dim"}
+"""Of an aid, by its state."""
+
+
+def vehicle_parts(data: Data) -> list[RenderableType]:
+    """Return verdict, vehicle and aids; nothing of a daemon that is too old to say them."""
+    from rich.text import Text
+
+    if not data.get("vehicle"):
+        return []
+    verdict = data["preflight"]
+    colour = "green" if verdict["ready"] else "yellow"
+    sentence = Text(f"take-off: {verdict['sentence']}", style=colour)
+    return [sentence, _numbers(data["vehicle"]), _aids(data["vehicle"]["aids"])]
+
+
+def _plain_table(*columns: str) -> Table:
+    """Return a table without lines, which a small screen has no room for."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="left" if index == 0 else "right", no_wrap=True)
+    return table
+
+
+def _numbers(vehicle: Data) -> Table:
+    sigma, other = vehicle["sigma"], vehicle["autopilot"] or {}
+    age = "" if not other else f", {fixed(other['age_s'], 1)} s ago"
+    table = _plain_table("Vehicle", "estimate", "one sigma", f"autopilot{age}", "")
+    table.columns[4].justify = "left"
+    for name, key, std, digits, unit in (
+        ("latitude", "lat_deg", f"{fixed(sigma['north_m'], 2)} m", 7, "deg"),
+        ("longitude", "lon_deg", f"{fixed(sigma['east_m'], 2)} m", 7, "deg"),
+        ("height", "alt_m", f"{fixed(sigma['alt_m'], 2)} m", 2, "m above the sea"),
+        ("roll", "roll_deg", f"{fixed(sigma['roll_deg'], 1)} deg", 1, "deg"),
+        ("pitch", "pitch_deg", f"{fixed(sigma['pitch_deg'], 1)} deg", 1, "deg"),
+        ("heading", "heading_deg", f"{fixed(sigma['heading_deg'], 1)} deg", 1, "deg"),
+    ):
+        table.add_row(name, fixed(vehicle[key], digits), std, fixed(other.get(key), digits), unit)
+    theirs = other.get("vel_ned_m_s", (None, None, None))
+    velocities = zip(vehicle["vel_ned_m_s"], sigma["vel_ned_m_s"], theirs, strict=True)
+    for name, (ours, std, own) in zip(("north", "east", "down"), velocities, strict=True):
+        numbers = fixed(ours, 2), f"{fixed(std, 2)} m/s", fixed(own, 2)
+        table.add_row(f"speed {name}", *numbers, "m/s")
+    return table
+
+
+def _aids(aids: Mapping[str, Data]) -> Table:
+    from rich.markup import escape
+
+    table = _plain_table("Aid", "for", "from")
+    table.columns[2].justify = "left"
+    table.columns[2].no_wrap = False
+    for name, aid in aids.items():
+        state = aid["state"]
+        since = f"{fixed(aid['since_s'], 0)} s" if state == "used" else state
+        why = f": {aid['why']}" if state == "refused" else ""
+        table.add_row(name, since, escape(f"{aid['source']}{why}"), style=_COLOURS.get(state))
+    return table
+
+
+def fixed(value: float | None, digits: int) -> str:
+    """Return a number with so many decimals; ``-`` if it is not known."""
+    return "-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"  # no -0.0
