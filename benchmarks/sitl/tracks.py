@@ -118,7 +118,7 @@ def resumed_after(recording: Path) -> float:
 
 def from_ardupilot(log: Path, recording: Path) -> Flown:
     """Read a .bin of ArduPilot's simulator and the daemon's recording of the same flight."""
-    tables, _ = dataflash_records.read_columns(log)
+    tables = dataflash_records.read_columns(log)[0]
     fast, slow, own = tables["SIM2"], tables["SIM"], tables["XKF1"]
     own = own[own["C"] == 0]
     truth = Track(
