@@ -18,6 +18,9 @@ from ekf_companion.errors import CompanionError
 SETTLED = 25.0
 """s from the daemon's start to the arming: TIMESYNC's filter in PX4 wants 50 s at 10 Hz."""
 
+RESTART = 0.3
+"""s from a kill to the next start: RestartSec of systemd/ekf-companion.service."""
+
 
 @dataclass(slots=True)
 class Log:
@@ -126,9 +129,9 @@ def restarts(simulator: Simulator, folder: Path, times: int) -> Log:
         climb(pilot, log)
         for _ in range(times):
             companion.kill()
-            pilot.wait(1.0)
+            pilot.wait(RESTART)
             companion.start()
-            pilot.wait(9.0)
+            pilot.wait(10.0 - RESTART)
         log.marks["end"] = pilot.t
         pilot.land()
     return log

@@ -15,6 +15,7 @@ from ekf_companion.nav.arrays import Array
 
 COMPONENT_ID = 194
 """The daemon's."""
+_LOCAL_NED = 1
 _ACCEL_BIAS = (13, 14, 15)
 """Among the states of EKF2."""
 
@@ -158,12 +159,13 @@ def _ours(recording: Path) -> tuple[Track | None, Array, Array]:
         return None, np.zeros(0), np.zeros(0)
     q_nb = np.asarray(rows["q"], dtype=float)
     q_nb /= np.linalg.norm(q_nb, axis=1, keepdims=True)
-    vel_b = np.stack([rows[name] for name in ("vx", "vy", "vz")], axis=1).astype(float)
+    velocity = np.stack([rows[name] for name in ("vx", "vy", "vz")], axis=1).astype(float)
+    is_local = rows["child_frame_id"] == _LOCAL_NED
     t = rows["time_usec"] * 1e-6
     track = Track(
         t=t,
         pos_n=np.stack([rows[name] for name in ("x", "y", "z")], axis=1).astype(float),
-        vel_n=so3.rotate(q_nb, vel_b),
+        vel_n=np.where(is_local[:, None], velocity, so3.rotate(q_nb, velocity)),
         att_t=t,
         euler=_euler(q_nb),
     )

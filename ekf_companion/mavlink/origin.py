@@ -12,7 +12,8 @@ until it was stopped.
 
 Source: PX4, ``Ekf::setLatLonOrigin``, ``setAltOrigin``, ``controlEvHeightFusion``: an origin that
 is given while it already navigates in a local frame becomes that frame's. PX4 reports an origin
-when it changes (``streams/GPS_GLOBAL_ORIGIN.hpp``), and a global position for as long as it has one.
+when it changes, and a global position for as long as it has one (``streams/GPS_GLOBAL_ORIGIN.hpp``,
+``GLOBAL_POSITION_INT.hpp``).
 """
 
 from __future__ import annotations

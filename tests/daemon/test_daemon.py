@@ -342,7 +342,7 @@ def test_odometry_comes_at_the_configured_rate(flown, reboot):
 
 def test_odometry_says_who_and_where_it_is(flown, reboot):
     for stamp, message in flown.record.of("ODOMETRY"):
-        assert (message.frame_id, message.child_frame_id) == (1, 12)
+        assert (message.frame_id, message.child_frame_id) == (1, 1)
         assert message.estimator_type == 3  # PX4 refuses the true one
         assert message.reset_counter >= 1
         # After a reboot in flight the attitude is found anew
