@@ -179,7 +179,7 @@ class Witness:
         self.frames[frames] += 1
         pose = (fields.x, fields.y, fields.z, *fields.q)
         variances = [fields.pose_covariance[i] for i in POSE_DIAGONAL]
-        vel_b, var_b = _body_velocity(fields)
+        vel_b, var_b = body_velocity(fields)
         numbers = (*pose, *vel_b, *variances, *var_b)
         if frames not in _FRAMES or not all(map(math.isfinite, numbers[:10])):
             self.not_scored += 1
@@ -197,7 +197,7 @@ class Witness:
             self._latencies_ns.append(now_ns - self._sent_ns[round(number)])
 
 
-def _body_velocity(fields: Any) -> tuple[list[float], list[float]]:
+def body_velocity(fields: Any) -> tuple[list[float], list[float]]:
     """Return the velocity along the body's axes, and the variances of that."""
     vel, c = [fields.vx, fields.vy, fields.vz], fields.velocity_covariance
     if fields.child_frame_id != LOCAL_NED:
