@@ -153,6 +153,26 @@ def switched(simulator: Simulator, folder: Path) -> Iterator[Line]:
         yield Line(name, "longest dead reckoning", log.flown.dead_reckoning, 1.0, " s")
 
 
+def lasting(simulator: Simulator, folder: Path) -> Iterator[Line]:
+    """Fly on ODOMETRY for ten minutes."""
+    log = flights.endurance(simulator, folder / "endurance")
+    flown, name = log.flown, "ten minutes on ODOMETRY"
+    assert flown is not None
+    begin, end = log.marks["begin"], log.marks["end"]
+    error = log.score("autopilot")
+    yield Line(name, "horizontal error", error.horizontal, 0.25, " m")
+    yield Line(name, "largest horizontal error", error.horizontal_max, 1.0, " m")
+    own = (flown.own_resets > begin) & (flown.own_resets < end)
+    yield Line(name, "resets of the autopilot", int(own.sum()), 0)
+    if flown.ours is not None:
+        rows = (flown.ours.t > begin) & (flown.ours.t < end)
+        moved = int(np.count_nonzero(np.diff(flown.resets[rows].astype(int))))
+        yield Line(name, "moved counters of ODOMETRY", moved, 0)
+    yield Line(name, "largest accelerometer bias", float(abs(flown.accel_bias).max()), 0.25)
+    yield Line(name, "failsafes", len(log.failsafes), 0)
+    yield _pace(name, log)
+
+
 def rebooted(simulator: Simulator, folder: Path) -> Iterator[Line]:
     """Restart the autopilot."""
     yield Line("reboot", "until ODOMETRY", flights.reboot(simulator, folder / "reboot"), 15.0, " s")
@@ -163,6 +183,7 @@ PARTS: dict[str, Callable[[Simulator, Path], Iterator[Line]]] = {
     "outage": lost,
     "restart": restarted,
     "switch": switched,
+    "endurance": lasting,
     "reboot": rebooted,
 }
 

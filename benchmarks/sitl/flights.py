@@ -153,6 +153,18 @@ def switch(simulator: Simulator, folder: Path) -> Log:
     return log
 
 
+def endurance(simulator: Simulator, folder: Path) -> Log:
+    """Hover and fly squares on ODOMETRY for ten minutes."""
+    with vehicle(simulator, folder, dict(simulator.flown_on)) as (pilot, _, log):
+        climb(pilot, log)
+        for _ in range(10):
+            pilot.follow(*square())
+            pilot.wait(38.0)
+        log.marks["end"] = pilot.t
+        pilot.land()
+    return log
+
+
 def reboot(simulator: Simulator, folder: Path) -> float:
     """Restart the autopilot on the ground; return after how long ODOMETRY comes again, s."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,8 @@ class Flown:
     """Of each ODOMETRY, shape (n,)."""
     accel_bias: Array
     """The autopilot's estimate, m/s^2, shape (m, 3); without rows where its log lacks it."""
+    own_resets: Array = field(default_factory=lambda: np.zeros(0))
+    """When the autopilot reset its place or velocity, s; empty too where its log lacks it."""
     dead_reckoning: float | None = None
     """Longest time for which the autopilot went without aid in the air, s; None: not logged."""
 
@@ -85,8 +87,15 @@ def from_px4(log: Path, recording: Path) -> Flown:
         resets=resets,
         quality=quality,
         accel_bias=accel,
+        own_resets=_moved(topics["vehicle_local_position", 0]),
         dead_reckoning=_longest(topics.get(("estimator_status_flags", 0))),
     )
+
+
+def _moved(local: Any) -> Array:
+    """Return when a reset counter of the local position moved, s."""
+    counts = [local[f"{name}_reset_counter"].astype(int) for name in ("xy", "vxy", "z", "vz")]
+    return np.asarray(local["timestamp_sample"][1:][np.diff(counts, axis=1).any(axis=0)] * 1e-6)
 
 
 def _longest(flags: Any) -> float | None:
