@@ -29,6 +29,7 @@ ATT, VEL, POS, GYRO_BIAS, ACCEL_BIAS = (slice(k, k + 3) for k in range(0, 15, 3)
 _GRAVITY = np.array([0.0, 0.0, 9.80665])
 _NEVER = -1e9
 _LEAST_VAR = 1e-9
+_LOCAL_NED = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -276,19 +277,22 @@ class Follower:
         c = m.pose_covariance
         place, speed = self._variances(m)
         yaw = float(so3.to_euler(q_nb)[2])
-        # EKF2 turns the velocity by its own attitude, ArduPilot by the message's
-        velocity = so3.rotate(self.q_nb if own.is_message_trusted else q_nb, vel_b)
+        # Of the body's axes EKF2 turns the velocity by its own attitude, ArduPilot by the message's
+        is_local = m.child_frame_id == _LOCAL_NED
+        vel_n = vel_b if is_local else so3.rotate(q_nb, vel_b)
+        is_turned = own.is_message_trusted and not is_local
+        velocity = so3.rotate(self.q_nb, vel_b) if is_turned else vel_n
         is_moved = self._counter is not None and m.reset_counter != self._counter
         self._counter = m.reset_counter
         if is_moved or not self._is_fusing or at - self._accepted > own.retry:
             if self._is_fusing:
                 self.events.append((at, "reset by the counter" if is_moved else "reset by time"))
-            self._reset(pos_n, place, so3.rotate(q_nb, vel_b), speed, yaw)
+            self._reset(pos_n, place, vel_n, speed, yaw)
             self._is_fusing, self._accepted = True, at
             return
         yaw_std = max(own.yaw_floor, float(np.sqrt(c[20])) if c[20] > 0.0 else 0.0)
         self._fuse_yaw(yaw, yaw_std, own.yaw_gate)
-        turning = so3.skew(velocity) if own.is_message_trusted else None
+        turning = so3.skew(velocity) if is_turned else None
         self._fuse_vector(VEL, velocity - self.vel_n, speed, own.velocity_gate, turning)
         if self._fuse_vector(POS, pos_n - self.pos_n, place, own.position_gate):
             self._accepted = at

@@ -19,7 +19,12 @@ from sim_autopilot.flight import Flight
 from sim_autopilot.telemetry import POSE_DIAGONAL
 
 LOCAL_NED, BODY_NED, BODY_FRD, LOCAL_FRD = 1, 8, 12, 20
-_FRAMES = {(LOCAL_NED, BODY_FRD), (LOCAL_FRD, BODY_FRD), (LOCAL_NED, BODY_NED)}
+_FRAMES = {
+    (LOCAL_NED, LOCAL_NED),
+    (LOCAL_NED, BODY_FRD),
+    (LOCAL_FRD, BODY_FRD),
+    (LOCAL_NED, BODY_NED),
+}
 """Pairs that mean north-east-down and forward-right-down."""
 
 _ROW = 21
@@ -174,8 +179,8 @@ class Witness:
         self.frames[frames] += 1
         pose = (fields.x, fields.y, fields.z, *fields.q)
         variances = [fields.pose_covariance[i] for i in POSE_DIAGONAL]
-        variances += [fields.velocity_covariance[i] for i in POSE_DIAGONAL[:3]]
-        numbers = (*pose, fields.vx, fields.vy, fields.vz, *variances)
+        vel_b, var_b = body_velocity(fields)
+        numbers = (*pose, *vel_b, *variances, *var_b)
         if frames not in _FRAMES or not all(map(math.isfinite, numbers[:10])):
             self.not_scored += 1
             return
@@ -190,6 +195,16 @@ class Witness:
         number = (t_ns - self._flight.first_ns) / self._flight.period_ns
         if 0 <= round(number) < len(self._sent_ns):
             self._latencies_ns.append(now_ns - self._sent_ns[round(number)])
+
+
+def body_velocity(fields: Any) -> tuple[list[float], list[float]]:
+    """Return the velocity along the body's axes, and the variances of that."""
+    vel, c = [fields.vx, fields.vy, fields.vz], fields.velocity_covariance
+    if fields.child_frame_id != LOCAL_NED:
+        return vel, [c[i] for i in POSE_DIAGONAL[:3]]
+    C_bn = so3.to_matrix(np.asarray(fields.q, dtype=float)).T
+    P = np.array([[c[0], c[1], c[2]], [c[1], c[6], c[7]], [c[2], c[7], c[11]]])
+    return (C_bn @ vel).tolist(), np.diagonal(C_bn @ P @ C_bn.T).tolist()
 
 
 def _summary(error: Array) -> dict[str, float]:

@@ -126,7 +126,7 @@ def test_it_is_started_again_however_often_it_fails():
     for unit in UNITS:
         for key, value in (
             ("Restart", "always"),
-            ("RestartSec", "1"),
+            ("RestartSec", "0.3"),
             ("StartLimitIntervalSec", "0"),
             ("Type", "notify"),
         ):

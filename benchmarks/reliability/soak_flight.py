@@ -21,7 +21,7 @@ from sim_autopilot.faults.fault import Fault
 from sim_autopilot.firmware import PERSONALITIES
 from sim_autopilot.flight import Flight
 from sim_autopilot.loop import Bench
-from sim_autopilot.score import Witness
+from sim_autopilot.score import Witness, body_velocity
 
 RATE = 250.0
 """Of the inertial samples, Hz."""
@@ -97,7 +97,7 @@ class PreallocatedWitness(Witness):
                 (t_ns - self._bench.flight.first_ns) * 1e-9,
                 *(fields.x, fields.y, fields.z),
                 *fields.q,
-                *(fields.vx, fields.vy, fields.vz),
+                *body_velocity(fields)[0],
                 fields.reset_counter,
                 max(len(self._origins) - 1, 0),
             )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ import numpy as np
 from benchmarks.document import table
 from benchmarks.sitl import flights
 from benchmarks.sitl.flights import Log
-from benchmarks.sitl.score import Score
+from benchmarks.sitl.score import Score, right_after
 from benchmarks.sitl.simulator import ArduCopter, Px4, Simulator
 from ekf_companion.errors import CompanionError
 
@@ -42,6 +43,12 @@ class Line(NamedTuple):
         return " | ".join((simulator, self.flight, self.quantity, *cells))
 
 
+def _pace(flight: str, *logs: Log) -> Line:
+    """Return how much slower than time the simulator ran: beyond the limit, fly it again."""
+    slowest = min(log.pace for log in logs)
+    return Line(flight, "simulator slower than time", 100.0 * (1.0 - slowest), 5.0, " %")
+
+
 def compared(simulator: Simulator, folder: Path) -> Iterator[Line]:
     """Fly the same paths on the receiver and on ODOMETRY; compare the autopilot's errors."""
     own = flights.paths(simulator, folder / "own", is_flown_on=False)
@@ -58,6 +65,7 @@ def compared(simulator: Simulator, folder: Path) -> Iterator[Line]:
     if ours.flown is not None and len(ours.flown.accel_bias) and own.flown is not None:
         biases = [float(abs(one.flown.accel_bias).max()) for one in (ours, own) if one.flown]
         yield Line(name, "largest accelerometer bias, over own GNSS", biases[0] / biases[1], 1.0)
+    yield _pace(name, own, ours)
     yield Line(name, "failsafes", len(ours.failsafes), 0)
     yield Line(name, "without a global position", 0 if ours.has_global else 1, 0)
 
@@ -79,11 +87,29 @@ def _ratio(score: Score, other: Score, quantity: str) -> float:
 def lost(simulator: Simulator, folder: Path) -> Iterator[Line]:
     """Lose the receiver for twenty seconds, passive and flown on."""
     passive = flights.outage(simulator, folder / "outage-passive", is_flown_on=False)
-    yield Line("receiver off, passive", "untold steps over 1 m", _steps(passive), 0)
+    name = "receiver off, passive"
+    yield Line(name, "untold steps over 1 m", _steps(passive), 0)
+    yield Line(name, "ours right after the fix's return", _right_after(passive, "ours"), 2.0, " s")
+    yield Line(name, "failsafes", len(passive.failsafes_after(passive.marks["fix"])), 0)
     flown = flights.outage(simulator, folder / "outage-flown-on", is_flown_on=True)
     name = "receiver off, flown on"
     yield Line(name, "untold steps over 1 m", _steps(flown), 0)
     yield Line(name, "drift until it acts or the fix returns", _drift(flown), 10.0, " m")
+    for which in ("ours", "autopilot"):
+        found = _right_after(flown, which)
+        yield Line(name, f"{which} right after the fix's return", found, 2.0, " s")
+    yield Line(name, "failsafes after it", len(flown.failsafes_after(flown.marks["fix"])), 0)
+    yield _pace(name, passive, flown)
+
+
+def _right_after(log: Log, which: str) -> float:
+    """Return how long after the fix's return a place is within 1 m, s."""
+    assert log.flown is not None
+    estimate = getattr(log.flown, which)
+    before = log.marks["begin"], log.marks["off"]
+    rows = estimate.t <= log.marks["end"]
+    hovering = replace(estimate, t=estimate.t[rows], pos_n=estimate.pos_n[rows])
+    return right_after(hovering, log.flown.truth, before, log.marks["fix"], 1.0)
 
 
 def _steps(log: Log) -> int:
@@ -114,6 +140,7 @@ def restarted(simulator: Simulator, folder: Path) -> Iterator[Line]:
     name = f"kill -9, {_RESTARTS} times"
     yield Line(name, "largest horizontal error", log.score("autopilot").horizontal_max, 1.0, " m")
     yield Line(name, "failsafes", len(log.failsafes), 0)
+    yield _pace(name, log)
 
 
 def switched(simulator: Simulator, folder: Path) -> Iterator[Line]:
@@ -121,8 +148,29 @@ def switched(simulator: Simulator, folder: Path) -> Iterator[Line]:
     log = flights.switch(simulator, folder / "switch")
     name = "in and out in flight"
     yield Line(name, "failsafes", len(log.failsafes), 0)
+    yield _pace(name, log)
     if log.flown is not None and log.flown.dead_reckoning is not None:
         yield Line(name, "longest dead reckoning", log.flown.dead_reckoning, 1.0, " s")
+
+
+def lasting(simulator: Simulator, folder: Path) -> Iterator[Line]:
+    """Fly on ODOMETRY for ten minutes."""
+    log = flights.endurance(simulator, folder / "endurance")
+    flown, name = log.flown, "ten minutes on ODOMETRY"
+    assert flown is not None
+    begin, end = log.marks["begin"], log.marks["end"]
+    error = log.score("autopilot")
+    yield Line(name, "horizontal error", error.horizontal, 0.25, " m")
+    yield Line(name, "largest horizontal error", error.horizontal_max, 1.0, " m")
+    own = (flown.own_resets > begin) & (flown.own_resets < end)
+    yield Line(name, "resets of the autopilot", int(own.sum()), 0)
+    if flown.ours is not None:
+        rows = (flown.ours.t > begin) & (flown.ours.t < end)
+        moved = int(np.count_nonzero(np.diff(flown.resets[rows].astype(int))))
+        yield Line(name, "moved counters of ODOMETRY", moved, 0)
+    yield Line(name, "largest accelerometer bias", float(abs(flown.accel_bias).max()), 0.25)
+    yield Line(name, "failsafes", len(log.failsafes), 0)
+    yield _pace(name, log)
 
 
 def rebooted(simulator: Simulator, folder: Path) -> Iterator[Line]:
@@ -135,6 +183,7 @@ PARTS: dict[str, Callable[[Simulator, Path], Iterator[Line]]] = {
     "outage": lost,
     "restart": restarted,
     "switch": switched,
+    "endurance": lasting,
     "reboot": rebooted,
 }
 

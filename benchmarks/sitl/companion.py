@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -39,7 +40,15 @@ class Companion:
         command += ["--link", self._link, "--record", str(self.recordings[-1])]
         command += ["--checkpoint", str(self.folder / "checkpoint")]
         with (self.folder / f"companion-{self.runs}.log").open("wb") as log:
-            self._process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+            self._process = subprocess.Popen(
+                command, env=self._environment(), stdout=log, stderr=subprocess.STDOUT
+            )
+
+    def _environment(self) -> dict[str, str]:
+        """Return the variables: with compiled modules at hand, as an installation leaves them."""
+        mine = {**os.environ, "PYTHONPYCACHEPREFIX": str(self.folder / "modules")}
+        mine.pop("PYTHONDONTWRITEBYTECODE", None)
+        return mine
 
     def kill(self) -> None:
         """End it at once, as a crash does."""

@@ -18,6 +18,9 @@ from ekf_companion.errors import CompanionError
 SETTLED = 25.0
 """s from the daemon's start to the arming: TIMESYNC's filter in PX4 wants 50 s at 10 Hz."""
 
+RESTART = 0.3
+"""s from a kill to the next start: RestartSec of systemd/ekf-companion.service."""
+
 
 @dataclass(slots=True)
 class Log:
@@ -28,14 +31,21 @@ class Log:
     notes: list[str] = field(default_factory=list)
     texts: list[tuple[float, str]] = field(default_factory=list)
     flown: Flown | None = None
+    pace: float = 1.0
+    """How fast the simulator ran: 1 is real time."""
     has_global: bool = False
     """Whether the autopilot sent a global position at the end."""
 
     @property
     def failsafes(self) -> list[str]:
         """The autopilot's texts that tell of a failsafe or a lane switch."""
+        return self.failsafes_after(-1.0)
+
+    def failsafes_after(self, begin: float) -> list[str]:
+        """Return those of the texts that came after a time, s."""
         words = ("failsafe", "lane switch", "ekf variance")
-        found = [text.strip() for _, text in self.texts if any(w in text.lower() for w in words)]
+        later = [text.strip() for t, text in self.texts if t > begin]
+        found = [text for text in later if any(word in text.lower() for word in words)]
         return [text for text in found if "cleared" not in text.lower()]
 
     def score(self, which: str, begin: str = "begin", end: str = "end") -> Score:
@@ -60,7 +70,7 @@ def vehicle(
             companion.start()
             yield pilot, companion, log
         finally:
-            log.texts = pilot.texts
+            log.texts, log.pace = pilot.texts, pilot.pace
             pilot.close()
     finally:
         companion.stop()
@@ -102,8 +112,11 @@ def outage(simulator: Simulator, folder: Path, is_flown_on: bool) -> Log:
         log.marks["off"] = pilot.t
         pilot.set(simulator.receiver, simulator.receiver_off)
         pilot.wait(20.0)
+        pilot.has_fix = False
         log.marks["on"] = pilot.t
         pilot.set(simulator.receiver, simulator.receiver_on)
+        pilot.wait_for(lambda: pilot.has_fix, 10.0)
+        log.marks["fix"] = pilot.t
         pilot.wait(15.0)
         log.marks["end"] = pilot.t
         pilot.land()
@@ -116,9 +129,9 @@ def restarts(simulator: Simulator, folder: Path, times: int) -> Log:
         climb(pilot, log)
         for _ in range(times):
             companion.kill()
-            pilot.wait(1.0)
+            pilot.wait(RESTART)
             companion.start()
-            pilot.wait(9.0)
+            pilot.wait(10.0 - RESTART)
         log.marks["end"] = pilot.t
         pilot.land()
     return log
@@ -135,6 +148,18 @@ def switch(simulator: Simulator, folder: Path) -> Log:
         simulator.change(pilot, is_into=False)
         log.marks["back"] = pilot.t
         pilot.wait(10.0)
+        log.marks["end"] = pilot.t
+        pilot.land()
+    return log
+
+
+def endurance(simulator: Simulator, folder: Path) -> Log:
+    """Hover and fly squares on ODOMETRY for ten minutes."""
+    with vehicle(simulator, folder, dict(simulator.flown_on)) as (pilot, _, log):
+        climb(pilot, log)
+        for _ in range(10):
+            pilot.follow(*square())
+            pilot.wait(38.0)
         log.marks["end"] = pilot.t
         pilot.land()
     return log

@@ -23,6 +23,7 @@ HEIGHT = 12.0
 _PERIOD = 0.05
 """Of setpoints, s."""
 _PX4, _ARDUPILOT = 12, 3
+_FIX_3D = 3
 _OFFBOARD, _GUIDED, _LAND = 6 << 16, 4, 9
 _POSITION_AND_VELOCITY = 0b100111000000
 _ARM, _TAKEOFF, _SET_MODE = 400, 22, 176
@@ -81,6 +82,8 @@ class Pilot:
         self.modes: list[tuple[float, int]] = []
         """Changes of custom_mode."""
         self.is_armed = False
+        self.has_fix = False
+        """Whether its receiver reported a fix in the last GPS_RAW_INT."""
         self.local: Any = None
         self.global_t: float | None = None
         """When GLOBAL_POSITION_INT last came."""
@@ -88,13 +91,23 @@ class Pilot:
         self._setpoint: tuple[float, float, float, float, float] | None = None
         self._next_setpoint = self._next_beat = 0.0
         self._start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+        self._first: tuple[float, float] | None = None
+        """Our clock and the vehicle's, s, when it first said its time."""
         if not self.is_px4:
-            for message_id, rate in ((32, 10), (33, 2), (1, 1), (193, 2)):
+            for message_id, rate in ((32, 10), (33, 2), (1, 1), (193, 2), (24, 5)):
                 self.command(511, message_id, 1e6 / rate)
 
     def close(self) -> None:
         """Close the link."""
         self._link.close()
+
+    @property
+    def pace(self) -> float:
+        """How fast the vehicle's clock has run beside ours: 1 is real time."""
+        if self._first is None:
+            return 0.0
+        begin, t = self._first
+        return (self.t - t) / (time.monotonic() - begin)
 
     # Time passes
 
@@ -133,12 +146,15 @@ class Pilot:
             return
         if hasattr(message, "time_boot_ms"):
             self.t = message.time_boot_ms * 1e-3
+            self._first = self._first or (time.monotonic(), self.t)
         if kind == "HEARTBEAT":
             self.is_armed = bool(message.base_mode & 128)
             if not self.modes or self.modes[-1][1] != message.custom_mode:
                 self.modes.append((self.t, message.custom_mode))
         elif kind == "STATUSTEXT":
             self.texts.append((self.t, message.text))
+        elif kind == "GPS_RAW_INT":
+            self.has_fix = message.fix_type >= _FIX_3D
         elif kind == "LOCAL_POSITION_NED":
             self.local = message
         elif kind == "GLOBAL_POSITION_INT" and (message.lat or message.lon):

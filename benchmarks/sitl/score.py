@@ -58,6 +58,27 @@ def score(estimate: Track, truth: Track, begin: float, end: float) -> Score:
     )
 
 
+def right_after(
+    estimate: Track, truth: Track, before: tuple[float, float], since: float, limit: float
+) -> float:
+    """Return how long after a time an estimate's place is right for good, s; infinite: never.
+
+    Args:
+        estimate: The estimate.
+        truth: The truth.
+        before: A span of time in which it was right, s: by it the two frames are compared.
+        since: The time, s.
+        limit: Horizontal error that is right, m.
+    """
+    offset = estimate.pos_n - _at(estimate.t, truth.t, truth.pos_n)
+    rows = (estimate.t >= before[0]) & (estimate.t <= before[1])
+    offset -= np.median(offset[rows], axis=0)
+    wrong = estimate.t[(np.hypot(offset[:, 0], offset[:, 1]) > limit) & (estimate.t > since)]
+    if not len(wrong):
+        return 0.0
+    return float(wrong[-1] - since) if wrong[-1] < estimate.t[-1] else float("inf")
+
+
 def _lead(t: Array, vel_n: Array, truth: Track) -> float | None:
     """Return the shift of time at which the horizontal velocity fits best, by a parabola."""
     if _rms(vel_n[:, :2]) < _MOVING:

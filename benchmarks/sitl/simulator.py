@@ -119,6 +119,7 @@ class Px4(Simulator):
         "EKF2_HGT_REF": 3,
         "EKF2_BARO_CTRL": 0,
         "EKF2_MAG_TYPE": 5,
+        "EKF2_ABIAS_INIT": 0.05,
     }
     alternative: ClassVar[Values] = {}
     receiver, receiver_on, receiver_off = "SIM_GPS_USED", 10, 0
@@ -139,10 +140,12 @@ class Px4(Simulator):
         return {**os.environ, **model, **home, **values}
 
     def change(self, pilot: Pilot, *, is_into: bool) -> None:
-        """Set what is fused: what is given up first, so that nothing counts twice."""
+        """Set what is fused: in, ODOMETRY follows at once; back, GNSS needs a second to begin."""
         gnss, vision = ("EKF2_GPS_CTRL", 0.0 if is_into else 7.0), ("EKF2_EV_CTRL", 15.0 * is_into)
-        for name, value in (gnss, vision) if is_into else (vision, gnss):
-            pilot.set(name, value)
+        pilot.set(*gnss)
+        if not is_into:
+            pilot.wait(1.5)
+        pilot.set(*vision)
 
     def flown(self, folder: Path, recording: Path) -> Flown:
         """Read the last .ulg."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from ekf_companion.nav.arrays import Array
 
 COMPONENT_ID = 194
 """The daemon's."""
+_LOCAL_NED = 1
 _ACCEL_BIAS = (13, 14, 15)
 """Among the states of EKF2."""
 
@@ -49,6 +50,8 @@ class Flown:
     """Of each ODOMETRY, shape (n,)."""
     accel_bias: Array
     """The autopilot's estimate, m/s^2, shape (m, 3); without rows where its log lacks it."""
+    own_resets: Array = field(default_factory=lambda: np.zeros(0))
+    """When the autopilot reset its place or velocity, s; empty too where its log lacks it."""
     dead_reckoning: float | None = None
     """Longest time for which the autopilot went without aid in the air, s; None: not logged."""
 
@@ -84,8 +87,15 @@ def from_px4(log: Path, recording: Path) -> Flown:
         resets=resets,
         quality=quality,
         accel_bias=accel,
+        own_resets=_moved(topics["vehicle_local_position", 0]),
         dead_reckoning=_longest(topics.get(("estimator_status_flags", 0))),
     )
+
+
+def _moved(local: Any) -> Array:
+    """Return when a reset counter of the local position moved, s."""
+    counts = [local[f"{name}_reset_counter"].astype(int) for name in ("xy", "vxy", "z", "vz")]
+    return np.asarray(local["timestamp_sample"][1:][np.diff(counts, axis=1).any(axis=0)] * 1e-6)
 
 
 def _longest(flags: Any) -> float | None:
@@ -118,7 +128,7 @@ def resumed_after(recording: Path) -> float:
 
 def from_ardupilot(log: Path, recording: Path) -> Flown:
     """Read a .bin of ArduPilot's simulator and the daemon's recording of the same flight."""
-    tables, _ = dataflash_records.read_columns(log)
+    tables = dataflash_records.read_columns(log)[0]
     fast, slow, own = tables["SIM2"], tables["SIM"], tables["XKF1"]
     own = own[own["C"] == 0]
     truth = Track(
@@ -158,12 +168,13 @@ def _ours(recording: Path) -> tuple[Track | None, Array, Array]:
         return None, np.zeros(0), np.zeros(0)
     q_nb = np.asarray(rows["q"], dtype=float)
     q_nb /= np.linalg.norm(q_nb, axis=1, keepdims=True)
-    vel_b = np.stack([rows[name] for name in ("vx", "vy", "vz")], axis=1).astype(float)
+    velocity = np.stack([rows[name] for name in ("vx", "vy", "vz")], axis=1).astype(float)
+    is_local = rows["child_frame_id"] == _LOCAL_NED
     t = rows["time_usec"] * 1e-6
     track = Track(
         t=t,
         pos_n=np.stack([rows[name] for name in ("x", "y", "z")], axis=1).astype(float),
-        vel_n=so3.rotate(q_nb, vel_b),
+        vel_n=np.where(is_local[:, None], velocity, so3.rotate(q_nb, velocity)),
         att_t=t,
         euler=_euler(q_nb),
     )

@@ -111,9 +111,10 @@ class OdometryConfig:
     frame: Literal["auto", "LOCAL_FRD", "LOCAL_NED", "continuous"] = "auto"
     """Frame of the pose; the numbers are the same. auto: LOCAL_NED to PX4, which takes LOCAL_FRD
     for a frame that may point anywhere: its heading stays unaligned, its global position unknown;
-    LOCAL_FRD to others: ArduPilot silently drops any other. continuous: a LOCAL_FRD in which
-    position and heading never jump, for a controller that must see no step; where it lies in the
-    frame of GPS_GLOBAL_ORIGIN is sent as LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET."""
+    LOCAL_FRD to others: ArduPilot silently drops any other. With LOCAL_NED to PX4 the velocity is
+    LOCAL_NED too, else of the body (BODY_FRD). continuous: a LOCAL_FRD in which position and
+    heading never jump, for a controller that must see no step; where it lies in the frame of
+    GPS_GLOBAL_ORIGIN is sent as LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET."""
     jumps: Annotated[Literal["auto", "tell", "spread"], Setting(reload=True)] = "auto"
     """What becomes of a correction that nobody would take for motion, as after a loss of GNSS.
     tell: it is sent at once, and reset_counter moves. spread: ODOMETRY goes on without a step, and

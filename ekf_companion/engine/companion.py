@@ -28,7 +28,7 @@ from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.commands import Stream
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import SystemStatus
-from ekf_companion.mavlink.event import IntervalSet, ParameterSet, PeerFound, Rebooted
+from ekf_companion.mavlink.event import GuardChanged, IntervalSet, ParameterSet, PeerFound, Rebooted
 from ekf_companion.mavlink.outbox import Message, Outgoing
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.signing import Signing
@@ -162,6 +162,8 @@ class Companion:
             match event:
                 case PeerFound():
                     self._begin(event)
+                case GuardChanged() if self._publisher is not None and self.session.guard.is_old:
+                    self._publisher.use_body_velocity()
                 case Rebooted():
                     self.estimate = None
                 case ParameterSet(key=key, value=value):

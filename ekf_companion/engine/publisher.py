@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from ekf_companion.config.config import Config
 from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Estimate
-from ekf_companion.engine.residual import NO_OFFSET, state_covariance
+from ekf_companion.engine.residual import NO_OFFSET, local_velocity, state_covariance
 from ekf_companion.engine.stream import OdometryStream
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.encode import Label, StatusFlag, label
+from ekf_companion.mavlink.encode import Frame, Label, StatusFlag, label
 from ekf_companion.mavlink.outbox import Message
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.state import Odometry, Status
@@ -111,6 +112,10 @@ class Publisher:
         self._origin: tuple[float, float, float] | None = None
         self._offset = NO_OFFSET
 
+    def use_body_velocity(self) -> None:
+        """Send the velocity along the body's axes: older PX4 understands no others."""
+        self.label = replace(self.label, velocity=Frame.BODY_FRD)
+
     def retune(self, config: Config) -> None:
         """Decide by another configuration what is sent as ODOMETRY."""
         if self.stream is not None:
@@ -150,7 +155,11 @@ class Publisher:
             messages.append(Message(_OFFSET, encode.global_offset(t_ns, *self.stream.offset)))
         if odometry is not None:
             ours = self.label
-            payload = encode.odometry(odometry, frame=ours.frame, estimator=ours.estimator)
+            if ours.velocity is Frame.LOCAL_NED:
+                odometry = local_velocity(odometry)
+            payload = encode.odometry(
+                odometry, frame=ours.frame, velocity=ours.velocity, estimator=ours.estimator
+            )
             messages.append(Message("ODOMETRY", payload, is_replaceable=True))
         if due["ESTIMATOR_STATUS"].is_due(t_ns) and estimate.origin is not None:
             payload = _estimator_status(estimate.health, t_ns)

@@ -109,7 +109,7 @@ class Residual:
         C_cb = so3.to_matrix(numbers[_QUATERNION])
         numbers[_VELOCITY] = C_cb.T @ R_cn @ (pose.vel_n + self._vel_n)
         if yaw != 0.0:
-            _turn_pose_covariance(numbers, R_cn)
+            _turn_covariance(numbers, _POSE_COV, R_cn)
         _inflate(numbers, _POSE_COV, [*(R_cn @ self._pos_n), 0.0, 0.0, self._yaw])
         _inflate(numbers, _TWIST_COV, C_cb.T @ R_cn @ self._vel_n)
         return odometry._replace(numbers=numbers.astype("<f4").tobytes())
@@ -127,9 +127,9 @@ def _inflate(numbers: Array, start: int, residual: Array | list[float]) -> None:
             numbers[start + place] += value * value
 
 
-def _turn_pose_covariance(numbers: Array, R: Array) -> None:
-    """Turn the position's rows and columns of the pose's covariance."""
-    triangle = numbers[_POSE_COV : _POSE_COV + 21]
+def _turn_covariance(numbers: Array, start: int, R: Array) -> None:
+    """Turn the first three rows and columns of the covariance that begins there."""
+    triangle = numbers[start : start + 21]
     if not math.isfinite(triangle[0]):
         return
     rows, columns = np.triu_indices(6)
@@ -167,6 +167,15 @@ def scale_errors(odometry: Odometry, factor: float) -> Odometry:
         if math.isfinite(numbers[start]):
             scale = np.where(rows < 3, root, 1.0) * np.where(columns < 3, root, 1.0)
             numbers[start : start + 21] *= scale
+    return odometry._replace(numbers=numbers.astype("<f4").tobytes())
+
+
+def local_velocity(odometry: Odometry) -> Odometry:
+    """Return an ODOMETRY with its velocity, and the covariance of that, along the local axes."""
+    numbers = np.frombuffer(odometry.numbers, dtype="<f4").astype(float)
+    C_nb = so3.to_matrix(numbers[_QUATERNION])
+    numbers[_VELOCITY] = C_nb @ numbers[_VELOCITY]
+    _turn_covariance(numbers, _TWIST_COV, C_nb)
     return odometry._replace(numbers=numbers.astype("<f4").tobytes())
 
 

@@ -18,7 +18,7 @@ class Frame(IntEnum):
     """MAV_FRAME: frames of the pose, and of the velocity."""
 
     LOCAL_NED = 1
-    """North, east, down: for listeners that are no autopilot."""
+    """North, east, down: for PX4, and for listeners that are no autopilot."""
     BODY_FRD = 12
     """Forward, right, down: the one frame of the velocity that every listener accepts."""
     LOCAL_FRD = 20
@@ -61,14 +61,15 @@ def odometry(
     estimate: Odometry,
     *,
     frame: Frame = Frame.LOCAL_FRD,
+    velocity: Frame = Frame.BODY_FRD,
     estimator: EstimatorType = EstimatorType.GPS_INS,
 ) -> bytes:
-    """Return the payload of ODOMETRY."""
+    """Return the payload of ODOMETRY; the frames are those in which its numbers are."""
     return _ODOMETRY.pack(
         estimate.t_ns // 1000,
         estimate.numbers,
         frame,
-        Frame.BODY_FRD,
+        velocity,
         # From 1 to 255: 0 would mean that none are counted
         estimate.reset_count % 255 + 1,
         estimator,
@@ -207,6 +208,7 @@ class Label:
     """How every ODOMETRY on a link is labelled."""
 
     frame: Frame
+    velocity: Frame
     estimator: EstimatorType
     warnings: tuple[str, ...]
     """What of the configuration is not done, or has no effect; sentences without full stop."""
@@ -220,8 +222,10 @@ def label(
     """Return the label that is configured, but never a type that the autopilot refuses.
 
     PX4 answers every GPS_INS with a critical text, and takes the heading of LOCAL_FRD for unknown;
-    ArduPilot silently drops every frame of the pose but LOCAL_FRD. An autopilot of unknown family
-    is labelled as one of a known family is.
+    ArduPilot silently drops all frames but LOCAL_FRD and BODY_FRD. An autopilot of unknown family
+    is labelled as one of a known family is. PX4 turns a velocity of the body by its own attitude,
+    and would so take the error of ours in it for one of its own; north, east and down it takes as
+    they are.
     """
     warnings = []
     estimator = EstimatorType.GPS_INS if chosen == "auto" else EstimatorType[chosen]
@@ -241,4 +245,6 @@ def label(
             f"output.odometry.frame: ArduPilot ignores {frame} without a word; set LOCAL_FRD for "
             "it to take our estimate"
         )
-    return Label(named, estimator, tuple(warnings))
+    is_north = family is Family.PX4 and named is Frame.LOCAL_NED
+    velocity = Frame.LOCAL_NED if is_north else Frame.BODY_FRD
+    return Label(named, velocity, estimator, tuple(warnings))

@@ -97,10 +97,15 @@ def _decide(
         return replace(withheld(reason), is_settled=False)
     if family is Family.ARDUPILOT:
         return _by_ardupilot(parameters)
-    is_old = parameters.get(_VISION) is None and parameters.get(_GNSS) is None
-    if is_old and (mask := parameters.get(_MASK)) is not None:
+    if is_old(family, parameters) and (mask := parameters.get(_MASK)) is not None:
         return _by_old_px4(parameters, int(mask) % _BITS)
     return _by_px4(parameters)
+
+
+def is_old(family: Family, parameters: Parameters) -> bool:
+    """Return whether it is a PX4 before 1.14, by the parameters that it has."""
+    has_newer = parameters.get(_VISION) is not None or parameters.get(_GNSS) is not None
+    return family is Family.PX4 and not has_newer and parameters.get(_MASK) is not None
 
 
 def missing(family: Family, parameters: Parameters) -> tuple[str, ...]:

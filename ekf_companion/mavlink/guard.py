@@ -22,7 +22,16 @@ from ekf_companion.mavlink.decision import Decision, kept, shared, silent
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Emit, GuardChanged, PeerFound
 from ekf_companion.mavlink.frame import Frame
-from ekf_companion.mavlink.fusion import NAMES, SUCCESSORS, Mode, decide, helpful, missing, watched
+from ekf_companion.mavlink.fusion import (
+    NAMES,
+    SUCCESSORS,
+    Mode,
+    decide,
+    helpful,
+    is_old,
+    missing,
+    watched,
+)
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Handler, Service
@@ -235,6 +244,11 @@ class Guard(Service):
     def _is_asking(self) -> bool:
         """Whether parameters are needed, for the decision or to know what the autopilot fuses."""
         return self.options.mode != "never" and bool(NAMES[self._family])
+
+    @property
+    def is_old(self) -> bool:
+        """Whether it is a PX4 before 1.14, as far as its parameters are known."""
+        return is_old(self._family, self._answers)
 
     def _decide(self) -> None:
         options = self.options

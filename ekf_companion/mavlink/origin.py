@@ -4,8 +4,16 @@ A PX4 that flies on ODOMETRY alone knows metres from a start and not where that 
 global position, and flies no mission and no return. It takes the place of that start by
 SET_GPS_GLOBAL_ORIGIN, in flight too, and keeps its metres.
 
-Source: PX4, ``Ekf::setLatLonOrigin``: an origin that is given while it already navigates in a local
-frame becomes that frame's. It reports an origin that it has once a second.
+It is given once: each origin is a reset of its position, even the same again. And its altitude is
+zero: PX4 1.17 adds the altitude of an origin to its own, but goes on to compare that with the
+height that ODOMETRY states, and takes the difference for an error at the next moved counter. In its
+simulator, 489 m above the sea, the height so jumped by 489 m in flight, and the vehicle climbed
+until it was stopped.
+
+Source: PX4, ``Ekf::setLatLonOrigin``, ``setAltOrigin``, ``controlEvHeightFusion``: an origin that
+is given while it already navigates in a local frame becomes that frame's. PX4 reports an origin
+when it changes, and a global position for as long as it has one (``streams/GPS_GLOBAL_ORIGIN.hpp``,
+``GLOBAL_POSITION_INT.hpp``).
 """
 
 from __future__ import annotations
@@ -22,8 +30,8 @@ from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
 
-_PLACE = Struct("<3i")
-"""Latitude and longitude, degE7, and altitude, mm: GPS_GLOBAL_ORIGIN begins with them."""
+_PLACE = Struct("<2i")
+"""Latitude and longitude, degE7: GPS_GLOBAL_ORIGIN begins with them."""
 _PATIENCE_NS = 5 * SECOND_NS
 """Without an origin of its own for so long it is given ours, and again after as long."""
 
@@ -32,17 +40,19 @@ class OriginSetter(Service):
     """Gives the autopilot the origin of our frame, if it flies on our estimate and has none."""
 
     def __init__(self, outbox: Outbox, guard: Guard) -> None:
-        self.handles = {"GPS_GLOBAL_ORIGIN": self._take}
+        self.handles = {"GPS_GLOBAL_ORIGIN": self._take, "GLOBAL_POSITION_INT": self._take}
         self.sent = 0
         """How often it was given."""
         self._outbox, self._guard = outbox, guard
-        self._ours: tuple[int, int, int] | None = None
+        self._ours: tuple[int, int] | None = None
         self._peer: PeerFound | None = None
+        self._has_one = False
+        """Whether the autopilot has shown that it knows one."""
         self._since_ns: int | None = None
 
     def begin(self, peer: PeerFound) -> None:
         """Wait for the origin of an autopilot that was found, or has rebooted."""
-        self._peer, self._since_ns = peer, None
+        self._peer, self._since_ns, self._has_one = peer, None, False
 
     def end(self) -> None:
         """Forget the autopilot."""
@@ -54,6 +64,8 @@ class OriginSetter(Service):
 
     def tick(self, now_ns: int) -> None:
         """Give the origin where it has been missing for long."""
+        if self._has_one:
+            return
         peer, ours = self._peer, self._ours
         is_followed = self._guard.decision.is_streaming and self._guard.decision.is_fused
         if peer is None or ours is None or peer.family is not Family.PX4 or not is_followed:
@@ -70,9 +82,9 @@ class OriginSetter(Service):
             target_system=peer.system_id,
             latitude=ours[0],
             longitude=ours[1],
-            altitude=ours[2],
+            altitude=0,
         )
         self._outbox.send("SET_GPS_GLOBAL_ORIGIN", payload, now_ns)
 
     def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
-        self._since_ns = now_ns
+        self._has_one = True

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from ekf_companion.nav.state import Status
+from ekf_companion.status.lacking import lacking
 from ekf_companion.status.snapshot import LinkState, OutputState, Snapshot
 
 BARREN_S = 3.0
@@ -62,6 +63,9 @@ def judge(snapshot: Snapshot) -> HealthCheck:
         return HealthCheck(True, f"{line}; {silence}")
     if health is None:
         return HealthCheck(True, "waiting for an autopilot")
+    if health.status < Status.OK:
+        why = lacking(health, snapshot.refused)
+        return HealthCheck(True, f"no position yet: the estimate is {health.status.name}; {why}")
     line = f"ok: the estimate is {health.status.name}"
     line += f", {snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output)}"
     in_vain = [

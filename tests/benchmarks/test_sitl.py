@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.sitl.pilot import figure_eight, square
-from benchmarks.sitl.score import score
+from benchmarks.sitl.score import right_after, score
 from benchmarks.sitl.tracks import Track
 
 
@@ -50,6 +50,15 @@ def test_a_vehicle_that_stands_shows_no_lead():
         euler=still.euler,
     )
     assert score(still, still, 5.0, 35.0).lead is None
+
+
+def test_a_place_is_right_again_after_its_last_large_error():
+    wrong = track(offset=3.0)
+    wrong.pos_n[(wrong.t >= 20.0) & (wrong.t < 24.5), 1] += 5.0
+    assert right_after(wrong, track(), (5.0, 15.0), 22.0, 1.0) == pytest.approx(2.5, abs=0.03)
+    assert right_after(wrong, track(), (5.0, 15.0), 25.0, 1.0) == 0.0
+    wrong.pos_n[wrong.t >= 24.5, 1] += 5.0
+    assert right_after(wrong, track(), (5.0, 15.0), 22.0, 1.0) == np.inf
 
 
 @pytest.mark.parametrize("make", [square, figure_eight])

@@ -81,7 +81,9 @@ class Sent:
         self.t = np.array([m.time_usec for m in messages]) * 1e-6
         self.pos_n = np.array([(m.x, m.y, m.z) for m in messages])
         q = np.array([m.q for m in messages])
-        self.vel_n = so3.rotate(q, np.array([(m.vx, m.vy, m.vz) for m in messages]))
+        said = np.array([(m.vx, m.vy, m.vz) for m in messages])
+        is_local = np.array([m.child_frame_id == 1 for m in messages])
+        self.vel_n = np.where(is_local[:, None], said, so3.rotate(q, said))
         self.yaw = so3.to_euler(q)[:, 2]
         self.count = np.array([m.reset_counter for m in messages])
         self.quality = np.array([m.quality for m in messages])

@@ -169,6 +169,21 @@ def test_an_old_px4_is_decided_by_its_mask(cycles, said):
     assert early.count("EKF2_EV_CTRL") == early.count("EKF2_GPS_CTRL") == 3
 
 
+@pytest.mark.parametrize(
+    ("parameters", "child"),
+    [({"EKF2_AID_MASK": 280, "EKF2_HGT_MODE": 3}, 12), (LIFTED[Kind.PX4], 1)],
+)
+def test_an_old_px4_that_flies_on_ours_is_sent_the_velocity_of_the_body(cycles, parameters, child):
+    link = Link(Kind.PX4)
+    link.autopilot.parameters.clear()
+    link.autopilot.parameters.update(BOTH[Kind.PX4] if child == 1 else {})
+    link.autopilot.parameters.update(parameters)
+    link.fly(cycles)
+    sent = [unpack(frame) for _, frame in link.sent if frame.message_id == IDS["ODOMETRY"]]
+    assert {m.child_frame_id for m in sent} == {child}
+    assert len(sent) > 50
+
+
 # What changes in flight
 
 

@@ -9,6 +9,7 @@ from ekf_companion.engine.residual import (
     NO_OFFSET,
     Residual,
     about_down,
+    local_velocity,
     scale_errors,
     std_horizontal,
 )
@@ -127,6 +128,15 @@ def test_a_covariance_that_is_not_known_stays_unknown():
     assert after[14:34] == pytest.approx(told[14:34])
     assert std_horizontal(unknown) == np.inf
     assert residual.offset != NO_OFFSET
+
+
+def test_a_velocity_along_the_local_axes_is_the_same_with_its_covariance_turned():
+    local, C = numbers(local_velocity(HERE)), to_pose(HERE).C_nb
+    assert local[7:10] == pytest.approx(to_pose(HERE).vel_n, rel=1e-5)
+    P, Q = (matrix(one[34:55]) for one in (numbers(HERE), local))
+    assert Q[:3, :3] == pytest.approx(C @ P[:3, :3] @ C.T, rel=1e-4, abs=1e-5)
+    kept = [*range(7), *range(10, 34)]
+    assert (local[kept] == numbers(HERE)[kept]).all()
 
 
 def test_errors_are_scaled_for_position_and_velocity_and_stay_a_covariance():

@@ -73,6 +73,23 @@ def test_px4_is_told_north_and_ardupilot_what_it_takes():
     assert encode.label(Family.PX4, "LOCAL_FRD", "auto").frame is Frame.LOCAL_FRD
 
 
+@pytest.mark.parametrize(
+    ("family", "frame", "velocity"),
+    [
+        (Family.PX4, "auto", Frame.LOCAL_NED),
+        (Family.PX4, "LOCAL_FRD", Frame.BODY_FRD),
+        (Family.PX4, "continuous", Frame.BODY_FRD),
+        (Family.ARDUPILOT, "auto", Frame.BODY_FRD),
+        (Family.UNKNOWN, "LOCAL_NED", Frame.BODY_FRD),
+    ],
+)
+def test_the_velocity_has_the_axes_of_a_frame_that_points_north_towards_px4(
+    family, frame, velocity
+):
+    assert encode.label(family, frame, "auto").velocity is velocity
+    assert odometry(velocity=velocity).child_frame_id == velocity
+
+
 def test_its_payload_is_what_the_definition_says():
     assert len(encode.odometry(estimate())) == by_name("ODOMETRY").size
 

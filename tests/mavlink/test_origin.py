@@ -11,8 +11,11 @@ OURS = Message("GPS_GLOBAL_ORIGIN", encode.gps_global_origin(0.8, 0.15, 489.4, t
 ON_OURS = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0}
 
 
-def given(parameters, family=PX4, told_until=0, seconds=16, is_known=True):
-    """Return the origins that an autopilot is given, each with its time in seconds."""
+def given(parameters, family=PX4, shown=None, shown_at=0, seconds=16, is_known=True):
+    """Return the origins that an autopilot is given, each with its time in seconds.
+
+    ``shown`` is the message by which it shows, once, that it has one.
+    """
     session, autopilot = met(family, guard=GuardOptions())
     origins = []
     for now_ns in range(0, seconds * SECOND, 50 * MS):
@@ -20,8 +23,8 @@ def given(parameters, family=PX4, told_until=0, seconds=16, is_known=True):
             session.receive(autopilot.heartbeat(), now_ns)
             if is_known:
                 session.publish(OURS, now_ns)
-            if now_ns < told_until * SECOND:
-                session.receive(autopilot.say("GPS_GLOBAL_ORIGIN", latitude=1), now_ns)
+            if shown is not None and now_ns == shown_at * SECOND:
+                session.receive(autopilot.say(shown), now_ns)
         session.tick(now_ns)
         for message in sent(session):
             name = type(message).__name__
@@ -41,13 +44,18 @@ def test_a_px4_on_our_estimate_that_has_no_origin_is_given_ours_every_five_secon
     origins = given(ON_OURS)
     assert [t for t, _ in origins] == pytest.approx([5.0, 10.0, 15.0], abs=0.2)
     m = origins[0][1]
-    assert (m.target_system, m.altitude) == (1, 489_400)
+    assert m.target_system == 1
     assert m.latitude == pytest.approx(458_366_236, abs=2)
 
 
-def test_one_that_has_an_origin_keeps_it():
-    assert given(ON_OURS, told_until=16) == []
-    assert [t for t, _ in given(ON_OURS, told_until=6)] == pytest.approx([10.0, 15.0], abs=0.2)
+def test_the_origin_has_no_altitude_for_px4_would_take_it_off_its_height_at_a_moved_counter():
+    assert given(ON_OURS)[0][1].altitude == 0
+
+
+@pytest.mark.parametrize("shown", ["GPS_GLOBAL_ORIGIN", "GLOBAL_POSITION_INT"])
+def test_one_that_has_shown_an_origin_once_is_given_none_again_for_each_is_a_reset(shown):
+    assert given(ON_OURS, shown=shown) == []
+    assert [t for t, _ in given(ON_OURS, shown=shown, shown_at=6)] == pytest.approx([5.0], abs=0.2)
 
 
 @pytest.mark.parametrize(

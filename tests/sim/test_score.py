@@ -9,7 +9,7 @@ from ekf_companion.nav.earth import LocalFrame
 from sim_autopilot.autopilot import Autopilot
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
-from sim_autopilot.score import Witness
+from sim_autopilot.score import LOCAL_NED, Witness
 
 CONFIG = SimConfig()
 ORIGIN = LocalFrame(math.radians(47.3980001), math.radians(8.5460002), 490.123)
@@ -51,12 +51,14 @@ def witness_of(
     pos_n = about.to_ned(truth.lat, truth.lon, truth.alt) + shift_n
     euler = truth.euler + np.array(turn)
     q_nb = so3.from_euler(*euler.T)
-    vel_b = so3.rotate(so3.conjugate(q_nb), truth.vel_n + shift_vel_n)
+    vel = truth.vel_n + shift_vel_n
+    if frames[1] != LOCAL_NED:
+        vel = so3.rotate(so3.conjugate(q_nb), vel)
     covariance = np.zeros(21)
     covariance[[0, 6, 11, 15, 18, 20]] = std**2
     for i in range(0, len(times), 5):
         x, y, z = pos_n[i]
-        vx, vy, vz = vel_b[i]
+        vx, vy, vz = vel[i]
         data = us.message(
             "ODOMETRY",
             time_usec=int(times[i]) // 1000,
@@ -99,6 +101,13 @@ def test_a_shifted_estimate_has_the_shift_as_its_error(flight):
     assert score["velocity_mps"]["rms"] == pytest.approx(math.hypot(0.1, 0.2), abs=1e-4)
     assert score["inside_2_sigma"]["horizontal"] == 0.0
     assert score["inside_2_sigma"]["vertical"] == 0.0
+
+
+@pytest.mark.parametrize("frames", [(1, 1), (1, 12)])
+def test_a_velocity_is_scored_along_the_axes_that_the_message_names(flight, frames):
+    score = witness_of(flight, frames=frames, shift_vel_n=(0.1, 0.0, -0.2), std=0.1).score()
+    assert score["odometry"]["not_scored"] == 0
+    assert score["velocity_mps"]["rms"] == pytest.approx(math.hypot(0.1, 0.2), abs=1e-4)
 
 
 def test_a_turned_estimate_has_the_turn_as_its_error(flight):
