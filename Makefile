@@ -28,9 +28,10 @@ test: $(STAMP)
 explore: $(STAMP)
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -W error -m pytest -n 2 --dist loadfile
 
-# config/reference.yaml, from the fields of the settings
+# config/reference.yaml, from the fields of the settings, and the table of MAVLink's messages
 reference: $(STAMP)
 	$(BIN)/python -m tests.reference
+	$(BIN)/python -m tests.definitions
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
