@@ -1,12 +1,13 @@
 # Each target sets up what it needs: its own virtual environment and the compiled kernel.
 PYTHON ?= python3
+SYSTEM_PYTHON ?= /usr/bin/python3
 VENV := .venv
 BIN := $(VENV)/bin
 KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd) \
 	$(wildcard ekf_companion/logs/*_search.py ekf_companion/logs/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore reference lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
+.PHONY: setup test explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak wheel deb install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -28,10 +29,21 @@ test: $(STAMP)
 explore: $(STAMP)
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -W error -m pytest -n 2 --dist loadfile
 
-# config/reference.yaml, from the fields of the settings, and the table of MAVLink's messages
+# What is written from the code: config/reference.yaml, from the fields of the settings; the table
+# of MAVLink's messages; the man page and the completions of shells, from the commands
 reference: $(STAMP)
 	$(BIN)/python -m tests.reference
 	$(BIN)/python -m tests.definitions
+	$(BIN)/python -m tests.manual
+
+# Versions and hashes of what `make install` installs, for all Pythons and processors; keeps the
+# versions that are there, unless UPGRADE=--upgrade
+LOCKED := $(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header \
+	--no-emit-index-url --no-emit-find-links --python-version 3.10 pyproject.toml $(UPGRADE)
+lock: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
+	$(LOCKED) -o systemd/requirements-run.txt
+	$(LOCKED) --extra report -c systemd/requirements-run.txt -o systemd/requirements-report.txt
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
@@ -103,11 +115,15 @@ wheel: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check build
 	$(BIN)/python -m build
 
-# See systemd/install.sh for PREFIX, DESTDIR, CONFIG, WHEEL, PIP_FLAGS
-export PYTHON PREFIX DESTDIR CONFIG WHEEL PIP_FLAGS
+# See systemd/install.sh for what these say
+export PYTHON PREFIX DESTDIR CONFIG WHEEL EXTRAS LOCK LAYOUT PIP_FLAGS OUT MAINTAINER
 
 install uninstall:
 	systemd/install.sh $@
+
+# A package for this processor and this system's Python, in dist/; see systemd/deb.sh
+deb:
+	PYTHON=$(SYSTEM_PYTHON) systemd/deb.sh
 
 # The whole way to a board, with all that is downloaded, in a folder of its own
 CHECKED := $(CURDIR)/build/installcheck

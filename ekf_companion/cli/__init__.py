@@ -110,7 +110,7 @@ app = typer.Typer(
     cls=_Commands,
     help="State estimation on a drone's companion computer: MAVLink in, ODOMETRY out.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
