@@ -128,7 +128,7 @@ deb:
 # The whole way to a board, with all that is downloaded, in a folder of its own
 CHECKED := $(CURDIR)/build/installcheck
 installcheck: $(STAMP)
-	$(BIN)/python -W error -m pytest tests/installation.py
+	$(BIN)/python -W error -m pytest tests/installation.py tests/debian.py
 	rm -rf $(CHECKED) && mkdir -p $(CHECKED)
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation \
 		--wheel-dir $(CHECKED) .

@@ -12,7 +12,9 @@ from ekf_companion.cli import COMMANDS, app
 from sim_autopilot.__main__ import app as sim
 from tests.manual import COMPLETIONS, MAN, SHARE, completion
 
-PROGRAM = '#!/bin/sh\nexec {} -c "from ekf_companion.cli import app; app(prog_name=\'ekf-companion\')" "$@"\n'
+PROGRAM = """#!/bin/sh
+exec {} -c "from ekf_companion.cli import app; app(prog_name='ekf-companion')" "$@"
+"""
 
 
 def commands(command, name=""):
