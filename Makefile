@@ -7,7 +7,7 @@ KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd) 
 	$(wildcard ekf_companion/logs/*_search.py ekf_companion/logs/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak wheel deb install uninstall installcheck clean
+.PHONY: setup test explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak site wheel wheels deb install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -114,6 +114,23 @@ reconnect: $(STAMP)
 wheel: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check build
 	$(BIN)/python -m build
+
+# README and docs as a site in build/site, for a browser without a network; a broken link is an error
+PAGES := build/site-pages
+site: $(STAMP)
+	rm -rf build/site $(PAGES) && mkdir -p $(PAGES)
+	cp -R README.md CHANGELOG.md LICENSE docs config $(PAGES)
+	cp --parents $$(grep -rohE '\]\((\.\./)+(ekf_companion|sim_autopilot|systemd|tests|benchmarks)/[^)#]*' \
+		--include=*.md docs | sed 's/.*\.\.\///' | sort -u) $(PAGES)
+	printf '\n```{toctree}\n:hidden:\n:glob:\n\ndocs/*\ndocs/filters/*\nCHANGELOG\n```\n' >> $(PAGES)/README.md
+	$(BIN)/sphinx-build -q -W --keep-going -b html -c docs $(PAGES) build/site
+	cp build/site/README.html build/site/index.html
+
+# Wheels for every Python and for x86-64 and aarch64, in dist/. Needs Docker or Podman; for the other
+# processor also QEMU: docker run --privileged --rm tonistiigi/binfmt --install arm64
+wheels: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check cibuildwheel
+	$(BIN)/cibuildwheel --platform linux --output-dir dist
 
 # See systemd/install.sh for what these say
 export PYTHON PREFIX DESTDIR CONFIG WHEEL EXTRAS LOCK LAYOUT PIP_FLAGS OUT MAINTAINER
