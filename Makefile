@@ -7,7 +7,7 @@ KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd) 
 	$(wildcard ekf_companion/logs/*_search.py ekf_companion/logs/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak site wheel wheels deb install uninstall installcheck clean
+.PHONY: setup test explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -142,6 +142,11 @@ install uninstall:
 deb:
 	PYTHON=$(SYSTEM_PYTHON) systemd/deb.sh
 
+# A container image, which BlueOS takes as an extension; DOCKER=podman where that is it
+DOCKER ?= docker
+image:
+	$(DOCKER) build -f systemd/Containerfile -t ekf-companion .
+
 # The whole way to a board, with all that is downloaded, in a folder of its own
 CHECKED := $(CURDIR)/build/installcheck
 installcheck: $(STAMP)
@@ -153,8 +158,9 @@ installcheck: $(STAMP)
 	mv $(CHECKED)/board$(CHECKED)/opt $(CHECKED)/opt
 	$(CHECKED)/opt/bin/ekf-companion check-config $(CHECKED)/board/etc/ekf-companion/config.yaml \
 		> /dev/null
-	$(CHECKED)/opt/bin/sim-autopilot generate --duration 15 -o $(CHECKED)/flight.tlog
+	$(BIN)/sim-autopilot generate --duration 30 -o $(CHECKED)/flight.tlog
 	$(CHECKED)/opt/bin/ekf-companion convert $(CHECKED)/flight.tlog -o $(CHECKED)/flight.csv
+	$(CHECKED)/opt/bin/ekf-companion report $(CHECKED)/flight.tlog -o $(CHECKED)/flight.html
 	rm -rf $(CHECKED)
 
 clean:
