@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+from tests.manual import COMPLETIONS, MAN, SHARE
 from tests.paths import ROOT
 
 
@@ -42,6 +43,16 @@ def metadata(section):
     text = (ROOT / "pyproject.toml").read_text()
     found = re.search(rf"^{section} = \[(.*?)\]\n", text, re.MULTILINE | re.DOTALL)[1]
     return set(re.findall(r'"([\w-]+)', found))
+
+
+def test_the_wheel_has_the_man_page_and_the_completions():
+    text = (ROOT / "pyproject.toml").read_text()
+    section = re.search(r"\[tool.setuptools.data-files\]\n(.*?)\n\n", text, re.DOTALL)[1]
+    listed = dict(re.findall(r'^"(.+)" = \["(.+)"\]$', section, re.MULTILINE))
+    files = {ROOT / name: place for place, name in listed.items()}
+    assert {*files} == {MAN, *COMPLETIONS.values()}
+    for path, place in files.items():
+        assert place == f"share/{path.parent.relative_to(SHARE)}"
 
 
 LOCKS = {"requirements-run.txt": (), "requirements-report.txt": ("report",)}
