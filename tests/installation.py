@@ -153,6 +153,7 @@ def test_a_second_time_it_keeps_the_configuration_and_then_leaves_it_behind(stag
     assert f"Kept, for you to delete: {staged.config.parent}," in words
     left = [path for path in staged.root.rglob("*") if path.is_file()]
     assert left == [staged.config]
+    assert not (staged.root / "usr/local/bin/ekf-companion").is_symlink()
     assert not staged.place.exists()
 
 

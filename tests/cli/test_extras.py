@@ -87,6 +87,7 @@ def test_logs_are_converted_without_any_extra(tmp_path, log, name):
     assert (tmp_path / "out.csv").stat().st_size > 100_000
 
 
+@pytest.mark.timeout(300)
 def test_the_daemon_flies_without_any_extra(tmp_path):
     """Against the fake autopilot, over real UDP."""
     port, http = free_port(), free_port()
@@ -99,14 +100,24 @@ def test_the_daemon_flies_without_any_extra(tmp_path):
         [sys.executable, "-c", code, *run], stderr=subprocess.PIPE, text=True
     ) as daemon:
         try:
-            fly = ["-m", "sim_autopilot", "fly", "--scenario", "hover", "--duration", "12"]
+            fly = [
+                "-m",
+                "sim_autopilot",
+                "fly",
+                "--scenario",
+                "hover",
+                "--duration",
+                "12",
+                "--wait",
+                "60",
+            ]
             score = tmp_path / "score.json"
             flown = subprocess.run(
                 [sys.executable, *fly, "--link", f"udpout:127.0.0.1:{port}", "--score", score],
                 capture_output=True,
                 text=True,
                 check=False,
-                timeout=100,
+                timeout=200,
             )
         finally:
             daemon.send_signal(signal.SIGTERM)
