@@ -1,12 +1,13 @@
 # Each target sets up what it needs: its own virtual environment and the compiled kernel.
 PYTHON ?= python3
+SYSTEM_PYTHON ?= /usr/bin/python3
 VENV := .venv
 BIN := $(VENV)/bin
 KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd) \
 	$(wildcard ekf_companion/logs/*_search.py ekf_companion/logs/*.pxd)
 STAMP := $(VENV)/.installed
 
-.PHONY: setup test explore reference lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak wheel install uninstall installcheck clean
+.PHONY: setup test explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -28,9 +29,21 @@ test: $(STAMP)
 explore: $(STAMP)
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -W error -m pytest -n 2 --dist loadfile
 
-# config/reference.yaml, from the fields of the settings
+# What is written from the code: config/reference.yaml, from the fields of the settings; the table
+# of MAVLink's messages; the man page and the completions of shells, from the commands
 reference: $(STAMP)
 	$(BIN)/python -m tests.reference
+	$(BIN)/python -m tests.definitions
+	$(BIN)/python -m tests.manual
+
+# Versions and hashes of what `make install` installs, for all Pythons and processors; keeps the
+# versions that are there, unless UPGRADE=--upgrade
+LOCKED := $(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header \
+	--no-emit-index-url --no-emit-find-links --python-version 3.10 pyproject.toml $(UPGRADE)
+lock: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
+	$(LOCKED) -o systemd/requirements-run.txt
+	$(LOCKED) --extra report -c systemd/requirements-run.txt -o systemd/requirements-report.txt
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
@@ -102,16 +115,42 @@ wheel: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check build
 	$(BIN)/python -m build
 
-# See systemd/install.sh for PREFIX, DESTDIR, CONFIG, WHEEL, PIP_FLAGS
-export PYTHON PREFIX DESTDIR CONFIG WHEEL PIP_FLAGS
+# README and docs as a site in build/site, for a browser without a network; a broken link is an error
+PAGES := build/site-pages
+site: $(STAMP)
+	rm -rf build/site $(PAGES) && mkdir -p $(PAGES)
+	cp -R README.md CHANGELOG.md LICENSE docs config $(PAGES)
+	cp --parents $$(grep -rohE '\]\((\.\./)+(ekf_companion|sim_autopilot|systemd|tests|benchmarks)/[^)#]*' \
+		--include=*.md docs | sed 's/.*\.\.\///' | sort -u) $(PAGES)
+	printf '\n```{toctree}\n:hidden:\n:glob:\n\ndocs/*\ndocs/filters/*\nCHANGELOG\n```\n' >> $(PAGES)/README.md
+	$(BIN)/sphinx-build -q -W --keep-going -b html -c docs $(PAGES) build/site
+	cp build/site/README.html build/site/index.html
+
+# Wheels for every Python and for x86-64 and aarch64, in dist/. Needs Docker or Podman; for the other
+# processor also QEMU: docker run --privileged --rm tonistiigi/binfmt --install arm64
+wheels: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check cibuildwheel
+	$(BIN)/cibuildwheel --platform linux --output-dir dist
+
+# See systemd/install.sh for what these say
+export PYTHON PREFIX DESTDIR CONFIG WHEEL EXTRAS LOCK LAYOUT PIP_FLAGS OUT MAINTAINER
 
 install uninstall:
 	systemd/install.sh $@
 
+# A package for this processor and this system's Python, in dist/; see systemd/deb.sh
+deb:
+	PYTHON=$(SYSTEM_PYTHON) systemd/deb.sh
+
+# A container image, which BlueOS takes as an extension; DOCKER=podman where that is it
+DOCKER ?= docker
+image:
+	$(DOCKER) build -f systemd/Containerfile -t ekf-companion .
+
 # The whole way to a board, with all that is downloaded, in a folder of its own
 CHECKED := $(CURDIR)/build/installcheck
 installcheck: $(STAMP)
-	$(BIN)/python -W error -m pytest tests/installation.py
+	$(BIN)/python -W error -m pytest tests/installation.py tests/debian.py
 	rm -rf $(CHECKED) && mkdir -p $(CHECKED)
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation \
 		--wheel-dir $(CHECKED) .
@@ -119,8 +158,9 @@ installcheck: $(STAMP)
 	mv $(CHECKED)/board$(CHECKED)/opt $(CHECKED)/opt
 	$(CHECKED)/opt/bin/ekf-companion check-config $(CHECKED)/board/etc/ekf-companion/config.yaml \
 		> /dev/null
-	$(CHECKED)/opt/bin/sim-autopilot generate --duration 15 -o $(CHECKED)/flight.tlog
+	$(BIN)/sim-autopilot generate --duration 30 -o $(CHECKED)/flight.tlog
 	$(CHECKED)/opt/bin/ekf-companion convert $(CHECKED)/flight.tlog -o $(CHECKED)/flight.csv
+	$(CHECKED)/opt/bin/ekf-companion report $(CHECKED)/flight.tlog -o $(CHECKED)/flight.html
 	rm -rf $(CHECKED)
 
 clean:

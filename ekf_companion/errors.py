@@ -4,13 +4,18 @@ CompanionError
 ├── ConfigError   a key, a value or a file of the configuration
 ├── DataError     arrays that cannot be meant: units, axes, times (a ValueError too)
 ├── LinkError     a URL that names no link, or a link that cannot be opened at all
-└── LogError      a recorded file that cannot be read, or holds nothing to estimate from
-    └── FilterError  a filter whose mathematics end before the recording does
+├── LogError      a recorded file that cannot be read, or holds nothing to estimate from
+│   └── FilterError  a filter whose mathematics end before the recording does
+└── MissingPackageError  a package that an extra brings is not installed
 
 Each message says what, where, and what would do. Bad data is not an error: it is counted.
 """
 
 from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 class CompanionError(Exception):
@@ -35,3 +40,34 @@ class LogError(CompanionError):
 
 class FilterError(LogError):
     """A filter cannot go on: its mathematics end before the recording does."""
+
+
+class MissingPackageError(CompanionError):
+    """A package that an extra of ours brings is not installed."""
+
+
+def remedy(extra: str) -> str:
+    """Return the command that installs an extra into this environment."""
+    return f"{sys.executable} -m pip install 'ekf-companion[{extra}]'"
+
+
+@contextmanager
+def part_of(extra: str, subject: str) -> Iterator[None]:
+    """Import what an extra brings.
+
+    Args:
+        extra: The extra's name in the package's metadata.
+        subject: What needs the packages, to begin the sentence with.
+
+    Raises:
+        MissingPackageError: One of them is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package in ("", "ekf_companion", "sim_autopilot"):
+            raise
+        raise MissingPackageError(
+            f"{subject}: needs {package}, which is not installed: {remedy(extra)}"
+        ) from None

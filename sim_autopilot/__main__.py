@@ -38,7 +38,7 @@ from sim_autopilot.score_table import sentences, table
 app = typer.Typer(
     help="A fake autopilot: flies, speaks MAVLink, and scores the estimate that comes back.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
 _console = Console()

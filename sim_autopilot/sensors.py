@@ -7,13 +7,13 @@ the others as it was. Times are seconds since the start of the flight.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from pygeomag import GeoMag
-from scipy.signal import butter, lfilter, lfilter_zi
 
+from ekf_companion.errors import part_of
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 from sim_autopilot.config import BaroConfig, CompassConfig, GnssConfig, ImuConfig
@@ -209,7 +209,7 @@ def slow_errors(
         drive = np.sqrt(1.0 - keep * keep) * white
         if not start:
             drive[0] = white[0]
-        part, state = lfilter([1.0], [1.0, -keep], drive, axis=0, zi=state)
+        part, state = _scipy().lfilter([1.0], [1.0, -keep], drive, axis=0, zi=state)
         found[start : start + _CHUNK] = part * sigmas
     return found
 
@@ -220,11 +220,19 @@ def gauss_markov(white: Array, period: float, correlation: float) -> Array:
     drive = np.sqrt(1.0 - keep * keep) * white
     if len(drive):
         drive[0] = white[0]
-    return np.asarray(lfilter([1.0], [1.0, -keep], drive, axis=0))
+    return np.asarray(_scipy().lfilter([1.0], [1.0, -keep], drive, axis=0))
 
 
 def _lowpass(samples: Array, corner: float) -> Array:
     """Filter like the autopilot; the corner is a part of the sampling rate."""
-    b, a = butter(2, 2.0 * corner)
-    state = lfilter_zi(b, a)[:, None] * samples[0]
-    return np.asarray(lfilter(b, a, samples, axis=0, zi=state)[0])
+    signal = _scipy()
+    b, a = signal.butter(2, 2.0 * corner)
+    state = signal.lfilter_zi(b, a)[:, None] * samples[0]
+    return np.asarray(signal.lfilter(b, a, samples, axis=0, zi=state)[0])
+
+
+def _scipy() -> Any:
+    """Return SciPy's digital filters, which only a generated flight needs."""
+    with part_of("sim", "a generated flight"):
+        from scipy import signal
+    return signal

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BSpline
 
+from ekf_companion.errors import part_of
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import (
@@ -27,6 +28,9 @@ from ekf_companion.nav.earth import (
     radii,
     transport_rate_n,
 )
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 DEGREE = 5
 """Of the splines: specific force is then three times, body rate four times differentiable."""
@@ -115,6 +119,8 @@ def spline(path: Callable[[Array], Array], duration: float, step: float) -> BSpl
     # The control point of knots i .. i + 6 belongs to their middle (Greville)
     middle = (np.arange(count) - (DEGREE - 1) / 2) * step
     knots = (np.arange(count + DEGREE + 1) - DEGREE) * step
+    with part_of("sim", "a generated flight"):
+        from scipy.interpolate import BSpline
     return BSpline(knots, path(np.asarray(middle, dtype=np.float64)), DEGREE)
 
 

@@ -5,6 +5,9 @@
 #   DESTDIR    a folder that stands for /, to build a package or an image; needs no root
 #   CONFIG     the first configuration, if there is none: config/px4.yaml
 #   WHEEL      a wheel from `make wheel`; if empty, one is built, which needs gcc
+#   EXTRAS     what is installed beside the daemon: report; or none; or others, as in report,plot
+#   LOCK       none: dependencies of any version, not those of requirements-*.txt with their hashes
+#   LAYOUT     package: units, rule, man page and completions go where a package has them
 #   PIP_FLAGS  for a board without a network: --no-index --find-links=FOLDER
 #   PYTHON     python3
 set -eu
@@ -16,9 +19,13 @@ root=${DESTDIR:-}
 prefix=${PREFIX:-/opt/ekf-companion}
 place=$root$prefix
 etc=$root/etc/ekf-companion
-units=$root/etc/systemd/system
-rules=$root/etc/udev/rules.d
+if [ "${LAYOUT:-}" = package ]; then
+    usr=$root/usr units=$root/usr/lib/systemd/system rules=$root/usr/lib/udev/rules.d
+else
+    usr=$root/usr/local units=$root/etc/systemd/system rules=$root/etc/udev/rules.d
+fi
 share=$place/share/ekf-companion
+extras=${EXTRAS:-report}
 
 fail() {
     echo "$0: $*" >&2
@@ -77,16 +84,24 @@ install_program() {
     if [ -z "${WHEEL:-}" ]; then
         # In a copy, so that root leaves no files in the checkout
         mkdir "$built/src"
-        cp -R pyproject.toml setup.py README.md LICENSE ekf_companion sim_autopilot "$built/src"
+        cp -R pyproject.toml setup.py README.md LICENSE ekf_companion sim_autopilot systemd "$built/src"
         rm -f "$built"/src/ekf_companion/*/*.c "$built"/src/ekf_companion/*/*.so
         $pip wheel ${PIP_FLAGS:-} --no-deps --wheel-dir "$built" "$built/src"
     else
         [ -f "$WHEEL" ] || fail "WHEEL=$WHEEL: there is no such file; make wheel makes one in dist/"
         cp "$WHEEL" "$built"
     fi
-    # The same version may have other content; its dependencies stay if they suffice
+    # Dependencies, as the lock has them
+    case ,$extras, in
+    *,report,*) lock=requirements-report.txt ;;
+    *) lock=requirements-run.txt ;;
+    esac
+    [ "${LOCK:-}" = none ] ||
+        $pip install ${PIP_FLAGS:-} --no-compile --require-hashes -r "systemd/$lock"
+    # The same version may have other content; what the lock lacks for other extras follows
     $pip install ${PIP_FLAGS:-} --no-compile --force-reinstall --no-deps "$built"/*.whl
-    $pip install ${PIP_FLAGS:-} --no-compile "$built"/*.whl
+    [ "$extras" = none ] || extra="[$extras]"
+    $pip install ${PIP_FLAGS:-} --no-compile "$(echo "$built"/*.whl)${extra:-}"
     # Also for an earlier installation with a stricter umask
     chmod -R a+rX "$place"
     # Compiled now: the service cannot write there. Some packages have files for other versions
@@ -100,8 +115,17 @@ install_program() {
     fi
 }
 
+# Man page and completions, by their place below share/
+shared() {
+    (cd systemd/share && find . -type f)
+}
+
 install_files() {
-    install -d -m 755 "$etc" "$units" "$rules" "$share/config" "$share/drop-ins"
+    install -d -m 755 "$etc" "$units" "$rules" "$share/config" "$share/drop-ins" "$usr/bin"
+    ln -sfn "$prefix/bin/ekf-companion" "$usr/bin/ekf-companion"
+    for file in $(shared); do
+        install -D -m 644 "systemd/share/$file" "$usr/share/$file"
+    done
     for unit in ekf-companion.service ekf-companion@.service; do
         sed "s|/opt/ekf-companion|$prefix|g" "systemd/$unit" > "$units/$unit"
         chmod 644 "$units/$unit"
@@ -125,6 +149,11 @@ uninstall() {
     fi
     rm -f "$units/ekf-companion.service" "$units/ekf-companion@.service"
     rm -f "$rules/70-ekf-companion.rules"
+    [ "$(readlink "$usr/bin/ekf-companion")" != "$prefix/bin/ekf-companion" ] ||
+        rm -f "$usr/bin/ekf-companion"
+    for file in $(shared); do
+        rm -f "$usr/share/$file"
+    done
     rm -rf "$place"
     echo "Kept, for you to delete: $etc, $root/var/log/ekf-companion*, $root/var/lib/ekf-companion*"
 }

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.manual import COMPLETIONS, MAN, SHARE
 from tests.paths import ROOT
 
 ROOTS_HOME = Path("~root").expanduser()
@@ -20,7 +21,7 @@ def make_wheel(folder):
     with zipfile.ZipFile(path, "w") as wheel:
         for package in ("ekf_companion", "sim_autopilot"):
             for file in sorted((ROOT / package).rglob("*")):
-                if file.suffix in (".py", ".so", ".pxd"):
+                if file.suffix in (".py", ".so", ".pxd", ".txt"):
                     wheel.write(file, file.relative_to(ROOT))
         scripts = "[console_scripts]\nekf-companion = ekf_companion.cli:app\n"
         wheel.writestr(f"{NAME}.dist-info/entry_points.txt", scripts)
@@ -57,6 +58,7 @@ class Staged:
             "PREFIX": self.prefix,
             "WHEEL": make_wheel(folder),
             "PIP_FLAGS": "--no-index --no-deps",
+            "LOCK": "none",
             "PYTHON": sys.executable,
         }
         self.units = self.root / "etc/systemd/system"
@@ -85,6 +87,14 @@ def test_everything_is_in_its_place(staged):
         assert (share / "config" / name).exists()
     assert (share / "drop-ins/signing.conf").exists()
     assert (share / "mavlink-router.conf").exists()
+
+
+def test_the_command_its_man_page_and_its_completions_are_found(staged):
+    link = staged.root / "usr/local/bin/ekf-companion"
+    assert str(link.readlink()) == f"{staged.prefix}/bin/ekf-companion"
+    for path in (MAN, *COMPLETIONS.values()):
+        there = staged.root / "usr/local/share" / path.relative_to(SHARE)
+        assert there.read_bytes() == path.read_bytes()
 
 
 def test_whoever_runs_the_service_may_read_and_run_it(staged):
@@ -143,6 +153,7 @@ def test_a_second_time_it_keeps_the_configuration_and_then_leaves_it_behind(stag
     assert f"Kept, for you to delete: {staged.config.parent}," in words
     left = [path for path in staged.root.rglob("*") if path.is_file()]
     assert left == [staged.config]
+    assert not (staged.root / "usr/local/bin/ekf-companion").is_symlink()
     assert not staged.place.exists()
 
 

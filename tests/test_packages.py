@@ -3,6 +3,9 @@
 import ast
 import re
 
+import pytest
+
+from tests.manual import COMPLETIONS, MAN, SHARE
 from tests.paths import ROOT
 
 
@@ -33,3 +36,60 @@ def test_no_sentence_points_to_what_is_not_in_the_wheel():
         for path in (ROOT / package).rglob("*.py"):
             found = [text for text in sentences(path) if absent.search(text)]
             assert not found, f"{path}: {found}"
+
+
+def metadata(section):
+    """Return the quoted names of a list of pyproject.toml."""
+    text = (ROOT / "pyproject.toml").read_text()
+    found = re.search(rf"^{section} = \[(.*?)\]\n", text, re.MULTILINE | re.DOTALL)[1]
+    return set(re.findall(r'"([\w-]+)', found))
+
+
+def test_the_wheel_has_the_man_page_and_the_completions():
+    text = (ROOT / "pyproject.toml").read_text()
+    section = re.search(r"\[tool.setuptools.data-files\]\n(.*?)\n\n", text, re.DOTALL)[1]
+    listed = dict(re.findall(r'^"(.+)" = \["(.+)"\]$', section, re.MULTILINE))
+    files = {ROOT / name: place for place, name in listed.items()}
+    assert {*files} == {MAN, *COMPLETIONS.values()}
+    for path, place in files.items():
+        assert place == f"share/{path.parent.relative_to(SHARE)}"
+
+
+LOCKS = {"requirements-run.txt": (), "requirements-report.txt": ("report",)}
+
+
+@pytest.mark.parametrize("name", LOCKS)
+def test_the_lock_has_every_dependency_with_a_hash(name):
+    """`make lock` writes it."""
+    text = (ROOT / "systemd" / name).read_text()
+    entries = re.split(r"\n(?=\w)", text)
+    for entry in entries:
+        assert re.match(r"[\w.-]+==[\w.]+", entry), entry
+        assert re.search(r"--hash=sha256:[0-9a-f]{64}", entry), entry
+    locked = {re.split("==", entry)[0] for entry in entries}
+    wanted = metadata("dependencies").union(*map(metadata, LOCKS[name]))
+    assert {one.lower().replace("_", "-") for one in wanted} <= locked
+
+
+@pytest.mark.parametrize("name", LOCKS)
+def test_the_lock_names_no_host_and_no_folder(name):
+    text = (ROOT / "systemd" / name).read_text()
+    assert not re.search(r"://|--(extra-)?index-url|--find-links|@ ", text)
+
+
+def test_the_extra_all_has_every_other_but_dev():
+    text = (ROOT / "pyproject.toml").read_text()
+    section = re.search(r"\[project.optional-dependencies\]\n(.*?)\n\n", text, re.DOTALL)[1]
+    names = set(re.findall(r"^(\w+) = \[", section, re.MULTILINE)) - {"all", "docs", "dev"}
+    inside = re.search(r'all = \["ekf-companion\[([\w,]+)\]"\]', section)[1]
+    assert set(inside.split(",")) == names
+    assert "ekf-companion" in metadata("dev")
+
+
+def test_every_extra_that_a_sentence_names_is_one():
+    text = (ROOT / "pyproject.toml").read_text()
+    for package in ("ekf_companion", "sim_autopilot"):
+        for path in (ROOT / package).rglob("*.py"):
+            source = path.read_text()
+            for extra in re.findall(r'(?:part_of|remedy)\(["\'](\w+)["\']', source):
+                assert re.search(rf"^{extra} = \[", text, re.MULTILINE), (path, extra)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ekf_companion.analysis.batch import COLUMNS, Row
-from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.errors import ConfigError, part_of
 from ekf_companion.logs.writer import create
 
 KINDS = (".csv", ".parquet")
@@ -29,18 +29,14 @@ def write(path: Path, rows: Sequence[Row]) -> None:
     """Write the table by the file's suffix.
 
     Raises:
-        LogError: The file cannot be written, or the package for Parquet is missing.
+        LogError: The file cannot be written.
+        MissingPackageError: The package for Parquet is not installed.
     """
     with create(path) as file:
         if path.suffix == ".parquet":
-            try:
+            with part_of("formats", str(path)):
                 import pyarrow as pa
                 from pyarrow import parquet
-            except ImportError:
-                raise LogError(
-                    f"{path}: writing needs the package pyarrow; install ekf-companion with the "
-                    "extra: formats"
-                ) from None
             types = {str: pa.string(), int: pa.int64(), float: pa.float64()}
             schema = pa.schema([(name, types[kind]) for name, kind in COLUMNS.items()])
             parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), file)

@@ -15,7 +15,7 @@ from ekf_companion.analysis.closure import closure
 from ekf_companion.analysis.consistency import nees
 from ekf_companion.analysis.difference import euler_errors, rms, tilt_errors
 from ekf_companion.core.settings import FilterSettings
-from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.errors import ConfigError, LogError, MissingPackageError
 from ekf_companion.filters.solution import Solution
 from ekf_companion.logs.estimate import of_table
 from ekf_companion.logs.recording import Counted, Recording
@@ -117,12 +117,12 @@ def _timed_run(recording: Recording, name: str, settings: FilterSettings) -> Ent
     if len(t_ns):
         # The first seconds alone, so that the filter's imports are not counted as cost
         few = recording.events.take(np.abs(t_ns - t_ns[0]) < WARM_NS)
-        with suppress(LogError, ConfigError):
+        with suppress(LogError, ConfigError, MissingPackageError):
             run_filter(replace(recording, events=few), name, settings)
     begin = time.process_time()
     try:
         solution = run_filter(recording, name, settings)
-    except (LogError, ConfigError) as error:
+    except (LogError, ConfigError, MissingPackageError) as error:
         return Entry(name=name, solution=None, trajectory=None, us=np.nan, notes=(str(error),))
     spent = (time.process_time() - begin) * 1e6
     return Entry(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ekf_companion.errors import CompanionError
+from ekf_companion.errors import CompanionError, MissingPackageError, remedy
 
 Draw = Callable[[Any], None]
 """Draws into a matplotlib figure."""
@@ -39,11 +39,12 @@ def write(path: Path, title: str, draw: Draw, *, width: float = 12.0, height: fl
     """Draw a figure into a PNG, PDF or SVG file; its size is in inches.
 
     Raises:
-        CompanionError: matplotlib is not installed, or the file cannot be written.
+        MissingPackageError: matplotlib is not installed.
+        CompanionError: The file cannot be written.
     """
     if not has_matplotlib():
-        raise CompanionError(
-            f"{path}: a figure needs matplotlib; install ekf-companion with the extra: plot"
+        raise MissingPackageError(
+            f"{path}: a figure needs matplotlib, which is not installed: {remedy('plot')}"
         )
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

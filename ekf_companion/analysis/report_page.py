@@ -15,7 +15,7 @@ import numpy as np
 
 from ekf_companion.analysis.flight_review import FlightReview
 from ekf_companion.engine.health import Aid
-from ekf_companion.errors import CompanionError, ConfigError
+from ekf_companion.errors import ConfigError, part_of
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
@@ -47,15 +47,11 @@ def page(review: FlightReview) -> str:
     """Return the report.
 
     Raises:
-        CompanionError: Bokeh is not installed.
+        MissingPackageError: Bokeh is not installed.
     """
-    try:
+    with part_of("report", "report"):
         from bokeh.embed import components
         from bokeh.resources import Resources
-    except ImportError:
-        raise CompanionError(
-            "a report needs Bokeh; install ekf-companion with the extra: report"
-        ) from None
     sections = _sections(review)
     figures = [one for _, plots in sections for one in plots]
     script, places = components(figures)

@@ -14,10 +14,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
-from scipy.signal import welch
 
+from ekf_companion.errors import part_of
 from ekf_companion.nav.arrays import Array
+
+with part_of("calibrate", "calibrate"):
+    from scipy.optimize import nnls
+    from scipy.signal import welch
 
 FLICKER = 2.0 * np.log(2.0) / np.pi
 """Allan variance of flicker noise of B = 1, where it is flat."""

@@ -26,7 +26,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t
 
 from ekf_companion.calibrate import rest
 from ekf_companion.calibrate.likelihood import Likelihood
@@ -34,10 +33,13 @@ from ekf_companion.calibrate.result import Result, Setting, rounded
 from ekf_companion.core.from_settings import delays_ns
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
-from ekf_companion.errors import LogError
+from ekf_companion.errors import LogError, part_of
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Kind
+
+with part_of("calibrate", "calibrate"):
+    from scipy.stats import t
 from ekf_companion.nav.state import Status, Table
 
 Progress = Callable[[int, int], None]

@@ -1,9 +1,9 @@
 """The commands. Only they print and exit. A command has an argument for each of its options.
 
-Exit codes: 0 done, 1 a figure cannot be drawn or a bug, 2 the command line or the configuration is
-wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from, 4 ``status``
-finds no daemon (and 1 one that is not healthy), 5 the doctor has found a stage that fails, or
-``preflight`` what speaks against a take-off.
+Exit codes: 0 done, 1 a package of an extra is missing or a bug, 2 the command line or the
+configuration is wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from,
+4 ``status`` finds no daemon (and 1 one that is not healthy), 5 the doctor has found a stage that
+fails, or ``preflight`` what speaks against a take-off.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from typer.core import TyperGroup
 
+from ekf_companion.errors import MissingPackageError
 from ekf_companion.version import __version__
 
 
@@ -97,6 +98,14 @@ class _Commands(TyperGroup):
             found = alone
         return typer.main.get_command(found)
 
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; print a sentence where a package that it imports is not installed."""
+        try:
+            return super().invoke(ctx)
+        except MissingPackageError as error:
+            typer.echo(f"ekf-companion: {error}", err=True)
+            raise typer.Exit(1) from error
+
     def format_commands(self, ctx: object, formatter: Any) -> None:
         """Write the list of commands."""
         with formatter.section("Commands"):
@@ -107,7 +116,7 @@ app = typer.Typer(
     cls=_Commands,
     help="State estimation on a drone's companion computer: MAVLink in, ODOMETRY out.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError
+from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogError, remedy
 
 if TYPE_CHECKING:
     from ekf_companion.config.config import Config
@@ -137,7 +137,7 @@ def write_figure(log: Path, kind: str, plot: Path | None, write: Callable[[Path]
     from ekf_companion.analysis.figure_file import has_matplotlib
 
     if plot is None and not has_matplotlib():
-        return "no figure: install ekf-companion with the extra: plot"
+        return f"no figure, as matplotlib is not installed: {remedy('plot')}"
     path = plot if plot is not None else beside(log, kind, ".png")
     if plot is None and not os.access(path.parent, os.W_OK):
         return f"no figure: {path.parent} cannot be written to; name a file with --plot"

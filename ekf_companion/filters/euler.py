@@ -17,9 +17,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
 
-from ekf_companion.errors import FilterError
+from ekf_companion.errors import FilterError, part_of
 from ekf_companion.filters.gate import Decision
 from ekf_companion.filters.observation import Observation
 from ekf_companion.filters.sequence import MeasurementSequence, Setup, run_sequence
@@ -36,6 +35,9 @@ from ekf_companion.filters.strapdown import (
 )
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
+
+with part_of("filters", "filter euler"):
+    from scipy.linalg import expm
 
 Real: TypeAlias = npt.NDArray[np.floating[Any]]
 

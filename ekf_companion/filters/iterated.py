@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import block_diag
 
+from ekf_companion.errors import part_of
 from ekf_companion.filters import gauss_newton
 from ekf_companion.filters.gate import Decision
 from ekf_companion.filters.gauss_newton import MAX_ITERATIONS, Correction, Form, Manifold, Rows
@@ -26,6 +26,9 @@ from ekf_companion.filters.sequence import MeasurementSequence, Setup, run_seque
 from ekf_companion.filters.solution import Solution
 from ekf_companion.filters.strapdown import Interval, N, Nominal, covariance_in_n
 from ekf_companion.nav.arrays import Array
+
+with part_of("filters", "filter iterated"):
+    from scipy.linalg import block_diag
 
 Frame = Literal["global", "robocentric"]
 Gravity = Literal["known", "sphere"]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.errors import ConfigError
+from ekf_companion.errors import part_of
 from ekf_companion.filters.gap import BLIND, SHORTEST, SLOW
 from ekf_companion.filters.inertial import LONGEST_GAP, turn
 from ekf_companion.filters.marg import MargSamples, marg_samples
@@ -31,14 +31,10 @@ def run(events: Events, gap: float = LONGEST_GAP) -> Solution:
 
     Raises:
         LogError: There are no inertial samples.
-        ConfigError: The package is not installed.
+        MissingPackageError: The package is not installed.
     """
-    try:
+    with part_of("filters", "filter vqf"):
         package = importlib.import_module("vqf")
-    except ImportError as error:
-        raise ConfigError(
-            "filter vqf: its package is not installed; pip install vqf brings it"
-        ) from error
     samples = marg_samples(events, gap)
     steps = samples.steps
     step = float(np.median(steps))

@@ -17,15 +17,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
 
-from ekf_companion.errors import LogError
+from ekf_companion.errors import LogError, part_of
 from ekf_companion.logs.recording import Counted, Recording
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Trajectory
+
+with part_of("filters", "a .mat file"):
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
 
 GAUSS = 0.01
 """gauss per microtesla."""

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from ekf_companion.errors import LogError
+from ekf_companion.errors import LogError, part_of
 
 PACKED = (".gz", ".zst")
 LARGEST = 1 << 33
@@ -108,13 +108,8 @@ def _gunzip(file: BinaryIO) -> bytes:
 
 
 def _unzstd(path: Path, file: BinaryIO) -> bytes:
-    try:
+    with part_of("formats", f"{path}: unpack it (unzstd), or"):
         import zstandard
-    except ImportError:
-        raise LogError(
-            f"{path}: unpacking needs zstandard; install ekf-companion with the extra: formats, "
-            "or unpack it (unzstd)"
-        ) from None
     unpacked, frame = bytearray(), zstandard.ZstdDecompressor().decompressobj()
     try:
         while (block := file.read(1 << 20)) and len(unpacked) <= LARGEST:

@@ -13,7 +13,7 @@ from typing import BinaryIO, cast
 
 import numpy as np
 
-from ekf_companion.errors import LogError
+from ekf_companion.errors import LogError, part_of
 from ekf_companion.nav.arrays import Array, known_rows
 from ekf_companion.nav.state import GEODETIC, POSITION, QUATERNION, VELOCITY, Status, Table
 
@@ -77,16 +77,12 @@ def open_writer(path: Path) -> EstimateWriter:
     """Open a file by its suffix; ``-`` is CSV on the standard output.
 
     Raises:
-        LogError: It cannot be opened, or a package that its kind needs is missing.
+        LogError: It cannot be opened.
+        MissingPackageError: A package that its kind needs is not installed.
     """
     name = WRITERS[".csv" if path == STDOUT else path.suffix]
-    try:
+    with part_of("formats", str(path)):
         module = import_module(f"ekf_companion.logs.{name}")
-    except ImportError as error:
-        raise LogError(
-            f"{path}: writing needs the package {error.name}; install ekf-companion with the "
-            "extra: formats"
-        ) from None
     return cast("EstimateWriter", module.Writer(path))
 
 

@@ -32,7 +32,6 @@ from ekf_companion.mavlink.fusion import (
     missing,
     watched,
 )
-from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.stamp import SECOND_NS, quantise
@@ -86,9 +85,10 @@ class Guard(Service):
         vehicle is in the air.
         """
         self.options = options or GuardOptions()
-        # A dialect from before PARAM_ERROR lacks its layout, and silence says the same
-        handlers: dict[str, Handler] = {"PARAM_VALUE": self._take, "PARAM_ERROR": self._take_error}
-        self.handles = {name: handler for name, handler in handlers.items() if name in IDS}
+        self.handles: dict[str, Handler] = {
+            "PARAM_VALUE": self._take,
+            "PARAM_ERROR": self._take_error,
+        }
         self._outbox = outbox
         self._emit = emit
         self._refuse_ours = refuse_ours

@@ -1,21 +1,21 @@
-"""How each message lies on the wire, from the definitions that pymavlink carries.
+"""How each message lies on the wire, from the table ``definitions.txt``.
 
 Fields are in wire order: the base fields by falling size of their type, then the extensions. The
-dialect is imported as a module of definitions only; none of pymavlink's parsers runs.
+table is made of pymavlink's dialect ardupilotmega and compared with it by a test; pymavlink itself
+is not needed.
 """
 
 from __future__ import annotations
 
-import re
 from collections import namedtuple
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from struct import Struct
 from typing import Any, NamedTuple
 
 import numpy as np
-from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 
 class Field(NamedTuple):
@@ -26,28 +26,6 @@ class Field(NamedTuple):
     """Struct code of one element; ``s`` for text."""
     length: int
     """Elements, or bytes of text; 0: a scalar."""
-
-
-_EXTENSIONS = {"TIMESYNC": (Field("target_system", "B", 0), Field("target_component", "B", 0))}
-"""Extension fields that the definitions have gained since the packaged pymavlink was made."""
-
-_MISSING = (
-    (
-        300,
-        "PROTOCOL_VERSION",
-        217,
-        "H version, H min_version, H max_version, 8B spec_version_hash, 8B library_version_hash",
-    ),
-    (
-        396,
-        "COMPONENT_INFORMATION_BASIC",
-        50,
-        "Q capabilities, I time_boot_ms, "
-        "I time_manufacture_s, 32s vendor_name, 32s model_name, 24s software_version, "
-        "24s hardware_version, 32s serial_number",
-    ),
-)
-"""Messages of the common definitions that no packaged dialect has: id, name, CRC_EXTRA, fields."""
 
 
 @dataclass(frozen=True)
@@ -110,51 +88,50 @@ def _column(field: Field) -> tuple[str, str, tuple[int, ...]]:
     return field.name, code, (field.length,) if field.length else ()
 
 
+def _read() -> dict[int, tuple[str, int, str]]:
+    """Return name, CRC_EXTRA and fields of each message by its id."""
+    found = {}
+    for line in _DEFINITIONS.read_text(encoding="ascii").splitlines():
+        if not line.startswith("#"):
+            number, name, crc_extra, fields = line.split(" ", 3)
+            found[int(number)] = name, int(crc_extra), fields
+    return found
+
+
 def _from_words(message_id: int, name: str, crc_extra: int, words: str) -> Layout:
     pairs = (pair.split(" ") for pair in words.split(", "))
     fields = tuple(Field(field, kind[-1], int(kind[:-1] or 0)) for kind, field in pairs)
     return Layout(message_id, name, crc_extra, fields)
 
 
-def _from_definition(definition: Any) -> Layout:
-    tokens = re.findall(r"(\d*)([a-zA-Z])", definition.unpacker.format)
-    fields = [
-        Field(name, code, int(count or 0))
-        for name, (count, code) in zip(definition.ordered_fieldnames, tokens, strict=True)
-    ]
-    extensions = _EXTENSIONS.get(definition.msgname, ())
-    fields += [field for field in extensions if field.name not in definition.ordered_fieldnames]
-    return Layout(definition.id, definition.msgname, definition.crc_extra, tuple(fields))
-
-
 class _Layouts(Mapping[int, Layout]):
     """Layouts by message id, each made when first asked for: a start needs few of them."""
 
     def __init__(self) -> None:
-        self._made = {missing[0]: _from_words(*missing) for missing in _MISSING}
+        self._made: dict[int, Layout] = {}
 
     def __getitem__(self, message_id: int) -> Layout:
         if message_id not in self._made:
-            self._made[message_id] = _from_definition(dialect.mavlink_map[message_id])
+            self._made[message_id] = _from_words(message_id, *_KNOWN[message_id])
         return self._made[message_id]
 
     def __iter__(self) -> Iterator[int]:
-        return iter(CRC_EXTRAS)
+        return iter(_KNOWN)
 
     def __len__(self) -> int:
-        return len(CRC_EXTRAS)
+        return len(_KNOWN)
 
+
+_DEFINITIONS = Path(__file__).with_name("definitions.txt")
+_KNOWN = _read()
 
 LAYOUTS: Mapping[int, Layout] = _Layouts()
 """Every known message by id."""
 
-_KNOWN = [(one.id, one.msgname, one.crc_extra) for one in dialect.mavlink_map.values()]
-_KNOWN += [missing[:3] for missing in _MISSING]
-
-IDS: Mapping[str, int] = {name: number for number, name, _ in _KNOWN}
+IDS: Mapping[str, int] = {name: number for number, (name, _, _) in _KNOWN.items()}
 """Message id by name."""
 
-CRC_EXTRAS: Mapping[int, bytes] = {number: bytes([seed]) for number, _, seed in _KNOWN}
+CRC_EXTRAS: Mapping[int, bytes] = {number: bytes([seed]) for number, (_, seed, _) in _KNOWN.items()}
 """Seed of the checksum by message id, as the byte that is appended."""
 
 

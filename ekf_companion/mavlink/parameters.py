@@ -17,7 +17,7 @@ from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.event import Emit, ParameterSet
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.guard import DOES_NOT_EXIST
-from ekf_companion.mavlink.messages import IDS, LAYOUTS
+from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
@@ -125,15 +125,10 @@ class ParameterServer(Service):
         self._outbox.send("PARAM_VALUE", payload, now_ns)
 
     def _refuse(self, request: Any, frame: Frame, now_ns: int) -> None:
-        """Answer that there is no such parameter, unless everybody was asked.
-
-        A dialect from before PARAM_ERROR (pymavlink before 2.4.50) has no message for it.
-        """
+        """Answer that there is no such parameter, unless everybody was asked."""
         if not self._table or request.target_component == 0:
             return
         self.refused[f"{LAYOUTS[frame.message_id].name}: no such parameter"] += 1
-        if "PARAM_ERROR" not in IDS:
-            return
         payload = pack(
             "PARAM_ERROR",
             target_system=frame.system_id,

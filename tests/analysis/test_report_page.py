@@ -97,7 +97,8 @@ def test_without_bokeh_it_says_what_to_install(flown):
         check=False,
     )
     assert result.returncode == 1
-    assert "a report needs Bokeh; install ekf-companion with the extra: report" in result.stderr
+    assert "report: needs bokeh, which is not installed" in result.stderr
+    assert "-m pip install 'ekf-companion[report]'" in result.stderr
     assert not flown.with_name("no.html").exists()
 
 

@@ -188,7 +188,7 @@ def test_a_figure_is_drawn(tmp_path):
 
 def test_without_matplotlib_the_remedy_is_said(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(CompanionError, match="install ekf-companion with the extra: plot"):
+    with pytest.raises(CompanionError, match=r"pip install 'ekf-companion\[plot\]'"):
         trajectory_figure.plot(tmp_path / "figure.png", [circle()])
 
 

@@ -51,6 +51,14 @@ def test_a_log_of_columns_is_converted_without_mavlink_and_without_scipy(tmp_pat
     assert not {"pymavlink", "scipy", "rich", "pyarrow", "ekf_companion.mavlink"} & found
 
 
+def test_the_daemon_needs_none_of_the_large_packages():
+    code = "import sys, ekf_companion.daemon.daemon\nprint(*{n.split('.')[0] for n in sys.modules})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found = {*done.stdout.split()}
+    assert "numpy" in found
+    assert not {"scipy", "pymavlink", "pandas", "pyarrow", "bokeh", "matplotlib", "vqf"} & found
+
+
 def test_an_unknown_command_is_refused_by_a_sentence():
     result = runner.invoke(app, ["covnert"])
     assert result.exit_code == 2

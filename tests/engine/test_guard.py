@@ -320,7 +320,6 @@ def test_a_parameter_that_cannot_be_read_is_named(cycles, said, kind, name):
     assert f"look for {name} in a ground station" in said.text
 
 
-@pytest.mark.skipif("PARAM_ERROR" not in IDS, reason="this dialect has no PARAM_ERROR")
 @KINDS
 def test_a_parameter_that_is_said_not_to_exist_fuses_nothing(cycles, said, kind):
     name = {Kind.PX4: "EKF2_EV_CTRL", Kind.ARDUPILOT: "VISO_TYPE"}[kind]

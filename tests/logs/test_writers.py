@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from ekf_companion.cli import app
 from ekf_companion.config.config import Config
-from ekf_companion.errors import LogError
+from ekf_companion.errors import LogError, MissingPackageError
 from ekf_companion.logs import ulog
 from ekf_companion.logs.writer import WRITERS, Thinning, open_writer, with_position
 from ekf_companion.nav.state import COLUMNS, GEODETIC, POSITION, QUATERNION, Status, Table
@@ -221,7 +221,7 @@ def test_a_missing_package_is_named_with_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mcap", None)
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     monkeypatch.delitem(sys.modules, "ekf_companion.logs.mcap_writer", raising=False)
-    with pytest.raises(LogError, match=r"out\.mcap: writing needs the package mcap.*formats"):
+    with pytest.raises(MissingPackageError, match=r"out\.mcap: needs mcap.*\[formats\]"):
         open_writer(tmp_path / "out.mcap")
 
 

@@ -5,6 +5,7 @@ from fastcrc import crc16
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS, by_name
+from tests.definitions import PAGE, definitions
 
 LAGGING = {"TIMESYNC"}
 MISSING = {300: ("PROTOCOL_VERSION", 217, 22), 396: ("COMPONENT_INFORMATION_BASIC", 50, 160)}
@@ -18,8 +19,10 @@ def length(field):
 
 
 def test_every_message_of_the_dialect_has_a_layout():
+    """A pymavlink that has a new one wants `make reference`."""
     assert set(LAYOUTS) == {*dialect.mavlink_map, *MISSING}
     assert len(IDS) == len(LAYOUTS) == len(CRC_EXTRAS)
+    assert PAGE.read_text() == definitions()
 
 
 @pytest.mark.parametrize("message_id", MISSING)
@@ -37,6 +40,7 @@ def test_a_message_that_the_dialect_lacks_lies_as_it_is_defined(message_id):
 def test_a_layout_agrees_with_its_definition(message_id):
     layout, definition = LAYOUTS[message_id], dialect.mavlink_map[message_id]
     assert layout.name == definition.msgname
+    assert CRC_EXTRAS[message_id] == bytes([definition.crc_extra])
     if layout.name not in LAGGING:
         assert layout.struct.format == definition.unpacker.format
         assert list(layout.names) == definition.ordered_fieldnames

@@ -1,0 +1,1 @@
+complete --command ekf-companion --no-files --arguments "(env _EKF_COMPANION_COMPLETE=complete_fish _TYPER_COMPLETE_FISH_ACTION=get-args _TYPER_COMPLETE_ARGS=(commandline -cp) ekf-companion)" --condition "env _EKF_COMPANION_COMPLETE=complete_fish _TYPER_COMPLETE_FISH_ACTION=is-args _TYPER_COMPLETE_ARGS=(commandline -cp) ekf-companion"
