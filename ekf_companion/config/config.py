@@ -119,6 +119,11 @@ def parse_config(data: object, name: str) -> Config:
             f"{name}: http.host: {config.http.host!r:.60} is no address; 127.0.0.1 is this board "
             "only, and http.port: 0 serves nothing"
         )
+    if not re.fullmatch(r"([A-Za-z0-9._~-]{8,128})?", config.http.token):
+        raise ConfigError(
+            f"{name}: http.token: is no token: use 8 to 128 letters, digits or . _ ~ - (openssl "
+            "rand -hex 16 makes one), or leave it empty"
+        )
     key = "link.url"
     try:
         address = parse_url(config.link.url)

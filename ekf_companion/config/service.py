@@ -198,10 +198,17 @@ class CheckpointConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HttpConfig:
-    """Where our state can be asked for: /status (JSON), /metrics (Prometheus), /healthz."""
+    """The page in a browser, and for programs /status (JSON), /metrics (Prometheus), /healthz."""
 
     host: str = "127.0.0.1"
-    """Who may ask: 127.0.0.1 is this board only; 0.0.0.0 is everybody, and nobody is asked for a
-    name."""
+    """Who may ask: 127.0.0.1 is this computer only; 0.0.0.0 is everybody who can reach it and knows
+    the token."""
     port: Annotated[int, Meta(ge=0, le=65535)] = 9331
     """0: nowhere. Several vehicles on one board need several."""
+    token: str = ""
+    """What other computers must know: 8 letters, digits or . _ ~ - at least. Empty: one is drawn at
+    each start, and logged with the address to open. This computer is never asked."""
+    names: tuple[str, ...] = ()
+    """Names under which a browser may ask for this computer, beside its address, localhost and its
+    host name, as in [drone.lan]. Others are refused: a page of another site could have made its
+    name point here."""

@@ -1,0 +1,75 @@
+"""The page in a browser, beside the real daemon and a fake autopilot that flies."""
+
+import contextlib
+import socket
+import threading
+
+import pytest
+
+from sim_autopilot.autopilot import Kind
+from sim_autopilot.fly import fly, over, run
+from tests.browser import chromium
+from tests.daemon.test_daemon import Daemon, Open, free_port, plan
+from tests.daemon.waiting import LIMIT
+
+
+@contextlib.contextmanager
+def flying(url):
+    """Fly in time until the context ends."""
+    flight = Open(plan(600.0, boot=20.0, skip=6.0))
+
+    async def body(link):
+        await fly(flight, link, personality=Kind.PX4, wait=LIMIT)
+
+    thread = threading.Thread(target=lambda: run(over(url, body)))
+    thread.start()
+    try:
+        yield
+    finally:
+        flight.land()
+        thread.join()
+
+
+@pytest.fixture
+def ports():
+    return free_port(), free_port(socket.SOCK_STREAM)
+
+
+def start(folder, ports):
+    """Start the daemon on two ports, its link's and its page's."""
+    folder.mkdir(exist_ok=True)
+    port, http_port = ports
+    config = f"http: {{port: {http_port}}}\noutput: {{odometry: {{mode: always}}}}\n"
+    return Daemon(folder, "--link", f"udpin:127.0.0.1:{port}", config=config)
+
+
+def drawn(selector):
+    """Return an expression that is another text once a canvas shows another picture."""
+    return f"document.querySelector('{selector}').toDataURL().length + ''"
+
+
+def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
+    """Connects, plots move, link loss is shown and recovered from, and the console has no error."""
+    with chromium(tmp_path) as tab, flying(f"udpout:127.0.0.1:{ports[0]}"):
+        with start(tmp_path, ports) as daemon:
+            daemon.wait_for("Status on")
+            tab.show(1280, 900)
+            tab.open(f"http://127.0.0.1:{ports[1]}/")
+            tab.wait_for("document.querySelector('#link')?.textContent == 'live'")
+            tab.wait_for("document.querySelector('#lat').textContent.startsWith('47.3')")
+            pictures = {}
+            for selector in ("#horizon", "#map", ".chart canvas"):
+                pictures[selector] = tab.value(drawn(selector))
+            for selector, before in pictures.items():
+                tab.wait_for(f"{drawn(selector)} != '{before}'")
+            tab.wait_for("document.querySelectorAll('#rates tbody tr').length > 3")
+            tab.wait_for("document.querySelector('#events').textContent.includes('Estimate is OK')")
+            assert tab.errors == []
+        tab.wait_for("document.querySelector('#link').textContent.startsWith('no connection')")
+        tab.wait_for("document.body.classList.contains('stale')")
+        with start(tmp_path, ports):
+            tab.wait_for("document.querySelector('#link').textContent == 'live'")
+            tab.wait_for("!document.body.classList.contains('stale')")
+            # That nothing answered is the browser's own line, which no page can prevent
+            others = [one for one in tab.errors if "ERR_CONNECTION" not in str(one)]
+            assert others == []
