@@ -22,6 +22,7 @@ OPTIONS = (
     "--disable-dev-shm-usage",
     "--no-first-run",
     "--disable-extensions",
+    "--hide-scrollbars",
     "--disable-background-networking",
     "--no-proxy-server",
     "--remote-debugging-port=0",

@@ -21,6 +21,7 @@ from ekf_companion.config.service import (
     LinkConfig,
     OutputConfig,
     ParametersConfig,
+    PreflightConfig,
     RecordConfig,
     SigningConfig,
     TimesyncConfig,
@@ -43,6 +44,7 @@ class Config(FilterSettings):
     record: RecordConfig = field(default_factory=RecordConfig)
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
     http: HttpConfig = field(default_factory=HttpConfig)
+    preflight: PreflightConfig = field(default_factory=PreflightConfig)
 
 
 class ConfigFile:

@@ -212,3 +212,12 @@ class HttpConfig:
     """Names under which a browser may ask for this computer, beside its address, localhost and its
     host name, as in [drone.lan]. Others are refused: a page of another site could have made its
     name point here."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreflightConfig:
+    """What the verdict before take-off asks for."""
+
+    needs_fix: Annotated[bool, Setting(reload=True)] = True
+    """Whether a position is needed to take off. false for a vehicle that flies without GNSS, as
+    indoors: then attitude and heading are enough."""

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 
 from ekf_companion.mavlink.admission import SETUP_SIGNING, Admission
 from ekf_companion.mavlink.audit import Audit
+from ekf_companion.mavlink.autopilot_estimate import KEPT, AutopilotEstimate
 from ekf_companion.mavlink.clock import Timesync, TimesyncOptions
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
@@ -141,6 +142,7 @@ class Session:
         self.audit = Audit(self.received, self.requests, self._emit)
         self.statustext = StatusText(self.outbox)
         self.timesync = Timesync(self.outbox, options.timesync)
+        self.autopilot_estimate = AutopilotEstimate()
 
         # Conversations with everybody
         self._with_all: list[Service] = [self.heartbeat, self.discovery, self.clash]
@@ -149,7 +151,7 @@ class Session:
         guards: list[Service] = [] if options.guard is None else [self.guard, self.origin]
         trim = TrimRequest(self.outbox, lambda: self.decoder.trim.missing)
         self._with_peer: list[Service] = [self.requests, trim, *guards, self.timesync]
-        self._with_peer += [self.audit, self.statustext]
+        self._with_peer += [self.audit, self.statustext, self.autopilot_estimate]
         self._all_routes, self._peer_routes = _routes(self._with_all), _routes(self._with_peer)
         self._splitter = Splitter()
         self._autopilot_sender: Hashable = None
@@ -222,6 +224,8 @@ class Session:
             self._hand_to(handlers, frame, now_ns)
         if self.guard.is_waiting:
             self.guard.on_frame(now_ns)
+        if frame.message_id in KEPT:
+            self.autopilot_estimate.keep(frame, now_ns)
 
         measurements = self.decoder.decode(frame)
         while self.decoder.notes:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from ekf_companion.core.memory import as_estimate
 from ekf_companion.engine.companion import Companion
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.link.link import Link
 from ekf_companion.mavlink.session import Session
 from ekf_companion.nav.measurements import Kind
+from ekf_companion.status.aids import AidWatch
 from ekf_companion.status.snapshot import (
     FrameState,
     ImuState,
@@ -18,6 +21,7 @@ from ekf_companion.status.snapshot import (
     PeerState,
     TimeState,
 )
+from ekf_companion.status.vehicle import AutopilotState, Sigmas, VehicleEstimate
 
 
 def link_state(link: Link, silent_s: float = math.nan) -> LinkState:
@@ -139,6 +143,78 @@ def frame_state(session: Session) -> FrameState:
         signed=counters["signed"],
         refused=dict(session.admission.refused),
         ignored=dict(session.ignored),
+    )
+
+
+def vehicle_estimate(companion: Companion, watch: AidWatch, now_ns: int) -> VehicleEstimate:
+    """Return where the vehicle is by our estimate, and by the autopilot's."""
+    pipeline = companion.pipeline
+    out = None if pipeline is None else as_estimate(pipeline.values())
+    nowhere = (math.nan,) * 3
+    lla, vel_n = (nowhere, nowhere) if out is None else (out.lla, out.vel_n)
+    euler, std_euler = (nowhere, nowhere) if out is None else (out.euler, out.std_euler)
+    std_pos, std_vel = (nowhere, nowhere) if out is None else (out.std_pos, out.std_vel)
+    roll, pitch, yaw = map(math.degrees, euler)
+    roll_std, pitch_std, yaw_std = map(math.degrees, std_euler)
+    return VehicleEstimate(
+        lat_deg=lla[0],
+        lon_deg=lla[1],
+        alt_m=lla[2],
+        height_m=math.nan if out is None else -out.pos_n[2],
+        vel_ned_m_s=(vel_n[0], vel_n[1], vel_n[2]),
+        roll_deg=roll,
+        pitch_deg=pitch,
+        heading_deg=yaw % 360.0,
+        turn_rate_deg_s=math.nan if pipeline is None else _turn_rate(pipeline),
+        sigma=Sigmas(
+            north_m=std_pos[0],
+            east_m=std_pos[1],
+            horizontal_m=math.hypot(std_pos[0], std_pos[1]),
+            alt_m=std_pos[2],
+            vel_ned_m_s=(std_vel[0], std_vel[1], std_vel[2]),
+            roll_deg=roll_std,
+            pitch_deg=pitch_std,
+            heading_deg=yaw_std,
+        ),
+        aids=watch.states(now_ns),
+        drift=watch.drift(),
+        autopilot=autopilot_state(companion.session, now_ns),
+        needs_fix=companion.tuning.config.preflight.needs_fix,
+    )
+
+
+def _turn_rate(pipeline: Pipeline) -> float:
+    """Return how fast the vehicle turns about any axis, deg/s."""
+    x = pipeline.filter_state
+    return math.degrees(math.hypot(*(x.gyro[i] - x.gyro_bias[i] for i in range(3))))
+
+
+def autopilot_state(session: Session, now_ns: int) -> AutopilotState | None:
+    """Return what the autopilot's own estimate says; None if it has said nothing."""
+    attitude = session.autopilot_estimate.attitude(now_ns)
+    position = session.autopilot_estimate.position(now_ns)
+    if attitude is None and position is None:
+        return None
+    roll, pitch, yaw = map(math.degrees, (math.nan,) * 3 if attitude is None else attitude.euler)
+    ages = [one.age for one in (attitude, position) if one is not None]
+    nan, decoder = math.nan, session.decoder
+    return AutopilotState(
+        roll_deg=roll,
+        pitch_deg=pitch,
+        heading_deg=yaw % 360.0,
+        lat_deg=nan if position is None else math.degrees(position.lat),
+        lon_deg=nan if position is None else math.degrees(position.lon),
+        alt_m=nan if position is None else position.alt,
+        vel_ned_m_s=(nan, nan, nan) if position is None else position.vel_n,
+        horizontal_std_m=nan if position is None else position.std_horizontal,
+        vertical_std_m=nan if position is None else position.std_vertical,
+        age_s=max(ages),
+        attitude_message="" if attitude is None else attitude.message,
+        attitude_age_s=nan if attitude is None else attitude.age,
+        position_message="" if position is None else position.message,
+        position_age_s=nan if position is None else position.age,
+        is_attitude_ours=decoder.is_yaw_ours,
+        is_position_ours=decoder.is_ours,
     )
 
 

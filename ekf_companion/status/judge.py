@@ -53,7 +53,7 @@ def judge(snapshot: Snapshot) -> HealthCheck:
             False,
             "invalid: the error has passed its limit; /status says which aids it lacks",
         )
-    if silence := _silence(snapshot):
+    if silence := missing_input(snapshot):
         line = "waiting for an autopilot"
         if health is not None:
             is_old = snapshot.sample_age_s > SILENCE_S
@@ -89,7 +89,7 @@ def _odometry(output: OutputState) -> str:
     return f"ODOMETRY withheld: {output.reason}{remedy}"
 
 
-def _silence(snapshot: Snapshot) -> str:
+def missing_input(snapshot: Snapshot) -> str:
     """Return what has not come for too long, beginning at the wire: the rest follows from that."""
     link, peer = snapshot.link, snapshot.peer
     if not link.is_open:

@@ -1,36 +1,39 @@
 """What changes many times a second, for a page that is watched: the estimate and its tests.
 
-It is taken in the loop, so it asks the filter for few things; the rest of the page is the Snapshot,
-once a second.
+It is taken in the loop, so it is little; the rest of the page is the Snapshot, once a second.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import msgspec
 
+from ekf_companion.core.memory import as_estimate
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.health import Aid
-from ekf_companion.nav.arrays import Array
-from ekf_companion.nav.state import (
-    ACCEL_BIAS,
-    COLUMNS,
-    EULER,
-    GYRO_BIAS,
-    POSITION,
-    VELOCITY,
-    Status,
-)
+from ekf_companion.nav.state import Status
+from ekf_companion.status.collect import autopilot_state
+from ekf_companion.status.vehicle import AutopilotState
 
-_AT = {name: place for place, name in enumerate(COLUMNS[1:])}
 _NN, _NE, _EE = 13, 14, 19
 """Of the numbers of an ODOMETRY: the horizontal part of the position's covariance."""
-_SD = tuple(f"sd_{name}" for name in (*POSITION, *VELOCITY, *EULER))
-SIGMAS = (*POSITION, *VELOCITY, "roll", "pitch", "heading")
-"""Names of the sigmas: m, m/s, degrees."""
+_NOWHERE = (math.nan,) * 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveSigmas:
+    """One sigma each, as in the Snapshot."""
+
+    north_m: float
+    east_m: float
+    alt_m: float
+    vel_ned_m_s: tuple[float, ...]
+    roll_deg: float
+    pitch_deg: float
+    heading_deg: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,53 +54,54 @@ class Live:
     pitch_deg: float
     heading_deg: float
     """From true north, clockwise, in [0, 360)."""
-    sigma: Mapping[str, float]
-    """One sigma, by the names of ``SIGMAS``."""
+    sigma: LiveSigmas
     ellipse_m2: tuple[float, float, float]
     """Covariance of the horizontal position: north, north with east, east."""
     gyro_bias_deg_s: tuple[float, ...]
     accel_bias_m_s2: tuple[float, ...]
     ratios: Mapping[str, float]
     """Last normalised innovation squared over its gate, by aid: above 1 it was refused."""
-    autopilot: Mapping[str, float] | None
+    autopilot: AutopilotState | None
     """The autopilot's own attitude and position; None: it has told none."""
 
 
-def live(companion: Companion, age_s: float) -> bytes:
+def live(companion: Companion, age_s: float, now_ns: int) -> bytes:
     """Return the newest estimate of a companion as JSON; ``null`` if there is none."""
-    pipeline = companion.pipeline
-    if pipeline is None or companion.estimate is None:
+    pipeline, estimate = companion.pipeline, companion.estimate
+    if pipeline is None or estimate is None:
         return b"null"
-    values, ratios = pipeline.values(), pipeline.filter_state.ratio
-    odometry = companion.estimate.odometry
-    nan = math.nan
-    ellipse = (nan, nan, nan)
-    if odometry is not None:
-        numbers = memoryview(odometry.numbers).cast("f")
+    now, ratios = as_estimate(pipeline.values()), pipeline.filter_state.ratio
+    ellipse = _NOWHERE
+    if estimate.odometry is not None:
+        numbers = memoryview(estimate.odometry.numbers).cast("f")
         ellipse = (numbers[_NN], numbers[_NE], numbers[_EE])
-    sigmas = [*_take(values, _SD[:6]), *map(math.degrees, _take(values, _SD[6:]))]
-    roll, pitch, yaw = (math.degrees(one) for one in _take(values, EULER))
+    roll, pitch, yaw = map(math.degrees, now.euler)
+    roll_std, pitch_std, yaw_std = map(math.degrees, now.std_euler)
     return msgspec.json.encode(
         Live(
             t_s=pipeline.stamp_ns * 1e-9,
             age_s=age_s,
-            status=Status(int(values[_AT["status"]])).name.lower(),
-            lat_deg=float(values[_AT["lat_deg"]]),
-            lon_deg=float(values[_AT["lon_deg"]]),
-            alt_m=float(values[_AT["alt_m"]]),
-            vel_ned_m_s=_take(values, VELOCITY),
+            status=Status(int(now.status)).name.lower(),
+            lat_deg=now.lla[0],
+            lon_deg=now.lla[1],
+            alt_m=now.lla[2],
+            vel_ned_m_s=tuple(now.vel_n),
             roll_deg=roll,
             pitch_deg=pitch,
             heading_deg=yaw % 360.0,
-            sigma=dict(zip(SIGMAS, sigmas, strict=True)),
+            sigma=LiveSigmas(
+                north_m=now.std_pos[0],
+                east_m=now.std_pos[1],
+                alt_m=now.std_pos[2],
+                vel_ned_m_s=tuple(now.std_vel),
+                roll_deg=roll_std,
+                pitch_deg=pitch_std,
+                heading_deg=yaw_std,
+            ),
             ellipse_m2=ellipse,
-            gyro_bias_deg_s=tuple(math.degrees(one) for one in _take(values, GYRO_BIAS)),
-            accel_bias_m_s2=_take(values, ACCEL_BIAS),
-            ratios={aid.name.lower(): float(ratios[aid]) for aid in Aid},
-            autopilot=None,
+            gyro_bias_deg_s=tuple(map(math.degrees, now.gyro_bias)),
+            accel_bias_m_s2=tuple(now.accel_bias),
+            ratios={aid.name.lower(): ratios[aid] for aid in Aid},
+            autopilot=autopilot_state(companion.session, now_ns),
         )
     )
-
-
-def _take(values: Array, names: Sequence[str]) -> tuple[float, ...]:
-    return tuple(float(values[_AT[name]]) for name in names)

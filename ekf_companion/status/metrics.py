@@ -22,7 +22,8 @@ from prometheus_client.core import Metric as Family
 from prometheus_client.registry import Collector
 
 from ekf_companion.engine.health import Health
-from ekf_companion.status.snapshot import Metric, Snapshot, counter, gauge
+from ekf_companion.status.metric import Metric, counter, gauge
+from ekf_companion.status.snapshot import Snapshot
 
 PREFIX = "ekf_companion_"
 

@@ -24,6 +24,7 @@ from ekf_companion.link.link import Link
 from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.arrays import Array
+from ekf_companion.status.aids import AidWatch
 from ekf_companion.status.collect import (
     frame_state,
     imu_state,
@@ -33,10 +34,12 @@ from ekf_companion.status.collect import (
     requested_rates,
     seconds_since,
     time_state,
+    vehicle_estimate,
 )
 from ekf_companion.status.host import Host
 from ekf_companion.status.judge import BARREN_S, judge
 from ekf_companion.status.live import live
+from ekf_companion.status.preflight import UNJUDGED, check
 from ekf_companion.status.snapshot import (
     MessageState,
     OutputState,
@@ -196,7 +199,7 @@ class Observer:
         self.latency = Latency()
         self._link, self._companion = link, companion
         self._clock, self._recorded, self._unheard = clock, recorded, unheard
-        self._nis, self._progress = RecentNis(), Progress()
+        self._nis, self._progress, self._aids = RecentNis(), Progress(), AidWatch()
         self._odometries = self._new_odometries = 0
         self._longest_ns = 0
         self._begin_ns = self._tick_ns = clock()
@@ -267,6 +270,7 @@ class Observer:
         if (pipeline := self._companion.pipeline) is not None:
             self._nis.update(pipeline, now_ns)
             self._progress.update(pipeline, now_ns)
+            self._aids.update(pipeline, self._companion.session, now_ns)
 
     def _note_changes(self, now_ns: int) -> None:
         """Note when bytes, an autopilot and samples were last seen."""
@@ -305,7 +309,7 @@ class Observer:
         """Return the newest estimate as JSON, for a page that is watched."""
         now_ns = self._clock()
         self._note_changes(now_ns)
-        return live(self._companion, seconds_since(self._sampled_ns, now_ns))
+        return live(self._companion, seconds_since(self._sampled_ns, now_ns), now_ns)
 
     def snapshot(self, host: Host) -> Snapshot:
         """Return the state at this moment; takes about 0.1 ms.
@@ -318,7 +322,9 @@ class Observer:
         first = self._history[0] if self._history else now
         pipeline = self._companion.pipeline
         messages = self._messages(now, first)
-        return Snapshot(
+        if pipeline is not None:
+            self._aids.update(pipeline, session, now_ns)
+        snapshot = Snapshot(
             unix_ns=now_ns,
             link=link_state(self._link, seconds_since(self._heard_ns, now_ns)),
             frames=frame_state(session),
@@ -330,6 +336,8 @@ class Observer:
             estimator=None
             if pipeline is None
             else replace(pipeline.health(), nis=self._nis.mean()),
+            vehicle=vehicle_estimate(self._companion, self._aids, now_ns),
+            preflight=UNJUDGED,
             barren_s=self._progress.barren_s(now_ns),
             output=self._output(now, first),
             process=self._process(host, now, first),
@@ -338,6 +346,7 @@ class Observer:
             tuned=self._companion.tuning.changed,
             reload=ReloadState(count=self._companion.reloads, words=self._companion.last_reload),
         )
+        return replace(snapshot, preflight=check(snapshot))
 
     def _messages(self, now: _Counters, first: _Counters) -> dict[str, MessageState]:
         session = self._companion.session

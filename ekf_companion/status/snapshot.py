@@ -9,34 +9,14 @@ metric's help describes the field, and a string below adds what the help leaves 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated
 
 from ekf_companion.engine.health import Health
 from ekf_companion.nav.state import Status
-
-
-@dataclass(frozen=True, slots=True)
-class Metric:
-    """How Prometheus sees a field of the Snapshot."""
-
-    kind: Literal["counter", "gauge", "info", "histogram"]
-    name: str
-    """Without prefix and ``_total``, in base units: prometheus.io/docs/practices/naming."""
-    help: str
-    labels: tuple[str, ...] = ()
-    """Of the rows. Of a field that is a single row of several, with its value: ``axis=north``."""
-    scale: float = 1.0
-    """Base units in one unit of the field."""
-    rows: Callable[[Any], Any] = lambda value: value
-    """Turns the field into a number, or into a number for each label; NaN: no row."""
-
-
-counter = partial(Metric, "counter")
-gauge = partial(Metric, "gauge")
-info = partial(Metric, "info")
+from ekf_companion.status.metric import Metric, counter, gauge, info
+from ekf_companion.status.vehicle import Preflight, VehicleEstimate
 
 _LINK = ("link", "What we listen to.")
 _FRAME_ERRORS = ("frame_errors", "Frames that were none.")
@@ -372,6 +352,8 @@ class Snapshot:
         float, gauge("sample_age_seconds", "Since the newest inertial sample.")
     ] = math.nan
     """So old is the estimate; NaN: none has come."""
+    vehicle: VehicleEstimate
+    preflight: Preflight
     barren_s: Annotated[
         float, gauge("barren_seconds", "Samples came, and no estimate was made.")
     ] = 0.0

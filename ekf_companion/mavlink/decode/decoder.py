@@ -76,6 +76,16 @@ class Decoder:
         self._context.is_ours, self._context.is_yaw_ours = is_ours, is_yaw_ours
 
     @property
+    def is_ours(self) -> bool:
+        """Whether the autopilot's own position is made of our ODOMETRY."""
+        return self._context.is_ours
+
+    @property
+    def is_yaw_ours(self) -> bool:
+        """Whether the autopilot's own yaw is made of our ODOMETRY."""
+        return self._context.is_yaw_ours
+
+    @property
     def family(self) -> Family:
         """Whose habits apply: the autopilot's."""
         return self._context.family

@@ -6,7 +6,7 @@ export const isKnown = (value) => typeof value === "number" && Number.isFinite(v
 
 /** A number with so many digits behind the point; a dash where it is not known. */
 export const fixed = (value, digits, unit = "") =>
-  isKnown(value) ? value.toFixed(digits) + unit : "\u2013";
+  isKnown(value) ? value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1") + unit : "\u2013";
 
 /** Difference of two angles, degrees, in [-180, 180). */
 export const turn = (a, b) => ((((a - b + 180) % 360) + 360) % 360) - 180;

@@ -21,12 +21,12 @@ export function startLive() {
       rows: (live) => [live.alt_m, live.autopilot?.alt_m] }),
     clock({ title: "Speed over ground", unit: "m/s", lines: [{ name: "ours", colour: "ours" }, { name: "autopilot", ...dashed }],
       rows: (live) => [speedOf(live), speedOf(live.autopilot)] }),
-    clock({ title: "Innovations over their gates", unit: "squared; above 1: refused", bound: 1, lines: aids,
+    clock({ title: "Innovations over their gates", unit: "above 1: refused", bound: 1, lines: aids,
       rows: (live) => AIDS.map((aid) => live.ratios[aid]) }),
     clock({ title: "Gyro bias", unit: "deg/s", digits: 3, lines: axes, rows: (live) => live.gyro_bias_deg_s }),
     clock({ title: "Accelerometer bias", unit: "m/s\u00b2", digits: 3, lines: axes, rows: (live) => live.accel_bias_m_s2 }),
   ];
-  const nis = clock({ title: "NIS over 20 s", unit: "1: as sure as it may be", bound: 1, lines: aids });
+  const nis = clock({ title: "NIS over 20 s", unit: "1: as it should be", bound: 1, lines: aids });
   charts.forEach((one) => (one.data = [[], ...one.chart.options.lines.map(() => [])]));
   nis.data = [[], ...AIDS.map(() => [])];
   let count = 0;
@@ -75,9 +75,7 @@ const timed = ({ unix_s, level, text }) => ({ time: new Date(unix_s * 1000).toLo
 
 function showState(status) {
   const { health, peer, estimator, output, process, imu, link, preflight, time } = status;
-  const isReady = preflight ? preflight.ready : health.is_ok;
-  const kind = !health.is_healthy ? "bad" : isReady ? "good" : "wait";
-  showVerdict(kind, preflight ? preflight.sentence : health.words, preflight?.reasons ?? [], preflight ? health.words : "");
+  showPreflight(status);
   put("vehicle", peer ? `${peer.family} ${peer.version}, system ${peer.system_id}${peer.is_armed ? ", armed" : ""}` : link.url);
   const resets = Object.entries(status.resets).map(([why, n]) => `${why} ${n}`).join(", ");
   showFacts([
@@ -86,7 +84,9 @@ function showState(status) {
     ["to change", output.remedy],
     ["samples", `${imu.message || "none"}, ${fixed(imu.rate, 0)} Hz`],
     ["age of the newest", fixed(status.sample_age_s, 1, " s"), status.sample_age_s > 1 ? "bad" : ""],
-    ["position from", estimator ? (estimator.is_position_autopilots ? "the autopilot's estimate" : "GNSS") : ""],
+    ...Object.entries(status.vehicle?.aids ?? {}).filter(([, aid]) => aid.state !== "none").map(([name, aid]) => [
+      name, `${aid.state}, ${aid.source}${aid.state === "used" ? `, for ${fixed(aid.since_s, 0)} s` : aid.why && `: ${aid.why}`}`,
+      aid.state === "used" || name === "rest" ? "" : "bad"]),
     ["sigma", estimator ? `${fixed(estimator.std_horizontal, 2)} m horizontal, ${fixed(estimator.std_vertical, 2)} m vertical` : ""],
     ["resets", resets || "none", resets ? "bad" : ""],
     ["link", `${link.url}${link.is_open ? "" : ", closed"}`, link.is_open ? "" : "bad"],
@@ -99,6 +99,17 @@ function showState(status) {
   ]);
   showStages(status);
   showRates(status.messages);
+}
+
+/** The verdict before take-off; after it, whether all works. */
+function showPreflight({ health, peer, preflight }) {
+  const isAsked = preflight && !(peer?.is_armed && peer.is_heard);
+  const isGood = isAsked ? preflight.ready : health.is_ok;
+  const kind = !health.is_healthy ? "bad" : isGood ? "good" : "wait";
+  if (!isAsked) return showVerdict(kind, health.words);
+  const sentence = preflight.ready ? "ready for take-off" : "not ready for take-off";
+  const notes = (preflight.notes ?? []).map((one) => `(${one})`);
+  return showVerdict(kind, sentence, [...preflight.reasons, ...notes], health.words);
 }
 
 /** Counters stage by stage, and what became of each aid. */

@@ -10,18 +10,18 @@ export function showSample(sample, autopilot, map, isWhole = false) {
   drawHorizon(sample, autopilot);
   for (const name of ["roll", "pitch", "heading"]) {
     const [ours, theirs] = [sample?.[`${name}_deg`], autopilot?.[`${name}_deg`]];
-    row(name, fixed(ours, 1, "\u00b0"), fixed(sample?.sigma?.[name], 1, "\u00b0"), fixed(theirs, 1, "\u00b0"),
+    row(name, fixed(ours, 1, "\u00b0"), fixed(sample?.sigma?.[`${name}_deg`], 1, "\u00b0"), fixed(theirs, 1, "\u00b0"),
       isKnown(ours) && isKnown(theirs) ? turn(ours, theirs) : NaN, "\u00b0", APART_TOO_FAR[name]);
   }
   map.show(sample, autopilot, isWhole);
   const [now, beside] = [map.now, map.beside];
   const apart = now && beside ? [now[0] - beside[0], now[1] - beside[1]] : [NaN, NaN];
-  row("lat", fixed(sample?.lat_deg, 6), fixed(sample?.sigma?.pos_n, 2, " m"), fixed(autopilot?.lat_deg, 6), apart[1], " m", APART_TOO_FAR.place);
-  row("lon", fixed(sample?.lon_deg, 6), fixed(sample?.sigma?.pos_e, 2, " m"), fixed(autopilot?.lon_deg, 6), apart[0], " m", APART_TOO_FAR.place);
-  row("alt", fixed(sample?.alt_m, 1, " m"), fixed(sample?.sigma?.pos_d, 2, " m"), fixed(autopilot?.alt_m, 1, " m"),
+  row("lat", fixed(sample?.lat_deg, 6), fixed(sample?.sigma?.north_m, 2, " m"), fixed(autopilot?.lat_deg, 6), apart[1], " m", APART_TOO_FAR.place);
+  row("lon", fixed(sample?.lon_deg, 6), fixed(sample?.sigma?.east_m, 2, " m"), fixed(autopilot?.lon_deg, 6), apart[0], " m", APART_TOO_FAR.place);
+  row("alt", fixed(sample?.alt_m, 1, " m"), fixed(sample?.sigma?.alt_m, 2, " m"), fixed(autopilot?.alt_m, 1, " m"),
     (sample?.alt_m ?? NaN) - (autopilot?.alt_m ?? NaN), " m", APART_TOO_FAR.alt);
   const [ours, theirs] = [speedOf(sample), speedOf(autopilot)];
-  row("speed", fixed(ours, 2, " m/s"), fixed(sample?.sigma?.vel_n, 2, ""), fixed(theirs, 2, " m/s"), ours - theirs, " m/s", APART_TOO_FAR.speed);
+  row("speed", fixed(ours, 2, " m/s"), fixed(sample?.sigma?.vel_ned_m_s?.[0], 2), fixed(theirs, 2, " m/s"), ours - theirs, " m/s", APART_TOO_FAR.speed);
 }
 
 export function speedOf(sample) {

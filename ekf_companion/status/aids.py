@@ -1,0 +1,178 @@
+"""Watch which source each aid comes from, since when, why one is refused; and the drift at rest.
+
+Called twice a second: what became of an aid in between is known from its counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ekf_companion.core.enums import Azimuth
+from ekf_companion.engine.health import Aid, Verdict
+from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.mavlink.session import Session
+from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.nav.state import Status
+from ekf_companion.status.vehicle import NO_DRIFT, AidState, Drift
+
+LAPSE_NS = 3 * SECOND_NS
+"""An aid that was not used for so long is used no more: a slow receiver has one fix a second, and
+what is refused once is no news."""
+REST_SPAN_NS = 20 * SECOND_NS
+"""Of the rest over which the attitude is looked at."""
+SETTLED_NS = 10 * SECOND_NS
+"""After an alignment the first fixes and the learning of the biases move the attitude."""
+
+_WHY = {
+    Verdict.GATED: "outside its gate",
+    Verdict.SUSPECT: "the receiver reports jamming or spoofing",
+    Verdict.DISTURBED: "the magnetic field is not the Earth's",
+}
+"""Verdicts that refuse, in words."""
+_NO_FIELD = "mag: no field of the Earth"
+_HEADINGS = ("ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD")
+_FIELDS = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
+_PRESSURES = ("HIGHRES_IMU", "SCALED_PRESSURE")
+"""Messages by the ranks of the decoder's readers."""
+
+
+@dataclass(slots=True)
+class _Watched:
+    """What is known of one aid."""
+
+    used: float
+    """How often it was."""
+    refused: Mapping[Verdict, int]
+    """How often, by why."""
+    source: str = ""
+    since_ns: int = 0
+    used_ns: int | None = None
+    refused_ns: int | None = None
+    why: str = ""
+
+
+class AidWatch:
+    """The aids of one pipeline, and the attitude at rest."""
+
+    def __init__(self) -> None:
+        self._pipeline: Pipeline | None = None
+        self._aids: dict[Aid, _Watched] = {}
+        self._level: deque[tuple[int, float, float, float]] = deque()
+        """When, ns, and roll, pitch, yaw, rad, of one rest."""
+        self._settled_ns: int | None = None
+
+    def update(self, pipeline: Pipeline, session: Session, now_ns: int) -> None:
+        """Note what has become of the aids since the last call, and the attitude."""
+        x = pipeline.filter_state
+        sources = _sources(int(x.azimuth), bool(x.fix_t > x.raw_fix_t), session.decoder.ranks)
+        used = {aid: x.count[aid][Verdict.FUSED] + x.count[aid][Verdict.DEWEIGHTED] for aid in Aid}
+        refused = {aid: {why: int(x.count[aid][why]) for why in _WHY} for aid in Aid}
+        refused[Aid.HEADING][Verdict.DISTURBED] += session.decoder.refused[_NO_FIELD]
+        if pipeline is not self._pipeline or any(used[aid] < self._aids[aid].used for aid in Aid):
+            self._pipeline = pipeline
+            self._aids = {aid: _Watched(used[aid], refused[aid]) for aid in Aid}
+            self._level.clear()
+            self._settled_ns = None
+        for aid, one in self._aids.items():
+            if used[aid] > one.used:
+                _use(one, sources[aid], now_ns)
+            for why, count in refused[aid].items():
+                if count > one.refused[why]:
+                    one.refused_ns, one.why = now_ns, _WHY[why]
+            one.used, one.refused = used[aid], refused[aid]
+        self._watch_level(pipeline, is_at_rest=bool(x.at_rest), now_ns=now_ns)
+
+    def _watch_level(self, pipeline: Pipeline, *, is_at_rest: bool, now_ns: int) -> None:
+        values = pipeline.values()
+        if not is_at_rest or int(values[-2]) < Status.ATTITUDE:
+            self._level.clear()
+            self._settled_ns = None
+            return
+        if self._settled_ns is None:
+            self._settled_ns = now_ns + SETTLED_NS
+        if now_ns < self._settled_ns:
+            return
+        if self._level and now_ns - self._level[-1][0] < SECOND_NS // 4:
+            return
+        roll, pitch, yaw = values[13:16].tolist()
+        self._level.append((now_ns, roll, pitch, yaw))
+        while now_ns - self._level[0][0] > REST_SPAN_NS:
+            self._level.popleft()
+
+    def states(self, now_ns: int) -> Mapping[str, AidState]:
+        """Return the state of each aid by its name."""
+        return {aid.name.lower(): _state(one, now_ns) for aid, one in self._aids.items()}
+
+    def drift(self) -> Drift:
+        """Return by how much the attitude has changed in the last seconds of rest."""
+        if len(self._level) < 2:
+            return NO_DRIFT
+        first = self._level[0]
+        spreads = [
+            max(turned) - min(turned)
+            for axis in (1, 2, 3)
+            if (turned := [_turn(one[axis] - first[axis]) for one in self._level])
+        ]
+        roll, pitch, heading = map(math.degrees, spreads)
+        return Drift(
+            seconds=(self._level[-1][0] - first[0]) * 1e-9,
+            roll_deg=roll,
+            pitch_deg=pitch,
+            heading_deg=heading,
+        )
+
+
+def _use(one: _Watched, source: str, now_ns: int) -> None:
+    """Note that an aid was used; a source counts from its first use after a break."""
+    is_break = one.used_ns is None or now_ns - one.used_ns > LAPSE_NS
+    if is_break or source != one.source:
+        one.source, one.since_ns = source, now_ns
+    one.used_ns = now_ns
+
+
+def _state(one: _Watched, now_ns: int) -> AidState:
+    used_s, refused_s = _age(one.used_ns, now_ns), _age(one.refused_ns, now_ns)
+    limit = LAPSE_NS * 1e-9
+    is_used = used_s <= limit
+    is_refused = not is_used and refused_s <= limit
+    state = "used" if is_used else "refused" if is_refused else "lost" if one.source else "none"
+    return AidState(
+        source=one.source,
+        state=state,
+        since_s=_age(one.since_ns, now_ns) if is_used else math.nan,
+        used_s=used_s,
+        refused_s=refused_s,
+        why=one.why,
+    )
+
+
+def _sources(azimuth: int, is_autopilots: bool, ranks: tuple[int, ...]) -> dict[Aid, str]:
+    """Return where each aid comes from, by the ranks of the sources in use."""
+    _, mag, baro, heading = ranks
+    position = "GLOBAL_POSITION_INT, the autopilot's own" if is_autopilots else "GPS_RAW_INT"
+    by_azimuth = {
+        Azimuth.ANTENNA: "GPS_RAW_INT, two antennas",
+        Azimuth.OTHER: f"{_HEADINGS[heading]}, the autopilot's own",
+        Azimuth.MAGNETIC: f"{_FIELDS[mag]}, magnetometer",
+        Azimuth.FIELD: f"{_FIELDS[mag]}, magnetometer",
+    }
+    return {
+        Aid.POSITION: position,
+        Aid.HEIGHT: position,
+        Aid.VELOCITY: position,
+        Aid.HEADING: by_azimuth.get(Azimuth(azimuth), "") if azimuth else "",
+        Aid.BARO: f"{_PRESSURES[baro]}, barometer",
+        Aid.REST: "the inertial samples",
+    }
+
+
+def _age(then_ns: int | None, now_ns: int) -> float:
+    return math.nan if then_ns is None else max(now_ns - then_ns, 0) * 1e-9
+
+
+def _turn(angle: float) -> float:
+    """Return an angle in [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi

@@ -1,0 +1,323 @@
+"""Judge by a snapshot whether the vehicle may take off on the estimate, and say why not.
+
+The estimate is compared with what it says of its own error, and with the autopilot's own attitude
+and position. A difference counts beyond three sigmas of both sides, and beyond a floor that has a
+reason; an answer of the autopilot that is older than a second is compared with nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from ekf_companion.engine.health import DECIMATED, Health
+from ekf_companion.nav.earth import SEMI_MAJOR_AXIS
+from ekf_companion.nav.state import Status
+from ekf_companion.status.judge import judge, missing_input
+from ekf_companion.status.snapshot import Snapshot
+from ekf_companion.status.vehicle import AidState, AutopilotState, Preflight, VehicleEstimate
+
+OLDEST_S = 1.0
+"""Age of an answer of the autopilot, and of our newest sample, beyond which nothing is compared."""
+SIGMAS = 3.0
+AUTOPILOT_LEVEL_STD = 1.2
+"""One sigma of the autopilot's roll and pitch, deg: of the 0.2 m/s2 of accelerometer bias that EKF2
+begins with (EKF2_ABIAS_INIT)."""
+AUTOPILOT_HEADING_STD = 5.0
+"""One sigma of the autopilot's heading, deg: a compass in a drone, after its calibration."""
+AUTOPILOT_VELOCITY_STD = 0.3
+"""One sigma of its velocity, m/s: as of a receiver that states none."""
+POSITION_FLOOR = 5.0
+"""m: two filters of one receiver, whose slow error of metres they follow at their own pace."""
+HEIGHT_FLOOR = 10.0
+"""m: the autopilot's height may be by barometer since its start, which walks 3 m (one sigma) in an
+hour."""
+VELOCITY_FLOOR = 1.0
+"""m/s: three times ``AUTOPILOT_VELOCITY_STD``, rounded up."""
+LARGEST_HORIZONTAL_STD = 5.0
+"""One sigma of the position, m: as ``output.odometry.dead_reckoning_std``, which ends ODOMETRY."""
+LARGEST_HEADING_STD = 10.0
+"""One sigma, deg: beyond, the status is degraded."""
+LARGEST_LEVEL_STD = 5.0
+"""One sigma of roll and pitch, deg: a hover that is level by them runs off at 0.9 m/s2."""
+LEANING, UPSIDE_DOWN = 45.0, 120.0
+"""Angles from the vertical, deg: beyond the first nothing arms (ArduPilot's largest lean), beyond
+the second nothing stands."""
+LEVEL_DRIFT = 0.5
+"""Change of roll or pitch at rest, deg: to that the autopilots' level calibrations hold."""
+HEADING_DRIFT = 3.0
+"""Likewise of the heading, deg: a gyro of 0.15 deg/s that nothing corrects, in 20 s."""
+LEAST_REST_S = 5.0
+"""Rest over which a drift is judged."""
+UNJUDGED = Preflight(ready=False, sentence="", reasons=())
+"""Stands for the verdict on a snapshot that it was not asked of yet."""
+
+
+class Reason(NamedTuple):
+    """Something that speaks against a take-off."""
+
+    cause: str
+    """In a word or two that do not change, for alerts."""
+    words: str
+
+
+def check(snapshot: Snapshot) -> Preflight:
+    """Return whether the vehicle may take off, and what speaks against it."""
+    reasons = list(_of_vehicle(snapshot)) + list(_of_input(snapshot))
+    notes: list[str] = []
+    if all(reason.cause == "armed" for reason in reasons) and snapshot.estimator is not None:
+        reasons += _of_estimate(snapshot, snapshot.estimator)
+        for part in (_of_attitude(snapshot), _of_position(snapshot, snapshot.estimator)):
+            for one in part:
+                notes.append(one) if isinstance(one, str) else reasons.append(one)
+        reasons += _of_rest(snapshot)
+        reasons += _of_output(snapshot)
+        if not reasons and snapshot.estimator.status is Status.DEGRADED and not notes:
+            reasons.append(Reason("degraded", "the estimate is degraded; wait, or see its sigmas"))
+    notes += _remarks(snapshot)
+    if reasons:
+        sentence = f"not ready: {'; '.join(reason.words for reason in reasons)}"
+    else:
+        sentence = f"ready ({'; '.join(notes)})" if notes else "ready"
+    return Preflight(
+        ready=not reasons,
+        sentence=sentence,
+        reasons=tuple(reason.words for reason in reasons),
+        notes=tuple(notes),
+        causes=tuple(dict.fromkeys(reason.cause for reason in reasons)),
+    )
+
+
+def _of_vehicle(snapshot: Snapshot) -> Iterator[Reason]:
+    if snapshot.peer is not None and snapshot.peer.is_heard and snapshot.peer.is_armed:
+        yield Reason("armed", "the vehicle is armed already: this is asked before")
+
+
+def _of_input(snapshot: Snapshot) -> Iterator[Reason]:
+    """Find what is missing for any estimate of now: the rest follows from it."""
+    finding = judge(snapshot)
+    if not finding.is_healthy:
+        yield Reason("unhealthy", finding.line)
+    elif silence := missing_input(snapshot):
+        yield Reason("no input", silence)
+    elif snapshot.estimator is None:
+        yield Reason("aligning", "nothing is estimated yet")
+    elif snapshot.estimator.status < Status.ATTITUDE:
+        yield Reason("aligning", "still aligning: leave the vehicle at rest")
+    elif not snapshot.sample_age_s <= OLDEST_S:
+        yield Reason("no input", f"the estimate is {snapshot.sample_age_s:.1f} s old")
+
+
+def _of_estimate(snapshot: Snapshot, health: Health) -> Iterator[Reason]:
+    """Judge position, heading, level by their aids and by their own sigmas."""
+    vehicle = snapshot.vehicle
+    if vehicle.needs_fix:
+        yield from _of_fix(snapshot, health)
+    yield from _of_heading(vehicle)
+    baro, sigma = vehicle.aids["baro"], vehicle.sigma
+    if baro.state == "refused":
+        yield Reason("baro refused", f"barometer refused: {baro.why}")
+    if max(sigma.roll_deg, sigma.pitch_deg) > LARGEST_LEVEL_STD:
+        worst = max(sigma.roll_deg, sigma.pitch_deg)
+        yield Reason("level unsure", f"roll and pitch are known to {worst:.0f} deg only")
+
+
+def _of_fix(snapshot: Snapshot, health: Health) -> Iterator[Reason]:
+    vehicle = snapshot.vehicle
+    position, height = vehicle.aids["position"], vehicle.aids["height"]
+    if position.state == "refused":
+        yield Reason("fix refused", f"fixes refused: {position.why}")
+    elif position.state == "lost":
+        yield Reason("no fix", f"no fix for {position.used_s:.0f} s{_why_no_fix(snapshot)}")
+    elif math.isnan(vehicle.lat_deg) and not math.isnan(vehicle.heading_deg):
+        yield Reason("no fix", f"no fix{_why_no_fix(snapshot)}")
+    elif math.isnan(vehicle.lat_deg):
+        yield Reason("no fix", f"no position{_why_no_fix(snapshot)}")
+    elif health.status is Status.DEAD_RECKONING:
+        yield Reason("no fix", "no fix: dead reckoning")
+    if height.state == "refused":
+        yield Reason("height refused", f"the height of the fixes is refused: {height.why}")
+    if (std := vehicle.sigma.horizontal_m) > LARGEST_HORIZONTAL_STD:
+        yield Reason("position unsure", f"position is known to {std:.0f} m only")
+
+
+def _why_no_fix(snapshot: Snapshot) -> str:
+    """Return what of the receiver is missing, after a colon; empty: nothing of it."""
+    message = snapshot.messages.get("GPS_RAW_INT")
+    if message is None or message.rate == 0.0:
+        return ": no GPS_RAW_INT comes"
+    refused = {
+        why.partition(": ")[2]: count
+        for why, count in snapshot.refused.items()
+        if why.startswith("GPS_RAW_INT: ")
+    }
+    for why in ("no 3-D fix", "no position", "time base unknown"):
+        if refused.get(why):
+            return f": the receiver has {why}" if why.startswith("no ") else f": {why}"
+    return ""
+
+
+def _of_heading(vehicle: VehicleEstimate) -> Iterator[Reason]:
+    aid, std = vehicle.aids["heading"], vehicle.sigma.heading_deg
+    if _is_field_refused(aid):
+        instead = f"; heading is from {aid.source}" if aid.state == "used" else ""
+        yield Reason("compass refused", f"compass refused: {aid.why}{instead}")
+    elif aid.state == "refused":
+        what = "compass" if "magnetometer" in aid.source else "heading"
+        yield Reason("compass refused", f"{what} refused: {aid.why}")
+    elif aid.state == "lost":
+        yield Reason("no heading", f"no heading from {aid.source} for {aid.used_s:.0f} s")
+    elif math.isnan(vehicle.heading_deg):
+        yield Reason("no heading", "no heading: neither a compass nor another source is used")
+    if std > LARGEST_HEADING_STD:
+        yield Reason("heading unsure", f"heading is known to {std:.0f} deg only")
+
+
+def _is_field_refused(aid: AidState) -> bool:
+    """Whether the magnetometer is refused now, whatever is used in its place."""
+    return aid.refused_s <= OLDEST_S and "magnetic" in aid.why
+
+
+def _of_attitude(snapshot: Snapshot) -> Iterator[Reason | str]:
+    """Compare with the autopilot's attitude, and judge whether the vehicle stands upright."""
+    vehicle = snapshot.vehicle
+    if not (snapshot.peer is not None and snapshot.peer.is_armed):
+        yield from _of_mounting(vehicle)
+    other = vehicle.autopilot
+    if other is None or not other.attitude_message:
+        yield Reason("not compared", "attitude not compared with the autopilot's: it says none")
+        return
+    if not other.attitude_age_s <= OLDEST_S:
+        yield Reason(
+            "not compared",
+            "attitude not compared with the autopilot's: its "
+            f"{other.attitude_message} is {other.attitude_age_s:.1f} s old",
+        )
+        return
+    lag = vehicle.turn_rate_deg_s * other.attitude_age_s
+    level, sigma = _level_difference(vehicle, other), vehicle.sigma
+    std = max(sigma.roll_deg, sigma.pitch_deg)
+    if level > SIGMAS * math.hypot(std, AUTOPILOT_LEVEL_STD) + lag:
+        yield Reason(
+            "level differs", f"roll and pitch differ from the autopilot's by {level:.0f} deg"
+        )
+    source = vehicle.aids["heading"].source
+    if other.is_attitude_ours:
+        yield "heading not compared: the autopilot's is made of our ODOMETRY"
+    elif "the autopilot's own" in source:
+        yield "heading not compared: ours is taken from the autopilot"
+    else:
+        turned = abs((vehicle.heading_deg - other.heading_deg + 180.0) % 360.0 - 180.0)
+        if turned > SIGMAS * math.hypot(sigma.heading_deg, AUTOPILOT_HEADING_STD) + lag:
+            yield Reason(
+                "heading differs", f"heading differs from the autopilot's by {turned:.0f} deg"
+            )
+
+
+def _of_mounting(vehicle: VehicleEstimate) -> Iterator[Reason]:
+    lean = math.degrees(math.acos(_down(vehicle.roll_deg, vehicle.pitch_deg)[2]))
+    where = f"roll is {vehicle.roll_deg:.0f} and pitch {vehicle.pitch_deg:.0f} deg"
+    if lean > UPSIDE_DOWN:
+        yield Reason("mounting", f"mounting looks upside down: {where}")
+    elif lean > LEANING:
+        yield Reason("mounting", f"mounting looks wrong, or the vehicle lies on a side: {where}")
+
+
+def _down(roll_deg: float, pitch_deg: float) -> tuple[float, float, float]:
+    """Return the direction down in the body: forward, right, down."""
+    roll, pitch = math.radians(roll_deg), math.radians(pitch_deg)
+    level = math.cos(pitch)
+    return -math.sin(pitch), math.sin(roll) * level, math.cos(roll) * level
+
+
+def _level_difference(vehicle: VehicleEstimate, other: AutopilotState) -> float:
+    """Return the angle between both sides' directions down, deg."""
+    ours = _down(vehicle.roll_deg, vehicle.pitch_deg)
+    theirs = _down(other.roll_deg, other.pitch_deg)
+    cosine = sum(a * b for a, b in zip(ours, theirs, strict=True))
+    return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+
+
+def _of_position(snapshot: Snapshot, health: Health) -> Iterator[Reason | str]:
+    """Compare with the autopilot's position, height and velocity."""
+    vehicle, other = snapshot.vehicle, snapshot.vehicle.autopilot
+    if math.isnan(vehicle.lat_deg):
+        return
+    if health.is_position_autopilots:
+        yield "position not compared: ours is the autopilot's own, no receiver's"
+    elif other is None or not other.position_message:
+        yield "position not compared: the autopilot says none"
+    elif not other.position_age_s <= OLDEST_S:
+        age = other.position_age_s
+        yield f"position not compared: the autopilot's {other.position_message} is {age:.1f} s old"
+    elif other.is_position_ours:
+        yield "position not compared: the autopilot's is made of our ODOMETRY"
+    else:
+        yield from _position_differences(vehicle, other)
+
+
+def _position_differences(vehicle: VehicleEstimate, other: AutopilotState) -> Iterator[Reason]:
+    sigma, lag = vehicle.sigma, math.hypot(*vehicle.vel_ned_m_s) * other.position_age_s
+    far, high = _distance(vehicle, other), abs(vehicle.alt_m - other.alt_m)
+    # An autopilot that states no sigma is as sure as we are: it has the same receiver
+    std_h = _known(other.horizontal_std_m, sigma.horizontal_m)
+    std_v = _known(other.vertical_std_m, sigma.alt_m)
+    if far > max(POSITION_FLOOR, SIGMAS * math.hypot(sigma.horizontal_m, std_h)) + lag:
+        yield Reason("position differs", f"position differs from the autopilot's by {far:.0f} m")
+    if high > max(HEIGHT_FLOOR, SIGMAS * math.hypot(sigma.alt_m, std_v)) + lag:
+        yield Reason("height differs", f"height differs from the autopilot's by {high:.0f} m")
+    speed = math.dist(vehicle.vel_ned_m_s, other.vel_ned_m_s)
+    std = math.hypot(*sigma.vel_ned_m_s, AUTOPILOT_VELOCITY_STD)
+    if speed > max(VELOCITY_FLOOR, SIGMAS * std):
+        yield Reason(
+            "velocity differs", f"velocity differs from the autopilot's by {speed:.1f} m/s"
+        )
+
+
+def _known(value: float, otherwise: float) -> float:
+    return otherwise if math.isnan(value) else value
+
+
+def _distance(vehicle: VehicleEstimate, other: AutopilotState) -> float:
+    """Return the horizontal distance of both positions, m, as on a sphere."""
+    lat = math.radians(vehicle.lat_deg)
+    north = math.radians(vehicle.lat_deg - other.lat_deg)
+    east = math.radians((vehicle.lon_deg - other.lon_deg + 180.0) % 360.0 - 180.0) * math.cos(lat)
+    return SEMI_MAJOR_AXIS * math.hypot(north, east)
+
+
+def _of_rest(snapshot: Snapshot) -> Iterator[Reason]:
+    """Judge how the attitude has changed while the vehicle stood."""
+    vehicle, drift = snapshot.vehicle, snapshot.vehicle.drift
+    if drift.seconds < LEAST_REST_S or (snapshot.peer is not None and snapshot.peer.is_armed):
+        return
+    sigma, span = vehicle.sigma, f"in {drift.seconds:.0f} s at rest"
+    for name, moved, std in (
+        ("roll", drift.roll_deg, sigma.roll_deg),
+        ("pitch", drift.pitch_deg, sigma.pitch_deg),
+    ):
+        if moved > max(LEVEL_DRIFT, std):
+            yield Reason("levels drift", f"levels drift: {name} by {moved:.1f} deg {span}")
+    if drift.heading_deg > max(HEADING_DRIFT, sigma.heading_deg):
+        yield Reason("heading drifts", f"heading drifts: by {drift.heading_deg:.0f} deg {span}")
+
+
+def _of_output(snapshot: Snapshot) -> Iterator[Reason]:
+    """Find an autopilot that flies on our ODOMETRY and gets none."""
+    output, other = snapshot.output, snapshot.vehicle.autopilot
+    if other is not None and other.is_position_ours and not output.is_streaming:
+        why = output.silence or output.reason
+        words = "the autopilot flies on our ODOMETRY, and none is sent"
+        yield Reason("no odometry", f"{words}: {why}" if why else words)
+
+
+def _remarks(snapshot: Snapshot) -> Iterator[str]:
+    """Find what is good to know, and speaks against no take-off."""
+    health, output = snapshot.estimator, snapshot.output
+    if health is not None and 0.0 < health.imu_rate < DECIMATED:
+        yield f"inertial samples come at {health.imu_rate:.0f} Hz: fast motion is missed"
+    if health is not None and not output.is_allowed:
+        yield f"ODOMETRY is withheld: {output.reason}"
+    if snapshot.process.recording_trouble:
+        yield f"not all is recorded: {snapshot.process.recording_trouble}"
