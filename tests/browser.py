@@ -112,7 +112,9 @@ def chromium(folder):
     ) as process:
         try:
             port = _port(profile / "DevToolsActivePort", process)
-            with connect(_address(port), max_size=1 << 26, proxy=None) as socket:
+            with connect(
+                _address(port), max_size=1 << 26, proxy=None, ping_interval=None
+            ) as socket:
                 yield Tab(socket)
         finally:
             process.terminate()

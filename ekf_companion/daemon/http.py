@@ -120,17 +120,21 @@ class HttpServer:
     """Accepts connections on a thread, and answers each on another."""
 
     def __init__(
-        self, config: HttpConfig, open_site: Callable[[], Site], *, head_start: float | None = None
+        self,
+        config: HttpConfig,
+        open_site: Callable[[], Site],
+        *,
+        listener: socket.socket | None = None,
     ) -> None:
-        """Begin to serve, a moment later.
+        """Begin to serve: at once on a given socket, else a moment later.
 
         Args:
             config: Where, and to whom.
             open_site: Called once, on the server's thread; returns what is served.
-            head_start: Seconds until then; None: ``HEAD_START``.
+            listener: Of :func:`listen`; None: one is opened, again and again until it can be.
         """
         self._config, self._open_site = config, open_site
-        self._head_start = HEAD_START if head_start is None else head_start
+        self._given = listener
         self._access = Access(config)
         self._site: Site | None = None
         self._stop = threading.Event()
@@ -153,13 +157,16 @@ class HttpServer:
         self._thread.join(max(end_s - time.monotonic(), 0.0))
 
     def _run(self) -> None:
-        if self._stop.wait(self._head_start):
+        if self._given is None and self._stop.wait(HEAD_START):
             return
         self._site = self._open_site()
+        if self._given is not None:
+            self._serve(self._given)
+            return
         has_complained = False
         while not self._stop.is_set():
             try:
-                self._listener = listener = _listen(self._config.host, self._config.port)
+                self._listener = listener = listen(self._config.host, self._config.port)
             except OSError as error:
                 if not has_complained:
                     words = error.strerror or error
@@ -168,10 +175,13 @@ class HttpServer:
                 self._stop.wait(RETRY)
                 continue
             self._announce(*listener.getsockname()[:2])
-            with listener:
-                while not self._stop.is_set():
-                    self._accept(listener)
-                    self._stop.wait(PACE)
+            self._serve(listener)
+
+    def _serve(self, listener: socket.socket) -> None:
+        with listener:
+            while not self._stop.is_set():
+                self._accept(listener)
+                self._stop.wait(PACE)
 
     def _announce(self, host: str, port: int) -> None:
         """Log the address to open; with the token where that is needed and nobody knows it."""
@@ -214,7 +224,7 @@ class HttpServer:
             client.close()
 
 
-def _listen(host: str, port: int) -> socket.socket:
+def listen(host: str, port: int) -> socket.socket:
     """Return a listening socket; OSError: there is no such host here, or the port is taken."""
     family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     listener = socket.socket(family, socket.SOCK_STREAM)

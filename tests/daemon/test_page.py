@@ -2,10 +2,14 @@
 
 import contextlib
 import socket
+import subprocess
+import sys
 import threading
 
 import pytest
+from typer.testing import CliRunner
 
+from sim_autopilot.__main__ import app
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.fly import fly, over, run
 from tests.browser import chromium
@@ -73,3 +77,36 @@ def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
             # That nothing answered is the browser's own line, which no page can prevent
             others = [one for one in tab.errors if "ERR_CONNECTION" not in str(one)]
             assert others == []
+
+
+@contextlib.contextmanager
+def viewing(log):
+    """Run ``ekf-companion view`` over a log; yield its address."""
+    command = [sys.executable, "-W", "error", "-m", "ekf_companion", "view", str(log)]
+    with subprocess.Popen([*command, "--no-browser"], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline().startswith(("good", "fair", "poor"))
+        try:
+            yield process.stdout.readline().split()[0]
+        finally:
+            process.terminate()
+            assert process.wait(LIMIT) == 0
+
+
+def test_a_log_is_shown_with_a_slider_and_both_estimates(tmp_path):
+    log = tmp_path / "flight.tlog"
+    options = ["generate", "--duration", "20", "--scenario", "figure-eight", "-o", str(log)]
+    assert CliRunner().invoke(app, options).exit_code == 0
+    with viewing(log) as url, chromium(tmp_path) as tab:
+        tab.show(1280, 900)
+        tab.open(url)
+        tab.wait_for("document.querySelector('#link')?.textContent == 'log'")
+        assert tab.text("#sentence").startswith("good: ")
+        before = [tab.text(one) for one in ("#clock", "#roll", "#autopilot-roll")]
+        move = "slider.value = 0.7 * slider.max; slider.dispatchEvent(new Event('input'))"
+        tab.value(f"(() => {{ const slider = document.querySelector('#time'); {move} }})()")
+        after = [tab.text(one) for one in ("#clock", "#roll", "#autopilot-roll")]
+        assert all(one != other for one, other in zip(before, after, strict=True))
+        assert tab.value("document.querySelectorAll('.chart').length") >= 10
+        tab.value("document.querySelector('#play').click()")
+        tab.wait_for(f"document.querySelector('#clock').textContent != '{after[0]}'")
+        assert tab.errors == []
