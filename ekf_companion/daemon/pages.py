@@ -61,6 +61,7 @@ class Handler(BaseHTTPRequestHandler):
     """Answers the one request of a connection."""
 
     server_version, sys_version = "ekf-companion", ""
+    protocol_version = "HTTP/1.1"
 
     def __init__(
         self,
@@ -155,6 +156,7 @@ class Handler(BaseHTTPRequestHandler):
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
+        self.send_header("Connection", "close")
         self.send_header("Cache-Control", "no-store")
         self.send_header("Content-Security-Policy", _CSP)
         self.send_header("X-Content-Type-Options", "nosniff")
