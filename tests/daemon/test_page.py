@@ -1,6 +1,7 @@
 """The page in a browser, beside the real daemon and a fake autopilot that flies."""
 
 import contextlib
+import re
 import socket
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import threading
 import pytest
 from typer.testing import CliRunner
 
+from ekf_companion.status import assets
 from sim_autopilot.__main__ import app
 from sim_autopilot.autopilot import Kind
 from sim_autopilot.fly import fly, over, run
@@ -28,7 +30,7 @@ def flying(url):
     thread = threading.Thread(target=lambda: run(over(url, body)))
     thread.start()
     try:
-        yield
+        yield flight
     finally:
         flight.land()
         thread.join()
@@ -54,7 +56,7 @@ def drawn(selector):
 
 def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
     """Connects, plots move, link loss is shown and recovered from, and the console has no error."""
-    with chromium(tmp_path) as tab, flying(f"udpout:127.0.0.1:{ports[0]}"):
+    with chromium(tmp_path) as tab, flying(f"udpout:127.0.0.1:{ports[0]}") as flight:
         with start(tmp_path, ports) as daemon:
             daemon.wait_for("Status on")
             tab.show(1280, 900)
@@ -68,6 +70,13 @@ def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
                 tab.wait_for(f"{drawn(selector)} != '{before}'")
             tab.wait_for("document.querySelectorAll('#rates tbody tr').length > 3")
             tab.wait_for("document.querySelector('#events').textContent.includes('Estimate is OK')")
+            assert tab.errors == []
+            # An autopilot that falls silent, and one that speaks again
+            flight.land()
+            tab.wait_for("document.body.classList.contains('old')")
+            tab.wait_for("document.querySelector('.old-note').textContent.endsWith(' s old')")
+            with flying(f"udpout:127.0.0.1:{ports[0]}"):
+                tab.wait_for("!document.body.classList.contains('old')")
             assert tab.errors == []
         tab.wait_for("document.querySelector('#link').textContent.startsWith('no connection')")
         tab.wait_for("document.body.classList.contains('stale')")
@@ -110,3 +119,41 @@ def test_a_log_is_shown_with_a_slider_and_both_estimates(tmp_path):
         tab.value("document.querySelector('#play').click()")
         tab.wait_for(f"document.querySelector('#clock').textContent != '{after[0]}'")
         assert tab.errors == []
+
+
+def test_without_the_charting_library_the_page_says_so_and_works(monkeypatch):
+    found = assets.asset
+
+    def absent(name):
+        return None if name.startswith("uPlot") else found(name)
+
+    monkeypatch.setattr(assets, "asset", absent)
+    page = assets.index.__wrapped__("live").decode()
+    assert assets.NO_CHARTS in page
+    assert "uPlot.js" not in page
+    assert "main.js" in page
+
+
+def test_all_that_the_page_loads_is_in_the_package():
+    page = assets.index("live").decode()
+    assert assets.NO_CHARTS not in page
+    loaded = set(re.findall(r'(?:src|href)="page/([^"]+)"', page))
+    for name in sorted(loaded):
+        if name.endswith(".js") and not name.startswith("uPlot"):
+            loaded |= imported(name)
+    assert {"main.js", "live.js", "page.css", "uPlot.js"} <= loaded
+    assert all(assets.asset(name) for name in loaded)
+    assert assets.asset("uPlot.LICENSE.txt")
+    assert "://" not in page.replace("http://www.w3.org", "")
+
+
+def imported(name, seen=frozenset()):
+    """Return the modules that a module imports, and theirs."""
+    text = assets.asset(name).body.decode()
+    found = set(re.findall(r'from "\./([^"]+)"', text)) - seen
+    return found.union(*(imported(one, seen | found) for one in found)) if found else found
+
+
+@pytest.mark.parametrize("name", ["../assets.py", "..", "", "absent.js", "%2e%2e/live.py"])
+def test_no_other_file_is_an_asset(name):
+    assert assets.asset(name) is None

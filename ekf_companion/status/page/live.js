@@ -7,6 +7,7 @@ import { Map } from "./track.js";
 import { showEvents, showFacts, showSample, showTable, showVerdict, speedOf } from "./view.js";
 
 const SPAN = 60; // s that a chart shows
+const OLD = 1.5; // s without an inertial sample
 const AIDS = ["position", "height", "velocity", "heading", "baro", "rest"];
 const dashed = { colour: "autopilot", dash: [6, 4] };
 const axes = ["x", "y", "z"].map((name, i) => ({ name, colour: `c${i + 1}` }));
@@ -33,9 +34,11 @@ export function startLive() {
 
   const onLive = (live) => {
     showSample(live, live?.autopilot, map);
+    const isOld = showAge(live);
     if (!live) return;
     const now = Date.now() / 1000;
-    for (const one of charts) append(one.data, now, one.rows(live));
+    // Without samples the estimate stands still: a gap, no line
+    for (const one of charts) append(one.data, now, isOld ? [] : one.rows(live));
     // Half of the messages: an eye sees no more in a chart
     if (count++ % 2 === 0) charts.forEach((one) => one.chart.set(one.data));
   };
@@ -60,6 +63,15 @@ export function startLive() {
       state = kind;
     },
   );
+}
+
+/** Say how old the estimate is, where no samples come; return whether that is so. */
+function showAge(live) {
+  const isOld = live !== null && !(live.age_s < OLD);
+  document.body.classList.toggle("old", isOld);
+  const words = isOld ? `${fixed(live.age_s, 0, " s")} old` : "";
+  document.querySelectorAll(".old-note").forEach((note) => put(note, words, "note old-note"));
+  return isOld;
 }
 
 /** Add one row to columns, and forget what is older than a chart shows. */
