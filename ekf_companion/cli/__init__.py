@@ -58,6 +58,11 @@ COMMANDS = {
         "report",
         "Show a flight in one HTML file: a verdict, tracks, innovations, biases, spectra.",
     ),
+    "view": _Entry(
+        "view",
+        "view",
+        "Show a flight in the browser: a slider over time, both estimates; until Ctrl-C.",
+    ),
     "batch": _Entry(
         "batch", "batch", "Estimate from many logs; write one table with a row for each."
     ),

@@ -36,7 +36,12 @@ class Answer(NamedTuple):
 
 
 def status(
-    url: Annotated[str, typer.Option(help="Where the daemon answers: http.host, http.port.")] = URL,
+    url: Annotated[
+        str,
+        typer.Option(
+            help="Where the daemon answers: http.host, http.port; ?token=... from elsewhere."
+        ),
+    ] = URL,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print /status as JSON, and nothing else.")
     ] = False,
@@ -60,14 +65,16 @@ def fetch(url: str) -> Answer:
     """Ask a daemon for its status; raises nothing."""
     from http.client import HTTPException
     from urllib.error import HTTPError
-    from urllib.request import ProxyHandler, build_opener
+    from urllib.request import ProxyHandler, Request, build_opener
 
-    where = f"{url.rstrip('/')}/status"
+    base, _, token = url.partition("?token=")
+    where = f"{base.rstrip('/')}/status"
     if not url.startswith(("http://", "https://")):
         return Answer(NO_DAEMON, f"--url: {url}: is no address; write it as in {URL}", {})
     try:
         # No proxy: the daemon is on this board, or on one beside it
-        with build_opener(ProxyHandler({})).open(where, timeout=TIMEOUT) as answer:
+        request = Request(where, headers={"Authorization": f"Bearer {token}"} if token else {})
+        with build_opener(ProxyHandler({})).open(request, timeout=TIMEOUT) as answer:
             data = json.load(answer)
         health = data["health"]
         # A daemon that was not restarted after an upgrade does not say is_ok

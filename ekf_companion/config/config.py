@@ -19,6 +19,7 @@ from ekf_companion.config.service import (
     CheckpointConfig,
     HttpConfig,
     LinkConfig,
+    LiveConfig,
     OutputConfig,
     ParametersConfig,
     PreflightConfig,
@@ -44,6 +45,7 @@ class Config(FilterSettings):
     record: RecordConfig = field(default_factory=RecordConfig)
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
     http: HttpConfig = field(default_factory=HttpConfig)
+    live: LiveConfig = field(default_factory=LiveConfig)
     preflight: PreflightConfig = field(default_factory=PreflightConfig)
 
 
@@ -120,6 +122,15 @@ def parse_config(data: object, name: str) -> Config:
         raise ConfigError(
             f"{name}: http.host: {config.http.host!r:.60} is no address; 127.0.0.1 is this board "
             "only, and http.port: 0 serves nothing"
+        )
+    if not re.fullmatch(r"([A-Za-z0-9._~-]{8,128})?", config.http.token):
+        raise ConfigError(
+            f"{name}: http.token: is no token: use 8 to 128 letters, digits or . _ ~ - (openssl "
+            "rand -hex 16 makes one), or leave it empty"
+        )
+    if config.live.udp_json and not re.fullmatch(r".+:[0-9]{1,5}", config.live.udp_json):
+        raise ConfigError(
+            f"{name}: live.udp_json: {config.live.udp_json!r:.60}: write it as HOST:PORT"
         )
     key = "link.url"
     try:

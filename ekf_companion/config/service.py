@@ -152,6 +152,14 @@ class OutputConfig:
     all of a network: each is sent our heartbeat and, whatever odometry.mode is and the guard
     withholds, the estimate (as LOCAL_NED and GPS_INS). Never name what passes it on to an
     autopilot."""
+    monitor_position_rate: Annotated[float, Meta(ge=0.0, le=100.0), Setting("Hz", reload=True)] = (
+        0.0
+    )
+    """Rate of GLOBAL_POSITION_INT to the monitors, which maps of ground stations draw: ODOMETRY is
+    not drawn by them. 0: none is sent."""
+    monitor_system_id: Identifier | None = None
+    """System id towards the monitors. null: as on the link, and MAVProxy's map moves one vehicle by
+    the positions of both. With an id of our own, as 100, it draws a second one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,13 +207,32 @@ class CheckpointConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HttpConfig:
-    """Where our state can be asked for: /status (JSON), /metrics (Prometheus), /healthz."""
+    """The page in a browser, and for programs /status (JSON), /metrics (Prometheus), /healthz."""
 
     host: str = "127.0.0.1"
-    """Who may ask: 127.0.0.1 is this board only; 0.0.0.0 is everybody, and nobody is asked for a
-    name."""
+    """Who may ask: 127.0.0.1 is this computer only; 0.0.0.0 is everybody who can reach it and knows
+    the token."""
     port: Annotated[int, Meta(ge=0, le=65535)] = 9331
     """0: nowhere. Several vehicles on one board need several."""
+    token: str = ""
+    """What other computers must know: 8 letters, digits or . _ ~ - at least. Empty: one is drawn at
+    each start, and logged with the address to open. This computer is never asked."""
+    names: tuple[str, ...] = ()
+    """Names under which a browser may ask for this computer, beside its address, localhost and its
+    host name, as in [drone.lan]. Others are refused: a page of another site could have made its
+    name point here."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveConfig:
+    """The estimate, ten times a second, for programs that draw it."""
+
+    udp_json: str = ""
+    """PlotJuggler, or whoever reads JSON from UDP: HOST:PORT, as in 192.168.1.5:9870. Empty:
+    nobody. The field timestamp is unix time, s."""
+    foxglove_port: Annotated[int, Meta(ge=0, le=65535)] = 0
+    """Port of this computer, usually 8765, at which Foxglove connects to ws://127.0.0.1:8765 (from
+    elsewhere by ssh -L). Needs the extra foxglove. 0: none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,10 +18,12 @@ from ekf_companion.daemon import logging as log
 from ekf_companion.daemon.bandwidth import overloads
 from ekf_companion.daemon.checkpoint_file import open_checkpoint_file, open_parameter_file
 from ekf_companion.daemon.clock import read_clocks, unix_clock
+from ekf_companion.daemon.exporters import open_exporters
 from ekf_companion.daemon.freshness import Freshness
 from ekf_companion.daemon.http import open_http_server
 from ekf_companion.daemon.key_file import open_signing
 from ekf_companion.daemon.monitors import Monitors
+from ekf_companion.daemon.recent_events import RecentEvents
 from ekf_companion.daemon.reception import deliver, open_reception
 from ekf_companion.daemon.systemd import Systemd
 from ekf_companion.daemon.tlog_recorder import open_recorder
@@ -140,7 +142,11 @@ class Daemon:
         self._observer = Observer(
             self.link, self._companion, unix_clock, self._recorded, self._monitors.unsent
         )
-        self._http = open_http_server(config.http, self._observer, asyncio.get_running_loop())
+        self._events = RecentEvents()
+        logging.root.addHandler(self._events)
+        loop = asyncio.get_running_loop()
+        self._http = open_http_server(config.http, self._observer, loop, self._events)
+        self._exporters = open_exporters(config.live, self._observer, loop)
         self._systemd = Systemd()
         self._freshness = Freshness()
 
@@ -152,8 +158,9 @@ class Daemon:
         return self
 
     def __exit__(self, *error: object) -> None:
+        logging.root.removeHandler(self._events)
         state = (self._checkpoint, self._parameters, self._signing)
-        parts = (self._http, *state, self._recorder)
+        parts = (self._http, *self._exporters, *state, self._recorder)
         running = [part for part in parts if part is not None]
         for part in running:
             part.finish()

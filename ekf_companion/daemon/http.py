@@ -1,7 +1,8 @@
 """The state over HTTP, served beside the loop: it answers also while the loop stalls, and says so.
 
 One thread accepts connections, and each is answered on a thread of its own. The snapshot that an
-answer is made of is taken in the loop, whole and at one moment, at most five times a second.
+answer is made of is taken in the loop, whole and at one moment, at most five times a second. A
+viewer of the page keeps its connection and its thread.
 """
 
 from __future__ import annotations
@@ -15,14 +16,20 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as LateError
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ekf_companion.config.service import HttpConfig
+from ekf_companion.daemon.access import Access, is_loopback
+from ekf_companion.daemon.recent_events import RecentEvents
 from ekf_companion.status.host import Host, read_host
 from ekf_companion.status.observer import Observer
 from ekf_companion.status.snapshot import Snapshot
 
+if TYPE_CHECKING:
+    from ekf_companion.daemon.pages import Site
+
 _log = logging.getLogger(__name__)
+T = TypeVar("T")
 
 HEAD_START = 1.0
 """Seconds that the filter has before this begins: a restart in flight comes first."""
@@ -36,8 +43,8 @@ HOST_EVERY = 2.0
 """Seconds between two readings of the board."""
 DEADLINE = 5.0
 """Seconds that one request may take in all; a slower client is disconnected."""
-CONNECTIONS = 8
-"""At once; others are closed unanswered."""
+CONNECTIONS = 16
+"""At once, viewers of the page apart; others are closed unanswered."""
 PACE = 0.02
 """Seconds between two connections: many clients take no more than a tenth of a processor."""
 _POLL = 0.5
@@ -57,6 +64,7 @@ class SnapshotSource:
         self._last: Snapshot | None = None
         self._last_s = -FRESH
         self._host, self._host_s = Host(), -HOST_EVERY
+        self._live: Future[bytes] | None = None
 
     def read(self) -> Snapshot | None:
         """Return the newest snapshot, or None if the loop does not answer."""
@@ -67,35 +75,68 @@ class SnapshotSource:
                 self._last_s = time.monotonic()
             return self._last
 
+    def read_live(self) -> bytes | None:
+        """Return the newest estimate as JSON, or None if the loop does not answer."""
+        return self._ask(self._live_request())
+
     def _take(self, now_s: float) -> Snapshot | None:
         if now_s - self._host_s >= HOST_EVERY:
             self._host, self._host_s = read_host(), now_s
         # One request at a time: one that a stalled loop did not answer still waits there
         if self._request is None or self._request.done():
-            self._request = Future()
+            host = self._host
+            self._request = self._call(lambda: self._observer.snapshot(host))
+        return self._ask(self._request)
+
+    def _live_request(self) -> Future[bytes] | None:
+        if self._live is None or self._live.done():
+            self._live = self._call(self._observer.live)
+        return self._live
+
+    def _call(self, take: Callable[[], T]) -> Future[T] | None:
+        """Have something called in the loop; return None if the loop has ended."""
+        request: Future[T] = Future()
+
+        def answer() -> None:
             try:
-                self._loop.call_soon_threadsafe(self._answer, self._request, self._host)
-            except RuntimeError:  # the loop has ended
-                self._request = None
-                return None
+                request.set_result(take())
+            except Exception as error:  # noqa: BLE001  # a bug here must not end a flight
+                request.set_exception(error)
+
         try:
-            return self._request.result(PATIENCE)
+            self._loop.call_soon_threadsafe(answer)
+        except RuntimeError:
+            return None
+        return request
+
+    def _ask(self, request: Future[T] | None) -> T | None:
+        try:
+            return None if request is None else request.result(PATIENCE)
         except LateError:
             return None
-
-    def _answer(self, request: Future[Snapshot], host: Host) -> None:
-        try:
-            request.set_result(self._observer.snapshot(host))
-        except Exception as error:  # noqa: BLE001  # a bug here must not end a flight
-            request.set_exception(error)
 
 
 class HttpServer:
     """Accepts connections on a thread, and answers each on another."""
 
-    def __init__(self, config: HttpConfig, read: Callable[[], Snapshot | None]) -> None:
-        """Begin to serve, a moment later."""
-        self._config, self._read = config, read
+    def __init__(
+        self,
+        config: HttpConfig,
+        open_site: Callable[[], Site],
+        *,
+        listener: socket.socket | None = None,
+    ) -> None:
+        """Begin to serve: at once on a given socket, else a moment later.
+
+        Args:
+            config: Where, and to whom.
+            open_site: Called once, on the server's thread; returns what is served.
+            listener: Of :func:`listen`; None: one is opened, again and again until it can be.
+        """
+        self._config, self._open_site = config, open_site
+        self._given = listener
+        self._access = Access(config)
+        self._site: Site | None = None
         self._stop = threading.Event()
         self._listener: socket.socket | None = None
         self._ends_s: dict[socket.socket, float] = {}
@@ -105,6 +146,8 @@ class HttpServer:
     def finish(self) -> None:
         """Stop listening; does not wait."""
         self._stop.set()
+        if self._site is not None and self._site.feed is not None:
+            self._site.feed.finish()
         if self._listener is not None:
             with contextlib.suppress(OSError):
                 self._listener.shutdown(socket.SHUT_RDWR)  # ends its wait
@@ -114,14 +157,16 @@ class HttpServer:
         self._thread.join(max(end_s - time.monotonic(), 0.0))
 
     def _run(self) -> None:
-        if self._stop.wait(HEAD_START):
+        if self._given is None and self._stop.wait(HEAD_START):
             return
-        from ekf_companion.daemon import pages  # noqa: F401  # now, not at the first request
-
+        self._site = self._open_site()
+        if self._given is not None:
+            self._serve(self._given)
+            return
         has_complained = False
         while not self._stop.is_set():
             try:
-                self._listener = listener = _listen(self._config.host, self._config.port)
+                self._listener = listener = listen(self._config.host, self._config.port)
             except OSError as error:
                 if not has_complained:
                     words = error.strerror or error
@@ -129,12 +174,23 @@ class HttpServer:
                 has_complained = True
                 self._stop.wait(RETRY)
                 continue
-            host, port = listener.getsockname()[:2]
-            _log.info("Status on http://%s:%d/", f"[{host}]" if ":" in host else host, port)
-            with listener:
-                while not self._stop.is_set():
-                    self._accept(listener)
-                    self._stop.wait(PACE)
+            self._announce(*listener.getsockname()[:2])
+            self._serve(listener)
+
+    def _serve(self, listener: socket.socket) -> None:
+        with listener:
+            while not self._stop.is_set():
+                self._accept(listener)
+                self._stop.wait(PACE)
+
+    def _announce(self, host: str, port: int) -> None:
+        """Log the address to open; with the token where that is needed and nobody knows it."""
+        where = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+        _log.info("Status on %s", where)
+        if is_loopback(host):
+            return
+        token = self._access.token if self._access.is_generated else "the one of http.token"
+        _log.info("From another computer: %s?token=%s", where, token)
 
     def _accept(self, listener: socket.socket) -> None:
         """Begin to answer the next connection, and disconnect clients that take too long."""
@@ -154,18 +210,21 @@ class HttpServer:
     def _answer(self, client: socket.socket, address: Any) -> None:
         from ekf_companion.daemon.pages import Handler
 
+        assert self._site is not None
         try:
             client.settimeout(DEADLINE)
-            Handler(client, address, self._read)
+            Handler(
+                client, address, self._site, self._access, lambda: self._ends_s.pop(client, None)
+            )
             client.shutdown(socket.SHUT_WR)
         except OSError as error:
             _log.debug("http: %s: %s", address[0], error)
         finally:
-            del self._ends_s[client]
+            self._ends_s.pop(client, None)
             client.close()
 
 
-def _listen(host: str, port: int) -> socket.socket:
+def listen(host: str, port: int) -> socket.socket:
     """Return a listening socket; OSError: there is no such host here, or the port is taken."""
     family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     listener = socket.socket(family, socket.SOCK_STREAM)
@@ -181,7 +240,19 @@ def _listen(host: str, port: int) -> socket.socket:
 
 
 def open_http_server(
-    config: HttpConfig, observer: Observer, loop: asyncio.AbstractEventLoop
+    config: HttpConfig,
+    observer: Observer,
+    loop: asyncio.AbstractEventLoop,
+    events: RecentEvents | None = None,
 ) -> HttpServer | None:
-    """Serve what an observer sees; return None if no port is wanted."""
-    return HttpServer(config, SnapshotSource(observer, loop).read) if config.port else None
+    """Serve what an observer sees, and the last lines of the log; None if no port is wanted."""
+    if not config.port:
+        return None
+    source = SnapshotSource(observer, loop)
+
+    def open_site() -> Site:
+        from ekf_companion.daemon.pages import DaemonSite  # now, not at the first request
+
+        return DaemonSite(source, events)
+
+    return HttpServer(config, open_site)

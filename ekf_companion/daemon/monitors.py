@@ -9,8 +9,9 @@ from __future__ import annotations
 import logging
 
 from ekf_companion.config.config import Config
+from ekf_companion.core.memory import as_estimate
 from ekf_companion.engine.companion import Companion
-from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.engine.pipeline import Estimate, Pipeline
 from ekf_companion.engine.publisher import Due, Publisher
 from ekf_companion.link.address import parse_monitor
 from ekf_companion.link.link import Link
@@ -19,6 +20,7 @@ from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.outbox import Message
 from ekf_companion.mavlink.signing import Signing
+from ekf_companion.nav.state import Status
 
 _log = logging.getLogger(__name__)
 
@@ -38,7 +40,9 @@ class Monitors:
         self.links = [Link(parse_monitor(url, autopilot.address)) for url in monitors]
         self._autopilot = autopilot
         self._sender = Sender(1, config.link.component_id, signing)
+        self._system_id = config.output.monitor_system_id
         self._heartbeat = Due(1.0)
+        self._position = Due(config.output.monitor_position_rate)
         self._config: Config | None = None
         self._pipeline: Pipeline | None = None
         self._publisher: Publisher | None = None
@@ -51,7 +55,7 @@ class Monitors:
     def send_due(self, companion: Companion, now_ns: int, *, is_fresh: bool = True) -> None:
         """Send the heartbeat, and what is due of the newest estimate, if that is fresh."""
         session = companion.session
-        self._sender.system_id = session.outbox.ids[0]
+        self._sender.system_id = self._system_id or session.outbox.ids[0]
         if self._heartbeat.is_due(now_ns):
             state = session.heartbeat
             payload = encode.heartbeat(state.status, state.mode)
@@ -60,6 +64,8 @@ class Monitors:
             return
         for message in self._publisher_for(companion).due(estimate):
             self._send(message, now_ns)
+        if self._position.is_due(estimate.t_ns) and (payload := _position_of(estimate)):
+            self._send(Message("GLOBAL_POSITION_INT", payload), now_ns)
 
     def say_goodbye(self) -> None:
         """Send the last heartbeat with what is sent next."""
@@ -74,6 +80,7 @@ class Monitors:
             self._publisher = Publisher(config, Family.UNKNOWN, label, is_monitor=True)
         elif config is not self._config:
             self._publisher.set_rates(config)
+            self._position.set_rate(config.output.monitor_position_rate)
         self._pipeline, self._config = pipeline, config
         return self._publisher
 
@@ -98,3 +105,15 @@ class Monitors:
             )
         self._has_complained = True
         return True
+
+
+def _position_of(estimate: Estimate) -> bytes:
+    """Return the payload of GLOBAL_POSITION_INT; empty: there is no position that may be used."""
+    now = as_estimate(estimate.values)
+    if not Status.OK <= int(now.status) < Status.INVALID:
+        return b""
+    lat, lon, alt = now.lla
+    north, east, down = now.vel_n
+    return encode.global_position(
+        estimate.t_ns, (lat, lon, alt), -now.pos_n[2], (north, east, down), now.euler[2]
+    )

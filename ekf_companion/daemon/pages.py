@@ -1,7 +1,7 @@
-"""The pages: ``/healthz``, ``/status``, ``/metrics``, read by the standard library's HTTP parser.
+"""The page, ``/healthz``, ``/status``, ``/metrics``, read by the standard library's HTTP parser.
 
-The thread that serves imports this file, which takes a while. A page that keeps its connection, as
-a WebSocket does, can take over ``connection`` in the handler.
+The thread that serves imports this file, which takes a while. ``/live`` is a WebSocket: it keeps
+its connection.
 """
 
 from __future__ import annotations
@@ -13,12 +13,17 @@ import time
 from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
-from typing import Any
-from urllib.parse import unquote
+from typing import Any, Protocol
+from urllib.parse import parse_qs, unquote
 
 from prometheus_client.exposition import choose_encoder
 
-from ekf_companion.daemon.http import PATIENCE
+from ekf_companion.daemon import websocket
+from ekf_companion.daemon.access import Access
+from ekf_companion.daemon.feed import Feed
+from ekf_companion.daemon.http import PATIENCE, SnapshotSource
+from ekf_companion.daemon.recent_events import RecentEvents
+from ekf_companion.status.assets import asset, index
 from ekf_companion.status.judge import judge, to_json
 from ekf_companion.status.metrics import registry_of
 from ekf_companion.status.snapshot import Snapshot
@@ -32,30 +37,62 @@ _TEXT = "text/plain; charset=utf-8"
 _INDEX = (
     "/healthz  is it well: 200, or 503 and why\n/status   everything, JSON\n/metrics  Prometheus\n"
 )
+_CSP = "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'"
+_FULL = "too many watch already: close the page elsewhere\n"
 _LOCK = threading.Lock()
 """Of many clients one at a time competes with the loop."""
 Answer = tuple[HTTPStatus, str, bytes]
 """Status, content type and body."""
 
 
+class Site(Protocol):
+    """What a server serves."""
+
+    feed: Feed | None
+    """Of ``/live``; None: there is none."""
+    source: str
+    """Where the page's data comes from: ``live`` or ``log``."""
+
+    def page(self, path: str, accept: str) -> Answer | None:
+        """Return a page; None: there is none at that path."""
+
+
 class Handler(BaseHTTPRequestHandler):
-    """Answers the one request of a connection, from the newest snapshot."""
+    """Answers the one request of a connection."""
 
     server_version, sys_version = "ekf-companion", ""
+    protocol_version = "HTTP/1.1"
 
     def __init__(
-        self, client: socket.socket, address: Any, read: Callable[[], Snapshot | None]
+        self,
+        client: socket.socket,
+        address: Any,
+        site: Site,
+        access: Access,
+        on_watch: Callable[[], object],
     ) -> None:
         """Read the request and answer it.
+
+        Args:
+            client: The connection.
+            address: Of the client, as ``accept`` returns it.
+            site: What is served.
+            access: Decides who is answered.
+            on_watch: Called when the connection becomes a viewer's, which may take longer.
 
         Raises:
             OSError: The client is gone, or too slow.
         """
-        self._read = read
+        self._site, self._access, self._on_watch = site, access, on_watch
+        self._headers: list[tuple[str, str]] = []
         super().__init__(client, address, None)  # type: ignore[arg-type]  # no server is asked
 
     def do_GET(self) -> None:
         """Send the page, for HEAD without its body."""
+        feed = self._site.feed
+        if feed is not None and self.path.partition("?")[0] == "/live" and self.command == "GET":
+            self._watch(feed)
+            return
         try:
             answer = self._page()
         except Exception:  # noqa: BLE001  # a bug here must not end a flight
@@ -76,27 +113,97 @@ class Handler(BaseHTTPRequestHandler):
         """Log nothing: a request is not news."""
 
     def _page(self) -> Answer:
-        path = unquote(self.path.partition("?")[0])
+        path, _, query = self.path.partition("?")
+        path, accept = unquote(path), self.headers.get("Accept", "")
+        refusal = self._access.refuse(self.headers, query, self.client_address[0])
+        if refusal is not None:
+            return refusal.status, _TEXT, refusal.words.encode()
+        if path == "/" and "text/html" in accept:
+            return self._front(query)
         if path == "/":
             return HTTPStatus.OK, _TEXT, _INDEX.encode()
-        if (page := _PAGES.get(path)) is None:
-            return HTTPStatus.NOT_FOUND, _TEXT, f"no such page; there are:\n{_INDEX}".encode()
-        if (snapshot := self._read()) is None:
-            words = f"stalled: the loop has not answered for {PATIENCE:.0f} s\n"
-            return HTTPStatus.SERVICE_UNAVAILABLE, _TEXT, words.encode()
-        with _LOCK:
-            return page(snapshot, self.headers.get("Accept", ""))
+        if path.startswith("/page/") and (found := asset(path.removeprefix("/page/"))):
+            return HTTPStatus.OK, found.kind, found.body
+        if (page := self._site.page(path, accept)) is not None:
+            return page
+        return HTTPStatus.NOT_FOUND, _TEXT, f"no such page; there are:\n{_INDEX}".encode()
+
+    def _front(self, query: str) -> Answer:
+        """Return the page; a token in its address moves into a cookie, out of sight."""
+        for word in parse_qs(query).get("token", []):
+            if self._access.is_token(word):
+                cookie = f"{self._access.cookie}={word}; Path=/; HttpOnly; SameSite=Strict"
+                self._headers = [("Set-Cookie", cookie), ("Location", "./")]
+                return HTTPStatus.SEE_OTHER, _TEXT, b""
+        return HTTPStatus.OK, "text/html; charset=utf-8", index(self._site.source)
+
+    def _watch(self, feed: Feed) -> None:
+        """Serve ``/live``, if the request may."""
+        refusal = self._access.refuse(
+            self.headers, self.path.partition("?")[2], self.client_address[0]
+        )
+        if refusal is not None:
+            self._send(refusal.status, _TEXT, refusal.words.encode())
+            return
+        with feed.watch() as viewer:
+            if viewer is None:
+                self._send(HTTPStatus.SERVICE_UNAVAILABLE, _TEXT, _FULL.encode())
+                return
+            self._on_watch()
+            websocket.serve(self.connection, self.path, self.headers, viewer)
 
     def _send(self, status: HTTPStatus, kind: str, body: bytes) -> None:
         self.send_response(status)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
+        self.send_header("Connection", "close")
         self.send_header("Cache-Control", "no-store")
+        self.send_header("Content-Security-Policy", _CSP)
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Referrer-Policy", "no-referrer")
+        for name, value in self._headers:
+            self.send_header(name, value)
         if status is HTTPStatus.METHOD_NOT_ALLOWED:
             self.send_header("Allow", "GET, HEAD")
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(body)
+
+
+class DaemonSite:
+    """Serves what the daemon knows of itself."""
+
+    source = "live"
+
+    def __init__(self, snapshots: SnapshotSource, events: RecentEvents | None) -> None:
+        self._snapshots, self._events = snapshots, events
+        self._told = -1
+        self.feed: Feed | None = Feed(self._messages)
+
+    def page(self, path: str, accept: str) -> Answer | None:
+        """Return one of the pages for programs, from the newest snapshot."""
+        if (page := _PAGES.get(path)) is None:
+            return None
+        if (snapshot := self._snapshots.read()) is None:
+            words = f"stalled: the loop has not answered for {PATIENCE:.0f} s\n"
+            return HTTPStatus.SERVICE_UNAVAILABLE, _TEXT, words.encode()
+        with _LOCK:
+            return page(snapshot, accept)
+
+    def _messages(self, is_status_due: bool) -> dict[str, bytes | None]:
+        """Return what the viewers are sent now."""
+        if (live := self._snapshots.read_live()) is None:
+            return {"stalled": b"%.1f" % PATIENCE}
+        messages: dict[str, bytes | None] = {"live": live}
+        if not is_status_due:
+            return messages
+        if (snapshot := self._snapshots.read()) is not None:
+            with _LOCK:
+                messages["status"] = to_json(snapshot, _pause)
+        if self._events is not None and self._events.count != self._told:
+            self._told = self._events.count
+            messages["events"] = self._events.to_json()
+        return messages
 
 
 def _healthz(snapshot: Snapshot, _: str) -> Answer:

@@ -186,6 +186,38 @@ def gps_global_origin(lat: float, lon: float, alt: float, *, t_ns: int) -> bytes
     )
 
 
+def global_position(
+    t_ns: int,
+    place: tuple[float, float, float],
+    height: float,
+    vel_n: tuple[float, float, float],
+    yaw: float,
+) -> bytes:
+    """Return the payload of GLOBAL_POSITION_INT.
+
+    Args:
+        t_ns: Time of the estimate, autopilot clock.
+        place: Latitude and longitude (degrees), altitude above mean sea level (m).
+        height: Above the start, m.
+        vel_n: Velocity north, east, down, m/s.
+        yaw: From true north, clockwise, rad.
+    """
+    lat, lon, alt = place
+    vx, vy, vz = (max(-32767, min(32767, round(100.0 * one))) for one in vel_n)
+    return pack(
+        "GLOBAL_POSITION_INT",
+        time_boot_ms=t_ns // 1_000_000 % (1 << 32),
+        lat=round(lat * 1e7),
+        lon=round(lon * 1e7),
+        alt=round(alt * 1e3),
+        relative_alt=round(height * 1e3),
+        vx=vx,
+        vy=vy,
+        vz=vz,
+        hdg=round(math.degrees(yaw) * 100.0) % 36000,
+    )
+
+
 def global_offset(t_ns: int, shift: tuple[float, float, float], yaw: float) -> bytes:
     """Return the payload of LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET.
 

@@ -178,7 +178,7 @@ def vehicle_estimate(companion: Companion, watch: AidWatch, now_ns: int) -> Vehi
         ),
         aids=watch.states(now_ns),
         drift=watch.drift(),
-        autopilot=_autopilot(companion.session, now_ns),
+        autopilot=autopilot_state(companion.session, now_ns),
         needs_fix=config.preflight.needs_fix,
         takes_own_position=config.gnss.source == "global",
     )
@@ -190,7 +190,8 @@ def _turn_rate(pipeline: Pipeline) -> float:
     return math.degrees(math.hypot(*(x.gyro[i] - x.gyro_bias[i] for i in range(3))))
 
 
-def _autopilot(session: Session, now_ns: int) -> AutopilotState | None:
+def autopilot_state(session: Session, now_ns: int) -> AutopilotState | None:
+    """Return what the autopilot's own estimate says; None if it has said nothing."""
     attitude = session.autopilot_estimate.attitude(now_ns)
     position = session.autopilot_estimate.position(now_ns)
     if attitude is None and position is None:

@@ -38,6 +38,7 @@ from ekf_companion.status.collect import (
 )
 from ekf_companion.status.host import Host
 from ekf_companion.status.judge import BARREN_S, judge
+from ekf_companion.status.live import live
 from ekf_companion.status.preflight import UNJUDGED, check
 from ekf_companion.status.snapshot import (
     MessageState,
@@ -303,6 +304,12 @@ class Observer:
                 _log.exception("The service manager cannot be told the state")
             self._has_complained = True
             return ""
+
+    def live(self) -> bytes:
+        """Return the newest estimate as JSON, for a page that is watched."""
+        now_ns = self._clock()
+        self._note_changes(now_ns)
+        return live(self._companion, seconds_since(self._sampled_ns, now_ns), now_ns)
 
     def snapshot(self, host: Host) -> Snapshot:
         """Return the state at this moment; takes about 0.1 ms.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.speed import __main__ as speed
-from benchmarks.speed import daemon, flights, logs, steps
+from benchmarks.speed import daemon, flights, logs, page, steps
 from benchmarks.speed.reference import Reference
 from benchmarks.speed.result import Result, table
 from ekf_companion.nav.measurements import Kind
@@ -60,6 +60,12 @@ def test_the_daemon_answers_what_the_benchmark_sends(monkeypatch):
     assert results["daemon's resident memory, largest"].value > 1.0
 
 
+def test_the_load_of_the_page_is_measured(monkeypatch):
+    monkeypatch.setattr(daemon, "WARM_UP", 2.5)
+    results = {result.name: result.value for result in page.measure(duration=1.0)}
+    assert results["watched page over none"] > 0.0
+
+
 def test_a_generated_log_is_converted():
     assert {result.name for result in logs.measure(duration=5.0)} >= {"speed over real time"}
 
@@ -81,4 +87,4 @@ def test_an_unknown_part_is_refused(monkeypatch, capsys):
 
     with pytest.raises(SystemExit):
         speed.main()
-    assert "stepps: no such part; known are steps, logs, daemon" in capsys.readouterr().err
+    assert "stepps: no such part; known are steps, logs, daemon, page" in capsys.readouterr().err

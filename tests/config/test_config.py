@@ -26,7 +26,15 @@ DEPARTURES = {
 }
 """What a file says that is not the default."""
 FILES = sorted(DEPARTURES)
-WORDS = ("link.url", "link.peer", "record.path", "checkpoint.file", "signing.key_file", "http.host")
+WORDS = (
+    "link.url",
+    "link.peer",
+    "record.path",
+    "checkpoint.file",
+    "signing.key_file",
+    "http.host",
+    "http.token",
+)
 
 
 def leaves(config, path=""):

@@ -202,3 +202,24 @@ def test_what_is_no_monitor_is_refused_with_a_sentence(url, link, peer, sentence
 def test_another_port_of_the_autopilots_host_is_a_monitor():
     address = parse_monitor("udpout:127.0.0.1:14550", parse_url("udpin:127.0.0.1:14540"))
     assert (address.kind, address.is_send_only) == (Kind.UDP_OUT, True)
+
+
+def test_a_map_is_given_our_position_under_an_id_of_its_own(tmp_path):
+    port, monitor = free_port(), Listener()
+    output = f"{{monitors: ['udpout:127.0.0.1:{monitor.port}'], monitor_position_rate: 5, "
+    config = f"output: {output}monitor_system_id: 100}}\nhttp: {{port: 0}}\n"
+    flight = Flight.plan("figure-eight", SimConfig(system_id=SYSTEM), duration=12.0)
+    with contextlib.closing(monitor):
+        with Daemon(tmp_path, "--link", f"udpin:127.0.0.1:{port}", config=config) as daemon:
+            daemon.wait_for(f"udpin:127.0.0.1:{port}: open")
+            wire = fly_over(f"udpout:127.0.0.1:{port}", flight, Stack.PX4)
+            assert daemon.stop() == 0
+        heard = monitor.of("GLOBAL_POSITION_INT")
+        assert {frame.system_id for frame in monitor.frames()} == {100}
+    assert len(heard) > 25
+    home = flight.config.home
+    assert heard[-1].lat == pytest.approx(home.lat * 1e7, abs=1e4)  # 100 m
+    # The autopilot is told no such thing, and we keep its system id towards it
+    ours = [frame for frame in wire.frames() if frame.component_id == US]
+    assert IDS["GLOBAL_POSITION_INT"] not in {frame.message_id for frame in ours}
+    assert 100 not in {frame.system_id for frame in ours}

@@ -169,3 +169,14 @@ def test_estimator_status_says_ratios_and_accuracies():
     assert (m.pos_horiz_accuracy, m.pos_vert_accuracy) == (2.0, 3.0)
     for flag in set(encode.StatusFlag) - {encode.StatusFlag.NONE}:  # Python 3.10 lists it too
         assert flag.value == getattr(dialect, f"ESTIMATOR_{flag.name}")
+
+
+def test_a_position_is_told_as_maps_of_ground_stations_read_it():
+    place, velocity = (47.3977419, 8.5455938, 488.25), (1.5, -2.25, 400.0)
+    payload = encode.global_position(123_456_789_000, place, 12.5, velocity, -0.5)
+    m = read("GLOBAL_POSITION_INT", payload)
+    assert m.time_boot_ms == 123_456
+    assert (m.lat, m.lon, m.alt, m.relative_alt) == (473977419, 85455938, 488_250, 12_500)
+    # Beyond what the field holds, the largest; a heading from north, clockwise, 0.01 deg
+    assert (m.vx, m.vy, m.vz) == (150, -225, 32767)
+    assert m.hdg == 33135

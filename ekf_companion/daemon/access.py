@@ -1,0 +1,108 @@
+"""Who may ask over HTTP: a name that is ours, an origin that is ours, and elsewhere a token.
+
+A page of another site must not read the state through the browser of somebody who can reach us: by
+a name of its own that it lets point here (DNS rebinding), or by a WebSocket, which browsers let any
+site open. Addresses are no such names. From another machine a token is asked for.
+
+Sources: RFC 9110, 7.2 (Host); RFC 6455, 10.2 (Origin).
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import secrets
+import socket
+from email.message import Message
+from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
+from typing import NamedTuple
+from urllib.parse import parse_qs
+
+from ekf_companion.config.service import HttpConfig
+
+_WRONG_NAME = (
+    "this is not the name of this computer: ask by its address, or name it in http.names of the "
+    "configuration\n"
+)
+_NO_TOKEN = (
+    "from another computer a token is needed: open the address in the daemon's log (journalctl -u "
+    "ekf-companion), which ends in ?token=, or send the header Authorization: Bearer TOKEN\n"
+)
+_NAMES = ("localhost", "localhost.localdomain")
+
+
+class Refusal(NamedTuple):
+    """Why a request is not answered."""
+
+    status: HTTPStatus
+    words: str
+
+
+class Access:
+    """Decides on the requests to one server."""
+
+    def __init__(self, config: HttpConfig, own_name: str | None = None) -> None:
+        """Draw a token where one is needed and none is configured.
+
+        ``own_name`` is this computer's, by default as the system says.
+        """
+        name = (socket.gethostname() if own_name is None else own_name).lower()
+        ours = (*_NAMES, config.host, name, f"{name}.local", *config.names)
+        self._names = frozenset(one.lower().rstrip(".") for one in ours if one)
+        self.is_generated = not config.token
+        """Whether the token was drawn here."""
+        self.token = config.token or secrets.token_urlsafe(16)
+        """That others than this computer must know."""
+        self.cookie = f"ekf_companion_{config.port}"
+        """Its cookie's name: cookies do not tell ports apart."""
+
+    def refuse(self, headers: Message, query: str, address: str) -> Refusal | None:
+        """Return why a request from an address is refused, or None if it is answered."""
+        if (host := headers.get("Host")) is not None and not self._is_ours(host):
+            return Refusal(HTTPStatus.MISDIRECTED_REQUEST, _WRONG_NAME)
+        if is_loopback(address) or any(map(self.is_token, self._offered(headers, query))):
+            return None
+        return Refusal(HTTPStatus.UNAUTHORIZED, _NO_TOKEN)
+
+    def is_token(self, word: str) -> bool:
+        """Return whether a word is the token."""
+        return hmac.compare_digest(word.encode(), self.token.encode())
+
+    def _is_ours(self, host: str) -> bool:
+        name = _without_port(host)
+        return _is_address(name) or name.lower().rstrip(".") in self._names
+
+    def _offered(self, headers: Message, query: str) -> list[str]:
+        words = parse_qs(query).get("token", [])
+        scheme, _, word = headers.get("Authorization", "").partition(" ")
+        if scheme.lower() == "bearer":
+            words.append(word.strip())
+        try:
+            cookies = SimpleCookie(headers.get("Cookie", ""))
+        except CookieError:
+            return words
+        if self.cookie in cookies:
+            words.append(cookies[self.cookie].value)
+        return words
+
+
+def is_loopback(address: str) -> bool:
+    """Return whether an address is of this computer alone."""
+    found = ipaddress.ip_address(address.partition("%")[0])
+    mapped = getattr(found, "ipv4_mapped", None)
+    return bool((mapped or found).is_loopback)
+
+
+def _without_port(host: str) -> str:
+    if host.startswith("["):
+        return host[1:].partition("]")[0]
+    return host.rpartition(":")[0] if host.count(":") == 1 else host
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name.partition("%")[0])
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,50 @@
+"""The files of the page that the browser loads, read from the installed package."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+from typing import NamedTuple
+
+_KINDS = {
+    "html": "text/html; charset=utf-8",
+    "css": "text/css; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+    "svg": "image/svg+xml",
+    "txt": "text/plain; charset=utf-8",
+}
+CHARTS = ("uPlot.js", "uPlot.css")
+"""The charting library, which is put beside the page when the package is built."""
+NO_CHARTS = "This installation lacks the charting library uPlot: build it where npm is installed."
+"""Said on the page in place of the charts."""
+
+
+class Asset(NamedTuple):
+    """One file, as it is sent."""
+
+    kind: str
+    """Content type."""
+    body: bytes
+
+
+@cache
+def asset(name: str) -> Asset | None:
+    """Return a file of the page by its name, without a path; None: there is none of that name."""
+    folder = files("ekf_companion.status").joinpath("page")
+    if name not in {entry.name for entry in folder.iterdir() if entry.is_file()}:
+        return None
+    kind = _KINDS.get(name.rpartition(".")[2], "application/octet-stream")
+    return Asset(kind, folder.joinpath(name).read_bytes())
+
+
+@cache
+def index(source: str) -> bytes:
+    """Return the page itself; ``source`` is where its data comes from: ``live`` or ``log``."""
+    page = asset("index.html")
+    assert page is not None
+    missing = "" if all(asset(name) for name in CHARTS) else NO_CHARTS
+    text = page.body.decode().replace("{{source}}", source).replace("{{missing}}", missing)
+    if missing:
+        lines = text.splitlines(keepends=True)
+        text = "".join(line for line in lines if "uPlot." not in line)
+    return text.encode()

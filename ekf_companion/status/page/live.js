@@ -1,0 +1,151 @@
+/** The page of a running daemon. */
+
+import { Chart } from "./charts.js";
+import { $, fixed, isKnown, put } from "./format.js";
+import { Link } from "./link.js";
+import { Map } from "./track.js";
+import { showEvents, showFacts, showSample, showTable, showVerdict, speedOf } from "./view.js";
+
+const SPAN = 60; // s that a chart shows
+const OLD = 1.5; // s without an inertial sample
+const AIDS = ["position", "height", "velocity", "heading", "baro", "rest"];
+const dashed = { colour: "autopilot", dash: [6, 4] };
+const axes = ["x", "y", "z"].map((name, i) => ({ name, colour: `c${i + 1}` }));
+const aids = AIDS.map((name, i) => ({ name, colour: `c${i + 1}` }));
+const VERDICTS = ["fused", "deweighted", "gated", "suspect", "disturbed", "superseded", "before_alignment"];
+
+export function startLive() {
+  const map = new Map();
+  const clock = (options) => ({ chart: new Chart({ ...options, isClock: true }), rows: options.rows });
+  const charts = [
+    clock({ title: "Height", unit: "m", digits: 1, lines: [{ name: "ours", colour: "ours" }, { name: "autopilot", ...dashed }],
+      rows: (live) => [live.alt_m, live.autopilot?.alt_m] }),
+    clock({ title: "Speed over ground", unit: "m/s", lines: [{ name: "ours", colour: "ours" }, { name: "autopilot", ...dashed }],
+      rows: (live) => [speedOf(live), speedOf(live.autopilot)] }),
+    clock({ title: "Innovations over their gates", unit: "above 1: refused", bound: 1, lines: aids,
+      rows: (live) => AIDS.map((aid) => live.ratios[aid]) }),
+    clock({ title: "Gyro bias", unit: "deg/s", digits: 3, lines: axes, rows: (live) => live.gyro_bias_deg_s }),
+    clock({ title: "Accelerometer bias", unit: "m/s\u00b2", digits: 3, lines: axes, rows: (live) => live.accel_bias_m_s2 }),
+  ];
+  const nis = clock({ title: "NIS over 20 s", unit: "1: as it should be", bound: 1, lines: aids });
+  charts.forEach((one) => (one.data = [[], ...one.chart.options.lines.map(() => [])]));
+  nis.data = [[], ...AIDS.map(() => [])];
+  let count = 0;
+
+  const onLive = (live) => {
+    showSample(live, live?.autopilot, map);
+    const isOld = showAge(live);
+    if (!live) return;
+    const now = Date.now() / 1000;
+    // Without samples the estimate stands still: a gap, no line
+    for (const one of charts) append(one.data, now, isOld ? [] : one.rows(live));
+    // Half of the messages: an eye sees no more in a chart
+    if (count++ % 2 === 0) charts.forEach((one) => one.chart.set(one.data));
+  };
+  const onStatus = (status) => {
+    showState(status);
+    append(nis.data, Date.now() / 1000, AIDS.map((aid) => status.estimator?.nis?.[aid]));
+    nis.chart.set(nis.data);
+  };
+  let state = "";
+  new Link(
+    (message) => {
+      if ("live" in message) onLive(message.live);
+      if ("status" in message) onStatus(message.status);
+      if ("events" in message) showEvents(message.events.map(timed));
+    },
+    (kind, words) => {
+      put("link", words);
+      $("link").className = `badge ${kind}`;
+      document.body.classList.toggle("stale", kind === "bad");
+      // A pause shows as a gap of the lines
+      if (state === "good" && kind !== "good") charts.forEach((one) => append(one.data, Date.now() / 1000, []));
+      state = kind;
+    },
+  );
+}
+
+/** Say how old the estimate is, where no samples come; return whether that is so. */
+function showAge(live) {
+  const isOld = live !== null && !(live.age_s < OLD);
+  document.body.classList.toggle("old", isOld);
+  const words = isOld ? `${fixed(live.age_s, 0, " s")} old` : "";
+  document.querySelectorAll(".old-note").forEach((note) => put(note, words, "note old-note"));
+  return isOld;
+}
+
+/** Add one row to columns, and forget what is older than a chart shows. */
+function append(data, now, row) {
+  data[0].push(now);
+  for (let i = 1; i < data.length; i++) data[i].push(isKnown(row[i - 1]) ? row[i - 1] : null);
+  let old = 0;
+  while (data[0][old] < now - SPAN) old++;
+  if (old > 20) data.forEach((column) => column.splice(0, old));
+}
+
+const timed = ({ unix_s, level, text }) => ({ time: new Date(unix_s * 1000).toLocaleTimeString([], { hour12: false }), level, text });
+
+function showState(status) {
+  const { health, peer, estimator, output, process, imu, link, preflight, time } = status;
+  showPreflight(status);
+  put("vehicle", peer ? `${peer.family} ${peer.version}, system ${peer.system_id}${peer.is_armed ? ", armed" : ""}` : link.url);
+  const resets = Object.entries(status.resets).map(([why, n]) => `${why} ${n}`).join(", ");
+  showFacts([
+    ["estimate", estimator ? estimator.status.replace("_", " ") : "none yet", estimator?.status === "ok" ? "good" : "bad"],
+    ["ODOMETRY", output.is_allowed ? `${fixed(output.rate, 0)} Hz${output.silence ? `, ${output.silence}` : ""}` : `withheld: ${output.reason}`],
+    ["to change", output.remedy],
+    ["samples", `${imu.message || "none"}, ${fixed(imu.rate, 0)} Hz`],
+    ["age of the newest", fixed(status.sample_age_s, 1, " s"), status.sample_age_s > 1 ? "bad" : ""],
+    ...Object.entries(status.vehicle?.aids ?? {}).filter(([, aid]) => aid.state !== "none").map(([name, aid]) => [
+      name, `${aid.state}, ${aid.source}${aid.state === "used" ? `, for ${fixed(aid.since_s, 0)} s` : aid.why && `: ${aid.why}`}`,
+      aid.state === "used" || name === "rest" ? "" : "bad"]),
+    ["sigma", estimator ? `${fixed(estimator.std_horizontal, 2)} m horizontal, ${fixed(estimator.std_vertical, 2)} m vertical` : ""],
+    ["resets", resets || "none", resets ? "bad" : ""],
+    ["link", `${link.url}${link.is_open ? "" : ", closed"}`, link.is_open ? "" : "bad"],
+    ["lost frames", String(status.frames.lost)],
+    ["clock", time.is_locked ? `locked, round trip ${fixed(time.rtt_p50_ms, 1)} ms` : time.trouble || "not locked"],
+    ["recording", process.recording_trouble || (process.recorded_bytes ? `${fixed(process.recorded_bytes / 1e6, 1)} MB` : "none"), process.recording_trouble ? "bad" : ""],
+    ["processor", `${fixed(100 * process.cpu_share, 1)} % of a core, ${fixed(process.rss_mb, 0)} MB`],
+    ["temperature", Object.entries(process.temperatures).map(([name, c]) => `${name} ${fixed(c, 0)} \u00b0C`).slice(0, 3).join(", ")],
+    ["running for", `${fixed(process.uptime_s, 0)} s, version ${process.version}`],
+  ]);
+  showStages(status);
+  showRates(status.messages);
+}
+
+/** The verdict before take-off; after it, whether all works. */
+function showPreflight({ health, peer, preflight }) {
+  const isAsked = preflight && !(peer?.is_armed && peer.is_heard);
+  const isGood = isAsked ? preflight.ready : health.is_ok;
+  const kind = !health.is_healthy ? "bad" : isGood ? "good" : "wait";
+  if (!isAsked) return showVerdict(kind, health.words);
+  const sentence = preflight.ready ? "ready for take-off" : "not ready for take-off";
+  const notes = (preflight.notes ?? []).map((one) => `(${one})`);
+  return showVerdict(kind, sentence, [...preflight.reasons, ...notes], health.words);
+}
+
+/** Counters stage by stage, and what became of each aid. */
+function showStages({ link, frames, estimator, output }) {
+  const arrivals = estimator?.arrivals ?? {};
+  const all = (why) => Object.values(arrivals).reduce((sum, one) => sum + (one[why] ?? 0), 0);
+  const bad = (count) => [count.toLocaleString("en"), count ? "bad" : ""];
+  const good = (count) => count.toLocaleString("en");
+  showTable("counts", ["stage", "passed", "lost or refused"], [
+    ["bytes", good(link.bytes_in), bad(link.dropped)],
+    ["frames", good(frames.frames), bad(frames.lost + frames.bad_crc)],
+    ["measurements", good(all("taken") + all("estimated")), bad(all("malformed") + all("stale"))],
+    ["inertial samples", good(estimator?.samples ?? 0), [`${estimator?.gaps ?? 0} gaps`, estimator?.gaps ? "bad" : ""]],
+    ["ODOMETRY", good(output.sent.ODOMETRY ?? 0), bad(output.unsent + output.withheld)],
+  ]);
+  const verdicts = estimator?.verdicts ?? {};
+  const shown = VERDICTS.filter((why) => Object.values(verdicts).some((counts) => counts[why]));
+  showTable("stages", ["aid", ...shown.map((why) => why.replace("_", " "))],
+    Object.entries(verdicts).map(([aid, counts]) => [aid, ...shown.map((why) => [String(counts[why] ?? 0), why === "gated" && counts[why] ? "bad" : ""])]));
+}
+
+function showRates(messages) {
+  const asked = ([, one]) => (one.asked ? 0 : 1);
+  showTable("rates", ["message", "asked", "got", "answer"],
+    Object.entries(messages).filter(([, one]) => one.asked || one.rate > 0.05).sort((a, b) => asked(a) - asked(b)).map(([name, one]) => [
+      name, one.asked ? fixed(one.asked, 0) : "", [fixed(one.rate, 1), one.cause ? "bad" : ""], one.cause || one.answer]));
+}

@@ -1,0 +1,84 @@
+"""What the page is given of a log."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from ekf_companion.analysis import log_view
+from ekf_companion.analysis.flight_review import review
+from ekf_companion.config.config import Config
+from ekf_companion.nav import so3
+from ekf_companion.nav.state import Trajectory
+from sim_autopilot.__main__ import app
+
+SECOND_NS = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    path = tmp_path_factory.mktemp("view") / "flight.tlog"
+    options = ["generate", "--duration", "20", "--scenario", "figure-eight", "-o", str(path)]
+    assert CliRunner().invoke(app, options).exit_code == 0
+    return review(path, Config())
+
+
+@pytest.fixture(scope="module")
+def data(flight):
+    return json.loads(log_view.to_json(flight))
+
+
+def test_the_columns_are_as_long_as_the_slider(data):
+    moments = len(data["t"])
+    assert 1000 < moments <= log_view.MOMENTS
+    assert data["t"][0] == 0.0
+    for columns in (data["ours"], data["estimate"], data["others"][0]["columns"]):
+        assert {len(values) for values in columns.values()} == {moments}
+
+
+def test_a_moment_is_the_estimate_of_that_moment(flight, data):
+    at = len(data["t"]) // 2
+    table = flight.table
+    row = np.argmin(np.abs((table.stamp_ns - table.stamp_ns.min()) * 1e-9 - data["t"][at]))
+    assert data["ours"]["lat_deg"][at] == pytest.approx(table.column("lat_deg")[row], abs=2e-7)
+    assert data["ours"]["v_north"][at] == pytest.approx(table.column("vel_n")[row], abs=0.05)
+    heading = math.degrees(table.column("yaw")[row]) % 360.0
+    turned = (data["ours"]["heading_deg"][at] - heading + 180.0) % 360.0 - 180.0
+    assert turned == pytest.approx(0.0, abs=1.0)
+    sigma = data["estimate"]["sd_yaw"][at]
+    assert sigma == pytest.approx(math.degrees(table.column("sd_yaw")[row]), abs=0.01)
+
+
+def test_innovations_have_bounds_and_looks_have_counts(data):
+    found = data["innovations"]
+    assert set(found["values"]) == set(found["bounds"])
+    assert {len(values) for values in found["values"].values()} == {len(found["t"])}
+    assert sum(data["looks"]["fused"]["position"]) > 20
+
+
+def test_events_are_in_the_order_of_time(data):
+    times = [event["t"] for event in data["events"]]
+    assert times == sorted(times)
+    assert any("Estimate is OK" in event["text"] for event in data["events"])
+
+
+def test_an_attitude_between_two_is_on_the_short_way():
+    yaw = np.deg2rad([170.0, -170.0])
+    q_nb = so3.from_euler(0.0 * yaw, 0.0 * yaw, yaw)
+    q_nb[1] *= -1.0
+    turning = Trajectory(name="", att_t_ns=np.array([0, SECOND_NS]), q_nb=q_nb)
+    found = log_view._trajectory(turning, np.array([SECOND_NS // 2]))
+    assert found["heading_deg"] == [pytest.approx(180.0, abs=0.1)]
+
+
+def test_where_no_row_is_near_nothing_is_known():
+    standing = Trajectory(
+        name="",
+        vel_t_ns=np.array([0, 10 * SECOND_NS]),
+        vel_n=np.ones((2, 3)),
+    )
+    found = log_view._trajectory(standing, np.array([SECOND_NS // 2, 5 * SECOND_NS]))
+    assert found["v_north"][0] == 1.0
+    assert math.isnan(found["v_north"][1])

@@ -1,0 +1,70 @@
+"""Whom the HTTP server answers."""
+
+from email.message import Message
+from http import HTTPStatus
+
+import pytest
+
+from ekf_companion.config.service import HttpConfig
+from ekf_companion.daemon.access import Access
+
+TOKEN = "tomato-soup"
+HERE, THERE = "127.0.0.1", "192.168.1.7"
+
+
+def refusal(address=HERE, query="", config=None, **headers):
+    message = Message()
+    for name, value in headers.items():
+        message[name] = value
+    access = Access(config or HttpConfig(token=TOKEN), own_name="Board7")
+    found = access.refuse(message, query, address)
+    return None if found is None else found.status
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["localhost:9331", "127.0.0.1:9331", "[::1]:9331", "192.168.1.5", "board7", "BOARD7.local:80"],
+)
+def test_addresses_and_own_names_are_answered(host):
+    assert refusal(Host=host) is None
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:9331", "", "x:y:z"])
+def test_a_name_that_somebody_lets_point_here_is_refused(host):
+    assert refusal(Host=host) is HTTPStatus.MISDIRECTED_REQUEST
+
+
+def test_a_name_of_the_configuration_is_answered():
+    config = HttpConfig(names=("Drone.lan",))
+    assert refusal(config=config, Host="drone.lan:9331") is None
+
+
+def test_a_request_without_a_name_is_of_no_browser():
+    assert refusal() is None
+
+
+def test_another_computer_needs_the_token():
+    assert refusal(THERE) is HTTPStatus.UNAUTHORIZED
+    assert refusal(THERE, query="token=tomato") is HTTPStatus.UNAUTHORIZED
+    assert refusal(THERE, Cookie=f"ekf_companion_9332={TOKEN}") is HTTPStatus.UNAUTHORIZED
+    assert refusal(THERE, Authorization=f"Basic {TOKEN}") is HTTPStatus.UNAUTHORIZED
+    assert refusal(THERE, query=f"token={TOKEN}") is None
+    assert refusal(THERE, Cookie=f"a=b; ekf_companion_9331={TOKEN}") is None
+    assert refusal(THERE, Authorization=f"Bearer {TOKEN}") is None
+
+
+def test_the_token_does_not_excuse_a_foreign_name():
+    assert refusal(THERE, query=f"token={TOKEN}", Host="evil.example") is not None
+
+
+@pytest.mark.parametrize("address", ["::1", "::ffff:127.0.0.1", "127.8.8.8"])
+def test_this_computer_is_not_asked(address):
+    assert refusal(address) is None
+
+
+def test_a_token_is_drawn_anew_where_none_is_configured():
+    one, other = Access(HttpConfig()), Access(HttpConfig())
+    assert one.is_generated
+    assert len(one.token) >= 16
+    assert one.token != other.token
+    assert not Access(HttpConfig(token=TOKEN)).is_generated

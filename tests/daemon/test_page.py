@@ -1,0 +1,159 @@
+"""The page in a browser, beside the real daemon and a fake autopilot that flies."""
+
+import contextlib
+import re
+import socket
+import subprocess
+import sys
+import threading
+
+import pytest
+from typer.testing import CliRunner
+
+from ekf_companion.status import assets
+from sim_autopilot.__main__ import app
+from sim_autopilot.autopilot import Kind
+from sim_autopilot.fly import fly, over, run
+from tests.browser import chromium
+from tests.daemon.test_daemon import Daemon, Open, free_port, plan
+from tests.daemon.waiting import LIMIT
+
+
+@contextlib.contextmanager
+def flying(url):
+    """Fly in time until the context ends."""
+    flight = Open(plan(600.0, boot=20.0, skip=6.0))
+
+    async def body(link):
+        await fly(flight, link, personality=Kind.PX4, wait=LIMIT)
+
+    thread = threading.Thread(target=lambda: run(over(url, body)))
+    thread.start()
+    try:
+        yield flight
+    finally:
+        flight.land()
+        thread.join()
+
+
+@pytest.fixture
+def ports():
+    return free_port(), free_port(socket.SOCK_STREAM)
+
+
+def start(folder, ports):
+    """Start the daemon on two ports, its link's and its page's."""
+    folder.mkdir(exist_ok=True)
+    port, http_port = ports
+    config = f"http: {{port: {http_port}}}\noutput: {{odometry: {{mode: always}}}}\n"
+    return Daemon(folder, "--link", f"udpin:127.0.0.1:{port}", config=config)
+
+
+def drawn(selector):
+    """Return an expression that is another text once a canvas shows another picture."""
+    return f"document.querySelector('{selector}').toDataURL().length + ''"
+
+
+def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
+    """Connects, plots move, link loss is shown and recovered from, and the console has no error."""
+    with chromium(tmp_path) as tab, flying(f"udpout:127.0.0.1:{ports[0]}") as flight:
+        with start(tmp_path, ports) as daemon:
+            daemon.wait_for("Status on")
+            tab.show(1280, 900)
+            tab.open(f"http://127.0.0.1:{ports[1]}/")
+            tab.wait_for("document.querySelector('#link')?.textContent == 'live'")
+            tab.wait_for("document.querySelector('#lat').textContent.startsWith('47.3')")
+            pictures = {}
+            for selector in ("#horizon", "#map", ".chart canvas"):
+                pictures[selector] = tab.value(drawn(selector))
+            for selector, before in pictures.items():
+                tab.wait_for(f"{drawn(selector)} != '{before}'")
+            tab.wait_for("document.querySelectorAll('#rates tbody tr').length > 3")
+            tab.wait_for("document.querySelector('#events').textContent.includes('Estimate is OK')")
+            assert tab.errors == []
+            # An autopilot that falls silent, and one that speaks again
+            flight.land()
+            tab.wait_for("document.body.classList.contains('old')")
+            tab.wait_for("document.querySelector('.old-note').textContent.endsWith(' s old')")
+            with flying(f"udpout:127.0.0.1:{ports[0]}"):
+                tab.wait_for("!document.body.classList.contains('old')")
+            assert tab.errors == []
+        tab.wait_for("document.querySelector('#link').textContent.startsWith('no connection')")
+        tab.wait_for("document.body.classList.contains('stale')")
+        with start(tmp_path, ports):
+            tab.wait_for("document.querySelector('#link').textContent == 'live'")
+            tab.wait_for("!document.body.classList.contains('stale')")
+            # That nothing answered is the browser's own line, which no page can prevent
+            others = [one for one in tab.errors if "ERR_CONNECTION" not in str(one)]
+            assert others == []
+
+
+@contextlib.contextmanager
+def viewing(log):
+    """Run ``ekf-companion view`` over a log; yield its address."""
+    command = [sys.executable, "-W", "error", "-m", "ekf_companion", "view", str(log)]
+    with subprocess.Popen([*command, "--no-browser"], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline().startswith(("good", "fair", "poor"))
+        try:
+            yield process.stdout.readline().split()[0]
+        finally:
+            process.terminate()
+            assert process.wait(LIMIT) == 0
+
+
+def test_a_log_is_shown_with_a_slider_and_both_estimates(tmp_path):
+    log = tmp_path / "flight.tlog"
+    options = ["generate", "--duration", "20", "--scenario", "figure-eight", "-o", str(log)]
+    assert CliRunner().invoke(app, options).exit_code == 0
+    with viewing(log) as url, chromium(tmp_path) as tab:
+        tab.show(1280, 900)
+        tab.open(url)
+        tab.wait_for("document.querySelector('#link')?.textContent == 'log'")
+        assert tab.text("#sentence").startswith("good: ")
+        before = [tab.text(one) for one in ("#clock", "#roll", "#autopilot-roll")]
+        move = "slider.value = 0.7 * slider.max; slider.dispatchEvent(new Event('input'))"
+        tab.value(f"(() => {{ const slider = document.querySelector('#time'); {move} }})()")
+        after = [tab.text(one) for one in ("#clock", "#roll", "#autopilot-roll")]
+        assert all(one != other for one, other in zip(before, after, strict=True))
+        assert tab.value("document.querySelectorAll('.chart').length") >= 10
+        tab.value("document.querySelector('#play').click()")
+        tab.wait_for(f"document.querySelector('#clock').textContent != '{after[0]}'")
+        assert tab.errors == []
+
+
+def test_without_the_charting_library_the_page_says_so_and_works(monkeypatch):
+    found = assets.asset
+
+    def absent(name):
+        return None if name.startswith("uPlot") else found(name)
+
+    monkeypatch.setattr(assets, "asset", absent)
+    page = assets.index.__wrapped__("live").decode()
+    assert assets.NO_CHARTS in page
+    assert "uPlot.js" not in page
+    assert "main.js" in page
+
+
+def test_all_that_the_page_loads_is_in_the_package():
+    page = assets.index("live").decode()
+    assert assets.NO_CHARTS not in page
+    loaded = set(re.findall(r'(?:src|href)="page/([^"]+)"', page))
+    for name in sorted(loaded):
+        if name.endswith(".js") and not name.startswith("uPlot"):
+            loaded |= imported(name)
+    assert {"main.js", "live.js", "page.css", "uPlot.js"} <= loaded
+    assert all(assets.asset(name) for name in loaded)
+    assert assets.asset("uPlot.LICENSE.txt")
+    assert "://" not in page.replace("http://www.w3.org", "")
+
+
+def imported(name, seen=frozenset()):
+    """Return the modules that a module imports, and theirs."""
+    text = assets.asset(name).body.decode()
+    found = set(re.findall(r'from "\./([^"]+)"', text)) - seen
+    return found.union(*(imported(one, seen | found) for one in found)) if found else found
+
+
+@pytest.mark.parametrize("name", ["../assets.py", "..", "", "absent.js", "%2e%2e/live.py"])
+def test_no_other_file_is_an_asset(name):
+    assert assets.asset(name) is None
