@@ -21,7 +21,8 @@ from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).resolve().parent
 CORE = ROOT / "ekf_companion" / "core"
-LOGS = ROOT / "ekf_companion" / "logs"
+READERS = ("logs", "mavlink", "mavlink/decode")
+"""Other rooms with modules that are compiled."""
 DECLARED = ("enums", "state", "parameters", "scratch")
 """Modules whose structs and numbers the compiler is told of by a file that is made here."""
 HEADERS_ONLY = ("memory",)
@@ -97,7 +98,9 @@ declare()
 needs_npm = shutil.which("npm") is None and platform.machine() in ("x86_64", "aarch64")
 names = sorted({path.stem for path in CORE.glob("*.pxd")} - {*DECLARED, *HEADERS_ONLY})
 modules = [f"core.{name}" for name in names]
-modules += sorted(f"logs.{path.stem}" for path in LOGS.glob("*.pxd"))
+for room in READERS:
+    found = (ROOT / "ekf_companion" / room).glob("*.pxd")
+    modules += sorted(f"{room.replace('/', '.')}.{path.stem}" for path in found)
 setup(
     cmdclass={"build_py": BuildWithPage},
     # pip brings npm where the system has none

@@ -25,7 +25,7 @@ PARTS = {
 }
 TITLES = {
     "steps": "The filter's step (one thread, this machine)",
-    "logs": "Recorded flights",
+    "logs": "Recorded flights (per row: processor time)",
     "daemon": "The daemon over loopback UDP",
     "page": "The daemon's page, with inertial samples at 250 Hz",
 }

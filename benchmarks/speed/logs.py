@@ -1,42 +1,116 @@
-"""How fast a telemetry log becomes a table of estimates."""
+"""Time and memory from a log to a file of estimates, beside what others take to open the log.
+
+Each conversion is a process of its own, ours and the peers' in turn, several times; medians count.
+A second of a busy machine is no second: so the processor's time per row is what is compared.
+"""
 
 from __future__ import annotations
 
-import time
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.speed import jobs, recordings
+from benchmarks.speed.jobs import Cost
 from benchmarks.speed.result import Result
-from ekf_companion.config.config import Config
-from ekf_companion.replay.convert import convert
-from sim_autopilot.autopilot import Autopilot
-from sim_autopilot.config import SimConfig
-from sim_autopilot.flight import Flight
-from sim_autopilot.recording import TlogWriter
+
+MEMORY = 300.0
+"""MB, whatever the length."""
+AIMS = {".tlog": 5.0, ".bin": 4.0, ".csv": 4.0, ".mcap": 8.0, ".parquet": 8.0}
+"""Largest time per row wanted, us; for a .ulg, 1.2 of what pyulog takes to open it, and 3 us."""
+PEERS = {
+    ".tlog": (
+        "mavutil, reading",
+        "import sys; from pymavlink import mavutil\n"
+        "log = mavutil.mavlink_connection(sys.argv[1])\n"
+        "while log.recv_match() is not None: pass",
+    ),
+    ".bin": (
+        "DFReader, reading",
+        "import sys; from pymavlink import DFReader\n"
+        "log = DFReader.DFReader_binary(sys.argv[1])\n"
+        "while log.recv_msg() is not None: pass",
+    ),
+    ".ulg": ("pyulog, opening", "import sys; from pyulog import ULog; ULog(sys.argv[1])"),
+    ".csv": ("pandas, reading", "import sys; import pandas; pandas.read_csv(sys.argv[1])"),
+}
+START = {
+    "start: --help": (["--help"], 0.15),
+    "start: a log of 2 s to CSV": (["convert", "{log}", "-o", "{out}"], 0.35),
+}
 
 
-def measure(duration: float = 600.0) -> Iterator[Result]:
-    """Time the conversion of a generated .tlog with inertial samples at 250 Hz."""
-    with TemporaryDirectory() as folder:
-        log, out = Path(folder) / "flight.tlog", Path(folder) / "estimate.csv"
-        _write(log, duration)
-        began = time.perf_counter()
-        report = convert(log, out, Config())
-        spent = time.perf_counter() - began
-        yield Result(name=f".tlog of {duration:g} s to CSV", value=spent, unit="s")
-        yield Result(name="speed over real time", value=duration / spent, unit="times")
-        per_row = spent / report.estimates * 1e6
-        yield Result(name="the whole conversion, per row", value=per_row, unit="us")
-        yield Result(name="size of the .tlog", value=log.stat().st_size / 1e6, unit="MB")
-        yield Result(name="size of the CSV", value=out.stat().st_size / 1e6, unit="MB")
+def measure(
+    durations: tuple[float, ...] = (600.0, 3600.0, 10_800.0), rounds: int = 3
+) -> Iterator[Result]:
+    """Convert a flight of each duration from each format; the longest of 1 h and less to others."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        for duration in durations:
+            yield from _of_duration(folder, duration, rounds if duration <= 3600.0 else 1)
+        yield from _start(folder, rounds)
 
 
-def _write(path: Path, duration: float) -> None:
-    flight = Flight.plan("figure-eight", SimConfig(), duration=duration)
-    autopilot = Autopilot(flight.config)
-    with TlogWriter(path, flight.config.home.unix) as writer:
-        for cycle in flight.cycles():
-            autopilot.cycle(cycle)
-            for frame in autopilot.data_to_send():
-                writer.write(cycle.t_ns, frame)
+def _of_duration(folder: Path, duration: float, rounds: int) -> Iterator[Result]:
+    # Made elsewhere: a process begins with the peak memory of the one that starts it
+    jobs.run([sys.executable, "-m", "benchmarks.speed.recordings", str(folder), str(duration)])
+    rows = round(duration * recordings.RATE)
+    logs = {suffix: folder / f"flight{suffix}" for suffix in PEERS}
+    what = f"{duration / 60.0:g} min"
+    work = {
+        f"{what} {suffix} to .csv": _convert(log, folder / f"out{suffix}.csv")
+        for suffix, log in logs.items()
+    }
+    work |= {
+        f"{what} .ulg to {suffix}": _convert(logs[".ulg"], folder / f"out{suffix}")
+        for suffix in (".mcap", ".parquet")
+    }
+    work[f"{what} .ulg to .csv, smoothed"] = [
+        *_convert(logs[".ulg"], folder / "smooth.csv"),
+        "--smooth",
+    ]
+    if duration <= 3600.0:
+        work |= {
+            f"{what} {suffix}: {peer}": jobs.python(code, str(logs[suffix]))
+            for suffix, (peer, code) in PEERS.items()
+        }
+    costs = jobs.interleaved(work, rounds)
+    peer = costs.get(f"{what} .ulg: {PEERS['.ulg'][0]}")
+    for name, cost in costs.items():
+        yield from _results(name, cost, rows, peer)
+    for path in folder.iterdir():
+        path.unlink()
+
+
+def _convert(log: Path, out: Path) -> list[str]:
+    return [sys.executable, "-m", "ekf_companion", "convert", str(log), "-o", str(out)]
+
+
+def _results(name: str, cost: Cost, rows: int, pyulog: Cost | None) -> Iterator[Result]:
+    """Return time and memory; only our own have an aim."""
+    is_ours = " to ." in name
+    aim = None
+    if is_ours and not name.endswith("smoothed"):
+        source, target = name.split()[2], name.split()[-1]
+        aim = AIMS.get(target if target != ".csv" else source)
+        if aim is None and pyulog is not None:
+            aim = 1.2 * pyulog.cpu / rows * 1e6 + 3.0
+    yield Result(name=f"{name}, by the clock", value=cost.seconds, unit="s")
+    yield Result(name=f"{name}, per row", value=cost.cpu / rows * 1e6, unit="us", aim=aim)
+    memory = MEMORY if is_ours else None
+    yield Result(name=f"{name}, peak memory", value=cost.peak, unit="MB", aim=memory)
+
+
+def _start(folder: Path, rounds: int) -> Iterator[Result]:
+    log, out = folder / "short.tlog", folder / "short.csv"
+    recordings.write_tlog(log, recordings.plan(2.0))
+    program = [sys.executable, "-m", "ekf_companion"]
+    work = {
+        name: [*program, *(one.format(log=log, out=out) for one in arguments)]
+        for name, (arguments, _) in START.items()
+    }
+    work["start: mavutil's import"] = jobs.python("from pymavlink import mavutil")
+    for name, cost in jobs.interleaved(work, 2 * rounds).items():
+        aim = START[name][1] if name in START else None
+        yield Result(name=name, value=cost.seconds, unit="s", aim=aim)

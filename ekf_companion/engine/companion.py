@@ -29,11 +29,12 @@ from ekf_companion.mavlink.commands import Stream
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import GuardChanged, IntervalSet, ParameterSet, PeerFound, Rebooted
+from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.outbox import Message, Outgoing
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import SECOND_NS
-from ekf_companion.nav.measurements import ImuSample
+from ekf_companion.nav.measurements import ImuSample, Measurement
 from ekf_companion.nav.state import Status
 
 UNFED_NS = 2 * SECOND_NS
@@ -106,20 +107,30 @@ class Companion:
         """
         messages: list[Message] = []
         for measurements in self.session.steps(data, now_ns, sender):
-            # Begin with a new autopilot, take what somebody has set
-            if self.session.has_events:
-                self._handle_events(now_ns)
-            if self.pipeline is None:
-                continue
-            for measurement in measurements:
-                # Go on from a checkpoint, if there is one that fits the first inertial sample
-                if not self._has_sample and isinstance(measurement, ImuSample):
-                    self._start_from(measurement, self.pipeline, now_ns)
-                # Order and fuse it; the newest inertial sample gives an estimate
-                estimate = self.pipeline.process(measurement)
-                if estimate is not None:
-                    # Send what is due of it
-                    messages += self._publish(estimate, now_ns)
+            messages += self._process(measurements, now_ns)
+        return messages
+
+    def receive_frame(self, frame: Frame, now_ns: int) -> list[Message]:
+        """Process a whole frame of a known message, as :meth:`receive` does its bytes."""
+        return self._process(self.session.receive_frame(frame, now_ns), now_ns)
+
+    def _process(self, measurements: list[Measurement], now_ns: int) -> list[Message]:
+        """Process what a frame measured, and what has happened with it."""
+        # Begin with a new autopilot, take what somebody has set
+        if self.session.has_events:
+            self._handle_events(now_ns)
+        messages: list[Message] = []
+        if self.pipeline is None:
+            return messages
+        for measurement in measurements:
+            # Go on from a checkpoint, if there is one that fits the first inertial sample
+            if not self._has_sample and isinstance(measurement, ImuSample):
+                self._start_from(measurement, self.pipeline, now_ns)
+            # Order and fuse it; the newest inertial sample gives an estimate
+            estimate = self.pipeline.process(measurement)
+            if estimate is not None:
+                # Send what is due of it
+                messages += self._publish(estimate, now_ns)
         return messages
 
     def tick(self, now_ns: int) -> None:

@@ -33,9 +33,10 @@ map: :mod:`ekf_companion.logs.csv_known`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,7 +58,8 @@ from ekf_companion.logs.table import Table
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
+from ekf_companion.nav.event_columns import EventColumns, MergedEvents
+from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 
 Columns = dict[str, Array]
 """Quantities in SI and radians, NaN where a row has none."""
@@ -107,23 +109,26 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     values = _values(table, sources)
     del table  # of an hour it has a hundred megabytes
     t_ns, row, values = _in_time(path, sources, values, notes)
-    events: list[tuple[Events, Mask]] = []
-    events += _gnss(where, t_ns, values, hold, options.get("origin"), notes)
-    events += _heading(where, t_ns, values, hold, options.get("heading_source", "magnetometer"))
-    if "heading" in values and "heading_std" not in values:
+    has_std = "heading_std" in values or "heading" not in values
+    constant = {name for name, source in sources.items() if source.column is None}
+    gnss, heading, mag, baro, imu = (
+        _part(t_ns, values, begin, constant) for begin in ("gps_", "heading", "mag_", "baro_", "")
+    )
+    events = _gnss(where, gnss, hold, options.get("origin"), notes)
+    events += _heading(where, heading, hold, options.get("heading_source", "magnetometer"))
+    if not has_std:
         notes.append(f"accuracy not declared, so assumed (deg): heading_std {HEADING_STD_DEG:g}")
-    events += _sensor("mag", Kind.MAG, t_ns, values, hold)
-    events += _barometer(t_ns, values, hold)
-    events += _sensor("imu", Kind.IMU, t_ns, values, hold)
+    events += _sensor("mag", Kind.MAG, mag, hold) + _barometer(baro, hold)
+    events += _sensor("imu", Kind.IMU, imu, hold)
     if not events:
         raise LogError(
             f"{path}: no measurement found; declare its columns in {path.name}.columns.yaml "
             f"(quantities: {', '.join(QUANTITIES)})"
         )
-    taken = [(found, row[mask]) for found, mask in events]
+    arrivals = [row[at] for _, at in events]
     return Recording(
         family="unknown",
-        events=merge(*(kept for kept, _ in taken), arrival_ns=[at for _, at in taken]),
+        events=MergedEvents([found for found, _ in events], arrivals),
         notes=tuple(notes),
     )
 
@@ -133,14 +138,20 @@ def _values(table: Table, sources: Mapping[str, Source]) -> Columns:
     names = sorted({source.column for source in sources.values() if source.column is not None})
     raw = table.read(names)
     n = len(raw[names[0]]) if names else 0
+    left = Counter(source.column for source in sources.values())
     values: Columns = {}
     for name, source in sources.items():
-        column = np.full(n, source.value) if source.column is None else raw[source.column]
-        if name == "time":
-            values[name] = column
-            continue
-        # No sensor measures 1e30, which would overflow when scaled
-        values[name] = np.where(np.abs(column) < 1e30, column, np.nan) * source.scale
+        left[source.column] -= 1
+        if source.column is None:
+            column = np.full(n, source.value)
+        else:
+            # Of an hour a column has 7 MB: the last who needs one need not copy it
+            column = raw[source.column].copy() if left[source.column] else raw.pop(source.column)
+        values[name] = column
+        if name != "time":
+            # No sensor measures 1e30, which would overflow when scaled
+            column[~(np.abs(column) < 1e30)] = np.nan
+            column *= source.scale
     return values
 
 
@@ -168,40 +179,70 @@ def _in_time(
     row, t_ns = row[kept], t_ns[kept]
     if lost:
         values = {name: column[row] for name, column in values.items()}
-    return t_ns, row, dict(values)
+    return t_ns, row, values
 
 
-Found = list[tuple[Events, Mask]]
-"""Events, and in which rows there is one."""
+class _Part(NamedTuple):
+    """The rows of the file that hold any quantity of a sensor."""
+
+    total: int
+    """Rows of the file."""
+    row: Indices
+    """Their numbers."""
+    t_ns: Stamps
+    values: Columns
+    is_apart: Mask
+    """Whether the row before holds none."""
+
+    def changed(self, *columns: Array) -> Mask:
+        """Return in which rows a column differs from the row before in the file."""
+        return np.asarray(series.changed(*columns) | self.is_apart)
+
+
+def _part(t_ns: Stamps, values: Columns, begin: str, constant: Collection[str]) -> _Part:
+    """Take the quantities whose names begin so out of the table."""
+    chosen = {name: values.pop(name) for name in [*values] if name.startswith(begin)}
+    any_known = np.zeros(len(t_ns), dtype=bool)
+    for name in chosen.keys() - constant:
+        any_known |= np.isfinite(chosen[name])
+    row = np.flatnonzero(any_known)
+    if len(row) < len(t_ns):
+        chosen = {name: column[row] for name, column in chosen.items()}
+    is_apart = np.diff(row, prepend=-2) != 1
+    return _Part(len(t_ns), row, t_ns[row], chosen, is_apart)
+
+
+Found = list[tuple[EventColumns, Indices]]
+"""Events, and the numbers of their rows."""
 
 
 def _found(
-    t_ns: Stamps,
+    part: _Part,
     kind: Kind,
     columns: Sequence[Array | float],
     needed: list[Array],
     held: list[Array] | None,
 ) -> Found:
     """Return events where the needed columns are known and, where values are held, have changed."""
-    mask = np.ones(len(t_ns), dtype=bool)
+    mask = np.ones(len(part.row), dtype=bool)
     for column in needed:
         mask &= np.isfinite(column)
     if held is not None:
-        mask &= series.changed(*held)
+        mask &= part.changed(*held)
     if not mask.any():
         return []
-    kept = [one[mask] if isinstance(one, np.ndarray) else one for one in columns]
-    return [(Events.from_columns(t_ns[mask], kind, *kept), mask)]
+    return [(EventColumns(part.t_ns, kind, *columns).take(mask), part.row[mask])]
 
 
-def _sensor(group: str, kind: Kind, t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
-    if not values.keys() >= {*GROUPS[group]}:
+def _sensor(group: str, kind: Kind, part: _Part, hold: list[str]) -> Found:
+    if not part.values.keys() >= {*GROUPS[group]}:
         return []
-    axes = [values[name] for name in GROUPS[group]]
-    return _found(t_ns, kind, axes, axes, axes if group in hold else None)
+    axes = [part.values[name] for name in GROUPS[group]]
+    return _found(part, kind, axes, axes, axes if group in hold else None)
 
 
-def _barometer(t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
+def _barometer(part: _Part, hold: list[str]) -> Found:
+    values = part.values
     if "baro_alt" in values:
         alt = values["baro_alt"]
     elif "baro_press" in values:
@@ -211,10 +252,11 @@ def _barometer(t_ns: Stamps, values: Columns, hold: list[str]) -> Found:
     else:
         return []
     held = [alt] if "baro" in hold else None
-    return _found(t_ns, Kind.BARO, [alt], [alt], held)
+    return _found(part, Kind.BARO, [alt], [alt], held)
 
 
-def _heading(where: str, t_ns: Stamps, values: Columns, hold: list[str], source: Any) -> Found:
+def _heading(where: str, part: _Part, hold: list[str], source: Any) -> Found:
+    values = part.values
     known = {member.name.lower(): member for member in HeadingSource}
     if source not in known:
         raise LogError(f"{where}: heading_source: {source!r}; known are {', '.join(known)}")
@@ -224,18 +266,11 @@ def _heading(where: str, t_ns: Stamps, values: Columns, hold: list[str], source:
     std = series.accuracy(values.get("heading_std", np.nan * heading), HEADING_STD_DEG * DEGREE)
     columns = (so3.wrap(heading), std, float(known[source]))
     held = [heading] if "heading" in hold else None
-    return _found(t_ns, Kind.HEADING, columns, [heading], held)
+    return _found(part, Kind.HEADING, columns, [heading], held)
 
 
-def _gnss(
-    where: str,
-    t_ns: Stamps,
-    values: Columns,
-    hold: list[str],
-    origin: Any,
-    notes: list[str],
-) -> Found:
-    n = len(t_ns)
+def _gnss(where: str, part: _Part, hold: list[str], origin: Any, notes: list[str]) -> Found:
+    values, n = part.values, len(part.row)
     if "gps_north" in values:
         ned = np.stack([values["gps_north"], values["gps_east"], -values["gps_h"]], axis=1)
         lat, lon, alt = _origin(where, origin).to_geodetic(ned)
@@ -259,14 +294,14 @@ def _gnss(
     columns: list[Any] = [*position, *velocity, *std, np.nan, float(GnssFlag.NONE)]
     # A new fix moves; loggers update altitude, speed and course some rows later
     held = [lat, lon]
-    repeated = int((np.isfinite(lat[1:]) & ~series.changed(*held)[1:]).sum())
-    if "gps" not in hold and repeated > n / 2:
+    repeated = int((np.isfinite(lat[1:]) & ~part.changed(*held)[1:]).sum())
+    if "gps" not in hold and repeated > part.total / 2:
         notes.append(
-            f"{repeated} of {n} rows repeat the GPS values of the row before: if the file holds "
-            "them until new ones come, declare hold: [gps]"
+            f"{repeated} of {part.total} rows repeat the GPS values of the row before: if the file "
+            "holds them until new ones come, declare hold: [gps]"
         )
     needed = [lat, lon, alt]
-    return _found(t_ns, Kind.GNSS, columns, needed, held if "gps" in hold else None)
+    return _found(part, Kind.GNSS, columns, needed, held if "gps" in hold else None)
 
 
 def _origin(where: str, origin: Any) -> LocalFrame:

@@ -5,12 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import orjson
 
 from ekf_companion.logs.writer import STATUS_NAMES, EstimateWriter
+from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.state import COLUMNS, Table
 
 _STATUS = COLUMNS.index("status") - 1
+AT_ONCE = 1024
+"""Lines that are made at once: their text stays in the processor's cache."""
 _NAMES = [name.encode() for name in STATUS_NAMES]
 
 
@@ -23,17 +27,29 @@ class Writer(EstimateWriter):
 
     def write(self, table: Table) -> None:
         """Append a line for each estimate."""
-        if len(table) == 0:
-            return
-        values = table.values
+        for first in range(0, len(table), AT_ONCE):
+            rows = slice(first, first + AT_ONCE)
+            self._write_lines(table.stamp_ns[rows], table.values[rows])
+
+    def _write_lines(self, stamp_ns: Stamps, values: Array) -> None:
         # JSON prints the shortest digits that read back the same, and does it fast
         text = orjson.dumps(
             np.ascontiguousarray(values[:, :_STATUS]), option=orjson.OPT_SERIALIZE_NUMPY
         )
-        bodies = text[2:-2].replace(b"null", b"").split(b"],[")
-        stamps = orjson.dumps(table.stamp_ns // 1000, option=orjson.OPT_SERIALIZE_NUMPY)
-        times = stamps[1:-1].split(b",")
-        names = [_NAMES[status] for status in values[:, _STATUS].astype(int).tolist()]
-        resets = values[:, _STATUS + 1].astype(int).tolist()
-        lines = [b"%s,%s,%s,%d\n" % line for line in zip(times, bodies, names, resets, strict=True)]
-        self.file.write(b"".join(lines))
+        stamps = orjson.dumps(stamp_ns // 1000, option=orjson.OPT_SERIALIZE_NUMPY)
+        parts = [b","] * (4 * len(values))
+        parts[0::4] = stamps[1:-1].split(b",")
+        parts[2::4] = text[2:-2].replace(b"null", b"").split(b"],[")
+        parts[3::4] = _ends(values[:, _STATUS : _STATUS + 2].astype(np.int64))
+        self.file.write(b"".join(parts))
+
+
+def _ends(numbers: npt.NDArray[np.int64]) -> list[bytes]:
+    """Return the ends of lines, of the numbers of status and resets, shape (n, 2)."""
+    firsts = np.flatnonzero((numbers[1:] != numbers[:-1]).any(axis=1)) + 1
+    firsts = np.concatenate([[0], firsts])
+    counts = np.diff(firsts, append=len(numbers)).tolist()
+    ends: list[bytes] = []
+    for (status, resets), count in zip(numbers[firsts].tolist(), counts, strict=True):
+        ends += [b",%s,%d\n" % (_NAMES[status], resets)] * count
+    return ends

@@ -9,7 +9,6 @@ AP_InertialSensor, AP_Compass, AP_Baro, AP_AHRS, AP_NavEKF3 and SITL (fields, un
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +22,11 @@ from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps
-from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
+from ekf_companion.nav.event_columns import EventColumns, MergedEvents
+from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 from ekf_companion.nav.mounting import trim_matrix
 
-Arrivals = list[tuple[Events, Stamps]]
+Arrivals = list[tuple[EventColumns, Stamps]]
 """Events and their positions in the file."""
 
 GNSS_STD_MIN = 0.5
@@ -81,7 +81,7 @@ def read(path: Path) -> Recording:
         notes.append(f"{refused} GPS rows without a 3-D fix were left out")
     return Recording(
         family="ardupilot",
-        events=merge(*(e for e, _ in arrivals), arrival_ns=[place for _, place in arrivals]),
+        events=MergedEvents(*zip(*arrivals, strict=True)),
         reference=reference(tables, fixes, notes),
         truth=truth(tables),
         gnss_delay=_gnss_delay(tables),
@@ -95,7 +95,7 @@ def _sensor(tables: Columns, name: str, kind: Kind) -> Arrivals:
         return []
     table, t_ns = rows
     columns = [table[column] for column in NEEDED[name]]
-    return [(Events.from_columns(t_ns, kind, *columns), table[OFFSET])]
+    return [(EventColumns(t_ns, kind, *columns), table[OFFSET])]
 
 
 def _accuracies(tables: Columns, t_ns: Stamps) -> tuple[Column, Mask] | None:
@@ -136,7 +136,7 @@ def _gnss(tables: Columns) -> Arrivals:
     position = (np.deg2rad(table["Lat"]), so3.wrap(np.deg2rad(table["Lng"])), table["Alt"])
     velocity = (speed * np.cos(course), speed * np.sin(course), down)
     stds = (std_h, std_v, std_vel)
-    events = Events.from_columns(
+    events = EventColumns(
         t_ns, Kind.GNSS, *position, *velocity, *stds, np.nan, float(GnssFlag.NONE)
     )
     return [(events.take(is_fix), table[OFFSET][is_fix])] if is_fix.any() else []
@@ -173,7 +173,7 @@ def _heading(t_ns: Stamps, table: Column, std: Array, source: HeadingSource) -> 
     if len(table) == 0:
         return []
     heading = so3.wrap(np.deg2rad(np.asarray(table["Yaw"], dtype=float)))
-    events = Events.from_columns(t_ns, Kind.HEADING, heading, std, float(source))
+    events = EventColumns(t_ns, Kind.HEADING, heading, std, float(source))
     return [(events, table[OFFSET])]
 
 
@@ -185,7 +185,7 @@ def _magnetometer(tables: Columns) -> Arrivals:
     healthy = np.any(field != 0.0, axis=1)
     if "Health" in names_of(table):
         healthy &= table["Health"] != 0
-    events = Events.from_columns(t_ns, Kind.MAG, *field.T)
+    events = EventColumns(t_ns, Kind.MAG, *field.T)
     return [(events.take(healthy), table[OFFSET][healthy])] if healthy.any() else []
 
 
@@ -210,7 +210,7 @@ def _vehicle(tables: Columns) -> Arrivals:
     if not rows:
         return []
     places, stamps, armed, landed = zip(*rows, strict=True)
-    events = Events.from_columns(np.array(stamps), Kind.VEHICLE, armed, landed)
+    events = EventColumns(np.array(stamps), Kind.VEHICLE, armed, landed)
     return [(events, np.array(places))]
 
 
@@ -242,12 +242,13 @@ def _to_vehicle(arrivals: Arrivals, tables: Columns, notes: list[str]) -> Arriva
         "deg (AHRS_TRIM): its samples are turned into the axes of the vehicle"
     )
     turned: Arrivals = []
-    for events, places in arrivals:
-        values = events.values.copy()
-        for first, kinds in ((0, (Kind.IMU, Kind.MAG)), (3, (Kind.IMU,))):
-            chosen = np.isin(events.kind, kinds)
-            values[chosen, first : first + 3] = values[chosen, first : first + 3] @ C_vb.T
-        turned.append((replace(events, values=values), places))
+    for one, places in arrivals:
+        events = one
+        if events.kind in (Kind.IMU, Kind.MAG):
+            events = events.rotated(0, C_vb)
+        if events.kind == Kind.IMU:
+            events = events.rotated(3, C_vb)
+        turned.append((events, places))
     return turned
 
 

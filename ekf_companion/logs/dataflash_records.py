@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import dataflash_search
-from ekf_companion.logs.source import read_bytes
+from ekf_companion.logs.source import MappedFile
 from ekf_companion.nav.arrays import Stamps
 
 Column = npt.NDArray[np.void]
@@ -120,22 +120,21 @@ class _Found(NamedTuple):
     """Runs of bytes that are no record."""
 
 
-def _find_records(data: bytes, names: Collection[str] | None) -> _Found:
+def _find_records(file: MappedFile, names: Collection[str] | None) -> _Found:
     """Find the records of some names; None: of all."""
+    data = file.data
     formats: dict[int, _Format] = {}
     sizes, counts = np.zeros((256, 2), dtype=np.int32), np.zeros(256, dtype=np.int64)
     sizes[_FMT] = _FMT_SIZE, 1
     state = array("q", [-1, 0])
     found, n = np.empty((AT_ONCE, 2), dtype=np.int64), 0
-    parts: list[Stamps] = []
+    parts: list[tuple[Stamps, npt.NDArray[np.uint8]]] = []
     place = 0
     while place + 3 <= len(data):
-        n, place = dataflash_search.find_records(
-            memoryview(data), place, sizes, counts, state, found, n
-        )
+        n, place = dataflash_search.find_records(data, place, sizes, counts, state, found, n)
         last = state[0]
         if last >= 0 and data[last + 2] == _FMT and place == last + _FMT_SIZE:
-            parsed = _parse_format(data[last:place])
+            parsed = _parse_format(bytes(data[last:place]))
             # The first layout of a type is kept: a later, different one is damage
             if parsed is not None and parsed[0] not in formats:
                 kind, layout = parsed
@@ -143,27 +142,31 @@ def _find_records(data: bytes, names: Collection[str] | None) -> _Found:
                 sizes[kind] = layout.wire.itemsize, names is None or layout.name in names
         if n == len(found):
             # The last one waits: it counts only if a record begins at its end
-            parts.append(found[: n - 1].copy())
+            parts.append((found[: n - 1, 0].copy(), found[: n - 1, 1].astype(np.uint8)))
             found[0], n = found[n - 1], 1
-    rows = np.concatenate([*parts, found[:n]])
-    rows = rows[np.argsort(rows[:, 1].astype(np.uint8), kind="stable")]
-    ends = np.searchsorted(rows[:, 1], np.arange(256), "right")
-    by_type = np.split(rows[:, 0], ends)
-    places = {kind: by_type[kind] for kind in formats if sizes[kind, 1]}
+            file.release()
+    parts.append((found[:n, 0], found[:n, 1].astype(np.uint8)))
+    types = np.concatenate([part[1] for part in parts])
+    everywhere = np.concatenate([part[0] for part in parts])
+    del parts
+    places = {kind: everywhere[types == kind] for kind in formats if sizes[kind, 1]}
     return _Found(formats, places, counts, state[1])
 
 
-def _gather(data: bytes, places: Stamps, layout: _Format) -> Column:
+def _gather(file: MappedFile, places: Stamps, layout: _Format) -> Column:
     """Return the records of one type as a table in their units."""
-    raw = np.frombuffer(data, dtype=np.uint8)
+    raw = np.frombuffer(file.data, dtype=np.uint8)
     windows = np.lib.stride_tricks.sliding_window_view(raw, layout.wire.itemsize)
-    wire = windows[places].view(layout.wire)[:, 0]
     table = np.zeros(len(places), dtype=layout.table)
     table[OFFSET] = places
-    for name, character in zip(layout.names, layout.characters, strict=True):
-        scale = _TYPES[character][1]
-        # Dividing by the exact inverse gives the nearest double: 1.23, not 1.2300000000000002.
-        table[name] = wire[name] if scale == 1 else wire[name] / round(1.0 / scale)
+    for first in range(0, len(places), AT_ONCE):
+        rows = slice(first, first + AT_ONCE)
+        wire = windows[places[rows]].view(layout.wire)[:, 0]
+        for name, character in zip(layout.names, layout.characters, strict=True):
+            scale = _TYPES[character][1]
+            # Dividing by the exact inverse gives the nearest double: 1.23, not 1.2300000000000002.
+            table[name][rows] = wire[name] if scale == 1 else wire[name] / round(1.0 / scale)
+        file.release()
     return table
 
 
@@ -185,15 +188,17 @@ def read_columns(
     Raises:
         LogError: The file is missing, empty, or holds no FMT record.
     """
-    found = _find_records(data := read_bytes(path, KIND), names)
+    file = MappedFile(path, KIND)
+    found = _find_records(file, names)
     if not found.formats:
         raise LogError(f"{path}: holds no FMT record, so it is not a {KIND}; check the file")
     tables: Columns = {}
-    for kind, places in found.places.items():
+    for kind in [*found.places]:
+        places = found.places.pop(kind)
         name = found.formats[kind].name
         # Two types of one name come from a damaged FMT: keep the one with more rows
         if len(places) > len(tables.get(name, ())):
-            tables[name] = _gather(data, places, found.formats[kind])
+            tables[name] = _gather(file, places, found.formats[kind])
     others = {layout.name for kind, layout in found.formats.items() if found.counts[kind]}
     notes = []
     if found.damaged:

@@ -92,6 +92,8 @@ def rows_of(tables: Columns, name: str) -> tuple[Column, Stamps] | None:
     for column in names_of(table):
         if table[column].dtype.kind == "f":
             finite &= np.isfinite(table[column].reshape(len(table), -1)).all(axis=1)
+    if finite.all() and len(table):
+        return table, t_ns
     return (table[finite], t_ns[finite]) if finite.any() else None
 
 

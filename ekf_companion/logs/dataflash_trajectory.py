@@ -13,8 +13,8 @@ from ekf_companion.logs.dataflash_tables import names_of, rows_of
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.event_columns import EventColumns
 from ekf_companion.nav.interpolation import resample
-from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.state import Trajectory
 
 _EKFS = (("XKF1", "EKF3"), ("NKF1", "EKF2"), ("EKF1", "EKF1"))
@@ -46,7 +46,7 @@ def _position(tables: Columns, name: str) -> Position:
     return {"pos_t_ns": t_ns[valid], "lat": lat, "lon": lon, "alt": alt}
 
 
-def reference(tables: Columns, fixes: Events | None, notes: list[str]) -> Trajectory | None:
+def reference(tables: Columns, fixes: EventColumns | None, notes: list[str]) -> Trajectory | None:
     """Return the autopilot's own estimate: the newest generation of its filter that ran.
 
     An origin that the log does not hold is fitted to the fixes.
@@ -79,7 +79,7 @@ def reference(tables: Columns, fixes: Events | None, notes: list[str]) -> Trajec
 
 
 def _position_about_origin(
-    tables: Columns, table: Column, t_ns: Stamps, fixes: Events | None, notes: list[str]
+    tables: Columns, table: Column, t_ns: Stamps, fixes: EventColumns | None, notes: list[str]
 ) -> Position:
     """Return positions from north, east, down of the filter's origin (ORGN, or fitted)."""
     ned = series.stack(table, "PN", "PE", "PD")
@@ -100,11 +100,11 @@ def _position_about_origin(
     return {"pos_t_ns": t_ns, "lat": lat, "lon": lon, "alt": alt}
 
 
-def _fitted_origin(fixes: Events | None, ned: Array, t_ns: Stamps) -> LocalFrame | None:
+def _fitted_origin(fixes: EventColumns | None, ned: Array, t_ns: Stamps) -> LocalFrame | None:
     """Return the origin that places the filter's positions on the fixes, by the median."""
     if fixes is None or len(t_ns) < 2:
         return None
-    lat, lon, alt = fixes.values[:, 0], fixes.values[:, 1], fixes.values[:, 2]
+    lat, lon, alt = fixes.columns[:3]
     frame = LocalFrame(float(lat[0]), float(lon[0]), float(alt[0]))
     both = (fixes.t_ns >= t_ns[0]) & (fixes.t_ns <= t_ns[-1])
     if not both.any():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import mmap
 import os
 import zlib
 from collections.abc import Iterator
@@ -15,6 +16,8 @@ from ekf_companion.errors import LogError, part_of
 PACKED = (".gz", ".zst")
 LARGEST = 1 << 33
 """Bytes that a packed file may hold."""
+LARGE = 1 << 26
+"""Bytes from which on a file is mapped."""
 
 
 def suffix_of(path: Path) -> str:
@@ -38,6 +41,32 @@ def read_bytes(path: Path, kind: str) -> bytes:
     if not data:
         raise LogError(f"{path}: an empty file, not a {kind}; record or download it again")
     return data
+
+
+class MappedFile:
+    """All bytes of a file: a large one is mapped, and is in memory as far as it is being read.
+
+    Who cuts a mapped file short while it is read ends the process, as with any mapped file.
+    """
+
+    def __init__(self, path: Path, kind: str) -> None:
+        """Open a file; its kind is for messages.
+
+        Raises:
+            LogError: As :func:`read_bytes`.
+        """
+        self._map: mmap.mmap | None = None
+        is_plain = path.is_file() and path.suffix.lower() not in PACKED
+        if is_plain and path.stat().st_size >= LARGE:
+            with _opened(path, kind) as file:
+                self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        self.data = memoryview(read_bytes(path, kind) if self._map is None else self._map)
+        """The bytes."""
+
+    def release(self) -> None:
+        """Keep nothing of a mapped file in memory until it is read again."""
+        if self._map is not None:
+            self._map.madvise(mmap.MADV_DONTNEED)
 
 
 class Source:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs.source import read_bytes
+from ekf_companion.logs.source import MappedFile
 from ekf_companion.nav.arrays import Array
 
 KIND = "CSV file"
@@ -19,7 +19,9 @@ MOST_COLUMNS = 10_000
 SMALL = 1 << 20
 """Bytes below which a table is read sooner than Arrow is imported."""
 LONGEST_LINE = 1 << 20
-"""Bytes of the last line that are looked at."""
+"""Bytes of the first and last line that are looked at."""
+BLOCK = 1 << 22
+"""Bytes that Arrow reads at once."""
 
 
 class Table:
@@ -33,9 +35,9 @@ class Table:
         """
         self.path = path
         self._delimiter = delimiter
-        data = read_bytes(path, KIND)
-        head, _, _ = data[: data.find(b"\n") + 1 or len(data)].partition(b"\n")
-        self._body = memoryview(data)[len(head) + 1 :]
+        self._file = MappedFile(path, KIND)
+        head, _, _ = bytes(self._file.data[:LONGEST_LINE]).partition(b"\n")
+        self._body = self._file.data[len(head) + 1 :]
         head = head.removesuffix(b"\r")
         if (count := head.count(delimiter.encode()) + 1) > MOST_COLUMNS:
             raise LogError(
@@ -70,7 +72,7 @@ class Table:
         if not names:
             return {}
         where = [self.names.index(name) for name in names]
-        columns = _read_columns(body, self._delimiter, len(self.names), where)
+        columns = _read_columns(body, self._delimiter, len(self.names), where, self._file)
         if columns is None:
             columns = [*self._read_rows(bytes(body), where)]
         return dict(zip(names, columns, strict=True))
@@ -119,7 +121,7 @@ class Table:
 
 
 def _read_columns(
-    body: memoryview, delimiter: str, width: int, where: Sequence[int]
+    body: memoryview, delimiter: str, width: int, where: Sequence[int], file: MappedFile
 ) -> list[Array] | None:
     """Return columns by their numbers; None if the table is small, or not of one width throughout.
 
@@ -134,10 +136,11 @@ def _read_columns(
         return None
     labels = [str(index) for index in range(width)]
     used = [labels[index] for index in where]
+    grown = _GrowingColumns(len(used))
     try:
-        table = csv.read_csv(
+        with csv.open_csv(
             pa.BufferReader(pa.py_buffer(body)),
-            read_options=csv.ReadOptions(column_names=labels),
+            read_options=csv.ReadOptions(column_names=labels, block_size=BLOCK),
             parse_options=csv.ParseOptions(delimiter=delimiter),
             convert_options=csv.ConvertOptions(
                 include_columns=used,
@@ -145,7 +148,35 @@ def _read_columns(
                 null_values=[""],
                 check_utf8=False,
             ),
-        )
+        ) as reader:
+            for batch in reader:
+                grown.append([one.to_numpy(zero_copy_only=False) for one in batch.columns], body)
+                file.release()
     except pa.ArrowInvalid:
         return None
-    return [table.column(label).to_numpy() for label in used]
+    return grown.columns()
+
+
+class _GrowingColumns:
+    """Columns that grow in place: room that is not used yet takes no memory."""
+
+    def __init__(self, count: int) -> None:
+        self._columns: list[Array] = [np.empty(0)] * count
+        self._size = 0
+
+    def append(self, columns: Sequence[Array], body: memoryview) -> None:
+        """Append the columns of a block of the body."""
+        first, self._size = self._size, self._size + len(columns[0])
+        if self._size > len(self._columns[0]):
+            # As many rows as the file will have if all blocks are like this one, and more
+            blocks = len(body) / BLOCK + 1.0
+            room = int(max(1.5 * blocks * len(columns[0]), 1.5 * self._size))
+            for index, column in enumerate(self._columns):
+                self._columns[index] = np.empty(room)
+                self._columns[index][:first] = column[:first]
+        for into, column in zip(self._columns, columns, strict=True):
+            into[first : self._size] = column
+
+    def columns(self) -> list[Array]:
+        """Return the columns."""
+        return [column[: self._size] for column in self._columns]

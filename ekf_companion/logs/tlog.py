@@ -24,6 +24,7 @@ import numpy.typing as npt
 from ekf_companion.errors import LogError
 from ekf_companion.logs import tlog_search
 from ekf_companion.logs.source import Source
+from ekf_companion.mavlink.block_columns import Frames
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
 from ekf_companion.nav.arrays import Stamps
 
@@ -74,15 +75,24 @@ class Tlog:
 
     def frames(self) -> Iterator[tuple[int, bytes]]:
         """Yield each record's stamp (us, the recorder's clock) and raw frame, in file order."""
+        for piece in self.pieces():
+            for i, stamp_us in enumerate(piece.stamp_us.tolist()):
+                yield stamp_us, piece.raw(i)
+
+    def pieces(self) -> Iterator[Frames]:
+        """Yield the frames, many at once."""
         for first in range(0, len(self), AT_ONCE):
             rows = slice(first, first + AT_ONCE)
-            starts = self.place[rows]
-            ends = starts + self.size[rows]
-            begin = int(starts[0])
-            data = self.source.read(begin, int(ends[-1]))
-            columns = (self.stamp_us[rows], starts - begin, ends - begin)
-            for stamp, start, end in zip(*(one.tolist() for one in columns), strict=True):
-                yield stamp, data[start:end]
+            start = self.place[rows]
+            end = start + self.size[rows]
+            begin = int(start[0])
+            yield Frames(
+                data=self.source.read(begin, int(end[-1])),
+                stamp_us=self.stamp_us[rows],
+                start=start - begin,
+                end=end - begin,
+                message_id=self.message_id[rows],
+            )
 
     def columns(
         self, names: Sequence[str], system_id: int, component_id: int | None = None

@@ -32,10 +32,11 @@ from ekf_companion.logs.ulog_topics import (
 )
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
-from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
+from ekf_companion.nav.event_columns import EventColumns, MergedEvents
+from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 from ekf_companion.nav.state import Trajectory
 
-Arrivals = list[tuple[Events, Stamps]]
+Arrivals = list[tuple[EventColumns, Stamps]]
 """Events and when they were published, ns."""
 
 GNSS_STD_UNKNOWN = {"eph": 2.0, "epv": 3.0, "s_variance_m_s": 0.5}
@@ -79,7 +80,7 @@ def read(path: Path) -> Recording:
     delay = log.parameters.get("EKF2_GPS_DELAY", -1.0)
     return Recording(
         family="px4",
-        events=merge(*(e for e, _ in arrivals), arrival_ns=[at_ns for _, at_ns in arrivals]),
+        events=MergedEvents(*zip(*arrivals, strict=True)),
         reference=_trajectory(topics, "", "EKF2"),
         truth=_trajectory(topics, "_groundtruth", "simulator"),
         gnss_delay=float(delay) * 1e-3 if 0.0 <= delay <= 1000.0 else None,
@@ -91,16 +92,19 @@ def _events(topic: Topic, kind: Kind, mask: Mask, *columns: Any) -> Arrivals:
     """Build events stamped by the topic's sample time, or where absent its publication."""
     if not mask.any():
         return []
-    kept = [one[mask] if isinstance(one, np.ndarray) else one for one in columns]
-    events = Events.from_columns(sample_ns(topic)[mask], kind, *kept)
-    return [(events, topic["t_ns"][mask])]
+    events = EventColumns(sample_ns(topic), kind, *columns)
+    return [(events.take(mask), topic["t_ns"] if mask.all() else topic["t_ns"][mask])]
 
 
 def _imu(topics: Topics) -> Arrivals:
     if (topic := topics.get("sensor_combined")) is None:
         return []
-    values = np.hstack([vectors(topic, "gyro_rad"), vectors(topic, "accelerometer_m_s2")])
-    return _events(topic, Kind.IMU, known_rows(values), *values.T)
+    names = [f"{name}[{axis}]" for name in ("gyro_rad", "accelerometer_m_s2") for axis in range(3)]
+    columns = [topic[name] for name in names]
+    known = np.ones(len(topic["t_ns"]), dtype=bool)
+    for column in columns:
+        known &= np.isfinite(column)
+    return _events(topic, Kind.IMU, known, *columns)
 
 
 def _receiver(topics: Topics) -> Topic:
@@ -224,7 +228,7 @@ def _vehicle(topics: Topics) -> Arrivals:
         landed = np.where(before < 0, np.nan, other["landed"][np.clip(before, 0, None)] != 0)
         t_ns = union
     news = series.changed(armed, landed)
-    events = Events.from_columns(t_ns, Kind.VEHICLE, armed, landed)
+    events = EventColumns(t_ns, Kind.VEHICLE, armed, landed)
     return [(events.take(news), t_ns[news])]
 
 

@@ -22,7 +22,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import ulog_search
-from ekf_companion.logs.source import read_bytes
+from ekf_companion.logs.source import MappedFile
 
 Column = npt.NDArray[np.void]
 Fields = list[tuple[str, str]]
@@ -99,15 +99,16 @@ def read(path: Path, topics: Collection[str]) -> Messages:
         LogError: The file is missing, empty, or no ULog; or of a version with features that
             change what its bytes mean.
     """
-    data = read_bytes(path, KIND)
-    if data[: len(MAGIC)] != MAGIC:
+    file = MappedFile(path, KIND)
+    if file.data[: len(MAGIC)] != MAGIC:
         raise LogError(f"{path}: does not begin as a {KIND}; check the file or its name")
-    return _Reader(path, data, topics).read()
+    return _Reader(path, file, topics).read()
 
 
 class _Reader:
-    def __init__(self, path: Path, data: bytes, topics: Collection[str]) -> None:
-        self._path, self._data, self._topics = path, data, topics
+    def __init__(self, path: Path, file: MappedFile, topics: Collection[str]) -> None:
+        self._path, self._file, self._topics = path, file, topics
+        self._data = file.data
         self._formats: Formats = {}
         self._layouts: dict[str, _Layout | None] = {}
         self._found = Messages()
@@ -117,7 +118,8 @@ class _Reader:
         self._subscriptions: list[_Subscription] = []
         self._sizes = np.zeros((1 << 16, 2), dtype=np.int32)
         self._owner = np.zeros(1 << 16, dtype=np.int64)  # subscription by message id
-        self._rows: list[npt.NDArray[np.int64]] = []  # subscription and place of each
+        self._places: list[npt.NDArray[np.int64]] = []  # of rows
+        self._owners: list[npt.NDArray[np.int32]] = []  # their subscriptions
         self._dropouts: list[int] = []  # ms
 
     def read(self) -> Messages:
@@ -134,20 +136,26 @@ class _Reader:
     def _tables(self) -> Iterator[Table]:
         """Yield the rows of each subscription that has any."""
         raw = np.frombuffer(self._data, dtype=np.uint8)
-        rows = np.concatenate([np.zeros((0, 2), dtype=np.int64), *self._rows])
-        order = np.argsort(rows[:, 0], kind="stable")
-        ends = np.searchsorted(rows[order, 0], np.arange(len(self._subscriptions)), "right")
-        for one, chosen in zip(self._subscriptions, np.split(order, ends)[:-1], strict=True):
-            if len(chosen):
-                windows = sliding_window_view(raw, one.layout.dtype.itemsize)
-                table = windows[rows[chosen, 1]].view(one.layout.dtype)[:, 0]
-                yield Table(one.topic, one.instance, table)
+        owner = np.concatenate([np.zeros(0, dtype=np.int32), *self._owners])
+        place = np.concatenate([np.zeros(0, dtype=np.int64), *self._places])
+        self._owners, self._places = [], []
+        for number, one in enumerate(self._subscriptions):
+            chosen = place[owner == number]
+            if not len(chosen):
+                continue
+            windows = sliding_window_view(raw, one.layout.dtype.itemsize)
+            rows = np.empty(len(chosen), dtype=one.layout.dtype)
+            for first in range(0, len(chosen), AT_ONCE):
+                part = slice(first, first + AT_ONCE)
+                rows[part] = windows[chosen[part]].view(one.layout.dtype)[:, 0]
+                self._file.release()
+            yield Table(one.topic, one.instance, rows)
 
     def _read_definitions(self) -> int:
         """Read the formats and parameters; return where the data begin."""
         place = HEADER
         while True:
-            kind, place = ulog_search.find_definition(memoryview(self._data), place, self._state)
+            kind, place = ulog_search.find_definition(self._data, place, self._state)
             if kind not in b"FPB" or kind == 0:
                 return place
             content, place = self._message(place)
@@ -170,7 +178,7 @@ class _Reader:
                 f"subscriptions: too damaged to be read as a {KIND}"
             )
         end = place + 3 + int.from_bytes(self._data[place : place + 2], "little")
-        return self._data[place + 3 : end], end
+        return bytes(self._data[place + 3 : end]), end
 
     def _take_format(self, content: bytes) -> None:
         """Take ``NAME:TYPE FIELD;TYPE[SIZE] FIELD;``."""
@@ -216,14 +224,15 @@ class _Reader:
 
     def _read_data(self, place: int, end: int) -> None:
         """Find the rows and dropouts of a part of the file."""
-        view, found = memoryview(self._data), np.empty((AT_ONCE, 2), dtype=np.int64)
+        found = np.empty((AT_ONCE, 2), dtype=np.int64)
         kind = -1
         while kind:
             n, kind, place = ulog_search.find_data(
-                view, place, end, self._sizes, self._state, found
+                self._data, place, end, self._sizes, self._state, found
             )
             if n:
                 self._take_rows(found[:n])
+                self._file.release()
             if kind == ord("A"):
                 content, place = self._message(place)
                 try:
@@ -235,7 +244,8 @@ class _Reader:
         """Keep the places of rows by what they are subscribed to, and the dropouts' lengths."""
         is_row = found[:, 1] >= 0
         rows = found[is_row]
-        self._rows.append(np.column_stack([self._owner[rows[:, 1]], rows[:, 0]]))
+        self._owners.append(self._owner[rows[:, 1]].astype(np.int32))
+        self._places.append(rows[:, 0].copy())
         for place in found[~is_row, 0].tolist():
             self._dropouts.append(int.from_bytes(self._data[place : place + 2], "little"))
 

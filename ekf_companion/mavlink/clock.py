@@ -54,6 +54,9 @@ _PROVING = 4
 _LARGEST_SKEW = 0.2
 """A simulator on a busy machine runs a per cent or two slower than time."""
 
+FOREIGN = "foreign"
+"""Why an answer is refused: it is to nobody's request of ours."""
+
 
 class Timesync(Service):
     """Estimates the offset of the autopilot's clock from ours; answers in the autopilot's time."""
@@ -89,6 +92,11 @@ class Timesync(Service):
         self._fit: tuple[int, int, float] | None = None  # at, offset then, skew
         self.residual_ns = math.nan
         """RMS distance of the answers that are used from the line through them; NaN: too few."""
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing was requested and nothing is known: no message changes that."""
+        return not self._outstanding and not self._samples and self._fit is None
 
     @property
     def is_locked(self) -> bool:
@@ -170,7 +178,7 @@ class Timesync(Service):
     def receive(self, tc1: int, ts1: int, now_ns: int) -> None:
         """Use an answer that was addressed to us or to nobody."""
         if ts1 not in self._outstanding:
-            self.refused["foreign"] += 1
+            self.refused[FOREIGN] += 1
             return
         self._outstanding.remove(ts1)
         rtt = now_ns - ts1

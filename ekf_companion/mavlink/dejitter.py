@@ -26,6 +26,8 @@ import cmath
 import math
 from itertools import pairwise
 
+import cython
+
 LOOPS_US = (2500.0, 1e4 / 3.0, 2000.0, 1250.0)
 """Cycles of ArduPilot's loop, the commonest first: SCHED_LOOP_RATE of 400, 300, 500 and 800 Hz. No
 stamp is moved by more than a cycle. Longer ones are left out: two or four cycles look like one
@@ -53,7 +55,7 @@ _MEMORY = 0.12
 """Without memory the mean square of the change of lateness, over one step or two, is twice the
 variance. It may differ by this share: three sigma of the mean over some forty blocks."""
 _HYSTERESIS = 1.2
-_EARLY = 0.1
+_EARLY = cython.declare(cython.double, 0.1)
 """Cycles; a stamp may be so much before the line, which is then brought down to it."""
 _CUT = 1.2
 """Resolutions; a lateness within it comes from the truncation alone."""
@@ -63,7 +65,7 @@ _SLIP = 0.2
 """Cycles; a line that moves more within a block follows a loop that overran."""
 _FORGETTING = 0.05
 """Weight of the newest block in the statistics of the lateness."""
-_LONGEST = 2_000_000_000
+_LONGEST = cython.declare(cython.longlong, 2_000_000_000)
 """ns; after such a gap everything is estimated anew."""
 
 
@@ -113,7 +115,7 @@ class Dejitter:
 
         # Which cycle was it, and how late in it?
         ahead = now - self._grid
-        cycles = int(ahead * self._per_cycle + _EARLY)
+        cycles = cython.cast(cython.longlong, ahead * self._per_cycle + _EARLY)
         if cycles < 1:
             late = math.inf  # no cycle of its own
         else:
@@ -124,7 +126,7 @@ class Dejitter:
                 late = 0.0
             if late < self._least:
                 self._least = late
-            self._grid = now - int(late)
+            self._grid = now - cython.cast(cython.longlong, late)
             self._lates.append(late + self._moved)
             self._left -= 1
             if self._left == 0:
@@ -146,15 +148,15 @@ class Dejitter:
         for loop in (loop_us * 1e3 for loop_us in LOOPS_US):
             circle = sum(cmath.exp(2j * math.pi / loop * (stamp - first)) for stamp in stamps)
             if abs(circle) > _CONCENTRATED * LEARNING and loop >= _COARSE * 2 * self._half:
-                self._take_period(loop, now, is_loop=True)
+                self._take_period(loop, now, True)
                 return
         if self._half:
             steps = sorted(b - a for a, b in pairwise(stamps))
             middle = steps[len(steps) // 2]
             usual = [step for step in steps if 0.5 * middle < step < 1.5 * middle]
-            self._take_period(sum(usual) / len(usual), now, is_loop=False)
+            self._take_period(sum(usual) / len(usual), now, False)
 
-    def _take_period(self, period: float, now: int, *, is_loop: bool) -> None:
+    def _take_period(self, period: float, now: int, is_loop: bool) -> None:
         self.period, self._per_cycle = period, 1.0 / period
         self._is_loop = is_loop
         self._grid = now

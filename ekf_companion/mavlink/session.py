@@ -27,7 +27,7 @@ from ekf_companion.mavlink.decode import Decoder, DecoderOptions
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import Event, Noted, PeerFound, Rebooted
-from ekf_companion.mavlink.frame import JUNK, UNKNOWN, Frame, Sequence, Splitter
+from ekf_companion.mavlink.frame import JUNK, UNKNOWN, Frame, Splitter
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import ClashWatch, Heartbeat
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
@@ -35,6 +35,7 @@ from ekf_companion.mavlink.origin import OriginSetter
 from ekf_companion.mavlink.outbox import Message, Outbox
 from ekf_companion.mavlink.parameters import Parameter, ParameterServer
 from ekf_companion.mavlink.request import Requests
+from ekf_companion.mavlink.sequence import Sequence
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.statustext import StatusText
@@ -43,7 +44,8 @@ from ekf_companion.nav.measurements import Measurement, Restart
 
 MISADDRESSED = "addressed to another"
 """Why a message of a kind that we answer was not answered."""
-
+ECHOES, STRANGERS = "our own", "of another system or component"
+"""Whose frames are ignored."""
 
 RATES: Mapping[str, float] = {
     "HIGHRES_IMU": 250.0,
@@ -152,8 +154,8 @@ class Session:
         trim = TrimRequest(self.outbox, lambda: self.decoder.trim.missing)
         self._with_peer: list[Service] = [self.requests, trim, *guards, self.timesync]
         self._with_peer += [self.audit, self.statustext, self.autopilot_estimate]
-        self._all_routes, self._peer_routes = _routes(self._with_all), _routes(self._with_peer)
-        self._splitter = Splitter()
+        self.all_routes, self.peer_routes = _routes(self._with_all), _routes(self._with_peer)
+        self.splitter = Splitter()
         self._autopilot_sender: Hashable = None
         self._vehicle: PeerFound | None = None
         """The one begun with last; kept when it is lost."""
@@ -173,7 +175,7 @@ class Session:
     ) -> Iterator[list[Measurement]]:
         """Process bytes, and yield what each frame measured once its events have happened."""
         self.received_bytes += len(data)
-        for frame in self._splitter.feed(data, sender):
+        for frame in self.splitter.feed(data, sender):
             if self.on_frame is not None:
                 self.on_frame(frame)
             if frame.message_id == JUNK:
@@ -197,21 +199,53 @@ class Session:
             else:
                 yield []
 
+    def receive_frame(self, frame: Frame, now_ns: int) -> list[Measurement]:
+        """Process a whole frame of a known message that anybody may send, as :meth:`steps` does.
+
+        Nothing may wait in the splitter.
+        """
+        self.received_bytes += len(frame.raw)
+        self.splitter.pass_over(1)
+        if self._is_of_autopilot(frame, now_ns):
+            return self._receive_from_autopilot(frame, now_ns)
+        return []
+
+    def pass_over(
+        self, count: int, size: int, heard: int, believed: int, strangers: int, echoes: int
+    ) -> None:
+        """Count frames, and their bytes, that were processed elsewhere (:mod:`.block`).
+
+        Args:
+            count: All.
+            size: Their bytes.
+            heard: Those of the autopilot.
+            believed: Those that are not ours.
+            strangers: Those that are neither ours nor the autopilot's.
+            echoes: Those under our ids.
+        """
+        self.received_bytes += size
+        self.splitter.pass_over(count)
+        self.heard += heard
+        self.believed += believed
+        for whose, number in ((STRANGERS, strangers), (ECHOES, echoes)):
+            if number:
+                self.ignored[whose] += number
+
     def _is_of_autopilot(self, frame: Frame, now_ns: int) -> bool:
         """Handle what anybody may say; return whether it was the autopilot who said it."""
         source = frame[1:3]
         if source == self.outbox.ids:  # an echo, or somebody who must not
-            self.ignored["our own"] += 1
+            self.ignored[ECHOES] += 1
             self.clash.on_frame(frame, now_ns)
             return False
         if not self.admission.is_selective or self.admission.is_proven(frame):
             self.believed += 1
-        if (handlers := self._all_routes.get(frame.message_id)) is not None:
+        if (handlers := self.all_routes.get(frame.message_id)) is not None:
             self._hand_to(handlers, frame, now_ns)
         if self.discovery.peer is None:
             self.discovery.recognise(source, now_ns)
         if source != self.discovery.peer:
-            self.ignored["of another system or component"] += 1
+            self.ignored[STRANGERS] += 1
             return False
         return True
 
@@ -220,7 +254,7 @@ class Session:
         self.heard += 1
         self.received[frame.message_id] += 1
         self.sequence.count(frame.sequence, now_ns)
-        if (handlers := self._peer_routes.get(frame.message_id)) is not None:
+        if (handlers := self.peer_routes.get(frame.message_id)) is not None:
             self._hand_to(handlers, frame, now_ns)
         if self.guard.is_waiting:
             self.guard.on_frame(now_ns)
@@ -228,8 +262,8 @@ class Session:
             self.autopilot_estimate.keep(frame, now_ns)
 
         measurements = self.decoder.decode(frame)
-        while self.decoder.notes:
-            self._emit(Noted(self.decoder.notes.popleft()))
+        if self.decoder.notes:
+            self.emit_notes()
         first = measurements[0] if measurements else None
         if type(first) is Restart and not first.goes_on:
             self._emit(Rebooted())
@@ -248,6 +282,11 @@ class Session:
             handler(message, frame, now_ns)
 
     # What changes
+
+    def emit_notes(self) -> None:
+        """Emit what the decoder has noted."""
+        while self.decoder.notes:
+            self._emit(Noted(self.decoder.notes.popleft()))
 
     def _emit(self, event: Event) -> None:
         self._events.append(event)
@@ -338,11 +377,11 @@ class Session:
     def counters(self) -> dict[str, int]:
         """Return all counts, from bytes to refusals, by name."""
         return {
-            "frames": self._splitter.frames,
-            "bad_crc": self._splitter.bad_crc,
-            "unknown_id": self._splitter.unknown_id,
-            "incompatible": self._splitter.incompatible,
-            "junk_bytes": self._splitter.junk_bytes,
+            "frames": self.splitter.frames,
+            "bad_crc": self.splitter.bad_crc,
+            "unknown_id": self.splitter.unknown_id,
+            "incompatible": self.splitter.incompatible,
+            "junk_bytes": self.splitter.junk_bytes,
             "lost": self.sequence.lost,
             "late": self.sequence.late,
             "duplicate": self.sequence.duplicate,

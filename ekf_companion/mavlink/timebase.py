@@ -62,8 +62,6 @@ class Step(Enum):
 class Count:
     """A clock in microseconds, from stamps that may come late or be wrong."""
 
-    __slots__ = ("behind_us", "doubt_us", "latest_us", "leap_end_us", "leap_us", "step_us")
-
     def __init__(self) -> None:
         self.latest_us: int | None = None
         self.step_us = 0
@@ -130,7 +128,8 @@ class TimeBase:
     """One clock, from the stamps of one autopilot."""
 
     def __init__(self) -> None:
-        self._main = Count()
+        self.main = Count()
+        """By the stamps of the base that the inertial messages use."""
         self._boot = Count()  # of the milliseconds, where the base is unix
         self._unix_minus_boot_us: int | None = None
         self._held_relation_us: int | None = None
@@ -140,28 +139,28 @@ class TimeBase:
     @property
     def latest_us(self) -> int | None:
         """The newest stamp, on the base of the inertial messages."""
-        return self._main.latest_us
+        return self.main.latest_us
 
     @property
     def latest_ns(self) -> int | None:
         """The newest stamp as a time of validity for what has no stamp of its own."""
-        latest = self._main.latest_us
+        latest = self.main.latest_us
         return None if latest is None else latest * 1000
 
     @property
     def is_unix(self) -> bool:
         """Whether the inertial messages are stamped in unix time."""
-        latest = self._main.latest_us
+        latest = self.main.latest_us
         return latest is not None and latest > UNIX_FROM_US
 
     @property
     def is_in_doubt(self) -> bool:
         """Whether the last stamp is so far ahead that the clock has not followed it."""
-        return self._main.doubt_us is not None
+        return self.main.doubt_us is not None
 
     def follow(self, stamp_us: int) -> bool:
         """Follow a stamp that plainly comes next; return False, changing nothing, for another."""
-        main = self._main
+        main = self.main
         latest = main.latest_us
         if latest is None or main.leap_us is not None or not 0 < stamp_us - latest <= NEAR_US:
             return False
@@ -173,8 +172,8 @@ class TimeBase:
 
     def advance(self, stamp_us: int) -> Step:
         """Advance to a stamp of the inertial messages' base, or hold it back."""
-        step = self._main.take(stamp_us)
-        self.is_behind = self._main.behind_us is not None
+        step = self.main.take(stamp_us)
+        self.is_behind = self.main.behind_us is not None
         if step in (Step.BEGUN, Step.SET):
             # What is known of the milliseconds was so of the old clock
             self._boot = Count()
@@ -188,18 +187,18 @@ class TimeBase:
             if step in (Step.BEGUN, Step.SET):
                 self._unix_minus_boot_us = self._held_relation_us = None
             return step
-        leap = self._main.leap_us
-        step = self.advance(_unwrapped(boot_ms, self._main.latest_us))
+        leap = self.main.leap_us
+        step = self.advance(_unwrapped(boot_ms, self.main.latest_us))
         if leap is not None and (leap > UNIX_FROM_US or _agrees(boot_ms, leap)):
             # It does not contradict an inertial clock in unix time, or many wraps on
-            self._main.leap_us = self._main.leap_us or leap
+            self.main.leap_us = self.main.leap_us or leap
         return step
 
     def relate(self, unix_us: int, boot_ms: int) -> Step:
         """Advance by a SYSTEM_TIME, and learn how its two clocks are related (unix 0: unknown)."""
         step = self.advance_boot_ms(boot_ms)
         if step is not Step.HELD and UNIX_FROM_US < unix_us <= LAST_US:
-            reference = self._boot.latest_us if self.is_unix else self._main.latest_us
+            reference = self._boot.latest_us if self.is_unix else self.main.latest_us
             self._learn(unix_us - _unwrapped(boot_ms, reference))
         return step
 
@@ -225,7 +224,7 @@ class TimeBase:
 
     def from_boot_ms(self, boot_ms: int) -> int | None:
         """Return milliseconds since boot in ns on our base; None if nothing relates the two yet."""
-        reference = self._boot.latest_us if self.is_unix else self._main.latest_us
+        reference = self._boot.latest_us if self.is_unix else self.main.latest_us
         return self.from_us(_unwrapped(boot_ms, reference))
 
 

@@ -17,6 +17,7 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.checkpoint import Vehicle
 from ekf_companion.engine.pipeline import Estimate, Pipeline
 from ekf_companion.logs.recording import Recording
+from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.measurements import Events, Row
 from ekf_companion.nav.state import COLUMNS, Table
 from ekf_companion.replay.log_source import open_log
@@ -24,7 +25,9 @@ from ekf_companion.replay.magnetometer import MagnetometerCheck
 from ekf_companion.replay.report import Report, add_block, note_shortcomings
 
 if TYPE_CHECKING:
+    from ekf_companion.engine.companion import Companion
     from ekf_companion.logs.tlog import Tlog
+    from ekf_companion.mavlink.block import BlockReader
     from ekf_companion.mavlink.outbox import Message
 
 CHUNK = 20_000
@@ -64,17 +67,17 @@ class BlockPipeline(Pipeline):
         super().__init__(settings, family, gnss_delay, keeps_history=keeps_history)
         self.blocks: list[Block] = []
         """Finished, in order; whoever reads them clears the list."""
-        self.rows: list[Row] = []
+        self.buffer = EventBuffer(CHUNK)
         """Measurements of the block that is not finished yet."""
 
     def process_row(self, row: Row) -> Estimate | None:
         """Keep a measurement for the end of its block."""
-        self.rows.append(row)
+        self.buffer.append(row)
         return None
 
     def finish_block(self) -> None:
         """Process the measurements that were kept."""
-        events, self.rows = Events.from_rows(self.rows), []
+        events = self.buffer.take()
         self.blocks.append(Block(self, events, self.run(events)))
 
     def retune(self, settings: FilterSettings) -> None:
@@ -95,7 +98,7 @@ class StepPipeline(BlockPipeline):
 
     def process_row(self, row: Row) -> Estimate | None:
         """Process a measurement at once."""
-        self.rows.append(row)
+        self.buffer.append(row)
         estimate = Pipeline.process_row(self, row)
         if estimate is not None:
             self._stamps.append(estimate.t_ns)
@@ -156,7 +159,7 @@ class Run(Generic[P]):
     def blocks(self, progress: Progress | None = None) -> Iterator[Block]:
         """Process the log, and yield it block by block."""
         steps = (
-            self._chunks(self.log) if isinstance(self.log, Recording) else self._frames(self.log)
+            self._chunks(self.log) if isinstance(self.log, Recording) else self._pieces(self.log)
         )
         for _ in steps:
             if self._blocks:
@@ -195,17 +198,60 @@ class Run(Generic[P]):
 
     def _frames(self, log: Tlog) -> Iterator[Step]:
         """Let the companion receive each frame."""
-        from ekf_companion.engine.companion import Companion
-
-        companion = Companion(self._config, open_pipeline=self._open_pipeline)
+        companion = self._open_companion()
         for self._done, (stamp_us, frame) in enumerate(log.frames(), 1):
             messages = companion.receive(frame, stamp_us * 1000)
-            companion.frames_to_send()  # nobody hears them
-            if companion.vehicle is not self._vehicle:
-                self._note_vehicle(companion.vehicle)
-                self._system_id = companion.session.outbox.ids[0]
-            self._finish_full_block()
+            self._follow(companion)
             yield stamp_us, frame, messages
+        self._note_refused(companion)
+
+    def _pieces(self, log: Tlog) -> Iterator[Step]:
+        """Let the companion receive the frames that may change its mind; read the others fast."""
+        from ekf_companion.mavlink.block import BlockReader
+
+        companion = self._open_companion()
+        reader = BlockReader(companion.session)
+        before = 0
+        for frames in log.pieces():
+            reader.open(frames)
+            i = 0
+            while i < len(frames):
+                if self.pipelines:
+                    i = reader.read(i, self.pipelines[-1].buffer)
+                if i < len(frames) and not (self.pipelines and self.pipelines[-1].buffer.is_full):
+                    self._receive(companion, reader, i)
+                    i += 1
+                self._done = before + i
+                self._follow(companion)
+                if self._blocks:
+                    yield 0, b"", []
+            before += len(frames)
+        reader.close()
+        self._note_refused(companion)
+
+    def _receive(self, companion: Companion, reader: BlockReader, i: int) -> None:
+        """Let the companion receive a frame that the reader has left to it."""
+        reader.settle()
+        now_ns = int(reader.frames.stamp_us[i]) * 1000
+        if reader.is_whole(i):
+            companion.receive_frame(reader.frames.frame(i), now_ns)
+        else:
+            companion.receive(reader.frames.raw(i), now_ns)
+
+    def _open_companion(self) -> Companion:
+        from ekf_companion.engine.companion import Companion
+
+        return Companion(self._config, open_pipeline=self._open_pipeline)
+
+    def _follow(self, companion: Companion) -> None:
+        """Do what is due after a frame that the companion has received."""
+        companion.frames_to_send()  # nobody hears them
+        if companion.vehicle is not self._vehicle:
+            self._note_vehicle(companion.vehicle)
+            self._system_id = companion.session.outbox.ids[0]
+        self._finish_full_block()
+
+    def _note_refused(self, companion: Companion) -> None:
         counts = companion.session.counters()
         self.report.refused = {name: n for name, n in counts.items() if n and name != "frames"}
 
@@ -244,7 +290,7 @@ class Run(Generic[P]):
     def _finish_full_block(self) -> None:
         if self.pipelines:
             pipeline = self.pipelines[-1]
-            if len(pipeline.rows) >= CHUNK or self._done == self.size:
+            if pipeline.buffer.is_full or self._done == self.size:
                 pipeline.finish_block()
 
     def _take_blocks(self, progress: Progress | None) -> list[Block]:

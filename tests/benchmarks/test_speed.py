@@ -66,8 +66,12 @@ def test_the_load_of_the_page_is_measured(monkeypatch):
     assert results["watched page over none"] > 0.0
 
 
-def test_a_generated_log_is_converted():
-    assert {result.name for result in logs.measure(duration=5.0)} >= {"speed over real time"}
+def test_generated_logs_are_converted_from_and_to_each_format():
+    results = {result.name: result for result in logs.measure(durations=(6.0,), rounds=1)}
+    for suffix in (".tlog", ".bin", ".ulg", ".csv"):
+        assert results[f"0.1 min {suffix} to .csv, per row"].value > 0.0
+    assert results["0.1 min .ulg to .mcap, peak memory"].value > 10.0
+    assert results["start: a log of 2 s to CSV"].aim == 0.35
 
 
 def test_a_figure_above_its_aim_says_so():

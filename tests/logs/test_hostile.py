@@ -8,8 +8,10 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
-from ekf_companion.logs import dataflash_records, tlog, tlog_search, ulog_messages
-from ekf_companion.logs.source import Source
+from ekf_companion.logs import dataflash_records, source, table, tlog, tlog_search, ulog_messages
+from ekf_companion.logs.dataflash_records import read_columns
+from ekf_companion.logs.source import MappedFile, Source
+from ekf_companion.logs.table import Table
 from ekf_companion.logs.ulog_messages import HEADER, MAGIC
 from ekf_companion.replay.convert import convert
 from tests.logs import sources
@@ -96,7 +98,9 @@ def test_the_searches_find_the_same_uncompiled(monkeypatch, tmp_path, seed):
         path = tmp_path / "flight.tlog"
         path.write_bytes(damaged(b"".join(small_tlog()), seed))
         records, count = tlog._find_records(Source(path, ""))
-        bins = dataflash_records._find_records(damaged(new_log(), seed), None)
+        path = tmp_path / "flight.bin"
+        path.write_bytes(damaged(new_log(), seed))
+        bins = dataflash_records._find_records(MappedFile(path, ""), None)
         path = tmp_path / "flight.ulg"
         whole = small_ulog()
         path.write_bytes(whole[:500] + damaged(whole[500:], seed))
@@ -114,6 +118,34 @@ def test_the_searches_find_the_same_uncompiled(monkeypatch, tmp_path, seed):
     ):
         monkeypatch.setattr(room, name, sources.load(name))
     assert found() == compiled
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_large_file_is_mapped_and_reads_the_same(monkeypatch, tmp_path, seed):
+    lines = ["time_us,gyro_x_rps,mag_x_gauss", *(f"{4000 * n},{n * 0.1!r}," for n in range(99_999))]
+    logs = {
+        "flight.bin": (damaged(new_log(500), seed), lambda path: read_columns(path)[0]),
+        "flight.ulg": (small_ulog(n=500), lambda path: ulog_rows(path)),
+        "flight.csv": ("\n".join(lines).encode(), lambda path: Table(path).read(["gyro_x_rps"])),
+    }
+    for name, (data, read) in logs.items():
+        path = tmp_path / name
+        path.write_bytes(data)
+        monkeypatch.setattr(source, "LARGE", 1 << 40)
+        whole = read(path)
+        monkeypatch.setattr(source, "LARGE", 1)
+        monkeypatch.setattr(dataflash_records, "AT_ONCE", 16)
+        monkeypatch.setattr(ulog_messages, "AT_ONCE", 16)
+        monkeypatch.setattr(table, "BLOCK", 1 << 16)
+        mapped = read(path)
+        assert [*mapped] == [*whole]
+        for key in whole:
+            assert mapped[key].tobytes() == whole[key].tobytes()
+
+
+def ulog_rows(path):
+    found = ulog_messages.read(path, {"sensor_combined", "vehicle_gps_position"})
+    return {one.topic: one.rows for one in found.tables}
 
 
 @pytest.mark.parametrize("block", [2048, 4096, 7001])

@@ -5,8 +5,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import PeerChanged, PeerFound, PeerLost, SeveralAutopilots
-from ekf_companion.mavlink.frame import Sequence
 from ekf_companion.mavlink.guard import GuardOptions
+from ekf_companion.mavlink.sequence import Sequence
 from ekf_companion.mavlink.session import Session, SessionOptions
 from ekf_companion.nav.measurements import ImuSample
 from tests.mavlink.conversation import ARDUPILOT, PX4, SECOND, Voice, met, sent

@@ -13,10 +13,10 @@ from ekf_companion.mavlink.frame import (
     LARGEST_FRAME,
     LARGEST_REST,
     UNKNOWN,
-    Sequence,
     Splitter,
 )
 from ekf_companion.mavlink.messages import LAYOUTS
+from ekf_companion.mavlink.sequence import Sequence
 
 IDS_1 = sorted(dialect_1.mavlink_map)
 IDS_2 = sorted(dialect_2.mavlink_map)

@@ -468,7 +468,7 @@ def test_no_well_formed_message_with_any_values_raises(message_id, data):
         session.tick(now_ns)
 
 
-INPUTS = sorted(Session().decoder._readers)
+INPUTS = sorted(Session().decoder.readers)
 
 
 @given(st.lists(st.tuples(st.sampled_from(INPUTS), st.binary(max_size=70)), max_size=20))

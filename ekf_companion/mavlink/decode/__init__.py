@@ -4,15 +4,18 @@ Everything that a measurement needs is known from the messages alone, in their o
 arrival is used. What is refused is counted under a reason and has no other effect.
 
 decoder   one autopilot's frames, each to the reader of its message
-context   what the readers share: family, clock, refusals, notes; the choice among several sources
-inertial  HIGHRES_IMU, RAW_IMU, SCALED_IMU; whether the sensor is stuck or at the end of its range
+context   what the readers share: family, clock, refusals, notes
+inertial  HIGHRES_IMU, RAW_IMU, SCALED_IMU
 air       magnetometer and barometer, whichever message carries them
 position  GPS_RAW_INT, GLOBAL_POSITION_INT
 heading   the autopilot's own heading
 vehicle   armed, landed, and SYSTEM_TIME
+preference  the choice among several sources of one thing (compiled)
+repetition  whether a sensor is stuck, or at the end of its range (compiled)
 """
 
-from ekf_companion.mavlink.decode.context import DecoderOptions, Family, Pace, Preference
+from ekf_companion.mavlink.decode.context import DecoderOptions, Family
 from ekf_companion.mavlink.decode.decoder import Decoder
+from ekf_companion.mavlink.decode.preference import Pace, Preference
 
 __all__ = ["Decoder", "DecoderOptions", "Family", "Pace", "Preference"]

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.context import Context, Measurements, Preference
+from ekf_companion.mavlink.decode.context import Context, Measurements
+from ekf_companion.mavlink.decode.preference import Preference
 from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.earth import pressure_altitude
 from ekf_companion.nav.measurements import BaroSample, MagSample
 
-_WEAKEST, _STRONGEST = 0.15, 0.8
+WEAKEST, STRONGEST = 0.15, 0.8
 """gauss; the Earth's field has 0.22 to 0.67, and a vehicle adds some."""
 _STRANGE = 100
 """Fields in a row that are not the Earth's, before a human is told."""
-_LOWEST, _HIGHEST = 30_000.0, 120_000.0
+LOWEST, HIGHEST = 30_000.0, 120_000.0
 """Pa; from 9000 m up to below the Dead Sea."""
 
 
@@ -29,8 +30,8 @@ class Magnetometer:
     def forget(self) -> None:
         """Forget everything after a reboot."""
         self.sources = Preference()
-        self._last: tuple[float, ...] = ()
-        self._strange = 0
+        self.last: tuple[float, ...] = ()
+        self.strange = 0
 
     def add(self, out: Measurements, rank: int, t_ns: int, x: float, y: float, z: float) -> None:
         """Append a field in gauss if it may be the Earth's and is not the last one again."""
@@ -38,11 +39,11 @@ class Magnetometer:
             return  # no magnetometer
         if rank != self.sources.sole and not self.sources.admit(rank, t_ns):
             return
-        if (x, y, z) == self._last:
+        if (x, y, z) == self.last:
             return
-        self._last = (x, y, z)
+        self.last = (x, y, z)
         norm = math.sqrt(x * x + y * y + z * z)
-        if 1e6 * _WEAKEST <= norm <= 1e6 * _STRONGEST:
+        if 1e6 * WEAKEST <= norm <= 1e6 * STRONGEST:
             # ArduPilot before #32286
             self._context.refused["mag: unit corrected by 1e6"] += 1
             self._context.note_once(
@@ -50,16 +51,16 @@ class Magnetometer:
                 "did before 4.7; it is taken in the unit that is meant"
             )
             x, y, z, norm = x * 1e-6, y * 1e-6, z * 1e-6, norm * 1e-6
-        if not _WEAKEST <= norm <= _STRONGEST:
+        if not WEAKEST <= norm <= STRONGEST:
             self._context.refuse("mag: no field of the Earth")
-            self._strange += 1
-            if self._strange == _STRANGE:
+            self.strange += 1
+            if self.strange == _STRANGE:
                 self._context.note_once(
                     f"The magnetometer measures {norm:.3g} gauss, and the Earth's field has 0.22 "
                     "to 0.67: it is not used; check its unit, its calibration, and what is near it"
                 )
             return
-        self._strange = 0
+        self.strange = 0
         x, y, z = self._trim.to_vehicle(x, y, z)
         out.append(MagSample(t_ns=t_ns, mag_x=x, mag_y=y, mag_z=z))
 
@@ -74,7 +75,7 @@ class Barometer:
     def forget(self) -> None:
         """Forget everything after a reboot."""
         self.sources = Preference()
-        self._last = 0.0
+        self.last = 0.0
 
     def scaled_pressure(self, frame: Frame) -> Measurements:
         """Read SCALED_PRESSURE."""
@@ -88,9 +89,9 @@ class Barometer:
         """Append the altitude of a pressure in hPa, or in Pa where only that can be meant (PX4)."""
         if pressure == 0.0 or (rank != self.sources.sole and not self.sources.admit(rank, t_ns)):
             return
-        if pressure == self._last:
+        if pressure == self.last:
             return
-        self._last = pressure
+        self.last = pressure
         if self._context.is_submarine:
             self._context.refuse("baro: pressure within the hull")
             self._context.note_once(
@@ -98,10 +99,10 @@ class Barometer:
                 "height, and is not used"
             )
             return
-        is_pascal = _LOWEST <= pressure <= _HIGHEST
+        is_pascal = LOWEST <= pressure <= HIGHEST
         if not is_pascal:
             pressure *= 100.0
-        if not _LOWEST <= pressure <= _HIGHEST:
+        if not LOWEST <= pressure <= HIGHEST:
             self._context.refuse("baro: no pressure of the air")
             return
         if is_pascal:

@@ -26,37 +26,37 @@ class Decoder:
     def __init__(
         self, family: Family = Family.UNKNOWN, options: DecoderOptions | None = None
     ) -> None:
-        self._context = Context(family, options or DecoderOptions(), self._forget)
-        self.refused = self._context.refused
+        self.context = Context(family, options or DecoderOptions(), self._forget)
+        self.refused = self.context.refused
         """How often, by reason: ``message: why``."""
-        self.notes = self._context.notes
+        self.notes = self.context.notes
         """Sentences for a human, oldest first, a few at most; whoever reads them takes them out."""
-        self.trim = Trim(self._context)
-        self._mag, self._baro = Magnetometer(self._context, self.trim), Barometer(self._context)
-        self._heading, self.vehicle = Heading(self._context), Vehicle(self._context)
-        self.inertial = Inertial(self._context, self._mag, self._baro, self.trim)
+        self.trim = Trim(self.context)
+        self.mag, self.baro = Magnetometer(self.context, self.trim), Barometer(self.context)
+        self.heading, self.vehicle = Heading(self.context), Vehicle(self.context)
+        self.inertial = Inertial(self.context, self.mag, self.baro, self.trim)
         self._ranked: list[Inertial | Magnetometer | Barometer | Heading]
-        self._ranked = [self.inertial, self._mag, self._baro, self._heading]
-        self._position = Position(self._context, self._heading)
+        self._ranked = [self.inertial, self.mag, self.baro, self.heading]
+        self._position = Position(self.context, self.heading)
         readers: dict[str, Callable[[Frame], Measurements]] = {
             "HIGHRES_IMU": self.inertial.highres_imu,
             "RAW_IMU": self.inertial.raw_imu,
             "SCALED_IMU": self.inertial.scaled_imu,
             "SCALED_IMU2": self.inertial.scaled_imu,
             "SCALED_IMU3": self.inertial.scaled_imu,
-            "SCALED_PRESSURE": self._baro.scaled_pressure,
+            "SCALED_PRESSURE": self.baro.scaled_pressure,
             "GPS_RAW_INT": self._position.gps_raw_int,
             "GPS2_RAW": self._position.gps2_raw,
             "GLOBAL_POSITION_INT": self._position.global_position_int,
-            "ATTITUDE": self._heading.attitude,
-            "VFR_HUD": self._heading.vfr_hud,
+            "ATTITUDE": self.heading.attitude,
+            "VFR_HUD": self.heading.vfr_hud,
             "HEARTBEAT": self.vehicle.heartbeat,
             "EXTENDED_SYS_STATE": self.vehicle.extended_sys_state,
             "SYSTEM_TIME": self.vehicle.system_time,
             "PARAM_VALUE": self.trim.param_value,
         }
-        self._readers = {IDS[name]: reader for name, reader in readers.items()}
-        self._held: list[tuple[Frame, Measurements]] = []
+        self.readers = {IDS[name]: reader for name, reader in readers.items()}
+        self.held: list[tuple[Frame, Measurements]] = []
 
     def _forget(self, step: Step) -> None:
         """Begin anew after a reboot; the clock has already taken the new time."""
@@ -67,13 +67,13 @@ class Decoder:
 
     def begin(self) -> None:
         """Begin anew with another autopilot, of whose clock nothing is known."""
-        self._context.clock = TimeBase()
-        self._held.clear()
+        self.context.clock = TimeBase()
+        self.held.clear()
         self._forget(Step.BEGUN)
 
     def refuse_ours(self, is_ours: bool, is_yaw_ours: bool) -> None:
         """Refuse the autopilot's own position, or its yaw, while our ODOMETRY is fused in it."""
-        self._context.is_ours, self._context.is_yaw_ours = is_ours, is_yaw_ours
+        self.context.is_ours, self.context.is_yaw_ours = is_ours, is_yaw_ours
 
     @property
     def is_ours(self) -> bool:
@@ -88,18 +88,18 @@ class Decoder:
     @property
     def family(self) -> Family:
         """Whose habits apply: the autopilot's."""
-        return self._context.family
+        return self.context.family
 
     @family.setter
     def family(self, family: Family) -> None:
-        if family is not self._context.family:
-            self._context.family = family
+        if family is not self.context.family:
+            self.context.family = family
             self.inertial.begin_stream()
 
     @property
     def clock(self) -> TimeBase:
         """The autopilot's clock."""
-        return self._context.clock
+        return self.context.clock
 
     @property
     def imu_source(self) -> str:
@@ -124,20 +124,20 @@ class Decoder:
         measurements come with those of the next frame that is not; if the clock was set back, it is
         read again by the new clock.
         """
-        out = self._readers.get(frame.message_id, _skip)(frame)
+        out = self.readers.get(frame.message_id, _skip)(frame)
         if out and type(out[0]) is Restart:
-            held, self._held = self._held, []
+            held, self.held = self.held, []
             if out[0].goes_on:
                 frames = [*(one for one, _ in held), frame]
-                again = (self._readers.get(one.message_id, _skip)(one) for one in frames)
+                again = (self.readers.get(one.message_id, _skip)(one) for one in frames)
                 return [out[0], *(found for measurements in again for found in measurements)]
             return out
-        if self._context.clock.is_behind and len(self._held) < HELD:
-            self._held.append((frame, out))
+        if self.context.clock.is_behind and len(self.held) < HELD:
+            self.held.append((frame, out))
             return []
-        if self._held:
-            out = [*(found for _, late in self._held for found in late), *out]
-            self._held = []
+        if self.held:
+            out = [*(found for _, late in self.held for found in late), *out]
+            self.held = []
         return out
 
 

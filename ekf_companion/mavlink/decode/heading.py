@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.context import Context, Measurements, Pace, Preference
+from ekf_companion.mavlink.decode.context import Context, Measurements
+from ekf_companion.mavlink.decode.preference import Pace, Preference
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.measurements import HeadingSample, HeadingSource
 
@@ -22,7 +23,7 @@ class Heading:
     def forget(self) -> None:
         """Forget everything after a reboot."""
         self.sources = Preference()
-        self._pace = Pace(self._context.options.heading_rate)
+        self.pace = Pace(self._context.options.heading_rate)
 
     def attitude(self, frame: Frame) -> Measurements:
         """Read ATTITUDE."""
@@ -46,7 +47,7 @@ class Heading:
             self._context.refuse("heading: not a number")
         elif self._context.is_yaw_ours:
             self._context.refuse("heading: made of our own")
-        elif self.sources.admit(rank, t_ns) and self._pace.admit(t_ns):
+        elif self.sources.admit(rank, t_ns) and self.pace.admit(t_ns):
             out.append(
                 HeadingSample(
                     t_ns=t_ns,

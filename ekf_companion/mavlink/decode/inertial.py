@@ -7,7 +7,9 @@ from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
-from ekf_companion.mavlink.decode.context import Context, Family, Measurements, Preference
+from ekf_companion.mavlink.decode.context import Context, Family, Measurements
+from ekf_companion.mavlink.decode.preference import Preference
+from ekf_companion.mavlink.decode.repetition import Repetition, Sample
 from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.dejitter import Dejitter
 from ekf_companion.mavlink.frame import Frame
@@ -17,9 +19,9 @@ from ekf_companion.nav.measurements import ImuSample
 
 SOURCES = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
 """The best first: whole numbers are coarser, and milliseconds coarser than microseconds."""
-_ACCEL_GYRO = 0x3F
-_MAG = 0x1C0
-_PRESSURE = 0x200
+ACCEL_GYRO = 0x3F
+MAG = 0x1C0
+PRESSURE = 0x200
 """Bits of HIGHRES_IMU.fields_updated."""
 _MILLI_G = STANDARD_GRAVITY * 1e-3
 _MILLISECOND_US = 1000
@@ -41,23 +43,23 @@ class Inertial:
         self.sources = Preference(_STARVING)
         self.instance = self._context.options.imu_id
         """The sensor in use, as HIGHRES_IMU numbers them."""
-        self._instances = Preference(_STARVING)
-        self._last_us = -1
-        self._repetition = Repetition()
+        self.instances = Preference(_STARVING)
+        self.last_us = -1
+        self.repetition = Repetition()
         self.begin_stream()
 
     def begin_stream(self) -> None:
         """Forget the stamps of the message in use."""
         is_ms = self.sources.rank > 1
         is_sent = self._context.family is Family.ARDUPILOT
-        self._dejitter: Dejitter | None = None
+        self.dejitter: Dejitter | None = None
         if self._context.options.is_dejittered and (is_ms or is_sent):
-            self._dejitter = Dejitter(_MILLISECOND_US if is_ms else 1)
+            self.dejitter = Dejitter(_MILLISECOND_US if is_ms else 1)
 
     @property
     def is_dejittered(self) -> bool:
         """Whether stamps are being corrected."""
-        return self._dejitter is not None and self._dejitter.is_active
+        return self.dejitter is not None and self.dejitter.is_active
 
     def highres_imu(self, frame: Frame) -> Measurements:
         """Read HIGHRES_IMU."""
@@ -74,31 +76,32 @@ class Inertial:
         t_ns = t_us * 1000
         # The configured one goes first
         rank = 0 if instance == context.options.imu_id else instance + 1
-        was = self._instances.rank
-        if rank != self._instances.sole and not self._instances.admit(rank, t_ns):
+        was = self.instances.rank
+        if rank != self.instances.sole and not self.instances.admit(rank, t_ns):
             context.refused["HIGHRES_IMU: another instance"] += 1
             return out
         if rank != was:
             self._note_instance(instance, is_better=rank < was)
         sample = (gx, gy, gz, ax, ay, az)
-        if updated & _ACCEL_GYRO != _ACCEL_GYRO:
+        if updated & ACCEL_GYRO != ACCEL_GYRO:
             context.refuse("HIGHRES_IMU: accel or gyro not updated")
-        elif t_us > self._last_us and (why := self._repetition.judge(t_us, sample)):
-            self._refuse_stuck(why)
-            self._last_us = t_us
+        elif t_us > self.last_us and (why := self.repetition.judge(t_us, sample)):
+            self.refuse_stuck(why)
+            self.last_us = t_us
             # nor the magnetometer: it turned with the vehicle, and by how much is not known
             return out
         else:
             t_ns = self._add(out, 0, t_us, sample, is_sure)
         if not is_sure:
             return out  # what came with it cannot wait for the next, as the sample will
-        if updated & _MAG == _MAG:
+        if updated & MAG == MAG:
             self._mag.add(out, 0, t_ns, mx, my, mz)
-        if updated & _PRESSURE:
+        if updated & PRESSURE:
             self._baro.add(out, 0, t_ns, pressure)
         return out
 
-    def _refuse_stuck(self, why: str) -> None:
+    def refuse_stuck(self, why: str) -> None:
+        """Refuse a sample because its sensor measures nothing, and tell a human."""
         self._context.refuse(f"HIGHRES_IMU: {why}")
         self._context.note_once(
             f"Inertial sensor {self.instance} is {why}: it says the same again and again, which is "
@@ -153,7 +156,7 @@ class Inertial:
                 return
         self._mag.add(out, rank, t_ns, xmag * 1e-3, ymag * 1e-3, zmag * 1e-3)
 
-    def _add(self, out: Measurements, rank: int, t_us: int, sample: _Sample, is_sure: bool) -> int:
+    def _add(self, out: Measurements, rank: int, t_us: int, sample: Sample, is_sure: bool) -> int:
         """Append a sample if it is good; return the time, ns, of all that came with it.
 
         A stamp that is not sure yet is left as it is, and nothing is learnt from it.
@@ -165,7 +168,7 @@ class Inertial:
             context.refuse("IMU: not a number")
         elif rank != self.sources.sole and not self.sources.admit(rank, t_ns):
             context.refuse("IMU: a better source speaks")
-        elif t_us == self._last_us:
+        elif t_us == self.last_us:
             context.refuse("IMU: stamp repeated")
         else:
             if rank != was:
@@ -176,9 +179,9 @@ class Inertial:
             if not is_sure:
                 out.append(ImuSample(t_ns, *sample))
                 return t_ns
-            self._last_us = t_us
-            if self._dejitter is not None:
-                sampled = self._dejitter.smooth(t_us)
+            self.last_us = t_us
+            if self.dejitter is not None:
+                sampled = self.dejitter.smooth(t_us)
                 if sampled is None:
                     context.refuse("IMU: out of order")
                     return t_ns
@@ -191,82 +194,3 @@ class Inertial:
         away = f"is used: {SOURCES[was]} has been silent, or much slower, for 3 s"
         why = "speaks steadily" if now < was else away
         self._context.notes.append(f"{SOURCES[now]} {why}")
-
-
-_Sample = tuple[float, float, float, float, float, float]
-"""Rate, rad/s, and specific force, m/s^2, in the body."""
-
-_CHANCE = math.log(1e-12)
-"""Logarithm of the probability of a run at which it is no chance: if samples were independent, one
-false alarm in some years at 250 Hz."""
-_MEMORY = 2048
-"""Pairs after which the counts are halved."""
-_FEWEST = 64
-"""Fewest pairs to conclude anything from."""
-_RATE = 0.1
-"""rad/s; no range ends so low, and no gyro has such a bias, so the sensor turns."""
-_FORCE = 2.0
-"""m/s^2; nor does an accelerometer's range."""
-_LANDED_US = 5_000_000
-"""Equal samples as of standing still may come from a simulator if they last so long."""
-
-STUCK = "stuck"
-LIMITED = "at the end of its range"
-
-
-class Repetition:
-    """Finds in the samples of one sensor that it is stuck, or at the end of its range.
-
-    A sensor's noise makes its readings differ. How often two in a row are equal to the bit all the
-    same is counted for each axis; a run of equal ones that is too long to be chance means that the
-    axis measures nothing any more. It is counted because whole numbers in disguise, and simulators
-    without noise, repeat themselves all the time: there no run is long enough.
-    """
-
-    __slots__ = ("_equal", "_last", "_pairs", "_runs", "_since_us")
-
-    def __init__(self) -> None:
-        self._last: _Sample = (math.nan,) * 6
-        self._runs = [0] * 6
-        self._equal = [0] * 6
-        self._pairs = 0
-        self._since_us = 0
-
-    def judge(self, t_us: int, sample: _Sample) -> str | None:
-        """Return why a sample, newer than all before, measures nothing; None if it does."""
-        last, self._last = self._last, sample
-        self._pairs += 1
-        is_any = False
-        for axis in range(6):
-            if sample[axis] == last[axis]:
-                is_any = True
-                self._runs[axis] += 1
-                self._equal[axis] += 1
-            else:
-                self._runs[axis] = 0
-        if not is_any:
-            self._since_us = t_us
-            if self._pairs >= 2 * _MEMORY:
-                self._pairs //= 2
-                self._equal = [count // 2 for count in self._equal]
-            return None
-        silent = [axis for axis in range(6) if self._is_silent(axis)]
-        if len(silent) == 6 and not self._may_stand(t_us, sample):
-            return STUCK
-        largest = (_RATE,) * 3 + (_FORCE,) * 3
-        if len(silent) < 6 and any(abs(sample[axis]) > largest[axis] for axis in silent):
-            return LIMITED
-        return None
-
-    def _is_silent(self, axis: int) -> bool:
-        """Whether an axis has been constant for longer than chance explains."""
-        run = self._runs[axis]
-        known = self._pairs - run
-        if not run or known < _FEWEST:
-            return False
-        return run * math.log((self._equal[axis] - run + 1) / (known + 2)) < _CHANCE
-
-    def _may_stand(self, t_us: int, sample: _Sample) -> bool:
-        rate, force = math.hypot(*sample[:3]), math.hypot(*sample[3:])
-        is_still = rate < _RATE and abs(force - STANDARD_GRAVITY) < 0.1 * STANDARD_GRAVITY
-        return is_still and t_us - self._since_us > _LANDED_US

@@ -6,8 +6,9 @@ import math
 from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.context import Context, Measurements, Pace
+from ekf_companion.mavlink.decode.context import Context, Measurements
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, wrap
+from ekf_companion.mavlink.decode.preference import Pace
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.timebase import LAST_US
 from ekf_companion.nav.measurements import GnssFix, GnssFlag, HeadingSample, HeadingSource

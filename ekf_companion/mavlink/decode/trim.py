@@ -26,12 +26,12 @@ class Trim:
     def __init__(self, context: Context) -> None:
         self._context = context
         self._values: dict[str, float] = {}
-        self._rows: list[list[float]] | None = None
-        self._first_ns: int | None = None
+        self.rows: list[list[float]] | None = None
+        self.first_ns: int | None = None
 
     def forget(self) -> None:
         """Begin with a clock that began anew; the mounting is still the same."""
-        self._first_ns = None
+        self.first_ns = None
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -53,7 +53,7 @@ class Trim:
 
     def _apply(self) -> None:
         """Rotate by the values from now on, if nothing has been estimated without them."""
-        latest_ns, first_ns = self._context.clock.latest_ns, self._first_ns
+        latest_ns, first_ns = self._context.clock.latest_ns, self.first_ns
         if first_ns is not None and latest_ns is not None and latest_ns - first_ns > LATEST_NS:
             self._context.note_once(
                 "AHRS_TRIM is told too late to count: roll and pitch are of the board until the "
@@ -61,8 +61,8 @@ class Trim:
             )
             return
         angles = [self._values.get(name, 0.0) for name in NAMES]
-        self._rows = trim_matrix(*angles).tolist() if any(angles) else None
-        if not self.missing and self._rows is not None:
+        self.rows = trim_matrix(*angles).tolist() if any(angles) else None
+        if not self.missing and self.rows is not None:
             roll, pitch = map(math.degrees, angles)
             self._context.note_once(
                 f"The board is mounted at roll {roll:.1f} and pitch {pitch:.1f} deg (AHRS_TRIM): "
@@ -71,12 +71,12 @@ class Trim:
 
     def begin(self, t_ns: int) -> None:
         """Note when an inertial sample was taken: from the first one on there is an estimate."""
-        if self._first_ns is None:
-            self._first_ns = t_ns
+        if self.first_ns is None:
+            self.first_ns = t_ns
 
     def to_vehicle(self, x: float, y: float, z: float) -> tuple[float, float, float]:
         """Return a vector of the board in the vehicle's axes."""
-        if self._rows is None:
+        if self.rows is None:
             return x, y, z
-        a, b, c = ((row[0] * x + row[1] * y) + row[2] * z for row in self._rows)
+        a, b, c = ((row[0] * x + row[1] * y) + row[2] * z for row in self.rows)
         return a, b, c

@@ -1,0 +1,383 @@
+"""The frames of a recording, many at once (compiled).
+
+Of a flight's frames nearly all are inertial samples that plainly follow the last, attitudes that
+are not due, and messages that nobody reads. Those are read here, from columns, to the bit as the
+session and its decoder read them. A frame that may change anybody's mind (a heartbeat, a command, a
+parameter, a stamp that leaps, another sensor) is left to the session.
+"""
+
+from __future__ import annotations
+
+import cython
+import numpy as np
+from cython.cimports.libc.math import isfinite, sqrt
+
+from ekf_companion.mavlink.block_columns import Columns, Frames, kinds_of
+from ekf_companion.mavlink.clock import FOREIGN
+from ekf_companion.mavlink.decode.air import HIGHEST, LOWEST, STRONGEST, WEAKEST
+from ekf_companion.mavlink.decode.decoder import HELD
+from ekf_companion.mavlink.decode.inertial import ACCEL_GYRO, MAG, PRESSURE
+from ekf_companion.mavlink.messages import IDS
+from ekf_companion.mavlink.session import Session
+from ekf_companion.mavlink.timebase import BACK_US, NEAR_US, SURE_US, UNIX_FROM_US
+from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.buffer import EventBuffer
+from ekf_companion.nav.earth import pressure_altitude
+from ekf_companion.nav.measurements import Kind
+
+BYTES = cython.declare(cython.int, -1)
+ANYBODYS = cython.declare(cython.int, 0)
+READ = cython.declare(cython.int, 2)
+INERTIAL = cython.declare(cython.int, 4)
+ATTITUDE = cython.declare(cython.int, 5)
+TIMESYNC = cython.declare(cython.int, 6)
+"""As in :mod:`.block_columns`."""
+HEARTBEAT_ID = cython.declare(cython.longlong, IDS["HEARTBEAT"])
+ODOMETRY_ID = cython.declare(cython.longlong, IDS["ODOMETRY"])
+TIMESYNC_ID = cython.declare(cython.longlong, IDS["TIMESYNC"])
+LAST_MS = cython.declare(cython.longlong, 1 << 31)
+"""Milliseconds of boot time beyond are left to the decoder: they wrap."""
+BACK = cython.declare(cython.longlong, BACK_US)
+NEAR = cython.declare(cython.longlong, NEAR_US)
+SURE = cython.declare(cython.longlong, SURE_US)
+UNIX = cython.declare(cython.longlong, UNIX_FROM_US)
+HAS_SAMPLE = cython.declare(cython.longlong, ACCEL_GYRO)
+HAS_FIELD = cython.declare(cython.longlong, MAG)
+HAS_PRESSURE = cython.declare(cython.longlong, PRESSURE)
+LEAST_FIELD = cython.declare(cython.double, WEAKEST)
+LARGEST_FIELD = cython.declare(cython.double, STRONGEST)
+LEAST_PRESSURE = cython.declare(cython.double, LOWEST)
+LARGEST_PRESSURE = cython.declare(cython.double, HIGHEST)
+IMU_KIND = cython.declare(cython.longlong, int(Kind.IMU))
+MAG_KIND = cython.declare(cython.longlong, int(Kind.MAG))
+BARO_KIND = cython.declare(cython.longlong, int(Kind.BARO))
+
+
+class BlockReader:
+    """Reads the frames of a recording for one session, as far as it can."""
+
+    def __init__(self, session: Session) -> None:
+        """Begin without frames."""
+        self.session = session
+        self.kinds = kinds_of(session)
+        self.heard_by_id = np.zeros(len(self.kinds), dtype=np.int64)
+        self.pending: list[int] = []
+        self.values_of: Array | None = None
+        options, admission = session.options, session.admission
+        self.is_usable = not (admission.is_selective or options.is_recording)
+        self.is_usable &= session.on_frame is None
+
+    def open(self, frames: Frames) -> None:
+        """Take the next frames; all before have been read."""
+        self.close()
+        columns = Columns(frames, self.kinds)
+        self.frames = frames
+        self.kind, self.message_id, self.row = columns.kind, columns.message_id, columns.row
+        self.sequence, self.size_of = columns.sequence, columns.size
+        self.system, self.component = columns.system, columns.component
+        self.stamp_us = columns.stamp_us
+        self.t_us, self.samples = columns.t_us, columns.samples
+        self.updated, self.instance = columns.updated, columns.instance
+        self.boot_ms, self.yaw = columns.boot_ms, columns.yaw
+        self.is_answer = columns.is_answer
+        self.target_system = columns.target_system
+        self.target_component = columns.target_component
+
+    def close(self) -> None:
+        """Leave all that is known to the session."""
+        self.settle()
+        counts = np.asarray(self.heard_by_id)
+        for number in np.flatnonzero(counts).tolist():
+            self.session.received[number] += int(counts[number])
+        counts[:] = 0
+
+    def settle(self) -> None:
+        """Hand the frames that wait to the decoder: the session goes on from here."""
+        for i in self.pending:
+            self.session.decoder.held.append((self.frames.frame(i), []))
+        self.pending.clear()
+
+    def is_whole(self, i: int) -> bool:
+        """Return whether the session may take a frame as a whole, and needs not see its bytes."""
+        return self.kind[i] != BYTES and self.session.splitter.is_empty
+
+    def read(self, i: int, buffer: EventBuffer) -> int:
+        """Read frames from one on; return the first that is left to the session, or their number.
+
+        It also ends where the buffer is full.
+        """
+        if not self.load(buffer):
+            return i
+        end = self.read_on(i)
+        self.store()
+        return end
+
+    def load(self, buffer: EventBuffer) -> bool:
+        """Look up where the session stands; return whether anything can be read here."""
+        session, decoder = self.session, self.session.decoder
+        peer = session.discovery.peer
+        if not self.is_usable or peer is None or session.guard.is_waiting:
+            return False
+        if not session.splitter.is_empty:
+            return False
+        self.peer_system, self.peer_component = peer
+        self.our_system, self.our_component = session.outbox.ids
+        self.is_yielding = session.clash.is_yielding
+        self.is_idle = session.timesync.is_idle
+        self.decoder, self.numbers = decoder, session.sequence
+        self.clock = decoder.context.clock
+        self.main = self.clock.main
+        self.imu, self.trim = decoder.inertial, decoder.trim
+        self.mag, self.baro = decoder.mag, decoder.baro
+        self.sources, self.instances = self.imu.sources, self.imu.instances
+        self.repetition, self.dejitter = self.imu.repetition, self.imu.dejitter
+        self.mag_sources, self.baro_sources = self.mag.sources, self.baro.sources
+        self.heading_sources, self.pace = decoder.heading.sources, decoder.heading.pace
+        self.imu_id = decoder.context.options.imu_id
+        self.is_submarine = decoder.context.is_submarine
+        self.is_yaw_ours = decoder.context.is_yaw_ours
+        self.is_begun, self.is_turned = self.trim.first_ns is not None, self.trim.rows is not None
+        self.last_us, self.last_pressure = self.imu.last_us, self.baro.last
+        self.has_field = len(self.mag.last) == 3
+        if self.has_field:
+            self.mx, self.my, self.mz = self.mag.last
+        self.is_new_field = False
+        self.has_held = bool(decoder.held) or bool(self.pending)
+        self.heard = self.believed = self.echoes = self.strangers = self.count = self.volume = 0
+        self.use(buffer)
+        return True
+
+    def use(self, buffer: EventBuffer) -> None:
+        """Write rows into a buffer."""
+        if self.values_of is not buffer.values:
+            self.values_of = buffer.values
+            self.out_t, self.out_kind, self.out = buffer.t_ns, buffer.kind, buffer.values
+        self.buffer, self.n = buffer, buffer.size
+        self.limit = buffer.limit
+
+    def store(self) -> None:
+        """Tell the session what was counted and changed."""
+        self.imu.last_us, self.baro.last, self.buffer.size = (
+            self.last_us,
+            self.last_pressure,
+            self.n,
+        )
+        if self.is_new_field:
+            self.mag.last, self.mag.strange = (self.mx, self.my, self.mz), 0
+        if self.count:
+            self.session.pass_over(
+                self.count, self.volume, self.heard, self.believed, self.strangers, self.echoes
+            )
+
+    def read_on(self, i: int) -> int:
+        """Do the work of :meth:`read`."""
+        while i < self.kind.shape[0] and self.n < self.limit:
+            kind = self.kind[i]
+            number = self.message_id[i]
+            if kind == BYTES:
+                break
+            if self.system[i] == self.our_system and self.component[i] == self.our_component:
+                if number == HEARTBEAT_ID or (number == ODOMETRY_ID and self.is_yielding):
+                    break
+                self.echoes += 1
+            elif kind == ANYBODYS:
+                break
+            elif self.system[i] == self.peer_system and self.component[i] == self.peer_component:
+                if kind <= READ or not self.read_message(kind, self.row[i]):
+                    break
+                self.numbers.count(self.sequence[i], self.stamp_us[i] * 1000)
+                self.heard_by_id[number] += 1
+                self.heard += 1
+                self.believed += 1
+                # A frame behind the clock waits with those held; the next that is not frees them
+                if self.clock.is_behind:
+                    self.hold(i)
+                elif self.has_held:
+                    self.free()
+            else:
+                self.strangers += 1
+                self.believed += 1
+            self.count += 1
+            self.volume += self.size_of[i]
+            i += 1
+        return i
+
+    def read_message(self, kind: int, k: int) -> bool:
+        """Read the k-th frame of a message; return whether it could be read here."""
+        if kind == INERTIAL:
+            return self.read_inertial(k)
+        if kind == ATTITUDE:
+            return self.read_attitude(k)
+        if kind == TIMESYNC:
+            return self.read_timesync(k)
+        return True
+
+    def hold(self, i: int) -> None:
+        """Let a frame without measurements wait until it is known what the clock did."""
+        if len(self.decoder.held) + len(self.pending) < HELD:
+            self.pending.append(i)
+            self.has_held = True
+
+    def free(self) -> None:
+        """Write the rows of the frames that waited."""
+        self.has_held = False
+        self.pending.clear()
+        held, self.decoder.held = self.decoder.held, []
+        self.buffer.size = self.n
+        for _, measurements in held:
+            for measurement in measurements:
+                self.buffer.append(measurement.row())
+        self.use(self.buffer)
+
+    def read_timesync(self, k: int) -> bool:
+        """Count an answer to somebody else; without requests of ours there is no other."""
+        if not self.is_idle:
+            return False
+        system = self.target_system[k]
+        component = self.target_component[k]
+        is_ours = system == 0 or system == self.our_system
+        if not is_ours or not (component == 0 or component == self.our_component):
+            self.session.misaddressed[TIMESYNC_ID] += 1
+        elif self.is_answer[k]:
+            self.session.timesync.refused[FOREIGN] += 1
+        return True
+
+    def read_attitude(self, k: int) -> bool:
+        """Follow the stamp of an attitude whose heading is not due."""
+        if self.main.latest_us is None or self.main.leap_us is not None or self.is_yaw_ours:
+            return False
+        latest = cython.declare(cython.longlong, self.main.latest_us)
+        stamp = self.boot_ms[k] * 1000
+        step = stamp - latest
+        if latest > UNIX or latest // 1000 > LAST_MS or stamp == 0 or not -BACK <= step <= NEAR:
+            return False
+        if step < 0 and self.main.behind_us is not None and stamp - self.main.behind_us >= SURE:
+            return False
+        if not isfinite(self.yaw[k]) or self.heading_sources.rank != 0:
+            return False
+        if self.pace.is_due(stamp * 1000):
+            return False
+        self.clock.advance_boot_ms(self.boot_ms[k])
+        return self.heading_sources.admit(0, stamp * 1000)
+
+    def read_inertial(self, k: int) -> bool:
+        """Read a sample that plainly follows the last, with what came with it."""
+        t_us = self.t_us[k]
+        rank = 0 if self.instance[k] == self.imu_id else self.instance[k] + 1
+        if rank != self.instances.rank or self.sources.rank != 0 or not self.is_begun:
+            return False
+        if self.updated[k] & HAS_SAMPLE != HAS_SAMPLE or t_us <= 0 or t_us <= self.last_us:
+            return False
+        row = self.samples[k]
+        if not isfinite(row[0] + row[1] + row[2] + row[3] + row[4] + row[5]):
+            return False
+        has_field = self.updated[k] & HAS_FIELD == HAS_FIELD
+        has_field = has_field and not (row[6] == 0.0 and row[7] == 0.0 and row[8] == 0.0)
+        has_pressure = self.updated[k] & HAS_PRESSURE != 0 and row[9] != 0.0
+        if has_field and not self.can_read_field(row):
+            return False
+        if has_pressure and not self.can_read_pressure(row[9]):
+            return False
+        if not self.clock.follow(t_us):
+            return False
+        if self.has_held:
+            self.free()
+        t_ns = t_us * 1000
+        if rank != self.instances.sole:
+            self.instances.admit(rank, t_ns)
+        why = self.repetition.judge_axes(t_us, row[0], row[1], row[2], row[3], row[4], row[5])
+        self.last_us = t_us
+        if why is not None:
+            self.imu.refuse_stuck(why)
+            self.session.emit_notes()
+            return True
+        if self.sources.sole != 0:
+            self.sources.admit(0, t_ns)
+        t_ns = self.write_sample(t_us, row)
+        if has_field:
+            self.write_field(t_ns, row)
+        if has_pressure:
+            self.write_pressure(t_ns, row[9])
+        return True
+
+    def can_read_field(self, row: np.ndarray) -> bool:
+        """Return whether a magnetic field is the last one again, or the Earth's."""
+        if self.mag_sources.rank != 0:
+            return False
+        norm = sqrt(row[6] * row[6] + row[7] * row[7] + row[8] * row[8])
+        return self.is_known(row) or LEAST_FIELD <= norm <= LARGEST_FIELD
+
+    def is_known(self, row: np.ndarray) -> bool:
+        """Return whether a magnetic field is the last one again."""
+        is_same = row[6] == self.mx and row[7] == self.my and row[8] == self.mz
+        return self.has_field and is_same
+
+    def can_read_pressure(self, pressure: float) -> bool:
+        """Return whether a pressure is the last one again, or in hPa that of the air."""
+        if self.baro_sources.rank != 0:
+            return False
+        if pressure == self.last_pressure:
+            return True
+        if self.is_submarine or LEAST_PRESSURE <= pressure <= LARGEST_PRESSURE:
+            return False
+        return LEAST_PRESSURE <= pressure * 100.0 <= LARGEST_PRESSURE
+
+    def write_sample(self, t_us: int, row: np.ndarray) -> int:
+        """Write a sample, unless it came out of order; return the time of what came with it, ns."""
+        t_ns = t_us * 1000
+        if self.dejitter is not None:
+            sampled = self.dejitter.smooth(t_us)
+            if sampled is None:
+                self.decoder.context.refuse("IMU: out of order")
+                return t_ns
+            t_ns = sampled
+        self.begin_row(t_ns, IMU_KIND)
+        if self.is_turned:
+            self.turn(row[0], row[1], row[2], 0)
+            self.turn(row[3], row[4], row[5], 3)
+        else:
+            for j in range(6):
+                self.out[self.n, j] = row[j]
+        self.n += 1
+        return t_ns
+
+    def write_field(self, t_ns: int, row: np.ndarray) -> None:
+        """Write a magnetic field that is not the last one again."""
+        if self.mag_sources.sole != 0:
+            self.mag_sources.admit(0, t_ns)
+        if self.is_known(row):
+            return
+        self.has_field = self.is_new_field = True
+        self.mx, self.my, self.mz = row[6], row[7], row[8]
+        self.begin_row(t_ns, MAG_KIND)
+        if self.is_turned:
+            self.turn(row[6], row[7], row[8], 0)
+        else:
+            for j in range(3):
+                self.out[self.n, j] = row[6 + j]
+        self.n += 1
+
+    def write_pressure(self, t_ns: int, pressure: float) -> None:
+        """Write the height of a pressure that is not the last one again."""
+        if self.baro_sources.sole != 0:
+            self.baro_sources.admit(0, t_ns)
+        if pressure == self.last_pressure:
+            return
+        self.last_pressure = pressure
+        self.begin_row(t_ns, BARO_KIND)
+        self.out[self.n, 0] = pressure_altitude(pressure * 100.0)
+        self.n += 1
+
+    def begin_row(self, t_ns: int, kind: int) -> None:
+        """Begin a row of zeros."""
+        self.out_t[self.n] = t_ns
+        self.out_kind[self.n] = kind
+        for j in range(self.out.shape[1]):
+            self.out[self.n, j] = 0.0
+
+    def turn(self, x: float, y: float, z: float, first: int) -> None:
+        """Write a vector of the board in the vehicle's axes."""
+        x, y, z = self.trim.to_vehicle(x, y, z)
+        self.out[self.n, first] = x
+        self.out[self.n, first + 1] = y
+        self.out[self.n, first + 2] = z
