@@ -213,3 +213,22 @@ def test_the_page_shows_what_differs_from_the_file_and_what_comes_in_vain(data):
     text = " ".join(page(told).split())
     assert "gnss.delay 0.1 over MAVLink; reloaded 2 times, last: Nothing to take" in text
     assert "the link is full" in text
+
+
+def test_a_token_in_the_address_is_sent_as_a_header():
+    asked = []
+
+    class Guarded(BaseHTTPRequestHandler):
+        def do_GET(self):
+            asked.append((self.path, self.headers["Authorization"]))
+            self.send_error(401)
+
+        def log_message(self, *_):
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Guarded) as server:
+        thread = threading.Thread(target=server.handle_request)
+        thread.start()
+        status("--url", f"http://127.0.0.1:{server.server_port}/?token=tomato-soup")
+        thread.join()
+    assert asked == [("/status", "Bearer tomato-soup")]
