@@ -121,6 +121,8 @@ installcheck: $(STAMP)
 		> /dev/null
 	$(CHECKED)/opt/bin/sim-autopilot generate --duration 15 -o $(CHECKED)/flight.tlog
 	$(CHECKED)/opt/bin/ekf-companion convert $(CHECKED)/flight.tlog -o $(CHECKED)/flight.csv
+	$(CHECKED)/opt/bin/python -c "from ekf_companion.status.assets import NO_CHARTS, index; \
+		assert NO_CHARTS not in index('live').decode()"
 	rm -rf $(CHECKED)
 
 clean:
