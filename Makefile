@@ -161,6 +161,8 @@ installcheck: $(STAMP)
 	$(BIN)/sim-autopilot generate --duration 30 -o $(CHECKED)/flight.tlog
 	$(CHECKED)/opt/bin/ekf-companion convert $(CHECKED)/flight.tlog -o $(CHECKED)/flight.csv
 	$(CHECKED)/opt/bin/ekf-companion report $(CHECKED)/flight.tlog -o $(CHECKED)/flight.html
+	$(CHECKED)/opt/bin/python -c "from ekf_companion.status.assets import NO_CHARTS, index; \
+		assert NO_CHARTS not in index('live').decode()"
 	rm -rf $(CHECKED)
 
 clean:

@@ -139,6 +139,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def _watch(self, feed: Feed) -> None:
         """Serve ``/live``, if the request may."""
+        self.close_connection = True  # what follows on it is no request
         refusal = self._access.refuse(
             self.headers, self.path.partition("?")[2], self.client_address[0]
         )

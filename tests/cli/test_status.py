@@ -335,3 +335,22 @@ def test_ctrl_c_ends_what_is_watched_with_the_last_finding(daemon):
         screen.wait_for("q ends")
         screen.process.send_signal(signal.SIGINT)
         assert screen.process.wait(LIMIT) == 1
+
+
+def test_a_token_in_the_address_is_sent_as_a_header():
+    asked = []
+
+    class Guarded(BaseHTTPRequestHandler):
+        def do_GET(self):
+            asked.append((self.path, self.headers["Authorization"]))
+            self.send_error(401)
+
+        def log_message(self, *_):
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Guarded) as server:
+        thread = threading.Thread(target=server.handle_request)
+        thread.start()
+        status("--url", f"http://127.0.0.1:{server.server_port}/?token=tomato-soup")
+        thread.join()
+    assert asked == [("/status", "Bearer tomato-soup")]
