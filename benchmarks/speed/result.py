@@ -26,7 +26,7 @@ def table(results: Iterable[Result]) -> Iterable[str]:
     """Yield the figures as lines of text."""
     yield f"{'':<62} {'measured':>10} {'aim':>7}"
     for one in results:
-        aim = "" if one.aim is None else f"{one.aim:g}"
+        aim = "" if one.aim is None else f"{one.aim:.3g}"
         verdict = "" if one.is_met else "  <- above the aim"
         yield f"{one.name:<62} {_digits(one.value):>10} {aim:>7} {one.unit}{verdict}"
 

@@ -18,6 +18,7 @@ from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status, Table, Trajectory
 from ekf_companion.replay import convert
 from ekf_companion.replay.report import Report
+from ekf_companion.replay.verdict import judge
 
 Row = dict[str, str | int | float | None]
 """What is found of one log, by column; None: not known."""
@@ -51,6 +52,8 @@ _NUMBERS = {
 COLUMNS: Mapping[str, type] = {
     "log": str,
     "outcome": str,
+    "grade": str,
+    "verdict": str,
     "why": str,
     "autopilot": str,
     **_NUMBERS,
@@ -58,7 +61,8 @@ COLUMNS: Mapping[str, type] = {
     "notes": str,
 }
 """The columns and their types. ``outcome`` is ``estimated`` or ``failed``, ``why`` says why it
-failed. Errors are RMS, against the autopilot's own estimate and against the log's truth."""
+failed; ``grade`` and ``verdict`` are those that ``report`` gives. Errors are RMS, against the
+autopilot's own estimate and against the log's truth."""
 
 
 def find_logs(names: Sequence[str]) -> list[Path]:
@@ -134,10 +138,15 @@ def _found(
         if health.resets:
             yield "last_reset", health.reset_reason
     estimate = of_table(table, "ekf-companion")
+    difference: tuple[float, str, bool] | None = None
     for whose, other in (("autopilot", own), ("truth", truth)):
         if other is not None:
             found = score.score(estimate, other, SKIPPED[whose])
             for name, (field, scale) in _ERRORS.items():
                 if (spread := getattr(found, field)) is not None:
                     yield f"{whose}_{name}", spread.rms * scale
+            if found.horizontal is not None:  # the truth, which comes last, counts
+                difference = found.horizontal.rms, other.name, whose == "truth"
+    judgement = judge(report, difference)
+    yield from {"grade": judgement.grade, "verdict": judgement.sentence}.items()
     yield "notes", "; ".join(report.notes)

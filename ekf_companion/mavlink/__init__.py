@@ -7,6 +7,8 @@ decode    wire units to measurements, whatever the habits of the two autopilots
 encode    estimates to payloads
 timebase  the autopilot's clock from its messages' stamps
 dejitter  stamps taken when a message was sent, corrected to when its sample was taken
+sequence  what was lost, by the frames' numbers
+block     a recording's frames, many at once, to the same bits; block_columns: as columns
 clock     the autopilot's clock compared with ours: TIMESYNC both ways
 outbox    messages of ours on their way out, and the record of all that went in and out
 admission, signing        which frames are let in
@@ -19,4 +21,6 @@ discovery  which autopilot it is     heartbeat   our identity, and others under 
 request    what we request           audit       rates that come   clock       TIMESYNC
 commands   what is requested of us   parameters  what may be set   statustext  texts for the pilot
 guard      which parameters decide
+
+Modules with a .pxd beside them are compiled; the same files run as plain Python.
 """

@@ -89,6 +89,8 @@ def test_rows_say_what_was_found_and_why_a_log_failed(folder, expected):
     whole = rows["a0.tlog"]
     assert (whole["outcome"], whole["autopilot"], whole["resets"]) == ("estimated", "px4", 0)
     assert whole["imu_hz"] == pytest.approx(50.0)
+    assert whole["verdict"].startswith(whole["grade"] + ":")
+    assert rows["noise.bin"]["verdict"] is None
     assert whole["duration_s"] == pytest.approx(12.0, abs=0.2)
     assert rows["noise.bin"]["outcome"] == rows["empty.ulg"]["outcome"] == "failed"
     assert rows["noise.bin"]["why"].startswith("holds no FMT record")
