@@ -162,8 +162,8 @@ def lasting(simulator: Simulator, folder: Path) -> Iterator[Line]:
     error = log.score("autopilot")
     yield Line(name, "horizontal error", error.horizontal, 0.25, " m")
     yield Line(name, "largest horizontal error", error.horizontal_max, 1.0, " m")
-    own = (flown.own_resets > begin) & (flown.own_resets < end)
-    yield Line(name, "resets of the autopilot", int(own.sum()), 0)
+    if (own := flown.own_resets) is not None:
+        yield Line(name, "resets of the autopilot", int(((own > begin) & (own < end)).sum()), 0)
     if flown.ours is not None:
         rows = (flown.ours.t > begin) & (flown.ours.t < end)
         moved = int(np.count_nonzero(np.diff(flown.resets[rows].astype(int))))

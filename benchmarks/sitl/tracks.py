@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +50,8 @@ class Flown:
     """Of each ODOMETRY, shape (n,)."""
     accel_bias: Array
     """The autopilot's estimate, m/s^2, shape (m, 3); without rows where its log lacks it."""
-    own_resets: Array = field(default_factory=lambda: np.zeros(0))
-    """When the autopilot reset its place or velocity, s; empty too where its log lacks it."""
+    own_resets: Array | None = None
+    """When the autopilot reset its place or velocity, s; None: not logged."""
     dead_reckoning: float | None = None
     """Longest time for which the autopilot went without aid in the air, s; None: not logged."""
 
