@@ -78,12 +78,12 @@ class Decoder:
     @property
     def is_ours(self) -> bool:
         """Whether the autopilot's own position is made of our ODOMETRY."""
-        return self._context.is_ours
+        return self.context.is_ours
 
     @property
     def is_yaw_ours(self) -> bool:
         """Whether the autopilot's own yaw is made of our ODOMETRY."""
-        return self._context.is_yaw_ours
+        return self.context.is_yaw_ours
 
     @property
     def family(self) -> Family:
