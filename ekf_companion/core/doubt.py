@@ -267,7 +267,7 @@ def doubt_refusal(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
 def compare_fixes(x: State, fix: Fix) -> None:
     """Add to what the receiver's position has moved beside the integral of its velocity."""
     dt = (x.t - x.split_t) * 1e-9
-    force.compare(x, fix, dt)
+    force.compare(x, fix)
     for i in range(3):
         here = -fix.alt
         if i == 0:
@@ -287,7 +287,7 @@ def compare_fixes(x: State, fix: Fix) -> None:
 
 def is_receivers_own(x: State, fix: Fix) -> bool:
     """Return whether a disagreement is the receiver's, whatever the filter is in doubt of."""
-    return contradicts_itself(x, fix) or force.is_contradicted(x, fix)
+    return contradicts_itself(x, fix) or x.is_force_denied != 0.0
 
 
 def contradicts_itself(x: State, fix: Fix) -> bool:

@@ -16,8 +16,8 @@ from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
 MEMORY = cython.declare(cython.double, 0.5)
 """Time constant of the integrals, s."""
-LONGEST = cython.declare(cython.double, 1.5)
-"""Longest interval between two fixes to compare over, s."""
+LONGEST = cython.declare(cython.double, 3.0)
+"""Time after which a velocity that is denied is begun with anew, s."""
 GRAVITY = cython.declare(cython.double, 9.81)
 LARGEST_FAULT = cython.declare(cython.double, 2.0)
 """Error of a specific force that vibration may cause in the mean, m/s^2."""
@@ -26,52 +26,60 @@ ARM = cython.declare(cython.double, 0.2)
 SIGMAS = cython.declare(cython.double, 3.0)
 
 
-def compare(x: State, fix: Fix, dt: float) -> None:
-    """Add what both gained since the fix dt (s) before, whose velocity is ``x.split_vel``."""
+def compare(x: State, fix: Fix) -> None:
+    """Compare what both gained since the last fix that was not denied.
+
+    What is denied is not kept: the next fix is compared with the one before it.
+    """
+    dt = (x.t - x.force_t) * 1e-9
     is_known = cython.declare(cython.bint, 0.0 < dt < LONGEST)
     for i in range(3):  # after a gap, or samples at the end of their range, no sum is known
         is_known = is_known and not isnan(fix.vel_n[i]) and not isnan(x.force_sum[i])
-    faded = exp(-dt / MEMORY)
-    for i in range(3):
-        if is_known:
-            x.fix_force[i] = faded * (x.fix_force[i] + fix.vel_n[i] - x.split_vel[i])
-            x.felt_force[i] = faded * (x.felt_force[i] + x.force_sum[i])
-        else:
-            x.fix_force[i] = 0.0
-            x.felt_force[i] = 0.0
-        x.force_sum[i] = 0.0
+    x.is_force_denied = 0.0
+    x.is_fall_denied = 0.0
     if is_known:
-        x.fix_force[2] -= faded * GRAVITY * dt
-        x.force_time = faded * (x.force_time + dt)
-    else:
-        x.force_time = 0.0
-
-
-def is_contradicted(x: State, fix: Fix) -> bool:
-    """Return whether the receiver's velocity changed otherwise than the samples allow."""
-    claimed = 0.0
-    felt = 0.0
+        judge(x, fix, dt)
+        if x.is_force_denied != 0.0:
+            return
+    faded = exp(-dt / MEMORY) if is_known else 0.0
     for i in range(3):
-        claimed += x.fix_force[i] * x.fix_force[i]
-        felt += x.felt_force[i] * x.felt_force[i]
-    return is_odd(x, sqrt(claimed), sqrt(felt)) and fabs(sqrt(claimed) - sqrt(felt)) > limit(x, fix)
+        x.fix_force[i] = claimed(x, fix, dt, i) if is_known else 0.0
+        x.felt_force[i] = faded * (x.felt_force[i] + x.force_sum[i]) if is_known else 0.0
+        x.force_vel[i] = 0.0 if isnan(fix.vel_n[i]) else fix.vel_n[i]
+        x.force_sum[i] = 0.0
+    x.force_time = faded * (x.force_time + dt) if is_known else 0.0
+    x.force_t = x.t
 
 
-def is_denied(x: State, fix: Fix, way: float) -> bool:
-    """Return whether the samples deny a change of the vertical velocity; ``way`` > 0 is a fall.
+def claimed(x: State, fix: Fix, dt: float, axis: int) -> float:
+    """Return the integral of the force by the receiver, m/s."""
+    gained = fix.vel_n[axis] - x.force_vel[axis] - (GRAVITY * dt if axis == 2 else 0.0)
+    return exp(-dt / MEMORY) * (x.fix_force[axis] + gained)
+
+
+def judge(x: State, fix: Fix, dt: float) -> None:
+    """Find out whether the samples deny the fix, or its vertical velocity.
 
     What an attitude is wrong by tells little in the vertical.
     """
-    more = x.fix_force[2] - x.felt_force[2]
-    return is_odd(x, -x.fix_force[2], -x.felt_force[2]) and (more if way > 0.0 else -more) > limit(
-        x, fix
-    )
-
-
-def is_odd(x: State, claimed: float, felt: float) -> bool:
-    """Return whether the receiver's claim is further from one g than what the samples felt."""
-    usual = GRAVITY * x.force_time
-    return fabs(claimed - usual) > fabs(felt - usual)
+    faded = exp(-dt / MEMORY)
+    usual = faded * GRAVITY * (x.force_time + dt)
+    most = limit(x, fix)
+    way = 0.0
+    felt = 0.0
+    for i in range(3):
+        size = claimed(x, fix, dt, i)
+        way += size * size
+        size = faded * (x.felt_force[i] + x.force_sum[i])
+        felt += size * size
+    way = sqrt(way)
+    felt = sqrt(felt)
+    if fabs(way - felt) > most and fabs(way - usual) > fabs(felt - usual):
+        x.is_force_denied = 1.0
+    way = claimed(x, fix, dt, 2)
+    felt = faded * (x.felt_force[2] + x.force_sum[2])
+    if fabs(way - felt) > most and fabs(way + usual) > fabs(felt + usual):
+        x.is_fall_denied = 1.0 if way > felt else -1.0
 
 
 def limit(x: State, fix: Fix) -> float:

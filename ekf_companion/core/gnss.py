@@ -12,7 +12,6 @@ from cython import address
 from cython.cimports.ekf_companion.core import (
     align,
     doubt,
-    force,
     gate,
     observe,
     rest,
@@ -295,7 +294,7 @@ def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
     o = address(w.observation)
     nis = innovate(x, o)
     hard = k.gate[o.rows - 1]
-    if force.is_contradicted(x, address(w.fix)):
+    if x.is_force_denied != 0.0:
         nis = DRAGGED_NIS
     if aid != AID_VELOCITY and is_dragged(x, o, address(w.fix), aid):
         nis = DRAGGED_NIS

@@ -64,6 +64,11 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
     """Start, or start again, at a fix with the attitude that the yaw bank has found."""
     yaw_std = x.yaw_bank.yaw_std
     delay = x.gnss_delay
+    height = x.pos_n[2]
+    height_var = x.P[E_POS + 2][E_POS + 2]
+    keeps_height = cython.declare(
+        cython.bint, x.mode == MODE_NAVIGATE and x.voices.is_rushing != 0.0
+    )
     x.moved.yaw += yaw_reset.yaw_error(x)
     yaw_reset.take_attitude(x)
     if x.mode == MODE_LEVEL:
@@ -84,6 +89,10 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
     # what a compass has said until now counts for nothing: its error is to be found
     reset_variance(x, E_HEADING, 1, UNKNOWN_HEADING)
     start_navigation(x, k, w, True)
+    if keeps_height:  # the receiver's is not heard
+        x.moved.pos_n[2] += height - x.pos_n[2]
+        x.pos_n[2] = height
+        reset_variance(x, E_POS + 2, 1, height_var)
 
 
 def resume_after_gap(x: State, k: Parameters, w: Scratch, has_vel: bool) -> None:

@@ -209,6 +209,7 @@ def start(x: State, t: float) -> None:
     x.mag_t = NEVER
     x.innovation_t = NEVER
     x.split_t = NEVER
+    x.force_t = NEVER
     x.voices.t = NEVER
     x.fake_t = t
     x.proven_t = NEVER

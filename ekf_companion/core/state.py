@@ -428,14 +428,22 @@ class State:
     """Its last velocity, m/s."""
     split_t: Real
     """ns."""
+    force_t: Real
+    """Of the last fix that the specific force did not deny, ns."""
+    force_vel: Annotated[Vector, 3]
+    """Its velocity, m/s."""
     force_sum: Annotated[Vector, 3]
-    """Integral of the specific force since that fix, n, m/s."""
+    """Integral of the specific force since, n, m/s."""
     felt_force: Annotated[Vector, 3]
-    """The same over the last half second or so."""
+    """The same over the last half second or so until then."""
     fix_force: Annotated[Vector, 3]
     """What it is by the change of the receiver's velocity."""
     force_time: Real
     """Over how long, faded likewise, s."""
+    is_force_denied: Real
+    """The last fix claims what the inertial samples did not feel."""
+    is_fall_denied: Real
+    """Likewise of a change of the vertical velocity alone: 1 a fall, -1 a rise, 0 none."""
     white_share: Annotated[Vector, RUNS]
     """Learnt share of the receiver's stated variances that is white, by aid."""
     gnss_vel_offset_var: Real

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core import force
 from cython.cimports.ekf_companion.core.enums import (
     AID_VELOCITY,
     E_BARO,
@@ -130,7 +129,7 @@ def find_rush(x: State, fix: Fix, dt: float, is_known: bool) -> None:
     if voices.is_rushing != 0.0:
         voices.is_rushing = 1.0 if size > BACK else 0.0
     elif size > 1.0 and (
-        force.is_denied(x, fix, voices.rush) or x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]
+        voices.rush * x.is_fall_denied > 0.0 or x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]
     ):
         voices.is_rushing = 1.0
         # what was fused until now has led us along
