@@ -13,6 +13,7 @@ from ekf_companion.link.address import Kind, parse_monitor, parse_peer, parse_ur
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
+from ekf_companion.nav import so3
 from sim_autopilot.autopilot import Kind as Stack
 from sim_autopilot.config import HomeConfig, SimConfig
 from sim_autopilot.flight import Flight
@@ -104,7 +105,8 @@ def flown(tmp_path_factory):
     return Flown(Record(folder / "flight.tlog", daemon.config), wire, monitor, crowd, nobody, words)
 
 
-COVARIANCES = ("pose_covariance", "velocity_covariance")
+FOR_PX4 = ("pose_covariance", "velocity_covariance", "child_frame_id", "vx", "vy", "vz")
+"""What PX4 is sent otherwise: covariances without the slow error, the velocity along n."""
 
 
 def test_a_monitor_gets_the_odometry_that_the_guard_withholds_rule_25(flown):
@@ -120,8 +122,10 @@ def test_a_monitor_gets_the_odometry_that_the_guard_withholds_rule_25(flown):
     for message in heard:
         if (theirs := withheld.get(message.time_usec)) is None:
             continue
-        covariances = {name: getattr(theirs, name) for name in COVARIANCES}
-        assert message._replace(estimator_type=3, **covariances) == theirs
+        own = {name: getattr(theirs, name) for name in FOR_PX4}
+        assert message._replace(estimator_type=3, **own) == theirs
+        along_b = so3.rotate(so3.conjugate(np.array(theirs.q)), [theirs.vx, theirs.vy, theirs.vz])
+        assert [message.vx, message.vy, message.vz] == pytest.approx(along_b, abs=1e-4)
         # An autopilot is told nothing of the slow error of the receiver
         assert message.pose_covariance[0] > theirs.pose_covariance[0]
     assert len(withheld.keys() & {message.time_usec for message in heard}) > 300

@@ -226,11 +226,13 @@ def test_a_file_that_does_not_end_is_not_waited_for(tmp_path):
 
 
 BUG = """
+import logging
 from ekf_companion.daemon import daemon
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import HttpConfig, LinkConfig
 
 config = Config(link=LinkConfig(url="udpin:127.0.0.1:{port}"), http=HttpConfig(port=0))
+logging.basicConfig()
 reads = iter([config])
 daemon.run(lambda: next(reads))
 """

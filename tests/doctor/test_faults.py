@@ -47,7 +47,7 @@ def link(**options):
 def test_where_nothing_is_wrong_nothing_is_found(kind):
     evidence = examine(kind=kind, config=SLOW)
     assert [f for f in diagnose(evidence) if f.outcome is not Outcome.OK] == []
-    assert evidence.sent.frames == {(1 if kind in ("px4", Kind.PX4) else 20, 12)}
+    assert evidence.sent.frames == {(1, 1) if kind in ("px4", Kind.PX4) else (20, 12)}
     assert evidence.sent.rate == pytest.approx(30.0, rel=0.1)
     assert "; it would with" in stage(evidence, "fused").saw
 
