@@ -168,5 +168,5 @@ installcheck: $(STAMP)
 	rm -rf $(CHECKED)
 
 clean:
-	rm -rf $(VENV) $(VENV)-e2e build dist demo *.egg-info ekf_companion/core/*.so ekf_companion/core/*.c \
-		ekf_companion/logs/*.so ekf_companion/logs/*.c
+	rm -rf $(VENV) $(VENV)-e2e build dist demo *.egg-info ekf_companion/status/page/uPlot.*
+	find ekf_companion -name '*.so' -delete -o -name '*.c' -delete
