@@ -37,8 +37,7 @@ COMMANDS = {
     "preflight": _Entry(
         "preflight",
         "preflight",
-        "Say whether the vehicle may take off, and why not. Exit code: 0 ready, 5 not, 4 no "
-        "answer.",
+        "Report if the vehicle may take off, and why not. Exit code: 0 ready, 5 not, 4 no answer.",
     ),
     "reload": _Entry(
         "reload",

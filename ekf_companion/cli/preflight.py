@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ekf_companion.cli.status import NO_DAEMON, URL, Answer, fetch
+from ekf_companion.cli.status import NO_DAEMON, URL, Answer, UrlOption, fetch
 from ekf_companion.cli.terminal import JsonOption, show
 
 NOT_READY = 5
@@ -21,13 +21,13 @@ _OLD = (
 
 
 def preflight(
-    url: Annotated[str, typer.Option(help="Where the daemon answers: http.host, http.port.")] = URL,
+    url: UrlOption = URL,
     as_json: JsonOption = False,
     wait: Annotated[
         float, typer.Option(min=0.0, help="Seconds to wait for a vehicle that is not ready yet.")
     ] = 0.0,
 ) -> None:
-    """Say whether the vehicle may take off, and why not. Exit code: 0 ready, 5 not, 4 no answer."""
+    """Report if the vehicle may take off, and why not. Exit code: 0 ready, 5 not, 4 no answer."""
     end_s, said = time.monotonic() + wait, [""]
     while True:
         code, verdict = _ask(url)

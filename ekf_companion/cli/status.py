@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 URL = "http://127.0.0.1:9331"
+UrlOption = Annotated[
+    str,
+    typer.Option(
+        "--url", help="Where the daemon answers: http.host, http.port; ?token=... from elsewhere."
+    ),
+]
 TIMEOUT = 3.0
 """Longest wait for an answer, s."""
 PERIOD = 1.0
@@ -36,12 +42,7 @@ class Answer(NamedTuple):
 
 
 def status(
-    url: Annotated[
-        str,
-        typer.Option(
-            help="Where the daemon answers: http.host, http.port; ?token=... from elsewhere."
-        ),
-    ] = URL,
+    url: UrlOption = URL,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print /status as JSON, and nothing else.")
     ] = False,

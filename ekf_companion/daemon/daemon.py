@@ -228,7 +228,7 @@ class Daemon:
             self._apply(answer)
 
     def _on_unread(self) -> None:
-        """Give up the reading; another may begin when the thread has ended."""
+        """Abandon the reading; another may begin when the thread has ended."""
         self._reading_limit = None
         self._apply(ConfigError(f"the configuration could not be read within {READING:g} s"))
 

@@ -131,7 +131,7 @@ EKF3: 3 sigma (EK3_YAW_I_GATE) of 0.2 rad (VISO_YAW_M_NSE), 34 degrees."""
 
 
 class JumpDetector:
-    """Tells a jump from the corrections that are usual: those of a fix, the noise of the samples.
+    """Finds the jumps among the corrections: usual are those of a fix, and the samples' noise.
 
     A step is a jump beyond many times the usual one, between two bounds: at the lower, no follower
     refuses it; at the upper, one of them does, however noisy the receiver.

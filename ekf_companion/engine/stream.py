@@ -206,7 +206,7 @@ class OdometryStream:
         return self._residual.apply(odometry, pose)._replace(reset_count=self._count)
 
     def _end_silence(self, span_ns: int) -> None:
-        """Tell what was to be spread: whoever has ended its fusion goes on from nothing."""
+        """Drop what was to be spread and move the counter: whoever ended its fusion begins anew."""
         if span_ns <= BROKEN_NS or self.is_continuous:
             return
         self._is_told |= self._policy == SPREAD or self._residual.is_any

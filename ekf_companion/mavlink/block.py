@@ -156,7 +156,7 @@ class BlockReader:
         self.limit = buffer.limit
 
     def store(self) -> None:
-        """Tell the session what was counted and changed."""
+        """Store in the session what was counted and changed."""
         self.imu.last_us, self.baro.last, self.buffer.size = (
             self.last_us,
             self.last_pressure,

@@ -37,7 +37,7 @@ _PATIENCE_NS = 5 * SECOND_NS
 
 
 class OriginSetter(Service):
-    """Gives the autopilot the origin of our frame, if it flies on our estimate and has none."""
+    """Sends the autopilot the origin of our frame, if it flies on our estimate and has none."""
 
     def __init__(self, outbox: Outbox, guard: Guard) -> None:
         self.handles = {"GPS_GLOBAL_ORIGIN": self._take, "GLOBAL_POSITION_INT": self._take}
@@ -63,7 +63,7 @@ class OriginSetter(Service):
         self._ours = _PLACE.unpack(payload[: _PLACE.size].ljust(_PLACE.size, b"\0"))
 
     def tick(self, now_ns: int) -> None:
-        """Give the origin where it has been missing for long."""
+        """Send the origin where it has been missing for long."""
         if self._has_one:
             return
         peer, ours = self._peer, self._ours
