@@ -7,8 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-_STOP = 5.0
-"""Longest time to its end, s."""
+from benchmarks.sitl.process import end
 
 
 class Companion:
@@ -58,10 +57,4 @@ class Companion:
 
     def stop(self) -> None:
         """End it orderly."""
-        if self._process is None:
-            return
-        self._process.terminate()
-        try:
-            self._process.wait(_STOP)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
+        end(self._process)

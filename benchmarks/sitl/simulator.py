@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from benchmarks.sitl.pilot import Pilot
+from benchmarks.sitl.process import end
 from benchmarks.sitl.tracks import Flown, from_ardupilot, from_px4
 from ekf_companion.errors import CompanionError
 
@@ -22,8 +23,6 @@ HOME = (47.397743, 8.545594, 489.4)
 _SET_EKF_SOURCE_SET = 42007
 """MAV_CMD."""
 _PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
-_STOP = 5.0
-"""Longest time to its end, s."""
 
 
 Values = Mapping[str, float]
@@ -90,14 +89,7 @@ class Simulator(ABC):
 
     def stop(self) -> None:
         """End it."""
-        if self._process is None:
-            return
-        self._process.terminate()
-        try:
-            self._process.wait(_STOP)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end(self._process)
 
 
 class Px4(Simulator):

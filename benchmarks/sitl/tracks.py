@@ -131,30 +131,27 @@ def from_ardupilot(log: Path, recording: Path) -> Flown:
     tables = dataflash_records.read_columns(log)[0]
     fast, slow, own = tables["SIM2"], tables["SIM"], tables["XKF1"]
     own = own[own["C"] == 0]
-    truth = Track(
-        t=fast["TimeUS"] * 1e-6,
-        pos_n=np.stack([fast[name] for name in ("PN", "PE", "PD")], axis=1),
-        vel_n=np.stack([fast[name] for name in ("VN", "VE", "VD")], axis=1),
-        att_t=slow["TimeUS"] * 1e-6,
-        euler=_angles(slow),
-    )
-    autopilot = Track(
-        t=own["TimeUS"] * 1e-6,
-        pos_n=np.stack([own[name] for name in ("PN", "PE", "PD")], axis=1),
-        vel_n=np.stack([own[name] for name in ("VN", "VE", "VD")], axis=1),
-        att_t=own["TimeUS"] * 1e-6,
-        euler=_angles(own),
-    )
     biases = tables["XKF2"]
     biases = biases[biases["C"] == 0]
     ours, resets, quality = _ours(recording)
     return Flown(
-        truth=truth,
-        autopilot=autopilot,
+        truth=_track(fast, slow),
+        autopilot=_track(own, own),
         ours=ours,
         resets=resets,
         quality=quality,
         accel_bias=np.stack([biases[name] for name in ("AX", "AY", "AZ")], axis=1),
+    )
+
+
+def _track(motion: tlog.Column, attitude: tlog.Column) -> Track:
+    """Return the track of two tables of a .bin: position and velocity, and the angles."""
+    return Track(
+        t=motion["TimeUS"] * 1e-6,
+        pos_n=np.stack([motion[name] for name in ("PN", "PE", "PD")], axis=1),
+        vel_n=np.stack([motion[name] for name in ("VN", "VE", "VD")], axis=1),
+        att_t=attitude["TimeUS"] * 1e-6,
+        euler=_angles(attitude),
     )
 
 
@@ -183,11 +180,7 @@ def _ours(recording: Path) -> tuple[Track | None, Array, Array]:
 
 def _euler(q_nb: Array) -> Array:
     """Return roll, pitch, yaw of quaternions, unwrapped, shape (n, 3)."""
-    w, x, y, z = np.asarray(q_nb, dtype=float).T
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return np.unwrap(np.stack([roll, pitch, yaw], axis=1), axis=0)
+    return np.unwrap(so3.to_euler(np.asarray(q_nb, dtype=float)), axis=0)
 
 
 def _angles(table: tlog.Column) -> Array:

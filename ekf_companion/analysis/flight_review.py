@@ -16,7 +16,7 @@ from ekf_companion.logs.estimate import of_table
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind, merge
-from ekf_companion.nav.state import Status, Table, Trajectory, join
+from ekf_companion.nav.state import SIGMA, VELOCITY, Status, Table, Trajectory, join
 from ekf_companion.replay.log_source import reference, truth
 from ekf_companion.replay.report import Report
 from ekf_companion.replay.run import Progress, Run
@@ -94,7 +94,8 @@ def review(path: Path, config: Config, progress: Progress | None = None) -> Flig
     arrival = [np.zeros(len(block.events), dtype=np.int64) for block in blocks]
     events = merge(*(block.events for block in blocks), arrival_ns=arrival)
     ours = of_table(table, "ekf-companion")
-    others = tuple(one for one in (truth(run.log), reference(run.log)) if one is not None)
+    true = truth(run.log)
+    others = tuple(one for one in (true, reference(run.log)) if one is not None)
     pipelines = run.pipelines
     family = pipelines[-1].family if pipelines else "unknown"
     late_ns = int(delays_ns(config, family, run.gnss_delay)[Kind.GNSS])
@@ -102,7 +103,7 @@ def review(path: Path, config: Config, progress: Progress | None = None) -> Flig
     fixes = fixes.take(fixes.values[:, 10] != GnssFlag.DERIVED) if len(fixes) else fixes
     return FlightReview(
         name=path.name,
-        judgement=judge(report, _difference(ours, others, has_truth=truth(run.log) is not None)),
+        judgement=judge(report, _difference(ours, others, has_truth=true is not None)),
         report=report,
         table=table,
         ours=ours,
@@ -147,10 +148,9 @@ def _innovations(table: Table, fixes: Events, late_ns: int) -> Innovations | Non
     mine = frame.to_ned(np.deg2rad(lat), np.deg2rad(lon), alt)
     values = fixes.values[is_near]
     theirs = frame.to_ned(values[:, 0], values[:, 1], values[:, 2])
-    velocity = values[:, 3:6] - table.columns(("vel_n", "vel_e", "vel_d"))[rows]
-    names = [f"sd_{part}_{axis}" for part in ("pos", "vel") for axis in "ned"]
+    velocity = values[:, 3:6] - table.columns(VELOCITY)[rows]
     stated = values[:, [6, 6, 7, 8, 8, 8]]
-    bounds = 3.0 * np.hypot(table.columns(names)[rows], np.nan_to_num(stated))
+    bounds = 3.0 * np.hypot(table.columns(SIGMA[:6])[rows], np.nan_to_num(stated))
     found = np.hstack([theirs - mine, velocity])
     return Innovations(t_ns=t_ns[is_near], values=found, bounds=bounds)
 

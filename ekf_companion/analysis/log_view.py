@@ -13,7 +13,7 @@ from ekf_companion.analysis.flight_review import FlightReview
 from ekf_companion.engine.health import Aid
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
-from ekf_companion.nav.state import ACCEL_BIAS, EULER, GYRO_BIAS, Status, Table, Trajectory
+from ekf_companion.nav.state import ACCEL_BIAS, GYRO_BIAS, SIGMA, Status, Table, Trajectory
 from ekf_companion.replay.report import summary
 
 MOMENTS = 6000
@@ -107,11 +107,10 @@ def _estimate(table: Table, rows: npt.NDArray[np.integer[Any]]) -> dict[str, lis
         columns[name] = _round(table.column(name)[rows] * degrees, 4)
     for name in ACCEL_BIAS:
         columns[name] = _round(table.column(name)[rows], 4)
-    for what in ("pos", "vel"):
-        for axis in "ned":
-            columns[f"sd_{what}_{axis}"] = _round(table.column(f"sd_{what}_{axis}")[rows], 3)
-    for name in EULER:
-        columns[f"sd_{name}"] = _round(table.column(f"sd_{name}")[rows] * degrees, 3)
+    for name in SIGMA[:6]:
+        columns[name] = _round(table.column(name)[rows], 3)
+    for name in SIGMA[6:]:
+        columns[name] = _round(table.column(name)[rows] * degrees, 3)
     return columns
 
 

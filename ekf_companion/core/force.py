@@ -37,13 +37,13 @@ def compare(x: State, fix: Fix) -> None:
         is_known = is_known and not isnan(fix.vel_n[i]) and not isnan(x.force_sum[i])
     x.is_force_denied = 0.0
     x.is_fall_denied = 0.0
+    faded = exp(-dt / MEMORY) if is_known else 0.0
     if is_known:
-        judge(x, fix, dt)
+        judge(x, fix, dt, faded)
         if x.is_force_denied != 0.0:
             return
-    faded = exp(-dt / MEMORY) if is_known else 0.0
     for i in range(3):
-        x.fix_force[i] = claimed(x, fix, dt, i) if is_known else 0.0
+        x.fix_force[i] = claimed(x, fix, dt, faded, i) if is_known else 0.0
         x.felt_force[i] = faded * (x.felt_force[i] + x.force_sum[i]) if is_known else 0.0
         x.force_vel[i] = 0.0 if isnan(fix.vel_n[i]) else fix.vel_n[i]
         x.force_sum[i] = 0.0
@@ -51,35 +51,38 @@ def compare(x: State, fix: Fix) -> None:
     x.force_t = x.t
 
 
-def claimed(x: State, fix: Fix, dt: float, axis: int) -> float:
-    """Return the integral of the force by the receiver, m/s."""
+def claimed(x: State, fix: Fix, dt: float, faded: float, axis: int) -> float:
+    """Return the integral of the force by the receiver, m/s; ``faded`` is what dt (s) leaves."""
     gained = fix.vel_n[axis] - x.force_vel[axis] - (GRAVITY * dt if axis == 2 else 0.0)
-    return exp(-dt / MEMORY) * (x.fix_force[axis] + gained)
+    return faded * (x.fix_force[axis] + gained)
 
 
-def judge(x: State, fix: Fix, dt: float) -> None:
+def judge(x: State, fix: Fix, dt: float, faded: float) -> None:
     """Find out whether the samples deny the fix, or its vertical velocity.
 
     What an attitude is wrong by tells little in the vertical.
     """
-    faded = exp(-dt / MEMORY)
     usual = faded * GRAVITY * (x.force_time + dt)
     most = limit(x, fix)
     way = 0.0
     felt = 0.0
+    down = 0.0
+    felt_down = 0.0
     for i in range(3):
-        size = claimed(x, fix, dt, i)
-        way += size * size
-        size = faded * (x.felt_force[i] + x.force_sum[i])
-        felt += size * size
+        down = claimed(x, fix, dt, faded, i)
+        felt_down = faded * (x.felt_force[i] + x.force_sum[i])
+        way += down * down
+        felt += felt_down * felt_down
     way = sqrt(way)
     felt = sqrt(felt)
-    if fabs(way - felt) > most and fabs(way - usual) > fabs(felt - usual):
-        x.is_force_denied = 1.0
-    way = claimed(x, fix, dt, 2)
-    felt = faded * (x.felt_force[2] + x.force_sum[2])
-    if fabs(way - felt) > most and fabs(way + usual) > fabs(felt + usual):
-        x.is_fall_denied = 1.0 if way > felt else -1.0
+    x.is_force_denied = is_denied(way, felt, usual, most)
+    if is_denied(down, felt_down, -usual, most) != 0.0:
+        x.is_fall_denied = 1.0 if down > felt_down else -1.0
+
+
+def is_denied(way: float, felt: float, usual: float, most: float) -> float:
+    """Return 1 if what is claimed is too far from what was felt, and less like any flight."""
+    return 1.0 if fabs(way - felt) > most and fabs(way - usual) > fabs(felt - usual) else 0.0
 
 
 def limit(x: State, fix: Fix) -> float:

@@ -1,7 +1,7 @@
 """The live estimate for programs that draw it: Foxglove, and PlotJuggler by UDP.
 
-Each runs on a thread of its own, and takes the newest of the page's messages: what it is too slow
-for it misses.
+Each runs on a thread of its own, and takes the newest estimate of one feed: what it is too slow for
+it misses.
 
 Sources: Foxglove SDK for Python; PlotJuggler, plotjuggler_plugins/DataStreamUDP and ParserJSON
 (the field ``timestamp``, s).
@@ -33,9 +33,6 @@ _log = logging.getLogger(__name__)
 NAME = "ekf_companion"
 _WAIT = 0.5
 _PREFIX, _SUFFIX = b'{"live":', b"}"
-_HALF = math.sqrt(0.5)
-_Q_ENU_NED = np.array([0.0, _HALF, _HALF, 0.0])
-_Q_FRD_FLU = np.array([0.0, 1.0, 0.0, 0.0])
 
 
 class Sink(Protocol):
@@ -164,7 +161,7 @@ class FoxgloveSink:
             np.array([lat]), np.array([lon]), np.array([place[2]])
         )[0].tolist()
         q_nb = so3.from_euler(*map(math.radians, angles))
-        w, x, y, z = so3.multiply(so3.multiply(_Q_ENU_NED, q_nb), _Q_FRD_FLU).tolist()
+        w, x, y, z = so3.to_east_north_up(q_nb).tolist()
         self._channel("/tf", "FrameTransformChannel").log(
             self._messages.FrameTransform(
                 parent_frame_id="map",
@@ -180,15 +177,12 @@ def open_exporters(
 ) -> list[Exporter]:
     """Start what the configuration asks for."""
     source = SnapshotSource(observer, loop)
-
-    def feed() -> Feed:
-        return Feed(lambda _: {"live": source.read_live()})
-
+    feed = Feed(lambda _: {"live": source.read_live()})
     exporters = []
     if address := config.udp_json:
-        exporters.append(Exporter("udp-json", lambda: _open_udp(address), feed()))
+        exporters.append(Exporter("udp-json", lambda: _open_udp(address), feed))
     if port := config.foxglove_port:
-        exporters.append(Exporter("foxglove", lambda: _open_foxglove(port), feed()))
+        exporters.append(Exporter("foxglove", lambda: _open_foxglove(port), feed))
     return exporters
 
 

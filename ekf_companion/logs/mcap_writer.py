@@ -19,7 +19,6 @@ import orjson
 from mcap.writer import CompressionType
 from mcap.writer import Writer as Mcap
 
-from ekf_companion.errors import LogError
 from ekf_companion.logs.writer import (
     STATUS_NAMES,
     EstimateWriter,
@@ -115,11 +114,7 @@ class Writer(EstimateWriter):
         Raises:
             LogError: A time is before zero.
         """
-        if len(table) and table.stamp_ns.min() < 0:
-            raise LogError(
-                f"{self.path}: an .mcap cannot hold times before zero, which the log has; "
-                "name a .csv"
-            )
+        self.refuse_times_before_zero(table, "an .mcap")
         for stamp_ns, data in zip(table.stamp_ns.tolist(), _estimates(table), strict=True):
             self._add("/estimate", stamp_ns, data)
         known = with_position(table)

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ekf_companion.errors import LogError
 from ekf_companion.logs.ulog_messages import MAGIC
 from ekf_companion.logs.writer import EstimateWriter
 from ekf_companion.nav.arrays import Array, Mask, known_rows
@@ -72,10 +71,7 @@ class Writer(EstimateWriter):
         Raises:
             LogError: A time is before zero.
         """
-        if len(table) and table.stamp_ns.min() < 0:
-            raise LogError(
-                f"{self.path}: a .ulg cannot hold times before zero, which the log has; name a .csv"
-            )
+        self.refuse_times_before_zero(table, "a .ulg")
         for number, (topic, make) in enumerate(_MAKERS.items()):
             self.file.write(make(table, topic, number).tobytes())
 

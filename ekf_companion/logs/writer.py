@@ -14,6 +14,7 @@ from typing import BinaryIO, cast
 import numpy as np
 
 from ekf_companion.errors import LogError, part_of
+from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, known_rows
 from ekf_companion.nav.state import GEODETIC, POSITION, QUATERNION, VELOCITY, Status, Table
 
@@ -68,6 +69,17 @@ class EstimateWriter:
             LogError: This format cannot hold them.
         """
         raise NotImplementedError
+
+    def refuse_times_before_zero(self, table: Table, kind: str) -> None:
+        """Refuse estimates that a kind of file, with its article, has no stamps for.
+
+        Raises:
+            LogError: A time is before zero.
+        """
+        if len(table) and table.stamp_ns.min() < 0:
+            raise LogError(
+                f"{self.path}: {kind} cannot hold times before zero, which the log has; name a .csv"
+            )
 
     def finish(self) -> None:
         """Write what comes after the last estimate."""
@@ -147,8 +159,4 @@ def east_north_up(table: Table) -> tuple[Array, Array]:
     REP 103, which most viewers expect. Quaternions are (w, x, y, z), shape (n, 4).
     """
     north, east, down = (table.column(name) for name in POSITION)
-    w, x, y, z = (table.column(name) for name in QUATERNION)
-    half = np.sqrt(0.5)
-    # From north-east-down to east-north-up on the left, by half a turn about x on the right
-    q = np.stack([half * (w + z), half * (x + y), half * (x - y), half * (w - z)], axis=1)
-    return np.stack([east, north, -down], axis=1), q
+    return np.stack([east, north, -down], axis=1), so3.to_east_north_up(table.columns(QUATERNION))

@@ -16,7 +16,7 @@ from ekf_companion.mavlink.event import PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.service import Service
-from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.mavlink.stamp import SECOND_NS, seconds_since
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import radii
 
@@ -140,7 +140,7 @@ class AutopilotEstimate(Service):
         if not kept:
             return None
         name, frame, came_ns = max(kept, key=lambda one: one[2])
-        return name, unpack(frame), max(now_ns - came_ns, 0) * 1e-9
+        return name, unpack(frame), seconds_since(came_ns, now_ns)
 
     def _local(self, m: Any) -> tuple[float, float, float, tuple[float, float, float]] | None:
         """Return the place that a LOCAL_POSITION_NED means, where its origin is known."""

@@ -1,6 +1,8 @@
-"""Times of arrival, as coarse as a .tlog holds them."""
+"""Times of arrival on our clock, as coarse as a .tlog holds them."""
 
 from __future__ import annotations
+
+import math
 
 SECOND_NS = 1_000_000_000
 
@@ -11,3 +13,8 @@ def quantise(now_ns: int) -> int:
     Those two bits hold the number of the link.
     """
     return now_ns // 4000 * 4000
+
+
+def seconds_since(since_ns: int | None, now_ns: int) -> float:
+    """Return the seconds since a time on our clock; NaN if it never was."""
+    return math.nan if since_ns is None else max(now_ns - since_ns, 0) * 1e-9

@@ -140,6 +140,18 @@ def to_euler(q: Array) -> Array:
     return angles
 
 
+def to_east_north_up(q_nb: Array) -> Array:
+    """Return attitudes of a body of forward, left, up in east, north, up, shape (..., 4).
+
+    Given are those of forward, right, down in north, east, down. Viewers expect the former: ROS
+    REP 103.
+    """
+    w, x, y, z = np.moveaxis(q_nb, -1, 0)
+    half = np.sqrt(0.5)
+    # From north-east-down to east-north-up on the left, by half a turn about x on the right
+    return np.stack([half * (w + z), half * (x + y), half * (x - y), half * (w - z)], axis=-1)
+
+
 def wrap(angle: npt.ArrayLike) -> Array:
     """Bring an angle into [-pi, pi)."""
     return np.asarray(np.mod(np.asarray(angle, dtype=float) + np.pi, 2.0 * np.pi) - np.pi)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.errors import ConfigError
-from ekf_companion.nav import so3
+from ekf_companion.logs.writer import east_north_up
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.state import (
     ACCEL_BIAS,
@@ -18,6 +18,7 @@ from ekf_companion.nav.state import (
     GYRO_BIAS,
     POSITION,
     QUATERNION,
+    SIGMA,
     VELOCITY,
     Status,
     Table,
@@ -103,7 +104,7 @@ class Estimates:
     @property
     def sigma(self) -> Array:
         """One sigma of position, velocity (n, e, d) and roll, pitch, yaw, shape (n, 9)."""
-        return self.table.columns([f"sd_{one}" for one in (*POSITION, *VELOCITY, *EULER)])
+        return self.table.columns(SIGMA)
 
     @property
     def status(self) -> npt.NDArray[np.int64]:
@@ -139,11 +140,7 @@ class Estimates:
         """
         known = np.isfinite(self.pos_n).all(axis=1) & np.isfinite(self.q_nb).all(axis=1)
         known &= self.status >= Status.OK
-        north, east, down = self.pos_n[known].T
-        # North-east-down to east-north-up on the left, forward-left-up to -right-down on the right
-        half = np.sqrt(0.5)
-        q_enu_ned = np.array([0.0, half, half, 0.0])
-        q_frd_flu = np.array([0.0, 1.0, 0.0, 0.0])
-        q = so3.multiply(so3.multiply(q_enu_ned, self.q_nb[known]), q_frd_flu)
-        rows = np.column_stack([self.time[known], east, north, -down, q[:, 1:], q[:, 0]])
+        table = Table(stamp_ns=self.t_ns[known], values=self.table.values[known])
+        pos_enu, q = east_north_up(table)
+        rows = np.column_stack([self.time[known], pos_enu, q[:, 1:], q[:, 0]])
         np.savetxt(path, rows, fmt="%.9f")

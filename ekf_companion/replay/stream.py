@@ -20,7 +20,7 @@ from ekf_companion.nav.measurements import (
     ImuSample,
     MagSample,
 )
-from ekf_companion.nav.state import COLUMNS, EULER, POSITION, QUATERNION, VELOCITY, Status
+from ekf_companion.nav.state import COLUMNS, EULER, POSITION, QUATERNION, SIGMA, VELOCITY, Status
 from ekf_companion.replay.arrays import STD_H, STD_V, STD_VEL
 from ekf_companion.replay.plausibility import check_inertial
 
@@ -33,7 +33,7 @@ _PLACES = {
         ("vel_n", VELOCITY),
         ("q_nb", QUATERNION),
         ("euler", EULER),
-        ("sigma", [f"sd_{one}" for one in (*POSITION, *VELOCITY, *EULER)]),
+        ("sigma", SIGMA),
     )
 }
 

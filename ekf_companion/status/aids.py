@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from ekf_companion.core.enums import Azimuth
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.mavlink.decode.heading import wrap
 from ekf_companion.mavlink.session import Session
-from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.mavlink.stamp import SECOND_NS, seconds_since
 from ekf_companion.nav.state import Status
 from ekf_companion.status.vehicle import NO_DRIFT, AidState, Drift
 
@@ -119,7 +120,7 @@ class AidWatch:
         spreads = [
             max(turned) - min(turned)
             for axis in (1, 2, 3)
-            if (turned := [_turn(one[axis] - first[axis]) for one in self._level])
+            if (turned := [wrap(one[axis] - first[axis]) for one in self._level])
         ]
         roll, pitch, heading = map(math.degrees, spreads)
         return Drift(
@@ -139,7 +140,7 @@ def _use(one: _Watched, source: str, now_ns: int) -> None:
 
 
 def _state(one: _Watched, now_ns: int) -> AidState:
-    used_s, refused_s = _age(one.used_ns, now_ns), _age(one.refused_ns, now_ns)
+    used_s, refused_s = seconds_since(one.used_ns, now_ns), seconds_since(one.refused_ns, now_ns)
     limit = LAPSE_NS * 1e-9
     is_used = used_s <= limit
     is_refused = not is_used and refused_s <= limit
@@ -147,7 +148,7 @@ def _state(one: _Watched, now_ns: int) -> AidState:
     return AidState(
         source=one.source,
         state=state,
-        since_s=_age(one.since_ns, now_ns) if is_used else math.nan,
+        since_s=seconds_since(one.since_ns, now_ns) if is_used else math.nan,
         used_s=used_s,
         refused_s=refused_s,
         why=one.why,
@@ -172,12 +173,3 @@ def _sources(azimuth: int, is_autopilots: bool, ranks: tuple[int, ...]) -> dict[
         Aid.BARO: f"{_PRESSURES[baro]}, barometer",
         Aid.REST: "the inertial samples",
     }
-
-
-def _age(then_ns: int | None, now_ns: int) -> float:
-    return math.nan if then_ns is None else max(now_ns - then_ns, 0) * 1e-9
-
-
-def _turn(angle: float) -> float:
-    """Return an angle in [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from ekf_companion.core.memory import as_estimate
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.link.link import Link
 from ekf_companion.mavlink.session import Session
+from ekf_companion.mavlink.stamp import seconds_since
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.status.aids import AidWatch
 from ekf_companion.status.snapshot import (
@@ -155,7 +156,6 @@ def vehicle_estimate(companion: Companion, watch: AidWatch, now_ns: int) -> Vehi
     euler, std_euler = (nowhere, nowhere) if out is None else (out.euler, out.std_euler)
     std_pos, std_vel = (nowhere, nowhere) if out is None else (out.std_pos, out.std_vel)
     roll, pitch, yaw = map(math.degrees, euler)
-    roll_std, pitch_std, yaw_std = map(math.degrees, std_euler)
     return VehicleEstimate(
         lat_deg=lla[0],
         lon_deg=lla[1],
@@ -166,21 +166,29 @@ def vehicle_estimate(companion: Companion, watch: AidWatch, now_ns: int) -> Vehi
         pitch_deg=pitch,
         heading_deg=yaw % 360.0,
         turn_rate_deg_s=math.nan if pipeline is None else _turn_rate(pipeline),
-        sigma=Sigmas(
-            north_m=std_pos[0],
-            east_m=std_pos[1],
-            horizontal_m=math.hypot(std_pos[0], std_pos[1]),
-            alt_m=std_pos[2],
-            vel_ned_m_s=(std_vel[0], std_vel[1], std_vel[2]),
-            roll_deg=roll_std,
-            pitch_deg=pitch_std,
-            heading_deg=yaw_std,
-        ),
+        sigma=sigmas(std_pos, std_vel, std_euler),
         aids=watch.states(now_ns),
         drift=watch.drift(),
         autopilot=autopilot_state(companion.session, now_ns),
         needs_fix=config.preflight.needs_fix,
         takes_own_position=config.gnss.source == "global",
+    )
+
+
+def sigmas(
+    std_pos: Sequence[float], std_vel: Sequence[float], std_euler: Sequence[float]
+) -> Sigmas:
+    """Return one sigma of position (m), velocity (m/s) and attitude (rad) as the status has it."""
+    roll, pitch, heading = map(math.degrees, std_euler)
+    return Sigmas(
+        north_m=std_pos[0],
+        east_m=std_pos[1],
+        horizontal_m=math.hypot(std_pos[0], std_pos[1]),
+        alt_m=std_pos[2],
+        vel_ned_m_s=(std_vel[0], std_vel[1], std_vel[2]),
+        roll_deg=roll,
+        pitch_deg=pitch,
+        heading_deg=heading,
     )
 
 
@@ -217,8 +225,3 @@ def autopilot_state(session: Session, now_ns: int) -> AutopilotState | None:
         is_attitude_ours=decoder.is_yaw_ours,
         is_position_ours=decoder.is_ours,
     )
-
-
-def seconds_since(since_ns: int | None, now_ns: int) -> float:
-    """Return the seconds since a time on our clock; NaN if it never was."""
-    return math.nan if since_ns is None else max(now_ns - since_ns, 0) * 1e-9

@@ -15,25 +15,12 @@ from ekf_companion.core.memory import as_estimate
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.health import Aid
 from ekf_companion.nav.state import Status
-from ekf_companion.status.collect import autopilot_state
-from ekf_companion.status.vehicle import AutopilotState
+from ekf_companion.status.collect import autopilot_state, sigmas
+from ekf_companion.status.vehicle import AutopilotState, Sigmas
 
 _NN, _NE, _EE = 13, 14, 19
 """Of the numbers of an ODOMETRY: the horizontal part of the position's covariance."""
 _NOWHERE = (math.nan,) * 3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LiveSigmas:
-    """One sigma each, as in the Snapshot."""
-
-    north_m: float
-    east_m: float
-    alt_m: float
-    vel_ned_m_s: tuple[float, ...]
-    roll_deg: float
-    pitch_deg: float
-    heading_deg: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +41,7 @@ class Live:
     pitch_deg: float
     heading_deg: float
     """From true north, clockwise, in [0, 360)."""
-    sigma: LiveSigmas
+    sigma: Sigmas
     ellipse_m2: tuple[float, float, float]
     """Covariance of the horizontal position: north, north with east, east."""
     gyro_bias_deg_s: tuple[float, ...]
@@ -76,7 +63,6 @@ def live(companion: Companion, age_s: float, now_ns: int) -> bytes:
         numbers = memoryview(estimate.odometry.numbers).cast("f")
         ellipse = (numbers[_NN], numbers[_NE], numbers[_EE])
     roll, pitch, yaw = map(math.degrees, now.euler)
-    roll_std, pitch_std, yaw_std = map(math.degrees, now.std_euler)
     return msgspec.json.encode(
         Live(
             t_s=pipeline.stamp_ns * 1e-9,
@@ -89,15 +75,7 @@ def live(companion: Companion, age_s: float, now_ns: int) -> bytes:
             roll_deg=roll,
             pitch_deg=pitch,
             heading_deg=yaw % 360.0,
-            sigma=LiveSigmas(
-                north_m=now.std_pos[0],
-                east_m=now.std_pos[1],
-                alt_m=now.std_pos[2],
-                vel_ned_m_s=tuple(now.std_vel),
-                roll_deg=roll_std,
-                pitch_deg=pitch_std,
-                heading_deg=yaw_std,
-            ),
+            sigma=sigmas(now.std_pos, now.std_vel, now.std_euler),
             ellipse_m2=ellipse,
             gyro_bias_deg_s=tuple(map(math.degrees, now.gyro_bias)),
             accel_bias_m_s2=tuple(now.accel_bias),

@@ -22,7 +22,7 @@ from ekf_companion.engine.health import Aid
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.link.link import Link
 from ekf_companion.mavlink.messages import LAYOUTS
-from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.mavlink.stamp import SECOND_NS, seconds_since
 from ekf_companion.nav.arrays import Array
 from ekf_companion.status.aids import AidWatch
 from ekf_companion.status.collect import (
@@ -32,7 +32,6 @@ from ekf_companion.status.collect import (
     output_state,
     peer_state,
     requested_rates,
-    seconds_since,
     time_state,
     vehicle_estimate,
 )

@@ -16,6 +16,7 @@ from sim_autopilot.config import SimConfig
 from sim_autopilot.faults.fault import parse
 from sim_autopilot.flight import Flight
 from sim_autopilot.fly import fly, over, run
+from tests.cli.served import serving_once
 from tests.cli.test_status import daemon as unflown  # noqa: F401  # a fixture
 from tests.daemon.test_daemon import Daemon, Open, free_port
 from tests.daemon.waiting import LIMIT
@@ -93,36 +94,8 @@ def test_where_nothing_answers_the_exit_code_is_4(options):
     assert "nothing answers (Connection refused)" in result.stderr
 
 
-def test_a_daemon_from_before_the_upgrade_is_named_as_one(served_page):
-    url = served_page({"health": {"is_ok": True, "words": "ok"}})
-    result = preflight("--url", url)
+def test_a_daemon_from_before_the_upgrade_is_named_as_one():
+    with serving_once(json.dumps({"health": {"is_ok": True, "words": "ok"}}).encode()) as url:
+        result = preflight("--url", url)
     assert result.exit_code == 5
     assert "not ready: the daemon is older than this command" in result.stdout
-
-
-@pytest.fixture
-def served_page():
-    """Return a function that serves one page and returns its address."""
-    from http.server import BaseHTTPRequestHandler, HTTPServer
-
-    with contextlib.ExitStack() as stack:
-
-        def serve(data):
-            page = json.dumps(data).encode()
-
-            class Served(BaseHTTPRequestHandler):
-                def do_GET(self):
-                    self.send_response(200)
-                    self.end_headers()
-                    self.wfile.write(page)
-
-                def log_message(self, *_):
-                    pass
-
-            server = stack.enter_context(HTTPServer(("127.0.0.1", 0), Served))
-            thread = threading.Thread(target=server.handle_request)
-            thread.start()
-            stack.callback(thread.join)
-            return f"http://127.0.0.1:{server.server_port}"
-
-        yield serve

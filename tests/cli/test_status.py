@@ -28,6 +28,7 @@ from ekf_companion.cli.status_view import view
 from ekf_companion.daemon import http
 from ekf_companion.engine.health import Aid
 from ekf_companion.status.judge import to_json
+from tests.cli.served import serving_once
 from tests.daemon.test_daemon import Daemon, free_port
 from tests.daemon.test_http import listening, serving
 from tests.daemon.waiting import LIMIT
@@ -138,20 +139,8 @@ def test_only_with_an_estimate_of_what_comes_is_the_exit_code_0(is_open, code):
     snapshot = Watched().fly(4.0).snapshot()
     page = to_json(replace(snapshot, link=replace(snapshot.link, is_open=is_open)))
 
-    class Served(BaseHTTPRequestHandler):
-        def do_GET(self):
-            self.send_response(200)
-            self.end_headers()
-            self.wfile.write(page)
-
-        def log_message(self, *_):
-            pass
-
-    with HTTPServer(("127.0.0.1", 0), Served) as server:
-        thread = threading.Thread(target=server.handle_request)
-        thread.start()
-        result = status("--url", f"http://127.0.0.1:{server.server_port}")
-        thread.join()
+    with serving_once(page) as url:
+        result = status("--url", url)
     assert result.exit_code == code, result.output
     assert ("ok: the estimate is OK" in result.output) == is_open
 
