@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ekf_companion.analysis import score
+from ekf_companion.analysis import difference, score
 from ekf_companion.config.config import Config
 from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.logs import csv_known
@@ -138,15 +138,12 @@ def _found(
         if health.resets:
             yield "last_reset", health.reset_reason
     estimate = of_table(table, "ekf-companion")
-    difference: tuple[float, str, bool] | None = None
     for whose, other in (("autopilot", own), ("truth", truth)):
         if other is not None:
             found = score.score(estimate, other, SKIPPED[whose])
             for name, (field, scale) in _ERRORS.items():
                 if (spread := getattr(found, field)) is not None:
                     yield f"{whose}_{name}", spread.rms * scale
-            if found.horizontal is not None:  # the truth, which comes last, counts
-                difference = found.horizontal.rms, other.name, whose == "truth"
-    judgement = judge(report, difference)
+    judgement = judge(report, difference.of_flight(estimate, truth, own))
     yield from {"grade": judgement.grade, "verdict": judgement.sentence}.items()
     yield "notes", "; ".join(report.notes)

@@ -16,6 +16,8 @@ from ekf_companion.nav.state import Trajectory
 
 Span = tuple[int, int]
 """First and last stamp that count, ns."""
+SETTLED_NS = 20_000_000_000
+"""After the first position, the errors of the start no longer count."""
 ALWAYS: Span = (int(np.iinfo(np.int64).min), int(np.iinfo(np.int64).max))
 
 
@@ -41,6 +43,25 @@ def in_position(
     frame = frame or frame_of(reference)
     mine, theirs = (frame.to_ned(one.lat, one.lon, one.alt) for one in (estimate, reference))
     return found.at_ns, found.difference(mine, theirs)
+
+
+def of_flight(
+    estimate: Trajectory, truth: Trajectory | None, own: Trajectory | None
+) -> tuple[float, str, bool] | None:
+    """Return how far an estimate is from the truth of its log, else from the autopilot's own.
+
+    That is the horizontal RMS, m, the name of what it is compared with, and whether that is the
+    truth; None: there is no position to compare with.
+    """
+    named = ((truth, "the truth"), (own, "the autopilot's own estimate"))
+    for other, name in named:
+        if other is None or not len(estimate.pos_t_ns) or not len(other.pos_t_ns):
+            continue
+        span = (int(estimate.pos_t_ns[0]) + SETTLED_NS, int(estimate.pos_t_ns[-1]))
+        found = in_position(estimate, other, span)
+        if found is not None and len(found[0]):
+            return rms(np.hypot(found[1][:, 0], found[1][:, 1])), name, other is truth
+    return None
 
 
 def in_velocity(

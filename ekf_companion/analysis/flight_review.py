@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.analysis import difference
-from ekf_companion.analysis.difference import rms
 from ekf_companion.config.config import Config
 from ekf_companion.core.from_settings import delays_ns
 from ekf_companion.logs.estimate import of_table
@@ -23,8 +22,6 @@ from ekf_companion.replay.run import Progress, Run
 from ekf_companion.replay.verdict import Judgement, judge
 from ekf_companion.replay.watched import Look, WatchedPipeline
 
-SETTLED_NS = 20_000_000_000
-"""After the first position, the errors of the start no longer count."""
 SEGMENT = 1024
 """Samples of a piece of the spectrum."""
 
@@ -95,7 +92,8 @@ def review(path: Path, config: Config, progress: Progress | None = None) -> Flig
     events = merge(*(block.events for block in blocks), arrival_ns=arrival)
     ours = of_table(table, "ekf-companion")
     true = truth(run.log)
-    others = tuple(one for one in (true, reference(run.log)) if one is not None)
+    own = reference(run.log)
+    others = tuple(one for one in (true, own) if one is not None)
     pipelines = run.pipelines
     family = pipelines[-1].family if pipelines else "unknown"
     late_ns = int(delays_ns(config, family, run.gnss_delay)[Kind.GNSS])
@@ -103,7 +101,7 @@ def review(path: Path, config: Config, progress: Progress | None = None) -> Flig
     fixes = fixes.take(fixes.values[:, 10] != GnssFlag.DERIVED) if len(fixes) else fixes
     return FlightReview(
         name=path.name,
-        judgement=judge(report, _difference(ours, others, has_truth=true is not None)),
+        judgement=judge(report, difference.of_flight(ours, true, own)),
         report=report,
         table=table,
         ours=ours,
@@ -113,22 +111,6 @@ def review(path: Path, config: Config, progress: Progress | None = None) -> Flig
         looks=tuple(look for pipeline in pipelines for look in pipeline.looks),
         spectra=_spectra(events),
     )
-
-
-def _difference(
-    ours: Trajectory, others: tuple[Trajectory, ...], *, has_truth: bool
-) -> tuple[float, str, bool] | None:
-    """Return how far we are from the first that has a position, m RMS, its name, if it is true."""
-    for number, other in enumerate(others):
-        if not len(ours.pos_t_ns) or not len(other.pos_t_ns):
-            continue
-        span = (int(ours.pos_t_ns[0]) + SETTLED_NS, int(ours.pos_t_ns[-1]))
-        found = difference.in_position(ours, other, span)
-        if found is not None and len(found[0]):
-            is_truth = has_truth and number == 0
-            name = "the truth" if is_truth else "the autopilot's own estimate"
-            return rms(np.hypot(found[1][:, 0], found[1][:, 1])), name, is_truth
-    return None
 
 
 def _innovations(table: Table, fixes: Events, late_ns: int) -> Innovations | None:
