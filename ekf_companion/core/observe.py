@@ -26,10 +26,12 @@ from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.rotation import to_dcm, wrap
 from cython.cimports.ekf_companion.core.scratch import Fix, Observation
 from cython.cimports.ekf_companion.core.state import Reference, State
-from cython.cimports.libc.math import atan2, cos, isnan, sin, sqrt
+from cython.cimports.libc.math import atan2, cos, fabs, isnan, sin, sqrt
 
 EARTH_RATE = cython.declare(cython.double, 7.292115e-5)
 """rad/s."""
+STEEPEST_DIP = cython.declare(cython.double, 1.5)
+"""Dip beyond which the horizontal field of the model is as uncertain as it is small, rad."""
 
 
 def clear(o: Observation, rows: int, variance: float) -> None:
@@ -196,10 +198,14 @@ def azimuth(x: State, o: Observation, r: Reference) -> bool:
     h2 = n * n + e * e
     if h2 <= 0.01 * (h2 + d * d):
         return False
-    # The slope where the direction should be, not where its noise has put it: or noise times noise
-    # would look like hard iron along the field
-    h = sqrt(h2)
     o.z[0] = wrap(r.azimuth - atan2(e, n) - x.heading_offset)
+
+    # The slopes of the field that should be, not of the one that its noise has made: yaw, tilt and
+    # hard iron are each known far worse than their sum, and a slope that shakes tears them apart
+    h = sqrt(h2)
+    if r.has_iron != 0.0 and x.field.strength > 0.0 and fabs(x.field.inclination) < STEEPEST_DIP:
+        h = x.field.strength * cos(x.field.inclination)
+        d = x.field.strength * sin(x.field.inclination)
     n = cos(r.azimuth - x.heading_offset)
     e = sin(r.azimuth - x.heading_offset)
     o.H[0][E_ATT] = -n * d / h
@@ -209,7 +215,7 @@ def azimuth(x: State, o: Observation, r: Reference) -> bool:
     if r.has_iron != 0.0:
         for i in range(3):
             o.H[0][E_IRON + i] = (e * o.C_nb[0][i] - n * o.C_nb[1][i]) / h
-    o.R[0][0] = r.std * r.std + r.noise * r.noise / h2
+    o.R[0][0] = r.std * r.std + r.noise * r.noise / (h * h)
     return True
 
 

@@ -19,7 +19,7 @@ from cython.cimports.ekf_companion.core.enums import (
 from cython.cimports.ekf_companion.core.memory import Vector
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.rotation import to_dcm, wrap
-from cython.cimports.ekf_companion.core.scratch import Fix, Scratch
+from cython.cimports.ekf_companion.core.scratch import Fix, Observation, Scratch
 from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import atan2, isnan, sqrt
 
@@ -280,10 +280,33 @@ def fuse_zero_velocity(x: State, k: Parameters, w: Scratch) -> None:
         x.ground = x.pos_n[2]
         x.has_ground = 1.0
     observe_rate(x, k, w, HIDDEN_LATER)
+    if is_reported_still(x):
+        admit_new_bias(x, k, o)
     if gate.fuse(x, k, o, AID_REST) and x.yaw_bank.has_moved == 0.0:
         std = gyro_bias_std(x)
         if std < x.yaw_bank.gyro_bias_std:
             yaw_bank.take_bias(x, std)
+
+
+def is_reported_still(x: State) -> bool:
+    """Return whether the autopilot reports that it stands: landed, or not armed."""
+    return x.landed == 1.0 or x.armed == 0.0
+
+
+def admit_new_bias(x: State, k: Parameters, o: Observation) -> None:
+    """Raise the variance of a gyro bias that a window of rest denies: the bias has moved.
+
+    PX4 takes its own filter's bias off what it sends, and in its first minute, or with a wrong
+    heading, that bias runs away faster than any sensor's. A rate beyond one sigma of a bias at the
+    start is a turn after all.
+    """
+    if innovate(x, o) <= k.soft_gate[2]:
+        return
+    for i in range(3):
+        if o.z[i] * o.z[i] > k.gyro_bias_std * k.gyro_bias_std:
+            return
+    for i in range(3):
+        x.P[E_BG + i][E_BG + i] += o.z[i] * o.z[i]
 
 
 def gyro_bias_std(x: State) -> float:
@@ -309,7 +332,7 @@ def observe_rate(x: State, k: Parameters, w: Scratch, hidden_turn: float) -> Non
         w.mean_rate[i] = rest.gyro[i] / rest.n
         noise += rest.gyro2[i] / rest.n - w.mean_rate[i] * w.mean_rate[i]
     noise = sqrt(noise / rest.n) + REST_RATE if noise > 0.0 else REST_RATE
-    if x.landed == 1.0 or x.armed == 0.0:
+    if is_reported_still(x):
         observe.zero_rate(x, o, w.mean_rate, noise, noise)
         return
     tilting = sqrt(12.0 * align.force_variance(x)) / (k.gravity * (x.t - rest.t0) * 1e-9)

@@ -44,6 +44,25 @@ def test_jacobian_of_an_azimuth_is_its_slope_where_it_should_point(has_iron, see
     check(lambda m, x, k, o: m.azimuth(x, o, reference), x, 1e-5)
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_slopes_of_an_azimuth_are_those_of_the_field_without_its_noise(seed):
+    x = a_state(seed)
+    b = np.array([0.2, 0.1, 0.4])
+    field = so3.rotate(np.array(x.q_nb), b - array(x.hard_iron))
+    x.field.strength = np.linalg.norm(field)
+    x.field.inclination = np.arcsin(field[2] / x.field.strength)
+    azimuth = np.arctan2(field[1], field[0]) + x.heading_offset
+    slopes = []
+    for noise in np.random.default_rng(seed).normal(0.0, [[0.0], [0.02]], (2, 3)):
+        o, reference = Observation(), Reference(std=0.1, has_iron=True, azimuth=azimuth)
+        reference.direction_b[:] = b + noise
+        load().observe.azimuth(x, o, reference)
+        slopes.append([*np.array(o.H)[0], np.array(o.R)[0][0]])
+    np.testing.assert_allclose(slopes[1], slopes[0], rtol=1e-9, atol=1e-12)
+    reference.direction_b[:] = b
+    check(lambda m, x, k, o: m.azimuth(x, o, reference), x, 1e-5)
+
+
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_jacobian_is_the_slope_of_the_prediction(name, seed):

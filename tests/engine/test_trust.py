@@ -103,6 +103,32 @@ def test_standing_still_shows_the_gyros_bias_and_holds_the_velocity():
     assert rms(held["pos"][:, :2]) < 0.2 * rms(drifted["pos"][:, :2])
 
 
+def test_on_the_ground_a_gyro_bias_that_runs_away_turns_no_heading():
+    # PX4 takes its own bias off what it sends: with a wrong heading it ran to 0.43 deg/s in 10 s
+    events, truth = flight("static", duration=60.0)
+    t = (events.t_ns - events.t_ns[0]) * 1e-9
+    wrong = np.radians(0.43) * np.clip((t - 15.0) / 10.0, 0.0, 1.0)
+    values = events.values.copy()
+    imu = events.kind == Kind.IMU
+    values[imu, 2] += wrong[imu]
+    table, pipeline = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+    yaw = np.degrees(errors(table, truth, 10.0)["euler"][:, 2])
+    assert np.ptp(yaw) < 3.0
+    assert pipeline.health().verdicts[Aid.REST][Verdict.GATED] == 0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_at_rest_a_noisy_compass_shows_no_hard_iron(seed):
+    events, truth = flight("static", duration=100.0, seed=seed, rate=50.0)
+    mag = events.kind == Kind.MAG
+    values = events.values.copy()
+    values[mag, :3] += np.random.default_rng(seed).normal(0.0, 0.02, (mag.sum(), 3))
+    table, _ = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+    assert np.degrees(errors(table, truth, 10.0)["euler"][:, 2].std()) < 0.8
+    sigma = np.degrees(table.column("sd_yaw"))
+    assert sigma[-1] > 0.8 * sigma[between(events, 10.0, np.inf)[events.kind == Kind.IMU]][0]
+
+
 @pytest.mark.parametrize("knows", [True, False])
 @pytest.mark.parametrize("name", ["hover", "loiter"])
 def test_a_flight_is_never_taken_for_rest(name, knows):
