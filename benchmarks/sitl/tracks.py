@@ -18,6 +18,12 @@ COMPONENT_ID = 194
 _LOCAL_NED = 1
 _ACCEL_BIAS = (13, 14, 15)
 """Among the states of EKF2."""
+_IN_THE_AIR = 1.0
+"""Height of the truth above its start, m."""
+_NO_PLACE = 1 << 7 | 1 << 18
+"""EKF3's status: constant position mode, dead reckoning (nav_filter_status)."""
+_PLACE = 1 << 4
+"""Its horizontal position is that of an aid."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -88,7 +94,7 @@ def from_px4(log: Path, recording: Path) -> Flown:
         quality=quality,
         accel_bias=accel,
         own_resets=_moved(topics["vehicle_local_position", 0]),
-        dead_reckoning=_longest(topics.get(("estimator_status_flags", 0))),
+        dead_reckoning=_inertial(topics.get(("estimator_status_flags", 0))),
     )
 
 
@@ -98,12 +104,16 @@ def _moved(local: Any) -> Array:
     return np.asarray(local["timestamp_sample"][1:][np.diff(counts, axis=1).any(axis=0)] * 1e-6)
 
 
-def _longest(flags: Any) -> float | None:
+def _inertial(flags: Any) -> float | None:
     """Return the longest time for which EKF2 was in inertial dead reckoning in the air, s."""
     if flags is None or "cs_inertial_dead_reckoning" not in flags:
         return None
-    t = flags["timestamp"] * 1e-6
     is_lost = (flags["cs_inertial_dead_reckoning"] != 0) & (flags["cs_in_air"] != 0)
+    return _longest(flags["timestamp"] * 1e-6, is_lost)
+
+
+def _longest(t: Array, is_lost: Array) -> float:
+    """Return the longest time (s) for which a state lasted."""
     longest, since = 0.0, None
     for now, lost in zip(t, is_lost, strict=True):
         since = (now if since is None else since) if lost else None
@@ -133,14 +143,23 @@ def from_ardupilot(log: Path, recording: Path) -> Flown:
     own = own[own["C"] == 0]
     biases = tables["XKF2"]
     biases = biases[biases["C"] == 0]
+    health = tables["XKF4"]
+    health = health[health["C"] == 0]
+    t, status = health["TimeUS"] * 1e-6, health["SS"].astype(np.int64)
+    truth = _track(fast, slow)
+    in_air = np.interp(t, truth.t, truth.pos_n[0, 2] - truth.pos_n[:, 2]) > _IN_THE_AIR
+    is_lost = in_air & (((status & _NO_PLACE) != 0) | ((status & _PLACE) == 0))
+    moved = np.any([np.diff(health[name]) != 0 for name in ("OFN", "OFE")], axis=0)
     ours, resets, quality = _ours(recording)
     return Flown(
-        truth=_track(fast, slow),
+        truth=truth,
         autopilot=_track(own, own),
         ours=ours,
         resets=resets,
         quality=quality,
         accel_bias=np.stack([biases[name] for name in ("AX", "AY", "AZ")], axis=1),
+        own_resets=t[1:][moved],
+        dead_reckoning=_longest(t, is_lost),
     )
 
 
