@@ -37,16 +37,32 @@ def check_times(name: str, t_ns: Stamps, given: str, *, is_inertial: bool = Fals
             f"{name}: goes back at row {row}, from {t_ns[row - 1] * 1e-9:.6f} to "
             f"{t_ns[row] * 1e-9:.6f} s; sort the rows, or run each recording by itself"
         )
-    if not is_inertial or not len(steps):
+    if is_inertial:
+        check_rate(name, t_ns, given, "it looks like {0}: say units={{'time': '{0}'}}")
+
+
+def check_rate(name: str, t_ns: Stamps, given: str, advice: str) -> None:
+    """Refuse times of inertial samples that are plainly in another unit.
+
+    Args:
+        name: As above, as the others.
+        t_ns: Stamps.
+        given: The unit in which they were taken.
+        advice: What to do; ``{}`` stands for the unit that they look like.
+
+    Raises:
+        DataError: No inertial samples come at this rate.
+    """
+    if len(t_ns) < 2:
         return
-    step = float(np.median(steps)) * 1e-9 / _UNITS[given]
+    step = float(np.median(np.diff(t_ns))) * 1e-9 / _UNITS[given]
     rate = 1.0 / (step * _UNITS[given]) if step > 0.0 else np.inf
     if SLOWEST <= rate <= FASTEST:
         return
     fits = [unit for unit, size in _UNITS.items() if step > 0 and 10 <= 1 / (step * size) <= 5000]
-    advice = f"it looks like {fits[0]}: say units={{'time': '{fits[0]}'}}" if fits else "check it"
     raise DataError(
-        f"{name}: taken as {given}, inertial samples come at {rate:.3g} Hz, which none do; {advice}"
+        f"{name}: taken as {given}, inertial samples come at {rate:.3g} Hz, which none do; "
+        + (advice.format(fits[0]) if fits else "check them")
     )
 
 
@@ -182,3 +198,14 @@ def check_overlap(imu_ns: Stamps, other_ns: Stamps, name: str) -> None:
             f"{name}: its times ({spans[1]}) and those of the inertial samples ({spans[0]}) have "
             "nothing in common; both must be of one clock, in units that are said"
         )
+    spans_ns = [float(t[-1] - t[0]) for t in (imu_ns, other_ns)]
+    if len(other_ns) < 3 or not all(spans_ns):
+        return
+    ratio = spans_ns[1] / spans_ns[0]
+    for size in (1e3, 1e6, 1e9):
+        if 0.7 < ratio / size < 1.4 or 0.7 < ratio * size < 1.4:
+            raise DataError(
+                f"{name}: its rows span {spans_ns[1] * 1e-9:.5g} s, and the inertial samples "
+                f"{spans_ns[0] * 1e-9:.5g} s, by a factor of {size:.0e}: the times of both must be "
+                "in one unit"
+            )
