@@ -16,9 +16,11 @@ from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
 from ekf_companion.nav.earth import STANDARD_GRAVITY, pressure_altitude
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
-from ekf_companion.replay import account, axis_agreement, fix_agreement, plausibility
+from ekf_companion.replay import account, plausibility
+from ekf_companion.replay.agreement import contradictions
 from ekf_companion.replay.estimates import Estimates
 from ekf_companion.replay.filters_by_name import Run, run_filter
+from ekf_companion.replay.fix_agreement import suspicion
 from ekf_companion.replay.smoothing import smooth as smooth_events
 
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -157,13 +159,11 @@ def _read(
         if (given := sensors[name]) is not None
     }
     imu = Events.from_columns(t_ns, Kind.IMU, *turn.T, *force.T)
-    if (fixes := tables.get("gnss")) is not None and read.check:
-        found = fix_agreement.disagreements(fixes, tables.get("baro"))
-        found += [one] if (one := axis_agreement.axis_disagreement(imu, fixes)) else []
+    if (fixes := tables.get("gnss")) is not None:
+        found = contradictions(imu, fixes, tables.get("baro")) if read.check else []
         if found:
             raise DataError(f"{'; '.join(found)}. If it is meant so: check=False")
-    if fixes is not None and (doubt := fix_agreement.suspicion(fixes)):
-        read.notes.append(doubt)
+        read.notes += [doubt] if (doubt := suspicion(fixes)) else []
     return merge(*tables.values(), imu)
 
 
