@@ -54,7 +54,7 @@ class Estimates:
         lost = ", ".join(f"{name} {rows}" for name, rows in self.dropped.items()) or "0"
         parts = [
             f"{count} in {span:.1f} s",
-            ", ".join(f"{name} {share:.0%}" for name, share in self.shares.items()) or "empty",
+            ", ".join(f"{name} {_percent(one)}" for name, one in self.shares.items()) or "empty",
             self._accuracy(),
             f"resets {self.resets}",
             f"rows dropped {lost}",
@@ -181,3 +181,7 @@ class Estimates:
         pos_enu, q = east_north_up(table)
         rows = np.column_stack([self.time[known], pos_enu, q[:, 1:], q[:, 0]])
         np.savetxt(path, rows, fmt="%.9f")
+
+
+def _percent(share: float) -> str:
+    return "<1%" if share < 0.01 else f"{share:.0%}"

@@ -14,6 +14,8 @@ FASTEST_TURN = 40.0
 """rad/s: more than any MEMS gyro measures (2000 deg/s is 35)."""
 LARGEST_BIAS = 0.2
 """rad/s at rest, which is 11 deg/s."""
+UNBANKED = 0.3
+"""Of gravity, m/s^2: more than an accelerometer's bias, less than a bank of 15 deg adds."""
 LARGEST_FORCE = 16.0 * 20.0 * STANDARD_GRAVITY
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
@@ -115,18 +117,10 @@ def _check_rates(gyro: Array, accel: Array) -> None:
     advice = "it looks like deg/s; say units={'gyro': 'deg/s'}"
     if fast > FASTEST_TURN:
         raise DataError(f"gyro: reaches {fast:.3g} rad/s, faster than any sensor turns: {advice}")
-    pieces = max(1, len(gyro) // 100)
-    still = [
-        np.abs(turn.mean(axis=0)).max()
-        for turn, pull in zip(
-            np.array_split(gyro, pieces), np.array_split(accel, pieces), strict=True
-        )
-        if len(pull) > 20 and pull.std(axis=0).max() < 0.15
-    ]
-    if still and float(np.median(still)) > LARGEST_BIAS:
+    if (tilting := _tilting_at_rest(gyro, accel)) > LARGEST_BIAS:
         raise DataError(
-            f"gyro: {np.median(still):.3g} rad/s while the accelerometer stands still: {advice}, "
-            "or the sensor has a bias of more than 11 deg/s"
+            f"gyro: tilts at {tilting:.3g} rad/s while gravity stands still in the accelerometer: "
+            f"{advice}, or the sensor has a bias of more than 11 deg/s"
         )
     spread = np.linalg.norm(accel - np.median(accel, axis=0), axis=1)
     if float(np.median(size)) > 3.0 and float(np.median(spread)) < 4.0:
@@ -134,6 +128,22 @@ def _check_rates(gyro: Array, accel: Array) -> None:
             f"gyro: turns at {np.median(size):.3g} rad/s all the time, and the accelerometer does "
             f"not follow: {advice}"
         )
+
+
+def _tilting_at_rest(gyro: Array, accel: Array) -> float:
+    """Return the rate across gravity while it stands still, rad/s; 0 if it never does.
+
+    A turn about gravity, as of a hover, moves it nowhere; in a banked turn the force is larger.
+    """
+    pieces = max(1, len(gyro) // 100)
+    found = []
+    for turn, pull in zip(np.array_split(gyro, pieces), np.array_split(accel, pieces), strict=True):
+        mean = pull.mean(axis=0)
+        size = float(np.linalg.norm(mean))
+        is_still = pull.std(axis=0).max() < 0.15 and abs(size - STANDARD_GRAVITY) < UNBANKED
+        if len(pull) > 20 and is_still:
+            found.append(float(np.linalg.norm(np.cross(turn.mean(axis=0), mean / size))))
+    return float(np.median(found)) if found else 0.0
 
 
 def _check_axes(accel: Array, force: float) -> None:

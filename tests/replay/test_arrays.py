@@ -277,8 +277,18 @@ def test_degrees_at_rest_are_known_by_the_bias():
     accel = DOWN * -9.81 + rng.normal(0.0, 0.03, (len(time), 3))
     gyro = rng.normal(0.0, 0.002, (len(time), 3)) + 0.01
     to_events(time, gyro, accel)
-    with pytest.raises(DataError, match="while the accelerometer stands still: it looks like deg"):
+    with pytest.raises(DataError, match="gravity stands still in the accelerometer: it looks"):
         to_events(time, np.rad2deg(gyro), accel)
+
+
+@pytest.mark.parametrize(("bank", "rate"), [(0.0, 0.6), (0.45, 0.3)])
+def test_a_steady_turn_is_no_rest(bank, rate):
+    """A hover that turns on its spot, and a banked turn of a wing: the force stands still."""
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, 30.0, 0.01)
+    body = np.array([0.0, np.sin(bank), np.cos(bank)])
+    accel = DOWN * (-9.81 / np.cos(bank)) + rng.normal(0.0, 0.03, (len(time), 3))
+    to_events(time, body * rate + rng.normal(0.0, 0.002, (len(time), 3)), accel)
 
 
 def test_a_trajectory_becomes_a_data_frame_and_a_file_of_tums_format(flown, tmp_path):
