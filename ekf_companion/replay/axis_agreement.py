@@ -20,7 +20,7 @@ from itertools import permutations, product
 import numpy as np
 
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Indices, Mask, known_rows
+from ekf_companion.nav.arrays import Array, Indices, Mask
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import GNSS_VELOCITY, Events
 
@@ -40,6 +40,10 @@ DELAYS = (0.0, 0.1, 0.2, 0.3)
 """s, of receivers: the best of them counts."""
 GAP = 1.1
 """s between fixes at most, within a window."""
+
+
+LARGEST = 1e4
+"""A number beyond is damaged: no vehicle turns, accelerates or moves so."""
 
 
 def axis_disagreement(imu: Events, fixes: Events) -> str:
@@ -108,14 +112,14 @@ def _windows(imu: Events, fixes: Events) -> tuple[Array, Array, Array] | None:
         of velocity less gravity, m/s, shape (delays, windows, SECONDS, 3). None: too few windows.
     """
     t, gyro, accel, is_full = _averaged(imu)
-    known = known_rows(fixes.values[:, GNSS_VELOCITY][:, :2])
+    known = _usable(fixes.values[:, GNSS_VELOCITY][:, :2])
     t_fix = np.asarray(fixes.t_ns[known] * 1e-9)
     vel_n = fixes.values[known, GNSS_VELOCITY]
     length = SECONDS * int(RATE)
     if len(t_fix) < 2 or len(t) <= length:
         return None
     # Receivers that give no vertical velocity leave a little more, of all axes
-    vel_n = np.nan_to_num(vel_n)
+    vel_n = np.where(np.abs(vel_n) < LARGEST, vel_n, 0.0)
     starts = np.arange(0, len(t) - length, length)
     edges = t[starts, None] - 0.5 / RATE + np.arange(SECONDS + 1)
     inside = (edges[:, 0] > t_fix[0]) & (edges[:, -1] + DELAYS[-1] < t_fix[-1])
@@ -137,7 +141,7 @@ def _windows(imu: Events, fixes: Events) -> tuple[Array, Array, Array] | None:
 
 def _averaged(imu: Events) -> tuple[Array, Array, Array, Mask]:
     """Return times, s, and means of the samples in each interval of ``RATE``, and if it has any."""
-    known = known_rows(imu.values[:, :6])
+    known = _usable(imu.values[:, :6])
     t, values = np.asarray(imu.t_ns[known] * 1e-9), imu.values[known, :6]
     # Hours of time without a sample would be many empty intervals
     if len(t) < 2 or t[-1] - t[0] > 3600.0 + len(t):
@@ -148,6 +152,10 @@ def _averaged(imu: Events) -> tuple[Array, Array, Array, Mask]:
     sums = np.stack([np.bincount(place, column, size) for column in values.T], axis=1)
     means: Array = sums / np.maximum(count, 1)[:, None]
     return t[0] + (np.arange(size) + 0.5) / RATE, means[:, :3], means[:, 3:], np.asarray(count > 0)
+
+
+def _usable(values: Array) -> Mask:
+    return np.asarray((np.abs(values) < LARGEST).all(axis=1))
 
 
 def _at(t: Array, values: Array, times: Array) -> Array:

@@ -33,6 +33,8 @@ BETTER = 3.0
 """Factor between the statistics of what was declared and of what fits."""
 LONGEST_GAP = 3.0
 """Seconds between fixes over which a velocity may be integrated."""
+LARGEST = 1e9
+"""A number beyond is damaged, in whatever unit."""
 NOWHERE = (0.05, 1.6, 3.2)
 """deg from latitude and longitude 0: beyond the first, and within the others, is only ocean."""
 
@@ -93,6 +95,9 @@ def _horizontal(fixes: Events) -> tuple[Array, Array, Array, Array]:
     """Return times, s, latitude and longitude, rad, and integrated velocity, m, where known."""
     t, vel = np.asarray(fixes.t_ns * 1e-9), fixes.values[:, GNSS_VELOCITY][:, :2]
     known = known_rows(fixes.values[:, GNSS_POSITION]) & known_rows(vel)
+    known &= (np.abs(vel) < LARGEST).all(axis=1) & (np.abs(fixes.values[:, :2]) < LARGEST).all(
+        axis=1
+    )
     known &= np.diff(t, prepend=-np.inf) > 0.0
     t, vel = t[known], vel[known]
     return t, fixes.values[known, 0], fixes.values[known, 1], _integrated(t, vel)
@@ -134,13 +139,13 @@ def _of_motion(t: Array, lat: Array, lon: Array, way: Array) -> str:
 def _of_heights(fixes: Events, baro: Events | None) -> list[str]:
     """Return what is wrong with heights by the vertical velocity and by the barometer."""
     alt, down = fixes.values[:, 2], fixes.values[:, 5]
-    known = np.isfinite(alt) & (np.diff(fixes.t_ns, prepend=-1) > 0)
+    known = (np.abs(alt) < LARGEST) & (np.diff(fixes.t_ns, prepend=-1) > 0)
     t, alt, down = np.asarray(fixes.t_ns[known] * 1e-9), alt[known], down[known]
     sizes: dict[str, float] = {}
-    if (has_down := np.isfinite(down)).any():
+    if (has_down := np.abs(down) < LARGEST).any():
         climb = -_integrated(t[has_down], down[has_down, None])[:, 0]
         sizes["the vertical velocity"] = _size(t[has_down], alt[has_down], climb)
-    if baro is not None and (of_baro := np.isfinite(baro.values[:, 0])).any() and len(t):
+    if baro is not None and (of_baro := np.abs(baro.values[:, 0]) < LARGEST).any() and len(t):
         stamps = baro.t_ns[of_baro] * 1e-9
         height = np.interp(t, stamps, baro.values[of_baro, 0])
         # Outside the barometer's time there is nothing to compare with
@@ -215,7 +220,8 @@ def _spans(t: Array, lag: float) -> tuple[Indices, Indices]:
     if len(t) < 2 or t[-1] - t[0] <= lag:
         nothing = np.zeros(0, dtype=np.int64)
         return nothing, nothing
-    first = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] - lag, 1.0)))
+    # The first fix of each second
+    first = np.flatnonzero(np.diff(np.floor(t - t[0]), prepend=-1.0) > 0.0)
     last = np.searchsorted(t, t[first] + lag)
     first, last = first[last < len(t)], last[last < len(t)]
     gaps = np.cumsum(np.diff(t, prepend=t[0]) > LONGEST_GAP)

@@ -185,3 +185,22 @@ def test_a_jump_of_the_receiver_is_not_taken_for_a_unit(wing):
     )
     assert disagreements(glitch, wing.baro) == []
     assert axis_disagreement(wing.imu, glitch) == ""
+
+
+def test_damaged_rows_are_left_out(wing, quad):
+    def damaged(table):
+        values = table.values.copy()
+        for row, number in ((50, 1e300), (60, np.inf), (70, -1e18), (80, np.nan)):
+            values[row, :6] = number
+        t_ns = table.t_ns.copy()
+        if table is not quad.imu:
+            t_ns[-1] += 10**17  # three years later
+        return Events(t_ns=t_ns, kind=table.kind, values=values)
+
+    for flown in (wing, quad):
+        fixes, imu, baro = damaged(flown.fixes), damaged(flown.imu), damaged(flown.baro)
+        assert disagreements(fixes, baro) == []
+        assert axis_disagreement(imu, fixes) == ""
+        assert suspicion(fixes) == ""
+    (found,) = disagreements(damaged(changed(wing.fixes, **scaled(3.6))), damaged(wing.baro))
+    assert "look like km/h" in found

@@ -281,7 +281,7 @@ def test_degrees_at_rest_are_known_by_the_bias():
         to_events(time, np.rad2deg(gyro), accel)
 
 
-@pytest.mark.parametrize(("bank", "rate"), [(0.0, 0.6), (0.45, 0.3)])
+@pytest.mark.parametrize(("bank", "rate"), [(0.0, 0.6), (0.45, 0.6)])
 def test_a_steady_turn_is_no_rest(bank, rate):
     """A hover that turns on its spot, and a banked turn of a wing: the force stands still."""
     rng = np.random.default_rng(1)
