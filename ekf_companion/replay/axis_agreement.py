@@ -9,7 +9,7 @@ m/s RMS, is the statistic, its median over the windows in which the velocity cha
 Axes that are exchanged or reversed leave more: they are left-handed, or those of gyro and
 accelerometer differ. All 96 ways to do so, but for rotations of both sensors together, which this
 cannot see, are tried on the samples. Of samples that are declared right none leaves less than 0.93
-of what they leave as they are, in 22 recorded and 40 simulated flights; so where one leaves less
+of what they leave as they are, in 20 recordings and 24 simulated flights; so where one leaves less
 than half, the axes are wrong. A hover or a straight flight has no such window, and is not judged.
 """
 

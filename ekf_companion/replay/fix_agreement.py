@@ -3,11 +3,10 @@
 The statistic: over spans of 3, 10 and 30 s in which the vehicle moved by ``FAR`` or more, the
 median distance between a displacement and the velocity integrated over the same span, divided by
 the median displacement. Of fixes that are declared right it is the noise of a receiver over that
-way: at most 0.15 in 30 recorded flights, from hovers to fixed wings, but for 0.5 in one of a fix
-each two seconds. A wrong unit, sign or order leaves 0.5 and more, and right ones in its place
-what noise leaves: so it is named if it fits within a quarter, three times as well as what was
-declared. A vehicle that moves by no more than its receiver's noise shows nothing, and nothing is
-said.
+way: at most 0.15 in 30 recordings, from hovers to fixed wings, but for 0.5 over 30 s in a noisy
+one. A wrong unit, sign or order leaves 0.5 and more, and right ones in its place what noise
+leaves: so it is named if it fits within a quarter, three times as well as what was declared. A
+vehicle that moves by no more than its receiver's noise shows nothing, and nothing is said.
 """
 
 from __future__ import annotations
