@@ -8,11 +8,12 @@ fails, or ``preflight`` what speaks against a take-off.
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from importlib import import_module
 from typing import Annotated, Any, NamedTuple
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from ekf_companion.errors import MissingPackageError
 from ekf_companion.version import __version__
@@ -84,6 +85,37 @@ COMMANDS = {
 }
 
 
+_PORTS = ("--port", "--device", "--baud", "--baudrate", "--url", "--connect")
+OTHER_OPTIONS = {
+    "--link": (_PORTS, "serial:/dev/ttyACM0:921600 or udpin:0.0.0.0:14540 names the autopilot"),
+    "--out": (("--output", "--out-file"), "-o FILE names a file to write"),
+}
+"""Options of ours by name: what other programs call them, and what is given to them."""
+
+
+class _Command(TyperCommand):
+    """A command that says what to give in place of an option that it lacks, or that is missing."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments of the command line.
+
+        Raises:
+            typer.BadParameter: One is missing, unknown or wrong; the command line prints it.
+        """
+        own = {name for parameter in self.params for name in parameter.opts}
+        given = {arg.partition("=")[0] for arg in args} - own
+        for option, (others, advice) in OTHER_OPTIONS.items():
+            if option in own and not ctx.resilient_parsing and (wrong := given & {*others}):
+                ctx.fail(f"No such option: {sorted(wrong)[0]}; did you mean {option}? {advice}")
+        try:
+            return super().parse_args(ctx, args)
+        except typer.BadParameter as error:
+            # Of a parameter that is missing; its help says what to give
+            if not error.message:
+                error.message = getattr(error.param, "help", None) or ""
+            raise
+
+
 class _Commands(TyperGroup):
     """The commands, each imported when it is called: the help of all starts without any."""
 
@@ -98,9 +130,16 @@ class _Commands(TyperGroup):
         found = getattr(import_module(f"ekf_companion.cli.{entry.module}"), entry.function)
         if not isinstance(found, typer.Typer):
             alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-            alone.command(cmd_name)(found)
+            alone.command(cmd_name, cls=_Command)(found)
             found = alone
         return typer.main.get_command(found)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command; where there is none of that name, name the nearest."""
+        near = get_close_matches(args[0], COMMANDS) if args and args[0] not in COMMANDS else []
+        if near and not ctx.resilient_parsing:
+            ctx.fail(f"No such command '{args[0]}'; did you mean {' or '.join(near)}?")
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; print a sentence where a package that it imports is not installed."""

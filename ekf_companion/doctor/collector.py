@@ -141,7 +141,7 @@ class EvidenceCollector:
         if name in _STAMPS:
             size, unit = _STAMPS[name]
             stamp = int.from_bytes(frame.payload[:size], "little")
-            self._stamps.setdefault(name, Stamps(message=name)).add(stamp * unit)
+            self._stamps.setdefault(name, Stamps(message=name)).add(stamp * unit, now_ns)
         elif name == "PARAM_VALUE":
             m = unpack(frame)
             if (value := value_of(m, frame, self._family)) is not None:

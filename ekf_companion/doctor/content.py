@@ -11,6 +11,8 @@ from ekf_companion.mavlink.session import MISADDRESSED
 
 _MANY = 0.05
 """Share of refused measurements that is more than chance."""
+_LEAPS = (": stamp leaps", ": stamp far from the inertial samples")
+"""Why a measurement with a stamp far from the others is refused, after its message."""
 _TOO_MUCH_SKEW = 200.0
 """ppm; a crystal has less than 100."""
 _STILL = 3.0
@@ -28,7 +30,15 @@ def time(evidence: Evidence) -> StageResult:
         saw += f", synchronised to {state.rtt_p95_ms:.1f} ms, {state.skew_ppm:+.0f} ppm"
     elif state.answers:
         saw += f", {state.answers} answers to TIMESYNC"
+    leaps = sum(n for why, n in evidence.refused.items() if why.endswith(_LEAPS))
+    if leaps:
+        saw += f"; not used, as their stamps leap: {leaps}"
     return judged(Stage.TIME, saw, [*_clocks(evidence), *_stamps(evidence), *_timesync(evidence)])
+
+
+def _is_of_time(why: str) -> bool:
+    """Return whether a refusal is for a stamp, which the stage ``time`` reports."""
+    return why.endswith((*_LEAPS, ": time base unknown")) or why == "clock set back"
 
 
 def _clocks(evidence: Evidence) -> Iterator[Problem]:
@@ -75,6 +85,15 @@ def _stamps(evidence: Evidence) -> Iterator[Problem]:
         yield warning(
             f"{stamps.backward} of {stamps.count} stamps of {stamps.message} go back.",
             "Let only one path lead here; over UDP and radio take a link that keeps the order.",
+        )
+    # A reboot is reported already
+    if stamps.leaps and not (evidence.peer is not None and evidence.peer.reboots >= stamps.leaps):
+        times = "once" if stamps.leaps == 1 else f"{stamps.leaps} times"
+        yield warning(
+            f"The stamps of {stamps.message} leap {times} away from the times at which they came, "
+            f"by up to {stamps.largest_leap:.3g} s: the estimate begins anew there.",
+            "Look at what sets the autopilot's clock in flight, or the clock of the computer that "
+            "received them; a recording may have been joined of several.",
         )
     if stamps.is_whole_ms and stamps.message.startswith("SCALED"):
         yield warning(
@@ -127,7 +146,7 @@ def values(evidence: Evidence) -> StageResult:
         why: count
         for why, count in evidence.refused.items()
         if why not in ("IMU: a better source speaks", "GPS_RAW_INT: first after none")
-        and "time base unknown" not in why
+        and not _is_of_time(why)
         and not why.endswith(MISADDRESSED)
     }
     if strange:

@@ -9,6 +9,8 @@ from ekf_companion.mavlink.stamp import SECOND_NS
 
 PAUSE_NS = 3 * SECOND_NS
 """A longer silence is a pause, and does not count for the rate."""
+LEAP_NS = SECOND_NS
+"""Difference between stamps and arrivals that no link makes: what is late is never early."""
 
 
 class MessageCounter:
@@ -75,15 +77,20 @@ class Stamps:
     backward: int = 0
     gaps: int = 0
     """Steps more than ten times the usual one."""
+    leaps: int = 0
+    """Stamps that leave the time of arrival by more than ``LEAP_NS``, ahead or back."""
+    largest_leap: float = 0.0
+    """s, without a sign."""
     zero: int = 0
     is_whole_ms: bool = False
     """Whether all of several are whole milliseconds."""
     _is_whole: bool = True
     _last_us: int | None = None
     _usual_us: float = 0.0
+    _earliest_ns: int | None = None
 
-    def add(self, t_us: int) -> None:
-        """Count the next stamp, in the order of arrival."""
+    def add(self, t_us: int, now_ns: int | None = None) -> None:
+        """Count the next stamp, in the order of arrival; ``now_ns`` is that time, if known."""
         self.count += 1
         self._is_whole &= t_us % 1000 == 0
         self.is_whole_ms = self._is_whole and self.count > 1
@@ -91,6 +98,8 @@ class Stamps:
             self.zero += 1
             return
         last, self._last_us = self._last_us, t_us
+        if now_ns is not None:
+            self._compare(t_us, last, now_ns)
         if last is None:
             return
         step = t_us - last
@@ -102,3 +111,16 @@ class Stamps:
             self.gaps += 1
         else:
             self._usual_us += 0.05 * (step - self._usual_us) if self._usual_us else step
+
+    def _compare(self, t_us: int, last_us: int | None, now_ns: int) -> None:
+        """Count a leap: more ahead of the arrivals than any stamp before, or back."""
+        ahead_ns = t_us * 1000 - now_ns
+        if self._earliest_ns is None or last_us is None:
+            self._earliest_ns = ahead_ns
+            return
+        by_ns = max(ahead_ns - self._earliest_ns, (last_us - t_us) * 1000)
+        if by_ns > LEAP_NS:
+            self.leaps += 1
+            self.largest_leap = max(self.largest_leap, by_ns * 1e-9)
+            self._earliest_ns = ahead_ns
+        self._earliest_ns = max(self._earliest_ns, ahead_ns)

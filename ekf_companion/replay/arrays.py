@@ -13,12 +13,14 @@ from ekf_companion.errors import ConfigError, DataError, LogError
 from ekf_companion.filters.observation import Observation
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Stamps
+from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
 from ekf_companion.nav.earth import STANDARD_GRAVITY, pressure_altitude
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
-from ekf_companion.replay import plausibility
+from ekf_companion.replay import account, plausibility
+from ekf_companion.replay.agreement import contradictions
 from ekf_companion.replay.estimates import Estimates
 from ekf_companion.replay.filters_by_name import Run, run_filter
+from ekf_companion.replay.fix_agreement import suspicion
 from ekf_companion.replay.smoothing import smooth as smooth_events
 
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -28,9 +30,15 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "mag": {"gauss": 1.0, "uT": 1e-2, "mG": 1e-3, "nT": 1e-5},
 }
 """Units that may be named, and their size in ns, rad/s, m/s^2 and gauss."""
+NAVIGATING = ("eskf", "euler", "iterated", "ukf")
+"""Filters that estimate a position from fixes."""
 _GNSS = ("lat_deg", "lon_deg", "lat_rad", "lon_rad", "alt", "vel_n", "std_h", "std_v", "std_vel")
 STD_H, STD_V, STD_VEL = 1.5, 2.5, 0.3
 """One sigma of fixes whose accuracy is not given, m, m and m/s."""
+LAST_NS = 9e18
+"""Time that 64 bits hold, ns: the year 2255."""
+MARGIN_NS = 2_000_000_000
+"""Time before and behind the inertial samples in which other rows may count, ns."""
 
 
 def estimate(
@@ -74,32 +82,40 @@ def estimate(
             :class:`~ekf_companion.filters.own_aid.OwnAid`.
         units: Units of ``time``, ``gyro``, ``accel`` and ``mag`` that are not the ones above, of
             :data:`UNITS`: ``{"gyro": "deg/s", "accel": "g", "time": "us"}``.
-        check: Whether to refuse what cannot be meant: degrees for radians, another sign of
-            gravity, times in another unit.
+        check: Whether to refuse what cannot be meant: other units, axes or signs, north and east
+            exchanged, radians for degrees.
 
     Returns:
-        An estimate per inertial sample.
+        An estimate per inertial sample; ``notes`` say what is doubtful, and what was not used.
 
     Raises:
         DataError: The arrays cannot be meant; the sentence says why, and what would do.
         ConfigError: There is no such filter, unit or column.
         LogError: Nothing can be estimated from them.
     """
-    events = to_events(
-        time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro, units=units, check=check
-    )
+    read = _Reader(dict(units or {}), check)
+    events = _read(read, time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro)
     chosen = settings or FilterSettings()
     if smooth:
         if filter != "eskf" or aids:
             raise ConfigError("smooth: smooths eskf without aids of your own; leave it or them out")
-        found = Estimates(smooth_events(events, chosen))
+        table = smooth_events(events, chosen)
+        notes: tuple[str, ...] = ()
     else:
         recording = Recording(family="unknown", events=events)
         solution = run_filter(recording, filter, chosen, aids=aids)
-        found = Estimates(solution.table, solution.notes)
-    if not len(found):
-        raise LogError("nothing could be estimated: the recording is too short to find down in it")
-    return found
+        table, notes = solution.table, solution.notes
+    if not np.isfinite(table.column("q_w")).any():
+        span = (events.t_ns[-1] - events.t_ns[0]) * 1e-9
+        why = "; ".join(["", *read.notes])
+        raise LogError(
+            f"nothing could be estimated: down was not found in {span:.1f} s with "
+            f"{np.count_nonzero(events.kind == Kind.IMU)} inertial samples; give more of the "
+            f"recording, best with a second at rest at its begin{why}"
+        )
+    has_position = not isinstance(filter, str) or filter.partition(":")[0] in NAVIGATING
+    said = account.sentences(table, events, has_position=has_position)
+    return Estimates(table, (*read.notes, *said, *notes), dropped=read.dropped)
 
 
 def to_events(
@@ -116,17 +132,39 @@ def to_events(
 ) -> Events:
     """Return arrays as the events of a recording; arguments and errors as for :func:`estimate`."""
     read = _Reader(dict(units or {}), check)
+    return _read(read, time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro)
+
+
+def _read(
+    read: _Reader,
+    time: npt.ArrayLike,
+    gyro: npt.ArrayLike,
+    accel: npt.ArrayLike,
+    **sensors: Mapping[str, npt.ArrayLike] | None,
+) -> Events:
+    """Return arrays as events; ``read`` holds the notes on them."""
     t_ns = read.times("time", time, is_inertial=True)
     turn = read.array("gyro", gyro, (len(t_ns), 3))
     force = read.array("accel", accel, (len(t_ns), 3))
-    if check:
+    if read.check:
         plausibility.check_inertial(turn, force, t_ns)
-    tables = [
-        convert(read, given, t_ns)
-        for convert, given in ((_gnss, gnss), (_heading, heading), (_mag, mag), (_baro, baro))
-        if given is not None
-    ]
-    return merge(*tables, Events.from_columns(t_ns, Kind.IMU, *turn.T, *force.T))
+    tables = {
+        name: convert(read, given, t_ns)
+        for name, convert in (
+            ("gnss", _gnss),
+            ("heading", _heading),
+            ("mag", _mag),
+            ("baro", _baro),
+        )
+        if (given := sensors[name]) is not None
+    }
+    imu = Events.from_columns(t_ns, Kind.IMU, *turn.T, *force.T)
+    if (fixes := tables.get("gnss")) is not None:
+        found = contradictions(imu, fixes, tables.get("baro")) if read.check else []
+        if found:
+            raise DataError(f"{'; '.join(found)}. If it is meant so: check=False")
+        read.notes += [doubt] if (doubt := suspicion(fixes)) else []
+    return merge(*tables.values(), imu)
 
 
 class _Reader:
@@ -138,6 +176,25 @@ class _Reader:
                 known = {key: list(values) for key, values in UNITS.items()}
                 raise ConfigError(f"units: {name}: {unit!r}: known are {known}")
         self._units, self.check = units, check
+        self.notes: list[str] = []
+        """What one should know of the arrays, one sentence each."""
+        self.dropped: dict[str, int] = {}
+        """Rows that were not used, by array."""
+
+    def drop(self, name: str, is_bad: Mask, why: str, then: str = "they were not used") -> None:
+        """Count and note the rows of an array that are not used."""
+        if is_bad.any():
+            self.dropped[name] = self.dropped.get(name, 0) + int(np.count_nonzero(is_bad))
+            self.note(name, is_bad, why, then)
+
+    def note(self, name: str, is_bad: Mask, why: str, then: str) -> None:
+        """Note rows of an array, if there are any."""
+        if not is_bad.any():
+            return
+        rows = np.flatnonzero(is_bad)
+        self.notes.append(
+            f"{name}: {len(rows)} of {len(is_bad)} rows {why}, the first is row {rows[0]}; {then}"
+        )
 
     def times(self, name: str, given: npt.ArrayLike, *, is_inertial: bool = False) -> Stamps:
         """Return stamps, ns: floats are s and integers ns, unless the unit is named."""
@@ -149,9 +206,16 @@ class _Reader:
             raise DataError(f"{name}: holds NaN or infinity; leave such rows out")
         size = UNITS["time"][unit]
         exact = values.dtype.kind != "f" and size == 1.0
+        if not exact and np.abs(values).max() * size > LAST_NS:
+            raise DataError(
+                f"{name}: taken as {unit}, {values[-1]:.6g} is beyond every clock; name its unit, "
+                "units={'time': 'ms'} or 'us' or 'ns'"
+            )
         t_ns = values.astype(np.int64) if exact else np.rint(values * size).astype(np.int64)
         if self.check:
             plausibility.check_times(name, t_ns, unit, is_inertial=is_inertial)
+        is_again = np.diff(t_ns, prepend=t_ns[0] - 1) == 0
+        self.note(name, is_again, "have the time of the row before", "equal rows count once")
         return t_ns
 
     def array(self, name: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -163,6 +227,9 @@ class _Reader:
             hint = "; transpose it" if values.shape == shape[::-1] else ""
             raise DataError(f"{name}: must have the shape {shape}, not {_shape(values)}{hint}")
         plausibility.check_known(name, values)
+        if not name.startswith("gnss.vel_n") and ".std" not in name:
+            unknown = ~known_rows(values.reshape(len(values), -1))
+            self.drop(name, unknown, "hold NaN or infinity")
         quantity = name.rpartition(".")[2]
         unit = self._units.get("mag" if quantity == "field" else quantity)
         table = UNITS.get("mag" if quantity == "field" else quantity, {})
@@ -180,7 +247,25 @@ class _Reader:
         t_ns = self.times(f"{name}.time", given["time"])
         if self.check:
             plausibility.check_overlap(imu_ns, t_ns, name)
+        outside = (t_ns < imu_ns[0] - MARGIN_NS) | (t_ns > imu_ns[-1] + MARGIN_NS)
+        self.drop(f"{name}.time", outside, "lie outside the time of the inertial samples")
         return t_ns
+
+    def std(self, name: str, given: npt.ArrayLike, count: tuple[int]) -> Array:
+        """Return one sigma for each row, which must be positive.
+
+        Raises:
+            DataError: None is.
+        """
+        values = self.array(name, given, count)
+        is_bad = ~(values > 0.0)
+        if is_bad.all():
+            raise DataError(
+                f"{name}: one sigma must be greater than 0, and is {values[0]:g}, so no row could "
+                "be used; leave it out where it is not known"
+            )
+        self.drop(name, is_bad, "are not greater than 0")
+        return values
 
 
 def _shape(values: npt.NDArray[Any]) -> str:
@@ -204,12 +289,16 @@ def _gnss(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> 
     )
     vel_n = np.full((len(t_ns), 3), np.nan)
     if "vel_n" in given:
-        vel_n = read.array("gnss.vel_n", given["vel_n"], (len(t_ns), 3))
+        vel_n = read.array("gnss.vel_n", given["vel_n"], (len(t_ns), 3)).copy()
+        unknown = ~known_rows(vel_n[:, :2])
+        vel_n[unknown] = np.nan
+        then = "their positions count without a velocity"
+        read.drop("gnss.vel_n", unknown, "hold NaN or infinity north or east", then)
     if read.check:
         plausibility.check_place(lat, lon, unit)
         plausibility.check_velocity(t_ns, alt, vel_n)
     stds = [
-        read.array(f"gnss.{name}", given.get(name, default), count)
+        read.std(f"gnss.{name}", given.get(name, default), count)
         for name, default in (("std_h", STD_H), ("std_v", STD_V), ("std_vel", STD_VEL))
     ]
     flags = np.full(count, float(GnssFlag.NONE))
@@ -224,7 +313,7 @@ def _heading(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) 
     angle = read.array("heading.heading", given.get("heading", np.nan), (len(t_ns),))
     if read.check and np.nanmax(np.abs(angle)) > 2.0 * np.pi + 1e-6:
         raise DataError("heading: reaches beyond 2 pi; it must be rad: give np.deg2rad(heading)")
-    std = read.array("heading.std", given.get("std", 0.05), (len(t_ns),))
+    std = read.std("heading.std", given.get("std", 0.05), (len(t_ns),))
     source = np.full(len(t_ns), float(HeadingSource.GNSS))
     return Events.from_columns(t_ns, Kind.HEADING, so3.wrap(angle), std, source)
 
@@ -254,3 +343,6 @@ def _baro(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> 
     else:
         alt = read.array("baro.alt", given.get("alt", np.nan), (len(t_ns),))
     return Events.from_columns(t_ns, Kind.BARO, alt)
+
+
+_TABLES = {"gnss": _gnss, "heading": _heading, "mag": _mag, "baro": _baro}

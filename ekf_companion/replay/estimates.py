@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,20 +32,56 @@ class Estimates:
     Attributes are NaN where nothing is known yet; ``status`` says since when what is.
     """
 
-    def __init__(self, table: Table, notes: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self,
+        table: Table,
+        notes: tuple[str, ...] = (),
+        *,
+        dropped: Mapping[str, int] | None = None,
+    ) -> None:
         self.table = table
         """All columns, as ``convert`` writes them."""
         self.notes = notes
-        """What one should know of the run, one sentence each."""
+        """What one should know of the run, one sentence each: read them where there are any."""
+        self.dropped: Mapping[str, int] = dict(dropped or {})
+        """Rows that were not used, by array; ``notes`` say why."""
 
     def __len__(self) -> int:
         return len(self.table)
 
     def __repr__(self) -> str:
-        status, count = self.status, len(self)
-        good = float(np.mean(status >= Status.OK)) if count else 0.0
-        span = (self.t_ns[-1] - self.t_ns[0]) * 1e-9 if count else 0.0
-        return f"<Estimates: {count} in {span:.1f} s, {good:.0%} with a position>"
+        count, span = len(self), (self.t_ns[-1] - self.t_ns[0]) * 1e-9 if len(self) else 0.0
+        lost = ", ".join(f"{name} {rows}" for name, rows in self.dropped.items()) or "0"
+        parts = [
+            f"{count} in {span:.1f} s",
+            ", ".join(f"{name} {_percent(one)}" for name, one in self.shares.items()) or "empty",
+            self._accuracy(),
+            f"resets {self.resets}",
+            f"rows dropped {lost}",
+            f"notes {len(self.notes)}",
+        ]
+        return f"<Estimates: {'; '.join(parts)}>"
+
+    def _accuracy(self) -> str:
+        std = np.hypot(self.sigma[:, 0], self.sigma[:, 1])[self.status >= Status.OK]
+        if not np.isfinite(std).any():
+            return "no position"
+        return f"{np.nanmedian(std):.1f} m by its own sigma"
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Shares of the estimates by status, in its order; see :attr:`status`."""
+        status = self.status
+        return {
+            each.name.lower().replace("_", " "): float(np.mean(status == each))
+            for each in Status
+            if (status == each).any()
+        }
+
+    @property
+    def resets(self) -> int:
+        """How often the estimate jumped on purpose; ``notes`` say when."""
+        return int(np.count_nonzero(np.diff(self.table.column("reset_count"))))
 
     @property
     def t_ns(self) -> Stamps:
@@ -144,3 +181,7 @@ class Estimates:
         pos_enu, q = east_north_up(table)
         rows = np.column_stack([self.time[known], pos_enu, q[:, 1:], q[:, 0]])
         np.savetxt(path, rows, fmt="%.9f")
+
+
+def _percent(share: float) -> str:
+    return "<1%" if share < 0.01 else f"{share:.0%}"

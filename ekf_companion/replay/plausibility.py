@@ -14,6 +14,8 @@ FASTEST_TURN = 40.0
 """rad/s: more than any MEMS gyro measures (2000 deg/s is 35)."""
 LARGEST_BIAS = 0.2
 """rad/s at rest, which is 11 deg/s."""
+UNBANKED = 0.3
+"""Of gravity, m/s^2: more than an accelerometer's bias, less than a bank of 15 deg adds."""
 LARGEST_FORCE = 16.0 * 20.0 * STANDARD_GRAVITY
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
@@ -37,16 +39,32 @@ def check_times(name: str, t_ns: Stamps, given: str, *, is_inertial: bool = Fals
             f"{name}: goes back at row {row}, from {t_ns[row - 1] * 1e-9:.6f} to "
             f"{t_ns[row] * 1e-9:.6f} s; sort the rows, or run each recording by itself"
         )
-    if not is_inertial or not len(steps):
+    if is_inertial:
+        check_rate(name, t_ns, given, "it looks like {0}: say units={{'time': '{0}'}}")
+
+
+def check_rate(name: str, t_ns: Stamps, given: str, advice: str) -> None:
+    """Refuse times of inertial samples that are plainly in another unit.
+
+    Args:
+        name: As above, as the others.
+        t_ns: Stamps.
+        given: The unit in which they were taken.
+        advice: What to do; ``{}`` stands for the unit that they look like.
+
+    Raises:
+        DataError: No inertial samples come at this rate.
+    """
+    if len(t_ns) < 2:
         return
-    step = float(np.median(steps)) * 1e-9 / _UNITS[given]
+    step = float(np.median(np.diff(t_ns))) * 1e-9 / _UNITS[given]
     rate = 1.0 / (step * _UNITS[given]) if step > 0.0 else np.inf
     if SLOWEST <= rate <= FASTEST:
         return
     fits = [unit for unit, size in _UNITS.items() if step > 0 and 10 <= 1 / (step * size) <= 5000]
-    advice = f"it looks like {fits[0]}: say units={{'time': '{fits[0]}'}}" if fits else "check it"
     raise DataError(
-        f"{name}: taken as {given}, inertial samples come at {rate:.3g} Hz, which none do; {advice}"
+        f"{name}: taken as {given}, inertial samples come at {rate:.3g} Hz, which none do; "
+        + (advice.format(fits[0]) if fits else "check them")
     )
 
 
@@ -99,18 +117,10 @@ def _check_rates(gyro: Array, accel: Array) -> None:
     advice = "it looks like deg/s; say units={'gyro': 'deg/s'}"
     if fast > FASTEST_TURN:
         raise DataError(f"gyro: reaches {fast:.3g} rad/s, faster than any sensor turns: {advice}")
-    pieces = max(1, len(gyro) // 100)
-    still = [
-        np.abs(turn.mean(axis=0)).max()
-        for turn, pull in zip(
-            np.array_split(gyro, pieces), np.array_split(accel, pieces), strict=True
-        )
-        if len(pull) > 20 and pull.std(axis=0).max() < 0.15
-    ]
-    if still and float(np.median(still)) > LARGEST_BIAS:
+    if (tilting := _tilting_at_rest(gyro, accel)) > LARGEST_BIAS:
         raise DataError(
-            f"gyro: {np.median(still):.3g} rad/s while the accelerometer stands still: {advice}, "
-            "or the sensor has a bias of more than 11 deg/s"
+            f"gyro: tilts at {tilting:.3g} rad/s while gravity stands still in the accelerometer: "
+            f"{advice}, or the sensor has a bias of more than 11 deg/s"
         )
     spread = np.linalg.norm(accel - np.median(accel, axis=0), axis=1)
     if float(np.median(size)) > 3.0 and float(np.median(spread)) < 4.0:
@@ -118,6 +128,22 @@ def _check_rates(gyro: Array, accel: Array) -> None:
             f"gyro: turns at {np.median(size):.3g} rad/s all the time, and the accelerometer does "
             f"not follow: {advice}"
         )
+
+
+def _tilting_at_rest(gyro: Array, accel: Array) -> float:
+    """Return the rate across gravity while it stands still, rad/s; 0 if it never does.
+
+    A turn about gravity, as of a hover, moves it nowhere; in a banked turn the force is larger.
+    """
+    pieces = max(1, len(gyro) // 100)
+    found = []
+    for turn, pull in zip(np.array_split(gyro, pieces), np.array_split(accel, pieces), strict=True):
+        mean = pull.mean(axis=0)
+        size = float(np.linalg.norm(mean))
+        is_still = pull.std(axis=0).max() < 0.15 and abs(size - STANDARD_GRAVITY) < UNBANKED
+        if len(pull) > 20 and is_still:
+            found.append(float(np.linalg.norm(np.cross(turn.mean(axis=0), mean / size))))
+    return float(np.median(found)) if found else 0.0
 
 
 def _check_axes(accel: Array, force: float) -> None:
@@ -182,3 +208,14 @@ def check_overlap(imu_ns: Stamps, other_ns: Stamps, name: str) -> None:
             f"{name}: its times ({spans[1]}) and those of the inertial samples ({spans[0]}) have "
             "nothing in common; both must be of one clock, in units that are said"
         )
+    spans_ns = [float(t[-1] - t[0]) for t in (imu_ns, other_ns)]
+    if len(other_ns) < 3 or not all(spans_ns):
+        return
+    ratio = spans_ns[1] / spans_ns[0]
+    for size in (1e3, 1e6, 1e9):
+        if 0.7 < ratio / size < 1.4 or 0.7 < ratio * size < 1.4:
+            raise DataError(
+                f"{name}: its rows span {spans_ns[1] * 1e-9:.5g} s, and the inertial samples "
+                f"{spans_ns[0] * 1e-9:.5g} s, by a factor of {size:.0e}: the times of both must be "
+                "in one unit"
+            )

@@ -17,9 +17,11 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.checkpoint import Vehicle
 from ekf_companion.engine.pipeline import Estimate, Pipeline
 from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.measurements import Events, Row
 from ekf_companion.nav.state import COLUMNS, Table
+from ekf_companion.replay.agreement import AgreementCheck
 from ekf_companion.replay.log_source import open_log
 from ekf_companion.replay.magnetometer import MagnetometerCheck
 from ekf_companion.replay.report import Report, add_block, note_shortcomings
@@ -148,6 +150,8 @@ class Run(Generic[P]):
         self._blocks: list[Block] = []  # of all pipelines, finished
         self._done = 0  # frames or measurements so far
         self._magnetometer = MagnetometerCheck(config.heading.year)
+        # Columns and units of a table are declared by its user, those of the others by programs
+        self._agreement = AgreementCheck() if suffix_of(path) == ".csv" else None
         self._vehicle: Vehicle | None = None
         self._system_id = config.link.system_id or 1
         if isinstance(self.log, Recording):
@@ -193,6 +197,8 @@ class Run(Generic[P]):
         if self.pipelines:
             self.report.health = self.pipelines[-1].health()
         self.report.notes += self._magnetometer.notes()
+        if self._agreement is not None:
+            self.report.notes += self._agreement.notes()
         note_shortcomings(self.report, self._path)
         return self.report
 
@@ -300,6 +306,8 @@ class Run(Generic[P]):
         for block in blocks:
             add_block(self.report, block.events, block.table)
             self._magnetometer.add(block.events, block.table)
+            if self._agreement is not None:
+                self._agreement.add(block.events)
         if progress is not None:
             progress(self._done, self.size)
         return blocks

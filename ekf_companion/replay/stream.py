@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -22,10 +23,14 @@ from ekf_companion.nav.measurements import (
 )
 from ekf_companion.nav.state import COLUMNS, EULER, POSITION, QUATERNION, SIGMA, VELOCITY, Status
 from ekf_companion.replay.arrays import STD_H, STD_V, STD_VEL
-from ekf_companion.replay.plausibility import check_inertial
+from ekf_companion.replay.plausibility import check_inertial, check_known, check_rate
 
 CHECKED = 200
 """Inertial samples that are looked at before any is believed to be meant."""
+TIMES_CHECKED = 10
+"""Inertial samples after which their times are looked at, and as many of each kind after them."""
+FARTHEST_NS = 60_000_000_000
+"""Between those and the newest inertial sample, if they are of one clock, ns."""
 _PLACES = {
     name: [COLUMNS.index(one) - 1 for one in names]
     for name, names in (
@@ -36,6 +41,9 @@ _PLACES = {
         ("sigma", SIGMA),
     )
 }
+
+
+TIMES = "a Stream takes floats as s and whole numbers as ns"
 
 
 class StreamEstimate(NamedTuple):
@@ -58,8 +66,8 @@ class StreamEstimate(NamedTuple):
 class Stream:
     """The daemon's estimator, fed by hand; measurements may come late by up to 2 s.
 
-    Times are of one clock: floats in s, whole numbers in ns. Axes are the vehicle's: forward,
-    right, down. Example::
+    Times are of one clock: floats in s, whole numbers in ns; other units are refused. Axes are the
+    vehicle's: forward, right, down. Example::
 
         stream = Stream()
         stream.gnss(0.2, lat_deg=47.4, lon_deg=8.5, alt=488.0, vel_n=(0.0, 0.0, 0.0))
@@ -71,16 +79,22 @@ class Stream:
         self.pipeline = Pipeline(settings or FilterSettings())
         """The estimator itself: its health, biases and counts."""
         self._first: list[tuple[int, npt.NDArray[np.float64]]] | None = [] if check else None
+        self._is_checked = check
+        self._samples = self._newest_ns = 0
+        self._compared: Counter[str] = Counter()
 
     def imu(self, t: float, gyro: npt.ArrayLike, accel: npt.ArrayLike) -> StreamEstimate | None:
         """Take an inertial sample, rad/s and m/s^2; return the estimate if it is the newest.
 
         Raises:
-            DataError: The first samples cannot be meant: another unit, sign or other axes.
+            DataError: The first samples cannot be meant: another unit, sign, other axes, or times
+                in another unit or on another clock than the other measurements'.
         """
         t_ns, numbers = _ns(t), np.concatenate([_row("gyro", gyro), _row("accel", accel)])
+        self._newest_ns = t_ns
+        self._samples += 1
         if self._first is not None:
-            self._check(t_ns, numbers)
+            self._check(t_ns, numbers, type(t))
         if self.pipeline.process(ImuSample(t_ns, *numbers.tolist())) is None:
             return None
         values = self.pipeline.values()
@@ -103,10 +117,11 @@ class Stream:
         """Take a fix: degrees, m above mean sea level, m/s north, east, down, and one sigma."""
         if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0):
             raise DataError(f"gnss: {lat_deg}, {lon_deg} is no place on the Earth, in degrees")
+        t_ns = self._time("gnss", t)
         given = np.full(3, np.nan) if vel_n is None else _row("vel_n", vel_n)
         north, east, down = (value if np.isfinite(value) else None for value in given.tolist())
         fix = GnssFix(
-            t_ns=_ns(t),
+            t_ns=t_ns,
             lat=float(np.deg2rad(lat_deg)),
             lon=float(so3.wrap(np.deg2rad(lon_deg))),
             alt=alt,
@@ -124,30 +139,52 @@ class Stream:
         if abs(heading) > 2.0 * np.pi + 1e-6:
             raise DataError(f"heading: {heading} is no angle in rad; give np.deg2rad(heading)")
         angle, source = float(so3.wrap(heading)), HeadingSource.GNSS
-        self.pipeline.process(HeadingSample(t_ns=_ns(t), heading=angle, std=std, source=source))
+        t_ns = self._time("heading", t)
+        self.pipeline.process(HeadingSample(t_ns=t_ns, heading=angle, std=std, source=source))
 
     def mag(self, t: float, field: npt.ArrayLike) -> None:
         """Take a magnetic field, gauss."""
         x, y, z = _row("field", field).tolist()
-        self.pipeline.process(MagSample(t_ns=_ns(t), mag_x=x, mag_y=y, mag_z=z))
+        self.pipeline.process(MagSample(t_ns=self._time("mag", t), mag_x=x, mag_y=y, mag_z=z))
 
     def baro(self, t: float, alt: float) -> None:
         """Take a barometric height, m; its zero need not be known."""
-        self.pipeline.process(BaroSample(t_ns=_ns(t), alt=alt))
+        self.pipeline.process(BaroSample(t_ns=self._time("baro", t), alt=alt))
 
-    def _check(self, t_ns: int, numbers: npt.NDArray[np.float64]) -> None:
+    def _check(self, t_ns: int, numbers: npt.NDArray[np.float64], kind: type) -> None:
         """Look at the first samples together."""
         assert self._first is not None
         self._first.append((t_ns, numbers))
+        if len(self._first) not in (TIMES_CHECKED, CHECKED):
+            return
+        stamps, rows = zip(*self._first, strict=True)
+        taken = "ns" if issubclass(kind, (int, np.integer)) else "s"
+        check_rate("imu", np.array(stamps, dtype=np.int64), taken, f"{TIMES}; it looks like {{}}")
         if len(self._first) == CHECKED:
-            stamps, rows = zip(*self._first, strict=True)
             values = np.array(rows)
             self._first = None
+            check_known("gyro, accel", values)
             check_inertial(values[:, :3], values[:, 3:], np.array(stamps, dtype=np.int64))
+
+    def _time(self, name: str, t: float) -> int:
+        """Return a stamp, ns; compare the first ones of each kind with the inertial samples'."""
+        t_ns = _ns(t)
+        if not self._is_checked or self._samples < TIMES_CHECKED:
+            return t_ns
+        self._compared[name] += 1
+        if self._compared[name] <= TIMES_CHECKED and abs(t_ns - self._newest_ns) > FARTHEST_NS:
+            raise DataError(
+                f"{name}: its time, {t_ns * 1e-9:.6g} s, is far from that of the inertial samples, "
+                f"{self._newest_ns * 1e-9:.6g} s; {TIMES}, all of one clock"
+            )
+        return t_ns
 
 
 def _ns(t: float) -> int:
-    return int(t) if isinstance(t, (int, np.integer)) else round(t * 1e9)
+    t_ns = t if isinstance(t, (int, np.integer)) else float(t) * 1e9
+    if not abs(t_ns) < 9e18:
+        raise DataError(f"time: {t} is beyond every clock; {TIMES}: divide ms, us, ns")
+    return round(t_ns)
 
 
 def _row(name: str, given: npt.ArrayLike) -> npt.NDArray[np.float64]:

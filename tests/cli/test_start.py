@@ -62,4 +62,28 @@ def test_the_daemon_needs_none_of_the_large_packages():
 def test_an_unknown_command_is_refused_by_a_sentence():
     result = runner.invoke(app, ["covnert"])
     assert result.exit_code == 2
-    assert "No such command 'covnert'" in result.output
+    assert "No such command 'covnert'; did you mean convert?" in result.output
+    assert runner.invoke(app, ["fly"]).output.rstrip().endswith("No such command 'fly'.")
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ("run --port /dev/ttyACM0", "No such option: --port; did you mean --link? serial:/dev/tty"),
+        ("doctor --baud=57600", "No such option: --baud; did you mean --link? serial:/dev/tty"),
+        ("convert a.tlog --output b.csv", "--output; did you mean --out? -o FILE names a file"),
+        ("convert a.tlog --port 5", "No such option: --port"),
+        ("convert a.tlog", "Missing option '--out' / '-o'. .csv, .tlog, .mcap"),
+        ("batch a.tlog", "Missing option '--out' / '-o'. The table: .csv or .parquet"),
+    ],
+)
+def test_an_option_that_is_unknown_or_missing_is_named_with_what_to_give(line, sentence):
+    result = runner.invoke(app, line.split())
+    assert result.exit_code == 2
+    assert sentence in result.output
+    assert "--link" not in result.output or not line.startswith("convert")
+
+
+def test_the_page_s_own_port_is_no_mistake():
+    result = runner.invoke(app, ["view", "none.tlog", "--port", "0", "--no-browser"])
+    assert result.exit_code == 3

@@ -9,6 +9,7 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.config.service import LinkConfig, OdometryConfig, OutputConfig, SigningConfig
+from ekf_companion.doctor.counters import Stamps
 from ekf_companion.doctor.diagnosis import diagnose, first_failure
 from ekf_companion.doctor.evidence import Means, Opening
 from ekf_companion.doctor.stage import Outcome
@@ -417,6 +418,47 @@ def test_repeated_stamps_are_two_paths():
     found = stage(examine(config=SLOW, change=change, seconds=3.0), "time")
     assert found.outcome is Outcome.WARNING
     assert "Let only one router endpoint lead here" in words(found)
+
+
+def leaping(begin, end, by_s):
+    """Return a change that moves the stamps of some messages."""
+    turns = count()
+
+    def change(name, fields):
+        if begin < next(turns) < end:
+            for field, unit in (("time_usec", 1e6), ("time_boot_ms", 1e3)):
+                if field in fields:
+                    fields[field] = max(0, fields[field] + round(by_s * unit))
+        return name, fields
+
+    return change
+
+
+@pytest.mark.parametrize(("end", "by_s", "times"), [(1e9, 5.0, "once"), (600, 100.0, "2 times")])
+def test_stamps_that_leap_are_of_the_stage_time_and_not_of_the_values(end, by_s, times):
+    recording = {"config": SLOW, "seconds": 5.0, "means": Means.RECORDING}
+    evidence = examine(change=leaping(400, end, by_s), **recording)
+    found = stage(evidence, "time")
+    assert found.outcome is Outcome.WARNING
+    assert f"HIGHRES_IMU leap {times} away from the times at which they came" in words(found)
+    assert f"by up to {by_s:g} s" in words(found)
+    assert "not used, as their stamps leap: " in found.saw
+    assert "leap" not in words(stage(evidence, "values"))
+
+
+def test_samples_lost_or_held_on_their_way_are_no_leap():
+    turns = count()
+
+    def lost(name, fields):
+        return None if 300 < next(turns) < 900 else (name, fields)
+
+    evidence = examine(change=lost, config=SLOW, seconds=8.0, means=Means.RECORDING)
+    assert evidence.stamps.gaps == 1
+    assert evidence.stamps.leaps == 0
+    stamps = Stamps(message="HIGHRES_IMU")
+    for turn in range(1, 1000):  # of 250 Hz, held for 2 s on the way, then in a burst
+        stamps.add(4_000 * turn, 4_000_000 * (max(turn, 800) if turn > 300 else turn))
+    assert (stamps.count, stamps.leaps) == (999, 0)
 
 
 def test_an_unanswered_timesync_is_a_warning():

@@ -9,7 +9,7 @@ import pytest
 import ekf_companion
 from ekf_companion import OwnAid, estimate
 from ekf_companion.core.settings import FilterSettings, GnssSettings
-from ekf_companion.errors import ConfigError, DataError
+from ekf_companion.errors import ConfigError, DataError, LogError
 from ekf_companion.filters import mahony
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind
@@ -86,6 +86,7 @@ def test_a_flight_is_estimated_by_any_filter(flown, name):
     assert position < 1.5
     assert yaw < 4.0
     assert repr(found).startswith(f"<Estimates: {len(found)} in ")
+    assert f"{found.shares['ok']:.0%}" in repr(found)
 
 
 def test_smoothing_is_a_keyword_and_better(flown):
@@ -117,6 +118,17 @@ def test_units_and_times_may_be_named_or_told_by_their_type(flown):
 DOWN = np.array([0.0, 0.0, 1.0])
 AXES = np.array([1.0, -1.0, -1.0])
 NAN = np.nan
+SWAPPED = [1, 0, 2]
+
+
+def radians(flown):
+    return {name: np.deg2rad(flown.gnss[name]) for name in ("lat_deg", "lon_deg")}
+
+
+def in_ms(flown):
+    """Return the fixes with times in ms since the first sample, the first of them before it."""
+    since = (flown.gnss["time"] - flown.gnss["time"][0]) * 1e3
+    return flown.gnss | {"time": since + flown.time[0]}
 
 
 @pytest.mark.parametrize(
@@ -132,6 +144,7 @@ NAN = np.nan
         (lambda f: {"accel": f.accel.T}, "must have the shape .*; transpose it"),
         (lambda f: {"time": f.time * 1e3}, r"it looks like ms: say units=\{'time': 'ms'\}"),
         (lambda f: {"time": np.rint(f.time * 1e6).astype(int)}, "it looks like us"),
+        (lambda f: {"time": (f.time + 1.7e9) * 1e3}, "is beyond every clock; name its unit"),
         (lambda f: {"time": f.time[::-1]}, "goes back at row 1, from"),
         (lambda f: {"time": f.time * NAN}, "time: holds NaN"),
         (lambda f: {"gnss": f.gnss | {"time": f.gnss["time"] + 1e6}}, "have nothing in common"),
@@ -145,6 +158,13 @@ NAN = np.nan
         (lambda f: {"mag": f.mag | {"field": f.mag["field"] * 100.0}}, "mag: its median strength"),
         (lambda f: {"baro": {"time": f.baro["time"], "pressure": 1013.0}}, "1013 hPa are 101300"),
         (lambda f: {"heading": {"time": f.time, "heading": 90.0}}, "give np.deg2rad"),
+        (lambda f: {"gnss": f.gnss | radians(f)}, "look like radians; name them lat_rad"),
+        (lambda f: {"gnss": f.gnss | {"vel_n": f.velocity[:, [1, 0, 2]]}}, "are exchanged"),
+        (lambda f: {"gnss": f.gnss | {"vel_n": f.velocity * 3.6}}, "look like km/h; give m/s"),
+        (lambda f: {"gyro": f.gyro[:, SWAPPED], "accel": f.accel[:, SWAPPED]}, "x and y of both"),
+        (lambda f: {"gyro": f.gyro * AXES}, "gyro is forward, left, up and accel forward"),
+        (lambda f: {"gnss": f.gnss | {"std_h": -1.0}}, "std_h: one sigma must be greater than 0"),
+        (lambda f: {"gnss": in_ms(f)}, r"gnss: .* by a factor of 1e\+03: the"),
         (lambda f: {"units": {"gyro": "rpm"}}, "units: gyro: 'rpm': known are"),
         (lambda f: {"filter": "kalman"}, "unknown filter; known are eskf"),
     ],
@@ -160,14 +180,115 @@ def test_what_is_meant_all_the_same_may_be_insisted_on(flown):
     assert len(to_events(flown.time, flown.gyro, flown.accel[:, [2, 1, 0]], check=False))
 
 
+def test_what_is_not_used_is_counted_by_array_and_reason(flown):
+    accel, lat, vel_n = flown.accel.copy(), flown.gnss["lat_deg"].copy(), flown.gnss["vel_n"].copy()
+    accel[1000:1030], lat[50:60], vel_n[70:74, 0] = NAN, NAN, NAN
+    std_v = np.full(len(lat), 2.0)
+    std_v[[3, 8]] = 0.0, NAN
+    gnss = flown.gnss | {"lat_deg": lat, "vel_n": vel_n, "std_v": std_v}
+    early = flown.baro | {"time": flown.baro["time"] - 10.0}
+    found = flown.estimate(accel=accel, gnss=gnss, baro=early)
+    outside = int(np.count_nonzero(early["time"] < flown.time[0] - 2.0))
+    assert dict(found.dropped) == {
+        "accel": 30,
+        "gnss.lat_deg": 10,
+        "gnss.vel_n": 4,
+        "gnss.std_v": 2,
+        "baro.time": outside,
+    }
+    assert len(found) <= len(flown.time) - 30
+    notes = "\n".join(found.notes)
+    assert "accel: 30 of 3000 rows hold NaN or infinity, the first is row 1000; they" in notes
+    assert "gnss.lat_deg: 10 of 150 rows hold NaN" in notes
+    assert "gnss.vel_n: 4 of 150 rows hold NaN or infinity north or east, the first is r" in notes
+    assert "gnss.std_v: 2 of 150 rows are not greater than 0, the first is row 3" in notes
+    assert f"baro.time: {outside} of 750 rows lie outside the time of the inertial" in notes
+    assert "rows dropped accel 30, gnss.lat_deg 10" in repr(found)
+
+
+def test_a_flight_without_mistakes_has_no_notes(flown):
+    found = flown.estimate()
+    assert found.notes == ()
+    assert "; resets 0; rows dropped 0; notes 0>" in repr(found)
+    assert " m by its own sigma; " in repr(found)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda f: {"gnss": None}, "no position: no fix was given"),
+        (lambda f: {"gnss": at(f, slice(40, 41))}, "no position: there is a single fix"),
+        (lambda f: {"mag": None, "gnss": at(f, slice(0, 30))}, "no manoeuvre changed the velocity"),
+    ],
+)
+def test_why_there_is_no_position_is_said(flown, change, sentence):
+    found = flown.estimate(**change(flown))
+    assert found.notes[0].startswith("no position")
+    assert sentence in found.notes[0]
+    assert "; no position; " in repr(found)
+
+
+def at(flown, rows):
+    return {name: column[rows] for name, column in flown.gnss.items()}
+
+
+def test_too_little_for_an_attitude_is_said(flown):
+    few = slice(0, 50)
+    with pytest.raises(LogError, match=r"down was not found in 0\.5 s with 50 inertial samples"):
+        estimate(flown.time[few], flown.gyro[few], flown.accel[few])
+
+
+def test_time_without_aid_and_resets_are_said(flown):
+    accel = flown.accel.copy()
+    accel[1000:1150] = NAN
+    rows = np.abs(flown.gnss["time"] - flown.gnss["time"][110]) > 1.5
+    found = flown.estimate(accel=accel, gnss=at(flown, rows))
+    notes = "\n".join(found.notes)
+    assert found.resets >= 1
+    assert f"{found.resets} reset" in notes
+    assert "dead reckoning: no fix was used for more than a second" in notes
+    assert f"; resets {found.resets}; " in repr(found)
+    assert "dead reckoning" in repr(found)
+
+
+def test_a_wing_whose_x_points_sideways_is_doubted():
+    flight = Flight.plan("loiter", COARSE, duration=60.0, seed=4)
+    found = events(flight)
+    imu, gnss = (found.take(found.kind == kind) for kind in (Kind.IMU, Kind.GNSS))
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    fixes = {
+        "time": gnss.t_ns,
+        "lat_rad": gnss.values[:, 0],
+        "lon_rad": gnss.values[:, 1],
+        "alt": gnss.values[:, 2],
+        "vel_n": gnss.values[:, 3:6],
+    }
+    gyro, accel = imu.values[:, :3], imu.values[:, 3:6]
+    right = estimate(imu.t_ns, gyro, accel, gnss=fixes)
+    assert not [note for note in right.notes if "x axis" in note]
+    turned = estimate(imu.t_ns, gyro @ turn.T, accel @ turn.T, gnss=fixes)
+    assert "the vehicle goes +9" in turned.notes[-1]
+    assert " deg from its x axis through all turns: if it has wings or wheels" in turned.notes[-1]
+
+
 def test_degrees_at_rest_are_known_by_the_bias():
     rng = np.random.default_rng(1)
     time = np.arange(0.0, 20.0, 0.01)
     accel = DOWN * -9.81 + rng.normal(0.0, 0.03, (len(time), 3))
     gyro = rng.normal(0.0, 0.002, (len(time), 3)) + 0.01
     to_events(time, gyro, accel)
-    with pytest.raises(DataError, match="while the accelerometer stands still: it looks like deg"):
+    with pytest.raises(DataError, match="gravity stands still in the accelerometer: it looks"):
         to_events(time, np.rad2deg(gyro), accel)
+
+
+@pytest.mark.parametrize(("bank", "rate"), [(0.0, 0.6), (0.45, 0.6)])
+def test_a_steady_turn_is_no_rest(bank, rate):
+    """A hover that turns on its spot, and a banked turn of a wing: the force stands still."""
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, 30.0, 0.01)
+    body = np.array([0.0, np.sin(bank), np.cos(bank)])
+    accel = DOWN * (-9.81 / np.cos(bank)) + rng.normal(0.0, 0.03, (len(time), 3))
+    to_events(time, body * rate + rng.normal(0.0, 0.002, (len(time), 3)), accel)
 
 
 def test_a_trajectory_becomes_a_data_frame_and_a_file_of_tums_format(flown, tmp_path):

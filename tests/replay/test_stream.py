@@ -6,7 +6,7 @@ import pytest
 from ekf_companion import Stream, estimate
 from ekf_companion.errors import DataError
 from ekf_companion.nav.state import Status
-from ekf_companion.replay.stream import CHECKED
+from ekf_companion.replay.stream import CHECKED, TIMES_CHECKED
 from tests.replay.test_arrays import Flown
 
 
@@ -56,3 +56,44 @@ def test_mistakes_are_said():
         stream.heading(0.0, 90.0)
     with pytest.raises(DataError, match="gyro: must be three numbers"):
         stream.imu(0.0, [1.0], [0.0, 0.0, -9.81])
+
+
+@pytest.mark.parametrize(
+    ("taken", "sentence"),
+    [
+        (lambda t: t * 1e3, r"taken as s, inertial samples come at 0\.1 Hz.*looks like ms"),
+        (lambda t: t * 1e6, "it looks like us"),
+        (lambda t: (t + 1.7e9) * 1e3, "is beyond every clock; a Stream takes floats as s and who"),
+        (lambda t: round(t * 1e3), "taken as ns, .*it looks like ms"),
+        (lambda t: round(t * 1e6), "it looks like us"),
+        (lambda t: float("nan"), "time: nan is beyond every clock"),
+    ],
+)
+def test_times_in_another_unit_are_refused_after_ten_samples(taken, sentence):
+    with pytest.raises(DataError, match=sentence):
+        feed(Stream(), [taken(500.0 + 0.01 * k) for k in range(TIMES_CHECKED)])
+
+
+def feed(stream, times):
+    for t in times:
+        stream.imu(t, np.zeros(3), (0.0, 0.0, -9.81))
+
+
+def test_times_since_1970_and_late_measurements_are_no_mistake():
+    stream = Stream()
+    for k in range(300):
+        t_ns = round((1.7e9 + 0.01 * k) * 1e9)
+        feed(stream, [t_ns])
+        stream.baro(t_ns - 1_000_000_000, 5.0)
+    assert stream.pipeline.health().samples == 300
+
+
+@pytest.mark.parametrize("late", [lambda t: t * 1e3, lambda t: round(t * 1e3)])
+def test_fixes_on_another_clock_are_refused(late):
+    stream = Stream()
+    place = {"lat_deg": 47.4, "lon_deg": 8.5, "alt": 488.0}
+    for k in range(TIMES_CHECKED):
+        stream.imu(100.0 + 0.01 * k, np.zeros(3), (0.0, 0.0, -9.81))
+    stream.gnss(99.0, **place)
+    with pytest.raises(DataError, match=r"gnss: its time, .* is far from that of the inertial"):
+        stream.gnss(late(100.1), **place)

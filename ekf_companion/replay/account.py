@@ -1,0 +1,99 @@
+"""What became of a trajectory from arrays, in sentences: no position, lost aids, resets, axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ekf_companion.nav import so3
+from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, Kind
+from ekf_companion.nav.state import Status, Table
+
+SLOWEST = 3.0
+"""m/s above which a course is one."""
+ALL_ROUND, STEADY = 0.7, 0.97
+"""Mean resultant lengths: below, courses differ; above, the vehicle keeps an angle to its course.
+Only what rolls, sails or has wings keeps one: a multicopter does while it flies straight."""
+ASKEW = float(np.deg2rad(70.0))
+"""Angle between heading and course that no crab in the wind has, rad."""
+_AFTER = {
+    Status.DEGRADED: "one of position, velocity, height and heading was not aided",
+    Status.DEAD_RECKONING: "no fix was used for more than a second, and the error grows",
+    Status.INVALID: "its error is beyond the limit: do not use it",
+}
+
+
+def sentences(table: Table, events: Events, *, has_position: bool = True) -> list[str]:
+    """Return what one should know of estimates, by themselves and by what they were made of.
+
+    Without ``has_position`` they are of a filter that estimates no position from fixes.
+    """
+    status = table.column("status")
+    found = []
+    if has_position and not (status >= Status.OK).any():
+        found.append(why_no_position(events))
+    for bad, words in _AFTER.items():
+        if (rows := np.flatnonzero(status == bad)).size:
+            first = table.stamp_ns[rows[0]] * 1e-9
+            name = bad.name.lower().replace("_", " ")
+            share = len(rows) / len(status)
+            found.append(f"{share:.1%} of the time, first at {first:.1f} s, {name}: {words}")
+    return [*found, *_resets(table), *_course(table)]
+
+
+def why_no_position(events: Events) -> str:
+    """Return why there is no position, and what would bring one."""
+    fixes = events.take(events.kind == Kind.GNSS)
+    if not len(fixes):
+        return "no position: no fix was given; attitude is estimated, and height with a barometer"
+    if len(fixes) == 1:
+        return "no position: there is a single fix, and two are needed to begin; give more of them"
+    span = (fixes.t_ns[-1] - fixes.t_ns[0]) * 1e-9
+    what = f"no position, from {len(fixes)} fixes in {span:.1f} s: "
+    if np.isin(events.kind, (Kind.HEADING, Kind.MAG)).any():
+        return what + (
+            "no heading was accepted, as a field that is not the Earth's, or the vehicle was never "
+            "at rest; look at mag and heading, or give vel_n and a flight with manoeuvres"
+        )
+    if np.isfinite(fixes.values[:, GNSS_VELOCITY][:, 0]).any():
+        return what + (
+            "north is not known, for no heading was given and no manoeuvre changed the velocity "
+            "by more than 1 m/s; give mag or heading, or more of the flight"
+        )
+    return what + "north is not known; give mag or heading, or the velocity of the fixes (vel_n)"
+
+
+def _resets(table: Table) -> list[str]:
+    rows = np.flatnonzero(np.diff(table.column("reset_count")) != 0.0) + 1
+    if not len(rows):
+        return []
+    times = ", ".join(f"{one:.1f}" for one in table.stamp_ns[rows[:5]] * 1e-9)
+    more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""
+    what = "1 reset" if len(rows) == 1 else f"{len(rows)} resets"
+    return [
+        f"{what}, at {times} s{more}: the estimate jumped there, for samples were missing or the "
+        "measurements contradicted it; look at the arrays around these times"
+    ]
+
+
+def _course(table: Table) -> list[str]:
+    """Return a sentence if the vehicle goes sideways or backwards all along its turns."""
+    north, east, yaw = (table.column(name) for name in ("vel_n", "vel_e", "yaw"))
+    fast = (table.column("status") >= Status.OK) & (np.hypot(north, east) > SLOWEST)
+    if np.count_nonzero(fast) < 500:
+        return []
+    course = np.arctan2(east[fast], north[fast])
+    spread, _ = _resultant(course)
+    length, angle = _resultant(course - yaw[fast])
+    if spread > ALL_ROUND or length < STEADY or abs(angle) < ASKEW:
+        return []
+    return [
+        f"the vehicle goes {np.rad2deg(angle):+.0f} deg from its x axis through all turns: if it "
+        "has wings or wheels, x of gyro, accel and mag is not forward; turn them about z"
+    ]
+
+
+def _resultant(angles: Array) -> tuple[float, float]:
+    """Return length and direction of the mean of unit vectors."""
+    mean = complex(np.mean(np.exp(1j * angles)))
+    return abs(mean), float(so3.wrap(np.angle(mean)))

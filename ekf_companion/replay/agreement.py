@@ -1,0 +1,54 @@
+"""Whether the sensors of a recording contradict each other: units, signs, order and axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ekf_companion.nav.measurements import GNSS_FLAGS, Events, GnssFlag, Kind, merge
+from ekf_companion.replay.axis_agreement import axis_disagreement
+from ekf_companion.replay.fix_agreement import disagreements, suspicion
+
+MOST_SAMPLES = 200_000
+"""Inertial samples that are kept to compare their axes: 24 MB, and a quarter of an hour."""
+
+
+def contradictions(imu: Events, fixes: Events, baro: Events | None = None) -> list[str]:
+    """Return a sentence for each thing that cannot be meant.
+
+    Args:
+        imu: Of ``Kind.IMU``, in the order of their stamps, as the others.
+        fixes: Of ``Kind.GNSS``.
+        baro: Of ``Kind.BARO``; None: there is none.
+    """
+    found = disagreements(fixes, baro)
+    # A velocity in another unit fits no axes
+    return found or [one for one in (axis_disagreement(imu, fixes),) if one]
+
+
+class AgreementCheck:
+    """Compares the sensors of a recording that comes block by block."""
+
+    def __init__(self) -> None:
+        self._blocks: list[Events] = []
+        self._samples = 0
+
+    def add(self, events: Events) -> None:
+        """Add the events of a block."""
+        is_kept = np.isin(events.kind, (Kind.GNSS, Kind.BARO))
+        # Positions of an autopilot's own are no measurements
+        is_kept &= (events.kind != Kind.GNSS) | (events.values[:, GNSS_FLAGS] != GnssFlag.DERIVED)
+        if self._samples < MOST_SAMPLES:
+            is_kept |= events.kind == Kind.IMU
+            self._samples += int(np.count_nonzero(events.kind == Kind.IMU))
+        self._blocks.append(events.take(is_kept))
+
+    def notes(self) -> list[str]:
+        """Return a sentence for each thing that cannot be meant, or is doubtful."""
+        if not self._blocks:
+            return []
+        events = merge(*self._blocks)
+        imu, fixes, baro = (
+            events.take(events.kind == kind) for kind in (Kind.IMU, Kind.GNSS, Kind.BARO)
+        )
+        found = contradictions(imu, fixes, baro if len(baro) else None)
+        return [*found, *([doubt] if (doubt := suspicion(fixes)) and not found else [])]
