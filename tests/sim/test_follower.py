@@ -41,7 +41,7 @@ def flown(tuning, kind, **odometry):
     config = SimConfig(parameters=ON_OURS[kind])
     config = replace(
         config,
-        imu=replace(config.imu, accel_noise=0.088, gyro_noise=0.005),
+        imu=replace(config.imu, rate=125.0, accel_noise=0.088, gyro_noise=0.005),
         gnss=replace(
             config.gnss,
             rate=8.0,
