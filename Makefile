@@ -74,7 +74,7 @@ contracts: $(STAMP)
 check: lint types contracts test
 
 demo: $(if $(wildcard $(STAMP)),$(STAMP),$(FLYING))
-	$(BIN)/python -m sim_autopilot demo --out demo
+	$(BIN)/python -m sim_autopilot demo --out demo --duration 45
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.speed
