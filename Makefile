@@ -8,28 +8,42 @@ KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd) 
 	$(wildcard ekf_companion/mavlink/*.pxd ekf_companion/mavlink/decode/*.pxd) \
 	$(patsubst %.pxd,%.py,$(wildcard ekf_companion/mavlink/*.pxd ekf_companion/mavlink/decode/*.pxd))
 STAMP := $(VENV)/.installed
+FLYING := $(VENV)/.installed-demo
 
 .PHONY: setup test explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
 
 setup: $(STAMP)
 
-$(VENV)/bin/python:
-	$(PYTHON) -m venv $(VENV)
+# A command in the background; whoever waits sees every four seconds that it goes on
+WAITING := & job=$$!; seconds=0; while kill -0 $$job 2> /dev/null; do sleep 1; \
+	seconds=$$((seconds + 1)); [ $$((seconds % 4)) -ne 0 ] || echo "  setting up, $$seconds s"; \
+	done; wait $$job
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-# Whoever waits sees every five seconds that it goes on
+$(VENV)/bin/python:
+	@echo "Creating $(VENV)"
+	@$(PYTHON) -m venv $(VENV) $(WAITING)
+
 $(STAMP): $(VENV)/bin/python pyproject.toml $(KERNEL)
 	@echo "Setting up $(VENV): packages are downloaded and the kernel is compiled, one to three minutes"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]' & job=$$!; \
-	seconds=0; while kill -0 $$job 2> /dev/null; do sleep 1; seconds=$$((seconds + 1)); \
-	[ $$((seconds % 5)) -ne 0 ] || echo "  setting up, $$seconds s"; done; wait $$job
+	@$(INSTALL) -e '.[dev]' $(WAITING)
 	@touch $@
 
+# What the demo needs, a fifth of what the tests need
+$(FLYING): $(VENV)/bin/python pyproject.toml $(KERNEL)
+	@echo "Setting up $(VENV): packages are downloaded and the kernel is compiled, one to two minutes"
+	@$(INSTALL) -e '.[sim,plot]' $(WAITING)
+	@touch $@
+
+# Three processes on two processors: some tests wait for a flight in real time
+TEST := $(BIN)/python -W error -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+
 test: $(STAMP)
-	$(BIN)/python -W error -m pytest -n 2 --dist loadfile
+	$(TEST)
 
 # Property tests on examples never tried before
 explore: $(STAMP)
-	HYPOTHESIS_PROFILE=explore $(BIN)/python -W error -m pytest -n 2 --dist loadfile
+	HYPOTHESIS_PROFILE=explore $(TEST)
 
 # What is written from the code: config/reference.yaml, from the fields of the settings; the table
 # of MAVLink's messages; the man page and the completions of shells, from the commands
@@ -59,8 +73,8 @@ contracts: $(STAMP)
 
 check: lint types contracts test
 
-demo: $(STAMP)
-	$(BIN)/python -m sim_autopilot demo --out demo
+demo: $(if $(wildcard $(STAMP)),$(STAMP),$(FLYING))
+	$(BIN)/python -m sim_autopilot demo --out demo --duration 45
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.speed

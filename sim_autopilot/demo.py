@@ -33,8 +33,8 @@ LIMITS = {
 """Of the RMS error after ten seconds."""
 _START = 15.0
 """Longest time to the daemon's first answer, s."""
-_NEWS = 5.0
-"""Seconds between two lines of progress."""
+_NEWS = 4.0
+"""Seconds between two lines of progress: less than the five in which somebody begins to doubt."""
 _STOP = 5.0
 """Longest time to its end, s."""
 
@@ -49,11 +49,12 @@ def fly(
 ) -> tuple[dict[str, Any], list[Path]]:
     """Fly figure-eight against the daemon; return the score, and the files that were written.
 
-    ``tell`` is called with what is going on, every five seconds or more often.
+    ``tell`` is called with what is going on, every four seconds or more often.
 
     Raises:
         CompanionError: The daemon did not start or never answered.
     """
+    tell("planning the flight")
     out.mkdir(parents=True, exist_ok=True)
     flight = Flight.plan("figure-eight", SimConfig(), seed=seed, duration=duration)
     write_truth(out / "truth.csv", flight)
@@ -70,11 +71,12 @@ def fly(
 
     with _daemon(daemon_config, port, out / "daemon.log"):
         flown = run(over(f"udpout:127.0.0.1:{port}", body))
-    tell("drawing the figure")
+    tell("comparing with the truth")
     score = flown.witness.score()
     score["pacing_late_ms"] = flown.pace.lateness()
     (out / "score.json").write_text(json.dumps(score, indent=2) + "\n", encoding="utf-8")
     files = [out / "score.json", out / "truth.csv", out / "daemon.log"]
+    tell("drawing the figure")
     with contextlib.suppress(ImportError):
         figure.draw(out / "demo.png", flight, flown.witness, score)
         files.insert(0, out / "demo.png")

@@ -21,6 +21,50 @@ settings.register_profile("repeat", derandomize=True, deadline=None)
 settings.register_profile("explore", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeat"))
 
+SLOWEST = (
+    "tests/daemon/test_supervised.py",
+    "tests/calibrate/test_delay.py",
+    "tests/benchmarks/test_speed.py",
+    "tests/daemon/test_daemon.py",
+    "tests/engine/test_stream.py",
+    "tests/cli/test_extras.py",
+    "tests/analysis/test_comparison.py",
+    "tests/daemon/test_restart.py",
+    "tests/benchmarks/test_soak.py",
+    "tests/filters/test_ahrs.py",
+    "tests/daemon/test_durability.py",
+    "tests/replay/test_smoothing.py",
+    "tests/engine/test_stamps.py",
+    "tests/daemon/test_reconnect.py",
+    "tests/sim/test_follower.py",
+    "tests/replay/test_arrays.py",
+    "tests/filters/test_zupt.py",
+    "tests/cli/test_preflight.py",
+    "tests/filters/test_euler.py",
+    "tests/analysis/test_observability.py",
+    "tests/daemon/test_http.py",
+    "tests/replay/test_python_docs.py",
+    "tests/sim/test_demo.py",
+    "tests/daemon/test_monitors.py",
+    "tests/daemon/test_freshness.py",
+    "tests/daemon/test_page.py",
+    "tests/filters/test_gap.py",
+    "tests/filters/test_ukf.py",
+    "tests/engine/test_guard.py",
+    "tests/benchmarks/test_consistency.py",
+    "tests/daemon/test_signed_daemon.py",
+    "tests/analysis/test_report_page.py",
+    "tests/calibrate/test_commands.py",
+    "tests/cli/test_observability.py",
+)
+"""Files of ten seconds and more; those that wait for a flight stand among those that compute."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the slowest files: for what begins last, all processes but one wait."""
+    places = {name: place for place, name in enumerate(SLOWEST)}
+    items.sort(key=lambda item: places.get(item.nodeid.partition("::")[0], len(places)))
+
 
 @pytest.fixture(scope="session")
 def flight() -> Callable[[str], Path]:

@@ -26,6 +26,8 @@ VIEWER = (
 )
 """A viewer in a process of its own, which tries until the daemon serves."""
 SERVED = "http: {{host: 127.0.0.1, port: {port}}}\nlink: {{imu_rate: {rate:g}}}\n"
+VIEWER_START = 2.0
+"""s that a viewer needs to connect and watch; waited without one too, so that all begin alike."""
 
 
 def measure(duration: float = 20.0) -> Iterator[Result]:
@@ -58,7 +60,7 @@ def _load(duration: float, *, is_served: bool, is_watched: bool) -> float:
 def _watching(port: int, *, is_watched: bool) -> Iterator[None]:
     """Watch while the body runs, from before the flight on."""
     if not is_watched:
-        time.sleep(2.0)  # as long as the viewer needs, so that all begin alike
+        time.sleep(VIEWER_START)
         yield
         return
     command = [sys.executable, "-c", VIEWER.format(port=port)]

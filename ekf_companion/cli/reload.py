@@ -7,12 +7,11 @@ import signal
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
 from urllib.parse import urlsplit
 
 import typer
 
-from ekf_companion.cli.status import NO_DAEMON, URL, fetch
+from ekf_companion.cli.status import NO_DAEMON, URL, UrlOption, fetch
 from ekf_companion.doctor.holder import sockets_at
 
 PATIENCE = 5.0
@@ -22,9 +21,7 @@ FAILED, WRONG = 1, 2
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
-def reload(
-    url: Annotated[str, typer.Option(help="Where the daemon answers: http.host, http.port.")] = URL,
-) -> None:
+def reload(url: UrlOption = URL) -> None:
     """Reload the daemon's configuration; rates, gates and noise change in flight."""
     before = fetch(url)
     if not before.data:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.errors import ConfigError
-from ekf_companion.logs.writer import east_north_up
+from ekf_companion.logs.tum_writer import Writer
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.state import (
     ACCEL_BIAS,
@@ -174,13 +174,14 @@ class Estimates:
 
         A line is ``time x y z qx qy qz qw``: s, m east, north and up of the first position, and the
         attitude from body (forward, left, up) to these axes. Times without a position are left out.
+
+        Raises:
+            LogError: The file cannot be written.
         """
         known = np.isfinite(self.pos_n).all(axis=1) & np.isfinite(self.q_nb).all(axis=1)
         known &= self.status >= Status.OK
-        table = Table(stamp_ns=self.t_ns[known], values=self.table.values[known])
-        pos_enu, q = east_north_up(table)
-        rows = np.column_stack([self.time[known], pos_enu, q[:, 1:], q[:, 0]])
-        np.savetxt(path, rows, fmt="%.9f")
+        with Writer(Path(path)) as writer:
+            writer.write(Table(stamp_ns=self.t_ns[known], values=self.table.values[known]))
 
 
 def _percent(share: float) -> str:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from ekf_companion.core.enums import Azimuth
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.mavlink.decode import heading, inertial
+from ekf_companion.mavlink.decode.air import PRESSURE_SOURCES
 from ekf_companion.mavlink.decode.heading import wrap
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.stamp import SECOND_NS, seconds_since
@@ -34,10 +36,6 @@ _WHY = {
 }
 """Verdicts that refuse, in words."""
 _NO_FIELD = "mag: no field of the Earth"
-_HEADINGS = ("ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD")
-_FIELDS = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
-_PRESSURES = ("HIGHRES_IMU", "SCALED_PRESSURE")
-"""Messages by the ranks of the decoder's readers."""
 
 
 @dataclass(slots=True)
@@ -157,19 +155,19 @@ def _state(one: _Watched, now_ns: int) -> AidState:
 
 def _sources(azimuth: int, is_autopilots: bool, ranks: tuple[int, ...]) -> dict[Aid, str]:
     """Return where each aid comes from, by the ranks of the sources in use."""
-    _, mag, baro, heading = ranks
+    _, mag, baro, azimuth_rank = ranks
     position = "GLOBAL_POSITION_INT, the autopilot's own" if is_autopilots else "GPS_RAW_INT"
     by_azimuth = {
         Azimuth.ANTENNA: "GPS_RAW_INT, two antennas",
-        Azimuth.OTHER: f"{_HEADINGS[heading]}, the autopilot's own",
-        Azimuth.MAGNETIC: f"{_FIELDS[mag]}, magnetometer",
-        Azimuth.FIELD: f"{_FIELDS[mag]}, magnetometer",
+        Azimuth.OTHER: f"{heading.SOURCES[azimuth_rank]}, the autopilot's own",
+        Azimuth.MAGNETIC: f"{inertial.SOURCES[mag]}, magnetometer",
+        Azimuth.FIELD: f"{inertial.SOURCES[mag]}, magnetometer",
     }
     return {
         Aid.POSITION: position,
         Aid.HEIGHT: position,
         Aid.VELOCITY: position,
         Aid.HEADING: by_azimuth.get(Azimuth(azimuth), "") if azimuth else "",
-        Aid.BARO: f"{_PRESSURES[baro]}, barometer",
+        Aid.BARO: f"{PRESSURE_SOURCES[baro]}, barometer",
         Aid.REST: "the inertial samples",
     }

@@ -15,7 +15,7 @@ from ekf_companion.engine.health import Aid
 
 SURE = 0.999
 INSTANTS = (60.0, 80.0, 100.0, 119.0)
-SEEDS = {"matched": 12, "default": 6}
+SEEDS = {"matched": 8, "default": 6}
 
 
 @cache

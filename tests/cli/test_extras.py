@@ -9,8 +9,10 @@ import sys
 import numpy as np
 import pytest
 from scipy.signal import welch
+from typer.testing import CliRunner
 
 from ekf_companion.analysis.flight_review import SEGMENT, _densities
+from sim_autopilot.__main__ import app as simulator
 from tests.daemon.test_daemon import free_port
 from tests.paths import ROOT
 
@@ -34,8 +36,8 @@ def bare(*arguments, module="ekf_companion.cli"):
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     path = tmp_path_factory.mktemp("bare") / "flight.tlog"
-    command = ["-m", "sim_autopilot", "generate", "--duration", "15", "-o", path]
-    subprocess.run([sys.executable, *command], check=True, capture_output=True, timeout=120)
+    made = CliRunner().invoke(simulator, ["generate", "--duration", "15", "-o", str(path)])
+    assert made.exit_code == 0, made.output
     return path
 
 
@@ -107,7 +109,7 @@ def test_the_daemon_flies_without_any_extra(tmp_path):
                 "--scenario",
                 "hover",
                 "--duration",
-                "12",
+                "8",
                 "--wait",
                 "60",
             ]

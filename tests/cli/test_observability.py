@@ -19,7 +19,7 @@ def flown(tmp_path_factory):
     logs = {}
     for name in ("figure-eight", "static"):
         logs[name] = tmp_path_factory.mktemp("flown") / f"{name}.tlog"
-        options = ["--scenario", name, "--duration", "25", "--imu-rate", "50"]
+        options = ["--scenario", name, "--duration", "25", "--imu-rate", "25"]
         made = CliRunner().invoke(simulator, ["generate", "-o", str(logs[name]), *options])
         assert made.exit_code == 0, made.output
     return logs

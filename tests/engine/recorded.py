@@ -43,12 +43,24 @@ def configured(**odometry: Any) -> Config:
 
 
 @cache
-def sent(flight: str, *names: str, autopilot: int | None = None, **odometry: Any) -> list[Any]:
+def sent(
+    flight: str,
+    *names: str,
+    autopilot: int | None = None,
+    until: float = np.inf,
+    **odometry: Any,
+) -> list[Any]:
     """Return what a companion publishes during a flight, of the named messages.
 
-    ``autopilot`` is a MAV_AUTOPILOT that the recorded heartbeats are to name instead.
+    ``autopilot`` is a MAV_AUTOPILOT that the recorded heartbeats are to name instead; the flight
+    is fed until an ODOMETRY is for a later time than ``until``, s since boot.
     """
-    return list(flown(flight, names, configured(**odometry), autopilot))
+    found = []
+    for message in flown(flight, names, configured(**odometry), autopilot):
+        if hasattr(message, "quality") and message.time_usec > until * 1e6:
+            break
+        found.append(message)
+    return found
 
 
 def flown(

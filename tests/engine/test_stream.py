@@ -27,6 +27,9 @@ PX4, PASSIVE = "sitl-px4-flown-on-odometry", "sitl-px4-live-outage"
 ARDUPILOT, RESTARTED = "sitl-arducopter-flown-on-odometry", "sitl-px4-warm-restart"
 ARDUPILOTMEGA = 3
 FOR_EVER = {"dead_reckoning_time": 3600.0, "dead_reckoning_std": 1e4}
+BACK = {PX4: 85.0, PASSIVE: 100.0, ARDUPILOT: 450.0}
+"""When what an outage leaves is over, s since boot: half a minute or a quarter after it."""
+RETURNED = FOR_EVER | {"until": BACK[PX4]}
 OFFSET = "LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET"
 OUTAGES = {PX4: (34.43, 54.4), PASSIVE: (60.2, 80.2), ARDUPILOT: (415.49, 435.6)}
 """When fixes ended and came again, s since boot, by the folders' README."""
@@ -38,7 +41,7 @@ OUTAGES = {PX4: (34.43, 54.4), PASSIVE: (60.2, 80.2), ARDUPILOT: (415.49, 435.6)
 @pytest.mark.parametrize("flight", OUTAGES)
 def test_no_step_over_a_metre_comes_without_a_moved_counter(flight):
     """Even where dead reckoning is sent for as long as the outage lasts."""
-    for limits in ({}, FOR_EVER):
+    for limits in ({}, FOR_EVER | {"until": BACK[flight]}):
         given = odometry(flight, **limits)
         steps, is_told = given.steps(), np.diff(given.count) != 0
         steady = np.diff(given.t) < 0.1
@@ -59,13 +62,13 @@ def test_what_is_usual_is_not_told(flight):
 
 
 def test_a_spread_jump_of_46_m_is_no_step_for_any_follower():
-    given = odometry(PX4, jumps="spread", **FOR_EVER)
+    given = odometry(PX4, jumps="spread", **RETURNED)
     assert set(given.count) == {1}
     assert given.steps().max() < 0.5
     speed = np.linalg.norm(np.diff(given.vel_n, axis=0), axis=1) / np.diff(given.t)
     assert speed.max() < 15.0  # what this vehicle does itself, at most
     # and the sigma that is sent says how far it is from the estimate
-    told = odometry(PX4, **FOR_EVER)
+    told = odometry(PX4, **RETURNED)
     left = np.linalg.norm((given.pos_n - told.pos_n)[:, :2], axis=1)
     late = given.t > 54.5
     assert (left[late] <= given.sd[late] + 0.01).all()
@@ -75,8 +78,8 @@ def test_a_spread_jump_of_46_m_is_no_step_for_any_follower():
 
 def test_to_ardupilot_the_position_is_told_and_the_velocity_is_spread():
     """Its filter takes the position of a moved counter, and goes on with its own velocity."""
-    told = odometry(PX4, jumps="tell", autopilot=ARDUPILOTMEGA, **FOR_EVER)
-    best = odometry(PX4, autopilot=ARDUPILOTMEGA, **FOR_EVER)
+    told = odometry(PX4, jumps="tell", autopilot=ARDUPILOTMEGA, **RETURNED)
+    best = odometry(PX4, autopilot=ARDUPILOTMEGA, **RETURNED)
     at = np.searchsorted(best.t, 54.5)
     change = [
         np.linalg.norm(np.diff(one.vel_n[at - 8 : at + 8], axis=0), axis=1) for one in (told, best)
@@ -91,7 +94,7 @@ def test_to_ardupilot_the_position_is_told_and_the_velocity_is_spread():
 
 def test_after_a_silence_nothing_is_spread():
     """Whoever has ended its fusion meanwhile goes on from nothing."""
-    limits = {"autopilot": ARDUPILOTMEGA, "dead_reckoning_time": 15.0, "dead_reckoning_std": 1e4}
+    limits = RETURNED | {"autopilot": ARDUPILOTMEGA, "dead_reckoning_time": 15.0}
     told, best = odometry(PX4, jumps="tell", **limits), odometry(PX4, **limits)
     first = int(np.argmax(np.diff(best.t))) + 1
     assert best.t[first] - best.t[first - 1] > 2.0
@@ -100,11 +103,11 @@ def test_after_a_silence_nothing_is_spread():
 
 
 def test_in_a_continuous_frame_nothing_steps_and_the_offset_leads_to_the_other():
-    messages = sent(PX4, "ODOMETRY", OFFSET, frame="continuous", **FOR_EVER)
+    messages = sent(PX4, "ODOMETRY", OFFSET, frame="continuous", **RETURNED)
     given = Sent([m for m in messages if hasattr(m, "quality")])
     assert set(given.count) == {1}
     assert given.steps().max() < 0.5
-    told = odometry(PX4, **FOR_EVER)
+    told = odometry(PX4, **RETURNED)
     offset, checked = None, 0
     for m in messages:
         if not hasattr(m, "quality"):
@@ -157,14 +160,14 @@ def test_the_limits_are_the_users_in_seconds_and_in_metres():
         ({"dead_reckoning_time": 6.0, "dead_reckoning_std": 1e4}, 6.0),
         ({"dead_reckoning_time": 60.0, "dead_reckoning_std": 5.0}, 7.0),
     ):
-        given = odometry(PX4, **limits)
+        given = odometry(PX4, until=55.0, **limits)
         last = given.t[(given.t > lost) & (given.t < 54.0)][-1]
         assert last - lost == pytest.approx(longest, abs=0.5)
 
 
 def test_many_messages_of_dead_reckoning_say_no_more_than_one():
     """A follower that takes them for independent has the information of all of them together."""
-    given, plain = odometry(PX4), odometry(PX4, **FOR_EVER)
+    given, plain = odometry(PX4), odometry(PX4, **RETURNED)
     away = (given.t > 34.43) & (given.quality == 20)
     information = (1.0 / given.sd[away] ** 2).sum()
     sigma = given.sd[away][0]

@@ -49,12 +49,12 @@ def test_a_recorded_hand_is_followed_as_well_as_by_vqf_and_far_better_than_by_ma
 @pytest.mark.parametrize(
     ("what", "heading", "inclination"),
     [
-        (Swing(turn=0.7, push=0.2, pace=0.3), 1.0, 0.7),
-        (Swing(turn=3.0, push=2.0), 1.0, 0.8),
-        (Swing(turn=1.2, push=6.0, pace=1.2), 1.0, 0.9),
-        (Swing(start=(2.5, 1.2, -2.0)), 1.0, 0.6),
+        (Swing(seconds=50.0, turn=0.7, push=0.2, pace=0.3), 1.0, 0.7),
+        (Swing(seconds=50.0, turn=3.0, push=2.0), 1.0, 0.8),
+        (Swing(seconds=50.0, turn=1.2, push=6.0, pace=1.2), 1.0, 0.9),
+        (Swing(seconds=50.0, start=(2.5, 1.2, -2.0)), 1.0, 0.6),
         (Swing(rate=50.0, mag_rate=10.0, turn=2.0), 1.0, 0.6),
-        (Swing(rate=286.0, seconds=40.0, turn=2.0), 1.0, 0.6),
+        (Swing(rate=286.0, seconds=30.0, turn=2.0), 1.0, 0.6),
         (Swing(gyro_bias=(2 * DEG, -2 * DEG, 1.5 * DEG)), 1.0, 0.8),
         (Swing(magnets=((40.0, 60.0, (0.1, 0.25, -0.1)),)), 1.5, 0.6),
         (Swing(magnets=((40.0, 60.0, (0.0, 0.04, -0.03)),)), 3.0, 0.6),

@@ -1,4 +1,5 @@
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -23,6 +24,13 @@ def recorded(name):
     if not (DATA / name).is_file():
         pytest.skip(f"the recorded walk {name} is not on this machine")
     return read(DATA / name, Config()).events
+
+
+@functools.cache
+def xio():
+    """Return the walk from shortly before it begins: it rests for 14 s before and 8 s after."""
+    events = recorded(XIO)
+    return zupt.run(events.take((events.t_ns > 9_000_000_000) & (events.t_ns < 36_000_000_000)))
 
 
 def closed(events, settings=ZuptSettings(), detector=Detector.SHOE):  # noqa: B008
@@ -159,9 +167,7 @@ def test_openshoe_closes_closer_in_space_than_its_own_program():
 
 
 def test_xio_closes_over_the_ground_as_its_authors_do_in_space():
-    events = recorded(XIO)
-    # It rests for 14 s before and for 8 s after: less of both will do.
-    end = closed(events.take((events.t_ns > 9_000_000_000) & (events.t_ns < 36_000_000_000)))
+    end = closure.closure(xio())
     assert end.horizontal <= 0.082
     # It climbs 18 mm a stride, of a cause not found (docs/filters/zupt.md).
     assert end.distance <= 0.35
@@ -181,8 +187,7 @@ def test_the_sigma_of_the_height_grows_with_every_stride_alike():
 
 
 def test_the_climb_of_the_xio_walk_is_within_two_sigmas():
-    events = recorded(XIO)
-    table = zupt.run(events).table
+    table = xio().table
     assert abs(table.column("pos_d")[-1]) < 2.0 * table.column("sd_pos_d")[-1]
 
 

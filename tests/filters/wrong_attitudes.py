@@ -80,7 +80,7 @@ def begin(
 
 def fly(case: Case, seed: int, make: Callable[[Setup], NavigationFilter]) -> Outcome:
     """Run a filter over a case's flight and compare it with the truth."""
-    config = SimConfig(imu=ImuConfig(rate=50.0))
+    config = SimConfig(imu=ImuConfig(rate=25.0))
     flight = Flight.plan(case.scenario, config, seed=seed, duration=DURATION)
     settings = matched(config)
     path = MeasurementSequence(wire.events(flight, has_vel_down=True), settings)

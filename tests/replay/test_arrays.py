@@ -18,14 +18,14 @@ from sim_autopilot.config import SimConfig
 from sim_autopilot.events import events, truth
 from sim_autopilot.flight import Flight
 
-COARSE = replace(SimConfig(), imu=replace(SimConfig().imu, rate=100.0))
+COARSE = replace(SimConfig(), imu=replace(SimConfig().imu, rate=50.0))
 
 
 class Flown:
     """A simulated flight as arrays, and its truth."""
 
     def __init__(self):
-        flight = Flight.plan("figure-eight", COARSE, duration=30.0, seed=4)
+        flight = Flight.plan("figure-eight", COARSE, duration=24.0, seed=4)
         self.truth, self.events = truth(flight), events(flight)
         imu, gnss, mag, baro = (self.of(k) for k in (Kind.IMU, Kind.GNSS, Kind.MAG, Kind.BARO))
         self.time = imu.t_ns * 1e-9
@@ -78,7 +78,7 @@ def error(flown, found):
 @pytest.mark.parametrize("name", ["eskf", "iterated", "ukf", "euler"])
 def test_a_flight_is_estimated_by_any_filter(flown, name):
     found = flown.estimate(filter=name)
-    assert len(found) == pytest.approx(len(flown.time), abs=600)
+    assert len(found) == pytest.approx(len(flown.time), abs=300)
     assert found.pos_n.shape == found.vel_n.shape == found.euler.shape == (len(found), 3)
     assert found.q_nb.shape == (len(found), 4)
     assert found.sigma.shape == (len(found), 9)
@@ -305,8 +305,8 @@ def test_a_trajectory_becomes_a_data_frame_and_a_file_of_tums_format(flown, tmp_
     rows = np.loadtxt(tmp_path / "flight.tum")
     known = found.status >= 3
     assert rows.shape == (np.count_nonzero(known), 8)
-    assert np.allclose(rows[:, 1], found.pos_n[known, 1], atol=1e-8)
-    assert np.allclose(rows[:, 3], -found.pos_n[known, 2], atol=1e-8)
+    assert np.allclose(rows[:, 1], found.pos_n[known, 1], atol=6e-7)  # six digits
+    assert np.allclose(rows[:, 3], -found.pos_n[known, 2], atol=6e-7)
     # Body forward, left, up to east, north, up: forward of the last row by its yaw
     x, y, z, w = rows[-1, 4:]
     forward = so3.rotate(np.array([w, x, y, z]), np.array([1.0, 0.0, 0.0]))

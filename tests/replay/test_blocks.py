@@ -15,7 +15,7 @@ from sim_autopilot.autopilot import Kind as Firmware
 from tests.engine.conversation import cycles
 
 UNIX_US = 1_780_000_000_000_000
-SECONDS = 40.0
+SECONDS = 20.0
 FIELDS = {"xmag": 1e6, "ymag": 1e6, "zmag": 1e6}
 
 
@@ -115,9 +115,9 @@ def rebooted(firmware):
         said = unpack(frame)._asdict()
         if t_us - first > SECONDS / 2 * 1e6:
             if "time_boot_ms" in said:
-                said["time_boot_ms"] -= 20_000
+                said["time_boot_ms"] -= 15_000
             if said.get("time_usec"):
-                said["time_usec"] -= 20_000_000
+                said["time_usec"] -= 15_000_000
         yield t_us, sender.message(LAYOUTS[frame.message_id].name, **said)
 
 
@@ -129,7 +129,7 @@ def stuck(firmware):
             yield t_us, frame.raw
             continue
         said = unpack(frame)._asdict()
-        if n < 5000 or last is None:
+        if n < 2500 or last is None:
             last = said
         kept = {k: last[k] for k in said if k[0] in "xyz"}
         yield t_us, sender.message("HIGHRES_IMU", **(said | kept))

@@ -94,10 +94,10 @@ def test_its_covariance_is_that_of_its_errors(name):
     )
     nees = np.zeros((len(times), 3))
     for seed in range(1, seeds + 1):
-        events, truth = flight(name, 60.0, seed, rate=100.0, yaw=True)
+        events, truth = flight(name, 60.0, seed, rate=50.0, yaw=True)
         blocks = smoothed_blocks(events, settings)
         for i, at_s in enumerate(times):
-            row = round(at_s * 100.0) - 1
+            row = round(at_s * 50.0) - 1
             nees[i] += normalised(blocks[row], truth, row)
     # each time has independent flights; 1 in 1e4 of a true covariance would fall out
     for dof, sums in ((9, nees[:, 0]), (6, nees[:, 1]), (3, nees[:, 2])):

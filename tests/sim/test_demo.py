@@ -51,12 +51,13 @@ def test_the_picture_is_drawn_even_of_silence(tmp_path):
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_whoever_waits_sees_every_five_seconds_that_it_flies(tmp_path):
+def test_whoever_waits_sees_every_four_seconds_that_it_flies(tmp_path):
     told = []
     demo.fly(tmp_path, duration=12.0, seed=1, tell=told.append)
-    assert told[0] == "flying for 12 s, in real time, over UDP"
-    assert "flying, 5 of 12 s" in told
-    assert "flying, 10 of 12 s" in told
+    assert told[0] == "planning the flight"
+    assert told[1] == "flying for 12 s, in real time, over UDP"
+    assert "flying, 4 of 12 s" in told
+    assert "flying, 8 of 12 s" in told
     assert told[-1] == "drawing the figure"
     log = (tmp_path / "daemon.log").read_text()
     assert "failed" not in log  # of what nobody needs

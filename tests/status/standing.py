@@ -5,13 +5,15 @@ from dataclasses import replace
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.status.preflight import check
 from sim_autopilot.autopilot import Autopilot
-from sim_autopilot.config import SimConfig, StreamConfig
+from sim_autopilot.config import ImuConfig, SimConfig, StreamConfig
 from sim_autopilot.faults.fault import parse
 from sim_autopilot.faults.sensors import SensorFaults
 from sim_autopilot.flight import Flight
 from tests.status.test_observer import MS, Watched
 
 OPEN = object()
+IMU = ImuConfig(rate=100.0)
+"""The verdict is the same at any rate that is enough."""
 WHOLE = "duration=60"
 NO_SATELLITES = f"gnss-outage:how=nofix,{WHOLE}"
 NO_COMPASS_FIELD = f"mag-disturbance:{WHOLE},forward=0.5"
@@ -24,7 +26,7 @@ def stand(*faults, duration=12.5, config=None, scenario="static", silent=(), **o
     """
     watched = Watched(config=config)
     streams = StreamConfig(**dict.fromkeys(silent, 0.0))
-    sim = SimConfig(streams=streams, **options)
+    sim = SimConfig(imu=IMU, streams=streams, **options)
     flight = Flight.plan(scenario, sim, duration=duration)
     autopilot = Autopilot(sim)
     wrong = SensorFaults([parse(one) for one in faults], flight.first_ns - flight.period_ns)

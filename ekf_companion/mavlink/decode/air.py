@@ -12,6 +12,8 @@ from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.earth import pressure_altitude
 from ekf_companion.nav.measurements import BaroSample, MagSample
 
+PRESSURE_SOURCES = ("HIGHRES_IMU", "SCALED_PRESSURE")
+"""Messages that carry a pressure, by rank; those with a field are those of the inertial samples."""
 WEAKEST, STRONGEST = 0.15, 0.8
 """gauss; the Earth's field has 0.22 to 0.67, and a vehicle adds some."""
 _STRANGE = 100

@@ -11,6 +11,8 @@ from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.measurements import HeadingSample, HeadingSource
 
 NORTH_CDEG = 36000
+SOURCES = ("ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD")
+"""Messages that carry a heading, by rank."""
 
 
 class Heading:
