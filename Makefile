@@ -4,9 +4,9 @@ SYSTEM_PYTHON ?= /usr/bin/python3
 VENV := .venv
 BIN := $(VENV)/bin
 KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd) \
-	$(wildcard ekf_companion/logs/*_search.py ekf_companion/logs/*.pxd) \
-	$(wildcard ekf_companion/mavlink/*.pxd ekf_companion/mavlink/decode/*.pxd) \
-	$(patsubst %.pxd,%.py,$(wildcard ekf_companion/mavlink/*.pxd ekf_companion/mavlink/decode/*.pxd))
+	$(wildcard ekf_companion/logs/*.pxd ekf_companion/mavlink/*.pxd ekf_companion/mavlink/decode/*.pxd) \
+	$(patsubst %.pxd,%.py,$(wildcard ekf_companion/logs/*.pxd ekf_companion/mavlink/*.pxd \
+	ekf_companion/mavlink/decode/*.pxd))
 STAMP := $(VENV)/.installed
 
 .PHONY: setup test explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
