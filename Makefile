@@ -4,9 +4,9 @@ SYSTEM_PYTHON ?= /usr/bin/python3
 VENV := .venv
 BIN := $(VENV)/bin
 KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd) \
-	$(wildcard ekf_companion/logs/*_search.py ekf_companion/logs/*.pxd) \
-	$(wildcard ekf_companion/mavlink/*.pxd ekf_companion/mavlink/decode/*.pxd) \
-	$(patsubst %.pxd,%.py,$(wildcard ekf_companion/mavlink/*.pxd ekf_companion/mavlink/decode/*.pxd))
+	$(wildcard ekf_companion/logs/*.pxd ekf_companion/mavlink/*.pxd ekf_companion/mavlink/decode/*.pxd) \
+	$(patsubst %.pxd,%.py,$(wildcard ekf_companion/logs/*.pxd ekf_companion/mavlink/*.pxd \
+	ekf_companion/mavlink/decode/*.pxd))
 STAMP := $(VENV)/.installed
 FLYING := $(VENV)/.installed-demo
 

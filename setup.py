@@ -1,4 +1,4 @@
-"""Compile the kernel and the readers of logs, fetch the page's charts: what pyproject cannot say.
+"""Compile the kernel and the code for logs, fetch the charts: what pyproject cannot say.
 
 The same files also run as plain Python. No -ffast-math, and no contraction of a*b+c: every board
 gives the same bits.

@@ -359,7 +359,7 @@ def main() -> None:
     parser.add_argument("what", choices=("record", "check", "list"))
     parser.add_argument("pattern", nargs="*", default=["*"], help="cases, as a shell would match")
     parser.add_argument("--jobs", type=int, default=2)
-    asked = parser.parse_args()
+    asked = parser.parse_intermixed_args()
     known = cases()
     names = [
         name for name in known if any(fnmatch.fnmatch(name, pattern) for pattern in asked.pattern)

@@ -6,8 +6,9 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from statistics import median
 
 
@@ -41,11 +42,19 @@ def run(arguments: Sequence[str]) -> Cost:
     return Cost(spent, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0)
 
 
-def interleaved(jobs: Mapping[str, Sequence[str]], rounds: int) -> dict[str, Cost]:
-    """Run all jobs in turn, several times; return the median cost of each."""
+def interleaved(
+    jobs: Mapping[str, Sequence[str]], rounds: int, outs: Collection[Path] = ()
+) -> dict[str, Cost]:
+    """Run all jobs in turn, several times; return the median cost of each.
+
+    ``outs`` are the files that they write: to delete those of the round before is no part of the
+    work.
+    """
     costs: dict[str, list[Cost]] = {name: [] for name in jobs}
     for _ in range(rounds):
         for name, arguments in jobs.items():
+            for out in outs:
+                out.unlink(missing_ok=True)
             costs[name].append(run(arguments))
     return {
         name: Cost(*(median(getattr(one, field) for one in found) for field in Cost.__slots__))

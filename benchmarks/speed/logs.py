@@ -47,9 +47,23 @@ def measure(
     """Convert a flight of each duration from each format; the longest of 1 h and less to others."""
     with TemporaryDirectory() as name:
         folder = Path(name)
+        peaks: list[dict[str, float]] = []
         for duration in durations:
-            yield from _of_duration(folder, duration, rounds if duration <= 3600.0 else 1)
+            peaks.append({})
+            for result in _of_duration(folder, duration, rounds if duration <= 3600.0 else 1):
+                if " to ." in result.name and result.unit == "MB":
+                    peaks[-1][result.name.split(" ", 2)[2]] = result.value
+                yield result
+        yield from _growth(durations, peaks)
         yield from _start(folder, rounds)
+
+
+def _growth(durations: tuple[float, ...], peaks: list[dict[str, float]]) -> Iterator[Result]:
+    """Return how much memory each further hour of a log takes, by the two longest."""
+    for what in peaks[-1] if len(peaks) > 1 else ():
+        hours = (durations[-1] - durations[-2]) / 3600.0
+        value = (peaks[-1][what] - peaks[-2][what]) / hours
+        yield Result(name=f"{what}, by each hour more", value=value, unit="MB")
 
 
 def _of_duration(folder: Path, duration: float, rounds: int) -> Iterator[Result]:
@@ -75,7 +89,8 @@ def _of_duration(folder: Path, duration: float, rounds: int) -> Iterator[Result]
             f"{what} {suffix}: {peer}": jobs.python(code, str(logs[suffix]))
             for suffix, (peer, code) in PEERS.items()
         }
-    costs = jobs.interleaved(work, rounds)
+    outs = [Path(words[words.index("-o") + 1]) for words in work.values() if "-o" in words]
+    costs = jobs.interleaved(work, rounds, outs)
     peer = costs.get(f"{what} .ulg: {PEERS['.ulg'][0]}")
     for name, cost in costs.items():
         yield from _results(name, cost, rows, peer)
@@ -113,4 +128,4 @@ def _start(folder: Path, rounds: int) -> Iterator[Result]:
     work["start: mavutil's import"] = jobs.python("from pymavlink import mavutil")
     for name, cost in jobs.interleaved(work, 2 * rounds).items():
         aim = START[name][1] if name in START else None
-        yield Result(name=name, value=cost.seconds, unit="s", aim=aim)
+        yield Result(name=f"{name}, processor time", value=cost.cpu, unit="s", aim=aim)

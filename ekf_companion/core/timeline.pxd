@@ -19,11 +19,13 @@ cdef class Timeline:
     cdef State *x
     cdef State *y
     cdef State *first
+    cdef State *mark
+    cdef double[::1] late_last, late_next
     cdef Parameters *k
     cdef Scratch w
     cdef Held ahead, behind
-    cdef Py_ssize_t size, capacity, cursor, snaps, lost, stretch, behind_samples
-    cdef double window, newest, oldest, reach, interval, late_t, behind_t, behind_first
+    cdef Py_ssize_t size, capacity, cursor, snaps, mark_row, lost, stretch, behind_samples
+    cdef double expected_t, window, newest, oldest, reach, interval, late_t, behind_t, behind_first
     cdef readonly long long epoch_ns, stamp_ns, reruns
     cdef bint has_epoch, is_restored, is_set, is_leaping, keeps
     cdef list gone
@@ -53,6 +55,7 @@ cdef class Timeline:
     cdef int follow_clock(self)
     cdef void flush(self)
     cdef void write_row(self, Py_ssize_t i, double t, int kind, double[::1] values)
+    cdef void expect_late(self, double t, int kind)
     cdef void go_back(self, Py_ssize_t i)
     cdef void run(self)
     cdef void trim(self)

@@ -2,7 +2,8 @@
 
 A window of the last seconds is kept as sorted rows, with snapshots of the state between them.
 A late event goes back to the snapshot before it and all that came after is run again; so the state
-depends on what was measured, never on the order in which it arrived.
+depends on what was measured, never on the order in which it arrived. One more snapshot, the mark,
+lies where the next late event is expected by the rhythm of those of its kind: most go back to it.
 
 An event between two inertial samples waits for the second one, whose interval it splits: no guess
 about the rate is ever made and corrected later.
@@ -103,10 +104,15 @@ class Timeline:
         self.snapshot_table = np.zeros((capacity // SNAPSHOT_EVERY + 2, BLOCK))
         self.snapshots = as_states(self.snapshot_table)
         self.snapshot_row = np.zeros(capacity // SNAPSHOT_EVERY + 2, dtype=np.intp)
-        self.blocks = np.zeros((3, BLOCK))
+        self.blocks = np.zeros((4, BLOCK))
         self.x = as_state(self.blocks[0])
         self.y = as_state(self.blocks[1])
         self.first = as_state(self.blocks[2])
+        self.mark = as_state(self.blocks[3])
+        self.mark_row = -1
+        self.expected_t = EVER
+        self.late_last = np.zeros(len(self.delay))
+        self.late_next = np.full(len(self.delay), -1.0)
         self.out = np.zeros(OUT)
         self.numbers = np.zeros(ODOMETRY)
         self.singles = np.zeros(ODOMETRY, dtype=np.float32)
@@ -132,6 +138,7 @@ class Timeline:
         self.cursor = 0
         self.snaps = 1
         self.snapshot_row[0] = -1
+        self.mark_row = -1
         copy_state(address(self.snapshots[0]), self.x)
         self.newest = -1.0
         self.oldest = -1.0
@@ -311,6 +318,7 @@ class Timeline:
             i -= 1
         self.write_row(i, t, kind, values)
         if i < self.cursor:
+            self.expect_late(t, kind)
             self.go_back(i)
             self.run()
             return enums.ARRIVAL_TAKEN
@@ -505,12 +513,32 @@ class Timeline:
             self.rows[i].values.all[j] = values[j]
         self.size += 1
 
+    def expect_late(self, t: float, kind: int) -> None:
+        """Learn from a late event at which time the next one is expected.
+
+        Those of each kind come as far apart as the last two. A wrong guess costs time, no bit.
+        """
+        self.late_next[kind] = t + (t - self.late_last[kind])
+        self.late_last[kind] = t
+        self.expected_t = EVER
+        for other in range(self.delay.shape[0]):
+            soonest = self.late_next[other]
+            if other != enums.KIND_IMU and t <= soonest < self.expected_t:
+                self.expected_t = soonest
+
     def go_back(self, i: int) -> None:
-        """Go back to the last snapshot before row i."""
+        """Go back to the last snapshot before row i, or to the mark."""
         while self.snapshot_row[self.snaps - 1] >= i:
             self.snaps -= 1
-        copy_state(self.x, address(self.snapshots[self.snaps - 1]))
-        self.cursor = self.snapshot_row[self.snaps - 1] + 1
+        base = self.snapshot_row[self.snaps - 1]
+        if base < self.mark_row < i:
+            copy_state(self.x, self.mark)
+            self.cursor = self.mark_row + 1
+        else:
+            copy_state(self.x, address(self.snapshots[self.snaps - 1]))
+            self.cursor = base + 1
+        if self.mark_row >= i:
+            self.mark_row = -1
         self.reruns += 1
 
     def run(self) -> None:
@@ -534,6 +562,11 @@ class Timeline:
                 copy_state(address(self.snapshots[self.snaps]), self.x)
                 self.snapshot_row[self.snaps] = i
                 self.snaps += 1
+            # One interval early: stamps jitter
+            ahead = self.expected_t - self.rows[i].t - self.interval
+            if 0.0 < ahead <= self.interval:
+                copy_state(self.mark, self.x)
+                self.mark_row = i
 
     def trim(self) -> None:
         """Drop the rows older than the window; if there is no room, what matters least."""
@@ -564,6 +597,7 @@ class Timeline:
             self.snaps -= base
             self.snapshot_row[0] = -1
             self.cursor -= gone
+            self.mark_row = max(self.mark_row - gone, -1)
         for i in range(first + gone, self.size):
             self.rows[i - gone] = self.rows[i]
         self.size -= gone
@@ -645,6 +679,7 @@ class Timeline:
         """
         self.parameters = np.ascontiguousarray(parameters, dtype=np.float64).copy()
         self.k = as_parameters(self.parameters)
+        self.mark_row = -1
 
     def block(self) -> np.ndarray:
         """Return a copy of the state, shape (BLOCK,)."""

@@ -33,18 +33,15 @@ map: :mod:`ekf_companion.logs.csv_known`.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import csv_known, series
 from ekf_companion.logs.csv_columns import (
-    DEGREE,
-    GROUPS,
     OPTIONS,
     QUANTITIES,
     Source,
@@ -53,27 +50,12 @@ from ekf_companion.logs.csv_columns import (
     from_header,
     from_map,
 )
+from ekf_companion.logs.csv_events import Columns, EventMaker
 from ekf_companion.logs.recording import Recording
-from ekf_companion.logs.table import Table
-from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
-from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.event_columns import EventColumns, MergedEvents
-from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
-
-Columns = dict[str, Array]
-"""Quantities in SI and radians, NaN where a row has none."""
-
-GNSS_STD = {"gps_std_h": 2.0, "gps_std_v": 3.0, "gps_std_vel": 0.5}
-"""m, m, m/s where the file holds no accuracy: a receiver in the open, on the safe side."""
-HEADING_STD_DEG = 5.0
-"""deg, where the file holds no accuracy."""
-SEA_LEVEL_PRESSURE = 101325.0
-"""Pa; ICAO standard atmosphere, as the next two."""
-SCALE_HEIGHT = 288.15 / 0.0065
-"""m: temperature at sea level by its lapse rate."""
-PRESSURE_EXPONENT = 0.190263
-_HOLDABLE = ("gps", "mag", "baro", "heading")
+from ekf_companion.logs.spool import Spool
+from ekf_companion.logs.spooled_events import SpooledEvents
+from ekf_companion.logs.table import AT_ONCE, Table
+from ekf_companion.nav.arrays import Array, Mask, Stamps
 
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
@@ -103,216 +85,101 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     else:
         sources = from_header(path, table.names, notes)
     check_groups(path, sources)
-    hold = options.get("hold", [])
-    if not isinstance(hold, list) or any(name not in _HOLDABLE for name in hold):
-        raise LogError(f"{where}: hold: {hold!r} is not a list of {', '.join(_HOLDABLE)}")
-    values = _values(table, sources)
-    del table  # of an hour it has a hundred megabytes
-    t_ns, row, values = _in_time(path, sources, values, notes)
-    has_std = "heading_std" in values or "heading" not in values
-    constant = {name for name, source in sources.items() if source.column is None}
-    gnss, heading, mag, baro, imu = (
-        _part(t_ns, values, begin, constant) for begin in ("gps_", "heading", "mag_", "baro_", "")
-    )
-    events = _gnss(where, gnss, hold, options.get("origin"), notes)
-    events += _heading(where, heading, hold, options.get("heading_source", "magnetometer"))
-    if not has_std:
-        notes.append(f"accuracy not declared, so assumed (deg): heading_std {HEADING_STD_DEG:g}")
-    events += _sensor("mag", Kind.MAG, mag, hold) + _barometer(baro, hold)
-    events += _sensor("imu", Kind.IMU, imu, hold)
-    if not events:
+    maker = EventMaker(where, sources, options)
+    names = sorted({source.column for source in sources.values() if source.column is not None})
+    events, total = SpooledEvents(), 0
+    with table.spool(names) as rows, _Clock(path, sources["time"], names, rows) as clock:
+        notes += clock.notes()
+        for row, t_ns, values in clock.kept():
+            total += len(t_ns)
+            events.append(maker.events(t_ns, row, _values(values, names, sources)))
+    notes += maker.notes(total)
+    if not len(events):
         raise LogError(
             f"{path}: no measurement found; declare its columns in {path.name}.columns.yaml "
             f"(quantities: {', '.join(QUANTITIES)})"
         )
-    arrivals = [row[at] for _, at in events]
-    return Recording(
-        family="unknown",
-        events=MergedEvents([found for found, _ in events], arrivals),
-        notes=tuple(notes),
-    )
+    return Recording(family="unknown", events=events, notes=tuple(notes))
 
 
-def _values(table: Table, sources: Mapping[str, Source]) -> Columns:
-    """Return all quantities in SI, but the time as it is; NaN for what is no measurement."""
-    names = sorted({source.column for source in sources.values() if source.column is not None})
-    raw = table.read(names)
-    n = len(raw[names[0]]) if names else 0
-    left = Counter(source.column for source in sources.values())
+def _values(rows: Array, names: list[str], sources: Mapping[str, Source]) -> Columns:
+    """Return all quantities but the time in SI; NaN for what is no measurement."""
     values: Columns = {}
     for name, source in sources.items():
-        left[source.column] -= 1
+        if name == "time":
+            continue
         if source.column is None:
-            column = np.full(n, source.value)
+            column = np.full(len(rows), source.value)
         else:
-            # Of an hour a column has 7 MB: the last who needs one need not copy it
-            column = raw[source.column].copy() if left[source.column] else raw.pop(source.column)
-        values[name] = column
-        if name != "time":
-            # No sensor measures 1e30, which would overflow when scaled
-            column[~(np.abs(column) < 1e30)] = np.nan
-            column *= source.scale
+            column = rows[:, names.index(source.column)].copy()
+        # No sensor measures 1e30, which would overflow when scaled
+        column[~(np.abs(column) < 1e30)] = np.nan
+        values[name] = column * source.scale
     return values
 
 
-def _in_time(
-    path: Path, sources: Mapping[str, Source], values: Columns, notes: list[str]
-) -> tuple[Stamps, Indices, Columns]:
-    """Return stamps, ns, row numbers and values of the rows on one run of the clock."""
-    time = values["time"]
-    per_unit = round(abs(sources["time"].scale) * 1e9)
-    good = np.abs(time) < 9e18 / per_unit
-    row = np.flatnonzero(good)
-    time = time[good]
-    # Whole units apart: microseconds since 1970 in ns have more digits than a float
-    whole = np.floor(time)
-    t_ns = whole.astype(np.int64) * per_unit
-    # Where the float's last digit is coarser than 1 ns, the file holds microseconds
-    step = 1000 if np.spacing(np.abs(time).max(initial=0.0)) * per_unit > 1.0 else 1
-    t_ns += np.rint((time - whole) * (per_unit / step)).astype(np.int64) * step
-    kept = series.clock_run(t_ns)[0]
-    if len(kept) == 0:
-        raise LogError(f"{path}: no row with a time; the file ends after its header")
-    lost = len(values["time"]) - int(kept.sum())
-    if lost:
-        notes.append(f"{lost} rows without a time, or one that does not fit the rest, were dropped")
-    row, t_ns = row[kept], t_ns[kept]
-    if lost:
-        values = {name: column[row] for name, column in values.items()}
-    return t_ns, row, values
+class _Clock:
+    """The rows of a table that are on one run of the clock, and their times."""
 
+    def __init__(self, path: Path, source: Source, names: list[str], rows: Spool) -> None:
+        """Read the times of all rows, and find the run.
 
-class _Part(NamedTuple):
-    """The rows of the file that hold any quantity of a sensor."""
+        Raises:
+            LogError: No row has a time.
+        """
+        self._source, self._rows, self._times = source, rows, Spool(1)
+        self._per_unit = round(abs(source.scale) * 1e9)
+        largest = 0.0
+        for part in rows.blocks(AT_ONCE):
+            if source.column is None:
+                time = np.full(len(part), source.value)
+            else:
+                time = part[:, names.index(source.column)]
+            self._times.append(time[:, None])
+            largest = float(np.abs(time[self._is_time(time)]).max(initial=largest))
+        # Where the float's last digit is coarser than 1 ns, the file holds microseconds
+        self._step = 1000 if np.spacing(largest) * self._per_unit > 1.0 else 1
+        self._ranges = series.clock_run_of_parts(t_ns for _, t_ns in self._stamps())[0]
+        if not self._ranges:
+            raise LogError(f"{path}: no row with a time; the file ends after its header")
 
-    total: int
-    """Rows of the file."""
-    row: Indices
-    """Their numbers."""
-    t_ns: Stamps
-    values: Columns
-    is_apart: Mask
-    """Whether the row before holds none."""
+    def __enter__(self) -> _Clock:
+        return self
 
-    def changed(self, *columns: Array) -> Mask:
-        """Return in which rows a column differs from the row before in the file."""
-        return np.asarray(series.changed(*columns) | self.is_apart)
+    def __exit__(self, *_: object) -> None:
+        """Delete the times."""
+        self._times.__exit__()
 
+    def notes(self) -> Iterator[str]:
+        """Return what is to be said about rows that were dropped."""
+        if lost := len(self._rows) - sum(end - first for first, end in self._ranges):
+            yield f"{lost} rows without a time, or one that does not fit the rest, were dropped"
 
-def _part(t_ns: Stamps, values: Columns, begin: str, constant: Collection[str]) -> _Part:
-    """Take the quantities whose names begin so out of the table."""
-    chosen = {name: values.pop(name) for name in [*values] if name.startswith(begin)}
-    any_known = np.zeros(len(t_ns), dtype=bool)
-    for name in chosen.keys() - constant:
-        any_known |= np.isfinite(chosen[name])
-    row = np.flatnonzero(any_known)
-    if len(row) < len(t_ns):
-        chosen = {name: column[row] for name, column in chosen.items()}
-    is_apart = np.diff(row, prepend=-2) != 1
-    return _Part(len(t_ns), row, t_ns[row], chosen, is_apart)
+    def kept(self) -> Iterator[tuple[Stamps, Stamps, Array]]:
+        """Yield numbers, stamps (ns) and values of the rows on the run, part by part."""
+        first = timed = 0
+        for is_time, t_ns in self._stamps():
+            is_kept = np.zeros(len(t_ns), dtype=bool)
+            for begin, end in self._ranges:
+                is_kept[max(begin - timed, 0) : max(end - timed, 0)] = True
+            place = np.flatnonzero(is_time)[is_kept]
+            if len(place):
+                rows = self._rows.read(first, len(is_time))
+                if len(place) < len(rows):
+                    rows = rows[place]
+                yield first + place, t_ns[is_kept], rows
+            first, timed = first + len(is_time), timed + len(t_ns)
 
+    def _stamps(self) -> Iterator[tuple[Mask, Stamps]]:
+        """Yield, part by part, which rows have a time, and the times, ns, of those that do."""
+        for part in self._times.blocks(AT_ONCE):
+            is_time = self._is_time(part[:, 0])
+            time = part[is_time, 0]
+            # Whole units apart: microseconds since 1970 in ns have more digits than a float
+            whole = np.floor(time)
+            t_ns = whole.astype(np.int64) * self._per_unit
+            parts = np.rint((time - whole) * (self._per_unit / self._step))
+            yield is_time, t_ns + parts.astype(np.int64) * self._step
 
-Found = list[tuple[EventColumns, Indices]]
-"""Events, and the numbers of their rows."""
-
-
-def _found(
-    part: _Part,
-    kind: Kind,
-    columns: Sequence[Array | float],
-    needed: list[Array],
-    held: list[Array] | None,
-) -> Found:
-    """Return events where the needed columns are known and, where values are held, have changed."""
-    mask = np.ones(len(part.row), dtype=bool)
-    for column in needed:
-        mask &= np.isfinite(column)
-    if held is not None:
-        mask &= part.changed(*held)
-    if not mask.any():
-        return []
-    return [(EventColumns(part.t_ns, kind, *columns).take(mask), part.row[mask])]
-
-
-def _sensor(group: str, kind: Kind, part: _Part, hold: list[str]) -> Found:
-    if not part.values.keys() >= {*GROUPS[group]}:
-        return []
-    axes = [part.values[name] for name in GROUPS[group]]
-    return _found(part, kind, axes, axes, axes if group in hold else None)
-
-
-def _barometer(part: _Part, hold: list[str]) -> Found:
-    values = part.values
-    if "baro_alt" in values:
-        alt = values["baro_alt"]
-    elif "baro_press" in values:
-        pressure = values["baro_press"]
-        ratio = np.where(pressure > 0.0, pressure, np.nan) / SEA_LEVEL_PRESSURE
-        alt = SCALE_HEIGHT * (1.0 - ratio**PRESSURE_EXPONENT)
-    else:
-        return []
-    held = [alt] if "baro" in hold else None
-    return _found(part, Kind.BARO, [alt], [alt], held)
-
-
-def _heading(where: str, part: _Part, hold: list[str], source: Any) -> Found:
-    values = part.values
-    known = {member.name.lower(): member for member in HeadingSource}
-    if source not in known:
-        raise LogError(f"{where}: heading_source: {source!r}; known are {', '.join(known)}")
-    if "heading" not in values:
-        return []
-    heading = values["heading"]
-    std = series.accuracy(values.get("heading_std", np.nan * heading), HEADING_STD_DEG * DEGREE)
-    columns = (so3.wrap(heading), std, float(known[source]))
-    held = [heading] if "heading" in hold else None
-    return _found(part, Kind.HEADING, columns, [heading], held)
-
-
-def _gnss(where: str, part: _Part, hold: list[str], origin: Any, notes: list[str]) -> Found:
-    values, n = part.values, len(part.row)
-    if "gps_north" in values:
-        ned = np.stack([values["gps_north"], values["gps_east"], -values["gps_h"]], axis=1)
-        lat, lon, alt = _origin(where, origin).to_geodetic(ned)
-    elif "gps_lat" in values:
-        lat, lon, alt = values["gps_lat"], values["gps_lon"], values["gps_alt"]
-        lat = np.where(np.abs(lat) <= np.pi / 2.0, lat, np.nan)
-    else:
-        return []
-    north = east = unknown = np.full(n, np.nan)
-    if "gps_vn" in values:
-        north, east = values["gps_vn"], values["gps_ve"]
-    elif "gps_speed" in values:
-        speed, course = values["gps_speed"], values["gps_course"]
-        north, east = speed * np.cos(course), speed * np.sin(course)
-    velocity = (north, east, values.get("gps_vd", unknown))
-    if missing := [name for name in GNSS_STD if name not in values]:
-        said = ", ".join(f"{name} {GNSS_STD[name]:g}" for name in missing)
-        notes.append(f"accuracy not declared, so assumed (m, m/s): {said}")
-    std = [series.accuracy(values.get(name, unknown), least) for name, least in GNSS_STD.items()]
-    position = (lat, so3.wrap(lon), alt)
-    columns: list[Any] = [*position, *velocity, *std, np.nan, float(GnssFlag.NONE)]
-    # A new fix moves; loggers update altitude, speed and course some rows later
-    held = [lat, lon]
-    repeated = int((np.isfinite(lat[1:]) & ~part.changed(*held)[1:]).sum())
-    if "gps" not in hold and repeated > part.total / 2:
-        notes.append(
-            f"{repeated} of {part.total} rows repeat the GPS values of the row before: if the file "
-            "holds them until new ones come, declare hold: [gps]"
-        )
-    needed = [lat, lon, alt]
-    return _found(part, Kind.GNSS, columns, needed, held if "gps" in hold else None)
-
-
-def _origin(where: str, origin: Any) -> LocalFrame:
-    numbers = {"alt_m": 0.0, **origin} if isinstance(origin, Mapping) else {}
-    if set(numbers) != {"lat_deg", "lon_deg", "alt_m"} or any(
-        not isinstance(number, (int, float)) or isinstance(number, bool)
-        for number in numbers.values()
-    ):
-        raise LogError(
-            f"{where}: gps_north, gps_east, gps_h need an origin; "
-            "declare origin: {lat_deg: ..., lon_deg: ...}"
-        )
-    lat_deg, lon_deg, alt = (float(numbers[key]) for key in ("lat_deg", "lon_deg", "alt_m"))
-    return LocalFrame(lat_deg * DEGREE, lon_deg * DEGREE, alt)
+    def _is_time(self, time: Array) -> Mask:
+        return np.asarray(np.abs(time) < 9e18 / self._per_unit)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import orjson
 
+from ekf_companion.logs.csv_lines import join_lines
 from ekf_companion.logs.writer import STATUS_NAMES, EstimateWriter
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.state import COLUMNS, Table
@@ -24,6 +27,7 @@ class Writer(EstimateWriter):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self.file.write(",".join(COLUMNS).encode() + b"\n")
+        self._lines = bytearray()
 
     def write(self, table: Table) -> None:
         """Append a line for each estimate."""
@@ -33,23 +37,27 @@ class Writer(EstimateWriter):
 
     def _write_lines(self, stamp_ns: Stamps, values: Array) -> None:
         # JSON prints the shortest digits that read back the same, and does it fast
-        text = orjson.dumps(
+        numbers = orjson.dumps(
             np.ascontiguousarray(values[:, :_STATUS]), option=orjson.OPT_SERIALIZE_NUMPY
         )
         stamps = orjson.dumps(stamp_ns // 1000, option=orjson.OPT_SERIALIZE_NUMPY)
-        parts = [b","] * (4 * len(values))
-        parts[0::4] = stamps[1:-1].split(b",")
-        parts[2::4] = text[2:-2].replace(b"null", b"").split(b"],[")
-        parts[3::4] = _ends(values[:, _STATUS : _STATUS + 2].astype(np.int64))
-        self.file.write(b"".join(parts))
+        ends = list(_ends(values[:, _STATUS : _STATUS + 2].astype(np.int64)))
+        size = len(numbers) + len(stamps) + sum(count * len(end) for end, count in ends)
+        if size > len(self._lines):
+            self._lines = bytearray(size)
+        places = array("q", [1, 1, 0])
+        for end, count in ends:
+            join_lines(numbers, stamps, end, count, self._lines, places)
+        self.file.write(memoryview(self._lines)[: places[2]])
 
 
-def _ends(numbers: npt.NDArray[np.int64]) -> list[bytes]:
-    """Return the ends of lines, of the numbers of status and resets, shape (n, 2)."""
+def _ends(numbers: npt.NDArray[np.int64]) -> Iterator[tuple[bytes, int]]:
+    """Yield the ends of lines, and how many lines in a row have each.
+
+    They are of the numbers of status and resets, shape (n, 2).
+    """
     firsts = np.flatnonzero((numbers[1:] != numbers[:-1]).any(axis=1)) + 1
     firsts = np.concatenate([[0], firsts])
     counts = np.diff(firsts, append=len(numbers)).tolist()
-    ends: list[bytes] = []
     for (status, resets), count in zip(numbers[firsts].tolist(), counts, strict=True):
-        ends += [b",%s,%d\n" % (_NAMES[status], resets)] * count
-    return ends
+        yield b",%s,%d\n" % (_NAMES[status], resets), count

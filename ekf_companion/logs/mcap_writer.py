@@ -10,7 +10,6 @@ Source: MCAP specification, mcap.dev; Foxglove's message schemas (names and fiel
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import orjson
 from mcap.writer import CompressionType
 from mcap.writer import Writer as Mcap
 
+from ekf_companion.logs.json_objects import name_numbers
 from ekf_companion.logs.writer import (
     STATUS_NAMES,
     EstimateWriter,
@@ -26,6 +26,7 @@ from ekf_companion.logs.writer import (
     east_north_up,
     with_position,
 )
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.state import COLUMNS, GEODETIC, Status, Table
 from ekf_companion.version import __version__
 
@@ -35,8 +36,6 @@ LOCATION_RATE = 5.0
 """Fixes on the map per second at most, Hz."""
 _INFO, _WARNING = 2, 3
 """Levels of foxglove.Log."""
-_DIAGONAL = 2
-"""position_covariance_type: the diagonal is known."""
 
 
 def _object(**properties: Any) -> dict[str, Any]:
@@ -94,6 +93,26 @@ _SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
 """Name and JSON schema of each channel."""
 
 
+def _around(template: str) -> list[bytes]:
+    """Return what is before each number of an object, a ``#`` in the template, and behind all."""
+    return [part.encode() for part in template.split("#")]
+
+
+_ESTIMATE = [b'%s"%s":' % (b"," if n else b"{", c.encode()) for n, c in enumerate(COLUMNS[1:-2])]
+_POSE = _around(
+    '{"frame_id":"map","pose":{"position":{"x":#,"y":#,"z":#},"orientation":{"w":#,"x":#,"y":#,"z":#}}'
+)
+_TRANSFORM = _around(
+    '{"parent_frame_id":"map","child_frame_id":"base_link","translation":{"x":#,"y":#,"z":#},'
+    '"rotation":{"w":#,"x":#,"y":#,"z":#}'
+)
+# position_covariance_type 2: the diagonal is known
+_LOCATION = _around(
+    '{"frame_id":"map","position_covariance_type":2,"latitude":#,"longitude":#,"altitude":#,'
+    '"position_covariance":[#,0,0,0,#,0,0,0,#]'
+)
+
+
 class Writer(EstimateWriter):
     """Writes each estimate, and some of them as poses and fixes."""
 
@@ -115,8 +134,7 @@ class Writer(EstimateWriter):
             LogError: A time is before zero.
         """
         self.refuse_times_before_zero(table, "an .mcap")
-        for stamp_ns, data in zip(table.stamp_ns.tolist(), _estimates(table), strict=True):
-            self._add("/estimate", stamp_ns, data)
+        self._add_estimates(table)
         known = with_position(table)
         self._add_poses(self._poses.thin(known))
         self._add_locations(self._locations.thin(known))
@@ -126,37 +144,46 @@ class Writer(EstimateWriter):
         """Write the index."""
         self._mcap.finish()
 
-    def _add(self, topic: str, stamp_ns: int, data: bytes) -> None:
-        self._mcap.add_message(self._channels[topic], stamp_ns, data, stamp_ns)
+    def _add_stamped(self, topic: str, table: Table, numbers: Array, around: list[bytes]) -> None:
+        """Add an object for each row: its numbers, what is around them, and the time."""
+        *names, behind = around
+        ends = [
+            b'%s,"timestamp":{"sec":%d,"nsec":%d}}' % (behind, *divmod(stamp_ns, 1_000_000_000))
+            for stamp_ns in table.stamp_ns.tolist()
+        ]
+        self._add_objects(topic, table, numbers, names, ends)
+
+    def _add_objects(
+        self, topic: str, table: Table, numbers: Array, names: list[bytes], ends: list[bytes]
+    ) -> None:
+        # JSON has no NaN: orjson writes null
+        text = orjson.dumps(np.ascontiguousarray(numbers), option=orjson.OPT_SERIALIZE_NUMPY)
+        channel, add = self._channels[topic], self._mcap.add_message
+        objects = name_numbers(text, names, ends)
+        for stamp_ns, data in zip(table.stamp_ns.tolist(), objects, strict=True):
+            add(channel, stamp_ns, data, stamp_ns)
+
+    def _add_estimates(self, table: Table) -> None:
+        words: dict[tuple[float, float], bytes] = {}
+        ends = []
+        for status, resets in table.columns(("status", "reset_count")).tolist():
+            end = words.get((status, resets))
+            if end is None:
+                said = {"status": STATUS_NAMES[int(status)], "reset_count": int(resets)}
+                end = words[status, resets] = b"," + orjson.dumps(said)[1:]
+            ends.append(end)
+        self._add_objects("/estimate", table, table.values[:, :-2], _ESTIMATE, ends)
 
     def _add_poses(self, table: Table) -> None:
         pos_enu, q = east_north_up(table)
-        rows = zip(table.stamp_ns.tolist(), pos_enu.tolist(), q.tolist(), strict=True)
-        for stamp_ns, (x, y, z), (qw, qx, qy, qz) in rows:
-            position, rotation = {"x": x, "y": y, "z": z}, {"x": qx, "y": qy, "z": qz, "w": qw}
-            pose = {"position": position, "orientation": rotation}
-            head = {"timestamp": _time(stamp_ns)}
-            self._add("/pose", stamp_ns, orjson.dumps(head | {"frame_id": "map", "pose": pose}))
-            frames = {"parent_frame_id": "map", "child_frame_id": "base_link"}
-            motion = {"translation": position, "rotation": rotation}
-            self._add("/tf", stamp_ns, orjson.dumps(head | frames | motion))
+        numbers = np.column_stack([pos_enu, q])
+        self._add_stamped("/pose", table, numbers, _POSE)
+        self._add_stamped("/tf", table, numbers, _TRANSFORM)
 
     def _add_locations(self, table: Table) -> None:
-        sigmas = table.columns(("sd_pos_e", "sd_pos_n", "sd_pos_d"))
-        rows = zip(
-            table.stamp_ns.tolist(), table.columns(GEODETIC).tolist(), sigmas.tolist(), strict=True
-        )
-        for stamp_ns, (lat, lon, alt), (east, north, up) in rows:
-            fix = {
-                "timestamp": _time(stamp_ns),
-                "frame_id": "map",
-                "latitude": lat,
-                "longitude": lon,
-                "altitude": alt,
-                "position_covariance": [east**2, 0, 0, 0, north**2, 0, 0, 0, up**2],
-                "position_covariance_type": _DIAGONAL,
-            }
-            self._add("/location", stamp_ns, orjson.dumps(fix))
+        variances = table.columns(("sd_pos_e", "sd_pos_n", "sd_pos_d")) ** 2
+        numbers = np.column_stack([table.columns(GEODETIC), variances])
+        self._add_stamped("/location", table, numbers, _LOCATION)
 
     def _add_changes(self, table: Table) -> None:
         """Add a line where the status or the number of resets differs from the row before."""
@@ -177,19 +204,9 @@ class Writer(EstimateWriter):
                 "line": 0,
             }
             self._last = status, resets
-            self._add("/log", int(table.stamp_ns[row]), orjson.dumps(line))
+            stamp_ns = int(table.stamp_ns[row])
+            self._mcap.add_message(self._channels["/log"], stamp_ns, orjson.dumps(line), stamp_ns)
 
 
 def _time(stamp_ns: int) -> dict[str, int]:
     return {"sec": stamp_ns // 1_000_000_000, "nsec": stamp_ns % 1_000_000_000}
-
-
-def _estimates(table: Table) -> Iterator[bytes]:
-    """Yield each estimate as a JSON object."""
-    names = COLUMNS[1:]
-    numbers = np.ascontiguousarray(table.values[:, :-2])
-    status = table.column("status").astype(int).tolist()
-    resets = table.column("reset_count").astype(int).tolist()
-    for row, number, count in zip(numbers.tolist(), status, resets, strict=True):
-        # JSON has no NaN: orjson writes null
-        yield orjson.dumps(dict(zip(names, (*row, STATUS_NAMES[number], count), strict=True)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,8 @@ from ekf_companion.nav.arrays import Array, Mask, Stamps
 
 Spans = list[tuple[int, int]]
 """First and last stamp of each stretch of time, ns, ascending."""
+Ranges = list[tuple[int, int]]
+"""First row of each stretch, and the row behind it."""
 
 BACK_NS = 2_000_000_000
 """Step back beyond which a clock has restarted, or a stamp is damaged."""
@@ -41,23 +43,45 @@ def clock_run(t_ns: Stamps) -> tuple[Mask, Spans]:
     Returns:
         Which rows belong to the run, and its stretches of time.
     """
-    if len(t_ns) == 0:
-        return np.zeros(0, dtype=bool), []
-    step = np.diff(t_ns)
-    cuts = np.flatnonzero((step < -BACK_NS) | (step > GAP_NS)) + 1
-    first, last = np.append(0, cuts), np.append(cuts, len(t_ns))
-    enough = (last - first) >= FEW * len(t_ns)
-    if not enough.any():
-        enough[np.argmax(last - first)] = True
-    first, last = first[enough], last[enough]
-    low, high = t_ns[first], t_ns[last - 1]
-    chain = _heaviest_chain(low, high, last - first)
+    ranges, spans = clock_run_of_parts([t_ns])
     mask = np.zeros(len(t_ns), dtype=bool)
-    spans: Spans = []
-    for index in chain:
-        mask[first[index] : last[index]] = True
-        spans.append((int(low[index]), int(high[index])))
+    for first, end in ranges:
+        mask[first:end] = True
     return mask, spans
+
+
+def clock_run_of_parts(parts: Iterable[Stamps]) -> tuple[Ranges, Spans]:
+    """Find the same in stamps that come part by part; return ranges of rows, and of time."""
+    firsts: list[Stamps] = []
+    lows: list[Stamps] = []
+    highs: list[Stamps] = []
+    rows, last = 0, np.int64(0)
+    for t_ns in parts:
+        if not len(t_ns):
+            continue
+        step = np.diff(t_ns, prepend=last if rows else t_ns[0])
+        cuts = np.flatnonzero((step < -BACK_NS) | (step > GAP_NS))
+        if rows:
+            highs.append(np.where(cuts > 0, t_ns[cuts - 1], last))
+        else:
+            highs.append(t_ns[cuts - 1])
+            cuts = np.append(0, cuts)
+        firsts.append(rows + cuts)
+        lows.append(t_ns[cuts])
+        rows, last = rows + len(t_ns), t_ns[-1]
+    if not rows:
+        return [], []
+    first, low = np.concatenate(firsts), np.concatenate(lows)
+    end, high = np.append(first[1:], rows), np.append(np.concatenate(highs), last)
+    enough = (end - first) >= FEW * rows
+    if not enough.any():
+        enough[np.argmax(end - first)] = True
+    first, end, low, high = first[enough], end[enough], low[enough], high[enough]
+    chain = _heaviest_chain(low, high, end - first)
+    return (
+        [(int(first[index]), int(end[index])) for index in chain],
+        [(int(low[index]), int(high[index])) for index in chain],
+    )
 
 
 def _heaviest_chain(low: Stamps, high: Stamps, rows: Stamps) -> list[int]:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import io
+import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import IO
 
 import numpy as np
 
 from ekf_companion.errors import LogError
 from ekf_companion.nav.arrays import Array
 
-IN_MEMORY = 1 << 26
+IN_MEMORY = 1 << 24
 """Bytes up to which no file is made."""
+ON_DISK = "/var/tmp"
+"""Where the file is made unless TMPDIR names a folder: on many boards /tmp is in memory."""
 
 
 class Spool:
@@ -20,9 +25,11 @@ class Spool:
 
     def __init__(self, width: int, in_memory: int = IN_MEMORY) -> None:
         """Start empty, for rows of ``width`` numbers."""
-        self._file = tempfile.SpooledTemporaryFile(max_size=in_memory)  # noqa: SIM115
-        self._width = width
+        self._file: IO[bytes] = io.BytesIO()
+        self._in_memory: int | None = in_memory
         self._size = 0
+        self.width = width
+        """Numbers in a row."""
 
     def __len__(self) -> int:
         return self._size
@@ -34,27 +41,54 @@ class Spool:
         """Delete the rows and the file."""
         self._file.close()
 
+    def __del__(self) -> None:
+        self._file.close()
+
     def append(self, rows: Array) -> None:
         """Add rows, shape (n, width).
 
         Raises:
             LogError: There is no room for the temporary file.
         """
+        data = np.ascontiguousarray(rows, dtype=np.float64).reshape(-1)
+        place = self._size * self.width * 8
         with _translated():
-            self._file.seek(self._size * self._width * 8)
-            self._file.write(np.ascontiguousarray(rows, dtype=np.float64).tobytes())
+            if self._in_memory is not None and place + data.nbytes > self._in_memory:
+                self._move_to_disk()
+            self._file.seek(place)
+            self._file.write(data.data)
         self._size += len(rows)
 
     def read(self, first: int, count: int) -> Array:
-        """Return ``count`` rows from ``first`` on, shape (count, width).
+        """Return ``count`` rows from ``first`` on, or as many as there are, shape (n, width).
 
         Raises:
             LogError: The temporary file cannot be read.
         """
+        rows = np.empty((min(count, self._size - first), self.width))
         with _translated():
-            self._file.seek(first * self._width * 8)
-            data = self._file.read(count * self._width * 8)
-        return np.frombuffer(bytearray(data)).reshape(count, self._width)
+            self._file.seek(first * self.width * 8)
+            got = self._file.readinto(rows.reshape(-1))  # type: ignore[attr-defined]
+        assert got == rows.nbytes, "what was appended is there"
+        return rows
+
+    def blocks(self, count: int) -> Iterator[Array]:
+        """Yield all rows in their order, ``count`` at once."""
+        for first in range(0, self._size, count):
+            yield self.read(first, count)
+
+    def _move_to_disk(self) -> None:
+        file = tempfile.TemporaryFile(dir=folder())  # noqa: SIM115
+        file.write(self._file.getbuffer())  # type: ignore[attr-defined]
+        self._file, self._in_memory = file, None
+
+
+def folder() -> str:
+    """Return the folder of temporary files: what TMPDIR names, or one that is on a disk."""
+    is_named = tempfile.tempdir is not None or any(map(os.environ.get, ("TMPDIR", "TEMP", "TMP")))
+    if not is_named and os.access(ON_DISK, os.W_OK):
+        return ON_DISK
+    return tempfile.gettempdir()
 
 
 @contextmanager
@@ -64,6 +98,6 @@ def _translated() -> Iterator[None]:
         yield
     except OSError as error:
         raise LogError(
-            f"{tempfile.gettempdir()}: the temporary file of the smoother fails: {error.strerror}; "
+            f"{folder()}: the temporary file of a long recording fails: {error.strerror}; "
             "name a roomier folder in the environment variable TMPDIR"
         ) from error

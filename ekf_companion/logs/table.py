@@ -6,11 +6,13 @@ import csv
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs.source import MappedFile
+from ekf_companion.logs.spool import Spool
 from ekf_companion.nav.arrays import Array
 
 KIND = "CSV file"
@@ -20,12 +22,14 @@ SMALL = 1 << 20
 """Bytes below which a table is read sooner than Arrow is imported."""
 LONGEST_LINE = 1 << 20
 """Bytes of the first and last line that are looked at."""
-BLOCK = 1 << 22
+BLOCK = 1 << 21
 """Bytes that Arrow reads at once."""
+AT_ONCE = 1 << 14
+"""Rows that are taken out of the temporary storage at once."""
 
 
 class Table:
-    """One file, of which :meth:`read` parses the columns asked for."""
+    """One file, of which :meth:`read` and :meth:`spool` parse the columns asked for."""
 
     def __init__(self, path: Path, delimiter: str = ",") -> None:
         """Read the file and its header.
@@ -62,6 +66,21 @@ class Table:
         Raises:
             LogError: A column is absent or named twice, a cell is no number, a line is too short.
         """
+        with self.spool(names) as spool:
+            columns = {name: np.empty(len(spool)) for name in names}
+            first = 0
+            for rows in spool.blocks(AT_ONCE):
+                for column, numbers in zip(columns.values(), rows.T, strict=True):
+                    column[first : first + len(rows)] = numbers
+                first += len(rows)
+        return columns
+
+    def spool(self, names: Sequence[str]) -> Spool:
+        """Store columns as rows, in the order of the names, else as :meth:`read` does.
+
+        Raises:
+            LogError: As :meth:`read`; there is no room for a temporary file.
+        """
         for name in names:
             if self.names.count(name) != 1:
                 what = "no" if name not in self.names else "more than one"
@@ -70,12 +89,13 @@ class Table:
                 )
         body = self._whole_lines()
         if not names:
-            return {}
+            return Spool(0)
         where = [self.names.index(name) for name in names]
-        columns = _read_columns(body, self._delimiter, len(self.names), where, self._file)
-        if columns is None:
-            columns = [*self._read_rows(bytes(body), where)]
-        return dict(zip(names, columns, strict=True))
+        spool = _spool_columns(body, self._delimiter, len(self.names), where, self._file)
+        if spool is None:
+            spool = Spool(len(names))
+            spool.append(self._read_rows(bytes(body), where))
+        return spool
 
     def _whole_lines(self) -> memoryview:
         """Return the lines below the header, without a last one that was cut short."""
@@ -88,7 +108,7 @@ class Table:
         return body
 
     def _read_rows(self, body: bytes, where: Sequence[int]) -> Array:
-        """Return columns by their numbers, by a reader that says what is wrong in which line.
+        """Return columns as rows, by a reader that says what is wrong in which line.
 
         Raises:
             LogError: A cell is no number, or a line is too short.
@@ -96,14 +116,14 @@ class Table:
         mark = self._delimiter.encode()
         body = body.replace(b"\r\n", b"\n").replace(b" ", b"").replace(b'"', b"")
         if not body.strip():
-            return np.zeros((len(where), 0))
+            return np.zeros((0, len(where)))
         body += b"" if body.endswith(b"\n") else b"\n"
         for _ in range(2):  # twice: of ",,," the first pass fills every other cell
             body = body.replace(mark + mark, mark + b"nan" + mark)
         body = body.replace(mark + b"\n", mark + b"nan\n").replace(b"\n" + mark, b"\nnan" + mark)
         body = b"nan" + body if body.startswith(mark) else body
         try:
-            numbers = np.loadtxt(
+            rows: Array = np.loadtxt(
                 io.BytesIO(body),
                 delimiter=self._delimiter,
                 usecols=where,
@@ -116,14 +136,13 @@ class Table:
                 f"{self.path}: {error}, counted from the line after the header; "
                 "mend or remove that line"
             ) from None
-        columns: Array = numbers.T.copy()
-        return columns
+        return rows
 
 
-def _read_columns(
+def _spool_columns(
     body: memoryview, delimiter: str, width: int, where: Sequence[int], file: MappedFile
-) -> list[Array] | None:
-    """Return columns by their numbers; None if the table is small, or not of one width throughout.
+) -> Spool | None:
+    """Store columns by their numbers; None if the table is small, or not of one width throughout.
 
     Arrow reads a large table ten times as fast as numpy, and to the same bits.
     """
@@ -136,7 +155,7 @@ def _read_columns(
         return None
     labels = [str(index) for index in range(width)]
     used = [labels[index] for index in where]
-    grown = _GrowingColumns(len(used))
+    spool = Spool(len(where))
     try:
         with csv.open_csv(
             pa.BufferReader(pa.py_buffer(body)),
@@ -150,33 +169,25 @@ def _read_columns(
             ),
         ) as reader:
             for batch in reader:
-                grown.append([one.to_numpy(zero_copy_only=False) for one in batch.columns], body)
+                rows = np.empty((batch.num_rows, len(where)))
+                for into, column in zip(rows.T, batch.columns, strict=True):
+                    _copy(column, into)
+                spool.append(rows)
                 file.release()
     except pa.ArrowInvalid:
+        spool.__exit__()
         return None
-    return grown.columns()
+    return spool
 
 
-class _GrowingColumns:
-    """Columns that grow in place: room that is not used yet takes no memory."""
-
-    def __init__(self, count: int) -> None:
-        self._columns: list[Array] = [np.empty(0)] * count
-        self._size = 0
-
-    def append(self, columns: Sequence[Array], body: memoryview) -> None:
-        """Append the columns of a block of the body."""
-        first, self._size = self._size, self._size + len(columns[0])
-        if self._size > len(self._columns[0]):
-            # As many rows as the file will have if all blocks are like this one, and more
-            blocks = len(body) / BLOCK + 1.0
-            room = int(max(1.5 * blocks * len(columns[0]), 1.5 * self._size))
-            for index, column in enumerate(self._columns):
-                self._columns[index] = np.empty(room)
-                self._columns[index][:first] = column[:first]
-        for into, column in zip(self._columns, columns, strict=True):
-            into[first : self._size] = column
-
-    def columns(self) -> list[Array]:
-        """Return the columns."""
-        return [column[: self._size] for column in self._columns]
+def _copy(column: Any, into: Array) -> None:
+    """Copy a column of Arrow, with NaN where it has no number."""
+    bits, data = column.buffers()
+    first, end = column.offset, column.offset + len(column)
+    numbers = np.frombuffer(data, dtype=np.float64, count=end)[first:]
+    if not column.null_count:
+        into[:] = numbers
+        return
+    known = np.unpackbits(np.frombuffer(bits, dtype=np.uint8), count=end, bitorder="little")
+    into[:] = np.nan
+    np.copyto(into, numbers, where=known[first:].view(np.bool_))

@@ -37,6 +37,8 @@ BLOCK = 1 << 20
 """Bytes that are searched at once."""
 AT_ONCE = 1 << 14
 """Records that are read at once."""
+ROOM = 1 << 20
+"""Records that there is made room for at once."""
 _FAMILIES = {3: "ardupilot", 12: "px4"}
 """MAV_AUTOPILOT."""
 _NO_AUTOPILOT = 8
@@ -169,18 +171,22 @@ def read(path: Path) -> Tlog:
         message_id=message_id,
         damaged=damaged,
         autopilot=_find_autopilot(source, place[message_id == IDS["HEARTBEAT"]]),
-        notes=tuple(_left_out(source, place - 8, place + size)),
+        notes=tuple(_left_out(source, place, size)),
     )
 
 
-def _left_out(source: Source, starts: Stamps, ends: Stamps) -> Iterator[str]:
+def _left_out(source: Source, place: Stamps, size: npt.NDArray[np.uint16]) -> Iterator[str]:
     """Describe the bytes that are in no record."""
-    gaps = starts.copy()
-    gaps[1:] -= ends[:-1]
-    if runs := np.count_nonzero(gaps):
-        yield f"{runs} runs of damaged bytes, {int(gaps.sum())} bytes in all, were left out"
-    if rest := len(source) - int(ends[-1]):
-        tail = range(int(ends[-1]), len(source), BLOCK)
+    runs = lost = end = 0
+    for first in range(0, len(place), AT_ONCE):
+        rows = slice(first, first + AT_ONCE)
+        ends = place[rows] + size[rows]
+        gaps = place[rows] - 8 - np.append(end, ends[:-1])
+        runs, lost, end = runs + int(np.count_nonzero(gaps)), lost + int(gaps.sum()), int(ends[-1])
+    if runs:
+        yield f"{runs} runs of damaged bytes, {lost} bytes in all, were left out"
+    if rest := len(source) - end:
+        tail = range(end, len(source), BLOCK)
         is_zeros = not any(any(source.read(place, place + BLOCK)) for place in tail)
         what = "zeros" if is_zeros else "no whole record"
         yield f"the last {rest} bytes are {what}: the recording was cut off there"
@@ -196,18 +202,24 @@ def _find_records(source: Source) -> tuple[list[npt.NDArray[Any]], int]:
     found = np.empty((BLOCK // 16 + 1, 4), dtype=np.int64)
     state = array("q", [0] * tlog_search.STATE)
     kinds = (np.int64, np.int64, np.uint16, np.int32)  # small: of hours there are millions
-    parts: list[list[npt.NDArray[Any]]] = [[] for _ in kinds]
-    place, is_end = 0, False
+    columns: list[npt.NDArray[Any]] = [np.empty(0, dtype=kind) for kind in kinds]
+    count = place = 0
+    is_end = False
     while not is_end:
         block = memoryview(source.read(place, place + BLOCK))
         is_end = place + len(block) == len(source)
         tlog_search.checksum_all(block, steps, sums)
         n, after = tlog_search.find_records(block, sums, steps, moves, extras, state, found, is_end)
         found[:n, 1] += place
-        for column, kind, part in zip(found[:n].T, kinds, parts, strict=True):
-            part.append(column.astype(kind))
-        place += after
-    return [np.concatenate(parts.pop(0)) for _ in kinds], state[-1]
+        for column, numbers in zip(columns, found[:n].T, strict=True):
+            if count + n > len(column):
+                # In place: parts of it that were put together at the end would take twice the room
+                column.resize(count + n + ROOM, refcheck=False)
+            column[count : count + n] = numbers
+        count, place = count + n, place + after
+    for column in columns:
+        column.resize(count, refcheck=False)
+    return columns, state[-1]
 
 
 def _find_autopilot(source: Source, heartbeats: Stamps) -> Autopilot | None:

@@ -19,7 +19,7 @@ cdef class BlockReader:
     cdef bint has_field, is_new_field, has_held
     cdef long long peer_system, peer_component, our_system, our_component, imu_id, last_us
     cdef long long heard, believed, echoes, strangers, count, volume
-    cdef double last_pressure, mx, my, mz
+    cdef double last_pressure, heading_std, mx, my, mz
     cdef Py_ssize_t n, limit
     cdef long long[::1] heard_by_id, message_id, row, size_of, stamp_us, t_us
     cdef long long[::1] updated, instance, boot_ms, out_t, out_kind
@@ -37,8 +37,9 @@ cdef class BlockReader:
     cdef free(self)
     @cython.locals(system=cython.int, component=cython.int)
     cdef bint read_timesync(self, Py_ssize_t k) except -1
-    @cython.locals(stamp=cython.longlong, step=cython.longlong)
+    @cython.locals(stamp=cython.longlong, step=cython.longlong, is_due=bint)
     cdef bint read_attitude(self, Py_ssize_t k) except -1
+    cdef write_heading(self, long long t_ns, double yaw)
     @cython.locals(
         t_us=cython.longlong, t_ns=cython.longlong, rank=cython.int, has_field=bint, has_pressure=bint,
         row=double[::1]

@@ -1,7 +1,7 @@
 """The frames of a recording, many at once (compiled).
 
-Of a flight's frames nearly all are inertial samples that plainly follow the last, attitudes that
-are not due, and messages that nobody reads. Those are read here, from columns, to the bit as the
+Of a flight's frames nearly all are inertial samples that plainly follow the last, attitudes, and
+messages that nobody reads. Those are read here, from columns, to the bit as the
 session and its decoder read them. A frame that may change anybody's mind (a heartbeat, a command, a
 parameter, a stamp that leaps, another sensor) is left to the session.
 """
@@ -16,6 +16,7 @@ from ekf_companion.mavlink.block_columns import Columns, Frames, kinds_of
 from ekf_companion.mavlink.clock import FOREIGN
 from ekf_companion.mavlink.decode.air import HIGHEST, LOWEST, STRONGEST, WEAKEST
 from ekf_companion.mavlink.decode.decoder import HELD
+from ekf_companion.mavlink.decode.heading import wrap
 from ekf_companion.mavlink.decode.inertial import ACCEL_GYRO, MAG, PRESSURE
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.session import Session
@@ -23,7 +24,7 @@ from ekf_companion.mavlink.timebase import BACK_US, NEAR_US, SURE_US, UNIX_FROM_
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.earth import pressure_altitude
-from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.measurements import HeadingSource, Kind
 
 BYTES = cython.declare(cython.int, -1)
 ANYBODYS = cython.declare(cython.int, 0)
@@ -51,6 +52,8 @@ LARGEST_PRESSURE = cython.declare(cython.double, HIGHEST)
 IMU_KIND = cython.declare(cython.longlong, int(Kind.IMU))
 MAG_KIND = cython.declare(cython.longlong, int(Kind.MAG))
 BARO_KIND = cython.declare(cython.longlong, int(Kind.BARO))
+HEADING_KIND = cython.declare(cython.longlong, int(Kind.HEADING))
+HEADING_SOURCE = cython.declare(cython.double, float(HeadingSource.AUTOPILOT))
 
 
 class BlockReader:
@@ -136,6 +139,7 @@ class BlockReader:
         self.imu_id = decoder.context.options.imu_id
         self.is_submarine = decoder.context.is_submarine
         self.is_yaw_ours = decoder.context.is_yaw_ours
+        self.heading_std = decoder.context.options.heading_std
         self.is_begun, self.is_turned = self.trim.first_ns is not None, self.trim.rows is not None
         self.last_us, self.last_pressure = self.imu.last_us, self.baro.last
         self.has_field = len(self.mag.last) == 3
@@ -243,7 +247,7 @@ class BlockReader:
         return True
 
     def read_attitude(self, k: int) -> bool:
-        """Follow the stamp of an attitude whose heading is not due."""
+        """Follow the stamp of an attitude, and write its heading if that is due."""
         if self.main.latest_us is None or self.main.leap_us is not None or self.is_yaw_ours:
             return False
         latest = cython.declare(cython.longlong, self.main.latest_us)
@@ -253,12 +257,25 @@ class BlockReader:
             return False
         if step < 0 and self.main.behind_us is not None and stamp - self.main.behind_us >= SURE:
             return False
-        if not isfinite(self.yaw[k]) or self.heading_sources.rank != 0:
-            return False
-        if self.pace.is_due(stamp * 1000):
+        is_due = self.pace.is_due(stamp * 1000)
+        if not isfinite(self.yaw[k]) or self.heading_sources.rank != 0 or (is_due and step < 0):
             return False
         self.clock.advance_boot_ms(self.boot_ms[k])
-        return self.heading_sources.admit(0, stamp * 1000)
+        self.heading_sources.admit(0, stamp * 1000)
+        if is_due:
+            self.write_heading(stamp * 1000, self.yaw[k])
+        return True
+
+    def write_heading(self, t_ns: int, yaw: float) -> None:
+        """Write a heading of the autopilot's."""
+        if self.has_held:
+            self.free()
+        self.pace.admit(t_ns)
+        self.begin_row(t_ns, HEADING_KIND)
+        self.out[self.n, 0] = wrap(yaw)
+        self.out[self.n, 1] = self.heading_std
+        self.out[self.n, 2] = HEADING_SOURCE
+        self.n += 1
 
     def read_inertial(self, k: int) -> bool:
         """Read a sample that plainly follows the last, with what came with it."""

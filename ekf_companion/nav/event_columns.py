@@ -40,17 +40,53 @@ class EventColumns:
         return EventColumns(self.t_ns, self.kind, *turned)
 
 
-class MergedEvents(Events):
-    """Events of several kinds in the order of their arrival; rows are made when they are used."""
+class LazyEvents(Events):
+    """Events whose rows are made when they are used."""
 
-    __slots__ = ("_firsts", "_order", "_tables", "_whole")
+    __slots__ = ("_whole",)
+    _whole: Events | None
+
+    def __init__(self) -> None:
+        object.__setattr__(self, "_whole", None)  # the class is frozen
+
+    def _make_all(self) -> Events:
+        """Return all rows."""
+        raise NotImplementedError
+
+    def _all(self) -> Events:
+        """Return all rows; from now on they stay in memory."""
+        if self._whole is None:
+            object.__setattr__(self, "_whole", self._make_all())
+        assert self._whole is not None
+        return self._whole
+
+    @property
+    def t_ns(self) -> Stamps:
+        """Stamps, shape (n,)."""
+        return self._all().t_ns
+
+    @property
+    def kind(self) -> Indices:
+        """``Kind``, shape (n,)."""
+        return self._all().kind
+
+    @property
+    def values(self) -> Array:
+        """Rows in the layout of the measurements' ``row()``, shape (n, WIDTH)."""
+        return self._all().values
+
+
+class MergedEvents(LazyEvents):
+    """Events of several kinds in the order of their arrival."""
+
+    __slots__ = ("_firsts", "_order", "_tables")
     _firsts: Indices
     _order: npt.NDArray[np.integer]
     _tables: list[EventColumns]
-    _whole: Events | None
 
     def __init__(self, tables: Sequence[EventColumns], arrivals: Sequence[npt.ArrayLike]) -> None:
         """Merge tables by arrival; ties keep the order of the tables."""
+        super().__init__()
         found = list(tables)
         arrival = np.concatenate([np.asarray(one) for one in arrivals])
         is_small = len(arrival) < 1 << 31
@@ -60,7 +96,6 @@ class MergedEvents(Events):
         set_once(self, "_tables", found)
         set_once(self, "_order", order.astype(np.int32) if is_small else order)
         set_once(self, "_firsts", firsts)
-        set_once(self, "_whole", None)
 
     def __len__(self) -> int:
         return len(self._order)
@@ -81,25 +116,5 @@ class MergedEvents(Events):
                 values[rows, column] = numbers[at] if numbers.ndim else numbers
         return Events(t_ns=t_ns, kind=kind, values=values)
 
-    def _all(self) -> Events:
-        """Return all rows; from now on they stay in memory."""
-        if self._whole is None:
-            whole = self.take(np.arange(len(self)))
-            object.__setattr__(self, "_whole", whole)
-            return whole
-        return self._whole
-
-    @property
-    def t_ns(self) -> Stamps:
-        """Stamps, shape (n,)."""
-        return self._all().t_ns
-
-    @property
-    def kind(self) -> Indices:
-        """``Kind``, shape (n,)."""
-        return self._all().kind
-
-    @property
-    def values(self) -> Array:
-        """Rows in the layout of the measurements' ``row()``, shape (n, WIDTH)."""
-        return self._all().values
+    def _make_all(self) -> Events:
+        return self.take(np.arange(len(self)))

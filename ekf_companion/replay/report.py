@@ -89,7 +89,10 @@ def add_block(report: Report, events: Events, table: Table) -> None:
         chosen = (events.kind == kind) & ~derived
         count = int(np.count_nonzero(chosen))
         report.counts[kind] += count
-        steps = np.diff(np.unique(events.t_ns[chosen]))
+        t_ns = events.t_ns[chosen]
+        steps = np.diff(t_ns)
+        if not (steps > 0).all():
+            steps = np.diff(np.unique(t_ns))
         if len(steps):
             medians = report.steps.setdefault(kind, [])
             medians.append(float(np.median(steps)))

@@ -4,7 +4,7 @@ The events are run through the pipeline in order of arrival. What leaves its win
 order of time; it is stored in stretches of a few seconds, each with the filter's state at its
 start. Then the stretches are processed from the last to the first: forward once more from that
 state, with a tape, and back over the tape. So memory holds one tape, however long the recording;
-many rows and results are stored in temporary files.
+many rows, states and results are stored in temporary files.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ekf_companion.replay.run import BlockPipeline
 
 _EVENT = np.dtype(Event)
 STRETCH = 512
-"""Rows of a stretch: 4 kB of state for 60 kB of rows, a tape of 10 MB."""
+"""Rows of a stretch: 15 kB of state for 60 kB of rows, a tape of 10 MB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -38,8 +38,8 @@ class _Stretch:
     """Number of the clock run: stretches of two runs do not follow each other."""
     epoch: int
     """Added to the rows' times, ns."""
-    block: Array
-    """The filter's state before the rows, shape (BLOCK,)."""
+    number: int
+    """Of its state before the rows, among those stored."""
     first: int
     """Index of its first row among those stored."""
     count: int
@@ -60,13 +60,14 @@ class Smoothing(BlockPipeline):
     ) -> None:
         """Start without events; settings as for :class:`ekf_companion.engine.pipeline.Pipeline`.
 
-        Beyond ``in_memory`` bytes of rows, and of results, a temporary file holds them.
+        Beyond ``in_memory`` bytes of rows, of results and of states, a temporary file holds them.
         """
         super().__init__(settings, family, gnss_delay, keeps_history=True)
         self._smoother = Smoother(parameters(settings, family))
         self._lag_ns = int(delays_ns(settings, family, gnss_delay)[Kind.IMU])
         self._final = Spool(ROW, in_memory)
         self._results = Spool(1 + OUT, in_memory)
+        self._blocks = Spool(BLOCK, in_memory)
         self._stretches: list[_Stretch] = []
         self._waiting: list[Array] = []
         self._clock = -1
@@ -77,9 +78,9 @@ class Smoothing(BlockPipeline):
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Delete the rows and results stored."""
-        self._final.__exit__()
-        self._results.__exit__()
+        """Delete the rows, results and states stored."""
+        for spool in (self._final, self._results, self._blocks):
+            spool.__exit__()
 
     def run(self, events: Events) -> Table:
         """Process events in order of arrival, and return the live estimates."""
@@ -103,7 +104,8 @@ class Smoothing(BlockPipeline):
         for stretch in reversed(self._stretches):
             is_last = after is None or after.clock != stretch.clock
             rows = self._final.read(stretch.first, stretch.count)
-            blocks = self._smoother.smooth(stretch.block, rows, None if is_last else later)
+            block = self._blocks.read(stretch.number, 1)[0]
+            blocks = self._smoother.smooth(block, rows, None if is_last else later)
             later, after = blocks[0], stretch
             self._store_results(stretch, rows, blocks[1:])
             if progress is not None:
@@ -157,13 +159,14 @@ class Smoothing(BlockPipeline):
             _Stretch(
                 clock=self._clock,
                 epoch=self._epoch,
-                block=self._block,
+                number=len(self._blocks),
                 first=len(self._final),
                 count=len(rows),
                 samples=int(np.count_nonzero(rows.view(_EVENT)["kind"] == Kind.IMU)),
             )
         )
         self._final.append(rows)
+        self._blocks.append(self._block[None])
         self._block = self._smoother.advance(self._block, rows)
 
 

@@ -2,7 +2,10 @@
 
 import os
 import signal
+import tempfile
 from pathlib import Path
+
+from ekf_companion.logs import source
 
 
 def kill_at_b(log: Path) -> dict[str, str]:
@@ -16,4 +19,17 @@ def stumble_at_b(log: Path) -> dict[str, str]:
     """Fail by a bug at one log."""
     if log.name == "b":
         raise ZeroDivisionError("by nothing")
+    return {"why": "examined"}
+
+
+def cut_at_b(log: Path) -> dict[str, str]:
+    """Read a mapped file that somebody cuts short meanwhile."""
+    if log.name == "b":
+        source.LARGE = 1
+        with tempfile.NamedTemporaryFile() as file:
+            file.write(bytes(1 << 20))
+            file.flush()
+            mapped = source.MappedFile(Path(file.name), "log")
+            file.truncate(10)
+            return {"why": f"{sum(mapped.data)} bytes"}
     return {"why": "examined"}

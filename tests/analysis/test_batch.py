@@ -185,6 +185,8 @@ def test_progress_counts_the_bytes_of_the_logs(folder, tmp_path):
     ("task", "jobs", "words"),
     [
         (batch_tasks.kill_at_b, 2, "the process that read it was killed"),
+        (batch_tasks.cut_at_b, 2, "the process that read it was killed"),
+        (batch_tasks.cut_at_b, 1, "the process that read it was killed"),
         (batch_tasks.stumble_at_b, 1, "a bug: ZeroDivisionError: by nothing"),
     ],
 )

@@ -59,6 +59,18 @@ def test_any_order_of_arrival_inside_the_window_gives_the_same_bits(seed, reach)
 
 
 @settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), late=st.floats(0.02, 0.3), farther=st.floats(0.3, 1.7))
+def test_a_late_stream_and_events_far_behind_it_give_the_same_bits(seed, late, farther):
+    # Each kind comes steadily late: the next one is expected. Now and then one comes from far back.
+    events = some_events()
+    rng = np.random.default_rng(seed)
+    delay = np.where(events.kind == Kind.IMU, 0.0, late) + rng.uniform(0.0, 0.012, len(events))
+    delay[rng.choice(len(events), 30)] = farther
+    shuffled = events.take(np.argsort(events.t_ns + delay * 1e9, kind="stable"))
+    assert settled(a_timeline(), shuffled) == IN_ORDER
+
+
+@settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_duplicates_change_nothing(seed):
     rng = np.random.default_rng(seed)

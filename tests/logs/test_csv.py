@@ -317,3 +317,27 @@ def test_a_packed_file_is_read_with_the_map_of_the_one_within(tmp_path, suffix):
     path.write_bytes(pack(b"millis,h\n1000,7\n2000,8\n" * 100)[:-20])
     with pytest.raises(LogError, match=r"log\.csv\.(gz|zst): cannot be unpacked"):
         open_log(path)
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 64])
+@pytest.mark.parametrize("hold", ["[]", "[gps, mag, baro]"])
+def test_a_table_has_the_same_events_however_many_rows_are_read_at_once(
+    read, monkeypatch, at_once, hold
+):
+    rng = np.random.default_rng(11)
+    lines = ["time_us,gyro_x_rps,gyro_y_rps,gyro_z_rps,accel_x_mps2,accel_y_mps2,accel_z_mps2"]
+    lines[0] += ",mag_x_gauss,mag_y_gauss,mag_z_gauss,baro_alt_m,gps_lat_deg,gps_lon_deg,gps_alt_m"
+    for n in range(500):
+        time = "" if n % 97 == 5 else str(4000 * n + (90_000_000_000 if n in (200, 201) else 0))
+        mag = f"0.{2 + n // 9},0.1,0.4" if n % 31 else ",,"
+        alt = "" if n % 13 == 7 else str(5 + n // 10)
+        gps = f"{47 + n // 20 * 1e-5},8.5,500" if n % 50 else ",,"
+        lines.append(f"{time},{rng.normal()},0,0,0,0,-9.8,{mag},{alt},{gps}")
+    text = "\n".join(lines) + "\n"
+    whole = read(text, beside=f"hold: {hold}\n")
+    monkeypatch.setattr(csv, "AT_ONCE", at_once)
+    parts = read(text, beside=f"hold: {hold}\n")
+    assert parts.notes == whole.notes
+    assert any("rows without a time" in note for note in whole.notes)
+    for name in ("t_ns", "kind", "values"):
+        assert getattr(parts.events, name).tobytes() == getattr(whole.events, name).tobytes()

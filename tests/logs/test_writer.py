@@ -11,7 +11,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
 from ekf_companion.logs.csv_writer import Writer as CsvWriter
 from ekf_companion.logs.writer import create
-from ekf_companion.nav.state import COLUMNS, Table
+from ekf_companion.nav.state import COLUMNS, Status, Table
 from ekf_companion.replay.convert import convert
 from sim_autopilot.__main__ import app as simulator
 
@@ -67,3 +67,31 @@ def test_ctrl_c_leaves_no_file(tmp_path, suffix):
     with pytest.raises(KeyboardInterrupt):
         convert(log, out, Config(), progress=interrupt)
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_line_has_each_number_to_the_bit_and_no_cell_for_what_is_unknown(tmp_path):
+    rng = np.random.default_rng(7)
+    values = (
+        rng.standard_normal((3000, len(COLUMNS) - 1))
+        * 10.0 ** rng.integers(-300, 300, 3000)[:, None]
+    )
+    values[rng.random(values.shape) < 0.1] = np.nan
+    values[:40, :-2] = np.nan
+    values[50:60, 3] = -0.0
+    values[:, -2] = rng.integers(0, len(Status), 3000)
+    values[:, -1] = np.arange(3000) // 700
+    stamps = np.concatenate([[-7_000, 0], np.arange(1, 2999) * 4_000_000])
+    with CsvWriter(tmp_path / "out.csv") as writer:
+        writer.write(Table(stamp_ns=stamps, values=values))
+    header, *lines = (tmp_path / "out.csv").read_text().split("\n")
+    assert header.split(",") == COLUMNS
+    assert lines.pop() == ""
+    cells = [line.split(",") for line in lines]
+    assert [int(row[0]) for row in cells] == (stamps // 1000).tolist()
+    read = np.array([[float(cell or "nan") for cell in row[1:-2]] for row in cells])
+    unknown = np.isnan(values[:, :-2])
+    assert (np.isnan(read) == unknown).all()
+    assert np.where(unknown, 0.0, read).tobytes() == np.nan_to_num(values[:, :-2]).tobytes()
+    assert [row[-2:] for row in cells] == [
+        [Status(int(status)).name.lower(), str(int(resets))] for status, resets in values[:, -2:]
+    ]

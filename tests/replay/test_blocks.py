@@ -8,7 +8,7 @@ import pytest
 from ekf_companion.config.config import Config
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
-from ekf_companion.mavlink.messages import LAYOUTS
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.replay.run import IdlePipeline, Run
 from sim_autopilot.autopilot import Kind as Firmware
@@ -135,6 +135,20 @@ def stuck(firmware):
         yield t_us, sender.message("HIGHRES_IMU", **(said | kept))
 
 
+def late_at_the_end(firmware):
+    """Yield a flight whose last sample came late, with an attitude behind it that is not due."""
+    sender = Sender(1, 1)
+    for n, (t_us, frame) in enumerate(flown(firmware)):
+        yield t_us, frame.raw
+        if n > 5000 and frame.message_id == IDS["HIGHRES_IMU"]:
+            break
+    said = unpack(frame)._asdict()
+    now_ms = said["time_usec"] // 1000
+    yield t_us, sender.message("ATTITUDE", time_boot_ms=now_ms, yaw=0.1)
+    yield t_us, sender.message("HIGHRES_IMU", **(said | {"time_usec": said["time_usec"] - 9_000}))
+    yield t_us, sender.message("ATTITUDE", time_boot_ms=now_ms + 4, yaw=0.1)
+
+
 def run(path, in_blocks):
     """Return all measurements of a recording, and the counts."""
     one = Run(path, Config(), IdlePipeline)
@@ -162,7 +176,7 @@ def check(frames, tmp_path) -> Events:
 
 
 @pytest.mark.parametrize("firmware", [Firmware.PX4, Firmware.ARDUPILOT])
-@pytest.mark.parametrize("flight", [mixed, rebooted, stuck])
+@pytest.mark.parametrize("flight", [mixed, rebooted, stuck, late_at_the_end])
 def test_blocks_give_what_the_frames_give_one_by_one(flight, firmware, tmp_path):
     check(flight(firmware), tmp_path)
 
