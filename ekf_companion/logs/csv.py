@@ -53,7 +53,7 @@ from ekf_companion.logs.csv_columns import (
     from_header,
     from_map,
 )
-from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.recording import Damage, Recording
 from ekf_companion.logs.table import Table
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
@@ -94,8 +94,14 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     table = Table(path, delimiter)
     entries = {key: columns[key] for key in columns if key not in OPTIONS}
     notes: list[str] = []
+    zero_height = 0.0
     if not entries and (known := csv_known.find(table.names)) is not None:
         where, notes = str(path), [f"header of {known.name}: read without a map"]
+        if zero_height := known.zero_height:
+            notes.append(
+                f"the file's height of zero is put at {zero_height:.1f} m above mean sea level, "
+                "where gravity is the simulation's: altitudes of the estimate are larger by that"
+            )
         entries = {key: known.columns[key] for key in known.columns if key not in OPTIONS}
         options = {key: known.columns[key] for key in OPTIONS if key in known.columns} | options
     if entries:
@@ -108,7 +114,9 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
         raise LogError(f"{where}: hold: {hold!r} is not a list of {', '.join(_HOLDABLE)}")
     values = _values(table, sources)
     del table  # of an hour it has a hundred megabytes
+    total = len(values["time"])
     t_ns, row, values = _in_time(path, sources, values, notes)
+    lost = total - len(t_ns)
     has_std = "heading_std" in values or "heading" not in values
     constant = {name for name, source in sources.items() if source.column is None}
     gnss, heading, mag, baro, imu = (
@@ -130,6 +138,8 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
         family="unknown",
         events=MergedEvents([found for found, _ in events], arrivals),
         notes=tuple(notes),
+        damage=Damage(f"{lost} rows dropped", lost / total) if lost else Damage(),
+        zero_height=zero_height,
     )
 
 
