@@ -69,8 +69,9 @@ class Judgement:
     @property
     def sentence(self) -> str:
         """The judgement as one sentence: ``good: 0.4 m, no resets``."""
-        words = [self.size] if self.size else []
-        words += [*(self.reasons or ("no resets",)), *self.aside]
+        words = [*(self.reasons or ("no resets",)), *self.aside]
+        if self.size:
+            words.insert(1 if self.grade == "slow" else 0, self.size)
         return f"{self.grade}: {', '.join(words)}"
 
 
