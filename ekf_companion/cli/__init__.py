@@ -37,7 +37,7 @@ COMMANDS = {
     "preflight": _Entry(
         "preflight",
         "preflight",
-        "Report if the vehicle may take off. Exit code: 0 ready, 5 not, 6 armed already, 4 no answer.",
+        "Report if the vehicle may take off. Exit code: 0 ready, 5 not, 6 armed, 4 no answer.",
     ),
     "reload": _Entry(
         "reload",

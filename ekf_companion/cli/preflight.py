@@ -27,7 +27,7 @@ def preflight(
         float, typer.Option(min=0.0, help="Seconds to wait for a vehicle that is not ready yet.")
     ] = 0.0,
 ) -> None:
-    """Report if the vehicle may take off. Exit code: 0 ready, 5 not, 6 armed already, 4 no answer."""
+    """Report if the vehicle may take off. Exit code: 0 ready, 5 not, 6 armed, 4 no answer."""
     end_s, said = time.monotonic() + wait, [""]
     while True:
         code, verdict = _ask(url)
