@@ -229,6 +229,14 @@ def test_the_page_begins_with_the_verdicts_and_where_the_vehicle_is(data):
     assert re.search(r"^heading +\d s  HIGHRES_IMU, magnetometer", page(data), re.MULTILINE)
 
 
+def test_a_vehicle_that_moves_has_not_lost_its_rest(data):
+    aids = data["vehicle"]["aids"]
+    gone = {**aids["rest"], "state": "lost"}
+    moving = {**data, "vehicle": {**data["vehicle"], "aids": {**aids, "rest": gone}}}
+    (line,) = [line for line in page(moving).splitlines() if line.startswith("rest ")]
+    assert line.split()[1] == "moving"
+
+
 def test_in_brief_it_fits_80_by_24_also_with_a_long_verdict(data):
     reasons = "; ".join(f"a reason of usual length, the {number}th" for number in range(4))
     told = {**data, "preflight": {**data["preflight"], "sentence": f"not ready: {reasons}"}}
