@@ -41,7 +41,7 @@ h1 { font-size: 1.25em; margin: 0; } h2 { font-size: 1.05em; margin: 1.6em 0 .3e
          grid-template-columns: repeat(auto-fit, minmax(min(100%, 520px), 1fr)); }
 pre { white-space: pre-wrap; overflow-wrap: anywhere; background: #f4f6f6; padding: .7em;
       font-size: .85em; }
-.plots > div { min-width: 0; }
+.plots { overflow-x: clip; } .plots > div { min-width: 0; }
 .when { color: #566573; margin: .1em 0; overflow-wrap: anywhere; } h1 { overflow-wrap: anywhere; }
 button { font: inherit; padding: .3em .9em; border: 1px solid #aeb6bf; border-radius: 4px;
          background: #fdfefe; color: inherit; cursor: pointer; }
@@ -177,6 +177,8 @@ def _track(review: FlightReview, sheet: Sheet) -> list[Any]:
     frame = LocalFrame(float(first.lat[0]), float(first.lon[0]), 0.0)
     options = {"match_aspect": True, "height": TALL}
     plot = sheet.figure("track", "north, m", across="east, m", **options)
+    for axis in plot.axis:
+        axis.formatter.power_limit_high = 7  # 1000000 m rather than 1.000e+6
     if len(review.fixes):
         values = review.fixes.values
         some = slice(None, None, -(-len(values) // POINTS))

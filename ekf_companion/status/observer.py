@@ -153,7 +153,7 @@ _COPIES = 11
 """Kept: they span five seconds."""
 PAST_NS = SECOND_NS
 PAST = 120
-"""Between two estimates that are kept for a page that opens, and how many are: 0.1 MB."""
+"""Between two estimates that are kept for a page that opens, and how many are: 0.2 MB."""
 _ODOMETRY = "ODOMETRY"
 
 

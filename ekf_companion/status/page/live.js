@@ -145,7 +145,7 @@ function showState(status) {
 
 /** The verdict before take-off; after it, whether all works. */
 function showPreflight({ health, peer, preflight }) {
-  const isAsked = preflight && !(peer?.is_armed && peer.is_heard);
+  const isAsked = preflight && !peer?.is_armed;
   const isGood = isAsked ? preflight.ready : health.is_ok;
   const kind = !health.is_healthy ? "bad" : isGood ? "good" : "wait";
   if (!isAsked) return showVerdict(kind, health.words);
