@@ -97,13 +97,14 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     zero_height = 0.0
     if not entries and (known := csv_known.find(table.names)) is not None:
         where, notes = str(path), [f"header of {known.name}: read without a map"]
-        if zero_height := known.zero_height:
+        entries = {key: known.columns[key] for key in known.columns if key not in OPTIONS}
+        options = {key: known.columns[key] for key in OPTIONS if key in known.columns} | options
+        if known.zero_height and options["origin"] == known.columns["origin"]:
+            zero_height = known.zero_height
             notes.append(
                 f"the file's height of zero is put at {zero_height:.1f} m above mean sea level, "
                 "where gravity is the simulation's: altitudes of the estimate are larger by that"
             )
-        entries = {key: known.columns[key] for key in known.columns if key not in OPTIONS}
-        options = {key: known.columns[key] for key in OPTIONS if key in known.columns} | options
     if entries:
         sources = {name: from_map(where, name, entry) for name, entry in entries.items()}
     else:

@@ -18,6 +18,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.nav.state import Table
 from sim_autopilot.__main__ import app as simulator
 from tests.browser import chromium
+from tests.logs.test_csv_known import SENSORS
 
 LARGEST = 3_000_000
 DRAWN = "window.Bokeh?.documents.length > 0 && document.querySelector('.bk-Figure') !== null"
@@ -138,6 +139,19 @@ def test_without_a_position_of_ours_nothing_of_the_autopilots_is_in_our_colour(f
     drawn = {one.glyph.line_color for one in plot.renderers if hasattr(one.glyph, "line_color")}
     assert report_page._OURS not in drawn
     assert report_page._AUTOPILOT in drawn
+
+
+def test_heights_of_a_made_up_place_are_those_of_its_file(tmp_path):
+    rows = []
+    for index in range(400):
+        fix = "1,0,0,110,0,0,0" if index % 10 == 0 else "0,NaN,NaN,NaN,NaN,NaN,NaN"
+        rows.append(f"{index / 10},0,0,0,0,0,-9.81,1,0,0,{0.1 * (index % 2)},{fix}")
+    path = tmp_path / "uavSensors.csv"
+    path.write_text("\n".join([SENSORS.partition("\n")[0], *rows, ""]))
+    found = review(path, Config())
+    assert found.ours.alt == pytest.approx(110.0, abs=5.0)
+    assert not found.has_sea_level
+    assert '"height as the file counts it' in report_page.page(found)
 
 
 def test_two_boots_are_drawn_one_after_another(flown, tmp_path):
