@@ -38,6 +38,7 @@ from ekf_companion.status.collect import (
 from ekf_companion.status.host import Host
 from ekf_companion.status.judge import BARREN_S, judge
 from ekf_companion.status.live import live
+from ekf_companion.status.past import Past
 from ekf_companion.status.preflight import UNJUDGED, check
 from ekf_companion.status.snapshot import (
     MessageState,
@@ -151,9 +152,6 @@ PERIOD_NS = SECOND_NS // 2
 """Between two copies of the counters."""
 _COPIES = 11
 """Kept: they span five seconds."""
-PAST_NS = SECOND_NS
-PAST = 120
-"""Between two estimates that are kept for a page that opens, and how many are: 0.2 MB."""
 _ODOMETRY = "ODOMETRY"
 
 
@@ -207,8 +205,7 @@ class Observer:
         self._begin_ns = self._tick_ns = clock()
         self._next_ns = 0
         self._history: deque[_Counters] = deque(maxlen=_COPIES)
-        self._past: deque[tuple[int, bytes]] = deque(maxlen=PAST)
-        """Our time, ns, and the newest estimate then as the page takes it."""
+        self._past = Past()
         self._bytes_in = 0
         self._heard_ns: int | None = None
         self._stamp_ns: int | None = None
@@ -271,8 +268,7 @@ class Observer:
         self._history.append(self._counters(now_ns))
         self._longest_ns = 0
         self._note_changes(now_ns)
-        if not self._past or now_ns - self._past[-1][0] >= PAST_NS:
-            self._past.append((now_ns, self.live()))
+        self._past.keep(now_ns, self.live)
         if (pipeline := self._companion.pipeline) is not None:
             self._nis.update(pipeline, now_ns)
             self._progress.update(pipeline, now_ns)
@@ -318,13 +314,8 @@ class Observer:
         return live(self._companion, seconds_since(self._sampled_ns, now_ns), now_ns)
 
     def past(self) -> bytes:
-        """Return the estimates of the last two minutes as JSON, for a page that opens.
-
-        A list of ``[age in s, estimate]``, the oldest first.
-        """
-        now_ns = self._clock()
-        rows = (b"[%.1f,%s]" % ((now_ns - at_ns) * 1e-9, text) for at_ns, text in self._past)
-        return b"[%s]" % b",".join(rows)
+        """Return the estimates of the last two minutes as JSON, for a page that opens."""
+        return self._past.to_json(self._clock())
 
     def snapshot(self, host: Host) -> Snapshot:
         """Return the state at this moment; takes about 0.1 ms.

@@ -18,7 +18,7 @@ from ekf_companion.link.address import parse_url
 from ekf_companion.link.link import Link
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.nav.state import Status
-from ekf_companion.status import observer
+from ekf_companion.status import past
 from ekf_companion.status.host import Host, read_host
 from ekf_companion.status.judge import judge, to_json
 from ekf_companion.status.observer import BUCKETS_MS, Latency, Observer
@@ -406,11 +406,11 @@ def test_the_memory_is_this_process_own():
 
 
 def test_the_last_estimates_are_kept_one_a_second_for_a_page_that_opens(monkeypatch):
-    monkeypatch.setattr(observer, "PAST", 5)
+    monkeypatch.setattr(past, "KEPT", 5)
     watched = Watched().fly(9.0)
-    past = json.loads(watched.observer.past())
-    assert len(past) == 5
-    ages = [age_s for age_s, _ in past]
+    kept = json.loads(watched.observer.past())
+    assert len(kept) == 5
+    ages = [age_s for age_s, _ in kept]
     assert [round(older - newer) for older, newer in pairwise(ages)] == [1, 1, 1, 1]
-    assert past[-1][1]["lat_deg"] == pytest.approx(past[0][1]["lat_deg"], abs=1e-4)
-    assert all(live["age_s"] < 0.1 for _, live in past)
+    assert kept[-1][1]["lat_deg"] == pytest.approx(kept[0][1]["lat_deg"], abs=1e-4)
+    assert all(live["age_s"] < 0.1 for _, live in kept)
