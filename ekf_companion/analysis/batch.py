@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ekf_companion.analysis import difference, score
+from ekf_companion.analysis import score
+from ekf_companion.analysis.judgement import judge_log
 from ekf_companion.config.config import Config
 from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.logs import csv_known
@@ -18,7 +19,6 @@ from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status, Table, Trajectory
 from ekf_companion.replay import convert
 from ekf_companion.replay.report import Report
-from ekf_companion.replay.verdict import judge
 
 Row = dict[str, str | int | float | None]
 """What is found of one log, by column; None: not known."""
@@ -144,6 +144,6 @@ def _found(
             for name, (field, scale) in _ERRORS.items():
                 if (spread := getattr(found, field)) is not None:
                     yield f"{whose}_{name}", spread.rms * scale
-    judgement = judge(report, difference.of_flight(estimate, truth, own))
+    judgement = judge_log(report)
     yield from {"grade": judgement.grade, "verdict": judgement.sentence}.items()
     yield "notes", "; ".join(report.notes)

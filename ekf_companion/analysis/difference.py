@@ -45,25 +45,6 @@ def in_position(
     return found.at_ns, found.difference(mine, theirs)
 
 
-def of_flight(
-    estimate: Trajectory, truth: Trajectory | None, own: Trajectory | None
-) -> tuple[float, str, bool] | None:
-    """Return how far an estimate is from the truth of its log, else from the autopilot's own.
-
-    That is the horizontal RMS, m, the name of what it is compared with, and whether that is the
-    truth; None: there is no position to compare with.
-    """
-    named = ((truth, "the truth"), (own, "the autopilot's own estimate"))
-    for other, name in named:
-        if other is None or not len(estimate.pos_t_ns) or not len(other.pos_t_ns):
-            continue
-        span = (int(estimate.pos_t_ns[0]) + SETTLED_NS, int(estimate.pos_t_ns[-1]))
-        found = in_position(estimate, other, span)
-        if found is not None and len(found[0]):
-            return rms(np.hypot(found[1][:, 0], found[1][:, 1])), name, other is truth
-    return None
-
-
 def in_velocity(
     estimate: Trajectory, reference: Trajectory, span: Span = ALWAYS
 ) -> tuple[Stamps, Array] | None:

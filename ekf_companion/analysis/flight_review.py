@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ekf_companion.analysis import difference
+from ekf_companion.analysis.judgement import judge_log
 from ekf_companion.config.config import Config
 from ekf_companion.core.from_settings import delays_ns
 from ekf_companion.logs.estimate import of_table
+from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind, merge
 from ekf_companion.nav.state import SIGMA, VELOCITY, Status, Table, Trajectory, join
-from ekf_companion.replay.log_source import reference, truth
 from ekf_companion.replay.report import Report
-from ekf_companion.replay.run import Progress, Run
-from ekf_companion.replay.verdict import Judgement, judge
+from ekf_companion.replay.run import Block, Progress, Run
+from ekf_companion.replay.stretches import Stretches, of_events
+from ekf_companion.replay.verdict import Judgement
 from ekf_companion.replay.watched import Look, WatchedPipeline
 
 SEGMENT = 1024
@@ -65,6 +67,17 @@ class FlightReview:
     innovations: Innovations | None
     looks: tuple[Look, ...]
     spectra: Spectra | None
+    begins_ns: tuple[int, ...] = ()
+    """Where the autopilot's clock began anew: all stamps are on one that runs on there."""
+    began_s: float | None = None
+    """When the recording began, s since 1970, UTC; None: the log does not say."""
+    has_sea_level: bool = True
+    """Whether heights are above mean sea level; else as a file with a place of its own counts."""
+
+    @property
+    def duration(self) -> float:
+        """Seconds that are estimated."""
+        return sum(self.report.seconds.values())
 
     def to_dict(self) -> dict[str, Any]:
         """Return the verdict and the numbers for JSON."""
@@ -78,8 +91,19 @@ class FlightReview:
         }
 
 
-def review(path: Path, config: Config, progress: Progress | None = None) -> FlightReview:
+def review(
+    path: Path,
+    config: Config,
+    progress: Progress | None = None,
+    truth: Trajectory | None = None,
+) -> FlightReview:
     """Run the estimator over a log, and collect what a report shows of it.
+
+    Args:
+        path: The log.
+        config: The estimator's configuration.
+        progress: Called with how much is done.
+        truth: From a file beside the log; None: the log's own, where it holds one.
 
     Raises:
         LogError: The log cannot be read, or nothing can be estimated from it.
@@ -87,29 +111,71 @@ def review(path: Path, config: Config, progress: Progress | None = None) -> Flig
     run = Run(path, config, WatchedPipeline)
     blocks = list(run.blocks(progress))
     report = run.finish()
-    table = join([block.table for block in blocks])
-    arrival = [np.zeros(len(block.events), dtype=np.int64) for block in blocks]
-    events = merge(*(block.events for block in blocks), arrival_ns=arrival)
-    ours = of_table(table, "ekf-companion")
-    true = truth(run.log)
-    own = reference(run.log)
-    others = tuple(one for one in (true, own) if one is not None)
+    report.truth = truth or report.truth
+    stretches = report.track.stretches
+    shifts_ns = stretches.shifts_ns()
+    table, events = _on_one_clock(blocks, shifts_ns)
+    zero = run.log.zero_height if isinstance(run.log, Recording) else 0.0
+    others = [one for one in (report.truth, report.own) if one is not None]
+    shift_ns = int(shifts_ns[stretches.longest])
     pipelines = run.pipelines
+    looks = [look for pipeline in pipelines for look in pipeline.looks]
     family = pipelines[-1].family if pipelines else "unknown"
     late_ns = int(delays_ns(config, family, run.gnss_delay)[Kind.GNSS])
     fixes = events.take((events.kind == Kind.GNSS) & known_rows(events.values[:, :3]))
     fixes = fixes.take(fixes.values[:, 10] != GnssFlag.DERIVED) if len(fixes) else fixes
     return FlightReview(
         name=path.name,
-        judgement=judge(report, difference.of_flight(ours, true, own)),
+        judgement=judge_log(report),
         report=report,
         table=table,
-        ours=ours,
-        others=others,
+        ours=_moved(of_table(table, "ekf-companion"), 0, zero),
+        others=tuple(_moved(one, shift_ns, zero) for one in others),
         fixes=fixes,
         innovations=_innovations(table, fixes, late_ns),
-        looks=tuple(look for pipeline in pipelines for look in pipeline.looks),
+        looks=tuple(_looks_on_one_clock(looks, shifts_ns)),
         spectra=_spectra(events),
+        begins_ns=tuple(
+            one.first_ns + int(shift)
+            for one, shift in zip(stretches.found[1:], shifts_ns[1:], strict=True)
+        ),
+        began_s=run.log.began_s,
+        has_sea_level=zero == 0.0,
+    )
+
+
+def _on_one_clock(blocks: Sequence[Block], shifts_ns: Stamps) -> tuple[Table, Events]:
+    """Return estimates and events, those after a reboot behind those before it."""
+    stretches = Stretches()
+    tables: list[Table] = []
+    parts: list[Events] = []
+    for block in blocks:
+        first = max(len(stretches.found) - 1, 0)
+        t_ns = block.table.stamp_ns
+        t_ns = t_ns + shifts_ns[stretches.add(t_ns)]
+        tables.append(Table(stamp_ns=t_ns, values=block.table.values))
+        events, last = block.events, max(len(stretches.found) - 1, 0)
+        t_ns = events.t_ns + shifts_ns[of_events(events, first, last)]
+        parts.append(Events(t_ns=t_ns, kind=events.kind, values=events.values))
+    arrival = [np.zeros(len(part), dtype=np.int64) for part in parts]
+    return join(tables), merge(*parts, arrival_ns=arrival)
+
+
+def _looks_on_one_clock(looks: Sequence[Look], shifts_ns: Stamps) -> Iterator[Look]:
+    """Yield what the filter did in each second, likewise."""
+    stretches = Stretches().add(np.array([look.t_ns for look in looks], dtype=np.int64))
+    for look, stretch in zip(looks, stretches.tolist(), strict=True):
+        yield replace(look, t_ns=look.t_ns + int(shifts_ns[min(stretch, len(shifts_ns) - 1)]))
+
+
+def _moved(one: Trajectory, later_ns: int, lower: float) -> Trajectory:
+    """Return a trajectory that is so much later and lower."""
+    return replace(
+        one,
+        pos_t_ns=one.pos_t_ns + later_ns,
+        vel_t_ns=one.vel_t_ns + later_ns,
+        att_t_ns=one.att_t_ns + later_ns,
+        alt=one.alt - lower,
     )
 
 

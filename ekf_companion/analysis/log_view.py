@@ -20,7 +20,8 @@ MOMENTS = 6000
 """Of the slider, at most: a tenth of a second each in a flight of ten minutes."""
 APART_S = 1.0
 """Farther from the next row, s, a trajectory is not known."""
-_KINDS = {"good": "good", "fair": "wait", "attitude only": "wait", "poor": "bad"}
+_KINDS = {"good": "good", "poor": "bad"}
+"""Colours of the grades; of the others ``wait``: they are doubts, no failures."""
 _AXES = ("north", "east", "down")
 Columns = dict[str, list[float]]
 
@@ -35,7 +36,7 @@ def to_json(review: FlightReview) -> bytes:
         {
             "name": review.name,
             "family": review.report.family,
-            "kind": _KINDS.get(judgement.grade, "bad"),
+            "kind": _KINDS.get(judgement.grade, "wait"),
             "verdict": judgement.sentence,
             "summary": summary(review.report),
             "t": _round((moments - zero_ns) * 1e-9, 3),

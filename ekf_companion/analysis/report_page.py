@@ -5,15 +5,17 @@ Bokeh draws it; its script is taken from the installed package.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
 from html import escape
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ekf_companion.analysis.flight_review import FlightReview
+from ekf_companion.analysis.report_sheet import POINTS, TALL, Sheet, broken, place_legend
 from ekf_companion.engine.health import Aid
 from ekf_companion.errors import ConfigError, part_of
 from ekf_companion.nav import so3
@@ -22,24 +24,55 @@ from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.state import EULER, Trajectory
 from ekf_companion.replay.report import summary
 
-POINTS = 1500
-"""Of a line: more than a screen has columns. 30 lines of them are 0.7 MB."""
-_COLOURS = ("#c0392b", "#2874a6", "#7f8c8d")
+LATEST_S = 4_102_444_800.0
+"""s since 1970: a clock that says a later time than the year 2100 is damaged."""
+_OURS, _TRUTH, _AUTOPILOT = "#c0392b", "#1c2833", "#2874a6"
 _AXIS_COLOURS = ("#c0392b", "#1e8449", "#2874a6")
-_WIDTH, _HEIGHT = 640, 260
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 1.2em auto; max-width: 1340px; padding: 0 1em;
        color: #1c2833; background: #fdfefe; }
 h1 { font-size: 1.25em; margin: 0; } h2 { font-size: 1.05em; margin: 1.6em 0 .3em; }
 .verdict { font-size: 1.35em; padding: .5em .7em; border-left: .5em solid; margin: .6em 0; }
 .good { border-color: #1e8449; background: #e9f7ef; }
-.fair { border-color: #d68910; background: #fef5e7; }
+.fair, .slow, .short { border-color: #d68910; background: #fef5e7; }
 .poor { border-color: #c0392b; background: #fdedec; }
 .attitude { border-color: #2874a6; background: #ebf5fb; }
 .plots { display: grid; gap: .6em;
          grid-template-columns: repeat(auto-fit, minmax(min(100%, 520px), 1fr)); }
-pre { white-space: pre-wrap; background: #f4f6f6; padding: .7em; font-size: .85em; }
-.bk-Figure { max-width: 100%; }
+pre { white-space: pre-wrap; overflow-wrap: anywhere; background: #f4f6f6; padding: .7em;
+      font-size: .85em; }
+.plots { overflow-x: clip; } .plots > div { min-width: 0; }
+.when { color: #566573; margin: .1em 0; overflow-wrap: anywhere; } h1 { overflow-wrap: anywhere; }
+button { font: inherit; padding: .3em .9em; border: 1px solid #aeb6bf; border-radius: 4px;
+         background: #fdfefe; color: inherit; cursor: pointer; }
+@media (max-width: 560px) {
+  body { padding: 0 .5em; margin: .6em auto; } .verdict { font-size: 1.1em; }
+}
+"""
+_SCRIPT = """
+const cuts = %s;
+const button = document.getElementById("outliers");
+let isWhole = false;
+button?.addEventListener("click", () => {
+  isWhole = !isWhole;
+  button.textContent = isWhole ? "Cut peaks off" : "Show all peaks";
+  const page = Bokeh.documents[0];
+  for (const { id, title, usual, whole } of cuts) {
+    const [model, span] = [page.get_model_by_id(id), isWhole ? whole : usual];
+    if (Array.isArray(span)) model.setv({ start: span[0], end: span[1] });
+    else model.data = span;
+    const [head, cut] = [page.get_model_by_id(title), " (peaks cut off)"];
+    head.text = isWhole ? head.text.replace(cut, "") : head.text + cut;
+  }
+});
+// A finger that drags over a figure moves the page
+document.addEventListener("DOMContentLoaded", () => setTimeout(() => {
+  if (!matchMedia("(pointer: coarse)").matches) return;
+  for (const id of %s) {
+    const bar = Bokeh.documents[0].get_model_by_id(id);
+    bar.gestures.pan.active && (bar.gestures.pan.active.active = false);
+  }
+}));
 """
 
 
@@ -52,7 +85,8 @@ def page(review: FlightReview) -> str:
     with part_of("report", "report"):
         from bokeh.embed import components
         from bokeh.resources import Resources
-    sections = _sections(review)
+    sheet = Sheet(int(review.table.stamp_ns[0]), review.begins_ns)
+    sections = _sections(review, sheet)
     figures = [one for _, plots in sections for one in plots]
     script, places = components(figures)
     waiting = iter(places)
@@ -65,15 +99,35 @@ def page(review: FlightReview) -> str:
     judgement = review.judgement
     text = "\n".join(summary(review.report))
     grade = judgement.grade.partition(" ")[0]
+    button = "<p><button id=outliers type=button>Show all peaks</button></p>" if sheet.cuts else ""
+    bars = [one.toolbar.id for one in figures]
+    own_script = _SCRIPT % (json.dumps(sheet.cuts), json.dumps(bars))
     return (
         "<!doctype html><html lang=en><head><meta charset=utf-8>"
         '<meta name=viewport content="width=device-width, initial-scale=1">'
         f"<title>{escape(review.name)}: {escape(judgement.grade)}</title><style>{_STYLE}</style>"
         f"{resources.render_js()}</head><body><h1>{escape(review.name)}</h1>"
+        f"<p class=when>{escape(_when(review))}</p>"
         f"<div class='verdict {grade}'>{escape(judgement.sentence)}</div>"
-        f"{''.join(body)}<h2>What was found, used and refused</h2><pre>{escape(text)}</pre>"
-        f"{script}</body></html>"
+        f"{button}{''.join(body)}<h2>What was found, used and refused</h2><pre>{escape(text)}</pre>"
+        f"{script}<script>{own_script}</script></body></html>"
     )
+
+
+def _when(review: FlightReview) -> str:
+    """Return when and how long was flown, and with what."""
+    words = []
+    if review.began_s is not None and 0.0 < review.began_s < LATEST_S:
+        began = datetime.fromtimestamp(review.began_s, timezone.utc)
+        words.append(f"{began:%Y-%m-%d %H:%M} UTC")
+    minutes, seconds = divmod(round(review.duration), 60)
+    words.append(f"{minutes} min {seconds} s" if minutes else f"{seconds} s")
+    if review.report.family != "unknown":
+        words.append({"px4": "PX4", "ardupilot": "ArduPilot"}[review.report.family])
+    if review.begins_ns:
+        times = "once" if len(review.begins_ns) == 1 else f"{len(review.begins_ns)} times"
+        words.append(f"the autopilot's clock restarted {times}")
+    return " \u00b7 ".join(words)
 
 
 def write(path: Path, review: FlightReview) -> None:
@@ -90,89 +144,15 @@ def write(path: Path, review: FlightReview) -> None:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-class _Sheet:
-    """Draws figures whose time axes are one, from the first estimate on."""
-
-    def __init__(self, zero_ns: int) -> None:
-        from bokeh.models import DataRange1d
-
-        self._zero_ns = zero_ns
-        self._time = DataRange1d()
-
-    def seconds(self, t_ns: Stamps) -> Array:
-        """Return stamps as the time axis shows them, s."""
-        return np.asarray((t_ns - self._zero_ns) * 1e-9)
-
-    def figure(self, title: str, unit: str, *, across: str = "time, s", **options: Any) -> Any:
-        """Return an empty figure."""
-        from bokeh.plotting import figure
-
-        if across == "time, s":
-            options["x_range"] = self._time
-        plot = figure(
-            title=title,
-            x_axis_label=across,
-            y_axis_label=unit,
-            width=_WIDTH,
-            height=_HEIGHT,
-            sizing_mode="scale_width",
-            tools="pan,box_zoom,wheel_zoom,reset,save,hover",
-            active_drag="box_zoom",
-            toolbar_location="above",
-            **options,
-        )
-        plot.toolbar.logo = None
-        return plot
-
-    def lines(
-        self, title: str, unit: str, series: Sequence[tuple[str, Stamps, Array, str]]
-    ) -> list[Any]:
-        """Return a figure of lines over time: name, stamps, values, colour; none if all are NaN."""
-        known = [one for one in series if np.isfinite(one[2]).any()]
-        if not known:
-            return []
-        plot = self.figure(title, unit)
-        for name, t_ns, values, colour in known:
-            x, y = thin(self.seconds(t_ns), values)
-            plot.line(x, y, line_color=colour, line_width=1.4, legend_label=name)
-        _place_legend(plot)
-        return [plot]
-
-
-def _place_legend(plot: Any) -> None:
-    legend = plot.legend[0]
-    legend.click_policy, legend.orientation = "hide", "horizontal"
-    legend.label_text_font_size, legend.border_line_alpha, legend.padding = "9pt", 0.0, 0
-    plot.add_layout(legend, "below")
-
-
 def _short(name: str) -> str:
     """Return a trajectory's name without the messages that it is from: a legend is narrow."""
     return name.partition(" (")[0]
 
 
-def thin(x: Array, y: Array) -> tuple[Array, Array]:
-    """Return a line with few points that has the same outline: the extremes of each piece."""
-    if len(x) <= POINTS:
-        return x.astype(np.float32), y.astype(np.float32)
-    edges = np.linspace(0, len(x), POINTS // 2 + 1).astype(int)
-    kept: list[int] = []
-    for begin, end in pairwise(edges.tolist()):
-        piece = y[begin:end]
-        unknown = ~np.isfinite(piece)
-        found = {begin + int(np.argmax(unknown))} if unknown.any() else set()
-        if not unknown.all():
-            found |= {begin + int(np.nanargmin(piece)), begin + int(np.nanargmax(piece))}
-        kept += sorted(found)
-    return x[kept].astype(np.float32), y[kept].astype(np.float32)
-
-
-def _sections(review: FlightReview) -> list[tuple[str, list[Any]]]:
-    sheet = _Sheet(int(review.table.stamp_ns[0]))
-    trajectories = (review.ours, *review.others)
+def _sections(review: FlightReview, sheet: Sheet) -> list[tuple[str, list[Any]]]:
     return [
-        ("Track, height, velocity", [*_track(review, sheet), *_motion(trajectories, sheet)]),
-        ("Attitude", _attitude(trajectories, sheet)),
+        ("Track, height, velocity", [*_track(review, sheet), *_motion(review, sheet)]),
+        ("Attitude", _attitude(_coloured(review), sheet)),
         (
             "Fixes less the estimate that did not know them, with three sigmas",
             _fixes(review, sheet),
@@ -183,12 +163,22 @@ def _sections(review: FlightReview) -> list[tuple[str, list[Any]]]:
     ]
 
 
-def _track(review: FlightReview, sheet: _Sheet) -> list[Any]:
-    placed = [one for one in (review.ours, *review.others) if len(one.pos_t_ns)]
+def _coloured(review: FlightReview) -> list[tuple[Trajectory, str]]:
+    """Return all trajectories with their colours, which tell ours from the others anywhere."""
+    colours = [_AUTOPILOT] if review.report.truth is None else [_TRUTH, _AUTOPILOT]
+    return [(review.ours, _OURS), *zip(review.others, colours, strict=False)]
+
+
+def _track(review: FlightReview, sheet: Sheet) -> list[Any]:
+    placed = [one for one in _coloured(review) if len(one[0].pos_t_ns)]
     if not placed:
         return []
-    frame = LocalFrame(float(placed[0].lat[0]), float(placed[0].lon[0]), 0.0)
-    plot = sheet.figure("track", "north, m", across="east, m", match_aspect=True)
+    first = placed[0][0]
+    frame = LocalFrame(float(first.lat[0]), float(first.lon[0]), 0.0)
+    options = {"match_aspect": True, "height": TALL}
+    plot = sheet.figure("track", "north, m", across="east, m", **options)
+    for axis in plot.axis:
+        axis.formatter.power_limit_high = 7  # 1000000 m rather than 1.000e+6
     if len(review.fixes):
         values = review.fixes.values
         some = slice(None, None, -(-len(values) // POINTS))
@@ -196,33 +186,37 @@ def _track(review: FlightReview, sheet: _Sheet) -> list[Any]:
         plot.scatter(
             ned[:, 1], ned[:, 0], size=3, color="#b2babb", legend_label="fixes", name="fixes"
         )
-    for one, colour in reversed(list(zip(placed, _COLOURS, strict=False))):
+    tracks = []
+    for one, colour in reversed(placed):
         some = slice(None, None, -(-len(one.pos_t_ns) // POINTS))
         ned = frame.to_ned(one.lat[some], one.lon[some], np.nan_to_num(one.alt[some]))
-        plot.line(
-            ned[:, 1], ned[:, 0], line_color=colour, line_width=1.6, legend_label=_short(one.name)
-        )
-    _place_legend(plot)
+        tracks.append(ned)
+        _, north, east = broken(sheet.seconds(one.pos_t_ns[some]), ned[:, 0], ned[:, 1])
+        plot.line(east, north, line_color=colour, line_width=1.6, legend_label=_short(one.name))
+    sheet.limit_map(plot, tracks)
+    place_legend(plot)
     return [plot]
 
 
-def _motion(trajectories: Sequence[Trajectory], sheet: _Sheet) -> list[Any]:
-    coloured = list(zip(trajectories, _COLOURS, strict=False))
-    heights = [(_short(one.name), one.pos_t_ns, one.alt, colour) for one, colour in coloured]
-    plots = sheet.lines("height above mean sea level", "m", heights)
+def _motion(review: FlightReview, sheet: Sheet) -> list[Any]:
+    trajectories = _coloured(review)
+    heights = [(_short(one.name), one.pos_t_ns, one.alt, colour) for one, colour in trajectories]
+    where = "above mean sea level" if review.has_sea_level else "as the file counts it"
+    plots = sheet.lines(f"height {where}", "m", heights)
     for axis, name in enumerate(("north", "east", "down")):
         series = [
-            (_short(one.name), one.vel_t_ns, one.vel_n[:, axis], colour) for one, colour in coloured
+            (_short(one.name), one.vel_t_ns, one.vel_n[:, axis], colour)
+            for one, colour in trajectories
         ]
         plots += sheet.lines(f"velocity {name}", "m/s", series)
     return plots
 
 
-def _attitude(trajectories: Sequence[Trajectory], sheet: _Sheet) -> list[Any]:
+def _attitude(trajectories: Sequence[tuple[Trajectory, str]], sheet: Sheet) -> list[Any]:
     plots = []
     for axis, name in enumerate(EULER):
         series = []
-        for one, colour in zip(trajectories, _COLOURS, strict=False):
+        for one, colour in trajectories:
             angle = np.rad2deg(so3.to_euler(one.q_nb)[:, axis]) if len(one.q_nb) else np.zeros(0)
             turned = np.abs(np.diff(angle, append=angle[-1:])) > 180.0
             series.append((_short(one.name), one.att_t_ns, np.where(turned, np.nan, angle), colour))
@@ -230,7 +224,7 @@ def _attitude(trajectories: Sequence[Trajectory], sheet: _Sheet) -> list[Any]:
     return plots
 
 
-def _fixes(review: FlightReview, sheet: _Sheet) -> list[Any]:
+def _fixes(review: FlightReview, sheet: Sheet) -> list[Any]:
     found, plots = review.innovations, []
     if found is None:
         return []
@@ -243,15 +237,14 @@ def _fixes(review: FlightReview, sheet: _Sheet) -> list[Any]:
         plot = sheet.figure(name, "m" if column < 3 else "m/s")
         bound = found.bounds[:, column]
         for sign in (1.0, -1.0):
-            x, y = thin(sheet.seconds(found.t_ns), sign * bound)
-            plot.line(x, y, line_color="#85929e", line_dash="dashed")
-        x, y = thin(sheet.seconds(found.t_ns), found.values[:, column])
-        plot.line(x, y, line_color=_COLOURS[0], line_width=1.2)
+            sheet.line(plot, found.t_ns, sign * bound, line_color="#85929e", line_dash="dashed")
+        sheet.line(plot, found.t_ns, found.values[:, column], line_color=_OURS)
+        sheet.limit(plot, [found.values[:, column], bound, -bound])
         plots.append(plot)
     return plots
 
 
-def _looks(review: FlightReview, sheet: _Sheet) -> list[Any]:
+def _looks(review: FlightReview, sheet: Sheet) -> list[Any]:
     looks = [look for look in review.looks if look.t_ns >= review.table.stamp_ns[0]]
     if not looks:
         return []
@@ -286,7 +279,7 @@ def _looks(review: FlightReview, sheet: _Sheet) -> list[Any]:
     return plots
 
 
-def _biases(review: FlightReview, sheet: _Sheet) -> list[Any]:
+def _biases(review: FlightReview, sheet: Sheet) -> list[Any]:
     table = review.table
 
     def group(title: str, unit: str, names: Sequence[str], scale: float = 1.0) -> list[Any]:
@@ -311,7 +304,7 @@ def _biases(review: FlightReview, sheet: _Sheet) -> list[Any]:
     ]
 
 
-def _spectra(review: FlightReview, sheet: _Sheet) -> list[Any]:
+def _spectra(review: FlightReview, sheet: Sheet) -> list[Any]:
     found, plots = review.spectra, []
     if found is None:
         return []
@@ -328,6 +321,6 @@ def _spectra(review: FlightReview, sheet: _Sheet) -> list[Any]:
                 line_color=colour,
                 legend_label="xyz"[axis],
             )
-        _place_legend(plot)
+        place_legend(plot)
         plots.append(plot)
     return plots

@@ -3,7 +3,7 @@
 Exit codes: 0 done, 1 a package of an extra is missing or a bug, 2 the command line or the
 configuration is wrong, 3 the log cannot be read, or holds nothing to estimate or to calibrate from,
 4 ``status`` finds no daemon (and 1 one that is not healthy), 5 the doctor has found a stage that
-fails, or ``preflight`` what speaks against a take-off.
+fails, or ``preflight`` what speaks against a take-off, 6 ``preflight`` finds the vehicle armed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ COMMANDS = {
     "preflight": _Entry(
         "preflight",
         "preflight",
-        "Report if the vehicle may take off, and why not. Exit code: 0 ready, 5 not, 4 no answer.",
+        "Report if the vehicle may take off. Exit code: 0 ready, 5 not, 6 armed, 4 no answer.",
     ),
     "reload": _Entry(
         "reload",

@@ -23,6 +23,7 @@ def convert(
         ),
     ],
     config: terminal.ConfigOption = None,
+    reference: terminal.TruthOption = None,
     rate: Annotated[
         float | None, typer.Option(min=0.001, help="Largest number of rows per second.")
     ] = None,
@@ -38,12 +39,13 @@ def convert(
     detector: Annotated[str | None, typer.Option(help="For zupt: shoe, mv, mag or are.")] = None,
 ) -> None:
     """Re-run the estimator, or another filter, over a recorded flight."""
+    from ekf_companion.analysis.judgement import judge_log
     from ekf_companion.replay import convert as converter
-    from ekf_companion.replay.verdict import judge
 
     with terminal.exit_on_error(), terminal.progress_bar(log.name) as progress:
-        inputs = {"the log": log, "the configuration": config}
+        inputs = {"the log": log, "the configuration": config, "the reference": reference}
         terminal.check_outputs(inputs, [("--out", out) for out in outs])
+        truth = terminal.read_truth(reference)
         is_piped = Path("-") in outs  # the summary does not follow the numbers
         chosen = _choose(name, [preset, frame, detector])
         if chosen != "eskf":
@@ -56,7 +58,8 @@ def convert(
         report = converter.convert(
             log, outs, terminal.load(config), rate, progress, is_smoothed=smooth
         )
-    judgement = judge(report)
+    report.truth = truth or report.truth
+    judgement = judge_log(report)
     data = {"verdict": judgement.sentence, "grade": judgement.grade, **report.to_dict()}
     terminal.show(as_json, data, [judgement.sentence, *converter.summary(report)], err=is_piped)
 

@@ -10,8 +10,8 @@ import typer
 from ekf_companion.cli.status import NO_DAEMON, URL, Answer, UrlOption, fetch
 from ekf_companion.cli.terminal import JsonOption, show
 
-NOT_READY = 5
-"""Exit code."""
+NOT_READY, ARMED = 5, 6
+"""Exit codes."""
 PERIOD = 1.0
 """Seconds between two requests of ``--wait``."""
 _OLD = (
@@ -27,12 +27,12 @@ def preflight(
         float, typer.Option(min=0.0, help="Seconds to wait for a vehicle that is not ready yet.")
     ] = 0.0,
 ) -> None:
-    """Report if the vehicle may take off, and why not. Exit code: 0 ready, 5 not, 4 no answer."""
+    """Report if the vehicle may take off. Exit code: 0 ready, 5 not, 6 armed, 4 no answer."""
     end_s, said = time.monotonic() + wait, [""]
     while True:
         code, verdict = _ask(url)
         left_s = end_s - time.monotonic()
-        if code == 0 or left_s <= 0.0 or not url.startswith(("http://", "https://")):
+        if code in (0, ARMED) or left_s <= 0.0 or not url.startswith(("http://", "https://")):
             break
         # What is waited for, on the standard error: the result alone goes to the other
         if verdict["causes"] != said:
@@ -52,7 +52,8 @@ def _ask(url: str) -> tuple[int, dict[str, Any]]:
     if answer.code == NO_DAEMON:
         return NO_DAEMON, _unknown(answer)
     if (verdict := answer.data.get("preflight")) is not None:
-        return 0 if verdict["ready"] else NOT_READY, verdict
+        is_armed = "armed" in verdict["causes"]
+        return 0 if verdict["ready"] else ARMED if is_armed else NOT_READY, verdict
     # A daemon whose loop is stuck answers with a sentence alone
     words = answer._replace(sentence=_OLD) if answer.data else answer
     return NOT_READY, _unknown(words)

@@ -17,6 +17,7 @@ def report(
         typer.Option("--out", "-o", help="The .html; by default LOG.report.html, beside the log."),
     ] = None,
     config: terminal.ConfigOption = None,
+    reference: terminal.TruthOption = None,
     png: Annotated[bool, typer.Option("--png", help="Draw a .png beside it too.")] = False,
     as_json: terminal.JsonOption = False,
 ) -> None:
@@ -24,9 +25,11 @@ def report(
     from ekf_companion.analysis import flight_review, report_page, trajectory_figure
 
     with terminal.exit_on_error():
-        terminal.check_outputs({"the log": log, "the configuration": config}, [("--out", out)])
+        inputs = {"the log": log, "the configuration": config, "the reference": reference}
+        terminal.check_outputs(inputs, [("--out", out)])
+        truth = terminal.read_truth(reference)
         with terminal.progress_bar(log.name) as progress:
-            found = flight_review.review(log, terminal.load(config), progress)
+            found = flight_review.review(log, terminal.load(config), progress, truth)
         path = out if out is not None else terminal.beside(log, "report", ".html")
         report_page.write(path, found)
         files = [path]

@@ -18,6 +18,7 @@ from ekf_companion.errors import CompanionError, ConfigError, LinkError, LogErro
 if TYPE_CHECKING:
     from ekf_companion.config.config import Config
     from ekf_companion.logs.recording import Recording
+    from ekf_companion.nav.state import Trajectory
 
 LogArgument = Annotated[
     Path, typer.Argument(help=".tlog, .bin, .ulg, .csv; also .txt (OpenShoe), .mat (BROAD).")
@@ -34,12 +35,29 @@ LinkOption = Annotated[
     str | None,
     typer.Option("--link", "--master", help="udpin:HOST:PORT, tcp:…, serial:/dev/ttyX:BAUD."),
 ]
+TruthOption = Annotated[
+    Path | None,
+    typer.Option("--reference", help="Truth as .csv, to judge by; else what the log itself holds."),
+]
 SmoothOption = Annotated[
     bool, typer.Option("--smooth", help="Smooth: each estimate uses the whole flight.")
 ]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as JSON, and nothing else.")
 ]
+
+
+def read_truth(path: Path | None) -> Trajectory | None:
+    """Return the truth of a file; None if none is named.
+
+    Raises:
+        LogError: It cannot be read.
+    """
+    if path is None:
+        return None
+    from ekf_companion.logs.estimate import read_truth as read
+
+    return read(path)
 
 
 @contextmanager

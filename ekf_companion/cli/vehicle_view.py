@@ -66,9 +66,11 @@ def _aids(aids: Mapping[str, Data]) -> Table:
     table.columns[2].no_wrap = False
     for name, aid in aids.items():
         state = aid["state"]
-        since = f"{fixed(aid['since_s'], 0)} s" if state == "used" else state
+        # A vehicle that moves has lost nothing
+        word = "moving" if (name, state) == ("rest", "lost") else state
+        since = f"{fixed(aid['since_s'], 0)} s" if state == "used" else word
         why = f": {aid['why']}" if state == "refused" else ""
-        table.add_row(name, since, escape(f"{aid['source']}{why}"), style=_COLOURS.get(state))
+        table.add_row(name, since, escape(f"{aid['source']}{why}"), style=_COLOURS.get(word))
     return table
 
 

@@ -17,6 +17,7 @@ HOST = "127.0.0.1"
 def view(
     log: terminal.LogArgument,
     config: terminal.ConfigOption = None,
+    reference: terminal.TruthOption = None,
     browser: Annotated[bool, typer.Option(help="Open the browser.")] = True,
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Port of this computer; 0: a free one.")
@@ -29,6 +30,7 @@ def view(
     from ekf_companion.daemon.log_site import LogSite
 
     with terminal.exit_on_error():
+        truth = terminal.read_truth(reference)
         try:
             listener = listen(HOST, port)
         except OSError as error:
@@ -37,7 +39,7 @@ def view(
             ) from error
         with listener:
             with terminal.progress_bar(log.name) as progress:
-                found = flight_review.review(log, terminal.load(config), progress)
+                found = flight_review.review(log, terminal.load(config), progress, truth)
             data = log_view.to_json(found)
             taken = listener.getsockname()[1]
             settings = HttpConfig(host=HOST, port=taken)

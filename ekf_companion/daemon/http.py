@@ -65,6 +65,7 @@ class SnapshotSource:
         self._last_s = -FRESH
         self._host, self._host_s = Host(), -HOST_EVERY
         self._live: Future[bytes] | None = None
+        self._past: Future[bytes] | None = None
 
     def read(self) -> Snapshot | None:
         """Return the newest snapshot, or None if the loop does not answer."""
@@ -78,6 +79,13 @@ class SnapshotSource:
     def read_live(self) -> bytes | None:
         """Return the newest estimate as JSON, or None if the loop does not answer."""
         return self._ask(self._live_request())
+
+    def read_past(self) -> bytes | None:
+        """Return the estimates of the last minutes as JSON, or None if the loop does not answer."""
+        with self._lock:
+            if self._past is None or self._past.done():
+                self._past = self._call(self._observer.past)
+            return self._ask(self._past)
 
     def _take(self, now_s: float) -> Snapshot | None:
         if now_s - self._host_s >= HOST_EVERY:

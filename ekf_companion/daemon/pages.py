@@ -183,11 +183,13 @@ class DaemonSite:
 
     def page(self, path: str, accept: str) -> Answer | None:
         """Return one of the pages for programs, from the newest snapshot."""
+        if path == "/past":
+            past = self._snapshots.read_past()
+            return _stalled() if past is None else (HTTPStatus.OK, "application/json", past)
         if (page := _PAGES.get(path)) is None:
             return None
         if (snapshot := self._snapshots.read()) is None:
-            words = f"stalled: the loop has not answered for {PATIENCE:.0f} s\n"
-            return HTTPStatus.SERVICE_UNAVAILABLE, _TEXT, words.encode()
+            return _stalled()
         with _LOCK:
             return page(snapshot, accept)
 
@@ -205,6 +207,11 @@ class DaemonSite:
             self._told = self._events.count
             messages["events"] = self._events.to_json()
         return messages
+
+
+def _stalled() -> Answer:
+    words = f"stalled: the loop has not answered for {PATIENCE:.0f} s\n"
+    return HTTPStatus.SERVICE_UNAVAILABLE, _TEXT, words.encode()
 
 
 def _healthz(snapshot: Snapshot, _: str) -> Answer:

@@ -51,7 +51,7 @@ from ekf_companion.logs.csv_columns import (
     from_map,
 )
 from ekf_companion.logs.csv_events import Columns, EventMaker
-from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.recording import Damage, Recording
 from ekf_companion.logs.spool import Spool
 from ekf_companion.logs.spooled_events import SpooledEvents
 from ekf_companion.logs.table import AT_ONCE, Table
@@ -76,10 +76,17 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     table = Table(path, delimiter)
     entries = {key: columns[key] for key in columns if key not in OPTIONS}
     notes: list[str] = []
+    zero_height = 0.0
     if not entries and (known := csv_known.find(table.names)) is not None:
         where, notes = str(path), [f"header of {known.name}: read without a map"]
         entries = {key: known.columns[key] for key in known.columns if key not in OPTIONS}
         options = {key: known.columns[key] for key in OPTIONS if key in known.columns} | options
+        if known.zero_height and options["origin"] == known.columns["origin"]:
+            zero_height = known.zero_height
+            notes.append(
+                f"the file's height of zero is put at {zero_height:.1f} m above mean sea level, "
+                "where gravity is the simulation's: altitudes of the estimate are larger by that"
+            )
     if entries:
         sources = {name: from_map(where, name, entry) for name, entry in entries.items()}
     else:
@@ -90,6 +97,7 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     events, total = SpooledEvents(), 0
     with table.spool(names) as rows, _Clock(path, sources["time"], names, rows) as clock:
         notes += clock.notes()
+        lost, rows_in_all = clock.lost, len(rows)
         for row, t_ns, values in clock.kept():
             total += len(t_ns)
             events.append(maker.events(t_ns, row, _values(values, names, sources)))
@@ -99,7 +107,13 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
             f"{path}: no measurement found; declare its columns in {path.name}.columns.yaml "
             f"(quantities: {', '.join(QUANTITIES)})"
         )
-    return Recording(family="unknown", events=events, notes=tuple(notes))
+    return Recording(
+        family="unknown",
+        events=events,
+        notes=tuple(notes),
+        damage=Damage(f"{lost} rows dropped", lost / rows_in_all) if lost else Damage(),
+        zero_height=zero_height,
+    )
 
 
 def _values(rows: Array, names: list[str], sources: Mapping[str, Source]) -> Columns:
@@ -150,10 +164,16 @@ class _Clock:
         """Delete the times."""
         self._times.__exit__()
 
+    @property
+    def lost(self) -> int:
+        """Return how many rows are not on the run."""
+        return len(self._rows) - sum(end - first for first, end in self._ranges)
+
     def notes(self) -> Iterator[str]:
         """Return what is to be said about rows that were dropped."""
-        if lost := len(self._rows) - sum(end - first for first, end in self._ranges):
-            yield f"{lost} rows without a time, or one that does not fit the rest, were dropped"
+        if self.lost:
+            why = "without a time, or one that does not fit the rest"
+            yield f"{self.lost} rows {why}, were dropped"
 
     def kept(self) -> Iterator[tuple[Stamps, Stamps, Array]]:
         """Yield numbers, stamps (ns) and values of the rows on the run, part by part."""

@@ -21,6 +21,8 @@ class Known:
     """Columns that together identify it; there may be more."""
     columns: Mapping[str, Any]
     """As in a ``.columns.yaml``."""
+    zero_height: float = 0.0
+    """Altitude that the map gives to the file's height of zero, where its place is made up, m."""
 
 
 def _axes(quantity: str, column: str, unit: str, signs: tuple[int, int, int]) -> dict[str, Any]:
@@ -70,6 +72,7 @@ KNOWN: tuple[Known, ...] = (
         name="the seed article's simulation (flat Earth put near 75 deg north)",
         header=frozenset({"mag2D_yaw_deg", "gps_valid", "gps_north_m", "gps_h_msl_m"}),
         columns=SEED,
+        zero_height=SIMULATED.alt,
     ),
 )
 

@@ -39,6 +39,8 @@ GNSS_STD_VEL = 0.3
 """m/s; ArduPilot's default for a receiver that gives no accuracy (EK3_VELNE_M_NSE)."""
 SAMPLE_TIME_NS = 1_000_000_000
 """GPA.SMS further than this from the row's own stamp is damaged or of another clock."""
+GPS_EPOCH_S, LEAP_S, GPS_WEEK_2000 = 315_964_800, 18, 1042
+"""1980-01-06, s since 1970; GPS time less UTC since 2017; the week in which the year 2000 began."""
 _EVENTS = {
     10: ("armed", True),
     11: ("armed", False),
@@ -57,7 +59,7 @@ def read(path: Path) -> Recording:
     Raises:
         LogError: The file is not a DataFlash log, or holds none of the messages that are used.
     """
-    tables, notes, others = read_columns(path, NEEDED)
+    tables, notes, others, damage = read_columns(path, NEEDED)
     tables = choose(tables, others, notes)
     gnss = _gnss(tables)
     arrivals: Arrivals = [*gnss, *_vehicle(tables), *_sensor(tables, "IMU", Kind.IMU)]
@@ -86,7 +88,24 @@ def read(path: Path) -> Recording:
         truth=truth(tables),
         gnss_delay=_gnss_delay(tables),
         notes=tuple(notes),
+        damage=damage,
+        began_s=_began_s(tables),
     )
+
+
+def _began_s(tables: Columns) -> float | None:
+    """Return when the log began, s since 1970, by the first fix's week and time of GPS."""
+    names = ("TimeUS", "GWk", "GMS")
+    if (table := tables.get("GPS")) is None or not {*names} <= {*(table.dtype.names or ())}:
+        return None
+    is_set = table["GWk"] > GPS_WEEK_2000
+    if not is_set.any():
+        return None
+    row = table[int(np.argmax(is_set))]
+    stamped = [one for one in tables.values() if "TimeUS" in (one.dtype.names or ())]
+    begin_us = min(int(one["TimeUS"][0]) for one in stamped if len(one))
+    fix_s = GPS_EPOCH_S + int(row["GWk"]) * 604_800 + int(row["GMS"]) * 1e-3 - LEAP_S
+    return float(fix_s - (int(row["TimeUS"]) - begin_us) * 1e-6)
 
 
 def _sensor(tables: Columns, name: str, kind: Kind) -> Arrivals:

@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import dataflash_search
+from ekf_companion.logs.recording import Damage
 from ekf_companion.logs.source import MappedFile
 from ekf_companion.nav.arrays import Stamps
 
@@ -173,7 +174,7 @@ def _gather(file: MappedFile, places: Stamps, layout: _Format) -> Column:
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def read_columns(
     path: Path, names: Collection[str] | None = None
-) -> tuple[Columns, list[str], set[str]]:
+) -> tuple[Columns, list[str], set[str], Damage]:
     """Return messages of a log as one table each, and a sentence for each fault of the file.
 
     The fields are in their units, the records in file order.
@@ -183,7 +184,8 @@ def read_columns(
         names: Of the messages; None: all.
 
     Returns:
-        The tables, the sentences, and the names of the messages that the log holds besides.
+        The tables, the sentences, the names of the messages that the log holds besides, and the
+        faults as the verdict counts them.
 
     Raises:
         LogError: The file is missing, empty, or holds no FMT record.
@@ -200,7 +202,10 @@ def read_columns(
         if len(places) > len(tables.get(name, ())):
             tables[name] = _gather(file, places, found.formats[kind])
     others = {layout.name for kind, layout in found.formats.items() if found.counts[kind]}
-    notes = []
+    notes, damage = [], Damage()
     if found.damaged:
         notes.append(f"{found.damaged} damaged places in the file: the records there are lost")
-    return tables, notes, others - {*tables}
+        words = "a damaged place" if found.damaged == 1 else f"{found.damaged} damaged places"
+        records = int(sum(found.counts)) + found.damaged
+        damage = Damage(f"{words} in the file", found.damaged / records)
+    return tables, notes, others - {*tables}, damage

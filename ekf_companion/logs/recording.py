@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,22 @@ class Counted:
         return np.asarray((last >= 0) & self.is_counted[np.maximum(last, 0)])
 
 
+CLOCK_SET_S = 946_684_800
+"""s since 1970: a clock that says an earlier time than the year 2000 was not set."""
+
+
+class Damage(NamedTuple):
+    """What of a file could not be read."""
+
+    words: str = ""
+    """In a few words, for the verdict; empty: nothing."""
+    share: float = 0.0
+    """Of the whole file, its records or its time; 1: not known."""
+
+
+UNDAMAGED = Damage()
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Recording:
     """The content of a log."""
@@ -44,6 +61,11 @@ class Recording:
     """GNSS delay that the log declares (a parameter of the autopilot), s."""
     notes: tuple[str, ...] = field(default=())
     """What the user should know about the file, one sentence each."""
+    damage: Damage = UNDAMAGED
+    began_s: float | None = None
+    """When the recording began, s since 1970, UTC; None: the log does not say."""
+    zero_height: float = 0.0
+    """Altitude at which the heights of the file are zero, where its place is made up, m."""
 
 
 def longest_clock_run(events: Events) -> tuple[Events, tuple[str, ...]]:

@@ -23,10 +23,11 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import tlog_search
+from ekf_companion.logs.recording import CLOCK_SET_S, UNDAMAGED, Damage
 from ekf_companion.logs.source import Source
 from ekf_companion.mavlink.block_columns import Frames
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
-from ekf_companion.nav.arrays import Stamps
+from ekf_companion.nav.arrays import Indices, Stamps
 
 Column = npt.NDArray[np.void]
 
@@ -71,6 +72,13 @@ class Tlog:
     """Number of runs of bytes that are no record."""
     autopilot: Autopilot | None
     notes: tuple[str, ...] = field(default=())
+    damage: Damage = UNDAMAGED
+
+    @property
+    def began_s(self) -> float | None:
+        """When the recording began, s since 1970, by its recorder's clock; None: it was not set."""
+        first_s = float(self.stamp_us[0]) * 1e-6
+        return first_s if first_s > CLOCK_SET_S else None
 
     def __len__(self) -> int:
         return len(self.place)
@@ -107,26 +115,44 @@ class Tlog:
             Tables by name: ``STAMP``, ``ORDER``, ``COMPONENT`` and the message's own fields in
             wire order and wire units. Fields that a short MAVLink payload omits are 0.
         """
-        raw = np.frombuffer(self.source.read(0, len(self.source)), dtype=np.uint8)
-        tables: dict[str, Column] = {}
-        for name in names:
-            order = np.flatnonzero(self.message_id == IDS[name])
-            place = self.place[order]
-            second = raw[place] == 0xFD  # MAVLink 2
-            system, component = (
-                raw[place + np.where(second, later, sooner)] for later, sooner in ((5, 3), (6, 4))
-            )
-            ours = system == system_id
-            if component_id is not None:
-                ours &= component == component_id
-            if ours.any():
-                order, place, second = order[ours], place[ours], second[ours]
-                payload = place + np.where(second, 10, 6)
-                table = _payloads(raw, payload, raw[place + 1], IDS[name])
-                table[STAMP], table[ORDER] = self.stamp_us[order], order
-                table[COMPONENT] = component[ours]
-                tables[name] = table
-        return tables
+        found: dict[str, list[Column]] = {name: [] for name in names}
+        wanted = np.flatnonzero(np.isin(self.message_id, [IDS[name] for name in names]))
+        for first in range(0, len(wanted), AT_ONCE):
+            some = wanted[first : first + AT_ONCE]
+            begin, last = int(self.place[some[0]]), some[-1]
+            end = int(self.place[last]) + int(self.size[last])
+            raw = np.frombuffer(self.source.read(begin, end), dtype=np.uint8)
+            for name, parts in found.items():
+                order = some[self.message_id[some] == IDS[name]]
+                table = self._table(raw, begin, order, IDS[name], system_id, component_id)
+                if len(table):
+                    parts.append(table)
+        return {name: np.concatenate(parts) for name, parts in found.items() if parts}
+
+    def _table(
+        self,
+        raw: npt.NDArray[np.uint8],
+        begin: int,
+        order: Indices,
+        message_id: int,
+        system_id: int,
+        component_id: int | None,
+    ) -> Column:
+        """Return the table of one message of the records ``order``; ``raw`` begins at ``begin``."""
+        place = self.place[order] - begin
+        second = raw[place] == 0xFD  # MAVLink 2
+        system, component = (
+            raw[place + np.where(second, later, sooner)] for later, sooner in ((5, 3), (6, 4))
+        )
+        ours = system == system_id
+        if component_id is not None:
+            ours &= component == component_id
+        order, place, second = order[ours], place[ours], second[ours]
+        payload = place + np.where(second, 10, 6)
+        table = _payloads(raw, payload, raw[place + 1], message_id)
+        table[STAMP], table[ORDER] = self.stamp_us[order], order
+        table[COMPONENT] = component[ours]
+        return table
 
 
 def _payloads(
@@ -172,17 +198,32 @@ def read(path: Path) -> Tlog:
         damaged=damaged,
         autopilot=_find_autopilot(source, place[message_id == IDS["HEARTBEAT"]]),
         notes=tuple(_left_out(source, place, size)),
+        damage=_damage(source, place, size),
     )
 
 
-def _left_out(source: Source, place: Stamps, size: npt.NDArray[np.uint16]) -> Iterator[str]:
-    """Describe the bytes that are in no record."""
+def _damage(source: Source, place: Stamps, size: npt.NDArray[np.uint16]) -> Damage:
+    """Return what the damaged bytes are for the verdict, and their share of the file."""
+    runs, lost, _ = _gaps(place, size)
+    places = "a damaged place" if runs == 1 else f"{runs} damaged places"
+    words = f"{places} in the file ({lost / 1e3:.3g} kB)" if runs else ""
+    return Damage(words, lost / len(source))
+
+
+def _gaps(place: Stamps, size: npt.NDArray[np.uint16]) -> tuple[int, int, int]:
+    """Return how many runs of bytes are in no record, their length, and the end of the last one."""
     runs = lost = end = 0
     for first in range(0, len(place), AT_ONCE):
         rows = slice(first, first + AT_ONCE)
         ends = place[rows] + size[rows]
         gaps = place[rows] - 8 - np.append(end, ends[:-1])
         runs, lost, end = runs + int(np.count_nonzero(gaps)), lost + int(gaps.sum()), int(ends[-1])
+    return runs, lost, end
+
+
+def _left_out(source: Source, place: Stamps, size: npt.NDArray[np.uint16]) -> Iterator[str]:
+    """Describe the bytes that are in no record."""
+    runs, lost, end = _gaps(place, size)
     if runs:
         yield f"{runs} runs of damaged bytes, {lost} bytes in all, were left out"
     if rest := len(source) - end:

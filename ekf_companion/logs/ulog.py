@@ -19,8 +19,9 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
-from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.recording import CLOCK_SET_S, Damage, Recording
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
+from ekf_companion.logs.ulog_messages import Messages
 from ekf_companion.logs.ulog_topics import (
     Topic,
     Topics,
@@ -85,7 +86,32 @@ def read(path: Path) -> Recording:
         truth=_trajectory(topics, "_groundtruth", "simulator"),
         gnss_delay=float(delay) * 1e-3 if 0.0 <= delay <= 1000.0 else None,
         notes=tuple(notes),
+        damage=_damage(log, topics),
+        began_s=_began_s(topics),
     )
+
+
+def _damage(log: Messages, topics: Topics) -> Damage:
+    """Return what was not read, or not written, and its share of the log's time."""
+    words, share = (["the file is damaged"], 1.0) if log.is_damaged else ([], 0.0)
+    if lost := sum(log.dropouts):
+        count = len(log.dropouts)
+        words.append(f"{count} dropout{'s' if count > 1 else ''} ({lost:.1f} s)")
+        spans = [np.ptp(topic["t_ns"]) * 1e-9 for topic in topics.values() if len(topic["t_ns"])]
+        share = max(share, lost / max(lost, *spans, 1.0))
+    return Damage(", ".join(words), share)
+
+
+def _began_s(topics: Topics) -> float | None:
+    """Return when the log began, s since 1970, by the receiver's first time of day."""
+    topic = _receiver(topics)
+    utc_s = topic.get("time_utc_usec", np.zeros(0)) * 1e-6
+    is_set = utc_s > CLOCK_SET_S
+    if not is_set.any():
+        return None
+    first = int(np.argmax(is_set))
+    begin_ns = min(int(one["t_ns"][0]) for one in topics.values() if len(one["t_ns"]))
+    return float(utc_s[first]) - (int(topic["t_ns"][first]) - begin_ns) * 1e-9
 
 
 def _events(topic: Topic, kind: Kind, mask: Mask, *columns: Any) -> Arrivals:

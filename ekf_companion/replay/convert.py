@@ -158,7 +158,7 @@ def estimate(
     run = Run(path, config, BlockPipeline)
     tables = [block.table for block in run.blocks(progress)]
     report = run.finish()
-    return join(tables), report, reference(run.log), truth(run.log)
+    return join(tables), report, report.own, report.truth
 
 
 def estimate_and_smooth(
@@ -173,7 +173,7 @@ def estimate_and_smooth(
     live: list[Table] = []
     smoothed = list(_smoothed(run, progress, live))
     report = run.finish()
-    return join(live), join(smoothed), report, reference(run.log), truth(run.log)
+    return join(live), join(smoothed), report, report.own, report.truth
 
 
 def _smoothed(

@@ -12,8 +12,10 @@ import numpy as np
 
 from ekf_companion.engine.health import DECIMATED, Aid, Arrival, Health
 from ekf_companion.errors import LogError
+from ekf_companion.logs.recording import UNDAMAGED, Damage
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind
-from ekf_companion.nav.state import Status, Table
+from ekf_companion.nav.state import Status, Table, Trajectory
+from ekf_companion.replay.track import Track
 
 _SLOW = 20.0
 """Inertial samples per second below which the motion between them is guesswork, Hz."""
@@ -40,15 +42,20 @@ class Report:
     estimates: int = 0
     reboots: int = 0
     """How often the autopilot's clock began anew."""
-    horizontal_stds: list[float] = field(default_factory=list)
-    """One sigma of the horizontal position while there was one, m: the median of each block."""
     health: Health | None = None
     refused: dict[str, int] = field(default_factory=dict)
-
-    @property
-    def horizontal_std(self) -> float:
-        """Median of one sigma of the horizontal position, m; NaN: there was no position."""
-        return float(np.median(self.horizontal_stds)) if self.horizontal_stds else float("nan")
+    damage: Damage = UNDAMAGED
+    """What of the file could not be read."""
+    lost_share: float = 0.0
+    """Of the telemetry's frames: lost on the link, by their numbers."""
+    track: Track = field(default_factory=Track)
+    """The positions, to compare with those below."""
+    fix_delay: float = 0.0
+    """By which a fix is older than its stamp: configured or declared, and found, s."""
+    own: Trajectory | None = None
+    """The autopilot's own estimate of the longest stretch without a reboot."""
+    truth: Trajectory | None = None
+    """From a simulator, an optical system, or a file beside the log."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything for JSON, names in lower case."""
@@ -62,6 +69,7 @@ class Report:
             "derived_positions": self.derived,
             "estimates": self.estimates,
             "reboots": self.reboots,
+            "damage": self.damage.words,
             "seconds": {status.name.lower(): spent for status, spent in self.seconds.items()},
             "resets": health.resets if health else 0,
             "gaps": health.gaps if health else 0,
@@ -98,9 +106,7 @@ def add_block(report: Report, events: Events, table: Table) -> None:
             medians.append(float(np.median(steps)))
             report.rates[kind] = 1e9 / float(np.median(medians))
     report.estimates += len(table)
-    std = np.hypot(table.column("sd_pos_n"), table.column("sd_pos_e"))
-    if (is_known := (table.column("status") >= Status.OK) & np.isfinite(std)).any():
-        report.horizontal_stds.append(float(np.median(std[is_known])))
+    report.track.add(events, table)
     if len(table) > 1:
         status = table.column("status")[1:]
         spans = np.diff(table.stamp_ns) * 1e-9

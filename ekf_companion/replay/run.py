@@ -13,16 +13,17 @@ from typing import TYPE_CHECKING, Generic, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from ekf_companion.config.config import Config
+from ekf_companion.core.from_settings import delays_ns
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.checkpoint import Vehicle
 from ekf_companion.engine.pipeline import Estimate, Pipeline
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.buffer import EventBuffer
-from ekf_companion.nav.measurements import Events, Row
+from ekf_companion.nav.measurements import Events, Kind, Row
 from ekf_companion.nav.state import COLUMNS, Table
 from ekf_companion.replay.agreement import AgreementCheck
-from ekf_companion.replay.log_source import open_log
+from ekf_companion.replay.log_source import open_log, reference, truth
 from ekf_companion.replay.magnetometer import MagnetometerCheck
 from ekf_companion.replay.report import Report, add_block, note_shortcomings
 
@@ -145,7 +146,7 @@ class Run(Generic[P]):
         self.log = open_log(path)
         self.pipelines: list[P] = []
         """Of the autopilots so far, in their order."""
-        self.report = Report(log=str(path), notes=list(self.log.notes))
+        self.report = Report(log=str(path), notes=list(self.log.notes), damage=self.log.damage)
         self._path, self._config, self._kind = path, config, kind
         self._blocks: list[Block] = []  # of all pipelines, finished
         self._done = 0  # frames or measurements so far
@@ -195,11 +196,14 @@ class Run(Generic[P]):
             LogError: Nothing could be estimated from it.
         """
         if self.pipelines:
-            self.report.health = self.pipelines[-1].health()
+            self.report.health = health = self.pipelines[-1].health()
+            late = delays_ns(self._config, self.pipelines[-1].family, self.gnss_delay)
+            self.report.fix_delay = float(late[Kind.GNSS]) * 1e-9 + health.gnss_delay
         self.report.notes += self._magnetometer.notes()
         if self._agreement is not None:
             self.report.notes += self._agreement.notes()
         note_shortcomings(self.report, self._path)
+        self.report.own, self.report.truth = reference(self.log), truth(self.log)
         return self.report
 
     def _frames(self, log: Tlog) -> Iterator[Step]:
@@ -260,6 +264,7 @@ class Run(Generic[P]):
     def _note_refused(self, companion: Companion) -> None:
         counts = companion.session.counters()
         self.report.refused = {name: n for name, n in counts.items() if n and name != "frames"}
+        self.report.lost_share = counts["lost"] / max(counts["lost"] + counts["frames"], 1)
 
     def _chunks(self, log: Recording) -> Iterator[Step]:
         """Let a pipeline run over the columns, a block at a time."""

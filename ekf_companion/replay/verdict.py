@@ -1,15 +1,15 @@
-"""One sentence on an estimate of a whole log: good, fair, poor, or attitude alone; and why."""
+"""One sentence on an estimate of a whole log: good, fair, poor, or why it cannot be said."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import numpy as np
+from typing import NamedTuple
 
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
 from ekf_companion.replay.report import Report
+from ekf_companion.replay.track import Size
 
 STARTED = frozenset((Status.OK, Status.DEGRADED, Status.DEAD_RECKONING, Status.INVALID))
 """With a position."""
@@ -17,8 +17,40 @@ OFTEN, RARELY = 0.2, 0.05
 """Shares of the flight, or of the fixes, beyond which it is poor, or no more than fair."""
 FAR, NEAR = 5.0, 2.0
 """Horizontal differences from a truth, m RMS, likewise: a receiver alone has 1 to 2 m."""
+PEAK = 2.0
+"""The worst moment is named where it is that many times the RMS, and more than ``NEAR``."""
+CLEARLY = 1.5
+"""Of two estimates the receiver agrees with the one that is that many times nearer to it."""
 SLOW, FAST_ENOUGH = 20.0, 50.0
-"""Inertial samples per second, Hz, likewise."""
+"""Inertial samples per second, Hz, below which nothing can be judged, or no more than fair."""
+SHORT_S = 15.0
+"""Time below which nothing can be judged, s: a filter is settling still."""
+LARGEST_DAMAGE = 0.01
+"""Share of a file; more that is damaged is no more than fair."""
+LARGEST_LOSS = 0.05
+"""Likewise of the telemetry's frames."""
+
+
+class Evidence(NamedTuple):
+    """What an estimate's horizontal position is judged by, as far as the log holds it."""
+
+    sigma: Size | None = None
+    """One sigma, by the estimate itself."""
+    truth: Size | None = None
+    """Distance from the truth."""
+    autopilot: Size | None = None
+    """Distance from the autopilot's own estimate."""
+    to_fixes: tuple[float, float] | None = None
+    """RMS distances of ours and of the autopilot's from the receiver's fixes, m."""
+
+
+class Reasons(NamedTuple):
+    """What speaks against an estimate."""
+
+    poor: tuple[str, ...] = ()
+    fair: tuple[str, ...] = ()
+    aside: tuple[str, ...] = ()
+    """Worth a word, and no harm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,51 +58,88 @@ class Judgement:
     """What a log's estimate is good for."""
 
     grade: str
-    """``good``, ``fair``, ``poor`` or ``attitude only``."""
+    """``good``, ``fair``, ``poor``, ``attitude only``, ``slow`` (samples) or ``short`` (log)."""
     size: str
     """How large its horizontal error is, and by whom; empty: there is no position."""
     reasons: tuple[str, ...]
     """What speaks against it, the worst first."""
+    aside: tuple[str, ...] = ()
+    """What is worth a word besides."""
 
     @property
     def sentence(self) -> str:
         """The judgement as one sentence: ``good: 0.4 m, no resets``."""
-        words = [self.size] if self.size else []
-        return f"{self.grade}: {', '.join([*words, *(self.reasons or ('no resets',))])}"
+        words = [*(self.reasons or ("no resets",)), *self.aside]
+        if self.size:
+            words.insert(1 if self.grade == "slow" else 0, self.size)
+        return f"{self.grade}: {', '.join(words)}"
 
 
-def judge(report: Report, difference: tuple[float, str, bool] | None = None) -> Judgement:
-    """Judge the estimate of a whole log.
-
-    Args:
-        report: Of the conversion.
-        difference: Horizontal RMS difference from something else, m, its name, and whether that is
-            a truth; None: nothing to compare with.
-    """
+def judge(report: Report, evidence: Evidence) -> Judgement:
+    """Judge the estimate of a whole log."""
     spent = sum(report.seconds.get(status, 0.0) for status in STARTED)
-    poor, fair = _of_status(report, spent)
-    for part in (_of_resets(report), _of_fixes(report), _of_samples(report)):
-        poor += part[0]
-        fair += part[1]
-    size = ""
-    if spent > 0.0 and np.isfinite(report.horizontal_std):
-        size = f"{report.horizontal_std:.1f} m by its own sigma"
-    if spent > 0.0 and difference is not None:
-        rms, name, is_truth = difference
-        size = f"{rms:.1f} m RMS from {name}"
-        # The autopilot's own estimate may be the one that is wrong
-        if rms > FAR:
-            (poor if is_truth else fair).append(f"far from {name}")
-        elif is_truth and rms > NEAR:
-            fair.append(f"not close to {name}")
+    whole, rate = sum(report.seconds.values()), report.rates.get(Kind.IMU, 0.0)
+    parts = [_of_samples(rate), _of_file(report)]
+    if spent > 0.0:
+        found = [_of_position(evidence), _of_status(report, spent), _of_resets(report)]
+        parts = [*found, _of_fixes(report), *parts]
+    poor, fair, aside = (tuple(words for part in parts for words in part[i]) for i in range(3))
+    if whole < SHORT_S:
+        words = (f"{whole:.0f} s are too few to judge",)
+        return Judgement(grade="short", size="", reasons=words + poor + fair, aside=aside)
     if spent == 0.0:
-        return Judgement(grade="attitude only", size="", reasons=(_why_no_position(report),))
+        reasons = (_why_no_position(report), *poor, *fair)
+        return Judgement(grade="attitude only", size="", reasons=reasons, aside=aside)
+    if rate < SLOW:  # what else is found follows from that
+        first = _of_samples(rate).fair
+        reasons = first + tuple(one for one in poor + fair if one not in first)
+        return Judgement(grade="slow", size=_size(evidence), reasons=reasons, aside=aside)
     grade = "poor" if poor else "fair" if fair else "good"
-    return Judgement(grade=grade, size=size, reasons=tuple(poor + fair))
+    return Judgement(grade=grade, size=_size(evidence), reasons=poor + fair, aside=aside)
 
 
-def _of_status(report: Report, spent: float) -> tuple[list[str], list[str]]:
-    """Return what the status says: reasons for poor, and for fair."""
+def _size(evidence: Evidence) -> str:
+    """Return how large the horizontal error is, by the best witness there is."""
+    if evidence.truth is not None:
+        return _words("{} RMS from the truth", evidence.truth)
+    if evidence.autopilot is not None:
+        words = _words("differs from the autopilot's estimate by {} RMS", evidence.autopilot)
+        ours, theirs = evidence.to_fixes or (0.0, 0.0)
+        if evidence.autopilot.rms > NEAR and ours * CLEARLY < theirs:
+            words += f", the receiver agrees with ours ({ours:.1f} m, not {theirs:.1f} m)"
+        return words
+    return "" if evidence.sigma is None else _words("{} RMS by its own sigma", evidence.sigma)
+
+
+def _words(words: str, size: Size) -> str:
+    text = words.format(f"{size.rms:.1f} m")
+    if size.worst > max(PEAK * size.rms, NEAR):
+        text += f" ({size.worst:.{1 if size.worst < 10.0 else 0}f} m at {size.at_s:.0f} s)"
+    return text
+
+
+def _of_position(evidence: Evidence) -> Reasons:
+    """Judge the distance from a truth; else from the autopilot's estimate, and the own sigma."""
+    if (truth := evidence.truth) is not None:
+        if truth.rms > FAR:
+            return Reasons(poor=("far from the truth",))
+        return Reasons(fair=("not close to the truth",) if truth.rms > NEAR else ())
+    poor: list[str] = []
+    fair: list[str] = []
+    if (sigma := evidence.sigma) is not None and sigma.rms > FAR:
+        is_said = evidence.autopilot is None
+        poor.append("unsure of its position" if is_said else _words("sigma {} RMS", sigma))
+    if (apart := evidence.autopilot) is not None and apart.rms > NEAR:
+        ours, theirs = evidence.to_fixes or (0.0, 0.0)
+        if theirs * CLEARLY < ours:
+            words = f"the receiver agrees with the autopilot's ({theirs:.1f} m, not {ours:.1f} m)"
+            (poor if apart.rms > FAR else fair).append(words)
+        elif ours * CLEARLY >= theirs and apart.rms > FAR:
+            fair.append("the receiver does not say which of the two is right")
+    return Reasons(tuple(poor), tuple(fair))
+
+
+def _of_status(report: Report, spent: float) -> Reasons:
     poor: list[str] = []
     fair: list[str] = []
     for status, words in (
@@ -82,35 +151,47 @@ def _of_status(report: Report, spent: float) -> tuple[list[str], list[str]]:
         is_long = seconds > OFTEN * spent or status is Status.INVALID
         if seconds > 1.0 and seconds > RARELY * spent * (status is Status.DEGRADED):
             (poor if is_long else fair).append(words.format(seconds))
-    return poor, fair
+    return Reasons(tuple(poor), tuple(fair))
 
 
-def _of_resets(report: Report) -> tuple[list[str], list[str]]:
+def _of_resets(report: Report) -> Reasons:
     resets = report.health.resets if report.health else 0
     resets -= report.reboots
     if resets <= 0:
         times = "once" if report.reboots == 1 else f"{report.reboots} times"
-        return [], [f"the autopilot rebooted {times}"] if report.reboots else []
+        return Reasons(fair=(f"the autopilot rebooted {times}",) if report.reboots else ())
     reason = report.health.reset_reason if report.health else ""
-    words = [f"{resets} reset{'s' if resets > 1 else ''} (last: {reason})"]
-    return (words, []) if resets > 2 else ([], words)
+    words = (f"{resets} reset{'s' if resets > 1 else ''} (last: {reason})",)
+    return Reasons(poor=words) if resets > 2 else Reasons(fair=words)
 
 
-def _of_fixes(report: Report) -> tuple[list[str], list[str]]:
+def _of_fixes(report: Report) -> Reasons:
     """Judge the share of the fixes that was refused."""
     if report.health is None:
-        return [], []
+        return Reasons()
     verdicts = report.health.verdicts[Aid.POSITION]
     refused = verdicts[Verdict.GATED] + verdicts[Verdict.SUSPECT]
     share = refused / max(refused + verdicts[Verdict.FUSED] + verdicts[Verdict.DEWEIGHTED], 1)
-    words = [f"{share:.0%} of the fixes refused"]
-    return (words, []) if share > OFTEN else ([], words) if share > RARELY else ([], [])
+    words = (f"{share:.0%} of the fixes refused",)
+    return Reasons(poor=words) if share > OFTEN else Reasons(fair=words if share > RARELY else ())
 
 
-def _of_samples(report: Report) -> tuple[list[str], list[str]]:
-    rate = report.rates.get(Kind.IMU, 0.0)
-    words = [f"inertial samples at {rate:.3g} Hz"]
-    return (words, []) if rate < SLOW else ([], words) if rate < FAST_ENOUGH else ([], [])
+def _of_samples(rate: float) -> Reasons:
+    words = f"inertial samples at {rate:.3g} Hz"
+    if rate < SLOW:
+        words += f" ({SLOW:.0f} Hz or more would do)"
+    return Reasons(fair=(words,) if rate < FAST_ENOUGH else ())
+
+
+def _of_file(report: Report) -> Reasons:
+    """Judge what of the file is damaged, and what of the telemetry never reached it."""
+    fair: list[str] = []
+    aside: list[str] = []
+    if words := report.damage.words:
+        (fair if report.damage.share > LARGEST_DAMAGE else aside).append(words)
+    if report.lost_share > LARGEST_LOSS:
+        fair.append(f"{report.lost_share:.0%} of the telemetry lost on the link")
+    return Reasons((), tuple(fair), tuple(aside))
 
 
 def _why_no_position(report: Report) -> str:

@@ -38,6 +38,7 @@ from ekf_companion.status.collect import (
 from ekf_companion.status.host import Host
 from ekf_companion.status.judge import BARREN_S, judge
 from ekf_companion.status.live import live
+from ekf_companion.status.past import Past
 from ekf_companion.status.preflight import UNJUDGED, check
 from ekf_companion.status.snapshot import (
     MessageState,
@@ -204,6 +205,7 @@ class Observer:
         self._begin_ns = self._tick_ns = clock()
         self._next_ns = 0
         self._history: deque[_Counters] = deque(maxlen=_COPIES)
+        self._past = Past()
         self._bytes_in = 0
         self._heard_ns: int | None = None
         self._stamp_ns: int | None = None
@@ -266,6 +268,7 @@ class Observer:
         self._history.append(self._counters(now_ns))
         self._longest_ns = 0
         self._note_changes(now_ns)
+        self._past.keep(now_ns, self.live)
         if (pipeline := self._companion.pipeline) is not None:
             self._nis.update(pipeline, now_ns)
             self._progress.update(pipeline, now_ns)
@@ -309,6 +312,10 @@ class Observer:
         now_ns = self._clock()
         self._note_changes(now_ns)
         return live(self._companion, seconds_since(self._sampled_ns, now_ns), now_ns)
+
+    def past(self) -> bytes:
+        """Return the estimates of the last two minutes as JSON, for a page that opens."""
+        return self._past.to_json(self._clock())
 
     def snapshot(self, host: Host) -> Snapshot:
         """Return the state at this moment; takes about 0.1 ms.

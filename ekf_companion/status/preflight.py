@@ -53,6 +53,8 @@ SETTLING_S = 10.0
 LEAST_REST_S = 4.0
 """Rest over which a drift is judged."""
 _HEADING_UNSURE = "heading is known to {:.0f} deg only"
+ARMED = "armed"
+"""Cause of a vehicle that is past the question: its verdict begins with that, not with ready."""
 UNJUDGED = Preflight(ready=False, sentence="", reasons=())
 """Stands for the verdict on a snapshot that it was not asked of yet."""
 
@@ -69,7 +71,7 @@ def check(snapshot: Snapshot) -> Preflight:
     """Return whether the vehicle may take off, and what speaks against it."""
     reasons = list(_of_vehicle(snapshot)) + list(_of_input(snapshot))
     notes: list[str] = []
-    if all(reason.cause == "armed" for reason in reasons) and snapshot.estimator is not None:
+    if all(reason.cause == ARMED for reason in reasons) and snapshot.estimator is not None:
         reasons += _of_estimate(snapshot, snapshot.estimator)
         for part in (_of_attitude(snapshot), _of_position(snapshot, snapshot.estimator)):
             for one in part:
@@ -82,7 +84,8 @@ def check(snapshot: Snapshot) -> Preflight:
             reasons.append(Reason("degraded", "the estimate is degraded; wait, or see its sigmas"))
     notes += _remarks(snapshot)
     if reasons:
-        sentence = f"not ready: {'; '.join(reason.words for reason in reasons)}"
+        words = "; ".join(reason.words for reason in reasons)
+        sentence = words if reasons[0].cause == ARMED else f"not ready: {words}"
     else:
         sentence = f"ready ({'; '.join(notes)})" if notes else "ready"
     return Preflight(
@@ -96,7 +99,7 @@ def check(snapshot: Snapshot) -> Preflight:
 
 def _of_vehicle(snapshot: Snapshot) -> Iterator[Reason]:
     if snapshot.peer is not None and snapshot.peer.is_heard and snapshot.peer.is_armed:
-        yield Reason("armed", "the vehicle is armed already: this is asked before")
+        yield Reason(ARMED, "armed already: this is a check for before take-off")
 
 
 def _of_input(snapshot: Snapshot) -> Iterator[Reason]:

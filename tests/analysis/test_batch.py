@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 from ekf_companion.analysis import batch_run
 from ekf_companion.analysis.batch import COLUMNS, examine, failed, find_logs
 from ekf_companion.analysis.batch_run import Processes, run
-from ekf_companion.analysis.flight_review import review
 from ekf_companion.cli import app
 from ekf_companion.config.config import Config
 from ekf_companion.errors import ConfigError
@@ -82,16 +81,6 @@ def test_a_name_that_matches_nothing_is_said(tmp_path, name):
         find_logs([str(tmp_path / name)])
     with pytest.raises(ConfigError, match="no log in there"):
         find_logs([str(tmp_path)])
-
-
-def test_the_verdict_is_that_of_report(tmp_path):
-    path = tmp_path / "flight.tlog"
-    words = ("generate", "--duration", "40", "--imu-rate", "50", "-o", str(path))
-    assert CliRunner().invoke(sim, list(words)).exit_code == 0
-    row = examine(path, Config())
-    judgement = review(path, Config()).judgement
-    assert "from the truth" in judgement.sentence
-    assert (row["verdict"], row["grade"]) == (judgement.sentence, judgement.grade)
 
 
 def test_rows_say_what_was_found_and_why_a_log_failed(folder, expected):

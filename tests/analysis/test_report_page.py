@@ -2,19 +2,26 @@
 
 import json
 import re
-import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from ekf_companion.analysis.report_page import POINTS, thin
+from ekf_companion.analysis import report_page
+from ekf_companion.analysis.flight_review import review
+from ekf_companion.analysis.report_sheet import POINTS, Sheet, broken, is_cut, thin, usual_span
 from ekf_companion.cli import app
+from ekf_companion.config.config import Config
+from ekf_companion.nav.state import Table
 from sim_autopilot.__main__ import app as simulator
+from tests.browser import chromium
+from tests.logs.test_csv_known import SENSORS
 
 LARGEST = 3_000_000
+DRAWN = "window.Bokeh?.documents.length > 0 && document.querySelector('.bk-Figure') !== null"
 
 
 @pytest.fixture(scope="module")
@@ -54,25 +61,112 @@ def test_it_is_one_small_file_that_needs_no_network(reported):
     assert "position: " in text.partition("found, used and refused")[2]
 
 
-def test_a_browser_draws_it_without_an_error(reported, tmp_path):
-    browser = shutil.which("chromium")
-    if browser is None:
-        pytest.skip("no chromium")
-    picture = tmp_path / "shot.png"
-    options = ["--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr"]
-    options += ["--virtual-time-budget=10000", f"--user-data-dir={tmp_path / 'profile'}"]
-    options += ["--window-size=1200,900", f"--screenshot={picture}"]
-    options += ["--host-resolver-rules=MAP * ~NOTFOUND"]
-    result = subprocess.run(
-        [browser, *options, reported[1].as_uri()],
-        capture_output=True,
-        text=True,
-        timeout=100,
-        check=False,
+def test_a_browser_draws_it_without_an_error_as_wide_as_its_screen(reported, tmp_path):
+    with chromium(tmp_path) as tab:
+        for width in (420, 1280):
+            tab.show(width, 900, phone=width == 420)
+            tab.open(reported[1].as_uri())
+            tab.wait_for(DRAWN)
+            tab.wait_for("document.querySelector('.bk-Figure').clientHeight > 200")
+            assert tab.value("document.documentElement.scrollWidth") == width
+            least = tab.value("document.querySelector('.bk-Figure').clientWidth")
+            assert least > 0.4 * width
+        picture = tmp_path / "shot.png"
+        tab.screenshot(picture)
+        assert picture.stat().st_size > 30_000  # an empty page has 8 kB
+        assert tab.errors == []
+
+
+def test_its_head_names_the_log_when_it_was_recorded_and_how_long_it_is(flown, reported, tmp_path):
+    head = reported[1].read_text().partition("</head>")[2][:400]
+    assert head.startswith("<body><h1>flight.tlog</h1>")
+    assert re.search(r"<p class=when>\S*.*4\d s \u00b7 PX4", head), head
+    dated = tmp_path / "dated.tlog"
+    dated.write_bytes(with_stamps(flown.read_bytes(), 1_782_907_200_000_000))
+    assert report_page._when(review(dated, Config())).startswith("2026-07-01 12:00 UTC \u00b7 ")
+
+
+def with_stamps(log, first_us):
+    """Return a .tlog whose recorder's clock began at a time."""
+    records, place, zero = [], 0, int.from_bytes(log[:8], "big")
+    while place < len(log):
+        stamp_us = int.from_bytes(log[place : place + 8], "big") - zero + first_us
+        size = 12 + log[place + 9] + 13 * (log[place + 10] & 1)
+        records += [stamp_us.to_bytes(8, "big"), log[place + 8 : place + 8 + size]]
+        place += 8 + size
+    return b"".join(records)
+
+
+def with_outlier(review):
+    """Return a flight whose estimate leaps away for a moment."""
+    table = Table(stamp_ns=review.table.stamp_ns, values=review.table.values.copy())
+    table.column("gyro_bias_x")[len(table) // 2] = 5.0
+    lat = review.ours.lat.copy()
+    lat[len(lat) // 2 :][:20] += 0.01  # rad
+    return replace(review, table=table, ours=replace(review.ours, lat=lat))
+
+
+def test_an_outlier_spoils_no_axis_and_a_switch_shows_it(flown, tmp_path):
+    path = tmp_path / "wild.html"
+    report_page.write(path, with_outlier(review(flown, Config())))
+    wide = (
+        "(() => { const found = {}; for (const one of Bokeh.documents[0]._all_models.values())"
+        " if (one.type == 'Figure') found[one.title.text.split(' (')[0]] ="
+        " [one.x_range.end - one.x_range.start, one.y_range.end - one.y_range.start];"
+        " return found; })()"
     )
-    assert picture.stat().st_size > 30_000, result.stderr  # an empty page has 8 kB
-    said = [line for line in result.stderr.splitlines() if "CONSOLE" in line]
-    assert not [line for line in said if "rror" in line], said
+    with chromium(tmp_path) as tab:
+        tab.show(1280, 900)
+        tab.open(path.as_uri())
+        tab.wait_for(DRAWN)
+        tab.wait_for(f"{wide}['track'][1] < 1000")
+        assert tab.value(wide)["gyro bias"][1] < 20.0
+        tab.value("document.querySelector('#outliers').click()")
+        tab.wait_for(f"{wide}['gyro bias'][1] > 200")
+        tab.wait_for(f"{wide}['track'][1] > 50000")
+        tab.value("document.querySelector('#outliers').click()")
+        tab.wait_for(f"{wide}['gyro bias'][1] < 20 && {wide}['track'][1] < 1000")
+        assert tab.errors == []
+
+
+def test_without_a_position_of_ours_nothing_of_the_autopilots_is_in_our_colour(flown):
+    found = review(flown, Config())
+    nowhere = np.zeros(0)
+    ours = replace(found.ours, pos_t_ns=nowhere.astype(np.int64), lat=nowhere, lon=nowhere)
+    colours = dict(report_page._coloured(replace(found, ours=replace(ours, alt=nowhere))))
+    assert len(set(colours.values())) == len(found.others) + 1
+    plot = report_page._track(replace(found, ours=replace(ours, alt=nowhere)), Sheet(0))[0]
+    drawn = {one.glyph.line_color for one in plot.renderers if hasattr(one.glyph, "line_color")}
+    assert report_page._OURS not in drawn
+    assert report_page._AUTOPILOT in drawn
+
+
+def test_heights_of_a_made_up_place_are_those_of_its_file(tmp_path):
+    rows = []
+    for index in range(400):
+        fix = "1,0,0,110,0,0,0" if index % 10 == 0 else "0,NaN,NaN,NaN,NaN,NaN,NaN"
+        rows.append(f"{index / 10},0,0,0,0,0,-9.81,1,0,0,{0.1 * (index % 2)},{fix}")
+    path = tmp_path / "uavSensors.csv"
+    path.write_text("\n".join([SENSORS.partition("\n")[0], *rows, ""]))
+    found = review(path, Config())
+    assert found.ours.alt == pytest.approx(110.0, abs=5.0)
+    assert not found.has_sea_level
+    assert '"height as the file counts it' in report_page.page(found)
+
+
+def test_two_boots_are_drawn_one_after_another(flown, tmp_path):
+    log = tmp_path / "twice.tlog"
+    log.write_bytes(2 * flown.read_bytes())
+    found = review(log, Config())
+    assert (np.diff(found.table.stamp_ns) >= 0).all()
+    (begin_ns,) = found.begins_ns
+    lasted = (begin_ns - found.table.stamp_ns[0]) * 1e-9
+    assert 45.0 < lasted < 55.0  # 40 s and a pause
+    assert found.table.stamp_ns[-1] - begin_ns > 35e9
+    assert found.looks[-1].t_ns > begin_ns
+    page = report_page.page(found)
+    assert "clock restarts" in page
+    assert "clock restarted once" in page
 
 
 def test_a_second_one_overwrites_nothing_and_json_comes_in_place_of_the_text(reported, flown):
@@ -110,3 +204,21 @@ def test_a_line_keeps_its_extremes_and_its_gaps():
     assert len(short) <= 1.6 * POINTS
     assert (np.nanmax(short), np.nanmin(short)) == (9.0, -9.0)
     assert np.isnan(short).sum() == 1
+
+
+def test_a_line_ends_at_a_gap_and_begins_anew_behind_it():
+    x = np.concatenate([np.arange(0.0, 10.0), np.arange(40.0, 50.0)])
+    broken_x, y = broken(x, x)
+    assert np.flatnonzero(np.isnan(y)).tolist() == [10]
+    assert len(broken_x) == len(x) + 1
+
+
+def test_what_is_usual_is_of_each_line_by_itself():
+    still, far = np.zeros(1000), np.full(1000, 46.0)
+    far[500] = 9000.0
+    usual, whole = usual_span([still, far, np.full(3, np.nan)])
+    assert usual[1] == pytest.approx(46.0, abs=5.0)
+    assert whole[1] > 9000.0
+    assert is_cut(usual, whole)
+    assert not is_cut(*usual_span([np.sin(np.arange(1000.0))]))
+    assert usual_span([np.full(3, np.nan)]) is None

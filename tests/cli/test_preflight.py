@@ -18,7 +18,7 @@ from sim_autopilot.flight import Flight
 from sim_autopilot.fly import fly, over, run
 from tests.cli.served import serving_once
 from tests.cli.test_status import daemon as unflown  # noqa: F401  # a fixture
-from tests.daemon.test_daemon import Daemon, Open, free_port
+from tests.daemon.test_daemon import Daemon, Open, free_port, plan
 from tests.daemon.waiting import LIMIT
 
 SPEED = 3.0
@@ -28,12 +28,17 @@ def preflight(*arguments):
     return CliRunner().invoke(app, ["preflight", *map(str, arguments)])
 
 
-@contextlib.contextmanager
 def standing(folder, *faults):
     """Yield the address of a daemon beside an autopilot that stands."""
+    return beside(folder, Flight.plan("static", SimConfig(), duration=300.0), *faults)
+
+
+@contextlib.contextmanager
+def beside(folder, planned, *faults):
+    """Yield the address of a daemon beside an autopilot that does as planned."""
     port, http_port = free_port(), free_port(socket.SOCK_STREAM)
     config = f"http: {{port: {http_port}}}\n"
-    flight = Open(Flight.plan("static", SimConfig(), duration=300.0))
+    flight = Open(planned)
     wrong = [parse(one) for one in faults]
 
     async def body(link):
@@ -75,6 +80,23 @@ def test_a_heading_that_is_off_over_the_wire_is_exit_code_5(tmp_path):
     waited = told.stderr.splitlines()
     assert waited == list(dict.fromkeys(waited))
     assert all(line.endswith(" (waiting)") for line in waited)
+
+
+def test_in_the_air_it_says_so_and_waits_for_nothing(tmp_path):
+    with beside(tmp_path, plan(600.0, boot=20.0, skip=10.0)) as url:
+        command = [sys.executable, "-W", "error", "-m", "ekf_companion", "preflight", "--url", url]
+        told = subprocess.run(
+            [*command, "--wait", str(100.0 * LIMIT)],
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=LIMIT,
+        )
+        data = json.loads(preflight("--url", url, "--json").stdout)
+    assert told.returncode == 6, told
+    assert told.stdout.startswith("armed already: this is a check for before take-off")
+    assert "not ready" not in told.stdout
+    assert (data["ready"], data["causes"][0]) == (False, "armed")
 
 
 def test_where_nothing_is_heard_it_is_not_ready_and_json_says_why(unflown):  # noqa: F811

@@ -216,7 +216,7 @@ def test_the_page_shows_what_differs_from_the_file_and_what_comes_in_vain(data):
 
 def test_the_page_begins_with_the_verdicts_and_where_the_vehicle_is(data):
     lines = page(data).splitlines()
-    assert lines[1].startswith("take-off: not ready: the vehicle is armed already")
+    assert lines[1].startswith("take-off: armed already: ")
     names = [line.split("  ")[0] for line in lines[2:19]]
     assert names[:4] == ["Vehicle", "latitude", "longitude", "height"]
     assert names[-6:] == ["position", "height", "velocity", "heading", "baro", "rest"]
@@ -227,6 +227,14 @@ def test_the_page_begins_with_the_verdicts_and_where_the_vehicle_is(data):
     assert heading[1:4] == [f"{vehicle['heading_deg']:.1f}", f"{sigma:.1f}", "deg"]
     assert heading[4] == f"{own:.1f}"
     assert re.search(r"^heading +\d s  HIGHRES_IMU, magnetometer", page(data), re.MULTILINE)
+
+
+def test_a_vehicle_that_moves_has_not_lost_its_rest(data):
+    aids = data["vehicle"]["aids"]
+    gone = {**aids["rest"], "state": "lost"}
+    moving = {**data, "vehicle": {**data["vehicle"], "aids": {**aids, "rest": gone}}}
+    (line,) = [line for line in page(moving).splitlines() if line.startswith("rest ")]
+    assert line.split()[1] == "moving"
 
 
 def test_in_brief_it_fits_80_by_24_also_with_a_long_verdict(data):

@@ -82,6 +82,13 @@ def test_the_status_goes_from_bytes_to_what_is_sent(served):
     assert 20.0 < process["rss_mb"] < 100.0
 
 
+def test_a_page_that_opens_is_told_what_was_before(served):
+    past = json.loads(ask(served[1], "/past")[2])
+    ages = [age_s for age_s, _ in past]
+    assert ages == sorted(ages, reverse=True)
+    assert past[-1][1]["status"] == "ok"
+
+
 def test_prometheus_reads_the_metrics(served):
     """Rule 40: /metrics."""
     code, headers, _ = ask(served[1], "/metrics")

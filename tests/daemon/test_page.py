@@ -49,6 +49,9 @@ def start(folder, ports):
     return Daemon(folder, "--link", f"udpin:127.0.0.1:{port}", config=config)
 
 
+SPANNED = "Number(document.querySelector('.chart').dataset.seconds)"
+
+
 def drawn(selector):
     """Return an expression that is another text once a canvas shows another picture."""
     return f"document.querySelector('{selector}').toDataURL().length + ''"
@@ -71,17 +74,29 @@ def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
             tab.wait_for("document.querySelectorAll('#rates tbody tr').length > 3")
             tab.wait_for("document.querySelector('#events').textContent.includes('Estimate is OK')")
             assert tab.errors == []
+            # A page that opens later shows what was before
+            tab.open(f"http://127.0.0.1:{ports[1]}/")
+            tab.wait_for("document.querySelector('#link')?.textContent == 'live'")
+            tab.wait_for(f"{SPANNED} > performance.now() / 1000 + 2")
+            assert tab.errors == []
             # An autopilot that falls silent, and one that speaks again
             flight.land()
             tab.wait_for("document.body.classList.contains('old')")
             tab.wait_for("document.querySelector('.old-note').textContent.endsWith(' s old')")
+            tab.wait_for(
+                "document.querySelector('#link').textContent.startsWith('no samples for ')"
+            )
+            assert tab.value("document.querySelector('#link').className") == "badge bad"
+            tab.wait_for("/ok, [0-9]+ s ago/.test(document.querySelector('#facts').textContent)")
+            assert tab.value("document.querySelector('#facts dd.good')") is None
             with flying(f"udpout:127.0.0.1:{ports[0]}"):
                 tab.wait_for("!document.body.classList.contains('old')")
             assert tab.errors == []
         tab.wait_for("document.querySelector('#link').textContent.startsWith('no connection')")
         tab.wait_for("document.body.classList.contains('stale')")
         with start(tmp_path, ports):
-            tab.wait_for("document.querySelector('#link').textContent == 'live'")
+            tab.wait_for("document.querySelector('#link').textContent == 'no estimate yet'")
+            assert tab.value("document.querySelector('#link').className") == "badge wait"
             tab.wait_for("!document.body.classList.contains('stale')")
             # That nothing answered is the browser's own line, which no page can prevent
             others = [one for one in tab.errors if "ERR_CONNECTION" not in str(one)]

@@ -40,6 +40,18 @@ def test_the_seeds_sensors_are_read_without_a_map(tmp_path: Path):
     ]
     np.testing.assert_allclose(headings, expected)
     assert any("the seed article" in note for note in recording.notes)
+    assert recording.zero_height == SIMULATED.alt
+    assert any("height of zero is put at 5895.2 m" in note for note in recording.notes)
+
+
+def test_a_place_of_ones_own_has_heights_above_the_sea(tmp_path: Path):
+    path = tmp_path / "uavSensors.csv"
+    path.write_text(SENSORS)
+    origin = "origin: {lat_deg: 47.4, lon_deg: 8.5, alt_m: 400.0}\n"
+    (tmp_path / "uavSensors.csv.columns.yaml").write_text(origin)
+    recording = csv.read(path)
+    assert recording.zero_height == 0.0
+    assert recording.events.values[recording.events.kind == Kind.GNSS][0][2] == 510.0
 
 
 def test_a_map_beside_the_file_goes_before(tmp_path: Path):

@@ -1,4 +1,4 @@
-"""The verdict on a log, by what a report says of it."""
+"""The verdict on a log, by what a report says of it and by what else knew the position."""
 
 from dataclasses import replace
 
@@ -7,57 +7,127 @@ import pytest
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.logs.recording import Damage
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
 from ekf_companion.replay.report import Report
-from ekf_companion.replay.verdict import judge
+from ekf_companion.replay.track import Size
+from ekf_companion.replay.verdict import Evidence, judge
 
 HEALTH = Pipeline(FilterSettings()).health()
+SURE = Evidence(sigma=Size(0.4, 0.5, 10.0))
 
 
-def report(seconds=None, *, resets=0, refused=0, imu=250.0, reboots=0, gnss=100):
+def report(seconds=None, *, resets=0, refused=0, imu=250.0, gnss=100, **more):
     counts = dict.fromkeys(Verdict, 0) | {Verdict.FUSED: 100 - refused, Verdict.GATED: refused}
     verdicts = dict(HEALTH.verdicts) | {Aid.POSITION: counts}
-    found = Report(log="x", seconds=seconds or {Status.OK: 100.0}, reboots=reboots)
+    found = Report(log="x", seconds=seconds or {Status.OK: 100.0}, **more)
     found.counts[Kind.GNSS] = gnss
     found.rates[Kind.IMU] = imu
-    found.horizontal_stds = [0.4, 0.5, 0.4]
     found.health = replace(HEALTH, resets=resets, reset_reason="position", verdicts=verdicts)
     return found
 
 
+def from_truth(rms, worst):
+    return Evidence(sigma=SURE.sigma, truth=Size(rms, worst, 54.0), autopilot=Size(9.0, 9.0, 1.0))
+
+
+def from_autopilot(rms, to_fixes=None, worst=0.0):
+    return Evidence(sigma=SURE.sigma, autopilot=Size(rms, worst, 72.0), to_fixes=to_fixes)
+
+
+BAD = Damage("1314 damaged places in the file (27.6 kB)", 0.02)
+
+
 @pytest.mark.parametrize(
-    ("found", "difference", "sentence"),
+    ("found", "sentence"),
     [
-        (report(), None, "good: 0.4 m by its own sigma, no resets"),
-        (report(), (0.42, "the truth", True), "good: 0.4 m RMS from the truth, no resets"),
-        (
-            report(),
-            (3.0, "the truth", True),
-            "fair: 3.0 m RMS from the truth, not close to the truth",
-        ),
-        (report(), (9.0, "the truth", True), "poor: 9.0 m RMS from the truth, far from the truth"),
-        (report(), (9.0, "the autopilot", False), "fair: 9.0 m RMS from the autopilot, far from t"),
-        (report(resets=1), None, "fair: 0.4 m by its own sigma, 1 reset (last: position)"),
-        (report(resets=3), None, "poor: 0.4 m by its own sigma, 3 resets (last: position)"),
+        (report(), "good: 0.4 m RMS by its own sigma, no resets"),
+        (report(resets=1), "fair: 0.4 m RMS by its own sigma, 1 reset (last: position)"),
+        (report(resets=3), "poor: 0.4 m RMS by its own sigma, 3 resets (last: position)"),
         (
             report(resets=1, reboots=1),
-            None,
-            "fair: 0.4 m by its own sigma, the autopilot rebooted once",
+            "fair: 0.4 m RMS by its own sigma, the autopilot rebooted once",
         ),
-        (report(refused=10), None, "fair: 0.4 m by its own sigma, 10% of the fixes refused"),
-        (report(refused=30), None, "poor: 0.4 m by its own sigma, 30% of the fixes refused"),
-        (report(imu=3.3), None, "poor: 0.4 m by its own sigma, inertial samples at 3.3 Hz"),
+        (report(refused=10), "fair: 0.4 m RMS by its own sigma, 10% of the fixes refused"),
+        (report(refused=30), "poor: 0.4 m RMS by its own sigma, 30% of the fixes refused"),
         (
             report({Status.OK: 80.0, Status.DEAD_RECKONING: 10.0}),
-            None,
-            "fair: 0.4 m by its own sigma, without GNSS for 10 s",
+            "fair: 0.4 m RMS by its own sigma, without GNSS for 10 s",
         ),
-        (report({Status.OK: 97.0, Status.DEGRADED: 3.0}), None, "good: 0.4 m"),
-        (report({Status.OK: 97.0, Status.INVALID: 3.0}), None, "poor: 0.4 m by its own sigma, not"),
-        (report({Status.ATTITUDE: 90.0}, gnss=0), None, "attitude only: no GNSS fix"),
-        (report({Status.ATTITUDE: 90.0}), None, "attitude only: no position, for no heading was"),
+        (report({Status.OK: 97.0, Status.DEGRADED: 3.0}), "good: 0.4 m"),
+        (
+            report({Status.OK: 97.0, Status.INVALID: 3.0}),
+            "poor: 0.4 m RMS by its own sigma, not valid for 3 s",
+        ),
+        (report({Status.ATTITUDE: 90.0}, gnss=0), "attitude only: no GNSS fix"),
+        (report({Status.ATTITUDE: 90.0}), "attitude only: no position, for no heading was"),
     ],
 )
-def test_the_verdict_names_size_and_reasons(found, difference, sentence):
-    assert judge(found, difference).sentence.startswith(sentence)
+def test_the_verdict_names_size_and_reasons(found, sentence):
+    assert judge(found, SURE).sentence.startswith(sentence)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "sentence"),
+    [
+        (from_truth(0.42, 0.9), "good: 0.4 m RMS from the truth, no resets"),
+        (from_truth(3.0, 4.0), "fair: 3.0 m RMS from the truth, not close to the truth"),
+        (
+            from_truth(9.7, 46.0),
+            "poor: 9.7 m RMS from the truth (46 m at 54 s), far from the truth",
+        ),
+        (
+            Evidence(sigma=Size(9.2, 54.4, 53.0)),
+            "poor: 9.2 m RMS by its own sigma (54 m at 53 s), unsure of its position",
+        ),
+        (from_autopilot(1.9), "good: differs from the autopilot's estimate by 1.9 m RMS, no"),
+        (
+            from_autopilot(3.0, (0.2, 3.1), 9.65),
+            "good: differs from the autopilot's estimate by 3.0 m RMS (9.7 m at 72 s), the receiver"
+            " agrees with ours (0.2 m, not 3.1 m), no resets",
+        ),
+        (
+            from_autopilot(3.0, (3.1, 0.2)),
+            "fair: differs from the autopilot's estimate by 3.0 m RMS, the receiver agrees with the"
+            " autopilot's (0.2 m, not 3.1 m)",
+        ),
+        (
+            from_autopilot(9.0, (9.1, 0.2)),
+            "poor: differs from the autopilot's estimate by 9.0 m RMS, the receiver agrees with the"
+            " autopilot's (0.2 m, not 9.1 m)",
+        ),
+        (
+            from_autopilot(9.0),
+            "fair: differs from the autopilot's estimate by 9.0 m RMS, the receiver does not say",
+        ),
+        (
+            from_autopilot(1.0)._replace(sigma=Size(9.2, 54.4, 53.0)),
+            "poor: differs from the autopilot's estimate by 1.0 m RMS, sigma 9.2 m RMS (54 m at",
+        ),
+    ],
+)
+def test_the_best_witness_of_the_position_is_the_one_that_counts(evidence, sentence):
+    assert judge(report(), evidence).sentence.startswith(sentence)
+
+
+def test_a_slow_or_short_log_is_called_that_and_not_poor():
+    slow = report({Status.DEGRADED: 100.0}, imu=3.3, resets=4)
+    assert judge(slow, SURE).sentence == (
+        "slow: inertial samples at 3.3 Hz (20 Hz or more would do), 0.4 m RMS by its own sigma, "
+        "degraded for 100 s, 4 resets (last: position)"
+    )
+    short = report({Status.ALIGNING: 4.1, Status.DEGRADED: 2.4})
+    assert judge(short, SURE).sentence.startswith("short: 6 s are too few to judge")
+    assert judge(report(imu=25.0), SURE).grade == "fair"
+
+
+def test_damage_and_loss_are_said_and_count_once_they_are_much():
+    little = report(damage=BAD._replace(share=0.001))
+    assert judge(little, SURE).sentence == (
+        f"good: 0.4 m RMS by its own sigma, no resets, {BAD.words}"
+    )
+    assert judge(report(damage=BAD), SURE).sentence.startswith("fair: 0.4 m")
+    assert BAD.words in judge(report(damage=BAD), SURE).reasons
+    lossy = judge(report(lost_share=0.08), SURE)
+    assert (lossy.grade, lossy.reasons) == ("fair", ("8% of the telemetry lost on the link",))

@@ -5,6 +5,7 @@ import json
 import math
 import os
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -17,6 +18,7 @@ from ekf_companion.link.address import parse_url
 from ekf_companion.link.link import Link
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.nav.state import Status
+from ekf_companion.status import past
 from ekf_companion.status.host import Host, read_host
 from ekf_companion.status.judge import judge, to_json
 from ekf_companion.status.observer import BUCKETS_MS, Latency, Observer
@@ -401,3 +403,14 @@ def test_a_board_with_a_hundred_sensors_tells_some(tmp_path):
 
 def test_the_memory_is_this_process_own():
     assert 20.0 < read_host().rss_mb < 2000.0
+
+
+def test_the_last_estimates_are_kept_one_a_second_for_a_page_that_opens(monkeypatch):
+    monkeypatch.setattr(past, "KEPT", 5)
+    watched = Watched().fly(9.0)
+    kept = json.loads(watched.observer.past())
+    assert len(kept) == 5
+    ages = [age_s for age_s, _ in kept]
+    assert [round(older - newer) for older, newer in pairwise(ages)] == [1, 1, 1, 1]
+    assert kept[-1][1]["lat_deg"] == pytest.approx(kept[0][1]["lat_deg"], abs=1e-4)
+    assert all(live["age_s"] < 0.1 for _, live in kept)

@@ -183,6 +183,7 @@ def test_before_it_has_aligned_it_is_not_ready():
 def test_a_vehicle_that_is_armed_already_is_told():
     found = verdict(stand(duration=10.0, scenario="hover"))
     assert found.causes[0] == "armed"
+    assert found.sentence.startswith("armed already: this is a check for before take-off")
     assert not found.ready
 
 

@@ -2,6 +2,7 @@
 
 import { $, colours, fixed, make } from "./format.js";
 
+export const SPAN = 120; // s that a live chart shows
 const HEIGHT = 170;
 const all = [];
 
@@ -38,7 +39,7 @@ export class Chart {
         height: HEIGHT,
         cursor: { sync: { key: "time" }, drag: { x: !isClock, y: false }, points: { size: 6 } },
         legend: { live: true },
-        scales: { x: { time: Boolean(isClock) }, y: { range: (_, low, high) => widen(low, high, bound, digits) } },
+        scales: { x: { time: Boolean(isClock), range: isClock ? lastSeconds : undefined }, y: { range: (_, low, high) => widen(low, high, bound, digits) } },
         axes: [
           { ...axis, size: 26, space: 70 },
           { ...axis, size: 52 },
@@ -93,6 +94,7 @@ export class Chart {
   /** Show other data: times, then the values of each line; null where not known. */
   set(data) {
     this.data = data;
+    this.card.dataset.seconds = data[0].length ? Math.round(data[0].at(-1) - data[0][0]) : 0;
     this.plot?.setData(data);
     this.tell();
   }
@@ -119,6 +121,12 @@ function stroke(context, x1, y1, x2, y2) {
   context.lineTo(x2, y2);
   context.stroke();
 }
+
+/** The last two minutes, also where there is one moment only. */
+const lastSeconds = (_, low, high) => {
+  const now = high ?? Date.now() / 1000;
+  return [now - SPAN, now];
+};
 
 /** A range that does not magnify noise, and shows the bound. */
 function widen(low, high, bound, digits) {

@@ -1,12 +1,11 @@
 /** The page of a running daemon. */
 
-import { Chart } from "./charts.js";
+import { Chart, SPAN } from "./charts.js";
 import { $, fixed, isKnown, put } from "./format.js";
 import { Link } from "./link.js";
 import { Map } from "./track.js";
 import { showEvents, showFacts, showSample, showTable, showVerdict, speedOf } from "./view.js";
 
-const SPAN = 60; // s that a chart shows
 const OLD = 1.5; // s without an inertial sample
 const AIDS = ["position", "height", "velocity", "heading", "baro", "rest"];
 const dashed = { colour: "autopilot", dash: [6, 4] };
@@ -31,10 +30,13 @@ export function startLive() {
   charts.forEach((one) => (one.data = [[], ...one.chart.options.lines.map(() => [])]));
   nis.data = [[], ...AIDS.map(() => [])];
   let count = 0;
+  let age; // s of the newest sample; null: there is no estimate, undefined: not known
 
   const onLive = (live) => {
     showSample(live, live?.autopilot, map);
     const isOld = showAge(live);
+    age = live === null ? null : live.age_s;
+    showLink(link, age);
     if (!live) return;
     const now = Date.now() / 1000;
     // Without samples the estimate stands still: a gap, no line
@@ -47,6 +49,22 @@ export function startLive() {
     append(nis.data, Date.now() / 1000, AIDS.map((aid) => status.estimator?.nis?.[aid]));
     nis.chart.set(nis.data);
   };
+  fetch("past").then((answer) => (answer.ok ? answer.json() : [])).then(fill).catch(() => {});
+  /** Put what was before the page opened in front of what has come since. */
+  function fill(past) {
+    const now = Date.now() / 1000;
+    const first = charts[0].data[0][0] ?? now;
+    const rows = past.map(([old, live]) => [now - old, live]).filter(([at, live]) => at < first && live);
+    map.addPast(rows.map(([, live]) => live));
+    for (const one of charts) {
+      const before = [[], ...one.chart.options.lines.map(() => [])];
+      for (const [at, live] of rows) append(before, at, live.age_s < OLD ? one.rows(live) : []);
+      one.data = one.data.map((column, i) => before[i].concat(column));
+      one.chart.set(one.data);
+    }
+  }
+
+  let link = ["wait", "connecting"];
   let state = "";
   new Link(
     (message) => {
@@ -55,14 +73,23 @@ export function startLive() {
       if ("events" in message) showEvents(message.events.map(timed));
     },
     (kind, words) => {
-      put("link", words);
-      $("link").className = `badge ${kind}`;
+      link = [kind, words];
+      showLink(link, age);
       document.body.classList.toggle("stale", kind === "bad");
       // A pause shows as a gap of the lines
       if (state === "good" && kind !== "good") charts.forEach((one) => append(one.data, Date.now() / 1000, []));
       state = kind;
     },
   );
+}
+
+/** Show whether what is seen is of now: the connection, and what comes over it. */
+function showLink([kind, words], age) {
+  let shown = [kind, words];
+  if (kind === "good" && age === null) shown = ["wait", "no estimate yet"];
+  else if (kind === "good" && age !== undefined && !(age < OLD)) shown = ["bad", `no samples for ${fixed(age, 0, " s")}`];
+  put("link", shown[1]);
+  $("link").className = `badge ${shown[0]}`;
 }
 
 /** Say how old the estimate is, where no samples come; return whether that is so. */
@@ -90,14 +117,17 @@ function showState(status) {
   showPreflight(status);
   put("vehicle", peer ? `${peer.family} ${peer.version}, system ${peer.system_id}${peer.is_armed ? ", armed" : ""}` : link.url);
   const resets = Object.entries(status.resets).map(([why, n]) => `${why} ${n}`).join(", ");
+  const isOld = !(status.sample_age_s < OLD);
+  const found = estimator ? `${estimator.status.replace("_", " ")}${isOld ? `, ${fixed(status.sample_age_s, 0, " s")} ago` : ""}` : "none yet";
   showFacts([
-    ["estimate", estimator ? estimator.status.replace("_", " ") : "none yet", estimator?.status === "ok" ? "good" : "bad"],
+    ["estimate", found, estimator?.status === "ok" && !isOld ? "good" : "bad"],
     ["ODOMETRY", output.is_allowed ? `${fixed(output.rate, 0)} Hz${output.silence ? `, ${output.silence}` : ""}` : `withheld: ${output.reason}`],
     ["to change", output.remedy],
     ["samples", `${imu.message || "none"}, ${fixed(imu.rate, 0)} Hz`],
     ["age of the newest", fixed(status.sample_age_s, 1, " s"), status.sample_age_s > 1 ? "bad" : ""],
     ...Object.entries(status.vehicle?.aids ?? {}).filter(([, aid]) => aid.state !== "none").map(([name, aid]) => [
-      name, `${aid.state}, ${aid.source}${aid.state === "used" ? `, for ${fixed(aid.since_s, 0)} s` : aid.why && `: ${aid.why}`}`,
+      name, name === "rest" && aid.state === "lost" ? "moving"
+        : `${aid.state}, ${aid.source}${aid.state === "used" ? `, for ${fixed(aid.since_s, 0)} s` : aid.why && `: ${aid.why}`}`,
       aid.state === "used" || name === "rest" ? "" : "bad"]),
     ["sigma", estimator ? `${fixed(estimator.std_horizontal, 2)} m horizontal, ${fixed(estimator.std_vertical, 2)} m vertical` : ""],
     ["resets", resets || "none", resets ? "bad" : ""],
@@ -115,7 +145,7 @@ function showState(status) {
 
 /** The verdict before take-off; after it, whether all works. */
 function showPreflight({ health, peer, preflight }) {
-  const isAsked = preflight && !(peer?.is_armed && peer.is_heard);
+  const isAsked = preflight && !peer?.is_armed;
   const isGood = isAsked ? preflight.ready : health.is_ok;
   const kind = !health.is_healthy ? "bad" : isGood ? "good" : "wait";
   if (!isAsked) return showVerdict(kind, health.words);

@@ -53,6 +53,18 @@ export class Map {
     this.draw();
   }
 
+  /** Put where both were before the page opened in front of what has come since. */
+  addPast(rows) {
+    for (const [name, of] of [["ours", (row) => row], ["autopilot", (row) => row.autopilot]]) {
+      const before = new Track(name);
+      for (const one of rows.map(of)) {
+        const point = one && this.place(one.lat_deg, one.lon_deg);
+        if (point) before.add(point);
+      }
+      this.tracks[name].points.unshift(...before.points);
+    }
+  }
+
   /** Middle and pixels per metre of the part that is shown. */
   frame(width, height) {
     const sigma = Math.sqrt(Math.max(this.sample?.ellipse_m2?.[0] ?? 1, this.sample?.ellipse_m2?.[2] ?? 1));

@@ -1,0 +1,199 @@
+"""The figures of a report: lines over one time axis, drawn by Bokeh, that show what is usual.
+
+An outlier does not spoil an axis: at first it shows what nearly all values are within, and a switch
+on the page shows all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ekf_companion.nav.arrays import Array, Stamps
+
+POINTS = 1500
+"""Of a line: more than a screen has columns. 30 lines of them are 0.7 MB."""
+USUAL = (0.5, 99.5)
+"""Percentiles of a line that an axis shows at first."""
+MUCH = 1.6
+"""All is shown at first, unless that takes so many times the span of what is usual."""
+MARGIN = 0.08
+"""Of the span, on each side."""
+HEIGHT, TALL = 280, 400
+"""Pixels of a figure over time, and of a map; as wide as the column of the page."""
+_GAP_S = 2.0
+_GAP_STEPS = 5.0
+"""A line is not drawn over steps longer than that, nor than so many of its usual ones."""
+
+Line = tuple[str, Stamps, Array, str]
+"""Name, stamps (ns), values, colour."""
+Span = tuple[float, float]
+
+
+def thin(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return a line with few points that has the same outline: the extremes of each piece."""
+    if len(x) <= POINTS:
+        return x.astype(np.float32), y.astype(np.float32)
+    edges = np.linspace(0, len(x), POINTS // 2 + 1).astype(int)
+    kept: list[int] = []
+    for begin, end in pairwise(edges.tolist()):
+        piece = y[begin:end]
+        unknown = ~np.isfinite(piece)
+        found = {begin + int(np.argmax(unknown))} if unknown.any() else set()
+        if not unknown.all():
+            found |= {begin + int(np.nanargmin(piece)), begin + int(np.nanargmax(piece))}
+        kept += sorted(found)
+    return x[kept].astype(np.float32), y[kept].astype(np.float32)
+
+
+def broken(x: Array, *columns: Array) -> tuple[Array, ...]:
+    """Return a line with a NaN in each gap of its ascending times, s."""
+    steps = np.diff(x)
+    if not len(steps):
+        return x, *columns
+    gaps = np.flatnonzero(steps > max(_GAP_S, _GAP_STEPS * float(np.median(steps)))) + 1
+    return np.insert(x, gaps, x[gaps - 1]), *(np.insert(one, gaps, np.nan) for one in columns)
+
+
+def usual_span(series: Iterable[Array]) -> tuple[Span, Span] | None:
+    """Return what nearly all values of each line are within, and all of them; None: there are none.
+
+    Both have a margin, and neither is narrower than 1e-9.
+    """
+    known = [values[np.isfinite(values)] for values in series]
+    known = [values for values in known if len(values)]
+    if not known:
+        return None
+    usual = np.array([np.percentile(values, USUAL) for values in known])
+    whole = np.array([(values.min(), values.max()) for values in known])
+    first, second = ((one[:, 0].min(), one[:, 1].max()) for one in (usual, whole))
+    return _with_margin(*first), _with_margin(*second)
+
+
+def _with_margin(low: float, high: float) -> Span:
+    spare = max(MARGIN * (high - low), 1e-9)
+    return float(low - spare), float(high + spare)
+
+
+def is_cut(usual: Span, whole: Span) -> bool:
+    """Return whether an axis begins with less than the whole."""
+    return whole[1] - whole[0] > MUCH * (usual[1] - usual[0])
+
+
+class Sheet:
+    """Draws figures whose time axes are one, from the first estimate on."""
+
+    def __init__(self, zero_ns: int, begins_ns: Sequence[int] = ()) -> None:
+        """Draw nothing yet.
+
+        Args:
+            zero_ns: Where the time axis is zero.
+            begins_ns: Where the autopilot's clock began anew: a line there says so.
+        """
+        from bokeh.models import DataRange1d
+
+        self._zero_ns = zero_ns
+        self._restarts = self.seconds(np.array(begins_ns, dtype=np.int64)).tolist()
+        self._time = DataRange1d(range_padding=0.02)
+        self.cuts: list[dict[str, Any]] = []
+        """Axes that show less than all: the id of a range, its usual and its whole span."""
+
+    def seconds(self, t_ns: Stamps) -> Array:
+        """Return stamps as the time axis shows them, s."""
+        return np.asarray((t_ns - self._zero_ns) * 1e-9)
+
+    def figure(self, title: str, unit: str, *, across: str = "time, s", **options: Any) -> Any:
+        """Return an empty figure."""
+        from bokeh.plotting import figure
+
+        if across == "time, s":
+            options["x_range"] = self._time
+        plot = figure(
+            title=title,
+            x_axis_label=across,
+            y_axis_label=unit,
+            sizing_mode="stretch_width",
+            tools="pan,box_zoom,wheel_zoom,reset,save,hover",
+            active_drag="box_zoom",
+            toolbar_location="above",
+            **{"height": HEIGHT, **options},
+        )
+        plot.toolbar.logo, plot.toolbar.autohide = None, True
+        if across == "time, s":
+            self._mark_restarts(plot)
+        return plot
+
+    def lines(self, title: str, unit: str, series: Sequence[Line]) -> list[Any]:
+        """Return a figure of lines over time; none if all values are NaN."""
+        known = [one for one in series if np.isfinite(one[2]).any()]
+        if not known:
+            return []
+        plot = self.figure(title, unit)
+        for name, t_ns, values, colour in reversed(known):  # the first one on top
+            self.line(plot, t_ns, values, line_color=colour, legend_label=name)
+        self.limit(plot, [values for _, _, values, _ in known])
+        place_legend(plot)
+        return [plot]
+
+    def line(self, plot: Any, t_ns: Stamps, values: Array, **look: Any) -> None:
+        """Draw one line over time into a figure."""
+        x, y = thin(*broken(self.seconds(t_ns), np.asarray(values, dtype=float)))
+        plot.line(x, y, **{"line_width": 1.4, **look})
+
+    def limit(self, plot: Any, series: Sequence[Array]) -> None:
+        """Let the upward axis show at first what is usual in some lines."""
+        from bokeh.models import Range1d
+
+        spans = usual_span(series)
+        if spans is None or not is_cut(*spans):
+            return
+        usual, whole = spans
+        plot.y_range = Range1d(*usual)
+        self._cut(plot, plot.y_range, usual, whole)
+
+    def limit_map(self, plot: Any, tracks: Sequence[Array]) -> None:
+        """Let a map, whose axes have one scale, show at first where some tracks usually are.
+
+        The tracks are north, east, shape (n, 2) or more. Nothing is cut off that is near.
+        """
+        spans = [usual_span([one[:, axis] for one in tracks]) for axis in (1, 0)]
+        (east, north) = spans
+        if east is None or north is None:
+            return
+        size = max(east[0][1] - east[0][0], north[0][1] - north[0][0])
+        all_of = max(east[1][1] - east[1][0], north[1][1] - north[1][0])
+        if all_of <= MUCH * size:
+            return
+        # Invisible corners, which alone the ranges follow: a map keeps one scale by itself
+        usual = {"x": list(east[0]), "y": list(north[0])}
+        whole = {"x": list(east[1]), "y": list(north[1])}
+        corners = plot.scatter(usual["x"], usual["y"], alpha=0.0, size=1)
+        plot.x_range.renderers = plot.y_range.renderers = [corners]
+        self._cut(plot, corners.data_source, usual, whole)
+
+    def _cut(self, plot: Any, model: Any, usual: Any, whole: Any) -> None:
+        plot.title.text += " (peaks cut off)"
+        self.cuts.append({"id": model.id, "title": plot.title.id, "usual": usual, "whole": whole})
+
+    def _mark_restarts(self, plot: Any) -> None:
+        from bokeh.models import Label, Span
+
+        for second in self._restarts:
+            plot.add_layout(
+                Span(location=second, dimension="height", line_color="#566573", line_dash="dotted")
+            )
+            words = {"text": " clock restarts", "text_font_size": "8pt", "text_color": "#566573"}
+            plot.add_layout(Label(x=second, y=4, y_units="screen", **words))
+
+
+def place_legend(plot: Any) -> None:
+    """Put the legend below the figure, where a click hides a line."""
+    legend = plot.legend[0]
+    legend.click_policy, legend.orientation = "hide", "horizontal"
+    legend.ncols = 3
+    legend.label_text_font_size, legend.border_line_alpha, legend.padding = "9pt", 0.0, 0
+    legend.margin, legend.spacing, legend.location = 0, 8, "top_left"
+    plot.add_layout(legend, "below")

@@ -1,0 +1,105 @@
+"""Where an estimate was in a log, how sure of it, and where the receiver was: thinned, to judge."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ekf_companion.nav.arrays import Array, Indices, Stamps, known_rows
+from ekf_companion.nav.measurements import Events, GnssFlag, Kind
+from ekf_companion.nav.state import GEODETIC, Status, Table, Trajectory
+from ekf_companion.replay.stretches import Stretches, of_events
+
+SLOT_NS = 100_000_000
+"""One position is kept of each such time: between two, 10 m/s2 bend a path by a centimetre."""
+_FLAGS = 10
+"""Where a GNSS row holds its flags (nav.measurements.GnssFix.row)."""
+
+
+class Size(NamedTuple):
+    """How large something was over a flight."""
+
+    rms: float
+    """m."""
+    worst: float
+    """m."""
+    at_s: float
+    """When it was that, s after the first estimate, reboots drawn one after another."""
+
+
+class Track:
+    """Takes blocks of a log, and keeps ten positions a second and all fixes."""
+
+    def __init__(self) -> None:
+        self.stretches = Stretches()
+        self._part: list[Indices] = []
+        self._t_ns: list[Stamps] = []
+        self._values: list[Array] = []
+        self._fix_part: list[Indices] = []
+        self._fix_ns: list[Stamps] = []
+        self._fixes: list[Array] = []
+
+    def add(self, events: Events, table: Table) -> None:
+        """Add a block of events and their estimates."""
+        first = max(len(self.stretches.found) - 1, 0)
+        part = self.stretches.add(table.stamp_ns)
+        std = np.hypot(table.column("sd_pos_n"), table.column("sd_pos_e"))
+        values = np.column_stack([table.columns(GEODETIC), std])
+        is_known = (table.column("status") >= Status.OK) & known_rows(values)
+        if is_known.any():
+            part, t_ns, values = part[is_known], table.stamp_ns[is_known], values[is_known]
+            begins = np.diff(t_ns // SLOT_NS, prepend=-1) != 0
+            begins[0] = True
+            rows = np.flatnonzero(begins)
+            values[rows, 3] = np.maximum.reduceat(values[:, 3], rows)
+            self._part.append(part[rows])
+            self._t_ns.append(t_ns[rows])
+            self._values.append(values[rows])
+        last = max(len(self.stretches.found) - 1, 0)
+        is_fix = (events.kind == Kind.GNSS) & known_rows(events.values[:, :2])
+        is_fix &= events.values[:, _FLAGS] != GnssFlag.DERIVED
+        self._fix_part.append(of_events(events, first, last)[is_fix])
+        self._fix_ns.append(events.t_ns[is_fix])
+        self._fixes.append(events.values[is_fix, :3])
+
+    def sigma(self) -> Size | None:
+        """Return one sigma of the horizontal position, as estimated; None: there is no position."""
+        if not self._t_ns:
+            return None
+        std, t_ns = np.concatenate(self._values)[:, 3], np.concatenate(self._t_ns)
+        return self._size(std, t_ns, np.concatenate(self._part))
+
+    def size_of(self, distances: Array, t_ns: Stamps) -> Size:
+        """Return how large distances are at stamps of the longest stretch."""
+        return self._size(distances, t_ns, np.full(len(t_ns), self.stretches.longest))
+
+    def _size(self, values: Array, t_ns: Stamps, part: Indices) -> Size:
+        worst = int(np.argmax(values))
+        shift_ns = int(self.stretches.shifts_ns()[part[worst]]) - self.stretches.found[0].first_ns
+        rms = float(np.sqrt(np.mean(np.square(values))))
+        return Size(rms, float(values[worst]), (int(t_ns[worst]) + shift_ns) * 1e-9)
+
+    def positions(self) -> Trajectory:
+        """Return the positions of the longest stretch."""
+        if not self._t_ns:
+            return Trajectory(name="ekf-companion")
+        is_of = np.concatenate(self._part) == self.stretches.longest
+        t_ns, values = np.concatenate(self._t_ns)[is_of], np.concatenate(self._values)[is_of]
+        t_ns, rows = np.unique(t_ns, return_index=True)
+        lat, lon, alt = values[rows, :3].T
+        return Trajectory(
+            name="ekf-companion",
+            pos_t_ns=t_ns,
+            lat=np.deg2rad(lat),
+            lon=np.deg2rad(lon),
+            alt=alt,
+        )
+
+    def fixes(self, delay: float) -> Trajectory:
+        """Return the receiver's fixes of the longest stretch, that many s before their stamps."""
+        is_of = np.concatenate(self._fix_part) == self.stretches.longest
+        t_ns = np.concatenate(self._fix_ns)[is_of] - round(delay * 1e9)
+        t_ns, rows = np.unique(t_ns, return_index=True)
+        lat, lon, alt = np.concatenate(self._fixes)[is_of][rows].T
+        return Trajectory(name="receiver", pos_t_ns=t_ns, lat=lat, lon=lon, alt=alt)
