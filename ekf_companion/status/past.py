@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Callable
 
 from ekf_companion.mavlink.stamp import SECOND_NS
+
+_log = logging.getLogger(__name__)
 
 KEPT = 120
 """How many: 0.2 MB."""
@@ -16,11 +19,19 @@ class Past:
 
     def __init__(self) -> None:
         self._kept: deque[tuple[int, bytes]] = deque(maxlen=KEPT)
+        self._has_complained = False
 
     def keep(self, now_ns: int, make: Callable[[], bytes]) -> None:
         """Keep what ``make`` returns, unless that of less than a second ago is kept."""
-        if not self._kept or now_ns - self._kept[-1][0] >= SECOND_NS:
-            self._kept.append((now_ns, make()))
+        if self._kept and now_ns - self._kept[-1][0] < SECOND_NS:
+            return
+        try:
+            text = make()
+        except Exception:  # noqa: BLE001  # a bug in what a page shows must not end a flight
+            if not self._has_complained:
+                _log.exception("The page cannot be told the past")
+            self._has_complained, text = True, b"null"
+        self._kept.append((now_ns, text))
 
     def to_json(self, now_ns: int) -> bytes:
         """Return a list of ``[age in s, estimate]``, the oldest first."""

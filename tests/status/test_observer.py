@@ -414,3 +414,11 @@ def test_the_last_estimates_are_kept_one_a_second_for_a_page_that_opens(monkeypa
     assert [round(older - newer) for older, newer in pairwise(ages)] == [1, 1, 1, 1]
     assert kept[-1][1]["lat_deg"] == pytest.approx(kept[0][1]["lat_deg"], abs=1e-4)
     assert all(live["age_s"] < 0.1 for _, live in kept)
+
+
+def test_a_bug_in_what_is_kept_for_the_page_is_logged_once_and_ends_nothing(caplog):
+    kept = past.Past()
+    for second in range(3):
+        kept.keep(second * 1_000 * MS, lambda: 1 // 0)
+    assert json.loads(kept.to_json(2_000 * MS)) == [[2.0, None], [1.0, None], [0.0, None]]
+    assert caplog.text.count("The page cannot be told the past") == 1
