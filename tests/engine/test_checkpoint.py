@@ -374,9 +374,9 @@ def test_after_lost_seconds_the_estimate_is_honest_and_no_good_fix_is_refused(na
         assert table.column("status")[0] >= Status.OK
         assert (np.abs(error[0]) < 3.0 * sigma[0]).all()
         assert (np.abs(error) < 3.0 * sigma).mean() > 0.9
-        # In a second and a half there is an attitude again, and everything is aided
+        # In less than two seconds there is an attitude again, and everything is aided
         t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
-        assert (table.column("status")[t > 1.5] == Status.OK).all()
+        assert (table.column("status")[t > 1.8] == Status.OK).all()
         assert np.degrees(np.abs(error[t > 2.5, 3:5])).max() < 8.0
         assert np.abs(error[t > 2.5, :3]).max() < 1.0
         gated = [

@@ -90,11 +90,11 @@ class Found:
         return self.pipeline.health().arrivals[Kind.IMU][arrival]
 
 
-def judge(events: Events) -> Found:
-    """Run events, and check that all that is called OK is right, and most is OK."""
+def judge(events: Events, least: float = 0.95) -> Found:
+    """Run events, and check that all that is called OK is right, and at least a share is OK."""
     found = Found(events)
     counted = found.late & found.is_ok
-    assert np.count_nonzero(counted) > 0.95 * np.count_nonzero(found.late)
+    assert np.count_nonzero(counted) > least * np.count_nonzero(found.late)
     assert np.abs(found.vel[counted]).max() < MOST_VELOCITY
     assert (np.abs(found.vel) / found.sd_vel)[counted].max() < 4.0
     table = Pipeline(KNOWN).run(events)
@@ -127,7 +127,8 @@ def test_samples_that_were_lost_cost_the_next_one_no_more_than_its_own_estimate(
     events, _ = flown()
     t = (events.t_ns - events.t_ns[0]) * 1e-9
     kept = events.take(~((t > FROM) & (t < FROM + silence) & (events.kind == Kind.IMU)))
-    found = judge(kept)
+    # After 0.8 s the attitude is found again, in a second of the fifteen
+    found = judge(kept, 0.95 if silence < 0.5 else 0.92)
     assert found.count(Arrival.TAKEN) == 1
     assert found.count(Arrival.STRAY) == found.count(Arrival.HELD) == 0
     assert found.pipeline.health().samples == np.count_nonzero(kept.kind == Kind.IMU)

@@ -31,10 +31,6 @@ ON_OURS = {
 }
 
 
-RATES = {Kind.PX4: 250.0, Kind.ARDUPILOT: 125.0}
-"""Of the inertial samples, Hz."""
-
-
 @cache
 def flown(tuning, kind, **odometry):
     """Return the results on ODOMETRY and on the receiver, with the noise of PX4's simulator.
@@ -45,7 +41,7 @@ def flown(tuning, kind, **odometry):
     config = SimConfig(parameters=ON_OURS[kind])
     config = replace(
         config,
-        imu=replace(config.imu, rate=RATES[kind], accel_noise=0.088, gyro_noise=0.005),
+        imu=replace(config.imu, accel_noise=0.088, gyro_noise=0.005),
         gnss=replace(
             config.gnss,
             rate=8.0,
