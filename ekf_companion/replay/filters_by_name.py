@@ -206,7 +206,7 @@ def _completed(recording: Recording, settings: FilterSettings) -> Events:
     events = recording.events
     late_ns = delays_ns(settings, recording.family, recording.gnss_delay)
     values = Field(settings.heading).complete_all(events)
-    return replace(events, t_ns=events.t_ns - late_ns[events.kind], values=values)
+    return Events(t_ns=events.t_ns - late_ns[events.kind], kind=events.kind, values=values)
 
 
 _OVER: Mapping[str, Over] = {"euler": _euler, "iterated": _iterated, "ukf": _ukf}

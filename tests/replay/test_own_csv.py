@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from ekf_companion.cli import app
 from ekf_companion.logs.csv import read
 from ekf_companion.nav.measurements import Kind
+from ekf_companion.replay.filters_by_name import run_filter
 from tests.paths import ROOT
 from tests.replay.test_arrays import Flown
 
@@ -82,3 +83,9 @@ def test_a_flight_under_its_header_converts_to_a_good_estimate(flown, tmp_path):
 def test_what_contradicts_itself_in_a_table_is_noted(flown, tmp_path, sizes, sentence):
     result = convert(write(tmp_path / "mine.csv", flown, **sizes), tmp_path / "out.csv")
     assert sentence in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize("name", ["zupt", "ahrs", "mahony"])
+def test_other_filters_run_over_it_as_it_was_read(flown, tmp_path, name):
+    log = read(write(tmp_path / "mine.csv", flown))
+    assert len(run_filter(log, name).table.stamp_ns) > 1000
