@@ -12,8 +12,8 @@ SLOWEST, FASTEST = 1.0, 20_000.0
 """Of inertial samples, Hz."""
 FASTEST_TURN = 40.0
 """rad/s: more than any MEMS gyro measures (2000 deg/s is 35)."""
-LARGEST_BIAS = 0.2
-"""rad/s at rest, which is 11 deg/s."""
+HALF_TURN = 3.0
+"""rad: no vehicle tilts so far with its force along gravity all the while."""
 UNBANKED = 0.3
 """Of gravity, m/s^2: more than an accelerometer's bias, less than a bank of 15 deg adds."""
 LARGEST_FORCE = 16.0 * 20.0 * STANDARD_GRAVITY
@@ -106,21 +106,21 @@ def check_inertial(gyro: Array, accel: Array, t_ns: Stamps) -> None:
             f"accel: its median size is {force:.3g} m/s2, where gravity is 9.81; it must be the "
             "specific force (what an accelerometer measures), in m/s2, gravity not removed"
         )
-    _check_rates(gyro, accel)
+    _check_rates(gyro, accel, t_ns)
     _check_axes(accel, force)
 
 
-def _check_rates(gyro: Array, accel: Array) -> None:
+def _check_rates(gyro: Array, accel: Array, t_ns: Stamps) -> None:
     """Refuse degrees for radians."""
     size = np.linalg.norm(gyro, axis=1)
     fast = float(np.percentile(size, 99.0))
     advice = "it looks like deg/s; say units={'gyro': 'deg/s'}"
     if fast > FASTEST_TURN:
         raise DataError(f"gyro: reaches {fast:.3g} rad/s, faster than any sensor turns: {advice}")
-    if (tilting := _tilting_at_rest(gyro, accel)) > LARGEST_BIAS:
+    if (tilt := _tilt_at_rest(gyro, accel, t_ns)) > HALF_TURN:
         raise DataError(
-            f"gyro: tilts at {tilting:.3g} rad/s while gravity stands still in the accelerometer: "
-            f"{advice}, or the sensor has a bias of more than 11 deg/s"
+            f"gyro: tilts by {tilt:.3g} rad while gravity stands still in the accelerometer: "
+            f"{advice}, or the sensor has a bias of many deg/s"
         )
     spread = np.linalg.norm(accel - np.median(accel, axis=0), axis=1)
     if float(np.median(size)) > 3.0 and float(np.median(spread)) < 4.0:
@@ -130,20 +130,25 @@ def _check_rates(gyro: Array, accel: Array) -> None:
         )
 
 
-def _tilting_at_rest(gyro: Array, accel: Array) -> float:
-    """Return the rate across gravity while it stands still, rad/s; 0 if it never does.
+def _tilt_at_rest(gyro: Array, accel: Array, t_ns: Stamps) -> float:
+    """Return how far the gyro tilts while gravity stands still in the accelerometer, rad.
 
-    A turn about gravity, as of a hover, moves it nowhere; in a banked turn the force is larger.
+    A turn about gravity, as of a hover, moves it nowhere; in a banked turn the force is larger. A
+    multicopter's own force tilts with it, so gravity seems to stand still, but it tilts back.
     """
     pieces = max(1, len(gyro) // 100)
-    found = []
-    for turn, pull in zip(np.array_split(gyro, pieces), np.array_split(accel, pieces), strict=True):
-        mean = pull.mean(axis=0)
+    farthest, tilt = 0.0, np.zeros(3)
+    for rows in np.array_split(np.arange(len(gyro)), pieces):
+        mean = accel[rows].mean(axis=0)
         size = float(np.linalg.norm(mean))
-        is_still = pull.std(axis=0).max() < 0.15 and abs(size - STANDARD_GRAVITY) < UNBANKED
-        if len(pull) > 20 and is_still:
-            found.append(float(np.linalg.norm(np.cross(turn.mean(axis=0), mean / size))))
-    return float(np.median(found)) if found else 0.0
+        is_still = accel[rows].std(axis=0).max() < 0.15 and abs(size - STANDARD_GRAVITY) < UNBANKED
+        if not is_still:
+            tilt = np.zeros(3)
+            continue
+        seconds = float(t_ns[rows[-1]] - t_ns[rows[0]]) * 1e-9
+        tilt = tilt + np.cross(gyro[rows].mean(axis=0), mean / size) * seconds
+        farthest = max(farthest, float(np.linalg.norm(tilt)))
+    return farthest
 
 
 def _check_axes(accel: Array, force: float) -> None:

@@ -380,3 +380,14 @@ def test_tab_and_types_find_it():
     from importlib.resources import files
 
     assert (files("ekf_companion") / "py.typed").is_file()
+
+
+def test_a_multicopter_that_tilts_its_own_force_is_not_taken_for_degrees():
+    # its force stays along its own z, however fast it banks from one side to the other
+    t = np.arange(0.0, 60.0, 0.01)
+    roll_rate = 0.9 * np.cos(1.5 * t)
+    gyro = np.stack([roll_rate, np.full_like(t, 0.05), np.zeros_like(t)], axis=1)
+    accel = np.tile([0.05, 0.0, -9.83], (len(t), 1))
+    to_events(t, gyro, accel)
+    with pytest.raises(DataError, match="it looks like deg/s"):
+        to_events(t, np.full_like(gyro, 0.4), accel)
