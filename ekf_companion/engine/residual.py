@@ -194,6 +194,13 @@ def std_yaw(odometry: Odometry) -> float:
     return _std(odometry, (_POSE_COV + 20,))
 
 
+def std_attitude(odometry: Odometry) -> float:
+    """Return the largest sigma of roll, pitch and yaw, rad; 0 where none is stated."""
+    numbers = np.frombuffer(odometry.numbers, dtype="<f4")
+    angles = [float(numbers[_POSE_COV + place]) for place in (15, 18, 20)]
+    return math.sqrt(max((one for one in angles if math.isfinite(one)), default=0.0))
+
+
 def _std(odometry: Odometry, places: tuple[int, ...]) -> float:
     numbers = np.frombuffer(odometry.numbers, dtype="<f4")
     is_known = math.isfinite(numbers[_POSE_COV]) and math.isfinite(numbers[_TWIST_COV])

@@ -22,6 +22,7 @@ from ekf_companion.engine.residual import (
     Residual,
     scale_errors,
     state_covariance,
+    std_attitude,
     std_horizontal,
     std_velocity,
     std_yaw,
@@ -36,6 +37,8 @@ WAIT_NS = 2 * SECOND_NS
 one (EKF2_NOAID_TOUT), of which a restart has taken up to three."""
 BROKEN_NS = SECOND_NS * 2 // 5
 """After such a silence EKF2 has ended its fusion (twice EV_MAX_INTERVAL), and begins anew."""
+LOST_ATTITUDE = 0.35
+"""One sigma of an angle from which on an attitude is none, rad: it is being found again."""
 WAITING = "waiting for the first fix"
 _BEST, _GOOD = QUALITY[Status.OK], QUALITY[Status.DEGRADED]
 _FAILED = QUALITY[Status.INVALID]
@@ -91,6 +94,8 @@ class OdometryStream:
         self._is_begun = False
         """Whether the receiver has a stream to go on from."""
         self._unaided = 0
+        self._is_oriented = False
+        """Whether an attitude that is known was there in this run."""
         self.silence = ""
         """Why nothing is sent of an estimate that is there, in a few words; empty: it is sent."""
         self.jump: Jump | None = None
@@ -217,6 +222,11 @@ class OdometryStream:
         config = self._config
         if odometry.quality < 0:
             return "the estimate is invalid"
+        # After a restart it is sent as it is: a longer silence would end the autopilot's flight
+        is_lost = std_attitude(odometry) > LOST_ATTITUDE
+        if is_lost and self._is_oriented:
+            return "the attitude is being found again"
+        self._is_oriented |= not is_lost
         is_good = odometry.quality >= _GOOD
         if not self._is_begun and self._is_waiting(estimate, is_good):
             return WAITING

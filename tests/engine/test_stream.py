@@ -278,3 +278,19 @@ def test_a_replay_sends_the_same(tmp_path):
     again = [frame for _, frame in tlog.read(out).frames() if frame[6] == OURS]
     assert {m.quality for m in live} == {100, 20, -1}
     assert named("ODOMETRY", as_messages(again)) == live
+
+
+@pytest.mark.parametrize("cut", [1.5, 12.0])
+def test_after_a_cut_of_the_link_no_attitude_is_sent_until_it_is_known(cut):
+    """Of 12 s without a sample it came back 119 deg off in yaw and 41 deg in pitch."""
+    turns = list(cycles(60.0, "figure-eight"))
+    first_ns = turns[0][0]
+    heard = [one for one in turns if not 30.0 < (one[0] - first_ns) * 1e-9 - 1e-3 < 30.0 + cut]
+    said = named("ODOMETRY", converse(Companion(configured()), heard))
+    t = np.array([one.time_usec * 1e-6 for one in said]) - said[0].time_usec * 1e-6
+    usable = np.array([one.quality > 0 for one in said])
+    angles = np.array([[one.pose_covariance[k] for k in (15, 18, 20)] for one in said])
+    assert np.degrees(np.sqrt(angles[usable].max())) < 21.0
+    gaps = np.diff(t[usable])
+    assert cut < gaps.max() < cut + 4.0
+    assert t[usable][-1] > 50.0
