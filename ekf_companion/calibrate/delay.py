@@ -2,9 +2,13 @@
 
 The estimator runs over the log once for each delay tried, and sums the log-likelihood of every
 position, height and velocity that it judges (:attr:`Pipeline.log_likelihood`). The sum is highest
-at the delay at which GNSS and inertial sensors agree on the motion: found on a grid, then on a fine
-one, and then smoothed, since the noise of the inertial samples about each fix makes the sum rough:
-the result is the top of a parabola through the sums nearby.
+at the delay at which GNSS and inertial sensors agree on the motion. The noise of the inertial
+samples is one for all delays, as configured, or as learnt in a first run if that is more: noise
+that is learnt anew, and doubt in the samples, would explain a wrong delay away.
+
+The top is found on a grid, then on a fine one, and then smoothed, since the noise of the inertial
+samples about each fix makes the sum rough: the result is the top of a parabola through the sums
+nearby.
 
 Its 95 % interval holds two. The one ends where the parabola has lost 1.92. Innovations that are
 correlated from one fix to the next carry less information than independent ones. So the sum is
@@ -23,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -120,7 +124,7 @@ def measure(
     table = pipeline.run(recording.events)
     begin, end = _counted(table, name)
     edges = np.linspace(begin, end, int((end - begin) / BLOCK) + 1)
-    likelihood = Likelihood(recording, settings, edges)
+    likelihood = Likelihood(recording, _steady(settings, pipeline), edges)
     best, low, high, widening = _maximise(likelihood, name, progress)
     configured = delays_ns(settings, recording.family, recording.gnss_delay)[Kind.GNSS] * 1e-9
     learnt = float(configured) + pipeline.health().gnss_delay
@@ -187,6 +191,18 @@ def result(found: Delay) -> Result:
             "curve": {"delay_s": rounded(found.delays), "log_likelihood": rounded(found.gain)},
         },
     )
+
+
+def _steady(settings: FilterSettings, pipeline: Pipeline) -> FilterSettings:
+    """Return the settings with one noise of the inertial samples, whatever a delay makes of it."""
+    learnt = pipeline.health()
+    imu = replace(
+        settings.imu,
+        gyro_noise=max(settings.imu.gyro_noise, learnt.gyro_noise),
+        accel_noise=max(settings.imu.accel_noise, learnt.accel_noise),
+        learn_noise=False,
+    )
+    return replace(settings, imu=imu)
 
 
 def _counted(table: Table, name: str) -> tuple[float, float]:
