@@ -16,6 +16,7 @@ cdef bint is_changing(State *x) noexcept nogil
 cdef bint was_at_rest(State *x, Parameters *k) noexcept nogil
 cdef void check_rest(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef void use_rest_window(State *x, Parameters *k, Scratch *w) noexcept nogil
+cdef bint is_levelling_by_fixes(State *x) noexcept nogil
 cdef bint is_moving(State *x) noexcept nogil
 cdef void fuse_zero_velocity(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef void observe_rate(State *x, Parameters *k, Scratch *w, double hidden_turn) noexcept nogil

@@ -26,7 +26,7 @@ from cython.cimports.libc.math import atan2, isnan, sqrt
 FEWEST = cython.declare(cython.double, 5.0)
 """Samples to judge rest by."""
 ROUGH_AFTER = cython.declare(cython.double, 6e9)
-"""Time without rest and GNSS after which a rough attitude is used, ns."""
+"""Time without rest and velocity of GNSS after which a rough attitude is used, ns."""
 FAKE_INTERVAL = cython.declare(cython.double, 2e8)
 """Interval between pseudo-measurements of zero velocity without GNSS, ns."""
 LOST = cython.declare(cython.double, 100.0)
@@ -240,10 +240,15 @@ def use_rest_window(x: State, k: Parameters, w: Scratch) -> None:
             innovate(x, address(w.observation))
             apply_update(x, address(w.observation))
             yaw_bank.take_bias(x, gyro_bias_std(x))
-        elif x.t - x.alignment.start_t > ROUGH_AFTER and x.t - x.fix_t > ROUGH_AFTER:
+        elif x.t - x.alignment.start_t > ROUGH_AFTER and not is_levelling_by_fixes(x):
             align.level_roughly(x, k, w)
     elif x.at_rest != 0.0 and k.use_rest != 0.0 and x.needs_reset == 0.0:
         fuse_zero_velocity(x, k, w)
+
+
+def is_levelling_by_fixes(x: State) -> bool:
+    """Return whether fixes come that level in motion: with a velocity."""
+    return x.t - x.fix_t <= ROUGH_AFTER and x.alignment.motion.has_fix != 0.0
 
 
 def is_moving(x: State) -> bool:

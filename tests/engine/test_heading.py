@@ -178,3 +178,14 @@ def test_after_a_gap_the_bank_finds_the_heading_again():
     assert x.yaw_bank.good >= 5.0
     assert x.gaps == 1.0
     assert run.error[-1] < 3.0
+
+
+def test_a_start_in_motion_levels_without_a_velocity_of_the_receiver():
+    events, truth = flight("figure-eight", duration=60.0, skip=15.0, rate=50.0)
+    values = events.values.copy()
+    values[events.kind == Kind.GNSS, 3:6] = np.nan
+    run = Run(Events(t_ns=events.t_ns, kind=events.kind, values=values), truth)
+    assert run.begins < 10.0
+    late = run.t > 30.0
+    assert run.error[late].max() < 5.0
+    assert (run.table.column("status")[late] == Status.OK).mean() > 0.9
