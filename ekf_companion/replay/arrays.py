@@ -159,11 +159,11 @@ def _read(
         if (given := sensors[name]) is not None
     }
     imu = Events.from_columns(t_ns, Kind.IMU, *turn.T, *force.T)
-    if (fixes := tables.get("gnss")) is not None:
-        found = contradictions(imu, fixes, tables.get("baro")) if read.check else []
-        if found:
-            raise DataError(f"{'; '.join(found)}. If it is meant so: check=False")
-        read.notes += [doubt] if (doubt := suspicion(fixes)) else []
+    fixes, baro, mag = (tables.get(name) for name in ("gnss", "baro", "mag"))
+    if read.check and (found := contradictions(imu, fixes, baro, mag)):
+        raise DataError(f"{'; '.join(found)}. If it is meant so: check=False")
+    if fixes is not None and (doubt := suspicion(fixes)):
+        read.notes.append(doubt)
     return merge(*tables.values(), imu)
 
 

@@ -12,7 +12,7 @@ SLOWEST, FASTEST = 1.0, 20_000.0
 """Of inertial samples, Hz."""
 FASTEST_TURN = 40.0
 """rad/s: more than any MEMS gyro measures (2000 deg/s is 35)."""
-HALF_TURN = 3.0
+HALF_TURN = np.pi
 """rad: no vehicle tilts so far with its force along gravity all the while."""
 UNBANKED = 0.3
 """Of gravity, m/s^2: more than an accelerometer's bias, less than a bank of 15 deg adds."""
