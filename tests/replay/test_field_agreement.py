@@ -83,6 +83,18 @@ def test_units_of_the_gyro_show_in_the_velocity_of_the_fixes(quad, size, sentenc
     assert sentence in axis_disagreement(turned(imu, np.eye(3) * size), fixes)
 
 
+def test_hard_iron_as_strong_as_the_field_and_a_bias_hide_no_mistake(quad):
+    imu, mag, _ = quad
+    values, rates = mag.values.copy(), imu.values.copy()
+    values[:, :3] += (0.4, -0.3, 0.2)
+    rates[:, :3] += (0.02, -0.02, 0.02)
+    biased = Events(t_ns=imu.t_ns, kind=imu.kind, values=rates)
+    iron = Events(t_ns=mag.t_ns, kind=mag.kind, values=values)
+    assert field_disagreement(biased, iron) == ""
+    assert "z of gyro is rev" in field_disagreement(turned(biased, np.diag([1, 1, -1])), iron)
+    assert "gyro has the other sign" in field_disagreement(turned(biased, -np.eye(3)), iron)
+
+
 def test_damaged_rows_and_gaps_are_left_out(quad):
     imu, mag, _ = quad
 
