@@ -102,8 +102,16 @@ MISTAKES = (
     ("x and y of gyro alone are exchanged", _EXCHANGED, _NONE),
     ("x and y of accel alone are exchanged", _NONE, _EXCHANGED),
     ("z of gyro is reversed", np.diag([1.0, 1.0, -1.0]), _NONE),
-    ("gyro looks like deg/s: say units={'gyro': 'deg/s'}", DEGREES * _NONE, _NONE),
-    ("gyro looks like rad/s that is called deg/s: leave its unit out", _NONE / DEGREES, _NONE),
+    (
+        "gyro looks like deg/s: say units={'gyro': 'deg/s'}, in a table gyro_x_dps",
+        DEGREES * _NONE,
+        _NONE,
+    ),
+    (
+        "gyro looks like rad/s that is called deg/s: leave its unit out, in a table gyro_x_rps",
+        _NONE / DEGREES,
+        _NONE,
+    ),
     ("gyro has the other sign", -_NONE, _NONE),
     ("x of gyro is reversed", np.diag([-1.0, 1.0, 1.0]), _NONE),
     ("y of gyro is reversed", np.diag([1.0, -1.0, 1.0]), _NONE),

@@ -60,8 +60,16 @@ def _of_mag(mistake: Array) -> Array:
 
 
 MISTAKES = (
-    ("gyro looks like deg/s: say units={'gyro': 'deg/s'}", 1.0 / _DEGREES, np.eye(3)),
-    ("gyro looks like rad/s that is called deg/s: leave its unit out", _DEGREES, np.eye(3)),
+    (
+        "gyro looks like deg/s: say units={'gyro': 'deg/s'}, in a table gyro_x_dps",
+        1.0 / _DEGREES,
+        np.eye(3),
+    ),
+    (
+        "gyro looks like rad/s that is called deg/s: leave its unit out, in a table gyro_x_rps",
+        _DEGREES,
+        np.eye(3),
+    ),
     ("gyro has the other sign", 1.0, -np.eye(3)),
     ("z of gyro is reversed", 1.0, np.diag([1.0, 1.0, -1.0])),
     ("x and y of mag are exchanged, and its z is up", 1.0, _of_mag(_EXCHANGED * [1.0, 1.0, -1.0])),
