@@ -6,23 +6,32 @@ import numpy as np
 
 from ekf_companion.nav.measurements import GNSS_FLAGS, Events, GnssFlag, Kind, merge
 from ekf_companion.replay.axis_agreement import axis_disagreement
+from ekf_companion.replay.field_agreement import field_disagreement
 from ekf_companion.replay.fix_agreement import disagreements, suspicion
 
 MOST_SAMPLES = 200_000
 """Inertial samples that are kept to compare their axes: 24 MB, and a quarter of an hour."""
 
 
-def contradictions(imu: Events, fixes: Events, baro: Events | None = None) -> list[str]:
+def contradictions(
+    imu: Events,
+    fixes: Events | None = None,
+    baro: Events | None = None,
+    mag: Events | None = None,
+) -> list[str]:
     """Return a sentence for each thing that cannot be meant.
 
     Args:
         imu: Of ``Kind.IMU``, in the order of their stamps, as the others.
-        fixes: Of ``Kind.GNSS``.
-        baro: Of ``Kind.BARO``; None: there is none.
+        fixes: Of ``Kind.GNSS``; None: there are none, as of the others.
+        baro: Of ``Kind.BARO``.
+        mag: Of ``Kind.MAG``.
     """
-    found = disagreements(fixes, baro)
+    found = disagreements(fixes, baro) if fixes is not None else []
     # A velocity in another unit fits no axes
-    return found or [one for one in (axis_disagreement(imu, fixes),) if one]
+    axes = axis_disagreement(imu, fixes) if fixes is not None and not found else ""
+    field = field_disagreement(imu, mag) if mag is not None else ""
+    return [*found, *filter(None, (axes, field))]
 
 
 class AgreementCheck:
@@ -34,7 +43,7 @@ class AgreementCheck:
 
     def add(self, events: Events) -> None:
         """Add the events of a block."""
-        is_kept = np.isin(events.kind, (Kind.GNSS, Kind.BARO))
+        is_kept = np.isin(events.kind, (Kind.GNSS, Kind.BARO, Kind.MAG))
         # Positions of an autopilot's own are no measurements
         is_kept &= (events.kind != Kind.GNSS) | (events.values[:, GNSS_FLAGS] != GnssFlag.DERIVED)
         if self._samples < MOST_SAMPLES:
@@ -47,8 +56,8 @@ class AgreementCheck:
         if not self._blocks:
             return []
         events = merge(*self._blocks)
-        imu, fixes, baro = (
-            events.take(events.kind == kind) for kind in (Kind.IMU, Kind.GNSS, Kind.BARO)
+        imu, fixes, baro, mag = (
+            events.take(events.kind == kind) for kind in (Kind.IMU, Kind.GNSS, Kind.BARO, Kind.MAG)
         )
-        found = contradictions(imu, fixes, baro if len(baro) else None)
+        found = contradictions(imu, fixes, baro if len(baro) else None, mag)
         return [*found, *([doubt] if (doubt := suspicion(fixes)) and not found else [])]

@@ -15,7 +15,14 @@ from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
 from ekf_companion.nav.earth import STANDARD_GRAVITY, pressure_altitude
-from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind, merge
+from ekf_companion.nav.measurements import (
+    GNSS_VELOCITY,
+    Events,
+    GnssFlag,
+    HeadingSource,
+    Kind,
+    merge,
+)
 from ekf_companion.replay import account, plausibility
 from ekf_companion.replay.agreement import contradictions
 from ekf_companion.replay.estimates import Estimates
@@ -25,7 +32,7 @@ from ekf_companion.replay.smoothing import smooth as smooth_events
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
-    "gyro": {"rad/s": 1.0, "deg/s": float(np.deg2rad(1.0))},
+    "gyro": {"rad/s": 1.0, "deg/s": float(np.deg2rad(1.0)), "dps": float(np.deg2rad(1.0))},
     "accel": {"m/s2": 1.0, "g": STANDARD_GRAVITY},
     "mag": {"gauss": 1.0, "uT": 1e-2, "mG": 1e-3, "nT": 1e-5},
 }
@@ -93,7 +100,7 @@ def estimate(
         ConfigError: There is no such filter, unit or column.
         LogError: Nothing can be estimated from them.
     """
-    read = _Reader(dict(units or {}), check)
+    read = _Reader(units, check)
     events = _read(read, time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro)
     chosen = settings or FilterSettings()
     if smooth:
@@ -111,11 +118,22 @@ def estimate(
         raise LogError(
             f"nothing could be estimated: down was not found in {span:.1f} s with "
             f"{np.count_nonzero(events.kind == Kind.IMU)} inertial samples; give more of the "
-            f"recording, best with a second at rest at its begin{why}"
+            f"recording, best with a second at rest at its begin{_without_velocity(events)}{why}"
         )
     has_position = not isinstance(filter, str) or filter.partition(":")[0] in NAVIGATING
     said = account.sentences(table, events, has_position=has_position)
     return Estimates(table, (*read.notes, *said, *notes), dropped=read.dropped)
+
+
+def _without_velocity(events: Events) -> str:
+    """Return what fixes without a velocity lack; empty: nothing."""
+    fixes = events.values[events.kind == Kind.GNSS]
+    if not len(fixes) or np.isfinite(fixes[:, GNSS_VELOCITY]).any():
+        return ""
+    return (
+        "; gnss has no vel_n: with the velocity of the fixes down is found in motion too, and "
+        "without it only at rest or in steady flight"
+    )
 
 
 def to_events(
@@ -131,7 +149,7 @@ def to_events(
     check: bool = True,
 ) -> Events:
     """Return arrays as the events of a recording; arguments and errors as for :func:`estimate`."""
-    read = _Reader(dict(units or {}), check)
+    read = _Reader(units, check)
     return _read(read, time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro)
 
 
@@ -159,18 +177,21 @@ def _read(
         if (given := sensors[name]) is not None
     }
     imu = Events.from_columns(t_ns, Kind.IMU, *turn.T, *force.T)
-    if (fixes := tables.get("gnss")) is not None:
-        found = contradictions(imu, fixes, tables.get("baro")) if read.check else []
-        if found:
-            raise DataError(f"{'; '.join(found)}. If it is meant so: check=False")
-        read.notes += [doubt] if (doubt := suspicion(fixes)) else []
+    fixes, baro, mag = (tables.get(name) for name in ("gnss", "baro", "mag"))
+    if read.check and (found := contradictions(imu, fixes, baro, mag)):
+        raise DataError(f"{'; '.join(found)}. If it is meant so: check=False")
+    if fixes is not None and (doubt := suspicion(fixes)):
+        read.notes.append(doubt)
     return merge(*tables.values(), imu)
 
 
 class _Reader:
     """Reads what the user gives into arrays of the right shape and unit, or says what is wrong."""
 
-    def __init__(self, units: dict[str, str], check: bool) -> None:
+    def __init__(self, given: Mapping[str, str] | None, check: bool) -> None:
+        if given is not None and not isinstance(given, Mapping):
+            raise ConfigError(f"units: {given!r}: name the array too, as {{'gyro': 'deg/s'}}")
+        units = dict(given or {})
         for name, unit in units.items():
             if unit not in UNITS.get(name, {}):
                 known = {key: list(values) for key, values in UNITS.items()}
@@ -219,10 +240,12 @@ class _Reader:
         return t_ns
 
     def array(self, name: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
-        """Return an array in SI; a number stands for all rows."""
+        """Return an array in SI; of sigmas a number stands for all rows."""
         values = np.asarray(given, dtype=np.float64)
-        if values.ndim == 0 and len(shape) == 1:
+        if values.ndim == 0 and ".std" in name:
             values = np.full(shape, float(values))
+        elif values.ndim == 0:
+            raise DataError(f"{name}: is one number for {shape[0]} rows; give the shape {shape}")
         if values.shape != shape:
             hint = "; transpose it" if values.shape == shape[::-1] else ""
             raise DataError(f"{name}: must have the shape {shape}, not {_shape(values)}{hint}")
@@ -239,11 +262,17 @@ class _Reader:
         self, name: str, given: Mapping[str, npt.ArrayLike], known: Sequence[str], imu_ns: Stamps
     ) -> Stamps:
         """Return the stamps of a table; refuse columns that are not known."""
+        # A data frame has keys, too
+        if not hasattr(given, "keys"):
+            columns = ", ".join(f"'{one}': ..." for one in ("time", *known))
+            raise DataError(f"{name}: must be a dict of arrays, {{{columns}}}, not one array")
         for column in given:
             if column not in ("time", *known):
                 raise ConfigError(f"{name}: {column}: known are time, {', '.join(known)}")
         if "time" not in given:
             raise DataError(f"{name}: needs the times of its rows: time")
+        if name != "gnss" and not any(one in given for one in known if one != "std"):
+            raise DataError(f"{name}: needs {' or '.join(one for one in known if one != 'std')}")
         t_ns = self.times(f"{name}.time", given["time"])
         if self.check:
             plausibility.check_overlap(imu_ns, t_ns, name)
@@ -310,7 +339,7 @@ def _gnss(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> 
 
 def _heading(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
     t_ns = read.columns("heading", given, ("heading", "std"), imu_ns)
-    angle = read.array("heading.heading", given.get("heading", np.nan), (len(t_ns),))
+    angle = read.array("heading.heading", given["heading"], (len(t_ns),))
     if read.check and np.nanmax(np.abs(angle)) > 2.0 * np.pi + 1e-6:
         raise DataError("heading: reaches beyond 2 pi; it must be rad: give np.deg2rad(heading)")
     std = read.std("heading.std", given.get("std", 0.05), (len(t_ns),))
@@ -320,7 +349,7 @@ def _heading(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) 
 
 def _mag(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
     t_ns = read.columns("mag", given, ("field",), imu_ns)
-    field = read.array("mag.field", given.get("field", np.nan), (len(t_ns), 3))
+    field = read.array("mag.field", given["field"], (len(t_ns), 3))
     size = float(np.nanmedian(np.linalg.norm(field, axis=1)))
     if read.check and not 0.1 < size < 1.5:
         raise DataError(
@@ -341,7 +370,7 @@ def _baro(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> 
             )
         alt = np.array([pressure_altitude(one) for one in pressure.tolist()])
     else:
-        alt = read.array("baro.alt", given.get("alt", np.nan), (len(t_ns),))
+        alt = read.array("baro.alt", given["alt"], (len(t_ns),))
     return Events.from_columns(t_ns, Kind.BARO, alt)
 
 

@@ -8,9 +8,14 @@ m/s RMS, is the statistic, its median over the windows in which the velocity cha
 
 Axes that are exchanged or reversed leave more: they are left-handed, or those of gyro and
 accelerometer differ. All 96 ways to do so, but for rotations of both sensors together, which this
-cannot see, are tried on the samples. Of samples that are declared right none leaves less than 0.93
-of what they leave as they are, in 20 recordings and 24 simulated flights; so where one leaves less
-than half, the axes are wrong. A hover or a straight flight has no such window, and is not judged.
+cannot see, are tried on the samples, and two other units of the gyro. Of samples that are declared
+right none leaves less than 0.93 of what they leave as they are, in 20 recordings and 24 simulated
+flights; so where one leaves less than half, axes or unit are wrong. A hover or a straight flight
+has no such window, and is not judged.
+
+The force of a multicopter stays along its z, and small tilts that are reversed are those of another
+heading: a gyro of the other sign shows only where the vehicle also turns about down. A magnetometer
+shows it without that: :mod:`ekf_companion.replay.field_agreement`.
 """
 
 from __future__ import annotations
@@ -64,9 +69,9 @@ def axis_disagreement(imu: Events, fixes: Events) -> str:
     if not is_often or median[0] < BETTER * median[best]:
         return ""
     return (
-        f"gyro, accel: their axes do not fit the velocity of the fixes: {_mistakes(median)}. Both "
-        "must be forward, right, down, and turns positive from forward to right, from right to "
-        "down, from down to forward"
+        "gyro, accel: their axes or unit do not fit the velocity of the fixes: "
+        f"{_mistakes(median)}. Both must be forward, right, down, and turns positive from forward "
+        "to right, from right to down, from down to forward"
     )
 
 
@@ -78,9 +83,11 @@ def _choices() -> list[tuple[Array, Array]]:
             turn = np.zeros((3, 3))
             turn[range(3), axes] = signs
             turns.append(turn)
-    return [(turn, handed) for handed in (np.eye(3), LEFT) for turn in turns]
+    exchanged = [(turn, handed) for handed in (np.eye(3), LEFT) for turn in turns]
+    return exchanged + [(unit * np.eye(3), np.eye(3)) for unit in (DEGREES, 1.0 / DEGREES)]
 
 
+DEGREES = float(np.rad2deg(1.0))
 LEFT = np.diag([1.0, -1.0, 1.0])
 CANDIDATES = _choices()
 """Matrices for gyro and for accelerometer."""
@@ -95,6 +102,16 @@ MISTAKES = (
     ("x and y of gyro alone are exchanged", _EXCHANGED, _NONE),
     ("x and y of accel alone are exchanged", _NONE, _EXCHANGED),
     ("z of gyro is reversed", np.diag([1.0, 1.0, -1.0]), _NONE),
+    (
+        "gyro looks like deg/s: say units={'gyro': 'deg/s'}, in a table gyro_x_dps",
+        DEGREES * _NONE,
+        _NONE,
+    ),
+    (
+        "gyro looks like rad/s that is called deg/s: leave its unit out, in a table gyro_x_rps",
+        _NONE / DEGREES,
+        _NONE,
+    ),
     ("gyro has the other sign", -_NONE, _NONE),
     ("x of gyro is reversed", np.diag([-1.0, 1.0, 1.0]), _NONE),
     ("y of gyro is reversed", np.diag([1.0, -1.0, 1.0]), _NONE),
@@ -111,8 +128,8 @@ def _windows(imu: Events, fixes: Events) -> tuple[Array, Array, Array] | None:
         Angular rates and specific forces, shape (n, windows, 3), n samples of ``RATE``; and change
         of velocity less gravity, m/s, shape (delays, windows, SECONDS, 3). None: too few windows.
     """
-    t, gyro, accel, is_full = _averaged(imu)
-    known = _usable(fixes.values[:, GNSS_VELOCITY][:, :2])
+    t, gyro, accel, is_full = averaged(imu)
+    known = usable(fixes.values[:, GNSS_VELOCITY][:, :2])
     t_fix = np.asarray(fixes.t_ns[known] * 1e-9)
     vel_n = fixes.values[known, GNSS_VELOCITY]
     length = SECONDS * int(RATE)
@@ -139,9 +156,9 @@ def _windows(imu: Events, fixes: Events) -> tuple[Array, Array, Array] | None:
     return gyro[rows], accel[rows], change[:, moved] - [0.0, 0.0, STANDARD_GRAVITY]
 
 
-def _averaged(imu: Events) -> tuple[Array, Array, Array, Mask]:
+def averaged(imu: Events) -> tuple[Array, Array, Array, Mask]:
     """Return times, s, and means of the samples in each interval of ``RATE``, and if it has any."""
-    known = _usable(imu.values[:, :6])
+    known = usable(imu.values[:, :6])
     t, values = np.asarray(imu.t_ns[known] * 1e-9), imu.values[known, :6]
     # Hours of time without a sample would be many empty intervals
     if len(t) < 2 or t[-1] - t[0] > 3600.0 + len(t):
@@ -154,7 +171,8 @@ def _averaged(imu: Events) -> tuple[Array, Array, Array, Mask]:
     return t[0] + (np.arange(size) + 0.5) / RATE, means[:, :3], means[:, 3:], np.asarray(count > 0)
 
 
-def _usable(values: Array) -> Mask:
+def usable(values: Array) -> Mask:
+    """Return which rows hold numbers that a sensor can measure."""
     return np.asarray((np.abs(values) < LARGEST).all(axis=1))
 
 
@@ -195,7 +213,7 @@ def _mistakes(median: Array) -> str:
     best = float(np.min(median))
     likely = []
     for words, of_gyro, of_accel in MISTAKES:
-        if median[_candidate(of_gyro.T, of_accel.T)] < ALIKE * best:
+        if median[_candidate(np.asarray(np.linalg.inv(of_gyro)), of_accel.T)] < ALIKE * best:
             likely.append(words)
     if likely:
         return ", or ".join(likely[:3])
@@ -211,7 +229,7 @@ def _candidate(of_gyro: Array, of_accel: Array) -> int:
     return next(
         k
         for k, (gyro, accel) in pairs
-        if np.array_equal(gyro, turn @ of_gyro) and np.array_equal(accel, handed)
+        if np.allclose(gyro, turn @ of_gyro) and np.array_equal(accel, handed)
     )
 
 

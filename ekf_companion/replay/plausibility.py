@@ -12,7 +12,7 @@ SLOWEST, FASTEST = 1.0, 20_000.0
 """Of inertial samples, Hz."""
 FASTEST_TURN = 40.0
 """rad/s: more than any MEMS gyro measures (2000 deg/s is 35)."""
-HALF_TURN = 3.0
+HALF_TURN = np.pi
 """rad: no vehicle tilts so far with its force along gravity all the while."""
 UNBANKED = 0.3
 """Of gravity, m/s^2: more than an accelerometer's bias, less than a bank of 15 deg adds."""
@@ -58,10 +58,16 @@ def check_rate(name: str, t_ns: Stamps, given: str, advice: str) -> None:
     if len(t_ns) < 2:
         return
     step = float(np.median(np.diff(t_ns))) * 1e-9 / _UNITS[given]
-    rate = 1.0 / (step * _UNITS[given]) if step > 0.0 else np.inf
+    if step == 0.0:
+        share = float(np.mean(np.diff(t_ns) == 0))
+        raise DataError(
+            f"{name}: {share:.0%} of the rows have the time of the row before, so the times are "
+            "rounded or repeated; give each inertial sample its own time"
+        )
+    rate = 1.0 / (step * _UNITS[given])
     if SLOWEST <= rate <= FASTEST:
         return
-    fits = [unit for unit, size in _UNITS.items() if step > 0 and 10 <= 1 / (step * size) <= 5000]
+    fits = [unit for unit, size in _UNITS.items() if 10 <= 1 / (step * size) <= 5000]
     raise DataError(
         f"{name}: taken as {given}, inertial samples come at {rate:.3g} Hz, which none do; "
         + (advice.format(fits[0]) if fits else "check them")

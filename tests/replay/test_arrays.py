@@ -125,6 +125,10 @@ def radians(flown):
     return {name: np.deg2rad(flown.gnss[name]) for name in ("lat_deg", "lon_deg")}
 
 
+def rows(flown, number):
+    return np.full(len(flown.time), number)
+
+
 def in_ms(flown):
     """Return the fixes with times in ms since the first sample, the first of them before it."""
     since = (flown.gnss["time"] - flown.gnss["time"][0]) * 1e3
@@ -156,8 +160,28 @@ def in_ms(flown):
         (lambda f: {"gnss": {"time": f.gnss["time"]}}, "gnss: needs lat_rad"),
         (lambda f: {"gnss": f.gnss | {"height": 1.0}}, "gnss: height: known are time, lat_deg"),
         (lambda f: {"mag": f.mag | {"field": f.mag["field"] * 100.0}}, "mag: its median strength"),
-        (lambda f: {"baro": {"time": f.baro["time"], "pressure": 1013.0}}, "1013 hPa are 101300"),
-        (lambda f: {"heading": {"time": f.time, "heading": 90.0}}, "give np.deg2rad"),
+        (lambda f: {"baro": {"time": f.time, "pressure": rows(f, 1013.0)}}, "1013 hPa are 101300"),
+        (lambda f: {"heading": {"time": f.time, "heading": rows(f, 90.0)}}, "give np.deg2rad"),
+        (lambda f: {"gnss": f.gnss | {"lat_deg": 47.0}}, "lat_deg: is one number for 150 rows; "),
+        (lambda f: {"gyro": 0.0}, r"gyro: is one number for 1500 rows; give the shape \(1500, 3\)"),
+        (
+            lambda f: {"mag": f.mag["field"]},
+            r"mag: must be a dict of arrays, \{'time': \.\.\., 'fi",
+        ),
+        (lambda f: {"gnss": f.gnss["lat_deg"]}, "gnss: must be a dict of arrays"),
+        (lambda f: {"heading": {"time": f.time}}, "heading: needs heading"),
+        (lambda f: {"baro": {"time": f.time}}, "baro: needs alt or pressure"),
+        (lambda f: {"units": "deg/s"}, r"'deg/s': name the array too, as \{'gyro': 'deg/s'\}"),
+        (
+            lambda f: {"time": np.floor(f.time)},
+            "time: 98% of the rows have the time of the row befo",
+        ),
+        (
+            lambda f: {"gyro": -f.gyro},
+            "does not turn in the vehicle as the gyro does: gyro has the",
+        ),
+        (lambda f: {"gyro": -f.gyro, "gnss": None}, "gyro has the other sign"),
+        (lambda f: {"units": {"gyro": "dps"}}, "gyro looks like rad/s that is called deg/s"),
         (lambda f: {"gnss": f.gnss | radians(f)}, "look like radians; name them lat_rad"),
         (lambda f: {"gnss": f.gnss | {"vel_n": f.velocity[:, [1, 0, 2]]}}, "are exchanged"),
         (lambda f: {"gnss": f.gnss | {"vel_n": f.velocity * 3.6}}, "look like km/h; give m/s"),
@@ -236,6 +260,18 @@ def test_too_little_for_an_attitude_is_said(flown):
     few = slice(0, 50)
     with pytest.raises(LogError, match=r"down was not found in 1\.0 s with 50 inertial samples"):
         estimate(flown.time[few], flown.gyro[few], flown.accel[few])
+
+
+def test_that_fixes_lack_a_velocity_is_said_where_down_is_not_found(flown):
+    few = slice(0, 20)
+    parts = {"time": flown.time[few], "gyro": flown.gyro[few], "accel": flown.accel[few]}
+    fixes = at(flown, few) | {"time": flown.gnss["time"][few] * 1e-2 + flown.time[0]}
+    with pytest.raises(LogError) as found:
+        flown.estimate(**parts, gnss=fixes, mag=None, baro=None, check=False)
+    assert "vel_n" not in str(found.value)
+    del fixes["vel_n"]
+    with pytest.raises(LogError, match=r"down was not found .*; gnss has no vel_n: with the vel"):
+        flown.estimate(**parts, gnss=fixes, mag=None, baro=None, check=False)
 
 
 def test_time_without_aid_and_resets_are_said(flown):

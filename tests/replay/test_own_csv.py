@@ -78,6 +78,11 @@ def test_a_flight_under_its_header_converts_to_a_good_estimate(flown, tmp_path):
     [
         ({"gps_vn_mps": 3.6, "gps_ve_mps": 3.6, "gps_vd_mps": 3.6}, "look like km/h; give m/s"),
         ({"gyro_y_dps": -1.0, "gyro_z_dps": -1.0}, "gyro is forward, left, up and accel forward"),
+        (
+            {"mag_z_uT": -1.0},
+            "the field does not turn in the vehicle as the gyro does: z of mag is r",
+        ),
+        ({f"gyro_{axis}_dps": 1.0 / 57.29578 for axis in "xyz"}, "in a table gyro_x_rps"),
     ],
 )
 def test_what_contradicts_itself_in_a_table_is_noted(flown, tmp_path, sizes, sentence):
