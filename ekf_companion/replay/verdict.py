@@ -79,7 +79,7 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
     """Judge the estimate of a whole log."""
     spent = sum(report.seconds.get(status, 0.0) for status in STARTED)
     whole, rate = sum(report.seconds.values()), report.rates.get(Kind.IMU, 0.0)
-    parts = [_of_samples(rate), _of_file(report)]
+    parts = [_of_table(report), _of_samples(rate), _of_file(report)]
     if spent > 0.0:
         found = [_of_position(evidence), _of_status(report, spent), _of_resets(report)]
         parts = [*found, _of_fixes(report), *parts]
@@ -174,6 +174,11 @@ def _of_fixes(report: Report) -> Reasons:
     share = refused / max(refused + verdicts[Verdict.FUSED] + verdicts[Verdict.DEWEIGHTED], 1)
     words = (f"{share:.0%} of the fixes refused",)
     return Reasons(poor=words) if share > OFTEN else Reasons(fair=words if share > RARELY else ())
+
+
+def _of_table(report: Report) -> Reasons:
+    """Judge whether what a table's columns declare can be meant."""
+    return Reasons(poor=("the units or axes look wrong",) if report.is_contradictory else ())
 
 
 def _of_samples(rate: float) -> Reasons:
