@@ -21,6 +21,8 @@ PEAK = 2.0
 """The worst moment is named where it is that many times the RMS, and more than ``NEAR``."""
 CLEARLY = 1.5
 """Of two estimates the receiver agrees with the one that is that many times nearer to it."""
+ELSEWHERE = 20.0
+"""m from the fixes, in the median: a receiver is not so far from a truth for half a flight."""
 SLOW, FAST_ENOUGH = 20.0, 50.0
 """Inertial samples per second, Hz, below which nothing can be judged, or no more than fair."""
 SHORT_S = 15.0
@@ -42,6 +44,19 @@ class Evidence(NamedTuple):
     """Distance from the autopilot's own estimate."""
     to_fixes: tuple[float, float] | None = None
     """RMS distances of ours and of the autopilot's from the receiver's fixes, m."""
+
+    truth_to_fixes: tuple[float, float] | None = None
+    """Median distances of ours and of the truth from the receiver's fixes, m."""
+
+    @property
+    def truth_elsewhere(self) -> str:
+        """Ask for a truth that is far from the receiver's fixes, where ours is not; else empty."""
+        ours, theirs = self.truth_to_fixes or (0.0, 0.0)
+        if theirs < ELSEWHERE or theirs < CLEARLY * ours:
+            return ""
+        return (
+            f"the truth is {_metres(theirs)} from the receiver's fixes too (is it of this flight?)"
+        )
 
 
 class Reasons(NamedTuple):
@@ -112,17 +127,21 @@ def _size(evidence: Evidence) -> str:
 
 
 def _words(words: str, size: Size) -> str:
-    text = words.format(f"{size.rms:.1f} m")
+    text = words.format(_metres(size.rms, 1))
     if size.worst > max(PEAK * size.rms, NEAR):
-        text += f" ({size.worst:.{1 if size.worst < 10.0 else 0}f} m at {size.at_s:.0f} s)"
+        text += f" ({_metres(size.worst, int(size.worst < 10.0))} at {size.at_s:.0f} s)"
     return text
+
+
+def _metres(size: float, digits: int = 0) -> str:
+    return f"{size:.{digits}f} m" if size < 1e5 else f"{size * 1e-3:.0f} km"
 
 
 def _of_position(evidence: Evidence) -> Reasons:
     """Judge the distance from a truth; else from the autopilot's estimate, and the own sigma."""
     if (truth := evidence.truth) is not None:
         if truth.rms > FAR:
-            return Reasons(poor=("far from the truth",))
+            return Reasons(poor=(evidence.truth_elsewhere or "far from the truth",))
         return Reasons(fair=("not close to the truth",) if truth.rms > NEAR else ())
     poor: list[str] = []
     fair: list[str] = []

@@ -36,6 +36,9 @@ def from_autopilot(rms, to_fixes=None, worst=0.0):
     return Evidence(sigma=SURE.sigma, autopilot=Size(rms, worst, 72.0), to_fixes=to_fixes)
 
 
+OTHER = Evidence(truth=Size(1.3e7, 1.3e7, 1.0), truth_to_fixes=(0.8, 1.3e7))
+LIES = Evidence(truth=Size(18.0, 25.0, 1.0), truth_to_fixes=(20.0, 25.0))
+"""A receiver that lies all flight long, and an estimate that follows only partly."""
 BAD = Damage("1314 damaged places in the file (27.6 kB)", 0.02)
 
 
@@ -72,6 +75,12 @@ def test_the_verdict_names_size_and_reasons(found, sentence):
     ("evidence", "sentence"),
     [
         (from_truth(0.42, 0.9), "good: 0.4 m RMS from the truth, no resets"),
+        (
+            OTHER,
+            "poor: 13000 km RMS from the truth, the truth is 13000 km from the receiver's fixes "
+            "too (is it of this flight?)",
+        ),
+        (LIES, "poor: 18.0 m RMS from the truth, far from the truth"),
         (from_truth(3.0, 4.0), "fair: 3.0 m RMS from the truth, not close to the truth"),
         (
             from_truth(9.7, 46.0),
