@@ -27,6 +27,9 @@ SLOW, FAST_ENOUGH = 20.0, 50.0
 """Inertial samples per second, Hz, below which nothing can be judged, or no more than fair."""
 SHORT_S = 15.0
 """Time below which nothing can be judged, s: a filter is settling still."""
+SHORT_GAP, LONG_GAP = 1.0, 5.0
+"""Time without inertial samples, s, from which on it is named, and the estimate no more than fair:
+nothing was estimated for so long."""
 LARGEST_DAMAGE = 0.01
 """Share of a file; more that is damaged is no more than fair."""
 LARGEST_LOSS = 0.05
@@ -94,7 +97,7 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
     """Judge the estimate of a whole log."""
     spent = sum(report.seconds.get(status, 0.0) for status in STARTED)
     whole, rate = sum(report.seconds.values()), report.rates.get(Kind.IMU, 0.0)
-    parts = [_of_table(report), _of_samples(rate), _of_file(report)]
+    parts = [_of_table(report), _of_gap(report), _of_samples(rate), _of_file(report)]
     if spent > 0.0:
         found = [_of_position(evidence), _of_status(report, spent), _of_resets(report)]
         parts = [*found, _of_fixes(report), *parts]
@@ -198,6 +201,15 @@ def _of_fixes(report: Report) -> Reasons:
 def _of_table(report: Report) -> Reasons:
     """Judge whether what a table's columns declare can be meant."""
     return Reasons(poor=("the units or axes look wrong",) if report.is_contradictory else ())
+
+
+def _of_gap(report: Report) -> Reasons:
+    """Judge the longest time without inertial samples."""
+    seconds, begin_s = report.track.gap()
+    words = (f"no inertial samples for {seconds:.{int(seconds < 10.0)}f} s at {begin_s:.0f} s",)
+    if seconds > LONG_GAP:
+        return Reasons(fair=words)
+    return Reasons(aside=words if seconds > SHORT_GAP else ())
 
 
 def _of_samples(rate: float) -> Reasons:
