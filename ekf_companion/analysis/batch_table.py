@@ -13,6 +13,8 @@ from ekf_companion.errors import ConfigError, part_of
 from ekf_companion.logs.writer import create
 
 KINDS = (".csv", ".parquet")
+FEWEST = 50
+"""Characters behind a log's name that no terminal is too narrow for."""
 
 
 def check(path: Path) -> None:
@@ -48,24 +50,25 @@ def write(path: Path, rows: Sequence[Row]) -> None:
         file.write(text.getvalue().encode())
 
 
-def lines(rows: Sequence[Row]) -> list[str]:
-    """Return a line on each log, and the number of each outcome."""
-    width = max((len(str(row["log"])) for row in rows), default=0)
-    found = [f"{row['log']!s:{width}}  {_words(row)}" for row in rows]
+def lines(rows: Sequence[Row], width: int | None = None) -> list[str]:
+    """Return a line on each log with its verdict, and the number of each outcome.
+
+    Args:
+        rows: Of the table.
+        width: To which the line of a log with a verdict is cut, characters; None: it is not.
+            Why a log failed is never cut.
+    """
+    longest = max((len(str(row["log"])) for row in rows), default=0)
+    found = []
+    for row in rows:
+        line = f"{row['log']!s:{longest}}  "
+        if row["outcome"] == "failed":
+            found.append(f"{line}failed: {row['why']}")
+            continue
+        line += f"{row['duration_s'] or 0:.0f} s, {row['verdict']}"
+        # At least the grade and the size are read, also behind a long name
+        most = max(width, longest + FEWEST) if width else len(line)
+        found.append(line if len(line) <= most else line[: most - 3].rstrip(" ,") + "...")
     counts = Counter(str(row["outcome"]) for row in rows)
     total = ", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items()))
     return [*found, f"{len(rows)} logs: {total}"]
-
-
-def _words(row: Row) -> str:
-    if row["outcome"] == "failed":
-        return f"failed: {row['why']}"
-    words = [f"{row['duration_s'] or 0:.0f} s", f"ok {row['ok_s'] or 0:.0f} s"]
-    words.append(f"{row['resets']} resets")
-    for column, name in (
-        ("truth_horizontal_m", "the truth"),
-        ("autopilot_horizontal_m", "the autopilot's own"),
-    ):
-        if (error := row[column]) is not None:
-            words.append(f"{error:.2f} m RMS from {name}")
-    return ", ".join(words)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ekf_companion.analysis.judgement import judge_log
+from ekf_companion.analysis.judgement import judge_log, take_truth
 from ekf_companion.config.config import Config
 from ekf_companion.core.from_settings import delays_ns
 from ekf_companion.logs.estimate import of_table
@@ -106,12 +106,13 @@ def review(
         truth: From a file beside the log; None: the log's own, where it holds one.
 
     Raises:
-        LogError: The log cannot be read, or nothing can be estimated from it.
+        LogError: The log cannot be read, nothing can be estimated from it, or the truth is of
+            another time.
     """
     run = Run(path, config, WatchedPipeline)
     blocks = list(run.blocks(progress))
     report = run.finish()
-    report.truth = truth or report.truth
+    take_truth(report, truth)
     stretches = report.track.stretches
     shifts_ns = stretches.shifts_ns()
     table, events = _on_one_clock(blocks, shifts_ns)

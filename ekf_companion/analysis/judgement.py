@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ekf_companion.analysis import difference
+from ekf_companion.errors import LogError
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.interpolation import between
 from ekf_companion.nav.state import Trajectory
 from ekf_companion.replay.report import Report
@@ -13,6 +17,34 @@ from ekf_companion.replay.verdict import Evidence, Judgement, judge
 
 FEWEST_FIXES = 20
 """Fixes from which on the receiver is a witness."""
+
+
+def take_truth(report: Report, truth: Trajectory | None) -> None:
+    """Judge a conversion by a truth from a file beside the log; None: by the log's own.
+
+    Raises:
+        LogError: The truth has no time in common with the estimate.
+    """
+    if truth is None:
+        return
+    stretches = report.track.stretches
+    stretch = stretches.found[stretches.longest]
+    t_ns = truth.pos_t_ns
+    if not len(t_ns) or t_ns[-1] < stretch.first_ns or t_ns[0] > stretch.last_ns:
+        spans = [(stretch.first_ns, stretch.last_ns), *((t[0], t[-1]) for t in (t_ns,) if len(t))]
+        here, *there = (f"{first * 1e-9:.1f} to {last * 1e-9:.1f} s" for first, last in spans)
+        raise LogError(
+            f"{truth.name}: has no time in common with the estimate of {report.log} "
+            f"({''.join(there) or 'no position'}, and {here}); name the truth of this flight, its "
+            "times on the autopilot's clock"
+        )
+    report.truth = truth
+    if len(report.track.positions().pos_t_ns) and evidence_of(report).truth is None:
+        seconds = difference.SETTLED_NS * 1e-9
+        report.notes.append(
+            f"{truth.name} has no time in common with the estimate after its first {seconds:.0f} s "
+            "with a position, so the verdict is without it"
+        )
 
 
 def judge_log(report: Report) -> Judgement:
@@ -27,7 +59,8 @@ def evidence_of(report: Report) -> Evidence:
         sigma=report.track.sigma(),
         truth=_apart(report, ours, report.truth),
         autopilot=_apart(report, ours, report.own),
-        to_fixes=_to_fixes(report, ours),
+        to_fixes=_to_fixes(report, ours, report.own, difference.rms),
+        truth_to_fixes=_to_fixes(report, ours, report.truth, _median),
     )
 
 
@@ -45,22 +78,28 @@ def _apart(report: Report, ours: Trajectory, other: Trajectory | None) -> Size |
     return report.track.size_of(distances[is_known], at_ns[is_known]) if is_known.any() else None
 
 
-def _to_fixes(report: Report, ours: Trajectory) -> tuple[float, float] | None:
-    """Return RMS distances of both estimates from the same fixes, m; None: too few."""
-    own = report.own
-    if own is None or len(own.pos_t_ns) < 2 or len(ours.pos_t_ns) < 2:
+def _median(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def _to_fixes(
+    report: Report, ours: Trajectory, other: Trajectory | None, size: Callable[[Array], float]
+) -> tuple[float, float] | None:
+    """Return sizes of the distances of ours and another from the same fixes, m; None: too few."""
+    if other is None or len(other.pos_t_ns) < 2 or len(ours.pos_t_ns) < 2:
         return None
     fixes = report.track.fixes(report.fix_delay)
     settled = fixes.pos_t_ns > ours.pos_t_ns[0] + difference.SETTLED_NS
     at_ns = fixes.pos_t_ns[settled]
-    pairs = [between(one.pos_t_ns, at_ns) for one in (ours, own)]
+    pairs = [between(one.pos_t_ns, at_ns) for one in (ours, other)]
     both = np.intersect1d(pairs[0].wanted, pairs[1].wanted)
     if len(both) < FEWEST_FIXES:
         return None
     frame = difference.frame_of(ours)
     there = frame.to_ned(fixes.lat, fixes.lon, fixes.alt)[settled][both]
     found = []
-    for one, pair in zip((ours, own), pairs, strict=True):
+    for one, pair in zip((ours, other), pairs, strict=True):
         here = pair.values(frame.to_ned(one.lat, one.lon, one.alt))[np.isin(pair.wanted, both)]
-        found.append(difference.rms(np.hypot(*(here - there)[:, :2].T)))
+        found.append(size(np.hypot(*(here - there)[:, :2].T)))
     return (found[0], found[1]) if np.isfinite(found).all() else None

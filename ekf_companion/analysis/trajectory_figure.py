@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ekf_companion.analysis import difference, figure_file
+from ekf_companion.analysis.report_sheet import broken
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
@@ -125,19 +126,21 @@ def _draw(axes: dict[str, Any], one: Trajectory, scale: _Scale, look: dict[str, 
     if scale.frame is not None and len(one.pos_t_ns):
         some = _some(one.pos_t_ns)
         ned = scale.frame.to_ned(one.lat[some], one.lon[some], one.alt[some])
-        axes["track"].plot(ned[:, 1], ned[:, 0], **look)
-        axes["altitude"].plot(scale.seconds(one.pos_t_ns[some]), one.alt[some], **look)
+        seconds = scale.seconds(one.pos_t_ns[some])
+        seconds, north, east, alt = broken(seconds, ned[:, 0], ned[:, 1], one.alt[some])
+        axes["track"].plot(east, north, **look)
+        axes["altitude"].plot(seconds, alt, **look)
     if "speed" in axes:
         some = _some(one.vel_t_ns)
         speed = np.linalg.norm(np.nan_to_num(one.vel_n[some]), axis=1)
-        axes["speed"].plot(scale.seconds(one.vel_t_ns[some]), speed, **look)
+        axes["speed"].plot(*broken(scale.seconds(one.vel_t_ns[some]), speed), **look)
     some = _some(one.att_t_ns)
     angles = np.rad2deg(so3.to_euler(one.q_nb[some]))
     for column, name in enumerate(EULER):
         # No line across the panel where an angle goes from 180 to -180 degrees
         turned = np.append(np.abs(np.diff(angles[:, column])) > 180.0, False)
         shown = np.where(turned, np.nan, angles[:, column])
-        axes[name].plot(scale.seconds(one.att_t_ns[some]), shown, **look)
+        axes[name].plot(*broken(scale.seconds(one.att_t_ns[some]), shown), **look)
 
 
 def _draw_errors(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from difflib import get_close_matches
 from importlib import import_module
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, cast
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -93,6 +93,12 @@ OTHER_OPTIONS = {
 """Options of ours by name: what other programs call them, and what is given to them."""
 
 
+_OF_ONE_LOG = ("convert", "report", "view")
+"""Commands for which batch is what does many logs."""
+_USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__bases__[0])
+"""Of any wrong command line: typer does not name it."""
+
+
 class _Command(TyperCommand):
     """A command that says what to give in place of an option that it lacks, or that is missing."""
 
@@ -113,6 +119,11 @@ class _Command(TyperCommand):
             # Of a parameter that is missing; its help says what to give
             if not error.message:
                 error.message = getattr(error.param, "help", None) or ""
+            raise
+        except _USAGE_ERROR as error:
+            message = getattr(error, "message", "")
+            if ctx.info_name in _OF_ONE_LOG and message.startswith("Got unexpected extra argument"):
+                ctx.fail(f"{message}; {ctx.info_name} takes one log, batch takes several")
             raise
 
 

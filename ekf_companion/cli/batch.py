@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -38,5 +40,6 @@ def batch(
         for out in outs:
             batch_table.write(out, rows)
         journal.unlink()  # the table is complete
-    for line in batch_table.lines(rows):
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    for line in batch_table.lines(rows, width):
         typer.echo(line)

@@ -13,6 +13,7 @@ from ekf_companion.errors import ConfigError, LogError
 if TYPE_CHECKING:
     from ekf_companion.config.config import Config
     from ekf_companion.nav.state import Trajectory
+    from ekf_companion.replay.report import Report
 
 _WITHOUT_REFERENCE = (
     "{}: holds neither a truth nor the autopilot's own estimate; "
@@ -76,6 +77,8 @@ class _Ours(NamedTuple):
     own: Trajectory | None = None
     """The autopilot's."""
     truth: Trajectory | None = None
+    report: Report | None = None
+    """On the run; None where the estimate was read."""
 
 
 def _ours(log: Path, config: Config, *, is_smoothed: bool, is_silent: bool) -> _Ours:
@@ -101,7 +104,7 @@ def _ours(log: Path, config: Config, *, is_smoothed: bool, is_silent: bool) -> _
             estimate = of_table(table, "ekf-companion")
     if not is_silent:
         typer.echo("\n".join(converter.summary(report)) + "\n")
-    return _Ours(estimate, live, own, truth)
+    return _Ours(estimate, live, own, truth, report)
 
 
 def _compare_ours(
@@ -114,6 +117,7 @@ def _compare_ours(
 ) -> None:
     """Print the errors of our estimate against a truth or the autopilot's."""
     from ekf_companion.analysis import score, trajectory_figure
+    from ekf_companion.analysis.judgement import evidence_of
     from ekf_companion.logs.estimate import read_truth
 
     estimate = ours.estimate
@@ -139,6 +143,10 @@ def _compare_ours(
     for rival in (*ours.live, *own):
         scores.append(score.score(rival, against, 0.0, start_ns=start, end_ns=end))
     terminal.show(as_json, [one.to_dict() for one in scores], score.table(scores))
+    if truth is not None and ours.report is not None:
+        ours.report.truth = truth
+        if doubt := evidence_of(ours.report).truth_elsewhere:
+            typer.echo(f"note: {doubt}", err=as_json)
     if plot is not None:
         trajectory_figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
 

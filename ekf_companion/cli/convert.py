@@ -39,7 +39,7 @@ def convert(
     detector: Annotated[str | None, typer.Option(help="For zupt: shoe, mv, mag or are.")] = None,
 ) -> None:
     """Re-run the estimator, or another filter, over a recorded flight."""
-    from ekf_companion.analysis.judgement import judge_log
+    from ekf_companion.analysis.judgement import judge_log, take_truth
     from ekf_companion.replay import convert as converter
 
     with terminal.exit_on_error(), terminal.progress_bar(log.name) as progress:
@@ -58,7 +58,7 @@ def convert(
         report = converter.convert(
             log, outs, terminal.load(config), rate, progress, is_smoothed=smooth
         )
-    report.truth = truth or report.truth
+        take_truth(report, truth)
     judgement = judge_log(report)
     data = {"verdict": judgement.sentence, "grade": judgement.grade, **report.to_dict()}
     terminal.show(as_json, data, [judgement.sentence, *converter.summary(report)], err=is_piped)

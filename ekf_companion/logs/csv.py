@@ -57,6 +57,9 @@ from ekf_companion.logs.spooled_events import SpooledEvents
 from ekf_companion.logs.table import AT_ONCE, Table
 from ekf_companion.nav.arrays import Array, Mask, Stamps
 
+SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas"}
+"""Characters that may stand between columns, and their names."""
+
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
@@ -74,6 +77,7 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     if not isinstance(delimiter, str) or len(delimiter) != 1 or not delimiter.isascii():
         raise LogError(f'{where}: delimiter: {delimiter!r} is not one character, such as ";"')
     table = Table(path, delimiter)
+    _check_separated(path, table.names, delimiter)
     entries = {key: columns[key] for key in columns if key not in OPTIONS}
     notes: list[str] = []
     zero_height = 0.0
@@ -114,6 +118,22 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
         damage=Damage(f"{lost} rows dropped", lost / rows_in_all) if lost else Damage(),
         zero_height=zero_height,
     )
+
+
+def _check_separated(path: Path, names: list[str], delimiter: str) -> None:
+    """Refuse a header that another character separates.
+
+    Raises:
+        LogError: It is refused.
+    """
+    others = [one for one in SEPARATORS if one != delimiter]
+    other = next((one for one in others if len(names) == 1 and names[0].count(one) > 1), "")
+    if other:
+        text = "\\t" if other == "\t" else other
+        raise LogError(
+            f'{path}: {SEPARATORS[other]} separate its columns; say delimiter: "{text}" in a file '
+            f"{path.name}.columns.yaml beside it (numbers with a decimal point, not a comma)"
+        )
 
 
 def _values(rows: Array, names: list[str], sources: Mapping[str, Source]) -> Columns:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import dataflash_search
-from ekf_companion.logs.recording import Damage
+from ekf_companion.logs.recording import Damage, cut_off
 from ekf_companion.logs.source import MappedFile
 from ekf_companion.nav.arrays import Stamps
 
@@ -119,6 +119,8 @@ class _Found(NamedTuple):
     """Of all records, by type, shape (256,)."""
     damaged: int
     """Runs of bytes that are no record."""
+    rest: int
+    """Bytes at the end that are no whole record."""
 
 
 def _find_records(file: MappedFile, names: Collection[str] | None) -> _Found:
@@ -151,7 +153,9 @@ def _find_records(file: MappedFile, names: Collection[str] | None) -> _Found:
     everywhere = np.concatenate([part[0] for part in parts])
     del parts
     places = {kind: everywhere[types == kind] for kind in formats if sizes[kind, 1]}
-    return _Found(formats, places, counts, state[1])
+    last = state[0]  # -1: no whole record ends the file, and damage before it is counted
+    rest = len(data) - last - int(sizes[data[last + 2], 0]) if last >= 0 else 0
+    return _Found(formats, places, counts, state[1], rest)
 
 
 def _gather(file: MappedFile, places: Stamps, layout: _Format) -> Column:
@@ -208,4 +212,6 @@ def read_columns(
         words = "a damaged place" if found.damaged == 1 else f"{found.damaged} damaged places"
         records = int(sum(found.counts)) + found.damaged
         damage = Damage(f"{words} in the file", found.damaged / records)
+    if found.rest:
+        notes.append(cut_off(found.rest, "record"))
     return tables, notes, others - {*tables}, damage

@@ -43,6 +43,12 @@ class Damage(NamedTuple):
 UNDAMAGED = Damage()
 
 
+def cut_off(rest: int, unit: str) -> str:
+    """Return a note on so many bytes at the end of a file that are no whole ``unit``."""
+    last = "the last byte is" if rest == 1 else f"the last {rest} bytes are"
+    return f"{last} no whole {unit}: the recording was cut off there"
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Recording:
     """The content of a log."""

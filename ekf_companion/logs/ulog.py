@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
-from ekf_companion.logs.recording import CLOCK_SET_S, Damage, Recording
+from ekf_companion.logs.recording import CLOCK_SET_S, Damage, Recording, cut_off
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
 from ekf_companion.logs.ulog_messages import Messages
 from ekf_companion.logs.ulog_topics import (
@@ -65,6 +65,8 @@ def read(path: Path) -> Recording:
     """
     log = load(path)
     notes = ["the file is damaged: what could not be read is lost"] if log.is_damaged else []
+    if log.rest:
+        notes.append(cut_off(log.rest, "message"))
     if lost := sum(log.dropouts):
         count = len(log.dropouts)
         notes.append(f"{count} dropouts, {lost:.1f} s in all, while the log was written")

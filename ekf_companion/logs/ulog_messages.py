@@ -73,6 +73,8 @@ class Messages:
     dropouts: tuple[float, ...] = ()
     """Lengths of the gaps while the log was written, s."""
     is_damaged: bool = False
+    rest: int = 0
+    """Bytes at the end that are no whole message."""
 
 
 class _Layout(NamedTuple):
@@ -126,7 +128,7 @@ class _Reader:
         """Read all."""
         place = self._read_definitions()
         for end in [*self._ends, len(self._data)]:
-            self._read_data(place, end)
+            self._found.rest = max(end - self._read_data(place, end), 0)
             place = max(place, end)
         self._found.tables = list(self._tables())
         self._found.dropouts = tuple(ms * 1e-3 for ms in self._dropouts)
@@ -222,8 +224,8 @@ class _Reader:
             known = [place for place in (first, second, third) if 0 < place < len(self._data)]
             self._ends = sorted(known)
 
-    def _read_data(self, place: int, end: int) -> None:
-        """Find the rows and dropouts of a part of the file."""
+    def _read_data(self, place: int, end: int) -> int:
+        """Find the rows and dropouts of a part of the file; return where its whole messages end."""
         found = np.empty((AT_ONCE, 2), dtype=np.int64)
         kind = -1
         while kind:
@@ -239,6 +241,7 @@ class _Reader:
                     self._subscribe(content)
                 except (LookupError, ValueError):
                     self._found.is_damaged = True
+        return place
 
     def _take_rows(self, found: npt.NDArray[np.int64]) -> None:
         """Keep the places of rows by what they are subscribed to, and the dropouts' lengths."""

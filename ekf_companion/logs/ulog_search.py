@@ -86,7 +86,8 @@ def find_data(
 
     Returns:
         The number of messages found, the kind of the message that ended the search, and its place:
-        a subscription, any other where ``found`` is full, or 0 where the data ends.
+        a subscription, any other where ``found`` is full, or 0 where the data ends: its place is
+        then ``end``, or that of a last message that is not whole.
     """
     n = 0
     while place + 3 <= end:
@@ -128,7 +129,7 @@ def find_data(
                     state[1] = 1
                     after = synced
         place = after
-    return n, 0, end
+    return n, 0, place
 
 
 def size_of(data: memoryview, place: int) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 from ekf_companion.errors import LogError
+from ekf_companion.logs.estimate import is_estimate
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.state import Trajectory
@@ -34,6 +35,15 @@ def open_log(path: Path) -> Log:
     Raises:
         LogError: It cannot be read, or is of an unknown kind.
     """
+    if path.is_dir():
+        raise LogError(
+            f"{path}: a folder; name one log in it, or all: ekf-companion batch {path} -o table.csv"
+        )
+    if path.is_file() and is_estimate(path):
+        raise LogError(
+            f"{path}: an estimate that convert wrote, and no log; name the log that it was made "
+            f"from, or: ekf-companion compare {path} --reference TRUTH.csv"
+        )
     suffix = suffix_of(path)
     if suffix == ".tlog":
         from ekf_companion.logs import tlog

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ekf_companion.errors import DataError
@@ -17,6 +19,25 @@ HALF_TURN = np.pi
 UNBANKED = 0.3
 """Of gravity, m/s^2: more than an accelerometer's bias, less than a bank of 15 deg adds."""
 LARGEST_FORCE = 16.0 * 20.0 * STANDARD_GRAVITY
+
+
+class Remedies(NamedTuple):
+    """What to do about inertial samples that cannot be meant, where they were given."""
+
+    g: str
+    """Of a specific force in g."""
+    dps: str
+    """Of rates in deg/s."""
+    meant: str
+    """Of axes that are right nevertheless."""
+
+
+OF_ARRAYS = Remedies("say units={'accel': 'g'}", "say units={'gyro': 'deg/s'}", "check=False")
+OF_COLUMNS = Remedies(
+    "name the columns accel_x_g, accel_y_g, accel_z_g, or in a map unit: g",
+    "name the columns gyro_x_dps, gyro_y_dps, gyro_z_dps, or in a map unit: deg/s",
+    "leave them",
+)
 _UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -84,13 +105,14 @@ def check_known(name: str, values: Array) -> None:
         raise DataError(f"{name}: all {len(values)} rows are NaN or infinity; there is no data")
 
 
-def check_inertial(gyro: Array, accel: Array, t_ns: Stamps) -> None:
+def check_inertial(gyro: Array, accel: Array, t_ns: Stamps, remedies: Remedies = OF_ARRAYS) -> None:
     """Refuse inertial samples in other units, of the other sign of gravity, or along other axes.
 
     Args:
         gyro: Angular rates, rad/s, forward, right, down, shape (n, 3).
         accel: Specific force, m/s^2, likewise.
         t_ns: Their stamps, ns.
+        remedies: What the sentence advises.
 
     Raises:
         DataError: They cannot be meant; the sentence says what they look like.
@@ -105,22 +127,21 @@ def check_inertial(gyro: Array, accel: Array, t_ns: Stamps) -> None:
         if 0.7 * one < force < 1.4 * one and is_steady:
             raise DataError(
                 f"accel: its median size is {force:.3g} m/s2, where gravity is 9.81: it looks like "
-                f"{unit}" + ("; say units={'accel': 'g'}" if unit == "g" else "; convert it")
+                f"{unit}; " + (remedies.g if unit == "g" else "convert it")
             )
     if not 0.3 * STANDARD_GRAVITY < force < 5.0 * STANDARD_GRAVITY:
         raise DataError(
             f"accel: its median size is {force:.3g} m/s2, where gravity is 9.81; it must be the "
             "specific force (what an accelerometer measures), in m/s2, gravity not removed"
         )
-    _check_rates(gyro, accel, t_ns)
-    _check_axes(accel, force)
+    _check_rates(gyro, accel, t_ns, f"it looks like deg/s; {remedies.dps}")
+    _check_axes(accel, force, remedies.meant)
 
 
-def _check_rates(gyro: Array, accel: Array, t_ns: Stamps) -> None:
+def _check_rates(gyro: Array, accel: Array, t_ns: Stamps, advice: str) -> None:
     """Refuse degrees for radians."""
     size = np.linalg.norm(gyro, axis=1)
     fast = float(np.percentile(size, 99.0))
-    advice = "it looks like deg/s; say units={'gyro': 'deg/s'}"
     if fast > FASTEST_TURN:
         raise DataError(f"gyro: reaches {fast:.3g} rad/s, faster than any sensor turns: {advice}")
     if (tilt := _tilt_at_rest(gyro, accel, t_ns)) > HALF_TURN:
@@ -157,7 +178,7 @@ def _tilt_at_rest(gyro: Array, accel: Array, t_ns: Stamps) -> float:
     return farthest
 
 
-def _check_axes(accel: Array, force: float) -> None:
+def _check_axes(accel: Array, force: float, meant: str) -> None:
     """Refuse another sign of gravity, and axes that are not forward, right, down."""
     mean = np.median(accel, axis=0) / force
     axis = int(np.argmax(np.abs(mean)))
@@ -168,11 +189,11 @@ def _check_axes(accel: Array, force: float) -> None:
         raise DataError(
             f"{what}; a level vehicle measures -9.8 along its down axis. Either the sign is that "
             "of an acceleration (give -accel), or the axes are forward, left, up (give gyro and "
-            "accel times [1, -1, -1]); a vehicle that hangs upside down: check=False"
+            f"accel times [1, -1, -1]); if the vehicle does hang upside down, {meant}"
         )
     raise DataError(
         f"{what}, so that axis is not level: the axes must be those of the vehicle, forward, "
-        "right, down; turn gyro and accel into them, or, if it does stand so, check=False"
+        "right, down; turn gyro and accel into them, or, if it does stand so, " + meant
     )
 
 

@@ -48,6 +48,8 @@ class Report:
     """What of the file could not be read."""
     lost_share: float = 0.0
     """Of the telemetry's frames: lost on the link, by their numbers."""
+    is_contradictory: bool = False
+    """Whether a note says that units, signs, order or axes of a table cannot be meant."""
     track: Track = field(default_factory=Track)
     """The positions, to compare with those below."""
     fix_delay: float = 0.0

@@ -201,7 +201,9 @@ class Run(Generic[P]):
             self.report.fix_delay = float(late[Kind.GNSS]) * 1e-9 + health.gnss_delay
         self.report.notes += self._magnetometer.notes()
         if self._agreement is not None:
-            self.report.notes += self._agreement.notes()
+            faults, doubts = self._agreement.found()
+            self.report.is_contradictory = bool(faults)
+            self.report.notes += faults + doubts
         note_shortcomings(self.report, self._path)
         self.report.own, self.report.truth = reference(self.log), truth(self.log)
         return self.report

@@ -21,6 +21,19 @@ class Stretch:
     first_ns: int
     last_ns: int
     rows: int = 0
+    gap_ns: int = 0
+    """The longest step from a stamp to the next."""
+    gap_from_ns: int = 0
+    """Where it began."""
+
+    def add(self, t_ns: Stamps) -> None:
+        """Add one or more stamps."""
+        steps = np.diff(t_ns, prepend=self.last_ns)
+        at = int(np.argmax(steps))
+        if steps[at] > self.gap_ns:
+            self.gap_ns, self.gap_from_ns = int(steps[at]), int(t_ns[at] - steps[at])
+        self.last_ns = max(self.last_ns, int(t_ns.max()))
+        self.rows += len(t_ns)
 
 
 @dataclass(slots=True)
@@ -41,8 +54,7 @@ class Stretches:
             part = t_ns[index == one]
             if one == len(self.found):
                 self.found.append(Stretch(int(part[0]), int(part[0])))
-            self.found[one].last_ns = max(self.found[one].last_ns, int(part.max()))
-            self.found[one].rows += len(part)
+            self.found[one].add(part)
         return np.asarray(index, dtype=np.intp)
 
     @property

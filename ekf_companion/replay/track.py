@@ -46,7 +46,9 @@ class Track:
         part = self.stretches.add(table.stamp_ns)
         std = np.hypot(table.column("sd_pos_n"), table.column("sd_pos_e"))
         values = np.column_stack([table.columns(GEODETIC), std])
-        is_known = (table.column("status") >= Status.OK) & known_rows(values)
+        # Who says itself that its error is beyond the limit is not sent, and not judged by it
+        status = table.column("status")
+        is_known = (status >= Status.OK) & (status != Status.INVALID) & known_rows(values)
         if is_known.any():
             part, t_ns, values = part[is_known], table.stamp_ns[is_known], values[is_known]
             begins = np.diff(t_ns // SLOT_NS, prepend=-1) != 0
@@ -79,6 +81,15 @@ class Track:
         shift_ns = int(self.stretches.shifts_ns()[part[worst]]) - self.stretches.found[0].first_ns
         rms = float(np.sqrt(np.mean(np.square(values))))
         return Size(rms, float(values[worst]), (int(t_ns[worst]) + shift_ns) * 1e-9)
+
+    def gap(self) -> tuple[float, float]:
+        """Return the longest time without inertial samples, and when it began, as a size's, s."""
+        if not self.stretches.found:
+            return 0.0, 0.0
+        shifts_ns, found = self.stretches.shifts_ns(), self.stretches.found
+        part = max(range(len(found)), key=lambda one: found[one].gap_ns)
+        begin_ns = found[part].gap_from_ns + int(shifts_ns[part]) - found[0].first_ns
+        return found[part].gap_ns * 1e-9, begin_ns * 1e-9
 
     def positions(self) -> Trajectory:
         """Return the positions of the longest stretch."""

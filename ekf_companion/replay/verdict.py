@@ -21,10 +21,15 @@ PEAK = 2.0
 """The worst moment is named where it is that many times the RMS, and more than ``NEAR``."""
 CLEARLY = 1.5
 """Of two estimates the receiver agrees with the one that is that many times nearer to it."""
+ELSEWHERE = 20.0
+"""m from the fixes, in the median: a receiver is not so far from a truth for half a flight."""
 SLOW, FAST_ENOUGH = 20.0, 50.0
 """Inertial samples per second, Hz, below which nothing can be judged, or no more than fair."""
 SHORT_S = 15.0
 """Time below which nothing can be judged, s: a filter is settling still."""
+SHORT_GAP, LONG_GAP = 1.0, 5.0
+"""Time without inertial samples, s, from which on it is named, and the estimate no more than fair:
+nothing was estimated for so long."""
 LARGEST_DAMAGE = 0.01
 """Share of a file; more that is damaged is no more than fair."""
 LARGEST_LOSS = 0.05
@@ -42,6 +47,19 @@ class Evidence(NamedTuple):
     """Distance from the autopilot's own estimate."""
     to_fixes: tuple[float, float] | None = None
     """RMS distances of ours and of the autopilot's from the receiver's fixes, m."""
+
+    truth_to_fixes: tuple[float, float] | None = None
+    """Median distances of ours and of the truth from the receiver's fixes, m."""
+
+    @property
+    def truth_elsewhere(self) -> str:
+        """Ask for a truth that is far from the receiver's fixes, where ours is not; else empty."""
+        ours, theirs = self.truth_to_fixes or (0.0, 0.0)
+        if theirs < ELSEWHERE or theirs < CLEARLY * ours:
+            return ""
+        return (
+            f"the truth is {_metres(theirs)} from the receiver's fixes too (is it of this flight?)"
+        )
 
 
 class Reasons(NamedTuple):
@@ -79,7 +97,7 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
     """Judge the estimate of a whole log."""
     spent = sum(report.seconds.get(status, 0.0) for status in STARTED)
     whole, rate = sum(report.seconds.values()), report.rates.get(Kind.IMU, 0.0)
-    parts = [_of_samples(rate), _of_file(report)]
+    parts = [_of_table(report), _of_gap(report), _of_samples(rate), _of_file(report)]
     if spent > 0.0:
         found = [_of_position(evidence), _of_status(report, spent), _of_resets(report)]
         parts = [*found, _of_fixes(report), *parts]
@@ -112,17 +130,21 @@ def _size(evidence: Evidence) -> str:
 
 
 def _words(words: str, size: Size) -> str:
-    text = words.format(f"{size.rms:.1f} m")
+    text = words.format(_metres(size.rms, 1))
     if size.worst > max(PEAK * size.rms, NEAR):
-        text += f" ({size.worst:.{1 if size.worst < 10.0 else 0}f} m at {size.at_s:.0f} s)"
+        text += f" ({_metres(size.worst, int(size.worst < 10.0))} at {size.at_s:.0f} s)"
     return text
+
+
+def _metres(size: float, digits: int = 0) -> str:
+    return f"{size:.{digits}f} m" if size < 1e5 else f"{size * 1e-3:.0f} km"
 
 
 def _of_position(evidence: Evidence) -> Reasons:
     """Judge the distance from a truth; else from the autopilot's estimate, and the own sigma."""
     if (truth := evidence.truth) is not None:
         if truth.rms > FAR:
-            return Reasons(poor=("far from the truth",))
+            return Reasons(poor=(evidence.truth_elsewhere or "far from the truth",))
         return Reasons(fair=("not close to the truth",) if truth.rms > NEAR else ())
     poor: list[str] = []
     fair: list[str] = []
@@ -174,6 +196,20 @@ def _of_fixes(report: Report) -> Reasons:
     share = refused / max(refused + verdicts[Verdict.FUSED] + verdicts[Verdict.DEWEIGHTED], 1)
     words = (f"{share:.0%} of the fixes refused",)
     return Reasons(poor=words) if share > OFTEN else Reasons(fair=words if share > RARELY else ())
+
+
+def _of_table(report: Report) -> Reasons:
+    """Judge whether what a table's columns declare can be meant."""
+    return Reasons(poor=("the units or axes look wrong",) if report.is_contradictory else ())
+
+
+def _of_gap(report: Report) -> Reasons:
+    """Judge the longest time without inertial samples."""
+    seconds, begin_s = report.track.gap()
+    words = (f"no inertial samples for {seconds:.{int(seconds < 10.0)}f} s at {begin_s:.0f} s",)
+    if seconds > LONG_GAP:
+        return Reasons(fair=words)
+    return Reasons(aside=words if seconds > SHORT_GAP else ())
 
 
 def _of_samples(rate: float) -> Reasons:

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from ekf_companion.analysis import batch_run
 from ekf_companion.analysis.batch import COLUMNS, examine, failed, find_logs
 from ekf_companion.analysis.batch_run import Processes, run
+from ekf_companion.analysis.batch_table import lines
 from ekf_companion.cli import app
 from ekf_companion.config.config import Config
 from ekf_companion.errors import ConfigError
@@ -96,6 +97,21 @@ def test_rows_say_what_was_found_and_why_a_log_failed(folder, expected):
     assert rows["noise.bin"]["why"].startswith("holds no FMT record")
     assert rows["cut.tlog"]["duration_s"] < 8.0
     assert "cut off there" in rows["cut.tlog"]["notes"]
+
+
+def test_the_lines_on_the_screen_name_each_verdict(expected):
+    rows = {Path(str(row["log"])).name: row for row in expected}
+    whole, noise = rows["a0.tlog"], rows["noise.bin"]
+    first, second, total = lines([whole, noise])
+    assert first.endswith(f"a0.tlog    12 s, {whole['verdict']}")
+    assert second.endswith(f"failed: {noise['why']}")
+    assert total == "2 logs: 1 estimated, 1 failed"
+    long = {**whole, "verdict": f"{whole['verdict']}, {'x' * 99}"}
+    width = len(first) + 40
+    cut, uncut, _ = lines([long, noise], width)
+    assert cut == f"{first}, {'x' * 35}..."
+    assert uncut == second
+    assert f"12 s, {whole['grade']}: " in lines([long], 10)[0]
 
 
 def test_two_processes_give_the_rows_of_one(folder, expected, tmp_path):

@@ -35,11 +35,12 @@ def rows_of(path):
         return list(csv.DictReader(file))
 
 
-def shifted(truth, path, north):
-    """Write a truth that lies so many metres further north."""
+def shifted(truth, path, north, later_us=0):
+    """Write a truth that lies so many metres further north, and is so much later."""
     rows = rows_of(truth)
     for row in rows:
         row["lat_deg"] = f"{float(row['lat_deg']) + north * METRE:.10f}"
+        row["time_us"] = str(int(row["time_us"]) + later_us)
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, rows[0])
         writer.writeheader()
@@ -70,6 +71,41 @@ def test_a_truth_beside_the_log_is_what_it_is_judged_by(flight, tmp_path):
     for command, out in (("convert", "out.csv"), ("report", "out.html")):
         words = (command, log, "--reference", far, "-o", tmp_path / out)
         assert said(*words).startswith(("poor: 20.", "poor: 19."))
+
+
+def test_a_truth_far_from_the_fixes_too_is_asked_about(flight, tmp_path):
+    log, truth = flight
+    other = shifted(truth, tmp_path / "other.csv", 118.0)
+    doubt = "the truth is 118 m from the receiver's fixes too (is it of this flight?)"
+    for command, out in (("convert", "out.csv"), ("report", "out.html")):
+        sentence = said(command, log, "--reference", other, "-o", tmp_path / out)
+        assert sentence.startswith("poor: 118.")
+        assert doubt in sentence
+    result = CliRunner().invoke(app, ["compare", str(log), "--reference", str(other)])
+    assert f"note: {doubt}" in result.output
+    result = CliRunner().invoke(app, ["compare", str(log), "--reference", str(truth)])
+    assert "is it of this flight" not in result.output
+
+
+def test_a_truth_of_another_time_is_refused(flight, tmp_path):
+    log, truth = flight
+    late = shifted(truth, tmp_path / "late.csv", 0.0, later_us=1_000_000_000)
+    for command, out in (("convert", "out.csv"), ("report", "out.html")):
+        words = (command, log, "--reference", late, "-o", tmp_path / out)
+        result = CliRunner().invoke(app, [*map(str, words)])
+        assert result.exit_code == 3, result.output
+        assert "late.csv: has no time in common with the estimate of" in result.output
+        assert "name the truth of this flight" in result.output
+
+
+def test_a_truth_of_the_start_alone_is_noted(flight, tmp_path):
+    log, truth = flight
+    begin = tmp_path / "begin.csv"
+    begin.write_text("".join(truth.read_text().splitlines(keepends=True)[:1000]))
+    words = ("convert", log, "--reference", begin, "-o", tmp_path / "out.csv")
+    result = CliRunner().invoke(app, [*map(str, words)])
+    assert result.exit_code == 0, result.output
+    assert "begin.csv has no time in common with the estimate after its first 20 s" in result.output
 
 
 def standing(north, rate=10.0, seconds=60.0):

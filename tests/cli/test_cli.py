@@ -68,6 +68,26 @@ def test_json_means_the_same_everywhere_the_result_in_place_of_the_text(
     assert json.loads(result.stdout)
 
 
+@pytest.mark.parametrize("name", ["report", "convert", "view"])
+def test_a_folder_and_several_logs_are_for_batch(tmp_path, name):
+    out = [] if name == "view" else ["-o", tmp_path / "out.csv"]
+    result = command(name, tmp_path, *out)
+    assert result.exit_code == 3
+    assert f"{tmp_path}: a folder; name one log in it, or all: ekf-companion batch" in result.stderr
+    result = command(name, "a.tlog", "b.tlog", *out)
+    assert result.exit_code == 2
+    assert f"{name} takes one log, batch takes several" in " ".join(result.stderr.split())
+
+
+def test_an_estimate_of_ours_is_no_log(flown, tmp_path):
+    estimate = tmp_path / "estimate.csv"
+    assert command("convert", flown, "-o", estimate).exit_code == 0
+    result = command("report", estimate)
+    assert result.exit_code == 3
+    assert "an estimate that convert wrote, and no log" in result.stderr
+    assert f"ekf-companion compare {estimate} --reference TRUTH.csv" in result.stderr
+
+
 def test_a_link_that_is_none_is_a_wrong_command_line():
     result = command("run", "--link", "com3")
     assert result.exit_code == 2

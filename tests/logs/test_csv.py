@@ -341,3 +341,19 @@ def test_a_table_has_the_same_events_however_many_rows_are_read_at_once(
     assert any("rows without a time" in note for note in whole.notes)
     for name in ("t_ns", "kind", "values"):
         assert getattr(parts.events, name).tobytes() == getattr(whole.events, name).tobytes()
+
+
+@pytest.mark.parametrize(("other", "words"), [(";", "semicolons"), ("\t", "tabs")])
+def test_columns_that_another_character_separates_are_named(tmp_path, other, words):
+    log = tmp_path / "mine.csv"
+    names = ["time_s", *(f"{one}_rps" for one in ("gyro_x", "gyro_y", "gyro_z"))]
+    names += [f"accel_{axis}_mps2" for axis in "xyz"]
+    rows = [f"{0.01 * i:.2f},0,0,0,0,0,-9.8" for i in range(3)]
+    log.write_text("\n".join([",".join(names), *rows, ""]).replace(",", other))
+    with pytest.raises(LogError, match=f"{words} separate its columns; say delimiter:") as found:
+        csv.read(log)
+    # what it says is what helps
+    _, _, line = str(found.value).partition("say ")
+    map_of = tmp_path / "mine.csv.columns.yaml"
+    map_of.write_text(line.partition(" in a file")[0])
+    assert len(csv.read(log).events) == 3

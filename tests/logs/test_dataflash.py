@@ -200,6 +200,15 @@ def test_damage_anywhere_leaves_a_recording_or_a_sentence(tmp_path_factory, plac
         assert np.isfinite(recording.events.values[:, 0]).all()
 
 
+@pytest.mark.parametrize("rest", [0, 1, 5])
+def test_a_record_that_the_end_of_the_file_cuts_is_noted(read, rest):
+    again = b"\xa3\x95\x80\x80FM"
+    notes = read(WHOLE + again[:rest]).notes
+    cut = "the last byte is" if rest == 1 else f"the last {rest} bytes are"
+    expected = [f"{cut} no whole record: the recording was cut off there"] if rest else []
+    assert [one for one in notes if "cut off" in one] == expected
+
+
 @settings(max_examples=50, deadline=None)
 @given(place=st.integers(0, len(WHOLE) - 1))
 def test_a_cut_log_gives_what_stands_before_the_cut(tmp_path_factory, place):

@@ -282,6 +282,19 @@ def test_padding_at_the_end_of_a_row_is_left_out(read):
     assert of_kind(read(padded.data), Kind.IMU).values[0, 2] == np.float32(0.3)
 
 
+@pytest.mark.parametrize(
+    ("cut", "words"), [(20, "the last {} bytes are no whole message"), (0, "")]
+)
+def test_a_message_that_the_end_of_the_file_cuts_is_noted(read, cut, words):
+    whole = small_log()
+    rows = Writer([COMBINED])
+    begin = len(rows.data)
+    rows.row(0, 2_000_000, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8)
+    last = len(rows.data) - begin
+    found = [one for one in read(whole[: len(whole) - cut]).notes if "cut off there" in one]
+    assert [one.partition(":")[0] for one in found] == ([words.format(last - cut)] if cut else [])
+
+
 def test_data_that_were_appended_after_the_log_are_read(read, tmp_path):
     log = small_log(n=20)
     # flags: the file goes on at a place, whatever was left half written before it

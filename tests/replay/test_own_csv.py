@@ -13,6 +13,8 @@ from ekf_companion.replay.filters_by_name import run_filter
 from tests.paths import ROOT
 from tests.replay.test_arrays import Flown
 
+SENSORS = (("gyro", "dps"), ("accel", "mps2"))
+
 
 def example():
     """Return the lines of README's table."""
@@ -88,6 +90,31 @@ def test_a_flight_under_its_header_converts_to_a_good_estimate(flown, tmp_path):
 def test_what_contradicts_itself_in_a_table_is_noted(flown, tmp_path, sizes, sentence):
     result = convert(write(tmp_path / "mine.csv", flown, **sizes), tmp_path / "out.csv")
     assert sentence in " ".join(result.output.split())
+    assert ", the units or axes look wrong" in result.output.splitlines()[0]
+    assert not result.output.startswith("good")
+
+
+UP = {f"{name}_{axis}_{unit}": -1.0 for name, unit in SENSORS for axis in "yz"}
+TURNED = {f"gyro_{axis}_dps": np.rad2deg(1.0) for axis in "xyz"}
+
+
+@pytest.mark.parametrize(
+    ("sizes", "sentence"),
+    [
+        (UP, "a level vehicle measures -9.8 along its down axis"),
+        ({f"accel_{axis}_mps2": 1.0 / 9.80665 for axis in "xyz"}, "g; name the columns accel_x_g"),
+        (TURNED, "it looks like deg/s; name the columns gyro_x_dps"),
+    ],
+)
+def test_inertial_samples_of_other_axes_or_units_are_noted_and_not_called_good(
+    flown, tmp_path, sizes, sentence
+):
+    """Forward, left, up; g under the name of m/s2; deg/s taken for rad/s."""
+    result = convert(write(tmp_path / "mine.csv", flown, **sizes), tmp_path / "out.csv")
+    assert sentence in " ".join(result.output.split())
+    assert not result.output.startswith("good")
+    assert ", the units or axes look wrong" in result.output.splitlines()[0]
+    assert "units={" not in result.output
 
 
 @pytest.mark.parametrize("name", ["zupt", "ahrs", "mahony"])

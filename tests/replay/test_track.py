@@ -51,6 +51,25 @@ def test_sigma_counts_over_the_whole_time_and_its_worst_moment_is_named():
     assert size.at_s == pytest.approx(55.05, abs=0.1)
 
 
+def test_an_estimate_that_says_it_is_invalid_is_not_judged_by():
+    track = Track()
+    track.add(NONE, table_of([0.0, 0.1, 0.2], sigma=1.0))
+    track.add(NONE, table_of([12.2, 12.3], sigma=170.0, status=Status.INVALID, lat_deg=47.1))
+    track.add(NONE, table_of([12.4, 12.5], sigma=1.4))
+    assert track.sigma().worst == 1.4
+    assert len(track.positions().pos_t_ns) == 5
+
+
+def test_the_longest_time_without_samples_is_kept_over_blocks_and_reboots():
+    assert Track().gap() == (0.0, 0.0)
+    track = Track()
+    track.add(NONE, table_of(np.arange(100.0, 130.0, 0.02)))
+    track.add(NONE, table_of(np.arange(133.0, 140.0, 0.02)))  # behind 3 s, in the next block
+    assert track.gap() == pytest.approx((3.02, 29.98))
+    track.add(NONE, table_of([*np.arange(5.0, 10.0, 0.02), *np.arange(22.0, 30.0, 0.02)]))
+    assert track.gap() == pytest.approx((12.02, 39.98 + 10.0 + 4.98))
+
+
 def test_before_there_is_a_position_nothing_is_known():
     track = Track()
     track.add(NONE, table_of([0.0, 0.1], status=Status.ATTITUDE))

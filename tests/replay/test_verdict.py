@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from ekf_companion.core.settings import FilterSettings
@@ -36,6 +37,21 @@ def from_autopilot(rms, to_fixes=None, worst=0.0):
     return Evidence(sigma=SURE.sigma, autopilot=Size(rms, worst, 72.0), to_fixes=to_fixes)
 
 
+OTHER = Evidence(truth=Size(1.3e7, 1.3e7, 1.0), truth_to_fixes=(0.8, 1.3e7))
+LIES = Evidence(truth=Size(18.0, 25.0, 1.0), truth_to_fixes=(20.0, 25.0))
+"""A receiver that lies all flight long, and an estimate that follows only partly."""
+
+
+def silent(seconds):
+    """Return a report on samples of 100 s, none for so long from 20 s on."""
+    t_s = np.arange(0.0, 100.0, 0.01)
+    found = report()
+    found.track.stretches.add(
+        np.rint(t_s[(t_s <= 20.0) | (t_s >= 20.0 + seconds)] * 1e9).astype(np.int64)
+    )
+    return found
+
+
 BAD = Damage("1314 damaged places in the file (27.6 kB)", 0.02)
 
 
@@ -43,6 +59,11 @@ BAD = Damage("1314 damaged places in the file (27.6 kB)", 0.02)
     ("found", "sentence"),
     [
         (report(), "good: 0.4 m RMS by its own sigma, no resets"),
+        (
+            silent(3.1),
+            "good: 0.4 m RMS by its own sigma, no resets, no inertial samples for 3.1 s at 20 s",
+        ),
+        (silent(12.0), "fair: 0.4 m RMS by its own sigma, no inertial samples for 12 s at 20 s"),
         (report(resets=1), "fair: 0.4 m RMS by its own sigma, 1 reset (last: position)"),
         (report(resets=3), "poor: 0.4 m RMS by its own sigma, 3 resets (last: position)"),
         (
@@ -72,6 +93,12 @@ def test_the_verdict_names_size_and_reasons(found, sentence):
     ("evidence", "sentence"),
     [
         (from_truth(0.42, 0.9), "good: 0.4 m RMS from the truth, no resets"),
+        (
+            OTHER,
+            "poor: 13000 km RMS from the truth, the truth is 13000 km from the receiver's fixes "
+            "too (is it of this flight?)",
+        ),
+        (LIES, "poor: 18.0 m RMS from the truth, far from the truth"),
         (from_truth(3.0, 4.0), "fair: 3.0 m RMS from the truth, not close to the truth"),
         (
             from_truth(9.7, 46.0),
@@ -131,3 +158,7 @@ def test_damage_and_loss_are_said_and_count_once_they_are_much():
     assert BAD.words in judge(report(damage=BAD), SURE).reasons
     lossy = judge(report(lost_share=0.08), SURE)
     assert (lossy.grade, lossy.reasons) == ("fair", ("8% of the telemetry lost on the link",))
+
+
+def test_a_short_silence_of_the_inertial_samples_is_not_named():
+    assert judge(silent(0.9), SURE).sentence == "good: 0.4 m RMS by its own sigma, no resets"

@@ -1,0 +1,40 @@
+"""The figure of trajectories: lines end where there is nothing."""
+
+import re
+
+import numpy as np
+
+from ekf_companion.analysis import trajectory_figure
+from ekf_companion.nav.state import Trajectory
+
+
+def moves(svg):
+    """Return how often a line of the estimate's colour begins anew."""
+    found = re.findall(r'<path d="([^"]*)"[^>]*stroke: #d62728', svg)
+    return sorted(len(re.findall("M ", path)) for path in found if path.count("L ") > 2)
+
+
+def straight(t_s):
+    """Return a flight to the north at 5 m/s."""
+    t_ns = np.rint(t_s * 1e9).astype(np.int64)
+    return Trajectory(
+        name="ekf-companion",
+        pos_t_ns=t_ns,
+        lat=0.8 + 5.0 * t_s / 6.37e6 + 1e-6 * np.sin(t_s),
+        lon=0.15 + 1e-6 * np.cos(t_s),
+        alt=400.0 + np.sin(t_s),
+        vel_t_ns=t_ns,
+        vel_n=np.stack([5.0 + np.sin(t_s), np.cos(t_s), 0.0 * t_s], axis=1),
+        att_t_ns=t_ns,
+        q_nb=np.tile([1.0, 0.0, 0.0, 0.0], (len(t_s), 1)),
+    )
+
+
+def test_no_line_is_drawn_over_a_time_without_estimates(tmp_path):
+    t_s = np.arange(0.0, 60.0, 0.1)
+    out = tmp_path / "figure.svg"
+    trajectory_figure.plot(out, [straight(t_s)])
+    whole = moves(out.read_text())
+    trajectory_figure.plot(out, [straight(t_s[(t_s < 25.0) | (t_s > 37.0)])])
+    assert whole == [1] * len(whole)
+    assert moves(out.read_text())[-3:] == [2, 2, 2]  # track, altitude, speed
