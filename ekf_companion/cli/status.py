@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import sys
 from threading import Event
@@ -28,6 +29,8 @@ PERIOD = 1.0
 """Seconds between two requests of ``--watch``."""
 NOT_OK, NO_DAEMON = 1, 4
 """Exit codes."""
+_HOST_AND_PORT = re.compile(r"([\w.-]+|\[[0-9a-fA-F:.]+\]):\d+")
+"""Begin of an address without ``http://``."""
 _FOREIGN = "{}: what answers is no ekf-companion; name its address with --url"
 
 
@@ -68,6 +71,8 @@ def fetch(url: str) -> Answer:
     from urllib.error import HTTPError
     from urllib.request import ProxyHandler, Request, build_opener
 
+    if _HOST_AND_PORT.match(url):
+        url = f"http://{url}"
     base, _, token = url.partition("?token=")
     where = f"{base.rstrip('/')}/status"
     if not url.startswith(("http://", "https://")):

@@ -22,7 +22,8 @@ def view(data: Data, *, is_brief: bool = False) -> Group:
     from rich.text import Text
 
     health = data["health"]
-    colour = "green" if health.get("is_ok") else "yellow" if health["is_healthy"] else "red"
+    is_good = health.get("is_ok") and (data["estimator"] or {}).get("status") == "ok"
+    colour = "green" if is_good else "yellow" if health["is_healthy"] else "red"
     verdict = Text(health["words"], style=f"bold {colour}")
     parts = [verdict, *vehicle_parts(data)]
     if is_brief:

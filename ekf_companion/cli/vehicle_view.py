@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 Data = Mapping[str, Any]
 _COLOURS = {"used": None, "refused": "red", "lost": "red", "none": "dim"}
 """Of an aid, by its state."""
+_OLD_S = 1.0
+"""An older estimate is shown with its age."""
 
 
 def vehicle_parts(data: Data) -> list[RenderableType]:
@@ -23,7 +25,11 @@ def vehicle_parts(data: Data) -> list[RenderableType]:
     verdict = data["preflight"]
     colour = "green" if verdict["ready"] else "yellow"
     sentence = Text(f"take-off: {verdict['sentence']}", style=colour)
-    return [sentence, _numbers(data["vehicle"]), _aids(data["vehicle"]["aids"])]
+    return [
+        sentence,
+        _numbers(data["vehicle"], data["sample_age_s"]),
+        _aids(data["vehicle"]["aids"]),
+    ]
 
 
 def _plain_table(*columns: str) -> Table:
@@ -36,10 +42,12 @@ def _plain_table(*columns: str) -> Table:
     return table
 
 
-def _numbers(vehicle: Data) -> Table:
+def _numbers(vehicle: Data, age_s: float | None) -> Table:
     sigma, other = vehicle["sigma"], vehicle["autopilot"] or {}
     age = "" if not other else f", {fixed(other['age_s'], 1)} s ago"
-    table = _plain_table("Vehicle", "estimate", "one sigma", f"autopilot{age}", "")
+    is_old = age_s is not None and age_s > _OLD_S
+    estimate = f"estimate, {fixed(age_s, 1)} s ago" if is_old else "estimate"
+    table = _plain_table("Vehicle", estimate, "one sigma", f"autopilot{age}", "")
     table.columns[4].justify = "left"
     for name, key, std, digits, unit in (
         ("latitude", "lat_deg", f"{fixed(sigma['north_m'], 2)} m", 7, "deg"),

@@ -80,6 +80,10 @@ class Feed:
         """Whether nothing more will come."""
         return self._is_over
 
+    def has(self, kind: str) -> bool:
+        """Return whether a viewer that comes now gets a message of this kind at once."""
+        return kind in self._newest
+
     def newer(self, seen: dict[str, int], timeout: float) -> list[bytes]:
         """Return messages whose numbers are not in ``seen``, and note these; wait for the first."""
         with self._changed:

@@ -178,8 +178,10 @@ class DaemonSite:
 
     def __init__(self, snapshots: SnapshotSource, events: RecentEvents | None) -> None:
         self._snapshots, self._events = snapshots, events
-        self._told = -1
-        self.feed: Feed | None = Feed(self._messages)
+        self._sent = -1
+        """How many events there were when they were last sent."""
+        self._feed = Feed(self._messages)
+        self.feed: Feed | None = self._feed
 
     def page(self, path: str, accept: str) -> Answer | None:
         """Return one of the pages for programs, from the newest snapshot."""
@@ -203,9 +205,12 @@ class DaemonSite:
         if (snapshot := self._snapshots.read()) is not None:
             with _LOCK:
                 messages["status"] = to_json(snapshot, _pause)
-        if self._events is not None and self._events.count != self._told:
-            self._told = self._events.count
-            messages["events"] = self._events.to_json()
+        if (events := self._events) is None:
+            return messages
+        # The feed forgets them with its last viewer: the next one wants them again
+        if events.count != self._sent or not self._feed.has("events"):
+            self._sent = events.count
+            messages["events"] = events.to_json()
         return messages
 
 

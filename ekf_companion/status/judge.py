@@ -23,6 +23,9 @@ STALL_S = 2.0
 """The filter's task runs at least ten times a second."""
 SILENCE_S = 2.0
 """A link without a byte for so long is silent: heartbeats come once a second."""
+OLD_S = 1.0
+"""An estimate whose newest inertial sample is older is none of now: samples come 50 times a second
+or more. The page (page/live.js), preflight and status go by the same."""
 MANY_UNSENT = 0.5
 """Hz of ODOMETRY that the link throws away; one now and then is no fault."""
 
@@ -57,7 +60,7 @@ def judge(snapshot: Snapshot) -> HealthCheck:
     if silence := missing_input(snapshot):
         line = "waiting for an autopilot"
         if health is not None:
-            is_old = snapshot.sample_age_s > SILENCE_S
+            is_old = snapshot.sample_age_s > OLD_S
             line = "no estimate, the last was" if is_old else "the estimate is"
             line += f" {health.status.name}"
         return HealthCheck(True, f"{line}; {silence}")
@@ -66,8 +69,9 @@ def judge(snapshot: Snapshot) -> HealthCheck:
     if health.status < Status.OK:
         why = lacking(health, snapshot.refused)
         return HealthCheck(True, f"no position yet: the estimate is {health.status.name}; {why}")
-    line = f"ok: the estimate is {health.status.name}"
-    line += f", {snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output)}"
+    word = health.status.name.lower().replace("_", " ")
+    line = "ok: the estimate is OK, " if health.status is Status.OK else f"{word}: "
+    line += f"{snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output, snapshot.link)}"
     in_vain = [
         f"{name} at {message.rate:.0f} of {message.asked:.0f} Hz: {message.cause}"
         for name, message in snapshot.messages.items()
@@ -78,17 +82,18 @@ def judge(snapshot: Snapshot) -> HealthCheck:
     return HealthCheck(True, "; ".join([line, *in_vain, *recording]), is_ok=True)
 
 
-def _odometry(output: OutputState) -> str:
+def _odometry(output: OutputState, link: LinkState) -> str:
     if output.is_allowed:
         line = f"ODOMETRY {output.rate:.0f} Hz" if output.is_streaming else "no ODOMETRY"
         if output.silence:
             line = f"no ODOMETRY: {output.silence}"
         if output.unsent_rate < MANY_UNSENT:
             return line
-        return (
-            f"{line}, {output.unsent_rate:.0f} Hz thrown away as the link takes no more: check "
-            "RTS and CTS, raise the rate of the line or lower output.odometry.rate"
-        )
+        remedy = "lower output.odometry.rate"
+        if _is_serial(link):
+            remedy = f"check RTS and CTS, raise the rate of the line or {remedy}"
+        unsent = f"{output.unsent_rate:.0f} Hz thrown away"
+        return f"{line}, {unsent} as the link takes no more: {remedy}"
     remedy = f"; {output.remedy}" if output.remedy else ""
     return f"ODOMETRY withheld: {output.reason}{remedy}"
 
@@ -117,15 +122,19 @@ def missing_input(snapshot: Snapshot) -> str:
         return f"the autopilot has been silent for {peer.silent_s:.1f} s"
     if math.isnan(snapshot.sample_age_s):
         return "no inertial sample has come: see the answers to our requests in /status"
-    if snapshot.sample_age_s > SILENCE_S:
+    if snapshot.sample_age_s > OLD_S:
         return f"no inertial sample has come for {snapshot.sample_age_s:.1f} s"
     return ""
 
 
 def _other_end(link: LinkState) -> str:
-    if link.url.startswith("serial:"):
+    if _is_serial(link):
         return "the wire, the port and the baud rate"
     return "that the other end sends here, its address and port"
+
+
+def _is_serial(link: LinkState) -> bool:
+    return link.url.startswith("serial:")
 
 
 def to_plain(value: Any) -> Any:

@@ -19,7 +19,7 @@ from ekf_companion.status.snapshot import Snapshot
 from ekf_companion.status.vehicle import AidState, AutopilotState, Preflight, VehicleEstimate
 
 OLDEST_S = 1.0
-"""Age of an answer of the autopilot, and of our newest sample, beyond which nothing is compared."""
+"""Age of an answer of the autopilot beyond which nothing is compared."""
 SIGMAS = 3.0
 AUTOPILOT_LEVEL_STD = 1.2
 """One sigma of the autopilot's roll and pitch, deg: of the 0.2 m/s2 of accelerometer bias that EKF2
@@ -113,8 +113,6 @@ def _of_input(snapshot: Snapshot) -> Iterator[Reason]:
         yield Reason("aligning", "nothing is estimated yet")
     elif snapshot.estimator.status < Status.ATTITUDE:
         yield Reason("aligning", "still aligning: leave the vehicle at rest")
-    elif not snapshot.sample_age_s <= OLDEST_S:
-        yield Reason("no input", f"the estimate is {snapshot.sample_age_s:.1f} s old")
 
 
 def _of_estimate(snapshot: Snapshot, health: Health) -> Iterator[Reason]:

@@ -85,6 +85,12 @@ def test_where_nothing_answers_the_exit_code_is_4_with_the_remedy():
     assert "/status: nothing answers (Connection refused); is the daemon running" in result.stderr
 
 
+def test_an_address_without_a_scheme_is_one_of_http(daemon):
+    result = status("--url", daemon.removeprefix("http://"), "--brief")
+    assert result.exit_code == 1
+    assert result.output.startswith("waiting for an autopilot")
+
+
 @pytest.mark.parametrize("url", ["nonsense", "http://", "file:///etc/passwd", "http://127.0.0.1:x"])
 def test_an_address_that_is_none_is_nobody(url):
     result = status("--url", url)
@@ -143,6 +149,20 @@ def test_only_with_an_estimate_of_what_comes_is_the_exit_code_0(is_open, code):
         result = status("--url", url)
     assert result.exit_code == code, result.output
     assert ("ok: the estimate is OK" in result.output) == is_open
+
+
+def test_an_estimate_without_samples_for_a_second_is_none_of_now_and_has_its_age():
+    watched = Watched().fly(4.0)
+    watched.link._port = object()  # open
+    assert watched.snapshot().sample_age_s == 0.0
+    watched.now_ns += 1_100_000_000
+    with serving_once(to_json(watched.snapshot())) as url:
+        result = status("--url", url, "--brief")
+    assert result.exit_code == 1
+    first, second, *_ = result.output.splitlines()
+    assert first == "no estimate, the last was OK; no inertial sample has come for 1.1 s"
+    assert second == "take-off: not ready: no inertial sample has come for 1.1 s"
+    assert "estimate, 1.1 s ago" in result.output
 
 
 def test_what_is_watched_through_a_pipe_comes_out_of_it():

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import logging
 import socket
 import threading
 import time
@@ -18,6 +19,7 @@ from ekf_companion.daemon import http, websocket
 from ekf_companion.daemon.clock import unix_clock
 from ekf_companion.daemon.feed import VIEWERS, Feed
 from ekf_companion.daemon.http import open_http_server
+from ekf_companion.daemon.recent_events import RecentEvents
 from tests.daemon.test_daemon import free_port
 from tests.daemon.waiting import LIMIT, close, wait_until
 from tests.engine.conversation import cycles
@@ -25,7 +27,7 @@ from tests.status.test_observer import Watched
 
 
 @contextlib.contextmanager
-def serving(monkeypatch, **options):
+def serving(monkeypatch, events=None, **options):
     """Serve a companion that was fed, from a loop on a thread; yield it and the port."""
     monkeypatch.setattr(http, "HEAD_START", 0.0)
     watched = Watched().feed(cycles(2.0))
@@ -36,7 +38,7 @@ def serving(monkeypatch, **options):
     thread.start()
     port = free_port(socket.SOCK_STREAM)
     config = HttpConfig(port=port, **options)
-    watched.server = open_http_server(config, watched.observer, loop)
+    watched.server = open_http_server(config, watched.observer, loop, events)
     watched.loop = loop
     try:
         wait_until(lambda: is_open(port))
@@ -75,6 +77,27 @@ def test_a_viewer_gets_the_estimate_and_the_state(monkeypatch):
         assert len(first["vel_ned_m_s"]) == 3
         status = receive(viewer, "status")
         assert status["estimator"]["samples"] > 0
+
+
+def test_each_viewer_gets_the_last_lines_of_the_log_at_opening_and_then_what_is_new(monkeypatch):
+    def log(text):
+        events.emit(logging.LogRecord("one", logging.INFO, "", 0, text, None, None))
+
+    events = RecentEvents()
+    log("Estimate is OK")
+    with serving(monkeypatch, events) as (watched, port):
+        feed = watched.server._site.feed
+        for _ in range(2):  # nothing is logged between the two
+            with watch(port) as viewer, watch(port) as beside:
+                for one in (viewer, beside):
+                    assert [line["text"] for line in receive(one, "events")] == ["Estimate is OK"]
+            wait_until(lambda: not feed.viewers and not feed._has_thread)
+        with watch(port) as viewer:
+            receive(viewer, "events")
+            receive(viewer, "status")
+            assert "events" not in json.loads(viewer.recv(timeout=LIMIT))
+            log("GNSS lost")
+            assert receive(viewer, "events")[-1]["text"] == "GNSS lost"
 
 
 def test_while_nobody_watches_nothing_is_made(monkeypatch):

@@ -78,6 +78,7 @@ def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
             tab.open(f"http://127.0.0.1:{ports[1]}/")
             tab.wait_for("document.querySelector('#link')?.textContent == 'live'")
             tab.wait_for(f"{SPANNED} > performance.now() / 1000 + 2")
+            tab.wait_for("document.querySelector('#events').textContent.includes('Estimate is OK')")
             assert tab.errors == []
             # An autopilot that falls silent, and one that speaks again
             flight.land()
@@ -89,6 +90,15 @@ def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
             assert tab.value("document.querySelector('#link').className") == "badge bad"
             tab.wait_for("/ok, [0-9]+ s ago/.test(document.querySelector('#facts').textContent)")
             assert tab.value("document.querySelector('#facts dd.good')") is None
+            # Nothing below contradicts the red words at the top, and only what is of now stands out
+            assert tab.value("document.querySelector('#verdict').className") != "good"
+            assert not tab.text("#health").startswith("ok")
+            opacity = "getComputedStyle(document.querySelector('{}')).opacity"
+            for part in ("#charts", "#counts td", "#facts dd:not(.bad):not(.now)"):
+                assert float(tab.value(opacity.format(part))) < 0.5
+            for part in ("#facts dd.bad", "#facts dd.now"):
+                assert float(tab.value(opacity.format(part))) == 1.0
+            tab.wait_for("document.querySelector('#rates td.bad')?.textContent == '0.0'")
             with flying(f"udpout:127.0.0.1:{ports[0]}"):
                 tab.wait_for("!document.body.classList.contains('old')")
             assert tab.errors == []
@@ -101,6 +111,42 @@ def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
             # That nothing answered is the browser's own line, which no page can prevent
             others = [one for one in tab.errors if "ERR_CONNECTION" not in str(one)]
             assert others == []
+
+
+NOTE_TEXTS = """(() => {
+  const draw = CanvasRenderingContext2D.prototype.fillText;
+  window.texts = [];
+  CanvasRenderingContext2D.prototype.fillText = function (text, ...rest) {
+    window.texts.push(text);
+    draw.call(this, text, ...rest);
+  };
+})()"""
+"""Keeps what is written on canvases."""
+
+
+def test_on_a_phone_everything_is_on_the_screen_and_times_of_day_have_their_hours(tmp_path, ports):
+    """390 CSS pixels, of which the fonts take what they need."""
+    flight = flying(f"udpout:127.0.0.1:{ports[0]}")
+    with chromium(tmp_path) as tab, flight, start(tmp_path, ports) as daemon:
+        daemon.wait_for("Status on")
+        tab.show(390, 844, phone=True)
+        tab.open(f"http://127.0.0.1:{ports[1]}/")
+        tab.wait_for("document.querySelectorAll('#stages tbody tr').length > 3")
+        tab.wait_for("/ok/.test(document.querySelector('#facts').textContent)")
+        tab.value("document.querySelector('#link').textContent = 'no samples for 100 s'")
+        subtitle = "document.querySelector('#vehicle')"
+        assert tab.value(f"{subtitle}.scrollWidth <= {subtitle}.clientWidth")
+        assert tab.value(f"{subtitle}.clientWidth") > 160
+        for table in ("#counts", "#stages"):
+            cells = f"[...document.querySelectorAll('{table} td, {table} th')]"
+            right = "document.querySelector('.scroll').getBoundingClientRect().right"
+            beyond = f"{cells}.filter((one) => one.getBoundingClientRect().right > {right} + 1)"
+            assert tab.value(f"{beyond}.map((one) => one.textContent)") == []
+        assert tab.value("document.documentElement.scrollWidth") == 390
+        tab.value(NOTE_TEXTS)
+        tab.wait_for("window.texts.some((one) => /^[0-9]{2}:[0-9]{2}:[0-9]{2}$/.test(one))")
+        assert tab.value("window.texts.filter((one) => /^:/.test(one))") == []
+        assert tab.errors == []
 
 
 @contextlib.contextmanager

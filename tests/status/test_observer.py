@@ -325,6 +325,42 @@ def test_a_filter_that_does_not_go_round_is_stalled():
     assert finding.line == "stalled: the filter's task has not run for 3.0 s"
 
 
+def test_an_estimate_is_of_now_for_a_second(flown):
+    _, snapshot = flown
+    snapshot = replace(snapshot, link=replace(snapshot.link, is_open=True))
+    assert judge(replace(snapshot, sample_age_s=0.9)).is_ok
+    words = "no estimate, the last was OK; no inertial sample has come for 1.1 s"
+    assert judge(replace(snapshot, sample_age_s=1.1)) == (True, words, False)
+
+
+@pytest.mark.parametrize(
+    ("status", "words"),
+    [(Status.DEGRADED, "degraded: 250 Hz"), (Status.DEAD_RECKONING, "dead reckoning: 250 Hz")],
+)
+def test_the_line_of_an_estimate_that_is_worse_than_ok_begins_with_that(flown, status, words):
+    _, snapshot = flown
+    link = replace(snapshot.link, is_open=True)
+    health = replace(snapshot.estimator, status=status)
+    finding = judge(replace(snapshot, link=link, estimator=health))
+    assert (finding.is_healthy, finding.is_ok) == (True, True)
+    assert finding.line.startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("url", "remedy"),
+    [
+        ("udpin:127.0.0.1:14550", ": lower output.odometry.rate"),
+        ("serial:/dev/ttyS1:921600", ": check RTS and CTS, raise the rate of the line or lower "),
+    ],
+)
+def test_a_full_link_is_told_with_what_helps_on_such_a_link(flown, url, remedy):
+    _, snapshot = flown
+    link = replace(snapshot.link, is_open=True, url=url)
+    output = replace(snapshot.output, unsent_rate=30.0)
+    words = judge(replace(snapshot, link=link, output=output)).line
+    assert f"30 Hz thrown away as the link takes no more{remedy}" in words
+
+
 def test_an_invalid_estimate_is_not_healthy(flown):
     _, snapshot = flown
     link = replace(snapshot.link, is_open=True)

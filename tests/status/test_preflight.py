@@ -164,7 +164,7 @@ def test_an_estimate_that_has_stopped_is_not_compared():
     """Bytes and heartbeats come, and no sample: what is estimated is of before."""
     watched = stand(duration=6.0)
     snapshot = replace(watched.snapshot(), sample_age_s=1.5)
-    assert check(snapshot).reasons == ("the estimate is 1.5 s old",)
+    assert check(snapshot).reasons == ("no inertial sample has come for 1.5 s",)
 
 
 def test_until_fixes_have_been_used_for_ten_seconds_it_is_settling():

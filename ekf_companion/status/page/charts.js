@@ -41,7 +41,7 @@ export class Chart {
         legend: { live: true },
         scales: { x: { time: Boolean(isClock), range: isClock ? lastSeconds : undefined }, y: { range: (_, low, high) => widen(low, high, bound, digits) } },
         axes: [
-          { ...axis, size: 26, space: 70 },
+          { ...axis, size: 26, space: 70, ...(isClock && { values: clockTimes }) },
           { ...axis, size: 52 },
         ],
         series: [
@@ -121,6 +121,9 @@ function stroke(context, x1, y1, x2, y2) {
   context.lineTo(x2, y2);
   context.stroke();
 }
+
+/** Times of day, all of them with hour and minute. */
+const clockTimes = (_, moments) => moments.map((one) => new Date(one * 1000).toLocaleTimeString([], { hour12: false }));
 
 /** The last two minutes, also where there is one moment only. */
 const lastSeconds = (_, low, high) => {

@@ -6,7 +6,7 @@ import { Link } from "./link.js";
 import { Map } from "./track.js";
 import { showEvents, showFacts, showSample, showTable, showVerdict, speedOf } from "./view.js";
 
-const OLD = 1.5; // s without an inertial sample
+const OLD = 1; // s without an inertial sample: OLD_S of status/judge.py
 const AIDS = ["position", "height", "velocity", "heading", "baro", "rest"];
 const dashed = { colour: "autopilot", dash: [6, 4] };
 const axes = ["x", "y", "z"].map((name, i) => ({ name, colour: `c${i + 1}` }));
@@ -30,11 +30,15 @@ export function startLive() {
   charts.forEach((one) => (one.data = [[], ...one.chart.options.lines.map(() => [])]));
   nis.data = [[], ...AIDS.map(() => [])];
   let count = 0;
+  let seen; // the newest status
   let age; // s of the newest sample; null: there is no estimate, undefined: not known
 
   const onLive = (live) => {
     showSample(live, live?.autopilot, map);
+    const wasOld = document.body.classList.contains("old");
     const isOld = showAge(live);
+    // The state comes once a second: what is red at the top must not be green below it until then
+    if (seen && live && isOld !== wasOld) showState({ ...seen, sample_age_s: live.age_s });
     age = live === null ? null : live.age_s;
     showLink(link, age);
     if (!live) return;
@@ -45,6 +49,7 @@ export function startLive() {
     if (count++ % 2 === 0) charts.forEach((one) => one.chart.set(one.data));
   };
   const onStatus = (status) => {
+    seen = status;
     showState(status);
     append(nis.data, Date.now() / 1000, AIDS.map((aid) => status.estimator?.nis?.[aid]));
     nis.chart.set(nis.data);
@@ -115,6 +120,7 @@ const timed = ({ unix_s, level, text }) => ({ time: new Date(unix_s * 1000).toLo
 function showState(status) {
   const { health, peer, estimator, output, process, imu, link, preflight, time } = status;
   showPreflight(status);
+  const one = (name, text) => [name, text, "now"]; // not of the estimate: as new as the page
   put("vehicle", peer ? `${peer.family} ${peer.version}, system ${peer.system_id}${peer.is_armed ? ", armed" : ""}` : link.url);
   const resets = Object.entries(status.resets).map(([why, n]) => `${why} ${n}`).join(", ");
   const isOld = !(status.sample_age_s < OLD);
@@ -124,29 +130,33 @@ function showState(status) {
     ["ODOMETRY", output.is_allowed ? `${fixed(output.rate, 0)} Hz${output.silence ? `, ${output.silence}` : ""}` : `withheld: ${output.reason}`],
     ["to change", output.remedy],
     ["samples", `${imu.message || "none"}, ${fixed(imu.rate, 0)} Hz`],
-    ["age of the newest", fixed(status.sample_age_s, 1, " s"), status.sample_age_s > 1 ? "bad" : ""],
+    ["age of the newest", fixed(status.sample_age_s, 1, " s"), isOld ? "bad" : ""],
     ...Object.entries(status.vehicle?.aids ?? {}).filter(([, aid]) => aid.state !== "none").map(([name, aid]) => [
       name, name === "rest" && aid.state === "lost" ? "moving"
         : `${aid.state}, ${aid.source}${aid.state === "used" ? `, for ${fixed(aid.since_s, 0)} s` : aid.why && `: ${aid.why}`}`,
       aid.state === "used" || name === "rest" ? "" : "bad"]),
     ["sigma", estimator ? `${fixed(estimator.std_horizontal, 2)} m horizontal, ${fixed(estimator.std_vertical, 2)} m vertical` : ""],
     ["resets", resets || "none", resets ? "bad" : ""],
-    ["link", `${link.url}${link.is_open ? "" : ", closed"}`, link.is_open ? "" : "bad"],
+    ["link", `${link.url}${link.is_open ? "" : ", closed"}`, link.is_open ? "now" : "bad"],
     ["lost frames", String(status.frames.lost)],
     ["clock", time.is_locked ? `locked, round trip ${fixed(time.rtt_p50_ms, 1)} ms` : time.trouble || "not locked"],
-    ["recording", process.recording_trouble || (process.recorded_bytes ? `${fixed(process.recorded_bytes / 1e6, 1)} MB` : "none"), process.recording_trouble ? "bad" : ""],
-    ["processor", `${fixed(100 * process.cpu_share, 1)} % of a core, ${fixed(process.rss_mb, 0)} MB`],
-    ["temperature", Object.entries(process.temperatures).map(([name, c]) => `${name} ${fixed(c, 0)} \u00b0C`).slice(0, 3).join(", ")],
-    ["running for", `${fixed(process.uptime_s, 0)} s, version ${process.version}`],
+    ["recording", process.recording_trouble || (process.recorded_bytes ? `${fixed(process.recorded_bytes / 1e6, 1)} MB` : "none"), process.recording_trouble ? "bad" : "now"],
+    one("processor", `${fixed(100 * process.cpu_share, 1)} % of a core, ${fixed(process.rss_mb, 0)} MB`),
+    one("temperature", Object.entries(process.temperatures).map(([name, c]) => `${name} ${fixed(c, 0)} \u00b0C`).slice(0, 3).join(", ")),
+    one("running for", `${fixed(process.uptime_s, 0)} s, version ${process.version}`),
   ]);
   showStages(status);
   showRates(status.messages);
 }
 
 /** The verdict before take-off; after it, whether all works. */
-function showPreflight({ health, peer, preflight }) {
+function showPreflight({ health, peer, preflight, estimator, sample_age_s: age }) {
   const isAsked = preflight && !peer?.is_armed;
-  const isGood = isAsked ? preflight.ready : health.is_ok;
+  if (health.is_ok && !(age < OLD)) {
+    const words = `no inertial sample has come for ${fixed(age, 1, " s")}`;
+    return showVerdict("wait", isAsked ? "not ready for take-off" : `no estimate; ${words}`, isAsked ? [words] : []);
+  }
+  const isGood = isAsked ? preflight.ready : health.is_ok && estimator?.status === "ok";
   const kind = !health.is_healthy ? "bad" : isGood ? "good" : "wait";
   if (!isAsked) return showVerdict(kind, health.words);
   const sentence = preflight.ready ? "ready for take-off" : "not ready for take-off";
@@ -177,5 +187,5 @@ function showRates(messages) {
   const asked = ([, one]) => (one.asked ? 0 : 1);
   showTable("rates", ["message", "asked", "got", "answer"],
     Object.entries(messages).filter(([, one]) => one.asked || one.rate > 0.05).sort((a, b) => asked(a) - asked(b)).map(([name, one]) => [
-      name, one.asked ? fixed(one.asked, 0) : "", [fixed(one.rate, 1), one.cause ? "bad" : ""], one.cause || one.answer]));
+      name, one.asked ? fixed(one.asked, 0) : "", [fixed(one.rate, 1), one.cause || (one.asked && one.rate < 0.05) ? "bad" : ""], one.cause || one.answer]));
 }

@@ -13,6 +13,7 @@ export class Track {
   constructor(name) {
     this.name = name;
     this.points = [];
+    this.past = []; // one a second, from before the page opened: dots, as a line would cut corners
   }
 
   /** Add a position; leave out what moves no pixel. */
@@ -53,7 +54,7 @@ export class Map {
     this.draw();
   }
 
-  /** Put where both were before the page opened in front of what has come since. */
+  /** Show where both were before the page opened. */
   addPast(rows) {
     for (const [name, of] of [["ours", (row) => row], ["autopilot", (row) => row.autopilot]]) {
       const before = new Track(name);
@@ -61,7 +62,7 @@ export class Map {
         const point = one && this.place(one.lat_deg, one.lon_deg);
         if (point) before.add(point);
       }
-      this.tracks[name].points.unshift(...before.points);
+      this.tracks[name].past = before.points;
     }
   }
 
@@ -73,7 +74,7 @@ export class Map {
       return { middle: this.now, scale: Math.min(width, height) / least };
     }
     let [west, south, east, north] = [Infinity, Infinity, -Infinity, -Infinity];
-    for (const [x, y] of [...this.tracks.ours.points, ...this.tracks.autopilot.points]) {
+    for (const [x, y] of Object.values(this.tracks).flatMap(({ past, points }) => [...past, ...points])) {
       west = Math.min(west, x);
       east = Math.max(east, x);
       south = Math.min(south, y);
@@ -94,7 +95,8 @@ export class Map {
     drawGrid(c, colour, width, height, middle, scale, step);
     put("scale", `grid ${step >= 1000 ? `${step / 1000} km` : `${step} m`}, ellipse 95 %`, "note");
     for (const name of ["autopilot", "ours"]) {
-      const { points } = this.tracks[name];
+      const { past, points } = this.tracks[name];
+      past.forEach((point) => dot(c, at(point), colour[name], 1.5));
       c.strokeStyle = colour[name];
       c.lineWidth = name === "ours" ? 2 : 1.6;
       c.setLineDash(name === "ours" ? [] : [6, 4]);
@@ -185,9 +187,9 @@ function drawArrow(c, colour, [x, y], heading) {
   return undefined;
 }
 
-function dot(c, [x, y], colour) {
+function dot(c, [x, y], colour, radius = 4) {
   c.fillStyle = colour;
   c.beginPath();
-  c.arc(x, y, 4, 0, 2 * Math.PI);
+  c.arc(x, y, radius, 0, 2 * Math.PI);
   c.fill();
 }
