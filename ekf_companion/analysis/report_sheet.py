@@ -22,6 +22,10 @@ MUCH = 1.6
 """All is shown at first, unless that takes so many times the span of what is usual."""
 MARGIN = 0.08
 """Of the span, on each side."""
+ELSEWHERE = 100_000.0
+"""m."""
+LEAP = 20.0
+"""Times the distance between the quartiles of a track."""
 HEIGHT, TALL = 280, 400
 """Pixels of a figure over time, and of a map; as wide as the column of the page."""
 _GAP_S = 2.0
@@ -81,6 +85,21 @@ def _with_margin(low: float, high: float) -> Span:
 def is_cut(usual: Span, whole: Span) -> bool:
     """Return whether an axis begins with less than the whole."""
     return whole[1] - whole[0] > MUCH * (usual[1] - usual[0])
+
+
+def without_leaps(track: Array) -> Array:
+    """Return the rows of a track, north, east, shape (n, 2) or more, that one vehicle can be at.
+
+    Left out is what is ``ELSEWHERE`` from the median, and also many times as far as half of the
+    track is spread: where a damaged file, or a receiver's first fix, puts a part of it.
+    """
+    place = track[:, :2]
+    known = place[np.isfinite(place).all(axis=1)]
+    if not len(known):
+        return track
+    low, median, high = np.percentile(known, (25.0, 50.0, 75.0), axis=0)
+    farthest = max(ELSEWHERE, LEAP * float(np.hypot(*(high - low))))
+    return np.asarray(track[np.hypot(*(place - median).T) <= farthest])
 
 
 class Sheet:
@@ -159,10 +178,14 @@ class Sheet:
 
         The tracks are north, east, shape (n, 2) or more. Nothing is cut off that is near.
         """
-        spans = [usual_span([one[:, axis] for one in tracks]) for axis in (1, 0)]
-        (east, north) = spans
-        if east is None or north is None:
-            return
+        spans = []
+        for axis in (1, 0):
+            usual_of = usual_span([without_leaps(one)[:, axis] for one in tracks])
+            whole_of = usual_span([one[:, axis] for one in tracks])
+            if usual_of is None or whole_of is None:
+                return
+            spans.append((usual_of[0], whole_of[1]))
+        east, north = spans
         size = max(east[0][1] - east[0][0], north[0][1] - north[0][0])
         all_of = max(east[1][1] - east[1][0], north[1][1] - north[1][0])
         if all_of <= MUCH * size:

@@ -12,7 +12,15 @@ from typer.testing import CliRunner
 
 from ekf_companion.analysis import report_page
 from ekf_companion.analysis.flight_review import review
-from ekf_companion.analysis.report_sheet import POINTS, Sheet, broken, is_cut, thin, usual_span
+from ekf_companion.analysis.report_sheet import (
+    POINTS,
+    Sheet,
+    broken,
+    is_cut,
+    thin,
+    usual_span,
+    without_leaps,
+)
 from ekf_companion.cli import app
 from ekf_companion.config.config import Config
 from ekf_companion.nav.state import Table
@@ -222,3 +230,21 @@ def test_what_is_usual_is_of_each_line_by_itself():
     assert is_cut(usual, whole)
     assert not is_cut(*usual_span([np.sin(np.arange(1000.0))]))
     assert usual_span([np.full(3, np.nan)]) is None
+
+
+def test_a_map_begins_where_a_track_is_and_not_where_it_leapt_to():
+    pytest.importorskip("bokeh")
+    angle = np.linspace(0.0, 6.0, 700)
+    near = 200.0 * np.stack([np.sin(angle), np.cos(angle)], axis=1)
+    leapt = near.copy()
+    leapt[-50:] += (1_110_000.0, 164_000.0)  # as EKF2's in a damaged .ulg: 7 %, beyond percentiles
+    for tracks, is_cut_off in (([near], False), ([leapt], True), ([near, leapt], True)):
+        sheet = Sheet(0)
+        plot = sheet.figure("track", "north, m", across="east, m")
+        sheet.limit_map(plot, tracks)
+        assert bool(sheet.cuts) is is_cut_off
+        for cut in sheet.cuts:
+            assert max(np.abs([*cut["usual"]["x"], *cut["usual"]["y"]])) < 300.0
+            assert cut["whole"]["y"][1] > 1_100_000.0
+    # A long way that was flown is no leap
+    assert len(without_leaps(np.linspace((0.0, 0.0), (9e5, 3e5), 100))) == 100
