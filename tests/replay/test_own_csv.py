@@ -19,7 +19,7 @@ SENSORS = (("gyro", "dps"), ("accel", "mps2"))
 def example():
     """Return the lines of README's table."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"```csv\n(.*?)```", text, flags=re.DOTALL)
+    (block,) = re.findall(r"```text\n(time_s.*?)```", text, flags=re.DOTALL)
     return block.strip().split("\n")
 
 
