@@ -146,7 +146,7 @@ function showState(status) {
     one("running for", `${fixed(process.uptime_s, 0)} s, version ${process.version}`),
   ]);
   showStages(status);
-  showRates(status.messages);
+  showRates(status.messages, isOld);
 }
 
 /** The verdict before take-off; after it, whether all works. */
@@ -183,9 +183,9 @@ function showStages({ link, frames, estimator, output }) {
     Object.entries(verdicts).map(([aid, counts]) => [aid, ...shown.map((why) => [String(counts[why] ?? 0), why === "gated" && counts[why] ? "bad" : ""])]));
 }
 
-function showRates(messages) {
+function showRates(messages, isOld) {
   const asked = ([, one]) => (one.asked ? 0 : 1);
   showTable("rates", ["message", "asked", "got", "answer"],
     Object.entries(messages).filter(([, one]) => one.asked || one.rate > 0.05).sort((a, b) => asked(a) - asked(b)).map(([name, one]) => [
-      name, one.asked ? fixed(one.asked, 0) : "", [fixed(one.rate, 1), one.cause || (one.asked && one.rate < 0.05) ? "bad" : ""], one.cause || one.answer]));
+      name, one.asked ? fixed(one.asked, 0) : "", [fixed(one.rate, 1), one.cause || (isOld && one.asked && one.rate < 0.05) ? "bad" : ""], one.cause || one.answer]));
 }
