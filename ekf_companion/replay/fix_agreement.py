@@ -182,22 +182,27 @@ def _unit(size: float) -> str:
 
 
 def _best(t: Array, declared: _Reading, readings: list[_Reading]) -> str:
-    """Return the sentence of the reading that fits where the declared one does not."""
+    """Return the sentence of the reading that fits where the declared one does not.
+
+    Over the spans in which the vehicle moved as it reads: of metres taken for feet, those that a
+    receiver's noise makes long would be next to none.
+    """
     for lag in LAGS:
-        first, last = _moving(t, declared, lag)
-        if len(first) < FEWEST:
-            continue
-        errors = [_error(one, first, last) for one in readings]
-        error, best = min(zip(errors, range(len(readings)), strict=True))
-        if error < FITS and _error(declared, first, last) > BETTER * error:
-            return readings[best].sentence
+        fitting = []
+        for reading in readings:
+            first, last = _moving(t, reading, lag)
+            error = _error(reading, first, last)
+            if error < FITS and _error(declared, first, last) > BETTER * error:
+                fitting.append((error, reading.sentence))
+        if fitting:
+            return min(fitting)[1]
     return ""
 
 
-def _moving(t: Array, declared: _Reading, lag: float) -> tuple[Indices, Indices]:
+def _moving(t: Array, reading: _Reading, lag: float) -> tuple[Indices, Indices]:
     """Return first and last index of the spans in which the vehicle moved."""
     first, last = _spans(t, lag)
-    moved = np.maximum(_lengths(declared.pos, first, last), _lengths(declared.way, first, last))
+    moved = np.maximum(_lengths(reading.pos, first, last), _lengths(reading.way, first, last))
     return first[moved > FAR], last[moved > FAR]
 
 

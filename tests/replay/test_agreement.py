@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.replay.axis_agreement import axis_disagreement
@@ -204,3 +205,21 @@ def test_damaged_rows_are_left_out(wing, quad):
         assert suspicion(fixes) == ""
     (found,) = disagreements(damaged(changed(wing.fixes, **scaled(3.6))), damaged(wing.baro))
     assert "look like km/h" in found
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_an_hour_of_a_receivers_noise_is_no_other_unit_of_height(seed):
+    """In an hour the noise makes a few spans three times as long as the climb in them."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 3600.0, 0.2)
+    keeps = np.exp(-0.2 / 60.0)
+    steps = 1.8 * np.sqrt(1.0 - keeps**2) * rng.standard_normal(len(t))
+    slow = lfilter([1.0], [1.0, -keeps], steps)
+    turn = 2.0 * np.pi / 20.0
+    alt = 488.0 + 0.8 * np.sin(turn * t) + slow + 0.8 * rng.standard_normal(len(t))
+    down = -0.8 * turn * np.cos(turn * t) + 0.1 * rng.standard_normal(len(t))
+    still = np.zeros(len(t))
+    at_home = (still + np.deg2rad(47.0), still + np.deg2rad(8.0), alt)
+    t_ns = (t * 1e9).astype(np.int64)
+    fixes = Events.from_columns(t_ns, Kind.GNSS, *at_home, still, still, down)
+    assert disagreements(fixes) == []
