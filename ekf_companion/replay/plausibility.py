@@ -16,6 +16,9 @@ FASTEST_TURN = 40.0
 """rad/s: more than any MEMS gyro measures (2000 deg/s is 35)."""
 HALF_TURN = np.pi
 """rad: no vehicle tilts so far with its force along gravity all the while."""
+WITHIN = 15.0
+"""Time in which it would, s: a bias of 12 deg/s, which no gyro has, but any has turned so far in
+an hour."""
 UNBANKED = 0.3
 """Of gravity, m/s^2: more than an accelerometer's bias, less than a bank of 15 deg adds."""
 LARGEST_FORCE = 16.0 * 20.0 * STANDARD_GRAVITY
@@ -164,17 +167,18 @@ def _tilt_at_rest(gyro: Array, accel: Array, t_ns: Stamps) -> float:
     multicopter's own force tilts with it, so gravity seems to stand still, but it tilts back.
     """
     pieces = max(1, len(gyro) // 100)
-    farthest, tilt = 0.0, np.zeros(3)
+    farthest, tilt, since_ns = 0.0, np.zeros(3), t_ns[0]
     for rows in np.array_split(np.arange(len(gyro)), pieces):
+        begin_ns, end_ns = t_ns[rows[0]], t_ns[rows[-1]]
         mean = accel[rows].mean(axis=0)
         size = float(np.linalg.norm(mean))
         is_still = accel[rows].std(axis=0).max() < 0.15 and abs(size - STANDARD_GRAVITY) < UNBANKED
-        if not is_still:
-            tilt = np.zeros(3)
-            continue
-        seconds = float(t_ns[rows[-1]] - t_ns[rows[0]]) * 1e-9
-        tilt = tilt + np.cross(gyro[rows].mean(axis=0), mean / size) * seconds
-        farthest = max(farthest, float(np.linalg.norm(tilt)))
+        if not is_still or end_ns - since_ns > WITHIN * 1e9:
+            tilt, since_ns = np.zeros(3), begin_ns
+        if is_still:
+            turn = gyro[rows].mean(axis=0) * float(end_ns - begin_ns) * 1e-9
+            tilt = tilt + np.cross(turn, mean / size)
+            farthest = max(farthest, float(np.linalg.norm(tilt)))
     return farthest
 
 

@@ -427,3 +427,11 @@ def test_a_multicopter_that_tilts_its_own_force_is_not_taken_for_degrees():
     to_events(t, gyro, accel)
     with pytest.raises(DataError, match="it looks like deg/s"):
         to_events(t, np.full_like(gyro, 0.4), accel)
+
+
+def test_the_bias_of_a_gyro_that_stands_for_an_hour_is_not_taken_for_degrees():
+    t = np.arange(0.0, 3600.0, 0.1)
+    gyro = np.tile(np.deg2rad([0.5, -0.4, 0.3]), (len(t), 1))
+    to_events(t, gyro, np.tile([0.0, 0.0, -9.81], (len(t), 1)))
+    with pytest.raises(DataError, match="it looks like deg/s"):
+        to_events(t, np.rad2deg(gyro), np.tile([0.0, 0.0, -9.81], (len(t), 1)))
