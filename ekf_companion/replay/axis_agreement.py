@@ -20,35 +20,38 @@ shows it without that: :mod:`ekf_companion.replay.field_agreement`.
 
 from __future__ import annotations
 
-from itertools import permutations, product
-
 import numpy as np
 
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Indices, Mask
+from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import GNSS_VELOCITY, Events
+from ekf_companion.replay.turns import (
+    DEGREES,
+    EXCHANGED,
+    IN_DEGREES,
+    IN_RADIANS,
+    LARGEST,
+    RATE,
+    SIGNED,
+    at,
+    averaged,
+    fits_better,
+    named,
+    spread,
+    usable,
+)
 
-RATE = 50.0
-"""Hz to which the samples are averaged: enough for turns, and few."""
 SECONDS = 6
 """Length of a window, s."""
 CHANGE = 1.0
 """m/s RMS by which the change of the horizontal velocity varies in a window that counts."""
 FEWEST, MOST = 3, 20
 """Windows: below, nothing is said; above, some are left out."""
-BETTER = 2.0
-"""Factor between the statistics as declared, and along other axes."""
-OFTEN = 0.8
-"""Share of the windows in which the others fit better."""
 DELAYS = (0.0, 0.1, 0.2, 0.3)
 """s, of receivers: the best of them counts."""
 GAP = 1.1
 """s between fixes at most, within a window."""
-
-
-LARGEST = 1e4
-"""A number beyond is damaged: no vehicle turns, accelerates or moves so."""
 
 
 def axis_disagreement(imu: Events, fixes: Events) -> str:
@@ -62,11 +65,8 @@ def axis_disagreement(imu: Events, fixes: Events) -> str:
     if windows is None:
         return ""
     gyro, accel, change = windows
-    statistics = _statistics(gyro, accel, change)
-    median = np.median(statistics, axis=1)
-    best = int(np.argmin(median))
-    is_often = np.mean(statistics[best] < statistics[0]) >= OFTEN
-    if not is_often or median[0] < BETTER * median[best]:
+    median = fits_better(_statistics(gyro, accel, change))
+    if median is None:
         return ""
     return (
         "gyro, accel: their axes or unit do not fit the velocity of the fixes: "
@@ -75,50 +75,28 @@ def axis_disagreement(imu: Events, fixes: Events) -> str:
     )
 
 
-def _choices() -> list[tuple[Array, Array]]:
-    """Return what gyro and accelerometer may have to be multiplied by; first: nothing."""
-    turns = []
-    for axes in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            turn = np.zeros((3, 3))
-            turn[range(3), axes] = signs
-            turns.append(turn)
-    exchanged = [(turn, handed) for handed in (np.eye(3), LEFT) for turn in turns]
-    return exchanged + [(unit * np.eye(3), np.eye(3)) for unit in (DEGREES, 1.0 / DEGREES)]
-
-
-DEGREES = float(np.rad2deg(1.0))
 LEFT = np.diag([1.0, -1.0, 1.0])
-CANDIDATES = _choices()
-"""Matrices for gyro and for accelerometer."""
-_NONE, _EXCHANGED = np.eye(3), np.eye(3)[[1, 0, 2]]
+_NONE = np.eye(3)
+CANDIDATES = [(turn, handed) for handed in (_NONE, LEFT) for turn in SIGNED]
+CANDIDATES += [(unit * _NONE, _NONE) for unit in (DEGREES, 1.0 / DEGREES)]
+"""Matrices by which gyro and accelerometer may have to be multiplied; first: nothing."""
 MISTAKES = (
-    ("x and y of both are exchanged, or one of the two is reversed", _EXCHANGED, _EXCHANGED),
+    ("x and y of both are exchanged, or one of the two is reversed", EXCHANGED, EXCHANGED),
     (
         "gyro is forward, left, up and accel forward, right, down",
         np.diag([1.0, -1.0, -1.0]),
         _NONE,
     ),
-    ("x and y of gyro alone are exchanged", _EXCHANGED, _NONE),
-    ("x and y of accel alone are exchanged", _NONE, _EXCHANGED),
+    ("x and y of gyro alone are exchanged", EXCHANGED, _NONE),
+    ("x and y of accel alone are exchanged", _NONE, EXCHANGED),
     ("z of gyro is reversed", np.diag([1.0, 1.0, -1.0]), _NONE),
-    (
-        "gyro looks like deg/s: say units={'gyro': 'deg/s'}, in a table gyro_x_dps",
-        DEGREES * _NONE,
-        _NONE,
-    ),
-    (
-        "gyro looks like rad/s that is called deg/s: leave its unit out, in a table gyro_x_rps",
-        _NONE / DEGREES,
-        _NONE,
-    ),
+    (IN_DEGREES, DEGREES * _NONE, _NONE),
+    (IN_RADIANS, _NONE / DEGREES, _NONE),
     ("gyro has the other sign", -_NONE, _NONE),
     ("x of gyro is reversed", np.diag([-1.0, 1.0, 1.0]), _NONE),
     ("y of gyro is reversed", np.diag([1.0, -1.0, 1.0]), _NONE),
 )
 """What users do, the likeliest first: what it does to gyro and to accelerometer."""
-ALIKE = 1.2
-"""Factor within which candidates fit alike: the forces across a multicopter are next to nothing."""
 
 
 def _windows(imu: Events, fixes: Events) -> tuple[Array, Array, Array] | None:
@@ -144,40 +122,15 @@ def _windows(imu: Events, fixes: Events) -> tuple[Array, Array, Array] | None:
     inside &= (t_fix[next_fix] - t_fix[next_fix - 1] < GAP).all(axis=1)
     inside &= np.array([is_full[first : first + length].mean() > 0.9 for first in starts])
     starts, edges = starts[inside], edges[inside]
-    change = np.stack([np.diff(_at(t_fix, vel_n, edges + delay), axis=1) for delay in DELAYS])
+    change = np.stack([np.diff(at(t_fix, vel_n, edges + delay), axis=1) for delay in DELAYS])
     level = change[0, ..., :2]
-    spread = level - level.mean(axis=1, keepdims=True)
-    moved = np.flatnonzero(np.sqrt(np.square(spread).sum(axis=2).mean(axis=1)) > CHANGE)
+    varies = level - level.mean(axis=1, keepdims=True)
+    moved = np.flatnonzero(np.sqrt(np.square(varies).sum(axis=2).mean(axis=1)) > CHANGE)
     if len(moved) < FEWEST:
         return None
-    if len(moved) > MOST:
-        moved = moved[np.linspace(0, len(moved) - 1, MOST).astype(np.int64)]
+    moved = spread(moved, MOST)
     rows = starts[moved] + np.arange(length)[:, None]
     return gyro[rows], accel[rows], change[:, moved] - [0.0, 0.0, STANDARD_GRAVITY]
-
-
-def averaged(imu: Events) -> tuple[Array, Array, Array, Mask]:
-    """Return times, s, and means of the samples in each interval of ``RATE``, and if it has any."""
-    known = usable(imu.values[:, :6])
-    t, values = np.asarray(imu.t_ns[known] * 1e-9), imu.values[known, :6]
-    # Hours of time without a sample would be many empty intervals
-    if len(t) < 2 or t[-1] - t[0] > 3600.0 + len(t):
-        return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=np.bool_)
-    place: Indices = np.floor((t - t[0]) * RATE).astype(np.int64)
-    size = int(place[-1]) + 1
-    count = np.bincount(place, minlength=size)
-    sums = np.stack([np.bincount(place, column, size) for column in values.T], axis=1)
-    means: Array = sums / np.maximum(count, 1)[:, None]
-    return t[0] + (np.arange(size) + 0.5) / RATE, means[:, :3], means[:, 3:], np.asarray(count > 0)
-
-
-def usable(values: Array) -> Mask:
-    """Return which rows hold numbers that a sensor can measure."""
-    return np.asarray((np.abs(values) < LARGEST).all(axis=1))
-
-
-def _at(t: Array, values: Array, times: Array) -> Array:
-    return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
 
 
 def _statistics(gyro: Array, accel: Array, change: Array) -> Array:
@@ -210,13 +163,12 @@ def _left(force: Array, change: Array) -> Array:
 
 def _mistakes(median: Array) -> str:
     """Return the usual mistakes that explain the statistics, or else what fits best."""
-    best = float(np.min(median))
-    likely = []
-    for words, of_gyro, of_accel in MISTAKES:
-        if median[_candidate(np.asarray(np.linalg.inv(of_gyro)), of_accel.T)] < ALIKE * best:
-            likely.append(words)
-    if likely:
-        return ", or ".join(likely[:3])
+    mistakes = (
+        (words, float(median[_candidate(np.asarray(np.linalg.inv(of_gyro)), of_accel.T)]))
+        for words, of_gyro, of_accel in MISTAKES
+    )
+    if likely := named(mistakes, float(np.min(median))):
+        return likely
     of_gyro, of_accel = CANDIDATES[int(np.argmin(median))]
     return f"gyro should be {_order(of_gyro)} of what is given, and accel {_order(of_accel)}"
 

@@ -13,14 +13,25 @@ nor of a turn about down alone what the axes across it are.
 
 from __future__ import annotations
 
-from itertools import permutations, product
-
 import numpy as np
 
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices, Mask
 from ekf_companion.nav.measurements import Events
-from ekf_companion.replay.axis_agreement import RATE, averaged, usable
+from ekf_companion.replay.turns import (
+    DEGREES,
+    EXCHANGED,
+    IN_DEGREES,
+    IN_RADIANS,
+    RATE,
+    SIGNED,
+    at,
+    averaged,
+    fits_better,
+    named,
+    spread,
+    usable,
+)
 
 LAGS = (1.0, 3.0, 10.0)
 """Length of windows, s: short for those who swing, long for those who turn slowly."""
@@ -32,25 +43,13 @@ FEWEST, MOST = 6, 100
 """Windows: below, nothing is said; above, some are left out."""
 FITS = 0.4
 """Statistic up to which a choice of axes explains the field."""
-BETTER = 2.0
-"""Factor between the statistics as declared, and along other axes."""
-OFTEN = 0.8
-"""Share of the windows in which the others fit better."""
-ALIKE = 1.2
-"""Factor within which choices fit alike."""
 HARD_IRON, BIAS, NOISE = 0.3, 0.01, 0.02
 """One sigma of what is fitted, gauss and rad/s, and of the field's change, gauss."""
 GAP = 0.5
 """s between samples of the magnetometer at most, at the edges of a window."""
 
-_SIGNED = [
-    np.diag(signs)[list(axes)]
-    for axes in permutations(range(3))
-    for signs in product((1.0, -1.0), repeat=3)
-]
-_DEGREES = float(np.rad2deg(1.0))
-_EXCHANGED = np.eye(3)[[1, 0, 2]]
-CANDIDATES = [(unit, turn) for unit in (1.0, _DEGREES, 1.0 / _DEGREES) for turn in _SIGNED]
+UNITS = (1.0, DEGREES, 1.0 / DEGREES)
+CANDIDATES = [(unit, turn) for unit in UNITS for turn in SIGNED]
 """What the rates may have to be multiplied by; first: nothing."""
 
 
@@ -60,24 +59,16 @@ def _of_mag(mistake: Array) -> Array:
 
 
 MISTAKES = (
-    (
-        "gyro looks like deg/s: say units={'gyro': 'deg/s'}, in a table gyro_x_dps",
-        1.0 / _DEGREES,
-        np.eye(3),
-    ),
-    (
-        "gyro looks like rad/s that is called deg/s: leave its unit out, in a table gyro_x_rps",
-        _DEGREES,
-        np.eye(3),
-    ),
+    (IN_DEGREES, 1.0 / DEGREES, np.eye(3)),
+    (IN_RADIANS, DEGREES, np.eye(3)),
     ("gyro has the other sign", 1.0, -np.eye(3)),
     ("z of gyro is reversed", 1.0, np.diag([1.0, 1.0, -1.0])),
-    ("x and y of mag are exchanged, and its z is up", 1.0, _of_mag(_EXCHANGED * [1.0, 1.0, -1.0])),
-    ("x and y of mag are exchanged", 1.0, _of_mag(_EXCHANGED)),
+    ("x and y of mag are exchanged, and its z is up", 1.0, _of_mag(EXCHANGED * [1.0, 1.0, -1.0])),
+    ("x and y of mag are exchanged", 1.0, _of_mag(EXCHANGED)),
     ("mag is forward, left, up, or gyro is", 1.0, np.diag([1.0, -1.0, -1.0])),
     ("z of mag is reversed", 1.0, _of_mag(np.diag([1.0, 1.0, -1.0]))),
     ("y of mag is reversed", 1.0, _of_mag(np.diag([1.0, -1.0, 1.0]))),
-    ("x and y of gyro are exchanged", 1.0, _EXCHANGED),
+    ("x and y of gyro are exchanged", 1.0, EXCHANGED),
     ("x of gyro is reversed", 1.0, np.diag([-1.0, 1.0, 1.0])),
     ("y of gyro is reversed", 1.0, np.diag([1.0, -1.0, 1.0])),
 )
@@ -100,7 +91,7 @@ def field_disagreement(imu: Events, mag: Events) -> str:
         starts = _windows(t, is_full, t_mag, lag)
         length = int(lag * RATE)
         ends = starts + length
-        before, after = (_at(t_mag, field, t[edge] - 0.5 / RATE) for edge in (starts, ends))
+        before, after = (at(t_mag, field, t[edge] - 0.5 / RATE) for edge in (starts, ends))
         change = np.linalg.norm(after - before, axis=1)
         least = max(
             TURNED * float(np.median(np.linalg.norm(field, axis=1))), NOISES * _noise(field)
@@ -108,8 +99,7 @@ def field_disagreement(imu: Events, mag: Events) -> str:
         turned = np.flatnonzero(change > least)
         if len(turned) < FEWEST:
             continue
-        if len(turned) > MOST:
-            turned = turned[np.linspace(0, len(turned) - 1, MOST).astype(np.int64)]
+        turned = spread(turned, MOST)
         rates = gyro[starts[turned] + np.arange(length)[:, None]]
         if found := _judge(rates, before[turned], after[turned], lag):
             return found
@@ -129,10 +119,6 @@ def _windows(t: Array, is_full: Mask, t_mag: Array, lag: float) -> Indices:
     return np.asarray(starts[inside])
 
 
-def _at(t: Array, values: Array, times: Array) -> Array:
-    return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
-
-
 def _noise(field: Array) -> float:
     """Return the noise of a difference of two samples, gauss, from samples next to each other."""
     step = np.linalg.norm(np.diff(field, n=2, axis=0), axis=1)
@@ -142,20 +128,14 @@ def _noise(field: Array) -> float:
 def _judge(rates: Array, before: Array, after: Array, lag: float) -> str:
     """Return a sentence if another choice explains the field, and the declared one does not."""
     left = np.stack([_left(rotation, before, after, lag) for rotation in _rotations(rates)])
-    median = np.median(left, axis=1)
-    best = int(np.argmin(median))
-    is_often = np.mean(left[best] < left[0]) >= OFTEN
-    if not is_often or median[best] > FITS or median[0] < BETTER * median[best]:
+    median = fits_better(left)
+    if median is None or median.min() > FITS:
         return ""
-    likely = [
-        words
-        for words, unit, turn in MISTAKES
-        if median[_candidate(unit, turn)] < ALIKE * median[best]
-    ]
+    mistakes = ((words, float(median[_candidate(unit, turn)])) for words, unit, turn in MISTAKES)
+    likely = named(mistakes, float(median.min()))
     return (
         "gyro, mag: the field does not turn in the vehicle as the gyro does: "
-        f"{', or '.join(likely[:3]) or 'axes of one are exchanged or reversed'}. Both must be "
-        "forward, right, down"
+        f"{likely or 'axes of one are exchanged or reversed'}. Both must be forward, right, down"
     )
 
 
@@ -171,9 +151,7 @@ def _rotations(rates: Array) -> list[Array]:
     A rotation about exchanged axes is the rotation, exchanged: only units and signs are integrated.
     """
     of = {
-        (unit, sign): _integrated(rates * (unit * sign))
-        for unit in (1.0, _DEGREES, 1.0 / _DEGREES)
-        for sign in (1.0, -1.0)
+        (unit, sign): _integrated(rates * (unit * sign)) for unit in UNITS for sign in (1.0, -1.0)
     }
     return [
         turn @ of[unit, float(np.round(np.linalg.det(turn)))] @ turn.T for unit, turn in CANDIDATES
