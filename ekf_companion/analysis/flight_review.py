@@ -16,7 +16,7 @@ from ekf_companion.logs.estimate import of_table
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.arrays import Array, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.measurements import Events, GnssFlag, Kind, merge
+from ekf_companion.nav.measurements import Events, Kind, merge, of_receiver
 from ekf_companion.nav.state import SIGMA, VELOCITY, Status, Table, Trajectory, join
 from ekf_companion.replay.report import Report
 from ekf_companion.replay.run import Block, Progress, Run
@@ -123,8 +123,7 @@ def review(
     looks = [look for pipeline in pipelines for look in pipeline.looks]
     family = pipelines[-1].family if pipelines else "unknown"
     late_ns = int(delays_ns(config, family, run.gnss_delay)[Kind.GNSS])
-    fixes = events.take((events.kind == Kind.GNSS) & known_rows(events.values[:, :3]))
-    fixes = fixes.take(fixes.values[:, 10] != GnssFlag.DERIVED) if len(fixes) else fixes
+    fixes = events.take(of_receiver(events) & known_rows(events.values[:, :3]))
     return FlightReview(
         name=path.name,
         judgement=judge_log(report),

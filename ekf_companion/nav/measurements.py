@@ -258,6 +258,12 @@ class Events:
         return Events(t_ns=self.t_ns[index], kind=self.kind[index], values=self.values[index])
 
 
+def of_receiver(events: Events) -> Mask:
+    """Return which events are fixes of a receiver, and no positions of an autopilot's own."""
+    is_own = events.values[:, GNSS_FLAGS] == GnssFlag.DERIVED
+    return np.asarray((events.kind == Kind.GNSS) & ~is_own)
+
+
 def merge(*tables: Events, arrival_ns: list[Stamps] | None = None) -> Events:
     """Merge tables into one by arrival; without arrival times, by stamp. Ties keep their order."""
     stamps = [table.t_ns for table in tables]

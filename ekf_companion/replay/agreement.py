@@ -6,14 +6,19 @@ import numpy as np
 
 from ekf_companion.errors import DataError
 from ekf_companion.nav.arrays import known_rows
-from ekf_companion.nav.measurements import GNSS_FLAGS, Events, GnssFlag, Kind, merge
+from ekf_companion.nav.measurements import Events, Kind, merge, of_receiver
 from ekf_companion.replay.axis_agreement import axis_disagreement
 from ekf_companion.replay.field_agreement import field_disagreement
 from ekf_companion.replay.fix_agreement import disagreements, suspicion
 from ekf_companion.replay.plausibility import OF_COLUMNS, check_inertial
 
 MOST_SAMPLES = 200_000
-"""Inertial samples that are kept to compare their axes: 24 MB, and a quarter of an hour."""
+"""Inertial samples that are kept to compare their axes, with the magnetometer's beside them: 24 MB,
+and a quarter of an hour."""
+BARO_NS = 500_000_000
+"""Of barometric heights one is kept in each such time, ns: those of fixes are compared with them
+over seconds."""
+_COMPARED = (Kind.IMU, Kind.GNSS, Kind.BARO, Kind.MAG)
 FEWEST_SAMPLES = 100
 """From which on their units and axes are looked at."""
 
@@ -59,27 +64,26 @@ class AgreementCheck:
     """Compares the sensors of a recording that comes block by block."""
 
     def __init__(self) -> None:
-        self._blocks: list[Events] = []
+        self._parts: dict[Kind, list[Events]] = {kind: [Events.from_rows([])] for kind in _COMPARED}
         self._samples = 0
 
     def add(self, events: Events) -> None:
         """Add the events of a block."""
-        is_kept = np.isin(events.kind, (Kind.GNSS, Kind.BARO, Kind.MAG))
         # Positions of an autopilot's own are no measurements
-        is_kept &= (events.kind != Kind.GNSS) | (events.values[:, GNSS_FLAGS] != GnssFlag.DERIVED)
+        rows = {Kind.GNSS: np.flatnonzero(of_receiver(events))}
+        baro = np.flatnonzero(events.kind == Kind.BARO)
+        rows[Kind.BARO] = baro[np.diff(events.t_ns[baro] // BARO_NS, prepend=-1) != 0]
         if self._samples < MOST_SAMPLES:
-            is_kept |= events.kind == Kind.IMU
-            self._samples += int(np.count_nonzero(events.kind == Kind.IMU))
-        self._blocks.append(events.take(is_kept))
+            for kind in (Kind.IMU, Kind.MAG):
+                rows[kind] = np.flatnonzero(events.kind == kind)
+            self._samples += len(rows[Kind.IMU])
+        for kind, kept in rows.items():
+            self._parts[kind].append(events.take(kept))
 
     def found(self) -> tuple[list[str], list[str]]:
         """Return a sentence for each thing that cannot be meant, and for each that is doubtful."""
-        if not self._blocks:
-            return [], []
-        events = merge(*self._blocks)
-        imu, fixes, baro, mag = (
-            events.take(events.kind == kind) for kind in (Kind.IMU, Kind.GNSS, Kind.BARO, Kind.MAG)
-        )
+        # What was kept is given up kind by kind: of an hour both together are large
+        imu, fixes, baro, mag = (merge(*self._parts.pop(kind)) for kind in _COMPARED)
         if fault := inertial_fault(imu):
             return [fault], []
         found = contradictions(imu, fixes, baro if len(baro) else None, mag)

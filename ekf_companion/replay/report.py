@@ -13,15 +13,13 @@ import numpy as np
 from ekf_companion.engine.health import DECIMATED, Aid, Arrival, Health
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import UNDAMAGED, Damage
-from ekf_companion.nav.measurements import Events, GnssFlag, Kind
+from ekf_companion.nav.measurements import Events, Kind, of_receiver
 from ekf_companion.nav.state import Status, Table, Trajectory
 from ekf_companion.replay.track import Track
 
 _SLOW = 20.0
 """Inertial samples per second below which the motion between them is guesswork, Hz."""
 _WITHOUT_NORTH = {Status.INIT, Status.ALIGNING}
-_FLAGS = 10
-"""Where a GNSS row holds its flags (nav.measurements.GnssFix.row)."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -93,7 +91,7 @@ def add_block(report: Report, events: Events, table: Table) -> None:
     """Add a block of events and their estimates to the report."""
     is_restart = events.kind == Kind.RESTART
     report.reboots += int(np.count_nonzero(is_restart & (events.values[:, 0] == 0.0)))
-    derived = (events.kind == Kind.GNSS) & (events.values[:, _FLAGS] == GnssFlag.DERIVED)
+    derived = (events.kind == Kind.GNSS) & ~of_receiver(events)
     report.derived += int(np.count_nonzero(derived))
     for kind in Kind:
         chosen = (events.kind == kind) & ~derived

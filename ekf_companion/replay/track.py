@@ -7,14 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_companion.nav.arrays import Array, Indices, Stamps, known_rows
-from ekf_companion.nav.measurements import Events, GnssFlag, Kind
+from ekf_companion.nav.measurements import Events, of_receiver
 from ekf_companion.nav.state import GEODETIC, Status, Table, Trajectory
 from ekf_companion.replay.stretches import Stretches, of_events
 
 SLOT_NS = 100_000_000
 """One position is kept of each such time: between two, 10 m/s2 bend a path by a centimetre."""
-_FLAGS = 10
-"""Where a GNSS row holds its flags (nav.measurements.GnssFix.row)."""
 
 
 class Size(NamedTuple):
@@ -59,8 +57,7 @@ class Track:
             self._t_ns.append(t_ns[rows])
             self._values.append(values[rows])
         last = max(len(self.stretches.found) - 1, 0)
-        is_fix = (events.kind == Kind.GNSS) & known_rows(events.values[:, :2])
-        is_fix &= events.values[:, _FLAGS] != GnssFlag.DERIVED
+        is_fix = of_receiver(events) & known_rows(events.values[:, :2])
         self._fix_part.append(of_events(events, first, last)[is_fix])
         self._fix_ns.append(events.t_ns[is_fix])
         self._fixes.append(events.values[is_fix, :3])

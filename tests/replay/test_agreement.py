@@ -1,5 +1,6 @@
 """Sensors that contradict each other are named; those that agree are not, whatever is flown."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.replay.agreement import AgreementCheck
 from ekf_companion.replay.axis_agreement import axis_disagreement
 from ekf_companion.replay.fix_agreement import disagreements, suspicion
 from sim_autopilot.config import SimConfig
@@ -223,3 +225,23 @@ def test_an_hour_of_a_receivers_noise_is_no_other_unit_of_height(seed):
     t_ns = (t * 1e9).astype(np.int64)
     fixes = Events.from_columns(t_ns, Kind.GNSS, *at_home, still, still, down)
     assert disagreements(fixes) == []
+
+
+def test_a_long_recording_is_compared_in_constant_memory():
+    """By what is kept of each block, once there are samples enough."""
+    size = 250_000
+    kind = np.full(size, Kind.IMU, dtype=np.int8)
+    kind[::5] = Kind.MAG
+    kind[1::10] = Kind.BARO
+    # At 350 events/s
+    t_ns = np.arange(size, dtype=np.int64) * 2_857_143
+    check = AgreementCheck()
+    held = []
+    tracemalloc.start()
+    for part in range(6):
+        values = np.ones((size, Events.from_rows([]).values.shape[1]))
+        check.add(Events(t_ns=t_ns + part * (t_ns[-1] + 1), kind=kind.copy(), values=values))
+        del values
+        held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert held[5] - held[2] < 0.05 * held[2]
