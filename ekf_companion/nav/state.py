@@ -31,6 +31,11 @@ class Status(IntEnum):
     INVALID = 6
     """The error has passed its limit: do not use the estimate."""
 
+    @property
+    def words(self) -> str:
+        """The name as it is said: ``dead reckoning``."""
+        return self.name.lower().replace("_", " ")
+
 
 GEODETIC = ("lat_deg", "lon_deg", "alt_m")
 POSITION = ("pos_n", "pos_e", "pos_d")

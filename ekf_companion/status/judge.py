@@ -69,7 +69,7 @@ def judge(snapshot: Snapshot) -> HealthCheck:
     if health.status < Status.OK:
         why = lacking(health, snapshot.refused)
         return HealthCheck(True, f"no position yet: the estimate is {health.status.name}; {why}")
-    word = health.status.name.lower().replace("_", " ")
+    word = health.status.words
     line = "ok: the estimate is OK, " if health.status is Status.OK else f"{word}: "
     line += f"{snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output, snapshot.link)}"
     in_vain = [
