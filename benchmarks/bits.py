@@ -236,7 +236,7 @@ def replay(path: Path) -> Hashes:
     """Convert a recording, to estimates and to the messages that the daemon would send."""
     hashes: Hashes = {}
     try:
-        table, report, _, _ = estimate(path, Config())
+        table, report = estimate(path, Config())
     except CompanionError as error:
         return _refused(error)
     digest = Digest()
@@ -261,7 +261,7 @@ def replay(path: Path) -> Hashes:
 
 def smooth(path: Path) -> Hashes:
     """Smooth a recording."""
-    live, smoothed, _, _, _ = estimate_and_smooth(path, Config())
+    live, smoothed, _ = estimate_and_smooth(path, Config())
     digest = Digest()
     digest.add(live.stamp_ns, live.values, smoothed.stamp_ns, smoothed.values)
     return {"smoothed": str(digest)}

@@ -11,7 +11,7 @@ import numpy as np
 from ekf_companion.config.config import Config
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav.measurements import merge
-from ekf_companion.nav.state import Table, Trajectory
+from ekf_companion.nav.state import Table
 from ekf_companion.replay import convert
 from ekf_companion.replay.log_source import READERS, open_log, reference, truth
 from ekf_companion.replay.run import IdlePipeline, Run
@@ -59,12 +59,12 @@ POOR = (
 )
 """Damaged, slow, or without GNSS."""
 
-Estimated = tuple[Table, convert.Report, Trajectory | None, Trajectory | None]
+Estimated = tuple[Table, convert.Report]
 
 
 @cache
 def estimate(path: Path) -> Estimated:
-    """Re-run the estimator over a log, once: its estimates, report, reference and truth."""
+    """Re-run the estimator over a log, once: its estimates and report."""
     return convert.estimate(path, Config())
 
 

@@ -40,7 +40,8 @@ QUANTITIES = {
 
 def scores(data: Path, case: Case) -> list[Score]:
     """Compare as ``ekf-companion compare`` does: ours, then the autopilot's own where truth is."""
-    estimates, _, own, truth = estimate(data / case.log)
+    estimates, report = estimate(data / case.log)
+    own, truth = report.own, report.truth
     columns: dict[str, npt.NDArray[Any]] = {"time_us": estimates.stamp_ns // 1000}
     columns |= {name: estimates.column(name) for name in COLUMNS[1:]}
     ours = to_trajectory(columns, "ekf-companion")

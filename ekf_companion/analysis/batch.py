@@ -16,7 +16,7 @@ from ekf_companion.logs import csv_known
 from ekf_companion.logs.estimate import is_estimate, of_table
 from ekf_companion.logs.source import suffix_of, unpacked_name
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.nav.state import Status, Table, Trajectory
+from ekf_companion.nav.state import Status, Table
 from ekf_companion.replay import convert
 from ekf_companion.replay.report import Report
 
@@ -106,10 +106,10 @@ def _is_log(path: Path) -> bool:
 def examine(path: Path, config: Config) -> Row:
     """Run the estimator over a log, and return its row; a log that fails has one that says why."""
     try:
-        table, report, own, truth = convert.estimate(path, config)
+        table, report = convert.estimate(path, config)
     except CompanionError as error:
         return failed(path, str(error).removeprefix(f"{path}: "))
-    return {**dict.fromkeys(COLUMNS), **dict(_found(path, table, report, own, truth))}
+    return {**dict.fromkeys(COLUMNS), **dict(_found(path, table, report))}
 
 
 def failed(path: Path, why: str) -> Row:
@@ -117,9 +117,7 @@ def failed(path: Path, why: str) -> Row:
     return {**dict.fromkeys(COLUMNS), "log": str(path), "outcome": "failed", "why": why}
 
 
-def _found(
-    path: Path, table: Table, report: Report, own: Trajectory | None, truth: Trajectory | None
-) -> Iterator[tuple[str, str | int | float]]:
+def _found(path: Path, table: Table, report: Report) -> Iterator[tuple[str, str | int | float]]:
     """Yield what is known of a log, by column."""
     yield from {"log": str(path), "outcome": "estimated", "autopilot": report.family}.items()
     yield "estimates", len(table)
@@ -138,7 +136,7 @@ def _found(
         if health.resets:
             yield "last_reset", health.reset_reason
     estimate = of_table(table, "ekf-companion")
-    for whose, other in (("autopilot", own), ("truth", truth)):
+    for whose, other in (("autopilot", report.own), ("truth", report.truth)):
         if other is not None:
             found = score.score(estimate, other, SKIPPED[whose])
             for name, (field, scale) in _ERRORS.items():

@@ -39,7 +39,8 @@ def take_truth(report: Report, truth: Trajectory | None) -> None:
             "times on the autopilot's clock"
         )
     report.truth = truth
-    if len(report.track.positions().pos_t_ns) and evidence_of(report).truth is None:
+    ours = report.track.positions()
+    if len(ours.pos_t_ns) and _apart(report, ours, truth) is None:
         seconds = difference.SETTLED_NS * 1e-9
         report.notes.append(
             f"{truth.name} has no time in common with the estimate after its first {seconds:.0f} s "

@@ -74,11 +74,18 @@ class _Ours(NamedTuple):
     estimate: Trajectory
     live: list[Trajectory]
     """The live filter's, where the estimate is smoothed."""
-    own: Trajectory | None = None
-    """The autopilot's."""
-    truth: Trajectory | None = None
     report: Report | None = None
     """On the run; None where the estimate was read."""
+
+    @property
+    def own(self) -> Trajectory | None:
+        """The autopilot's."""
+        return self.report.own if self.report else None
+
+    @property
+    def truth(self) -> Trajectory | None:
+        """The one that the log holds."""
+        return self.report.truth if self.report else None
 
 
 def _ours(log: Path, config: Config, *, is_smoothed: bool, is_silent: bool) -> _Ours:
@@ -95,16 +102,15 @@ def _ours(log: Path, config: Config, *, is_smoothed: bool, is_silent: bool) -> _
     live: list[Trajectory] = []
     with terminal.progress_bar(log.name) as progress:
         if is_smoothed:
-            found = converter.estimate_and_smooth(log, config, progress)
-            table, smoothed, report, own, truth = found
+            table, smoothed, report = converter.estimate_and_smooth(log, config, progress)
             estimate = of_table(smoothed, "ekf-companion, smoothed")
             live.append(of_table(table, "ekf-companion, live"))
         else:
-            table, report, own, truth = converter.estimate(log, config, progress)
+            table, report = converter.estimate(log, config, progress)
             estimate = of_table(table, "ekf-companion")
     if not is_silent:
         typer.echo("\n".join(converter.summary(report)) + "\n")
-    return _Ours(estimate, live, own, truth, report)
+    return _Ours(estimate, live, report)
 
 
 def _compare_ours(

@@ -45,7 +45,7 @@ def estimate(evidence: Evidence) -> StageResult:
     health = evidence.estimator
     if health is None:
         return unknown(Stage.ESTIMATE, "nothing to estimate from")
-    saw = health.status.name.lower().replace("_", " ")
+    saw = health.status.words
     if math.isfinite(health.std_horizontal):
         saw += f", position to {health.std_horizontal:.1f} m"
     problems = [_status(health), *_aids(health)]

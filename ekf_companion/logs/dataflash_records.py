@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import dataflash_search
-from ekf_companion.logs.recording import Damage, cut_off
+from ekf_companion.logs.recording import Damage, cut_off, damaged_places
 from ekf_companion.logs.source import MappedFile
 from ekf_companion.nav.arrays import Stamps
 
@@ -209,9 +209,8 @@ def read_columns(
     notes, damage = [], Damage()
     if found.damaged:
         notes.append(f"{found.damaged} damaged places in the file: the records there are lost")
-        words = "a damaged place" if found.damaged == 1 else f"{found.damaged} damaged places"
         records = int(sum(found.counts)) + found.damaged
-        damage = Damage(f"{words} in the file", found.damaged / records)
+        damage = Damage(f"{damaged_places(found.damaged)} in the file", found.damaged / records)
     if found.rest:
         notes.append(cut_off(found.rest, "record"))
     return tables, notes, others - {*tables}, damage

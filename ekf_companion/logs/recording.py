@@ -43,6 +43,11 @@ class Damage(NamedTuple):
 UNDAMAGED = Damage()
 
 
+def damaged_places(count: int) -> str:
+    """Return what a file has so many of."""
+    return "a damaged place" if count == 1 else f"{count} damaged places"
+
+
 def cut_off(rest: int, unit: str) -> str:
     """Return a note on so many bytes at the end of a file that are no whole ``unit``."""
     last = "the last byte is" if rest == 1 else f"the last {rest} bytes are"

@@ -16,14 +16,14 @@ from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import tlog_search
-from ekf_companion.logs.recording import CLOCK_SET_S, UNDAMAGED, Damage
+from ekf_companion.logs.recording import CLOCK_SET_S, UNDAMAGED, Damage, damaged_places
 from ekf_companion.logs.source import Source
 from ekf_companion.mavlink.block_columns import Frames
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
@@ -189,6 +189,7 @@ def read(path: Path) -> Tlog:
             f"{path}: holds no stamped MAVLink frame, so it is not a {KIND}; "
             "a raw stream of MAVLink without stamps cannot be read"
         )
+    gaps = _gaps(place, size)
     return Tlog(
         source=source,
         stamp_us=stamp_us,
@@ -197,37 +198,43 @@ def read(path: Path) -> Tlog:
         message_id=message_id,
         damaged=damaged,
         autopilot=_find_autopilot(source, place[message_id == IDS["HEARTBEAT"]]),
-        notes=tuple(_left_out(source, place, size)),
-        damage=_damage(source, place, size),
+        notes=tuple(_left_out(source, gaps)),
+        damage=_damage(source, gaps),
     )
 
 
-def _damage(source: Source, place: Stamps, size: npt.NDArray[np.uint16]) -> Damage:
-    """Return what the damaged bytes are for the verdict, and their share of the file."""
-    runs, lost, _ = _gaps(place, size)
-    places = "a damaged place" if runs == 1 else f"{runs} damaged places"
-    words = f"{places} in the file ({lost / 1e3:.3g} kB)" if runs else ""
-    return Damage(words, lost / len(source))
+class _Gaps(NamedTuple):
+    """The bytes before and between the records that are in none."""
+
+    runs: int
+    bytes: int
+    end: int
+    """Of the last record."""
 
 
-def _gaps(place: Stamps, size: npt.NDArray[np.uint16]) -> tuple[int, int, int]:
-    """Return how many runs of bytes are in no record, their length, and the end of the last one."""
+def _gaps(place: Stamps, size: npt.NDArray[np.uint16]) -> _Gaps:
+    """Find what is in no record."""
     runs = lost = end = 0
     for first in range(0, len(place), AT_ONCE):
         rows = slice(first, first + AT_ONCE)
         ends = place[rows] + size[rows]
         gaps = place[rows] - 8 - np.append(end, ends[:-1])
         runs, lost, end = runs + int(np.count_nonzero(gaps)), lost + int(gaps.sum()), int(ends[-1])
-    return runs, lost, end
+    return _Gaps(runs, lost, end)
 
 
-def _left_out(source: Source, place: Stamps, size: npt.NDArray[np.uint16]) -> Iterator[str]:
+def _damage(source: Source, gaps: _Gaps) -> Damage:
+    """Return what the damaged bytes are for the verdict, and their share of the file."""
+    places = f"{damaged_places(gaps.runs)} in the file ({gaps.bytes / 1e3:.3g} kB)"
+    return Damage(places if gaps.runs else "", gaps.bytes / len(source))
+
+
+def _left_out(source: Source, gaps: _Gaps) -> Iterator[str]:
     """Describe the bytes that are in no record."""
-    runs, lost, end = _gaps(place, size)
-    if runs:
-        yield f"{runs} runs of damaged bytes, {lost} bytes in all, were left out"
-    if rest := len(source) - end:
-        tail = range(end, len(source), BLOCK)
+    if gaps.runs:
+        yield f"{gaps.runs} runs of damaged bytes, {gaps.bytes} bytes in all, were left out"
+    if rest := len(source) - gaps.end:
+        tail = range(gaps.end, len(source), BLOCK)
         is_zeros = not any(any(source.read(place, place + BLOCK)) for place in tail)
         what = "zeros" if is_zeros else "no whole record"
         yield f"the last {rest} bytes are {what}: the recording was cut off there"

@@ -35,7 +35,7 @@ def sentences(table: Table, events: Events, *, has_position: bool = True) -> lis
     for bad, words in _AFTER.items():
         if (rows := np.flatnonzero(status == bad)).size:
             first = table.stamp_ns[rows[0]] * 1e-9
-            name = bad.name.lower().replace("_", " ")
+            name = bad.words
             share = len(rows) / len(status)
             found.append(f"{share:.1%} of the time, first at {first:.1f} s, {name}: {words}")
     return [*found, *_resets(table), *_course(table)]

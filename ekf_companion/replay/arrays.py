@@ -168,12 +168,7 @@ def _read(
         plausibility.check_inertial(turn, force, t_ns)
     tables = {
         name: convert(read, given, t_ns)
-        for name, convert in (
-            ("gnss", _gnss),
-            ("heading", _heading),
-            ("mag", _mag),
-            ("baro", _baro),
-        )
+        for name, convert in _TABLES.items()
         if (given := sensors[name]) is not None
     }
     imu = Events.from_columns(t_ns, Kind.IMU, *turn.T, *force.T)

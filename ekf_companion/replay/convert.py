@@ -16,7 +16,7 @@ from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.writer import RATES, STDOUT, WRITERS, Thinning, create, open_writer
 from ekf_companion.nav.measurements import Events, Kind, merge
-from ekf_companion.nav.state import Table, Trajectory, join
+from ekf_companion.nav.state import Table, join
 from ekf_companion.replay.log_source import reference, truth
 from ekf_companion.replay.report import Report, summary
 from ekf_companion.replay.run import BlockPipeline, IdlePipeline, Progress, Run, StepPipeline
@@ -147,10 +147,8 @@ def convert_by(
     return replace(solution, notes=(*solution.notes, *recording.notes))
 
 
-def estimate(
-    path: Path, config: Config, progress: Progress | None = None
-) -> tuple[Table, Report, Trajectory | None, Trajectory | None]:
-    """Re-run the estimator; return all estimates, the report, the log's reference and truth.
+def estimate(path: Path, config: Config, progress: Progress | None = None) -> tuple[Table, Report]:
+    """Re-run the estimator; return all estimates, and the report, with what the log says itself.
 
     Raises:
         LogError: As :func:`convert`.
@@ -158,12 +156,12 @@ def estimate(
     run = Run(path, config, BlockPipeline)
     tables = [block.table for block in run.blocks(progress)]
     report = run.finish()
-    return join(tables), report, report.own, report.truth
+    return join(tables), report
 
 
 def estimate_and_smooth(
     path: Path, config: Config, progress: Progress | None = None
-) -> tuple[Table, Table, Report, Trajectory | None, Trajectory | None]:
+) -> tuple[Table, Table, Report]:
     """Do the same, and return the smoothed estimates behind those of the live filter.
 
     Raises:
@@ -173,7 +171,7 @@ def estimate_and_smooth(
     live: list[Table] = []
     smoothed = list(_smoothed(run, progress, live))
     report = run.finish()
-    return join(live), join(smoothed), report, report.own, report.truth
+    return join(live), join(smoothed), report
 
 
 def _smoothed(

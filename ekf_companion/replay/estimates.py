@@ -73,9 +73,7 @@ class Estimates:
         """Shares of the estimates by status, in its order; see :attr:`status`."""
         status = self.status
         return {
-            each.name.lower().replace("_", " "): float(np.mean(status == each))
-            for each in Status
-            if (status == each).any()
+            each.words: float(np.mean(status == each)) for each in Status if (status == each).any()
         }
 
     @property
