@@ -16,7 +16,7 @@ import numpy as np
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
 from ekf_companion.logs.dataflash_records import OFFSET, Column, Columns, read_columns
-from ekf_companion.logs.dataflash_tables import NEEDED, boot_ns, choose, names_of, rows_of
+from ekf_companion.logs.dataflash_tables import NEEDED, READ, boot_ns, choose, names_of, rows_of
 from ekf_companion.logs.dataflash_trajectory import reference, truth
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
@@ -59,7 +59,7 @@ def read(path: Path) -> Recording:
     Raises:
         LogError: The file is not a DataFlash log, or holds none of the messages that are used.
     """
-    tables, notes, others, damage = read_columns(path, NEEDED)
+    tables, notes, others, damage = read_columns(path, READ)
     tables = choose(tables, others, notes)
     gnss = _gnss(tables)
     arrivals: Arrivals = [*gnss, *_vehicle(tables), *_sensor(tables, "IMU", Kind.IMU)]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -80,13 +80,13 @@ class _Format:
         types = [_TYPES[character][0] for character in self.characters]
         return np.dtype([("header", "V3"), *zip(self.names, types, strict=True)])
 
-    @property
-    def table(self) -> np.dtype[np.void]:
-        """Return the type of the fields in their units, scaled ones as float64, after OFFSET."""
+    def table(self, kept: Collection[str]) -> np.dtype[np.void]:
+        """Return the type of the fields kept, in their units, scaled ones float64, after OFFSET."""
         fields: list[tuple[str, str]] = [(OFFSET, "<i8")]
         for name, character in zip(self.names, self.characters, strict=True):
             code, scale = _TYPES[character]
-            fields.append((name, code if scale == 1 else "<f8"))
+            if name in kept:
+                fields.append((name, code if scale == 1 else "<f8"))
         return np.dtype(fields)
 
 
@@ -158,16 +158,21 @@ def _find_records(file: MappedFile, names: Collection[str] | None) -> _Found:
     return _Found(formats, places, counts, state[1], rest)
 
 
-def _gather(file: MappedFile, places: Stamps, layout: _Format) -> Column:
-    """Return the records of one type as a table in their units."""
+def _gather(
+    file: MappedFile, places: Stamps, layout: _Format, kept: Collection[str] | None
+) -> Column:
+    """Return the records of one type as a table in their units; kept: its columns; None: all."""
     raw = np.frombuffer(file.data, dtype=np.uint8)
     windows = np.lib.stride_tricks.sliding_window_view(raw, layout.wire.itemsize)
-    table = np.zeros(len(places), dtype=layout.table)
+    kept = layout.names if kept is None else kept
+    table = np.zeros(len(places), dtype=layout.table(kept))
     table[OFFSET] = places
     for first in range(0, len(places), AT_ONCE):
         rows = slice(first, first + AT_ONCE)
         wire = windows[places[rows]].view(layout.wire)[:, 0]
         for name, character in zip(layout.names, layout.characters, strict=True):
+            if name not in kept:
+                continue
             scale = _TYPES[character][1]
             # Dividing by the exact inverse gives the nearest double: 1.23, not 1.2300000000000002.
             table[name][rows] = wire[name] if scale == 1 else wire[name] / round(1.0 / scale)
@@ -177,7 +182,7 @@ def _gather(file: MappedFile, places: Stamps, layout: _Format) -> Column:
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
 def read_columns(
-    path: Path, names: Collection[str] | None = None
+    path: Path, names: Mapping[str, Collection[str] | None] | None = None
 ) -> tuple[Columns, list[str], set[str], Damage]:
     """Return messages of a log as one table each, and a sentence for each fault of the file.
 
@@ -185,7 +190,7 @@ def read_columns(
 
     Args:
         path: The log.
-        names: Of the messages; None: all.
+        names: Of the messages, with the columns to keep of each (None: all); None: all messages.
 
     Returns:
         The tables, the sentences, the names of the messages that the log holds besides, and the
@@ -204,7 +209,8 @@ def read_columns(
         name = found.formats[kind].name
         # Two types of one name come from a damaged FMT: keep the one with more rows
         if len(places) > len(tables.get(name, ())):
-            tables[name] = _gather(file, places, found.formats[kind])
+            kept = None if names is None else names[name]
+            tables[name] = _gather(file, places, found.formats[kind], kept)
     others = {layout.name for kind, layout in found.formats.items() if found.counts[kind]}
     notes, damage = [], Damage()
     if found.damaged:

@@ -36,6 +36,11 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "MSG": (),
 }
 """The messages that are used, and the columns that each needs."""
+READ: dict[str, tuple[str, ...] | None] = {
+    **dict.fromkeys(NEEDED),
+    "IMU": ("TimeUS", "TimeMS", "I", *NEEDED["IMU"]),
+}
+"""The columns that are read of each message; None: all. Of inertial samples there are millions."""
 
 
 def choose(tables: Columns, others: Collection[str], notes: list[str]) -> Columns:

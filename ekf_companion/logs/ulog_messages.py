@@ -84,6 +84,8 @@ class _Layout(NamedTuple):
     """Without the padding at the end."""
     most: int
     """Bytes with it."""
+    kept: np.dtype[np.void]
+    """The fields that are kept of it."""
 
 
 class _Subscription(NamedTuple):
@@ -94,8 +96,8 @@ class _Subscription(NamedTuple):
     layout: _Layout
 
 
-def read(path: Path, topics: Collection[str]) -> Messages:
-    """Read the topics of some names.
+def read(path: Path, topics: Collection[str], unused: Collection[str] = ()) -> Messages:
+    """Read the topics of some names, without the fields that are unused.
 
     Raises:
         LogError: The file is missing, empty, or no ULog; or of a version with features that
@@ -104,12 +106,14 @@ def read(path: Path, topics: Collection[str]) -> Messages:
     file = MappedFile(path, KIND)
     if file.data[: len(MAGIC)] != MAGIC:
         raise LogError(f"{path}: does not begin as a {KIND}; check the file or its name")
-    return _Reader(path, file, topics).read()
+    return _Reader(path, file, topics, unused).read()
 
 
 class _Reader:
-    def __init__(self, path: Path, file: MappedFile, topics: Collection[str]) -> None:
-        self._path, self._file, self._topics = path, file, topics
+    def __init__(
+        self, path: Path, file: MappedFile, topics: Collection[str], unused: Collection[str]
+    ) -> None:
+        self._path, self._file, self._topics, self._unused = path, file, topics, unused
         self._data = file.data
         self._formats: Formats = {}
         self._layouts: dict[str, _Layout | None] = {}
@@ -146,10 +150,12 @@ class _Reader:
             if not len(chosen):
                 continue
             windows = sliding_window_view(raw, one.layout.dtype.itemsize)
-            rows = np.empty(len(chosen), dtype=one.layout.dtype)
+            rows = np.empty(len(chosen), dtype=one.layout.kept)
             for first in range(0, len(chosen), AT_ONCE):
                 part = slice(first, first + AT_ONCE)
-                rows[part] = windows[chosen[part]].view(one.layout.dtype)[:, 0]
+                found = windows[chosen[part]].view(one.layout.dtype)[:, 0]
+                for name in one.layout.kept.names or ():
+                    rows[name][part] = found[name]
                 self._file.release()
             yield Table(one.topic, one.instance, rows)
 
@@ -262,7 +268,7 @@ class _Reader:
             self._sizes[number] = -1 if topic in self._formats else 0
             return
         if topic not in self._layouts:
-            self._layouts[topic] = _layout(self._formats, topic)
+            self._layouts[topic] = _layout(self._formats, topic, self._unused)
         layout = self._layouts[topic]
         if layout is None:
             raise ValueError(topic)
@@ -271,7 +277,7 @@ class _Reader:
         self._subscriptions.append(_Subscription(topic, instance, layout))
 
 
-def _layout(formats: Formats, topic: str) -> _Layout | None:
+def _layout(formats: Formats, topic: str, unused: Collection[str]) -> _Layout | None:
     """Return how the rows of a topic lie; None if its format is damaged."""
     fields: Fields = []
     size = 0
@@ -284,9 +290,10 @@ def _layout(formats: Formats, topic: str) -> _Layout | None:
         while fields and fields[-1][0].startswith("_padding"):
             fields.pop()
         dtype = np.dtype(fields)
+        kept = np.dtype([(label, code) for label, code in fields if label not in unused])
     except (LookupError, ValueError):
         return None
-    return _Layout(dtype, size) if fields else None
+    return _Layout(dtype, size, kept) if fields else None
 
 
 def _flatten(formats: Formats, name: str, before: str, depth: int) -> Iterator[tuple[str, str]]:

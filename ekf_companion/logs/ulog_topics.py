@@ -41,6 +41,17 @@ _TOPICS: dict[str, tuple[str, ...]] = {
 }
 """The topics that are used, and the fields that each needs."""
 
+UNUSED = (
+    "gyro_integral_dt",
+    "accelerometer_integral_dt",
+    "accelerometer_timestamp_relative",
+    "accelerometer_clipping",
+    "gyro_clipping",
+    "accel_calibration_count",
+    "gyro_calibration_count",
+)
+"""Fields that are not kept: of the inertial samples of hours they would be tens of MB."""
+
 
 def nanoseconds(stamps_us: npt.NDArray[Any]) -> Stamps:
     """Convert unsigned microseconds to ns; what would overflow is damage, and stays huge."""
@@ -53,7 +64,7 @@ def load(path: Path) -> Messages:
     Raises:
         LogError: The file cannot be read as a ULog.
     """
-    return ulog_messages.read(path, _TOPICS)
+    return ulog_messages.read(path, _TOPICS, UNUSED)
 
 
 def choose(log: Messages, notes: list[str]) -> Topics:
