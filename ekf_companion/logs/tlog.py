@@ -12,8 +12,9 @@ module finds the frames, and reads columns of their fields.
 
 from __future__ import annotations
 
+import math
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,7 +28,7 @@ from ekf_companion.logs.recording import CLOCK_SET_S, UNDAMAGED, Damage, damaged
 from ekf_companion.logs.source import Source
 from ekf_companion.mavlink.block_columns import Frames
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
-from ekf_companion.nav.arrays import Indices, Stamps
+from ekf_companion.nav.arrays import Indices, Mask, Stamps
 
 Column = npt.NDArray[np.void]
 
@@ -38,6 +39,8 @@ BLOCK = 1 << 20
 """Bytes that are searched at once."""
 AT_ONCE = 1 << 14
 """Records that are read at once."""
+SILENCE_US = 1_000_000
+"""A longer time between two records is none in which messages came at their rate, us."""
 ROOM = 1 << 20
 """Records that there is made room for at once."""
 _FAMILIES = {3: "ardupilot", 12: "px4"}
@@ -105,18 +108,33 @@ class Tlog:
             )
 
     def columns(
-        self, names: Sequence[str], system_id: int, component_id: int | None = None
+        self,
+        names: Sequence[str],
+        system_id: int,
+        component_id: int | None = None,
+        *,
+        rates: Mapping[str, float] | None = None,
+        only: Indices | None = None,
     ) -> dict[str, Column]:
         """Return the fields of messages as one table each, in file order; skip absent messages.
 
-        The names are in capitals; without a component id, messages of all components count.
+        Args:
+            names: Of the messages, in capitals.
+            system_id: Their source.
+            component_id: Likewise; None: all components count.
+            rates: Hz, by name: of a more frequent message only every n-th is returned.
+            only: Numbers of records, ascending; None: of all.
 
         Returns:
             Tables by name: ``STAMP``, ``ORDER``, ``COMPONENT`` and the message's own fields in
             wire order and wire units. Fields that a short MAVLink payload omits are 0.
         """
         found: dict[str, list[Column]] = {name: [] for name in names}
-        wanted = np.flatnonzero(np.isin(self.message_id, [IDS[name] for name in names]))
+        strides = self._strides(names, rates or {})
+        seen = dict.fromkeys(names, 0)
+        ids = self.message_id if only is None else self.message_id[only]
+        wanted = np.flatnonzero(np.isin(ids, [IDS[name] for name in names]))
+        wanted = wanted if only is None else only[wanted]
         for first in range(0, len(wanted), AT_ONCE):
             some = wanted[first : first + AT_ONCE]
             begin, last = int(self.place[some[0]]), some[-1]
@@ -124,34 +142,56 @@ class Tlog:
             raw = np.frombuffer(self.source.read(begin, end), dtype=np.uint8)
             for name, parts in found.items():
                 order = some[self.message_id[some] == IDS[name]]
-                table = self._table(raw, begin, order, IDS[name], system_id, component_id)
-                if len(table):
-                    parts.append(table)
+                order = order[self._is_from(raw, begin, order, system_id, component_id)]
+                kept = order[-seen[name] % strides[name] :: strides[name]]
+                seen[name] += len(order)
+                if len(kept):
+                    parts.append(self._table(raw, begin, kept, IDS[name]))
         return {name: np.concatenate(parts) for name, parts in found.items() if parts}
 
-    def _table(
+    def _strides(self, names: Sequence[str], rates: Mapping[str, float]) -> dict[str, int]:
+        """Return of how many messages one is enough for its rate, Hz, exceeded by 10 % at most."""
+        if not rates:
+            return dict.fromkeys(names, 1)
+        # A stamp may be damaged, the clock set, the recorder silent for hours
+        seconds = float(np.clip(np.diff(self.stamp_us), 0, SILENCE_US).sum()) * 1e-6
+        counts = {name: np.count_nonzero(self.message_id == IDS[name]) for name in names}
+        enough = {name: max(rates.get(name, math.inf) * seconds, 1e-9) for name in names}
+        return {
+            name: max(1, math.ceil(counts[name] / enough[name] - 0.1)) if seconds else 1
+            for name in names
+        }
+
+    def _is_from(
         self,
         raw: npt.NDArray[np.uint8],
         begin: int,
         order: Indices,
-        message_id: int,
         system_id: int,
         component_id: int | None,
-    ) -> Column:
-        """Return the table of one message of the records ``order``; ``raw`` begins at ``begin``."""
+    ) -> Mask:
+        """Return which records are of a source; ``raw`` begins at ``begin``."""
+        system, component = self._source(raw, begin, order)
+        is_from = np.asarray(system == system_id)
+        return is_from if component_id is None else is_from & (component == component_id)
+
+    def _source(
+        self, raw: npt.NDArray[np.uint8], begin: int, order: Indices
+    ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+        """Return the system and the component of records."""
         place = self.place[order] - begin
         second = raw[place] == 0xFD  # MAVLink 2
-        system, component = (
-            raw[place + np.where(second, later, sooner)] for later, sooner in ((5, 3), (6, 4))
-        )
-        ours = system == system_id
-        if component_id is not None:
-            ours &= component == component_id
-        order, place, second = order[ours], place[ours], second[ours]
-        payload = place + np.where(second, 10, 6)
+        return raw[place + np.where(second, 5, 3)], raw[place + np.where(second, 6, 4)]
+
+    def _table(
+        self, raw: npt.NDArray[np.uint8], begin: int, order: Indices, message_id: int
+    ) -> Column:
+        """Return the table of one message of the records ``order``."""
+        place = self.place[order] - begin
+        payload = place + np.where(raw[place] == 0xFD, 10, 6)
         table = _payloads(raw, payload, raw[place + 1], message_id)
         table[STAMP], table[ORDER] = self.stamp_us[order], order
-        table[COMPONENT] = component[ours]
+        table[COMPONENT] = self._source(raw, begin, order)[1]
         return table
 
 

@@ -14,12 +14,18 @@ import numpy.typing as npt
 
 from ekf_companion.logs import series
 from ekf_companion.logs.tlog import ORDER, Column, Tlog
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Stamps, known_rows
+from ekf_companion.nav.arrays import Mask, Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.state import EULER, Trajectory
 
 _INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
+_TRUTH = ("SIM_STATE", "HIL_STATE_QUATERNION")
+_ESTIMATE = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE")
+RATES = {**dict.fromkeys(_INERTIAL, 10.0), **dict.fromkeys((*_TRUTH, *_ESTIMATE), 25.0)}
+"""Hz: between two such rows a motion is known to millimetres; of inertial samples only the clock
+is of use here."""
 
 
 def _boot_ns(table: Column) -> Stamps:
@@ -60,8 +66,28 @@ def _tables(log: Tlog, names: Sequence[str]) -> dict[str, Column]:
     if log.autopilot is None:
         return {}
     ids = log.autopilot.system_id, log.autopilot.component_id
-    tables = _one_boot(log.columns([*names, "ATTITUDE", *_INERTIAL], *ids))
+    tables = _one_boot(log.columns([*names, "ATTITUDE", *_INERTIAL], *ids, rates=RATES))
     return {name: table for name, table in tables.items() if len(table)}
+
+
+def _stamps_before(log: Tlog, tables: dict[str, Column], order: Stamps) -> tuple[Mask, Stamps]:
+    """Return which records have an inertial message of that boot before them, and its time, ns."""
+    clocks = [tables[name] for name in _INERTIAL if name in tables]
+    none = np.zeros(len(order), dtype=np.bool_), np.zeros(0, dtype=np.int64)
+    if log.autopilot is None or not clocks:
+        return none
+    inertial = np.flatnonzero(np.isin(log.message_id, [IDS[name] for name in _INERTIAL]))
+    before = np.searchsorted(inertial, order) - 1
+    wanted = inertial[np.maximum(before, 0)]
+    ids = log.autopilot.system_id, log.autopilot.component_id
+    found = log.columns(_INERTIAL, *ids, only=np.unique(wanted))
+    if not found:
+        return none
+    known, t_ns = _clock([*found.values()])
+    at = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
+    is_of_boot = (before >= 0) & (wanted >= min(int(table[ORDER][0]) for table in clocks))
+    has_stamp = is_of_boot & (known[at] == wanted)
+    return has_stamp, t_ns[at[has_stamp]]
 
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
@@ -113,15 +139,15 @@ def truth(log: Tlog) -> Trajectory | None:
     SIM_STATE (ArduPilot) has no stamp and HIL_STATE_QUATERNION (PX4) an empty one: each takes the
     time of the inertial message recorded just before it, which was sent in the same pass.
     """
-    tables = _tables(log, ["SIM_STATE", "HIL_STATE_QUATERNION"])
-    inertial = [tables[name] for name in _INERTIAL if name in tables]
-    name = next((name for name in ("SIM_STATE", "HIL_STATE_QUATERNION") if name in tables), None)
-    if name is None or not inertial:
+    if not np.isin(log.message_id, [IDS[name] for name in _TRUTH]).any():
         return None
-    order, t_ns = _clock(inertial)
+    tables = _tables(log, _TRUTH)
+    name = next((name for name in _TRUTH if name in tables), None)
+    if name is None:
+        return None
     table = tables[name]
-    before = np.searchsorted(order, table[ORDER]) - 1
-    table, t_ns = table[before >= 0], t_ns[before[before >= 0]]
+    has_stamp, t_ns = _stamps_before(log, tables, table[ORDER])
+    table = table[has_stamp]
     later = series.ascending(t_ns)
     table, t_ns = table[later], t_ns[later]
     if name == "SIM_STATE":
