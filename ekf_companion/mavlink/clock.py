@@ -176,7 +176,7 @@ class Timesync(Service):
         return peer_ns or None
 
     def receive(self, tc1: int, ts1: int, now_ns: int) -> None:
-        """Use an answer that was addressed to us or to nobody."""
+        """Use an answer of the autopilot, if it is to an open request of ours."""
         if ts1 not in self._outstanding:
             self.refused[FOREIGN] += 1
             return
