@@ -8,6 +8,10 @@ import urllib.request
 
 import pytest
 
+from ekf_companion.config.config import Config
+from ekf_companion.config.service import TimesyncConfig
+from ekf_companion.doctor.examination import examine_log
+from ekf_companion.mavlink.messages import IDS
 from sim_autopilot.config import SimConfig
 from sim_autopilot.firmware import parse
 from sim_autopilot.flight import Flight
@@ -77,3 +81,30 @@ def test_the_clock_locks_to_a_px4_whose_answers_name_any_target(locked):
 def test_its_recording_gives_the_same_messages(locked):
     """Rule 38: live is replay, to the bit."""
     assert_same_as_its_messages(locked[1])
+
+
+PATIENT = Config(timesync=TimesyncConfig(largest_rtt=0.2))
+
+
+def test_the_doctor_sees_the_clock_in_the_recording(locked):
+    _, record = locked
+    state = examine_log(record.path, PATIENT).time
+    assert state.is_locked
+    assert state.answers >= 20
+
+
+def test_the_doctor_names_why_the_clock_of_a_recording_was_not_locked(locked, tmp_path):
+    _, record = locked
+    path = tmp_path / "unanswered.tlog"
+    frames = zip(record.stamps, record.raw, record.frames, strict=True)
+    answer = IDS["TIMESYNC"], 1
+    path.write_bytes(
+        b"".join(
+            stamp.to_bytes(8, "big") + raw
+            for stamp, raw, frame in frames
+            if (frame.message_id, frame.component_id) != answer
+        )
+    )
+    state = examine_log(path, PATIENT).time
+    assert not state.is_locked
+    assert state.trouble.endswith(" requests without an answer")
