@@ -166,19 +166,23 @@ def viewing(log):
 
 def test_a_log_is_shown_with_a_slider_and_both_estimates(tmp_path):
     log = tmp_path / "flight.tlog"
-    options = ["generate", "--duration", "20", "--scenario", "figure-eight", "-o", str(log)]
+    options = ["generate", "--duration", "30", "--scenario", "figure-eight", "-o", str(log)]
+    options += ["--fault", "mag-disturbance:start=20,duration=8,forward=0.3"]
     assert CliRunner().invoke(app, options).exit_code == 0
     with viewing(log) as url, chromium(tmp_path) as tab:
         tab.show(1280, 900)
         tab.open(url)
         tab.wait_for("document.querySelector('#link')?.textContent == 'log'")
-        assert tab.text("#sentence").startswith("good: ")
+        assert tab.text("#sentence").startswith(("good: ", "fair: "))
         before = [tab.text(one) for one in ("#clock", "#roll", "#autopilot-roll")]
         move = "slider.value = 0.7 * slider.max; slider.dispatchEvent(new Event('input'))"
         tab.value(f"(() => {{ const slider = document.querySelector('#time'); {move} }})()")
         after = [tab.text(one) for one in ("#clock", "#roll", "#autopilot-roll")]
         assert all(one != other for one, other in zip(before, after, strict=True))
         assert tab.value("document.querySelectorAll('.chart').length") >= 10
+        # A disturbed field was refused by no gate
+        assert re.search(r"[0-9]+ disturbed", tab.text("#stages"))
+        assert "Refused by gates" not in tab.text("#charts")
         tab.value("document.querySelector('#play').click()")
         tab.wait_for(f"document.querySelector('#clock').textContent != '{after[0]}'")
         assert tab.errors == []
