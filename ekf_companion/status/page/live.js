@@ -23,12 +23,12 @@ export function startLive() {
       rows: (live) => [speedOf(live), speedOf(live.autopilot)] }),
     clock({ title: "Innovations over their gates", unit: "above 1: refused", bound: 1, lines: aids,
       rows: (live) => AIDS.map((aid) => live.ratios[aid]) }),
+    clock({ title: "NIS over 20 s", unit: "1: as it should be", bound: 1, lines: aids,
+      rows: (live) => AIDS.map((aid) => live.nis[aid]) }),
     clock({ title: "Gyro bias", unit: "deg/s", digits: 3, lines: axes, rows: (live) => live.gyro_bias_deg_s }),
     clock({ title: "Accelerometer bias", unit: "m/s\u00b2", digits: 3, lines: axes, rows: (live) => live.accel_bias_m_s2 }),
   ];
-  const nis = clock({ title: "NIS over 20 s", unit: "1: as it should be", bound: 1, lines: aids });
   charts.forEach((one) => (one.data = [[], ...one.chart.options.lines.map(() => [])]));
-  nis.data = [[], ...AIDS.map(() => [])];
   let count = 0;
   let seen; // the newest status
   let age; // s of the newest sample; null: there is no estimate, undefined: not known
@@ -51,8 +51,6 @@ export function startLive() {
   const onStatus = (status) => {
     seen = status;
     showState(status);
-    append(nis.data, Date.now() / 1000, AIDS.map((aid) => status.estimator?.nis?.[aid]));
-    nis.chart.set(nis.data);
   };
   fetch("past").then((answer) => (answer.ok ? answer.json() : [])).then(fill).catch(() => {});
   /** Put what was before the page opened in front of what has come since. */
