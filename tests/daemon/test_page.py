@@ -1,6 +1,7 @@
 """The page in a browser, beside the real daemon and a fake autopilot that flies."""
 
 import contextlib
+import json
 import re
 import socket
 import subprocess
@@ -58,6 +59,41 @@ def drawn(selector):
     return f"document.querySelector('{selector}').toDataURL().length + ''"
 
 
+WIDEST = (
+    (
+        "stages",
+        [
+            *("aid", "fused", "deweighted", "gated", "suspect", "disturbed", "superseded"),
+            "before alignment",
+        ],
+        [["position", "97923", "1234", "1234", "1234", "1234", "21234", "1234"]],
+    ),
+    (
+        "rates",
+        ["message", "asked", "got", "answer"],
+        [
+            ["POSITION_TARGET_GLOBAL_INT", "10", "9.9", "temporarily rejected"],
+            [
+                *("SCALED_PRESSURE", "10", "0.0"),
+                "not offered; only autopilots whose inertial message has no pressure need it",
+            ],
+        ],
+    ),
+)
+"""Tables of the page: name, head and rows."""
+
+
+def cut_off(tab):
+    """Return by how many pixels the widest tables are too wide for their places."""
+    tab.value("void import('./page/view.js').then((view) => { window.view = view; })")
+    tab.wait_for("window.view !== undefined")
+    shown = "".join(f"window.view.showTable({json.dumps(one)[1:-1]});" for one in WIDEST)
+    scrolls = "[...document.querySelectorAll('.scroll')]"
+    measured = f"{scrolls}.map((one) => one.scrollWidth - one.clientWidth)"
+    # In one turn: the page shows its own tables once a second
+    return tab.value(f"(() => {{ {shown} return {measured}; }})()")
+
+
 def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
     """Connects, plots move, link loss is shown and recovered from, and the console has no error."""
     with chromium(tmp_path) as tab, flying(f"udpout:127.0.0.1:{ports[0]}") as flight:
@@ -75,6 +111,10 @@ def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
             tab.wait_for("document.querySelectorAll('#rates tbody tr').length > 3")
             # A message that is not offered, and that nobody needs, is no fault
             tab.wait_for("document.querySelectorAll('#rates td.bad').length == 0")
+            # The widest tables that PX4 1.17 makes fit
+            for width in (1024, 1160, 1210, 1440, 1280):
+                tab.show(width, 900)
+                assert cut_off(tab) == [0, 0], width
             tab.wait_for("document.querySelector('#events').textContent.includes('Estimate is OK')")
             assert tab.errors == []
             # A page that opens later shows what was before
