@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from ekf_companion.status import assets
 from sim_autopilot.__main__ import app
 from sim_autopilot.autopilot import Kind
+from sim_autopilot.faults.fault import parse
 from sim_autopilot.fly import fly, over, run
 from tests.browser import chromium
 from tests.daemon.test_daemon import Daemon, Open, free_port, plan
@@ -21,12 +22,13 @@ from tests.daemon.waiting import LIMIT
 
 
 @contextlib.contextmanager
-def flying(url):
-    """Fly in time until the context ends."""
+def flying(url, *faults):
+    """Fly in time, with faults, until the context ends."""
     flight = Open(plan(600.0, boot=20.0, skip=6.0))
+    wrong = [parse(one) for one in faults]
 
     async def body(link):
-        await fly(flight, link, personality=Kind.PX4, wait=LIMIT)
+        await fly(flight, link, personality=Kind.PX4, faults=wrong, wait=LIMIT)
 
     thread = threading.Thread(target=lambda: run(over(url, body)))
     thread.start()
@@ -193,6 +195,18 @@ def test_on_a_phone_everything_is_on_the_screen_and_times_of_day_have_their_hour
         tab.value(NOTE_TEXTS)
         tab.wait_for("window.texts.some((one) => /^[0-9]{2}:[0-9]{2}:[0-9]{2}$/.test(one))")
         assert tab.value("window.texts.filter((one) => /^:/.test(one))") == []
+        assert tab.errors == []
+
+
+def test_a_compass_that_is_refused_is_on_the_page_and_in_its_events(tmp_path, ports):
+    magnet = "mag-disturbance:start=4,duration=600,forward=0.3"
+    flight = flying(f"udpout:127.0.0.1:{ports[0]}", magnet)
+    with chromium(tmp_path) as tab, flight, start(tmp_path, ports) as daemon:
+        daemon.wait_for("Compass refused, now or now and then: the magnetic field is not")
+        tab.open(f"http://127.0.0.1:{ports[1]}/")
+        tab.wait_for("document.querySelector('#events')?.textContent.includes('Compass refused')")
+        lately = "; lately refused: the magnetic field is not the Earth's"
+        tab.wait_for(f'document.querySelector("#facts").textContent.includes("{lately}")')
         assert tab.errors == []
 
 
