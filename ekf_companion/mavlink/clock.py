@@ -95,6 +95,8 @@ class Timesync(Service):
         """Forget the clock."""
         self._samples: deque[tuple[int, int, int]] = deque(maxlen=_WINDOW)  # middle, offset, rtt
         self._jumps = 0
+        self._has_jumped = False
+        """Whether the clock was forgotten as it jumped."""
         self._fit: tuple[int, int, float] | None = None  # at, offset then, skew
         self.residual_ns = math.nan
         """RMS distance of the answers that are used from the line through them; NaN: too few."""
@@ -125,7 +127,11 @@ class Timesync(Service):
             return f"answers take {self.rtt_ns(50) * 1e-6:.0f} ms there and back"
         if self._jumps:
             return "the clock jumps"
-        return self._silence() if self._unanswered >= _LOCK else ""
+        if self._unanswered >= _LOCK:
+            return self._silence()
+        if self._has_jumped:
+            return f"the clock jumped; {len(self._samples)} of {_LOCK} good answers since"
+        return ""
 
     def _silence(self) -> str:
         """Return why no good answer has come for a while."""
@@ -221,6 +227,7 @@ class Timesync(Service):
             if self._jumps < _JUMPS:
                 return
             self._forget()
+            self._has_jumped = True
         self._jumps = 0
         self.answers += 1
         self._begin_waiting()

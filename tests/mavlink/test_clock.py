@@ -194,6 +194,19 @@ def test_why_it_is_not_locked_is_named():
     assert ours.trouble == ""  # there is hope
 
 
+def test_a_clock_that_has_jumped_is_named_until_it_is_locked_again():
+    ours, at_ns = synchronised()
+    said = []
+    while not said or not ours.is_locked:
+        at_ns += 100 * MS
+        exchange(ours, lambda _: 900 * MS, at_ns, MS, MS)
+        if not ours.is_locked:
+            said.append(ours.trouble)
+    assert said[0] == "the clock jumped; 1 of 20 good answers since"
+    assert len(said) == 19
+    assert ours.trouble == ""
+
+
 def test_an_autopilot_that_no_longer_answers_is_named():
     ours, at_ns = synchronised()
     while ours.is_locked:
