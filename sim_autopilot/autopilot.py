@@ -5,6 +5,7 @@ No socket and no clock: ``now_ns`` is the autopilot's own time, passed by the ca
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -72,6 +73,7 @@ class Autopilot:
         self._type = 1 if is_wing else 2
         self._out: list[bytes] = []
         self._received: list[Received] = []
+        self._random = random.Random(seed)
         self._server = ParameterServer(
             self.parameters, self._send, is_bytewise=self.personality.kind is Kind.PX4
         )
@@ -220,8 +222,11 @@ class Autopilot:
 
     def _timesync(self, frame: Frame, sync: Any, now_ns: int) -> None:
         if sync.tc1 == 0:
-            is_targeted = self.personality.is_timesync_targeted
-            theirs = (frame.system_id, frame.component_id) if is_targeted else (0, 0)
+            theirs = (frame.system_id, frame.component_id)
+            if self.personality.has_random_targets:
+                theirs = self._random.randrange(256), self._random.randrange(256)
+            elif not self.personality.is_timesync_targeted:
+                theirs = 0, 0
             self._send_timesync(now_ns, sync.ts1, theirs)
         else:
             self.round_trips_ns.append(now_ns - sync.ts1)

@@ -71,7 +71,10 @@ class Personality:
     timesync_rate: float = 10.0
     """Of its own requests, Hz: PX4 10, ArduPilot 0.1 (``_timesync_request.interval_ms``)."""
     is_timesync_targeted: bool = True
-    """TIMESYNC carries target ids (PX4#25949); else it is a broadcast."""
+    """TIMESYNC carries target ids (PX4 with #25949, after 1.17); else it is a broadcast."""
+    has_random_targets: bool = False
+    """Its answers to TIMESYNC carry any bytes as target ids: PX4 1.16 and 1.17 leave them
+    uninitialised (``rsync`` in ``mavlink_timesync.cpp``). Measured: 1293 answers, 1240 pairs."""
     rules: str = ""
     """Rules for the ODOMETRY that it receives (:class:`sim_autopilot.acceptance.Stack`); empty: all
     is accepted."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import msgspec
@@ -15,6 +15,7 @@ from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.state import ACCEL_BIAS, GYRO_BIAS, SIGMA, Status, Table, Trajectory
 from ekf_companion.replay.report import summary
+from ekf_companion.replay.watched import REFUSALS
 
 MOMENTS = 6000
 """Of the slider, at most: a tenth of a second each in a flight of ten minutes."""
@@ -134,7 +135,12 @@ def _looks(review: FlightReview, zero_ns: int) -> dict[str, Any]:
     return {
         "t": [(look.t_ns - zero_ns) * 1e-9 for look in looks],
         "nis": {aid.name.lower(): [float(look.nis[aid]) for look in looks] for aid in Aid},
-        "refused": {aid.name.lower(): [look.refused[aid] for look in looks] for aid in Aid},
+        "refused": {
+            f"{aid.name.lower()} {why.name.lower()}": counts
+            for aid in Aid
+            for why in REFUSALS
+            if any(counts := [look.refused[aid, why] for look in looks])
+        },
         "fused": {aid.name.lower(): [look.fused[aid] for look in looks] for aid in Aid},
     }
 
@@ -152,10 +158,11 @@ def _events(review: FlightReview, zero_ns: int) -> list[dict[str, Any]]:
         level = "warning" if now > Status.OK else "info"
         text = f"Estimate is {now.name}, was {before.name}"
         events.append({"t": float(stamps[row] - zero_ns) * 1e-9, "level": level, "text": text})
-    for aid in Aid:
+    for aid, why in product(Aid, REFUSALS):
         for before_look, look in pairwise(review.looks):
-            if look.refused[aid] and not before_look.refused[aid] and look.t_ns >= zero_ns:
-                text = f"Refused: {aid.name.lower()}"
+            is_new = look.refused[aid, why] and not before_look.refused[aid, why]
+            if is_new and look.t_ns >= zero_ns:
+                text = f"Refused: {aid.name.lower()}, {why.name.lower()}"
                 t = (look.t_ns - zero_ns) * 1e-9
                 events.append({"t": t, "level": "warning", "text": text})
     return sorted(events, key=lambda event: float(event["t"]))

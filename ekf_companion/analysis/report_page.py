@@ -16,7 +16,7 @@ import numpy as np
 
 from ekf_companion.analysis.flight_review import FlightReview
 from ekf_companion.analysis.report_sheet import POINTS, TALL, Sheet, broken, place_legend
-from ekf_companion.engine.health import Aid
+from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.errors import ConfigError, part_of
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
@@ -28,6 +28,12 @@ LATEST_S = 4_102_444_800.0
 """s since 1970: a clock that says a later time than the year 2100 is damaged."""
 _OURS, _TRUTH, _AUTOPILOT = "#c0392b", "#1c2833", "#2874a6"
 _AXIS_COLOURS = ("#c0392b", "#1e8449", "#2874a6")
+_REFUSED = {
+    Verdict.GATED: "refused by gates, per second",
+    Verdict.SUSPECT: "not used as the receiver doubts itself, per second",
+    Verdict.DISTURBED: "not used as the magnetic field is disturbed, per second",
+}
+"""Titles of the charts of what was refused, by why."""
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 1.2em auto; max-width: 1340px; padding: 0 1em;
        color: #1c2833; background: #fdfefe; }
@@ -260,10 +266,12 @@ def _looks(review: FlightReview, sheet: Sheet) -> list[Any]:
             if (np.nan_to_num(value) != 0.0).any()
         ]
 
-    refused = {aid: np.array([float(look.refused[aid]) for look in looks]) for aid in Aid}
+    plots = []
+    for why, title in _REFUSED.items():
+        refused = {aid: np.array([float(look.refused[aid, why]) for look in looks]) for aid in Aid}
+        plots += sheet.lines(title, "1/s", series(refused))
     fused = {aid: np.array([float(look.fused[aid]) for look in looks]) for aid in Aid}
     nis = {aid: np.array([look.nis[aid] for look in looks]) for aid in Aid}
-    plots = sheet.lines("refused by gates, per second", "1/s", series(refused))
     plots += sheet.lines("fused, per second", "1/s", series(fused))
     plots += sheet.lines(
         "NIS over its degrees of freedom (1: as sure as it may be)", "", series(nis)

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 import typer
 
 from ekf_companion.cli.status import NO_DAEMON, URL, UrlOption, fetch
-from ekf_companion.doctor.holder import sockets_at
+from ekf_companion.link.holder import sockets_at
 
 PATIENCE = 5.0
 """Longest time for the daemon to read it, s."""

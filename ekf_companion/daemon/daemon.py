@@ -244,7 +244,8 @@ class Daemon:
         """Send the last heartbeat, and write the last checkpoint."""
         self._systemd.notify("STOPPING=1")
         now_ns = unix_clock()
-        self._companion.close(now_ns)
+        if self.link.opened:
+            self._companion.close(now_ns)
         self._monitors.say_goodbye()
         self._send(now_ns)
         self._write_checkpoint()

@@ -243,6 +243,15 @@ class Recorder:
             if is_complete:
                 self._open.remove(file)
                 os.close(file.descriptor)
+            if is_last and not self.recorded_bytes:
+                self._remove_empty()
+
+    def _remove_empty(self) -> None:
+        """Remove the file of a run in which there was nothing to record."""
+        with suppress(OSError):
+            if self._file is not None and self.path.stat().st_size == 0:
+                self.path.unlink()
+                _log.info("%s: nothing was recorded; removed", self.path)
 
 
 def open_recorder(config: RecordConfig) -> Recorder | None:

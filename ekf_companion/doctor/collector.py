@@ -34,7 +34,7 @@ from ekf_companion.status.snapshot import LinkState, MessageState
 _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress")
 _IN_PROGRESS = 5
 _ODOMETRY, _COMMAND_LONG = IDS["ODOMETRY"], IDS["COMMAND_LONG"]
-_PARAM_REQUEST_READ = IDS["PARAM_REQUEST_READ"]
+_PARAM_REQUEST_READ, _TIMESYNC = IDS["PARAM_REQUEST_READ"], IDS["TIMESYNC"]
 _STAMPS = {
     "HIGHRES_IMU": (8, 1),
     "RAW_IMU": (8, 1),
@@ -178,6 +178,9 @@ class EvidenceCollector:
             if self._requested != layout.name:
                 self._requested = layout.name
                 counter.restart()
+        elif frame.message_id == _TIMESYNC and self._means is Means.RECORDING:
+            if (request := unpack(frame)).tc1 == 0:
+                self.companion.session.timesync.note_request(request.ts1)
         elif frame.message_id == _PARAM_REQUEST_READ and len(self._asked_parameters) < _PARAMETERS:
             self._asked_parameters.add(_name(unpack(frame)))
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, unknown, warning
 from ekf_companion.engine.health import Aid, Verdict
+from ekf_companion.mavlink.clock import FOREIGN, NO_TIME
 from ekf_companion.mavlink.session import MISADDRESSED
+from ekf_companion.status.snapshot import TimeState
 
 _MANY = 0.05
 """Share of refused measurements that is more than chance."""
@@ -105,7 +108,11 @@ def _stamps(evidence: Evidence) -> Iterator[Problem]:
 
 def _timesync(evidence: Evidence) -> Iterator[Problem]:
     state, wanted = evidence.time, evidence.config.timesync
-    if evidence.means is not Means.LIVE or not wanted.request or evidence.seconds < 6.0:
+    # A recording shows as much, if it holds our requests
+    is_asked = state.answers or state.trouble or evidence.means is Means.LIVE
+    if not (is_asked and wanted.request) or evidence.means is Means.LISTENING:
+        return
+    if evidence.seconds < 6.0:
         return
     if not state.is_locked and state.rtt_p50_ms > wanted.largest_rtt * 1e3:
         yield warning(
@@ -113,7 +120,7 @@ def _timesync(evidence: Evidence) -> Iterator[Problem]:
             f"Set timesync.largest_rtt = {max(state.rtt_p50_ms * 2e-3, 0.02):.2g}, or take a "
             "faster link than a radio.",
         )
-    elif not state.is_locked and not state.answers:
+    elif not state.is_locked and not state.answers and not state.refused:
         yield warning(
             "The autopilot does not answer TIMESYNC; the estimate goes by its stamps and needs "
             "none, PX4 does to place our ODOMETRY in time.",
@@ -122,8 +129,7 @@ def _timesync(evidence: Evidence) -> Iterator[Problem]:
     elif state.trouble:
         yield warning(
             f"The autopilot's clock cannot be compared with ours: {state.trouble}.",
-            "A simulator: give it more of the processor, or less to simulate. Else stop what steps "
-            "this board's clock.",
+            _timesync_remedy(state),
         )
     if abs(state.skew_ppm) > _TOO_MUCH_SKEW:
         runs = "faster" if state.skew_ppm > 0.0 else "slower"
@@ -132,6 +138,23 @@ def _timesync(evidence: Evidence) -> Iterator[Problem]:
             "A crystal has less than 0.01 %: stop what steps this board's clock, or give a "
             "simulator more of the processor.",
         )
+
+
+def _timesync_remedy(state: TimeState) -> str:
+    """Return what to do about a clock that cannot be compared."""
+    if math.isfinite(state.residual_us):  # answers are in use
+        return (
+            "A simulator: give it more of the processor, or less to simulate. Else stop what steps "
+            "this board's clock."
+        )
+    if state.refused.get(FOREIGN):
+        return (
+            "Somebody else on this link is answered, and we are not, or 1.6 s late: let our "
+            "TIMESYNC (id 111) pass the router to the autopilot, or take a faster link."
+        )
+    if state.refused.get(NO_TIME):
+        return "Update the autopilot's firmware."
+    return "Let TIMESYNC (id 111) pass the router both ways."
 
 
 def values(evidence: Evidence) -> StageResult:

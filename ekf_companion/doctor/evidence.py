@@ -13,6 +13,7 @@ from enum import Enum
 from ekf_companion.config.config import Config
 from ekf_companion.doctor.counters import Stamps
 from ekf_companion.engine.health import Health
+from ekf_companion.link.holder import Holder
 from ekf_companion.mavlink.decision import Decision
 from ekf_companion.mavlink.discovery import is_autopilot
 from ekf_companion.status.snapshot import (
@@ -34,18 +35,6 @@ class Means(str, Enum):
     """On a link, sending nothing."""
     RECORDING = "recording"
     """From a .tlog."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Holder:
-    """A process that holds the device or the port."""
-
-    pid: int
-    name: str
-    unit: str = ""
-    """The systemd unit that it belongs to; empty if there is none."""
-    is_daemon: bool = False
-    """Whether it is the daemon of this project."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

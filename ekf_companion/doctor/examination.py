@@ -14,11 +14,11 @@ from ekf_companion.config.config import Config
 from ekf_companion.daemon.clock import unix_clock
 from ekf_companion.daemon.key_file import borrow_signing
 from ekf_companion.daemon.reception import deliver, open_reception
-from ekf_companion.doctor import holder
 from ekf_companion.doctor.collector import EvidenceCollector
 from ekf_companion.doctor.diagnosis import diagnose
 from ekf_companion.doctor.evidence import Evidence, Means, Opening
 from ekf_companion.doctor.stage import Outcome
+from ekf_companion.link import holder
 from ekf_companion.link.address import Kind
 from ekf_companion.link.link import Link, Received
 from ekf_companion.logs import tlog

@@ -90,15 +90,14 @@ def _busy(opening: Opening) -> Problem:
             + "; mavlink-router can give each program an endpoint. Is it our own daemon? Ask it "
             "with `ekf-companion status`, or `sudo systemctl stop ekf-companion` first.",
         )
-    who = f"{holder.name} (process {holder.pid}{f', {holder.unit}' if holder.unit else ''})"
     if holder.is_daemon:
-        stop = f"systemctl stop {holder.unit}" if holder.unit else f"kill {holder.pid}"
         return failed(
-            f"Our own daemon has {what}: {who}.",
-            f"Ask it: `ekf-companion status`. To examine the link from here, `sudo {stop}` first.",
+            f"Our own daemon has {what}: {holder}.",
+            "Ask it: `ekf-companion status`. To examine the link from here, "
+            f"`sudo {holder.stop}` first.",
         )
     return failed(
-        f"{who} has {what}.",
+        f"{holder} has {what}.",
         f"Stop it{f' (`sudo systemctl stop {holder.unit}`)' if holder.unit else ''}, or let "
         "mavlink-router have the port and give each program an endpoint of its own.",
     )

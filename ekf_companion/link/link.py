@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from ekf_companion.link.address import DATAGRAMS, Address, Kind, parse_peer
 from ekf_companion.link.backlog import Backlog, Waiting
+from ekf_companion.link.holder import holder_of
 from ekf_companion.link.peers import Peers, Sender
 from ekf_companion.link.port import Port, SerialPort, TcpPort, open_server, open_tcp, open_udp
 
@@ -30,6 +31,8 @@ which is chosen when it is opened, may be gone."""
 SILENT = 1.0
 """Seconds without an accepted frame from a TCP client after which another may replace it: an
 autopilot sends its heartbeat once a second, and others more often."""
+TAKEN = (errno.EADDRINUSE, errno.EBUSY, errno.EAGAIN)
+"""Why a link does not open that another program has; the last of a serial port."""
 NOT_FIRST = "another client is connected"
 PATIENCE = 2.0
 """Seconds that a connection may take: the kernel tries twice in them."""
@@ -128,7 +131,8 @@ class Link:
                 if self.bytes_in > before:
                     delay = FIRST_DELAY
                 if reason != self._last_complaint:
-                    _log.warning("%s: %s; trying again until it opens", self.address, reason)
+                    words = reason + self._holder()
+                    _log.warning("%s: %s; trying again until it opens", self.address, words)
                     self._last_complaint = reason
                 # The duration of the attempt counts as waiting
                 await asyncio.sleep(max(begin + delay - loop.time(), 0.0))
@@ -137,6 +141,19 @@ class Link:
             for part in (self._server, self._next_client):
                 if part is not None:
                     part.close()
+
+    def _holder(self) -> str:
+        """Return which process has the port and what to do, if that is why it does not open."""
+        if self.failure is None or self.failure.errno not in TAKEN:
+            return ""
+        if (holder := holder_of(self.address)) is None:
+            return ", by another program"
+        if not holder.is_daemon:
+            return f", by {holder}: stop it, or take another port"
+        return (
+            f", by another daemon of this project, {holder}: ask that with `ekf-companion status`, "
+            f"or stop it with `{holder.stop}`"
+        )
 
     async def receive(self) -> Received:
         """Return the oldest read that waits, or wait for one."""

@@ -234,16 +234,16 @@ class BlockReader:
         self.use(self.buffer)
 
     def read_timesync(self, k: int) -> bool:
-        """Count an answer to somebody else; without requests of ours there is no other."""
+        """Count an answer to somebody else, or a request; without requests of ours all are."""
         if not self.is_idle:
             return False
-        system = self.target_system[k]
-        component = self.target_component[k]
-        is_ours = system == 0 or system == self.our_system
-        if not is_ours or not (component == 0 or component == self.our_component):
-            self.session.misaddressed[TIMESYNC_ID] += 1
-        elif self.is_answer[k]:
+        if self.is_answer[k]:
             self.session.timesync.refused[FOREIGN] += 1
+            return True
+        is_system = self.target_system[k] == 0 or self.target_system[k] == self.our_system
+        component = self.target_component[k]
+        if not is_system or not (component == 0 or component == self.our_component):
+            self.session.misaddressed[TIMESYNC_ID] += 1
         return True
 
     def read_attitude(self, k: int) -> bool:

@@ -54,8 +54,8 @@ _PROVING = 4
 _LARGEST_SKEW = 0.2
 """A simulator on a busy machine runs a per cent or two slower than time."""
 
-FOREIGN = "foreign"
-"""Why an answer is refused: it is to nobody's request of ours."""
+FOREIGN, NO_TIME = "foreign", "no time"
+"""Why an answer is refused: it is to no open request of ours; it holds no time."""
 
 
 class Timesync(Service):
@@ -83,12 +83,20 @@ class Timesync(Service):
         self._rtts: deque[int] = deque(maxlen=_WINDOW)
         self.answers = 0
         """Good ones."""
+        self._begin_waiting()
         self._forget()
+
+    def _begin_waiting(self) -> None:
+        """Count anew what was asked and refused since the last good answer."""
+        self._unanswered = 0
+        self._useless: Counter[str] = Counter()
 
     def _forget(self) -> None:
         """Forget the clock."""
         self._samples: deque[tuple[int, int, int]] = deque(maxlen=_WINDOW)  # middle, offset, rtt
         self._jumps = 0
+        self._has_jumped = False
+        """Whether the clock was forgotten as it jumped."""
         self._fit: tuple[int, int, float] | None = None  # at, offset then, skew
         self.residual_ns = math.nan
         """RMS distance of the answers that are used from the line through them; NaN: too few."""
@@ -119,7 +127,22 @@ class Timesync(Service):
             return f"answers take {self.rtt_ns(50) * 1e-6:.0f} ms there and back"
         if self._jumps:
             return "the clock jumps"
+        if self._unanswered >= _LOCK:
+            return self._silence()
+        if self._has_jumped:
+            return f"the clock jumped; {len(self._samples)} of {_LOCK} good answers since"
         return ""
+
+    def _silence(self) -> str:
+        """Return why no good answer has come for a while."""
+        if self._useless[FOREIGN]:
+            return (
+                f"{self._useless[FOREIGN]} answers came, none to one of our last "
+                f"{_OUTSTANDING} requests"
+            )
+        if self._useless[NO_TIME]:
+            return f"{self._useless[NO_TIME]} answers came that hold no time"
+        return f"{self._unanswered} requests without an answer"
 
     @property
     def skew(self) -> float:
@@ -166,8 +189,13 @@ class Timesync(Service):
         if not self.options.request or (self._next_ns is not None and now_ns < self._next_ns):
             return None
         self._next_ns = now_ns + (_SLOW_NS if self.is_locked and not self._jumps else _FAST_NS)
-        self._outstanding.append(now_ns)
+        self.note_request(now_ns)
         return now_ns
+
+    def note_request(self, ts1: int) -> None:
+        """Wait for the answer to a request of ours: one that is sent, or stands in a recording."""
+        self._outstanding.append(ts1)
+        self._unanswered += 1
 
     def answer(self, now_ns: int) -> int | None:
         """Return the ``tc1`` for a request; None if it is not to be answered (yet)."""
@@ -176,14 +204,14 @@ class Timesync(Service):
         return peer_ns or None
 
     def receive(self, tc1: int, ts1: int, now_ns: int) -> None:
-        """Use an answer that was addressed to us or to nobody."""
+        """Use an answer of the autopilot, if it is to an open request of ours."""
         if ts1 not in self._outstanding:
-            self.refused[FOREIGN] += 1
+            self._refuse(FOREIGN)
             return
         self._outstanding.remove(ts1)
         rtt = now_ns - ts1
         if rtt < 0 or abs(tc1) > LAST_US * 1000:
-            self.refused["no time"] += 1
+            self._refuse(NO_TIME)
             return
         self._rtts.append(rtt)
         if rtt > self._largest_rtt_ns:
@@ -199,10 +227,16 @@ class Timesync(Service):
             if self._jumps < _JUMPS:
                 return
             self._forget()
+            self._has_jumped = True
         self._jumps = 0
         self.answers += 1
+        self._begin_waiting()
         self._samples.append((middle, offset, rtt))
         self._refit()
+
+    def _refuse(self, why: str) -> None:
+        self.refused[why] += 1
+        self._useless[why] += 1
 
     def _is_jump(self, middle: int, offset: int) -> bool:
         """Whether an offset is further from the line than any way and any crystal explain."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from ekf_companion.mavlink.admission import SETUP_SIGNING, Admission
 from ekf_companion.mavlink.audit import Audit
@@ -46,6 +47,8 @@ MISADDRESSED = "addressed to another"
 """Why a message of a kind that we answer was not answered."""
 ECHOES, STRANGERS = "our own", "of another system or component"
 """Whose frames are ignored."""
+
+_TIMESYNC = IDS["TIMESYNC"]
 
 RATES: Mapping[str, float] = {
     "HIGHRES_IMU": 250.0,
@@ -273,13 +276,23 @@ class Session:
     def _hand_to(self, handlers: Iterable[Handler], frame: Frame, now_ns: int) -> None:
         """Hand a message to its handlers, if it is addressed to us or to everybody."""
         message = unpack(frame)
-        ours = self.outbox.ids
-        is_system = getattr(message, "target_system", 0) in (0, ours[0])
-        if not is_system or getattr(message, "target_component", 0) not in (0, ours[1]):
+        if not self._is_addressed_to_us(frame.message_id, message):
             self.misaddressed[frame.message_id] += 1
             return
         for handler in handlers:
             handler(message, frame, now_ns)
+
+    def _is_addressed_to_us(self, number: int, message: Any) -> bool:
+        """Return whether a message is to us or to everybody.
+
+        Whose an answer to TIMESYNC is, its ``ts1`` tells: PX4 up to 1.17 leaves the target fields
+        of its answers uninitialised (``mavlink_timesync.cpp``; set by PX4#25949).
+        """
+        if number == _TIMESYNC and message.tc1 != 0:
+            return True
+        ours = self.outbox.ids
+        is_system = getattr(message, "target_system", 0) in (0, ours[0])
+        return is_system and getattr(message, "target_component", 0) in (0, ours[1])
 
     # What changes
 

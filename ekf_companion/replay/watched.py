@@ -15,6 +15,9 @@ from ekf_companion.nav.state import Table, join
 from ekf_companion.replay.run import BlockPipeline
 
 PERIOD_NS = 1_000_000_000
+REFUSALS = (Verdict.GATED, Verdict.SUSPECT, Verdict.DISTURBED)
+"""Why an aid's measurement is not fused: by a gate, as the receiver doubts itself, or as the
+magnetic field is not the Earth's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +28,8 @@ class Look:
     """At its end, the newest sample's stamp."""
     fused: Mapping[Aid, int]
     """With full or with less weight."""
-    refused: Mapping[Aid, int]
+    refused: Mapping[tuple[Aid, Verdict], int]
+    """By why it was: one of ``REFUSALS``."""
     nis: Array
     """Mean normalised innovation squared over its degrees of freedom, by aid; NaN: none."""
     reset: str
@@ -64,7 +68,6 @@ class WatchedPipeline(BlockPipeline):
         self._before = counts, nis, number, resets
         new = np.maximum(counts - counts_0, 0)
         fused = new[:, Verdict.FUSED] + new[:, Verdict.DEWEIGHTED]
-        refused = new[:, [Verdict.GATED, Verdict.SUSPECT, Verdict.DISTURBED]].sum(axis=1)
         more = number - number_0
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = np.where(more > 0, (nis - nis_0) / more, np.nan)
@@ -72,7 +75,7 @@ class WatchedPipeline(BlockPipeline):
             Look(
                 t_ns=self.stamp_ns,
                 fused={aid: int(fused[aid]) for aid in Aid},
-                refused={aid: int(refused[aid]) for aid in Aid},
+                refused={(aid, why): int(new[aid, why]) for aid in Aid for why in REFUSALS},
                 nis=mean,
                 reset=self.health().reset_reason if resets > resets_0 else "",
             )

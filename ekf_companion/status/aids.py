@@ -5,6 +5,7 @@ Called twice a second: what became of an aid in between is known from its counts
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import deque
 from collections.abc import Mapping
@@ -21,9 +22,13 @@ from ekf_companion.mavlink.stamp import SECOND_NS, seconds_since
 from ekf_companion.nav.state import Status
 from ekf_companion.status.vehicle import NO_DRIFT, AidState, Drift
 
+_log = logging.getLogger(__name__)
+
 LAPSE_NS = 3 * SECOND_NS
 """An aid that was not used for so long is used no more: a slow receiver has one fix a second, and
 what is refused once is no news."""
+PAUSE_NS = 60 * SECOND_NS
+"""Without a refusal, after which the next one is news to the log."""
 REST_SPAN_NS = 20 * SECOND_NS
 """Of the rest over which the attitude is looked at."""
 SETTLED_NS = 5 * SECOND_NS
@@ -82,7 +87,7 @@ class AidWatch:
                 _use(one, sources[aid], now_ns)
             for why, count in refused[aid].items():
                 if count > one.refused[why]:
-                    one.refused_ns, one.why = now_ns, _WHY[why]
+                    _refuse(one, why, now_ns)
             one.used, one.refused = used[aid], refused[aid]
         # Another source, a declination that becomes known, or a reset move it at once
         begun = (x.azimuth, x.resets)
@@ -135,6 +140,14 @@ def _use(one: _Watched, source: str, now_ns: int) -> None:
     if is_break or source != one.source:
         one.source, one.since_ns = source, now_ns
     one.used_ns = now_ns
+
+
+def _refuse(one: _Watched, why: Verdict, now_ns: int) -> None:
+    """Note that an aid was refused; of a compass, log where that begins."""
+    is_first = one.refused_ns is None or now_ns - one.refused_ns > PAUSE_NS
+    if why is Verdict.DISTURBED and (is_first or one.why != _WHY[why]):
+        _log.info("Compass refused, now or now and then: %s; counted as disturbed", _WHY[why])
+    one.refused_ns, one.why = now_ns, _WHY[why]
 
 
 def _state(one: _Watched, now_ns: int) -> AidState:

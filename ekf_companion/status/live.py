@@ -48,11 +48,13 @@ class Live:
     accel_bias_m_s2: tuple[float, ...]
     ratios: Mapping[str, float]
     """Last normalised innovation squared over its gate, by aid: above 1 it was refused."""
+    nis: Mapping[str, float]
+    """Mean normalised innovation squared over its degrees of freedom, of 20 s, by aid."""
     autopilot: AutopilotState | None
     """The autopilot's own attitude and position; None: it has told none."""
 
 
-def live(companion: Companion, age_s: float, now_ns: int) -> bytes:
+def live(companion: Companion, age_s: float, nis: Mapping[Aid, float], now_ns: int) -> bytes:
     """Return the newest estimate of a companion as JSON; ``null`` if there is none."""
     pipeline, estimate = companion.pipeline, companion.estimate
     if pipeline is None or estimate is None:
@@ -80,6 +82,7 @@ def live(companion: Companion, age_s: float, now_ns: int) -> bytes:
             gyro_bias_deg_s=tuple(map(math.degrees, now.gyro_bias)),
             accel_bias_m_s2=tuple(now.accel_bias),
             ratios={aid.name.lower(): ratios[aid] for aid in Aid},
+            nis={aid.name.lower(): value for aid, value in nis.items()},
             autopilot=autopilot_state(companion.session, now_ns),
         )
     )

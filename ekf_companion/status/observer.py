@@ -311,7 +311,8 @@ class Observer:
         """Return the newest estimate as JSON, for a page that is watched."""
         now_ns = self._clock()
         self._note_changes(now_ns)
-        return live(self._companion, seconds_since(self._sampled_ns, now_ns), now_ns)
+        age_s = seconds_since(self._sampled_ns, now_ns)
+        return live(self._companion, age_s, self._nis.mean(), now_ns)
 
     def past(self) -> bytes:
         """Return the estimates of the last two minutes as JSON, for a page that opens."""

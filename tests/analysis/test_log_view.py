@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from ekf_companion.analysis import log_view
+from ekf_companion.analysis import log_view, report_page
 from ekf_companion.analysis.flight_review import review
 from ekf_companion.config.config import Config
+from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.nav import so3
 from ekf_companion.nav.state import Trajectory
 from sim_autopilot.__main__ import app
@@ -56,6 +57,27 @@ def test_innovations_have_bounds_and_looks_have_counts(data):
     assert set(found["values"]) == set(found["bounds"])
     assert {len(values) for values in found["values"].values()} == {len(found["t"])}
     assert sum(data["looks"]["fused"]["position"]) > 20
+
+
+def test_a_disturbed_field_is_told_from_what_gates_refuse(tmp_path):
+    pytest.importorskip("bokeh")
+    path = tmp_path / "flight.tlog"
+    options = ["generate", "--duration", "40", "--scenario", "hover", "-o", str(path)]
+    options += ["--fault", "mag-disturbance:start=20,duration=10,forward=0.3"]
+    assert CliRunner().invoke(app, options).exit_code == 0
+    found = review(path, Config())
+    looks = json.loads(log_view.to_json(found))["looks"]
+    counted = found.report.health.verdicts[Aid.HEADING]
+    assert counted[Verdict.DISTURBED] > 20
+    assert sum(looks["refused"]["heading disturbed"]) == counted[Verdict.DISTURBED]
+    assert sum(looks["refused"].get("heading gated", [])) == counted[Verdict.GATED]
+    titles = report_page._REFUSED
+    report_page.write(tmp_path / "report.html", found)
+    text = (tmp_path / "report.html").read_text()
+    assert f'"{titles[Verdict.DISTURBED]}"' in text
+    assert (f'"{titles[Verdict.GATED]}"' in text) == any(
+        name.endswith("gated") for name in looks["refused"]
+    )
 
 
 def test_events_are_in_the_order_of_time(data):

@@ -86,6 +86,11 @@ class Daemon:
             assert time.monotonic() < end, self.words.read_text()
             time.sleep(0.01)
 
+    @property
+    def number(self):
+        """The number of its process."""
+        return self._process.pid
+
     def wait(self):
         return self._process.wait(LIMIT)
 
@@ -625,6 +630,22 @@ def test_it_stops_while_it_still_tries_to_connect(tmp_path):
     with Daemon(tmp_path, "--link", f"tcp:127.0.0.1:{port}") as daemon:
         daemon.wait_for("trying again")
         assert daemon.stop() == 0
+
+
+def test_a_port_that_another_daemon_has_is_said_with_its_process_and_leaves_no_recording(tmp_path):
+    first, second = tmp_path / "first", tmp_path / "second"
+    for folder in (first, second):
+        folder.mkdir()
+    options = "--link", f"udpin:127.0.0.1:{free_port()}", "--record"
+    with Daemon(first, *options, str(first / "flight.tlog")) as holder:
+        holder.wait_for(": open")
+        with Daemon(second, *options, str(second / "flight.tlog")) as late:
+            late.wait_for("another daemon of this project, ekf-companion (process ")
+            assert f"stop it with `kill {holder.number}`" in late.words.read_text()
+            assert late.stop() == 0
+        assert holder.stop() == 0
+    assert (first / "flight.tlog").stat().st_size > 0
+    assert not (second / "flight.tlog").exists()
 
 
 def test_it_stops_while_a_name_is_looked_up_in_vain():

@@ -1,6 +1,7 @@
 """The page in a browser, beside the real daemon and a fake autopilot that flies."""
 
 import contextlib
+import json
 import re
 import socket
 import subprocess
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 from ekf_companion.status import assets
 from sim_autopilot.__main__ import app
 from sim_autopilot.autopilot import Kind
+from sim_autopilot.faults.fault import parse
 from sim_autopilot.fly import fly, over, run
 from tests.browser import chromium
 from tests.daemon.test_daemon import Daemon, Open, free_port, plan
@@ -20,12 +22,13 @@ from tests.daemon.waiting import LIMIT
 
 
 @contextlib.contextmanager
-def flying(url):
-    """Fly in time until the context ends."""
+def flying(url, *faults):
+    """Fly in time, with faults, until the context ends."""
     flight = Open(plan(600.0, boot=20.0, skip=6.0))
+    wrong = [parse(one) for one in faults]
 
     async def body(link):
-        await fly(flight, link, personality=Kind.PX4, wait=LIMIT)
+        await fly(flight, link, personality=Kind.PX4, faults=wrong, wait=LIMIT)
 
     thread = threading.Thread(target=lambda: run(over(url, body)))
     thread.start()
@@ -49,12 +52,48 @@ def start(folder, ports):
     return Daemon(folder, "--link", f"udpin:127.0.0.1:{port}", config=config)
 
 
+CHARTS = "[...document.querySelectorAll('.chart')]"
 SPANNED = "Number(document.querySelector('.chart').dataset.seconds)"
 
 
 def drawn(selector):
     """Return an expression that is another text once a canvas shows another picture."""
     return f"document.querySelector('{selector}').toDataURL().length + ''"
+
+
+WIDEST = (
+    (
+        "stages",
+        [
+            *("aid", "fused", "deweighted", "gated", "suspect", "disturbed", "superseded"),
+            "before alignment",
+        ],
+        [["position", "97923", "1234", "1234", "1234", "1234", "21234", "1234"]],
+    ),
+    (
+        "rates",
+        ["message", "asked", "got", "answer"],
+        [
+            ["POSITION_TARGET_GLOBAL_INT", "10", "9.9", "temporarily rejected"],
+            [
+                *("SCALED_PRESSURE", "10", "0.0"),
+                "not offered; only autopilots whose inertial message has no pressure need it",
+            ],
+        ],
+    ),
+)
+"""Tables of the page: name, head and rows."""
+
+
+def cut_off(tab):
+    """Return by how many pixels the widest tables are too wide for their places."""
+    tab.value("void import('./page/view.js').then((view) => { window.view = view; })")
+    tab.wait_for("window.view !== undefined")
+    shown = "".join(f"window.view.showTable({json.dumps(one)[1:-1]});" for one in WIDEST)
+    scrolls = "[...document.querySelectorAll('.scroll')]"
+    measured = f"{scrolls}.map((one) => one.scrollWidth - one.clientWidth)"
+    # In one turn: the page shows its own tables once a second
+    return tab.value(f"(() => {{ {shown} return {measured}; }})()")
 
 
 def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
@@ -74,12 +113,20 @@ def test_the_page_shows_a_flight_and_the_loss_of_its_link(tmp_path, ports):
             tab.wait_for("document.querySelectorAll('#rates tbody tr').length > 3")
             # A message that is not offered, and that nobody needs, is no fault
             tab.wait_for("document.querySelectorAll('#rates td.bad').length == 0")
+            # The widest tables that PX4 1.17 makes fit
+            for width in (1024, 1160, 1210, 1440, 1280):
+                tab.show(width, 900)
+                assert cut_off(tab) == [0, 0], width
             tab.wait_for("document.querySelector('#events').textContent.includes('Estimate is OK')")
             assert tab.errors == []
             # A page that opens later shows what was before
             tab.open(f"http://127.0.0.1:{ports[1]}/")
             tab.wait_for("document.querySelector('#link')?.textContent == 'live'")
             tab.wait_for(f"{SPANNED} > performance.now() / 1000 + 2")
+            titles = tab.value(f"{CHARTS}.map((one) => one.querySelector('h2').textContent)")
+            assert len(titles) == 6
+            spans = f"{CHARTS}.map((one) => Number(one.dataset.seconds))"
+            assert len(set(tab.value(spans))) == 1, titles
             tab.wait_for("document.querySelector('#events').textContent.includes('Estimate is OK')")
             assert tab.errors == []
             # An autopilot that falls silent, and one that speaks again
@@ -151,6 +198,18 @@ def test_on_a_phone_everything_is_on_the_screen_and_times_of_day_have_their_hour
         assert tab.errors == []
 
 
+def test_a_compass_that_is_refused_is_on_the_page_and_in_its_events(tmp_path, ports):
+    magnet = "mag-disturbance:start=4,duration=600,forward=0.3"
+    flight = flying(f"udpout:127.0.0.1:{ports[0]}", magnet)
+    with chromium(tmp_path) as tab, flight, start(tmp_path, ports) as daemon:
+        daemon.wait_for("Compass refused, now or now and then: the magnetic field is not")
+        tab.open(f"http://127.0.0.1:{ports[1]}/")
+        tab.wait_for("document.querySelector('#events')?.textContent.includes('Compass refused')")
+        lately = "; lately refused: the magnetic field is not the Earth's"
+        tab.wait_for(f'document.querySelector("#facts").textContent.includes("{lately}")')
+        assert tab.errors == []
+
+
 @contextlib.contextmanager
 def viewing(log):
     """Run ``ekf-companion view`` over a log; yield its address."""
@@ -166,21 +225,31 @@ def viewing(log):
 
 def test_a_log_is_shown_with_a_slider_and_both_estimates(tmp_path):
     log = tmp_path / "flight.tlog"
-    options = ["generate", "--duration", "20", "--scenario", "figure-eight", "-o", str(log)]
+    options = ["generate", "--duration", "30", "--scenario", "figure-eight", "-o", str(log)]
+    options += ["--fault", "mag-disturbance:start=20,duration=8,forward=0.3"]
     assert CliRunner().invoke(app, options).exit_code == 0
     with viewing(log) as url, chromium(tmp_path) as tab:
         tab.show(1280, 900)
         tab.open(url)
         tab.wait_for("document.querySelector('#link')?.textContent == 'log'")
-        assert tab.text("#sentence").startswith("good: ")
+        assert tab.text("#sentence").startswith(("good: ", "fair: "))
         before = [tab.text(one) for one in ("#clock", "#roll", "#autopilot-roll")]
         move = "slider.value = 0.7 * slider.max; slider.dispatchEvent(new Event('input'))"
         tab.value(f"(() => {{ const slider = document.querySelector('#time'); {move} }})()")
         after = [tab.text(one) for one in ("#clock", "#roll", "#autopilot-roll")]
         assert all(one != other for one, other in zip(before, after, strict=True))
         assert tab.value("document.querySelectorAll('.chart').length") >= 10
+        # A disturbed field was refused by no gate
+        assert re.search(r"[0-9]+ disturbed", tab.text("#stages"))
+        assert "heading disturbed" in tab.text("#charts")
+        # At its begin no position is known, and the whole track is
+        tab.value(NOTE_TEXTS)
+        move = "slider.value = 0; slider.dispatchEvent(new Event('input'))"
+        tab.value(f"(() => {{ const slider = document.querySelector('#time'); {move} }})()")
+        assert tab.text("#lat").strip() in ("", "\u2013")
+        assert "no position yet" not in tab.value("window.texts")
         tab.value("document.querySelector('#play').click()")
-        tab.wait_for(f"document.querySelector('#clock').textContent != '{after[0]}'")
+        tab.wait_for("!document.querySelector('#clock').textContent.startsWith('0.0')")
         assert tab.errors == []
 
 

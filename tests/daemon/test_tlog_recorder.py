@@ -86,9 +86,18 @@ def test_a_name_that_no_file_can_have_is_a_sentence(name):
     assert open_recorder(RecordConfig()) is None
 
 
+def test_a_run_without_a_byte_leaves_no_file(tmp_path):
+    path = tmp_path / "flight.tlog"
+    ours = open_recorder(settings(path))
+    wait_until(path.exists)
+    close(ours)
+    assert not path.exists()
+
+
 def test_a_name_that_is_no_text_is_a_name_all_the_same(tmp_path):
     for _ in range(2):
         ours = open_recorder(settings(tmp_path / "flight\udcff.tlog"))
+        ours.write([(1, b"a byte")])
         close(ours)
     assert ours.path == tmp_path / "flight\udcff-2.tlog"
     assert len((tmp_path / ".flight\udcff.tlog.list").read_bytes().splitlines()) == 2

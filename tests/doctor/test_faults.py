@@ -468,6 +468,19 @@ def test_an_unanswered_timesync_is_a_warning():
     assert "does not answer TIMESYNC" in words(found)
 
 
+def to_another(name, fields):
+    """Change answers to TIMESYNC: they are to requests of somebody else."""
+    is_answer = name == "TIMESYNC" and fields["tc1"]
+    return name, fields | ({"ts1": fields["ts1"] + 1} if is_answer else {})
+
+
+def test_answers_to_timesync_that_are_refused_are_no_silence():
+    found = stage(examine(config=SLOW, change=to_another), "time")
+    assert found.outcome is Outcome.WARNING
+    assert "answers came, none to one of our last 16 requests" in words(found)
+    assert "does not answer" not in words(found)
+
+
 # Which values
 
 

@@ -357,7 +357,7 @@ def test_a_taken_port_is_tried_again_until_it_is_free(caplog):
         taken.bind(("127.0.0.1", port))
         ours = Link(parse_url(f"udpin:127.0.0.1:{port}"))
         async with running(ours):
-            await until(lambda: "in use" in caplog.text)
+            await until(lambda: "in use, by another program" in caplog.text)  # us
             assert not ours.is_open
             taken.close()
             await until(lambda: ours.is_open)

@@ -164,6 +164,60 @@ def synchronised(offset=77 * MS, until_ms=3000, **options):
     return ours, at_ns
 
 
+def asking(answer):
+    """Return one that has asked for 3 s; ``answer`` takes it, ``ts1`` and the time."""
+    ours = timesync()
+    for at_ns in range(0, 3000 * MS, 100 * MS):
+        answer(ours, ours.request(at_ns), at_ns + MS)
+    assert not ours.is_locked
+    return ours
+
+
+def test_why_it_is_not_locked_is_named():
+    """As docs/TIME.md promises."""
+    cases = {
+        "30 requests without an answer": lambda ours, ts1, now_ns: None,
+        "30 answers came, none to one of our last 16 requests": (
+            lambda ours, ts1, now_ns: ours.receive(5 * MS, ts1 + 1, now_ns)
+        ),
+        "30 answers came that hold no time": (
+            lambda ours, ts1, now_ns: ours.receive(2**62, ts1, now_ns)
+        ),
+        "answers take 20 ms there and back": (
+            lambda ours, ts1, now_ns: ours.receive(5 * MS, ts1, now_ns + 19 * MS)
+        ),
+    }
+    for said, answer in cases.items():
+        assert asking(answer).trouble == said
+    ours = timesync()
+    assert ours.request(0) is not None
+    assert ours.trouble == ""  # there is hope
+
+
+def test_a_clock_that_has_jumped_is_named_until_it_is_locked_again():
+    ours, at_ns = synchronised()
+    said = []
+    while not said or not ours.is_locked:
+        at_ns += 100 * MS
+        exchange(ours, lambda _: 900 * MS, at_ns, MS, MS)
+        if not ours.is_locked:
+            said.append(ours.trouble)
+    assert said[0] == "the clock jumped; 1 of 20 good answers since"
+    assert len(said) == 19
+    assert ours.trouble == ""
+
+
+def test_an_autopilot_that_no_longer_answers_is_named():
+    ours, at_ns = synchronised()
+    while ours.is_locked:
+        at_ns += 100 * MS
+        ours.request(at_ns)
+    for _ in range(20):
+        at_ns += 100 * MS
+        ours.request(at_ns)
+    assert ours.trouble.endswith("requests without an answer")
+
+
 def test_an_answer_is_never_zero():
     """Rule 27: tc1 of 0 would ask again."""
     ours, _ = synchronised(offset=-2000 * MS, until_ms=3000)

@@ -394,7 +394,8 @@ def test_pressure_in_pascal_is_said_once():
         t_us = 4_000 * (number + 1)
         peer.highres(t_us, abs_pressure=101_325.0 + number, fields_updated=ACCEL_GYRO | BARO)
     (note,) = peer.decoder.notes
-    assert "pressure comes in Pa" in note
+    assert note.startswith("The pressure in HIGHRES_IMU comes in Pa, where MAVLink means hPa")
+    assert note.endswith("nothing is to be done")
     other = Peer()
     other.highres(4_000, abs_pressure=1013.25, fields_updated=ACCEL_GYRO | BARO)
     assert not other.decoder.notes

@@ -15,7 +15,7 @@ from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import PeerFound, PeerLost, Rebooted, RequestAnswered
 from ekf_companion.mavlink.frame import JUNK, Splitter
-from ekf_companion.mavlink.messages import LAYOUTS
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.session import RATES, Session, SessionOptions
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import quantise
@@ -297,6 +297,40 @@ def test_a_request_is_answered_at_once_in_the_autopilots_own_time():
     assert answer.ts1 == 987_654_321_001
     assert answer.tc1 == 5 * SECOND - 3_000_000_123
     assert (answer.target_system, answer.target_component) == (1, 1)
+
+
+@pytest.mark.parametrize("target", [(248, 30), (175, 131), (16, 0), (255, 255)])
+@pytest.mark.parametrize("size", [16, 17, 18])
+def test_an_answer_to_our_request_is_ours_whatever_target_it_names(target, size):
+    """PX4 1.17 leaves the target ids of its answers uninitialised; 16 bytes hold none."""
+    session, px4 = met(rates={})[0], Sender(1, 1)
+    for now_ns in range(0, 4 * SECOND, 20 * MS):
+        session.tick(now_ns)
+        for request in sent(session, "TIMESYNC"):
+            ids = dict(zip(("target_system", "target_component"), target, strict=True))
+            payload = pack("TIMESYNC", tc1=6 * SECOND + now_ns, ts1=request.ts1, **ids)
+            session.receive(px4.frame("TIMESYNC", payload[:size]), now_ns + 2 * MS)
+    assert session.timesync.is_locked
+    assert session.timesync.peer_ns(now_ns) == now_ns + 6 * SECOND - MS
+    assert not session.timesync.refused
+    assert session.misaddressed[IDS["TIMESYNC"]] == 0
+
+
+def test_an_answer_to_our_request_counts_from_the_autopilot_only_and_once():
+    session, px4 = met(rates={})[0], Sender(1, 1)
+    session.tick(5 * SECOND)
+    (request,) = sent(session, "TIMESYNC")
+    said = {"tc1": 9 * SECOND, "ts1": request.ts1, "target_system": 248}
+    session.receive(Sender(1, 100).message("TIMESYNC", **said), 5 * SECOND + MS)
+    session.receive(Sender(2, 1).message("TIMESYNC", **said), 5 * SECOND + MS)
+    assert session.timesync.answers == 0
+    for _ in range(2):
+        session.receive(px4.message("TIMESYNC", **said), 5 * SECOND + MS)
+    session.receive(px4.message("TIMESYNC", **said | {"ts1": 7}), 5 * SECOND + MS)
+    assert session.timesync.answers == 1
+    assert session.timesync.refused == {"foreign": 2}
+    session.receive(px4.message("TIMESYNC", ts1=8, target_system=248), 5 * SECOND + MS)
+    assert session.misaddressed[IDS["TIMESYNC"]] == 1
 
 
 def test_no_request_is_answered_before_the_clock_is_known():

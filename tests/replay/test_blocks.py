@@ -62,6 +62,8 @@ NOW_AND_THEN = {
     "attitude of unix time": ("ATTITUDE", numbers(time_boot_ms=4_000_000_000)),
     "our answer": ("TIMESYNC", numbers(tc1=12345, target_system=1, target_component=194)),
     "an answer to another": ("TIMESYNC", numbers(tc1=12345, target_system=7)),
+    "an answer to nobody": ("TIMESYNC", numbers(tc1=5, target_system=1, target_component=30)),
+    "a request of another": ("TIMESYNC", numbers(tc1=0, target_system=1, target_component=30)),
 }
 """What a few messages of a name say instead."""
 
@@ -149,22 +151,34 @@ def late_at_the_end(firmware):
     yield t_us, sender.message("ATTITUDE", time_boot_ms=now_ms + 4, yaw=0.1)
 
 
+class KeptRun(Run):
+    """A run that shows the companion at its end."""
+
+    def _open_companion(self):
+        self.companion = super()._open_companion()
+        return self.companion
+
+
 def run(path, in_blocks):
-    """Return all measurements of a recording, and the counts."""
-    one = Run(path, Config(), IdlePipeline)
+    """Return all measurements of a recording, its report, their numbers, and the counts."""
+    one = KeptRun(path, Config(), IdlePipeline)
     blocks = []
     for _ in one._pieces(one.log) if in_blocks else one._frames(one.log):
         blocks += one._take_blocks(None)
     events = [block.events for block in blocks]
-    return events, one.report, [len(each) for each in events]
+    session = one.companion.session
+    counts = session.counters(), session.timesync.refused
+    return events, one.report, [len(each) for each in events], counts
 
 
 def check(frames, tmp_path) -> Events:
     path = tmp_path / "flight.tlog"
     stamp = UNIX_US & ~3
     path.write_bytes(b"".join((stamp + t).to_bytes(8, "big") + raw for t, raw in frames))
-    (whole, report, sizes), (single, expected, expected_sizes) = run(path, True), run(path, False)
+    whole, report, sizes, counts = run(path, True)
+    single, expected, expected_sizes, expected_counts = run(path, False)
     assert sizes == expected_sizes
+    assert counts == expected_counts
     for a, b in zip(whole, single, strict=True):
         assert a.t_ns.tobytes() == b.t_ns.tobytes()
         assert a.kind.tobytes() == b.kind.tobytes()

@@ -8,9 +8,9 @@ import pytest
 
 from ekf_companion.mavlink.codec import Sender
 from ekf_companion.nav.earth import pressure_altitude
-from sim_autopilot.autopilot import Autopilot
+from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
-from sim_autopilot.firmware import parse
+from sim_autopilot.firmware import IDEAL, parse
 from tests.sim.imitated import cycles, flown, planned, run, stamps
 from tests.sim.wire import US, ask, named, read
 
@@ -117,16 +117,36 @@ def test_px4_says_no_fix_with_true_coordinates_in_another_outage():
     assert {round(m.lat * 1e-7, 2) for m in lost} == {47.40}
 
 
-def test_px4_targets_its_time_requests_and_an_old_one_does_not():
-    for name, target in (("px4", US), ("px4-old", (0, 0)), ("px4-1.13", (0, 0))):
-        autopilot = Autopilot(SimConfig(), personality=parse(name))
-        autopilot.receive(Sender(*US).message("HEARTBEAT", type=18, autopilot=8), now_ns=0)
-        autopilot.receive(Sender(*US).message("TIMESYNC", tc1=0, ts1=5), now_ns=7)
-        autopilot.cycle(cycles("px4")[0])
-        answer, request = named(read(autopilot.data_to_send()), "TIMESYNC")
-        assert (answer.tc1, answer.ts1) == (7, 5)
-        for one in (answer, request):
-            assert (one.target_system, one.target_component) == target
+def time_messages(personality, answers=1):
+    """Return answers to our requests, and the autopilot's own request."""
+    autopilot = Autopilot(SimConfig(), personality=personality)
+    autopilot.receive(Sender(*US).message("HEARTBEAT", type=18, autopilot=8), now_ns=0)
+    for k in range(answers):
+        autopilot.receive(Sender(*US).message("TIMESYNC", tc1=0, ts1=5 + k), now_ns=7)
+    autopilot.cycle(cycles("px4")[0])
+    *answered, request = named(read(autopilot.data_to_send()), "TIMESYNC")
+    assert [(m.tc1, m.ts1) for m in answered] == [(7, 5 + k) for k in range(answers)]
+    return answered, request
+
+
+def targets(*messages):
+    return [(m.target_system, m.target_component) for m in messages]
+
+
+def test_an_old_px4_sends_its_times_to_everybody():
+    for name in ("px4-old", "px4-1.13"):
+        (answer,), request = time_messages(parse(name))
+        assert targets(answer, request) == [(0, 0), (0, 0)]
+    (answer,), _ = time_messages(IDEAL[Kind.PX4])
+    assert targets(answer) == [US]
+
+
+def test_px4_answers_with_target_ids_that_nobody_set():
+    """As 1.17 does in its own simulation; only its requests are to everybody."""
+    answers, request = time_messages(parse("px4"), 100)
+    assert targets(request) == [(0, 0)]
+    assert len(set(targets(*answers))) > 90
+    assert not {US, (0, 0)} & set(targets(*answers))
 
 
 def test_px4_sends_its_own_odometry_with_numbers_on_the_diagonal_only():

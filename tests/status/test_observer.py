@@ -450,6 +450,9 @@ def test_the_last_estimates_are_kept_one_a_second_for_a_page_that_opens(monkeypa
     assert [round(older - newer) for older, newer in pairwise(ages)] == [1, 1, 1, 1]
     assert kept[-1][1]["lat_deg"] == pytest.approx(kept[0][1]["lat_deg"], abs=1e-4)
     assert all(live["age_s"] < 0.1 for _, live in kept)
+    shown = json.loads(watched.observer.live())["nis"]
+    assert kept[-1][1]["nis"]["position"] == pytest.approx(shown["position"], rel=0.5)
+    assert set(shown) == {"position", "height", "velocity", "heading", "baro", "rest"}
 
 
 def test_a_bug_in_what_is_kept_for_the_page_is_logged_once_and_ends_nothing(caplog):

@@ -120,6 +120,17 @@ def test_a_compass_that_is_refused_is_told_though_another_heading_is_used(start)
     )
 
 
+def test_where_a_compass_is_first_refused_the_log_says_so_once(caplog):
+    caplog.set_level("INFO")
+    watched = stand(f"{NO_COMPASS_FIELD},start=6", duration=14.0)
+    assert watched.snapshot().vehicle.aids["heading"].refused_s < 1.0
+    words = "Compass refused, now or now and then: the magnetic field is not the Earth's"
+    assert caplog.text.count(words) == 1
+    caplog.clear()
+    stand(duration=6.0)
+    assert "Compass" not in caplog.text
+
+
 def test_a_compass_without_which_there_is_no_heading_is_told():
     # All that has a heading of the autopilot's
     silent = ("ATTITUDE", "GLOBAL_POSITION_INT")

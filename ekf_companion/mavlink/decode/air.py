@@ -109,6 +109,7 @@ class Barometer:
             return
         if is_pascal:
             self._context.note_once(
-                "The pressure comes in Pa, where MAVLink means hPa; it is taken as it is meant"
+                f"The pressure in {PRESSURE_SOURCES[rank]} comes in Pa, where MAVLink means hPa "
+                "(PX4 sends it so); it is read as Pa, and nothing is to be done"
             )
         out.append(BaroSample(t_ns=t_ns, alt=pressure_altitude(pressure)))

@@ -7,6 +7,7 @@ import { Map } from "./track.js";
 import { showEvents, showFacts, showSample, showTable, showVerdict, speedOf } from "./view.js";
 
 const OLD = 1; // s without an inertial sample: OLD_S of status/judge.py
+const RECENT = 3; // s since an aid was refused, or used: LAPSE_NS of status/aids.py
 const AIDS = ["position", "height", "velocity", "heading", "baro", "rest"];
 const dashed = { colour: "autopilot", dash: [6, 4] };
 const axes = ["x", "y", "z"].map((name, i) => ({ name, colour: `c${i + 1}` }));
@@ -23,12 +24,12 @@ export function startLive() {
       rows: (live) => [speedOf(live), speedOf(live.autopilot)] }),
     clock({ title: "Innovations over their gates", unit: "above 1: refused", bound: 1, lines: aids,
       rows: (live) => AIDS.map((aid) => live.ratios[aid]) }),
+    clock({ title: "NIS over 20 s", unit: "1: as it should be", bound: 1, lines: aids,
+      rows: (live) => AIDS.map((aid) => live.nis[aid]) }),
     clock({ title: "Gyro bias", unit: "deg/s", digits: 3, lines: axes, rows: (live) => live.gyro_bias_deg_s }),
     clock({ title: "Accelerometer bias", unit: "m/s\u00b2", digits: 3, lines: axes, rows: (live) => live.accel_bias_m_s2 }),
   ];
-  const nis = clock({ title: "NIS over 20 s", unit: "1: as it should be", bound: 1, lines: aids });
   charts.forEach((one) => (one.data = [[], ...one.chart.options.lines.map(() => [])]));
-  nis.data = [[], ...AIDS.map(() => [])];
   let count = 0;
   let seen; // the newest status
   let age; // s of the newest sample; null: there is no estimate, undefined: not known
@@ -51,8 +52,6 @@ export function startLive() {
   const onStatus = (status) => {
     seen = status;
     showState(status);
-    append(nis.data, Date.now() / 1000, AIDS.map((aid) => status.estimator?.nis?.[aid]));
-    nis.chart.set(nis.data);
   };
   fetch("past").then((answer) => (answer.ok ? answer.json() : [])).then(fill).catch(() => {});
   /** Put what was before the page opened in front of what has come since. */
@@ -117,6 +116,14 @@ function append(data, now, row) {
 
 const timed = ({ unix_s, level, text }) => ({ time: new Date(unix_s * 1000).toLocaleTimeString([], { hour12: false }), level, text });
 
+/** Whether an aid is used, from where, for how long; and why it is, or was lately, refused. */
+function wordsOf(name, { state, source, since_s: since, refused_s: refused, why }) {
+  if (name === "rest" && state === "lost") return "moving";
+  if (state !== "used") return `${state}, ${source}${why && `: ${why}`}`;
+  const lately = isKnown(refused) && refused < RECENT ? `; lately refused: ${why}` : "";
+  return `used, ${source}, for ${fixed(since, 0)} s${lately}`;
+}
+
 function showState(status) {
   const { health, peer, estimator, output, process, imu, link, preflight, time } = status;
   showPreflight(status);
@@ -132,9 +139,7 @@ function showState(status) {
     ["samples", `${imu.message || "none"}, ${fixed(imu.rate, 0)} Hz`],
     ["age of the newest", fixed(status.sample_age_s, 1, " s"), isOld ? "bad" : ""],
     ...Object.entries(status.vehicle?.aids ?? {}).filter(([, aid]) => aid.state !== "none").map(([name, aid]) => [
-      name, name === "rest" && aid.state === "lost" ? "moving"
-        : `${aid.state}, ${aid.source}${aid.state === "used" ? `, for ${fixed(aid.since_s, 0)} s` : aid.why && `: ${aid.why}`}`,
-      aid.state === "used" || name === "rest" ? "" : "bad"]),
+      name, wordsOf(name, aid), aid.state === "used" || name === "rest" ? "" : "bad"]),
     ["sigma", estimator ? `${fixed(estimator.std_horizontal, 2)} m horizontal, ${fixed(estimator.std_vertical, 2)} m vertical` : ""],
     ["resets", resets || "none", resets ? "bad" : ""],
     ["link", `${link.url}${link.is_open ? "" : ", closed"}`, link.is_open ? "now" : "bad"],

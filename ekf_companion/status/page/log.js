@@ -102,7 +102,9 @@ class Player {
     const used = Object.keys(log.looks.nis).filter((aid) => log.looks.nis[aid].some(isKnown));
     const aids = used.map((name, i) => ({ name, colour: `c${i + 1}` }));
     add({ title: "NIS in each second", unit: "1: as it should be", bound: 1, lines: aids }, [log.looks.t, ...used.map((aid) => log.looks.nis[aid])]);
-    add({ title: "Refused by gates", unit: "1/s", digits: 0, lines: aids }, [log.looks.t, ...used.map((aid) => log.looks.refused[aid])]);
+    const refused = Object.keys(log.looks.refused);
+    const reasons = refused.map((name, i) => ({ name, colour: `c${(i % 6) + 1}` }));
+    if (refused.length) add({ title: "Refused", unit: "1/s", digits: 0, lines: reasons }, [log.looks.t, ...refused.map((name) => log.looks.refused[name])]);
     add({ title: "Gyro bias", unit: "deg/s", digits: 3, lines: axes }, [log.t, ...AXES.map((one) => log.estimate[`gyro_bias_${one}`])]);
     add({ title: "Accelerometer bias", unit: "m/s\u00b2", digits: 3, lines: axes }, [log.t, ...AXES.map((one) => log.estimate[`accel_bias_${one}`])]);
     return charts;
@@ -174,9 +176,11 @@ function sigmas(estimate, at) {
 
 function showCounts({ looks }) {
   const sum = (values) => values.reduce((a, b) => a + b, 0);
-  const rows = Object.keys(looks.fused).map((aid) => [aid, sum(looks.fused[aid]), sum(looks.refused[aid])]);
-  showTable("stages", ["aid", "fused", "refused"], rows.filter(([, fused, refused]) => fused || refused)
-    .map(([aid, fused, refused]) => [aid, String(fused), [String(refused), refused ? "bad" : ""]]));
+  const refused = (aid) => Object.keys(looks.refused).filter((name) => name.startsWith(`${aid} `))
+    .map((name) => `${sum(looks.refused[name])}${name.slice(aid.length)}`).join(", ");
+  const rows = Object.keys(looks.fused).map((aid) => [aid, sum(looks.fused[aid]), refused(aid)]);
+  showTable("stages", ["aid", "fused", "refused"], rows.filter(([, fused, words]) => fused || words)
+    .map(([aid, fused, words]) => [aid, String(fused), [words || "0", words ? "bad" : ""]]));
 }
 
 /** What was found, in place of the rates of a link. */

@@ -109,7 +109,7 @@ export class Map {
     if (this.now) {
       drawEllipse(c, colour, at(this.now), this.sample.ellipse_m2, scale);
       drawArrow(c, colour, at(this.now), this.sample.heading_deg);
-    } else {
+    } else if (!Object.values(this.tracks).some(({ past, points }) => past.length || points.length)) {
       c.fillStyle = colour.dim;
       c.textAlign = "center";
       c.font = "13px system-ui, sans-serif";

@@ -7,9 +7,9 @@ import glob
 import grp
 import os
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
-from ekf_companion.doctor.evidence import Holder
 from ekf_companion.link.address import Address, Kind
 
 _PROC = Path("/proc")
@@ -21,6 +21,26 @@ _DEVICES = (
     "/dev/ttyTHS*",
     "/dev/serial[0-9]",
 )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Holder:
+    """A process that holds the device or the port."""
+
+    pid: int
+    name: str
+    unit: str = ""
+    """The systemd unit that it belongs to; empty if there is none."""
+    is_daemon: bool = False
+    """Whether it is the daemon of this project."""
+
+    def __str__(self) -> str:
+        return f"{self.name} (process {self.pid}{f', {self.unit}' if self.unit else ''})"
+
+    @property
+    def stop(self) -> str:
+        """The command that ends it."""
+        return f"systemctl stop {self.unit}" if self.unit else f"kill {self.pid}"
 
 
 def holder_of(address: Address) -> Holder | None:
