@@ -124,7 +124,7 @@ def _compare_ours(
     """Print the errors of our estimate against a truth or the autopilot's."""
     from ekf_companion.analysis import score, trajectory_figure
     from ekf_companion.analysis.judgement import evidence_of
-    from ekf_companion.logs.estimate import read_truth
+    from ekf_companion.logs.estimate import OWN, is_estimate, read_truth
 
     estimate = ours.estimate
     truth = ours.truth if reference is None else read_truth(reference)
@@ -149,7 +149,10 @@ def _compare_ours(
     for rival in (*ours.live, *own):
         scores.append(score.score(rival, against, 0.0, start_ns=start, end_ns=end))
     terminal.show(as_json, [one.to_dict() for one in scores], score.table(scores))
-    if truth is not None and ours.report is not None:
+    if reference is not None and is_estimate(reference):
+        words = f"{reference.name}: {OWN}, and no truth: two estimates' distance, and no error"
+        typer.echo(f"note: {words}", err=as_json)
+    elif truth is not None and ours.report is not None:
         ours.report.truth = truth
         if doubt := evidence_of(ours.report).truth_elsewhere:
             typer.echo(f"note: {doubt}", err=as_json)
@@ -168,7 +171,7 @@ def _compare_filters(
 ) -> None:
     """Run several filters over a log, and print the errors of each."""
     from ekf_companion.analysis import comparison, trajectory_figure, walk_figure
-    from ekf_companion.logs.estimate import is_estimate, read_truth
+    from ekf_companion.logs.estimate import OWN, is_estimate, read_truth
 
     if is_estimate(log):
         raise ConfigError(f"--filters: {log} is an estimate; name the log that it was made from")
@@ -193,6 +196,9 @@ def _compare_filters(
     notes = [f"  note: {log.name}: {note}" for note in recording.notes]
     data = [entry.to_dict() for entry in entries]
     terminal.show(as_json, data, [title, "", *comparison.table(entries), *notes])
+    if reference is not None and is_estimate(reference):
+        words = f"{reference.name}: {OWN}, and no truth: estimates' distances, and no errors"
+        typer.echo(f"note: {words}", err=as_json)
     if plot is not None and against is not None:
         lines = [one.trajectory for one in entries if one.trajectory is not None]
         trajectory_figure.plot(

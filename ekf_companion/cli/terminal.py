@@ -48,15 +48,21 @@ JsonOption = Annotated[
 
 
 def read_truth(path: Path | None) -> Trajectory | None:
-    """Return the truth of a file; None if none is named.
+    """Return the truth of a file, to judge by; None if none is named.
 
     Raises:
-        LogError: It cannot be read.
+        LogError: It cannot be read, or is an estimate of ours.
     """
     if path is None:
         return None
+    from ekf_companion.logs.estimate import OWN, is_estimate
     from ekf_companion.logs.estimate import read_truth as read
 
+    if is_estimate(path):
+        raise LogError(
+            f"{path}: {OWN}, and no truth; name a truth, or see how far two estimates are apart: "
+            f"ekf-companion compare LOG --reference {path}"
+        )
     return read(path)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs.estimate import is_estimate
+from ekf_companion.logs.estimate import OWN, is_estimate
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.state import Trajectory
@@ -41,7 +41,7 @@ def open_log(path: Path) -> Log:
         )
     if path.is_file() and is_estimate(path):
         raise LogError(
-            f"{path}: an estimate that convert wrote, and no log; name the log that it was made "
+            f"{path}: {OWN}, and no log; name the log that it was made "
             f"from, or: ekf-companion compare {path} --reference TRUTH.csv"
         )
     suffix = suffix_of(path)
