@@ -18,14 +18,13 @@ from ekf_companion.analysis.flight_review import FlightReview
 from ekf_companion.analysis.report_sheet import POINTS, TALL, Sheet, broken, place_legend
 from ekf_companion.engine.health import Aid
 from ekf_companion.errors import ConfigError, part_of
+from ekf_companion.logs.recording import LATEST_S
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.state import EULER, Status, Table, Trajectory
 from ekf_companion.replay.report import summary
 
-LATEST_S = 4_102_444_800.0
-"""s since 1970: a clock that says a later time than the year 2100 is damaged."""
 _OURS, _TRUTH, _AUTOPILOT = "#c0392b", "#1c2833", "#2874a6"
 _AXIS_COLOURS = ("#c0392b", "#1e8449", "#2874a6")
 _STYLE = """

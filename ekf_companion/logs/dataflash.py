@@ -90,11 +90,21 @@ def read(path: Path) -> Recording:
         notes=tuple(notes),
         damage=damage,
         began_s=_began_s(tables),
+        utc_zero_ns=_utc_zero_ns(tables),
     )
 
 
 def _began_s(tables: Columns) -> float | None:
-    """Return when the log began, s since 1970, by the first fix's week and time of GPS."""
+    """Return when the log began, s since 1970, UTC."""
+    if (zero_ns := _utc_zero_ns(tables)) is None:
+        return None
+    stamped = [one for one in tables.values() if "TimeUS" in (one.dtype.names or ())]
+    begin_us = min(int(one["TimeUS"][0]) for one in stamped if len(one))
+    return zero_ns * 1e-9 + begin_us * 1e-6
+
+
+def _utc_zero_ns(tables: Columns) -> int | None:
+    """Return the UTC at which the clock was zero, by the first fix's week and time of GPS."""
     names = ("TimeUS", "GWk", "GMS")
     if (table := tables.get("GPS")) is None or not {*names} <= {*(table.dtype.names or ())}:
         return None
@@ -102,10 +112,8 @@ def _began_s(tables: Columns) -> float | None:
     if not is_set.any():
         return None
     row = table[int(np.argmax(is_set))]
-    stamped = [one for one in tables.values() if "TimeUS" in (one.dtype.names or ())]
-    begin_us = min(int(one["TimeUS"][0]) for one in stamped if len(one))
-    fix_s = GPS_EPOCH_S + int(row["GWk"]) * 604_800 + int(row["GMS"]) * 1e-3 - LEAP_S
-    return float(fix_s - (int(row["TimeUS"]) - begin_us) * 1e-6)
+    fix_ms = (GPS_EPOCH_S + int(row["GWk"]) * 604_800 - LEAP_S) * 1000 + int(row["GMS"])
+    return int(fix_ms) * 1_000_000 - int(row["TimeUS"]) * 1000
 
 
 def _sensor(tables: Columns, name: str, kind: Kind) -> Arrivals:

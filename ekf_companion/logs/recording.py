@@ -29,6 +29,8 @@ class Counted:
 
 CLOCK_SET_S = 946_684_800
 """s since 1970: a clock that says an earlier time than the year 2000 was not set."""
+LATEST_S = 4_102_444_800
+"""s since 1970: a clock that says a later time than the year 2100 is damaged."""
 
 
 class Damage(NamedTuple):
@@ -75,6 +77,8 @@ class Recording:
     damage: Damage = UNDAMAGED
     began_s: float | None = None
     """When the recording began, s since 1970, UTC; None: the log does not say."""
+    utc_zero_ns: int | None = None
+    """UTC at which the autopilot's clock was zero, ns since 1970; None: the log does not say."""
     zero_height: float = 0.0
     """Altitude at which the heights of the file are zero, where its place is made up, m."""
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.logs import series
-from ekf_companion.logs.tlog import ORDER, Column, Tlog
+from ekf_companion.logs.tlog import ORDER, STAMP, Column, Tlog
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Stamps, known_rows
 from ekf_companion.nav.earth import LocalFrame
@@ -62,6 +62,25 @@ def _tables(log: Tlog, names: Sequence[str]) -> dict[str, Column]:
     ids = log.autopilot.system_id, log.autopilot.component_id
     tables = _one_boot(log.columns([*names, "ATTITUDE", *_INERTIAL], *ids))
     return {name: table for name, table in tables.items() if len(table)}
+
+
+def utc_zero_ns(log: Tlog) -> int | None:
+    """Return the UTC at which the autopilot's clock was zero, ns, by that of the recorder.
+
+    None where that was not set, or the autopilot rebooted.
+    """
+    if log.began_s is None or log.autopilot is None:
+        return None
+    ids = log.autopilot.system_id, log.autopilot.component_id
+    found = log.columns(["ATTITUDE", *_INERTIAL], *ids)
+    names = [name for name in ("ATTITUDE", *_INERTIAL) if name in found]
+    if not names:
+        return None
+    table = found[names[0]]
+    t_ns = _boot_ns(table)
+    if (np.diff(t_ns) < -series.BACK_NS).any():
+        return None
+    return int(np.median(table[STAMP].astype(np.int64) * 1000 - t_ns))
 
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number

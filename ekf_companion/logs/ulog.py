@@ -90,6 +90,7 @@ def read(path: Path) -> Recording:
         notes=tuple(notes),
         damage=_damage(log, topics),
         began_s=_began_s(topics),
+        utc_zero_ns=_utc_zero_ns(topics),
     )
 
 
@@ -105,15 +106,22 @@ def _damage(log: Messages, topics: Topics) -> Damage:
 
 
 def _began_s(topics: Topics) -> float | None:
-    """Return when the log began, s since 1970, by the receiver's first time of day."""
+    """Return when the log began, s since 1970, UTC."""
+    if (zero_ns := _utc_zero_ns(topics)) is None:
+        return None
+    begin_ns = min(int(one["t_ns"][0]) for one in topics.values() if len(one["t_ns"]))
+    return (zero_ns + begin_ns) * 1e-9
+
+
+def _utc_zero_ns(topics: Topics) -> int | None:
+    """Return the UTC at which the clock was zero, by the receiver's first time of day."""
     topic = _receiver(topics)
-    utc_s = topic.get("time_utc_usec", np.zeros(0)) * 1e-6
-    is_set = utc_s > CLOCK_SET_S
+    utc_us = topic.get("time_utc_usec", np.zeros(0))
+    is_set = utc_us > CLOCK_SET_S * 1e6
     if not is_set.any():
         return None
     first = int(np.argmax(is_set))
-    begin_ns = min(int(one["t_ns"][0]) for one in topics.values() if len(one["t_ns"]))
-    return float(utc_s[first]) - (int(topic["t_ns"][first]) - begin_ns) * 1e-9
+    return int(utc_us[first]) * 1000 - int(topic["t_ns"][first])
 
 
 def _events(topic: Topic, kind: Kind, mask: Mask, *columns: Any) -> Arrivals:

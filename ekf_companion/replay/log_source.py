@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs.estimate import OWN, is_estimate
-from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.recording import CLOCK_SET_S, LATEST_S, Recording
 from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.state import Trajectory
 
@@ -70,3 +70,14 @@ def truth(log: Log) -> Trajectory | None:
     from ekf_companion.logs import tlog_trajectory
 
     return tlog_trajectory.truth(log)
+
+
+def utc_zero_ns(log: Log) -> int | None:
+    """Return the UTC at which the autopilot's clock was zero, ns since 1970; None: not known."""
+    if isinstance(log, Recording):
+        found = log.utc_zero_ns
+    else:
+        from ekf_companion.logs import tlog_trajectory
+
+        found = tlog_trajectory.utc_zero_ns(log)
+    return found if found is not None and CLOCK_SET_S < found * 1e-9 < LATEST_S else None
