@@ -18,7 +18,7 @@ from ekf_companion.logs import series
 from ekf_companion.logs.dataflash_records import OFFSET, Column, Columns, read_columns
 from ekf_companion.logs.dataflash_tables import NEEDED, boot_ns, choose, names_of, rows_of
 from ekf_companion.logs.dataflash_trajectory import reference, truth
-from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.recording import CUT, Recording, cut_short
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps
@@ -26,6 +26,8 @@ from ekf_companion.nav.event_columns import EventColumns, MergedEvents
 from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 from ekf_companion.nav.mounting import trim_matrix
 
+DEFINITIONS = {"FMT", "FMTU", "UNIT", "MULT", "PARM"}
+"""Messages that say what others mean, and how the autopilot was set up: not what it measured."""
 Arrivals = list[tuple[EventColumns, Stamps]]
 """Events and their positions in the file."""
 
@@ -60,6 +62,8 @@ def read(path: Path) -> Recording:
         LogError: The file is not a DataFlash log, or holds none of the messages that are used.
     """
     tables, notes, others, damage = read_columns(path, NEEDED)
+    said = {name for name, table in tables.items() if len(table)} | others
+    is_cut = not said - (DEFINITIONS if CUT in damage.words else {"FMT"})
     tables = choose(tables, others, notes)
     gnss = _gnss(tables)
     arrivals: Arrivals = [*gnss, *_vehicle(tables), *_sensor(tables, "IMU", Kind.IMU)]
@@ -72,6 +76,8 @@ def read(path: Path) -> Recording:
         )
     else:
         arrivals += _sensor(tables, "BARO", Kind.BARO)
+    if not arrivals and is_cut:
+        raise cut_short(path, path.stat().st_size)
     if not arrivals:
         raise LogError(
             f"{path}: a DataFlash log without IMU, GPS, MAG, BARO or ATT rows; "
