@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 from ekf_companion.errors import LogError
+from ekf_companion.logs.content import check_suffix
 from ekf_companion.logs.estimate import OWN, is_estimate
 from ekf_companion.logs.recording import CLOCK_SET_S, LATEST_S, Recording
 from ekf_companion.logs.source import suffix_of
@@ -45,6 +46,7 @@ def open_log(path: Path) -> Log:
             f"from, or: ekf-companion compare {path} --reference TRUTH.csv"
         )
     suffix = suffix_of(path)
+    check_suffix(path, suffix)
     if suffix == ".tlog":
         from ekf_companion.logs import tlog
 
