@@ -148,7 +148,10 @@ def _compare_ours(
     start = scores[0].start_ns
     for rival in (*ours.live, *own):
         scores.append(score.score(rival, against, 0.0, start_ns=start, end_ns=end))
-    terminal.show(as_json, [one.to_dict() for one in scores], score.table(scores))
+    lines = score.table(scores)
+    if seconds > 0.0:
+        lines.insert(2 * len(scores), _left_out(seconds))
+    terminal.show(as_json, [one.to_dict() for one in scores], lines)
     if reference is not None and is_estimate(reference):
         words = f"{reference.name}: {OWN}, and no truth: two estimates' distance, and no error"
         typer.echo(f"note: {words}", err=as_json)
@@ -158,6 +161,11 @@ def _compare_ours(
             typer.echo(f"note: {doubt}", err=as_json)
     if plot is not None:
         trajectory_figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
+
+
+def _left_out(seconds: float) -> str:
+    """Return the line on the start, which does not count."""
+    return f"the first {seconds:g} s are left out (--skip 0 counts them)"
 
 
 def _compare_filters(
@@ -184,6 +192,7 @@ def _compare_filters(
         raise LogError(f"{log}: {error}") from error
     truth = recording.truth if reference is None else read_truth(reference)
     against = truth if truth is not None else recording.reference
+    skipped = 0.0
     solutions = [one.solution for one in entries if one.solution is not None]
     if against is not None:
         skip, until = span
@@ -194,6 +203,7 @@ def _compare_filters(
         raise LogError(_WITHOUT_REFERENCE.format(log))
     title = f"{log}" + (f" against {against.name}" if against is not None else "")
     notes = [f"  note: {log.name}: {note}" for note in recording.notes]
+    notes += [f"  note: {_left_out(skipped)}"] if skipped > 0.0 else []
     data = [entry.to_dict() for entry in entries]
     terminal.show(as_json, data, [title, "", *comparison.table(entries), *notes])
     if reference is not None and is_estimate(reference):

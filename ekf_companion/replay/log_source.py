@@ -36,6 +36,11 @@ def open_log(path: Path) -> Log:
     Raises:
         LogError: It cannot be read, or is of an unknown kind.
     """
+    if any(letter in path.name for letter in "*?[") and not path.exists():
+        raise LogError(
+            f"{path}: a pattern, and no file of that name; leave the quotes out, so that the shell "
+            f"puts in the name, or of several logs: ekf-companion batch '{path}' -o table.csv"
+        )
     if path.is_dir():
         raise LogError(
             f"{path}: a folder; name one log in it, or all: ekf-companion batch {path} -o table.csv"

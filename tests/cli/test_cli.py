@@ -94,6 +94,13 @@ def test_an_output_of_another_kind_or_of_two_names_is_refused(flown, tmp_path):
     assert sorted(one.name for one in tmp_path.iterdir()) == ["north, 2.csv", "track.kml"]
 
 
+@pytest.mark.parametrize("name", ["report", "compare"])
+def test_a_quoted_pattern_is_for_the_shell(tmp_path, name):
+    result = command(name, tmp_path / "*.ulg")
+    assert result.exit_code == 3
+    assert "*.ulg: a pattern, and no file of that name; leave the quotes out" in result.stderr
+
+
 def test_an_estimate_of_ours_is_no_log(flown, tmp_path):
     estimate = tmp_path / "estimate.csv"
     assert command("convert", flown, "-o", estimate).exit_code == 0
