@@ -14,6 +14,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.logs import csv_known
 from ekf_companion.logs.estimate import is_estimate, of_table
+from ekf_companion.logs.recording import counted
 from ekf_companion.logs.source import suffix_of, unpacked_name
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status, Table
@@ -25,6 +26,8 @@ Row = dict[str, str | int | float | None]
 
 SUFFIXES = (".tlog", ".bin", ".ulg", ".csv")
 """Kinds of logs that are looked for in folders."""
+SHOWN = 4
+"""Files that are left out, by name."""
 SKIPPED = {"truth": 30.0, "autopilot": 20.0}
 """Seconds at the start that do not count in the errors, as in ``compare``."""
 _RATES = (Kind.IMU, Kind.GNSS, Kind.HEADING, Kind.MAG, Kind.BARO)
@@ -87,6 +90,23 @@ def find_logs(names: Sequence[str]) -> list[Path]:
     if not found:
         raise ConfigError(f"{', '.join(names)}: no log in there ({', '.join(SUFFIXES)})")
     return list(found)
+
+
+def left_out(names: Sequence[str], outs: Sequence[Path]) -> str:
+    """Return how many files of the folders are no logs, and which; empty: none, but outputs."""
+    ours = {out.resolve() for out in outs}
+    found = [
+        path
+        for name in names
+        if Path(name).is_dir()
+        for path in sorted(Path(name).rglob("*"))
+        if path.is_file() and not _is_log(path) and path.resolve() not in ours
+    ]
+    if not found:
+        return ""
+    shown = ", ".join(str(path) for path in found[:SHOWN])
+    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+    return f"{counted(len(found), 'file')} left out: {shown}{more} (taken: {', '.join(SUFFIXES)})"
 
 
 def _is_log(path: Path) -> bool:

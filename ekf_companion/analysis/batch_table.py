@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ekf_companion.analysis.batch import COLUMNS, Row
 from ekf_companion.errors import ConfigError, part_of
+from ekf_companion.logs.recording import counted
 from ekf_companion.logs.writer import create
 
 KINDS = (".csv", ".parquet")
@@ -71,4 +72,4 @@ def lines(rows: Sequence[Row], width: int | None = None) -> list[str]:
         found.append(line if len(line) <= most else line[: most - 3].rstrip(" ,") + "...")
     counts = Counter(str(row["outcome"]) for row in rows)
     total = ", ".join(f"{count} {outcome}" for outcome, count in sorted(counts.items()))
-    return [*found, f"{len(rows)} logs: {total}"]
+    return [*found, f"{counted(len(rows), 'log')}: {total}"]

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import chain
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 from ekf_companion.errors import CompanionError, MissingPackageError, remedy
+
+LETTERS = 9
+"""Of a title, to an inch: as many fit in the widest case."""
+LINE = 0.25
+"""By which each further line of a title makes a figure higher, inches."""
 
 Draw = Callable[[Any], None]
 """Draws into a matplotlib figure."""
@@ -36,7 +43,7 @@ def panels(
 
 
 def write(path: Path, title: str, draw: Draw, *, width: float = 12.0, height: float = 8.0) -> None:
-    """Draw a figure into a PNG, PDF or SVG file; its size is in inches.
+    """Draw a figure into a PNG, PDF or SVG file; its size is in inches, a long title is wrapped.
 
     Raises:
         MissingPackageError: matplotlib is not installed.
@@ -49,10 +56,13 @@ def write(path: Path, title: str, draw: Draw, *, width: float = 12.0, height: fl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    wrapped = [wrap(line, int(LETTERS * width)) for line in title.splitlines()]
+    lines = list(chain.from_iterable(wrapped))
+    height += LINE * max(len(lines) - 1, 0)
     sheet = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(sheet)
     draw(sheet)
-    sheet.suptitle(title)
+    sheet.suptitle("\n".join(lines))
     try:
         sheet.savefig(path, dpi=110)
     except (OSError, ValueError) as error:

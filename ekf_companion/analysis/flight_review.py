@@ -86,6 +86,7 @@ class FlightReview:
             "verdict": judgement.sentence,
             "grade": judgement.grade,
             "reasons": list(judgement.reasons),
+            "remarks": list(judgement.aside),
             "compared_with": [one.name for one in self.others],
             **self.report.to_dict(),
         }

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ekf_companion.analysis import difference
+from ekf_companion.analysis.witness import departure_of
 from ekf_companion.errors import LogError
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.interpolation import between
@@ -62,6 +63,7 @@ def evidence_of(report: Report) -> Evidence:
         autopilot=_apart(report, ours, report.own),
         to_fixes=_to_fixes(report, ours, report.own, difference.rms),
         truth_to_fixes=_to_fixes(report, ours, report.truth, _median),
+        departure=departure_of(report, ours),
     )
 
 

@@ -18,14 +18,13 @@ from ekf_companion.analysis.flight_review import FlightReview
 from ekf_companion.analysis.report_sheet import POINTS, TALL, Sheet, broken, place_legend
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.errors import ConfigError, part_of
+from ekf_companion.logs.recording import LATEST_S
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.state import EULER, Trajectory
+from ekf_companion.nav.state import EULER, Status, Table, Trajectory
 from ekf_companion.replay.report import summary
 
-LATEST_S = 4_102_444_800.0
-"""s since 1970: a clock that says a later time than the year 2100 is damaged."""
 _OURS, _TRUTH, _AUTOPILOT = "#c0392b", "#1c2833", "#2874a6"
 _AXIS_COLOURS = ("#c0392b", "#1e8449", "#2874a6")
 _REFUSED = {
@@ -91,7 +90,8 @@ def page(review: FlightReview) -> str:
     with part_of("report", "report"):
         from bokeh.embed import components
         from bokeh.resources import Resources
-    sheet = Sheet(int(review.table.stamp_ns[0]), review.begins_ns)
+    stamp_ns = review.table.stamp_ns
+    sheet = Sheet(int(stamp_ns[0]), review.begins_ns, int(stamp_ns[-1]))
     sections = _sections(review, sheet)
     figures = [one for _, plots in sections for one in plots]
     script, places = components(figures)
@@ -243,8 +243,9 @@ def _fixes(review: FlightReview, sheet: Sheet) -> list[Any]:
         plot = sheet.figure(name, "m" if column < 3 else "m/s")
         bound = found.bounds[:, column]
         for sign in (1.0, -1.0):
-            sheet.line(plot, found.t_ns, sign * bound, line_color="#85929e", line_dash="dashed")
-        sheet.line(plot, found.t_ns, found.values[:, column], line_color=_OURS)
+            look = {"line_color": "#85929e", "line_dash": "dashed"}
+            sheet.line(plot, found.t_ns, sign * bound, dots=2, **look)
+        sheet.line(plot, found.t_ns, found.values[:, column], dots=3, line_color=_OURS)
         sheet.limit(plot, [found.values[:, column], bound, -bound])
         plots.append(plot)
     return plots
@@ -276,14 +277,8 @@ def _looks(review: FlightReview, sheet: Sheet) -> list[Any]:
     plots += sheet.lines(
         "NIS over its degrees of freedom (1: as sure as it may be)", "", series(nis)
     )
-    resets = [look for look in looks if look.reset]
-    if plots and resets:
-        from bokeh.models import Label, Span
-
-        for look in resets:
-            second = float(sheet.seconds(np.array([look.t_ns]))[0])
-            plots[-1].add_layout(Span(location=second, dimension="height", line_color="#000000"))
-            plots[-1].add_layout(Label(x=second, y=0, text=look.reset, text_font_size="8pt"))
+    if plots:
+        sheet.mark(plots[-1], [(look.t_ns, look.reset) for look in looks if look.reset])
     return plots
 
 
@@ -304,12 +299,16 @@ def _biases(review: FlightReview, sheet: Sheet) -> list[Any]:
         *group("accelerometer bias", "m/s2", [f"accel_bias_{axis}" for axis in axes]),
         *group("one sigma of position", "m", [f"sd_pos_{part}" for part in parts]),
         *group("one sigma of attitude", "deg", [f"sd_{name}" for name in EULER], degrees),
-        *sheet.lines(
-            "status (3 ok, 4 degraded, 5 without GNSS, 6 invalid)",
-            "",
-            [("status", table.stamp_ns, table.column("status"), "#2874a6")],
-        ),
+        _status(table, sheet),
     ]
+
+
+def _status(table: Table, sheet: Sheet) -> Any:
+    """Return a figure of the status, with all values that there are: none is a peak to cut off."""
+    title = "status (3 ok, 4 degraded, 5 without GNSS, 6 invalid)"
+    plot = sheet.figure(title, "", y_range=(-0.3, max(Status) + 0.3))
+    sheet.line(plot, table.stamp_ns, table.column("status"), line_color="#2874a6")
+    return plot
 
 
 def _spectra(review: FlightReview, sheet: Sheet) -> list[Any]:

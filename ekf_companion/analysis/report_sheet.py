@@ -28,6 +28,10 @@ LEAP = 20.0
 """Times the distance between the quartiles of a track."""
 HEIGHT, TALL = 280, 400
 """Pixels of a figure over time, and of a map; as wide as the column of the page."""
+ROWS, ROW, LABEL = 12, 12, 0.3
+"""Rows of labels, the height of one in pixels, and a label's width, a share of a phone's figure."""
+_CONSTANT = 1e-8
+"""Twice as wide as what is shown of a constant at least."""
 _GAP_S = 2.0
 _GAP_STEPS = 5.0
 """A line is not drawn over steps longer than that, nor than so many of its usual ones."""
@@ -83,8 +87,21 @@ def _with_margin(low: float, high: float) -> Span:
 
 
 def is_cut(usual: Span, whole: Span) -> bool:
-    """Return whether an axis begins with less than the whole."""
-    return whole[1] - whole[0] > MUCH * (usual[1] - usual[0])
+    """Return whether an axis begins with less than the whole; that of a constant does not."""
+    width = usual[1] - usual[0]
+    return width > _CONSTANT and whole[1] - whole[0] > MUCH * width
+
+
+def rows_of_labels(places: Sequence[float], span: float) -> list[int | None]:
+    """Return the row of each of the labels at ascending places; None: there is room in no row."""
+    ends = [-np.inf] * ROWS
+    found: list[int | None] = []
+    for place in places:
+        row = next((row for row, end in enumerate(ends) if end <= place), None)
+        if row is not None:
+            ends[row] = place + LABEL * span
+        found.append(row)
+    return found
 
 
 def without_leaps(track: Array) -> Array:
@@ -105,16 +122,19 @@ def without_leaps(track: Array) -> Array:
 class Sheet:
     """Draws figures whose time axes are one, from the first estimate on."""
 
-    def __init__(self, zero_ns: int, begins_ns: Sequence[int] = ()) -> None:
+    def __init__(self, zero_ns: int, begins_ns: Sequence[int] = (), end_ns: int = 0) -> None:
         """Draw nothing yet.
 
         Args:
             zero_ns: Where the time axis is zero.
             begins_ns: Where the autopilot's clock began anew: a line there says so.
+            end_ns: Where the time axis ends.
         """
         from bokeh.models import DataRange1d
 
         self._zero_ns = zero_ns
+        self.span = max((end_ns - zero_ns) * 1e-9, 1.0)
+        """How long the time axis is, s."""
         self._restarts = self.seconds(np.array(begins_ns, dtype=np.int64)).tolist()
         self._time = DataRange1d(range_padding=0.02)
         self.cuts: list[dict[str, Any]] = []
@@ -157,10 +177,30 @@ class Sheet:
         place_legend(plot)
         return [plot]
 
-    def line(self, plot: Any, t_ns: Stamps, values: Array, **look: Any) -> None:
-        """Draw one line over time into a figure."""
+    def line(self, plot: Any, t_ns: Stamps, values: Array, dots: int = 0, **look: Any) -> None:
+        """Draw one line over time into a figure.
+
+        With dots, of so many pixels, a value that stands alone between two gaps is seen too.
+        """
         x, y = thin(*broken(self.seconds(t_ns), np.asarray(values, dtype=float)))
-        plot.line(x, y, **{"line_width": 1.4, **look})
+        drawn = plot.line(x, y, **{"line_width": 1.4, **look})
+        if dots:
+            colour = look["line_color"]
+            plot.scatter("x", "y", source=drawn.data_source, size=dots, color=colour)
+
+    def mark(self, plot: Any, marks: Sequence[tuple[int, str]]) -> None:
+        """Draw upright lines at ascending stamps, with words, of which none covers another."""
+        from bokeh.models import Label, Span
+
+        if not marks:
+            return
+        seconds = self.seconds(np.array([t_ns for t_ns, _ in marks], dtype=np.int64)).tolist()
+        rows = rows_of_labels(seconds, self.span)
+        for second, row, (_, words) in zip(seconds, rows, marks, strict=True):
+            plot.add_layout(Span(location=second, dimension="height", line_color="#000000"))
+            if row is not None:
+                look = {"y": 2 + ROW * row, "y_units": "screen", "text_font_size": "8pt"}
+                plot.add_layout(Label(x=second, text=f" {words}", **look))
 
     def limit(self, plot: Any, series: Sequence[Array]) -> None:
         """Let the upward axis show at first what is usual in some lines."""

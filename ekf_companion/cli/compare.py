@@ -124,7 +124,7 @@ def _compare_ours(
     """Print the errors of our estimate against a truth or the autopilot's."""
     from ekf_companion.analysis import score, trajectory_figure
     from ekf_companion.analysis.judgement import evidence_of
-    from ekf_companion.logs.estimate import read_truth
+    from ekf_companion.logs.estimate import OWN, is_estimate, read_truth
 
     estimate = ours.estimate
     truth = ours.truth if reference is None else read_truth(reference)
@@ -148,13 +148,24 @@ def _compare_ours(
     start = scores[0].start_ns
     for rival in (*ours.live, *own):
         scores.append(score.score(rival, against, 0.0, start_ns=start, end_ns=end))
-    terminal.show(as_json, [one.to_dict() for one in scores], score.table(scores))
-    if truth is not None and ours.report is not None:
+    lines = score.table(scores)
+    if seconds > 0.0:
+        lines.insert(2 * len(scores), _left_out(seconds))
+    terminal.show(as_json, [one.to_dict() for one in scores], lines)
+    if reference is not None and is_estimate(reference):
+        words = f"{reference.name}: {OWN}, and no truth: two estimates' distance, and no error"
+        typer.echo(f"note: {words}", err=as_json)
+    elif truth is not None and ours.report is not None:
         ours.report.truth = truth
         if doubt := evidence_of(ours.report).truth_elsewhere:
             typer.echo(f"note: {doubt}", err=as_json)
     if plot is not None:
         trajectory_figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
+
+
+def _left_out(seconds: float) -> str:
+    """Return the line on the start, which does not count."""
+    return f"the first {seconds:g} s are left out (--skip 0 counts them)"
 
 
 def _compare_filters(
@@ -168,7 +179,7 @@ def _compare_filters(
 ) -> None:
     """Run several filters over a log, and print the errors of each."""
     from ekf_companion.analysis import comparison, trajectory_figure, walk_figure
-    from ekf_companion.logs.estimate import is_estimate, read_truth
+    from ekf_companion.logs.estimate import OWN, is_estimate, read_truth
 
     if is_estimate(log):
         raise ConfigError(f"--filters: {log} is an estimate; name the log that it was made from")
@@ -181,6 +192,7 @@ def _compare_filters(
         raise LogError(f"{log}: {error}") from error
     truth = recording.truth if reference is None else read_truth(reference)
     against = truth if truth is not None else recording.reference
+    skipped = 0.0
     solutions = [one.solution for one in entries if one.solution is not None]
     if against is not None:
         skip, until = span
@@ -191,8 +203,12 @@ def _compare_filters(
         raise LogError(_WITHOUT_REFERENCE.format(log))
     title = f"{log}" + (f" against {against.name}" if against is not None else "")
     notes = [f"  note: {log.name}: {note}" for note in recording.notes]
+    notes += [f"  note: {_left_out(skipped)}"] if skipped > 0.0 else []
     data = [entry.to_dict() for entry in entries]
     terminal.show(as_json, data, [title, "", *comparison.table(entries), *notes])
+    if reference is not None and is_estimate(reference):
+        words = f"{reference.name}: {OWN}, and no truth: estimates' distances, and no errors"
+        typer.echo(f"note: {words}", err=as_json)
     if plot is not None and against is not None:
         lines = [one.trajectory for one in entries if one.trajectory is not None]
         trajectory_figure.plot(

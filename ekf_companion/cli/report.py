@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ekf_companion.cli import terminal
+from ekf_companion.errors import ConfigError
 
 
 def report(
@@ -27,6 +28,11 @@ def report(
     with terminal.exit_on_error():
         inputs = {"the log": log, "the configuration": config, "the reference": reference}
         terminal.check_outputs(inputs, [("--out", out)])
+        if out is not None and out.suffix.lower() not in (".html", ".htm"):
+            raise ConfigError(
+                f"--out: {out}: a report is a .html; --png draws a picture beside it, --json "
+                "prints its numbers, and convert writes tracks (.kml, .gpx)"
+            )
         truth = terminal.read_truth(reference)
         with terminal.progress_bar(log.name) as progress:
             found = flight_review.review(log, terminal.load(config), progress, truth)
@@ -36,6 +42,6 @@ def report(
         if png:
             files.append(path.with_suffix(".png"))
             lines = [found.ours, *found.others]
-            trajectory_figure.plot(files[-1], lines, found.judgement.sentence)
+            trajectory_figure.plot(files[-1], lines, f"{log.name}\n{found.judgement.sentence}")
     terminal.show(as_json, found.to_dict(), [found.judgement.sentence])
     typer.echo(f"report: {', '.join(map(str, files))}", err=as_json)

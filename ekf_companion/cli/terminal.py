@@ -48,15 +48,21 @@ JsonOption = Annotated[
 
 
 def read_truth(path: Path | None) -> Trajectory | None:
-    """Return the truth of a file; None if none is named.
+    """Return the truth of a file, to judge by; None if none is named.
 
     Raises:
-        LogError: It cannot be read.
+        LogError: It cannot be read, or is an estimate of ours.
     """
     if path is None:
         return None
+    from ekf_companion.logs.estimate import OWN, is_estimate
     from ekf_companion.logs.estimate import read_truth as read
 
+    if is_estimate(path):
+        raise LogError(
+            f"{path}: {OWN}, and no truth; name a truth, or see how far two estimates are apart: "
+            f"ekf-companion compare LOG --reference {path}"
+        )
     return read(path)
 
 
@@ -105,7 +111,7 @@ def show(as_json: bool, data: object, lines: Iterable[str], *, err: bool = False
 def check_outputs(
     inputs: dict[str, Path | None], outputs: Sequence[tuple[str, Path | None]]
 ) -> None:
-    """Refuse an output that is an input or another output, or whose folder does not exist.
+    """Refuse an output that is an input, another output or several, or whose folder is missing.
 
     Inputs are named by what they are, as in ``the log``, outputs by their option.
 
@@ -116,11 +122,18 @@ def check_outputs(
     for option, path in outputs:
         if path is None:
             continue
+        if len(parts := path.name.split(",")) > 1 and all(_has_suffix(part) for part in parts):
+            raise ConfigError(f"{option}: {path}: is one name; give {option} again for each file")
         if (other := taken.get(path.resolve())) is not None:
             raise ConfigError(f"{option}: {path}: is {other}; name another file")
         if not path.resolve().parent.is_dir():
             raise ConfigError(f"{option}: {path}: there is no such folder; make it first")
         taken[path.resolve()] = f"what {option} writes"
+
+
+def _has_suffix(name: str) -> bool:
+    """Return whether a name ends as a file's: by a point and letters."""
+    return Path(name.strip()).suffix[1:].isalpha()
 
 
 def read(log: Path, config: Config) -> Recording:

@@ -159,7 +159,8 @@ def checksums(evidence: Evidence) -> StageResult:
             "The recording is damaged in places.",
             "Look at the link of whoever recorded it, and at the disk; what is whole is used.",
         )
-        saw = f"{evidence.damaged} runs of damaged bytes among {counted.frames} frames"
+        runs = "1 run" if evidence.damaged == 1 else f"{evidence.damaged} runs"
+        saw = f"{runs} of damaged bytes among {counted.frames} frames"
         return judged(Stage.CHECKSUMS, saw, [damage if share > _NOISE else None])
     bad = max(counted.bad_crc, sum(evidence.mismatched.values()))
     share = bad / max(bad + counted.frames, 1)

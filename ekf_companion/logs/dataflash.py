@@ -18,7 +18,7 @@ from ekf_companion.logs import series
 from ekf_companion.logs.dataflash_records import OFFSET, Column, Columns, read_columns
 from ekf_companion.logs.dataflash_tables import NEEDED, READ, boot_ns, choose, names_of, rows_of
 from ekf_companion.logs.dataflash_trajectory import reference, truth
-from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.recording import CUT, Recording, cut_short
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps
@@ -26,6 +26,8 @@ from ekf_companion.nav.event_columns import EventColumns, MergedEvents
 from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 from ekf_companion.nav.mounting import trim_matrix
 
+DEFINITIONS = {"FMT", "FMTU", "UNIT", "MULT", "PARM"}
+"""Messages that say what others mean, and how the autopilot was set up: not what it measured."""
 Arrivals = list[tuple[EventColumns, Stamps]]
 """Events and their positions in the file."""
 
@@ -60,6 +62,8 @@ def read(path: Path) -> Recording:
         LogError: The file is not a DataFlash log, or holds none of the messages that are used.
     """
     tables, notes, others, damage = read_columns(path, READ)
+    said = {name for name, table in tables.items() if len(table)} | others
+    is_cut = not said - (DEFINITIONS if CUT in damage.words else {"FMT"})
     tables = choose(tables, others, notes)
     gnss = _gnss(tables)
     arrivals: Arrivals = [*gnss, *_vehicle(tables), *_sensor(tables, "IMU", Kind.IMU)]
@@ -72,6 +76,8 @@ def read(path: Path) -> Recording:
         )
     else:
         arrivals += _sensor(tables, "BARO", Kind.BARO)
+    if not arrivals and is_cut:
+        raise cut_short(path, path.stat().st_size)
     if not arrivals:
         raise LogError(
             f"{path}: a DataFlash log without IMU, GPS, MAG, BARO or ATT rows; "
@@ -90,11 +96,21 @@ def read(path: Path) -> Recording:
         notes=tuple(notes),
         damage=damage,
         began_s=_began_s(tables),
+        utc_zero_ns=_utc_zero_ns(tables),
     )
 
 
 def _began_s(tables: Columns) -> float | None:
-    """Return when the log began, s since 1970, by the first fix's week and time of GPS."""
+    """Return when the log began, s since 1970, UTC."""
+    if (zero_ns := _utc_zero_ns(tables)) is None:
+        return None
+    stamped = [one for one in tables.values() if "TimeUS" in (one.dtype.names or ())]
+    begin_us = min(int(one["TimeUS"][0]) for one in stamped if len(one))
+    return zero_ns * 1e-9 + begin_us * 1e-6
+
+
+def _utc_zero_ns(tables: Columns) -> int | None:
+    """Return the UTC at which the clock was zero, by the first fix's week and time of GPS."""
     names = ("TimeUS", "GWk", "GMS")
     if (table := tables.get("GPS")) is None or not {*names} <= {*(table.dtype.names or ())}:
         return None
@@ -102,10 +118,8 @@ def _began_s(tables: Columns) -> float | None:
     if not is_set.any():
         return None
     row = table[int(np.argmax(is_set))]
-    stamped = [one for one in tables.values() if "TimeUS" in (one.dtype.names or ())]
-    begin_us = min(int(one["TimeUS"][0]) for one in stamped if len(one))
-    fix_s = GPS_EPOCH_S + int(row["GWk"]) * 604_800 + int(row["GMS"]) * 1e-3 - LEAP_S
-    return float(fix_s - (int(row["TimeUS"]) - begin_us) * 1e-6)
+    fix_ms = (GPS_EPOCH_S + int(row["GWk"]) * 604_800 - LEAP_S) * 1000 + int(row["GMS"])
+    return int(fix_ms) * 1_000_000 - int(row["TimeUS"]) * 1000
 
 
 def _sensor(tables: Columns, name: str, kind: Kind) -> Arrivals:

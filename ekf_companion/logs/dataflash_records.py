@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import dataflash_search
-from ekf_companion.logs.recording import Damage, cut_off, damaged_places
+from ekf_companion.logs.recording import CUT, Damage, cut_off, damaged_places
 from ekf_companion.logs.source import MappedFile
 from ekf_companion.nav.arrays import Stamps
 
@@ -214,9 +214,10 @@ def read_columns(
     others = {layout.name for kind, layout in found.formats.items() if found.counts[kind]}
     notes, damage = [], Damage()
     if found.damaged:
-        notes.append(f"{found.damaged} damaged places in the file: the records there are lost")
+        notes.append(f"{damaged_places(found.damaged)} in the file: the records there are lost")
         records = int(sum(found.counts)) + found.damaged
         damage = Damage(f"{damaged_places(found.damaged)} in the file", found.damaged / records)
     if found.rest:
         notes.append(cut_off(found.rest, "record"))
+        damage = Damage(", ".join([damage.words, CUT] if damage.words else [CUT]), damage.share)
     return tables, notes, others - {*tables}, damage

@@ -143,6 +143,10 @@ def _timed(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt
     return {name: column[timed] for name, column in columns.items()}
 
 
+OWN = "an estimate that convert wrote"
+"""What is said of a file that :func:`is_estimate` recognises."""
+
+
 def is_estimate(path: Path) -> bool:
     """Return whether a file is an estimate of ours, by its header."""
     if path.suffix.lower() != ".csv":

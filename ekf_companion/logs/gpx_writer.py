@@ -1,6 +1,7 @@
 """Writing of estimates as a GPX 1.1 track: heights above mean sea level, a segment per gap.
 
-Where the autopilot's clock counts from its boot, so do the times: from 1970.
+Where the autopilot's clock counts from its boot, and the log does not say when that was, so do the
+times: from 1970.
 
 Source: GPX 1.1 schema documentation, topografix.com/gpx/1/1.
 """
@@ -8,14 +9,15 @@ Source: GPX 1.1 schema documentation, topografix.com/gpx/1/1.
 from __future__ import annotations
 
 from pathlib import Path
+from xml.sax.saxutils import escape
 
-from ekf_companion.logs.map_time import utc
+from ekf_companion.logs.map_time import UNNAMED, Label, utc
 from ekf_companion.logs.writer import EstimateWriter, with_position
 from ekf_companion.nav.state import GEODETIC, Table
 
 _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <gpx version="1.1" creator="ekf-companion" xmlns="http://www.topografix.com/GPX/1/1">
-<trk><name>estimate</name><trkseg>
+<trk><name>{}</name><trkseg>
 """
 GAP_NS = 5_000_000_000
 """Without an estimate for so long, a new segment begins."""
@@ -24,18 +26,20 @@ GAP_NS = 5_000_000_000
 class Writer(EstimateWriter):
     """Writes a point for each estimate with a position."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, label: Label = UNNAMED) -> None:
         super().__init__(path)
-        self.file.write(_HEAD.encode())
+        self._zero_ns, self.points = label.zero_ns, 0
+        self.file.write(_HEAD.format(escape(label.name)).encode())
         self._last_ns: int | None = None
 
     def write(self, table: Table) -> None:
         """Append points."""
         table = with_position(table)
+        self.points = (self.points or 0) + len(table)
         rows = zip(
             table.stamp_ns.tolist(),
             *table.columns(GEODETIC).T.tolist(),
-            utc(table.stamp_ns),
+            utc(table.stamp_ns, self._zero_ns),
             strict=True,
         )
         lines = []

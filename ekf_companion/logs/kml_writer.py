@@ -1,7 +1,7 @@
 """Writing of estimates as KML 2.2: a line per stretch of one status, with times, in its colour.
 
-Heights are absolute, above mean sea level. Where the autopilot's clock counts from its boot, so do
-the times: from 1970.
+Heights are absolute, above mean sea level. Where the autopilot's clock counts from its boot, and
+the log does not say when that was, so do the times: from 1970.
 
 Source: OGC 07-147r2 (KML 2.2); Google's extension gx:Track.
 """
@@ -9,16 +9,17 @@ Source: OGC 07-147r2 (KML 2.2); Google's extension gx:Track.
 from __future__ import annotations
 
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import numpy as np
 
-from ekf_companion.logs.map_time import utc
+from ekf_companion.logs.map_time import UNNAMED, Label, utc
 from ekf_companion.logs.writer import STATUS_NAMES, EstimateWriter, with_position
 from ekf_companion.nav.state import Status, Table
 
 _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2">
-<Document><name>estimate</name>
+<Document><name>{}</name>
 """
 _COLOURS = {
     Status.OK: "ff3cb44b",
@@ -33,15 +34,17 @@ _STYLE = '<Style id="{}"><LineStyle><color>{}</color><width>3</width></LineStyle
 class Writer(EstimateWriter):
     """Writes a point for each estimate with a position."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, label: Label = UNNAMED) -> None:
         super().__init__(path)
+        self._zero_ns, self.points = label.zero_ns, 0
         styles = [_STYLE.format(STATUS_NAMES[one], colour) for one, colour in _COLOURS.items()]
-        self.file.write((_HEAD + "".join(styles)).encode())
+        self.file.write((_HEAD.format(escape(label.name)) + "".join(styles)).encode())
         self._last: Table | None = None  # ends one stretch and begins the next
 
     def write(self, table: Table) -> None:
         """Append a line for each stretch of one status."""
         table = with_position(table)
+        self.points = (self.points or 0) + len(table)
         status = table.column("status").astype(int)
         for rows in np.split(np.arange(len(table)), np.flatnonzero(np.diff(status)) + 1):
             if len(rows):
@@ -55,7 +58,7 @@ class Writer(EstimateWriter):
         coordinates = np.concatenate(
             [one.columns(("lon_deg", "lat_deg", "alt_m")) for one in tables]
         )
-        times = utc(np.concatenate([one.stamp_ns for one in tables]))
+        times = utc(np.concatenate([one.stamp_ns for one in tables]), self._zero_ns)
         lines = [f"<when>{time}</when>\n" for time in times]
         lines += [
             f"<gx:coord>{lon:.9f} {lat:.9f} {alt:.3f}</gx:coord>\n"

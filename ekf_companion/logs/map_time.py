@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from ekf_companion.logs.recording import CLOCK_SET_S
 from ekf_companion.nav.arrays import Stamps
 
 
-def utc(stamp_ns: Stamps) -> list[str]:
+class Label(NamedTuple):
+    """What a track on a map is called, and how its times become UTC."""
+
+    name: str = "estimate"
+    """The log's."""
+    zero_ns: int | None = None
+    """UTC at which the log's clock was zero, ns since 1970; None: not known."""
+
+
+UNNAMED = Label()
+
+
+def utc(stamp_ns: Stamps, zero_ns: int | None = None) -> list[str]:
     """Return stamps as ``2026-11-22T19:00:00.123456Z``.
 
-    A stamp that counts from the autopilot's boot becomes a time in 1970.
+    A stamp that counts from the autopilot's boot becomes a time in 1970, unless it is known when
+    that was.
     """
+    if zero_ns is not None:
+        is_set = stamp_ns > CLOCK_SET_S * 1_000_000_000  # UTC already
+        stamp_ns = np.where(is_set, stamp_ns, stamp_ns + zero_ns)
     texts = np.datetime_as_string(stamp_ns.astype("datetime64[ns]"), unit="us")
     return [f"{text}Z" for text in texts.tolist()]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from ekf_companion.errors import LogError
 from ekf_companion.nav.arrays import Mask, Stamps
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import Trajectory
@@ -29,6 +31,8 @@ class Counted:
 
 CLOCK_SET_S = 946_684_800
 """s since 1970: a clock that says an earlier time than the year 2000 was not set."""
+LATEST_S = 4_102_444_800
+"""s since 1970: a clock that says a later time than the year 2100 is damaged."""
 
 
 class Damage(NamedTuple):
@@ -46,6 +50,23 @@ UNDAMAGED = Damage()
 def damaged_places(count: int) -> str:
     """Return what a file has so many of."""
     return "a damaged place" if count == 1 else f"{count} damaged places"
+
+
+CUT = "the recording was cut off at its end"
+"""Of a file that ends within a message, for the verdict."""
+
+
+def cut_short(path: Path, size: int) -> LogError:
+    """Return the error of a file that ends before its first sample, after so many bytes."""
+    return LogError(
+        f"{path}: ends after {size} bytes, before any sample: the recording was cut off there, or "
+        "the file was not copied whole; copy it again"
+    )
+
+
+def counted(count: int, what: str) -> str:
+    """Return ``1 run`` or ``2 runs``."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def cut_off(rest: int, unit: str) -> str:
@@ -75,6 +96,8 @@ class Recording:
     damage: Damage = UNDAMAGED
     began_s: float | None = None
     """When the recording began, s since 1970, UTC; None: the log does not say."""
+    utc_zero_ns: int | None = None
+    """UTC at which the autopilot's clock was zero, ns since 1970; None: the log does not say."""
     zero_height: float = 0.0
     """Altitude at which the heights of the file are zero, where its place is made up, m."""
 

@@ -24,7 +24,14 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import tlog_search
-from ekf_companion.logs.recording import CLOCK_SET_S, UNDAMAGED, Damage, damaged_places
+from ekf_companion.logs.recording import (
+    CLOCK_SET_S,
+    CUT,
+    UNDAMAGED,
+    Damage,
+    counted,
+    damaged_places,
+)
 from ekf_companion.logs.source import Source
 from ekf_companion.mavlink.block_columns import Frames
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
@@ -266,13 +273,17 @@ def _gaps(place: Stamps, size: npt.NDArray[np.uint16]) -> _Gaps:
 def _damage(source: Source, gaps: _Gaps) -> Damage:
     """Return what the damaged bytes are for the verdict, and their share of the file."""
     places = f"{damaged_places(gaps.runs)} in the file ({gaps.bytes / 1e3:.3g} kB)"
-    return Damage(places if gaps.runs else "", gaps.bytes / len(source))
+    words = [places] if gaps.runs else []
+    words += [CUT] if gaps.end < len(source) else []
+    return Damage(", ".join(words), gaps.bytes / len(source))
 
 
 def _left_out(source: Source, gaps: _Gaps) -> Iterator[str]:
     """Describe the bytes that are in no record."""
     if gaps.runs:
-        yield f"{gaps.runs} runs of damaged bytes, {gaps.bytes} bytes in all, were left out"
+        runs = counted(gaps.runs, "run")
+        were = "was" if gaps.runs == 1 else "were"
+        yield f"{runs} of damaged bytes, {gaps.bytes} bytes in all, {were} left out"
     if rest := len(source) - gaps.end:
         tail = range(gaps.end, len(source), BLOCK)
         is_zeros = not any(any(source.read(place, place + BLOCK)) for place in tail)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.logs import series
-from ekf_companion.logs.tlog import ORDER, Column, Tlog
+from ekf_companion.logs.tlog import ORDER, STAMP, Column, Tlog
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Mask, Stamps, known_rows
@@ -88,6 +88,25 @@ def _stamps_before(log: Tlog, tables: dict[str, Column], order: Stamps) -> tuple
     is_of_boot = (before >= 0) & (wanted >= min(int(table[ORDER][0]) for table in clocks))
     has_stamp = is_of_boot & (known[at] == wanted)
     return has_stamp, t_ns[at[has_stamp]]
+
+
+def utc_zero_ns(log: Tlog) -> int | None:
+    """Return the UTC at which the autopilot's clock was zero, ns, by that of the recorder.
+
+    None where that was not set, or the autopilot rebooted.
+    """
+    if log.began_s is None or log.autopilot is None:
+        return None
+    ids = log.autopilot.system_id, log.autopilot.component_id
+    found = log.columns(["ATTITUDE", *_INERTIAL], *ids, rates=RATES)
+    names = [name for name in ("ATTITUDE", *_INERTIAL) if name in found]
+    if not names:
+        return None
+    table = found[names[0]]
+    t_ns = _boot_ns(table)
+    if (np.diff(t_ns) < -series.BACK_NS).any():
+        return None
+    return int(np.median(table[STAMP].astype(np.int64) * 1000 - t_ns))
 
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number

@@ -19,7 +19,15 @@ import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
-from ekf_companion.logs.recording import CLOCK_SET_S, Damage, Recording, cut_off
+from ekf_companion.logs.recording import (
+    CLOCK_SET_S,
+    CUT,
+    Damage,
+    Recording,
+    counted,
+    cut_off,
+    cut_short,
+)
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
 from ekf_companion.logs.ulog_messages import Messages
 from ekf_companion.logs.ulog_topics import (
@@ -69,12 +77,15 @@ def read(path: Path) -> Recording:
         notes.append(cut_off(log.rest, "message"))
     if lost := sum(log.dropouts):
         count = len(log.dropouts)
-        notes.append(f"{count} dropouts, {lost:.1f} s in all, while the log was written")
+        dropouts = counted(count, "dropout")
+        notes.append(f"{dropouts}, {lost:.1f} s in all, while the log was written")
     topics = choose(log, notes)
     arrivals: Arrivals = []
     for take in (_imu, _gnss_heading, _attitude_heading, _magnetometer, _barometer, _vehicle):
         arrivals += take(topics)
     arrivals += _gnss(topics, notes)
+    if not arrivals and not log.subscriptions:
+        raise cut_short(path, path.stat().st_size)
     if not arrivals:
         raise LogError(
             f"{path}: a ULog without sensor_combined, GPS, magnetometer, barometer and attitude "
@@ -90,6 +101,7 @@ def read(path: Path) -> Recording:
         notes=tuple(notes),
         damage=_damage(log, topics),
         began_s=_began_s(topics),
+        utc_zero_ns=_utc_zero_ns(topics),
     )
 
 
@@ -98,22 +110,30 @@ def _damage(log: Messages, topics: Topics) -> Damage:
     words, share = (["the file is damaged"], 1.0) if log.is_damaged else ([], 0.0)
     if lost := sum(log.dropouts):
         count = len(log.dropouts)
-        words.append(f"{count} dropout{'s' if count > 1 else ''} ({lost:.1f} s)")
+        words.append(f"{counted(count, 'dropout')} ({lost:.1f} s)")
         spans = [np.ptp(topic["t_ns"]) * 1e-9 for topic in topics.values() if len(topic["t_ns"])]
         share = max(share, lost / max(lost, *spans, 1.0))
+    words += [CUT] if log.rest else []
     return Damage(", ".join(words), share)
 
 
 def _began_s(topics: Topics) -> float | None:
-    """Return when the log began, s since 1970, by the receiver's first time of day."""
+    """Return when the log began, s since 1970, UTC."""
+    if (zero_ns := _utc_zero_ns(topics)) is None:
+        return None
+    begin_ns = min(int(one["t_ns"][0]) for one in topics.values() if len(one["t_ns"]))
+    return (zero_ns + begin_ns) * 1e-9
+
+
+def _utc_zero_ns(topics: Topics) -> int | None:
+    """Return the UTC at which the clock was zero, by the receiver's first time of day."""
     topic = _receiver(topics)
-    utc_s = topic.get("time_utc_usec", np.zeros(0)) * 1e-6
-    is_set = utc_s > CLOCK_SET_S
+    utc_us = topic.get("time_utc_usec", np.zeros(0))
+    is_set = utc_us > CLOCK_SET_S * 1e6
     if not is_set.any():
         return None
     first = int(np.argmax(is_set))
-    begin_ns = min(int(one["t_ns"][0]) for one in topics.values() if len(one["t_ns"]))
-    return float(utc_s[first]) - (int(topic["t_ns"][first]) - begin_ns) * 1e-9
+    return int(utc_us[first]) * 1000 - int(topic["t_ns"][first])
 
 
 def _events(topic: Topic, kind: Kind, mask: Mask, *columns: Any) -> Arrivals:

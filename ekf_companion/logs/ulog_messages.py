@@ -73,6 +73,8 @@ class Messages:
     dropouts: tuple[float, ...] = ()
     """Lengths of the gaps while the log was written, s."""
     is_damaged: bool = False
+    subscriptions: int = 0
+    """To any topic."""
     rest: int = 0
     """Bytes at the end that are no whole message."""
 
@@ -262,6 +264,7 @@ class _Reader:
         """Note that messages of an id are of a topic from now on."""
         if len(content) < 3:
             raise ValueError(content)
+        self._found.subscriptions += 1
         instance, number = _ids(content)
         topic = content[3:].decode("utf-8", "ignore")
         if topic not in self._topics:

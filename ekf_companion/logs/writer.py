@@ -14,6 +14,7 @@ from typing import BinaryIO, cast
 import numpy as np
 
 from ekf_companion.errors import LogError, part_of
+from ekf_companion.logs.map_time import UNNAMED, Label
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, known_rows
 from ekf_companion.nav.state import GEODETIC, POSITION, QUATERNION, VELOCITY, Status, Table
@@ -38,6 +39,9 @@ RATES = {".gpx": 5.0, ".kml": 5.0}
 
 class EstimateWriter:
     """A file of estimates."""
+
+    points: int | None = None
+    """Of the track so far; None: this kind has none."""
 
     def __init__(self, path: Path) -> None:
         """Open the file and write what comes before the first estimate.
@@ -85,8 +89,8 @@ class EstimateWriter:
         """Write what comes after the last estimate."""
 
 
-def open_writer(path: Path) -> EstimateWriter:
-    """Open a file by its suffix; ``-`` is CSV on the standard output.
+def open_writer(path: Path, label: Label = UNNAMED) -> EstimateWriter:
+    """Open a file by its suffix; ``-`` is CSV on the standard output. The label is for maps.
 
     Raises:
         LogError: It cannot be opened.
@@ -95,7 +99,8 @@ def open_writer(path: Path) -> EstimateWriter:
     name = WRITERS[".csv" if path == STDOUT else path.suffix]
     with part_of("formats", str(path)):
         module = import_module(f"ekf_companion.logs.{name}")
-    return cast("EstimateWriter", module.Writer(path))
+    is_map = path.suffix in RATES
+    return cast("EstimateWriter", module.Writer(path, label) if is_map else module.Writer(path))
 
 
 @contextmanager

@@ -13,11 +13,12 @@ import numpy as np
 from ekf_companion.config.config import Config
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import ConfigError, LogError
+from ekf_companion.logs.map_time import Label
 from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.writer import RATES, STDOUT, WRITERS, Thinning, create, open_writer
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Table, join
-from ekf_companion.replay.log_source import reference, truth
+from ekf_companion.replay.log_source import reference, truth, utc_zero_ns
 from ekf_companion.replay.report import Report, summary
 from ekf_companion.replay.run import BlockPipeline, IdlePipeline, Progress, Run, StepPipeline
 from ekf_companion.replay.smoothing import Smoothing
@@ -88,20 +89,25 @@ def _convert_to_files(
 ) -> Report:
     run: Run[Smoothing] | Run[BlockPipeline]
     with ExitStack() as stack:
-        writers = [
-            (stack.enter_context(open_writer(out)), Thinning(rate or RATES.get(out.suffix)))
-            for out in outs
-        ]
         if is_smoothed:
             run = Run(path, config, Smoothing)
             tables = _smoothed(run, progress)
         else:
             run = Run(path, config, BlockPipeline)
             tables = (block.table for block in run.blocks(progress))
+        label = Label(path.name, utc_zero_ns(run.log))
+        writers = [
+            (stack.enter_context(open_writer(out, label)), Thinning(rate or RATES.get(out.suffix)))
+            for out in outs
+        ]
         for table in tables:
             for writer, thinning in writers:
                 writer.write(thinning.thin(table))
-        return run.finish()  # raises where nothing was estimated: then no file is left
+        report = run.finish()  # raises where nothing was estimated: then no file is left
+        pairs = zip(outs, writers, strict=True)
+        empty = [out.name for out, (writer, _) in pairs if writer.points == 0]
+        report.notes += [f"{name}: holds no point, for no position was estimated" for name in empty]
+        return report
 
 
 def _convert_to_messages(
@@ -142,7 +148,7 @@ def convert_by(
     except LogError as error:
         raise LogError(f"{path}: {error}") from error
     for out in outs:
-        with open_writer(out) as writer:
+        with open_writer(out, Label(path.name, recording.utc_zero_ns)) as writer:
             writer.write(Thinning(rate or RATES.get(out.suffix)).thin(solution.table))
     return replace(solution, notes=(*solution.notes, *recording.notes))
 
@@ -243,6 +249,7 @@ def read(
         truth=truth(run.log),
         counted=run.log.counted if isinstance(run.log, Recording) else None,
         gnss_delay=run.gnss_delay,
+        utc_zero_ns=utc_zero_ns(run.log),
         notes=tuple(run.report.notes),
     )
 

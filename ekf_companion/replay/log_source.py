@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs.estimate import is_estimate
-from ekf_companion.logs.recording import Recording
+from ekf_companion.logs.content import check_suffix
+from ekf_companion.logs.estimate import OWN, is_estimate
+from ekf_companion.logs.recording import CLOCK_SET_S, LATEST_S, Recording
 from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.state import Trajectory
 
@@ -35,16 +36,22 @@ def open_log(path: Path) -> Log:
     Raises:
         LogError: It cannot be read, or is of an unknown kind.
     """
+    if any(letter in path.name for letter in "*?[") and not path.exists():
+        raise LogError(
+            f"{path}: a pattern, and no file of that name; leave the quotes out, so that the shell "
+            f"puts in the name, or of several logs: ekf-companion batch '{path}' -o table.csv"
+        )
     if path.is_dir():
         raise LogError(
             f"{path}: a folder; name one log in it, or all: ekf-companion batch {path} -o table.csv"
         )
     if path.is_file() and is_estimate(path):
         raise LogError(
-            f"{path}: an estimate that convert wrote, and no log; name the log that it was made "
+            f"{path}: {OWN}, and no log; name the log that it was made "
             f"from, or: ekf-companion compare {path} --reference TRUTH.csv"
         )
     suffix = suffix_of(path)
+    check_suffix(path, suffix)
     if suffix == ".tlog":
         from ekf_companion.logs import tlog
 
@@ -70,3 +77,14 @@ def truth(log: Log) -> Trajectory | None:
     from ekf_companion.logs import tlog_trajectory
 
     return tlog_trajectory.truth(log)
+
+
+def utc_zero_ns(log: Log) -> int | None:
+    """Return the UTC at which the autopilot's clock was zero, ns since 1970; None: not known."""
+    if isinstance(log, Recording):
+        found = log.utc_zero_ns
+    else:
+        from ekf_companion.logs import tlog_trajectory
+
+        found = tlog_trajectory.utc_zero_ns(log)
+    return found if found is not None and CLOCK_SET_S < found * 1e-9 < LATEST_S else None

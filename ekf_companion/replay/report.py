@@ -128,6 +128,7 @@ def note_shortcomings(report: Report, path: Path) -> None:
         raise LogError(
             f"{path}: holds no inertial samples (HIGHRES_IMU, RAW_IMU, SCALED_IMU, IMU or "
             "sensor_combined), so nothing can be estimated; ask the autopilot to log or stream them"
+            + (f" ({report.damage.words})" if report.damage.words else "")
         )
     if report.reboots:
         times = "once" if report.reboots == 1 else f"{report.reboots} times"

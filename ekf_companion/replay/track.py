@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices, Stamps, known_rows
 from ekf_companion.nav.measurements import Events, of_receiver
-from ekf_companion.nav.state import GEODETIC, Status, Table, Trajectory
+from ekf_companion.nav.state import GEODETIC, QUATERNION, Status, Table, Trajectory
 from ekf_companion.replay.stretches import Stretches, of_events
 
 SLOT_NS = 100_000_000
@@ -27,7 +28,7 @@ class Size(NamedTuple):
 
 
 class Track:
-    """Takes blocks of a log, and keeps ten positions a second and all fixes."""
+    """Takes blocks of a log, and keeps ten positions and attitudes a second and all fixes."""
 
     def __init__(self) -> None:
         self.stretches = Stretches()
@@ -44,9 +45,11 @@ class Track:
         part = self.stretches.add(table.stamp_ns)
         std = np.hypot(table.column("sd_pos_n"), table.column("sd_pos_e"))
         values = np.column_stack([table.columns(GEODETIC), std])
+        is_placed = known_rows(values)
+        values = np.column_stack([values, table.columns(QUATERNION), _sigmas(table)])
         # Who says itself that its error is beyond the limit is not sent, and not judged by it
         status = table.column("status")
-        is_known = (status >= Status.OK) & (status != Status.INVALID) & known_rows(values)
+        is_known = (status >= Status.OK) & (status != Status.INVALID) & is_placed
         if is_known.any():
             part, t_ns, values = part[is_known], table.stamp_ns[is_known], values[is_known]
             begins = np.diff(t_ns // SLOT_NS, prepend=-1) != 0
@@ -89,20 +92,39 @@ class Track:
         return found[part].gap_ns * 1e-9, begin_ns * 1e-9
 
     def positions(self) -> Trajectory:
-        """Return the positions of the longest stretch."""
-        if not self._t_ns:
-            return Trajectory(name="ekf-companion")
-        is_of = np.concatenate(self._part) == self.stretches.longest
-        t_ns, values = np.concatenate(self._t_ns)[is_of], np.concatenate(self._values)[is_of]
-        t_ns, rows = np.unique(t_ns, return_index=True)
-        lat, lon, alt = values[rows, :3].T
+        """Return the positions and attitudes of the longest stretch, while there is a position."""
+        t_ns, values = self._longest()
+        lat, lon, alt = values[:, :3].T
+        is_turned = known_rows(values[:, 4:8])
         return Trajectory(
             name="ekf-companion",
             pos_t_ns=t_ns,
             lat=np.deg2rad(lat),
             lon=np.deg2rad(lon),
             alt=alt,
+            att_t_ns=t_ns[is_turned],
+            q_nb=so3.normalise(values[is_turned, 4:8]),
         )
+
+    def sigmas_at(self, at_ns: Stamps) -> Array:
+        """Return one sigma of tilt, yaw (rad) and height (m) at stamps of it, shape (n, 3)."""
+        t_ns, values = self._longest()
+        rows = np.clip(np.searchsorted(t_ns, at_ns, side="right") - 1, 0, len(t_ns) - 1)
+        return values[rows, 8:]
+
+    def seconds_of(self, t_ns: int) -> float:
+        """Return when a stamp of the longest stretch was, s after the first estimate."""
+        shift_ns = int(self.stretches.shifts_ns()[self.stretches.longest])
+        return (t_ns + shift_ns - self.stretches.found[0].first_ns) * 1e-9
+
+    def _longest(self) -> tuple[Stamps, Array]:
+        """Return the stamps of the longest stretch, ascending, and what is kept of each."""
+        if not self._t_ns:
+            return np.zeros(0, dtype=np.int64), np.zeros((0, 11))
+        is_of = np.concatenate(self._part) == self.stretches.longest
+        t_ns, values = np.concatenate(self._t_ns)[is_of], np.concatenate(self._values)[is_of]
+        t_ns, rows = np.unique(t_ns, return_index=True)
+        return t_ns, values[rows]
 
     def fixes(self, delay: float) -> Trajectory:
         """Return the receiver's fixes of the longest stretch, that many s before their stamps."""
@@ -111,3 +133,9 @@ class Track:
         t_ns, rows = np.unique(t_ns, return_index=True)
         lat, lon, alt = np.concatenate(self._fixes)[is_of][rows].T
         return Trajectory(name="receiver", pos_t_ns=t_ns, lat=lat, lon=lon, alt=alt)
+
+
+def _sigmas(table: Table) -> Array:
+    """Return one sigma of tilt, yaw (rad) and height (m), shape (n, 3)."""
+    tilt = np.hypot(table.column("sd_roll"), table.column("sd_pitch"))
+    return np.column_stack([tilt, table.column("sd_yaw"), table.column("sd_pos_d")])

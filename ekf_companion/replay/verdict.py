@@ -8,6 +8,7 @@ from typing import NamedTuple
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
+from ekf_companion.replay.departure import Departure
 from ekf_companion.replay.report import Report
 from ekf_companion.replay.track import Size
 
@@ -35,6 +36,18 @@ LARGEST_DAMAGE = 0.01
 LARGEST_LOSS = 0.05
 """Likewise of the telemetry's frames."""
 
+REFUSED = (Verdict.GATED, Verdict.SUSPECT, Verdict.DISTURBED)
+"""Verdicts on what was looked at and not believed."""
+AIDS = {
+    Aid.HEIGHT: "receiver's heights",
+    Aid.VELOCITY: "receiver's velocities",
+    Aid.HEADING: "headings",
+    Aid.BARO: "barometer's heights",
+}
+"""Aids besides the fixes, in words."""
+FEWEST = 10
+"""Refused measurements of an aid from which on they are named."""
+
 
 class Evidence(NamedTuple):
     """What an estimate's horizontal position is judged by, as far as the log holds it."""
@@ -50,6 +63,8 @@ class Evidence(NamedTuple):
 
     truth_to_fixes: tuple[float, float] | None = None
     """Median distances of ours and of the truth from the receiver's fixes, m."""
+    departure: Departure = Departure()
+    """How far yaw, tilt and height are from the truth, else from the autopilot's."""
 
     @property
     def truth_elsewhere(self) -> str:
@@ -100,7 +115,7 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
     parts = [_of_table(report), _of_gap(report), _of_samples(rate), _of_file(report)]
     if spent > 0.0:
         found = [_of_position(evidence), _of_status(report, spent), _of_resets(report)]
-        parts = [*found, _of_fixes(report), *parts]
+        parts = [*found, _of_fixes(report), _of_departure(evidence), _of_aids(report), *parts]
     poor, fair, aside = (tuple(words for part in parts for words in part[i]) for i in range(3))
     if whole < SHORT_S:
         words = (f"{whole:.0f} s are too few to judge",)
@@ -109,15 +124,29 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
         reasons = (_why_no_position(report), *poor, *fair)
         return Judgement(grade="attitude only", size="", reasons=reasons, aside=aside)
     if rate < SLOW:  # what else is found follows from that
-        first = _of_samples(rate).fair
-        reasons = first + tuple(one for one in poor + fair if one not in first)
-        return Judgement(grade="slow", size=_size(evidence), reasons=reasons, aside=aside)
+        first, departure = _of_samples(rate).fair, _of_departure(evidence)
+        rest = (*first, *departure.poor, *departure.fair)
+        reasons = (
+            f"{first[0]}, {evidence.departure.guess()}",
+            *(one for one in poor + fair if one not in rest),
+        )
+        aside = tuple(one for one in aside if one not in departure.aside)
+        return Judgement(grade="slow", size=_horizontal(evidence), reasons=reasons, aside=aside)
     grade = "poor" if poor else "fair" if fair else "good"
     return Judgement(grade=grade, size=_size(evidence), reasons=poor + fair, aside=aside)
 
 
 def _size(evidence: Evidence) -> str:
-    """Return how large the horizontal error is, by the best witness there is."""
+    """Return how large the horizontal error is, by the best witness there is, and what else is."""
+    words, sizes, departure = _horizontal(evidence), evidence.departure.sizes(), evidence.departure
+    by_autopilot = evidence.truth is None and evidence.autopilot is not None
+    is_same = departure.is_truth if evidence.truth is not None else by_autopilot
+    if sizes and not is_same:
+        sizes[-1] += f" from {departure.witness}"
+    return ", ".join([words, *sizes] if words else sizes)
+
+
+def _horizontal(evidence: Evidence) -> str:
     if evidence.truth is not None:
         return _words("{} RMS from the truth", evidence.truth)
     if evidence.autopilot is not None:
@@ -196,6 +225,24 @@ def _of_fixes(report: Report) -> Reasons:
     share = refused / max(refused + verdicts[Verdict.FUSED] + verdicts[Verdict.DEWEIGHTED], 1)
     words = (f"{share:.0%} of the fixes refused",)
     return Reasons(poor=words) if share > OFTEN else Reasons(fair=words if share > RARELY else ())
+
+
+def _of_departure(evidence: Evidence) -> Reasons:
+    """Judge yaw, tilt and height by a truth, else beside the autopilot's."""
+    return Reasons(*map(tuple, evidence.departure.reasons()))
+
+
+def _of_aids(report: Report) -> Reasons:
+    """Name what other aids were refused often: a disturbed compass, say; refusing is right."""
+    aside = []
+    for aid, words in AIDS.items() if report.health else ():
+        assert report.health is not None
+        verdicts = report.health.verdicts[aid]
+        refused = sum(verdicts[verdict] for verdict in REFUSED)
+        share = refused / max(refused + verdicts[Verdict.FUSED] + verdicts[Verdict.DEWEIGHTED], 1)
+        if share > OFTEN and refused >= FEWEST:
+            aside.append(f"{share:.0%} of the {words} refused")
+    return Reasons(aside=tuple(aside))
 
 
 def _of_table(report: Report) -> Reasons:

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ekf_companion.analysis import batch_run
-from ekf_companion.analysis.batch import COLUMNS, examine, failed, find_logs
+from ekf_companion.analysis.batch import COLUMNS, examine, failed, find_logs, left_out
 from ekf_companion.analysis.batch_run import Processes, run
 from ekf_companion.analysis.batch_table import lines
 from ekf_companion.cli import app
@@ -122,6 +122,7 @@ def test_two_processes_give_the_rows_of_one(folder, expected, tmp_path):
     assert result.exit_code == 0, result.output
     assert rows_of(out) == as_text(expected)
     assert "10 logs: 8 estimated, 2 failed" in result.output
+    assert "2 files left out: " in result.output
     assert [path.name for path in sorted(tmp_path.iterdir())] == [out.name, parquet.name]
     from pyarrow import parquet as reader
 
@@ -214,3 +215,12 @@ def test_a_table_of_no_known_kind_is_refused_before_any_work(folder, tmp_path):
     assert "known are .csv, .parquet" in result.output
     assert list(tmp_path.iterdir()) == []
     assert batch_run._read_journal(tmp_path / "none", Config()) == {}
+
+
+def test_files_that_are_no_logs_are_counted_and_named(folder):
+    mine = folder / "below" / "cut.tlog"
+    words = left_out([str(folder)], [folder / "truth.csv"])
+    assert words == f"1 file left out: {folder}/notes.txt (taken: .tlog, .bin, .ulg, .csv)"
+    both = left_out([str(folder), str(mine)], [])
+    assert both.startswith(f"2 files left out: {folder}/notes.txt, {folder}/truth.csv (taken")
+    assert left_out([str(mine)], []) == ""

@@ -148,3 +148,19 @@ def test_what_a_file_lost_is_in_its_verdict(flight, tmp_path):
     sentence = said("convert", log, "-o", tmp_path / "out.csv")
     assert sentence.startswith("fair: ")
     assert "a damaged place in the file (" in sentence
+
+
+def test_our_own_estimate_is_no_truth(flight, tmp_path):
+    log, own = flight[0], tmp_path / "own.csv"
+    assert CliRunner().invoke(app, ["convert", str(log), "-o", str(own)]).exit_code == 0
+    for command in ("convert", "report", "view"):
+        out = () if command == "view" else ("-o", tmp_path / f"{command}.html")
+        words = (command, log, "--reference", own, *out)
+        result = CliRunner().invoke(app, [*map(str, words)])
+        assert result.exit_code == 3, result.output
+        assert (
+            "own.csv: an estimate that convert wrote, and no truth; name a truth" in result.output
+        )
+    result = CliRunner().invoke(app, ["compare", str(log), "--reference", str(own)])
+    assert result.exit_code == 0, result.output
+    assert "note: own.csv: an estimate that convert wrote, and no truth: two" in result.output

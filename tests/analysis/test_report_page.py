@@ -17,13 +17,14 @@ from ekf_companion.analysis.report_sheet import (
     Sheet,
     broken,
     is_cut,
+    rows_of_labels,
     thin,
     usual_span,
     without_leaps,
 )
 from ekf_companion.cli import app
 from ekf_companion.config.config import Config
-from ekf_companion.nav.state import Table
+from ekf_companion.nav.state import Status, Table
 from sim_autopilot.__main__ import app as simulator
 from tests.browser import chromium
 from tests.logs.test_csv_known import SENSORS
@@ -248,3 +249,35 @@ def test_a_map_begins_where_a_track_is_and_not_where_it_leapt_to():
             assert cut["whole"]["y"][1] > 1_100_000.0
     # A long way that was flown is no leap
     assert len(without_leaps(np.linspace((0.0, 0.0), (9e5, 3e5), 100))) == 100
+
+
+def test_an_axis_of_a_constant_shows_every_departure_from_it():
+    values = np.full(10_000, 4.0)
+    values[:30] = 1.0
+    assert not is_cut(*usual_span([values]))
+    found = Table(stamp_ns=np.arange(10, dtype=np.int64), values=np.full((10, 33), 4.0))
+    axis = report_page._status(found, Sheet(0)).y_range
+    assert axis.start < 0.0
+    assert axis.end > max(Status)
+
+
+def test_a_value_alone_between_gaps_is_drawn_as_a_dot():
+    sheet = Sheet(0)
+    plot = sheet.figure("position north", "m")
+    t_ns = np.array([0, 1, 30, 60, 61], dtype=np.int64) * 1_000_000_000
+    sheet.line(plot, t_ns, np.arange(5.0), dots=3, line_color="#000000")
+    line, dots = plot.renderers
+    assert (line.glyph.__class__.__name__, dots.glyph.__class__.__name__) == ("Line", "Scatter")
+    assert set(dots.data_source.data["x"]) == {0.0, 1.0, 30.0, 60.0, 61.0}
+
+
+def test_labels_of_resets_cover_no_other():
+    assert rows_of_labels([0.0, 5.0, 6.0, 50.0], 100.0) == [0, 1, 2, 0]
+    rows = rows_of_labels([*range(30)], 100.0)
+    assert rows[:12] == [*range(12)]
+    assert rows[12:] == [None] * 18
+    sheet = Sheet(0, end_ns=100_000_000_000)
+    plot = sheet.figure("NIS", "")
+    sheet.mark(plot, [(1_000_000_000, "position"), (2_000_000_000, "height")])
+    heights = [one.y for one in plot.center if one.__class__.__name__ == "Label"]
+    assert abs(heights[1] - heights[0]) > 10.0

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from ekf_companion.analysis import trajectory_figure
+from ekf_companion.analysis import figure_file, trajectory_figure
 from ekf_companion.nav.state import Trajectory
 
 
@@ -38,3 +38,21 @@ def test_no_line_is_drawn_over_a_time_without_estimates(tmp_path):
     trajectory_figure.plot(out, [straight(t_s[(t_s < 25.0) | (t_s > 37.0)])])
     assert whole == [1] * len(whole)
     assert moves(out.read_text())[-3:] == [2, 2, 2]  # track, altitude, speed
+
+
+def test_a_long_title_is_wrapped_and_stays_on_the_sheet(tmp_path):
+    widths = []
+
+    def draw(sheet):
+        sheet.canvas.mpl_connect("draw_event", lambda event: measure(sheet, event.renderer))
+
+    def measure(sheet, renderer):
+        box = sheet._suptitle.get_window_extent(renderer)
+        widths.append((box.x0, box.x1, sheet.bbox.width, sheet._suptitle.get_text()))
+
+    title = "flight.ulg\nfair: " + ", ".join(["WIDE WORDS OF A VERDICT"] * 12)
+    figure_file.write(tmp_path / "figure.png", title, draw)
+    first, last, width, text = widths[-1]
+    assert 0.0 < first < last < width
+    assert text.splitlines()[0] == "flight.ulg"
+    assert text.replace("\n", " ") == title.replace("\n", " ")

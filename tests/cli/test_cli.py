@@ -70,13 +70,35 @@ def test_json_means_the_same_everywhere_the_result_in_place_of_the_text(
 
 @pytest.mark.parametrize("name", ["report", "convert", "view"])
 def test_a_folder_and_several_logs_are_for_batch(tmp_path, name):
-    out = [] if name == "view" else ["-o", tmp_path / "out.csv"]
+    outs = {"report": ["-o", tmp_path / "out.html"], "convert": ["-o", tmp_path / "out.csv"]}
+    out = outs.get(name, [])
     result = command(name, tmp_path, *out)
     assert result.exit_code == 3
     assert f"{tmp_path}: a folder; name one log in it, or all: ekf-companion batch" in result.stderr
     result = command(name, "a.tlog", "b.tlog", *out)
     assert result.exit_code == 2
     assert f"{name} takes one log, batch takes several" in " ".join(result.stderr.split())
+
+
+def test_an_output_of_another_kind_or_of_two_names_is_refused(flown, tmp_path):
+    kept = tmp_path / "track.kml"
+    kept.write_text("mine")
+    result = command("report", flown, "-o", kept)
+    assert result.exit_code == 2
+    assert "track.kml: a report is a .html; --png draws a picture" in result.stderr
+    assert kept.read_text() == "mine"
+    result = command("convert", flown, "-o", tmp_path / "b.csv,b.kml")
+    assert result.exit_code == 2
+    assert "b.csv,b.kml: is one name; give --out again for each file" in result.stderr
+    assert command("convert", flown, "-o", tmp_path / "north, 2.csv").exit_code == 0
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["north, 2.csv", "track.kml"]
+
+
+@pytest.mark.parametrize("name", ["report", "compare"])
+def test_a_quoted_pattern_is_for_the_shell(tmp_path, name):
+    result = command(name, tmp_path / "*.ulg")
+    assert result.exit_code == 3
+    assert "*.ulg: a pattern, and no file of that name; leave the quotes out" in result.stderr
 
 
 def test_an_estimate_of_ours_is_no_log(flown, tmp_path):

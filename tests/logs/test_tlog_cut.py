@@ -72,5 +72,5 @@ def test_a_hole_of_zeros_costs_the_records_that_it_touches(tmp_path, size):
         assert all(one[8:] in {known[8:] for known in RECORDS} for one in found)
         assert all(one in kept for one in found)
         left = len(WHOLE) - sum(map(len, found))
-        words = f"1 runs of damaged bytes, {left} bytes in all, were left out"
+        words = f"1 run of damaged bytes, {left} bytes in all, was left out"
         assert notes == ((words,) if left else ())

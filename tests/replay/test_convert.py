@@ -146,6 +146,15 @@ def test_the_estimate_compares_to_the_truth_and_to_the_autopilot(flown, tmp_path
     )
 
 
+def test_what_is_left_out_of_a_comparison_is_said(flown):
+    words = ("compare", flown / "flight.tlog", "--reference", flown / "truth.csv", "--skip")
+    left = "the first {} s are left out (--skip 0 counts them)"
+    assert left.format(12) in command(*words, 12).stdout
+    assert "are left out" not in command(*words, 0).stdout
+    several = command(*words, 12, "--filters", "eskf,euler:article")
+    assert left.format(12) in several.stdout
+
+
 def without(source: Path, out: Path, names: set[str]) -> Path:
     """Copy a .tlog without some messages."""
     from ekf_companion.mavlink.messages import IDS

@@ -141,8 +141,8 @@ def test_the_best_witness_of_the_position_is_the_one_that_counts(evidence, sente
 def test_a_slow_or_short_log_is_called_that_and_not_poor():
     slow = report({Status.DEGRADED: 100.0}, imu=3.3, resets=4)
     assert judge(slow, SURE).sentence == (
-        "slow: inertial samples at 3.3 Hz (20 Hz or more would do), 0.4 m RMS by its own sigma, "
-        "degraded for 100 s, 4 resets (last: position)"
+        "slow: inertial samples at 3.3 Hz (20 Hz or more would do), so the attitude is a guess, "
+        "0.4 m RMS by its own sigma, degraded for 100 s, 4 resets (last: position)"
     )
     short = report({Status.ALIGNING: 4.1, Status.DEGRADED: 2.4})
     assert judge(short, SURE).sentence.startswith("short: 6 s are too few to judge")
