@@ -21,8 +21,18 @@ from ekf_companion.nav.measurements import (
     ImuSample,
     MagSample,
 )
-from ekf_companion.nav.state import COLUMNS, EULER, POSITION, QUATERNION, SIGMA, VELOCITY, Status
+from ekf_companion.nav.state import (
+    COLUMNS,
+    EULER,
+    GEODETIC,
+    POSITION,
+    QUATERNION,
+    SIGMA,
+    VELOCITY,
+    Status,
+)
 from ekf_companion.replay.arrays import STD_H, STD_V, STD_VEL
+from ekf_companion.replay.estimates import Origin
 from ekf_companion.replay.plausibility import check_inertial, check_known, check_rate
 
 CHECKED = 200
@@ -41,6 +51,7 @@ _PLACES = {
         ("sigma", SIGMA),
     )
 }
+_GEODETIC = [COLUMNS.index(name) - 1 for name in GEODETIC]
 
 
 TIMES = "a Stream takes floats as s and whole numbers as ns"
@@ -51,7 +62,7 @@ class StreamEstimate(NamedTuple):
 
     t_ns: int
     pos_n: Array
-    """North, east, down of the first position, m, shape (3,)."""
+    """North, east, down of :attr:`Stream.origin`, m, shape (3,)."""
     vel_n: Array
     """m/s, shape (3,)."""
     q_nb: Array
@@ -61,6 +72,12 @@ class StreamEstimate(NamedTuple):
     sigma: Array
     """One sigma of position, velocity and roll, pitch, yaw, shape (9,)."""
     status: Status
+    lat_deg: float
+    """WGS-84 latitude, degrees."""
+    lon_deg: float
+    """Longitude, degrees."""
+    alt: float
+    """Height above mean sea level, m."""
 
 
 class Stream:
@@ -83,6 +100,17 @@ class Stream:
         self._samples = self._newest_ns = 0
         self._compared: Counter[str] = Counter()
 
+    @property
+    def origin(self) -> Origin | None:
+        """The place from which ``pos_n`` counts; None: there is no position yet.
+
+        It is the fix at which the estimator began to navigate, as a heading was known.
+        """
+        if (found := self.pipeline.origin) is None:
+            return None
+        lat, lon, alt = found
+        return Origin(float(np.rad2deg(lat)), float(np.rad2deg(lon)), alt)
+
     def imu(self, t: float, gyro: npt.ArrayLike, accel: npt.ArrayLike) -> StreamEstimate | None:
         """Take an inertial sample, rad/s and m/s^2; return the estimate if it is the newest.
 
@@ -100,7 +128,10 @@ class Stream:
         values = self.pipeline.values()
         parts = {name: values[places] for name, places in _PLACES.items()}
         status = Status(int(values[COLUMNS.index("status") - 1]))
-        return StreamEstimate(t_ns=t_ns, status=status, **parts)
+        lat_deg, lon_deg, alt = values[_GEODETIC].tolist()
+        return StreamEstimate(
+            t_ns=t_ns, status=status, lat_deg=lat_deg, lon_deg=lon_deg, alt=alt, **parts
+        )
 
     def gnss(
         self,

@@ -12,6 +12,7 @@ from ekf_companion.core.settings import FilterSettings, GnssSettings
 from ekf_companion.errors import ConfigError, DataError, LogError
 from ekf_companion.filters import mahony
 from ekf_companion.nav import so3
+from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.replay.arrays import to_events
 from sim_autopilot.config import SimConfig
@@ -87,6 +88,22 @@ def test_a_flight_is_estimated_by_any_filter(flown, name):
     assert yaw < 4.0
     assert repr(found).startswith(f"<Estimates: {len(found)} in ")
     assert f"{found.shares['ok']:.0%}" in repr(found)
+
+
+@pytest.mark.parametrize("changed", [{}, {"smooth": True}, {"filter": "ukf"}])
+def test_the_origin_is_where_positions_count_from(flown, changed):
+    """Without a compass the filters begin elsewhere: so did their origins, which nothing said."""
+    heading = {"time": flown.time[::10], "heading": np.full(len(flown.time[::10]), 0.3)}
+    given = {"mag": None, "heading": heading} if "filter" in changed else {"mag": None}
+    found = flown.estimate(**given, **changed)
+    origin = found.origin
+    frame = LocalFrame(np.deg2rad(origin.lat_deg), np.deg2rad(origin.lon_deg), origin.alt)
+    place = frame.to_ned(np.deg2rad(found.lat_deg), np.deg2rad(found.lon_deg), found.alt)
+    known = found.status >= 3
+    assert np.allclose(place[known], found.pos_n[known], atol=1e-6)
+    first = [flown.gnss[name][0] for name in ("lat_deg", "lon_deg", "alt")]
+    assert (np.abs(np.array(origin) - first).max() < 1e-9) == ("filter" in changed)
+    assert flown.estimate(gnss=None).origin is None
 
 
 def test_smoothing_is_a_keyword_and_better(flown):

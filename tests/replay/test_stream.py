@@ -33,6 +33,10 @@ def test_a_flight_sample_by_sample_is_the_same_as_at_once():
     assert last.status is Status.OK
     assert last.pos_n == pytest.approx(at_once.pos_n[-1], abs=1e-9)
     assert last.euler == pytest.approx(at_once.euler[-1], abs=1e-9)
+    place = (last.lat_deg, last.lon_deg, last.alt)
+    at_once_place = (at_once.lat_deg[-1], at_once.lon_deg[-1], at_once.alt[-1])
+    assert place == pytest.approx(at_once_place, abs=1e-9)
+    assert stream.origin == pytest.approx(at_once.origin, abs=1e-9)
     assert last.sigma == pytest.approx(at_once.sigma[-1], abs=1e-9)
 
 
