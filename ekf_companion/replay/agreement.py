@@ -11,6 +11,7 @@ from ekf_companion.replay.axis_agreement import axis_disagreement
 from ekf_companion.replay.field_agreement import field_disagreement
 from ekf_companion.replay.fix_agreement import disagreements, suspicion
 from ekf_companion.replay.plausibility import OF_COLUMNS, check_inertial
+from ekf_companion.replay.time_agreement import clock_disagreement
 
 MOST_SAMPLES = 200_000
 """Inertial samples that are kept to compare their axes, with the magnetometer's beside them: 24 MB,
@@ -87,4 +88,5 @@ class AgreementCheck:
         if fault := inertial_fault(imu):
             return [fault], []
         found = contradictions(imu, fixes, baro if len(baro) else None, mag)
-        return found, ([doubt] if (doubt := suspicion(fixes)) and not found else [])
+        doubts = [] if found else [suspicion(fixes), clock_disagreement(imu, fixes)]
+        return found, [doubt for doubt in doubts if doubt]

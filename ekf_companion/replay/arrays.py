@@ -29,6 +29,7 @@ from ekf_companion.replay.estimates import Estimates
 from ekf_companion.replay.filters_by_name import Run, run_filter
 from ekf_companion.replay.fix_agreement import suspicion
 from ekf_companion.replay.smoothing import smooth as smooth_events
+from ekf_companion.replay.time_agreement import clock_disagreement
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
@@ -175,6 +176,8 @@ def _read(
     fixes, baro, mag = (tables.get(name) for name in ("gnss", "baro", "mag"))
     if read.check and (found := contradictions(imu, fixes, baro, mag)):
         raise DataError(f"{'; '.join(found)}. If it is meant so: check=False")
+    if read.check and fixes is not None and (found_late := clock_disagreement(imu, fixes)):
+        raise DataError(f"{found_late}. If it is meant so: check=False")
     if fixes is not None and (doubt := suspicion(fixes)):
         read.notes.append(doubt)
     return merge(*tables.values(), imu)
