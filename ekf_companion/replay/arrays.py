@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -101,9 +101,9 @@ def estimate(
         ConfigError: There is no such filter, unit or column.
         LogError: Nothing can be estimated from them.
     """
-    read = _Reader(units, check)
-    events = _read(read, time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro)
     chosen = settings or FilterSettings()
+    read = _Reader(units, check, chosen.gnss.delay)
+    events = _read(read, time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro)
     if smooth:
         if filter != "eskf" or aids:
             raise ConfigError("smooth: smooths eskf without aids of your own; leave it or them out")
@@ -174,10 +174,11 @@ def _read(
     }
     imu = Events.from_columns(t_ns, Kind.IMU, *turn.T, *force.T)
     fixes, baro, mag = (tables.get(name) for name in ("gnss", "baro", "mag"))
-    if read.check and (found := contradictions(imu, fixes, baro, mag)):
+    found = contradictions(imu, fixes, baro, mag) if read.check else []
+    if read.check and fixes is not None and not found:
+        found = [said] if (said := clock_disagreement(imu, fixes, read.delay)) else []
+    if found:
         raise DataError(f"{'; '.join(found)}. If it is meant so: check=False")
-    if read.check and fixes is not None and (found_late := clock_disagreement(imu, fixes)):
-        raise DataError(f"{found_late}. If it is meant so: check=False")
     if fixes is not None and (doubt := suspicion(fixes)):
         read.notes.append(doubt)
     return merge(*tables.values(), imu)
@@ -186,7 +187,9 @@ def _read(
 class _Reader:
     """Reads what the user gives into arrays of the right shape and unit, or says what is wrong."""
 
-    def __init__(self, given: Mapping[str, str] | None, check: bool) -> None:
+    def __init__(
+        self, given: Mapping[str, str] | None, check: bool, delay: float | Literal["auto"] = "auto"
+    ) -> None:
         if given is not None and not isinstance(given, Mapping):
             raise ConfigError(f"units: {given!r}: name the array too, as {{'gyro': 'deg/s'}}")
         units = dict(given or {})
@@ -194,7 +197,7 @@ class _Reader:
             if unit not in UNITS.get(name, {}):
                 known = {key: list(values) for key, values in UNITS.items()}
                 raise ConfigError(f"units: {name}: {unit!r}: known are {known}")
-        self._units, self.check = units, check
+        self._units, self.check, self.delay = units, check, delay
         self.notes: list[str] = []
         """What one should know of the arrays, one sentence each."""
         self.dropped: dict[str, int] = {}

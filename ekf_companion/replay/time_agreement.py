@@ -16,6 +16,7 @@ steady turn does not show the time, and nothing is said.
 from __future__ import annotations
 
 import warnings
+from typing import Literal
 
 import numpy as np
 
@@ -47,13 +48,17 @@ COMPARABLE = 1.0 / 3.0
 """Share of the windows that a shift must leave within the time of the fixes."""
 
 
-def clock_disagreement(imu: Events, fixes: Events) -> str:
+def clock_disagreement(imu: Events, fixes: Events, delay: float | Literal["auto"] = "auto") -> str:
     """Return a sentence if the times of the fixes cannot be meant; empty: they can.
 
     Args:
         imu: Of ``Kind.IMU``, in the order of their stamps.
         fixes: Of ``Kind.GNSS``, likewise.
+        delay: By how much they are declared to be late, s.
     """
+    if delay != "auto":
+        t_ns = fixes.t_ns - round(delay * 1e9)
+        fixes = Events(t_ns=t_ns, kind=fixes.kind, values=fixes.values)
     shift = fix_shift(imu, fixes)
     if shift is None:
         return ""
@@ -62,7 +67,8 @@ def clock_disagreement(imu: Events, fixes: Events) -> str:
         f"gnss: its velocities show the motion of gyro and accel {abs(shift):.1f} s too {side}: "
         "the times of both must be of one clock (GPS time is 18 s ahead of UTC: leap seconds), and "
         "those at which the measurements were true, not at which they arrived; where the motion "
-        "repeats itself, the shift may be longer by its period"
+        "repeats itself, the shift may be longer by its period. Of a receiver that is known to be "
+        "late, set gnss.delay"
     )
 
 

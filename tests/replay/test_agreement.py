@@ -172,6 +172,14 @@ def test_fixes_on_another_clock_are_named_with_how_far_it_is_off(quad, seconds):
     assert f"show the motion of gyro and accel {size:.1f} s too {side}: the times of both" in doubt
 
 
+def test_fixes_that_are_declared_late_are_no_other_clock(quad):
+    t_ns = quad.fixes.t_ns + 1_000_000_000
+    late = Events(t_ns=t_ns, kind=quad.fixes.kind, values=quad.fixes.values)
+    assert clock_disagreement(quad.imu, late) != ""
+    assert clock_disagreement(quad.imu, late, 1.0) == ""
+    assert "0.9 s too early" in clock_disagreement(quad.imu, quad.fixes, 1.0)
+
+
 def test_fixes_later_by_a_receivers_delay_are_no_other_clock(quad):
     for seconds in (-0.1, 0.1, 0.3):
         t_ns = quad.fixes.t_ns + int(seconds * 1e9)
