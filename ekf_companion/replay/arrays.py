@@ -23,12 +23,13 @@ from ekf_companion.nav.measurements import (
     Kind,
     merge,
 )
+from ekf_companion.nav.state import join
 from ekf_companion.replay import account, plausibility
 from ekf_companion.replay.agreement import contradictions
 from ekf_companion.replay.estimates import Estimates
-from ekf_companion.replay.filters_by_name import Run, run_filter
+from ekf_companion.replay.filters_by_name import Run, counts_of, run_filter
 from ekf_companion.replay.fix_agreement import suspicion
-from ekf_companion.replay.smoothing import smooth as smooth_events
+from ekf_companion.replay.smoothing import Smoothing
 from ekf_companion.replay.time_agreement import clock_disagreement
 
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -107,12 +108,14 @@ def estimate(
     if smooth:
         if filter != "eskf" or aids:
             raise ConfigError("smooth: smooths eskf without aids of your own; leave it or them out")
-        table = smooth_events(events, chosen)
+        with Smoothing(chosen) as smoothing:
+            smoothing.run(events)
+            table, counts = join(list(smoothing.tables())), counts_of(smoothing.health())
         notes: tuple[str, ...] = ()
     else:
         recording = Recording(family="unknown", events=events)
         solution = run_filter(recording, filter, chosen, aids=aids)
-        table, notes = solution.table, solution.notes
+        table, counts, notes = solution.table, dict(solution.counts), solution.notes
     if not np.isfinite(table.column("q_w")).any():
         span = (events.t_ns[-1] - events.t_ns[0]) * 1e-9
         why = "; ".join(["", *read.notes])
@@ -122,7 +125,7 @@ def estimate(
             f"recording, best with a second at rest at its begin{_without_velocity(events)}{why}"
         )
     has_position = not isinstance(filter, str) or filter.partition(":")[0] in NAVIGATING
-    said = account.sentences(table, events, has_position=has_position)
+    said = account.sentences(table, events, counts, has_position=has_position)
     return Estimates(table, (*read.notes, *said, *notes), dropped=read.dropped)
 
 

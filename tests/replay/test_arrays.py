@@ -1,5 +1,6 @@
 """Arrays in, a trajectory out; mistakes are said."""
 
+import re
 from dataclasses import replace
 from importlib.util import find_spec
 
@@ -306,6 +307,36 @@ def test_time_without_aid_and_resets_are_said(flown):
     assert "dead reckoning: no fix was used for more than a second" in notes
     assert f"; resets {found.resets}; " in repr(found)
     assert "dead reckoning" in repr(found)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (
+            lambda f: {"gnss": f.gnss | {"lat_deg": np.deg2rad(f.gnss["lat_deg"])}},
+            r"degraded: position: (\d+) of (\d+) fixes refused \(look at lat_deg",
+        ),
+        (
+            lambda f: {"gnss": f.gnss | dict.fromkeys(("lat_deg", "lon_deg"), 0.0 * f.gnss["alt"])},
+            r"degraded: position: (\d+) of (\d+) fixes refused",
+        ),
+        (
+            lambda f: {"mag": f.mag | {"field": np.tile([0.2, 0.0, 0.4], (len(f.mag["time"]), 1))}},
+            r"degraded: heading: (\d+) of (\d+) headings refused \(look at heading",
+        ),
+    ],
+)
+def test_which_aid_was_refused_is_said_with_counts(flown, change, sentence):
+    given = {"mag": None, "baro": None, "check": False} | change(flown)
+    for smooth in (False, True):
+        notes = "\n".join(flown.estimate(smooth=smooth, **given).notes)
+        refused, of = map(int, re.search(sentence, notes).groups())
+        assert 0.3 * of < refused <= of
+
+
+def test_a_start_that_is_not_confirmed_yet_is_no_lack_of_an_aid(flown):
+    (note,) = flown.estimate(mag=None).notes
+    assert "degraded: it had only just begun, or jumped" in note
 
 
 def test_a_wing_whose_x_points_sideways_is_doubted():
