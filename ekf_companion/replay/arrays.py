@@ -170,6 +170,8 @@ def _read(
     force = read.array("accel", accel, (len(t_ns), 3))
     if read.check:
         plausibility.check_inertial(turn, force, t_ns)
+    read.note_rough("gyro", turn)
+    read.note_rough("accel", force)
     tables = {
         name: convert(read, given, t_ns)
         for name, convert in _TABLES.items()
@@ -220,6 +222,16 @@ class _Reader:
         self.notes.append(
             f"{name}: {len(rows)} of {len(is_bad)} rows {why}, the first is row {rows[0]}; {then}"
         )
+
+    def note_rough(self, name: str, values: Array) -> None:
+        """Count and note samples that no sensor measures, and those that are far from the rest."""
+        largest, unit = plausibility.LARGEST[name]
+        beyond = plausibility.beyond_sensors(name, values)
+        self.drop(name, beyond, f"hold more than {largest:g} {unit}, which no sensor measures")
+        is_spike, usual = plausibility.spikes(name, values)
+        why = f"are spikes: far larger than the others, which stay below {usual:.3g} {unit}"
+        then = "they were used, and the estimate may be wrong from there on: leave them out"
+        self.note(name, is_spike, why, then)
 
     def times(self, name: str, given: npt.ArrayLike, *, is_inertial: bool = False) -> Stamps:
         """Return stamps, ns: floats are s and integers ns, unless the unit is named."""

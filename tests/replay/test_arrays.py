@@ -252,6 +252,27 @@ def test_what_is_not_used_is_counted_by_array_and_reason(flown):
     assert "rows dropped accel 30, gnss.lat_deg 10" in repr(found)
 
 
+@pytest.mark.parametrize(("name", "number"), [("accel", 1e6), ("gyro", 500.0), ("gyro", -300.0)])
+def test_samples_that_no_sensor_measures_are_counted(flown, name, number):
+    values = getattr(flown, name).copy()
+    values[1000:1010, 1] = number
+    found = flown.estimate(**{name: values})
+    assert len(flown.time) - 11 <= len(found) <= len(flown.time) - 10
+    assert dict(found.dropped) == {name: 10}
+    note = found.notes[0]
+    assert re.match(rf"{name}: 10 of 1500 rows hold more than 2000? \S+, which no sensor", note)
+    assert "the first is row 1000; they were not used" in note
+
+
+@pytest.mark.parametrize(("name", "number"), [("accel", 200.0), ("gyro", 30.0)])
+def test_spikes_are_noted(flown, name, number):
+    values = getattr(flown, name).copy()
+    values[1000:1003] = number
+    note = flown.estimate(**{name: values}).notes[0]
+    assert note.startswith(f"{name}: 3 of 1500 rows are spikes: far larger than the others")
+    assert "the first is row 1000; they were used" in note
+
+
 def test_a_flight_without_mistakes_has_no_notes(flown):
     found = flown.estimate()
     assert found.notes == ()
