@@ -125,6 +125,11 @@ def estimate(
             f"recording, best with a second at rest at its begin{_without_velocity(events)}{why}"
         )
     has_position = not isinstance(filter, str) or filter.partition(":")[0] in NAVIGATING
+    if gnss is not None and not has_position:
+        read.notes.append(
+            f"{filter}: takes no fixes, so positions and velocities of gnss were not used; "
+            f"{', '.join(NAVIGATING)} do"
+        )
     said = account.sentences(table, events, counts, has_position=has_position)
     return Estimates(table, (*read.notes, *said, *notes), dropped=read.dropped)
 

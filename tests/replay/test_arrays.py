@@ -360,6 +360,25 @@ def test_a_start_that_is_not_confirmed_yet_is_no_lack_of_an_aid(flown):
     assert "degraded: it had only just begun, or jumped" in note
 
 
+@pytest.mark.parametrize("name", ["zupt", "mahony"])
+def test_a_filter_that_takes_no_fixes_says_so(flown, name):
+    found = flown.estimate(filter=name)
+    assert f"{name}: takes no fixes, so positions and velocities of gnss were not used" in "".join(
+        found.notes
+    )
+    without = flown.estimate(filter=name, gnss=None)
+    assert not [note for note in without.notes if "takes no fixes" in note]
+
+
+def test_the_heading_of_an_eskf_run_helps_a_filter_that_needs_one(flown):
+    with pytest.raises(LogError, match=r"no heading: .* from Python, give mag or heading, such as"):
+        flown.estimate(filter="ukf", mag=None)
+    track = flown.estimate(mag=None)
+    known = track.status >= 3
+    heading = {"time": track.time[known], "heading": track.euler[known, 2], "std": 0.1}
+    assert error(flown, flown.estimate(filter="ukf", mag=None, heading=heading))[0] < 2.0
+
+
 def test_a_wing_whose_x_points_sideways_is_doubted():
     flight = Flight.plan("loiter", COARSE, duration=60.0, seed=4)
     found = events(flight)
