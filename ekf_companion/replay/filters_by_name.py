@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -84,6 +85,9 @@ def run_filter(
     # A filter cannot follow a clock that restarts
     events, notes = longest_clock_run(recording.events)
     recording = replace(recording, events=events)
+    if label.partition(":")[0] in _OVER and not callable(name):
+        # SciPy brings a BLAS of its own, which has no limit if it is loaded within one
+        import_module(f"ekf_companion.filters.{label.partition(':')[0]}")
     # On matrices of 15 rows the threads of a BLAS only wait for each other
     with threadpool_limits(1, "blas"):
         found = run(recording, settings or FilterSettings(), option)
