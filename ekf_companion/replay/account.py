@@ -23,6 +23,9 @@ FEW, MOST = 0.05, 0.5
 is said, above the second it is said in any case."""
 SETTLING_NS = 5_000_000_000
 """Time after a begin or a reset in which fixes have yet to confirm an attitude, ns."""
+LATE_NS = 3_000_000_000
+"""Time without a position from the first fix on that a start at rest with a heading does not take,
+ns."""
 _LOOK = {
     "position": ("fixes", "look at lat_deg, lon_deg and std_h of gnss"),
     "height": ("heights", "look at alt and std_v of gnss"),
@@ -86,6 +89,22 @@ def _why_degraded(table: Table, rows: Indices, counts: Mapping[str, tuple[int, i
     if np.all(table.stamp_ns[rows] - begin_ns[last] < SETTLING_NS):
         return "it had only just begun, or jumped, and fixes had yet to confirm the attitude"
     return "one of position, velocity, height and heading was not aided"
+
+
+def late_begin(table: Table, events: Events) -> list[str]:
+    """Return a note on smoothed estimates that begin with a position long after the fixes do."""
+    fixes, known = events.t_ns[events.kind == Kind.GNSS], table.column("status") >= Status.OK
+    if not len(fixes) or not known.any():
+        return []
+    begin_ns = table.stamp_ns[np.argmax(known)]
+    since = (begin_ns - table.stamp_ns[0]) * 1e-9
+    if begin_ns - max(fixes[0], table.stamp_ns[0]) < LATE_NS:
+        return []
+    return [
+        f"the first {since:.1f} s have no position: before {begin_ns * 1e-9:.1f} s no heading was "
+        "known, and smoothing does not reach back to before it was; with mag or heading it is "
+        "known sooner"
+    ]
 
 
 def why_no_position(events: Events) -> str:

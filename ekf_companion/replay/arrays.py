@@ -111,7 +111,7 @@ def estimate(
         with Smoothing(chosen) as smoothing:
             smoothing.run(events)
             table, counts = join(list(smoothing.tables())), counts_of(smoothing.health())
-        notes: tuple[str, ...] = ()
+        notes = tuple(account.late_begin(table, events))
     else:
         recording = Recording(family="unknown", events=events)
         solution = run_filter(recording, filter, chosen, aids=aids)

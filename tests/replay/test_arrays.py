@@ -115,6 +115,15 @@ def test_smoothing_is_a_keyword_and_better(flown):
         flown.estimate(smooth=True, filter="ukf")
 
 
+def test_smoothing_says_why_the_begin_has_no_position(flown):
+    found = flown.estimate(mag=None, smooth=True)
+    since = found.time[np.argmax(np.isfinite(found.lat_deg))] - found.time[0]
+    (note,) = [note for note in found.notes if "no position" in note]
+    assert note.startswith(f"the first {since:.1f} s have no position: before ")
+    assert "smoothing does not reach back" in note
+    assert not [note for note in flown.estimate(smooth=True).notes if "no position" in note]
+
+
 def test_units_and_times_may_be_named_or_told_by_their_type(flown):
     expected = flown.estimate().pos_n
     whole = {
