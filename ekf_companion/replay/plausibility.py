@@ -151,6 +151,8 @@ def check_inertial(gyro: Array, accel: Array, t_ns: Stamps, remedies: Remedies =
         DataError: They cannot be meant; the sentence says what they look like.
     """
     known = np.isfinite(gyro).all(axis=1) & np.isfinite(accel).all(axis=1)
+    if not known.any():
+        raise DataError("gyro, accel: in each row one of the two holds NaN or infinity")
     gyro, accel, t_ns = gyro[known], accel[known], t_ns[known]
     size = np.linalg.norm(accel, axis=1)
     force = float(np.median(size))
