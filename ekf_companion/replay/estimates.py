@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.errors import ConfigError
-from ekf_companion.logs.tum_writer import Writer
+from ekf_companion.logs.csv_writer import Writer as CsvWriter
+from ekf_companion.logs.tum_writer import Writer as TumWriter
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
@@ -193,6 +194,15 @@ class Estimates:
             raise ConfigError(f"{library} is not installed: pip install {library}") from None
         raise ConfigError(f"to_dataframe: {library!r}: use 'pandas' or 'polars'")
 
+    def to_csv(self, path: Path | str) -> None:
+        """Write all columns as ``convert`` does, for ``ekf-companion compare``.
+
+        Raises:
+            LogError: The file cannot be written.
+        """
+        with CsvWriter(Path(path)) as writer:
+            writer.write(self.table)
+
     def to_tum(self, path: Path | str) -> None:
         """Write the trajectory in TUM's format, which evo and others read.
 
@@ -204,7 +214,7 @@ class Estimates:
         """
         known = np.isfinite(self.pos_n).all(axis=1) & np.isfinite(self.q_nb).all(axis=1)
         known &= self.status >= Status.OK
-        with Writer(Path(path)) as writer:
+        with TumWriter(Path(path)) as writer:
             writer.write(Table(stamp_ns=self.t_ns[known], values=self.table.values[known]))
 
 

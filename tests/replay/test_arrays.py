@@ -12,6 +12,7 @@ from ekf_companion import OwnAid, estimate
 from ekf_companion.core.settings import FilterSettings, GnssSettings
 from ekf_companion.errors import ConfigError, DataError, LogError
 from ekf_companion.filters import mahony
+from ekf_companion.logs.estimate import is_estimate, read_estimate
 from ekf_companion.nav import so3
 from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Kind
@@ -454,6 +455,16 @@ def test_a_trajectory_becomes_a_data_frame_and_a_file_of_tums_format(flown, tmp_
     )
     up = so3.rotate(np.array([w, x, y, z]), np.array([0.0, 0.0, 1.0]))
     assert up[2] > 0.7
+
+
+def test_a_trajectory_is_written_as_convert_writes_it(flown, tmp_path):
+    found = flown.estimate()
+    found.to_csv(tmp_path / "track.csv")
+    assert is_estimate(tmp_path / "track.csv")
+    read = read_estimate(tmp_path / "track.csv")
+    known = np.isfinite(found.lat_deg)
+    assert np.array_equal(read.pos_t_ns, found.t_ns[known] // 1000 * 1000)
+    assert read.alt == pytest.approx(found.alt[known])
 
 
 class Rangefinder(OwnAid):
