@@ -259,8 +259,8 @@ def check_velocity(t_ns: Stamps, alt: Array, vel_n: Array) -> None:
         return
     if float(np.corrcoef(climb, heights[1:])[0, 1]) < -0.7:
         raise DataError(
-            "gnss: vel_n: its third column rises with the height; it must be the velocity down, "
-            "as in north, east, down"
+            "gnss: vel_n: its third column rises with alt; it must be the velocity down, as in "
+            "north, east, down, and alt positive upwards"
         )
 
 

@@ -134,6 +134,15 @@ def test_units_and_times_may_be_named_or_told_by_their_type(flown):
         "baro": flown.baro | {"time": np.rint(flown.baro["time"] * 1e9).astype(np.int64)},
     }
     assert np.allclose(flown.estimate(**whole).pos_n, expected, atol=1e-6, equal_nan=True)
+    dated = {
+        name: table
+        | {"time": whole[name]["time"].astype("datetime64[ns]").astype("datetime64[us]")}
+        for name, table in (("gnss", flown.gnss), ("mag", flown.mag), ("baro", flown.baro))
+    }
+    dated["time"] = whole["time"].astype("datetime64[ns]")
+    found = flown.estimate(**dated, units={"time": "s"})
+    assert np.array_equal(found.t_ns, whole["time"])
+    assert np.allclose(found.pos_n, expected, atol=1e-3, equal_nan=True)  # us
     other = flown.estimate(
         gyro=np.rad2deg(flown.gyro),
         accel=flown.accel / 9.80665,
@@ -185,6 +194,18 @@ def in_ms(flown):
             "no place on the Earth",
         ),
         (lambda f: {"gnss": f.gnss | {"vel_n": f.velocity * AXES}}, "third column rises"),
+        (
+            lambda f: {"gnss": f.gnss | {"vel_n": f.velocity, "alt": -f.gnss["alt"]}},
+            "and alt positive upwards",
+        ),
+        (
+            lambda f: {"time": np.full(len(f.time), np.datetime64("NaT"))},
+            "time: holds NaT; leave such rows out",
+        ),
+        (
+            lambda f: {"time": np.array(["noon"] * len(f.time))},
+            r"time: must be numbers or datetime64 in one row",
+        ),
         (lambda f: {"gnss": {"time": f.gnss["time"]}}, "gnss: needs lat_rad"),
         (lambda f: {"gnss": f.gnss | {"height": 1.0}}, "gnss: height: known are time, lat_deg"),
         (lambda f: {"mag": f.mag | {"field": f.mag["field"] * 100.0}}, "mag: its median strength"),
