@@ -27,7 +27,7 @@ from ekf_companion.replay import account, plausibility
 from ekf_companion.replay.agreement import contradictions
 from ekf_companion.replay.array_reader import UNITS, Reader
 from ekf_companion.replay.estimates import Estimates
-from ekf_companion.replay.filters_by_name import Run, counts_of, run_filter
+from ekf_companion.replay.filters_by_name import Run, counts_of, late_fixes, run_filter
 from ekf_companion.replay.fix_agreement import suspicion
 from ekf_companion.replay.smoothing import Smoothing
 from ekf_companion.replay.time_agreement import clock_disagreement
@@ -94,15 +94,16 @@ def estimate(
     chosen = settings or FilterSettings()
     read = Reader(units, check, chosen.gnss.delay)
     events = _read(read, time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro)
+    recording = Recording(family="unknown", events=events)
     if smooth:
         if filter != "eskf" or aids:
             raise ConfigError("smooth: smooths eskf without aids of your own; leave it or them out")
         with Smoothing(chosen) as smoothing:
             smoothing.run(events)
             table, counts = join(list(smoothing.tables())), counts_of(smoothing.health())
-        notes = tuple(account.late_begin(table, events))
+            notes = late_fixes(smoothing, chosen, recording)
+        notes += tuple(account.late_begin(table, events))
     else:
-        recording = Recording(family="unknown", events=events)
         solution = run_filter(recording, filter, chosen, aids=aids)
         table, counts, notes = solution.table, dict(solution.counts), solution.notes
     if not np.isfinite(table.column("q_w")).any():

@@ -116,6 +116,19 @@ def test_smoothing_is_a_keyword_and_better(flown):
         flown.estimate(smooth=True, filter="ukf")
 
 
+@pytest.mark.parametrize("seconds", [0.45, -0.45])
+def test_fixes_later_than_a_receivers_are_noted_by_the_filters_own_estimate(flown, seconds):
+    side = "later" if seconds > 0.0 else "earlier"
+    fixes = flown.gnss | {"time": flown.gnss["time"] + seconds}
+    for smooth in (False, True):
+        notes = flown.estimate(gnss=fixes, smooth=smooth, check=False).notes
+        (note,) = [note for note in notes if "than their times say" in note]
+        found = re.match(r"the fixes are (0\.\d\d) s (\w+) than .* gnss.delay to (-?0\.\d\d)", note)
+        assert float(found[1]) == pytest.approx(abs(seconds), abs=0.05)
+        assert found[2] == side
+        assert float(found[3]) == pytest.approx(0.12 + seconds, abs=0.05)
+
+
 def test_smoothing_says_why_the_begin_has_no_position(flown):
     found = flown.estimate(mag=None, smooth=True)
     since = found.time[np.argmax(np.isfinite(found.lat_deg))] - found.time[0]
