@@ -110,8 +110,9 @@ def azimuths(ordered: Events, rows: Events, settings: FilterSettings) -> list[Ti
             heard_ns = np.array(sorted(t for t, _ in found), dtype=np.int64)
     if not found:
         raise LogError(
-            "no heading: a magnetometer or another source of it is needed here "
-            "(heading.source); eskf finds north from the motion"
+            "no heading: a magnetometer or another source of it is needed here (heading.source "
+            "chooses it; from Python, give mag or heading, such as time and euler[:, 2] of an eskf "
+            "run where they are known); eskf finds north from the motion"
         )
     return sorted(found, key=lambda one: one[0])
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.arrays import Array, Indices
 from ekf_companion.nav.measurements import GNSS_VELOCITY, Events, Kind
 from ekf_companion.nav.state import Status, Table
 
@@ -16,29 +18,93 @@ ALL_ROUND, STEADY = 0.7, 0.97
 Only what rolls, sails or has wings keeps one: a multicopter does while it flies straight."""
 ASKEW = float(np.deg2rad(70.0))
 """Angle between heading and course that no crab in the wind has, rad."""
+FEW, MOST = 0.05, 0.5
+"""Shares of an aid's measurements that were refused: above the first it is a reason of what else
+is said, above the second it is said in any case."""
+SETTLING_NS = 5_000_000_000
+"""Time after a begin or a reset in which fixes have yet to confirm an attitude, ns."""
+LATE_NS = 3_000_000_000
+"""Time without a position from the first fix on that a start at rest with a heading does not take,
+ns."""
+_LOOK = {
+    "position": ("fixes", "look at lat_deg, lon_deg and std_h of gnss"),
+    "height": ("heights", "look at alt and std_v of gnss"),
+    "velocity": ("velocities", "look at vel_n and std_vel of gnss"),
+    "heading": (
+        "headings",
+        "look at heading (rad from true north, clockwise) or mag (a field that is the Earth's)",
+    ),
+}
 _AFTER = {
-    Status.DEGRADED: "one of position, velocity, height and heading was not aided",
     Status.DEAD_RECKONING: "no fix was used for more than a second, and the error grows",
     Status.INVALID: "its error is beyond the limit: do not use it",
 }
 
 
-def sentences(table: Table, events: Events, *, has_position: bool = True) -> list[str]:
+def sentences(
+    table: Table,
+    events: Events,
+    counts: Mapping[str, tuple[int, int]],
+    *,
+    has_position: bool = True,
+) -> list[str]:
     """Return what one should know of estimates, by themselves and by what they were made of.
 
-    Without ``has_position`` they are of a filter that estimates no position from fixes.
+    ``counts`` are the numbers of fused and of refused measurements by aid. Without
+    ``has_position`` they are of a filter that estimates no position from fixes.
     """
     status = table.column("status")
     found = []
     if has_position and not (status >= Status.OK).any():
         found.append(why_no_position(events))
-    for bad, words in _AFTER.items():
+    for bad in (Status.DEGRADED, *_AFTER):
         if (rows := np.flatnonzero(status == bad)).size:
             first = table.stamp_ns[rows[0]] * 1e-9
-            name = bad.words
+            words = _AFTER.get(bad) or _why_degraded(table, rows, counts)
             share = len(rows) / len(status)
-            found.append(f"{share:.1%} of the time, first at {first:.1f} s, {name}: {words}")
+            found.append(f"{share:.1%} of the time, first at {first:.1f} s, {bad.words}: {words}")
+    said = " ".join(found)
+    found += [one for one in refusals(counts, MOST) if one not in said]
     return [*found, *_resets(table), *_course(table)]
+
+
+def refusals(counts: Mapping[str, tuple[int, int]], share: float) -> list[str]:
+    """Return a clause for each aid of which more than a share of the measurements was refused."""
+    found = []
+    for aid, (fused, refused) in counts.items():
+        if refused > share * (fused + refused):
+            what, advice = _LOOK.get(aid, ("measurements", "look at its innovation and covariance"))
+            found.append(f"{aid}: {refused} of {fused + refused} {what} refused ({advice})")
+    return found
+
+
+def _why_degraded(table: Table, rows: Indices, counts: Mapping[str, tuple[int, int]]) -> str:
+    """Return why the estimates of some rows are degraded."""
+    if found := refusals(counts, FEW):
+        return "; ".join(found)
+    status, resets = table.column("status"), table.column("reset_count")
+    begins = np.diff(status >= Status.OK, prepend=False) | (np.diff(resets, prepend=0.0) != 0.0)
+    begin_ns = table.stamp_ns[begins]
+    last = np.maximum(np.searchsorted(begin_ns, table.stamp_ns[rows], side="right") - 1, 0)
+    if np.all(table.stamp_ns[rows] - begin_ns[last] < SETTLING_NS):
+        return "it had only just begun, or jumped, and fixes had yet to confirm the attitude"
+    return "one of position, velocity, height and heading was not aided"
+
+
+def late_begin(table: Table, events: Events) -> list[str]:
+    """Return a note on smoothed estimates that begin with a position long after the fixes do."""
+    fixes, known = events.t_ns[events.kind == Kind.GNSS], table.column("status") >= Status.OK
+    if not len(fixes) or not known.any():
+        return []
+    begin_ns = table.stamp_ns[np.argmax(known)]
+    since = (begin_ns - table.stamp_ns[0]) * 1e-9
+    if begin_ns - max(fixes[0], table.stamp_ns[0]) < LATE_NS:
+        return []
+    return [
+        f"the first {since:.1f} s have no position: before {begin_ns * 1e-9:.1f} s no heading was "
+        "known, and smoothing does not reach back to before it was; with mag or heading it is "
+        "known sooner"
+    ]
 
 
 def why_no_position(events: Events) -> str:

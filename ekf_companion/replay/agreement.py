@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from ekf_companion.errors import DataError
@@ -11,6 +13,7 @@ from ekf_companion.replay.axis_agreement import axis_disagreement
 from ekf_companion.replay.field_agreement import field_disagreement
 from ekf_companion.replay.fix_agreement import disagreements, suspicion
 from ekf_companion.replay.plausibility import OF_COLUMNS, check_inertial
+from ekf_companion.replay.time_agreement import clock_disagreement
 
 MOST_SAMPLES = 200_000
 """Inertial samples that are kept to compare their axes, with the magnetometer's beside them: 24 MB,
@@ -63,7 +66,9 @@ def inertial_fault(imu: Events) -> str:
 class AgreementCheck:
     """Compares the sensors of a recording that comes block by block."""
 
-    def __init__(self) -> None:
+    def __init__(self, delay: float | Literal["auto"] = "auto") -> None:
+        """Begin without events; the fixes are declared to be late by ``delay``, s."""
+        self._delay = delay
         self._parts: dict[Kind, list[Events]] = {kind: [Events.from_rows([])] for kind in _COMPARED}
         self._samples = 0
 
@@ -87,4 +92,5 @@ class AgreementCheck:
         if fault := inertial_fault(imu):
             return [fault], []
         found = contradictions(imu, fixes, baro if len(baro) else None, mag)
-        return found, ([doubt] if (doubt := suspicion(fixes)) and not found else [])
+        doubts = [] if found else [suspicion(fixes), clock_disagreement(imu, fixes, self._delay)]
+        return found, [doubt for doubt in doubts if doubt]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +12,8 @@ from ekf_companion.errors import ConfigError, DataError, LogError
 from ekf_companion.filters.observation import Observation
 from ekf_companion.logs.recording import Recording
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
-from ekf_companion.nav.earth import STANDARD_GRAVITY, pressure_altitude
+from ekf_companion.nav.arrays import Stamps, known_rows
+from ekf_companion.nav.earth import pressure_altitude
 from ekf_companion.nav.measurements import (
     GNSS_VELOCITY,
     Events,
@@ -23,29 +22,21 @@ from ekf_companion.nav.measurements import (
     Kind,
     merge,
 )
+from ekf_companion.nav.state import join
 from ekf_companion.replay import account, plausibility
 from ekf_companion.replay.agreement import contradictions
+from ekf_companion.replay.array_reader import UNITS, Reader
 from ekf_companion.replay.estimates import Estimates
-from ekf_companion.replay.filters_by_name import Run, run_filter
+from ekf_companion.replay.filters_by_name import Run, counts_of, late_fixes, run_filter
 from ekf_companion.replay.fix_agreement import suspicion
-from ekf_companion.replay.smoothing import smooth as smooth_events
+from ekf_companion.replay.smoothing import Smoothing
+from ekf_companion.replay.time_agreement import clock_disagreement
 
-UNITS: Mapping[str, Mapping[str, float]] = {
-    "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
-    "gyro": {"rad/s": 1.0, "deg/s": float(np.deg2rad(1.0)), "dps": float(np.deg2rad(1.0))},
-    "accel": {"m/s2": 1.0, "g": STANDARD_GRAVITY},
-    "mag": {"gauss": 1.0, "uT": 1e-2, "mG": 1e-3, "nT": 1e-5},
-}
-"""Units that may be named, and their size in ns, rad/s, m/s^2 and gauss."""
 NAVIGATING = ("eskf", "euler", "iterated", "ukf")
 """Filters that estimate a position from fixes."""
 _GNSS = ("lat_deg", "lon_deg", "lat_rad", "lon_rad", "alt", "vel_n", "std_h", "std_v", "std_vel")
 STD_H, STD_V, STD_VEL = 1.5, 2.5, 0.3
 """One sigma of fixes whose accuracy is not given, m, m and m/s."""
-LAST_NS = 9e18
-"""Time that 64 bits hold, ns: the year 2255."""
-MARGIN_NS = 2_000_000_000
-"""Time before and behind the inertial samples in which other rows may count, ns."""
 
 
 def estimate(
@@ -67,7 +58,7 @@ def estimate(
     """Estimate a trajectory from arrays of measurements.
 
     Axes are the vehicle's: forward, right, down. All times are of one clock: floats in s, integers
-    in ns, or in the unit that ``units`` names.
+    in ns, or in the unit that ``units`` names; or ``datetime64``.
 
     Args:
         time: Of the inertial samples, shape (n,).
@@ -88,7 +79,7 @@ def estimate(
         aids: Measurements of your own, with their times, ns: see
             :class:`~ekf_companion.filters.own_aid.OwnAid`.
         units: Units of ``time``, ``gyro``, ``accel`` and ``mag`` that are not the ones above, of
-            :data:`UNITS`: ``{"gyro": "deg/s", "accel": "g", "time": "us"}``.
+            :data:`~.array_reader.UNITS`: ``{"gyro": "deg/s", "accel": "g", "time": "us"}``.
         check: Whether to refuse what cannot be meant: other units, axes or signs, north and east
             exchanged, radians for degrees.
 
@@ -100,18 +91,21 @@ def estimate(
         ConfigError: There is no such filter, unit or column.
         LogError: Nothing can be estimated from them.
     """
-    read = _Reader(units, check)
-    events = _read(read, time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro)
     chosen = settings or FilterSettings()
+    read = Reader(units, check, chosen.gnss.delay)
+    events = _read(read, time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro)
+    recording = Recording(family="unknown", events=events)
     if smooth:
         if filter != "eskf" or aids:
             raise ConfigError("smooth: smooths eskf without aids of your own; leave it or them out")
-        table = smooth_events(events, chosen)
-        notes: tuple[str, ...] = ()
+        with Smoothing(chosen) as smoothing:
+            smoothing.run(events)
+            table, counts = join(list(smoothing.tables())), counts_of(smoothing.health())
+            notes = late_fixes(smoothing, chosen, recording)
+        notes += tuple(account.late_begin(table, events))
     else:
-        recording = Recording(family="unknown", events=events)
         solution = run_filter(recording, filter, chosen, aids=aids)
-        table, notes = solution.table, solution.notes
+        table, counts, notes = solution.table, dict(solution.counts), solution.notes
     if not np.isfinite(table.column("q_w")).any():
         span = (events.t_ns[-1] - events.t_ns[0]) * 1e-9
         why = "; ".join(["", *read.notes])
@@ -121,7 +115,12 @@ def estimate(
             f"recording, best with a second at rest at its begin{_without_velocity(events)}{why}"
         )
     has_position = not isinstance(filter, str) or filter.partition(":")[0] in NAVIGATING
-    said = account.sentences(table, events, has_position=has_position)
+    if gnss is not None and not has_position:
+        read.notes.append(
+            f"{filter}: takes no fixes, so positions and velocities of gnss were not used; "
+            f"{', '.join(NAVIGATING)} do"
+        )
+    said = account.sentences(table, events, counts, has_position=has_position)
     return Estimates(table, (*read.notes, *said, *notes), dropped=read.dropped)
 
 
@@ -149,12 +148,12 @@ def to_events(
     check: bool = True,
 ) -> Events:
     """Return arrays as the events of a recording; arguments and errors as for :func:`estimate`."""
-    read = _Reader(units, check)
+    read = Reader(units, check)
     return _read(read, time, gyro, accel, gnss=gnss, heading=heading, mag=mag, baro=baro)
 
 
 def _read(
-    read: _Reader,
+    read: Reader,
     time: npt.ArrayLike,
     gyro: npt.ArrayLike,
     accel: npt.ArrayLike,
@@ -166,6 +165,8 @@ def _read(
     force = read.array("accel", accel, (len(t_ns), 3))
     if read.check:
         plausibility.check_inertial(turn, force, t_ns)
+    read.note_rough("gyro", turn)
+    read.note_rough("accel", force)
     tables = {
         name: convert(read, given, t_ns)
         for name, convert in _TABLES.items()
@@ -173,130 +174,17 @@ def _read(
     }
     imu = Events.from_columns(t_ns, Kind.IMU, *turn.T, *force.T)
     fixes, baro, mag = (tables.get(name) for name in ("gnss", "baro", "mag"))
-    if read.check and (found := contradictions(imu, fixes, baro, mag)):
+    found = contradictions(imu, fixes, baro, mag) if read.check else []
+    if read.check and fixes is not None and not found:
+        found = [said] if (said := clock_disagreement(imu, fixes, read.delay)) else []
+    if found:
         raise DataError(f"{'; '.join(found)}. If it is meant so: check=False")
     if fixes is not None and (doubt := suspicion(fixes)):
         read.notes.append(doubt)
     return merge(*tables.values(), imu)
 
 
-class _Reader:
-    """Reads what the user gives into arrays of the right shape and unit, or says what is wrong."""
-
-    def __init__(self, given: Mapping[str, str] | None, check: bool) -> None:
-        if given is not None and not isinstance(given, Mapping):
-            raise ConfigError(f"units: {given!r}: name the array too, as {{'gyro': 'deg/s'}}")
-        units = dict(given or {})
-        for name, unit in units.items():
-            if unit not in UNITS.get(name, {}):
-                known = {key: list(values) for key, values in UNITS.items()}
-                raise ConfigError(f"units: {name}: {unit!r}: known are {known}")
-        self._units, self.check = units, check
-        self.notes: list[str] = []
-        """What one should know of the arrays, one sentence each."""
-        self.dropped: dict[str, int] = {}
-        """Rows that were not used, by array."""
-
-    def drop(self, name: str, is_bad: Mask, why: str, then: str = "they were not used") -> None:
-        """Count and note the rows of an array that are not used."""
-        if is_bad.any():
-            self.dropped[name] = self.dropped.get(name, 0) + int(np.count_nonzero(is_bad))
-            self.note(name, is_bad, why, then)
-
-    def note(self, name: str, is_bad: Mask, why: str, then: str) -> None:
-        """Note rows of an array, if there are any."""
-        if not is_bad.any():
-            return
-        rows = np.flatnonzero(is_bad)
-        self.notes.append(
-            f"{name}: {len(rows)} of {len(is_bad)} rows {why}, the first is row {rows[0]}; {then}"
-        )
-
-    def times(self, name: str, given: npt.ArrayLike, *, is_inertial: bool = False) -> Stamps:
-        """Return stamps, ns: floats are s and integers ns, unless the unit is named."""
-        values = np.asarray(given)
-        if values.ndim != 1 or not len(values) or values.dtype.kind not in "iuf":
-            raise DataError(f"{name}: must be numbers in one row, shape (n,), not {_shape(values)}")
-        unit = self._units.get("time", "s" if values.dtype.kind == "f" else "ns")
-        if not np.isfinite(values).all():
-            raise DataError(f"{name}: holds NaN or infinity; leave such rows out")
-        size = UNITS["time"][unit]
-        exact = values.dtype.kind != "f" and size == 1.0
-        if not exact and np.abs(values).max() * size > LAST_NS:
-            raise DataError(
-                f"{name}: taken as {unit}, {values[-1]:.6g} is beyond every clock; name its unit, "
-                "units={'time': 'ms'} or 'us' or 'ns'"
-            )
-        t_ns = values.astype(np.int64) if exact else np.rint(values * size).astype(np.int64)
-        if self.check:
-            plausibility.check_times(name, t_ns, unit, is_inertial=is_inertial)
-        is_again = np.diff(t_ns, prepend=t_ns[0] - 1) == 0
-        self.note(name, is_again, "have the time of the row before", "equal rows count once")
-        return t_ns
-
-    def array(self, name: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
-        """Return an array in SI; of sigmas a number stands for all rows."""
-        values = np.asarray(given, dtype=np.float64)
-        if values.ndim == 0 and ".std" in name:
-            values = np.full(shape, float(values))
-        elif values.ndim == 0:
-            raise DataError(f"{name}: is one number for {shape[0]} rows; give the shape {shape}")
-        if values.shape != shape:
-            hint = "; transpose it" if values.shape == shape[::-1] else ""
-            raise DataError(f"{name}: must have the shape {shape}, not {_shape(values)}{hint}")
-        plausibility.check_known(name, values)
-        if not name.startswith("gnss.vel_n") and ".std" not in name:
-            unknown = ~known_rows(values.reshape(len(values), -1))
-            self.drop(name, unknown, "hold NaN or infinity")
-        quantity = name.rpartition(".")[2]
-        unit = self._units.get("mag" if quantity == "field" else quantity)
-        table = UNITS.get("mag" if quantity == "field" else quantity, {})
-        return values * table[unit] if unit is not None and quantity != "time" else values
-
-    def columns(
-        self, name: str, given: Mapping[str, npt.ArrayLike], known: Sequence[str], imu_ns: Stamps
-    ) -> Stamps:
-        """Return the stamps of a table; refuse columns that are not known."""
-        # A data frame has keys, too
-        if not hasattr(given, "keys"):
-            columns = ", ".join(f"'{one}': ..." for one in ("time", *known))
-            raise DataError(f"{name}: must be a dict of arrays, {{{columns}}}, not one array")
-        for column in given:
-            if column not in ("time", *known):
-                raise ConfigError(f"{name}: {column}: known are time, {', '.join(known)}")
-        if "time" not in given:
-            raise DataError(f"{name}: needs the times of its rows: time")
-        if name != "gnss" and not any(one in given for one in known if one != "std"):
-            raise DataError(f"{name}: needs {' or '.join(one for one in known if one != 'std')}")
-        t_ns = self.times(f"{name}.time", given["time"])
-        if self.check:
-            plausibility.check_overlap(imu_ns, t_ns, name)
-        outside = (t_ns < imu_ns[0] - MARGIN_NS) | (t_ns > imu_ns[-1] + MARGIN_NS)
-        self.drop(f"{name}.time", outside, "lie outside the time of the inertial samples")
-        return t_ns
-
-    def std(self, name: str, given: npt.ArrayLike, count: tuple[int]) -> Array:
-        """Return one sigma for each row, which must be positive.
-
-        Raises:
-            DataError: None is.
-        """
-        values = self.array(name, given, count)
-        is_bad = ~(values > 0.0)
-        if is_bad.all():
-            raise DataError(
-                f"{name}: one sigma must be greater than 0, and is {values[0]:g}, so no row could "
-                "be used; leave it out where it is not known"
-            )
-        self.drop(name, is_bad, "are not greater than 0")
-        return values
-
-
-def _shape(values: npt.NDArray[Any]) -> str:
-    return f"{values.shape}" + ("" if values.dtype.kind in "iuf" else f" of {values.dtype}")
-
-
-def _gnss(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
+def _gnss(read: Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
     t_ns = read.columns("gnss", given, _GNSS, imu_ns)
     unit = "deg" if "lat_deg" in given else "rad"
     for needed in (f"lat_{unit}", f"lon_{unit}", "alt"):
@@ -332,7 +220,7 @@ def _gnss(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> 
     )
 
 
-def _heading(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
+def _heading(read: Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
     t_ns = read.columns("heading", given, ("heading", "std"), imu_ns)
     angle = read.array("heading.heading", given["heading"], (len(t_ns),))
     if read.check and np.nanmax(np.abs(angle)) > 2.0 * np.pi + 1e-6:
@@ -342,7 +230,7 @@ def _heading(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) 
     return Events.from_columns(t_ns, Kind.HEADING, so3.wrap(angle), std, source)
 
 
-def _mag(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
+def _mag(read: Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
     t_ns = read.columns("mag", given, ("field",), imu_ns)
     field = read.array("mag.field", given["field"], (len(t_ns), 3))
     size = float(np.nanmedian(np.linalg.norm(field, axis=1)))
@@ -354,7 +242,7 @@ def _mag(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> E
     return Events.from_columns(t_ns, Kind.MAG, *field.T)
 
 
-def _baro(read: _Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
+def _baro(read: Reader, given: Mapping[str, npt.ArrayLike], imu_ns: Stamps) -> Events:
     t_ns = read.columns("baro", given, ("alt", "pressure"), imu_ns)
     if "pressure" in given:
         pressure = read.array("baro.pressure", given["pressure"], (len(t_ns),))

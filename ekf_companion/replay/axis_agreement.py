@@ -136,24 +136,46 @@ def _windows(imu: Events, fixes: Events) -> tuple[Array, Array, Array] | None:
 def _statistics(gyro: Array, accel: Array, change: Array) -> Array:
     """Return what each candidate leaves in each window, m/s, shape (candidates, windows)."""
     of_gyro, of_accel = (np.array(part) for part in zip(*CANDIDATES, strict=True))
+    force = integrated_force(gyro, accel, of_gyro, of_accel)
+    left = np.stack([rest_of_rotation(force, one) for one in change])
+    # The receiver's delay is one for the whole flight
+    delay = np.argmin(np.median(left, axis=2), axis=0)
+    return np.asarray(left[delay, np.arange(len(CANDIDATES))])
+
+
+def integrated_force(
+    gyro: Array, accel: Array, of_gyro: Array, of_accel: Array, rate: float = RATE
+) -> Array:
+    """Return the specific force over each second, along the axes at the start of its window, m/s.
+
+    Args:
+        gyro: Angular rates, rad/s, shape (samples, windows, 3).
+        accel: Specific forces, m/s^2, likewise.
+        of_gyro: By what the rates are multiplied, shape (choices, 3, 3).
+        of_accel: By what the forces are.
+        rate: Samples per second, Hz.
+
+    Returns:
+        Shape (choices, windows, SECONDS, 3).
+    """
     count = gyro.shape[1]
-    shape = (len(CANDIDATES), count)
+    shape = (len(of_gyro), count)
     q = np.tile([1.0, 0.0, 0.0, 0.0], (shape[0] * count, 1))
     force = np.zeros((*shape, SECONDS, 3))
     for k, (rates, forces) in enumerate(zip(gyro, accel, strict=True)):
-        half = so3.exp(np.einsum("cij,wj->cwi", of_gyro, rates).reshape(-1, 3) * (0.5 / RATE))
+        half = so3.exp(np.einsum("cij,wj->cwi", of_gyro, rates).reshape(-1, 3) * (0.5 / rate))
         q = so3.multiply(q, half)
         turned = so3.rotate(q, np.einsum("cij,wj->cwi", of_accel, forces).reshape(-1, 3))
-        force[:, :, k // int(RATE)] += turned.reshape(*shape, 3) / RATE
+        force[:, :, k // int(rate)] += turned.reshape(*shape, 3) / rate
         q = so3.multiply(q, half)
-    left = np.stack([_left(force, one) for one in change])
-    # The receiver's delay is one for the whole flight
-    delay = np.argmin(np.median(left, axis=2), axis=0)
-    return np.asarray(left[delay, np.arange(shape[0])])
+    return force
 
 
-def _left(force: Array, change: Array) -> Array:
-    """Return what the best rotation leaves between forces and changes of velocity, m/s RMS."""
+def rest_of_rotation(force: Array, change: Array) -> Array:
+    """Return what the best rotation leaves between forces and changes of velocity, m/s RMS.
+
+    Shapes (choices, windows, SECONDS, 3) and (windows, SECONDS, 3) give (choices, windows).
+    """
     B = np.einsum("wsi,cwsj->cwij", change, force)
     U, _, Vt = np.linalg.svd(B)
     U[..., 2] *= np.linalg.det(U @ Vt)[..., None]

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.errors import ConfigError
-from ekf_companion.logs.tum_writer import Writer
+from ekf_companion.logs.csv_writer import Writer as CsvWriter
+from ekf_companion.logs.tum_writer import Writer as TumWriter
+from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
+from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.state import (
     ACCEL_BIAS,
     COLUMNS,
     EULER,
+    GEODETIC,
     GYRO_BIAS,
     POSITION,
     QUATERNION,
@@ -24,6 +28,17 @@ from ekf_companion.nav.state import (
     Status,
     Table,
 )
+
+
+class Origin(NamedTuple):
+    """The place from which ``pos_n`` counts."""
+
+    lat_deg: float
+    """WGS-84 latitude, degrees."""
+    lon_deg: float
+    """Longitude, degrees."""
+    alt: float
+    """Height above mean sea level, m."""
 
 
 class Estimates:
@@ -107,8 +122,20 @@ class Estimates:
         return self.table.column("alt_m")
 
     @property
+    def origin(self) -> Origin | None:
+        """The place from which ``pos_n`` counts; None: there is no position.
+
+        Of ``eskf`` it is the fix at which it began to navigate, as a heading was known; of
+        ``euler``, ``iterated`` and ``ukf`` the first fix. So compare two filters by ``lat_deg``,
+        ``lon_deg`` and ``alt``.
+        """
+        places = np.hstack([self.table.columns(GEODETIC), self.pos_n])
+        known = np.flatnonzero(np.isfinite(places).all(axis=1))
+        return _origin(places[known[0]]) if len(known) else None
+
+    @property
     def pos_n(self) -> Array:
-        """Position north, east, down of the first, m, shape (n, 3)."""
+        """Position north, east, down of :attr:`origin`, m, shape (n, 3)."""
         return self.table.columns(POSITION)
 
     @property
@@ -123,7 +150,7 @@ class Estimates:
 
     @property
     def euler(self) -> Array:
-        """Roll, pitch and yaw, rad, shape (n, 3)."""
+        """Roll, pitch and yaw (from true north, clockwise), rad, shape (n, 3)."""
         return self.table.columns(EULER)
 
     @property
@@ -167,10 +194,19 @@ class Estimates:
             raise ConfigError(f"{library} is not installed: pip install {library}") from None
         raise ConfigError(f"to_dataframe: {library!r}: use 'pandas' or 'polars'")
 
+    def to_csv(self, path: Path | str) -> None:
+        """Write all columns as ``convert`` does, for ``ekf-companion compare``.
+
+        Raises:
+            LogError: The file cannot be written.
+        """
+        with CsvWriter(Path(path)) as writer:
+            writer.write(self.table)
+
     def to_tum(self, path: Path | str) -> None:
         """Write the trajectory in TUM's format, which evo and others read.
 
-        A line is ``time x y z qx qy qz qw``: s, m east, north and up of the first position, and the
+        A line is ``time x y z qx qy qz qw``: s, m east, north and up of :attr:`origin`, and the
         attitude from body (forward, left, up) to these axes. Times without a position are left out.
 
         Raises:
@@ -178,8 +214,24 @@ class Estimates:
         """
         known = np.isfinite(self.pos_n).all(axis=1) & np.isfinite(self.q_nb).all(axis=1)
         known &= self.status >= Status.OK
-        with Writer(Path(path)) as writer:
+        with TumWriter(Path(path)) as writer:
             writer.write(Table(stamp_ns=self.t_ns[known], values=self.table.values[known]))
+
+
+def _origin(place: Array) -> Origin:
+    """Return the origin of a local frame by one point in it.
+
+    Its latitude, longitude (degrees), altitude, and position north, east, down (m), shape (6,).
+    """
+    lat, lon = np.deg2rad(place[:2])
+    alt = float(place[2] + place[5])
+    origin = LocalFrame(float(lat), float(lon), alt)
+    # The radii are those of the origin, which is sought: each step is 1e-2 of the one before
+    for _ in range(8):
+        back = origin.scale
+        lat_0, lon_0 = float(lat - place[3] / back[0]), float(lon - place[4] / back[1])
+        origin = LocalFrame(lat_0, float(so3.wrap(lon_0)), alt)
+    return Origin(float(np.rad2deg(origin.lat)), float(np.rad2deg(origin.lon)), alt)
 
 
 def _percent(share: float) -> str:

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_companion.errors import DataError
-from ekf_companion.nav.arrays import Array, Stamps
+from ekf_companion.filters.inertial import LARGEST_FORCE, LARGEST_RATE
+from ekf_companion.nav.arrays import Array, Mask, Stamps
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 
 SLOWEST, FASTEST = 1.0, 20_000.0
@@ -21,7 +22,13 @@ WITHIN = 15.0
 an hour."""
 UNBANKED = 0.3
 """Of gravity, m/s^2: more than an accelerometer's bias, less than a bank of 15 deg adds."""
-LARGEST_FORCE = 16.0 * 20.0 * STANDARD_GRAVITY
+LARGEST = {"gyro": (LARGEST_RATE, "rad/s"), "accel": (LARGEST_FORCE, "m/s2")}
+"""Beyond these no sample is used."""
+SPIKE = {"gyro": 10.0, "accel": 80.0}
+"""rad/s and m/s^2: no flight but a crash is so rough."""
+SPIKES = 5.0
+"""Times the size that all but ``SELDOM`` of the samples stay below: a spike is larger."""
+SELDOM = 0.005
 
 
 class Remedies(NamedTuple):
@@ -108,6 +115,29 @@ def check_known(name: str, values: Array) -> None:
         raise DataError(f"{name}: all {len(values)} rows are NaN or infinity; there is no data")
 
 
+def beyond_sensors(name: str, values: Array) -> Mask:
+    """Return which rows of ``gyro`` or ``accel`` hold what no sensor measures, shape (n,)."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(
+            (np.abs(values) > LARGEST[name][0]).any(axis=1) & ~np.isnan(values).any(1)
+        )
+
+
+def spikes(name: str, values: Array) -> tuple[Mask, float]:
+    """Return which rows of ``gyro`` or ``accel`` lie far beyond the others.
+
+    Returns:
+        The rows that a sensor can measure, that are larger than in flight, and ``SPIKES`` times as
+        large as nearly all others, shape (n,); and the size that those stay below.
+    """
+    size = np.linalg.norm(values, axis=1)
+    known = np.isfinite(size) & ~beyond_sensors(name, values)
+    if not known.any():
+        return np.zeros(len(size), dtype=np.bool_), 0.0
+    usual = float(np.quantile(size[known], 1.0 - SELDOM))
+    return known & (size > max(SPIKE[name], SPIKES * usual)), usual
+
+
 def check_inertial(gyro: Array, accel: Array, t_ns: Stamps, remedies: Remedies = OF_ARRAYS) -> None:
     """Refuse inertial samples in other units, of the other sign of gravity, or along other axes.
 
@@ -121,6 +151,8 @@ def check_inertial(gyro: Array, accel: Array, t_ns: Stamps, remedies: Remedies =
         DataError: They cannot be meant; the sentence says what they look like.
     """
     known = np.isfinite(gyro).all(axis=1) & np.isfinite(accel).all(axis=1)
+    if not known.any():
+        raise DataError("gyro, accel: in each row one of the two holds NaN or infinity")
     gyro, accel, t_ns = gyro[known], accel[known], t_ns[known]
     size = np.linalg.norm(accel, axis=1)
     force = float(np.median(size))
@@ -227,8 +259,8 @@ def check_velocity(t_ns: Stamps, alt: Array, vel_n: Array) -> None:
         return
     if float(np.corrcoef(climb, heights[1:])[0, 1]) < -0.7:
         raise DataError(
-            "gnss: vel_n: its third column rises with the height; it must be the velocity down, "
-            "as in north, east, down"
+            "gnss: vel_n: its third column rises with alt; it must be the velocity down, as in "
+            "north, east, down, and alt positive upwards"
         )
 
 

@@ -152,7 +152,7 @@ class Run(Generic[P]):
         self._done = 0  # frames or measurements so far
         self._magnetometer = MagnetometerCheck(config.heading.year)
         # Columns and units of a table are declared by its user, those of the others by programs
-        self._agreement = AgreementCheck() if suffix_of(path) == ".csv" else None
+        self._agreement = AgreementCheck(config.gnss.delay) if suffix_of(path) == ".csv" else None
         self._vehicle: Vehicle | None = None
         self._system_id = config.link.system_id or 1
         if isinstance(self.log, Recording):

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.core.settings import FilterSettings
+from ekf_companion.engine.health import Arrival
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import DataError
 from ekf_companion.nav import so3
@@ -19,11 +20,22 @@ from ekf_companion.nav.measurements import (
     HeadingSample,
     HeadingSource,
     ImuSample,
+    Kind,
     MagSample,
 )
-from ekf_companion.nav.state import COLUMNS, EULER, POSITION, QUATERNION, SIGMA, VELOCITY, Status
+from ekf_companion.nav.state import (
+    COLUMNS,
+    EULER,
+    GEODETIC,
+    POSITION,
+    QUATERNION,
+    SIGMA,
+    VELOCITY,
+    Status,
+)
 from ekf_companion.replay.arrays import STD_H, STD_V, STD_VEL
-from ekf_companion.replay.plausibility import check_inertial, check_known, check_rate
+from ekf_companion.replay.estimates import Origin
+from ekf_companion.replay.plausibility import Remedies, check_inertial, check_known, check_rate
 
 CHECKED = 200
 """Inertial samples that are looked at before any is believed to be meant."""
@@ -41,8 +53,12 @@ _PLACES = {
         ("sigma", SIGMA),
     )
 }
+_GEODETIC = [COLUMNS.index(name) - 1 for name in GEODETIC]
 
 
+_OF_STREAM = Remedies(
+    "give np.multiply(accel, 9.80665)", "give np.deg2rad(gyro)", "Stream(check=False)"
+)
 TIMES = "a Stream takes floats as s and whole numbers as ns"
 
 
@@ -51,7 +67,7 @@ class StreamEstimate(NamedTuple):
 
     t_ns: int
     pos_n: Array
-    """North, east, down of the first position, m, shape (3,)."""
+    """North, east, down of :attr:`Stream.origin`, m, shape (3,)."""
     vel_n: Array
     """m/s, shape (3,)."""
     q_nb: Array
@@ -61,6 +77,12 @@ class StreamEstimate(NamedTuple):
     sigma: Array
     """One sigma of position, velocity and roll, pitch, yaw, shape (9,)."""
     status: Status
+    lat_deg: float
+    """WGS-84 latitude, degrees."""
+    lon_deg: float
+    """Longitude, degrees."""
+    alt: float
+    """Height above mean sea level, m."""
 
 
 class Stream:
@@ -82,9 +104,24 @@ class Stream:
         self._is_checked = check
         self._samples = self._newest_ns = 0
         self._compared: Counter[str] = Counter()
+        self._early: dict[str, int] = {}
+        """Newest stamp of each kind before there were samples to compare it with, ns."""
+
+    @property
+    def origin(self) -> Origin | None:
+        """The place from which ``pos_n`` counts; None: there is no position yet.
+
+        It is the fix at which the estimator began to navigate, as a heading was known.
+        """
+        if (found := self.pipeline.origin) is None:
+            return None
+        lat, lon, alt = found
+        return Origin(float(np.rad2deg(lat)), float(np.rad2deg(lon)), alt)
 
     def imu(self, t: float, gyro: npt.ArrayLike, accel: npt.ArrayLike) -> StreamEstimate | None:
         """Take an inertial sample, rad/s and m/s^2; return the estimate if it is the newest.
+
+        None: it is not, or holds NaN or what no sensor measures: :attr:`dropped` counts these.
 
         Raises:
             DataError: The first samples cannot be meant: another unit, sign, other axes, or times
@@ -100,7 +137,21 @@ class Stream:
         values = self.pipeline.values()
         parts = {name: values[places] for name, places in _PLACES.items()}
         status = Status(int(values[COLUMNS.index("status") - 1]))
-        return StreamEstimate(t_ns=t_ns, status=status, **parts)
+        lat_deg, lon_deg, alt = values[_GEODETIC].tolist()
+        return StreamEstimate(
+            t_ns=t_ns, status=status, lat_deg=lat_deg, lon_deg=lon_deg, alt=alt, **parts
+        )
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """How many measurements were not used, by kind (``imu``, ``gnss``, ...) and only if any.
+
+        They hold NaN or what no sensor measures, came twice, or later than the window.
+        """
+        bad = (Arrival.MALFORMED, Arrival.STALE, Arrival.DUPLICATE, Arrival.STRAY)
+        arrivals = self.pipeline.health().arrivals
+        counts = {kind.name.lower(): sum(arrivals[kind][one] for one in bad) for kind in Kind}
+        return {name: count for name, count in counts.items() if count}
 
     def gnss(
         self,
@@ -159,25 +210,39 @@ class Stream:
             return
         stamps, rows = zip(*self._first, strict=True)
         taken = "ns" if issubclass(kind, (int, np.integer)) else "s"
+        if len(self._first) == TIMES_CHECKED:
+            for name, early_ns in self._early.items():
+                if t_ns - early_ns > FARTHEST_NS:
+                    raise self._far(name, early_ns)
         check_rate("imu", np.array(stamps, dtype=np.int64), taken, f"{TIMES}; it looks like {{}}")
         if len(self._first) == CHECKED:
             values = np.array(rows)
             self._first = None
-            check_known("gyro, accel", values)
-            check_inertial(values[:, :3], values[:, 3:], np.array(stamps, dtype=np.int64))
+            check_known("gyro", values[:, :3])
+            check_known("accel", values[:, 3:])
+            check_inertial(
+                values[:, :3], values[:, 3:], np.array(stamps, dtype=np.int64), _OF_STREAM
+            )
 
     def _time(self, name: str, t: float) -> int:
         """Return a stamp, ns; compare the first ones of each kind with the inertial samples'."""
         t_ns = _ns(t)
-        if not self._is_checked or self._samples < TIMES_CHECKED:
+        if not self._is_checked:
+            return t_ns
+        if self._samples < TIMES_CHECKED:
+            self._early[name] = max(t_ns, self._early.get(name, t_ns))
             return t_ns
         self._compared[name] += 1
         if self._compared[name] <= TIMES_CHECKED and abs(t_ns - self._newest_ns) > FARTHEST_NS:
-            raise DataError(
-                f"{name}: its time, {t_ns * 1e-9:.6g} s, is far from that of the inertial samples, "
-                f"{self._newest_ns * 1e-9:.6g} s; {TIMES}, all of one clock"
-            )
+            raise self._far(name, t_ns)
         return t_ns
+
+    def _far(self, name: str, t_ns: int) -> DataError:
+        """Return the error of a stamp that is far from those of the inertial samples."""
+        return DataError(
+            f"{name}: its time, {t_ns * 1e-9:.6g} s, is far from that of the inertial samples, "
+            f"{self._newest_ns * 1e-9:.6g} s; {TIMES}, all of one clock"
+        )
 
 
 def _ns(t: float) -> int:

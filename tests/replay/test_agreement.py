@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.replay.agreement import AgreementCheck
 from ekf_companion.replay.axis_agreement import axis_disagreement
 from ekf_companion.replay.fix_agreement import disagreements, suspicion
+from ekf_companion.replay.time_agreement import clock_disagreement, fix_shift
 from sim_autopilot.config import SimConfig
 from sim_autopilot.events import events
 from sim_autopilot.flight import Flight
@@ -71,6 +72,8 @@ def test_what_is_declared_right_is_not_doubted(scenario, seconds, seed):
     assert axis_disagreement(flown.imu, level) == ""
     assert disagreements(level, None) == []
     assert suspicion(flown.fixes) == ""
+    assert clock_disagreement(flown.imu, flown.fixes) == ""
+    assert clock_disagreement(flown.imu, level) == ""
 
 
 def test_what_another_reading_fits_as_well_is_not_doubted():
@@ -153,6 +156,37 @@ def test_radians_without_a_velocity_to_tell_are_doubted_by_their_place(wing):
 EXCHANGED, FLU = np.eye(3)[[1, 0, 2]], np.diag([1.0, -1.0, -1.0])
 
 
+@pytest.mark.parametrize("seconds", [18.0, -5.0, 1.0, -1.0])
+def test_fixes_on_another_clock_are_named_with_how_far_it_is_off(quad, seconds):
+    late = Events(
+        t_ns=quad.fixes.t_ns + int(seconds * 1e9), kind=quad.fixes.kind, values=quad.fixes.values
+    )
+    # The simulator's receiver is late by 0.12 s
+    assert fix_shift(quad.imu, late) == pytest.approx(seconds + 0.12, abs=0.1)
+    check = AgreementCheck()
+    check.add(merge(late, quad.imu))
+    faults, (doubt,) = check.found()
+    assert faults == []
+    side = "late" if seconds > 0.0 else "early"
+    size = abs(round(seconds + 0.1, 1))
+    assert f"show the motion of gyro and accel {size:.1f} s too {side}: the times of both" in doubt
+
+
+def test_fixes_that_are_declared_late_are_no_other_clock(quad):
+    t_ns = quad.fixes.t_ns + 1_000_000_000
+    late = Events(t_ns=t_ns, kind=quad.fixes.kind, values=quad.fixes.values)
+    assert clock_disagreement(quad.imu, late) != ""
+    assert clock_disagreement(quad.imu, late, 1.0) == ""
+    assert "0.9 s too early" in clock_disagreement(quad.imu, quad.fixes, 1.0)
+
+
+def test_fixes_later_by_a_receivers_delay_are_no_other_clock(quad):
+    for seconds in (-0.1, 0.1, 0.3):
+        t_ns = quad.fixes.t_ns + int(seconds * 1e9)
+        late = Events(t_ns=t_ns, kind=quad.fixes.kind, values=quad.fixes.values)
+        assert fix_shift(quad.imu, late) is None
+
+
 @pytest.mark.parametrize(
     ("of_gyro", "of_accel", "sentence"),
     [
@@ -204,6 +238,7 @@ def test_damaged_rows_are_left_out(wing, quad):
         fixes, imu, baro = damaged(flown.fixes), damaged(flown.imu), damaged(flown.baro)
         assert disagreements(fixes, baro) == []
         assert axis_disagreement(imu, fixes) == ""
+        assert clock_disagreement(imu, fixes) == ""
         assert suspicion(fixes) == ""
     (found,) = disagreements(damaged(changed(wing.fixes, **scaled(3.6))), damaged(wing.baro))
     assert "look like km/h" in found

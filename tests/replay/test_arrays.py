@@ -1,5 +1,6 @@
 """Arrays in, a trajectory out; mistakes are said."""
 
+import re
 from dataclasses import replace
 from importlib.util import find_spec
 
@@ -11,7 +12,9 @@ from ekf_companion import OwnAid, estimate
 from ekf_companion.core.settings import FilterSettings, GnssSettings
 from ekf_companion.errors import ConfigError, DataError, LogError
 from ekf_companion.filters import mahony
+from ekf_companion.logs.estimate import is_estimate, read_estimate
 from ekf_companion.nav import so3
+from ekf_companion.nav.earth import LocalFrame
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.replay.arrays import to_events
 from sim_autopilot.config import SimConfig
@@ -89,12 +92,50 @@ def test_a_flight_is_estimated_by_any_filter(flown, name):
     assert f"{found.shares['ok']:.0%}" in repr(found)
 
 
+@pytest.mark.parametrize("changed", [{}, {"smooth": True}, {"filter": "ukf"}])
+def test_the_origin_is_where_positions_count_from(flown, changed):
+    """Without a compass the filters begin elsewhere: so did their origins, which nothing said."""
+    heading = {"time": flown.time[::10], "heading": np.full(len(flown.time[::10]), 0.3)}
+    given = {"mag": None, "heading": heading} if "filter" in changed else {"mag": None}
+    found = flown.estimate(**given, **changed)
+    origin = found.origin
+    frame = LocalFrame(np.deg2rad(origin.lat_deg), np.deg2rad(origin.lon_deg), origin.alt)
+    place = frame.to_ned(np.deg2rad(found.lat_deg), np.deg2rad(found.lon_deg), found.alt)
+    known = found.status >= 3
+    assert np.allclose(place[known], found.pos_n[known], atol=1e-6)
+    first = [flown.gnss[name][0] for name in ("lat_deg", "lon_deg", "alt")]
+    assert (np.abs(np.array(origin) - first).max() < 1e-9) == ("filter" in changed)
+    assert flown.estimate(gnss=None).origin is None
+
+
 def test_smoothing_is_a_keyword_and_better(flown):
     live, smoothed = flown.estimate(), flown.estimate(smooth=True)
     assert error(flown, smoothed)[0] < error(flown, live)[0]
     assert np.array_equal(live.t_ns, smoothed.t_ns)
     with pytest.raises(ConfigError, match="smooth: smooths eskf"):
         flown.estimate(smooth=True, filter="ukf")
+
+
+@pytest.mark.parametrize("seconds", [0.45, -0.45])
+def test_fixes_later_than_a_receivers_are_noted_by_the_filters_own_estimate(flown, seconds):
+    side = "later" if seconds > 0.0 else "earlier"
+    fixes = flown.gnss | {"time": flown.gnss["time"] + seconds}
+    for smooth in (False, True):
+        notes = flown.estimate(gnss=fixes, smooth=smooth, check=False).notes
+        (note,) = [note for note in notes if "than their times say" in note]
+        found = re.match(r"the fixes are (0\.\d\d) s (\w+) than .* gnss.delay to (-?0\.\d\d)", note)
+        assert float(found[1]) == pytest.approx(abs(seconds), abs=0.05)
+        assert found[2] == side
+        assert float(found[3]) == pytest.approx(0.12 + seconds, abs=0.05)
+
+
+def test_smoothing_says_why_the_begin_has_no_position(flown):
+    found = flown.estimate(mag=None, smooth=True)
+    since = found.time[np.argmax(np.isfinite(found.lat_deg))] - found.time[0]
+    (note,) = [note for note in found.notes if "no position" in note]
+    assert note.startswith(f"the first {since:.1f} s have no position: before ")
+    assert "smoothing does not reach back" in note
+    assert not [note for note in flown.estimate(smooth=True).notes if "no position" in note]
 
 
 def test_units_and_times_may_be_named_or_told_by_their_type(flown):
@@ -106,6 +147,15 @@ def test_units_and_times_may_be_named_or_told_by_their_type(flown):
         "baro": flown.baro | {"time": np.rint(flown.baro["time"] * 1e9).astype(np.int64)},
     }
     assert np.allclose(flown.estimate(**whole).pos_n, expected, atol=1e-6, equal_nan=True)
+    dated = {
+        name: table
+        | {"time": whole[name]["time"].astype("datetime64[ns]").astype("datetime64[us]")}
+        for name, table in (("gnss", flown.gnss), ("mag", flown.mag), ("baro", flown.baro))
+    }
+    dated["time"] = whole["time"].astype("datetime64[ns]")
+    found = flown.estimate(**dated, units={"time": "s"})
+    assert np.array_equal(found.t_ns, whole["time"])
+    assert np.allclose(found.pos_n, expected, atol=1e-3, equal_nan=True)  # us
     other = flown.estimate(
         gyro=np.rad2deg(flown.gyro),
         accel=flown.accel / 9.80665,
@@ -157,6 +207,18 @@ def in_ms(flown):
             "no place on the Earth",
         ),
         (lambda f: {"gnss": f.gnss | {"vel_n": f.velocity * AXES}}, "third column rises"),
+        (
+            lambda f: {"gnss": f.gnss | {"vel_n": f.velocity, "alt": -f.gnss["alt"]}},
+            "and alt positive upwards",
+        ),
+        (
+            lambda f: {"time": np.full(len(f.time), np.datetime64("NaT"))},
+            "time: holds NaT; leave such rows out",
+        ),
+        (
+            lambda f: {"time": np.array(["noon"] * len(f.time))},
+            r"time: must be numbers or datetime64 in one row",
+        ),
         (lambda f: {"gnss": {"time": f.gnss["time"]}}, "gnss: needs lat_rad"),
         (lambda f: {"gnss": f.gnss | {"height": 1.0}}, "gnss: height: known are time, lat_deg"),
         (lambda f: {"mag": f.mag | {"field": f.mag["field"] * 100.0}}, "mag: its median strength"),
@@ -188,6 +250,10 @@ def in_ms(flown):
         (lambda f: {"gyro": f.gyro[:, SWAPPED], "accel": f.accel[:, SWAPPED]}, "x and y of both"),
         (lambda f: {"gyro": f.gyro * AXES}, "gyro is forward, left, up and accel forward"),
         (lambda f: {"gnss": f.gnss | {"std_h": -1.0}}, "std_h: one sigma must be greater than 0"),
+        (
+            lambda f: {"gnss": f.gnss | {"time": f.gnss["time"] + 1.0}},
+            r"gnss: its velocities show the motion of gyro and accel 1\.0 s too late: .* leap sec",
+        ),
         (lambda f: {"gnss": in_ms(f)}, r"gnss: .* by a factor of 1e\+03: the"),
         (lambda f: {"units": {"gyro": "rpm"}}, "units: gyro: 'rpm': known are"),
         (lambda f: {"filter": "kalman"}, "unknown filter; known are eskf"),
@@ -228,6 +294,27 @@ def test_what_is_not_used_is_counted_by_array_and_reason(flown):
     assert "gnss.std_v: 2 of 150 rows are not greater than 0, the first is row 3" in notes
     assert f"baro.time: {outside} of 750 rows lie outside the time of the inertial" in notes
     assert "rows dropped accel 30, gnss.lat_deg 10" in repr(found)
+
+
+@pytest.mark.parametrize(("name", "number"), [("accel", 1e6), ("gyro", 500.0), ("gyro", -300.0)])
+def test_samples_that_no_sensor_measures_are_counted(flown, name, number):
+    values = getattr(flown, name).copy()
+    values[1000:1010, 1] = number
+    found = flown.estimate(**{name: values})
+    assert len(flown.time) - 11 <= len(found) <= len(flown.time) - 10
+    assert dict(found.dropped) == {name: 10}
+    note = found.notes[0]
+    assert re.match(rf"{name}: 10 of 1500 rows hold more than 2000? \S+, which no sensor", note)
+    assert "the first is row 1000; they were not used" in note
+
+
+@pytest.mark.parametrize(("name", "number"), [("accel", 200.0), ("gyro", 30.0)])
+def test_spikes_are_noted(flown, name, number):
+    values = getattr(flown, name).copy()
+    values[1000:1003] = number
+    note = flown.estimate(**{name: values}).notes[0]
+    assert note.startswith(f"{name}: 3 of 1500 rows are spikes: far larger than the others")
+    assert "the first is row 1000; they were used" in note
 
 
 def test_a_flight_without_mistakes_has_no_notes(flown):
@@ -285,6 +372,55 @@ def test_time_without_aid_and_resets_are_said(flown):
     assert "dead reckoning: no fix was used for more than a second" in notes
     assert f"; resets {found.resets}; " in repr(found)
     assert "dead reckoning" in repr(found)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (
+            lambda f: {"gnss": f.gnss | {"lat_deg": np.deg2rad(f.gnss["lat_deg"])}},
+            r"degraded: position: (\d+) of (\d+) fixes refused \(look at lat_deg",
+        ),
+        (
+            lambda f: {"gnss": f.gnss | dict.fromkeys(("lat_deg", "lon_deg"), 0.0 * f.gnss["alt"])},
+            r"degraded: position: (\d+) of (\d+) fixes refused",
+        ),
+        (
+            lambda f: {"mag": f.mag | {"field": np.tile([0.2, 0.0, 0.4], (len(f.mag["time"]), 1))}},
+            r"degraded: heading: (\d+) of (\d+) headings refused \(look at heading",
+        ),
+    ],
+)
+def test_which_aid_was_refused_is_said_with_counts(flown, change, sentence):
+    given = {"mag": None, "baro": None, "check": False} | change(flown)
+    for smooth in (False, True):
+        notes = "\n".join(flown.estimate(smooth=smooth, **given).notes)
+        refused, of = map(int, re.search(sentence, notes).groups())
+        assert 0.3 * of < refused <= of
+
+
+def test_a_start_that_is_not_confirmed_yet_is_no_lack_of_an_aid(flown):
+    (note,) = flown.estimate(mag=None).notes
+    assert "degraded: it had only just begun, or jumped" in note
+
+
+@pytest.mark.parametrize("name", ["zupt", "mahony"])
+def test_a_filter_that_takes_no_fixes_says_so(flown, name):
+    found = flown.estimate(filter=name)
+    assert f"{name}: takes no fixes, so positions and velocities of gnss were not used" in "".join(
+        found.notes
+    )
+    without = flown.estimate(filter=name, gnss=None)
+    assert not [note for note in without.notes if "takes no fixes" in note]
+
+
+def test_the_heading_of_an_eskf_run_helps_a_filter_that_needs_one(flown):
+    with pytest.raises(LogError, match=r"no heading: .* from Python, give mag or heading, such as"):
+        flown.estimate(filter="ukf", mag=None)
+    track = flown.estimate(mag=None)
+    known = track.status >= 3
+    heading = {"time": track.time[known], "heading": track.euler[known, 2], "std": 0.1}
+    assert error(flown, flown.estimate(filter="ukf", mag=None, heading=heading))[0] < 2.0
 
 
 def test_a_wing_whose_x_points_sideways_is_doubted():
@@ -353,6 +489,16 @@ def test_a_trajectory_becomes_a_data_frame_and_a_file_of_tums_format(flown, tmp_
     )
     up = so3.rotate(np.array([w, x, y, z]), np.array([0.0, 0.0, 1.0]))
     assert up[2] > 0.7
+
+
+def test_a_trajectory_is_written_as_convert_writes_it(flown, tmp_path):
+    found = flown.estimate()
+    found.to_csv(tmp_path / "track.csv")
+    assert is_estimate(tmp_path / "track.csv")
+    read = read_estimate(tmp_path / "track.csv")
+    known = np.isfinite(found.lat_deg)
+    assert np.array_equal(read.pos_t_ns, found.t_ns[known] // 1000 * 1000)
+    assert read.alt == pytest.approx(found.alt[known])
 
 
 class Rangefinder(OwnAid):

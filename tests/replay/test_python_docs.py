@@ -33,6 +33,10 @@ def given():
         "velocity": flown.gnss["vel_n"],
         "t_mag": flown.mag["time"],
         "field": flown.mag["field"],
+        "t_true": flown.truth.pos_t_ns * 1e-9,
+        "true_lat": np.rad2deg(flown.truth.lat),
+        "true_lon": np.rad2deg(flown.truth.lon),
+        "true_alt": flown.truth.alt,
         "mag": flown.mag,
         "fixes": flown.gnss,
         "ranges": list(
@@ -52,12 +56,14 @@ def test_readme_s_lines_run(given, tmp_path, monkeypatch, capsys):
     assert "[" in capsys.readouterr().out
 
 
-def test_the_page_s_examples_run_in_their_order(given, tmp_path, monkeypatch):
+def test_the_page_s_examples_run_in_their_order(given, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names = dict(given)
     for number, block in enumerate(blocks("docs/PYTHON.md")):
         exec(compile(block, f"docs/PYTHON.md, example {number}", "exec"), names)
     assert len(names["track"]) > 1000
+    shown = [float(one) for one in capsys.readouterr().out.split("]")[0].strip("[ ").split()]
+    assert 0.0 < max(shown) < 3.0
 
 
 def test_the_notebook_runs(tmp_path, monkeypatch, capsys):

@@ -33,6 +33,10 @@ def test_a_flight_sample_by_sample_is_the_same_as_at_once():
     assert last.status is Status.OK
     assert last.pos_n == pytest.approx(at_once.pos_n[-1], abs=1e-9)
     assert last.euler == pytest.approx(at_once.euler[-1], abs=1e-9)
+    place = (last.lat_deg, last.lon_deg, last.alt)
+    at_once_place = (at_once.lat_deg[-1], at_once.lon_deg[-1], at_once.alt[-1])
+    assert place == pytest.approx(at_once_place, abs=1e-9)
+    assert stream.origin == pytest.approx(at_once.origin, abs=1e-9)
     assert last.sigma == pytest.approx(at_once.sigma[-1], abs=1e-9)
 
 
@@ -46,6 +50,44 @@ def test_the_first_samples_must_be_plausible():
             stream.imu(0.01 * CHECKED, still, accel)
         for k in range(300):
             Stream(check=False).imu(0.01 * k, still, accel)
+
+
+@pytest.mark.parametrize(
+    ("gyro", "accel", "sentence"),
+    [
+        ((np.nan,) * 3, (0.0, 0.0, -9.81), "gyro: all 200 rows are NaN or infinity"),
+        ((0.0,) * 3, (0.0, 0.0, np.inf), "in each row one of the two holds NaN"),
+        ((0.0, 300.0, 0.0), (0.0, 0.0, -9.81), r"it looks like deg/s; give np\.deg2rad\(gyro\)"),
+        ((0.0,) * 3, (0.0, 0.0, -1.0), r"looks like g; give np\.multiply\(accel, 9\.80665\)"),
+        ((0.0,) * 3, (0.0, 0.0, 9.81), r"hang upside down, Stream\(check=False\)"),
+    ],
+)
+def test_mistakes_in_the_first_samples_are_said_with_what_a_stream_takes(gyro, accel, sentence):
+    with pytest.raises(DataError, match=sentence):
+        feed(Stream(), [0.01 * k for k in range(CHECKED)], gyro, accel)
+
+
+def test_what_was_not_used_is_counted():
+    stream = Stream()
+    feed(stream, [0.01 * k for k in range(300)])
+    assert stream.dropped == {}
+    assert stream.imu(3.0, (np.nan, 0.0, 0.0), (0.0, 0.0, -9.81)) is None
+    assert stream.imu(3.01, (0.0, 0.0, 500.0), (0.0, 0.0, -9.81)) is None
+    assert stream.imu(2.99, np.zeros(3), (0.0, 0.0, -9.81)) is None
+    stream.baro(0.1, 5.0)
+    assert stream.dropped == {"imu": 3, "baro": 1}
+
+
+def test_fixes_of_long_before_are_refused_also_if_they_came_first():
+    place = {"lat_deg": 47.4, "lon_deg": 8.5, "alt": 488.0}
+    stream, insisted = Stream(), Stream(check=False)
+    for one in (stream, insisted):
+        for k in range(5):
+            one.gnss(4000.0 + k, **place)
+    times = [7600.0 + 0.01 * k for k in range(TIMES_CHECKED)]
+    with pytest.raises(DataError, match=r"gnss: its time, 4004 s, is far from that of the inertia"):
+        feed(stream, times)
+    feed(insisted, times)
 
 
 def test_mistakes_are_said():
@@ -74,9 +116,9 @@ def test_times_in_another_unit_are_refused_after_ten_samples(taken, sentence):
         feed(Stream(), [taken(500.0 + 0.01 * k) for k in range(TIMES_CHECKED)])
 
 
-def feed(stream, times):
+def feed(stream, times, gyro=(0.0, 0.0, 0.0), accel=(0.0, 0.0, -9.81)):
     for t in times:
-        stream.imu(t, np.zeros(3), (0.0, 0.0, -9.81))
+        stream.imu(t, gyro, accel)
 
 
 def test_times_since_1970_and_late_measurements_are_no_mistake():
