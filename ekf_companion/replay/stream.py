@@ -240,8 +240,8 @@ class Stream:
     def _far(self, name: str, t_ns: int) -> DataError:
         """Return the error of a stamp that is far from those of the inertial samples."""
         return DataError(
-            f"{name}: its time, {t_ns * 1e-9:.6g} s, is far from that of the inertial samples, "
-            f"{self._newest_ns * 1e-9:.6g} s; {TIMES}, all of one clock"
+            f"{name}: its time, {t_ns * 1e-9:.3f} s, is far from that of the inertial samples, "
+            f"{self._newest_ns * 1e-9:.3f} s; {TIMES}, all of one clock"
         )
 
 
