@@ -60,6 +60,7 @@ def _angles(
         ("tilt", TILT, difference.tilt_errors(mine, theirs), sigmas[:, 0]),
     ):
         beyond = np.nan_to_num(errors) > np.maximum(SIGMAS * sigma, limit)
+        beyond = _lasting(at_ns, beyond)
         is_theirs = _jumps(beyond, *turns)
         ours_beyond, jumped = (
             _excess(report, at_ns, errors, sigma, of) for of in (beyond & ~is_theirs, is_theirs)
@@ -77,6 +78,14 @@ def _steps(at_ns: Stamps) -> Array:
 def _turns(q_nb: Array) -> Array:
     """Return the rotation from each attitude to the next, b, rad, shape (n - 1, 3)."""
     return so3.log(so3.multiply(so3.conjugate(q_nb[:-1]), q_nb[1:]))
+
+
+def _lasting(at_ns: Stamps, beyond: Mask) -> Mask:
+    """Keep what lasts: in a fast turn two clocks that differ by a little differ in attitude too."""
+    steps, found = _steps(at_ns), np.zeros(len(beyond), dtype=np.bool_)
+    for begin, end in runs(beyond):
+        found[begin:end] = steps[begin:end].sum() >= LONG_S
+    return found
 
 
 def _jumps(beyond: Mask, *turns: Array) -> Mask:
@@ -105,9 +114,9 @@ def _jumped(row: int, mine: Array, theirs: Array) -> bool:
 def _excess(
     report: Report, at_ns: Stamps, errors: Array, sigma: Array, is_beyond: Mask
 ) -> Excess | None:
-    seconds = float(_steps(at_ns)[is_beyond].sum())
-    if seconds < LONG_S:
+    if not is_beyond.any():
         return None
+    seconds = float(_steps(at_ns)[is_beyond].sum())
     worst = int(np.argmax(np.where(is_beyond, errors, -1.0)))
     at_s = report.track.seconds_of(int(at_ns[worst]))
     return Excess(seconds, float(errors[worst]), float(errors[worst] / sigma[worst]), at_s)

@@ -18,7 +18,7 @@ NAMED = {"yaw": np.deg2rad(3.0), "tilt": np.deg2rad(2.0)}
 SIGMAS = 3.0
 """Sigmas of its own beyond which an error is not explained."""
 LONG_S = 1.0
-"""Time beyond its sigma from which on it counts, s."""
+"""Time at a stretch beyond its sigma from which on it counts, s."""
 OFTEN = 0.2
 """Share of the flight beyond its sigma, by a truth, from which on the attitude is poor."""
 HEIGHT = 2.0
