@@ -53,6 +53,8 @@ _PROVING = 4
 """Answers that may prove one: at 2 % the tenth would be taken for a jump otherwise."""
 _LARGEST_SKEW = 0.2
 """A simulator on a busy machine runs a per cent or two slower than time."""
+_SAME_NS = 2 * SECOND_NS
+"""A request whose time is further from the autopilot's clock waited long, or has another's."""
 
 FOREIGN, NO_TIME = "foreign", "no time"
 """Why an answer is refused: it is to no open request of ours; it holds no time."""
@@ -168,7 +170,7 @@ class Timesync(Service):
     def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
         if message.tc1 != 0:
             self.receive(message.tc1, message.ts1, now_ns)
-        elif (tc1 := self.answer(now_ns)) is not None:
+        elif (tc1 := self.answer(message.ts1, now_ns)) is not None:
             self._send(tc1, message.ts1, now_ns)
 
     def _send(self, tc1: int, ts1: int, now_ns: int) -> None:
@@ -197,9 +199,16 @@ class Timesync(Service):
         self._outstanding.append(ts1)
         self._unanswered += 1
 
-    def answer(self, now_ns: int) -> int | None:
-        """Return the ``tc1`` for a request; None if it is not to be answered (yet)."""
+    def answer(self, ts1: int, now_ns: int) -> int | None:
+        """Return the ``tc1`` for a request; None if it is not to be answered (yet).
+
+        A request says what time it was there when it left: half a usual round trip later it comes.
+        That holds also for a clock that runs unevenly, as a simulator's on a busy machine, whose
+        time by ours is soon off by tens of ms; the asker would take these off our stamps.
+        """
         peer_ns = self.peer_ns(now_ns) if self.options.respond else None
+        if peer_ns is not None and abs(peer_ns - ts1) < _SAME_NS:
+            peer_ns = ts1 + round(self.rtt_ns(50) / 2)
         # 0 would ask again
         return peer_ns or None
 

@@ -10,6 +10,8 @@ from ekf_companion.mavlink.codec import Sender
 from ekf_companion.mavlink.outbox import Outbox
 
 MS = 1_000_000
+ELSEWHERE = 10**15
+"""Time of a request that is not the autopilot's."""
 
 
 def timesync(options=None):
@@ -42,6 +44,23 @@ def test_two_clocks_that_drift_are_compared_to_the_delay_of_the_link():
     assert abs(ours.peer_ns(at_ns) - at_ns - offset_at(at_ns)) < 150_000  # the jitter of the way
 
 
+def test_the_asker_finds_its_own_clock_in_our_answers_however_unevenly_that_runs():
+    """PX4 takes the offset that it finds off the stamps of our ODOMETRY, which are of its clock."""
+    ours, found = timesync(), []
+
+    def autopilot_ns(t_ns):
+        # For four seconds a simulator gets three quarters of its processor
+        return t_ns - min(max(t_ns - 10_000 * MS, 0) // 4, 1000 * MS)
+
+    for at_ns in range(0, 20_000 * MS, 50 * MS):
+        exchange(ours, lambda t_ns: autopilot_ns(t_ns) - t_ns, at_ns, 300_000, 300_000)
+        asked_ns = autopilot_ns(at_ns)
+        if (tc1 := ours.answer(asked_ns, at_ns + 300_000)) is not None:
+            found.append((asked_ns + autopilot_ns(at_ns + 600_000)) / 2 - tc1)
+    assert len(found) > 200
+    assert np.abs(found).max() < MS
+
+
 @pytest.mark.parametrize("slower", [0.01, 0.02])
 def test_a_simulators_clock_that_is_slow_is_followed_and_its_questions_are_answered(slower):
     """PX4 asks ten times a second, and places our ODOMETRY by the answers."""
@@ -56,7 +75,7 @@ def test_a_simulators_clock_that_is_slow_is_followed_and_its_questions_are_answe
         exchange(ours, offset_at, at_ns, there, back)
         if at_ns >= 3_000 * MS:
             assert ours.is_locked
-            assert abs(ours.answer(at_ns) - at_ns - offset_at(at_ns)) < MS
+            assert abs(ours.answer(ELSEWHERE, at_ns) - at_ns - offset_at(at_ns)) < MS
     assert ours.skew == pytest.approx(-slower, abs=2e-4)
     assert ours.trouble == ""
     assert not ours.refused
@@ -76,7 +95,7 @@ def test_why_the_clock_is_not_known_is_named():
             exchange(ours, offset_at, at_ns, *waits)
         assert not ours.is_locked
         assert words in ours.trouble
-        assert ours.answer(at_ns) is None
+        assert ours.answer(ELSEWHERE, at_ns) is None
 
 
 def test_answers_that_waited_on_one_way_do_not_move_the_offset():
@@ -104,12 +123,12 @@ def test_it_asks_ten_times_a_second_until_locked_then_once():
 def test_nothing_is_answered_before_the_lock_and_then_in_the_autopilots_time():
     """Rule 27: only when locked."""
     ours = timesync()
-    assert ours.answer(5 * MS) is None
+    assert ours.answer(ELSEWHERE, 5 * MS) is None
     for at_ns in range(0, 3000 * MS, 100 * MS):
         exchange(ours, lambda _: 1_000_000_007, at_ns, MS, MS)
-    assert ours.answer(4000 * MS) == 4000 * MS + 1_000_000_007
+    assert ours.answer(ELSEWHERE, 4000 * MS) == 4000 * MS + 1_000_000_007
     silent = timesync(TimesyncOptions(respond=False))
-    assert silent.answer(4000 * MS) is None
+    assert silent.answer(ELSEWHERE, 4000 * MS) is None
 
 
 def test_answers_to_others_and_slow_ones_are_counted_and_left():
@@ -221,8 +240,8 @@ def test_an_autopilot_that_no_longer_answers_is_named():
 def test_an_answer_is_never_zero():
     """Rule 27: tc1 of 0 would ask again."""
     ours, _ = synchronised(offset=-2000 * MS, until_ms=3000)
-    assert ours.answer(2000 * MS) is None
-    assert ours.answer(2000 * MS + 1) == 1
+    assert ours.answer(ELSEWHERE, 2000 * MS) is None
+    assert ours.answer(ELSEWHERE, 2000 * MS + 1) == 1
 
 
 def test_the_lock_takes_twenty_good_answers():
@@ -256,11 +275,11 @@ def test_the_lock_is_lost_without_good_answers_and_found_again():
     assert ours.peer_ns(at_ns + 9_900 * MS) is not None
     assert ours.request(at_ns + 10_100 * MS) is not None
     assert not ours.is_locked
-    assert ours.answer(at_ns + 10_100 * MS) is None
+    assert ours.answer(ELSEWHERE, at_ns + 10_100 * MS) is None
     assert ours.peer_ns(at_ns + 10_100 * MS) is None
     for later_ns in range(at_ns + 11_000 * MS, at_ns + 14_000 * MS, 100 * MS):
         exchange(ours, lambda _: 99 * MS, later_ns, MS, MS)
-    assert ours.answer(later_ns) == later_ns + 99 * MS
+    assert ours.answer(ELSEWHERE, later_ns) == later_ns + 99 * MS
 
 
 def test_the_lock_is_lost_where_answers_scatter_as_widely_as_they_may():
