@@ -105,6 +105,7 @@ async def serve(config: Config, read: Callable[[], Config]) -> None:
             await asyncio.sleep(DRAIN)
             for pump in pumps:
                 pump.cancel()
+    log.flush(is_end=True)
     _log.info("Stopped")
 
 

@@ -43,11 +43,14 @@ def set_up(level: int) -> None:
     logging.basicConfig(level=level, handlers=[RateLimitHandler(inner)])
 
 
-def flush() -> None:
-    """Log how many lines were left out, where their time is over; to be called now and then."""
+def flush(*, is_end: bool = False) -> None:
+    """Log how many lines were left out, where their time is over; to be called now and then.
+
+    At the end it is over for all.
+    """
     for handler in logging.root.handlers:
         if isinstance(handler, RateLimitHandler):
-            handler.flush()
+            handler.flush_all() if is_end else handler.flush()
 
 
 def is_journal() -> bool:
@@ -171,9 +174,17 @@ class RateLimitHandler(logging.Handler):
         finally:
             self.release()
 
+    def flush_all(self) -> None:
+        """Log how many were left out, of all lines."""
+        self.acquire()
+        try:
+            self._forget(self._clock())
+        finally:
+            self.release()
+
     def close(self) -> None:
         """Log how many were left out, and close the inner handler."""
-        self._forget(self._clock())
+        self.flush_all()
         self._inner.close()
         super().close()
 

@@ -12,6 +12,7 @@ from ekf_companion.daemon.logging import (
     KINDS,
     JournalHandler,
     RateLimitHandler,
+    flush,
     is_journal,
     priority,
 )
@@ -257,6 +258,17 @@ def test_what_was_left_out_is_told_at_the_end(calm):
         calm.log.warning("Reset %d", number)
     calm.handler.close()
     assert calm.words == ["Reset 0", "Reset 3 (2 more like it before, left out)"]
+
+
+def test_what_was_left_out_is_told_before_the_last_word(calm, monkeypatch):
+    """Else the journal of a run that ended well ends with an old warning."""
+    monkeypatch.setattr(logging.root, "handlers", [calm.handler])
+    for number in range(4):
+        calm.log.warning("Reset %d", number)
+    flush()
+    flush(is_end=True)
+    calm.log.info("Stopped")
+    assert calm.words[1:] == ["Reset 3 (2 more like it before, left out)", "Stopped"]
 
 
 def test_news_pass_a_few_times_and_errors_always(calm):
