@@ -10,7 +10,7 @@ KERNEL := setup.py $(wildcard ekf_companion/core/*.py ekf_companion/core/*.pxd) 
 STAMP := $(VENV)/.installed
 FLYING := $(VENV)/.installed-demo
 
-.PHONY: setup test explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
+.PHONY: setup test campaigns explore reference lock lint types contracts check demo bench bits accuracy truth filters delays sitl fuzz e2e reconnect endurance soak site wheel wheels deb image install uninstall installcheck clean
 
 setup: $(STAMP)
 
@@ -39,11 +39,15 @@ $(FLYING): $(VENV)/bin/python pyproject.toml $(KERNEL)
 TEST := $(BIN)/python -W error -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 test: $(STAMP)
-	$(TEST)
+	$(TEST) -m "not campaign"
+
+# Tests that fly often or long: seeded flights by the dozen, recordings by every filter, benchmarks
+campaigns: $(STAMP)
+	$(TEST) -m campaign
 
 # Property tests on examples never tried before
 explore: $(STAMP)
-	HYPOTHESIS_PROFILE=explore $(TEST)
+	HYPOTHESIS_PROFILE=explore $(TEST) -m "not campaign"
 
 # What is written from the code: config/reference.yaml, from the fields of the settings; the table
 # of MAVLink's messages; the man page and the completions of shells, from the commands
@@ -71,7 +75,7 @@ types: $(STAMP)
 contracts: $(STAMP)
 	$(BIN)/lint-imports
 
-check: lint types contracts test
+check: lint types contracts test campaigns
 
 demo: $(if $(wildcard $(STAMP)),$(STAMP),$(FLYING))
 	$(BIN)/python -m sim_autopilot demo --out demo --duration 45

@@ -47,6 +47,7 @@ def command(*words):
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
+@pytest.mark.campaign
 def test_all_navigators_stand_in_one_table_one_figure_and_one_json(flight, tmp_path):
     log, truth = flight
     figure = tmp_path / "all.png"

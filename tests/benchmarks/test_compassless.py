@@ -9,6 +9,8 @@ from benchmarks.accuracy import compassless
 from benchmarks.campaign import fly
 from ekf_companion.nav.measurements import Kind
 
+pytestmark = pytest.mark.campaign
+
 MOVING = ["figure-eight", "loiter", "square-spiral"]
 flown = cache(lambda name: fly(name, 4))
 

@@ -13,6 +13,8 @@ from benchmarks.accuracy.consistency import BLOCKS, Account, account
 from benchmarks.campaign import SCENARIOS, band, fly
 from ekf_companion.engine.health import Aid
 
+pytestmark = pytest.mark.campaign
+
 SURE = 0.999
 INSTANTS = (60.0, 80.0, 100.0, 119.0)
 SEEDS = {"matched": 8, "default": 6}

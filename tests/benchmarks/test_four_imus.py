@@ -10,6 +10,8 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.nav import so3
 from tests.paths import DATA
 
+pytestmark = pytest.mark.campaign
+
 needs_data = pytest.mark.skipif(
     not (DATA / FOLDER).is_dir(), reason="the recorded flights are not here"
 )

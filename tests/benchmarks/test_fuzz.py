@@ -7,6 +7,8 @@ import pytest
 from benchmarks.reliability.fuzz import messages, mutated, run
 from ekf_companion.nav.state import Status
 
+pytestmark = pytest.mark.campaign
+
 
 @pytest.fixture(autouse=True)
 def _quiet():

@@ -13,6 +13,8 @@ from benchmarks.recorded import TRUTH
 from ekf_companion.nav.measurements import Kind
 from tests.paths import DATA
 
+pytestmark = pytest.mark.campaign
+
 SURE = 0.999
 
 

@@ -9,6 +9,8 @@ from benchmarks.accuracy.receiver_faults import BEGIN, DURATION, FAULTS, falsifi
 from benchmarks.campaign import fly
 from ekf_companion.nav.measurements import Kind
 
+pytestmark = pytest.mark.campaign
+
 
 @cache
 def flown(name):

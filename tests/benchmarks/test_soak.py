@@ -10,6 +10,8 @@ from benchmarks.reliability import soak, soak_score
 from benchmarks.reliability.soak_flight import Errors, containers, fly
 from sim_autopilot.faults.fault import parse
 
+pytestmark = pytest.mark.campaign
+
 KINDS = ("imu-stuck", "clock-jump:by=-0.5", "imu-saturation", "cut:duration=3", "gnss-jump")
 """One of each way back: a gap, a clock, a gap of some axes, a silence, a receiver's proof."""
 

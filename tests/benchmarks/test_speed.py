@@ -9,6 +9,8 @@ from benchmarks.speed.reference import Reference
 from benchmarks.speed.result import Result, table
 from ekf_companion.nav.measurements import Kind
 
+pytestmark = pytest.mark.campaign
+
 
 def test_both_filters_are_timed_on_a_flight_that_both_can_follow():
     results = {result.name: result.value for result in steps.measure(duration=12.0)}

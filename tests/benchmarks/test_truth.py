@@ -18,6 +18,8 @@ from benchmarks.truth.motion import FINE, fly
 from benchmarks.truth.run import Job, run
 from ekf_companion.nav import earth as nav_earth
 
+pytestmark = pytest.mark.campaign
+
 PLACE = (47.4 * DEG, 8.5 * DEG, 500.0)
 
 

@@ -60,6 +60,7 @@ def test_a_peak_that_a_few_blocks_make_is_not_the_whole_interval():
     assert high >= 0.23
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("motion", ["hover", "square-spiral"])
 def test_intervals_cover_the_truth_in_a_small_campaign(motion):
     """``make delays`` flies 120; two by motion of 20 may miss."""

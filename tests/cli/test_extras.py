@@ -89,6 +89,7 @@ def test_logs_are_converted_without_any_extra(tmp_path, log, name):
     assert (tmp_path / "out.csv").stat().st_size > 100_000
 
 
+@pytest.mark.campaign
 @pytest.mark.timeout(300)
 def test_the_daemon_flies_without_any_extra(tmp_path):
     """Against the fake autopilot, over real UDP."""

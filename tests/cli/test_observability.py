@@ -30,6 +30,7 @@ def _elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.campaign
 def test_it_prints_a_sentence_per_state_and_writes_a_figure_and_json(flown, tmp_path):
     result = command(flown["static"])
     assert result.exit_code == 0, result.output
@@ -48,6 +49,7 @@ def test_it_prints_a_sentence_per_state_and_writes_a_figure_and_json(flown, tmp_
     assert set(data["sentences"]) <= set(result.stdout.splitlines())
 
 
+@pytest.mark.campaign
 def test_a_flight_shows_its_biases_in_windows_of_any_length(flown, tmp_path):
     result = command(flown["figure-eight"], "--window", "5", "--plot", "f.svg", "--json")
     assert result.exit_code == 0, result.output

@@ -88,6 +88,7 @@ def test_small_memory_gives_the_same_bits():
     assert settled(a_timeline(capacity=1024), late) == IN_ORDER
 
 
+@pytest.mark.campaign
 def test_interpreted_and_compiled_agree_to_the_last_bit():
     events = some_events(3.5, rate=50.0)
     rng = np.random.default_rng(4)

@@ -162,7 +162,7 @@ def test_the_origin_stays_where_it_was(restarted):
 
 
 @pytest.mark.parametrize("number", [1, 2])
-def test_the_estimate_is_within_three_sigma_of_the_truth_again(restarted, number):
+def test_the_estimate_is_as_far_from_the_truth_as_its_sigma_says_again(restarted, number):
     sent = {message.time_usec for _, message in restarted.records[number].of("ODOMETRY")}
     ours = restarted.flown.witness.estimate()
     keep = np.isin(ours.t_ns // 1000, sorted(sent))
@@ -171,7 +171,8 @@ def test_the_estimate_is_within_three_sigma_of_the_truth_again(restarted, number
     # The velocity's sigmas are sent along the body's axes, but are those of the one over ground
     std = np.hstack([ours.std[:, :6], np.tile(ours.std[:, 6:].max(axis=1), (3, 1)).T])
     ratios = (np.hstack([error.pos_n, error.euler, error.vel_n]) / std)[keep]
-    assert (np.abs(ratios[0]) < 3.0).all()
+    # Of nine numbers one is beyond three sigma in every fortieth flight, and beyond four in none
+    assert (np.abs(ratios[0]) < 4.0).all()
     assert (np.abs(ratios) < 3.0).mean() > 0.9
     late = keep & (ours.t_ns > ours.t_ns[keep][0] + 2_500_000_000)
     assert np.degrees(np.abs(error.euler[late, :2])).max() < 8.0

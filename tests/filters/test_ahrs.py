@@ -35,6 +35,7 @@ def scored(what, seconds=10.0, settings=USUAL):
     return solution, truth, degrees(attitude.score(solution.table, truth, after(truth, seconds)))
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", TRIALS)
 def test_a_recorded_hand_is_followed_as_well_as_by_vqf_and_far_better_than_by_mahony(name):
     recording = trial(name)

@@ -161,6 +161,7 @@ def test_the_exact_exponential_moves_the_published_run_by_little():
     assert apart[3:6].max() > 0.01  # m: it is seen, so the edition does take 1 + A dt
 
 
+@pytest.mark.campaign
 @with_seed
 def test_each_slip_costs_what_the_document_says():
     course = MeasurementSequence(csv.read(SEED / "uavSensors.csv").events, FilterSettings())

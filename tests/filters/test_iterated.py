@@ -156,6 +156,7 @@ def test_the_order_of_aids_of_one_time_does_not_matter():
     np.testing.assert_allclose(one.state.minus(other.state), 0.0, atol=1e-10)
 
 
+@pytest.mark.campaign
 def test_both_forms_and_both_frames_give_one_flight():
     config = SimConfig(imu=ImuConfig(rate=50.0))
     flight = Flight.plan("figure-eight", config, seed=3, duration=13.0)
@@ -198,6 +199,7 @@ def squares(flight):
     return np.array(found)
 
 
+@pytest.mark.campaign
 def test_the_errors_are_as_large_as_it_says():
     config = SimConfig(imu=ImuConfig(rate=25.0))
     flights = [

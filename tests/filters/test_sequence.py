@@ -270,6 +270,7 @@ def test_a_jump_of_the_fixes_is_taken_after_the_time_out_and_tilts_nothing(name)
     assert np.abs(solution.table.column("vel_n")[t > 6.0]).max() < 3.0
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("make", [Euler, Iterated, Unscented])
 def test_a_sure_but_tilted_start_finds_level_again_by_the_reset_of_the_velocity(make):
     config = SimConfig(imu=ImuConfig(rate=50.0), gnss=GnssConfig(rate=5.0, delay=0.0))

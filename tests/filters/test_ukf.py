@@ -166,6 +166,7 @@ def test_on_a_linear_problem_it_is_the_kalman_filter():
     assert np.abs(x).max() > 0.1
 
 
+@pytest.mark.campaign
 def test_it_is_as_wrong_as_it_says_over_seeded_flights():
     found = [
         fly(Case(scenario=name), seed, Unscented).nees
@@ -191,6 +192,7 @@ def test_a_recording_is_run_from_its_own_start():
     assert found.velocity < chi2.ppf(0.999, 3) / 3.0
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     "case", [Case(tilt=60.0), Case(heading=120.0, is_compassless=True)], ids=["tilt", "heading"]
 )

@@ -26,6 +26,7 @@ def before(cut):
     return sum(end <= cut for end in ENDS)
 
 
+@pytest.mark.campaign
 def test_cut_at_any_byte_it_gives_every_whole_record_before(tmp_path):
     for cut in range(ENDS[0], len(WHOLE) + 1):
         found, notes = read(tmp_path, WHOLE[:cut])

@@ -516,6 +516,7 @@ class Rangefinder(OwnAid):
         return np.array([[self.std**2]])
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", ["iterated", "euler", "ukf"])
 def test_an_aid_of_ones_own_is_fused(flown, name):
     baseless = {"filter": name, "baro": None}

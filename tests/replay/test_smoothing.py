@@ -75,6 +75,7 @@ def test_it_is_nearer_to_the_truth_than_the_live_filter_in_every_axis(name):
             assert (smoothed < 0.75 * live).all(), (live, smoothed)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", ["hover", "square-spiral"])
 def test_its_covariance_is_that_of_its_errors(name):
     seeds, times = 16, (15.0, 30.0, 45.0, 55.0)

@@ -59,6 +59,7 @@ def flown(tuning, kind, **odometry):
     return fly(Bench(flight, ours, personality=kind), tuning)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(("tuning", "kind"), [(EKF2, Kind.PX4), (EKF3, Kind.ARDUPILOT)])
 def test_a_covariance_without_the_slow_error_lets_it_follow_in_height_and_place(tuning, kind):
     ours, _ = flown(tuning, kind)
