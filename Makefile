@@ -41,7 +41,7 @@ TEST := $(BIN)/python -W error -m pytest -n 3 --dist loadfile --no-loadscope-reo
 test: $(STAMP)
 	$(TEST) -m "not campaign"
 
-# Tests that fly often or long: seeded flights by the dozen, recordings by every filter, benchmarks
+# Tests that fly often or long, and those that kill and restart daemons: five minutes more
 campaigns: $(STAMP)
 	$(TEST) -m campaign
 

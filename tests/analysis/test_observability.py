@@ -29,6 +29,8 @@ from sim_autopilot.config import GnssConfig, ImuConfig, SimConfig
 from sim_autopilot.flight import Flight
 from tests.paths import DATA
 
+pytestmark = pytest.mark.campaign
+
 SETTINGS = FilterSettings()
 RATE = 50.0
 FRAME = LocalFrame(0.8, 0.15, 100.0)

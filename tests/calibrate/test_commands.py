@@ -33,6 +33,7 @@ def _elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("kind", "name", "key"),
     [

@@ -16,6 +16,8 @@ from sim_autopilot.__main__ import app as simulator
 from tests.daemon.test_daemon import free_port
 from tests.paths import ROOT
 
+pytestmark = pytest.mark.campaign
+
 OF_EXTRAS = (
     *("bokeh", "matplotlib", "mcap", "pandas", "pyarrow", "pymavlink", "scipy", "vqf"),
     *("lxml", "zstandard", "tornado", "PIL"),
@@ -89,7 +91,6 @@ def test_logs_are_converted_without_any_extra(tmp_path, log, name):
     assert (tmp_path / "out.csv").stat().st_size > 100_000
 
 
-@pytest.mark.campaign
 @pytest.mark.timeout(300)
 def test_the_daemon_flies_without_any_extra(tmp_path):
     """Against the fake autopilot, over real UDP."""

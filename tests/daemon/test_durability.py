@@ -23,6 +23,8 @@ from tests.daemon.test_daemon import SYSTEM, Daemon, free_port
 from tests.daemon.test_tlog_recorder import RECORD, records, settings, write
 from tests.daemon.waiting import LIMIT, close, wait_until
 
+pytestmark = pytest.mark.campaign
+
 
 def test_everything_is_synced_without_being_asked_for(tmp_path, monkeypatch):
     """What a loss of power leaves: bytes that were synced, in a file whose name was."""

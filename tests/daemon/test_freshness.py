@@ -12,6 +12,8 @@ from ekf_companion.mavlink.messages import IDS
 from tests.daemon.test_daemon import Daemon, free_port
 from tests.daemon.test_supervised import Pilot
 
+pytestmark = pytest.mark.campaign
+
 MS = 1_000_000
 SECOND = 1000 * MS
 BOOT = 50 * SECOND

@@ -24,6 +24,8 @@ from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.session import Session
 from tests.daemon.test_daemon import Daemon
 
+pytestmark = pytest.mark.campaign
+
 _log = logging.getLogger("reconnect")
 
 CYCLES = int(os.environ.get("RECONNECT_CYCLES", "3"))

@@ -17,6 +17,8 @@ from sim_autopilot.flight import Flight
 from sim_autopilot.fly import Flown, fly, over, run
 from tests.daemon.test_daemon import SYSTEM, Daemon, Open, Record, free_port
 
+pytestmark = pytest.mark.campaign
+
 CONFIG = "output: {odometry: {rate: 50, age_limit: 10}}\n"
 RUNS = (3.0, 4.5, 4.5)
 """Seconds for which each of three runs of the daemon estimates: killed, stopped, stopped."""

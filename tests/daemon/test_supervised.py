@@ -19,6 +19,8 @@ from sim_autopilot.autopilot import Kind
 from sim_autopilot.fly import fly, over, run
 from tests.daemon.test_daemon import Daemon, Open, Record, Wire, free_port, plan
 
+pytestmark = pytest.mark.campaign
+
 RESTART_SEC = 1.0
 """As the unit says."""
 BUSY = 20.0

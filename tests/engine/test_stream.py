@@ -38,6 +38,7 @@ OUTAGES = {PX4: (34.43, 54.4), PASSIVE: (60.2, 80.2), ARDUPILOT: (415.49, 435.6)
 # A jump is told
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("flight", OUTAGES)
 def test_no_step_over_a_metre_comes_without_a_moved_counter(flight):
     """Even where dead reckoning is sent for as long as the outage lasts."""

@@ -16,6 +16,8 @@ from sim_autopilot.flight import Flight
 from tests.filters.swings import Swing, swing
 from tests.filters.trials import TRIALS, trial
 
+pytestmark = pytest.mark.campaign
+
 DEG = np.radians(1.0)
 VQF = {TRIALS[0]: (1.99, 1.89, 0.60), TRIALS[1]: (2.31, 2.26, 0.47)}
 """Total, heading, inclination of vqf 2.1, deg."""
@@ -35,7 +37,6 @@ def scored(what, seconds=10.0, settings=USUAL):
     return solution, truth, degrees(attitude.score(solution.table, truth, after(truth, seconds)))
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("name", TRIALS)
 def test_a_recorded_hand_is_followed_as_well_as_by_vqf_and_far_better_than_by_mahony(name):
     recording = trial(name)

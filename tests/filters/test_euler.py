@@ -27,6 +27,8 @@ from ekf_companion.nav.earth import SIMULATED
 from tests.filters.steep import Flight, climb, fly, loops, score
 from tests.paths import DATA
 
+pytestmark = pytest.mark.campaign
+
 SEED = DATA / "seed-basicekf-sim"
 with_seed = pytest.mark.skipif(
     not SEED.is_dir(), reason="the seed article's flight is not on this machine"
@@ -161,7 +163,6 @@ def test_the_exact_exponential_moves_the_published_run_by_little():
     assert apart[3:6].max() > 0.01  # m: it is seen, so the edition does take 1 + A dt
 
 
-@pytest.mark.campaign
 @with_seed
 def test_each_slip_costs_what_the_document_says():
     course = MeasurementSequence(csv.read(SEED / "uavSensors.csv").events, FilterSettings())

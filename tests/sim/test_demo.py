@@ -51,6 +51,7 @@ def test_the_picture_is_drawn_even_of_silence(tmp_path):
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.campaign
 def test_whoever_waits_sees_every_four_seconds_that_it_flies(tmp_path):
     told = []
     demo.fly(tmp_path, duration=12.0, seed=1, tell=told.append)
