@@ -25,6 +25,8 @@ from tests.filters.swings import Swing, swing
 from tests.filters.walks import make
 from tests.paths import DATA, ROOT
 
+pytestmark = pytest.mark.campaign
+
 TRIAL = DATA / "broad-attitude" / "01_undisturbed_slow_rotation_A.mat"
 README = ROOT / "README.md"
 NAVIGATORS = ("eskf", "euler", "iterated", "iterated:robocentric", "ukf")
@@ -47,7 +49,6 @@ def command(*words):
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
-@pytest.mark.campaign
 def test_all_navigators_stand_in_one_table_one_figure_and_one_json(flight, tmp_path):
     log, truth = flight
     figure = tmp_path / "all.png"

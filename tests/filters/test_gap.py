@@ -20,6 +20,8 @@ from sim_autopilot.flight import Flight
 from tests.filters import walks
 from tests.filters.swings import Swing, swing
 
+pytestmark = pytest.mark.campaign
+
 CONFIG = SimConfig(imu=ImuConfig(rate=50.0))
 
 
@@ -82,7 +84,6 @@ def test_without_motion_nothing_turns_or_falls():
     np.testing.assert_allclose(after.vel_n, state.vel_n, atol=1e-12)
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("name", ["euler", "iterated", "iterated:robocentric", "ukf"])
 @pytest.mark.parametrize("span", [0.4, 0.9])
 def test_after_a_gap_the_errors_are_within_their_sigmas(name, span):

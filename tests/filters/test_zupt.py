@@ -16,6 +16,8 @@ from ekf_companion.replay.convert import read
 from tests.filters import walks
 from tests.paths import DATA
 
+pytestmark = pytest.mark.campaign
+
 OPENSHOE = "zupt-openshoe/Measurement_100521_44.txt"
 XIO = "zupt-xio-short-walk/short_walk.csv"
 
@@ -159,7 +161,6 @@ def test_down_is_where_the_rest_says():
     assert so3.rotate(found.q_nb, events.values[0, 3:6]) == pytest.approx([0, 0, -9.81])
 
 
-@pytest.mark.campaign
 def test_openshoe_closes_closer_in_space_than_its_own_program():
     end = closed(recorded(OPENSHOE))
     assert end.horizontal <= 0.25
@@ -167,7 +168,6 @@ def test_openshoe_closes_closer_in_space_than_its_own_program():
     assert end.path == pytest.approx(82.0, abs=2.0)
 
 
-@pytest.mark.campaign
 def test_xio_closes_over_the_ground_as_its_authors_do_in_space():
     end = closure.closure(xio())
     assert end.horizontal <= 0.082
