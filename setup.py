@@ -7,6 +7,8 @@ gives the same bits.
 import hashlib
 import importlib
 import io
+import multiprocessing
+import os
 import platform
 import shutil
 import subprocess
@@ -125,5 +127,7 @@ setup(
             "annotation_typing": False,
             "infer_types": True,
         },
+        # A child that is not forked would run this file again
+        nthreads=(os.cpu_count() or 1) if multiprocessing.get_start_method() == "fork" else 0,
     ),
 )
