@@ -46,6 +46,8 @@ BLOCK = 1 << 20
 """Bytes that are searched at once."""
 AT_ONCE = 1 << 14
 """Records that are read at once."""
+LONGEST = 8 * BLOCK
+"""Bytes in which they lie, at most."""
 SILENCE_US = 1_000_000
 """A longer time between two records is none in which messages came at their rate, us."""
 ROOM = 1 << 20
@@ -142,10 +144,13 @@ class Tlog:
         ids = self.message_id if only is None else self.message_id[only]
         wanted = np.flatnonzero(np.isin(ids, [IDS[name] for name in names]))
         wanted = wanted if only is None else only[wanted]
-        for first in range(0, len(wanted), AT_ONCE):
-            some = wanted[first : first + AT_ONCE]
-            begin, last = int(self.place[some[0]]), some[-1]
-            end = int(self.place[last]) + int(self.size[last])
+        while len(wanted):
+            begin = int(self.place[wanted[0]])
+            # Rare messages lie far apart
+            beyond = np.searchsorted(self.place, begin + LONGEST)
+            some = wanted[: min(int(np.searchsorted(wanted, beyond)), AT_ONCE)]
+            wanted = wanted[len(some) :]
+            end = int(self.place[some[-1]]) + int(self.size[some[-1]])
             raw = np.frombuffer(self.source.read(begin, end), dtype=np.uint8)
             for name, parts in found.items():
                 order = some[self.message_id[some] == IDS[name]]

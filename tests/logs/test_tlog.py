@@ -144,6 +144,22 @@ def test_columns_agree_with_pymavlink(flight):
             )
 
 
+def test_messages_that_lie_far_apart_are_read_piece_by_piece(written, monkeypatch):
+    """Else as much is in memory as lies between the first of them and the last."""
+    log = tlog.read(written(b"".join(small_log())))
+    whole = log.columns(["RAW_IMU"], 1)["RAW_IMU"]
+    reads = []
+    monkeypatch.setattr(tlog, "LONGEST", 1000)
+    read = type(log.source).read
+    monkeypatch.setattr(
+        type(log.source), "read", lambda source, a, b: reads.append(b - a) or read(source, a, b)
+    )
+    np.testing.assert_array_equal(log.columns(["RAW_IMU"], 1)["RAW_IMU"], whole)
+    assert len(whole) == 40
+    assert len(reads) > 5
+    assert max(reads) < 1100
+
+
 def test_short_payloads_read_as_zeros(written):
     mav = second.MAVLink(None, srcSystem=1, srcComponent=1)
     frame = mav.gps_raw_int_encode(5, 0, 0, 0, 0, 0, 0, 0, 0, 0).pack(mav)
