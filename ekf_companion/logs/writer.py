@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import BinaryIO, cast
 import numpy as np
 
 from ekf_companion.errors import LogError, part_of
-from ekf_companion.logs.map_time import UNNAMED, Label
+from ekf_companion.logs.map_time import Label
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, known_rows
 from ekf_companion.nav.state import GEODETIC, POSITION, QUATERNION, VELOCITY, Status, Table
@@ -89,8 +89,10 @@ class EstimateWriter:
         """Write what comes after the last estimate."""
 
 
-def open_writer(path: Path, label: Label = UNNAMED) -> EstimateWriter:
-    """Open a file by its suffix; ``-`` is CSV on the standard output. The label is for maps.
+def open_writer(path: Path, label: Callable[[], Label] = Label) -> EstimateWriter:
+    """Open a file by its suffix; ``-`` is CSV on the standard output.
+
+    A map alone asks for its label: to find when a log began takes a look at all of it.
 
     Raises:
         LogError: It cannot be opened.
@@ -100,7 +102,7 @@ def open_writer(path: Path, label: Label = UNNAMED) -> EstimateWriter:
     with part_of("formats", str(path)):
         module = import_module(f"ekf_companion.logs.{name}")
     is_map = path.suffix in RATES
-    return cast("EstimateWriter", module.Writer(path, label) if is_map else module.Writer(path))
+    return cast("EstimateWriter", module.Writer(path, label()) if is_map else module.Writer(path))
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,7 @@ from ekf_companion.logs.recording import Recording
 from ekf_companion.logs.writer import RATES, STDOUT, WRITERS, Thinning, create, open_writer
 from ekf_companion.nav.measurements import Events, Kind, merge
 from ekf_companion.nav.state import Table, join
-from ekf_companion.replay.log_source import reference, truth, utc_zero_ns
+from ekf_companion.replay.log_source import open_log, reference, truth, utc_zero_ns
 from ekf_companion.replay.report import Report, summary
 from ekf_companion.replay.run import BlockPipeline, IdlePipeline, Progress, Run, StepPipeline
 from ekf_companion.replay.smoothing import Smoothing
@@ -95,7 +96,7 @@ def _convert_to_files(
         else:
             run = Run(path, config, BlockPipeline)
             tables = (block.table for block in run.blocks(progress))
-        label = Label(path.name, utc_zero_ns(run.log))
+        label = cache(lambda: Label(path.name, utc_zero_ns(run.log)))
         writers = [
             (stack.enter_context(open_writer(out, label)), Thinning(rate or RATES.get(out.suffix)))
             for out in outs
@@ -147,8 +148,9 @@ def convert_by(
         solution = run_filter(recording, name, config)
     except LogError as error:
         raise LogError(f"{path}: {error}") from error
+    label = cache(lambda: Label(path.name, utc_zero_ns(open_log(path))))
     for out in outs:
-        with open_writer(out, Label(path.name, recording.utc_zero_ns)) as writer:
+        with open_writer(out, label) as writer:
             writer.write(Thinning(rate or RATES.get(out.suffix)).thin(solution.table))
     return replace(solution, notes=(*solution.notes, *recording.notes))
 
@@ -249,7 +251,6 @@ def read(
         truth=truth(run.log),
         counted=run.log.counted if isinstance(run.log, Recording) else None,
         gnss_delay=run.gnss_delay,
-        utc_zero_ns=utc_zero_ns(run.log),
         notes=tuple(run.report.notes),
     )
 
