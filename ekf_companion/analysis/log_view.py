@@ -10,12 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.analysis.flight_review import FlightReview
-from ekf_companion.engine.health import Aid
+from ekf_companion.engine.health import REFUSALS, Aid
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.state import ACCEL_BIAS, GYRO_BIAS, SIGMA, Status, Table, Trajectory
 from ekf_companion.replay.report import summary
-from ekf_companion.replay.watched import REFUSALS
 
 MOMENTS = 6000
 """Of the slider, at most: a tenth of a second each in a flight of ten minutes."""

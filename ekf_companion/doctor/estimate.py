@@ -69,7 +69,7 @@ def _status(health: Health) -> Problem | None:
         absent = [
             label
             for aid, (label, _) in _AIDS.items()
-            if aid is not Aid.BARO and not _fused(health, aid)
+            if aid is not Aid.BARO and not health.fused(aid)
         ]
         without = " and ".join(absent)
         what = f" without {without}" if absent else ", but one aid is silent or refused"
@@ -100,13 +100,9 @@ def _status(health: Health) -> Problem | None:
     )
 
 
-def _fused(health: Health, aid: Aid) -> int:
-    return health.verdicts[aid][Verdict.FUSED] + health.verdicts[aid][Verdict.DEWEIGHTED]
-
-
 def _aids(health: Health) -> Iterator[Problem]:
     for aid, (label, cure) in _AIDS.items():
-        gated, fused = health.verdicts[aid][Verdict.GATED], _fused(health, aid)
+        gated, fused = health.verdicts[aid][Verdict.GATED], health.fused(aid)
         share, nis = gated / max(gated + fused, 1), health.nis[aid]
         if gated > 5 and share > _MANY:
             yield warning(f"{share:.0%} of the {label} measurements contradict the estimate.", cure)

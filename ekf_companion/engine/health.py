@@ -22,6 +22,9 @@ RESET_REASONS = (
     "restart",
 )
 
+REFUSALS = (Verdict.GATED, Verdict.SUSPECT, Verdict.DISTURBED)
+"""Why an aid's measurement is not fused: by a gate, as the receiver doubts itself, or as the
+magnetic field is not the Earth's."""
 DECIMATED = 80.0
 """Inertial samples below this rate miss what a multicopter does, Hz."""
 
@@ -71,5 +74,18 @@ class Health:
     """How it began: ``cold``, ``cold: `` and why a checkpoint was refused, or ``warm: `` and what
     was lost."""
 
+    def fused(self, aid: Aid) -> int:
+        """Return how many measurements of an aid were fused, with full or with less weight."""
+        return self.verdicts[aid][Verdict.FUSED] + self.verdicts[aid][Verdict.DEWEIGHTED]
 
-__all__ = ["RESET_REASONS", "Aid", "Arrival", "Health", "Verdict"]
+    def refused(self, aid: Aid) -> int:
+        """Return how many measurements of an aid were looked at and not believed."""
+        return sum(self.verdicts[aid][why] for why in REFUSALS)
+
+    def refused_share(self, aid: Aid) -> float:
+        """Return the share of an aid's measurements that was refused."""
+        refused = self.refused(aid)
+        return refused / max(refused + self.fused(aid), 1)
+
+
+__all__ = ["REFUSALS", "RESET_REASONS", "Aid", "Arrival", "Health", "Verdict"]

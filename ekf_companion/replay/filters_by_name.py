@@ -19,7 +19,7 @@ from ekf_companion.core.field import Field
 from ekf_companion.core.from_settings import delays_ns
 from ekf_companion.core.memory import as_state
 from ekf_companion.core.settings import FilterSettings
-from ekf_companion.engine.health import Aid, Health, Verdict
+from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.filters.solution import COVARIANCE_PERIOD_NS, Solution
@@ -160,12 +160,8 @@ def late_fixes(
 
 def counts_of(health: Health) -> dict[str, tuple[int, int]]:
     """Return the numbers of fused and of refused measurements, by aid."""
-    refused = (Verdict.GATED, Verdict.SUSPECT, Verdict.DISTURBED)
     return {
-        aid.name.lower(): (
-            health.verdicts[aid][Verdict.FUSED] + health.verdicts[aid][Verdict.DEWEIGHTED],
-            sum(health.verdicts[aid][one] for one in refused),
-        )
+        aid.name.lower(): (health.fused(aid), health.refused(aid))
         for aid in (Aid.POSITION, Aid.HEIGHT, Aid.VELOCITY, Aid.HEADING)
     }
 

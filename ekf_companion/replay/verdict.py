@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from ekf_companion.engine.health import Aid, Verdict
+from ekf_companion.engine.health import Aid
+from ekf_companion.logs.recording import counted
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status
 from ekf_companion.replay.departure import Departure
@@ -36,8 +37,6 @@ LARGEST_DAMAGE = 0.01
 LARGEST_LOSS = 0.05
 """Likewise of the telemetry's frames."""
 
-REFUSED = (Verdict.GATED, Verdict.SUSPECT, Verdict.DISTURBED)
-"""Verdicts on what was looked at and not believed."""
 AIDS = {
     Aid.HEIGHT: "receiver's heights",
     Aid.VELOCITY: "receiver's velocities",
@@ -113,9 +112,10 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
     spent = sum(report.seconds.get(status, 0.0) for status in STARTED)
     whole, rate = sum(report.seconds.values()), report.rates.get(Kind.IMU, 0.0)
     parts = [_of_table(report), _of_gap(report), _of_samples(rate), _of_file(report)]
+    departure = Reasons(*map(tuple, evidence.departure.reasons()))
     if spent > 0.0:
         found = [_of_position(evidence), _of_status(report, spent), _of_resets(report)]
-        parts = [*found, _of_fixes(report), _of_departure(evidence), _of_aids(report), *parts]
+        parts = [*found, _of_fixes(report), departure, _of_aids(report), *parts]
     poor, fair, aside = (tuple(words for part in parts for words in part[i]) for i in range(3))
     if whole < SHORT_S:
         words = (f"{whole:.0f} s are too few to judge",)
@@ -124,7 +124,7 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
         reasons = (_why_no_position(report), *poor, *fair)
         return Judgement(grade="attitude only", size="", reasons=reasons, aside=aside)
     if rate < SLOW:  # what else is found follows from that
-        first, departure = _of_samples(rate).fair, _of_departure(evidence)
+        first = _of_samples(rate).fair
         rest = (*first, *departure.poor, *departure.fair)
         reasons = (
             f"{first[0]}, {evidence.departure.guess()}",
@@ -138,7 +138,8 @@ def judge(report: Report, evidence: Evidence) -> Judgement:
 
 def _size(evidence: Evidence) -> str:
     """Return how large the horizontal error is, by the best witness there is, and what else is."""
-    words, sizes, departure = _horizontal(evidence), evidence.departure.sizes(), evidence.departure
+    departure = evidence.departure
+    words, sizes = _horizontal(evidence), departure.sizes()
     by_autopilot = evidence.truth is None and evidence.autopilot is not None
     is_same = departure.is_truth if evidence.truth is not None else by_autopilot
     if sizes and not is_same:
@@ -212,7 +213,7 @@ def _of_resets(report: Report) -> Reasons:
         times = "once" if report.reboots == 1 else f"{report.reboots} times"
         return Reasons(fair=(f"the autopilot rebooted {times}",) if report.reboots else ())
     reason = report.health.reset_reason if report.health else ""
-    words = (f"{resets} reset{'s' if resets > 1 else ''} (last: {reason})",)
+    words = (f"{counted(resets, 'reset')} (last: {reason})",)
     return Reasons(poor=words) if resets > 2 else Reasons(fair=words)
 
 
@@ -220,28 +221,20 @@ def _of_fixes(report: Report) -> Reasons:
     """Judge the share of the fixes that was refused."""
     if report.health is None:
         return Reasons()
-    verdicts = report.health.verdicts[Aid.POSITION]
-    refused = verdicts[Verdict.GATED] + verdicts[Verdict.SUSPECT]
-    share = refused / max(refused + verdicts[Verdict.FUSED] + verdicts[Verdict.DEWEIGHTED], 1)
+    share = report.health.refused_share(Aid.POSITION)
     words = (f"{share:.0%} of the fixes refused",)
     return Reasons(poor=words) if share > OFTEN else Reasons(fair=words if share > RARELY else ())
 
 
-def _of_departure(evidence: Evidence) -> Reasons:
-    """Judge yaw, tilt and height by a truth, else beside the autopilot's."""
-    return Reasons(*map(tuple, evidence.departure.reasons()))
-
-
 def _of_aids(report: Report) -> Reasons:
     """Name what other aids were refused often: a disturbed compass, say; refusing is right."""
-    aside = []
-    for aid, words in AIDS.items() if report.health else ():
-        assert report.health is not None
-        verdicts = report.health.verdicts[aid]
-        refused = sum(verdicts[verdict] for verdict in REFUSED)
-        share = refused / max(refused + verdicts[Verdict.FUSED] + verdicts[Verdict.DEWEIGHTED], 1)
-        if share > OFTEN and refused >= FEWEST:
-            aside.append(f"{share:.0%} of the {words} refused")
+    if (health := report.health) is None:
+        return Reasons()
+    aside = (
+        f"{health.refused_share(aid):.0%} of the {words} refused"
+        for aid, words in AIDS.items()
+        if health.refused_share(aid) > OFTEN and health.refused(aid) >= FEWEST
+    )
     return Reasons(aside=tuple(aside))
 
 

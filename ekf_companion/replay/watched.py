@@ -8,16 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_companion.core.settings import FilterSettings
-from ekf_companion.engine.health import Aid, Verdict
+from ekf_companion.engine.health import REFUSALS, Aid, Verdict
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events
 from ekf_companion.nav.state import Table, join
 from ekf_companion.replay.run import BlockPipeline
 
 PERIOD_NS = 1_000_000_000
-REFUSALS = (Verdict.GATED, Verdict.SUSPECT, Verdict.DISTURBED)
-"""Why an aid's measurement is not fused: by a gate, as the receiver doubts itself, or as the
-magnetic field is not the Earth's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
