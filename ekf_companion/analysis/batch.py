@@ -92,15 +92,18 @@ def find_logs(names: Sequence[str]) -> list[Path]:
     return list(found)
 
 
-def left_out(names: Sequence[str], outs: Sequence[Path]) -> str:
-    """Return how many files of the folders are no logs, and which; empty: none, but outputs."""
-    ours = {out.resolve() for out in outs}
+def left_out(names: Sequence[str], taken: Sequence[Path]) -> str:
+    """Return how many files of the folders are no logs, and which; empty: none, but what is taken.
+
+    Taken are the logs that :func:`find_logs` found there, and the outputs.
+    """
+    ours = {path.resolve() for path in taken}
     found = [
         path
         for name in names
         if Path(name).is_dir()
         for path in sorted(Path(name).rglob("*"))
-        if path.is_file() and not _is_log(path) and path.resolve() not in ours
+        if path.is_file() and path.resolve() not in ours
     ]
     if not found:
         return ""

@@ -51,10 +51,9 @@ def _angles(
     is_fast = len(at_ns) > 1 and bool(np.median(np.diff(at_ns)) <= FAST_NS)
     turns = (_turns(mine), _turns(theirs)) if is_fast and not is_truth else ()
     angles = []
-    yaws = [so3.to_euler(q)[:, 2] for q in (mine, theirs)]
-    error = np.abs(so3.wrap(yaws[0] - yaws[1]))
-    steep = [np.abs(so3.to_euler(q)[:, 1]) > STEEP for q in (mine, theirs)]
-    error[steep[0] | steep[1]] = np.nan
+    eulers = np.stack([so3.to_euler(q) for q in (mine, theirs)])
+    error = np.abs(so3.wrap(eulers[0, :, 2] - eulers[1, :, 2]))
+    error[(np.abs(eulers[..., 1]) > STEEP).any(axis=0)] = np.nan
     for name, limit, errors, sigma in (
         ("yaw", YAW, error, sigmas[:, 1]),
         ("tilt", TILT, difference.tilt_errors(mine, theirs), sigmas[:, 0]),

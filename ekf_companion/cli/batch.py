@@ -43,5 +43,5 @@ def batch(
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     for line in batch_table.lines(rows, width):
         typer.echo(line)
-    if words := examination.left_out(logs, outs):
+    if words := examination.left_out(logs, [*found, *outs]):
         typer.echo(words)

@@ -124,7 +124,7 @@ def _compare_ours(
     """Print the errors of our estimate against a truth or the autopilot's."""
     from ekf_companion.analysis import score, trajectory_figure
     from ekf_companion.analysis.judgement import evidence_of
-    from ekf_companion.logs.estimate import OWN, is_estimate, read_truth
+    from ekf_companion.logs.estimate import read_truth
 
     estimate = ours.estimate
     truth = ours.truth if reference is None else read_truth(reference)
@@ -152,15 +152,23 @@ def _compare_ours(
     if seconds > 0.0:
         lines.insert(2 * len(scores), _left_out(seconds))
     terminal.show(as_json, [one.to_dict() for one in scores], lines)
-    if reference is not None and is_estimate(reference):
-        words = f"{reference.name}: {OWN}, and no truth: two estimates' distance, and no error"
-        typer.echo(f"note: {words}", err=as_json)
+    if own_words := _if_own(reference, "two estimates' distance, and no error"):
+        typer.echo(f"note: {own_words}", err=as_json)
     elif truth is not None and ours.report is not None:
         ours.report.truth = truth
         if doubt := evidence_of(ours.report).truth_elsewhere:
             typer.echo(f"note: {doubt}", err=as_json)
     if plot is not None:
         trajectory_figure.plot(plot, [estimate, *ours.live, against, *own], log.name)
+
+
+def _if_own(reference: Path | None, words: str) -> str:
+    """Return what the numbers are beside an estimate that we wrote; empty: it is none."""
+    from ekf_companion.logs.estimate import OWN, is_estimate
+
+    if reference is None or not is_estimate(reference):
+        return ""
+    return f"{reference.name}: {OWN}, and no truth: {words}"
 
 
 def _left_out(seconds: float) -> str:
@@ -179,7 +187,7 @@ def _compare_filters(
 ) -> None:
     """Run several filters over a log, and print the errors of each."""
     from ekf_companion.analysis import comparison, trajectory_figure, walk_figure
-    from ekf_companion.logs.estimate import OWN, is_estimate, read_truth
+    from ekf_companion.logs.estimate import is_estimate, read_truth
 
     if is_estimate(log):
         raise ConfigError(f"--filters: {log} is an estimate; name the log that it was made from")
@@ -206,9 +214,8 @@ def _compare_filters(
     notes += [f"  note: {_left_out(skipped)}"] if skipped > 0.0 else []
     data = [entry.to_dict() for entry in entries]
     terminal.show(as_json, data, [title, "", *comparison.table(entries), *notes])
-    if reference is not None and is_estimate(reference):
-        words = f"{reference.name}: {OWN}, and no truth: estimates' distances, and no errors"
-        typer.echo(f"note: {words}", err=as_json)
+    if own_words := _if_own(reference, "estimates' distances, and no errors"):
+        typer.echo(f"note: {own_words}", err=as_json)
     if plot is not None and against is not None:
         lines = [one.trajectory for one in entries if one.trajectory is not None]
         trajectory_figure.plot(

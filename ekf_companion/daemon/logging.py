@@ -168,17 +168,16 @@ class RateLimitHandler(logging.Handler):
 
     def flush(self) -> None:
         """Log how many were left out, of all lines whose time is over."""
-        self.acquire()
-        try:
-            self._forget(self._clock() - SPAN)
-        finally:
-            self.release()
+        self._flush(SPAN)
 
     def flush_all(self) -> None:
         """Log how many were left out, of all lines."""
+        self._flush(0.0)
+
+    def _flush(self, age_s: float) -> None:
         self.acquire()
         try:
-            self._forget(self._clock())
+            self._forget(self._clock() - age_s)
         finally:
             self.release()
 

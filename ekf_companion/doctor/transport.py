@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ekf_companion.doctor.evidence import Evidence, Means
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, warning
+from ekf_companion.logs import recording
 
 BAUD = 921600
 """Proposed to users."""
@@ -159,7 +160,7 @@ def checksums(evidence: Evidence) -> StageResult:
             "The recording is damaged in places.",
             "Look at the link of whoever recorded it, and at the disk; what is whole is used.",
         )
-        runs = "1 run" if evidence.damaged == 1 else f"{evidence.damaged} runs"
+        runs = recording.counted(evidence.damaged, "run")
         saw = f"{runs} of damaged bytes among {counted.frames} frames"
         return judged(Stage.CHECKSUMS, saw, [damage if share > _NOISE else None])
     bad = max(counted.bad_crc, sum(evidence.mismatched.values()))

@@ -33,7 +33,7 @@ from ekf_companion.replay.axis_agreement import (
     integrated_force,
     rest_of_rotation,
 )
-from ekf_companion.replay.turns import ALIKE, BETTER, LARGEST, OFTEN, RATE, at, averaged, usable
+from ekf_companion.replay.turns import ALIKE, LARGEST, RATE, at, averaged, fits_better, usable
 from ekf_companion.replay.turns import spread as evenly
 
 FARTHEST, STEP, FINE = 30.0, 0.5, 0.1
@@ -97,10 +97,8 @@ def fix_shift(imu: Events, fixes: Events) -> float | None:
     shift, both = float(near[k]), np.isfinite(left[k]) & np.isfinite(declared[first])
     if -NORMAL < shift < DELAYS[-1] + NORMAL or np.count_nonzero(both) < FEWEST:
         return None
-    with_shift, without = left[k][both], declared[first][both]
-    is_often = np.mean(with_shift < without) >= OFTEN
-    is_better = float(np.median(without)) >= BETTER * float(np.median(with_shift))
-    return shift if is_often and is_better else None
+    is_better = fits_better(np.stack([declared[first][both], left[k][both]])) is not None
+    return shift if is_better else None
 
 
 def _around(shifts: Array) -> Array:

@@ -219,8 +219,9 @@ def test_a_table_of_no_known_kind_is_refused_before_any_work(folder, tmp_path):
 
 def test_files_that_are_no_logs_are_counted_and_named(folder):
     mine = folder / "below" / "cut.tlog"
-    words = left_out([str(folder)], [folder / "truth.csv"])
+    logs = find_logs([str(folder)])
+    words = left_out([str(folder)], [*logs, folder / "truth.csv"])
     assert words == f"1 file left out: {folder}/notes.txt (taken: .tlog, .bin, .ulg, .csv)"
-    both = left_out([str(folder), str(mine)], [])
+    both = left_out([str(folder), str(mine)], logs)
     assert both.startswith(f"2 files left out: {folder}/notes.txt, {folder}/truth.csv (taken")
     assert left_out([str(mine)], []) == ""
