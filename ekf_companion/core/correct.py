@@ -85,7 +85,12 @@ def inflate_noise(o: Observation, factor: float) -> None:
 
 
 def apply_update(x: State, o: Observation) -> None:
-    """Correct the state by an observation that :func:`innovate` has judged."""
+    """Correct the state by an observation that :func:`innovate` has judged.
+
+    Unless it shows the delay of the fixes, that is a consider state: its gain is zero, and its
+    variance what it was (Schmidt 1966).
+    """
+    delay_var = x.P[E_DELAY][E_DELAY]
     for i in range(N):
         o.dx[i] = 0.0
     for r in range(o.rows):
@@ -102,6 +107,9 @@ def apply_update(x: State, o: Observation) -> None:
             s = o.PHt[r][i]
             for j in range(i, N):
                 x.P[i][j] -= s * o.PHt[r][j]
+    if o.shows_delay == 0:
+        o.dx[E_DELAY] = 0.0
+        x.P[E_DELAY][E_DELAY] = delay_var
     for i in range(N):
         if x.P[i][i] < 0.0:
             x.P[i][i] = LEAST_VARIANCE

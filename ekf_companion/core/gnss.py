@@ -11,6 +11,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core import (
     align,
+    delay,
     doubt,
     gate,
     observe,
@@ -159,6 +160,7 @@ def correct_by_fix(x: State, k: Parameters, w: Scratch, has_vel: bool) -> bool:
 
     # Velocity first: it is more precise, and shows whether the heading is wrong
     if has_vel:
+        delay.keep_fix(x, k, fix, o)
         if not fuse_velocity(x, k, w):
             return False
         rows = 2 if isnan(fix.vel_n[2]) else 3

@@ -6,6 +6,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core import align, observe, yaw_reset
 from cython.cimports.ekf_companion.core.correct import apply_update, innovate, reset_variance
+from cython.cimports.ekf_companion.core.delay import forget_gain
 from cython.cimports.ekf_companion.core.enums import (
     AID_BARO,
     AID_HEADING,
@@ -14,6 +15,7 @@ from cython.cimports.ekf_companion.core.enums import (
     AID_VELOCITY,
     E_ATT,
     E_BG,
+    E_DELAY,
     E_GNSS,
     E_GNSS_VEL,
     E_HEADING,
@@ -63,7 +65,7 @@ def start_navigation(x: State, k: Parameters, w: Scratch, has_vel: bool) -> None
 def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
     """Start, or start again, at a fix with the attitude that the yaw bank has found."""
     yaw_std = x.yaw_bank.yaw_std
-    delay = x.gnss_delay
+    delay_var = x.P[E_DELAY][E_DELAY]
     height = x.pos_n[2]
     height_var = x.P[E_POS + 2][E_POS + 2]
     keeps_height = cython.declare(
@@ -71,9 +73,7 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
     )
     x.moved.yaw += yaw_reset.yaw_error(x)
     yaw_reset.take_attitude(x)
-    if x.mode == MODE_LEVEL:
-        x.gnss_delay = delay
-    else:
+    if x.mode != MODE_LEVEL:
         # learnt by a wrong attitude
         for i in range(3):
             x.accel_bias[i] = 0.0
@@ -83,6 +83,9 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
         x.P[E_BG + i][E_BG + i] = 0.0
     x.alignment.reference.is_known = 0.0
     align.start_filter(x, k, w, x.yaw_bank.tilt_std, x.yaw_bank.gyro_bias_std)
+    if delay_var > 0.0:
+        reset_variance(x, E_DELAY, 1, delay_var)
+    forget_gain(x)
     x.has_yaw = 1.0
     x.used_t[AID_HEADING] = x.t
     reset_variance(x, E_ATT + 2, 1, yaw_std * yaw_std + LEAST_YAW_VAR)

@@ -20,12 +20,14 @@ from cython.cimports.ekf_companion.core import (
     gate,
     gnss,
     heading,
+    past,
     propagate,
     tape,
     yaw_bank,
     yaw_frame,
 )
 from cython.cimports.ekf_companion.core.correct import copy_nominal
+from cython.cimports.ekf_companion.core.delay import forget_gain, learn_delay
 from cython.cimports.ekf_companion.core.enums import (
     AID_HEADING,
     AID_HEIGHT,
@@ -117,6 +119,7 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
     doubt.find_clipping(x, imu)
     keep_sample(x, imu)
     check_rest(x, k, w)
+    learn_delay(x, k, address(w.observation))
     drag.add_force(x, k, w)
 
 
@@ -141,6 +144,7 @@ def advance(x: State, k: Parameters, w: Scratch, t: float, begin: float, span: f
                 align.integrate(x, m, dt)
         yaw_frame.integrate(address(x.yaw_bank), m, dt)
         x.t = t
+        past.keep_velocity(x)
 
 
 def find_interval_motion(x: State, k: Parameters, m: Motion, imu: ImuRow, span: float) -> None:
@@ -202,6 +206,8 @@ def start(x: State, t: float) -> None:
         x.white_share[AID_POSITION] = FIRST_SHARE
         x.white_share[AID_HEIGHT] = FIRST_SHARE
         x.white_share[AID_VELOCITY] = 1.0
+    past.forget(x)
+    forget_gain(x)
     x.armed = NAN
     x.landed = NAN
     x.fix_t = NEVER
@@ -291,6 +297,7 @@ def start_over(x: State, t: float, reason: float) -> None:
             x.P[i][j] = 0.0
     x.baro_offset = 0.0
     x.gnss_delay = 0.0
+    x.gain.shown = 0.0
     x.heading_offset = 0.0
     x.dt = 0.0
     x.has_yaw = 0.0
@@ -328,6 +335,7 @@ def inflate_after_gap(x: State, k: Parameters, span: float, is_gap: bool) -> Non
     if is_gap:
         x.gaps += 1.0
         x.force_sum[0] = NAN
+        forget_gain(x)
         begin_window(x, x.t)
     if x.mode == MODE_LEVEL:
         if is_gap:

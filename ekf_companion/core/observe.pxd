@@ -4,6 +4,7 @@ from ekf_companion.core.state cimport Reference, State
 cdef void clear(Observation *o, Py_ssize_t rows, double variance) noexcept nogil
 cdef void add_timing_noise(Observation *o, Parameters *k, double *rate) noexcept nogil
 cdef void lever_arm(State *x, Parameters *k, Observation *o) noexcept nogil
+cdef double way(State *x, Observation *o, Py_ssize_t axis) noexcept nogil
 cdef void position(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
 cdef void height(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
 cdef void velocity(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil

@@ -8,6 +8,7 @@ Source: Groves 2013, chapter 14.3 (GNSS with lever arm) and 6.1 (magnetic headin
 from __future__ import annotations
 
 import cython
+from cython import address
 from cython.cimports.ekf_companion.core.enums import (
     E_ATT,
     E_BARO,
@@ -23,6 +24,7 @@ from cython.cimports.ekf_companion.core.enums import (
 )
 from cython.cimports.ekf_companion.core.memory import Vector
 from cython.cimports.ekf_companion.core.parameters import Parameters
+from cython.cimports.ekf_companion.core.past import look_back
 from cython.cimports.ekf_companion.core.rotation import to_dcm, wrap
 from cython.cimports.ekf_companion.core.scratch import Fix, Observation
 from cython.cimports.ekf_companion.core.state import Reference, State
@@ -35,8 +37,9 @@ STEEPEST_DIP = cython.declare(cython.double, 1.5)
 
 
 def clear(o: Observation, rows: int, variance: float) -> None:
-    """Begin an observation: H is zero, R diagonal."""
+    """Begin an observation: H is zero, R diagonal, and it does not move the delay."""
     o.rows = rows
+    o.shows_delay = 0
     for r in range(rows):
         for i in range(N):
             o.H[r][i] = 0.0
@@ -69,69 +72,73 @@ def lever_arm(x: State, k: Parameters, o: Observation) -> None:
         o.arm_vel_n[i] = o.C_nb[i][0] * vx + o.C_nb[i][1] * vy + o.C_nb[i][2] * vz
 
 
+def way(x: State, o: Observation, axis: int) -> float:
+    """Return the way of the antenna since the fix was true, m."""
+    return x.gnss_delay * (x.vel_n[axis] - 0.5 * o.then.since[axis] + o.arm_vel_n[axis])
+
+
 def position(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     """Observe north and east of the antenna: two rows."""
-    late = x.gnss_delay
     lat = fix.lat
     lon = fix.lon
     clear(o, 2, fix.std[0] * fix.std[0])
     add_timing_noise(o, k, x.vel_n)
     lever_arm(x, k, o)
+    look_back(x, x.gnss_delay, address(o.then))
+    o.shows_delay = isnan(fix.vel_n[0])
     o.z[0] = (lat - x.origin.lat) * x.origin.scale_n - (
-        x.pos_n[0] + x.gnss_offset[0] + o.arm_n[0] - late * (x.vel_n[0] + o.arm_vel_n[0])
+        x.pos_n[0] + x.gnss_offset[0] + o.arm_n[0] - way(x, o, 0)
     )
     o.z[1] = wrap(lon - x.origin.lon) * x.origin.scale_e - (
-        x.pos_n[1] + x.gnss_offset[1] + o.arm_n[1] - late * (x.vel_n[1] + o.arm_vel_n[1])
+        x.pos_n[1] + x.gnss_offset[1] + o.arm_n[1] - way(x, o, 1)
     )
     # theta turns the lever arm r: theta x r
     o.H[0][E_ATT + 1] = o.arm_n[2]
     o.H[0][E_ATT + 2] = -o.arm_n[1]
-    o.H[0][E_VEL] = -late
+    o.H[0][E_VEL] = -x.gnss_delay
     o.H[0][E_POS] = 1.0
     o.H[0][E_GNSS] = 1.0
-    o.H[0][E_DELAY] = -(x.vel_n[0] + o.arm_vel_n[0])
+    o.H[0][E_DELAY] = -(x.vel_n[0] - o.then.since[0] + o.arm_vel_n[0])
     o.H[1][E_ATT] = -o.arm_n[2]
     o.H[1][E_ATT + 2] = o.arm_n[0]
-    o.H[1][E_VEL + 1] = -late
+    o.H[1][E_VEL + 1] = -x.gnss_delay
     o.H[1][E_POS + 1] = 1.0
     o.H[1][E_GNSS + 1] = 1.0
-    o.H[1][E_DELAY] = -(x.vel_n[1] + o.arm_vel_n[1])
+    o.H[1][E_DELAY] = -(x.vel_n[1] - o.then.since[1] + o.arm_vel_n[1])
 
 
 def height(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     """Observe the altitude of the antenna above mean sea level: one row, down."""
-    late = x.gnss_delay
     clear(o, 1, fix.std[1] * fix.std[1])
     o.R[0][0] += k.timing_std * k.timing_std * x.vel_n[2] * x.vel_n[2]
     lever_arm(x, k, o)
-    o.z[0] = (x.origin.alt - fix.alt) - (
-        x.pos_n[2] + x.gnss_offset[2] + o.arm_n[2] - late * (x.vel_n[2] + o.arm_vel_n[2])
-    )
+    look_back(x, x.gnss_delay, address(o.then))
+    o.z[0] = (x.origin.alt - fix.alt) - (x.pos_n[2] + x.gnss_offset[2] + o.arm_n[2] - way(x, o, 2))
     o.H[0][E_ATT] = o.arm_n[1]
     o.H[0][E_ATT + 1] = -o.arm_n[0]
-    o.H[0][E_VEL + 2] = -late
+    o.H[0][E_VEL + 2] = -x.gnss_delay
     o.H[0][E_POS + 2] = 1.0
     o.H[0][E_GNSS + 2] = 1.0
-    o.H[0][E_DELAY] = -(x.vel_n[2] + o.arm_vel_n[2])
+    o.H[0][E_DELAY] = -(x.vel_n[2] - o.then.since[2] + o.arm_vel_n[2])
 
 
 def velocity(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     """Observe the velocity of the antenna: two rows, or three where the fix has a down."""
-    late = x.gnss_delay
     clear(o, 2 if isnan(fix.vel_n[2]) else 3, fix.std[2] * fix.std[2])
-    add_timing_noise(o, k, x.accel_n)
     lever_arm(x, k, o)
+    look_back(x, x.gnss_delay, address(o.then))
+    add_timing_noise(o, k, o.then.accel_n)
     turn = 0.0
     for i in range(3):
         turn += (x.gyro[i] - x.gyro_bias[i]) * (x.gyro[i] - x.gyro_bias[i])
     for r in range(o.rows):
         o.R[r][r] += k.lever_var * turn
     for i in range(o.rows):
-        antenna = x.vel_n[i] + o.arm_vel_n[i] - late * x.accel_n[i]
+        antenna = x.vel_n[i] + o.arm_vel_n[i] - o.then.since[i]
         o.z[i] = fix.vel_n[i] - (antenna + x.gnss_vel_offset[i])
         o.H[i][E_VEL + i] = 1.0
         o.H[i][E_GNSS_VEL + i] = 1.0
-        o.H[i][E_DELAY] = -x.accel_n[i]
+        o.H[i][E_DELAY] = -o.then.accel_n[i]
         # the gyro bias turns the lever arm: C (l x bg)
         o.H[i][E_BG] = o.C_nb[i][1] * k.lever_arm_b[2] - o.C_nb[i][2] * k.lever_arm_b[1]
         o.H[i][E_BG + 1] = o.C_nb[i][2] * k.lever_arm_b[0] - o.C_nb[i][0] * k.lever_arm_b[2]

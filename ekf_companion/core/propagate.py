@@ -89,6 +89,9 @@ def integrate_strapdown(x: State, k: Parameters, m: Motion, dt: float) -> None:
     m.dv_n[0] = un
     m.dv_n[1] = ue
     m.dv_n[2] = ud
+    x.past.gained[0] += un + cn * dt
+    x.past.gained[1] += ue + ce * dt
+    x.past.gained[2] += ud + cd * dt
     x.force_sum[0] += un
     x.force_sum[1] += ue
     x.force_sum[2] += ud

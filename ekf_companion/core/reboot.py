@@ -23,6 +23,9 @@ def carry_over(x: State, y: State, k: Parameters) -> None:
     is_flown = cython.declare(cython.bint, y.armed == 1.0 and y.landed != 1.0)
     x.gnss_delay = within(y.gnss_delay, k.delay_std)
     x.P[E_DELAY][E_DELAY] = y.P[E_DELAY][E_DELAY]
+    x.gain.var = y.gain.var
+    x.gain.n = y.gain.n
+    x.gain.shown = y.gain.shown
     walked = k.accel_bias_walk * k.accel_bias_walk * REBOOT_TIME
     turned = k.gyro_bias_walk * k.gyro_bias_walk * REBOOT_TIME
     for i in range(3):

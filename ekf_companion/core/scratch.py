@@ -93,6 +93,18 @@ class Fix:
 
 
 @struct
+class Then:
+    """The motion when a late fix was true."""
+
+    until: Annotated[Vector, 3]
+    """Velocity gained until then, in n, m/s."""
+    since: Annotated[Vector, 3]
+    """Velocity gained since, m/s."""
+    accel_n: Annotated[Vector, 3]
+    """Acceleration, m/s^2."""
+
+
+@struct
 class Observation:
     """What a sensor should have read, and how that depends on the error.
 
@@ -100,6 +112,8 @@ class Observation:
     """
 
     rows: Count
+    shows_delay: Count
+    """0: it does not move the delay of the fixes, which is uncertain in it all the same."""
     z: Annotated[Vector, 3]
     """Innovation: measured minus predicted."""
     H: Annotated[Vector, 3, N]
@@ -110,6 +124,7 @@ class Observation:
     """Lever arm of the antenna, m."""
     arm_vel_n: Annotated[Vector, 3]
     """Velocity that the antenna has from the turn, m/s."""
+    then: Then
 
     PHt: Annotated[Vector, 3, N]
     """P H', then the gains of the whitened rows."""

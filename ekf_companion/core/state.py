@@ -10,7 +10,7 @@ Flags are 0 or 1. What is not known is NaN.
 from typing import Annotated
 
 from ekf_companion.core.declare import Real, Structs, Vector, doubles, struct
-from ekf_companion.core.enums import AIDS, RUNS, VERDICTS, YAW_FILTERS, YAW_N, N
+from ekf_companion.core.enums import AIDS, PAST, RUNS, VERDICTS, YAW_FILTERS, YAW_N, N
 
 
 @struct
@@ -290,6 +290,50 @@ class YawBank:
 
 
 @struct
+class Past:
+    """The velocity that the samples have gained, now and over the last third of a second."""
+
+    gained: Annotated[Vector, 3]
+    """Until now, in n, m/s."""
+    kept: Annotated[Vector, PAST, 3]
+    """Until some earlier times."""
+    kept_t: Annotated[Vector, PAST]
+    """Those times, ns."""
+
+
+@struct
+class GainEnd:
+    """A fix at which a gain of velocity begins or ends."""
+
+    t: Real
+    """ns; never: there is none."""
+    delay: Real
+    """What was known of it by then, s."""
+    vel_n: Annotated[Vector, 2]
+    """Its velocity, m/s."""
+    until: Annotated[Vector, 2]
+    """What the samples had gained when it was true, m/s."""
+    accel_n: Annotated[Vector, 2]
+    """Acceleration when it was true, m/s^2."""
+
+
+@struct
+class Gain:
+    """The gain of velocity between two fixes, by which their delay is learnt."""
+
+    begin: GainEnd
+    end: GainEnd
+    var: Real
+    """Learnt variance of the receiver's gain less that of the samples, an axis, (m/s)^2."""
+    n: Real
+    """Gains that it was learnt from, two a pair of fixes."""
+    change: Real
+    """Mean square of the change of acceleration over the last gains, an axis, (m/s^2)^2."""
+    shown: Real
+    """Sum of the squares of how they depend on the delay, (m/s^2)^2."""
+
+
+@struct
 class State:
     """Everything that the filter estimates and decides by."""
 
@@ -342,6 +386,8 @@ class State:
     """:class:`NeedsReset`."""
     accel_n: Annotated[Vector, 3]
     """Acceleration in n, smoothed over some samples, m/s^2."""
+    past: Past
+    gain: Gain
     armed: Real
     landed: Real
     ground: Real

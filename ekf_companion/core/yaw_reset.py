@@ -93,13 +93,12 @@ def is_needed(x: State, nis: float, dt: float, std: float) -> bool:
 
 
 def take_attitude(x: State) -> None:
-    """Set the filter's attitude and gyro bias to the bank's; its delay was learnt in error."""
+    """Set the filter's attitude and gyro bias to the bank's."""
     for i in range(4):
         x.q_nb[i] = x.yaw_bank.q_sb[i]
     rotate(x.q_nb, 0.0, 0.0, x.yaw_bank.yaw)
     for i in range(3):
         x.gyro_bias[i] = x.yaw_bank.gyro_bias[i]
-    x.gnss_delay = 0.0
 
 
 def note_repair(x: State) -> None:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import E_ATT, E_BG, E_HEADING, E_IRON, E_POS, E_VEL, N
+from ekf_companion.core.enums import E_ATT, E_BG, E_DELAY, E_HEADING, E_IRON, E_POS, E_VEL, N
 from ekf_companion.core.scratch import Observation
 from ekf_companion.core.state import State
 from tests.core.interpreted import load
@@ -22,11 +22,16 @@ def a_problem(seed: int, rows: int):
     return x, o, P, H, z, R
 
 
-def test_an_update_is_what_the_joseph_form_says():
+@pytest.mark.parametrize("shows_delay", [1, 0])
+def test_an_update_is_what_the_joseph_form_says(shows_delay):
+    """Where it does not show the delay, of a gain that is zero there."""
     for rows in (1, 2, 3):
         x, o, P, H, z, R = a_problem(rows, rows)
+        o.shows_delay = shows_delay
         S = H @ P @ H.T + R
         K = P @ H.T @ np.linalg.inv(S)
+        if not shows_delay:
+            K[E_DELAY] = 0.0
         I_KH = np.eye(N) - K @ H
         dx = K @ z
         expected = I_KH @ P @ I_KH.T + K @ R @ K.T

@@ -117,6 +117,7 @@ def test_on_a_linear_problem_it_is_the_batch_least_squares_solution():
     batch = Batch(np.array(x.P))
     batch.kept.append((batch.A, batch.b))
     live = [copy(x)]
+    # all of them optimal: what leaves the delay alone is no least-squares solution
     o, fix = w.observation, Fix()
     fix.std[:] = [TINY] * 3
 
@@ -124,6 +125,7 @@ def test_on_a_linear_problem_it_is_the_batch_least_squares_solution():
         m = o.rows
         array(o.z)[:m] = rng.normal(0.0, TINY, m)
         H, z, R = np.array(o.H)[:m], np.array(o.z)[:m], np.diag(np.diag(np.array(o.R))[:m])
+        o.shows_delay = 1
         core.correct.innovate(x, o)
         core.correct.apply_update(x, o)
         batch.measure(H, z, R)

@@ -1,33 +1,77 @@
-"""What the filter finds of a receiver's delay."""
+"""What the filter finds of a receiver's delay, and how sure it is of that."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from ekf_companion.core.enums import E_DELAY
+from ekf_companion.core.memory import as_state
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
+from ekf_companion.nav.measurements import Kind
 from sim_autopilot import events as wire
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
 
 SHAKING = 0.09
 """m/s^2/sqrt(Hz): PX4's simulator in hover, 1.4 m/s^2 a sample at 250 Hz."""
+FIRST_GUESSES = ((0.0, 0.1), (0.05, 0.06), (0.1, 0.1), (0.2, 0.1))
+"""Delay and one sigma of it, s: an ArduPilot's, a PX4's, and too large ones."""
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_receiver_without_delay_is_found_under_noise_as_large_as_the_motion(seed):
-    """One sample's noise taken for acceleration held the delay at two thirds of its prior."""
+def fly(path: str, seed: int, delay: float, shaking: float = SHAKING, rate: float = 8.0):
     config = SimConfig()
     config = replace(
         config,
-        imu=replace(config.imu, accel_noise=SHAKING),
-        gnss=replace(config.gnss, delay=0.0, rate=8.0, noise_h=0.05, noise_v=0.1, noise_vel=0.05),
+        imu=replace(config.imu, accel_noise=shaking),
+        gnss=replace(
+            config.gnss, delay=delay, rate=rate, noise_h=0.05, noise_v=0.1, noise_vel=0.05
+        ),
     )
-    flown = Flight.plan("figure-eight", config, seed=seed, duration=90.0)
+    return wire.events(Flight.plan(path, config, seed=seed, duration=90.0), has_vel_down=False)
+
+
+def found(events, delay: float, delay_std: float) -> tuple[float, float]:
+    """Return the delay found and one sigma, s, by a first guess."""
     settings = FilterSettings()
-    settings = replace(settings, gnss=replace(settings.gnss, delay=0.05, delay_std=0.06))
+    settings = replace(settings, gnss=replace(settings.gnss, delay=delay, delay_std=delay_std))
     pipeline = Pipeline(settings)
-    pipeline.run(wire.events(flown, has_vel_down=False))
-    assert pipeline.health().gnss_delay == pytest.approx(-0.05, abs=0.010)
-    assert np.isfinite(pipeline.values()[:3]).all()
+    pipeline.run(events)
+    x = as_state(pipeline.state().block)
+    return delay + x.gnss_delay, float(np.sqrt(x.P[E_DELAY][E_DELAY]))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.12, 0.2])
+def test_the_delay_is_found_whatever_the_first_guess_and_so_is_its_sigma(delay):
+    """Noise taken for acceleration, and fixes compared with a velocity that they had made, held it
+    between the first guess and the truth, and the filter was sure of it to 5 ms."""
+    events = fly("figure-eight", seed=round(100.0 * delay) + 1, delay=delay)
+    for guess, std in FIRST_GUESSES:
+        value, sigma = found(events, guess, std)
+        assert abs(value - delay) < 3.0 * sigma
+        assert sigma < 0.02
+        assert abs(value - delay) < 0.015
+
+
+@pytest.mark.parametrize("shaking", [SHAKING, 0.02])
+def test_a_hover_tells_little_of_the_delay_and_the_sigma_says_so(shaking):
+    events = fly("hover", seed=3, delay=0.0, shaking=shaking)
+    for guess, std in FIRST_GUESSES:
+        value, sigma = found(events, guess, std)
+        assert abs(value) < 3.0 * sigma
+        assert sigma > 0.01
+
+
+def test_a_known_delay_stays():
+    assert found(fly("figure-eight", seed=4, delay=0.1), 0.05, 0.0) == (0.05, 0.0)
+
+
+def test_of_a_receiver_without_velocities_its_positions_show_the_delay():
+    events = fly("figure-eight", seed=5, delay=0.12)
+    fixes = np.flatnonzero(events.kind == Kind.GNSS)
+    values = events.values.copy()
+    values[fixes, 3:6] = np.nan
+    value, sigma = found(replace(events, values=values), 0.0, 0.1)
+    assert sigma < 0.05
+    assert abs(value - 0.12) < 4.0 * sigma
