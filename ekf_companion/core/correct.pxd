@@ -4,6 +4,7 @@ cdef double innovate(State *x, Observation *o) noexcept nogil
 cdef void inflate_noise(Observation *o, double factor) noexcept nogil
 cdef void apply_update(State *x, Observation *o) noexcept nogil
 cdef void apply_yaw_update(State *x, Observation *o) noexcept nogil
+cdef void apply_delay_update(State *x, Observation *o) noexcept nogil
 cdef void inject(State *x, Observation *o) noexcept nogil
 cdef void difference(State *x, State *y, Observation *o) noexcept nogil
 cdef void rebase(State *y, Observation *o) noexcept nogil

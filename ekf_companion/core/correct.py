@@ -152,6 +152,21 @@ def apply_yaw_update(x: State, o: Observation) -> None:
     inject(x, o)
 
 
+def apply_delay_update(x: State, o: Observation) -> None:
+    """Correct the delay of the fixes only, by one row that :func:`innovate` has judged.
+
+    All else is a consider state: what the row owes to it stays as a correlation.
+    """
+    s = o.L[0][0] * o.L[0][0]
+    gain = o.PHt[0][E_DELAY] / s
+    x.gnss_delay += gain * o.z[0]
+    for i in range(N):
+        if i != E_DELAY:
+            x.P[E_DELAY][i] -= gain * o.PHt[0][i]
+            x.P[i][E_DELAY] = x.P[E_DELAY][i]
+    x.P[E_DELAY][E_DELAY] -= gain * o.PHt[0][E_DELAY]
+
+
 def inject(x: State, o: Observation) -> None:
     """Move the error state dx into the nominal one, and P with it: J = I + [dx x]/2 on attitude."""
     dx = 0.5 * o.dx[0]

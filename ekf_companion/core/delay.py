@@ -16,10 +16,11 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core import observe
-from cython.cimports.ekf_companion.core.correct import apply_update, innovate
-from cython.cimports.ekf_companion.core.enums import AID_VELOCITY, E_ATT, E_DELAY
+from cython.cimports.ekf_companion.core.correct import apply_delay_update, innovate
+from cython.cimports.ekf_companion.core.enums import AID_VELOCITY, E_ATT, E_BA, E_DELAY
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.past import acceleration_noise, look_back
+from cython.cimports.ekf_companion.core.rotation import to_dcm
 from cython.cimports.ekf_companion.core.scratch import Fix, Observation
 from cython.cimports.ekf_companion.core.state import State
 
@@ -42,9 +43,11 @@ LARGEST_NIS = cython.declare(cython.double, 16.0)
 """One gain that is further off is a fault of either."""
 LARGEST_TERM = cython.declare(cython.double, 9.0)
 """Largest share of one gain in the noise learnt, of the variance expected."""
-AHEAD = cython.declare(cython.double, 0.03)
+LARGEST_DOUBT = cython.declare(cython.double, 1000.0)
+"""A wrong delay makes the samples doubted as well, and must be found all the same."""
+AHEAD = cython.declare(cython.double, 0.06)
 """So much later than a fix is true the samples must be known, s: its acceleration is a mean."""
-LONGEST_WAIT = cython.declare(cython.double, 0.3e9)
+LONGEST_WAIT = cython.declare(cython.double, 0.6e9)
 """for that, ns."""
 
 
@@ -87,47 +90,53 @@ def learn_delay(x: State, k: Parameters, o: Observation) -> None:
 def compare_gains(x: State, k: Parameters, o: Observation) -> None:
     """Correct the delay by the gain of the receiver's velocity and that of the samples."""
     gain = address(x.gain)
-    moved = gain.begin.delay - gain.end.delay
-    north = gain.end.until[0] - gain.begin.until[0] - moved * gain.begin.accel_n[0]
-    east = gain.end.until[1] - gain.begin.until[1] - moved * gain.begin.accel_n[1]
-    span = (gain.end.t - gain.begin.t) * 1e-9
-    fallen = k.gravity * span
-    own = (
-        x.P[E_ATT + 2][E_ATT + 2] * (north * north + east * east)
-        + 0.5 * (x.P[E_ATT][E_ATT] + x.P[E_ATT + 1][E_ATT + 1]) * fallen * fallen
-        + x.doubt * k.accel_noise * k.accel_noise * span
-    )
-    if gain.var < LEAST_VAR:
-        gain.var = LEAST_VAR
-    share = MARGIN * gain.var / (MARGIN * gain.var + own)
+    begin = address(x.gain.begin)
+    moved = begin.delay - gain.end.delay
+    north = gain.end.until[0] - begin.until[0] - moved * begin.accel_n[0]
+    east = gain.end.until[1] - begin.until[1] - moved * begin.accel_n[1]
+    span = (gain.end.t - begin.t) * 1e-9
+    doubt = x.doubt if x.doubt < LARGEST_DOUBT else LARGEST_DOUBT
+    noise = MARGIN * gain.var + doubt * k.accel_noise * k.accel_noise * span
+    to_dcm(x.q_nb, o.C_nb)
     # Noise would pass for knowledge of the delay, and hold it where it is
     square = 0.0
     for i in range(2):
-        change = gain.end.accel_n[i] - gain.begin.accel_n[i]
+        change = gain.end.accel_n[i] - begin.accel_n[i]
         square += 0.5 * change * change
     gain.change += (square - gain.change) / CHANGE_MEMORY
     true = gain.change - 2.0 * acceleration_noise(x)
     true = true / gain.change if true > 0.0 else 0.0
     for i in range(2):
-        change = gain.end.accel_n[i] - gain.begin.accel_n[i]
-        seen = gain.end.vel_n[i] - gain.begin.vel_n[i]
-        observe.clear(o, 1, MARGIN * gain.var + own)
-        o.shows_delay = 1
+        change = gain.end.accel_n[i] - begin.accel_n[i]
+        observe.clear(o, 1, noise)
         o.H[0][E_DELAY] = -change * true
-        o.z[0] = seen - (north if i == 0 else east)
+        # attitude and bias turn and move the gain of the samples: in a steady circle as a delay
+        o.H[0][E_ATT + 1 - i] = k.gravity * span * (2.0 * i - 1.0)
+        o.H[0][E_ATT + 2] = -east if i == 0 else north
+        for j in range(3):
+            o.H[0][E_BA + j] = -o.C_nb[i][j] * span
+        o.z[0] = gain.end.vel_n[i] - begin.vel_n[i] - (north if i == 0 else east)
         o.z[0] += change * true * (x.gnss_delay - gain.end.delay)
         nis = innovate(x, o)
-        error = o.z[0] * o.z[0]
-        largest = LARGEST_TERM * o.L[0][0] * o.L[0][0]
-        gain.var += ((error if error < largest else largest) - gain.var) / (FIRST_MEMORY + gain.n)
+        # What the delay is not known to is no noise, and hides it
+        expected = o.L[0][0] * o.L[0][0]
+        hidden = o.H[0][E_DELAY] * o.H[0][E_DELAY] * x.P[E_DELAY][E_DELAY]
+        share = hidden / expected if hidden < expected else 1.0
+        seen = (nis if nis < LARGEST_TERM else LARGEST_TERM) * expected - hidden
+        weight = (1.0 - share) * (1.0 - share) / (FIRST_MEMORY + gain.n)
+        gain.var += weight * (seen - gain.var)
+        if gain.var < LEAST_VAR:
+            gain.var = LEAST_VAR
         gain.n = gain.n + 1.0 if gain.n < MEMORY - FIRST_MEMORY else gain.n
-        if nis < LARGEST_NIS:
-            gain.shown += share * o.H[0][E_DELAY] * o.H[0][E_DELAY]
-            apply_update(x, o)
-    # All of them had the noise that is known only now
-    largest = 1.0 / (1.0 / (k.delay_std * k.delay_std) + gain.shown / (MARGIN * gain.var))
-    if x.P[E_DELAY][E_DELAY] < largest:
-        x.P[E_DELAY][E_DELAY] = largest
+        if nis < LARGEST_NIS and true > 0.0:
+            gain.shown += o.H[0][E_DELAY] * o.H[0][E_DELAY] * MARGIN * gain.var / noise
+            apply_delay_update(x, o)
+    # All of them had the noise that is known only now: as if each had been weighed by it
+    prior = k.delay_std * k.delay_std
+    variance = 1.0 / (1.0 / prior + gain.shown / (MARGIN * gain.var))
+    if x.P[E_DELAY][E_DELAY] < variance:
+        x.gnss_delay *= (prior - variance) / (prior - x.P[E_DELAY][E_DELAY])
+        x.P[E_DELAY][E_DELAY] = variance
 
 
 def forget_gain(x: State) -> None:

@@ -190,8 +190,8 @@ AIDS = len(Aid)
 VERDICTS = len(Verdict)
 RUNS = 3
 """Aids whose refused innovations are tested for consistency: position, height, velocity."""
-PAST = 16
-"""Velocities that are kept, 20 ms apart."""
+PAST = 18
+"""Velocities that are kept, 35 ms apart."""
 YAW_FILTERS = 8
 YAW_N = 9
 """States of one yaw filter: velocity (2), yaw, tilt (2), gyro bias (3), delay."""

@@ -12,13 +12,21 @@ from ekf_companion.core.settings import HABITS, FilterSettings
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Kind
 
+PX4_DELAY = 0.11
+"""EKF2_GPS_DELAY where nobody has set it, s."""
+SET_STD = 0.02
+"""One sigma of a delay that somebody has set in the autopilot's parameters, s."""
 
-def parameters(settings: FilterSettings, family: str) -> npt.NDArray[np.float64]:
+
+def parameters(
+    settings: FilterSettings, family: str, gnss_delay: float | None = None
+) -> npt.NDArray[np.float64]:
     """Return the settings as the kernel reads them: :class:`Parameters`, shape (PARAMETERS,).
 
     Args:
         settings: The user's.
         family: ``px4``, ``ardupilot`` or ``unknown``: settles what is ``auto``.
+        gnss_delay: Delay of the receiver that the log itself declares, s.
     """
     habit = HABITS[family]
     imu, gnss, heading, gate = settings.imu, settings.gnss, settings.heading, settings.gate
@@ -35,7 +43,7 @@ def parameters(settings: FilterSettings, family: str) -> npt.NDArray[np.float64]
 
     k.lever_arm_b[:] = gnss.lever_arm
     k.lever_var = gnss.lever_arm_std**2
-    k.delay_std = habit.gnss_delay_std if gnss.delay_std == "auto" else gnss.delay_std
+    k.delay_std = gnss_delay_std(settings, family, gnss_delay)
     k.use_velocity = gnss.use_velocity
     k.use_derived = ("raw", "auto", "global").index(gnss.source)
     k.gnss_floor[:] = gnss.position_std, gnss.height_std, gnss.velocity_std
@@ -70,6 +78,15 @@ def imu_lag(settings: FilterSettings, family: str) -> float:
     """Return how long before its stamp an inertial sample was true, s."""
     lag = settings.imu.lag
     return HABITS[family].imu_lag if lag == "auto" else lag
+
+
+def gnss_delay_std(settings: FilterSettings, family: str, gnss_delay: float | None) -> float:
+    """Return one sigma of the receiver's delay, s: less where somebody has set the delay."""
+    gnss = settings.gnss
+    if gnss.delay_std != "auto":
+        return gnss.delay_std
+    is_set = gnss_delay is not None and not math.isclose(gnss_delay, PX4_DELAY)
+    return SET_STD if gnss.delay == "auto" and is_set else HABITS[family].gnss_delay_std
 
 
 def delays_ns(

@@ -1,4 +1,4 @@
-"""The velocity of the last third of a second: what it was when a late fix was true.
+"""The velocity of the last half second: what it was when a late fix was true.
 
 A fix is fused at the time when it was true by the configured delay; by the estimated one it was
 true some hundredths or tenths of a second earlier. Over such a time the acceleration changes, so
@@ -16,9 +16,9 @@ from cython.cimports.ekf_companion.core.scratch import Then
 from cython.cimports.ekf_companion.core.state import State
 
 NEVER = cython.declare(cython.double, -1e18)
-STEP = cython.declare(cython.double, 20e6)
+STEP = cython.declare(cython.double, 35e6)
 """Between what is kept, ns."""
-HALF = cython.declare(cython.double, 0.03)
+HALF = cython.declare(cython.double, 0.06)
 """Half the time over which an acceleration is a mean, s: one sample's noise would count as one."""
 
 

@@ -291,7 +291,7 @@ class YawBank:
 
 @struct
 class Past:
-    """The velocity that the samples have gained, now and over the last third of a second."""
+    """The velocity that the samples have gained, now and over the last half second."""
 
     gained: Annotated[Vector, 3]
     """Until now, in n, m/s."""

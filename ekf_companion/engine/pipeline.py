@@ -53,7 +53,7 @@ class Pipeline:
         self.family = family
         """``px4``, ``ardupilot`` or ``unknown``."""
         self._gnss_delay = gnss_delay
-        k, late = parameters(settings, family), delays_ns(settings, family, gnss_delay)
+        k, late = parameters(settings, family, gnss_delay), delays_ns(settings, family, gnss_delay)
         self._late = late
         self._fingerprint = settings_fingerprint(k, late)
         self._timeline = Timeline(
@@ -94,7 +94,7 @@ class Pipeline:
 
         What a late event makes run again from now on is run with these too.
         """
-        k = parameters(settings, self.family)
+        k = parameters(settings, self.family, self._gnss_delay)
         self._fingerprint = settings_fingerprint(k, self._late)
         self._timeline.retune(k)
 

@@ -63,7 +63,7 @@ class Smoothing(BlockPipeline):
         Beyond ``in_memory`` bytes of rows, of results and of states, a temporary file holds them.
         """
         super().__init__(settings, family, gnss_delay, keeps_history=True)
-        self._smoother = Smoother(parameters(settings, family))
+        self._smoother = Smoother(parameters(settings, family, gnss_delay))
         self._lag_ns = int(delays_ns(settings, family, gnss_delay)[Kind.IMU])
         self._final = Spool(ROW, in_memory)
         self._results = Spool(1 + OUT, in_memory)

@@ -41,19 +41,19 @@ def look(x: State, late: float) -> Then:
 @pytest.mark.parametrize("late", [0.0, 0.013, 0.1, 0.25])
 def test_velocity_and_acceleration_are_those_of_then(late):
     then = look(flown(3.0), late)
-    np.testing.assert_allclose(then.until, velocity(3.0 - late) - velocity(0.0), atol=2e-3)
-    np.testing.assert_allclose(then.since, velocity(3.0) - velocity(3.0 - late), atol=2e-3)
+    np.testing.assert_allclose(then.until, velocity(3.0 - late) - velocity(0.0), atol=3e-3)
+    np.testing.assert_allclose(then.since, velocity(3.0) - velocity(3.0 - late), atol=3e-3)
     np.testing.assert_allclose(then.accel_n, acceleration(3.0 - late), atol=0.25)
 
 
-@pytest.mark.parametrize("late", [-0.05, 0.6])
+@pytest.mark.parametrize("late", [-0.05, 0.8])
 def test_beyond_what_is_kept_the_acceleration_goes_on(late):
-    """Later than now by that of now; earlier than all by as much as the interval is longer."""
     x = flown(3.0)
-    nearest = 3.0 if late < 0.0 else 3.0 - 0.32
+    nearest = 3.0 if late < 0.0 else min(x.past.kept_t) * 1e-9
+    assert late < 0.0 or 0.5 < 3.0 - nearest < late
     then = look(x, late)
     expected = velocity(nearest) + (3.0 - late - nearest) * acceleration(3.0)
-    np.testing.assert_allclose(then.until, expected - velocity(0.0), atol=0.1)
+    np.testing.assert_allclose(then.until, expected - velocity(0.0), atol=3e-3)
 
 
 def test_nothing_is_kept_at_first():
