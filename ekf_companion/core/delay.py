@@ -1,11 +1,12 @@
 """How late the receiver's fixes are, from what their velocity and ours gain between two of them.
 
-A velocity that is compared with ours as it stands tells of the delay, but also of tilt, biases and
-the slow errors of both; these follow the vehicle's motion, since a wrong delay makes them, and a
-filter that takes them for independent is soon sure of a delay somewhere between its first guess and
-the truth. What is gained within a second has hardly any of them in it, whatever it has in its noise
-is learnt from it, and both gains are of the same motion, some time apart. So no other correction
-moves the delay: it is a consider state, whose uncertainty counts in each of them.
+A velocity compared with ours as it stands tells of the delay, but also of tilt, biases and the slow
+errors of both. A wrong delay makes these follow the motion, and noise passes for acceleration: a
+filter that corrects all of them together is soon sure of a delay somewhere between its first guess
+and the truth. What both gain within a second has hardly any of that in it; what it owes to attitude
+and bias counts, and its noise is learnt from it. So nothing else moves the delay: in all other
+corrections it is a consider state, whose uncertainty counts. Positions move it where a receiver
+gives no velocity.
 
 Source: consider states: Schmidt 1966; a delay by comparing increments: the calibration of cameras
 against gyros, e.g. Kelly and Sukhatme 2014, Int. J. of Robotics Research 33, 13.
@@ -98,7 +99,7 @@ def compare_gains(x: State, k: Parameters, o: Observation) -> None:
     doubt = x.doubt if x.doubt < LARGEST_DOUBT else LARGEST_DOUBT
     noise = MARGIN * gain.var + doubt * k.accel_noise * k.accel_noise * span
     to_dcm(x.q_nb, o.C_nb)
-    # Noise would pass for knowledge of the delay, and hold it where it is
+    # How much of the change in acceleration is no noise, which would pass for knowledge
     square = 0.0
     for i in range(2):
         change = gain.end.accel_n[i] - begin.accel_n[i]
@@ -118,7 +119,7 @@ def compare_gains(x: State, k: Parameters, o: Observation) -> None:
         o.z[0] = gain.end.vel_n[i] - begin.vel_n[i] - (north if i == 0 else east)
         o.z[0] += change * true * (x.gnss_delay - gain.end.delay)
         nis = innovate(x, o)
-        # What the delay is not known to is no noise, and hides it
+        # Learn the noise; that the delay is not known is none of it, and hides it
         expected = o.L[0][0] * o.L[0][0]
         hidden = o.H[0][E_DELAY] * o.H[0][E_DELAY] * x.P[E_DELAY][E_DELAY]
         share = hidden / expected if hidden < expected else 1.0

@@ -85,7 +85,7 @@ def position(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     add_timing_noise(o, k, x.vel_n)
     lever_arm(x, k, o)
     look_back(x, x.gnss_delay, address(o.then))
-    o.shows_delay = isnan(fix.vel_n[0])
+    o.shows_delay = k.use_velocity == 0.0 or isnan(fix.vel_n[0])
     o.z[0] = (lat - x.origin.lat) * x.origin.scale_n - (
         x.pos_n[0] + x.gnss_offset[0] + o.arm_n[0] - way(x, o, 0)
     )

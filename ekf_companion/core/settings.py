@@ -130,7 +130,8 @@ class GnssSettings:
     goes before auto. Give what EKF2_GPS_DELAY (PX4) or GPS1_DELAY_MS (ArduPilot) says, in ms there,
     if it was set for your receiver; `ekf-companion calibrate delay LOG` measures it."""
     delay_std: Annotated[DelayStd | Auto, Setting("s", auto="gnss_delay_std")] = "auto"
-    """One sigma of the delay: how far the filter may move it. 0: the delay is known."""
+    """One sigma of the delay: how far the filter may move it. 0: the delay is known. auto is 0.02
+    where a log declares a delay that somebody has set, not PX4's default."""
     timing_std: Annotated[NotNegative, Setting("s", reload=True)] = 0.02
     """One sigma of the error in time that the stamp of a fix, and the receiver's own filter, leave.
     It counts in manoeuvres: times the acceleration in the velocity, times the velocity in the
