@@ -190,7 +190,7 @@ AIDS = len(Aid)
 VERDICTS = len(Verdict)
 RUNS = 3
 """Aids whose refused innovations are tested for consistency: position, height, velocity."""
-PAST = 18
+PAST = 15
 """Velocities that are kept, 35 ms apart."""
 YAW_FILTERS = 8
 YAW_N = 9

@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -74,11 +75,16 @@ def test_a_recorded_flight_with_clipped_samples_has_a_wide_interval(flight):
     from ekf_companion.replay.convert import read
 
     name = "px4-ulg-tropic-aggressive/ekf_failure.ulg"
-    found = delay.measure(read(flight(name), Config()), Config())
-    # the velocities show 0.18 to 0.20 s; the estimator by itself learns 0.14 s
-    assert found.low <= 0.20
-    assert found.high >= 0.19
-    assert found.widening > 4.0
+    # the velocities show 0.18 to 0.20 s
+    try:
+        found = delay.measure(read(flight(name), Config()), Config())
+    except LogError as refusal:  # as wide as that it tells too little
+        low, high = map(float, re.findall(r"from (0\.\d\d) to (0\.\d\d) s fits", str(refusal))[0])
+    else:
+        low, high = found.low, found.high
+        assert found.widening > 4.0
+    assert low <= 0.18
+    assert high >= 0.19
 
 
 def test_what_is_configured_or_declared_is_not_asked():
