@@ -122,14 +122,16 @@ def start_filter(x: State, k: Parameters, w: Scratch, tilt: float, gyro_bias: fl
     """Set the covariance of an attitude just found, by the sigmas of tilt and gyro bias.
 
     A levelled attitude is wrong by what is not known of the accelerometer's bias, so the two are
-    correlated: ``theta_N = (C ba)_E / g``, ``theta_E = -(C ba)_N / g``. Biases, hard iron and the
-    receiver's delay stay as they are, with the variances that there are: none, or what was learnt
-    before the clock began anew.
+    correlated: ``theta_N = (C ba)_E / g``, ``theta_E = -(C ba)_N / g``. Biases and hard iron stay
+    as they are, with the variances that there are: none, or what was learnt before the clock began
+    anew. The receiver's delay stays as it was learnt, since no attitude has taught it.
     """
     o = address(w.observation)
     variance = learnt_variance(x, E_BA, 3, k.accel_bias_std)
     rate = learnt_variance(x, E_BG, 3, gyro_bias)
-    delay = learnt_variance(x, E_DELAY, 1, k.delay_std)
+    delay = x.P[E_DELAY][E_DELAY]
+    if not 0.0 < delay < k.delay_std * k.delay_std:
+        delay = k.delay_std * k.delay_std
     iron = learnt_variance(x, E_IRON, 3, k.iron_std)
     g = k.gravity
     for i in range(N):

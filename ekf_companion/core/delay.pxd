@@ -4,4 +4,7 @@ from ekf_companion.core.state cimport State
 cdef void keep_fix(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
 cdef void learn_delay(State *x, Parameters *k, Observation *o) noexcept nogil
 cdef void compare_gains(State *x, Parameters *k, Observation *o) noexcept nogil
+cdef double true_share(State *x) noexcept nogil
+cdef void learn_noise(State *x, Observation *o, double nis) noexcept nogil
+cdef void weigh_anew(State *x, Parameters *k) noexcept nogil
 cdef void forget_gain(State *x) noexcept nogil

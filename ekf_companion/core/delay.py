@@ -67,7 +67,6 @@ def keep_fix(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
 
 def learn_delay(x: State, k: Parameters, o: Observation) -> None:
     """Learn the delay by the fix that is kept and the one some time before, once it is time."""
-    begin = address(x.gain.begin)
     end = address(x.gain.end)
     late = (x.t - end.t) * 1e-9 + x.gnss_delay
     if end.t == NEVER or (late < AHEAD and x.t - end.t < LONGEST_WAIT):
@@ -77,14 +76,9 @@ def learn_delay(x: State, k: Parameters, o: Observation) -> None:
     for i in range(2):
         end.until[i] = o.then.until[i]
         end.accel_n[i] = o.then.accel_n[i]
-    if end.t - begin.t <= LONGEST:
+    if end.t - x.gain.begin.t <= LONGEST:
         compare_gains(x, k, o)
-    begin.t = end.t
-    begin.delay = end.delay
-    for i in range(2):
-        begin.vel_n[i] = end.vel_n[i]
-        begin.until[i] = end.until[i]
-        begin.accel_n[i] = end.accel_n[i]
+    x.gain.begin = x.gain.end
     end.t = NEVER
 
 
@@ -99,14 +93,7 @@ def compare_gains(x: State, k: Parameters, o: Observation) -> None:
     doubt = x.doubt if x.doubt < LARGEST_DOUBT else LARGEST_DOUBT
     noise = MARGIN * gain.var + doubt * k.accel_noise * k.accel_noise * span
     to_dcm(x.q_nb, o.C_nb)
-    # How much of the change in acceleration is no noise, which would pass for knowledge
-    square = 0.0
-    for i in range(2):
-        change = gain.end.accel_n[i] - begin.accel_n[i]
-        square += 0.5 * change * change
-    gain.change += (square - gain.change) / CHANGE_MEMORY
-    true = gain.change - 2.0 * acceleration_noise(x)
-    true = true / gain.change if true > 0.0 else 0.0
+    true = true_share(x)
     for i in range(2):
         change = gain.end.accel_n[i] - begin.accel_n[i]
         observe.clear(o, 1, noise)
@@ -119,22 +106,43 @@ def compare_gains(x: State, k: Parameters, o: Observation) -> None:
         o.z[0] = gain.end.vel_n[i] - begin.vel_n[i] - (north if i == 0 else east)
         o.z[0] += change * true * (x.gnss_delay - gain.end.delay)
         nis = innovate(x, o)
-        # Learn the noise; that the delay is not known is none of it, and hides it
-        expected = o.L[0][0] * o.L[0][0]
-        hidden = o.H[0][E_DELAY] * o.H[0][E_DELAY] * x.P[E_DELAY][E_DELAY]
-        share = hidden / expected if hidden < expected else 1.0
-        seen = (nis if nis < LARGEST_TERM else LARGEST_TERM) * expected - hidden
-        weight = (1.0 - share) * (1.0 - share) / (FIRST_MEMORY + gain.n)
-        gain.var += weight * (seen - gain.var)
-        if gain.var < LEAST_VAR:
-            gain.var = LEAST_VAR
-        gain.n = gain.n + 1.0 if gain.n < MEMORY - FIRST_MEMORY else gain.n
+        learn_noise(x, o, nis)
         if nis < LARGEST_NIS and true > 0.0:
             gain.shown += o.H[0][E_DELAY] * o.H[0][E_DELAY] * MARGIN * gain.var / noise
             apply_delay_update(x, o)
-    # All of them had the noise that is known only now: as if each had been weighed by it
+    weigh_anew(x, k)
+
+
+def true_share(x: State) -> float:
+    """Return how much of the change in acceleration is no noise, which would pass for knowledge."""
+    gain = address(x.gain)
+    square = 0.0
+    for i in range(2):
+        change = gain.end.accel_n[i] - gain.begin.accel_n[i]
+        square += 0.5 * change * change
+    gain.change += (square - gain.change) / CHANGE_MEMORY
+    true = gain.change - 2.0 * acceleration_noise(x)
+    return true / gain.change if true > 0.0 else 0.0
+
+
+def learn_noise(x: State, o: Observation, nis: float) -> None:
+    """Learn the noise of gains; that the delay is not known is none of it, and hides it."""
+    gain = address(x.gain)
+    expected = o.L[0][0] * o.L[0][0]
+    hidden = o.H[0][E_DELAY] * o.H[0][E_DELAY] * x.P[E_DELAY][E_DELAY]
+    share = hidden / expected if hidden < expected else 1.0
+    seen = (nis if nis < LARGEST_TERM else LARGEST_TERM) * expected - hidden
+    weight = (1.0 - share) * (1.0 - share) / (FIRST_MEMORY + gain.n)
+    gain.var += weight * (seen - gain.var)
+    if gain.var < LEAST_VAR:
+        gain.var = LEAST_VAR
+    gain.n = gain.n + 1.0 if gain.n < MEMORY - FIRST_MEMORY else gain.n
+
+
+def weigh_anew(x: State, k: Parameters) -> None:
+    """Weigh all gains so far by the noise that is known only now, if it is more."""
     prior = k.delay_std * k.delay_std
-    variance = 1.0 / (1.0 / prior + gain.shown / (MARGIN * gain.var))
+    variance = 1.0 / (1.0 / prior + x.gain.shown / (MARGIN * x.gain.var))
     if x.P[E_DELAY][E_DELAY] < variance:
         x.gnss_delay *= (prior - variance) / (prior - x.P[E_DELAY][E_DELAY])
         x.P[E_DELAY][E_DELAY] = variance

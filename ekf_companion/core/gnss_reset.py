@@ -15,7 +15,6 @@ from cython.cimports.ekf_companion.core.enums import (
     AID_VELOCITY,
     E_ATT,
     E_BG,
-    E_DELAY,
     E_GNSS,
     E_GNSS_VEL,
     E_HEADING,
@@ -65,7 +64,6 @@ def start_navigation(x: State, k: Parameters, w: Scratch, has_vel: bool) -> None
 def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
     """Start, or start again, at a fix with the attitude that the yaw bank has found."""
     yaw_std = x.yaw_bank.yaw_std
-    delay_var = x.P[E_DELAY][E_DELAY]
     height = x.pos_n[2]
     height_var = x.P[E_POS + 2][E_POS + 2]
     keeps_height = cython.declare(
@@ -83,8 +81,6 @@ def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:
         x.P[E_BG + i][E_BG + i] = 0.0
     x.alignment.reference.is_known = 0.0
     align.start_filter(x, k, w, x.yaw_bank.tilt_std, x.yaw_bank.gyro_bias_std)
-    if delay_var > 0.0:
-        reset_variance(x, E_DELAY, 1, delay_var)
     forget_gain(x)
     x.has_yaw = 1.0
     x.used_t[AID_HEADING] = x.t

@@ -38,7 +38,7 @@ G_EQUATOR = cython.declare(cython.double, 9.7803253359)
 SOMIGLIANA = cython.declare(cython.double, 0.00193185265241)
 FREE_AIR = cython.declare(cython.double, 3.0877e-6)
 SMOOTH = cython.declare(cython.double, 0.05)
-"""s; time constant of the acceleration that corrects for the delay of a fix."""
+"""s; time constant of the acceleration, of which one sample has too much noise."""
 SLOW_INTERVAL = cython.declare(cython.double, 0.0199)
 """Interval at which the slow errors of heading and GNSS are carried on, s: 20 ms, give or take."""
 
@@ -95,7 +95,6 @@ def integrate_strapdown(x: State, k: Parameters, m: Motion, dt: float) -> None:
     x.force_sum[0] += un
     x.force_sum[1] += ue
     x.force_sum[2] += ud
-    # One sample's noise would count as acceleration, and hold the delay of a fix where it is
     share = dt / (dt + SMOOTH)
     x.accel_n[0] += share * (un / dt + cn - x.accel_n[0])
     x.accel_n[1] += share * (ue / dt + ce - x.accel_n[1])
