@@ -11,6 +11,8 @@ from sim_autopilot.personality import DENIED, FAILED, Kind, Pacing, Personality
 _INFINITE = 1000.0
 """Hz: every new sample."""
 _PARAMETER_LENGTH = 16
+_DELAY = {"EKF2_GPS_DELAY": 110.0}
+"""PX4's, which hardly anybody sets: not what the receiver has."""
 
 IDEAL = {
     Kind.PX4: Personality(
@@ -20,7 +22,7 @@ IDEAL = {
         custom_mode=4 << 16 | 3 << 24,
         version=0x011000FF,
         no_such_stream=FAILED,
-        parameters={"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7},
+        parameters={"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7, **_DELAY},
         outage_drift=0.175,  # measured: dead reckoning, 79 m off after 30 s
     ),
     Kind.ARDUPILOT: Personality(
@@ -37,6 +39,7 @@ IDEAL = {
             "EK3_SRC1_POSZ": 1,
             "EK3_SRC1_VELZ": 3,
             "EK3_SRC1_YAW": 1,
+            "GPS1_DELAY_MS": 0,  # left to the receiver's driver
         },
         timesync_rate=0.1,
         # Measured: constant position mode after 10 s, 9 m off after 29 s
@@ -49,7 +52,7 @@ IDEAL = {
 _PX4 = dataclasses.replace(
     IDEAL[Kind.PX4],
     summary="PX4 1.16 on an onboard link of 921600 baud",
-    parameters={"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7, "MAV_1_RATE": 0},
+    parameters={"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7, "MAV_1_RATE": 0, **_DELAY},
     streams={
         "HIGHRES_IMU": 50.0,
         "GPS_RAW_INT": _INFINITE,
@@ -121,7 +124,7 @@ PERSONALITIES = {
             name="px4-old",
             summary="PX4 1.14: fuses external vision by default, TIMESYNC to everybody",
             version=0x010E03FF,
-            parameters={"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 7, "MAV_1_RATE": 0},
+            parameters={"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 7, "MAV_1_RATE": 0, **_DELAY},
             has_random_targets=False,
         ),
         dataclasses.replace(
@@ -129,7 +132,7 @@ PERSONALITIES = {
             name="px4-1.13",
             summary="PX4 1.13: EKF2_AID_MASK decides what is fused",
             version=0x010D03FF,
-            parameters={"EKF2_AID_MASK": 1, "MAV_1_RATE": 0},
+            parameters={"EKF2_AID_MASK": 1, "MAV_1_RATE": 0, **_DELAY},
             has_random_targets=False,
             rules="px4-old",
         ),

@@ -14,6 +14,7 @@ from __future__ import annotations
 import cython
 from cython import address
 from cython.cimports.ekf_companion.core.correct import reset_variance
+from cython.cimports.ekf_companion.core.delay import first_variance
 from cython.cimports.ekf_companion.core.enums import (
     AZIMUTH_FIELD,
     E_ATT,
@@ -130,8 +131,8 @@ def start_filter(x: State, k: Parameters, w: Scratch, tilt: float, gyro_bias: fl
     variance = learnt_variance(x, E_BA, 3, k.accel_bias_std)
     rate = learnt_variance(x, E_BG, 3, gyro_bias)
     delay = x.P[E_DELAY][E_DELAY]
-    if not 0.0 < delay < k.delay_std * k.delay_std:
-        delay = k.delay_std * k.delay_std
+    if not 0.0 < delay < first_variance(x, k):
+        delay = first_variance(x, k)
     iron = learnt_variance(x, E_IRON, 3, k.iron_std)
     g = k.gravity
     for i in range(N):

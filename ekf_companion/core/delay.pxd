@@ -7,4 +7,6 @@ cdef void compare_gains(State *x, Parameters *k, Observation *o) noexcept nogil
 cdef double true_share(State *x) noexcept nogil
 cdef void learn_noise(State *x, Observation *o, double nis) noexcept nogil
 cdef void weigh_anew(State *x, Parameters *k) noexcept nogil
+cdef double first_variance(State *x, Parameters *k) noexcept nogil
+cdef void take_told(State *x, Parameters *k, double told) noexcept nogil
 cdef void forget_gain(State *x) noexcept nogil

@@ -18,12 +18,13 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core import observe
 from cython.cimports.ekf_companion.core.correct import apply_delay_update, innovate
-from cython.cimports.ekf_companion.core.enums import AID_VELOCITY, E_ATT, E_BA, E_DELAY
+from cython.cimports.ekf_companion.core.enums import AID_VELOCITY, E_ATT, E_BA, E_DELAY, N
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.past import acceleration_noise, look_back
 from cython.cimports.ekf_companion.core.rotation import to_dcm
 from cython.cimports.ekf_companion.core.scratch import Fix, Observation
 from cython.cimports.ekf_companion.core.state import State
+from cython.cimports.libc.math import fabs
 
 NEVER = cython.declare(cython.double, -1e18)
 SHORTEST = cython.declare(cython.double, 0.7e9)
@@ -141,11 +142,40 @@ def learn_noise(x: State, o: Observation, nis: float) -> None:
 
 def weigh_anew(x: State, k: Parameters) -> None:
     """Weigh all gains so far by the noise that is known only now, if it is more."""
-    prior = k.delay_std * k.delay_std
+    prior = first_variance(x, k)
     variance = 1.0 / (1.0 / prior + x.gain.shown / (MARGIN * x.gain.var))
     if x.P[E_DELAY][E_DELAY] < variance:
-        x.gnss_delay *= (prior - variance) / (prior - x.P[E_DELAY][E_DELAY])
+        share = (prior - variance) / (prior - x.P[E_DELAY][E_DELAY])
+        x.gnss_delay = x.first_delay + share * (x.gnss_delay - x.first_delay)
         x.P[E_DELAY][E_DELAY] = variance
+
+
+def first_variance(x: State, k: Parameters) -> float:
+    """Return the variance of the delay's first guess, s^2."""
+    return x.first_delay_var if x.first_delay_var > 0.0 else k.delay_std * k.delay_std
+
+
+def take_told(x: State, k: Parameters, told: float) -> None:
+    """Begin from the delay that the autopilot tells instead; what was learnt since still counts."""
+    first = told - k.gnss_delay
+    if k.told_delay_std < 0.0 or (first == x.first_delay and x.first_delay_var > 0.0):
+        return
+    was = first_variance(x, k)
+    std = k.delay_std if fabs(told - k.unset_delay) < 1e-6 else k.told_delay_std
+    now = std * std
+    before = x.P[E_DELAY][E_DELAY]
+    if before > 0.0 and now > 0.0:
+        variance = 1.0 / (1.0 / before - 1.0 / was + 1.0 / now)
+        change = first / now - x.first_delay / was
+        x.gnss_delay = variance * (x.gnss_delay / before + change)
+        for i in range(N):
+            x.P[E_DELAY][i] *= variance / before if variance < before else 1.0
+            x.P[i][E_DELAY] = x.P[E_DELAY][i]
+        x.P[E_DELAY][E_DELAY] = variance
+    else:
+        x.gnss_delay = first
+    x.first_delay = first
+    x.first_delay_var = now
 
 
 def forget_gain(x: State) -> None:

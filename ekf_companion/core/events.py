@@ -74,4 +74,4 @@ def is_sane(kind: int, values: Vector) -> bool:
         )
     if kind == KIND_BARO:
         return fabs(values[0]) < 1e5
-    return kind == KIND_VEHICLE and not isnan(values[0])
+    return kind == KIND_VEHICLE and not isnan(values[0]) and fabs(values[3]) <= 1.0

@@ -12,8 +12,6 @@ from ekf_companion.core.settings import HABITS, FilterSettings
 from ekf_companion.nav.earth import STANDARD_GRAVITY
 from ekf_companion.nav.measurements import Kind
 
-PX4_DELAY = 0.11
-"""EKF2_GPS_DELAY where nobody has set it, s."""
 SET_STD = 0.02
 """One sigma of a delay that somebody has set in the autopilot's parameters, s."""
 
@@ -43,7 +41,10 @@ def parameters(
 
     k.lever_arm_b[:] = gnss.lever_arm
     k.lever_var = gnss.lever_arm_std**2
+    k.gnss_delay = configured_delay(settings, family, gnss_delay)
     k.delay_std = gnss_delay_std(settings, family, gnss_delay)
+    k.told_delay_std = told_delay_std(settings)
+    k.unset_delay = habit.unset_gnss_delay
     k.use_velocity = gnss.use_velocity
     k.use_derived = ("raw", "auto", "global").index(gnss.source)
     k.gnss_floor[:] = gnss.position_std, gnss.height_std, gnss.velocity_std
@@ -85,8 +86,25 @@ def gnss_delay_std(settings: FilterSettings, family: str, gnss_delay: float | No
     gnss = settings.gnss
     if gnss.delay_std != "auto":
         return gnss.delay_std
-    is_set = gnss_delay is not None and not math.isclose(gnss_delay, PX4_DELAY)
-    return SET_STD if gnss.delay == "auto" and is_set else HABITS[family].gnss_delay_std
+    habit = HABITS[family]
+    is_set = gnss_delay is not None and not math.isclose(gnss_delay, habit.unset_gnss_delay)
+    return SET_STD if gnss.delay == "auto" and is_set else habit.gnss_delay_std
+
+
+def told_delay_std(settings: FilterSettings) -> float:
+    """Return one sigma of a delay that the autopilot tells, s; negative: that does not count."""
+    gnss = settings.gnss
+    if gnss.delay != "auto":
+        return -1.0
+    return SET_STD if gnss.delay_std == "auto" else gnss.delay_std
+
+
+def configured_delay(settings: FilterSettings, family: str, gnss_delay: float | None) -> float:
+    """Return by how much fixes are taken to be older than their stamps, s."""
+    delay = settings.gnss.delay
+    if delay != "auto":
+        return delay
+    return HABITS[family].gnss_delay if gnss_delay is None else gnss_delay
 
 
 def delays_ns(
@@ -99,11 +117,8 @@ def delays_ns(
         family: Settles what is ``auto``.
         gnss_delay: Delay of the receiver that the log itself declares, s; beats ``auto``.
     """
-    delay = settings.gnss.delay
-    if delay == "auto":
-        delay = HABITS[family].gnss_delay if gnss_delay is None else gnss_delay
     late = np.zeros(len(Kind), dtype=np.int64)
-    late[Kind.GNSS] = round(delay * 1e9)
+    late[Kind.GNSS] = round(configured_delay(settings, family, gnss_delay) * 1e9)
     late[Kind.IMU] = round(imu_lag(settings, family) * 1e9)
     mag = settings.heading.magnetometer_delay
     late[Kind.MAG] = round((HABITS[family].mag_delay if mag == "auto" else mag) * 1e9)

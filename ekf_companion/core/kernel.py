@@ -27,7 +27,7 @@ from cython.cimports.ekf_companion.core import (
     yaw_frame,
 )
 from cython.cimports.ekf_companion.core.correct import copy_nominal
-from cython.cimports.ekf_companion.core.delay import forget_gain, learn_delay
+from cython.cimports.ekf_companion.core.delay import forget_gain, learn_delay, take_told
 from cython.cimports.ekf_companion.core.enums import (
     AID_HEADING,
     AID_HEIGHT,
@@ -296,7 +296,7 @@ def start_over(x: State, t: float, reason: float) -> None:
         for j in range(N):
             x.P[i][j] = 0.0
     x.baro_offset = 0.0
-    x.gnss_delay = 0.0
+    x.gnss_delay = x.first_delay
     x.gain.shown = 0.0
     x.heading_offset = 0.0
     x.dt = 0.0
@@ -392,3 +392,5 @@ def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
     elif event.kind == KIND_VEHICLE:
         x.armed = v.vehicle.armed
         x.landed = v.vehicle.landed
+        if v.vehicle.tells_delay == 1.0:
+            take_told(x, k, v.vehicle.gnss_delay)

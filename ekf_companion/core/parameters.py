@@ -25,7 +25,13 @@ class Parameters:
     lever_arm_b: Annotated[Vector, 3]
     lever_var: Real
     """Variance of the lever arm, m^2."""
+    gnss_delay: Real
+    """By which fixes are taken to be older than their stamps, s."""
     delay_std: Real
+    told_delay_std: Real
+    """One sigma of a delay that the autopilot tells, s; negative: that does not count."""
+    unset_delay: Real
+    """What it tells where nobody has set the delay, s; NaN: nothing."""
     gnss_floor: Annotated[Vector, RUNS]
     """Least sigma of position, height, velocity."""
     vel_std_default: Real

@@ -21,7 +21,9 @@ def carry_over(x: State, y: State, k: Parameters) -> None:
     off, the accelerometer's is a guess, no surer than at any start.
     """
     is_flown = cython.declare(cython.bint, y.armed == 1.0 and y.landed != 1.0)
-    x.gnss_delay = within(y.gnss_delay, k.delay_std)
+    x.gnss_delay = y.first_delay + within(y.gnss_delay - y.first_delay, k.delay_std)
+    x.first_delay = y.first_delay
+    x.first_delay_var = y.first_delay_var
     x.P[E_DELAY][E_DELAY] = y.P[E_DELAY][E_DELAY]
     x.gain.var = y.gain.var
     x.gain.n = y.gain.n

@@ -51,6 +51,8 @@ class VehicleRow:
 
     armed: Real
     landed: Real
+    tells_delay: Real
+    gnss_delay: Real
 
 
 @union

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
@@ -31,6 +32,8 @@ class Habit:
     """A fix is older than its stamp by this, s."""
     gnss_delay_std: float
     """One sigma of that, s: the filter estimates the rest."""
+    unset_gnss_delay: float
+    """What the autopilot's parameter says where nobody has set it, s; NaN: nothing."""
     imu_lag: float
     """An inertial sample says what was true this long before its stamp, s."""
     imu_samples: Literal["mean", "instant"]
@@ -49,6 +52,7 @@ HABITS = {
     "ardupilot": Habit(
         gnss_delay=0.085,
         gnss_delay_std=0.1,
+        unset_gnss_delay=math.nan,
         imu_lag=0.0115,
         imu_samples="instant",
         mag_delay=0.06,
@@ -59,6 +63,7 @@ HABITS = {
     "px4": Habit(
         gnss_delay=0.05,
         gnss_delay_std=0.06,
+        unset_gnss_delay=0.11,
         imu_lag=0.002,
         imu_samples="mean",
         mag_delay=0.0,
@@ -67,6 +72,7 @@ HABITS = {
     "unknown": Habit(
         gnss_delay=0.0,
         gnss_delay_std=0.1,
+        unset_gnss_delay=math.nan,
         imu_lag=0.0,
         imu_samples="mean",
         mag_delay=0.0,
@@ -126,12 +132,12 @@ class GnssSettings:
     delay: Annotated[
         Seconds | Auto, Setting("s", auto="gnss_delay", param=Param(3, "EC_GPS_DELAY", -1.0, 1.0))
     ] = "auto"
-    """A fix is older than its stamp by this; the filter estimates the rest. What a log declares
-    goes before auto. Give what EKF2_GPS_DELAY (PX4) or GPS1_DELAY_MS (ArduPilot) says, in ms there,
-    if it was set for your receiver; `ekf-companion calibrate delay LOG` measures it."""
+    """A fix is older than its stamp by this; the filter estimates the rest. auto begins with what
+    the log or the autopilot says, which is asked for it: SENS_GPS0_DELAY or EKF2_GPS_DELAY (PX4),
+    GPS1_DELAY_MS (ArduPilot), ms. `ekf-companion calibrate delay LOG` measures it."""
     delay_std: Annotated[DelayStd | Auto, Setting("s", auto="gnss_delay_std")] = "auto"
     """One sigma of the delay: how far the filter may move it. 0: the delay is known. auto is 0.02
-    where a log declares a delay that somebody has set, not PX4's default."""
+    where log or autopilot say a delay that somebody has set, not PX4's default."""
     timing_std: Annotated[NotNegative, Setting("s", reload=True)] = 0.02
     """One sigma of the error in time that the stamp of a fix, and the receiver's own filter, leave.
     It counts in manoeuvres: times the acceleration in the velocity, times the velocity in the

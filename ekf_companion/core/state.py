@@ -355,6 +355,10 @@ class State:
     """Pressure altitude less altitude, m."""
     gnss_delay: Real
     """How much later than the configured delay a fix is, s."""
+    first_delay: Real
+    """First guess of it, s: from what the autopilot tells."""
+    first_delay_var: Real
+    """Variance of that, s^2; 0: as configured."""
     heading_offset: Real
     """Slow error of the heading in use, rad."""
     gnss_offset: Annotated[Vector, 3]

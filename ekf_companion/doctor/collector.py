@@ -18,9 +18,10 @@ from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.decision import Decision
 from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.decode.parameter import value_of
 from ekf_companion.mavlink.frame import Frame, Splitter
 from ekf_companion.mavlink.fusion import decide
-from ekf_companion.mavlink.guard import DOES_NOT_EXIST, value_of
+from ekf_companion.mavlink.guard import DOES_NOT_EXIST
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.status.collect import (

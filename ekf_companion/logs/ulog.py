@@ -91,7 +91,8 @@ def read(path: Path) -> Recording:
             f"{path}: a ULog without sensor_combined, GPS, magnetometer, barometer and attitude "
             "topics; log with the default or estimator replay profile (SDLOG_PROFILE)"
         )
-    delay = log.parameters.get("EKF2_GPS_DELAY", -1.0)
+    # its name since 1.18, and before
+    delay = log.parameters.get("SENS_GPS0_DELAY", log.parameters.get("EKF2_GPS_DELAY", -1.0))
     return Recording(
         family="px4",
         events=MergedEvents(*zip(*arrivals, strict=True)),

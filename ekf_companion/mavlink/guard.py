@@ -11,15 +11,14 @@ heard and when it came, never on ``tick``: so a replay decides the same.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from struct import Struct
 from typing import Any
 
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.decision import Decision, kept, shared, silent
 from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.decode.parameter import value_of
 from ekf_companion.mavlink.event import Emit, GuardChanged, PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.fusion import (
@@ -50,10 +49,8 @@ _UNANSWERED = 10
 """Without any answer for so long, and to more requests than this, nothing is known any more. On a
 link that loses a tenth of all frames, so many in a row stay unanswered once in a hundred days."""
 
-_REAL32 = 9
 DOES_NOT_EXIST = 1
 """In PARAM_ERROR."""
-_INT32 = Struct("<i")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -287,15 +284,3 @@ class Guard(Service):
         if options.mode == "auto":
             return Decision(is_streaming=False, reason="no autopilot is heard", is_settled=False)
         return decide(Family.UNKNOWN, {}, options.mode, options.independent)
-
-
-def value_of(message: Any, frame: Frame, family: Family) -> float | None:
-    """Return the number in an autopilot's PARAM_VALUE; None if it holds none.
-
-    Source: MAVLink guide, "Parameter Protocol", on both encodings of the value.
-    """
-    value = message.param_value
-    if family is Family.PX4 and message.param_type != _REAL32:
-        # PX4 puts the integer's bytes where the float's would be
-        (value,) = _INT32.unpack(frame.payload.ljust(4, b"\0")[:4])
-    return float(value) if math.isfinite(value) else None

@@ -34,13 +34,13 @@ from ekf_companion.mavlink.heartbeat import ClashWatch, Heartbeat
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.origin import OriginSetter
 from ekf_companion.mavlink.outbox import Message, Outbox
+from ekf_companion.mavlink.parameter_request import ParameterRequest
 from ekf_companion.mavlink.parameters import Parameter, ParameterServer
 from ekf_companion.mavlink.request import Requests
 from ekf_companion.mavlink.sequence import Sequence
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.statustext import StatusText
-from ekf_companion.mavlink.trim_request import TrimRequest
 from ekf_companion.nav.measurements import Measurement, Restart
 
 MISADDRESSED = "addressed to another"
@@ -154,8 +154,8 @@ class Session:
         self._with_all += [self.commands, self.parameters]
         # Conversations with the autopilot only, while it is heard
         guards: list[Service] = [] if options.guard is None else [self.guard, self.origin]
-        trim = TrimRequest(self.outbox, lambda: self.decoder.trim.missing)
-        self._with_peer: list[Service] = [self.requests, trim, *guards, self.timesync]
+        asked = ParameterRequest(self.outbox, lambda: self.decoder.missing)
+        self._with_peer: list[Service] = [self.requests, asked, *guards, self.timesync]
         self._with_peer += [self.audit, self.statustext, self.autopilot_estimate]
         self.all_routes, self.peer_routes = _routes(self._with_all), _routes(self._with_peer)
         self.splitter = Splitter()

@@ -200,17 +200,24 @@ class BaroSample:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
-    """Armed and landed, as the autopilot reports them: a veto for what only holds at rest."""
+    """Armed and landed, as the autopilot reports them: a veto for what only holds at rest.
+
+    And how late it takes the receiver's fixes to be, which is where the filter begins.
+    """
 
     t_ns: int
     is_armed: bool
     is_landed: bool | None = None
     """None: not known."""
+    gnss_delay: float | None = None
+    """By which a fix is older than its stamp, s; None: not told."""
 
     def row(self) -> Row:
-        """Return the row [armed, landed]; landed is NaN where not known."""
+        """Return [armed, landed, whether the delay is told, delay]; landed is NaN if not known."""
         landed = None if self.is_landed is None else float(self.is_landed)
-        return _row(self.t_ns, Kind.VEHICLE, float(self.is_armed), landed)
+        told = self.gnss_delay is not None
+        delay = self.gnss_delay or 0.0
+        return _row(self.t_ns, Kind.VEHICLE, float(self.is_armed), landed, float(told), delay)
 
 
 Measurement = Restart | ImuSample | GnssFix | HeadingSample | MagSample | BaroSample | VehicleState

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from ekf_companion.core.enums import E_DELAY
+from ekf_companion.core.from_settings import SET_STD
 from ekf_companion.core.memory import as_state
-from ekf_companion.core.settings import FilterSettings
+from ekf_companion.core.settings import HABITS, FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
-from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.measurements import Events, Kind, merge
 from sim_autopilot import events as wire
 from sim_autopilot.config import SimConfig
 from sim_autopilot.flight import Flight
@@ -75,3 +76,55 @@ def test_of_a_receiver_without_velocities_its_positions_show_the_delay():
     value, sigma = found(replace(events, values=values), 0.0, 0.1)
     assert sigma < 0.05
     assert abs(value - 0.12) < 4.0 * sigma
+
+
+def told_at(events, when: float, delay: float):
+    """Return the events with an autopilot that says at a time, s, how late fixes are."""
+    t_ns = np.array([events.t_ns.min() + round(when * 1e9)])
+    return merge(events, Events.from_columns(t_ns, Kind.VEHICLE, [1.0], [0.0], [1.0], [delay]))
+
+
+def learnt(events, **gnss) -> tuple[float, float]:
+    """Return the delay found by a PX4's habits and one sigma, s."""
+    settings = FilterSettings()
+    settings = replace(settings, gnss=replace(settings.gnss, **gnss))
+    pipeline = Pipeline(settings, "px4")
+    pipeline.run(events)
+    x = as_state(pipeline.state().block)
+    first = HABITS["px4"].gnss_delay if settings.gnss.delay == "auto" else settings.gnss.delay
+    return first + x.gnss_delay, float(np.sqrt(x.P[E_DELAY][E_DELAY]))
+
+
+def test_what_the_autopilot_says_of_the_delay_is_the_first_guess():
+    """A PX4 in its simulator says 0, and until 50 ms were unlearnt its controller flew ahead."""
+    hover = fly("hover", seed=6, delay=0.0)
+    hover = hover.take(hover.t_ns < hover.t_ns.min() + 15_000_000_000)
+    usual, sigma = learnt(hover)
+    assert abs(usual) > 0.02
+    value, told_sigma = learnt(told_at(hover, 0.5, 0.0))
+    assert abs(value) < 0.015
+    assert told_sigma < SET_STD < sigma
+    # What nobody has set is as uncertain as what is usual
+    unset = HABITS["px4"].unset_gnss_delay
+    value, sigma = learnt(told_at(hover, 0.5, unset))
+    assert 0.5 * unset < value < unset + 0.02
+    assert sigma > 1.5 * SET_STD
+
+
+def test_what_the_user_says_of_it_goes_before():
+    hover = fly("hover", seed=6, delay=0.0)
+    other = told_at(hover, 0.5, 0.1)
+    assert learnt(told_at(hover, 0.5, 0.3), delay=0.0) == learnt(other, delay=0.0)
+    assert learnt(other, delay_std=0.0) == (pytest.approx(0.1), 0.0)
+    surer, wider = learnt(other, delay_std=0.005), learnt(other, delay_std=0.05)
+    assert surer[0] > 0.08 > wider[0]
+    assert surer[1] < 0.005 < wider[1]
+
+
+def test_told_late_it_counts_as_much_and_what_was_learnt_meanwhile_still_does():
+    events = fly("figure-eight", seed=7, delay=0.04)
+    early, early_sigma = learnt(told_at(events, 0.5, 0.1))
+    late, late_sigma = learnt(told_at(events, 80.0, 0.1))
+    assert abs(late - early) < 0.005
+    assert late_sigma == pytest.approx(early_sigma, rel=0.1)
+    assert abs(late - 0.04) < 3.0 * late_sigma

@@ -11,7 +11,7 @@ from ekf_companion.config.service import OdometryConfig, OutputConfig
 from ekf_companion.engine.companion import Companion
 from ekf_companion.logs import tlog
 from ekf_companion.mavlink.codec import Sender, unpack
-from ekf_companion.mavlink.decode import Family
+from ekf_companion.mavlink.decode import Family, receiver, trim
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.fusion import NAMES
 from ekf_companion.mavlink.messages import IDS
@@ -101,13 +101,14 @@ class Link:
         return [now_ns for now_ns, frame in self.sent if frame.message_id == IDS[name]]
 
     def asked(self):
-        """Return time and name of each parameter that was asked for, but for the board's trim."""
+        """Return time and name of each parameter that was asked for to know what is fused."""
         asked = [
             (now_ns, unpack(frame).param_id.decode())
             for now_ns, frame in self.sent
             if frame.message_id == READ
         ]
-        return [one for one in asked if not one[1].startswith("AHRS_TRIM")]
+        of_sensors = {*trim.NAMES, *(name for names in receiver.NAMES.values() for name in names)}
+        return [one for one in asked if one[1] not in of_sensors]
 
     def recorded(self, name):
         frames = Splitter().feed(b"".join(data for _, data in self.record))

@@ -9,6 +9,7 @@ from ekf_companion.mavlink.decode.context import Context, DecoderOptions, Family
 from ekf_companion.mavlink.decode.heading import Heading
 from ekf_companion.mavlink.decode.inertial import SOURCES, Inertial
 from ekf_companion.mavlink.decode.position import Position
+from ekf_companion.mavlink.decode.receiver import Receiver
 from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.decode.vehicle import Vehicle
 from ekf_companion.mavlink.frame import Frame
@@ -38,6 +39,7 @@ class Decoder:
         self._ranked: list[Inertial | Magnetometer | Barometer | Heading]
         self._ranked = [self.inertial, self.mag, self.baro, self.heading]
         self._position = Position(self.context, self.heading)
+        self._receiver = Receiver(self.context, self.vehicle)
         readers: dict[str, Callable[[Frame], Measurements]] = {
             "HIGHRES_IMU": self.inertial.highres_imu,
             "RAW_IMU": self.inertial.raw_imu,
@@ -53,7 +55,7 @@ class Decoder:
             "HEARTBEAT": self.vehicle.heartbeat,
             "EXTENDED_SYS_STATE": self.vehicle.extended_sys_state,
             "SYSTEM_TIME": self.vehicle.system_time,
-            "PARAM_VALUE": self.trim.param_value,
+            "PARAM_VALUE": self._param_value,
         }
         self.readers = {IDS[name]: reader for name, reader in readers.items()}
         self.held: list[tuple[Frame, Measurements]] = []
@@ -69,7 +71,17 @@ class Decoder:
         """Begin anew with another autopilot, of whose clock nothing is known."""
         self.context.clock = TimeBase()
         self.held.clear()
+        self._receiver.forget()
         self._forget(Step.BEGUN)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Parameters of the autopilot that the decoder wants to know and has not been told."""
+        of_board = self.trim.missing if self.family is Family.ARDUPILOT else ()
+        return (*of_board, *self._receiver.missing)
+
+    def _param_value(self, frame: Frame) -> Measurements:
+        return [*self.trim.param_value(frame), *self._receiver.param_value(frame)]
 
     def refuse_ours(self, is_ours: bool, is_yaw_ours: bool) -> None:
         """Refuse the autopilot's own position, or its yaw, while our ODOMETRY is fused in it."""

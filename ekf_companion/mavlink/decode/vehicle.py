@@ -19,6 +19,8 @@ class Vehicle:
 
     def __init__(self, context: Context) -> None:
         self._context = context
+        self.gnss_delay: float | None = None
+        """What the autopilot takes for the receiver's delay, s."""
         self.forget()
 
     def forget(self) -> None:
@@ -38,7 +40,7 @@ class Vehicle:
             return []
         self.is_armed = bool(m.base_mode & _ARMED)
         self._context.is_submarine = m.type == _SUBMARINE
-        return self._state()
+        return self.state()
 
     def extended_sys_state(self, frame: Frame) -> Measurements:
         """Read EXTENDED_SYS_STATE."""
@@ -47,15 +49,23 @@ class Vehicle:
         if is_landed is self._is_landed:
             return []
         self._is_landed = is_landed
-        return self._state()
+        return self.state()
 
     def system_time(self, frame: Frame) -> Measurements:
         """Read SYSTEM_TIME."""
         m = unpack(frame)
         return self._context.relate(m.time_unix_usec, m.time_boot_ms)
 
-    def _state(self) -> Measurements:
+    def state(self) -> Measurements:
+        """Return the state of now, if it is known when that is."""
         t_ns = self._context.clock.latest_ns
         if t_ns is None:
             return []
-        return [VehicleState(t_ns=t_ns, is_armed=self.is_armed, is_landed=self._is_landed)]
+        return [
+            VehicleState(
+                t_ns=t_ns,
+                is_armed=self.is_armed,
+                is_landed=self._is_landed,
+                gnss_delay=self.gnss_delay,
+            )
+        ]

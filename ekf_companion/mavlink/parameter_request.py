@@ -1,11 +1,10 @@
-"""Requests for the parameters that say how an ArduPilot is mounted in its vehicle."""
+"""Requests for the parameters that say how the autopilot's sensors are mounted and how late."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 from ekf_companion.mavlink.codec import pack
-from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import PeerFound
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
@@ -15,8 +14,8 @@ _TRIES = 3
 _PERIOD_NS = SECOND_NS
 
 
-class TrimRequest(Service):
-    """Asks for what is missing, three times; :mod:`~.decode.trim` reads the answers."""
+class ParameterRequest(Service):
+    """Asks for what is missing, three times; :mod:`~.decode` reads the answers."""
 
     def __init__(self, outbox: Outbox, missing: Callable[[], tuple[str, ...]]) -> None:
         self._outbox, self._missing = outbox, missing
@@ -25,7 +24,7 @@ class TrimRequest(Service):
 
     def begin(self, peer: PeerFound) -> None:
         """Ask a new autopilot."""
-        self._peer = peer if peer.family is Family.ARDUPILOT else None
+        self._peer = peer
         self._tries = self._next_ns = 0
 
     def end(self) -> None:
