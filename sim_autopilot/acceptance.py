@@ -15,12 +15,13 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
 from sim_autopilot import ardupilot_receiver, px4_receiver
-from sim_autopilot.judgement import History, Judgement, Stack
+from sim_autopilot.judgement import History, Judgement, Quantity, Stack
 
 _PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
 _SOURCES = ((3, 3, 1, 3, 1), (0, 0, 1, 0, 0), (0, 0, 1, 0, 0))
 """Of each of ArduPilot's three sets: 3 GNSS, 1 barometer or compass, 0 none."""
 _REASONS = 32
+_FUSED_US = 400_000
 """Most reasons that are counted separately."""
 DEFAULTS: Mapping[Stack, Mapping[str, float]] = {
     Stack.PX4: {"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7, "EKF2_EV_QMIN": 0, "EKF2_HGT_REF": 1},
@@ -102,9 +103,22 @@ class Reception:
         """Messages that were not, by reason."""
         self.unfused: Counter[str] = Counter()
         """Messages that were accepted, and not or not wholly fused, by reason."""
+        self.misplaced = 0
+        """Origins that came while it fused a position: PX4 1.18 is then 5300 km off."""
         self._stack = Stack(rules) if rules else None
         self._parameters = parameters
         self._history = History()
+        self._placed_us: int | None = None
+        """Stamp of the last message of which the position was fused."""
+
+    def take_origin(self, now_us: int) -> None:
+        """Take an origin of the local frame; PX4 ends the fusion 0.4 s after the last message.
+
+        Source: PX4 1.18, ``Ekf::setLatLonOrigin``, and the offset that
+        ``resetHorizontalPositionTo`` then gives to positions of external vision.
+        """
+        if self._placed_us is not None and now_us - self._placed_us < _FUSED_US:
+            self.misplaced += 1
 
     def take(self, odometry: Any) -> str:
         """Judge a message; return the critical text that the pilot sees, empty: none."""
@@ -118,6 +132,8 @@ class Reception:
             return judgement.text
         self.accepted += 1
         self.fused += bool(judgement.fused)
+        if Quantity.POSITION in judgement.fused:
+            self._placed_us = odometry.time_usec
         if judgement.reason:
             _count(self.unfused, judgement.reason)
         return judgement.text
@@ -129,6 +145,7 @@ class Reception:
             "fused": self.fused,
             "refused": dict(self.refused),
             "not_fused": dict(self.unfused),
+            "misplaced": self.misplaced,
         }
 
 

@@ -29,6 +29,7 @@ REQUEST_MESSAGE = 512
 _ARMED, _CUSTOM_MODE = 128, 1
 _STANDBY, _ACTIVE = 3, 4
 _CRITICAL = 2
+_PLACES = ("GLOBAL_POSITION_INT", "GPS_GLOBAL_ORIGIN")
 _GCS_NS = 10_000_000_000
 """Between two requests of a ground station for its rates."""
 
@@ -85,6 +86,7 @@ class Autopilot:
             "PARAM_REQUEST_READ": lambda frame, request, now_ns: self._server.read(request),
             "PARAM_SET": self._param_set,
             "REQUEST_DATA_STREAM": self._data_stream,
+            "SET_GPS_GLOBAL_ORIGIN": self._set_origin,
             "TIMESYNC": self._timesync,
         }
         self._start()
@@ -104,7 +106,7 @@ class Autopilot:
         self._streams = Streams(self.personality, self._config, self.parameters)
         self._sensors = FirmwareSensors(self._config, self.personality, self._seed + self.reboots)
         self._last: Cycle | None = None
-        self._has_fix = False
+        self._has_fix = self._has_origin = False
         self._next_timesync_ns = 0
         self._next_gcs_ns = 0
         self._companion = (0, 0)
@@ -112,6 +114,7 @@ class Autopilot:
     def cycle(self, cycle: Cycle) -> None:
         """Read the sensors; if the main loop runs in this cycle, send what is due."""
         self._has_fix = self._has_fix or cycle.fix is not None
+        self._has_origin |= cycle.fix is not None and self._fuses_gnss
         if (reading := self._sensors.read(cycle)) is None:
             return
         has_fix, self._has_fix = self._has_fix, False
@@ -170,7 +173,14 @@ class Autopilot:
     def _send(self, name: str, **fields: Any) -> None:
         self._out.append(self._sender.message(name, **fields))
 
+    @property
+    def _fuses_gnss(self) -> bool:
+        """Whether its filter takes the receiver's positions, or is not PX4's."""
+        return bool(int(self.parameters.get("EKF2_GPS_CTRL", 1)))
+
     def _stream(self, name: str, cycle: Cycle) -> None:
+        if name in _PLACES and not self._has_origin and not self._fuses_gnss:
+            return  # on ODOMETRY alone it does not know where it is
         if name == "HEARTBEAT":
             self.heartbeat(is_armed=cycle.is_armed)
         elif name == "AUTOPILOT_VERSION":
@@ -219,6 +229,11 @@ class Autopilot:
     def _odometry(self, frame: Frame, odometry: Any, now_ns: int) -> None:
         if text := self.reception.take(odometry):
             self._send("STATUSTEXT", severity=_CRITICAL, text=text.encode()[:50])
+
+    def _set_origin(self, frame: Frame, origin: Any, now_ns: int) -> None:
+        if self._last is not None and not self._has_origin:
+            self.reception.take_origin(self._last.t_ns // 1000)
+            self._has_origin = True
 
     def _timesync(self, frame: Frame, sync: Any, now_ns: int) -> None:
         if sync.tc1 == 0:

@@ -93,12 +93,17 @@ def kept(decision: Decision, doubt: Decision) -> Decision:
 
 
 def stream_state(
-    decision: Decision, twin: tuple[int, int] | None, slowed: tuple[int, int, float] | None
+    decision: Decision,
+    twin: tuple[int, int] | None,
+    slowed: tuple[int, int, float] | None,
+    *,
+    waits: bool = False,
 ) -> Decision:
-    """Return the decision, all things considered: guard, clash of ids, commanded rate.
+    """Return the decision, all things considered: guard, clash of ids, origin, commanded rate.
 
     ``twin`` is our system and component id where somebody else has the same; ``slowed`` is who has
-    commanded a lower rate than the default (system and component id), and that rate, Hz, 0: off.
+    commanded a lower rate than the default (system and component id), and that rate, Hz, 0: off;
+    ``waits`` is whether the autopilot is given its origin first.
     """
     if twin is not None:
         return replace(
@@ -107,6 +112,9 @@ def stream_state(
             reason=f"somebody else speaks as system {twin[0]}, component {twin[1]}",
             remedy="give one of us another link.component_id",
         )
+    if decision.is_streaming and waits:
+        reason = "it waits a moment: the autopilot has no origin yet and is given ours first"
+        return replace(decision, is_streaming=False, reason=reason)
     if decision.is_streaming and slowed is not None:
         system_id, component_id, rate = slowed
         did = f"commanded {rate:g} Hz" if rate > 0.0 else "switched it off"

@@ -127,10 +127,12 @@ class Session:
         self._events: list[Event] = []
         when = options.guard or GuardOptions(mode="never")
         vehicle = self.decoder.vehicle
-        self.guard = Guard(
-            self.outbox, self._emit, self.decoder.refuse_ours, when, lambda: vehicle.is_flying
-        )
-        self.origin = OriginSetter(self.outbox, self.guard)
+
+        def is_flying() -> bool:
+            return vehicle.is_flying
+
+        self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, when, is_flying)
+        self.origin = OriginSetter(self.outbox, self.guard, is_flying)
         self.discovery = Discovery(
             self._emit,
             self._begin,
@@ -351,6 +353,8 @@ class Session:
         name, payload, is_replaceable = message
         if name == "GPS_GLOBAL_ORIGIN":
             self.origin.note(payload)
+        elif name == "ODOMETRY":
+            self.origin.on_odometry(now_ns)
         if name == "ODOMETRY" and not self.may_stream:
             self.outbox.withhold(name, payload, now_ns)
         else:
@@ -372,8 +376,9 @@ class Session:
 
     @property
     def may_stream(self) -> bool:
-        """Whether ODOMETRY may be sent: the guard lets it, and nobody else does under our ids."""
-        return self.guard.decision.is_streaming and not self.clash.is_yielding
+        """Whether ODOMETRY may be sent: guard, a twin of ours and the origin allow it."""
+        is_free = not self.clash.is_yielding and not self.origin.holds
+        return self.guard.decision.is_streaming and is_free
 
     def _goes_on_in_flight(self) -> bool:
         """Whether ODOMETRY is sent, in flight, and no doubt may stop it."""
@@ -385,7 +390,8 @@ class Session:
     def stream_state(self) -> Decision:
         """Whether ODOMETRY is sent, why, and what would change it."""
         twin = self.outbox.ids if self.clash.is_yielding else None
-        return stream_state(self.guard.decision, twin, self.commands.slowed_by("ODOMETRY"))
+        slowed = self.commands.slowed_by("ODOMETRY")
+        return stream_state(self.guard.decision, twin, slowed, waits=self.origin.holds)
 
     def counters(self) -> dict[str, int]:
         """Return all counts, from bytes to refusals, by name."""

@@ -1,9 +1,12 @@
 """The origin that a PX4 flying on our estimate alone is given."""
 
+import itertools
+
 import pytest
 
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.guard import GuardOptions
+from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.outbox import Message
 from tests.mavlink.conversation import ARDUPILOT, MS, PX4, SECOND, met, sent
 
@@ -11,51 +14,96 @@ OURS = Message("GPS_GLOBAL_ORIGIN", encode.gps_global_origin(0.8, 0.15, 489.4, t
 ON_OURS = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0}
 
 
-def given(parameters, family=PX4, shown=None, shown_at=0, seconds=16, is_known=True):
-    """Return the origins that an autopilot is given, each with its time in seconds.
+ODOMETRY = Message("ODOMETRY", bytes(LAYOUTS[IDS["ODOMETRY"]].size), is_replaceable=True)
 
-    ``shown`` is the message by which it shows, once, that it has one.
+
+def flown(parameters, family=PX4, shown=None, shown_at=0.0, seconds=20, is_known=True, **flying):
+    """Return times, s, at which an autopilot gets an origin, the origins, and those of ODOMETRY.
+
+    ``shown`` is the message by which it shows, once, that it has one; ``flying`` is what its
+    heartbeat says; ``parameters`` may be a function of the time.
     """
     session, autopilot = met(family, guard=GuardOptions())
-    origins = []
+    origins, odometry = [], []
     for now_ns in range(0, seconds * SECOND, 50 * MS):
+        values = parameters(now_ns / SECOND) if callable(parameters) else parameters
         if now_ns % SECOND == 0:
-            session.receive(autopilot.heartbeat(), now_ns)
-            if is_known:
-                session.publish(OURS, now_ns)
-            if shown is not None and now_ns == shown_at * SECOND:
-                session.receive(autopilot.say(shown), now_ns)
+            session.receive(autopilot.heartbeat(**flying), now_ns)
+        if shown is not None and now_ns == round(shown_at * SECOND):
+            session.receive(autopilot.say(shown), now_ns)
         session.tick(now_ns)
+        if is_known:
+            session.publish(OURS, now_ns)
+        session.publish(ODOMETRY, now_ns)
         for message in sent(session):
             name = type(message).__name__
             if name == "SET_GPS_GLOBAL_ORIGIN":
                 origins.append((now_ns / SECOND, message))
+            if name == "ODOMETRY":
+                odometry.append(now_ns / SECOND)
             if name == "PARAM_REQUEST_READ":
                 asked = message.param_id.decode()
-                value = parameters.get(asked, 0)
+                value = values.get(asked, 0)
                 said = autopilot.say(
                     "PARAM_VALUE", param_id=asked.encode(), param_value=value * 1.0, param_type=9
                 )
                 session.receive(said, now_ns)
-    return origins
+    return [t for t, _ in origins], [m for _, m in origins], odometry
 
 
-def test_a_px4_on_our_estimate_that_has_no_origin_is_given_ours_every_five_seconds():
-    origins = given(ON_OURS)
-    assert [t for t, _ in origins] == pytest.approx([5.0, 10.0, 15.0], abs=0.2)
-    m = origins[0][1]
+def silences(times):
+    """Return the pauses between messages that are longer than the usual interval, s."""
+    return [(a, b) for a, b in itertools.pairwise(times) if b - a > 0.11]
+
+
+def test_a_px4_on_our_estimate_that_has_no_origin_is_given_ours_before_any_odometry():
+    """PX4 1.18 that got it while it fused was 5300 km off."""
+    times, origins, odometry = flown(ON_OURS, seconds=4)
+    assert times == pytest.approx([2.0], abs=0.1)
+    assert odometry[0] == pytest.approx(2.5, abs=0.1)
+    assert silences(odometry) == []
+    m = origins[0]
     assert m.target_system == 1
     assert m.latitude == pytest.approx(458_366_236, abs=2)
 
 
+def test_an_origin_that_it_does_not_show_is_given_three_times_each_when_nothing_is_fused():
+    times, _, odometry = flown(ON_OURS, seconds=40)
+    assert times == pytest.approx([2.0, 8.0, 14.0], abs=0.2)
+    for given, (last, after) in zip(times[1:], silences(odometry), strict=True):
+        assert last < given - 0.9
+        assert given + 0.4 < after < given + 0.7
+
+
+def test_one_that_begins_to_fuse_ours_later_gets_it_after_a_second_of_silence():
+    def parameters(t):
+        return ON_OURS if t > 8.0 else {"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 0}
+
+    times, _, odometry = flown(parameters, seconds=14)
+    ((last, after),) = silences(odometry)
+    assert 8.0 < last < 10.0
+    assert last + 0.9 < times[0] < after - 0.4
+
+
 def test_the_origin_has_no_altitude_for_px4_would_take_it_off_its_height_at_a_moved_counter():
-    assert given(ON_OURS)[0][1].altitude == 0
+    assert flown(ON_OURS)[1][0].altitude == 0
 
 
 @pytest.mark.parametrize("shown", ["GPS_GLOBAL_ORIGIN", "GLOBAL_POSITION_INT"])
 def test_one_that_has_shown_an_origin_once_is_given_none_again_for_each_is_a_reset(shown):
-    assert given(ON_OURS, shown=shown) == []
-    assert [t for t, _ in given(ON_OURS, shown=shown, shown_at=6)] == pytest.approx([5.0], abs=0.2)
+    times, _, odometry = flown(ON_OURS, shown=shown)
+    assert times == []
+    assert odometry[0] < 0.3
+    times, _, odometry = flown(ON_OURS, shown=shown, shown_at=2.1)
+    assert len(times) == 1
+    assert odometry[0] == pytest.approx(2.1, abs=0.11)
+
+
+def test_in_flight_none_is_given_and_nothing_waits():
+    times, _, odometry = flown(ON_OURS, base_mode=128)
+    assert times == []
+    assert odometry[0] < 0.3
+    assert silences(odometry) == []
 
 
 @pytest.mark.parametrize(
@@ -68,4 +116,6 @@ def test_one_that_has_shown_an_origin_once_is_given_none_again_for_each_is_a_res
     ],
 )
 def test_no_other_is_given_one(parameters, family, is_known):
-    assert given(parameters, family, is_known=is_known) == []
+    times, _, odometry = flown(parameters, family, is_known=is_known)
+    assert times == []
+    assert silences(odometry) == []
