@@ -114,12 +114,18 @@ class _Command(TyperCommand):
             if option in own and not ctx.resilient_parsing and (wrong := given & {*others}):
                 ctx.fail(f"No such option: {sorted(wrong)[0]}; did you mean {option}? {advice}")
         try:
-            return super().parse_args(ctx, args)
+            left = super().parse_args(ctx, args)
+            for name, value in ctx.params.items():
+                # which no range refuses
+                if isinstance(value, float) and value != value:
+                    ctx.fail(f"Invalid value for '--{name.replace('_', '-')}': nan is no number")
+            return left
         except typer.BadParameter as error:
             # Of a parameter that is missing; its help says what to give
-            if not error.message:
-                error.message = getattr(error.param, "help", None) or ""
-            raise
+            if error.message:
+                raise
+            advice = getattr(error.param, "help", None) or ""
+            raise type(error)(advice, ctx=error.ctx, param=error.param) from None
         except _USAGE_ERROR as error:
             message = getattr(error, "message", "")
             if ctx.info_name in _OF_ONE_LOG and message.startswith("Got unexpected extra argument"):

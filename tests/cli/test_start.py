@@ -28,7 +28,7 @@ def imported(*arguments):
 
 def test_the_help_needs_none_of_the_commands():
     found = imported("--help")
-    assert not {"numpy", "yaml", "rich", "pymavlink", "ekf_companion.config"} & found
+    assert not {"numpy", "yaml", "rich", "pydantic", "pymavlink", "ekf_companion.config"} & found
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -48,7 +48,9 @@ def test_a_log_of_columns_is_converted_without_mavlink_and_without_scipy(tmp_pat
     log.write_text(CSV + "".join(rows))
     found = imported("convert", str(log), "-o", str(tmp_path / "out.csv"))
     assert "numpy" in found
-    assert not {"pymavlink", "scipy", "rich", "pyarrow", "ekf_companion.mavlink"} & found
+    assert (
+        not {"pymavlink", "scipy", "rich", "pyarrow", "pydantic", "ekf_companion.mavlink"} & found
+    )
 
 
 def test_the_daemon_needs_none_of_the_large_packages():
