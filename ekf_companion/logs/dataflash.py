@@ -104,9 +104,9 @@ def _began_s(tables: Columns) -> float | None:
     """Return when the log began, s since 1970, UTC."""
     if (zero_ns := _utc_zero_ns(tables)) is None:
         return None
-    stamped = [one for one in tables.values() if "TimeUS" in (one.dtype.names or ())]
-    begin_us = min(int(one["TimeUS"][0]) for one in stamped if len(one))
-    return zero_ns * 1e-9 + begin_us * 1e-6
+    stamped = [one[:1] for one in tables.values() if {"TimeUS", "TimeNS"} & {*names_of(one)}]
+    firsts = [int(t_ns[0]) for one in stamped if (t_ns := boot_ns(one)) is not None and len(t_ns)]
+    return zero_ns * 1e-9 + min(firsts) // 1000 * 1e-6
 
 
 def _utc_zero_ns(tables: Columns) -> int | None:

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from ekf_companion.errors import LogError
 from ekf_companion.logs import dataflash_search
 from ekf_companion.logs.recording import CUT, Damage, cut_off, damaged_places
-from ekf_companion.logs.source import MappedFile
+from ekf_companion.logs.source import MappedFile, parts
 from ekf_companion.nav.arrays import Stamps
 
 Column = npt.NDArray[np.void]
@@ -167,8 +167,7 @@ def _gather(
     kept = layout.names if kept is None else kept
     table = np.zeros(len(places), dtype=layout.table(kept))
     table[OFFSET] = places
-    for first in range(0, len(places), AT_ONCE):
-        rows = slice(first, first + AT_ONCE)
+    for rows in parts(places):
         wire = windows[places[rows]].view(layout.wire)[:, 0]
         for name, character in zip(layout.names, layout.characters, strict=True):
             if name not in kept:

@@ -56,6 +56,8 @@ def choose(tables: Columns, others: Collection[str], notes: list[str]) -> Column
         for name, table in tables.items()
         if name in NEEDED and _is_usable(table, NEEDED[name])
     }
+    if "IMU" in tables:
+        tables["IMU"] = _in_nanoseconds(tables["IMU"])
     # Rows whose stamps are damaged, or of another boot, are dropped; tables without stamps kept
     stamps = {name: t_ns for name, one in tables.items() if (t_ns := boot_ns(one)) is not None}
     masks = series.common_run(stamps, "IMU", apart=("PARM", "ORGN", "MSG"))
@@ -79,6 +81,8 @@ def names_of(table: Column) -> tuple[str, ...]:
 def boot_ns(table: Column) -> Stamps | None:
     """Return the boot time of each row, ns, or None if the rows carry none."""
     names = names_of(table)
+    if "TimeNS" in names:
+        return np.asarray(table["TimeNS"])
     if "TimeUS" in names:
         return np.asarray(np.minimum(table["TimeUS"], 2**62 // 1000), dtype=np.int64) * 1000
     for column in ("T", "TimeMS"):
@@ -86,6 +90,20 @@ def boot_ns(table: Column) -> Stamps | None:
         if column in names and table[column].dtype.kind in "iu":
             return np.asarray(table[column], dtype=np.int64) * 1_000_000
     return None
+
+
+def _in_nanoseconds(table: Column) -> Column:
+    """Return a table with ``TimeNS`` where ``TimeUS`` was: of hours another column is 20 MB."""
+    if "TimeUS" not in names_of(table) or table.dtype["TimeUS"].itemsize != 8:
+        return table
+    stamps = table["TimeUS"]
+    np.minimum(stamps, 2**62 // 1000, out=stamps)
+    np.multiply(stamps, 1000, out=stamps)
+    fields = [
+        ("TimeNS", "<i8") if name == "TimeUS" else (name, table.dtype[name])
+        for name in names_of(table)
+    ]
+    return table.view(np.dtype(fields))
 
 
 def rows_of(tables: Columns, name: str) -> tuple[Column, Stamps] | None:

@@ -22,7 +22,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import ulog_search
-from ekf_companion.logs.source import MappedFile
+from ekf_companion.logs.source import MappedFile, parts
 
 Column = npt.NDArray[np.void]
 Fields = list[tuple[str, str]]
@@ -126,8 +126,7 @@ class _Reader:
         self._subscriptions: list[_Subscription] = []
         self._sizes = np.zeros((1 << 16, 2), dtype=np.int32)
         self._owner = np.zeros(1 << 16, dtype=np.int64)  # subscription by message id
-        self._places: list[npt.NDArray[np.int64]] = []  # of rows
-        self._owners: list[npt.NDArray[np.int32]] = []  # their subscriptions
+        self._places: list[list[npt.NDArray[np.int64]]] = []  # of rows, by subscription
         self._dropouts: list[int] = []  # ms
 
     def read(self) -> Messages:
@@ -144,18 +143,15 @@ class _Reader:
     def _tables(self) -> Iterator[Table]:
         """Yield the rows of each subscription that has any."""
         raw = np.frombuffer(self._data, dtype=np.uint8)
-        owner = np.concatenate([np.zeros(0, dtype=np.int32), *self._owners])
-        place = np.concatenate([np.zeros(0, dtype=np.int64), *self._places])
-        self._owners, self._places = [], []
-        for number, one in enumerate(self._subscriptions):
-            chosen = place[owner == number]
-            if not len(chosen):
+        for one, found_places in zip(self._subscriptions, self._places, strict=True):
+            if not found_places:
                 continue
+            places = np.concatenate(found_places)
+            found_places.clear()
             windows = sliding_window_view(raw, one.layout.dtype.itemsize)
-            rows = np.empty(len(chosen), dtype=one.layout.kept)
-            for first in range(0, len(chosen), AT_ONCE):
-                part = slice(first, first + AT_ONCE)
-                found = windows[chosen[part]].view(one.layout.dtype)[:, 0]
+            rows = np.empty(len(places), dtype=one.layout.kept)
+            for part in parts(places):
+                found = windows[places[part]].view(one.layout.dtype)[:, 0]
                 for name in one.layout.kept.names or ():
                     rows[name][part] = found[name]
                 self._file.release()
@@ -254,9 +250,9 @@ class _Reader:
     def _take_rows(self, found: npt.NDArray[np.int64]) -> None:
         """Keep the places of rows by what they are subscribed to, and the dropouts' lengths."""
         is_row = found[:, 1] >= 0
-        rows = found[is_row]
-        self._owners.append(self._owner[rows[:, 1]].astype(np.int32))
-        self._places.append(rows[:, 0].copy())
+        places, owner = found[is_row, 0], self._owner[found[is_row, 1]]
+        for number in np.unique(owner).tolist():
+            self._places[number].append(places[owner == number])
         for place in found[~is_row, 0].tolist():
             self._dropouts.append(int.from_bytes(self._data[place : place + 2], "little"))
 
@@ -278,6 +274,7 @@ class _Reader:
         self._sizes[number] = layout.dtype.itemsize, layout.most
         self._owner[number] = len(self._subscriptions)
         self._subscriptions.append(_Subscription(topic, instance, layout))
+        self._places.append([])
 
 
 def _layout(formats: Formats, topic: str, unused: Collection[str]) -> _Layout | None:
