@@ -58,6 +58,8 @@ ARMED = 2
 """vehicle_status.arming_state: 1 disarmed (standby), 2 armed."""
 NO_SAMPLE = 2**31 - 1
 """sensor_combined.*_timestamp_relative: RELATIVE_TIMESTAMP_INVALID."""
+SAME_TIME = 0.005
+"""Between two stamps that mean the same time, s: PX4's driver and the topic made of it."""
 EARTH_RADIUS = 6371000.0
 """m; of the sphere that PX4 projects on (CONSTANTS_RADIUS_OF_EARTH)."""
 
@@ -80,6 +82,9 @@ def read(path: Path) -> Recording:
         dropouts = counted(count, "dropout")
         notes.append(f"{dropouts}, {lost:.1f} s in all, while the log was written")
     topics = choose(log, notes)
+    gnss_delay, is_taken_off = _gnss_delay(log, _receiver(topics))
+    if is_taken_off:
+        _receiver(topics).pop("timestamp_sample")
     arrivals: Arrivals = []
     for take in (_imu, _gnss_heading, _attitude_heading, _magnetometer, _barometer, _vehicle):
         arrivals += take(topics)
@@ -91,19 +96,36 @@ def read(path: Path) -> Recording:
             f"{path}: a ULog without sensor_combined, GPS, magnetometer, barometer and attitude "
             "topics; log with the default or estimator replay profile (SDLOG_PROFILE)"
         )
-    # its name since 1.18, and before
-    delay = log.parameters.get("SENS_GPS0_DELAY", log.parameters.get("EKF2_GPS_DELAY", -1.0))
     return Recording(
         family="px4",
         events=MergedEvents(*zip(*arrivals, strict=True)),
         reference=_trajectory(topics, "", "EKF2"),
         truth=_trajectory(topics, "_groundtruth", "simulator"),
-        gnss_delay=float(delay) * 1e-3 if 0.0 <= delay <= 1000.0 else None,
+        gnss_delay=gnss_delay,
         notes=tuple(notes),
         damage=_damage(log, topics),
         began_s=_began_s(topics),
         utc_zero_ns=_utc_zero_ns(topics),
     )
+
+
+def _gnss_delay(log: Messages, topic: Topic) -> tuple[float | None, bool]:
+    """Return the receiver's delay, s, and whether ``timestamp_sample`` has it taken off.
+
+    PX4 1.18 takes what SENS_GPS0_DELAY says (before: EKF2_GPS_DELAY, by its filter alone) off the
+    time of publication, unless the receiver itself says when a fix was true: then there is none.
+
+    Source: PX4 1.18, ``VehicleGPSPosition.cpp``.
+    """
+    said = log.parameters.get("SENS_GPS0_DELAY", log.parameters.get("EKF2_GPS_DELAY", -1.0))
+    delay = float(said) * 1e-3 if 0.0 <= said <= 1000.0 else None
+    if not len(topic.get("timestamp_sample", ())):
+        return delay, False
+    earlier = float(np.median(topic["t_ns"] - sample_ns(topic))) * 1e-9
+    if earlier < SAME_TIME:
+        return delay, False
+    is_taken_off = delay is not None and abs(earlier - delay) < SAME_TIME
+    return (delay, True) if is_taken_off else (0.0, False)
 
 
 def _damage(log: Messages, topics: Topics) -> Damage:

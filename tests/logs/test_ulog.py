@@ -80,8 +80,8 @@ STATUS = ("vehicle_status", [("uint64_t", "timestamp"), ("uint8_t", "arming_stat
 LANDED = ("vehicle_land_detected", [("uint64_t", "timestamp"), ("bool", "landed")])
 
 
-def small_log(gps=OLD_GPS, n=40):
-    log = Writer([COMBINED, gps, STATUS, LANDED], [("EKF2_GPS_DELAY", 110.0)])
+def small_log(gps=OLD_GPS, n=40, early_us=1000, parameters=(("EKF2_GPS_DELAY", 110.0),)):
+    log = Writer([COMBINED, gps, STATUS, LANDED], parameters)
     for index in range(n):
         us = 1_000_000 + 5000 * index
         log.row(0, us, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8)
@@ -91,7 +91,7 @@ def small_log(gps=OLD_GPS, n=40):
                 position = (473977000, 85455000, 489000)
                 log.row(1, us, *position, *velocity, 0.5, 0.75, 0.25, float("nan"), 3)
             else:
-                log.row(1, us, us - 1000, 47.3977, 8.5455, 489.0, *velocity, 3, 3, 1)
+                log.row(1, us, us - early_us, 47.3977, 8.5455, 489.0, *velocity, 3, 3, 1)
         if index == 10:
             log.row(2, us, 2)
         if index == 20:
@@ -124,6 +124,24 @@ def test_both_ways_to_name_a_position_are_read(read, gps):
 def test_a_fix_counts_when_the_receiver_sampled_it_where_that_is_said(read):
     assert of_kind(read(small_log(NEW_GPS)), Kind.GNSS).t_ns[0] == 1_024_000_000
     assert of_kind(read(small_log(OLD_GPS)), Kind.GNSS).t_ns[0] == 1_025_000_000
+
+
+@pytest.mark.parametrize(
+    ("parameters", "early_us", "stamp_ns", "delay"),
+    [
+        ((("EKF2_GPS_DELAY", 110.0),), 0, 1_025_000_000, 0.11),
+        ((("SENS_GPS0_DELAY", 80.0), ("EKF2_GPS_DELAY", 110.0)), 0, 1_025_000_000, 0.08),
+        ((("SENS_GPS0_DELAY", 110.0),), 110_000, 1_025_000_000, 0.11),  # PX4 1.18
+        ((("SENS_GPS0_DELAY", 110.0),), 65_000, 960_000_000, 0.0),  # the receiver knows better
+        ((("EKF2_GPS_DELAY", 110.0),), 65_000, 960_000_000, 0.0),
+        ((), 65_000, 960_000_000, 0.0),
+        ((), 0, 1_025_000_000, None),
+    ],
+)
+def test_no_delay_is_taken_off_twice(read, parameters, early_us, stamp_ns, delay):
+    recording = read(small_log(NEW_GPS, early_us=early_us, parameters=parameters))
+    assert of_kind(recording, Kind.GNSS).t_ns[0] == stamp_ns
+    assert recording.gnss_delay == (delay if delay is None else pytest.approx(delay))
 
 
 def test_accuracies_are_the_receivers_or_on_the_safe_side(read):
