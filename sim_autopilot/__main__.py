@@ -17,6 +17,7 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
+from ekf_companion.cli.command import Command
 from ekf_companion.errors import CompanionError
 from sim_autopilot import demo as demonstration
 from sim_autopilot import replay as replaying
@@ -74,7 +75,7 @@ FAULT = typer.Option(
 )
 
 
-@app.command()
+@app.command(cls=Command)
 def fly(
     scenario: str = SCENARIO,
     link: str = LINK,
@@ -118,7 +119,7 @@ def fly(
     _report(result, {})
 
 
-@app.command()
+@app.command(cls=Command)
 def generate(
     scenario: str = SCENARIO,
     output: Path = typer.Option(..., "--output", "-o", help="The .tlog to write."),
@@ -154,7 +155,7 @@ def generate(
     _console.print(f"{output}: {count} messages, {flight.duration:.1f} s of {scenario}")
 
 
-@app.command()
+@app.command(cls=Command)
 def replay(
     log: Path = typer.Argument(..., help="A .tlog, .bin, .ulg or .csv."),
     link: str = LINK,
@@ -166,7 +167,7 @@ def replay(
     _console.print(f"{log}: {count} messages sent")
 
 
-@app.command()
+@app.command(cls=Command)
 def scenarios() -> None:
     """List the motions that can be flown."""
     listing = Table(
@@ -177,7 +178,7 @@ def scenarios() -> None:
     _console.print(listing)
 
 
-@app.command()
+@app.command(cls=Command)
 def personalities() -> None:
     """List the autopilots that can be imitated."""
     listing = Table("personality", "what", box=None, pad_edge=False)
@@ -191,7 +192,7 @@ def personalities() -> None:
     )
 
 
-@app.command()
+@app.command(cls=Command)
 def faults() -> None:
     """List the faults, and the values of each."""
     listing = Table(
@@ -207,7 +208,7 @@ def faults() -> None:
     _console.print("\nEvery fault takes start=0 and duration=seconds too.", highlight=False)
 
 
-@app.command()
+@app.command(cls=Command)
 def demo(
     out: Path = typer.Option(Path("demo"), help="Folder for demo.png, score.json and truth.csv."),
     duration: float = typer.Option(60.0, help="Seconds.", min=12.0, max=1e5),

@@ -21,7 +21,6 @@ _PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
 _SOURCES = ((3, 3, 1, 3, 1), (0, 0, 1, 0, 0), (0, 0, 1, 0, 0))
 """Of each of ArduPilot's three sets: 3 GNSS, 1 barometer or compass, 0 none."""
 _REASONS = 32
-_FUSED_US = 400_000
 """Most reasons that are counted separately."""
 DEFAULTS: Mapping[Stack, Mapping[str, float]] = {
     Stack.PX4: {"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7, "EKF2_EV_QMIN": 0, "EKF2_HGT_REF": 1},
@@ -108,8 +107,6 @@ class Reception:
         self._stack = Stack(rules) if rules else None
         self._parameters = parameters
         self._history = History()
-        self._placed_us: int | None = None
-        """Stamp of the last message of which the position was fused."""
 
     def take_origin(self, now_us: int) -> None:
         """Take an origin of the local frame; PX4 ends the fusion 0.4 s after the last message.
@@ -117,8 +114,9 @@ class Reception:
         Source: PX4 1.18, ``Ekf::setLatLonOrigin``, and the offset that
         ``resetHorizontalPositionTo`` then gives to positions of external vision.
         """
-        if self._placed_us is not None and now_us - self._placed_us < _FUSED_US:
-            self.misplaced += 1
+        last = self._history
+        if Quantity.POSITION in last.fused and last.time_us is not None:
+            self.misplaced += now_us - last.time_us <= px4_receiver.ENDS_US
 
     def take(self, odometry: Any) -> str:
         """Judge a message; return the critical text that the pilot sees, empty: none."""
@@ -132,8 +130,6 @@ class Reception:
             return judgement.text
         self.accepted += 1
         self.fused += bool(judgement.fused)
-        if Quantity.POSITION in judgement.fused:
-            self._placed_us = odometry.time_usec
         if judgement.reason:
             _count(self.unfused, judgement.reason)
         return judgement.text

@@ -22,7 +22,9 @@ _BODY_FRD = 12
 _UNIT = 1e-5
 """How far from one the quaternion's norm may be."""
 _EV_INTERVAL_US = 200_000
-"""Largest interval of two samples for fusion to begin; it ends after twice that."""
+"""Largest interval of two samples for fusion to begin."""
+ENDS_US = 2 * _EV_INTERVAL_US
+"""It ends so long after the last."""
 _EV_BITS = {
     1: {Quantity.POSITION},
     2: {Quantity.HEIGHT},
@@ -67,7 +69,7 @@ def _in_time(
     if gap <= 0:
         reasons.append("its stamp is not later than the one before")
         return judged(reasons, NOTHING, before)
-    running = before.fused if gap <= 2 * _EV_INTERVAL_US else NOTHING
+    running = before.fused if gap <= ENDS_US else NOTHING
     may_begin = gap < _EV_INTERVAL_US and (least <= 0 or before.quality >= least)
     if not may_begin and not running:
         reasons.append(f"{gap / 1000:.0f} ms after the one before: fusion begins below 200 ms")

@@ -13,8 +13,9 @@ from importlib import import_module
 from typing import Annotated, Any, NamedTuple, cast
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperGroup
 
+from ekf_companion.cli.command import Command
 from ekf_companion.errors import MissingPackageError
 from ekf_companion.version import __version__
 
@@ -99,7 +100,7 @@ _USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__bases__[0])
 """Of any wrong command line: typer does not name it."""
 
 
-class _Command(TyperCommand):
+class _Command(Command):
     """A command that says what to give in place of an option that it lacks, or that is missing."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -114,12 +115,7 @@ class _Command(TyperCommand):
             if option in own and not ctx.resilient_parsing and (wrong := given & {*others}):
                 ctx.fail(f"No such option: {sorted(wrong)[0]}; did you mean {option}? {advice}")
         try:
-            left = super().parse_args(ctx, args)
-            for name, value in ctx.params.items():
-                # which no range refuses
-                if isinstance(value, float) and value != value:
-                    ctx.fail(f"Invalid value for '--{name.replace('_', '-')}': nan is no number")
-            return left
+            return super().parse_args(ctx, args)
         except typer.BadParameter as error:
             # Of a parameter that is missing; its help says what to give
             if error.message:

@@ -84,7 +84,7 @@ def boot_ns(table: Column) -> Stamps | None:
     if "TimeNS" in names:
         return np.asarray(table["TimeNS"])
     if "TimeUS" in names:
-        return np.asarray(np.minimum(table["TimeUS"], 2**62 // 1000), dtype=np.int64) * 1000
+        return series.nanoseconds(table["TimeUS"])
     for column in ("T", "TimeMS"):
         # GPS rows of the old layout: TimeMS is the GPS time of week, T the boot time.
         if column in names and table[column].dtype.kind in "iu":
@@ -93,12 +93,10 @@ def boot_ns(table: Column) -> Stamps | None:
 
 
 def _in_nanoseconds(table: Column) -> Column:
-    """Return a table with ``TimeNS`` where ``TimeUS`` was: of hours another column is 20 MB."""
+    """Return a table with ``TimeNS`` where ``TimeUS`` was, in the same memory."""
     if "TimeUS" not in names_of(table) or table.dtype["TimeUS"].itemsize != 8:
         return table
-    stamps = table["TimeUS"]
-    np.minimum(stamps, 2**62 // 1000, out=stamps)
-    np.multiply(stamps, 1000, out=stamps)
+    series.nanoseconds_in_place(table["TimeUS"])
     fields = [
         ("TimeNS", "<i8") if name == "TimeUS" else (name, table.dtype[name])
         for name in names_of(table)

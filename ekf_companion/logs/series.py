@@ -23,6 +23,8 @@ FEW = 0.01
 """Share of all rows below which a stretch between two jumps counts as damage."""
 MARGIN_NS = 2_000_000_000
 """How far outside the inertial samples' time other rows still belong to the same clock run."""
+LATEST_US = 2**62 // 1000
+"""us; a later stamp is damaged."""
 FIX_3D = 3
 """GNSS fix type from which on there is a position, in all formats."""
 GNSS_HEADING_STD = float(np.deg2rad(5.0))
@@ -31,6 +33,18 @@ HEADING_STD = float(np.deg2rad(5.0))
 """rad, of the autopilot's own heading: what a calibrated compass gives in flight."""
 HEADING_RATE = 10.0
 """Hz at most, of the autopilot's own heading: its errors last, so more rows add nothing."""
+
+
+def nanoseconds(stamps_us: npt.NDArray[Any]) -> Stamps:
+    """Convert unsigned microseconds to ns; what would overflow is damage, and stays huge."""
+    return np.asarray(np.minimum(stamps_us, LATEST_US), dtype=np.int64) * 1000
+
+
+def nanoseconds_in_place(stamps_us: npt.NDArray[np.uint64]) -> Stamps:
+    """Do the same where the microseconds are: of hours another column is 20 MB."""
+    np.minimum(stamps_us, LATEST_US, out=stamps_us)
+    np.multiply(stamps_us, 1000, out=stamps_us)
+    return stamps_us.view(np.int64)
 
 
 def clock_run(t_ns: Stamps) -> tuple[Mask, Spans]:

@@ -31,7 +31,7 @@ is of use here."""
 def _boot_ns(table: Column) -> Stamps:
     """Return the boot time of a table's rows, ns, the 32-bit millisecond clock unwrapped."""
     if "time_usec" in (table.dtype.names or ()):
-        return np.asarray(np.minimum(table["time_usec"], 2**62 // 1000), dtype=np.int64) * 1000
+        return series.nanoseconds(table["time_usec"])
     milliseconds = table["time_boot_ms"].astype(np.int64)
     wraps = np.cumsum(np.diff(milliseconds, prepend=milliseconds[:1]) < -(2**31))
     return (milliseconds + (wraps << 32)) * 1_000_000

@@ -53,18 +53,6 @@ UNUSED = (
 """Fields that are not kept: of the inertial samples of hours they would be tens of MB."""
 
 
-def nanoseconds(stamps_us: npt.NDArray[Any]) -> Stamps:
-    """Convert unsigned microseconds to ns; what would overflow is damage, and stays huge."""
-    return np.asarray(np.minimum(stamps_us, 2**62 // 1000), dtype=np.int64) * 1000
-
-
-def _in_place(stamps_us: npt.NDArray[np.uint64]) -> Stamps:
-    """Do the same where the microseconds are: of hours they are tens of MB."""
-    np.minimum(stamps_us, 2**62 // 1000, out=stamps_us)
-    np.multiply(stamps_us, 1000, out=stamps_us)
-    return stamps_us.view(np.int64)
-
-
 def load(path: Path) -> Messages:
     """Read the topics that are used.
 
@@ -84,7 +72,10 @@ def choose(log: Messages, notes: list[str]) -> Topics:
         names = table.rows.dtype.names or ()
         if {"timestamp", *_TOPICS[table.topic]} <= {*names} and table.topic not in topics:
             columns = {name: table.rows[name] for name in names if name != "timestamp"}
-            topics[table.topic] = {**columns, "t_ns": _in_place(table.rows["timestamp"])}
+            topics[table.topic] = {
+                **columns,
+                "t_ns": series.nanoseconds_in_place(table.rows["timestamp"]),
+            }
     stamps = {name: topic["t_ns"] for name, topic in topics.items()}
     masks = series.common_run(stamps, "sensor_combined")
     if wild := sum(int((~mask).sum()) for mask in masks.values()):
@@ -108,7 +99,7 @@ def sample_ns(topic: Topic) -> Stamps:
     """Return the times of the samples, or where those are absent, of the publication, ns."""
     if "timestamp_sample" not in topic:
         return topic["t_ns"]
-    sample_ns = nanoseconds(topic["timestamp_sample"])
+    sample_ns = series.nanoseconds(topic["timestamp_sample"])
     # A sample is older than its message, by less than a second, or its stamp is damaged.
     said = (sample_ns > 0) & (np.abs(sample_ns - topic["t_ns"]) < 1_000_000_000)
     return np.where(said, sample_ns, topic["t_ns"])

@@ -8,7 +8,7 @@ from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.codec import Sender, pack, unpack
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.frame import Splitter
-from sim_autopilot.acceptance import judge, would_accept
+from sim_autopilot.acceptance import DEFAULTS, Reception, judge, would_accept
 from sim_autopilot.judgement import Quantity, Stack
 
 ALL = frozenset(Quantity)
@@ -209,3 +209,14 @@ def test_bytes_without_odometry_are_said_to_be_so():
     other = Sender(1, 194).frame("HEARTBEAT", pack("HEARTBEAT", type=18))
     with pytest.raises(ValueError, match="no ODOMETRY"):
         would_accept(other, "px4")
+
+
+@pytest.mark.parametrize(("later_us", "misplaced"), [(0, 1), (400_000, 1), (400_001, 0)])
+def test_an_origin_that_comes_while_a_position_is_fused_is_counted(later_us, misplaced):
+    """PX4 1.18 is 5300 km off after it."""
+    reception = Reception("px4", {**DEFAULTS[Stack.PX4], **FUSING[Stack.PX4]})
+    reception.take_origin(10**6)
+    for one in Splitter().feed(stream({}, {})):
+        reception.take(unpack(one))
+    reception.take_origin(10**6 + PERIOD_US + later_us)
+    assert reception.summary()["misplaced"] == misplaced

@@ -238,3 +238,10 @@ def test_personalities_and_faults_are_listed():
     listed = command("faults").output
     assert "gnss-drag" in listed
     assert "speed=1" in listed
+
+
+@pytest.mark.parametrize("option", ["--duration", "--imu-rate"])
+def test_a_number_that_is_none_is_refused(tmp_path, option):
+    result = command("generate", "-o", tmp_path / "flight.tlog", option, "nan")
+    assert result.exit_code == 2
+    assert "nan is no number" in result.stderr

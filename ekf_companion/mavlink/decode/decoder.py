@@ -77,8 +77,7 @@ class Decoder:
     @property
     def missing(self) -> tuple[str, ...]:
         """Parameters of the autopilot that the decoder wants to know and has not been told."""
-        of_board = self.trim.missing if self.family is Family.ARDUPILOT else ()
-        return (*of_board, *self._receiver.missing)
+        return (*self.trim.missing, *self._receiver.missing)
 
     def _param_value(self, frame: Frame) -> Measurements:
         return [*self.trim.param_value(frame), *self._receiver.param_value(frame)]

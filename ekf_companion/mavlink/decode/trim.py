@@ -35,7 +35,9 @@ class Trim:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """The parameters that have not been said yet."""
+        """The parameters that an ArduPilot has not said yet."""
+        if self._context.family is not Family.ARDUPILOT:
+            return ()
         return tuple(name for name in NAMES if name not in self._values)
 
     def param_value(self, frame: Frame) -> Measurements:
