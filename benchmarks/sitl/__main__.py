@@ -10,6 +10,7 @@ import argparse
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ import numpy as np
 from benchmarks.document import table
 from benchmarks.sitl import flights
 from benchmarks.sitl.flights import Log
-from benchmarks.sitl.score import Score, right_after
+from benchmarks.sitl.score import Score, pooled, right_after
 from benchmarks.sitl.simulator import ArduCopter, Px4, Simulator
 from ekf_companion.errors import CompanionError
 
@@ -35,11 +36,16 @@ class Line(NamedTuple):
     limit: float
     """The largest that is good."""
     unit: str = ""
+    each: tuple[float, ...] = ()
+    """The same of each flight, where several were flown."""
 
     def row(self, simulator: str) -> str:
         """Return its cells."""
         verdict = "good" if self.found <= self.limit else "**bad**"
-        cells = (f"{self.found:.3g}{self.unit}", f"{self.limit:g}{self.unit}", verdict)
+        found = f"{self.found:.3g}{self.unit}"
+        if len(self.each) > 1:
+            found += f" ({', '.join(f'{one:.3g}' for one in self.each)})"
+        cells = (found, f"{self.limit:g}{self.unit}", verdict)
         return " | ".join((simulator, self.flight, self.quantity, *cells))
 
 
@@ -49,35 +55,46 @@ def _pace(flight: str, *logs: Log) -> Line:
     return Line(flight, "simulator slower than time", 100.0 * (1.0 - slowest), 5.0, " %")
 
 
-def compared(simulator: Simulator, folder: Path) -> Iterator[Line]:
+def compared(simulator: Simulator, folder: Path, pairs: int = 1) -> Iterator[Line]:
     """Fly the same paths on the receiver and on ODOMETRY; compare the autopilot's errors."""
-    own = flights.paths(simulator, folder / "own", is_flown_on=False)
-    yield from _passive(own)
-    ours = flights.paths(simulator, folder / "flown-on", is_flown_on=True)
-    a, b = own.score("autopilot"), ours.score("autopilot")
+    own, ours = [], []
+    for number in range(1, pairs + 1):
+        own.append(flights.paths(simulator, folder / f"own-{number}", is_flown_on=False))
+        ours.append(flights.paths(simulator, folder / f"flown-on-{number}", is_flown_on=True))
+    name = "passive"
+    yield from _ratios(name, own, "ours", own, {"horizontal": 1, "velocity": 1, "vertical": 1})
+    yield from _lead(name, "our lead or lag", own, "ours")
     name = "flown on ODOMETRY"
-    for quantity, limit in (("horizontal", 0.8), ("velocity", 0.8), ("vertical", 1.0)):
-        yield Line(name, f"{quantity} error, over own GNSS", _ratio(b, a, quantity), limit)
-    for quantity in ("roll", "pitch", "yaw"):
-        yield Line(name, f"{quantity} error, over own GNSS", _ratio(b, a, quantity), 1.0)
-    if b.lead is not None:
-        yield Line(name, "lead or lag", 1e3 * abs(b.lead), 10.0, " ms")
-    if ours.flown is not None and len(ours.flown.accel_bias) and own.flown is not None:
-        biases = [float(abs(one.flown.accel_bias).max()) for one in (ours, own) if one.flown]
-        yield Line(name, "largest accelerometer bias, over own GNSS", biases[0] / biases[1], 1.0)
-    yield _pace(name, own, ours)
-    yield Line(name, "failsafes", len(ours.failsafes), 0)
-    yield Line(name, "without a global position", 0 if ours.has_global else 1, 0)
+    limits = {"horizontal": 0.8, "velocity": 0.8, "vertical": 1, "roll": 1, "pitch": 1, "yaw": 1}
+    yield from _ratios(name, ours, "autopilot", own, limits)
+    yield from _lead(name, "lead or lag", ours, "autopilot")
+    if (usual := max(log.largest_bias for log in own)) > 0.0:
+        found = max(log.largest_bias for log in ours) / usual
+        yield Line(name, "largest accelerometer bias, over own GNSS", found, 1.0)
+    yield _pace(name, *own, *ours)
+    yield Line(name, "failsafes", sum(len(log.failsafes) for log in ours), 0)
+    yield Line(name, "without a global position", sum(not log.has_global for log in ours), 0)
 
 
-def _passive(own: Log) -> Iterator[Line]:
-    theirs, ours = own.score("autopilot"), own.score("ours")
-    for quantity in ("horizontal", "velocity", "vertical"):
-        yield Line(
-            "passive", f"our {quantity} error, over its own", _ratio(ours, theirs, quantity), 1
-        )
-    if ours.lead is not None:
-        yield Line("passive", "our lead or lag", 1e3 * abs(ours.lead), 10.0, " ms")
+def _ratios(
+    flight: str, logs: list[Log], which: str, own: list[Log], limits: dict[str, float]
+) -> Iterator[Line]:
+    """Compare the errors of all flights with the autopilot's own, and name those of each pair."""
+    found = [log.score(which) for log in logs]
+    others = [log.score("autopilot") for log in own]
+    whose = "our {} error, over its own" if which == "ours" else "{} error, over own GNSS"
+    for quantity, limit in limits.items():
+        each = tuple(_ratio(a, b, quantity) for a, b in zip(found, others, strict=True))
+        over_all = _ratio(pooled(found), pooled(others), quantity)
+        yield Line(flight, whose.format(quantity), over_all, limit, each=each)
+
+
+def _lead(flight: str, quantity: str, logs: list[Log], which: str) -> Iterator[Line]:
+    """Tell the mean lead of all flights, and that of each."""
+    found = [log.score(which) for log in logs]
+    if (lead := pooled(found).lead) is not None:
+        each = tuple(1e3 * one.lead for one in found if one.lead is not None)
+        yield Line(flight, quantity, 1e3 * abs(lead), 10.0, " ms", each)
 
 
 def _ratio(score: Score, other: Score, quantity: str) -> float:
@@ -194,8 +211,10 @@ def main() -> int:
     parser.add_argument("--px4", metavar="PATH", help="bin/px4 in a build of px4_sitl_default")
     parser.add_argument("--ardupilot", metavar="PATH", help="bin/arducopter in a build for sitl")
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--pairs", type=int, default=3, help="of flights of the paths (3)")
     parser.add_argument("--out", type=Path, default=Path("build/sitl"), help="for all logs")
     arguments = parser.parse_args()
+    parts = PARTS | {"paths": partial(compared, pairs=arguments.pairs)}
     kinds = (Px4, arguments.px4, "PX4"), (ArduCopter, arguments.ardupilot, "ARDUPILOT")
     rows, is_bad = [], False
     for kind, path, variable in kinds:
@@ -207,7 +226,7 @@ def main() -> int:
         simulator = kind(Path(path))
         for part in arguments.only:
             try:
-                for line in PARTS[part](simulator, (arguments.out / kind.name).resolve()):
+                for line in parts[part](simulator, (arguments.out / kind.name).resolve()):
                     is_bad |= not line.found <= line.limit
                     rows.append(line.row(kind.name))
                     print(rows[-1], flush=True)

@@ -48,6 +48,13 @@ class Log:
         found = [text for text in later if any(word in text.lower() for word in words)]
         return [text for text in found if "cleared" not in text.lower()]
 
+    @property
+    def largest_bias(self) -> float:
+        """The autopilot's largest accelerometer bias, m/s^2; 0 where it tells none."""
+        if self.flown is None or not len(self.flown.accel_bias):
+            return 0.0
+        return float(abs(self.flown.accel_bias).max())
+
     def score(self, which: str, begin: str = "begin", end: str = "end") -> Score:
         """Score ``autopilot`` or ``ours`` between two marks."""
         assert self.flown is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,8 @@ from ekf_companion.nav.arrays import Array
 
 LAGS = np.arange(-0.15, 0.1501, 0.005)
 """s, looked through for the best."""
+QUANTITIES = ("horizontal", "velocity", "vertical", "roll", "pitch", "yaw")
+"""RMS errors of a score."""
 _MOVING = 0.5
 """m/s RMS; with less motion no lag shows."""
 
@@ -55,6 +58,20 @@ def score(estimate: Track, truth: Track, begin: float, end: float) -> Score:
         pitch=float(pitch),
         yaw=float(yaw),
         lead=_lead(t, vel_n, truth),
+    )
+
+
+def pooled(scores: Sequence[Score]) -> Score:
+    """Return the errors of several flights of the same path as those of one long flight."""
+
+    def over_all(quantity: str) -> float:
+        return float(_rms(np.array([getattr(one, quantity) for one in scores])))
+
+    leads = [one.lead for one in scores if one.lead is not None]
+    return Score(
+        **{quantity: over_all(quantity) for quantity in QUANTITIES},
+        horizontal_max=max(one.horizontal_max for one in scores),
+        lead=float(np.mean(leads)) if leads else None,
     )
 
 

@@ -189,7 +189,7 @@ def _rejects(evidence: Evidence) -> Problem | None:
             f"The autopilot's own filter refuses measurements (test ratio "
             f"{feedback.worst_ratio:.1f}; above 1 is refused).",
             "PX4: EKF2_EV_DELAY = 0 where TIMESYNC is locked, EKF2_EV_NOISE_MD = 0. ArduPilot: "
-            "VISO_DELAY_MS = 10, and set the origin before take-off.",
+            "VISO_DELAY_MS = 0, and set the origin before take-off.",
         )
     flags = feedback.flags if evidence.family == "ardupilot" else 0
     if flags & _UNINITIALISED:

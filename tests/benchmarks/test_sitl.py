@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.sitl.pilot import figure_eight, square
-from benchmarks.sitl.score import right_after, score
+from benchmarks.sitl.score import pooled, right_after, score
 from benchmarks.sitl.tracks import Track
 
 
@@ -50,6 +50,15 @@ def test_a_vehicle_that_stands_shows_no_lead():
         euler=still.euler,
     )
     assert score(still, still, 5.0, 35.0).lead is None
+
+
+def test_flights_pooled_are_as_one_long_flight():
+    quiet, busy = track(lead=0.02, yaw=0.01), track(lead=-0.06, yaw=0.03)
+    each = [score(one, track(), 5.0, 35.0) for one in (quiet, busy)]
+    both = pooled(each)
+    assert both.yaw == pytest.approx(np.rad2deg(np.sqrt((0.01**2 + 0.03**2) / 2.0)))
+    assert both.lead == pytest.approx(-0.02, abs=0.002)
+    assert both.horizontal_max == each[1].horizontal_max > each[0].horizontal_max
 
 
 def test_a_place_is_right_again_after_its_last_large_error():
