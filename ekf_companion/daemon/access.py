@@ -13,13 +13,15 @@ import hmac
 import ipaddress
 import secrets
 import socket
-from email.message import Message
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import parse_qs
 
 from ekf_companion.config.service import HttpConfig
+
+if TYPE_CHECKING:
+    from email.message import Message
 
 _WRONG_NAME = (
     "this is not the name of this computer: ask by its address, or name it in http.names of the "

@@ -152,8 +152,7 @@ class Daemon:
         self._freshness = Freshness()
 
     def __enter__(self) -> Daemon:
-        # Objects that live as long as the daemon need no garbage collection
-        gc.collect()
+        # Objects that live as long as the daemon need no garbage collection; garbage there is none
         gc.freeze()
         self._systemd.notify("READY=1")
         return self
