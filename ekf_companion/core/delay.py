@@ -21,8 +21,9 @@ from cython.cimports.ekf_companion.core.correct import apply_delay_update, innov
 from cython.cimports.ekf_companion.core.enums import AID_VELOCITY, E_ATT, E_BA, E_DELAY, N
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.past import acceleration_noise, look_back
+from cython.cimports.ekf_companion.core.propagate import propagate_covariance
 from cython.cimports.ekf_companion.core.rotation import to_dcm
-from cython.cimports.ekf_companion.core.scratch import Fix, Observation
+from cython.cimports.ekf_companion.core.scratch import Fix, Observation, Scratch
 from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import fabs
 
@@ -66,12 +67,14 @@ def keep_fix(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
         x.gain.var = 2.0 * fix.stated_var[AID_VELOCITY]
 
 
-def learn_delay(x: State, k: Parameters, o: Observation) -> None:
+def learn_delay(x: State, k: Parameters, w: Scratch) -> None:
     """Learn the delay by the fix that is kept and the one some time before, once it is time."""
     end = address(x.gain.end)
     late = (x.t - end.t) * 1e-9 + x.gnss_delay
     if end.t == NEVER or (late < AHEAD and x.t - end.t < LONGEST_WAIT):
         return
+    propagate_covariance(x, k, address(w.motion))
+    o = address(w.observation)
     look_back(x, late, address(o.then))
     end.delay = x.gnss_delay
     for i in range(2):

@@ -5,6 +5,7 @@ cdef void restart(State *x) noexcept nogil
 cdef double walk_share(State *x) noexcept nogil
 cdef void write_noise(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
 cdef void find_clipping(State *x, ImuRow *imu) noexcept nogil
+cdef bint is_clipping(State *x) noexcept nogil
 cdef double is_at_end(State *x, Py_ssize_t axis, double size, double change) noexcept nogil
 cdef void learn_doubt(State *x, Parameters *k, Fix *fix, Observation *o, double nis) noexcept nogil
 cdef bint is_next(State *x) noexcept nogil

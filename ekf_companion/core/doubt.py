@@ -146,6 +146,14 @@ def find_clipping(x: State, imu: ImuRow) -> None:
             x.force_sum[j] = NAN
 
 
+def is_clipping(x: State) -> bool:
+    """Return whether the last sample was at the end of a range."""
+    for j in range(6):
+        if x.is_clipped[j] != 0.0:
+            return True
+    return False
+
+
 def is_at_end(x: State, axis: int, size: float, change: float) -> float:
     """Return 1 if a large reading repeats the largest one of its axis; keep the largest."""
     is_same = cython.declare(

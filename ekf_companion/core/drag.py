@@ -23,6 +23,7 @@ from cython.cimports.ekf_companion.core.enums import (
     MODE_NAVIGATE,
 )
 from cython.cimports.ekf_companion.core.parameters import Parameters
+from cython.cimports.ekf_companion.core.propagate import propagate_covariance
 from cython.cimports.ekf_companion.core.rotation import to_dcm
 from cython.cimports.ekf_companion.core.scratch import Scratch
 from cython.cimports.ekf_companion.core.state import State
@@ -77,6 +78,7 @@ def add_force(x: State, k: Parameters, w: Scratch) -> None:
         if not gate.is_timed_out(x, AID_VELOCITY, WITHOUT):
             learn(x, w)
         elif drag.theta[0] > PROVEN * sqrt(drag.P[0][0]):
+            propagate_covariance(x, k, address(w.motion))
             use(x, k, w)
     drag.t0 = x.t
     drag.n = 0.0

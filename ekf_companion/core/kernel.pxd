@@ -4,6 +4,7 @@ from ekf_companion.core.state cimport State
 cdef void step(
     State *x, Parameters *k, Scratch *w, Event *rows, Py_ssize_t first, Py_ssize_t last
 ) noexcept nogil
+cdef void carry_on(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef void advance(
     State *x, Parameters *k, Scratch *w, double t, double begin, double span
 ) noexcept nogil

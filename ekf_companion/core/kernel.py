@@ -71,6 +71,8 @@ NAN = cython.declare(cython.double, float("nan"))
 NEVER = cython.declare(cython.double, -1e18)
 BLIND = cython.declare(cython.double, 0.5)
 """Longest interval between samples, s, over which motion is interpolated."""
+COVARIANCE_INTERVAL = cython.declare(cython.double, 0.0095)
+"""Interval at which P is carried on, s: 10 ms, give or take the samples' jitter."""
 LARGEST_TURN = cython.declare(cython.double, 4.0)
 """Largest square of the turn, rad^2, that is integrated from one sample."""
 RESTORE_AGAIN = cython.declare(cython.double, 1e10)
@@ -105,10 +107,12 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
     for r in range(first, last + 1):
         advance(x, k, w, rows[r].t, begin, span)
         if r < last:
+            carry_on(x, k, w)
             apply_event(x, k, w, address(rows[r]))
             if w.tape.is_on:
                 tape.record_event(x, w)
     if span > k.gap:
+        carry_on(x, k, w)
         inflate_after_gap(x, k, span, span > SLOW_GAP * x.dt)
         yaw_frame.restart(address(x.yaw_bank))
         if w.tape.is_on:
@@ -119,12 +123,24 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
     doubt.find_clipping(x, imu)
     keep_sample(x, imu)
     check_rest(x, k, w)
-    learn_delay(x, k, address(w.observation))
+    learn_delay(x, k, w)
     drag.add_force(x, k, w)
 
 
+def carry_on(x: State, k: Parameters, w: Scratch) -> None:
+    """Carry P on to the state's time."""
+    dt = x.pending.dt
+    if dt > 0.0:
+        propagate.propagate_covariance(x, k, address(w.motion))
+        if w.tape.is_on:
+            tape.record_motion(x, k, w, dt)
+
+
 def advance(x: State, k: Parameters, w: Scratch, t: float, begin: float, span: float) -> None:
-    """Advance the state to a time within the interval of length span (s) that began at begin."""
+    """Advance the state to a time within the interval of length span (s) that began at begin.
+
+    P follows where that is worth it; a tape wants it at each sample, and so does a clipped one.
+    """
     m = address(w.motion)
     dt = (t - x.t) * 1e-9
     if dt > 0.0:
@@ -137,9 +153,8 @@ def advance(x: State, k: Parameters, w: Scratch, t: float, begin: float, span: f
             align.integrate(x, m, dt)
         else:
             propagate.integrate_strapdown(x, k, m, dt)
-            propagate.propagate_covariance(x, k, m, dt)
-            if w.tape.is_on:
-                tape.record_motion(x, k, w, dt)
+            if x.pending.dt >= COVARIANCE_INTERVAL or w.tape.is_on or doubt.is_clipping(x):
+                carry_on(x, k, w)
             if x.needs_reset != 0.0:
                 align.integrate(x, m, dt)
         yaw_frame.integrate(address(x.yaw_bank), m, dt)
@@ -263,6 +278,7 @@ def recover(x: State, k: Parameters, good: State, t: float) -> None:
         x.restored_t = t
         return
     copy_nominal(x, good)
+    propagate.forget_pending(x)
     for i in range(N):
         for j in range(N):
             x.P[i][j] = good.P[i][j]
@@ -276,6 +292,7 @@ def recover(x: State, k: Parameters, good: State, t: float) -> None:
 
 def start_over(x: State, t: float, reason: float) -> None:
     """Discard an unsound state and level again; keep the origin and the counts."""
+    propagate.forget_pending(x)
     for i in range(4):
         x.q_nb[i] = 0.0
     for i in range(3):

@@ -6,8 +6,10 @@ cdef void set_origin(State *x, double lat, double lon, double alt) noexcept nogi
 cdef void integrate_strapdown(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
 cdef void integrate_increments(State *x, Motion *m, double dt) noexcept nogil
 cdef void earth_motion(State *x, Parameters *k, Motion *m) noexcept nogil
-cdef void propagate_covariance(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
-cdef void write_transition_blocks(Motion *m, double dt) noexcept nogil
+cdef void propagate_covariance(State *x, Parameters *k, Motion *m) noexcept nogil
+cdef void add_to_pending(State *x, Motion *m, double dt) noexcept nogil
+cdef void forget_pending(State *x) noexcept nogil
+cdef void write_transition_blocks(State *x, Motion *m) noexcept nogil
 cdef void multiply_rows(State *x, Motion *m, double dt) noexcept nogil
 cdef void multiply_columns(State *x, Motion *m, double dt) noexcept nogil
 cdef void add_noise(State *x, Parameters *k, Motion *m, double dt) noexcept nogil

@@ -9,6 +9,7 @@ Source: Groves 2013, chapters 5 and 14; Sola 2017, section 7 (global angular err
 from __future__ import annotations
 
 import cython
+from cython import address
 from cython.cimports.ekf_companion.core.doubt import walk_share, write_noise
 from cython.cimports.ekf_companion.core.enums import (
     E_ATT,
@@ -58,8 +59,7 @@ def set_origin(x: State, lat: float, lon: float, alt: float) -> None:
 def integrate_strapdown(x: State, k: Parameters, m: Motion, dt: float) -> None:
     """Integrate attitude, velocity and position over dt (s) at the rate and force of ``m``.
 
-    Leaves in ``m`` what the covariance needs: C_nb at the start, the velocity increment of the
-    force.
+    Adds to ``x.pending`` what the covariance needs.
     """
     integrate_increments(x, m, dt)
     to_dcm(x.q_nb, m.C_nb)
@@ -89,6 +89,7 @@ def integrate_strapdown(x: State, k: Parameters, m: Motion, dt: float) -> None:
     m.dv_n[0] = un
     m.dv_n[1] = ue
     m.dv_n[2] = ud
+    add_to_pending(x, m, dt)
     x.past.gained[0] += un + cn * dt
     x.past.gained[1] += ue + ce * dt
     x.past.gained[2] += ud + cd * dt
@@ -99,6 +100,16 @@ def integrate_strapdown(x: State, k: Parameters, m: Motion, dt: float) -> None:
     x.accel_n[0] += share * (un / dt + cn - x.accel_n[0])
     x.accel_n[1] += share * (ue / dt + ce - x.accel_n[1])
     x.accel_n[2] += share * (ud / dt + cd - x.accel_n[2])
+
+
+def add_to_pending(x: State, m: Motion, dt: float) -> None:
+    """Add the motion over dt (s) to that which P is to be carried on by."""
+    p = address(x.pending)
+    p.dt += dt
+    for i in range(3):
+        p.dv_n[i] += m.dv_n[i]
+        for j in range(3):
+            p.C_nb_dt[i][j] += m.C_nb[i][j] * dt
 
 
 def integrate_increments(x: State, m: Motion, dt: float) -> None:
@@ -203,15 +214,18 @@ def earth_motion(x: State, k: Parameters, m: Motion) -> None:
     m.scale[1] = x.origin.scale_e / (east * cl)
 
 
-def propagate_covariance(x: State, k: Parameters, m: Motion, dt: float) -> None:
-    """Propagate P over the interval just integrated: Phi P Phi' + Q.
+def propagate_covariance(x: State, k: Parameters, m: Motion) -> None:
+    """Propagate P over the motion that is pending: Phi P Phi' + Q.
 
     With ``G = -C dt`` (from a bias) and ``S = -[dv x]`` (from attitude to velocity):
 
     ``theta += G bg``; ``v += S theta + S G/2 bg + G ba``;
     ``p += dt v + S dt/2 theta + S G dt/6 bg + G dt/2 ba``.
     """
-    write_transition_blocks(m, dt)
+    dt = x.pending.dt
+    if dt == 0.0:
+        return
+    write_transition_blocks(x, m)
     multiply_rows(x, m, dt)
     multiply_columns(x, m, dt)
     add_noise(x, k, m, dt)
@@ -235,11 +249,25 @@ def propagate_covariance(x: State, k: Parameters, m: Motion, dt: float) -> None:
     for i in range(9):
         for j in range(9, N):
             x.P[j][i] = x.P[i][j]
+    forget_pending(x)
 
 
-def write_transition_blocks(m: Motion, dt: float) -> None:
-    """Write S and S G / 2."""
-    h = 0.5 * dt
+def forget_pending(x: State) -> None:
+    """Begin to gather anew what P is to be carried on by."""
+    p = address(x.pending)
+    p.dt = 0.0
+    for i in range(3):
+        p.dv_n[i] = 0.0
+        for j in range(3):
+            p.C_nb_dt[i][j] = 0.0
+
+
+def write_transition_blocks(x: State, m: Motion) -> None:
+    """Write G, S and S G / 2 of the motion that is pending."""
+    for i in range(3):
+        m.dv_n[i] = x.pending.dv_n[i]
+        for j in range(3):
+            m.G[i][j] = -x.pending.C_nb_dt[i][j]
     m.S[0][0] = 0.0
     m.S[0][1] = m.dv_n[2]
     m.S[0][2] = -m.dv_n[1]
@@ -251,8 +279,8 @@ def write_transition_blocks(m: Motion, dt: float) -> None:
     m.S[2][2] = 0.0
     for i in range(3):
         for j in range(3):
-            m.SG[i][j] = -h * (
-                m.S[i][0] * m.C_nb[0][j] + m.S[i][1] * m.C_nb[1][j] + m.S[i][2] * m.C_nb[2][j]
+            m.SG[i][j] = 0.5 * (
+                m.S[i][0] * m.G[0][j] + m.S[i][1] * m.G[1][j] + m.S[i][2] * m.G[2][j]
             )
 
 
@@ -264,9 +292,9 @@ def multiply_rows(x: State, m: Motion, dt: float) -> None:
         s0 = m.S[i][0]
         s1 = m.S[i][1]
         s2 = m.S[i][2]
-        g0 = -dt * m.C_nb[i][0]
-        g1 = -dt * m.C_nb[i][1]
-        g2 = -dt * m.C_nb[i][2]
+        g0 = m.G[i][0]
+        g1 = m.G[i][1]
+        g2 = m.G[i][2]
         b0 = m.SG[i][0]
         b1 = m.SG[i][1]
         b2 = m.SG[i][2]
@@ -281,9 +309,9 @@ def multiply_rows(x: State, m: Motion, dt: float) -> None:
         for j in range(N):
             x.P[E_VEL + i][j] += m.row[j] + m.row2[j]
     for i in range(3):
-        g0 = -dt * m.C_nb[i][0]
-        g1 = -dt * m.C_nb[i][1]
-        g2 = -dt * m.C_nb[i][2]
+        g0 = m.G[i][0]
+        g1 = m.G[i][1]
+        g2 = m.G[i][2]
         for j in range(N):
             x.P[E_ATT + i][j] += g0 * x.P[E_BG][j] + g1 * x.P[E_BG + 1][j] + g2 * x.P[E_BG + 2][j]
 
@@ -293,10 +321,10 @@ def multiply_columns(x: State, m: Motion, dt: float) -> None:
     h = 0.5 * dt
     for r in range(9):
         for j in range(3):
-            s0 = (m.S[j][0] * x.P[r][0] + m.S[j][1] * x.P[r][1] + m.S[j][2] * x.P[r][2]) - dt * (
-                m.C_nb[j][0] * x.P[r][E_BA]
-                + m.C_nb[j][1] * x.P[r][E_BA + 1]
-                + m.C_nb[j][2] * x.P[r][E_BA + 2]
+            s0 = (m.S[j][0] * x.P[r][0] + m.S[j][1] * x.P[r][1] + m.S[j][2] * x.P[r][2]) + (
+                m.G[j][0] * x.P[r][E_BA]
+                + m.G[j][1] * x.P[r][E_BA + 1]
+                + m.G[j][2] * x.P[r][E_BA + 2]
             )
             s1 = (
                 m.SG[j][0] * x.P[r][E_BG]
@@ -306,10 +334,10 @@ def multiply_columns(x: State, m: Motion, dt: float) -> None:
             x.P[r][E_POS + j] += dt * x.P[r][E_VEL + j] + h * (s0 + (2.0 / 3.0) * s1)
             x.P[r][E_VEL + j] += s0 + s1
         for j in range(3):
-            x.P[r][j] -= dt * (
-                m.C_nb[j][0] * x.P[r][E_BG]
-                + m.C_nb[j][1] * x.P[r][E_BG + 1]
-                + m.C_nb[j][2] * x.P[r][E_BG + 2]
+            x.P[r][j] += (
+                m.G[j][0] * x.P[r][E_BG]
+                + m.G[j][1] * x.P[r][E_BG + 1]
+                + m.G[j][2] * x.P[r][E_BG + 2]
             )
 
 
@@ -381,7 +409,7 @@ def write_transition(k: Parameters, m: Motion, dt: float, Phi: Vector) -> None:
         Phi[E_POS + i][E_VEL + i] = dt
         for j in range(3):
             s = m.S[i][j]
-            g = -dt * m.C_nb[i][j]
+            g = m.G[i][j]
             b = m.SG[i][j]
             Phi[E_ATT + i][E_BG + j] = g
             Phi[E_VEL + i][E_ATT + j] = s

@@ -18,6 +18,7 @@ from cython.cimports.ekf_companion.core.enums import (
 )
 from cython.cimports.ekf_companion.core.memory import Vector
 from cython.cimports.ekf_companion.core.parameters import Parameters
+from cython.cimports.ekf_companion.core.propagate import propagate_covariance
 from cython.cimports.ekf_companion.core.rotation import to_dcm, wrap
 from cython.cimports.ekf_companion.core.scratch import Fix, Observation, Scratch
 from cython.cimports.ekf_companion.core.state import State
@@ -208,9 +209,11 @@ def check_rest(x: State, k: Parameters, w: Scratch) -> None:
     rest = address(x.alignment.rest)
     add_to_window(x)
     if x.t - rest.t0 >= k.align_time * 1e9 and rest.n >= FEWEST:
+        propagate_covariance(x, k, address(w.motion))
         use_rest_window(x, k, w)
         begin_window(x, x.t)
     if x.mode == MODE_ATTITUDE and x.t - x.fake_t >= FAKE_INTERVAL:
+        propagate_covariance(x, k, address(w.motion))
         fuse_no_travel(x, w)
     elif (
         x.mode == MODE_NAVIGATE
@@ -218,6 +221,7 @@ def check_rest(x: State, k: Parameters, w: Scratch) -> None:
         and x.P[E_POS][E_POS] > LOST * k.limit_pos * k.limit_pos
     ):
         # so long without GNSS that only the attitude is left to keep
+        propagate_covariance(x, k, address(w.motion))
         x.mode = MODE_ATTITUDE
         reset_variance(x, E_VEL, 3, 100.0)
         for i in range(3):

@@ -175,7 +175,9 @@ class Motion:
     S: Annotated[Vector, 3, 3]
     """-[dv x]: from attitude to velocity."""
     SG: Annotated[Vector, 3, 3]
-    """S G / 2 with G = -C_nb dt: from gyro bias to velocity."""
+    """S G / 2: from gyro bias to velocity."""
+    G: Annotated[Vector, 3, 3]
+    """-C_nb dt: from gyro bias to attitude, from accelerometer bias to velocity."""
     q: Annotated[Vector, 6]
     """Variance that white noise adds to angle and velocity, per axis of b."""
     slow_dt: Real

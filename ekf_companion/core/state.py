@@ -52,6 +52,18 @@ class Moved:
 
 
 @struct
+class Pending:
+    """The motion since P was carried on."""
+
+    dt: Real
+    """Its time, s."""
+    dv_n: Annotated[Vector, 3]
+    """Velocity increment of the force, m/s."""
+    C_nb_dt: Annotated[Vector, 3, 3]
+    """Integral of C_nb, s."""
+
+
+@struct
 class NoiseBlock:
     """Means over blocks of inertial samples, from whose second differences noise is learnt."""
 
@@ -448,6 +460,7 @@ class State:
     noise: Annotated[Vector, 6]
     """Learnt white noise of rate and force, variance times interval: (rad/s)^2 s, (m/s^2)^2 s."""
     noise_block: NoiseBlock
+    pending: Pending
     slow_dt: Real
     """Time since the slow errors of heading and GNSS were carried on, s."""
     doubt: Real

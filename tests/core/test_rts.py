@@ -135,7 +135,7 @@ def test_on_a_linear_problem_it_is_the_batch_least_squares_solution():
         before = np.array(x.P)
         w.motion.rate[:], w.motion.force[:] = [0.1, -0.2, 0.1], [1.5, -2.0, -9.0]
         core.propagate.integrate_strapdown(x, k, w.motion, 0.1)
-        core.propagate.propagate_covariance(x, k, w.motion, 0.1)
+        core.propagate.propagate_covariance(x, k, w.motion)
         core.tape.record_motion(x, k, w, 0.1)
         Phi = np.array(w.tape.record[w.tape.length - 1].Phi)
         batch.move(Phi, np.array(x.P) - Phi @ before @ Phi.T)
