@@ -86,6 +86,8 @@ class CompassConfig:
     """One sigma of a slow error of the heading, rad: the rest after a calibration."""
     slow_time: Positive = 100.0
     """Correlation time of it, s."""
+    delay: NotNegative = 0.0
+    """A sample is so much older than its stamp, s."""
     hard_iron: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """The vehicle's own field, forward, right, down, gauss."""
     year: Annotated[float, msgspec.Meta(ge=2025.0, lt=2030.0)] = 2026.0

@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, TypeVar
 
-from sim_autopilot.config import GnssConfig, ImuConfig, SimConfig
+from sim_autopilot.config import CompassConfig, GnssConfig, ImuConfig, SimConfig
 
 UNSUPPORTED, DENIED, FAILED = 3, 2, 4
-Section = TypeVar("Section", ImuConfig, GnssConfig)
+Section = TypeVar("Section", ImuConfig, GnssConfig, CompassConfig)
 
 
 class Kind(str, Enum):
@@ -109,6 +109,10 @@ class Personality:
     """Fixes if the configuration has the default, Hz (PX4 in SITL: 8)."""
     gnss_delay: float = GnssConfig().delay
     """Their age at their stamp, likewise, s (ArduPilot, measured: 85 ms)."""
+    compass_rate: float = CompassConfig().rate
+    """Magnetic fields, likewise, Hz (ArduPilot, measured: 10)."""
+    compass_delay: float = CompassConfig().delay
+    """Their age, likewise, s (ArduPilot, measured: 50 ms, half of the time that it averages)."""
     utc_after: float = 0.0
     """GPS_RAW_INT.time_usec is 0 until so long after the first fix, when the receiver knows UTC, s
     (PX4; the time is assumed)."""
@@ -137,6 +141,12 @@ class Personality:
             config,
             imu=_suited(config.imu, ImuConfig(), rate=self.imu_rate, lowpass=self.lowpass),
             gnss=_suited(config.gnss, GnssConfig(), rate=self.gnss_rate, delay=self.gnss_delay),
+            compass=_suited(
+                config.compass,
+                CompassConfig(),
+                rate=self.compass_rate,
+                delay=self.compass_delay,
+            ),
         )
 
 

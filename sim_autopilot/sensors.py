@@ -158,10 +158,10 @@ def gnss(
 def compass(
     trajectory: Trajectory, config: CompassConfig, rng: np.random.Generator, t: Array
 ) -> MagData:
-    """Draw the field at ``t`` in the body, with hard iron and noise, turned by the slow error."""
+    """Draw the field in the body that arrives at ``t``, with hard iron, noise and slow error."""
     frame = trajectory.frame
     field_n = earth_field(frame.lat, frame.lon, frame.alt, config.year)
-    truth = trajectory.at(t)
+    truth = trajectory.at(t - config.delay)
     noise = config.noise_heading * float(np.hypot(field_n[0], field_n[1]))
     white = rng.standard_normal((len(t), 3))
     slow = gauss_markov(rng.standard_normal((len(t), 1)), 1.0 / config.rate, config.slow_time)

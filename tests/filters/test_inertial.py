@@ -86,9 +86,9 @@ def test_estimates_are_of_the_time_when_the_samples_were_true(name):
 
 
 def test_a_field_that_is_told_late_is_taken_when_it_was_true():
-    """ArduPilot's fields are late by 0.06 s, its samples by 0.0115 s (core/settings.py)."""
+    """ArduPilot's fields are late by 0.05 s, its samples by 0.0115 s (core/settings.py)."""
     events, truth = swing(Swing(seconds=30.0, turn=2.0, mag_noise=0.0))
-    late = np.where(events.kind == Kind.MAG, 60_000_000, 11_500_000)
+    late = np.where(events.kind == Kind.MAG, 50_000_000, 11_500_000)
     told = Events(t_ns=events.t_ns + late, kind=events.kind, values=events.values)
     known = run_filter(Recording(family="ardupilot", events=told), "mahony").table
     assert (known.stamp_ns == truth.att_t_ns).all()
