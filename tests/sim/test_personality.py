@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 
+from ekf_companion.core.settings import HABITS
 from ekf_companion.errors import ConfigError
 from ekf_companion.mavlink.codec import Sender
 from sim_autopilot.autopilot import Autopilot
@@ -105,6 +106,8 @@ def test_the_configuration_goes_before_the_personality():
     assert parse("ardupilot").suited(slow).imu.rate == 100.0
     assert parse("ardupilot").suited(config).imu.rate == 400.0
     assert parse("px4").suited(config).gnss.rate == 8.0
+    assert parse("ardupilot").suited(config).compass.delay == HABITS["ardupilot"].mag_delay
+    assert parse("px4").suited(config).compass == config.compass
 
 
 @pytest.mark.parametrize("name", list(PERSONALITIES))

@@ -119,6 +119,15 @@ def test_the_compass_gives_the_heading_with_its_sigma():
     assert 0.4 < np.linalg.norm(field_n) < 0.55
 
 
+def test_a_late_compass_shows_the_field_of_before():
+    config = CompassConfig(noise_heading=0.0, delay=0.05)
+    t = np.arange(1, 500) / config.rate
+    data = sensors.compass(EIGHT, config, np.random.default_rng(4), t)
+    field_n = sensors.earth_field(EIGHT.frame.lat, EIGHT.frame.lon, EIGHT.frame.alt, config.year)
+    then = so3.rotate(EIGHT.at(t - 0.05).q_nb, data.mag_b)
+    np.testing.assert_allclose(then - field_n, 0.0, atol=1e-12)
+
+
 def test_the_slow_error_of_the_compass_is_that_of_its_heading():
     config = CompassConfig(noise_heading=0.0, slow_heading=0.02, slow_time=0.5)
     t = np.arange(1, 40_000) / config.rate
