@@ -12,6 +12,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.doubt import walk_share, write_noise
 from cython.cimports.ekf_companion.core.enums import (
+    AZIMUTH_FIELD,
     E_ATT,
     E_BA,
     E_BARO,
@@ -40,6 +41,9 @@ SOMIGLIANA = cython.declare(cython.double, 0.00193185265241)
 FREE_AIR = cython.declare(cython.double, 3.0877e-6)
 SMOOTH = cython.declare(cython.double, 0.05)
 """s; time constant of the acceleration, of which one sample has too much noise."""
+PROVEN_SHARE = cython.declare(cython.double, 0.5)
+"""Least share of the variance of a compass's slow error that counts: one look at it by GNSS, which
+found none, makes no more of the little that is known before."""
 SLOW_INTERVAL = cython.declare(cython.double, 0.0199)
 """Interval at which the slow errors of heading and GNSS are carried on, s: 20 ms, give or take."""
 
@@ -373,7 +377,7 @@ def fade_slow_errors(x: State, k: Parameters, dt: float) -> None:
     """Let the slow errors of heading and GNSS forget themselves; each is kept at its level."""
     faded = dt / (dt + k.heading_time)
     x.heading_offset -= faded * x.heading_offset
-    decay(x, E_HEADING, faded, x.heading_std * x.heading_std)
+    decay(x, E_HEADING, faded, heading_level(x))
     faded = dt / (dt + k.gnss_offset_time)
     for i in range(3):
         x.gnss_offset[i] -= faded * x.gnss_offset[i]
@@ -382,6 +386,23 @@ def fade_slow_errors(x: State, k: Parameters, dt: float) -> None:
     for i in range(3):
         x.gnss_vel_offset[i] -= faded * x.gnss_vel_offset[i]
         decay(x, E_GNSS_VEL + i, faded, x.gnss_vel_offset_var)
+
+
+def heading_level(x: State) -> float:
+    """Return the variance that the heading's slow error has in the long run, rad^2.
+
+    A compass whose error GNSS has shown to be small counts as better than expected: the level is
+    then what is left of the error, estimate and variance, but no less than a share of what is set.
+    While nothing shows the error, its variance is the level already, and nothing changes.
+    """
+    level = x.heading_std * x.heading_std
+    if x.azimuth != AZIMUTH_FIELD:
+        return level
+    seen = x.heading_offset * x.heading_offset + x.P[E_HEADING][E_HEADING]
+    least = PROVEN_SHARE * level
+    if seen > level:
+        return level
+    return seen if seen > least else least
 
 
 def decay(x: State, e: int, g: float, level: float) -> None:

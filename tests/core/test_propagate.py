@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from ekf_companion.core.enums import N
+from ekf_companion.core.enums import E_HEADING, Azimuth, N
 from ekf_companion.core.scratch import Motion, TapeRecord
 from ekf_companion.core.state import State
 from ekf_companion.nav import earth, so3
@@ -162,3 +162,26 @@ def test_two_samples_in_a_row_show_coning_and_sculling(kind):
     better = minus(fly(means, dt, True), truth)
     part = slice(0, 3) if kind == "cone" else slice(3, 6)
     assert np.abs(better[part]).max() < 0.1 * np.abs(plain[part]).max()
+
+
+def test_a_compass_that_is_shown_to_be_right_counts_as_better_within_limits():
+    x, level = a_state(3), load().propagate.heading_level
+    x.heading_std, x.azimuth = 0.02, Azimuth.FIELD
+    row = array(x.P)[E_HEADING]
+    found = {}
+    for case, offset, std in (
+        ("unknown", 0.0, 0.02),
+        ("part", 0.0, 0.016),
+        ("right", 0.001, 0.005),
+        ("wrong", 0.03, 0.005),
+    ):
+        x.heading_offset, row[E_HEADING] = offset, std**2
+        found[case] = np.sqrt(level(x))
+    # while nothing shows the error, nothing changes
+    assert found["unknown"] == found["wrong"] == pytest.approx(0.02)
+    assert found["part"] == pytest.approx(0.016)
+    assert found["right"] == pytest.approx(0.02 * np.sqrt(0.5))
+
+    # another estimate's error wanders with time, whatever GNSS has found
+    x.azimuth, x.heading_offset, row[E_HEADING] = Azimuth.OTHER, 0.0, 0.005**2
+    assert level(x) == pytest.approx(0.02**2)
