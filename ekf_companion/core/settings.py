@@ -204,7 +204,7 @@ class HeadingSettings:
         Positive, Setting("rad", reload=True, param=Param(11, "EC_MAG_NSE", 1e-3, 1.0))
     ] = 0.02
     """One sigma of the slow error of a compass heading beside hard iron: of the declination, the
-    scale, the mounting."""
+    scale, the mounting. Where GNSS shows in motion that it is smaller, 0.7 of this counts."""
     hard_iron_std: Annotated[Positive, Setting("gauss")] = 0.01
     """One sigma per axis of the vehicle's own field that calibration leaves. Raise it where motor
     currents turn the compass. The filter finds it as soon as the vehicle turns."""
