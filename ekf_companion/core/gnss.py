@@ -58,6 +58,9 @@ from cython.cimports.libc.math import isnan, sqrt
 
 NAN = cython.declare(cython.double, float("nan"))
 NEVER = cython.declare(cython.double, -1e18)
+SILENT_COMPASS = cython.declare(cython.double, 4e9)
+"""Silence that a compass is given at the first fix, ns: a second less than what lets another
+estimate's heading be used."""
 WHITE_MEMORY = cython.declare(cython.double, 100.0)
 """Fixes over which a receiver's white noise is learnt."""
 NEXT = cython.declare(cython.double, 3e9)
@@ -229,9 +232,11 @@ def learn_field(x: State, values: GnssRow) -> None:
     if isnan(values.declination):
         return
     if isnan(x.field.declination) and x.mag_t > NEVER and x.mode < MODE_NAVIGATE:
-        # a compass gave magnetic north: the next heading source gives true north
+        # a compass gave magnetic north: the next field gives true north, or if none comes soon
+        # another estimate, whose heading may be magnetic still
         x.has_yaw = 0.0
-        x.mag_t = NEVER
+        if x.mag_t > x.t - SILENT_COMPASS:
+            x.mag_t = x.t - SILENT_COMPASS
         x.alignment.reference.is_known = 0.0
     x.field.declination = values.declination
     x.field.inclination = values.inclination

@@ -8,7 +8,7 @@ from ekf_companion.core.settings import FilterSettings, GnssSettings
 from ekf_companion.engine.health import Aid, Verdict
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav import so3
-from ekf_companion.nav.measurements import Events, Kind
+from ekf_companion.nav.measurements import Events, HeadingSource, Kind, merge
 from ekf_companion.nav.state import Status, Table, Trajectory
 from tests.core.flights import between, flight, without
 
@@ -113,6 +113,26 @@ def test_a_compass_that_jumps_in_flight_moves_nothing(name):
     assert run.error[run.t >= 20.0].max() < 6.0
     assert run.pipeline.health().resets == 0
     assert run.pipeline.health().verdicts[Aid.HEADING][Verdict.GATED] > 0
+
+
+def test_at_the_first_fix_the_compass_gives_true_north_before_an_autopilot_may():
+    """ArduPilot's heading is magnetic until it has an origin, seconds after the first fix."""
+    events, truth = flight("hover", duration=12.0)
+    events = events.take((events.kind != Kind.GNSS) | ~between(events, 0.0, 4.0))
+    events = Events(
+        t_ns=events.t_ns + np.where(events.kind == Kind.GNSS, 5_000_000, 0),
+        kind=events.kind,
+        values=events.values,
+    )
+    first = events.t_ns[events.kind == Kind.GNSS][0]
+    # one of its headings comes between the first fix, 0.12 s old, and the next field
+    stamps = first - 118_000_000 + np.arange(-30, 30) * 100_000_000
+    yaw = so3.to_euler(truth.q_nb[np.searchsorted(truth.att_t_ns, stamps)])[:, 2]
+    told = Events.from_columns(
+        stamps, Kind.HEADING, yaw - 0.35, 0.087, float(HeadingSource.AUTOPILOT)
+    )
+    run = Run(merge(events, told), truth)
+    assert run.error[run.t > (first - run.table.stamp_ns[0]) * 1e-9 + 0.5].max() < 3.0
 
 
 def test_a_compass_that_comes_to_its_senses_is_heard_again():
