@@ -1,44 +1,47 @@
 cimport cython
+from ekf_companion.mavlink.block_rows cimport RowWriter
 from ekf_companion.mavlink.decode.preference cimport Pace, Preference
 from ekf_companion.mavlink.decode.repetition cimport Repetition
 from ekf_companion.mavlink.dejitter cimport Dejitter
 from ekf_companion.mavlink.sequence cimport Sequence
 from ekf_companion.mavlink.timebase cimport Count, TimeBase
-cdef class BlockReader:
+cdef class BlockReader(RowWriter):
     cdef readonly object frames
-    cdef object session, kinds, decoder, imu, trim, mag, baro, buffer, values_of
+    cdef object session, kinds, decoder, imu, mag, baro, position
     cdef list pending
     cdef TimeBase clock
     cdef Count main
     cdef Preference sources, instances, mag_sources, baro_sources, heading_sources
-    cdef Pace pace
+    cdef Pace pace, position_pace
     cdef Repetition repetition
     cdef Dejitter dejitter
     cdef Sequence numbers
-    cdef bint is_usable, is_yielding, is_idle, is_submarine, is_yaw_ours, is_begun, is_turned
-    cdef bint has_field, is_new_field, has_held
+    cdef bint is_usable, is_yielding, is_idle, is_submarine, is_yaw_ours, is_begun
+    cdef bint has_field, is_new_field, has_held, is_position_plain
     cdef long long peer_system, peer_component, our_system, our_component, imu_id, last_us
     cdef long long heard, believed, echoes, strangers, count, volume
     cdef double last_pressure, heading_std, mx, my, mz
-    cdef Py_ssize_t n, limit
     cdef long long[::1] heard_by_id, message_id, row, size_of, stamp_us, t_us
-    cdef long long[::1] updated, instance, boot_ms, out_t, out_kind
+    cdef long long[::1] updated, instance, boot_ms, position_ms
     cdef signed char[::1] kind
     cdef unsigned char[::1] sequence, system, component, is_answer, target_system, target_component
     cdef double[::1] yaw
-    cdef double[:, ::1] samples, out
+    cdef double[:, ::1] samples, positions
     cdef bint load(self, buffer) except -1
-    cdef use(self, buffer)
     cdef store(self)
     @cython.locals(kind=cython.int, number=cython.longlong)
     cdef Py_ssize_t read_on(self, Py_ssize_t i) except -1
-    cdef bint read_message(self, int kind, Py_ssize_t k) except -1
+    cdef bint read_message(self, int kind, Py_ssize_t i) except -1
     cdef hold(self, Py_ssize_t i)
     cdef free(self)
     @cython.locals(system=cython.int, component=cython.int)
     cdef bint read_timesync(self, Py_ssize_t k) except -1
-    @cython.locals(stamp=cython.longlong, step=cython.longlong, is_due=bint)
+    @cython.locals(stamp=cython.longlong, is_late=bint, is_due=bint)
     cdef bint read_attitude(self, Py_ssize_t k) except -1
+    cdef bint is_near(self, long long stamp) except -1
+    @cython.locals(stamp=cython.longlong, t_ns=cython.longlong, is_taken=bint, place=double[::1])
+    cdef bint read_position(self, Py_ssize_t k) except -1
+    cdef bint read_fix(self, Py_ssize_t i) except -1
     cdef write_heading(self, long long t_ns, double yaw)
     @cython.locals(
         t_us=cython.longlong, t_ns=cython.longlong, rank=cython.int, has_field=bint, has_pressure=bint,
@@ -52,5 +55,3 @@ cdef class BlockReader:
     cdef long long write_sample(self, long long t_us, double[::1] row) except? -1
     cdef write_field(self, long long t_ns, double[::1] row)
     cdef write_pressure(self, long long t_ns, double pressure)
-    cdef void begin_row(self, long long t_ns, long long kind) noexcept
-    cdef turn(self, double x, double y, double z, Py_ssize_t first)

@@ -1,7 +1,7 @@
 """The frames of a recording, many at once (compiled).
 
-Of a flight's frames nearly all are inertial samples that plainly follow the last, attitudes, and
-messages that nobody reads. Those are read here, from columns, to the bit as the
+Of a flight's frames nearly all are inertial samples that plainly follow the last, attitudes,
+positions, and messages that nobody reads. Those are read here, from columns, to the bit as the
 session and its decoder read them. A frame that may change anybody's mind (a heartbeat, a command, a
 parameter, a stamp that leaps, another sensor) is left to the session.
 """
@@ -10,21 +10,22 @@ from __future__ import annotations
 
 import cython
 import numpy as np
+from cython.cimports.ekf_companion.mavlink.block_rows import radians
 from cython.cimports.libc.math import isfinite, sqrt
 
 from ekf_companion.mavlink.block_columns import Columns, Frames, kinds_of
+from ekf_companion.mavlink.block_rows import RowWriter
 from ekf_companion.mavlink.clock import FOREIGN
 from ekf_companion.mavlink.decode.air import HIGHEST, LOWEST, STRONGEST, WEAKEST
 from ekf_companion.mavlink.decode.decoder import HELD
-from ekf_companion.mavlink.decode.heading import wrap
+from ekf_companion.mavlink.decode.heading import NORTH_CDEG, wrap
 from ekf_companion.mavlink.decode.inertial import ACCEL_GYRO, MAG, PRESSURE
+from ekf_companion.mavlink.decode.position import is_place
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.timebase import BACK_US, NEAR_US, SURE_US, UNIX_FROM_US
-from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.earth import pressure_altitude
-from ekf_companion.nav.measurements import HeadingSource, Kind
 
 BYTES = cython.declare(cython.int, -1)
 ANYBODYS = cython.declare(cython.int, 0)
@@ -32,6 +33,8 @@ READ = cython.declare(cython.int, 2)
 INERTIAL = cython.declare(cython.int, 4)
 ATTITUDE = cython.declare(cython.int, 5)
 TIMESYNC = cython.declare(cython.int, 6)
+FIX = cython.declare(cython.int, 7)
+POSITION = cython.declare(cython.int, 8)
 """As in :mod:`.block_columns`."""
 HEARTBEAT_ID = cython.declare(cython.longlong, IDS["HEARTBEAT"])
 ODOMETRY_ID = cython.declare(cython.longlong, IDS["ODOMETRY"])
@@ -49,14 +52,10 @@ LEAST_FIELD = cython.declare(cython.double, WEAKEST)
 LARGEST_FIELD = cython.declare(cython.double, STRONGEST)
 LEAST_PRESSURE = cython.declare(cython.double, LOWEST)
 LARGEST_PRESSURE = cython.declare(cython.double, HIGHEST)
-IMU_KIND = cython.declare(cython.longlong, int(Kind.IMU))
-MAG_KIND = cython.declare(cython.longlong, int(Kind.MAG))
-BARO_KIND = cython.declare(cython.longlong, int(Kind.BARO))
-HEADING_KIND = cython.declare(cython.longlong, int(Kind.HEADING))
-HEADING_SOURCE = cython.declare(cython.double, float(HeadingSource.AUTOPILOT))
+LARGEST_HEADING = cython.declare(cython.double, NORTH_CDEG)
 
 
-class BlockReader:
+class BlockReader(RowWriter):
     """Reads the frames of a recording for one session, as far as it can."""
 
     def __init__(self, session: Session) -> None:
@@ -65,7 +64,7 @@ class BlockReader:
         self.kinds = kinds_of(session)
         self.heard_by_id = np.zeros(len(self.kinds), dtype=np.int64)
         self.pending: list[int] = []
-        self.values_of: Array | None = None
+        self.values_of = None
         options, admission = session.options, session.admission
         self.is_usable = not (admission.is_selective or options.is_recording)
         self.is_usable &= session.on_frame is None
@@ -82,6 +81,7 @@ class BlockReader:
         self.t_us, self.samples = columns.t_us, columns.samples
         self.updated, self.instance = columns.updated, columns.instance
         self.boot_ms, self.yaw = columns.boot_ms, columns.yaw
+        self.position_ms, self.positions = columns.position_ms, columns.positions
         self.is_answer = columns.is_answer
         self.target_system = columns.target_system
         self.target_component = columns.target_component
@@ -136,6 +136,9 @@ class BlockReader:
         self.repetition, self.dejitter = self.imu.repetition, self.imu.dejitter
         self.mag_sources, self.baro_sources = self.mag.sources, self.baro.sources
         self.heading_sources, self.pace = decoder.heading.sources, decoder.heading.pace
+        self.position, self.position_pace = decoder.position, decoder.position.derived_pace
+        self.is_position_plain = session.options.guard is None or session.origin.is_shown
+        self.is_position_plain &= not decoder.context.is_ours
         self.imu_id = decoder.context.options.imu_id
         self.is_submarine = decoder.context.is_submarine
         self.is_yaw_ours = decoder.context.is_yaw_ours
@@ -150,14 +153,6 @@ class BlockReader:
         self.heard = self.believed = self.echoes = self.strangers = self.count = self.volume = 0
         self.use(buffer)
         return True
-
-    def use(self, buffer: EventBuffer) -> None:
-        """Write rows into a buffer."""
-        if self.values_of is not buffer.values:
-            self.values_of = buffer.values
-            self.out_t, self.out_kind, self.out = buffer.t_ns, buffer.kind, buffer.values
-        self.buffer, self.n = buffer, buffer.size
-        self.limit = buffer.limit
 
     def store(self) -> None:
         """Store in the session what was counted and changed."""
@@ -187,7 +182,7 @@ class BlockReader:
             elif kind == ANYBODYS:
                 break
             elif self.system[i] == self.peer_system and self.component[i] == self.peer_component:
-                if kind <= READ or not self.read_message(kind, self.row[i]):
+                if kind <= READ or not self.read_message(kind, i):
                     break
                 self.numbers.count(self.sequence[i], self.stamp_us[i] * 1000)
                 self.heard_by_id[number] += 1
@@ -206,14 +201,18 @@ class BlockReader:
             i += 1
         return i
 
-    def read_message(self, kind: int, k: int) -> bool:
-        """Read the k-th frame of a message; return whether it could be read here."""
+    def read_message(self, kind: int, i: int) -> bool:
+        """Read a frame of a message; return whether it could be read here."""
         if kind == INERTIAL:
-            return self.read_inertial(k)
+            return self.read_inertial(self.row[i])
         if kind == ATTITUDE:
-            return self.read_attitude(k)
+            return self.read_attitude(self.row[i])
         if kind == TIMESYNC:
-            return self.read_timesync(k)
+            return self.read_timesync(self.row[i])
+        if kind == POSITION:
+            return self.read_position(self.row[i])
+        if kind == FIX:
+            return self.read_fix(i)
         return True
 
     def hold(self, i: int) -> None:
@@ -227,11 +226,8 @@ class BlockReader:
         self.has_held = False
         self.pending.clear()
         held, self.decoder.held = self.decoder.held, []
-        self.buffer.size = self.n
         for _, measurements in held:
-            for measurement in measurements:
-                self.buffer.append(measurement.row())
-        self.use(self.buffer)
+            self.put_rows(measurements)
 
     def read_timesync(self, k: int) -> bool:
         """Count an answer to somebody else, or a request; without requests of ours all are."""
@@ -248,17 +244,14 @@ class BlockReader:
 
     def read_attitude(self, k: int) -> bool:
         """Follow the stamp of an attitude, and write its heading if that is due."""
-        if self.main.latest_us is None or self.main.leap_us is not None or self.is_yaw_ours:
-            return False
-        latest = cython.declare(cython.longlong, self.main.latest_us)
         stamp = self.boot_ms[k] * 1000
-        step = stamp - latest
-        if latest > UNIX or latest // 1000 > LAST_MS or stamp == 0 or not -BACK <= step <= NEAR:
+        if self.is_yaw_ours or not self.is_near(stamp):
             return False
-        if step < 0 and self.main.behind_us is not None and stamp - self.main.behind_us >= SURE:
+        is_late = stamp < self.main.latest_us
+        if is_late and self.main.behind_us is not None and stamp - self.main.behind_us >= SURE:
             return False
         is_due = self.pace.is_due(stamp * 1000)
-        if not isfinite(self.yaw[k]) or self.heading_sources.rank != 0 or (is_due and step < 0):
+        if not isfinite(self.yaw[k]) or self.heading_sources.rank != 0 or (is_due and is_late):
             return False
         self.clock.advance_boot_ms(self.boot_ms[k])
         self.heading_sources.admit(0, stamp * 1000)
@@ -266,16 +259,52 @@ class BlockReader:
             self.write_heading(stamp * 1000, self.yaw[k])
         return True
 
+    def is_near(self, stamp: int) -> bool:
+        """Return whether a time since boot, us, is near that of the inertial samples."""
+        if self.main.latest_us is None or self.main.leap_us is not None:
+            return False
+        latest = cython.declare(cython.longlong, self.main.latest_us)
+        if latest > UNIX or latest // 1000 > LAST_MS or stamp == 0:
+            return False
+        return -BACK <= stamp - latest <= NEAR
+
+    def read_position(self, k: int) -> bool:
+        """Follow the stamp of an autopilot's own position, and write what of it is due."""
+        stamp = self.position_ms[k] * 1000
+        place = self.positions[k]
+        if not self.is_position_plain or self.is_yaw_ours or not self.is_near(stamp):
+            return False
+        if stamp < self.main.latest_us or not is_place(place[0], place[1]):
+            return False
+        self.clock.advance_boot_ms(self.position_ms[k])
+        t_ns = stamp * 1000
+        is_taken = place[6] <= LARGEST_HEADING and self.heading_sources.admit(1, t_ns)
+        if is_taken and self.pace.is_due(t_ns):
+            self.write_heading(t_ns, radians(place[6] * 1e-2))
+        if self.position_pace.admit(t_ns):
+            if self.has_held:
+                self.free()
+            self.put_position(t_ns, place, self.position.derived_std)
+        return True
+
+    def read_fix(self, i: int) -> bool:
+        """Let the decoder read a fix of the receiver, which says nothing of the clock."""
+        if self.clock.is_behind:
+            return False
+        measurements = self.position.gps_raw_int(self.frames.frame(i))
+        if self.decoder.notes:
+            self.session.emit_notes()
+        if self.has_held:
+            self.free()
+        self.put_rows(measurements)
+        return True
+
     def write_heading(self, t_ns: int, yaw: float) -> None:
         """Write a heading of the autopilot's."""
         if self.has_held:
             self.free()
         self.pace.admit(t_ns)
-        self.begin_row(t_ns, HEADING_KIND)
-        self.out[self.n, 0] = wrap(yaw)
-        self.out[self.n, 1] = self.heading_std
-        self.out[self.n, 2] = HEADING_SOURCE
-        self.n += 1
+        self.put_heading(t_ns, wrap(yaw), self.heading_std)
 
     def read_inertial(self, k: int) -> bool:
         """Read a sample that plainly follows the last, with what came with it."""
@@ -348,14 +377,7 @@ class BlockReader:
                 self.decoder.context.refuse("IMU: out of order")
                 return t_ns
             t_ns = sampled
-        self.begin_row(t_ns, IMU_KIND)
-        if self.is_turned:
-            self.turn(row[0], row[1], row[2], 0)
-            self.turn(row[3], row[4], row[5], 3)
-        else:
-            for j in range(6):
-                self.out[self.n, j] = row[j]
-        self.n += 1
+        self.put_sample(t_ns, row)
         return t_ns
 
     def write_field(self, t_ns: int, row: np.ndarray) -> None:
@@ -366,13 +388,7 @@ class BlockReader:
             return
         self.has_field = self.is_new_field = True
         self.mx, self.my, self.mz = row[6], row[7], row[8]
-        self.begin_row(t_ns, MAG_KIND)
-        if self.is_turned:
-            self.turn(row[6], row[7], row[8], 0)
-        else:
-            for j in range(3):
-                self.out[self.n, j] = row[6 + j]
-        self.n += 1
+        self.put_field(t_ns, row)
 
     def write_pressure(self, t_ns: int, pressure: float) -> None:
         """Write the height of a pressure that is not the last one again."""
@@ -381,20 +397,4 @@ class BlockReader:
         if pressure == self.last_pressure:
             return
         self.last_pressure = pressure
-        self.begin_row(t_ns, BARO_KIND)
-        self.out[self.n, 0] = pressure_altitude(pressure * 100.0)
-        self.n += 1
-
-    def begin_row(self, t_ns: int, kind: int) -> None:
-        """Begin a row of zeros."""
-        self.out_t[self.n] = t_ns
-        self.out_kind[self.n] = kind
-        for j in range(self.out.shape[1]):
-            self.out[self.n, j] = 0.0
-
-    def turn(self, x: float, y: float, z: float, first: int) -> None:
-        """Write a vector of the board in the vehicle's axes."""
-        x, y, z = self.trim.to_vehicle(x, y, z)
-        self.out[self.n, first] = x
-        self.out[self.n, first + 1] = y
-        self.out[self.n, first + 2] = z
+        self.put_height(t_ns, pressure_altitude(pressure * 100.0))

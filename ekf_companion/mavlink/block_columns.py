@@ -17,12 +17,14 @@ from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
 from ekf_companion.mavlink.session import Session
 from ekf_companion.nav.arrays import Stamps
 
-BYTES, ANYBODYS, AUTOPILOTS, READ, PASSED, INERTIAL, ATTITUDE, TIMESYNC = range(-1, 7)
+BYTES, ANYBODYS, AUTOPILOTS, READ, PASSED = range(-1, 4)
+INERTIAL, ATTITUDE, TIMESYNC, FIX, POSITION = range(4, 9)
 """What is made of a message. Its bytes go to the session; the session takes it from anybody, or
 from the autopilot only; the decoder reads it; nobody does; or it is one of those decoded here."""
 LATEST_US = 1 << 52
 """Stamps beyond are left to the session: in ns they would not fit."""
 _NUMBERS = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc", "xmag", "ymag", "zmag")
+_POSITION = ("lat", "lon", "alt", "vx", "vy", "vz", "hdg")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -63,6 +65,8 @@ def kinds_of(session: Session) -> npt.NDArray[np.int8]:
     kinds[IDS["ATTITUDE"]] = ATTITUDE
     kinds[list(session.peer_routes)] = AUTOPILOTS
     kinds[IDS["TIMESYNC"]] = TIMESYNC
+    kinds[IDS["GPS_RAW_INT"]] = FIX
+    kinds[IDS["GLOBAL_POSITION_INT"]] = POSITION
     kinds[list(session.all_routes)] = ANYBODYS
     kinds[IDS["SETUP_SIGNING"]] = BYTES
     return kinds
@@ -99,6 +103,12 @@ class Columns:
         table = self._table("ATTITUDE", ATTITUDE)
         self.boot_ms = table["time_boot_ms"].astype(np.int64)
         self.yaw = table["yaw"].astype(np.float64)
+        table = self._table("GLOBAL_POSITION_INT", POSITION)
+        self.position_ms = table["time_boot_ms"].astype(np.int64)
+        self.positions = np.empty((len(table), len(_POSITION)))
+        """degE7, mm, cm/s, cdeg."""
+        for index, name in enumerate(_POSITION):
+            self.positions[:, index] = table[name]
         table = self._table("TIMESYNC", TIMESYNC)
         self.is_answer = (table["tc1"] != 0).astype(np.uint8)
         self.target_system = np.ascontiguousarray(table["target_system"])

@@ -73,6 +73,11 @@ class OriginSetter(Service):
         """When ODOMETRY was sent last."""
         self._given_ns: int | None = None
 
+    @property
+    def is_shown(self) -> bool:
+        """Whether the autopilot has shown that it knows one: to hear it again changes nothing."""
+        return self._has_one and not self.holds
+
     def begin(self, peer: PeerFound) -> None:
         """Wait for the origin of an autopilot that was found, or has rebooted."""
         self._forget()

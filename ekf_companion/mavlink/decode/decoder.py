@@ -38,7 +38,7 @@ class Decoder:
         self.inertial = Inertial(self.context, self.mag, self.baro, self.trim)
         self._ranked: list[Inertial | Magnetometer | Barometer | Heading]
         self._ranked = [self.inertial, self.mag, self.baro, self.heading]
-        self._position = Position(self.context, self.heading)
+        self.position = Position(self.context, self.heading)
         self._receiver = Receiver(self.context, self.vehicle)
         readers: dict[str, Callable[[Frame], Measurements]] = {
             "HIGHRES_IMU": self.inertial.highres_imu,
@@ -47,9 +47,9 @@ class Decoder:
             "SCALED_IMU2": self.inertial.scaled_imu,
             "SCALED_IMU3": self.inertial.scaled_imu,
             "SCALED_PRESSURE": self.baro.scaled_pressure,
-            "GPS_RAW_INT": self._position.gps_raw_int,
-            "GPS2_RAW": self._position.gps2_raw,
-            "GLOBAL_POSITION_INT": self._position.global_position_int,
+            "GPS_RAW_INT": self.position.gps_raw_int,
+            "GPS2_RAW": self.position.gps2_raw,
+            "GLOBAL_POSITION_INT": self.position.global_position_int,
             "ATTITUDE": self.heading.attitude,
             "VFR_HUD": self.heading.vfr_hud,
             "HEARTBEAT": self.vehicle.heartbeat,
@@ -62,7 +62,7 @@ class Decoder:
 
     def _forget(self, step: Step) -> None:
         """Begin anew after a reboot; the clock has already taken the new time."""
-        for reader in (*self._ranked, self._position, self.trim):
+        for reader in (*self._ranked, self.position, self.trim):
             reader.forget()
         if step is Step.BEGUN:
             self.vehicle.forget()

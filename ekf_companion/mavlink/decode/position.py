@@ -50,11 +50,13 @@ class Position:
 
     def forget(self) -> None:
         """Forget everything after a reboot."""
-        self._derived_pace = Pace(self._context.options.derived_rate)
+        self.derived_pace = Pace(self._context.options.derived_rate)
+        """Of the autopilot's own positions."""
         self._last: tuple[int, ...] = ()
         self._fixes = 0
         self._unrelated_ns: int | None = None
-        self._std = (0.0, 0.0, 0.0)
+        self.derived_std = (_DERIVED_STD_H, _DERIVED_STD_V, _DERIVED_STD_VEL)
+        """One sigma of the autopilot's own position, height and velocity."""
 
     def gps_raw_int(self, frame: Frame) -> Measurements:
         """Read GPS_RAW_INT."""
@@ -88,7 +90,7 @@ class Position:
     def _refusal(self, m: Any) -> str | None:
         """Return why a message holds no new fix; None if it does."""
         key = (m.time_usec,) if m.time_usec else (0, m.lat, m.lon, m.alt, m.vel, m.cog)
-        if m.fix_type < _FIX_3D or not _is_place(m.lat, m.lon):
+        if m.fix_type < _FIX_3D or not is_place(m.lat, m.lon):
             self._fixes = 0
             return "no 3-D fix" if m.fix_type < _FIX_3D else "no position"
         if key == self._last:
@@ -141,7 +143,11 @@ class Position:
         has_velocity = m.vel != _UNKNOWN_16 and m.cog <= NORTH_CDEG
         speed, course = m.vel * 1e-2, math.radians(m.cog * 1e-2)
         std_vel = (m.vel_acc * 1e-3 or _STD_VEL) if has_velocity else None
-        self._std = (std_h, std_v, std_vel or 0.0)
+        self.derived_std = (
+            max(_DERIVED_STD_H, _DERIVED * std_h),
+            max(_DERIVED_STD_V, _DERIVED * std_v),
+            max(_DERIVED_STD_VEL, _DERIVED * (std_vel or 0.0)),
+        )
         return GnssFix(
             t_ns=t_ns,
             lat=math.radians(m.lat * 1e-7),
@@ -162,15 +168,15 @@ class Position:
             return out
         if m.hdg <= NORTH_CDEG:
             self._heading.add(out, 1, t_ns, math.radians(m.hdg * 1e-2))
-        if not _is_place(m.lat, m.lon):
+        if not is_place(m.lat, m.lon):
             self._context.refuse("GLOBAL_POSITION_INT: no position")
             return out
         if self._context.is_ours:
             self._context.refuse("GLOBAL_POSITION_INT: made of our own")
             return out
-        if not self._derived_pace.admit(t_ns):
+        if not self.derived_pace.admit(t_ns):
             return out
-        std_h, std_v, std_vel = self._std
+        std_h, std_v, std_vel = self.derived_std
         out.append(
             GnssFix(
                 t_ns=t_ns,
@@ -180,16 +186,16 @@ class Position:
                 vel_north=m.vx * 1e-2,
                 vel_east=m.vy * 1e-2,
                 vel_down=m.vz * 1e-2,
-                std_h=max(_DERIVED_STD_H, _DERIVED * std_h),
-                std_v=max(_DERIVED_STD_V, _DERIVED * std_v),
-                std_vel=max(_DERIVED_STD_VEL, _DERIVED * std_vel),
+                std_h=std_h,
+                std_v=std_v,
+                std_vel=std_vel,
                 flags=GnssFlag.DERIVED,
             )
         )
         return out
 
 
-def _is_place(lat_degE7: int, lon_degE7: int) -> bool:
+def is_place(lat_degE7: int, lon_degE7: int) -> bool:
     """Whether a latitude and longitude can be meant; 0, 0 is sent where there is none."""
     return (
         (lat_degE7 != 0 or lon_degE7 != 0)
