@@ -42,12 +42,13 @@ Column = npt.NDArray[np.void]
 KIND = "telemetry log (.tlog)"
 STAMP, ORDER, COMPONENT = "@stamp_us", "@order", "@component"
 """Columns before a message's own: the recorder's stamp, the record's number, the component."""
+_HEAD = [(STAMP, "<i8"), (ORDER, "<i8"), (COMPONENT, "u1")]
 BLOCK = 1 << 20
 """Bytes that are searched at once."""
 AT_ONCE = 1 << 14
 """Records that are read at once."""
 LONGEST = 8 * BLOCK
-"""Bytes in which they lie, at most."""
+"""Bytes in which those lie that are read at once."""
 SILENCE_US = 1_000_000
 """A longer time between two records is none in which messages came at their rate, us."""
 ROOM = 1 << 20
@@ -123,6 +124,7 @@ class Tlog:
         component_id: int | None = None,
         *,
         rates: Mapping[str, float] | None = None,
+        fields: Mapping[str, Sequence[str]] | None = None,
         only: Indices | None = None,
     ) -> dict[str, Column]:
         """Return the fields of messages as one table each, in file order; skip absent messages.
@@ -132,47 +134,74 @@ class Tlog:
             system_id: Their source.
             component_id: Likewise; None: all components count.
             rates: Hz, by name: of a more frequent message only every n-th is returned.
+            fields: Those to return, by name; of a message that is not named, all.
             only: Numbers of records, ascending; None: of all.
 
         Returns:
             Tables by name: ``STAMP``, ``ORDER``, ``COMPONENT`` and the message's own fields in
             wire order and wire units. Fields that a short MAVLink payload omits are 0.
         """
-        found: dict[str, list[Column]] = {name: [] for name in names}
-        strides = self._strides(names, rates or {})
-        seen = dict.fromkeys(names, 0)
-        ids = self.message_id if only is None else self.message_id[only]
-        wanted = np.flatnonzero(np.isin(ids, [IDS[name] for name in names]))
-        wanted = wanted if only is None else only[wanted]
-        while len(wanted):
-            begin = int(self.place[wanted[0]])
-            # Rare messages lie far apart
-            beyond = np.searchsorted(self.place, begin + LONGEST)
-            some = wanted[: min(int(np.searchsorted(wanted, beyond)), AT_ONCE)]
-            wanted = wanted[len(some) :]
+        counts = self._counts(names, only)
+        strides = self._strides(counts, rates or {})
+        # At once: parts that were put together at the end would take twice the room
+        tables = {
+            name: np.empty(-(-count // strides[name]), _dtype(name, fields or {}))
+            for name, count in counts.items()
+        }
+        seen, filled = dict.fromkeys(names, 0), dict.fromkeys(names, 0)
+        for some in self._wanted(names, only):
+            begin = int(self.place[some[0]])
             end = int(self.place[some[-1]]) + int(self.size[some[-1]])
             raw = np.frombuffer(self.source.read(begin, end), dtype=np.uint8)
-            for name, parts in found.items():
-                order = some[self.message_id[some] == IDS[name]]
+            message_id = self.message_id[some]
+            for name, table in tables.items():
+                order = some[message_id == IDS[name]]
                 order = order[self._is_from(raw, begin, order, system_id, component_id)]
                 kept = order[-seen[name] % strides[name] :: strides[name]]
                 seen[name] += len(order)
+                first, filled[name] = filled[name], filled[name] + len(kept)
                 if len(kept):
-                    parts.append(self._table(raw, begin, kept, IDS[name]))
-        return {name: np.concatenate(parts) for name, parts in found.items() if parts}
+                    self._fill(table[first : filled[name]], raw, begin, kept, IDS[name])
+        return {name: table[: filled[name]] for name, table in tables.items() if filled[name]}
 
-    def _strides(self, names: Sequence[str], rates: Mapping[str, float]) -> dict[str, int]:
+    def _counts(self, names: Sequence[str], only: Indices | None) -> dict[str, int]:
+        """Return how many records there are of each message."""
+        ids = self.message_id if only is None else self.message_id[only]
+        return {name: int(np.count_nonzero(ids == IDS[name])) for name in names}
+
+    def _wanted(self, names: Sequence[str], only: Indices | None) -> Iterator[Indices]:
+        """Yield the numbers of the records of some messages, ascending, as many as are read."""
+        wanted_ids = [IDS[name] for name in names]
+        for first in range(0, len(self) if only is None else len(only), AT_ONCE):
+            if only is None:
+                is_wanted = np.isin(self.message_id[first : first + AT_ONCE], wanted_ids)
+                some = first + np.flatnonzero(is_wanted)
+            else:
+                some = only[first : first + AT_ONCE]
+                some = some[np.isin(self.message_id[some], wanted_ids)]
+            while len(some):
+                # Rare messages lie far apart
+                beyond = np.searchsorted(self.place[some], self.place[some[0]] + LONGEST)
+                yield some[:beyond]
+                some = some[beyond:]
+
+    def _strides(self, counts: Mapping[str, int], rates: Mapping[str, float]) -> dict[str, int]:
         """Return of how many messages one is enough for its rate, Hz, exceeded by 10 % at most."""
-        if not rates:
-            return dict.fromkeys(names, 1)
-        # A stamp may be damaged, the clock set, the recorder silent for hours
-        seconds = float(np.clip(np.diff(self.stamp_us), 0, SILENCE_US).sum()) * 1e-6
-        counts = {name: np.count_nonzero(self.message_id == IDS[name]) for name in names}
-        enough = {name: max(rates.get(name, math.inf) * seconds, 1e-9) for name in names}
+        seconds = self._seconds() if rates else 0.0
+        enough = {name: max(rates.get(name, math.inf) * seconds, 1e-9) for name in counts}
         return {
-            name: max(1, math.ceil(counts[name] / enough[name] - 0.1)) if seconds else 1
-            for name in names
+            name: max(1, math.ceil(count / enough[name] - 0.1)) if seconds else 1
+            for name, count in counts.items()
         }
+
+    def _seconds(self) -> float:
+        """Return for how long messages came."""
+        spent_us = 0
+        for first in range(0, len(self), AT_ONCE):
+            steps = np.diff(self.stamp_us[first : first + AT_ONCE + 1])
+            # A stamp may be damaged, the clock set, the recorder silent for hours
+            spent_us += int(np.clip(steps, 0, SILENCE_US).sum())
+        return spent_us * 1e-6
 
     def _is_from(
         self,
@@ -195,22 +224,35 @@ class Tlog:
         second = raw[place] == 0xFD  # MAVLink 2
         return raw[place + np.where(second, 5, 3)], raw[place + np.where(second, 6, 4)]
 
-    def _table(
-        self, raw: npt.NDArray[np.uint8], begin: int, order: Indices, message_id: int
-    ) -> Column:
-        """Return the table of one message of the records ``order``."""
+    def _fill(
+        self,
+        table: Column,
+        raw: npt.NDArray[np.uint8],
+        begin: int,
+        order: Indices,
+        message_id: int,
+    ) -> None:
+        """Write the records ``order`` of one message into a table of as many rows."""
         place = self.place[order] - begin
         payload = place + np.where(raw[place] == 0xFD, 10, 6)
-        table = _payloads(raw, payload, raw[place + 1], message_id)
+        wire = _payloads(raw, payload, raw[place + 1], message_id)
         table[STAMP], table[ORDER] = self.stamp_us[order], order
         table[COMPONENT] = self._source(raw, begin, order)[1]
-        return table
+        for name in (table.dtype.names or ())[len(_HEAD) :]:
+            table[name] = wire[name]
+
+
+def _dtype(name: str, fields: Mapping[str, Sequence[str]]) -> np.dtype[np.void]:
+    """Return the type of the table of a message, with all of its fields or those that are named."""
+    wire = LAYOUTS[IDS[name]].dtype
+    chosen = fields.get(name, wire.names or ())
+    return np.dtype([*_HEAD, *((one, wire[one]) for one in chosen)])
 
 
 def _payloads(
     raw: npt.NDArray[np.uint8], place: Stamps, size: npt.NDArray[np.uint8], message_id: int
 ) -> Column:
-    """Return payloads as a table of one message, zeros where they are cut short."""
+    """Return payloads as a table in wire order, zeros where they are cut short."""
     dtype = LAYOUTS[message_id].dtype
     rows = np.zeros((len(place), dtype.itemsize), dtype=np.uint8)
     for length in np.unique(size):
@@ -219,12 +261,7 @@ def _payloads(
         if used:
             windows = np.lib.stride_tricks.sliding_window_view(raw, used)
             rows[same, :used] = windows[place[same]]
-    wire = rows.view(dtype)[:, 0]
-    head = [(STAMP, "<i8"), (ORDER, "<i8"), (COMPONENT, "u1")]
-    table = np.zeros(len(place), dtype=np.dtype([*head, *dtype.descr]))
-    for name in dtype.names or ():
-        table[name] = wire[name]
-    return table
+    return rows.view(dtype)[:, 0]
 
 
 def read(path: Path) -> Tlog:

@@ -6,7 +6,7 @@ is returned.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,19 @@ from ekf_companion.nav.state import EULER, Trajectory
 _INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 _TRUTH = ("SIM_STATE", "HIL_STATE_QUATERNION")
 _ESTIMATE = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE")
+_TIMES = {**dict.fromkeys(_INERTIAL, ("time_usec",)), "ATTITUDE": ("time_boot_ms",)}
+"""Fields of messages of which only the clock is of use."""
+_ESTIMATED = {
+    "GLOBAL_POSITION_INT": ("time_boot_ms", "lat", "lon", "alt", "vx", "vy", "vz"),
+    "LOCAL_POSITION_NED": ("time_boot_ms", "x", "y", "z", "vx", "vy", "vz"),
+    "ATTITUDE": ("time_boot_ms", *EULER),
+}
+_Q_NB = ("q1", "q2", "q3", "q4")
+_TRUE = {
+    "SIM_STATE": (*_Q_NB, "lat", "lon", "alt", "vn", "ve", "vd", "lat_int", "lon_int"),
+    "HIL_STATE_QUATERNION": ("attitude_quaternion", "lat", "lon", "alt", "vx", "vy", "vz"),
+}
+"""Fields of which a trajectory is made: of hours of flight the others would be 20 MB."""
 RATES = {**dict.fromkeys(_INERTIAL, 10.0), **dict.fromkeys((*_TRUTH, *_ESTIMATE), 25.0)}
 """Hz: between two such rows a motion is known to millimetres; of inertial samples only the clock
 is of use here."""
@@ -61,12 +74,15 @@ def _one_boot(tables: dict[str, Column]) -> dict[str, Column]:
     }
 
 
-def _tables(log: Tlog, names: Sequence[str]) -> dict[str, Column]:
-    """Return the autopilot's messages of one boot."""
+def _tables(
+    log: Tlog, names: Sequence[str], fields: Mapping[str, Sequence[str]]
+) -> dict[str, Column]:
+    """Return the autopilot's messages of one boot, by their names, and those that tell its time."""
     if log.autopilot is None:
         return {}
     ids = log.autopilot.system_id, log.autopilot.component_id
-    tables = _one_boot(log.columns([*names, "ATTITUDE", *_INERTIAL], *ids, rates=RATES))
+    names = [*names, *(name for name in ("ATTITUDE", *_INERTIAL) if name not in names)]
+    tables = _one_boot(log.columns(names, *ids, rates=RATES, fields={**_TIMES, **fields}))
     return {name: table for name, table in tables.items() if len(table)}
 
 
@@ -80,7 +96,7 @@ def _stamps_before(log: Tlog, tables: dict[str, Column], order: Stamps) -> tuple
     before = np.searchsorted(inertial, order) - 1
     wanted = inertial[np.maximum(before, 0)]
     ids = log.autopilot.system_id, log.autopilot.component_id
-    found = log.columns(_INERTIAL, *ids, only=np.unique(wanted))
+    found = log.columns(_INERTIAL, *ids, fields=_TIMES, only=np.unique(wanted))
     if not found:
         return none
     known, t_ns = _clock([*found.values()])
@@ -98,7 +114,7 @@ def utc_zero_ns(log: Tlog) -> int | None:
     if log.began_s is None or log.autopilot is None:
         return None
     ids = log.autopilot.system_id, log.autopilot.component_id
-    found = log.columns(["ATTITUDE", *_INERTIAL], *ids, rates=RATES)
+    found = log.columns(["ATTITUDE", *_INERTIAL], *ids, rates=RATES, fields=_TIMES)
     names = [name for name in ("ATTITUDE", *_INERTIAL) if name in found]
     if not names:
         return None
@@ -117,7 +133,7 @@ def reference(log: Tlog) -> Trajectory | None:
     is LOCAL_POSITION_NED's, or GLOBAL_POSITION_INT's; attitude is ATTITUDE's.
     """
     world, local, origin = "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "GPS_GLOBAL_ORIGIN"
-    tables = _tables(log, [world, local, origin])
+    tables = _tables(log, [world, local, origin, "ATTITUDE"], _ESTIMATED)
     if not {world, local, "ATTITUDE"} & tables.keys():
         return None
     tables = {
@@ -160,21 +176,19 @@ def truth(log: Tlog) -> Trajectory | None:
     """
     if not np.isin(log.message_id, [IDS[name] for name in _TRUTH]).any():
         return None
-    tables = _tables(log, _TRUTH)
+    tables = _tables(log, _TRUTH, _TRUE)
     name = next((name for name in _TRUTH if name in tables), None)
     if name is None:
         return None
-    table = tables[name]
-    has_stamp, t_ns = _stamps_before(log, tables, table[ORDER])
-    table = table[has_stamp]
+    has_stamp, t_ns = _stamps_before(log, tables, tables[name][ORDER])
     later = series.ascending(t_ns)
-    table, t_ns = table[later], t_ns[later]
+    table, t_ns = tables.pop(name)[np.flatnonzero(has_stamp)[later]], t_ns[later]
     if name == "SIM_STATE":
         exact = (table["lat_int"] != 0) | (table["lon_int"] != 0)
         lat_deg = np.where(exact, table["lat_int"] * 1e-7, table["lat"])
         lon_deg = np.where(exact, table["lon_int"] * 1e-7, table["lon"])
         alt, vel_n = table["alt"].astype(float), series.stack(table, "vn", "ve", "vd")
-        q_nb = series.stack(table, "q1", "q2", "q3", "q4")
+        q_nb = series.stack(table, *_Q_NB)
     else:
         lat_deg, lon_deg, alt = table["lat"] * 1e-7, table["lon"] * 1e-7, table["alt"] * 1e-3
         vel_n = series.stack(table, "vx", "vy", "vz") * 1e-2
