@@ -5,24 +5,42 @@ from __future__ import annotations
 import cython
 from cython.cimports.libc.string import memcpy
 
+from ekf_companion.nav.arrays import Stamps
+
 COMMA = cython.declare(cython.int, 0x2C)
 CLOSED = cython.declare(cython.int, 0x5D)
+MESSAGE = cython.declare(cython.int, 0x05)
+"""The kind of an MCAP record."""
+HEAD = 31
+"""Bytes of an MCAP message before its content."""
 
 
-def name_numbers(numbers: bytes, names: list[bytes], ends: list[bytes]) -> list[bytes]:
-    """Return a text for each row: before each number what is before it, and then the row's end.
+def write_messages(
+    numbers: bytes,
+    names: list[bytes],
+    ends: list[bytes],
+    channel: int,
+    stamp_ns: Stamps,
+    out: bytearray,
+    behind: Stamps,
+) -> None:
+    """Write an MCAP message for each row: before each number what is before it, then the row's end.
 
     Args:
         numbers: JSON of the rows, ``[[1.5,null],[2.5,3.5]]``.
         names: The text before each number of a row: ``[b'{"x":', b',"y":']``.
         ends: The text behind the numbers, one for each row: ``[b'}', b'}']``.
+        channel: Its number, at most 255.
+        stamp_ns: When each is logged and published, shape (n,).
+        out: Receives the messages, with room for the bytes of all that is given, and the heads.
+        behind: Receives where each ends there, shape (n,).
     """
-    rows = []
-    out = bytearray(len(b"".join(names)) + len(numbers) + max(map(len, ends), default=0))
     text, line = cython.cast(cython.p_char, numbers), cython.cast(cython.p_char, out)
     place = 1
-    for end in ends:
-        n = 0
+    n = 0
+    for row, end in enumerate(ends):
+        start = n
+        n += HEAD
         for piece in names:
             size = len(piece)
             memcpy(line + n, cython.cast(cython.p_char, piece), size)
@@ -37,6 +55,18 @@ def name_numbers(numbers: bytes, names: list[bytes], ends: list[bytes]) -> list[
         piece = end
         size = len(piece)
         memcpy(line + n, cython.cast(cython.p_char, piece), size)
+        n += size
         place += 2
-        rows.append(line[: n + size])
-    return rows
+        line[start] = MESSAGE
+        put_number(line + start + 1, n - start - 9)
+        # Its channel, and a count of the messages that is not kept
+        put_number(line + start + 9, channel)
+        put_number(line + start + 15, stamp_ns[row])
+        put_number(line + start + 23, stamp_ns[row])
+        behind[row] = n
+
+
+def put_number(line: bytearray, number: int) -> None:
+    """Write the eight bytes of a number, the lowest first."""
+    for i in range(8):
+        line[i] = number >> 8 * i & 0xFF

@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 import orjson
-from mcap.writer import CompressionType
-from mcap.writer import Writer as Mcap
 
-from ekf_companion.logs.json_objects import name_numbers
+from ekf_companion.logs.json_objects import HEAD, write_messages
+from ekf_companion.logs.mcap_file import McapFile
 from ekf_companion.logs.writer import (
     STATUS_NAMES,
     EstimateWriter,
@@ -26,12 +25,14 @@ from ekf_companion.logs.writer import (
     east_north_up,
     with_position,
 )
-from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.state import COLUMNS, GEODETIC, Status, Table
 from ekf_companion.version import __version__
 
 POSE_RATE = 25.0
 """Poses and transforms per second at most, Hz: more than a screen shows."""
+AT_ONCE = 1024
+"""Messages that are made at once: their text stays in the processor's cache."""
 LOCATION_RATE = 5.0
 """Fixes on the map per second at most, Hz."""
 _INFO, _WARNING = 2, 3
@@ -118,12 +119,12 @@ class Writer(EstimateWriter):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._mcap = Mcap(self.file, compression=CompressionType.LZ4)
-        self._mcap.start(library=f"ekf-companion {__version__}")
-        self._channels = {}
-        for topic, (name, schema) in _SCHEMAS.items():
-            number = self._mcap.register_schema(name, "jsonschema", orjson.dumps(schema))
-            self._channels[topic] = self._mcap.register_channel(topic, "json", number)
+        self._mcap = McapFile(self.file, f"ekf-companion {__version__}")
+        self._channels = {
+            topic: self._mcap.add_channel(topic, name, orjson.dumps(schema))
+            for topic, (name, schema) in _SCHEMAS.items()
+        }
+        self._text = bytearray()
         self._poses, self._locations = Thinning(POSE_RATE), Thinning(LOCATION_RATE)
         self._last: tuple[int, int] | None = None  # status and resets
 
@@ -151,17 +152,24 @@ class Writer(EstimateWriter):
             b'%s,"timestamp":{"sec":%d,"nsec":%d}}' % (behind, *divmod(stamp_ns, 1_000_000_000))
             for stamp_ns in table.stamp_ns.tolist()
         ]
-        self._add_objects(topic, table, numbers, names, ends)
+        self._add_objects(topic, table.stamp_ns, numbers, names, ends)
 
     def _add_objects(
-        self, topic: str, table: Table, numbers: Array, names: list[bytes], ends: list[bytes]
+        self, topic: str, stamp_ns: Stamps, numbers: Array, names: list[bytes], ends: list[bytes]
     ) -> None:
-        # JSON has no NaN: orjson writes null
-        text = orjson.dumps(np.ascontiguousarray(numbers), option=orjson.OPT_SERIALIZE_NUMPY)
-        channel, add = self._channels[topic], self._mcap.add_message
-        objects = name_numbers(text, names, ends)
-        for stamp_ns, data in zip(table.stamp_ns.tolist(), objects, strict=True):
-            add(channel, stamp_ns, data, stamp_ns)
+        channel, around = self._channels[topic], HEAD + sum(map(len, names))
+        for first in range(0, len(ends), AT_ONCE):
+            rows = slice(first, first + AT_ONCE)
+            # JSON has no NaN: orjson writes null
+            part = np.ascontiguousarray(numbers[rows])
+            text = orjson.dumps(part, option=orjson.OPT_SERIALIZE_NUMPY)
+            size = len(text) + sum(map(len, ends[rows])) + around * len(part)
+            if size > len(self._text):
+                self._text = bytearray(size)
+            stamps = np.ascontiguousarray(stamp_ns[rows])
+            behind = np.empty(len(part), dtype=np.int64)
+            write_messages(text, names, ends[rows], channel, stamps, self._text, behind)
+            self._mcap.add(channel, stamps, memoryview(self._text), behind)
 
     def _add_estimates(self, table: Table) -> None:
         words: dict[tuple[float, float], bytes] = {}
@@ -172,7 +180,7 @@ class Writer(EstimateWriter):
                 said = {"status": STATUS_NAMES[int(status)], "reset_count": int(resets)}
                 end = words[status, resets] = b"," + orjson.dumps(said)[1:]
             ends.append(end)
-        self._add_objects("/estimate", table, table.values[:, :-2], _ESTIMATE, ends)
+        self._add_objects("/estimate", table.stamp_ns, table.values[:, :-2], _ESTIMATE, ends)
 
     def _add_poses(self, table: Table) -> None:
         pos_enu, q = east_north_up(table)
@@ -204,8 +212,8 @@ class Writer(EstimateWriter):
                 "line": 0,
             }
             self._last = status, resets
-            stamp_ns = int(table.stamp_ns[row])
-            self._mcap.add_message(self._channels["/log"], stamp_ns, orjson.dumps(line), stamp_ns)
+            stamps = table.stamp_ns[row : row + 1]
+            self._add_objects("/log", stamps, np.zeros((1, 0)), [], [orjson.dumps(line)])
 
 
 def _time(stamp_ns: int) -> dict[str, int]:

@@ -64,7 +64,7 @@ class BlockReader(RowWriter):
         self.kinds = kinds_of(session)
         self.heard_by_id = np.zeros(len(self.kinds), dtype=np.int64)
         self.pending: list[int] = []
-        self.values_of = None
+        super().__init__(session.decoder.trim)
         options, admission = session.options, session.admission
         self.is_usable = not (admission.is_selective or options.is_recording)
         self.is_usable &= session.on_frame is None
@@ -130,7 +130,7 @@ class BlockReader(RowWriter):
         self.decoder, self.numbers = decoder, session.sequence
         self.clock = decoder.context.clock
         self.main = self.clock.main
-        self.imu, self.trim = decoder.inertial, decoder.trim
+        self.imu = decoder.inertial
         self.mag, self.baro = decoder.mag, decoder.baro
         self.sources, self.instances = self.imu.sources, self.imu.instances
         self.repetition, self.dejitter = self.imu.repetition, self.imu.dejitter

@@ -7,6 +7,7 @@ import math
 import cython
 
 from ekf_companion.mavlink.decode.context import Measurements
+from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.measurements import (
@@ -36,6 +37,11 @@ DEGREE = cython.declare(cython.double, math.pi / 180.0)
 
 class RowWriter:
     """Writes rows into the arrays of a buffer."""
+
+    def __init__(self, trim: Trim) -> None:
+        """Begin without a buffer; ``trim`` turns the board's axes into the vehicle's."""
+        self.trim, self.is_turned = trim, False
+        self.values_of: Array | None = None
 
     def use(self, buffer: EventBuffer) -> None:
         """Write rows into a buffer."""
@@ -111,4 +117,4 @@ class RowWriter:
 
 def radians(degrees: float) -> float:
     """Return what ``math.radians`` returns."""
-    return degrees * DEGREE
+    return float(degrees * DEGREE)

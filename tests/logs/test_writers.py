@@ -220,8 +220,9 @@ def test_what_cannot_hold_negative_times_says_so(tmp_path, suffix):
 
 def test_a_missing_package_is_named_with_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mcap", None)
-    monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    monkeypatch.delitem(sys.modules, "ekf_companion.logs.mcap_writer", raising=False)
+    monkeypatch.setitem(sys.modules, "mcap.data_stream", None)
+    for name in ("mcap_writer", "mcap_file"):
+        monkeypatch.delitem(sys.modules, f"ekf_companion.logs.{name}", raising=False)
     with pytest.raises(MissingPackageError, match=r"out\.mcap: needs mcap.*\[formats\]"):
         open_writer(tmp_path / "out.mcap")
 
