@@ -91,13 +91,11 @@ def add_block(report: Report, events: Events, table: Table) -> None:
     """Add a block of events and their estimates to the report."""
     is_restart = events.kind == Kind.RESTART
     report.reboots += int(np.count_nonzero(is_restart & (events.values[:, 0] == 0.0)))
-    derived = (events.kind == Kind.GNSS) & ~of_receiver(events)
-    report.derived += int(np.count_nonzero(derived))
+    is_fix = of_receiver(events)
     for kind in Kind:
-        chosen = (events.kind == kind) & ~derived
-        count = int(np.count_nonzero(chosen))
-        report.counts[kind] += count
+        chosen = is_fix if kind == Kind.GNSS else events.kind == kind
         t_ns = events.t_ns[chosen]
+        report.counts[kind] += len(t_ns)
         steps = np.diff(t_ns)
         if not (steps > 0).all():
             steps = np.diff(np.unique(t_ns))
@@ -105,6 +103,7 @@ def add_block(report: Report, events: Events, table: Table) -> None:
             medians = report.steps.setdefault(kind, [])
             medians.append(float(np.median(steps)))
             report.rates[kind] = 1e9 / float(np.median(medians))
+    report.derived += int(np.count_nonzero(events.kind == Kind.GNSS)) - len(events.t_ns[is_fix])
     report.estimates += len(table)
     report.track.add(events, table)
     if len(table) > 1:

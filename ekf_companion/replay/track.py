@@ -44,21 +44,23 @@ class Track:
         first = max(len(self.stretches.found) - 1, 0)
         part = self.stretches.add(table.stamp_ns)
         std = np.hypot(table.column("sd_pos_n"), table.column("sd_pos_e"))
-        values = np.column_stack([table.columns(GEODETIC), std])
-        is_placed = known_rows(values)
-        values = np.column_stack([values, table.columns(QUATERNION), _sigmas(table)])
         # Who says itself that its error is beyond the limit is not sent, and not judged by it
         status = table.column("status")
-        is_known = (status >= Status.OK) & (status != Status.INVALID) & is_placed
-        if is_known.any():
-            part, t_ns, values = part[is_known], table.stamp_ns[is_known], values[is_known]
-            begins = np.diff(t_ns // SLOT_NS, prepend=-1) != 0
+        is_known = (status >= Status.OK) & (status != Status.INVALID) & np.isfinite(std)
+        for name in GEODETIC:
+            is_known &= np.isfinite(table.column(name))
+        known = np.flatnonzero(is_known)
+        if len(known):
+            begins = np.diff(table.stamp_ns[known] // SLOT_NS, prepend=-1) != 0
             begins[0] = True
             rows = np.flatnonzero(begins)
-            values[rows, 3] = np.maximum.reduceat(values[:, 3], rows)
+            worst = np.maximum.reduceat(std[known], rows)
+            rows = known[rows]
+            kept = Table(stamp_ns=table.stamp_ns[rows], values=table.values[rows])
+            columns = [kept.columns(GEODETIC), worst, kept.columns(QUATERNION), _sigmas(kept)]
             self._part.append(part[rows])
-            self._t_ns.append(t_ns[rows])
-            self._values.append(values[rows])
+            self._t_ns.append(kept.stamp_ns)
+            self._values.append(np.column_stack(columns))
         last = max(len(self.stretches.found) - 1, 0)
         is_fix = of_receiver(events) & known_rows(events.values[:, :2])
         self._fix_part.append(of_events(events, first, last)[is_fix])
