@@ -34,15 +34,16 @@ from ekf_companion.logs.recording import (
 )
 from ekf_companion.logs.source import Source
 from ekf_companion.mavlink.block_columns import Frames
+from ekf_companion.mavlink.frame import STX_2
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
 from ekf_companion.nav.arrays import Indices, Mask, Stamps
 
 Column = npt.NDArray[np.void]
 
 KIND = "telemetry log (.tlog)"
-STAMP, ORDER, COMPONENT = "@stamp_us", "@order", "@component"
-"""Columns before a message's own: the recorder's stamp, the record's number, the component."""
-_HEAD = [(STAMP, "<i8"), (ORDER, "<i8"), (COMPONENT, "u1")]
+STAMP, ORDER = "@stamp_us", "@order"
+"""Columns before a message's own: the recorder's stamp, and the record's number."""
+_HEAD = [(STAMP, "<i8"), (ORDER, "<i8")]
 BLOCK = 1 << 20
 """Bytes that are searched at once."""
 AT_ONCE = 1 << 14
@@ -138,7 +139,7 @@ class Tlog:
             only: Numbers of records, ascending; None: of all.
 
         Returns:
-            Tables by name: ``STAMP``, ``ORDER``, ``COMPONENT`` and the message's own fields in
+            Tables by name: ``STAMP``, ``ORDER`` and the message's own fields in
             wire order and wire units. Fields that a short MAVLink payload omits are 0.
         """
         counts = self._counts(names, only)
@@ -149,19 +150,23 @@ class Tlog:
             for name, count in counts.items()
         }
         seen, filled = dict.fromkeys(names, 0), dict.fromkeys(names, 0)
-        for some in self._wanted(names, only):
-            begin = int(self.place[some[0]])
-            end = int(self.place[some[-1]]) + int(self.size[some[-1]])
-            raw = np.frombuffer(self.source.read(begin, end), dtype=np.uint8)
+        for some in self._parts(only):
             message_id = self.message_id[some]
-            for name, table in tables.items():
-                order = some[message_id == IDS[name]]
+            orders = {name: some[message_id == IDS[name]] for name in names}
+            orders = {name: order for name, order in orders.items() if len(order)}
+            if not orders:
+                continue
+            begin = min(int(self.place[order[0]]) for order in orders.values())
+            last = max(int(order[-1]) for order in orders.values())
+            end = int(self.place[last]) + int(self.size[last])
+            raw = np.frombuffer(self.source.read(begin, end), dtype=np.uint8)
+            for name, order in orders.items():
                 order = order[self._is_from(raw, begin, order, system_id, component_id)]
                 kept = order[-seen[name] % strides[name] :: strides[name]]
                 seen[name] += len(order)
                 first, filled[name] = filled[name], filled[name] + len(kept)
                 if len(kept):
-                    self._fill(table[first : filled[name]], raw, begin, kept, IDS[name])
+                    self._fill(tables[name][first : filled[name]], raw, begin, kept, IDS[name])
         return {name: table[: filled[name]] for name, table in tables.items() if filled[name]}
 
     def _counts(self, names: Sequence[str], only: Indices | None) -> dict[str, int]:
@@ -169,21 +174,17 @@ class Tlog:
         ids = self.message_id if only is None else self.message_id[only]
         return {name: int(np.count_nonzero(ids == IDS[name])) for name in names}
 
-    def _wanted(self, names: Sequence[str], only: Indices | None) -> Iterator[Indices]:
-        """Yield the numbers of the records of some messages, ascending, as many as are read."""
-        wanted_ids = [IDS[name] for name in names]
+    def _parts(self, only: Indices | None) -> Iterator[Indices]:
+        """Yield the numbers of records, ascending, as many as are read at once."""
         for first in range(0, len(self) if only is None else len(only), AT_ONCE):
-            if only is None:
-                is_wanted = np.isin(self.message_id[first : first + AT_ONCE], wanted_ids)
-                some = first + np.flatnonzero(is_wanted)
-            else:
-                some = only[first : first + AT_ONCE]
-                some = some[np.isin(self.message_id[some], wanted_ids)]
+            rows = slice(first, first + AT_ONCE)
+            some = np.arange(first, min(rows.stop, len(self))) if only is None else only[rows]
             while len(some):
-                # Rare messages lie far apart
-                beyond = np.searchsorted(self.place[some], self.place[some[0]] + LONGEST)
-                yield some[:beyond]
-                some = some[beyond:]
+                # Damaged bytes may lie between, or many others
+                place = self.place[some]
+                count = int(np.searchsorted(place, place[0] + LONGEST))
+                yield some[:count]
+                some = some[count:]
 
     def _strides(self, counts: Mapping[str, int], rates: Mapping[str, float]) -> dict[str, int]:
         """Return of how many messages one is enough for its rate, Hz, exceeded by 10 % at most."""
@@ -212,17 +213,10 @@ class Tlog:
         component_id: int | None,
     ) -> Mask:
         """Return which records are of a source; ``raw`` begins at ``begin``."""
-        system, component = self._source(raw, begin, order)
-        is_from = np.asarray(system == system_id)
-        return is_from if component_id is None else is_from & (component == component_id)
-
-    def _source(
-        self, raw: npt.NDArray[np.uint8], begin: int, order: Indices
-    ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
-        """Return the system and the component of records."""
         place = self.place[order] - begin
-        second = raw[place] == 0xFD  # MAVLink 2
-        return raw[place + np.where(second, 5, 3)], raw[place + np.where(second, 6, 4)]
+        system = place + np.where(raw[place] == STX_2, 5, 3)
+        is_from = np.asarray(raw[system] == system_id)
+        return is_from if component_id is None else is_from & (raw[system + 1] == component_id)
 
     def _fill(
         self,
@@ -234,10 +228,9 @@ class Tlog:
     ) -> None:
         """Write the records ``order`` of one message into a table of as many rows."""
         place = self.place[order] - begin
-        payload = place + np.where(raw[place] == 0xFD, 10, 6)
+        payload = place + np.where(raw[place] == STX_2, 10, 6)
         wire = _payloads(raw, payload, raw[place + 1], message_id)
         table[STAMP], table[ORDER] = self.stamp_us[order], order
-        table[COMPONENT] = self._source(raw, begin, order)[1]
         for name in (table.dtype.names or ())[len(_HEAD) :]:
             table[name] = wire[name]
 
@@ -255,9 +248,9 @@ def _payloads(
     """Return payloads as a table in wire order, zeros where they are cut short."""
     dtype = LAYOUTS[message_id].dtype
     rows = np.zeros((len(place), dtype.itemsize), dtype=np.uint8)
-    for length in np.unique(size):
+    for length in np.flatnonzero(np.bincount(size)).tolist():
         same = np.flatnonzero(size == length)
-        used = min(int(length), dtype.itemsize)  # newer definitions add fields at the end
+        used = min(length, dtype.itemsize)  # newer definitions add fields at the end
         if used:
             windows = np.lib.stride_tricks.sliding_window_view(raw, used)
             rows[same, :used] = windows[place[same]]
