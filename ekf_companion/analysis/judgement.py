@@ -9,7 +9,7 @@ import numpy as np
 from ekf_companion.analysis import difference
 from ekf_companion.analysis.witness import departure_of
 from ekf_companion.errors import LogError
-from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.arrays import Array, median
 from ekf_companion.nav.interpolation import between
 from ekf_companion.nav.state import Trajectory
 from ekf_companion.replay.report import Report
@@ -83,7 +83,7 @@ def _apart(report: Report, ours: Trajectory, other: Trajectory | None) -> Size |
 
 def _median(values: Array) -> float:
     known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else float("nan")
+    return median(known) if len(known) else float("nan")
 
 
 def _to_fixes(
@@ -96,7 +96,7 @@ def _to_fixes(
     settled = fixes.pos_t_ns > ours.pos_t_ns[0] + difference.SETTLED_NS
     at_ns = fixes.pos_t_ns[settled]
     pairs = [between(one.pos_t_ns, at_ns) for one in (ours, other)]
-    both = np.intersect1d(pairs[0].wanted, pairs[1].wanted)
+    both = np.intersect1d(pairs[0].wanted, pairs[1].wanted, assume_unique=True)
     if len(both) < FEWEST_FIXES:
         return None
     frame = difference.frame_of(ours)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ekf_companion.analysis import difference
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Mask, Stamps, runs
+from ekf_companion.nav.arrays import Array, Mask, Stamps, median, runs
 from ekf_companion.nav.state import Trajectory
 from ekf_companion.replay.departure import (
     LONG_S,
@@ -48,7 +48,7 @@ def _angles(
     at_ns, mine, theirs = found
     sigmas = report.track.sigmas_at(at_ns)
     settled = at_ns > ours.pos_t_ns[0] + difference.SETTLED_NS
-    is_fast = len(at_ns) > 1 and bool(np.median(np.diff(at_ns)) <= FAST_NS)
+    is_fast = len(at_ns) > 1 and median(np.diff(at_ns)) <= FAST_NS
     turns = (_turns(mine), _turns(theirs)) if is_fast and not is_truth else ()
     angles = []
     eulers = np.stack([so3.to_euler(q) for q in (mine, theirs)])

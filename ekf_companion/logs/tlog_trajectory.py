@@ -96,7 +96,8 @@ def _stamps_before(log: Tlog, tables: dict[str, Column], order: Stamps) -> tuple
     before = np.searchsorted(inertial, order) - 1
     wanted = inertial[np.maximum(before, 0)]
     ids = log.autopilot.system_id, log.autopilot.component_id
-    found = log.columns(_INERTIAL, *ids, fields=_TIMES, only=np.unique(wanted))
+    each = wanted[np.diff(wanted, prepend=-1) > 0]
+    found = log.columns(_INERTIAL, *ids, fields=_TIMES, only=each)
     if not found:
         return none
     known, t_ns = _clock([*found.values()])

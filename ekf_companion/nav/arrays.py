@@ -1,4 +1,4 @@
-"""The types of arrays, and the two operations on masks that NumPy lacks."""
+"""The types of arrays, two operations on masks that NumPy lacks, and a median."""
 
 from __future__ import annotations
 
@@ -15,6 +15,18 @@ Mask = npt.NDArray[np.bool_]
 def known_rows(values: Array) -> Mask:
     """Return which rows are finite in all columns, shape (n,)."""
     return np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
+
+
+def median(values: npt.ArrayLike) -> float:
+    """Return the median of one or more numbers, none of them NaN, to the bit of ``np.median``.
+
+    That imports the masked arrays of NumPy first: a twentieth of the time in which a program
+    starts and converts a short log.
+    """
+    numbers = np.asarray(values, dtype=np.float64)
+    low, high = (len(numbers) - 1) // 2, len(numbers) // 2
+    ordered = np.partition(numbers, (low, high))
+    return float((ordered[low] + ordered[high]) / 2.0)
 
 
 def runs(mask: Mask) -> list[tuple[int, int]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Indices, Stamps
+from ekf_companion.nav.arrays import Array, Indices, Stamps, median
 
 GAP = 0.5
 """Longest step from row to row over which a series is interpolated, s."""
@@ -90,7 +90,7 @@ def pair(first_ns: Stamps, second_ns: Stamps, begin: int, end: int) -> Pair | No
     """
     if len(first_ns) < 2 or len(second_ns) < 2:
         return None
-    periods = [float(np.median(np.diff(t_ns))) for t_ns in (first_ns, second_ns)]
+    periods = [median(np.diff(t_ns)) for t_ns in (first_ns, second_ns)]
     is_swapped = periods[0] > periods[1]
     dense, sparse = (second_ns, first_ns) if is_swapped else (first_ns, second_ns)
     rows = np.flatnonzero((sparse >= begin) & (sparse <= end))

@@ -12,7 +12,7 @@ from itertools import permutations, product
 import numpy as np
 
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, known_rows
+from ekf_companion.nav.arrays import Array, known_rows, median
 from ekf_companion.nav.magnetic import magnetic_field
 from ekf_companion.nav.measurements import Events, Kind
 from ekf_companion.nav.state import QUATERNION, Status, Table
@@ -56,7 +56,7 @@ class MagnetometerCheck:
         mag, t_ns, norm = mag[norm > 0.0], t_ns[norm > 0.0], norm[norm > 0.0]
         if not len(mag):
             return
-        self._norms.append(float(np.median(norm)))
+        self._norms.append(median(norm))
         is_good = table.column("status") >= Status.OK
         if self._field_n is None or not is_good.any():
             return
@@ -76,7 +76,7 @@ class MagnetometerCheck:
     def _of_unit(self) -> str:
         if self._field_n is None or not self._norms:
             return ""
-        found, earth = float(np.median(self._norms)), float(np.linalg.norm(self._field_n))
+        found, earth = median(self._norms), float(np.linalg.norm(self._field_n))
         if 1.0 / _APART < found / earth < _APART:
             return ""
         unit, factor = min(_UNITS.items(), key=lambda one: abs(np.log(found / earth / one[1])))

@@ -13,6 +13,7 @@ import numpy as np
 from ekf_companion.engine.health import DECIMATED, Aid, Arrival, Health
 from ekf_companion.errors import LogError
 from ekf_companion.logs.recording import UNDAMAGED, Damage
+from ekf_companion.nav.arrays import median
 from ekf_companion.nav.measurements import Events, Kind, of_receiver
 from ekf_companion.nav.state import Status, Table, Trajectory
 from ekf_companion.replay.track import Track
@@ -101,8 +102,8 @@ def add_block(report: Report, events: Events, table: Table) -> None:
             steps = np.diff(np.unique(t_ns))
         if len(steps):
             medians = report.steps.setdefault(kind, [])
-            medians.append(float(np.median(steps)))
-            report.rates[kind] = 1e9 / float(np.median(medians))
+            medians.append(median(steps))
+            report.rates[kind] = 1e9 / median(medians)
     report.derived += int(np.count_nonzero(events.kind == Kind.GNSS)) - len(events.t_ns[is_fix])
     report.estimates += len(table)
     report.track.add(events, table)

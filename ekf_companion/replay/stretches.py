@@ -50,7 +50,7 @@ class Stretches:
             self.found.append(Stretch(int(t_ns[0]), int(t_ns[0])))
         is_back = np.diff(t_ns, prepend=self.found[-1].last_ns) < -BACK_NS
         index = len(self.found) - 1 + np.cumsum(is_back)
-        for one in np.unique(index).tolist():
+        for one in range(int(index[0]), int(index[-1]) + 1):
             part = t_ns[index == one]
             if one == len(self.found):
                 self.found.append(Stretch(int(part[0]), int(part[0])))
