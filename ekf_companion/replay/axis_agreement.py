@@ -135,12 +135,53 @@ def _windows(imu: Events, fixes: Events) -> tuple[Array, Array, Array] | None:
 
 def _statistics(gyro: Array, accel: Array, change: Array) -> Array:
     """Return what each candidate leaves in each window, m/s, shape (candidates, windows)."""
-    of_gyro, of_accel = (np.array(part) for part in zip(*CANDIDATES, strict=True))
-    force = integrated_force(gyro, accel, of_gyro, of_accel)
+    force = _forces(gyro, accel)
     left = np.stack([rest_of_rotation(force, one) for one in change])
     # The receiver's delay is one for the whole flight
     delay = np.argmin(np.median(left, axis=2), axis=0)
     return np.asarray(left[delay, np.arange(len(CANDIDATES))])
+
+
+def _forces(gyro: Array, accel: Array) -> Array:
+    """Return what :func:`integrated_force` does of each candidate, but for rounding.
+
+    A rotation about exchanged axes is the rotation, exchanged: only units and signs of the rates
+    are integrated, and the turned forces are summed before it is said which axis is which.
+    """
+    sizes = [float(np.abs(of_gyro).max()) for of_gyro, _ in CANDIDATES]
+    signs = [float(np.sign(np.linalg.det(of_gyro))) for of_gyro, _ in CANDIDATES]
+    scales = [size * sign for size, sign in zip(sizes, signs, strict=True)]
+    each = list(dict.fromkeys(scales))
+    turned = _turned(np.concatenate([gyro * scale for scale in each], axis=1), accel, len(each))
+    force = []
+    for (of_gyro, of_accel), scale in zip(CANDIDATES, scales, strict=True):
+        turn = of_gyro / scale
+        sums = turned[each.index(scale)]
+        force.append(np.einsum("ia,wsabc,bc->wsi", turn, sums, turn.T @ of_accel, optimize=True))
+    return np.stack(force)
+
+
+def _turned(rates: Array, accel: Array, count: int) -> Array:
+    """Return the sum over each second of the rotation times the force, m/s.
+
+    Args:
+        rates: Angular rates of ``count`` choices, shape (samples, count * windows, 3).
+        accel: Specific forces, shape (samples, windows, 3).
+        count: Choices.
+
+    Returns:
+        Shape (count, windows, SECONDS, 3, 3, 3); the force's axis is last.
+    """
+    windows = accel.shape[1]
+    q = np.tile([1.0, 0.0, 0.0, 0.0], (count * windows, 1))
+    sums = np.zeros((count, windows, SECONDS, 3, 3, 3))
+    for k, (rate, forces) in enumerate(zip(rates, accel, strict=True)):
+        half = so3.exp(rate * (0.5 / RATE))
+        q = so3.multiply(q, half)
+        turn = so3.to_matrix(q).reshape(count, windows, 3, 3, 1)
+        sums[:, :, k // int(RATE)] += turn * (forces / RATE)[:, None, None, :]
+        q = so3.multiply(q, half)
+    return sums
 
 
 def integrated_force(

@@ -150,9 +150,9 @@ def _rotations(rates: Array) -> list[Array]:
 
     A rotation about exchanged axes is the rotation, exchanged: only units and signs are integrated.
     """
-    of = {
-        (unit, sign): _integrated(rates * (unit * sign)) for unit in UNITS for sign in (1.0, -1.0)
-    }
+    scales = [(unit, sign) for unit in UNITS for sign in (1.0, -1.0)]
+    every = np.concatenate([rates * (unit * sign) for unit, sign in scales], axis=1)
+    of = dict(zip(scales, np.split(_integrated(every), len(scales)), strict=True))
     return [
         turn @ of[unit, float(np.round(np.linalg.det(turn)))] @ turn.T for unit, turn in CANDIDATES
     ]

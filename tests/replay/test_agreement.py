@@ -8,8 +8,9 @@ import pytest
 from scipy.signal import lfilter
 
 from ekf_companion.nav.measurements import Events, Kind, merge
+from ekf_companion.replay import axis_agreement
 from ekf_companion.replay.agreement import AgreementCheck
-from ekf_companion.replay.axis_agreement import axis_disagreement
+from ekf_companion.replay.axis_agreement import axis_disagreement, integrated_force
 from ekf_companion.replay.fix_agreement import disagreements, suspicion
 from ekf_companion.replay.time_agreement import clock_disagreement, fix_shift
 from sim_autopilot.config import SimConfig
@@ -280,3 +281,13 @@ def test_a_long_recording_is_compared_in_constant_memory():
         held.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
     assert held[5] - held[2] < 0.05 * held[2]
+
+
+def test_exchanged_axes_need_no_integration_of_their_own():
+    rng = np.random.default_rng(2)
+    samples = axis_agreement.SECONDS * int(axis_agreement.RATE)
+    gyro, accel = rng.standard_normal((2, samples, 3, 3))
+    of_gyro, of_accel = (np.array(part) for part in zip(*axis_agreement.CANDIDATES, strict=True))
+    each = integrated_force(gyro, accel, of_gyro, of_accel)
+    # 300 sums of forces of 1 m/s2, rounded
+    np.testing.assert_allclose(axis_agreement._forces(gyro, accel), each, rtol=0.0, atol=1e-12)
