@@ -22,7 +22,6 @@ from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.measurements import Events, Kind, Row
 from ekf_companion.nav.state import COLUMNS, Table
-from ekf_companion.replay.agreement import AgreementCheck
 from ekf_companion.replay.log_source import open_log, reference, truth
 from ekf_companion.replay.magnetometer import MagnetometerCheck
 from ekf_companion.replay.report import Report, add_block, note_shortcomings
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from ekf_companion.logs.tlog import Tlog
     from ekf_companion.mavlink.block import BlockReader
     from ekf_companion.mavlink.outbox import Message
+    from ekf_companion.replay.agreement import AgreementCheck
 
 CHUNK = 20_000
 """Measurements in a block, and between two reports of progress."""
@@ -151,8 +151,12 @@ class Run(Generic[P]):
         self._blocks: list[Block] = []  # of all pipelines, finished
         self._done = 0  # frames or measurements so far
         self._magnetometer = MagnetometerCheck(config.heading.year)
+        self._agreement: AgreementCheck | None = None
         # Columns and units of a table are declared by its user, those of the others by programs
-        self._agreement = AgreementCheck(config.gnss.delay) if suffix_of(path) == ".csv" else None
+        if suffix_of(path) == ".csv":
+            from ekf_companion.replay.agreement import AgreementCheck
+
+            self._agreement = AgreementCheck(config.gnss.delay)
         self._vehicle: Vehicle | None = None
         self._system_id = config.link.system_id or 1
         if isinstance(self.log, Recording):
