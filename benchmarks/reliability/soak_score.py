@@ -17,6 +17,8 @@ QUANTILE = 0.999
 MARGIN = 1.5
 """Of the undisturbed flight's quantile. One hour holds few independent errors, as those of a
 receiver change over minutes: the next hour's quantile differs by a third."""
+LEAST = np.array([0.0, 0.0, math.radians(1.0), math.radians(2.0)])
+"""Errors that are normal in any flight, as ``normal`` returns them: no controller minds them."""
 SETTLED = 60.0
 """The undisturbed flight counts from here on, s: after take-off and first estimates of biases."""
 HOLD = 2.0
@@ -41,7 +43,8 @@ class Episode:
 
 def normal(errors: Errors) -> Array:
     """Return the limits of normal errors, from a flight without faults, shape (4,)."""
-    return MARGIN * np.quantile(errors.size[errors.t > SETTLED], QUANTILE, axis=0)
+    found = MARGIN * np.quantile(errors.size[errors.t > SETTLED], QUANTILE, axis=0)
+    return np.maximum(found, LEAST)
 
 
 def episodes(errors: Errors, faults: Sequence[Fault], limits: Array, seed: int) -> list[Episode]:
