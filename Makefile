@@ -81,7 +81,7 @@ demo: $(if $(wildcard $(STAMP)),$(STAMP),$(FLYING))
 	$(BIN)/python -m sim_autopilot demo --out demo --duration 45
 
 bench: $(STAMP)
-	$(BIN)/python -m benchmarks.speed
+	$(BIN)/python -m benchmarks.speed $(if $(EKF2),--ekf2 $(EKF2))
 
 # Whether a refactoring has changed a bit of any estimate, message or status; five minutes
 bits: $(STAMP)

@@ -8,6 +8,7 @@ import os
 import platform
 import time
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,11 @@ def main() -> None:
         "parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; all by default"
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
+    parser.add_argument(
+        "--ekf2", type=Path, metavar="PROGRAM", help="runs EKF2 over a .csv: benchmarks/speed/steps"
+    )
     asked = parser.parse_args()
+    parts = PARTS | {"steps": partial(steps.measure, ekf2=asked.ekf2)}
     if unknown := set(asked.parts) - set(PARTS):
         parser.error(f"{', '.join(sorted(unknown))}: no such part; known are {', '.join(PARTS)}")
 
@@ -47,7 +52,7 @@ def main() -> None:
     figures: dict[str, list[Result]] = {}
     for part in asked.parts or PARTS:
         print(f"\n{TITLES[part]}")
-        figures[part] = list(PARTS[part]())
+        figures[part] = list(parts[part]())
         for line in table(figures[part]):
             print(line, flush=True)
     if asked.json is not None:

@@ -1,20 +1,30 @@
-"""Microseconds per inertial sample: a whole recording, one event at a time, late ones."""
+"""Microseconds per inertial sample: a whole recording, one event at a time, late ones.
+
+PX4's EKF2 is timed beside it where a program is named that runs it. Its argument is the flight, a
+.csv as ``convert`` reads it (time_us, gyro_*_rps, accel_*_mps2, mag_*_gauss, baro_alt_m, gps_*);
+the last line that it prints is how many microseconds its filter took per inertial sample, the
+reading of the file apart.
+"""
 
 from __future__ import annotations
 
+import subprocess
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.speed import flights
+from benchmarks.speed import flights, recordings
 from benchmarks.speed.reference import Reference
 from benchmarks.speed.result import Result
+from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.checkpoint import Checkpoint, Clocks, Sources, Vehicle, encode
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.nav.arrays import Array
-from ekf_companion.nav.measurements import Events, Kind, Measurement
+from ekf_companion.nav.measurements import Events, Kind, Measurement, merge
 from ekf_companion.nav.state import Table
 from ekf_companion.replay.smoothing import Smoothing
 from sim_autopilot import events as wireless
@@ -29,8 +39,8 @@ REFERENCE_DURATION = 20.0
 """s; enough for a filter that takes 0.1 ms per sample."""
 
 
-def measure(duration: float = 120.0) -> Iterator[Result]:
-    """Time the compiled filter and the NumPy one on the same flight."""
+def measure(duration: float = 120.0, ekf2: Path | None = None) -> Iterator[Result]:
+    """Time the compiled filter and the NumPy one on the same flight, and EKF2 by its program."""
     flight = flights.plan(duration)
     events = flights.events(flight)
 
@@ -43,7 +53,11 @@ def measure(duration: float = 120.0) -> Iterator[Result]:
     yield Result(
         name="compiled loop over a recording, per sample", value=compiled, unit="us", aim=2.5
     )
+    usual, _, _ = _loop(events, FilterSettings())
+    yield Result(name="the same with default settings, of late fixes", value=usual, unit="us")
     yield from _shares(flight)
+    if ekf2 is not None:
+        yield from _beside(ekf2, flight)
     yield Result(
         name="smoothing a recording, both runs, per sample",
         value=_smoothed(events),
@@ -74,12 +88,32 @@ def _shares(flight: Flight) -> Iterator[Result]:
     yield Result(name="  of which motion, bank, noise, rest, estimates", value=rest, unit="us")
 
 
-def _loop(events: Events) -> tuple[float, Pipeline, Table]:
+def _beside(ekf2: Path, flight: Flight) -> Iterator[Result]:
+    """Time EKF2 and the loop in turn, on a flight with a magnetometer and a barometer."""
+    found = recordings.by_kind(flight)
+    del found[Kind.HEADING]
+    events = merge(*found.values())
+    ours, theirs = [], []
+    with TemporaryDirectory() as folder:
+        log = Path(folder) / "flight.csv"
+        recordings.write_csv(log, found)
+        for _ in range(REPEATS):
+            ours.append(_loop(events, FilterSettings(), repeats=1)[0])
+            done = subprocess.run([ekf2, log], capture_output=True, text=True, check=True)
+            theirs.append(float(done.stdout.split()[-1]))
+    yield Result(name="EKF2 on the flight of its own, per sample", value=min(theirs), unit="us")
+    yield Result(name="  ours on it, default settings", value=min(ours), unit="us")
+    yield Result(name="  EKF2 over ours", value=min(theirs) / min(ours), unit="times")
+
+
+def _loop(
+    events: Events, settings: FilterSettings = flights.SETTINGS, repeats: int = REPEATS
+) -> tuple[float, Pipeline, Table]:
     """Return microseconds per sample of Pipeline.run, the pipeline, and its estimates."""
     count = int(np.count_nonzero(events.kind == Kind.IMU))
     best = np.inf
-    for _ in range(REPEATS):
-        pipeline = Pipeline(flights.SETTINGS)
+    for _ in range(repeats):
+        pipeline = Pipeline(settings)
         began = time.perf_counter_ns()
         table = pipeline.run(events)
         best = min(best, (time.perf_counter_ns() - began) * 1e-3 / count)

@@ -1,5 +1,7 @@
 """The benchmarks run, on sizes too small to mean anything."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,23 @@ def test_both_filters_are_timed_on_a_flight_that_both_can_follow():
     assert results["horizontal RMS error, compiled"] < 1.0
     assert results["horizontal RMS error, NumPy"] < 1.0
     assert results["plain NumPy over compiled loop"] > 1.0
+
+
+def test_a_program_that_runs_ekf2_is_timed_beside_ours_on_the_same_flight(tmp_path):
+    program = tmp_path / "ekf2"
+    program.write_text(
+        f"#!{sys.executable}\nimport sys\n"
+        "head, *rows = open(sys.argv[1]).read().splitlines()\n"
+        "assert head.startswith('\"time_us\",\"gyro_x_rps\"'), head\n"
+        "print('EKF2 of so and so')\nprint(len(rows) / 1000)\n",
+        encoding="utf-8",
+    )
+    program.chmod(0o755)
+    results = {one.name: one.value for one in steps.measure(duration=12.0, ekf2=program)}
+
+    assert results["EKF2 on the flight of its own, per sample"] == 3.0
+    ours = results["  ours on it, default settings"]
+    assert results["  EKF2 over ours"] == pytest.approx(3.0 / ours)
 
 
 def test_the_flight_has_the_rates_that_the_aims_speak_of():
