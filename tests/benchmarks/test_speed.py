@@ -28,7 +28,7 @@ def test_a_program_that_runs_ekf2_is_timed_beside_ours_on_the_same_flight(tmp_pa
     program.write_text(
         f"#!{sys.executable}\nimport sys\n"
         "head, *rows = open(sys.argv[1]).read().splitlines()\n"
-        "assert head.startswith('\"time_us\",\"gyro_x_rps\"'), head\n"
+        'assert head.startswith(\'"time_us","gyro_x_rps"\'), head\n'
         "print('EKF2 of so and so')\nprint(len(rows) / 1000)\n",
         encoding="utf-8",
     )
