@@ -61,13 +61,17 @@ def compared(simulator: Simulator, folder: Path, pairs: int = 1) -> Iterator[Lin
     for number in range(1, pairs + 1):
         own.append(flights.paths(simulator, folder / f"own-{number}", is_flown_on=False))
         ours.append(flights.paths(simulator, folder / f"flown-on-{number}", is_flown_on=True))
-    name = "passive"
-    yield from _ratios(name, own, "ours", own, {"horizontal": 1, "velocity": 1, "vertical": 1})
-    yield from _lead(name, "our lead or lag", own, "ours")
-    name = "flown on ODOMETRY"
+    theirs = [log.score("autopilot") for log in own]
+    passive = [log.score("ours") for log in own]
+    flown = [log.score("autopilot") for log in ours]
+    name, whose = "passive", "our {} error, over its own"
+    limits = {"horizontal": 1, "velocity": 1, "vertical": 1}
+    yield from _ratios(name, whose, passive, theirs, limits)
+    yield from _lead(name, "our lead or lag", passive)
+    name, whose = "flown on ODOMETRY", "{} error, over own GNSS"
     limits = {"horizontal": 0.8, "velocity": 0.8, "vertical": 1, "roll": 1, "pitch": 1, "yaw": 1}
-    yield from _ratios(name, ours, "autopilot", own, limits)
-    yield from _lead(name, "lead or lag", ours, "autopilot")
+    yield from _ratios(name, whose, flown, theirs, limits)
+    yield from _lead(name, "lead or lag", flown)
     if (usual := max(log.largest_bias for log in own)) > 0.0:
         found = max(log.largest_bias for log in ours) / usual
         yield Line(name, "largest accelerometer bias, over own GNSS", found, 1.0)
@@ -77,24 +81,25 @@ def compared(simulator: Simulator, folder: Path, pairs: int = 1) -> Iterator[Lin
 
 
 def _ratios(
-    flight: str, logs: list[Log], which: str, own: list[Log], limits: dict[str, float]
+    flight: str,
+    whose: str,
+    scores: list[Score],
+    others: list[Score],
+    limits: dict[str, float],
 ) -> Iterator[Line]:
-    """Compare the errors of all flights with the autopilot's own, and name those of each pair."""
-    found = [log.score(which) for log in logs]
-    others = [log.score("autopilot") for log in own]
-    whose = "our {} error, over its own" if which == "ours" else "{} error, over own GNSS"
+    """Compare the errors of all flights with those of others, and name the ratio of each pair."""
+    all_of_it, of_others = pooled(scores), pooled(others)
     for quantity, limit in limits.items():
-        each = tuple(_ratio(a, b, quantity) for a, b in zip(found, others, strict=True))
-        over_all = _ratio(pooled(found), pooled(others), quantity)
-        yield Line(flight, whose.format(quantity), over_all, limit, each=each)
+        each = tuple(_ratio(a, b, quantity) for a, b in zip(scores, others, strict=True))
+        found = _ratio(all_of_it, of_others, quantity)
+        yield Line(flight, whose.format(quantity), found, limit, each=each)
 
 
-def _lead(flight: str, quantity: str, logs: list[Log], which: str) -> Iterator[Line]:
-    """Tell the mean lead of all flights, and that of each."""
-    found = [log.score(which) for log in logs]
-    if (lead := pooled(found).lead) is not None:
-        each = tuple(1e3 * one.lead for one in found if one.lead is not None)
-        yield Line(flight, quantity, 1e3 * abs(lead), 10.0, " ms", each)
+def _lead(flight: str, quantity: str, scores: list[Score]) -> Iterator[Line]:
+    """Return the largest lead or lag of the flights, and that of each."""
+    each = tuple(1e3 * one.lead for one in scores if one.lead is not None)
+    if each:
+        yield Line(flight, quantity, max(map(abs, each)), 10.0, " ms", each)
 
 
 def _ratio(score: Score, other: Score, quantity: str) -> float:

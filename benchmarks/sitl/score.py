@@ -67,11 +67,10 @@ def pooled(scores: Sequence[Score]) -> Score:
     def over_all(quantity: str) -> float:
         return float(_rms(np.array([getattr(one, quantity) for one in scores])))
 
-    leads = [one.lead for one in scores if one.lead is not None]
     return Score(
         **{quantity: over_all(quantity) for quantity in QUANTITIES},
         horizontal_max=max(one.horizontal_max for one in scores),
-        lead=float(np.mean(leads)) if leads else None,
+        lead=max((one.lead for one in scores if one.lead is not None), key=abs, default=None),
     )
 
 
