@@ -22,7 +22,7 @@ from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
 NAN = cython.declare(cython.double, float("nan"))
 NEVER = cython.declare(cython.double, -1e18)
-LEAST_DOUBT = cython.declare(cython.double, 0.003)
+LEAST_DOUBT = cython.declare(cython.double, 0.0003)
 LARGEST_DOUBT = cython.declare(cython.double, 1e4)
 MEMORY = cython.declare(cython.double, 60e9)
 """Time constant with which the worst doubt is forgotten, ns: vibration comes back."""
@@ -63,8 +63,10 @@ LEAST_FORCE_NOISE = cython.declare(cython.double, 4e-6)
 """Likewise of its accelerometer, m^2/s^3."""
 USUAL_DOUBT = cython.declare(cython.double, 0.03)
 """Doubt at which biases walk as configured."""
-LEAST_WALK = cython.declare(cython.double, 0.1)
+LEAST_WALK = cython.declare(cython.double, 0.03)
 LARGEST_WALK = cython.declare(cython.double, 4.0)
+LARGEST_DRIFT = cython.declare(cython.double, 9.0)
+"""Largest variance of the gyro's walk, of the configured one: 0.14 deg/s in a minute."""
 MARGIN = cython.declare(cython.double, 1.5)
 """How much larger than the second differences show the variance of the noise may be."""
 SCALE_VAR = cython.declare(cython.double, 2e-8)
@@ -104,6 +106,12 @@ def walk_share(x: State) -> float:
     share = x.doubt / USUAL_DOUBT
     share = share if share > LEAST_WALK else LEAST_WALK
     return share if share < LARGEST_WALK else LARGEST_WALK
+
+
+def gyro_walk_share(x: State) -> float:
+    """Return the same of the gyro's biases, whose corrections may show that they drift."""
+    share = walk_share(x) * x.walk.drift
+    return share if share < LARGEST_DRIFT else LARGEST_DRIFT
 
 
 def write_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:

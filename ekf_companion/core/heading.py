@@ -23,6 +23,7 @@ from cython.cimports.ekf_companion.core.enums import (
     CHOICE_MAG,
     E_ATT,
     E_HEADING,
+    N,
     MODE_ATTITUDE,
     MODE_LEVEL,
     RESET_HEADING,
@@ -65,6 +66,20 @@ STEADY_TIME = cython.declare(cython.double, 10.0)
 """Time constant of that mean, s."""
 DISTURBED_TIME = cython.declare(cython.double, 60.0)
 """Time constant of the mean while the field differs: a lasting change is adopted, s."""
+NEXT = cython.declare(cython.double, 1e9)
+"""Silence of the magnetometer after which its noise is learnt from a new block, ns."""
+FIELD_BLOCK = cython.declare(cython.double, 1.9e9)
+"""Least length of a block, ns."""
+FIRST_MEMORY = cython.declare(cython.double, 5.0)
+"""Blocks that what is configured counts for."""
+LARGEST_MEMORY = cython.declare(cython.double, 25.0)
+"""Blocks over which the noise is learnt."""
+LEAST_SHARE = cython.declare(cython.double, 0.05)
+"""Least share of the configured variance, for the best of magnetometers."""
+LARGEST_SHARE = cython.declare(cython.double, 9.0)
+"""Largest share that one block may show."""
+NAN = cython.declare(cython.double, float("nan"))
+NEVER = cython.declare(cython.double, -1e18)
 UNKNOWN_HEADING = cython.declare(cython.double, 3.29)
 """Variance of an unknown angle: pi^2 / 3, rad^2."""
 ANY_YAW = cython.declare(cython.double, 100.0)
@@ -200,10 +215,13 @@ def fuse_azimuth(
     if source != x.azimuth:
         x.azimuth = source
         x.heading_offset = 0.0
+        x.walk.heading_share = 1.0
         reset_variance(x, E_HEADING, 1, slow * slow)
     if not observe.azimuth(x, o, r):
         count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
         return
+    if r.noise > 0.0 and k.learn_noise != 0.0:
+        weigh_field(x, o)
     if x.has_yaw == 0.0:
         reset_yaw(x, o)
         count_verdict(x, AID_HEADING, VERDICT_FUSED)
@@ -213,6 +231,60 @@ def fuse_azimuth(
         and x.t - x.refused_t[AID_HEADING] >= INSISTENCE
     ):
         yield_to_azimuth(x, o, slow)
+
+
+def weigh_field(x: State, o: Observation) -> None:
+    """Give a field's azimuth the noise that was learnt; learn it from it, once in a while.
+
+    A magnetometer shows its noise by how far the mean of two seconds is from that of the two
+    before. From one reading to the next it would look better than it is: currents and turns make
+    errors that last a second.
+    """
+    learnt = address(x.field_noise)
+    stated = o.R[0][0]
+    o.R[0][0] = learnt.share * stated
+    innovate(x, o)
+    if not x.t - learnt.t < NEXT:
+        begin_field_block(x)
+        learnt.last = NAN
+    learnt.t = x.t
+    learnt.n += 1.0
+    learnt.sum += o.z[0]
+    for j in range(N):
+        learnt.own += o.H[0][j] * o.PHt[0][j]
+    if x.t - learnt.t0 < FIELD_BLOCK:
+        return
+    mean = learnt.sum / learnt.n
+    if not isnan(learnt.last):
+        own = learnt.own / learnt.n
+        change = mean - learnt.last
+        seen = (0.5 * learnt.n * change * change - own) / stated
+        seen = seen if seen < LARGEST_SHARE else LARGEST_SHARE
+        seen = seen if seen > -LARGEST_SHARE else -LARGEST_SHARE
+        weight = o.R[0][0] / (o.R[0][0] + own)
+        memory = learnt.memory if learnt.memory < LARGEST_MEMORY else LARGEST_MEMORY
+        learnt.memory += 1.0
+        learnt.share += weight * weight * (seen - learnt.share) / memory
+        if learnt.share < LEAST_SHARE:
+            learnt.share = LEAST_SHARE
+    begin_field_block(x)
+    learnt.last = mean
+
+
+def begin_field_block(x: State) -> None:
+    """Begin a new block of azimuths of the field."""
+    learnt = address(x.field_noise)
+    learnt.t0 = x.t
+    learnt.n = 0.0
+    learnt.sum = 0.0
+    learnt.own = 0.0
+
+
+def forget_field_noise(x: State) -> None:
+    """Take the magnetometer's noise for what is configured."""
+    x.field_noise.share = 1.0
+    x.field_noise.memory = FIRST_MEMORY
+    x.field_noise.t = NEVER
 
 
 def keep_reference(x: State, r: Reference) -> None:

@@ -23,6 +23,7 @@ from cython.cimports.ekf_companion.core import (
     past,
     propagate,
     tape,
+    walk,
     yaw_bank,
     yaw_frame,
 )
@@ -215,8 +216,10 @@ def start(x: State, t: float) -> None:
     x.mode = MODE_LEVEL
     x.q_nb[0] = 1.0
     x.field.declination = NAN
+    doubt.restart(x)
+    walk.restart(x)
+    heading.forget_field_noise(x)
     if x.white_share[AID_POSITION] == 0.0:
-        doubt.restart(x)
         # of a receiver that nothing is known of from before
         x.white_share[AID_POSITION] = FIRST_SHARE
         x.white_share[AID_HEIGHT] = FIRST_SHARE

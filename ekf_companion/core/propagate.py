@@ -10,7 +10,11 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core.doubt import walk_share, write_noise
+from cython.cimports.ekf_companion.core.doubt import (
+    gyro_walk_share,
+    walk_share,
+    write_noise,
+)
 from cython.cimports.ekf_companion.core.enums import (
     AZIMUTH_FIELD,
     E_ATT,
@@ -30,6 +34,7 @@ from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.rotation import rotate, rotate_body, to_dcm
 from cython.cimports.ekf_companion.core.scratch import Motion
 from cython.cimports.ekf_companion.core.state import State
+from cython.cimports.ekf_companion.core.walk import add_gyro_walk, learn_walk, note_fading
 from cython.cimports.libc.math import cos, sin, sqrt
 
 # WGS-84, as in nav.earth
@@ -237,10 +242,11 @@ def propagate_covariance(x: State, k: Parameters, m: Motion) -> None:
     # What changes within a minute need not be carried on every few milliseconds
     x.slow_dt += dt
     m.slow_dt = 0.0
+    m.heading_faded = 0.0
     if x.slow_dt >= SLOW_INTERVAL:
         m.slow_dt = x.slow_dt
         x.slow_dt = 0.0
-        fade_slow_errors(x, k, m.slow_dt)
+        fade_slow_errors(x, k, m, m.slow_dt)
 
     # Both halves the same: within the nine rows the lower triangle follows the upper,
     # but for velocity by position, which was made as position by velocity; then the rows below
@@ -363,9 +369,14 @@ def add_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
             if j > i:
                 x.P[E_POS + j][E_VEL + i] += h * s1
             x.P[E_POS + i][E_POS + j] += (dt * dt / 3.0) * s1
-    share = walk_share(x) if k.learn_noise != 0.0 else 1.0
+    share = 1.0
+    gyro_share = 1.0
+    if k.learn_noise != 0.0:
+        share = walk_share(x)
+        gyro_share = gyro_walk_share(x)
+        learn_walk(x, dt)
     for j in range(3):
-        x.P[E_BG + j][E_BG + j] += share * k.gyro_bias_walk * k.gyro_bias_walk * dt
+        add_gyro_walk(x, j, gyro_share * k.gyro_bias_walk * k.gyro_bias_walk * dt)
         x.P[E_BA + j][E_BA + j] += share * k.accel_bias_walk * k.accel_bias_walk * dt
         x.P[E_IRON + j][E_IRON + j] += k.iron_walk * k.iron_walk * dt
     speed2 = x.vel_n[0] * x.vel_n[0] + x.vel_n[1] * x.vel_n[1] + x.vel_n[2] * x.vel_n[2]
@@ -373,11 +384,15 @@ def add_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
     x.P[E_BARO][E_BARO] += walk2 * dt
 
 
-def fade_slow_errors(x: State, k: Parameters, dt: float) -> None:
+def fade_slow_errors(x: State, k: Parameters, m: Motion, dt: float) -> None:
     """Let the slow errors of heading and GNSS forget themselves; each is kept at its level."""
-    faded = dt / (dt + k.heading_time)
+    share = x.walk.heading_share if k.learn_noise != 0.0 else 1.0
+    faded = share * dt / (share * dt + k.heading_time)
+    level = heading_level(x)
     x.heading_offset -= faded * x.heading_offset
-    decay(x, E_HEADING, faded, heading_level(x))
+    decay(x, E_HEADING, faded, level)
+    note_fading(x, faded, level)
+    m.heading_faded = faded
     faded = dt / (dt + k.gnss_offset_time)
     for i in range(3):
         x.gnss_offset[i] -= faded * x.gnss_offset[i]
@@ -440,7 +455,7 @@ def write_transition(k: Parameters, m: Motion, dt: float, Phi: Vector) -> None:
             Phi[E_POS + i][E_BG + j] = dt / 3.0 * b
             Phi[E_POS + i][E_BA + j] = 0.5 * dt * g
     faded = m.slow_dt
-    Phi[E_HEADING][E_HEADING] = 1.0 - faded / (faded + k.heading_time)
+    Phi[E_HEADING][E_HEADING] = 1.0 - m.heading_faded
     for i in range(3):
         Phi[E_GNSS + i][E_GNSS + i] = 1.0 - faded / (faded + k.gnss_offset_time)
         Phi[E_GNSS_VEL + i][E_GNSS_VEL + i] = 1.0 - faded / (faded + k.gnss_vel_offset_time)

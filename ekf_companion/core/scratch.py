@@ -182,6 +182,8 @@ class Motion:
     """Variance that white noise adds to angle and velocity, per axis of b."""
     slow_dt: Real
     """Time over which the slow errors were carried on with this interval, s; 0: they were not."""
+    heading_faded: Real
+    """Share of the heading's that it faded by."""
     row: Annotated[Vector, N]
     row2: Annotated[Vector, N]
 

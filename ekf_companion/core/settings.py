@@ -98,8 +98,9 @@ class ImuSettings:
     ] = 3e-2
     """White noise of the specific force, likewise. EKF2: 0.35 m/s^2 at 100 Hz, which is 3.5e-2."""
     gyro_bias_walk: Annotated[NotNegative, Setting("rad/s/sqrt(s)", reload=True)] = 1e-4
-    """Random walk of the gyro bias, as EKF2 and EKF3 take it. Raise it for a sensor that warms up
-    in flight."""
+    """Random walk of the gyro bias, as EKF2 and EKF3 take it. With learn_noise 0.03 to 9 times its
+    variance counts: less while fixes and samples agree, more while the bias runs one way, as it
+    does while a sensor warms up."""
     accel_bias_walk: Annotated[NotNegative, Setting("m/s^2/sqrt(s)", reload=True)] = 5e-4
     """Random walk of the accelerometer bias, likewise."""
     gyro_bias: Annotated[Positive, Setting("rad/s")] = 0.02
@@ -109,8 +110,9 @@ class ImuSettings:
     Raise it where nobody has calibrated."""
     learn_noise: Annotated[bool, Setting(reload=True)] = True
     """Take both white noises from the differences between samples; the numbers above then count as
-    far as the fixes show that the samples are worse than that. false: only the numbers above
-    count."""
+    far as the fixes show that the samples are worse than that. How fast biases and the compass's
+    error change, and the magnetometer's noise, are learnt from how they are corrected. false: only
+    what is configured counts."""
     lag: Annotated[Seconds | Auto, Setting("s", auto="imu_lag")] = "auto"
     """An inertial sample says what was true this long before its stamp. ArduPilot's was measured
     with INS_GYRO_FILTER and INS_ACCEL_FILTER at 20 Hz; with 60 Hz give 0.006."""
@@ -213,7 +215,8 @@ class HeadingSettings:
     magnetometer_delay: Annotated[Seconds | Auto, Setting("s", auto="mag_delay")] = "auto"
     """A magnetic field is older than its stamp by this."""
     magnetometer_noise: Annotated[NotNegative, Setting("gauss", reload=True)] = 0.01
-    """White noise of the field: weighs more where the horizontal field is weak, near the poles."""
+    """White noise of the field: weighs more where the horizontal field is weak, near the poles. With
+    imu.learn_noise it is learnt, from a twentieth of this variance on."""
     field_strength: Annotated[Positive, Setting(reload=True)] = 0.25
     """Largest difference of the field's strength from the World Magnetic Model's, as a share of it.
     Beyond, the magnetometer is disturbed or not calibrated, and no heading is taken from it."""
@@ -223,7 +226,8 @@ class HeadingSettings:
     """Least one sigma of a heading from GNSS or the autopilot."""
     slow_time: Annotated[Positive, Setting("s", reload=True)] = 100.0
     """Time constant of the slow error of a compass or of the autopilot's heading: until GNSS has
-    shown it in motion, yaw is no surer than that error."""
+    shown it in motion, yaw is no surer than that error. With imu.learn_noise an error that is seen to
+    change less lasts up to a hundred times as long."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

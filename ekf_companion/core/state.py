@@ -116,6 +116,54 @@ class Drag:
 
 
 @struct
+class FieldNoise:
+    """Noise of the magnetometer, as its azimuths show it."""
+
+    share: Real
+    """Of the configured variance."""
+    memory: Real
+    """Blocks of azimuths that it was learnt from, and what the configured one counts for."""
+    t0: Real
+    """Begin of the block, ns."""
+    t: Real
+    """Last azimuth, ns."""
+    n: Real
+    """Azimuths in the block."""
+    sum: Real
+    """Of their innovations, rad."""
+    own: Real
+    """Of the filter's own variance of them, rad^2."""
+    last: Real
+    """Mean innovation of the block before, rad; NaN: none."""
+
+
+@struct
+class Walk:
+    """How the gyro's biases and the heading's slow error were corrected since a stretch began."""
+
+    dt: Real
+    """Its time so far, s."""
+    bias: Annotated[Vector, 3]
+    """The gyro's at its begin, rad/s."""
+    var: Annotated[Vector, 3]
+    """Their variances then."""
+    added: Annotated[Vector, 3]
+    """What their walk has added since."""
+    last: Annotated[Vector, 3]
+    """Sum of their corrections in the stretch before, sigmas."""
+    offset: Real
+    """The heading's slow error at its begin, faded since, rad."""
+    offset_var: Real
+    """Its variance then, faded since."""
+    offset_added: Real
+    """What was added to that since."""
+    drift: Real
+    """How many times larger the variance of the gyro's walk is than the doubt makes it."""
+    heading_share: Real
+    """Share of the configured rate at which the heading's slow error changes."""
+
+
+@struct
 class Voices:
     """What receiver and barometer say of the climb, and who contradicts the others."""
 
@@ -429,6 +477,7 @@ class State:
     """Since when there is one, ns."""
     strength: Real
     """Mean strength of the measured field, gauss."""
+    field_noise: FieldNoise
     raw_fix_t: Real
     """When the receiver itself was last received, ns."""
     fake_t: Real
@@ -463,6 +512,7 @@ class State:
     pending: Pending
     slow_dt: Real
     """Time since the slow errors of heading and GNSS were carried on, s."""
+    walk: Walk
     doubt: Real
     """Share of the configured inertial noise that counts beside the learnt one."""
     innovation_power: Real

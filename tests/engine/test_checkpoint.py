@@ -82,7 +82,7 @@ def test_what_is_encoded_is_decoded_to_the_bit():
     assert found.state.waiting.tobytes() == GOOD.state.waiting.tobytes()
     assert len(found.state.waiting) > 0
     assert encode(found) == BYTES
-    assert len(BYTES) < 16384
+    assert len(BYTES) < 20480
 
 
 # What is refused by the bytes alone
