@@ -138,7 +138,8 @@ def resumed_after(recording: Path) -> float:
 
 def from_ardupilot(log: Path, recording: Path) -> Flown:
     """Read a .bin of ArduPilot's simulator and the daemon's recording of the same flight."""
-    tables = dataflash_records.read_columns(log)[0]
+    stored = dataflash_records.read_tables(log)[0]
+    tables = {name: rows.all() for name, rows in stored.items()}
     fast, slow, own = tables["SIM2"], tables["SIM"], tables["XKF1"]
     own = own[own["C"] == 0]
     biases = tables["XKF2"]

@@ -6,7 +6,7 @@ import numpy as np
 
 from ekf_companion.analysis import difference
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Mask, Stamps, median, runs
+from ekf_companion.nav.arrays import Array, Mask, Stamps, in_pieces, median, runs
 from ekf_companion.nav.state import Trajectory
 from ekf_companion.replay.departure import (
     LONG_S,
@@ -51,12 +51,9 @@ def _angles(
     is_fast = len(at_ns) > 1 and median(np.diff(at_ns)) <= FAST_NS
     turns = (_turns(mine), _turns(theirs)) if is_fast and not is_truth else ()
     angles = []
-    eulers = np.stack([so3.to_euler(q) for q in (mine, theirs)])
-    error = np.abs(so3.wrap(eulers[0, :, 2] - eulers[1, :, 2]))
-    error[(np.abs(eulers[..., 1]) > STEEP).any(axis=0)] = np.nan
     for name, limit, errors, sigma in (
-        ("yaw", YAW, error, sigmas[:, 1]),
-        ("tilt", TILT, difference.tilt_errors(mine, theirs), sigmas[:, 0]),
+        ("yaw", YAW, in_pieces(_yaw_errors, mine, theirs), sigmas[:, 1]),
+        ("tilt", TILT, in_pieces(difference.tilt_errors, mine, theirs), sigmas[:, 0]),
     ):
         beyond = np.nan_to_num(errors) > np.maximum(SIGMAS * sigma, limit)
         beyond = _lasting(at_ns, beyond)
@@ -69,6 +66,14 @@ def _angles(
     return tuple(angles)
 
 
+def _yaw_errors(mine: Array, theirs: Array) -> Array:
+    """Return how far two yaws differ, rad; NaN where either attitude is steep."""
+    eulers = np.stack([so3.to_euler(q) for q in (mine, theirs)])
+    errors = np.abs(so3.wrap(eulers[0, :, 2] - eulers[1, :, 2]))
+    errors[(np.abs(eulers[..., 1]) > STEEP).any(axis=0)] = np.nan
+    return errors
+
+
 def _steps(at_ns: Stamps) -> Array:
     """Return the time that each stamp stands for, s."""
     return np.asarray(np.minimum(np.diff(at_ns, append=at_ns[-1]), STEP_NS) * 1e-9)
@@ -76,7 +81,11 @@ def _steps(at_ns: Stamps) -> Array:
 
 def _turns(q_nb: Array) -> Array:
     """Return the rotation from each attitude to the next, b, rad, shape (n - 1, 3)."""
-    return so3.log(so3.multiply(so3.conjugate(q_nb[:-1]), q_nb[1:]))
+
+    def turn(before: Array, after: Array) -> Array:
+        return so3.log(so3.multiply(so3.conjugate(before), after))
+
+    return in_pieces(turn, q_nb[:-1], q_nb[1:])
 
 
 def _lasting(at_ns: Stamps, beyond: Mask) -> Mask:

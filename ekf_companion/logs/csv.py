@@ -199,9 +199,7 @@ class _Clock:
         """Yield numbers, stamps (ns) and values of the rows on the run, part by part."""
         first = timed = 0
         for is_time, t_ns in self._stamps():
-            is_kept = np.zeros(len(t_ns), dtype=bool)
-            for begin, end in self._ranges:
-                is_kept[max(begin - timed, 0) : max(end - timed, 0)] = True
+            is_kept = series.in_ranges(self._ranges, timed, len(t_ns))
             place = np.flatnonzero(is_time)[is_kept]
             if len(place):
                 rows = self._rows.read(first, len(is_time))

@@ -13,7 +13,7 @@ from ekf_companion.logs.csv_columns import DEGREE, GROUPS, Source
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
 from ekf_companion.nav.earth import LocalFrame
-from ekf_companion.nav.event_columns import EventColumns, MergedEvents
+from ekf_companion.nav.event_columns import Arrivals, EventColumns, merged
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind
 
 Columns = dict[str, Array]
@@ -93,16 +93,15 @@ class EventMaker:
         found += [*self._barometer(baro), *self._sensor("imu", Kind.IMU, imu)]
         if not found:
             return Events.from_rows([])
-        merged = MergedEvents([one for one, _ in found], [row[at] for _, at in found])
-        return merged.take(np.arange(len(merged)))
+        return merged([(events, row[at]) for events, at in found])
 
-    def _sensor(self, group: str, kind: Kind, part: _Part) -> Found:
+    def _sensor(self, group: str, kind: Kind, part: _Part) -> Arrivals:
         if not part.values.keys() >= {*GROUPS[group]}:
             return []
         axes = [part.values[name] for name in GROUPS[group]]
         return _found(part, kind, axes, axes, axes if group in self._hold else None)
 
-    def _barometer(self, part: _Part) -> Found:
+    def _barometer(self, part: _Part) -> Arrivals:
         values = part.values
         if "baro_alt" in values:
             alt = values["baro_alt"]
@@ -115,7 +114,7 @@ class EventMaker:
         held = [alt] if "baro" in self._hold else None
         return _found(part, Kind.BARO, [alt], [alt], held)
 
-    def _heading(self, part: _Part) -> Found:
+    def _heading(self, part: _Part) -> Arrivals:
         values = part.values
         if "heading" not in values:
             return []
@@ -125,7 +124,7 @@ class EventMaker:
         held = [heading] if "heading" in self._hold else None
         return _found(part, Kind.HEADING, columns, [heading], held)
 
-    def _gnss(self, part: _Part) -> Found:
+    def _gnss(self, part: _Part) -> Arrivals:
         values, n = part.values, len(part.row)
         if self._origin is not None:
             ned = np.stack([values["gps_north"], values["gps_east"], -values["gps_h"]], axis=1)
@@ -187,17 +186,13 @@ def _part(
     return _Part(row, is_new[row], t_ns[row], chosen, is_apart)
 
 
-Found = list[tuple[EventColumns, Indices]]
-"""Events, and the numbers of their rows."""
-
-
 def _found(
     part: _Part,
     kind: Kind,
     columns: Sequence[Array | float],
     needed: list[Array],
     held: list[Array] | None,
-) -> Found:
+) -> Arrivals:
     """Return events where the needed columns are known and, where values are held, have changed."""
     mask = part.is_new.copy()
     for column in needed:

@@ -9,27 +9,43 @@ AP_InertialSensor, AP_Compass, AP_Baro, AP_AHRS, AP_NavEKF3 and SITL (fields, un
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import series
-from ekf_companion.logs.dataflash_records import OFFSET, Column, Columns, read_columns
-from ekf_companion.logs.dataflash_tables import NEEDED, READ, boot_ns, choose, names_of, rows_of
+from ekf_companion.logs.dataflash_records import OFFSET, Tables, read_tables
+from ekf_companion.logs.dataflash_tables import (
+    NEEDED,
+    READ,
+    Columns,
+    boot_ns,
+    choose,
+    names_of,
+    rows_of,
+)
 from ekf_companion.logs.dataflash_trajectory import reference, truth
 from ekf_companion.logs.recording import CUT, Recording, cut_short
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
+from ekf_companion.logs.stored_rows import Column
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps
-from ekf_companion.nav.event_columns import EventColumns, MergedEvents
+from ekf_companion.nav.event_columns import (
+    Arrivals,
+    EventColumns,
+    EventSource,
+    MergedEvents,
+    sources_of,
+)
 from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 from ekf_companion.nav.mounting import trim_matrix
 
 DEFINITIONS = {"FMT", "FMTU", "UNIT", "MULT", "PARM"}
 """Messages that say what others mean, and how the autopilot was set up: not what it measured."""
-Arrivals = list[tuple[EventColumns, Stamps]]
-"""Events and their positions in the file."""
+STREAMED = ("IMU", "MAG", "BARO")
+"""Messages whose rows are never in memory all together."""
 
 GNSS_STD_MIN = 0.5
 """m; ArduPilot's own default for a receiver that gives no accuracy (EK3_POSNE_M_NSE)."""
@@ -61,24 +77,40 @@ def read(path: Path) -> Recording:
     Raises:
         LogError: The file is not a DataFlash log, or holds none of the messages that are used.
     """
-    tables, notes, others, damage = read_columns(path, READ)
-    said = {name for name, table in tables.items() if len(table)} | others
+    found, notes, others, damage = read_tables(path, READ)
+    said = {name for name, table in found.items() if len(table)} | others
     is_cut = not said - (DEFINITIONS if CUT in damage.words else {"FMT"})
-    tables = choose(tables, others, notes)
+    stored = choose(found, others, notes)
+    tables = {name: table.all() for name, table in stored.items() if name not in STREAMED}
+    turn = _to_vehicle(tables, notes)
+
+    def streamed(name: str, take: Callable[[Columns], Arrivals]) -> Sequence[EventSource]:
+        """Return the source of a message's events, which arrive at their places in the file."""
+        if (table := stored.get(name)) is None:
+            return ()
+
+        @np.errstate(invalid="ignore", over="ignore")
+        def read(first: int, end: int) -> Arrivals:
+            return turn(take({name: table.read(first, end)}))
+
+        return (EventSource(len(table), read),)
+
     gnss = _gnss(tables)
-    arrivals: Arrivals = [*gnss, *_vehicle(tables), *_sensor(tables, "IMU", Kind.IMU)]
-    arrivals += [*_gnss_heading(tables), *_attitude_heading(tables), *_magnetometer(tables)]
-    arrivals = _to_vehicle(arrivals, tables, notes)
+    sources = sources_of([*gnss, *_vehicle(tables, stored)])
+    sources += streamed("IMU", lambda rows: _sensor(rows, "IMU", Kind.IMU))
+    sources += sources_of([*_gnss_heading(tables), *_attitude_heading(tables)])
+    sources += streamed("MAG", _magnetometer)
     if _is_submarine(tables):
         notes.append(
             "this is a submarine: its first barometer measures the air within the hull, which is "
             "no height, and is not used"
         )
     else:
-        arrivals += _sensor(tables, "BARO", Kind.BARO)
-    if not arrivals and is_cut:
+        sources += streamed("BARO", lambda rows: _sensor(rows, "BARO", Kind.BARO))
+    events = MergedEvents(sources)
+    if not len(events) and is_cut:
         raise cut_short(path, path.stat().st_size)
-    if not arrivals:
+    if not len(events):
         raise LogError(
             f"{path}: a DataFlash log without IMU, GPS, MAG, BARO or ATT rows; "
             "record with LOG_BITMASK bits IMU, GPS and ATTITUDE set"
@@ -89,23 +121,23 @@ def read(path: Path) -> Recording:
         notes.append(f"{refused} GPS rows without a 3-D fix were left out")
     return Recording(
         family="ardupilot",
-        events=MergedEvents(*zip(*arrivals, strict=True)),
+        events=events,
         reference=reference(tables, fixes, notes),
         truth=truth(tables),
         gnss_delay=_gnss_delay(tables),
         notes=tuple(notes),
         damage=damage,
-        began_s=_began_s(tables),
+        began_s=_began_s(stored, _utc_zero_ns(tables)),
         utc_zero_ns=_utc_zero_ns(tables),
     )
 
 
-def _began_s(tables: Columns) -> float | None:
+def _began_s(stored: Tables, zero_ns: int | None) -> float | None:
     """Return when the log began, s since 1970, UTC."""
-    if (zero_ns := _utc_zero_ns(tables)) is None:
+    if zero_ns is None:
         return None
-    stamped = [one[:1] for one in tables.values() if {"TimeUS", "TimeNS"} & {*names_of(one)}]
-    firsts = [int(t_ns[0]) for one in stamped if (t_ns := boot_ns(one)) is not None and len(t_ns)]
+    stamped = [boot_ns(one.read(0, 1)) for one in stored.values() if "TimeUS" in one.names]
+    firsts = [int(t_ns[0]) for t_ns in stamped if t_ns is not None]
     return zero_ns * 1e-9 + min(firsts) // 1000 * 1e-6
 
 
@@ -222,7 +254,7 @@ def _magnetometer(tables: Columns) -> Arrivals:
     return [(events.take(healthy), table[OFFSET][healthy])] if healthy.any() else []
 
 
-def _vehicle(tables: Columns) -> Arrivals:
+def _vehicle(tables: Columns, stored: Tables) -> Arrivals:
     """Return armed and landed as events, one at each change, from ARM and EV rows."""
     changes: list[tuple[int, int, str, bool]] = []  # place, stamp, what, value
     if "ARM" in tables and (t_ns := boot_ns(tables["ARM"])) is not None:
@@ -230,7 +262,7 @@ def _vehicle(tables: Columns) -> Arrivals:
             changes.append((int(row[OFFSET]), int(stamp), "armed", bool(row["ArmState"])))
     if "EV" in tables:
         table = tables["EV"]
-        for row, stamp in zip(table, _stamps_by_place(tables, table), strict=True):
+        for row, stamp in zip(table, _stamps_by_place(stored, table), strict=True):
             if int(row["Id"]) in _EVENTS:
                 changes.append((int(row[OFFSET]), int(stamp), *_EVENTS[int(row["Id"])]))
     state = {"armed": np.nan, "landed": np.nan}
@@ -247,14 +279,17 @@ def _vehicle(tables: Columns) -> Arrivals:
     return [(events, np.array(places))]
 
 
-def _stamps_by_place(tables: Columns, table: Column) -> Stamps:
+def _stamps_by_place(stored: Tables, table: Column) -> Stamps:
     """Return the rows' own stamps or, for old rows without, those of the IMU rows before them."""
     if (own := boot_ns(table)) is not None:
         return own
-    if (rows := rows_of(tables, "IMU")) is None:
-        return np.zeros(len(table), dtype=np.int64)
-    before = np.searchsorted(rows[0][OFFSET], table[OFFSET]) - 1
-    return rows[1][np.clip(before, 0, None)]
+    stamps: Stamps | None = None
+    for _, part in stored["IMU"].parts() if "IMU" in stored else ():
+        if (rows := rows_of({"IMU": part}, "IMU")) is not None:
+            before = np.searchsorted(rows[0][OFFSET], table[OFFSET]) - 1
+            stamps = np.full(len(table), rows[1][0]) if stamps is None else stamps
+            stamps = np.where(before < 0, stamps, rows[1][before])
+    return np.zeros(len(table), dtype=np.int64) if stamps is None else stamps
 
 
 def _is_submarine(tables: Columns) -> bool:
@@ -264,25 +299,26 @@ def _is_submarine(tables: Columns) -> bool:
     return any(bytes(words).startswith(b"ArduSub") for words in tables["MSG"]["Message"])
 
 
-def _to_vehicle(arrivals: Arrivals, tables: Columns, notes: list[str]) -> Arrivals:
-    """Return inertial samples and magnetic fields in the axes of the vehicle, not of the board."""
+def _to_vehicle(tables: Columns, notes: list[str]) -> Callable[[Arrivals], Arrivals]:
+    """Return what turns samples and magnetic fields into the axes of the vehicle.
+
+    A log has them in those of the board.
+    """
     roll, pitch = (_parameter(tables, name) or 0.0 for name in (b"AHRS_TRIM_X", b"AHRS_TRIM_Y"))
     if not (roll or pitch):
-        return arrivals
+        return lambda arrivals: arrivals
     C_vb = trim_matrix(roll, pitch)
     notes.append(
         f"the board is mounted at roll {np.degrees(roll):.1f} and pitch {np.degrees(pitch):.1f} "
         "deg (AHRS_TRIM): its samples are turned into the axes of the vehicle"
     )
-    turned: Arrivals = []
-    for one, places in arrivals:
-        events = one
+
+    def turned(events: EventColumns) -> EventColumns:
         if events.kind in (Kind.IMU, Kind.MAG):
             events = events.rotated(0, C_vb)
-        if events.kind == Kind.IMU:
-            events = events.rotated(3, C_vb)
-        turned.append((events, places))
-    return turned
+        return events.rotated(3, C_vb) if events.kind == Kind.IMU else events
+
+    return lambda arrivals: [(turned(events), places) for events, places in arrivals]
 
 
 def _parameter(tables: Columns, name: bytes) -> float | None:

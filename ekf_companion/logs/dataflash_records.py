@@ -1,4 +1,4 @@
-"""The records of a DataFlash log (.bin), as one table per message.
+"""The records of a DataFlash log (.bin), as one table per message: stored while they are found.
 
 A record is 0xA3 0x95, a type, and fields as the log's own FMT records lay them out; there is no
 checksum. A record is valid where the next one begins at its end; where none does, it is dropped and
@@ -17,16 +17,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import dataflash_search
 from ekf_companion.logs.recording import CUT, Damage, cut_off, damaged_places
-from ekf_companion.logs.source import MappedFile, parts
+from ekf_companion.logs.source import MappedFile
+from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.nav.arrays import Stamps
 
-Column = npt.NDArray[np.void]
-Columns = dict[str, Column]
+Tables = dict[str, StoredRows]
 
 OFFSET = "@"
 """Name of the first column of every table: the record's position in the file, bytes."""
@@ -39,6 +38,9 @@ _FMT = 0x80
 _FMT_SIZE = 89
 _MAGIC = b"\xa3\x95"
 _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,3}")
+
+Wanted = Mapping[str, Collection[str] | None] | None
+"""Names of messages, with the columns to keep of each (None: all); None: all messages."""
 
 _TYPES: dict[str, tuple[str, float]] = {
     "a": ("(32,)<i2", 1),
@@ -113,8 +115,8 @@ class _Found(NamedTuple):
 
     formats: dict[int, _Format]
     """By type."""
-    places: dict[int, Stamps]
-    """Of the records wanted, by type."""
+    tables: dict[int, StoredRows]
+    """Of the records wanted, by type, in file order."""
     counts: Stamps
     """Of all records, by type, shape (256,)."""
     damaged: int
@@ -123,15 +125,25 @@ class _Found(NamedTuple):
     """Bytes at the end that are no whole record."""
 
 
-def _find_records(file: MappedFile, names: Collection[str] | None) -> _Found:
-    """Find the records of some names; None: of all."""
+def _find_records(file: MappedFile, names: Wanted) -> _Found:
+    """Find the records of some names."""
     data = file.data
     formats: dict[int, _Format] = {}
+    tables: dict[int, StoredRows] = {}
     sizes, counts = np.zeros((256, 2), dtype=np.int32), np.zeros(256, dtype=np.int64)
     sizes[_FMT] = _FMT_SIZE, 1
     state = array("q", [-1, 0])
     found, n = np.empty((AT_ONCE, 2), dtype=np.int64), 0
-    parts: list[tuple[Stamps, npt.NDArray[np.uint8]]] = []
+
+    def store(records: Stamps) -> None:
+        places, types = records[:, 0], records[:, 1].astype(np.uint8)
+        for kind in np.unique(types).tolist():
+            if kind in formats and sizes[kind, 1]:
+                layout, kept = formats[kind], _kept(formats[kind], names)
+                rows = _gather(file, places[types == kind], layout, kept)
+                tables.setdefault(kind, StoredRows(rows.dtype)).append(rows)
+        file.release()
+
     place = 0
     while place + 3 <= len(data):
         n, place = dataflash_search.find_records(data, place, sizes, counts, state, found, n)
@@ -145,71 +157,63 @@ def _find_records(file: MappedFile, names: Collection[str] | None) -> _Found:
                 sizes[kind] = layout.wire.itemsize, names is None or layout.name in names
         if n == len(found):
             # The last one waits: it counts only if a record begins at its end
-            parts.append((found[: n - 1, 0].copy(), found[: n - 1, 1].astype(np.uint8)))
+            store(found[: n - 1])
             found[0], n = found[n - 1], 1
-            file.release()
-    parts.append((found[:n, 0], found[:n, 1].astype(np.uint8)))
-    types = np.concatenate([part[1] for part in parts])
-    everywhere = np.concatenate([part[0] for part in parts])
-    del parts
-    places = {kind: everywhere[types == kind] for kind in formats if sizes[kind, 1]}
+    store(found[:n])
     last = state[0]  # -1: no whole record ends the file, and damage before it is counted
     rest = len(data) - last - int(sizes[data[last + 2], 0]) if last >= 0 else 0
-    return _Found(formats, places, counts, state[1], rest)
+    return _Found(formats, tables, counts, state[1], rest)
 
 
-def _gather(
-    file: MappedFile, places: Stamps, layout: _Format, kept: Collection[str] | None
-) -> Column:
-    """Return the records of one type as a table in their units; kept: its columns; None: all."""
+def _kept(layout: _Format, names: Wanted) -> Collection[str]:
+    """Return the columns that are kept of a message."""
+    kept = None if names is None else names[layout.name]
+    return layout.names if kept is None else kept
+
+
+def _gather(file: MappedFile, places: Stamps, layout: _Format, kept: Collection[str]) -> Column:
+    """Return the records of one type as a table of columns in their units."""
     raw = np.frombuffer(file.data, dtype=np.uint8)
     windows = np.lib.stride_tricks.sliding_window_view(raw, layout.wire.itemsize)
-    kept = layout.names if kept is None else kept
     table = np.zeros(len(places), dtype=layout.table(kept))
     table[OFFSET] = places
-    for rows in parts(places):
-        wire = windows[places[rows]].view(layout.wire)[:, 0]
-        for name, character in zip(layout.names, layout.characters, strict=True):
-            if name not in kept:
-                continue
-            scale = _TYPES[character][1]
-            # Dividing by the exact inverse gives the nearest double: 1.23, not 1.2300000000000002.
-            table[name][rows] = wire[name] if scale == 1 else wire[name] / round(1.0 / scale)
-        file.release()
+    wire = windows[places].view(layout.wire)[:, 0]
+    for name, character in zip(layout.names, layout.characters, strict=True):
+        if name not in kept:
+            continue
+        scale = _TYPES[character][1]
+        # Dividing by the exact inverse gives the nearest double: 1.23, not 1.2300000000000002.
+        table[name] = wire[name] if scale == 1 else wire[name] / round(1.0 / scale)
     return table
 
 
 @np.errstate(invalid="ignore", over="ignore")  # damaged bytes make any number
-def read_columns(
-    path: Path, names: Mapping[str, Collection[str] | None] | None = None
-) -> tuple[Columns, list[str], set[str], Damage]:
+def read_tables(path: Path, names: Wanted = None) -> tuple[Tables, list[str], set[str], Damage]:
     """Return messages of a log as one table each, and a sentence for each fault of the file.
 
     The fields are in their units, the records in file order.
 
     Args:
         path: The log.
-        names: Of the messages, with the columns to keep of each (None: all); None: all messages.
+        names: What to keep of it.
 
     Returns:
         The tables, the sentences, the names of the messages that the log holds besides, and the
         faults as the verdict counts them.
 
     Raises:
-        LogError: The file is missing, empty, or holds no FMT record.
+        LogError: The file is missing, empty, or holds no FMT record; there is no room for a
+            temporary file.
     """
-    file = MappedFile(path, KIND)
-    found = _find_records(file, names)
+    found = _find_records(MappedFile(path, KIND), names)
     if not found.formats:
         raise LogError(f"{path}: holds no FMT record, so it is not a {KIND}; check the file")
-    tables: Columns = {}
-    for kind in [*found.places]:
-        places = found.places.pop(kind)
-        name = found.formats[kind].name
+    tables: Tables = {}
+    for kind in found.formats:
         # Two types of one name come from a damaged FMT: keep the one with more rows
-        if len(places) > len(tables.get(name, ())):
-            kept = None if names is None else names[name]
-            tables[name] = _gather(file, places, found.formats[kind], kept)
+        name = found.formats[kind].name
+        if kind in found.tables and len(found.tables[kind]) > len(tables.get(name, ())):
+            tables[name] = found.tables[kind]
     others = {layout.name for kind, layout in found.formats.items() if found.counts[kind]}
     notes, damage = [], Damage()
     if found.damaged:

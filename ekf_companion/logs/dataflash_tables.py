@@ -7,13 +7,17 @@ an instance column (``I``, for the estimators ``C``).
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
 from ekf_companion.logs import series
-from ekf_companion.logs.dataflash_records import Column, Columns
-from ekf_companion.nav.arrays import Stamps
+from ekf_companion.logs.dataflash_records import Tables
+from ekf_companion.logs.stored_rows import Column, StoredRows
+from ekf_companion.nav.arrays import Mask, Stamps
+
+Columns = dict[str, Column]
+"""Tables in memory."""
 
 _ANGLES, _PLACE = ("Roll", "Pitch", "Yaw"), ("Lat", "Lng", "Alt")
 _MOTION = ("VN", "VE", "VD", "PN", "PE", "PD")
@@ -43,7 +47,7 @@ READ: dict[str, tuple[str, ...] | None] = {
 """The columns that are read of each message; None: all. Of inertial samples there are millions."""
 
 
-def choose(tables: Columns, others: Collection[str], notes: list[str]) -> Columns:
+def choose(tables: Tables, others: Collection[str], notes: list[str]) -> Tables:
     """Keep the usable messages of the first sensor, on one clock run; note what is left out.
 
     ``others`` are the names of messages that the log holds besides the tables.
@@ -56,21 +60,42 @@ def choose(tables: Columns, others: Collection[str], notes: list[str]) -> Column
         for name, table in tables.items()
         if name in NEEDED and _is_usable(table, NEEDED[name])
     }
-    if "IMU" in tables:
-        tables["IMU"] = _in_nanoseconds(tables["IMU"])
     # Rows whose stamps are damaged, or of another boot, are dropped; tables without stamps kept
-    stamps = {name: t_ns for name, one in tables.items() if (t_ns := boot_ns(one)) is not None}
-    masks = series.common_run(stamps, "IMU", apart=("PARM", "ORGN", "MSG"))
-    for name in ("PARM", "MSG"):
-        masks.pop(name, None)
-    sensors = ("IMU", "GPS", "MAG", "BARO", "ATT")
-    if wild := sum(int((~masks[name]).sum()) for name in sensors if name in masks):
-        notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
-    kept = {
-        name: one if name not in masks or masks[name].all() else one[masks[name]]
-        for name, one in tables.items()
+    stamps = {
+        name: stamps_of(table)
+        for name, table in tables.items()
+        if is_stamped(table) and name not in ("PARM", "MSG")
     }
+    runs = series.common_run(stamps, "IMU", apart=("ORGN",))
+    kept = {
+        name: _on_run(table, runs[name]) if name in runs else table
+        for name, table in tables.items()
+    }
+    sensors = ("IMU", "GPS", "MAG", "BARO", "ATT")
+    if wild := sum(len(tables[name]) - len(kept[name]) for name in sensors if name in tables):
+        notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
     return {name: table for name, table in kept.items() if len(table)}
+
+
+def _on_run(table: StoredRows, run: series.CommonRun) -> StoredRows:
+    def holds(first: int, rows: Column) -> Mask:
+        t_ns = boot_ns(rows)
+        assert t_ns is not None, "only stamped rows are on a run"
+        return run.holds(first, t_ns)
+
+    return table.kept(holds)
+
+
+def is_stamped(table: StoredRows) -> bool:
+    """Return whether the rows carry a boot time."""
+    return boot_ns(np.empty(0, dtype=table.dtype)) is not None
+
+
+def stamps_of(table: StoredRows) -> Iterator[Stamps]:
+    """Yield the boot times of a stamped table, part by part, ns."""
+    for _, rows in table.parts():
+        if (t_ns := boot_ns(rows)) is not None:
+            yield t_ns
 
 
 def names_of(table: Column) -> tuple[str, ...]:
@@ -81,8 +106,6 @@ def names_of(table: Column) -> tuple[str, ...]:
 def boot_ns(table: Column) -> Stamps | None:
     """Return the boot time of each row, ns, or None if the rows carry none."""
     names = names_of(table)
-    if "TimeNS" in names:
-        return np.asarray(table["TimeNS"])
     if "TimeUS" in names:
         return series.nanoseconds(table["TimeUS"])
     for column in ("T", "TimeMS"):
@@ -90,18 +113,6 @@ def boot_ns(table: Column) -> Stamps | None:
         if column in names and table[column].dtype.kind in "iu":
             return np.asarray(table[column], dtype=np.int64) * 1_000_000
     return None
-
-
-def _in_nanoseconds(table: Column) -> Column:
-    """Return a table with ``TimeNS`` where ``TimeUS`` was, in the same memory."""
-    if "TimeUS" not in names_of(table) or table.dtype["TimeUS"].itemsize != 8:
-        return table
-    series.nanoseconds_in_place(table["TimeUS"])
-    fields = [
-        ("TimeNS", "<i8") if name == "TimeUS" else (name, table.dtype[name])
-        for name in names_of(table)
-    ]
-    return table.view(np.dtype(fields))
 
 
 def rows_of(tables: Columns, name: str) -> tuple[Column, Stamps] | None:
@@ -118,20 +129,23 @@ def rows_of(tables: Columns, name: str) -> tuple[Column, Stamps] | None:
     return (table[finite], t_ns[finite]) if finite.any() else None
 
 
-def _is_usable(table: Column, needed: tuple[str, ...]) -> bool:
+def _is_usable(table: StoredRows, needed: tuple[str, ...]) -> bool:
     """Return whether the columns exist and hold numbers: a damaged FMT may make them text."""
-    kinds = {name: table.dtype[name].kind for name in names_of(table)}
+    kinds = {name: table.dtype[name].kind for name in table.names}
     return all(kinds.get(name, "") in ("i", "u", "f") for name in needed)
 
 
-def _first_instance(name: str, table: Column, notes: list[str]) -> Column:
+def _first_instance(name: str, table: StoredRows, notes: list[str]) -> StoredRows:
     """Keep the rows of the lowest instance, and note the others."""
-    for column in ("I", "C"):
-        # Only an estimator's C is its core
-        if column in names_of(table) and table[column].dtype == np.uint8:
-            instances = np.unique(table[column])
-            if len(instances) > 1 and name in ("IMU", "GPS", "MAG", "BARO", "XKF1", "NKF1"):
-                used, others = instances[0], ", ".join(map(str, instances[1:]))
-                notes.append(f"{name}: instance {used} is used; the log also holds {others}")
-            return np.asarray(table[table[column] == instances[0]])
-    return table
+    numbers = [column for column in ("I", "C") if column in table.names]
+    # Only an estimator's C is its core
+    numbers = [column for column in numbers if table.dtype[column] == np.uint8]
+    if not numbers:
+        return table
+    column = numbers[0]
+    parts = [np.unique(rows[column]) for _, rows in table.parts()]
+    used, *others = np.unique(np.concatenate(parts))
+    if others and name in ("IMU", "GPS", "MAG", "BARO", "XKF1", "NKF1"):
+        words = ", ".join(map(str, others))
+        notes.append(f"{name}: instance {used} is used; the log also holds {words}")
+    return table.kept(lambda _, rows: np.asarray(rows[column] == used)) if others else table

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.logs import series
-from ekf_companion.logs.dataflash_records import Column, Columns
-from ekf_companion.logs.dataflash_tables import names_of, rows_of
+from ekf_companion.logs.dataflash_tables import Columns, names_of, rows_of
+from ekf_companion.logs.stored_rows import Column
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -40,13 +40,6 @@ def nanoseconds(stamps_us: npt.NDArray[Any]) -> Stamps:
     return np.asarray(np.minimum(stamps_us, LATEST_US), dtype=np.int64) * 1000
 
 
-def nanoseconds_in_place(stamps_us: npt.NDArray[np.uint64]) -> Stamps:
-    """Do the same where the microseconds are: of hours another column is 20 MB."""
-    np.minimum(stamps_us, LATEST_US, out=stamps_us)
-    np.multiply(stamps_us, 1000, out=stamps_us)
-    return stamps_us.view(np.int64)
-
-
 def clock_run(t_ns: Stamps) -> tuple[Mask, Spans]:
     """Find the one run of the clock that holds most rows.
 
@@ -58,10 +51,15 @@ def clock_run(t_ns: Stamps) -> tuple[Mask, Spans]:
         Which rows belong to the run, and its stretches of time.
     """
     ranges, spans = clock_run_of_parts([t_ns])
-    mask = np.zeros(len(t_ns), dtype=bool)
-    for first, end in ranges:
-        mask[first:end] = True
-    return mask, spans
+    return in_ranges(ranges, 0, len(t_ns)), spans
+
+
+def in_ranges(ranges: Ranges, first: int, count: int) -> Mask:
+    """Return which of some rows, from one on, are in ranges."""
+    mask = np.zeros(count, dtype=bool)
+    for begin, end in ranges:
+        mask[max(begin - first, 0) : max(end - first, 0)] = True
+    return mask
 
 
 def clock_run_of_parts(parts: Iterable[Stamps]) -> tuple[Ranges, Spans]:
@@ -114,26 +112,41 @@ def _heaviest_chain(low: Stamps, high: Stamps, rows: Stamps) -> list[int]:
     return chain[::-1]
 
 
+class CommonRun(NamedTuple):
+    """Rows of a table that are on the clock run of another."""
+
+    ranges: Ranges
+    """Of the rows on the table's own run."""
+    spans: Spans
+    """Of the other's run; empty: any."""
+
+    def holds(self, first: int, t_ns: Stamps) -> Mask:
+        """Return which of some rows, from one on, by their stamps."""
+        mask = in_ranges(self.ranges, first, len(t_ns))
+        if self.spans:
+            near = [(t_ns >= a - MARGIN_NS) & (t_ns <= b + MARGIN_NS) for a, b in self.spans]
+            mask &= np.any(near, axis=0)
+        return mask
+
+
 def common_run(
-    stamps: Mapping[str, Stamps], main: str, apart: Sequence[str] = ()
-) -> dict[str, Mask]:
+    stamps: Mapping[str, Iterable[Stamps]], main: str, apart: Sequence[str] = ()
+) -> dict[str, CommonRun]:
     """Return by name which rows are on the clock run of the table ``main``.
 
     Rows off it are damaged, or of another boot of the autopilot.
 
     Args:
-        stamps: Of each table.
+        stamps: Of each table, part by part.
         main: The table that decides; without it each table keeps its own run.
         apart: Tables that may lie outside the time of ``main``.
     """
-    spans = clock_run(stamps[main])[1] if main in stamps else []
-    masks = {}
-    for name, t_ns in stamps.items():
-        masks[name] = clock_run(t_ns)[0]
-        if spans and name not in apart:
-            near = [(t_ns >= low - MARGIN_NS) & (t_ns <= high + MARGIN_NS) for low, high in spans]
-            masks[name] &= np.any(near, axis=0)
-    return masks
+    runs = {name: clock_run_of_parts(parts) for name, parts in stamps.items()}
+    spans = runs[main][1] if main in runs else []
+    return {
+        name: CommonRun(ranges, [] if name in apart else spans)
+        for name, (ranges, _) in runs.items()
+    }
 
 
 def ascending(t_ns: Stamps) -> Mask:

@@ -11,20 +11,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-import numpy as np
-
 from ekf_companion.errors import LogError, part_of
-from ekf_companion.nav.arrays import Stamps
 
 PACKED = (".gz", ".zst")
 LARGEST = 1 << 33
 """Bytes that a packed file may hold."""
 LARGE = 1 << 26
 """Bytes from which on a file is mapped."""
-_AT_ONCE = 1 << 16
-"""Records."""
-_SPAN = 1 << 24
-"""Bytes of the file."""
 
 
 def suffix_of(path: Path) -> str:
@@ -74,19 +67,6 @@ class MappedFile:
         """Keep nothing of a mapped file in memory until it is read again."""
         if self._map is not None:
             self._map.madvise(mmap.MADV_DONTNEED)
-
-
-def parts(places: Stamps) -> Iterator[slice]:
-    """Yield what to read at once of records at ascending places of a file, before a release.
-
-    Not many records, and none far behind the first: what lies between is read with them.
-    """
-    first = 0
-    while first < len(places):
-        near = int(np.searchsorted(places[first:], places[first] + _SPAN))
-        end = first + max(1, min(near, _AT_ONCE))
-        yield slice(first, end)
-        first = end
 
 
 class Source:

@@ -1,4 +1,4 @@
-"""Temporary storage for rows of numbers: in memory while they are few, else in a file."""
+"""Temporary storage for rows: in memory while they are few, else in a file."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ekf_companion.errors import LogError
-from ekf_companion.nav.arrays import Array
 
 IN_MEMORY = 1 << 24
 """Bytes up to which no file is made."""
@@ -23,11 +23,14 @@ ON_DISK = "/var/tmp"
 class Spool:
     """Appends rows, and reads any of them back to the bit."""
 
-    def __init__(self, width: int, in_memory: int = IN_MEMORY) -> None:
-        """Start empty, for rows of ``width`` numbers."""
+    def __init__(
+        self, width: int, in_memory: int = IN_MEMORY, dtype: npt.DTypeLike = np.float64
+    ) -> None:
+        """Start empty, for rows of ``width`` numbers of a type."""
         self._file: IO[bytes] = io.BytesIO()
         self._in_memory: int | None = in_memory
         self._size = 0
+        self._dtype = np.dtype(dtype)
         self.width = width
         """Numbers in a row."""
 
@@ -44,14 +47,14 @@ class Spool:
     def __del__(self) -> None:
         self._file.close()
 
-    def append(self, rows: Array) -> None:
+    def append(self, rows: npt.NDArray[Any]) -> None:
         """Add rows, shape (n, width).
 
         Raises:
             LogError: There is no room for the temporary file.
         """
-        data = np.ascontiguousarray(rows, dtype=np.float64).reshape(-1)
-        place = self._size * self.width * 8
+        data = _bytes_of(np.ascontiguousarray(rows, dtype=self._dtype))
+        place = self._size * self.width * self._dtype.itemsize
         with _translated():
             if self._in_memory is not None and place + data.nbytes > self._in_memory:
                 self._move_to_disk()
@@ -59,20 +62,20 @@ class Spool:
             self._file.write(data.data)
         self._size += len(rows)
 
-    def read(self, first: int, count: int) -> Array:
+    def read(self, first: int, count: int) -> npt.NDArray[Any]:
         """Return ``count`` rows from ``first`` on, or as many as there are, shape (n, width).
 
         Raises:
             LogError: The temporary file cannot be read.
         """
-        rows = np.empty((min(count, self._size - first), self.width))
+        rows = np.empty((min(count, self._size - first), self.width), dtype=self._dtype)
         with _translated():
-            self._file.seek(first * self.width * 8)
-            got = self._file.readinto(rows.reshape(-1))  # type: ignore[attr-defined]
+            self._file.seek(first * self.width * self._dtype.itemsize)
+            got = self._file.readinto(_bytes_of(rows))  # type: ignore[attr-defined]
         assert got == rows.nbytes, "what was appended is there"
         return rows
 
-    def blocks(self, count: int) -> Iterator[Array]:
+    def blocks(self, count: int) -> Iterator[npt.NDArray[Any]]:
         """Yield all rows in their order, ``count`` at once."""
         for first in range(0, self._size, count):
             yield self.read(first, count)
@@ -81,6 +84,11 @@ class Spool:
         file = tempfile.TemporaryFile(dir=folder())  # noqa: SIM115
         file.write(self._file.getbuffer())  # type: ignore[attr-defined]
         self._file, self._in_memory = file, None
+
+
+def _bytes_of(rows: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """Return the bytes of rows where they are: not all names of columns may be in a buffer."""
+    return rows.reshape(-1).view(np.uint8) if rows.nbytes else np.empty(0, dtype=np.uint8)
 
 
 def folder() -> str:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ekf_companion.logs.spool import Spool
-from ekf_companion.nav.arrays import Mask
 from ekf_companion.nav.event_columns import LazyEvents
 from ekf_companion.nav.measurements import WIDTH, Events
 
@@ -38,16 +36,6 @@ class SpooledEvents(LazyEvents):
         rows[:, _KIND] = events.kind
         rows[:, _VALUES] = events.values
         self._spool.append(rows)
-
-    def take(self, index: npt.NDArray[np.integer] | Mask) -> Events:
-        """Return the events of an index or a mask, in its order."""
-        is_one_run = index.dtype != np.bool_ and len(index) and bool((np.diff(index) == 1).all())
-        if self._whole is None and is_one_run:
-            return self._read(int(index[0]), len(index))
-        return self._all().take(index)
-
-    def _make_all(self) -> Events:
-        return self._read(0, len(self))
 
     def _read(self, first: int, count: int) -> Events:
         rows = self._spool.read(first, count)

@@ -11,6 +11,7 @@ Source: PX4-Autopilot msg/*.msg (fields, units, states), src/lib/geo/geo.cpp (pr
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,23 +32,32 @@ from ekf_companion.logs.recording import (
 from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HEADING_STD
 from ekf_companion.logs.ulog_messages import Messages
 from ekf_companion.logs.ulog_topics import (
+    Stored,
     Topic,
     Topics,
     choose,
+    columns_of,
+    combined,
     load,
     rotations,
     sample_ns,
+    stamps_of,
     vectors,
 )
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
-from ekf_companion.nav.event_columns import EventColumns, MergedEvents
+from ekf_companion.nav.arrays import Array, Mask, known_rows
+from ekf_companion.nav.event_columns import (
+    Arrivals,
+    EventColumns,
+    EventSource,
+    MergedEvents,
+    sources_of,
+)
 from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
 from ekf_companion.nav.state import Trajectory
 
-Arrivals = list[tuple[EventColumns, Stamps]]
-"""Events and when they were published, ns."""
-
+STREAMED = ("sensor_combined", "vehicle_magnetometer", "sensor_mag", "vehicle_air_data")
+"""Topics whose rows are never in memory all together."""
 GNSS_STD_UNKNOWN = {"eph": 2.0, "epv": 3.0, "s_variance_m_s": 0.5}
 """m, m, m/s where the receiver gives no accuracy: a receiver in the open, on the safe side."""
 JAMMING_CRITICAL = 3
@@ -56,8 +66,6 @@ SPOOFING_INDICATED = 2
 """sensor_gps.spoofing_state: 0 unknown, 1 none, 2 indicated, 3 multiple indications."""
 ARMED = 2
 """vehicle_status.arming_state: 1 disarmed (standby), 2 armed."""
-NO_SAMPLE = 2**31 - 1
-"""sensor_combined.*_timestamp_relative: RELATIVE_TIMESTAMP_INVALID."""
 SAME_TIME = 0.005
 """Between two stamps that mean the same time, s: PX4's driver and the topic made of it."""
 EARTH_RADIUS = 6371000.0
@@ -81,30 +89,52 @@ def read(path: Path) -> Recording:
         count = len(log.dropouts)
         dropouts = counted(count, "dropout")
         notes.append(f"{dropouts}, {lost:.1f} s in all, while the log was written")
-    topics = choose(log, notes)
+    stored = choose(log, notes)
+    topics = {name: columns_of(rows.all()) for name, rows in stored.items() if name not in STREAMED}
     gnss_delay, is_taken_off = _gnss_delay(log, _receiver(topics))
     if is_taken_off:
         _receiver(topics).pop("timestamp_sample")
-    arrivals: Arrivals = []
-    for take in (_imu, _gnss_heading, _attitude_heading, _magnetometer, _barometer, _vehicle):
-        arrivals += take(topics)
-    arrivals += _gnss(topics, notes)
-    if not arrivals and not log.subscriptions:
+
+    def streamed(name: str, take: Callable[[Topic], Arrivals]) -> Sequence[EventSource]:
+        """Return the source of a topic's events, which arrive when they are published."""
+        if (rows := stored.get(name)) is None:
+            return ()
+
+        @np.errstate(invalid="ignore", over="ignore")
+        def read(first: int, end: int) -> Arrivals:
+            return take(columns_of(rows.read(first, end)))
+
+        return (EventSource(len(rows), read),)
+
+    sources = [*streamed("sensor_combined", _imu)]
+    sources += sources_of([*_gnss_heading(topics), *_attitude_heading(topics)])
+    if (fused := combined(stored, "magnetometer", "magnetometer_ga[0]")) is not None:
+        sources += sources_of(_magnetometer(fused))
+    else:
+        is_first = "vehicle_magnetometer" in stored
+        sources += streamed("vehicle_magnetometer" if is_first else "sensor_mag", _magnetometer)
+    if (fused := combined(stored, "baro", "baro_alt_meter")) is not None:
+        sources += sources_of(_barometer(fused))
+    else:
+        sources += streamed("vehicle_air_data", _barometer)
+    sources += sources_of([*_vehicle(topics), *_gnss(topics, notes)])
+    events = MergedEvents(sources)
+    if not len(events) and not log.subscriptions:
         raise cut_short(path, path.stat().st_size)
-    if not arrivals:
+    if not len(events):
         raise LogError(
             f"{path}: a ULog without sensor_combined, GPS, magnetometer, barometer and attitude "
             "topics; log with the default or estimator replay profile (SDLOG_PROFILE)"
         )
     return Recording(
         family="px4",
-        events=MergedEvents(*zip(*arrivals, strict=True)),
+        events=events,
         reference=_trajectory(topics, "", "EKF2"),
         truth=_trajectory(topics, "_groundtruth", "simulator"),
         gnss_delay=gnss_delay,
         notes=tuple(notes),
-        damage=_damage(log, topics),
-        began_s=_began_s(topics),
+        damage=_damage(log, stored),
+        began_s=_began_s(stored, _utc_zero_ns(topics)),
         utc_zero_ns=_utc_zero_ns(topics),
     )
 
@@ -128,24 +158,31 @@ def _gnss_delay(log: Messages, topic: Topic) -> tuple[float | None, bool]:
     return (delay, True) if is_taken_off else (0.0, False)
 
 
-def _damage(log: Messages, topics: Topics) -> Damage:
+def _damage(log: Messages, stored: Stored) -> Damage:
     """Return what was not read, or not written, and its share of the log's time."""
     words, share = (["the file is damaged"], 1.0) if log.is_damaged else ([], 0.0)
     if lost := sum(log.dropouts):
         count = len(log.dropouts)
         words.append(f"{counted(count, 'dropout')} ({lost:.1f} s)")
-        spans = [np.ptp(topic["t_ns"]) * 1e-9 for topic in topics.values() if len(topic["t_ns"])]
+        limits = [
+            (
+                min(part.min() for part in stamps_of(rows)),
+                max(part.max() for part in stamps_of(rows)),
+            )
+            for rows in stored.values()
+        ]
+        spans = [(last - first) * 1e-9 for first, last in limits]
         share = max(share, lost / max(lost, *spans, 1.0))
     words += [CUT] if log.rest else []
     return Damage(", ".join(words), share)
 
 
-def _began_s(topics: Topics) -> float | None:
+def _began_s(stored: Stored, zero_ns: int | None) -> float | None:
     """Return when the log began, s since 1970, UTC."""
-    if (zero_ns := _utc_zero_ns(topics)) is None:
+    if zero_ns is None:
         return None
-    begin_ns = min(int(one["t_ns"][0]) for one in topics.values() if len(one["t_ns"]))
-    return (zero_ns + begin_ns) * 1e-9
+    firsts = [series.nanoseconds(rows.read(0, 1)["timestamp"]) for rows in stored.values()]
+    return (zero_ns + min(int(t_ns[0]) for t_ns in firsts)) * 1e-9
 
 
 def _utc_zero_ns(topics: Topics) -> int | None:
@@ -167,9 +204,7 @@ def _events(topic: Topic, kind: Kind, mask: Mask, *columns: Any) -> Arrivals:
     return [(events.take(mask), topic["t_ns"] if mask.all() else topic["t_ns"][mask])]
 
 
-def _imu(topics: Topics) -> Arrivals:
-    if (topic := topics.get("sensor_combined")) is None:
-        return []
+def _imu(topic: Topic) -> Arrivals:
     names = [f"{name}[{axis}]" for name in ("gyro_rad", "accelerometer_m_s2") for axis in range(3)]
     columns = [topic[name] for name in names]
     known = np.ones(len(topic["t_ns"]), dtype=bool)
@@ -248,42 +283,16 @@ def _attitude_heading(topics: Topics) -> Arrivals:
     return _events(topic, Kind.HEADING, valid, yaw, HEADING_STD, source)
 
 
-def _magnetometer(topics: Topics) -> Arrivals:
-    combined = _combined(topics, "magnetometer", "magnetometer_ga[0]")
-    if (topic := combined or topics.get("vehicle_magnetometer")) is not None:
-        field = vectors(topic, "magnetometer_ga")
-    elif (topic := topics.get("sensor_mag")) is not None:
-        field = series.stack(topic, *"xyz")
-    else:
-        return []
+def _magnetometer(topic: Topic) -> Arrivals:
+    is_array = "magnetometer_ga[0]" in topic
+    field = vectors(topic, "magnetometer_ga") if is_array else series.stack(topic, *"xyz")
     valid = known_rows(field) & (field != 0.0).any(axis=1)
     return _events(topic, Kind.MAG, valid, *field.T)
 
 
-def _barometer(topics: Topics) -> Arrivals:
-    topic = _combined(topics, "baro", "baro_alt_meter") or topics.get("vehicle_air_data")
-    if topic is None:
-        return []
+def _barometer(topic: Topic) -> Arrivals:
     alt = np.asarray(topic["baro_alt_meter"], dtype=float)
     return _events(topic, Kind.BARO, np.asarray(np.isfinite(alt)), alt)
-
-
-def _combined(topics: Topics, sensor: str, column: str) -> Topic | None:
-    """Return the rows of sensor_combined with a new sample of another sensor: PX4 before 1.8.
-
-    ``SENSOR_timestamp_relative`` is the sample's time from the row's, us; the largest number where
-    the row has no sample.
-    """
-    topic, relative = topics.get("sensor_combined", {}), f"{sensor}_timestamp_relative"
-    if not {column, relative} <= topic.keys():
-        return None
-    behind_ns = np.asarray(topic[relative], dtype=np.int64) * 1000
-    sampled_ns = topic["t_ns"] + behind_ns
-    is_new = (topic[relative] != NO_SAMPLE) & series.changed(sampled_ns)
-    # From the row's own time by less than a second, or the stamp is damaged
-    is_new &= np.abs(behind_ns) < 1_000_000_000
-    rows = {name: values[is_new] for name, values in topic.items()}
-    return {**rows, "timestamp_sample": sampled_ns[is_new].astype(np.uint64) // 1000}
 
 
 def _vehicle(topics: Topics) -> Arrivals:

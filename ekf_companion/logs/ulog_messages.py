@@ -1,4 +1,4 @@
-"""The messages of a ULog (.ulg), as one table per topic and instance.
+"""The messages of a ULog (.ulg), as one table per topic and instance: stored while they are found.
 
 Damage costs the messages that it touched, and what lies before the next synchronisation message.
 A topic's rows are those of exactly the size that its format declares, with or without the padding
@@ -22,9 +22,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import ulog_search
-from ekf_companion.logs.source import MappedFile, parts
+from ekf_companion.logs.source import MappedFile
+from ekf_companion.logs.stored_rows import StoredRows
 
-Column = npt.NDArray[np.void]
 Fields = list[tuple[str, str]]
 """Name and numpy type of each field, in the order in which they lie in a row."""
 Formats = dict[str, list[tuple[str, int, str]]]
@@ -59,7 +59,7 @@ class Table:
 
     topic: str
     instance: int
-    rows: Column
+    rows: StoredRows
 
 
 @dataclass(slots=True, eq=False)
@@ -103,7 +103,7 @@ def read(path: Path, topics: Collection[str], unused: Collection[str] = ()) -> M
 
     Raises:
         LogError: The file is missing, empty, or no ULog; or of a version with features that
-            change what its bytes mean.
+            change what its bytes mean; or there is no room for a temporary file.
     """
     file = MappedFile(path, KIND)
     if file.data[: len(MAGIC)] != MAGIC:
@@ -126,7 +126,8 @@ class _Reader:
         self._subscriptions: list[_Subscription] = []
         self._sizes = np.zeros((1 << 16, 2), dtype=np.int32)
         self._owner = np.zeros(1 << 16, dtype=np.int64)  # subscription by message id
-        self._places: list[list[npt.NDArray[np.int64]]] = []  # of rows, by subscription
+        self._raw = np.frombuffer(self._data, dtype=np.uint8)
+        self._rows: list[StoredRows] = []  # by subscription
         self._dropouts: list[int] = []  # ms
 
     def read(self) -> Messages:
@@ -135,27 +136,14 @@ class _Reader:
         for end in [*self._ends, len(self._data)]:
             self._found.rest = max(end - self._read_data(place, end), 0)
             place = max(place, end)
-        self._found.tables = list(self._tables())
+        self._found.tables = [
+            Table(one.topic, one.instance, rows)
+            for one, rows in zip(self._subscriptions, self._rows, strict=True)
+            if len(rows)
+        ]
         self._found.dropouts = tuple(ms * 1e-3 for ms in self._dropouts)
         self._found.is_damaged |= bool(self._state[1])
         return self._found
-
-    def _tables(self) -> Iterator[Table]:
-        """Yield the rows of each subscription that has any."""
-        raw = np.frombuffer(self._data, dtype=np.uint8)
-        for one, found_places in zip(self._subscriptions, self._places, strict=True):
-            if not found_places:
-                continue
-            places = np.concatenate(found_places)
-            found_places.clear()
-            windows = sliding_window_view(raw, one.layout.dtype.itemsize)
-            rows = np.empty(len(places), dtype=one.layout.kept)
-            for part in parts(places):
-                found = windows[places[part]].view(one.layout.dtype)[:, 0]
-                for name in one.layout.kept.names or ():
-                    rows[name][part] = found[name]
-                self._file.release()
-            yield Table(one.topic, one.instance, rows)
 
     def _read_definitions(self) -> int:
         """Read the formats and parameters; return where the data begin."""
@@ -248,11 +236,17 @@ class _Reader:
         return place
 
     def _take_rows(self, found: npt.NDArray[np.int64]) -> None:
-        """Keep the places of rows by what they are subscribed to, and the dropouts' lengths."""
+        """Store the rows at places by what they are subscribed to, and the dropouts' lengths."""
         is_row = found[:, 1] >= 0
         places, owner = found[is_row, 0], self._owner[found[is_row, 1]]
         for number in np.unique(owner).tolist():
-            self._places[number].append(places[owner == number])
+            layout = self._subscriptions[number].layout
+            windows = sliding_window_view(self._raw, layout.dtype.itemsize)
+            whole = windows[places[owner == number]].view(layout.dtype)[:, 0]
+            rows = np.empty(len(whole), dtype=layout.kept)
+            for name in layout.kept.names or ():
+                rows[name] = whole[name]
+            self._rows[number].append(rows)
         for place in found[~is_row, 0].tolist():
             self._dropouts.append(int.from_bytes(self._data[place : place + 2], "little"))
 
@@ -274,7 +268,7 @@ class _Reader:
         self._sizes[number] = layout.dtype.itemsize, layout.most
         self._owner[number] = len(self._subscriptions)
         self._subscriptions.append(_Subscription(topic, instance, layout))
-        self._places.append([])
+        self._rows.append(StoredRows(layout.kept))
 
 
 def _layout(formats: Formats, topic: str, unused: Collection[str]) -> _Layout | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.logs import series, ulog_messages
+from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.logs.ulog_messages import Messages
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
@@ -16,6 +18,9 @@ from ekf_companion.nav.arrays import Array, Mask, Stamps, known_rows
 Topic = dict[str, npt.NDArray[Any]]
 """Columns of one topic by field name, and ``t_ns``: when each row was published."""
 Topics = dict[str, Topic]
+"""By name, in memory."""
+Stored = dict[str, StoredRows]
+"""Rows of the topics by name, with ``timestamp`` as published, us."""
 
 _ROTATION = ("q[0]", "q[1]", "q[2]", "q[3]")
 _LOCAL = ("x", "y", "z", "vx", "vy", "vz", "ref_lat", "ref_lon", "ref_alt")
@@ -41,6 +46,8 @@ _TOPICS: dict[str, tuple[str, ...]] = {
 }
 """The topics that are used, and the fields that each needs."""
 
+NO_SAMPLE = 2**31 - 1
+"""sensor_combined.*_timestamp_relative: RELATIVE_TIMESTAMP_INVALID."""
 UNUSED = (
     "gyro_integral_dt",
     "accelerometer_integral_dt",
@@ -62,32 +69,62 @@ def load(path: Path) -> Messages:
     return ulog_messages.read(path, _TOPICS, UNUSED)
 
 
-def choose(log: Messages, notes: list[str]) -> Topics:
+def choose(log: Messages, notes: list[str]) -> Stored:
     """Return each topic's first instance that has the fields needed, on one clock run.
 
     Rows whose stamps are damaged, or of another boot, are dropped.
     """
-    topics: Topics = {}
+    found: Stored = {}
     for table in sorted(log.tables, key=lambda table: (table.instance, -len(table.rows))):
-        names = table.rows.dtype.names or ()
-        if {"timestamp", *_TOPICS[table.topic]} <= {*names} and table.topic not in topics:
-            columns = {name: table.rows[name] for name in names if name != "timestamp"}
-            topics[table.topic] = {
-                **columns,
-                "t_ns": series.nanoseconds_in_place(table.rows["timestamp"]),
-            }
-    stamps = {name: topic["t_ns"] for name, topic in topics.items()}
-    masks = series.common_run(stamps, "sensor_combined")
-    if wild := sum(int((~mask).sum()) for mask in masks.values()):
+        if {"timestamp", *_TOPICS[table.topic]} <= {*table.rows.names}:
+            found.setdefault(table.topic, table.rows)
+    stamps = {name: stamps_of(rows) for name, rows in found.items()}
+    runs = series.common_run(stamps, "sensor_combined")
+    kept = {name: _on_run(rows, runs[name]) for name, rows in found.items()}
+    if wild := sum(len(found[name]) - len(kept[name]) for name in found):
         notes.append(f"{wild} rows whose time stamps do not fit the log's clock were dropped")
-    kept: Topics = {}
-    for name, topic in topics.items():
-        mask = masks[name]
-        if mask.all():
-            kept[name] = topic
-        elif mask.any():
-            kept[name] = {field: column[mask] for field, column in topic.items()}
-    return kept
+    return {name: rows for name, rows in kept.items() if len(rows)}
+
+
+def _on_run(rows: StoredRows, run: series.CommonRun) -> StoredRows:
+    return rows.kept(lambda first, some: run.holds(first, series.nanoseconds(some["timestamp"])))
+
+
+def stamps_of(rows: StoredRows) -> Iterator[Stamps]:
+    """Yield when the rows of a topic were published, part by part, ns."""
+    for _, some in rows.parts():
+        yield series.nanoseconds(some["timestamp"])
+
+
+def columns_of(rows: Column) -> Topic:
+    """Return rows as columns."""
+    columns = {name: rows[name] for name in rows.dtype.names or () if name != "timestamp"}
+    return {**columns, "t_ns": series.nanoseconds(rows["timestamp"])}
+
+
+def combined(stored: Stored, sensor: str, column: str) -> Topic | None:
+    """Return the rows of sensor_combined with a new sample of another sensor: PX4 before 1.8.
+
+    ``SENSOR_timestamp_relative`` is the sample's time from the row's, us; the largest number where
+    the row has no sample.
+    """
+    rows, relative = stored.get("sensor_combined"), f"{sensor}_timestamp_relative"
+    if rows is None or not {column, relative} <= {*rows.names}:
+        return None
+    found: list[Topic] = []
+    last_ns: Stamps = np.zeros(0, dtype=np.int64)  # of the row before
+    for _, some in rows.parts():
+        topic = columns_of(some)
+        behind_ns = np.asarray(topic[relative], dtype=np.int64) * 1000
+        sampled_ns = topic["t_ns"] + behind_ns
+        is_new = series.changed(np.append(last_ns, sampled_ns))[len(last_ns) :]
+        is_new &= topic[relative] != NO_SAMPLE
+        # From the row's own time by less than a second, or the stamp is damaged
+        is_new &= np.abs(behind_ns) < 1_000_000_000
+        last_ns = sampled_ns[-1:]
+        new = {name: values[is_new] for name, values in topic.items()}
+        found.append({**new, "timestamp_sample": sampled_ns[is_new].astype(np.uint64) // 1000})
+    return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
 
 
 def vectors(topic: Topic, field: str, size: int = 3) -> Array:

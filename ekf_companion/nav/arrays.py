@@ -1,6 +1,8 @@
-"""The types of arrays, two operations on masks that NumPy lacks, and a median."""
+"""The types of arrays, two operations on masks that NumPy lacks, a median, and work in pieces."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +12,23 @@ Stamps = npt.NDArray[np.int64]
 """Times, ns."""
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
+
+
+PIECE = 1 << 14
+"""Rows."""
+
+
+def in_pieces(
+    function: Callable[..., npt.NDArray[np.float64]], *series: npt.NDArray[np.generic]
+) -> Array:
+    """Return what a function of each row gives, called with some rows of all series at once.
+
+    Of hours, what it needs on its way would be larger than the series.
+    """
+    firsts = range(0, max(len(series[0]), 1), PIECE)
+    return np.concatenate(
+        [function(*(one[first : first + PIECE] for one in series)) for first in firsts]
+    )
 
 
 def known_rows(values: Array) -> Mask:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Indices, Stamps, median
+from ekf_companion.nav.arrays import Array, Indices, Stamps, in_pieces, median
 
 GAP = 0.5
 """Longest step from row to row over which a series is interpolated, s."""
@@ -31,9 +31,13 @@ class Between:
 
     def rotations(self, series: Array) -> Array:
         """Interpolate a series of quaternions at the stamps, each step a turn of constant rate."""
-        start, end = series[self.before], series[self.before + 1]
-        turn = so3.log(so3.multiply(so3.conjugate(start), end)) * self.share[:, None]
-        return so3.multiply(start, so3.exp(turn))
+
+        def at(before: Indices, share: Array) -> Array:
+            start, end = series[before], series[before + 1]
+            turn = so3.log(so3.multiply(so3.conjugate(start), end)) * share[:, None]
+            return so3.multiply(start, so3.exp(turn))
+
+        return in_pieces(at, self.before, self.share)
 
 
 def between(t_ns: Stamps, at_ns: Stamps, gap_ns: float = GAP * 1e9) -> Between:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array, Indices, Stamps, known_rows
+from ekf_companion.nav.arrays import Array, Indices, Stamps, in_pieces, known_rows
 from ekf_companion.nav.measurements import Events, of_receiver
 from ekf_companion.nav.state import GEODETIC, QUATERNION, Status, Table, Trajectory
 from ekf_companion.replay.stretches import Stretches, of_events
@@ -71,8 +71,8 @@ class Track:
         """Return one sigma of the horizontal position, as estimated; None: there is no position."""
         if not self._t_ns:
             return None
-        std, t_ns = np.concatenate(self._values)[:, 3], np.concatenate(self._t_ns)
-        return self._size(std, t_ns, np.concatenate(self._part))
+        part, t_ns, values = self._joined()
+        return self._size(values[:, 3], t_ns, part)
 
     def size_of(self, distances: Array, t_ns: Stamps) -> Size:
         """Return how large distances are at stamps of the longest stretch."""
@@ -105,7 +105,7 @@ class Track:
             lon=np.deg2rad(lon),
             alt=alt,
             att_t_ns=t_ns[is_turned],
-            q_nb=so3.normalise(values[is_turned, 4:8]),
+            q_nb=in_pieces(so3.normalise, values[is_turned, 4:8]),
         )
 
     def sigmas_at(self, at_ns: Stamps) -> Array:
@@ -119,14 +119,23 @@ class Track:
         shift_ns = int(self.stretches.shifts_ns()[self.stretches.longest])
         return (t_ns + shift_ns - self.stretches.found[0].first_ns) * 1e-9
 
+    def _joined(self) -> tuple[Indices, Stamps, Array]:
+        """Return stretch, stamp and numbers of all that is kept: of hours a copy is tens of MB."""
+        if len(self._t_ns) > 1:
+            self._part, self._t_ns = [np.concatenate(self._part)], [np.concatenate(self._t_ns)]
+            self._values = [np.concatenate(self._values)]
+        return self._part[0], self._t_ns[0], self._values[0]
+
     def _longest(self) -> tuple[Stamps, Array]:
         """Return the stamps of the longest stretch, ascending, and what is kept of each."""
         if not self._t_ns:
             return np.zeros(0, dtype=np.int64), np.zeros((0, 11))
-        is_of = np.concatenate(self._part) == self.stretches.longest
-        t_ns, values = np.concatenate(self._t_ns)[is_of], np.concatenate(self._values)[is_of]
-        t_ns, rows = np.unique(t_ns, return_index=True)
-        return t_ns, values[rows]
+        part, t_ns, values = self._joined()
+        is_of = part == self.stretches.longest
+        if is_of.all() and (np.diff(t_ns) > 0).all():
+            return t_ns, values
+        t_ns, rows = np.unique(t_ns[is_of], return_index=True)
+        return t_ns, values[is_of][rows]
 
     def fixes(self, delay: float) -> Trajectory:
         """Return the receiver's fixes of the longest stretch, that many s before their stamps."""

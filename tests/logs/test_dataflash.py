@@ -8,7 +8,7 @@ from pymavlink import DFReader
 
 from ekf_companion.errors import LogError
 from ekf_companion.logs import dataflash
-from ekf_companion.logs.dataflash_records import read_columns
+from ekf_companion.logs.dataflash_records import read_tables
 from ekf_companion.logs.estimate import read_truth
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import GnssFlag, HeadingSource, Kind
@@ -164,7 +164,7 @@ def test_a_row_whose_type_was_damaged_is_not_taken_for_a_shorter_one(tmp_path):
     data[-10 * 35 + 2] = 2
     path = tmp_path / "flight.bin"
     path.write_bytes(bytes(data))
-    tables = read_columns(path)[0]
+    tables = read_tables(path)[0]
     assert "BARO" not in tables
     assert len(tables["IMU"]) == 19
 
@@ -215,7 +215,7 @@ def test_a_cut_log_gives_what_stands_before_the_cut(tmp_path_factory, place):
     path = tmp_path_factory.getbasetemp() / "cut.bin"
     path.write_bytes(WHOLE[:place])
     try:
-        tables = read_columns(path)[0]
+        tables = read_tables(path)[0]
     except LogError:
         assert place < 89 or WHOLE[:place].count(b"FMT") == 0
     else:
@@ -250,7 +250,7 @@ def test_a_log_with_nothing_to_estimate_from_says_what_to_record(read):
 def test_columns_agree_with_pymavlink(flight, name):
     path = flight(name)
     reader = DFReader.DFReader_binary(str(path))
-    tables = read_columns(path)[0]
+    tables = {name: rows.all() for name, rows in read_tables(path)[0].items()}
     for message in ("IMU", "GPS", "ATT", "BARO", "MAG", "EKF1", "NKF1", "XKF1"):
         rows = []
         reader.rewind()

@@ -9,7 +9,7 @@ import pytest
 from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
 from ekf_companion.logs import dataflash_records, source, table, tlog, tlog_search, ulog_messages
-from ekf_companion.logs.dataflash_records import read_columns
+from ekf_companion.logs.dataflash_records import read_tables
 from ekf_companion.logs.source import MappedFile, Source
 from ekf_companion.logs.table import Table
 from ekf_companion.logs.ulog_messages import HEADER, MAGIC
@@ -105,8 +105,8 @@ def test_the_searches_find_the_same_uncompiled(monkeypatch, tmp_path, seed):
         whole = small_ulog()
         path.write_bytes(whole[:500] + damaged(whole[500:], seed))
         ulog = ulog_messages.read(path, {"sensor_combined", "vehicle_gps_position"})
-        places = {kind: one.tolist() for kind, one in bins.places.items()}
-        tables = [(one.topic, one.instance, one.rows.tobytes()) for one in ulog.tables]
+        places = {kind: rows.all().tobytes() for kind, rows in bins.tables.items()}
+        tables = [(one.topic, one.instance, one.rows.all().tobytes()) for one in ulog.tables]
         totals = (count, bins.damaged, ulog.is_damaged, ulog.parameters, ulog.dropouts)
         return [one.tolist() for one in records], places, tables, totals
 
@@ -124,7 +124,7 @@ def test_the_searches_find_the_same_uncompiled(monkeypatch, tmp_path, seed):
 def test_a_large_file_is_mapped_and_reads_the_same(monkeypatch, tmp_path, seed):
     lines = ["time_us,gyro_x_rps,mag_x_gauss", *(f"{4000 * n},{n * 0.1!r}," for n in range(99_999))]
     logs = {
-        "flight.bin": (damaged(new_log(500), seed), lambda path: read_columns(path)[0]),
+        "flight.bin": (damaged(new_log(500), seed), lambda path: bin_rows(path)),
         "flight.ulg": (small_ulog(n=500), lambda path: ulog_rows(path)),
         "flight.csv": ("\n".join(lines).encode(), lambda path: Table(path).read(["gyro_x_rps"])),
     }
@@ -145,7 +145,11 @@ def test_a_large_file_is_mapped_and_reads_the_same(monkeypatch, tmp_path, seed):
 
 def ulog_rows(path):
     found = ulog_messages.read(path, {"sensor_combined", "vehicle_gps_position"})
-    return {one.topic: one.rows for one in found.tables}
+    return {one.topic: one.rows.all() for one in found.tables}
+
+
+def bin_rows(path):
+    return {name: rows.all() for name, rows in read_tables(path)[0].items()}
 
 
 @pytest.mark.parametrize("block", [2048, 4096, 7001])

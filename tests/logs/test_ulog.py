@@ -280,7 +280,7 @@ def test_every_row_of_every_topic_is_pyulogs(flight, name, capsys):
     theirs = ULog(str(flight(name)))
     capsys.readouterr()  # it prints what it finds damaged
     log = ulog_messages.read(flight(name), {one.name for one in theirs.data_list})
-    ours = {(table.topic, table.instance): table.rows for table in log.tables}
+    ours = {(table.topic, table.instance): table.rows.all() for table in log.tables}
     assert ours.keys() == {(one.name, one.multi_id) for one in theirs.data_list}
     for one in theirs.data_list:
         rows = ours[one.name, one.multi_id]
