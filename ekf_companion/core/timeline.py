@@ -690,6 +690,12 @@ class Timeline:
         return np.array(self.table[self.cursor : self.size])
 
     @property
+    def origin(self) -> tuple[float, float, float] | None:
+        """Latitude, longitude (rad), altitude (m) of the local frame; None before a fix."""
+        origin = address(self.x.origin)
+        return (origin.lat, origin.lon, origin.alt) if origin.is_known else None
+
+    @property
     def resets(self) -> int:
         """How often the state was reset."""
         return int(self.x.resets)

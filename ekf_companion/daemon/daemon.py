@@ -270,21 +270,26 @@ class Daemon:
         self._systemd.report(now_ns, self._observer.health_line)
 
     def _send(self, now_ns: int) -> None:
-        fresh, newest = self._freshness, self._companion.estimate
-        limit = self._companion.tuning.config.output.odometry.age_limit
+        companion = self._companion
+        newest = companion.estimate
         if newest is not None:
-            fresh.on_estimate(newest.t_ns, now_ns)
-        for data, is_replaceable, t_ns in self._companion.frames_to_send():
-            if is_replaceable and t_ns is not None and not fresh.is_fresh(t_ns, now_ns, limit):
+            self._freshness.on_estimate(newest.t_ns, now_ns)
+        for data, is_replaceable, t_ns in companion.frames_to_send():
+            if is_replaceable and t_ns is not None and not self._is_fresh(t_ns, now_ns):
                 self.link.unsent += 1  # it waited to be read
             else:
                 self.link.send(data, is_replaceable=is_replaceable)
         if self._monitors.links:
-            is_fresh = newest is not None and fresh.is_fresh(newest.t_ns, now_ns, limit)
-            self._monitors.send_due(self._companion, now_ns, is_fresh=is_fresh)
+            is_fresh = newest is not None and self._is_fresh(newest.t_ns, now_ns)
+            self._monitors.send_due(companion, now_ns, is_fresh=is_fresh)
         if self._recorder is not None:
-            self._recorder.write(self._companion.session.outbox.take_record())
+            self._recorder.write(companion.session.outbox.take_record())
         self._observer.tick(now_ns)
+
+    def _is_fresh(self, t_ns: int, now_ns: int) -> bool:
+        """Return whether an estimate of this stamp may still be sent."""
+        limit = self._companion.tuning.config.output.odometry.age_limit
+        return self._freshness.is_fresh(t_ns, now_ns, limit)
 
     def _on_sent(self, waited_ns: int) -> None:
         self._observer.on_sent(waited_ns)

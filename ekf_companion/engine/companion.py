@@ -127,7 +127,7 @@ class Companion:
             if not self._has_sample and isinstance(measurement, ImuSample):
                 self._start_from(measurement, self.pipeline, now_ns)
             # Order and fuse it; the newest inertial sample gives an estimate
-            estimate = self.pipeline.process(measurement)
+            estimate = self.pipeline.process_row(measurement.row())
             if estimate is not None:
                 # Send what is due of it
                 messages += self._publish(estimate, now_ns)

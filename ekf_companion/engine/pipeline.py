@@ -217,8 +217,7 @@ class Pipeline:
     @property
     def origin(self) -> tuple[float, float, float] | None:
         """Latitude, longitude (rad), altitude (m) of the local frame; None before a fix."""
-        origin = as_state(self._timeline.block()).origin
-        return (origin.lat, origin.lon, origin.alt) if origin.is_known else None
+        return self._timeline.origin
 
 
 class Estimate:

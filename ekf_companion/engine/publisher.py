@@ -28,6 +28,9 @@ _SELDOM = 0.1
 _ANY = 1000.0
 _LOOKS = 30.0
 """Of the estimate, Hz, whether ODOMETRY is due or not: between two of them it moves smoothly."""
+_NO_PAUSE = 0, 0
+_ENDLESS_PAUSE = -(1 << 63), 1 << 63
+"""From one stamp, ns, until another."""
 
 
 def largest_rate(name: str, family: Family) -> float:
@@ -62,22 +65,36 @@ class Due:
         self.rate = rate
         """Hz; 0: only when requested."""
         self._period_ns = round(SECOND_NS / rate) if rate > 0.0 else 0
+        self._set_pause()
 
     def request(self) -> None:
         """Make it due at the next stamp, out of turn."""
         self._is_requested = True
+        self._set_pause()
 
     def is_due(self, t_ns: int) -> bool:
         """Whether a period has passed; a stamp far from the plan makes a new plan."""
-        if self._is_requested or not self._period_ns:
-            is_requested, self._is_requested = self._is_requested, False
-            return is_requested
-        if self._next_ns is not None and 0 < self._next_ns - t_ns <= self._period_ns:
+        begin_ns, end_ns = self.pause
+        if begin_ns <= t_ns < end_ns:
             return False
-        if self._next_ns is None or abs(t_ns - self._next_ns) > self._period_ns:
-            self._next_ns = t_ns
-        self._next_ns += self._period_ns
+        if self._is_requested:
+            self._is_requested = False
+        else:
+            if self._next_ns is None or abs(t_ns - self._next_ns) > self._period_ns:
+                self._next_ns = t_ns
+            self._next_ns += self._period_ns
+        self._set_pause()
         return True
+
+    def _set_pause(self) -> None:
+        self.pause = _NO_PAUSE
+        """From which stamp until which it is not due."""
+        if self._is_requested:
+            return
+        if not self._period_ns:
+            self.pause = _ENDLESS_PAUSE
+        elif self._next_ns is not None:
+            self.pause = self._next_ns - self._period_ns, self._next_ns
 
 
 class Publisher:
@@ -108,6 +125,8 @@ class Publisher:
         )
         """Which estimates are sent as ODOMETRY; None: each as it is."""
         self._look = Due(_LOOKS)
+        self._pause = _NO_PAUSE
+        """From which stamp until which nothing is due."""
         self._was_invalid = False
         self._origin: tuple[float, float, float] | None = None
         self._offset = NO_OFFSET
@@ -129,6 +148,7 @@ class Publisher:
     def set_rate(self, name: str, rate: float) -> None:
         """Send a message at this rate, Hz; 0: only when requested."""
         self._due[name].set_rate(rate)
+        self._pause = _NO_PAUSE
 
     def request(self, name: str, estimate: Estimate) -> bool:
         """Make a message due with the next estimate; return whether there is something to send."""
@@ -141,17 +161,23 @@ class Publisher:
             has_one = estimate.origin is not None
         if has_one:
             self._due[name].request()
+            self._pause = _NO_PAUSE
         return has_one
 
     def due(self, estimate: Estimate) -> list[Message]:
         """Return the messages that are due at the stamp of an estimate."""
         messages: list[Message] = []
         t_ns, due = estimate.t_ns, self._due
+        if self.stream is not None and estimate.sample is not None:
+            self.stream.add(estimate.sample)
+        if self._pause[0] <= t_ns < self._pause[1]:
+            return messages
         odometry = self._due_odometry(estimate)
         if due["GPS_GLOBAL_ORIGIN"].is_due(t_ns) and (origin := estimate.origin) is not None:
             payload = encode.gps_global_origin(*origin, t_ns=t_ns)
             messages.append(Message("GPS_GLOBAL_ORIGIN", payload))
-        if self.stream is not None and due[_OFFSET].is_due(t_ns) and self.stream.is_continuous:
+        is_due = due[_OFFSET].is_due(t_ns)
+        if is_due and self.stream is not None and self.stream.is_continuous:
             messages.append(Message(_OFFSET, encode.global_offset(t_ns, *self.stream.offset)))
         if odometry is not None:
             ours = self.label
@@ -164,13 +190,13 @@ class Publisher:
         if due["ESTIMATOR_STATUS"].is_due(t_ns) and estimate.origin is not None:
             payload = _estimator_status(estimate.health, t_ns)
             messages.append(Message("ESTIMATOR_STATUS", payload))
+        begins, ends = zip(self._look.pause, *(one.pause for one in due.values()), strict=True)
+        self._pause = max(begins), min(ends)
         return messages
 
     def _due_odometry(self, estimate: Estimate) -> Odometry | None:
         """Return the ODOMETRY that is due; where its frame has moved, so is the message on that."""
         stream, due, t_ns = self.stream, self._due, estimate.t_ns
-        if stream is not None:
-            stream.add(estimate)
         is_due, is_look = due["ODOMETRY"].is_due(t_ns), self._look.is_due(t_ns)
         if stream is not None and (is_due or is_look):
             stream.look(estimate)

@@ -15,6 +15,7 @@ import numpy as np
 from ekf_companion.engine.step import Pose, Step
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.matrix3 import Matrix3, apply, from_quaternion, multiply_transposed
 from ekf_companion.nav.state import Odometry
 
 SPEEDS = (0.5, 1.0, math.radians(5.0))
@@ -24,9 +25,11 @@ _POSITION = slice(0, 3)
 _QUATERNION = slice(3, 7)
 _VELOCITY = slice(7, 10)
 _POSE_COV, _TWIST_COV = 13, 34
+_POSE_ROWS, _TWIST_ROWS = slice(13, 28), slice(34, 49)
+"""The first three rows of their triangles."""
 _POSE_BYTES, _CLIMB_BYTES = slice(52, 136), slice(180, 184)
 """The pose's covariance, and the variance of the velocity down."""
-_SINGLE = Struct("<f")
+_NUMBERS, _SINGLE = Struct("<55f"), Struct("<f")
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
 """Of the upper triangle of a 6 x 6 matrix, row by row."""
 
@@ -78,9 +81,10 @@ class Residual:
     def move_frame(self, step: Step, pose: Pose) -> None:
         """Put a step of position and yaw into the frame, given the estimate after it."""
         shift, yaw = self.offset
-        pos_c = about_down(-yaw) @ (pose.pos_n - step.pos_n - np.array(shift))
+        pos_n = np.array(pose.pos_n)
+        pos_c = about_down(-yaw) @ (pos_n - step.pos_n - shift)
         yaw = math.remainder(yaw + step.yaw, math.tau)
-        moved = pose.pos_n - about_down(yaw) @ pos_c
+        moved = pos_n - about_down(yaw) @ pos_c
         self.offset = Offset((float(moved[0]), float(moved[1]), float(moved[2])), yaw)
 
     def decay(self, dt: float) -> None:
@@ -104,12 +108,12 @@ class Residual:
         numbers = np.frombuffer(odometry.numbers, dtype="<f4").astype(float)
         R_cn = about_down(-yaw)
         turn = so3.exp(np.array([0.0, 0.0, self._yaw - yaw]))
-        numbers[_POSITION] = R_cn @ (pose.pos_n + self._pos_n - np.array(shift))
-        numbers[_QUATERNION] = so3.normalise(so3.multiply(turn, pose.q_nb))
+        numbers[_POSITION] = R_cn @ (self._pos_n + pose.pos_n - shift)
+        numbers[_QUATERNION] = so3.normalise(so3.multiply(turn, np.array(pose.q_nb)))
         C_cb = so3.to_matrix(numbers[_QUATERNION])
-        numbers[_VELOCITY] = C_cb.T @ R_cn @ (pose.vel_n + self._vel_n)
+        numbers[_VELOCITY] = C_cb.T @ R_cn @ (self._vel_n + pose.vel_n)
         if yaw != 0.0:
-            _turn_covariance(numbers, _POSE_COV, R_cn)
+            numbers[_POSE_ROWS] = _turn_rows(numbers[_POSE_ROWS].tolist(), R_cn.tolist())
         _inflate(numbers, _POSE_COV, [*(R_cn @ self._pos_n), 0.0, 0.0, self._yaw])
         _inflate(numbers, _TWIST_COV, C_cb.T @ R_cn @ self._vel_n)
         return odometry._replace(numbers=numbers.astype("<f4").tobytes())
@@ -127,17 +131,17 @@ def _inflate(numbers: Array, start: int, residual: Array | list[float]) -> None:
             numbers[start + place] += value * value
 
 
-def _turn_covariance(numbers: Array, start: int, R: Array) -> None:
-    """Turn the first three rows and columns of the covariance that begins there."""
-    triangle = numbers[start : start + 21]
-    if not math.isfinite(triangle[0]):
-        return
-    rows, columns = np.triu_indices(6)
-    P = np.zeros((6, 6))
-    P[rows, columns] = P[columns, rows] = triangle
-    T = np.eye(6)
-    T[:3, :3] = R
-    triangle[:] = (T @ P @ T.T)[rows, columns]
+def _turn_rows(rows: list[float], R: Matrix3) -> list[float]:
+    """Return the first three rows of a covariance's triangle with their errors turned."""
+    xx, xy, xz, *x, yy, yz, y0, y1, y2, zz, z0, z1, z2 = rows
+    if not math.isfinite(xx):
+        return rows
+    turned = multiply_transposed(R, ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = multiply_transposed(turned, R)
+    cross: Matrix3 = (x, (y0, y1, y2), (z0, z1, z2))
+    if any(map(any, cross)):
+        cross = multiply_transposed(R, list(zip(*cross, strict=True)))
+    return [xx, xy, xz, *cross[0], yy, yz, *cross[1], zz, *cross[2]]
 
 
 def state_covariance(
@@ -172,36 +176,28 @@ def scale_errors(odometry: Odometry, factor: float) -> Odometry:
 
 def local_velocity(odometry: Odometry) -> Odometry:
     """Return an ODOMETRY with its velocity, and the covariance of that, along the local axes."""
-    numbers = np.frombuffer(odometry.numbers, dtype="<f4").astype(float)
-    C_nb = so3.to_matrix(numbers[_QUATERNION])
-    numbers[_VELOCITY] = C_nb @ numbers[_VELOCITY]
-    _turn_covariance(numbers, _TWIST_COV, C_nb)
-    return odometry._replace(numbers=numbers.astype("<f4").tobytes())
+    numbers = list(_NUMBERS.unpack(odometry.numbers))
+    C_nb = from_quaternion(*numbers[_QUATERNION])
+    numbers[_VELOCITY] = apply(C_nb, numbers[_VELOCITY])
+    numbers[_TWIST_ROWS] = _turn_rows(numbers[_TWIST_ROWS], C_nb)
+    return odometry._replace(numbers=np.array(numbers, dtype="<f4").tobytes())
 
 
-def std_horizontal(odometry: Odometry) -> float:
-    """Return one sigma of the horizontal position, m; infinite where it is not known."""
-    return _std(odometry, (_POSE_COV, _POSE_COV + 6))
+def stds(odometry: Odometry) -> tuple[float, float, float]:
+    """Return one sigma of the horizontal position (m), of the velocity (m/s) and of the yaw (rad).
 
-
-def std_velocity(odometry: Odometry) -> float:
-    """Return one sigma of the velocity, m/s, likewise."""
-    return _std(odometry, (_TWIST_COV, _TWIST_COV + 6, _TWIST_COV + 11))
-
-
-def std_yaw(odometry: Odometry) -> float:
-    """Return one sigma of the yaw, rad, likewise."""
-    return _std(odometry, (_POSE_COV + 20,))
+    Infinite where they are not known.
+    """
+    numbers = _NUMBERS.unpack(odometry.numbers)
+    pose, twist = numbers[_POSE_COV:_TWIST_COV], numbers[_TWIST_COV:]
+    if not (math.isfinite(pose[0]) and math.isfinite(twist[0])):
+        return math.inf, math.inf, math.inf
+    velocity = math.sqrt(twist[0] + twist[6] + twist[11])
+    return math.sqrt(pose[0] + pose[6]), velocity, math.sqrt(pose[20])
 
 
 def std_attitude(odometry: Odometry) -> float:
     """Return the largest sigma of roll, pitch and yaw, rad; 0 where none is stated."""
-    numbers = np.frombuffer(odometry.numbers, dtype="<f4")
-    angles = [float(numbers[_POSE_COV + place]) for place in (15, 18, 20)]
-    return math.sqrt(max((one for one in angles if math.isfinite(one)), default=0.0))
-
-
-def _std(odometry: Odometry, places: tuple[int, ...]) -> float:
-    numbers = np.frombuffer(odometry.numbers, dtype="<f4")
-    is_known = math.isfinite(numbers[_POSE_COV]) and math.isfinite(numbers[_TWIST_COV])
-    return math.sqrt(sum(float(numbers[place]) for place in places)) if is_known else math.inf
+    numbers = _NUMBERS.unpack(odometry.numbers)
+    angles = [numbers[_POSE_COV + place] for place in (15, 18, 20)]
+    return math.sqrt(max(filter(math.isfinite, angles), default=0.0))

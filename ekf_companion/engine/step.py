@@ -9,16 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from struct import Struct
 from typing import NamedTuple
 
-import numpy as np
-
-from ekf_companion.nav import so3
-from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.matrix3 import (
+    Matrix3,
+    Vector3,
+    apply,
+    from_quaternion,
+    multiply_transposed,
+)
 from ekf_companion.nav.state import Odometry
 
-GRAVITY = np.array([0.0, 0.0, 9.81])
-"""Down, m/s^2: over a tenth of a second no place on Earth differs by more than 3 mm/s."""
+GRAVITY = 9.81
+"""m/s^2: over a tenth of a second no place on Earth differs by more than 3 mm/s."""
 _USUAL_S = 20.0
 """Time constant of the usual step."""
 _MANY = 10.0
@@ -28,6 +32,8 @@ _START_S = 5.0
 """After a start the first fixes correct each other by as much as they are uncertain."""
 _SMOOTH_S = 0.05
 """Interval up to which the samples between two looks explain any flight."""
+_MOTION = Struct("<10f")
+"""Of an ODOMETRY's numbers: position in n, quaternion, velocity in b."""
 
 
 class Step(NamedTuple):
@@ -35,10 +41,10 @@ class Step(NamedTuple):
 
     dt: float
     """Time between the two, s."""
-    pos_n: Array
-    """m, shape (3,)."""
-    vel_n: Array
-    """m/s, shape (3,)."""
+    pos_n: Vector3
+    """m."""
+    vel_n: Vector3
+    """m/s."""
     yaw: float
     """About down, rad, in [-pi, pi]."""
 
@@ -52,17 +58,17 @@ class Pose(NamedTuple):
     """Of an ODOMETRY's numbers, what a step is measured by."""
 
     t_ns: int
-    pos_n: Array
-    q_nb: Array
-    C_nb: Array
-    vel_n: Array
+    pos_n: Vector3
+    q_nb: Sequence[float]
+    C_nb: Matrix3
+    vel_n: Vector3
 
 
 def to_pose(odometry: Odometry) -> Pose:
     """Return position, attitude and velocity of an ODOMETRY."""
-    numbers = np.frombuffer(odometry.numbers, dtype="<f4", count=10).astype(float)
-    C_nb = so3.to_matrix(numbers[3:7])
-    return Pose(odometry.t_ns, numbers[:3], numbers[3:7], C_nb, C_nb @ numbers[7:10])
+    numbers = _MOTION.unpack_from(odometry.numbers)
+    C_nb = from_quaternion(*numbers[3:7])
+    return Pose(odometry.t_ns, numbers[:3], numbers[3:7], C_nb, apply(C_nb, numbers[7:]))
 
 
 class StepMeter:
@@ -70,44 +76,46 @@ class StepMeter:
 
     def __init__(self) -> None:
         self._last: Pose | None = None
-        self._sums = [0.0] * 6
-        self._count = 0
+        self._samples: list[tuple[float, ...]] = []
 
     def add(self, sample: tuple[float, ...]) -> None:
-        """Add an inertial sample: angular rate (rad/s), specific force (m/s^2), b."""
-        sums = self._sums
-        for i in range(6):
-            sums[i] += sample[i]
-        self._count += 1
+        """Add an inertial sample: angular rate (rad/s), then specific force (m/s^2), in b."""
+        self._samples.append(sample)
 
     def forget(self) -> None:
         """Forget the last look: there is no estimate now."""
-        self._last = None
+        self._last, self._samples = None, []
 
     def measure(self, pose: Pose) -> Step | None:
         """Return the step since the last look; None if there was none, or no sample came since."""
-        last, count = self._last, self._count
-        mean = [value / max(count, 1) for value in self._sums]
-        self._last, self._sums, self._count = pose, [0.0] * 6, 0
-        if last is None or count == 0 or pose.t_ns <= last.t_ns:
+        last, samples = self._last, self._samples
+        self._last, self._samples = pose, []
+        if last is None or not samples or pose.t_ns <= last.t_ns:
             return None
         dt = (pose.t_ns - last.t_ns) * 1e-9
-        turned = last.C_nb @ _rotation(*(rate * dt for rate in mean[:3]))
-        error = pose.C_nb @ turned[0]  # the first column of the matrix that leads from one to two
-        accel_n = 0.5 * (last.C_nb + turned) @ mean[3:] + GRAVITY
+        columns = list(zip(*samples, strict=True))[:6]
+        means = [math.fsum(column) / len(samples) for column in columns]
+        rate_b, force_b = means[:3], means[3:]
+        turned = multiply_transposed(last.C_nb, _rotation(*(-rate * dt for rate in rate_b)))
+        error = apply(pose.C_nb, turned[0])  # the first column of the matrix from one to two
+        forces_n = zip(apply(last.C_nb, force_b), apply(turned, force_b), strict=True)
+        accel_n = [0.5 * (before + after) for before, after in forces_n]
+        accel_n[2] += GRAVITY
+        places = zip(pose.pos_n, last.pos_n, pose.vel_n, last.vel_n, strict=True)
+        speeds = zip(pose.vel_n, last.vel_n, accel_n, strict=True)
         return Step(
             dt,
-            pose.pos_n - last.pos_n - 0.5 * dt * (last.vel_n + pose.vel_n),
-            pose.vel_n - last.vel_n - dt * accel_n,
+            [now - was - 0.5 * dt * (v + w) for now, was, v, w in places],
+            [now - was - dt * accel for now, was, accel in speeds],
             math.atan2(error[1], error[0]),
         )
 
 
-def _rotation(x: float, y: float, z: float) -> Array:
-    """Return the matrix of a rotation vector, rad: at 30 Hz the time of a general one counts."""
+def _rotation(x: float, y: float, z: float) -> Matrix3:
+    """Return the matrix of a rotation vector, rad."""
     half = 0.5 * math.sqrt(x * x + y * y + z * z)
     scale = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
-    return so3.to_matrix(np.array([math.cos(half), scale * x, scale * y, scale * z]))
+    return from_quaternion(math.cos(half), scale * x, scale * y, scale * z)
 
 
 class Limit(NamedTuple):
@@ -152,12 +160,11 @@ class JumpDetector:
                 position within three just after a start, when one fix is all there is: every gate
                 has three sigma and more.
         """
-        weight = min(step.dt / _USUAL_S, 1.0)
+        weight, beyond = min(step.dt / _USUAL_S, 1.0), max(step.dt - _SMOOTH_S, 0.0)
         self._age += step.dt
         factors = (3.0 if self._age < _START_S else 1.0), 1.0, 1.0
         jumps = []
         for i, (size, limit) in enumerate(zip(step.sizes, _LIMITS, strict=True)):
-            beyond = max(step.dt - _SMOOTH_S, 0.0)
             allowed = limit.slow * (beyond * beyond if limit is POSITION else beyond)
             usual = _MANY * math.sqrt(self._squares[i])
             largest = max(min(max(limit.least, usual), limit.most), factors[i] * stated[i])

@@ -23,9 +23,7 @@ from ekf_companion.engine.residual import (
     scale_errors,
     state_covariance,
     std_attitude,
-    std_horizontal,
-    std_velocity,
-    std_yaw,
+    stds,
 )
 from ekf_companion.engine.step import JumpDetector, Pose, Step, StepMeter, to_pose
 from ekf_companion.mavlink.decode import Family
@@ -119,10 +117,9 @@ class OdometryStream:
         """Where the frame of what is sent lies in that of the estimates."""
         return self._residual.offset
 
-    def add(self, estimate: Estimate) -> None:
+    def add(self, sample: tuple[float, ...]) -> None:
         """Add the inertial sample of an estimate; to be called for each."""
-        if (sample := estimate.sample) is not None:
-            self._meter.add(sample)
+        self._meter.add(sample)
 
     def look(self, estimate: Estimate) -> None:
         """Look at an estimate: 30 times a second or more, whether it is sent or not."""
@@ -235,7 +232,7 @@ class OdometryStream:
         if estimate.unaided_s > config.dead_reckoning_time:
             return f"dead reckoning over {config.dead_reckoning_time:g} s"
         # By all of the error over ground, whatever of it is told
-        if std_horizontal(estimate.odometry or odometry) > config.dead_reckoning_std:
+        if stds(estimate.odometry or odometry)[0] > config.dead_reckoning_std:
             return f"dead reckoning beyond {config.dead_reckoning_std:g} m"
         return ""
 
@@ -251,5 +248,5 @@ def _stated(odometry: Odometry) -> tuple[float, float, float]:
     """Return one sigma of position, velocity and yaw, 0 of what lacked its aid."""
     if odometry.quality < _GOOD:
         return 0.0, 0.0, 0.0
-    position = std_horizontal(odometry) if odometry.quality == _BEST else 0.0
-    return position, std_velocity(odometry), std_yaw(odometry)
+    position, velocity, yaw = stds(odometry)
+    return position if odometry.quality == _BEST else 0.0, velocity, yaw

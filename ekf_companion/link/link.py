@@ -267,12 +267,8 @@ class Link:
         except OSError as error:
             self._break(_sentence(error))
             return
-        if data:
-            self._receive(data, port.sender)
-
-    def _receive(self, data: bytes, sender: Sender | None) -> None:
-        now_ns = self._clock()
-        if sender is not None and not self.peers.accepts(sender, now_ns):
+        now_ns, sender = self._clock(), port.sender
+        if not data or (sender is not None and not self.peers.accepts(sender, now_ns)):
             return
         self.bytes_in += len(data)
         if not self.peers.is_pinning:

@@ -256,14 +256,15 @@ class Session:
 
     def _receive_from_autopilot(self, frame: Frame, now_ns: int) -> list[Measurement]:
         """Handle what only the autopilot may say; return what it measured."""
+        number = frame.message_id
         self.heard += 1
-        self.received[frame.message_id] += 1
+        self.received[number] += 1
         self.sequence.count(frame.sequence, now_ns)
-        if (handlers := self.peer_routes.get(frame.message_id)) is not None:
+        if (handlers := self.peer_routes.get(number)) is not None:
             self._hand_to(handlers, frame, now_ns)
         if self.guard.is_waiting:
             self.guard.on_frame(now_ns)
-        if frame.message_id in KEPT:
+        if number in KEPT:
             self.autopilot_estimate.keep(frame, now_ns)
 
         measurements = self.decoder.decode(frame)

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.nav.arrays import Array
+from ekf_companion.nav.matrix3 import from_quaternion
 
 _SMALL = 1e-8
 """Angle below which a series replaces sin(x)/x, rad: the next term is 1e-17."""
@@ -67,15 +68,14 @@ def log(q: Array) -> Array:
 def to_matrix(q: Array) -> Array:
     """Return the direction cosine matrix, shape (..., 3, 3)."""
     q = np.asarray(q, dtype=float)
-    # The daemon converts one quaternion at a time: in plain floats it takes a tenth of the time
-    w, x, y, z = q.tolist() if q.ndim == 1 else np.moveaxis(q, -1, 0)
+    if q.ndim == 1:
+        return np.array(from_quaternion(*q.tolist()))
+    w, x, y, z = np.moveaxis(q, -1, 0)
     rows = [
         [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
         [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
         [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
     ]
-    if q.ndim == 1:
-        return np.array(rows)
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 

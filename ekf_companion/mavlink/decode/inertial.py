@@ -174,8 +174,10 @@ class Inertial:
             if rank != was:
                 self._note_source(was, rank)
             trim = self._trim
-            trim.begin(t_ns)
-            sample = (*trim.to_vehicle(*sample[:3]), *trim.to_vehicle(*sample[3:]))
+            if trim.first_ns is None:
+                trim.first_ns = t_ns
+            if trim.rows is not None:
+                sample = (*trim.to_vehicle(*sample[:3]), *trim.to_vehicle(*sample[3:]))
             if not is_sure:
                 out.append(ImuSample(t_ns, *sample))
                 return t_ns

@@ -28,6 +28,7 @@ class Trim:
         self._values: dict[str, float] = {}
         self.rows: list[list[float]] | None = None
         self.first_ns: int | None = None
+        """When the first inertial sample was taken: from then on there is an estimate."""
 
     def forget(self) -> None:
         """Begin with a clock that began anew; the mounting is still the same."""
@@ -70,11 +71,6 @@ class Trim:
                 f"The board is mounted at roll {roll:.1f} and pitch {pitch:.1f} deg (AHRS_TRIM): "
                 "its samples are turned into the axes of the vehicle"
             )
-
-    def begin(self, t_ns: int) -> None:
-        """Note when an inertial sample was taken: from the first one on there is an estimate."""
-        if self.first_ns is None:
-            self.first_ns = t_ns
 
     def to_vehicle(self, x: float, y: float, z: float) -> tuple[float, float, float]:
         """Return a vector of the board in the vehicle's axes."""
