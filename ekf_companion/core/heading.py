@@ -78,7 +78,6 @@ LEAST_SHARE = cython.declare(cython.double, 0.05)
 """Least share of the configured variance, for the best of magnetometers."""
 LARGEST_SHARE = cython.declare(cython.double, 9.0)
 """Largest share that one block may show."""
-NAN = cython.declare(cython.double, float("nan"))
 NEVER = cython.declare(cython.double, -1e18)
 UNKNOWN_HEADING = cython.declare(cython.double, 3.29)
 """Variance of an unknown angle: pi^2 / 3, rad^2."""
@@ -246,7 +245,7 @@ def weigh_field(x: State, o: Observation) -> None:
     innovate(x, o)
     if not x.t - learnt.t < NEXT:
         begin_field_block(x)
-        learnt.last = NAN
+        learnt.has_last = 0.0
     learnt.t = x.t
     learnt.n += 1.0
     learnt.sum += o.z[0]
@@ -255,7 +254,7 @@ def weigh_field(x: State, o: Observation) -> None:
     if x.t - learnt.t0 < FIELD_BLOCK:
         return
     mean = learnt.sum / learnt.n
-    if not isnan(learnt.last):
+    if learnt.has_last != 0.0:
         own = learnt.own / learnt.n
         change = mean - learnt.last
         seen = (0.5 * learnt.n * change * change - own) / stated
@@ -269,6 +268,7 @@ def weigh_field(x: State, o: Observation) -> None:
             learnt.share = LEAST_SHARE
     begin_field_block(x)
     learnt.last = mean
+    learnt.has_last = 1.0
 
 
 def begin_field_block(x: State) -> None:

@@ -134,7 +134,9 @@ class FieldNoise:
     own: Real
     """Of the filter's own variance of them, rad^2."""
     last: Real
-    """Mean innovation of the block before, rad; NaN: none."""
+    """Mean innovation of the block before, rad."""
+    has_last: Real
+    """There is one."""
 
 
 @struct
