@@ -23,7 +23,6 @@ from cython.cimports.ekf_companion.core.enums import (
     CHOICE_MAG,
     E_ATT,
     E_HEADING,
-    N,
     MODE_ATTITUDE,
     MODE_LEVEL,
     RESET_HEADING,
@@ -31,6 +30,7 @@ from cython.cimports.ekf_companion.core.enums import (
     VERDICT_DISTURBED,
     VERDICT_FUSED,
     VERDICT_SUPERSEDED,
+    N,
 )
 from cython.cimports.ekf_companion.core.gate import (
     begin_reset,

@@ -215,8 +215,8 @@ class HeadingSettings:
     magnetometer_delay: Annotated[Seconds | Auto, Setting("s", auto="mag_delay")] = "auto"
     """A magnetic field is older than its stamp by this."""
     magnetometer_noise: Annotated[NotNegative, Setting("gauss", reload=True)] = 0.01
-    """White noise of the field: weighs more where the horizontal field is weak, near the poles. With
-    imu.learn_noise it is learnt, from a twentieth of this variance on."""
+    """White noise of the field: weighs more where the horizontal field is weak, near the poles.
+    With imu.learn_noise it is learnt, from a twentieth of this variance on."""
     field_strength: Annotated[Positive, Setting(reload=True)] = 0.25
     """Largest difference of the field's strength from the World Magnetic Model's, as a share of it.
     Beyond, the magnetometer is disturbed or not calibrated, and no heading is taken from it."""
@@ -226,8 +226,8 @@ class HeadingSettings:
     """Least one sigma of a heading from GNSS or the autopilot."""
     slow_time: Annotated[Positive, Setting("s", reload=True)] = 100.0
     """Time constant of the slow error of a compass or of the autopilot's heading: until GNSS has
-    shown it in motion, yaw is no surer than that error. With imu.learn_noise an error that is seen to
-    change less lasts up to a hundred times as long."""
+    shown it in motion, yaw is no surer than that error. With imu.learn_noise an error that is seen
+    to change less lasts up to a hundred times as long."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
