@@ -3,7 +3,7 @@ from ekf_companion.core.scratch cimport Fix, ImuRow, Motion, Observation
 from ekf_companion.core.state cimport State
 cdef void restart(State *x) noexcept nogil
 cdef double walk_share(State *x) noexcept nogil
-cdef double gyro_walk_share(State *x) noexcept nogil
+cdef double gyro_walk_share(State *x, double share) noexcept nogil
 cdef void write_noise(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
 cdef void find_clipping(State *x, ImuRow *imu) noexcept nogil
 cdef bint is_clipping(State *x) noexcept nogil

@@ -65,7 +65,7 @@ USUAL_DOUBT = cython.declare(cython.double, 0.03)
 """Doubt at which biases walk as configured."""
 LEAST_WALK = cython.declare(cython.double, 0.03)
 LARGEST_WALK = cython.declare(cython.double, 4.0)
-LARGEST_DRIFT = cython.declare(cython.double, 9.0)
+LARGEST_GYRO_WALK = cython.declare(cython.double, 9.0)
 """Largest variance of the gyro's walk, of the configured one: 0.14 deg/s in a minute."""
 MARGIN = cython.declare(cython.double, 1.5)
 """How much larger than the second differences show the variance of the noise may be."""
@@ -108,10 +108,10 @@ def walk_share(x: State) -> float:
     return share if share < LARGEST_WALK else LARGEST_WALK
 
 
-def gyro_walk_share(x: State) -> float:
-    """Return the same of the gyro's biases, whose corrections may show that they drift."""
-    share = walk_share(x) * x.walk.drift
-    return share if share < LARGEST_DRIFT else LARGEST_DRIFT
+def gyro_walk_share(x: State, share: float) -> float:
+    """Return what becomes of that share for the gyro's biases, which may be seen to drift."""
+    share *= x.walk.drift
+    return share if share < LARGEST_GYRO_WALK else LARGEST_GYRO_WALK
 
 
 def write_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:

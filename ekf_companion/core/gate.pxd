@@ -7,6 +7,7 @@ cdef bint is_refused_for(State *x, Py_ssize_t aid, double limit) noexcept nogil
 cdef bint fuse(State *x, Parameters *k, Observation *o, Py_ssize_t aid) noexcept nogil
 cdef bint fuse_judged(State *x, Parameters *k, Observation *o, Py_ssize_t aid, double nis) noexcept nogil
 cdef void note_used(State *x, Py_ssize_t aid) noexcept nogil
+cdef double follow_share(double share, double seen, double noise, double own, double memory) noexcept nogil
 cdef void score(State *x, Observation *o, double nis, double gate) noexcept nogil
 cdef void begin_reset(State *x, double reason) noexcept nogil
 cdef void add_to_run(State *x, Observation *o, Py_ssize_t aid) noexcept nogil

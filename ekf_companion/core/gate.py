@@ -41,6 +41,8 @@ LARGEST_SLOPE_STD = cython.declare(cython.double, 0.15)
 """The slope of a run must be known to this, one sigma per s, before it proves anything."""
 LARGEST_SCATTER = cython.declare(cython.double, 9.0)
 """How far the scatter about the line may be beyond the stated variance."""
+LARGEST_SHARE = cython.declare(cython.double, 9.0)
+"""Largest learnt share that one look may show: noise is understated at most three times."""
 SIGMAS = cython.declare(cython.double, 3.0)
 
 
@@ -99,6 +101,17 @@ def note_used(x: State, aid: int) -> None:
     if aid < AID_HEADING:
         x.run[aid].n = 0.0
     x.used_t[aid] = x.t
+
+
+def follow_share(share: float, seen: float, noise: float, own: float, memory: float) -> float:
+    """Return a learnt share of a stated variance after one more look at it, ``memory`` looks long.
+
+    Where the filter's own variance is large beside the noise a look tells little, and weighs less.
+    """
+    seen = seen if seen < LARGEST_SHARE else LARGEST_SHARE
+    seen = seen if seen > -LARGEST_SHARE else -LARGEST_SHARE
+    weight = noise / (noise + own)
+    return share + weight * weight * (seen - share) / memory
 
 
 def score(x: State, o: Observation, nis: float, gate: float) -> None:

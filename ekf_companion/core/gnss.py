@@ -69,8 +69,6 @@ FIRST_MEMORY = cython.declare(cython.double, 25.0)
 """Weight of the initial share, in fixes."""
 LEAST_SHARE = cython.declare(cython.double, 0.01)
 """Least white share: receivers overstate their white error at most ten times."""
-LARGEST_SHARE = cython.declare(cython.double, 9.0)
-"""Largest white share: they understate it at most three times."""
 LEAST_LEVEL = cython.declare(cython.double, 1e-6)
 """Least variance of a slow error, m^2."""
 GOOD_VELOCITY = cython.declare(cython.double, 0.1)
@@ -337,12 +335,9 @@ def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> 
     if not is_next:
         return
     seen = (seen - own) / (o.rows * stated_var)
-    seen = seen if seen < LARGEST_SHARE else LARGEST_SHARE
-    seen = seen if seen > -LARGEST_SHARE else -LARGEST_SHARE
-    weight = noise / (noise + own)
     if memory > WHITE_MEMORY:
         memory = WHITE_MEMORY
-    x.white_share[aid] += weight * weight * (seen - x.white_share[aid]) / memory
+    x.white_share[aid] = gate.follow_share(x.white_share[aid], seen, noise, own, memory)
     if x.white_share[aid] < 0.0:
         x.white_share[aid] = 0.0
 

@@ -14,7 +14,7 @@ cdef void fuse_field(
 cdef void fuse_azimuth(
     State *x, Parameters *k, Observation *o, Reference *r, double slow, double source
 ) noexcept nogil
-cdef void weigh_field(State *x, Observation *o) noexcept nogil
+cdef double innovate_field(State *x, Observation *o) noexcept nogil
 cdef void keep_reference(State *x, Reference *r) noexcept nogil
 cdef void yield_to_azimuth(State *x, Observation *o, double slow) noexcept nogil
 cdef void reset_yaw(State *x, Observation *o) noexcept nogil

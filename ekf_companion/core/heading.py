@@ -35,7 +35,8 @@ from cython.cimports.ekf_companion.core.enums import (
 from cython.cimports.ekf_companion.core.gate import (
     begin_reset,
     count_verdict,
-    fuse,
+    follow_share,
+    fuse_judged,
     is_timed_out,
     note_used,
 )
@@ -76,8 +77,6 @@ LARGEST_MEMORY = cython.declare(cython.double, 25.0)
 """Blocks over which the noise is learnt."""
 LEAST_SHARE = cython.declare(cython.double, 0.05)
 """Least share of the configured variance, for the best of magnetometers."""
-LARGEST_SHARE = cython.declare(cython.double, 9.0)
-"""Largest share that one block may show."""
 NEVER = cython.declare(cython.double, -1e18)
 UNKNOWN_HEADING = cython.declare(cython.double, 3.29)
 """Variance of an unknown angle: pi^2 / 3, rad^2."""
@@ -219,21 +218,21 @@ def fuse_azimuth(
     if not observe.azimuth(x, o, r):
         count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
         return
-    if r.noise > 0.0 and k.learn_noise != 0.0:
-        weigh_field(x, o)
+    learns = cython.declare(cython.bint, r.noise > 0.0 and k.learn_noise != 0.0)
+    nis = innovate_field(x, o) if learns else innovate(x, o)
     if x.has_yaw == 0.0:
         reset_yaw(x, o)
         count_verdict(x, AID_HEADING, VERDICT_FUSED)
     elif (
-        not fuse(x, k, o, AID_HEADING)
+        not fuse_judged(x, k, o, AID_HEADING, nis)
         and is_timed_out(x, AID_HEADING, k.timeout_heading)
         and x.t - x.refused_t[AID_HEADING] >= INSISTENCE
     ):
         yield_to_azimuth(x, o, slow)
 
 
-def weigh_field(x: State, o: Observation) -> None:
-    """Give a field's azimuth the noise that was learnt; learn it from it, once in a while.
+def innovate_field(x: State, o: Observation) -> float:
+    """Return the NIS of a field's azimuth with the noise that was learnt, and learn from it.
 
     A magnetometer shows its noise by how far the mean of two seconds is from that of the two
     before. From one reading to the next it would look better than it is: currents and turns make
@@ -242,7 +241,7 @@ def weigh_field(x: State, o: Observation) -> None:
     learnt = address(x.field_noise)
     stated = o.R[0][0]
     o.R[0][0] = learnt.share * stated
-    innovate(x, o)
+    nis = innovate(x, o)
     if not x.t - learnt.t < NEXT:
         begin_field_block(x)
         learnt.has_last = 0.0
@@ -252,23 +251,21 @@ def weigh_field(x: State, o: Observation) -> None:
     for j in range(N):
         learnt.own += o.H[0][j] * o.PHt[0][j]
     if x.t - learnt.t0 < FIELD_BLOCK:
-        return
+        return nis
     mean = learnt.sum / learnt.n
     if learnt.has_last != 0.0:
         own = learnt.own / learnt.n
         change = mean - learnt.last
         seen = (0.5 * learnt.n * change * change - own) / stated
-        seen = seen if seen < LARGEST_SHARE else LARGEST_SHARE
-        seen = seen if seen > -LARGEST_SHARE else -LARGEST_SHARE
-        weight = o.R[0][0] / (o.R[0][0] + own)
         memory = learnt.memory if learnt.memory < LARGEST_MEMORY else LARGEST_MEMORY
         learnt.memory += 1.0
-        learnt.share += weight * weight * (seen - learnt.share) / memory
+        learnt.share = follow_share(learnt.share, seen, o.R[0][0], own, memory)
         if learnt.share < LEAST_SHARE:
             learnt.share = LEAST_SHARE
     begin_field_block(x)
     learnt.last = mean
     learnt.has_last = 1.0
+    return nis
 
 
 def begin_field_block(x: State) -> None:

@@ -373,7 +373,7 @@ def add_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
     gyro_share = 1.0
     if k.learn_noise != 0.0:
         share = walk_share(x)
-        gyro_share = gyro_walk_share(x)
+        gyro_share = gyro_walk_share(x, share)
         learn_walk(x, dt)
     for j in range(3):
         add_gyro_walk(x, j, gyro_share * k.gyro_bias_walk * k.gyro_bias_walk * dt)

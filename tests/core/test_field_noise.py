@@ -29,7 +29,7 @@ def learnt(errors: np.ndarray) -> float:
         o.z[0] = error
         o.H[0][yaw] = o.H[0][E_HEADING] = 1.0
         x.t = n * 1e9 / RATE
-        heading.weigh_field(x, o)
+        heading.innovate_field(x, o)
         assert o.R[0][0] > 0.0
         assert np.isfinite([o.PHt[0][j] for j in range(N)]).all()
     return x.field_noise.share
@@ -63,5 +63,5 @@ def test_a_pause_begins_anew():
         # the azimuths before and after the pause have nothing to do with each other
         o.z[0] = 0.0 if n < 20 else 1.0
         x.t = n * 1e8 + (0.0 if n < 20 else 5e9)
-        heading.weigh_field(x, o)
+        heading.innovate_field(x, o)
     assert x.field_noise.share <= 1.0
