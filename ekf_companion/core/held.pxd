@@ -4,5 +4,5 @@ cdef class Held:
     cdef int[::1] kind
     cdef int[::1] result
     cdef double[:, ::1] values
-    cdef bint add(self, long long t_ns, int kind, double[::1] values, int result)
-    cdef void remove(self, Py_ssize_t i)
+    cdef bint add(self, long long t_ns, int kind, double[::1] values, int result) noexcept nogil
+    cdef void remove(self, Py_ssize_t i) noexcept nogil

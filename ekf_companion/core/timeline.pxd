@@ -29,38 +29,41 @@ cdef class Timeline:
     cdef readonly long long epoch_ns, stamp_ns, reruns
     cdef bint has_epoch, is_restored, is_set, is_leaping, keeps
     cdef list gone
-    cdef void clear(self)
-    cpdef void restart(self)
-    cdef void begin_stretch(self)
-    cdef void set_clock(self, long long t_ns)
+    cdef void clear(self) noexcept nogil
+    cdef int restart(self) except -1 nogil
+    cdef void begin_stretch(self) noexcept nogil
+    cdef int set_clock(self, long long t_ns) except -1 nogil
     cpdef void restore(
         self, double[::1] block, double[:, ::1] waiting, long long epoch_ns, long long stamp_ns
     )
-    cdef void begin_from(self, double t, long long t_ns)
+    cdef void begin_from(self, double t, long long t_ns) noexcept nogil
     cpdef int insert(self, long long t_ns, int kind, values) except -1
-    cdef int put(self, long long t_ns, int kind, double[::1] values)
-    cdef int place(self, long long t_ns, int kind, double[::1] values)
-    cdef int fit(self, long long t_ns, double t, int kind, double[::1] values)
-    cdef void learn_interval(self, double step)
-    cdef double time_of(self, Held held, Py_ssize_t i)
-    cdef void recount(self, Held held, Py_ssize_t i, int result)
-    cdef bint has_room(self, double t)
-    cdef bint is_confirmed(self, double t)
-    cdef int hold(self, long long t_ns, double[::1] values)
-    cdef void release(self, double t)
-    cdef void settle(self, double t)
-    cdef Py_ssize_t earliest(self)
-    cdef int go_behind(self, long long t_ns, double t, double[::1] values, bint is_stale)
-    cdef bint is_known(self, double t, double[::1] values)
-    cdef int follow_clock(self)
-    cdef void flush(self)
-    cdef void write_row(self, Py_ssize_t i, double t, int kind, double[::1] values)
-    cdef void expect_late(self, double t, int kind)
-    cdef void go_back(self, Py_ssize_t i)
-    cdef void run(self)
-    cdef void trim(self)
+    cdef int put(self, long long t_ns, int kind, double[::1] values) except -1 nogil
+    cdef int place(self, long long t_ns, int kind, double[::1] values) except -1 nogil
+    cdef int fit(self, long long t_ns, double t, int kind, double[::1] values) except -1 nogil
+    cdef void learn_interval(self, double step) noexcept nogil
+    cdef double time_of(self, Held held, Py_ssize_t i) noexcept nogil
+    cdef void recount(self, Held held, Py_ssize_t i, int result) noexcept nogil
+    cdef bint has_room(self, double t) noexcept nogil
+    cdef bint is_confirmed(self, double t) noexcept nogil
+    cdef int hold(self, long long t_ns, double[::1] values) noexcept nogil
+    cdef int release(self, double t) except -1 nogil
+    cdef int settle(self, double t) except -1 nogil
+    cdef Py_ssize_t earliest(self) noexcept nogil
+    cdef int go_behind(
+        self, long long t_ns, double t, double[::1] values, bint is_stale
+    ) except -1 nogil
+    cdef bint is_known(self, double t, double[::1] values) noexcept nogil
+    cdef int follow_clock(self) except -1 with gil
+    cdef int flush(self) except -1 nogil
+    cdef void write_row(self, Py_ssize_t i, double t, int kind, double[::1] values) noexcept nogil
+    cdef void expect_late(self, double t, int kind) noexcept nogil
+    cdef void go_back(self, Py_ssize_t i) noexcept nogil
+    cdef void run(self) noexcept nogil
+    cdef int trim(self) except -1 nogil
     cpdef Py_ssize_t run_log(
         self, long long[::1] t_ns, long long[::1] kind, double[:, ::1] values,
         long long[::1] stamps, double[:, ::1] out
     ) except -1
-    cdef void hand_over(self, Py_ssize_t count)
+    cdef int hand_over(self, Py_ssize_t count) except -1 nogil
+    cdef int keep(self, Py_ssize_t count) except -1 with gil

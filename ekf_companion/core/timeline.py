@@ -258,6 +258,7 @@ class Timeline:
     def place(self, t_ns: int, kind: int, values: Vector) -> int:
         """Insert a well-formed event at its time, and rerun what came after it."""
         is_bridge = cython.declare(cython.bint, False)
+        is_stale = cython.declare(cython.bint, False)
         if not self.has_epoch:
             # the same whichever event comes first, and near enough for exact doubles
             self.epoch_ns = t_ns // EPOCH_STEP * EPOCH_STEP
@@ -394,7 +395,7 @@ class Timeline:
         while True:
             i = self.earliest()
             if i < 0 or self.time_of(self.ahead, i) > t:
-                return
+                break
             at = self.time_of(self.ahead, i)
             self.fit(self.ahead.t_ns[i], at, enums.KIND_IMU, self.ahead.values[i])
             self.recount(self.ahead, i, enums.ARRIVAL_TAKEN)
@@ -406,12 +407,12 @@ class Timeline:
         One that came early finds room there. One without room had a wrong stamp; but as long as
         samples come late it cannot be said what room there will be.
         """
-        is_orderly = t - self.late_t > ORDERLY
+        is_orderly = cython.declare(cython.bint, t - self.late_t > ORDERLY)
         margin = self.interval if is_orderly else 0.0
         while True:
             i = self.earliest()
             if i < 0 or self.time_of(self.ahead, i) + margin > t:
-                return
+                break
             at = self.time_of(self.ahead, i)
             result = enums.ARRIVAL_STRAY
             if not is_orderly or self.has_room(at):
@@ -623,19 +624,24 @@ class Timeline:
             The number of estimates written.
         """
         n = 0
-        for i in range(t_ns.shape[0]):
-            arrival = self.put(t_ns[i], cython.cast(cython.int, kind[i]), values[i])
-            if arrival == enums.ARRIVAL_ESTIMATED:
-                write_estimate(self.x, self.k, self.y, address(self.w), as_estimate(out[n]))
-                stamps[n] = t_ns[i]
-                n += 1
+        with cython.nogil:  # whatever else is done with the estimates goes on meanwhile
+            for i in range(t_ns.shape[0]):
+                arrival = self.put(t_ns[i], cython.cast(cython.int, kind[i]), values[i])
+                if arrival == enums.ARRIVAL_ESTIMATED:
+                    write_estimate(self.x, self.k, self.y, address(self.w), as_estimate(out[n]))
+                    stamps[n] = t_ns[i]
+                    n += 1
         return n
 
     def hand_over(self, count: int) -> None:
         """Keep the first rows for the history: they were stepped through and stay as they are."""
         if self.keeps and count > 0:
-            state, rows = np.array(self.blocks[2]), np.array(self.table[:count])
-            self.gone.append((self.stretch, self.epoch_ns, state, rows))
+            self.keep(count)
+
+    def keep(self, count: int) -> None:
+        """Do the work of :meth:`hand_over`, which needs the interpreter."""
+        state, rows = np.array(self.blocks[2]), np.array(self.table[:count])
+        self.gone.append((self.stretch, self.epoch_ns, state, rows))
 
     def history(self, is_over: bool = False) -> list[tuple[int, int, np.ndarray, np.ndarray]]:
         """Return the rows that have left the window since this was asked last, in order of time.

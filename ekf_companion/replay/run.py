@@ -7,6 +7,7 @@ columns of other logs enter behind it, at a pipeline; they start without anythin
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeAlias, TypeVar
 
@@ -49,14 +50,19 @@ class Block(NamedTuple):
 
     pipeline: Pipeline
     events: Events
-    table: Table
+    pending: Future[Table]
+
+    @property
+    def table(self) -> Table:
+        """The estimates, once they have been made."""
+        return self.pending.result()
 
 
 class BlockPipeline(Pipeline):
     """A pipeline that processes measurements in blocks: much faster, and to the same bits.
 
-    Measurements that were decoded as columns may be processed at once by :meth:`run`, after
-    :meth:`finish_block`.
+    A block is processed by a worker, one after the other: the kernel leaves the interpreter free,
+    for the next measurements to be read and the last estimates to be written meanwhile.
     """
 
     def __init__(
@@ -72,20 +78,26 @@ class BlockPipeline(Pipeline):
         """Finished, in order; whoever reads them clears the list."""
         self.buffer = EventBuffer(CHUNK)
         """Measurements of the block that is not finished yet."""
+        self.worker: Executor = ThreadPoolExecutor(max_workers=1)
 
     def process_row(self, row: Row) -> Estimate | None:
         """Keep a measurement for the end of its block."""
         self.buffer.append(row)
         return None
 
-    def finish_block(self) -> None:
-        """Process the measurements that were kept."""
-        events = self.buffer.take()
-        self.blocks.append(Block(self, events, self.run(events)))
+    def finish_block(self) -> Block:
+        """Let the measurements that were kept be processed."""
+        return self.run_block(self.buffer.take())
+
+    def run_block(self, events: Events) -> Block:
+        """Let measurements be processed as a block of their own."""
+        block = Block(self, events, self.worker.submit(self.run, events))
+        self.blocks.append(block)
+        return block
 
     def retune(self, settings: FilterSettings) -> None:
         """Finish the block by the settings so far, and go on with others."""
-        self.finish_block()
+        self.finish_block().pending.result()
         super().retune(settings)
 
 
@@ -107,6 +119,12 @@ class StepPipeline(BlockPipeline):
             self._stamps.append(estimate.t_ns)
             self._values.append(estimate.values)
         return estimate
+
+    def run_block(self, events: Events) -> Block:
+        """Let the estimates be collected, before there are more of them."""
+        block = super().run_block(events)
+        block.pending.result()
+        return block
 
     def run(self, events: Events) -> Table:
         """Return the estimates of measurements that have been processed already."""
@@ -148,7 +166,7 @@ class Run(Generic[P]):
         """Of the autopilots so far, in their order."""
         self.report = Report(log=str(path), notes=list(self.log.notes), damage=self.log.damage)
         self._path, self._config, self._kind = path, config, kind
-        self._blocks: list[Block] = []  # of all pipelines, finished
+        self._blocks: list[Block] = []  # of all pipelines, not yet reported on
         self._done = 0  # frames or measurements so far
         self._magnetometer = MagnetometerCheck(config.heading.year)
         self._agreement: AgreementCheck | None = None
@@ -171,8 +189,9 @@ class Run(Generic[P]):
             self._chunks(self.log) if isinstance(self.log, Recording) else self._pieces(self.log)
         )
         for _ in steps:
-            if self._blocks:
-                yield from self._take_blocks(progress)
+            if len(self._blocks) > 1:
+                yield from self._take_blocks(progress, being_processed=1)
+        yield from self._take_blocks(progress)
 
     def messages(self, progress: Progress | None = None) -> Iterator[tuple[int, bytes]]:
         """Process the log, and yield frames with their stamps (us).
@@ -278,7 +297,7 @@ class Run(Generic[P]):
         for start in range(0, self.size, CHUNK):
             self._done = min(start + CHUNK, self.size)
             events = log.events.take(np.arange(start, self._done))
-            self._blocks.append(Block(pipeline, events, pipeline.run(events)))
+            pipeline.run_block(events)
             yield 0, b"", []
 
     def _rows(self, log: Recording) -> Iterator[Step]:
@@ -310,10 +329,10 @@ class Run(Generic[P]):
             if pipeline.buffer.is_full or self._done == self.size:
                 pipeline.finish_block()
 
-    def _take_blocks(self, progress: Progress | None) -> list[Block]:
-        """Return the blocks that were finished since the last call, and report on them."""
-        blocks = self._blocks[:]
-        self._blocks.clear()  # the pipelines hold on to the list
+    def _take_blocks(self, progress: Progress | None, being_processed: int = 0) -> list[Block]:
+        """Return the blocks that are due, but for the last ones, and report on them."""
+        blocks = self._blocks[: len(self._blocks) - being_processed]
+        del self._blocks[: len(blocks)]  # the pipelines hold on to the list
         for block in blocks:
             add_block(self.report, block.events, block.table)
             self._magnetometer.add(block.events, block.table)
