@@ -26,7 +26,7 @@ PARTS = {
 }
 TITLES = {
     "steps": "The filter's step (one thread, this machine)",
-    "logs": "Recorded flights (per row: processor time)",
+    "logs": "Recorded flights",
     "daemon": "The daemon over loopback UDP",
     "page": "The daemon's page, with inertial samples at 250 Hz",
 }
