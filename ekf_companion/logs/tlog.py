@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,12 +34,16 @@ from ekf_companion.logs.recording import (
     damaged_places,
 )
 from ekf_companion.logs.source import Source
+from ekf_companion.logs.spool import Spool
 from ekf_companion.mavlink.block_columns import Frames
 from ekf_companion.mavlink.frame import STX_2
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
 from ekf_companion.nav.arrays import Indices, Mask, Stamps
 
 Column = npt.NDArray[np.void]
+RECORD = np.dtype([("stamp_us", "<i8"), ("place", "<i8"), ("size", "<u2"), ("message_id", "<i4")])
+"""The recorder's clock as recorded, the frame's position in the file and its size, bytes, its id.
+They are small, but of hours there are millions."""
 
 KIND = "telemetry log (.tlog)"
 STAMP, ORDER = "@stamp_us", "@order"
@@ -52,8 +57,9 @@ LONGEST = 8 * BLOCK
 """Bytes in which those lie that are read at once."""
 SILENCE_US = 1_000_000
 """A longer time between two records is none in which messages came at their rate, us."""
-ROOM = 1 << 20
-"""Records that there is made room for at once."""
+MOST_ROWS = 200_000
+"""Of a message for which some are enough: two hours at 25 Hz, and 50 MB of all that is made of
+them."""
 _FAMILIES = {3: "ardupilot", 12: "px4"}
 """MAV_AUTOPILOT."""
 _NO_AUTOPILOT = 8
@@ -71,17 +77,14 @@ class Autopilot:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Tlog:
-    """The records of a log; each array has one element per record, in file order."""
+    """The records of a log, in file order."""
 
     source: Source
     """The file, of which only pieces are in memory."""
-    stamp_us: Stamps
-    """The recorder's clock, as recorded."""
-    place: Stamps
-    """Position of the frame in the file, bytes."""
-    size: npt.NDArray[np.uint16]
-    """Bytes of the frame."""
-    message_id: npt.NDArray[np.int32]
+    records: Spool
+    """As :data:`RECORD`: of a long log in a temporary file."""
+    counts: Mapping[int, int]
+    """Number of records by the id of the message."""
     damaged: int
     """Number of runs of bytes that are no record."""
     autopilot: Autopilot | None
@@ -91,11 +94,19 @@ class Tlog:
     @property
     def began_s(self) -> float | None:
         """When the recording began, s since 1970, by its recorder's clock; None: it was not set."""
-        first_s = float(self.stamp_us[0]) * 1e-6
+        first_s = float(self.records.read(0, 1)["stamp_us"][0, 0]) * 1e-6
         return first_s if first_s > CLOCK_SET_S else None
 
     def __len__(self) -> int:
-        return len(self.place)
+        return len(self.records)
+
+    def column(self, name: str) -> npt.NDArray[Any]:
+        """Return one of :data:`RECORD` of all records: of a long log it is large."""
+        return np.concatenate([rows[name] for _, rows in self.blocks()])
+
+    def blocks(self) -> Iterator[tuple[int, Column]]:
+        """Yield the records in parts, each with the number of its first."""
+        return record_blocks(self.records)
 
     def frames(self) -> Iterator[tuple[int, bytes]]:
         """Yield each record's stamp (us, the recorder's clock) and raw frame, in file order."""
@@ -105,17 +116,16 @@ class Tlog:
 
     def pieces(self) -> Iterator[Frames]:
         """Yield the frames, many at once."""
-        for first in range(0, len(self), AT_ONCE):
-            rows = slice(first, first + AT_ONCE)
-            start = self.place[rows]
-            end = start + self.size[rows]
+        for _, rows in self.blocks():
+            start = rows["place"].copy()
+            end = start + rows["size"]
             begin = int(start[0])
             yield Frames(
                 data=self.source.read(begin, int(end[-1])),
-                stamp_us=self.stamp_us[rows],
+                stamp_us=rows["stamp_us"].copy(),
                 start=start - begin,
                 end=end - begin,
-                message_id=self.message_id[rows],
+                message_id=rows["message_id"].copy(),
             )
 
     def columns(
@@ -134,7 +144,8 @@ class Tlog:
             names: Of the messages, in capitals.
             system_id: Their source.
             component_id: Likewise; None: all components count.
-            rates: Hz, by name: of a more frequent message only every n-th is returned.
+            rates: Hz, by name: of a more frequent message only every n-th is returned, and of each
+                that is named ``MOST_ROWS`` at most.
             fields: Those to return, by name; of a message that is not named, all.
             only: Numbers of records, ascending; None: of all.
 
@@ -142,7 +153,7 @@ class Tlog:
             Tables by name: ``STAMP``, ``ORDER`` and the message's own fields in
             wire order and wire units. Fields that a short MAVLink payload omits are 0.
         """
-        counts = self._counts(names, only)
+        counts = {name: self.counts.get(IDS[name], 0) for name in names}
         strides = self._strides(counts, rates or {})
         # At once: parts that were put together at the end would take twice the room
         tables = {
@@ -150,89 +161,106 @@ class Tlog:
             for name, count in counts.items()
         }
         seen, filled = dict.fromkeys(names, 0), dict.fromkeys(names, 0)
-        for some in self._parts(only):
-            message_id = self.message_id[some]
-            orders = {name: some[message_id == IDS[name]] for name in names}
-            orders = {name: order for name, order in orders.items() if len(order)}
-            if not orders:
+        for some, rows in self._parts(only):
+            places = {name: np.flatnonzero(rows["message_id"] == IDS[name]) for name in names}
+            places = {name: place for name, place in places.items() if len(place)}
+            if not places:
                 continue
-            begin = min(int(self.place[order[0]]) for order in orders.values())
-            last = max(int(order[-1]) for order in orders.values())
-            end = int(self.place[last]) + int(self.size[last])
+            begin = min(int(rows["place"][place[0]]) for place in places.values())
+            last = rows[max(int(place[-1]) for place in places.values())]
+            end = int(last["place"]) + int(last["size"])
             raw = np.frombuffer(self.source.read(begin, end), dtype=np.uint8)
-            for name, order in orders.items():
-                order = order[self._is_from(raw, begin, order, system_id, component_id)]
-                kept = order[-seen[name] % strides[name] :: strides[name]]
-                seen[name] += len(order)
+            for name, place in places.items():
+                place = place[_is_from(raw, rows["place"][place] - begin, system_id, component_id)]
+                kept = place[-seen[name] % strides[name] :: strides[name]]
+                seen[name] += len(place)
                 first, filled[name] = filled[name], filled[name] + len(kept)
                 if len(kept):
-                    self._fill(tables[name][first : filled[name]], raw, begin, kept, IDS[name])
+                    table = tables[name][first : filled[name]]
+                    _fill(table, raw, begin, rows[kept], some[kept], IDS[name])
         return {name: table[: filled[name]] for name, table in tables.items() if filled[name]}
 
-    def _counts(self, names: Sequence[str], only: Indices | None) -> dict[str, int]:
-        """Return how many records there are of each message."""
-        ids = self.message_id if only is None else self.message_id[only]
-        return {name: int(np.count_nonzero(ids == IDS[name])) for name in names}
+    def last_before(self, names: Sequence[str], order: Indices) -> Indices:
+        """Return the number of the last record of some messages before each record of an order.
 
-    def _parts(self, only: Indices | None) -> Iterator[Indices]:
-        """Yield the numbers of records, ascending, as many as are read at once."""
-        for first in range(0, len(self) if only is None else len(only), AT_ONCE):
-            rows = slice(first, first + AT_ONCE)
-            some = np.arange(first, min(rows.stop, len(self))) if only is None else only[rows]
+        The numbers in ``order`` ascend; -1 where there is none before.
+        """
+        ids = [IDS[name] for name in names]
+        before = np.full(len(order), -1)
+        newest = np.array([-1])
+        for first, rows in self.blocks():
+            chosen = np.append(newest, first + np.flatnonzero(np.isin(rows["message_id"], ids)))
+            begin, end = np.searchsorted(order, (first, first + len(rows)))
+            before[begin:end] = chosen[np.searchsorted(chosen, order[begin:end]) - 1]
+            newest = chosen[-1:]
+        return before
+
+    def _parts(self, only: Indices | None) -> Iterator[tuple[Indices, Column]]:
+        """Yield the numbers of records, ascending, and these, as many as are read at once."""
+        for first, rows in self.blocks():
+            some = np.arange(first, first + len(rows))
+            if only is not None:
+                begin, end = np.searchsorted(only, (first, first + len(rows)))
+                some, rows = only[begin:end], rows[only[begin:end] - first]
             while len(some):
                 # Damaged bytes may lie between, or many others
-                place = self.place[some]
-                count = int(np.searchsorted(place, place[0] + LONGEST))
-                yield some[:count]
-                some = some[count:]
+                count = int(np.searchsorted(rows["place"], rows["place"][0] + LONGEST))
+                yield some[:count], rows[:count]
+                some, rows = some[count:], rows[count:]
 
     def _strides(self, counts: Mapping[str, int], rates: Mapping[str, float]) -> dict[str, int]:
         """Return of how many messages one is enough for its rate, Hz, exceeded by 10 % at most."""
         seconds = self._seconds() if rates else 0.0
-        enough = {name: max(rates.get(name, math.inf) * seconds, 1e-9) for name in counts}
+        enough = {name: min(rate * seconds, MOST_ROWS) for name, rate in rates.items()}
         return {
-            name: max(1, math.ceil(count / enough[name] - 0.1)) if seconds else 1
+            name: max(1, math.ceil(count / enough[name] - 0.1)) if enough.get(name) else 1
             for name, count in counts.items()
         }
 
     def _seconds(self) -> float:
         """Return for how long messages came."""
         spent_us = 0
-        for first in range(0, len(self), AT_ONCE):
-            steps = np.diff(self.stamp_us[first : first + AT_ONCE + 1])
+        newest = self.records.read(0, 1)["stamp_us"][:, 0]
+        for _, rows in self.blocks():
+            steps = np.diff(rows["stamp_us"], prepend=newest)
             # A stamp may be damaged, the clock set, the recorder silent for hours
             spent_us += int(np.clip(steps, 0, SILENCE_US).sum())
+            newest = rows["stamp_us"][-1:]
         return spent_us * 1e-6
 
-    def _is_from(
-        self,
-        raw: npt.NDArray[np.uint8],
-        begin: int,
-        order: Indices,
-        system_id: int,
-        component_id: int | None,
-    ) -> Mask:
-        """Return which records are of a source; ``raw`` begins at ``begin``."""
-        place = self.place[order] - begin
-        system = place + np.where(raw[place] == STX_2, 5, 3)
-        is_from = np.asarray(raw[system] == system_id)
-        return is_from if component_id is None else is_from & (raw[system + 1] == component_id)
 
-    def _fill(
-        self,
-        table: Column,
-        raw: npt.NDArray[np.uint8],
-        begin: int,
-        order: Indices,
-        message_id: int,
-    ) -> None:
-        """Write the records ``order`` of one message into a table of as many rows."""
-        place = self.place[order] - begin
-        payload = place + np.where(raw[place] == STX_2, 10, 6)
-        wire = _payloads(raw, payload, raw[place + 1], message_id)
-        table[STAMP], table[ORDER] = self.stamp_us[order], order
-        for name in (table.dtype.names or ())[len(_HEAD) :]:
-            table[name] = wire[name]
+def record_blocks(records: Spool) -> Iterator[tuple[int, Column]]:
+    """Yield records in parts, each with the number of its first."""
+    first = 0
+    for rows in records.blocks(AT_ONCE):
+        yield first, rows[:, 0]
+        first += len(rows)
+
+
+def _is_from(
+    raw: npt.NDArray[np.uint8], place: Stamps, system_id: int, component_id: int | None
+) -> Mask:
+    """Return which frames, by their places in ``raw``, are of a source."""
+    system = place + np.where(raw[place] == STX_2, 5, 3)
+    is_from = np.asarray(raw[system] == system_id)
+    return is_from if component_id is None else is_from & (raw[system + 1] == component_id)
+
+
+def _fill(
+    table: Column,
+    raw: npt.NDArray[np.uint8],
+    begin: int,
+    records: Column,
+    order: Indices,
+    message_id: int,
+) -> None:
+    """Write records of one message, with their numbers, into a table of as many rows."""
+    place = records["place"] - begin
+    payload = place + np.where(raw[place] == STX_2, 10, 6)
+    wire = _payloads(raw, payload, raw[place + 1], message_id)
+    table[STAMP], table[ORDER] = records["stamp_us"], order
+    for name in (table.dtype.names or ())[len(_HEAD) :]:
+        table[name] = wire[name]
 
 
 def _dtype(name: str, fields: Mapping[str, Sequence[str]]) -> np.dtype[np.void]:
@@ -265,24 +293,30 @@ def read(path: Path) -> Tlog:
     """
     source = Source(path, KIND)
     records, damaged = _find_records(source)
-    stamp_us, place, size, message_id = records
-    if not len(place):
+    if not len(records):
         raise LogError(
             f"{path}: holds no stamped MAVLink frame, so it is not a {KIND}; "
             "a raw stream of MAVLink without stamps cannot be read"
         )
-    gaps = _gaps(place, size)
+    gaps = _gaps(records)
     return Tlog(
         source=source,
-        stamp_us=stamp_us,
-        place=place,
-        size=size,
-        message_id=message_id,
+        records=records,
+        counts=_counts(records),
         damaged=damaged,
-        autopilot=_find_autopilot(source, place[message_id == IDS["HEARTBEAT"]]),
+        autopilot=_find_autopilot(source, records),
         notes=tuple(_left_out(source, gaps)),
         damage=_damage(source, gaps),
     )
+
+
+def _counts(records: Spool) -> dict[int, int]:
+    """Return the number of records by the id of the message."""
+    counts: Counter[int] = Counter()
+    for _, rows in record_blocks(records):
+        ids, numbers = np.unique(rows["message_id"], return_counts=True)
+        counts.update(dict(zip(ids.tolist(), numbers.tolist(), strict=True)))
+    return counts
 
 
 class _Gaps(NamedTuple):
@@ -294,13 +328,12 @@ class _Gaps(NamedTuple):
     """Of the last record."""
 
 
-def _gaps(place: Stamps, size: npt.NDArray[np.uint16]) -> _Gaps:
+def _gaps(records: Spool) -> _Gaps:
     """Find what is in no record."""
     runs = lost = end = 0
-    for first in range(0, len(place), AT_ONCE):
-        rows = slice(first, first + AT_ONCE)
-        ends = place[rows] + size[rows]
-        gaps = place[rows] - 8 - np.append(end, ends[:-1])
+    for _, rows in record_blocks(records):
+        ends = rows["place"] + rows["size"]
+        gaps = rows["place"] - 8 - np.append(end, ends[:-1])
         runs, lost, end = runs + int(np.count_nonzero(gaps)), lost + int(gaps.sum()), int(ends[-1])
     return _Gaps(runs, lost, end)
 
@@ -326,8 +359,8 @@ def _left_out(source: Source, gaps: _Gaps) -> Iterator[str]:
         yield f"the last {rest} bytes are {what}: the recording was cut off there"
 
 
-def _find_records(source: Source) -> tuple[list[npt.NDArray[Any]], int]:
-    """Return stamp, position, size, message id of each record, and the number of bad runs."""
+def _find_records(source: Source) -> tuple[Spool, int]:
+    """Return the records, as :data:`RECORD`, and the number of bad runs."""
     steps, moves = tlog_search.byte_steps(), tlog_search.zero_moves()
     extras = np.full(max(CRC_EXTRAS) + 1, -1, dtype=np.int16)
     for number, extra in CRC_EXTRAS.items():
@@ -335,9 +368,8 @@ def _find_records(source: Source) -> tuple[list[npt.NDArray[Any]], int]:
     sums = np.empty(BLOCK + 1, dtype=np.uint16)
     found = np.empty((BLOCK // 16 + 1, 4), dtype=np.int64)
     state = array("q", [0] * tlog_search.STATE)
-    kinds = (np.int64, np.int64, np.uint16, np.int32)  # small: of hours there are millions
-    columns: list[npt.NDArray[Any]] = [np.empty(0, dtype=kind) for kind in kinds]
-    count = place = 0
+    records = Spool(1, dtype=RECORD)
+    place = 0
     is_end = False
     while not is_end:
         block = memoryview(source.read(place, place + BLOCK))
@@ -345,23 +377,22 @@ def _find_records(source: Source) -> tuple[list[npt.NDArray[Any]], int]:
         tlog_search.checksum_all(block, steps, sums)
         n, after = tlog_search.find_records(block, sums, steps, moves, extras, state, found, is_end)
         found[:n, 1] += place
-        for column, numbers in zip(columns, found[:n].T, strict=True):
-            if count + n > len(column):
-                # In place: parts of it that were put together at the end would take twice the room
-                column.resize(count + n + ROOM, refcheck=False)
-            column[count : count + n] = numbers
-        count, place = count + n, place + after
-    for column in columns:
-        column.resize(count, refcheck=False)
-    return columns, state[-1]
+        rows = np.empty((n, 1), dtype=RECORD)
+        for name, numbers in zip(RECORD.names or (), found[:n].T, strict=True):
+            rows[name][:, 0] = numbers
+        records.append(rows)
+        place += after
+    return records, state[-1]
 
 
-def _find_autopilot(source: Source, heartbeats: Stamps) -> Autopilot | None:
-    for place in heartbeats.tolist():
-        data = source.read(place, place + 16)
-        ids, payload = (5, 10) if data[0] == 0xFD else (3, 6)
-        # Behind custom_mode and type; 0 if the payload is cut short
-        autopilot = data[payload + 5] if data[1] > 5 else 0
-        if autopilot != _NO_AUTOPILOT:
-            return Autopilot(data[ids], data[ids + 1], _FAMILIES.get(autopilot, "unknown"))
+def _find_autopilot(source: Source, records: Spool) -> Autopilot | None:
+    """Return the first that sent a heartbeat; None: none did."""
+    for _, rows in record_blocks(records):
+        for place in rows["place"][rows["message_id"] == IDS["HEARTBEAT"]].tolist():
+            data = source.read(place, place + 16)
+            ids, payload = (5, 10) if data[0] == 0xFD else (3, 6)
+            # Behind custom_mode and type; 0 if the payload is cut short
+            autopilot = data[payload + 5] if data[1] > 5 else 0
+            if autopilot != _NO_AUTOPILOT:
+                return Autopilot(data[ids], data[ids + 1], _FAMILIES.get(autopilot, "unknown"))
     return None

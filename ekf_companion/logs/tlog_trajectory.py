@@ -92,9 +92,7 @@ def _stamps_before(log: Tlog, tables: dict[str, Column], order: Stamps) -> tuple
     none = np.zeros(len(order), dtype=np.bool_), np.zeros(0, dtype=np.int64)
     if log.autopilot is None or not clocks:
         return none
-    inertial = np.flatnonzero(np.isin(log.message_id, [IDS[name] for name in _INERTIAL]))
-    before = np.searchsorted(inertial, order) - 1
-    wanted = inertial[np.maximum(before, 0)]
+    wanted = log.last_before(_INERTIAL, order)
     ids = log.autopilot.system_id, log.autopilot.component_id
     each = wanted[np.diff(wanted, prepend=-1) > 0]
     found = log.columns(_INERTIAL, *ids, fields=_TIMES, only=each)
@@ -102,7 +100,7 @@ def _stamps_before(log: Tlog, tables: dict[str, Column], order: Stamps) -> tuple
         return none
     known, t_ns = _clock([*found.values()])
     at = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
-    is_of_boot = (before >= 0) & (wanted >= min(int(table[ORDER][0]) for table in clocks))
+    is_of_boot = (wanted >= 0) & (wanted >= min(int(table[ORDER][0]) for table in clocks))
     has_stamp = is_of_boot & (known[at] == wanted)
     return has_stamp, t_ns[at[has_stamp]]
 
@@ -175,7 +173,7 @@ def truth(log: Tlog) -> Trajectory | None:
     SIM_STATE (ArduPilot) has no stamp and HIL_STATE_QUATERNION (PX4) an empty one: each takes the
     time of the inertial message recorded just before it, which was sent in the same pass.
     """
-    if not np.isin(log.message_id, [IDS[name] for name in _TRUTH]).any():
+    if not any(log.counts.get(IDS[name]) for name in _TRUTH):
         return None
     tables = _tables(log, _TRUTH, _TRUE)
     name = next((name for name in _TRUTH if name in tables), None)

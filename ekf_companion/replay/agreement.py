@@ -18,6 +18,8 @@ from ekf_companion.replay.time_agreement import clock_disagreement
 MOST_SAMPLES = 200_000
 """Inertial samples that are kept to compare their axes, with the magnetometer's beside them: 24 MB,
 and a quarter of an hour."""
+MOST_FIXES = 50_000
+"""Fixes that are kept, with the barometer's heights beside them: 8 MB, an hour and more."""
 BARO_NS = 500_000_000
 """Of barometric heights one is kept in each such time, ns: those of fixes are compared with them
 over seconds."""
@@ -70,14 +72,17 @@ class AgreementCheck:
         """Begin without events; the fixes are declared to be late by ``delay``, s."""
         self._delay = delay
         self._parts: dict[Kind, list[Events]] = {kind: [Events.from_rows([])] for kind in _COMPARED}
-        self._samples = 0
+        self._samples = self._fixes = 0
 
     def add(self, events: Events) -> None:
         """Add the events of a block."""
-        # Positions of an autopilot's own are no measurements
-        rows = {Kind.GNSS: np.flatnonzero(of_receiver(events))}
-        baro = np.flatnonzero(events.kind == Kind.BARO)
-        rows[Kind.BARO] = baro[np.diff(events.t_ns[baro] // BARO_NS, prepend=-1) != 0]
+        rows = {}
+        if self._fixes < MOST_FIXES:
+            # Positions of an autopilot's own are no measurements
+            rows[Kind.GNSS] = np.flatnonzero(of_receiver(events))
+            baro = np.flatnonzero(events.kind == Kind.BARO)
+            rows[Kind.BARO] = baro[np.diff(events.t_ns[baro] // BARO_NS, prepend=-1) != 0]
+            self._fixes += len(rows[Kind.GNSS])
         if self._samples < MOST_SAMPLES:
             for kind in (Kind.IMU, Kind.MAG):
                 rows[kind] = np.flatnonzero(events.kind == kind)

@@ -108,7 +108,7 @@ def test_the_searches_find_the_same_uncompiled(monkeypatch, tmp_path, seed):
         places = {kind: rows.all().tobytes() for kind, rows in bins.tables.items()}
         tables = [(one.topic, one.instance, one.rows.all().tobytes()) for one in ulog.tables]
         totals = (count, bins.damaged, ulog.is_damaged, ulog.parameters, ulog.dropouts)
-        return [one.tolist() for one in records], places, tables, totals
+        return records.read(0, len(records)).tolist(), places, tables, totals
 
     compiled = found()
     for room, name in (

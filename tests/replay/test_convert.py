@@ -162,7 +162,9 @@ def without(source: Path, out: Path, names: set[str]) -> Path:
     left = {IDS[name] for name in names}
     log = tlog.read(source)
     with out.open("wb") as file:
-        for (stamp, frame), number in zip(log.frames(), log.message_id.tolist(), strict=True):
+        for (stamp, frame), number in zip(
+            log.frames(), log.column("message_id").tolist(), strict=True
+        ):
             if number not in left:
                 file.write(stamp.to_bytes(8, "big") + frame)
     return out
