@@ -153,7 +153,8 @@ class Tlog:
             Tables by name: ``STAMP``, ``ORDER`` and the message's own fields in
             wire order and wire units. Fields that a short MAVLink payload omits are 0.
         """
-        counts = {name: self.counts.get(IDS[name], 0) for name in names}
+        most = len(self) if only is None else len(only)
+        counts = {name: min(self.counts.get(IDS[name], 0), most) for name in names}
         strides = self._strides(counts, rates or {})
         # At once: parts that were put together at the end would take twice the room
         tables = {

@@ -170,6 +170,8 @@ class Run(Generic[P]):
         self._done = 0  # frames or measurements so far
         self._magnetometer = MagnetometerCheck(config.heading.year)
         self._agreement: AgreementCheck | None = None
+        self._faults: list[str] = []
+        self._doubts: list[str] = []
         # Columns and units of a table are declared by its user, those of the others by programs
         if suffix_of(path) == ".csv":
             from ekf_companion.replay.agreement import AgreementCheck
@@ -192,6 +194,7 @@ class Run(Generic[P]):
             if len(self._blocks) > 1:
                 yield from self._take_blocks(progress, being_processed=1)
         yield from self._take_blocks(progress)
+        self._compare_sensors()  # now: what was kept for it is large
 
     def messages(self, progress: Progress | None = None) -> Iterator[tuple[int, bytes]]:
         """Process the log, and yield frames with their stamps (us).
@@ -223,13 +226,18 @@ class Run(Generic[P]):
             late = delays_ns(self._config, self.pipelines[-1].family, self.gnss_delay)
             self.report.fix_delay = float(late[Kind.GNSS]) * 1e-9 + health.gnss_delay
         self.report.notes += self._magnetometer.notes()
-        if self._agreement is not None:
-            faults, doubts = self._agreement.found()
-            self.report.is_contradictory = bool(faults)
-            self.report.notes += faults + doubts
+        self._compare_sensors()
+        self.report.is_contradictory = bool(self._faults)
+        self.report.notes += self._faults + self._doubts
         note_shortcomings(self.report, self._path)
         self.report.own, self.report.truth = reference(self.log), truth(self.log)
         return self.report
+
+    def _compare_sensors(self) -> None:
+        """Judge whether the sensors of a table contradict each other, once."""
+        if self._agreement is not None:
+            self._faults, self._doubts = self._agreement.found()
+            self._agreement = None
 
     def _frames(self, log: Tlog) -> Iterator[Step]:
         """Let the companion receive each frame."""

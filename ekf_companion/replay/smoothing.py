@@ -110,6 +110,7 @@ class Smoothing(BlockPipeline):
             self._store_results(stretch, rows, blocks[1:])
             if progress is not None:
                 progress(len(self._final) - stretch.first, len(self._final))
+        del self._smoother  # its tape is large, and nothing more is smoothed
         end = len(self._results)
         for stretch in self._stretches:
             end -= stretch.samples
