@@ -177,6 +177,8 @@ def _spool_columns(
     except pa.ArrowInvalid:
         spool.__exit__()
         return None
+    finally:
+        pa.default_memory_pool().release_unused()
     return spool
 
 
