@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,13 +34,12 @@ from ekf_companion.logs.recording import (
     damaged_places,
 )
 from ekf_companion.logs.source import Source
-from ekf_companion.logs.spool import Spool
+from ekf_companion.logs.stored_rows import Column, StoredRows
 from ekf_companion.mavlink.block_columns import Frames
 from ekf_companion.mavlink.frame import STX_2
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
 from ekf_companion.nav.arrays import Indices, Mask, Stamps
 
-Column = npt.NDArray[np.void]
 RECORD = np.dtype([("stamp_us", "<i8"), ("place", "<i8"), ("size", "<u2"), ("message_id", "<i4")])
 """The recorder's clock as recorded, the frame's position in the file and its size, bytes, its id.
 They are small, but of hours there are millions."""
@@ -51,8 +50,6 @@ STAMP, ORDER = "@stamp_us", "@order"
 _HEAD = [(STAMP, "<i8"), (ORDER, "<i8")]
 BLOCK = 1 << 20
 """Bytes that are searched at once."""
-AT_ONCE = 1 << 14
-"""Records that are read at once."""
 LONGEST = 8 * BLOCK
 """Bytes in which those lie that are read at once."""
 SILENCE_US = 1_000_000
@@ -81,8 +78,8 @@ class Tlog:
 
     source: Source
     """The file, of which only pieces are in memory."""
-    records: Spool
-    """As :data:`RECORD`: of a long log in a temporary file."""
+    records: StoredRows
+    """As :data:`RECORD`."""
     counts: Mapping[int, int]
     """Number of records by the id of the message."""
     damaged: int
@@ -94,19 +91,11 @@ class Tlog:
     @property
     def began_s(self) -> float | None:
         """When the recording began, s since 1970, by its recorder's clock; None: it was not set."""
-        first_s = float(self.records.read(0, 1)["stamp_us"][0, 0]) * 1e-6
+        first_s = float(self.records.read(0, 1)["stamp_us"][0]) * 1e-6
         return first_s if first_s > CLOCK_SET_S else None
 
     def __len__(self) -> int:
         return len(self.records)
-
-    def column(self, name: str) -> npt.NDArray[Any]:
-        """Return one of :data:`RECORD` of all records: of a long log it is large."""
-        return np.concatenate([rows[name] for _, rows in self.blocks()])
-
-    def blocks(self) -> Iterator[tuple[int, Column]]:
-        """Yield the records in parts, each with the number of its first."""
-        return record_blocks(self.records)
 
     def frames(self) -> Iterator[tuple[int, bytes]]:
         """Yield each record's stamp (us, the recorder's clock) and raw frame, in file order."""
@@ -116,7 +105,7 @@ class Tlog:
 
     def pieces(self) -> Iterator[Frames]:
         """Yield the frames, many at once."""
-        for _, rows in self.blocks():
+        for _, rows in self.records.parts():
             start = rows["place"].copy()
             end = start + rows["size"]
             begin = int(start[0])
@@ -189,7 +178,7 @@ class Tlog:
         ids = [IDS[name] for name in names]
         before = np.full(len(order), -1)
         newest = np.array([-1])
-        for first, rows in self.blocks():
+        for first, rows in self.records.parts():
             chosen = np.append(newest, first + np.flatnonzero(np.isin(rows["message_id"], ids)))
             begin, end = np.searchsorted(order, (first, first + len(rows)))
             before[begin:end] = chosen[np.searchsorted(chosen, order[begin:end]) - 1]
@@ -198,7 +187,7 @@ class Tlog:
 
     def _parts(self, only: Indices | None) -> Iterator[tuple[Indices, Column]]:
         """Yield the numbers of records, ascending, and these, as many as are read at once."""
-        for first, rows in self.blocks():
+        for first, rows in self.records.parts():
             some = np.arange(first, first + len(rows))
             if only is not None:
                 begin, end = np.searchsorted(only, (first, first + len(rows)))
@@ -221,21 +210,13 @@ class Tlog:
     def _seconds(self) -> float:
         """Return for how long messages came."""
         spent_us = 0
-        newest = self.records.read(0, 1)["stamp_us"][:, 0]
-        for _, rows in self.blocks():
+        newest = self.records.read(0, 1)["stamp_us"]
+        for _, rows in self.records.parts():
             steps = np.diff(rows["stamp_us"], prepend=newest)
             # A stamp may be damaged, the clock set, the recorder silent for hours
             spent_us += int(np.clip(steps, 0, SILENCE_US).sum())
             newest = rows["stamp_us"][-1:]
         return spent_us * 1e-6
-
-
-def record_blocks(records: Spool) -> Iterator[tuple[int, Column]]:
-    """Yield records in parts, each with the number of its first."""
-    first = 0
-    for rows in records.blocks(AT_ONCE):
-        yield first, rows[:, 0]
-        first += len(rows)
 
 
 def _is_from(
@@ -311,10 +292,10 @@ def read(path: Path) -> Tlog:
     )
 
 
-def _counts(records: Spool) -> dict[int, int]:
+def _counts(records: StoredRows) -> dict[int, int]:
     """Return the number of records by the id of the message."""
     counts: Counter[int] = Counter()
-    for _, rows in record_blocks(records):
+    for _, rows in records.parts():
         ids, numbers = np.unique(rows["message_id"], return_counts=True)
         counts.update(dict(zip(ids.tolist(), numbers.tolist(), strict=True)))
     return counts
@@ -329,10 +310,10 @@ class _Gaps(NamedTuple):
     """Of the last record."""
 
 
-def _gaps(records: Spool) -> _Gaps:
+def _gaps(records: StoredRows) -> _Gaps:
     """Find what is in no record."""
     runs = lost = end = 0
-    for _, rows in record_blocks(records):
+    for _, rows in records.parts():
         ends = rows["place"] + rows["size"]
         gaps = rows["place"] - 8 - np.append(end, ends[:-1])
         runs, lost, end = runs + int(np.count_nonzero(gaps)), lost + int(gaps.sum()), int(ends[-1])
@@ -360,7 +341,7 @@ def _left_out(source: Source, gaps: _Gaps) -> Iterator[str]:
         yield f"the last {rest} bytes are {what}: the recording was cut off there"
 
 
-def _find_records(source: Source) -> tuple[Spool, int]:
+def _find_records(source: Source) -> tuple[StoredRows, int]:
     """Return the records, as :data:`RECORD`, and the number of bad runs."""
     steps, moves = tlog_search.byte_steps(), tlog_search.zero_moves()
     extras = np.full(max(CRC_EXTRAS) + 1, -1, dtype=np.int16)
@@ -369,7 +350,7 @@ def _find_records(source: Source) -> tuple[Spool, int]:
     sums = np.empty(BLOCK + 1, dtype=np.uint16)
     found = np.empty((BLOCK // 16 + 1, 4), dtype=np.int64)
     state = array("q", [0] * tlog_search.STATE)
-    records = Spool(1, dtype=RECORD)
+    records = StoredRows(RECORD)
     place = 0
     is_end = False
     while not is_end:
@@ -378,17 +359,17 @@ def _find_records(source: Source) -> tuple[Spool, int]:
         tlog_search.checksum_all(block, steps, sums)
         n, after = tlog_search.find_records(block, sums, steps, moves, extras, state, found, is_end)
         found[:n, 1] += place
-        rows = np.empty((n, 1), dtype=RECORD)
-        for name, numbers in zip(RECORD.names or (), found[:n].T, strict=True):
-            rows[name][:, 0] = numbers
+        rows = np.empty(n, dtype=RECORD)
+        for name, numbers in zip(records.names, found[:n].T, strict=True):
+            rows[name] = numbers
         records.append(rows)
         place += after
     return records, state[-1]
 
 
-def _find_autopilot(source: Source, records: Spool) -> Autopilot | None:
+def _find_autopilot(source: Source, records: StoredRows) -> Autopilot | None:
     """Return the first that sent a heartbeat; None: none did."""
-    for _, rows in record_blocks(records):
+    for _, rows in records.parts():
         for place in rows["place"][rows["message_id"] == IDS["HEARTBEAT"]].tolist():
             data = source.read(place, place + 16)
             ids, payload = (5, 10) if data[0] == 0xFD else (3, 6)

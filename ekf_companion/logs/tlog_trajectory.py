@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ekf_companion.logs import series
-from ekf_companion.logs.tlog import ORDER, STAMP, Column, Tlog
+from ekf_companion.logs.stored_rows import Column
+from ekf_companion.logs.tlog import ORDER, STAMP, Tlog
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Mask, Stamps, known_rows
@@ -100,7 +101,7 @@ def _stamps_before(log: Tlog, tables: dict[str, Column], order: Stamps) -> tuple
         return none
     known, t_ns = _clock([*found.values()])
     at = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
-    is_of_boot = (wanted >= 0) & (wanted >= min(int(table[ORDER][0]) for table in clocks))
+    is_of_boot = wanted >= min(int(table[ORDER][0]) for table in clocks)
     has_stamp = is_of_boot & (known[at] == wanted)
     return has_stamp, t_ns[at[has_stamp]]
 

@@ -198,6 +198,7 @@ def _smoothed(
     for block in run.blocks(forward):
         if live is not None:
             live.append(block.table)
+    run.compare_sensors()
     for smoothing in run.pipelines:
         with smoothing:
             yield from smoothing.tables(backward)

@@ -194,7 +194,6 @@ class Run(Generic[P]):
             if len(self._blocks) > 1:
                 yield from self._take_blocks(progress, being_processed=1)
         yield from self._take_blocks(progress)
-        self._compare_sensors()  # now: what was kept for it is large
 
     def messages(self, progress: Progress | None = None) -> Iterator[tuple[int, bytes]]:
         """Process the log, and yield frames with their stamps (us).
@@ -215,6 +214,15 @@ class Run(Generic[P]):
             if self._blocks:
                 self._take_blocks(progress)
 
+    def compare_sensors(self) -> None:
+        """Judge whether the sensors of a table contradict each other, before :meth:`finish` does.
+
+        What was kept for it, which is large, is let go.
+        """
+        if self._agreement is not None:
+            self._faults, self._doubts = self._agreement.found()
+            self._agreement = None
+
     def finish(self) -> Report:
         """Return the report on the whole log.
 
@@ -226,18 +234,12 @@ class Run(Generic[P]):
             late = delays_ns(self._config, self.pipelines[-1].family, self.gnss_delay)
             self.report.fix_delay = float(late[Kind.GNSS]) * 1e-9 + health.gnss_delay
         self.report.notes += self._magnetometer.notes()
-        self._compare_sensors()
+        self.compare_sensors()
         self.report.is_contradictory = bool(self._faults)
         self.report.notes += self._faults + self._doubts
         note_shortcomings(self.report, self._path)
         self.report.own, self.report.truth = reference(self.log), truth(self.log)
         return self.report
-
-    def _compare_sensors(self) -> None:
-        """Judge whether the sensors of a table contradict each other, once."""
-        if self._agreement is not None:
-            self._faults, self._doubts = self._agreement.found()
-            self._agreement = None
 
     def _frames(self, log: Tlog) -> Iterator[Step]:
         """Let the companion receive each frame."""

@@ -8,7 +8,15 @@ import pytest
 
 from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
-from ekf_companion.logs import dataflash_records, source, table, tlog, tlog_search, ulog_messages
+from ekf_companion.logs import (
+    dataflash_records,
+    source,
+    stored_rows,
+    table,
+    tlog,
+    tlog_search,
+    ulog_messages,
+)
 from ekf_companion.logs.dataflash_records import read_tables
 from ekf_companion.logs.source import MappedFile, Source
 from ekf_companion.logs.table import Table
@@ -108,7 +116,7 @@ def test_the_searches_find_the_same_uncompiled(monkeypatch, tmp_path, seed):
         places = {kind: rows.all().tobytes() for kind, rows in bins.tables.items()}
         tables = [(one.topic, one.instance, one.rows.all().tobytes()) for one in ulog.tables]
         totals = (count, bins.damaged, ulog.is_damaged, ulog.parameters, ulog.dropouts)
-        return records.read(0, len(records)).tolist(), places, tables, totals
+        return records.all().tolist(), places, tables, totals
 
     compiled = found()
     for room, name in (
@@ -158,7 +166,7 @@ def test_a_log_read_in_blocks_has_the_same_records(monkeypatch, tmp_path, block)
     path.write_bytes(damaged(b"".join(small_tlog(n=200)), seed=block))
     whole = list(tlog.read(path).frames())
     monkeypatch.setattr(tlog, "BLOCK", block)
-    monkeypatch.setattr(tlog, "AT_ONCE", 7)
+    monkeypatch.setattr(stored_rows, "AT_ONCE", 7)
     assert list(tlog.read(path).frames()) == whole
 
 

@@ -9,7 +9,7 @@ from pymavlink.dialects.v10 import ardupilotmega as first
 from pymavlink.dialects.v20 import ardupilotmega as second
 
 from ekf_companion.errors import LogError
-from ekf_companion.logs import tlog, tlog_trajectory
+from ekf_companion.logs import stored_rows, tlog, tlog_trajectory
 from ekf_companion.logs.estimate import read_truth
 
 START_US = 1_700_000_000_000_000
@@ -186,7 +186,7 @@ def test_after_a_reboot_the_longest_boot_is_the_reference(written):
 
 def test_of_a_frequent_message_every_so_manieth_of_the_vehicles_own_is_enough(written, monkeypatch):
     """Two vehicles send in turn: by the count of records all of one could be left out."""
-    monkeypatch.setattr(tlog, "AT_ONCE", 100)  # of which no stride is a part
+    monkeypatch.setattr(stored_rows, "AT_ONCE", 100)  # of which no stride is a part
     mine, other = (second.MAVLink(None, srcSystem=system, srcComponent=1) for system in (1, 2))
     heartbeat = mine.heartbeat_encode(2, 12, 0, 0, 4).pack(mine)
     records = [record(START_US, heartbeat)]

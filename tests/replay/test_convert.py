@@ -163,7 +163,7 @@ def without(source: Path, out: Path, names: set[str]) -> Path:
     log = tlog.read(source)
     with out.open("wb") as file:
         for (stamp, frame), number in zip(
-            log.frames(), log.column("message_id").tolist(), strict=True
+            log.frames(), log.records.all()["message_id"].tolist(), strict=True
         ):
             if number not in left:
                 file.write(stamp.to_bytes(8, "big") + frame)

@@ -111,7 +111,7 @@ def test_a_flight_over_a_socket_is_scored(tmp_path):
     assert len(flown.pace.late_ns) == 500
 
     recorded = tlog.read(tmp_path / "flight.tlog")
-    ids = recorded.column("message_id").tolist()
+    ids = recorded.records.all()["message_id"].tolist()
     assert ids.count(IDS["HIGHRES_IMU"]) == ids.count(IDS["ODOMETRY"]) == 500
 
 
