@@ -6,8 +6,9 @@ stamps of the inertial samples, so both send the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable
 from functools import partial
+from typing import TYPE_CHECKING
 
 from ekf_companion.config.config import Config
 from ekf_companion.engine.announcer import Announcer
@@ -34,8 +35,11 @@ from ekf_companion.mavlink.outbox import Message, Outgoing
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import SECOND_NS
-from ekf_companion.nav.measurements import ImuSample, Measurement
+from ekf_companion.nav.measurements import Kind, Row
 from ekf_companion.nav.state import Status
+
+if TYPE_CHECKING:
+    from ekf_companion.mavlink.datagram import DatagramReader
 
 UNFED_NS = 2 * SECOND_NS
 """Without an inertial sample for so long, our heartbeat no longer carries the last status."""
@@ -85,6 +89,8 @@ class Companion:
         self._open_pipeline = open_pipeline or Pipeline
         self._announcer = Announcer(self.session) if is_live else None
         self._publisher: Publisher | None = None
+        self._reader: DatagramReader | None = None
+        """Reads what comes most often, from when an autopilot is heard."""
         self._family = Family.UNKNOWN
         self._health_due = Due(1.0)
         self._has_sample = False
@@ -105,16 +111,21 @@ class Companion:
             The messages about the estimates that follow from them. They wait to be sent too, but
             for an ODOMETRY that must not be.
         """
+        if self._reader is not None:
+            rows = self._reader.read_datagram(data, now_ns, sender)
+            if rows is not None:
+                return self._process(rows, now_ns)
         messages: list[Message] = []
         for measurements in self.session.steps(data, now_ns, sender):
-            messages += self._process(measurements, now_ns)
+            messages += self._process([one.row() for one in measurements], now_ns)
         return messages
 
     def receive_frame(self, frame: Frame, now_ns: int) -> list[Message]:
         """Process a whole frame of a known message, as :meth:`receive` does its bytes."""
-        return self._process(self.session.receive_frame(frame, now_ns), now_ns)
+        measurements = self.session.receive_frame(frame, now_ns)
+        return self._process([one.row() for one in measurements], now_ns)
 
-    def _process(self, measurements: list[Measurement], now_ns: int) -> list[Message]:
+    def _process(self, rows: Iterable[Row], now_ns: int) -> list[Message]:
         """Process what a frame measured, and what has happened with it."""
         # Begin with a new autopilot, take what somebody has set
         if self.session.has_events:
@@ -122,12 +133,12 @@ class Companion:
         messages: list[Message] = []
         if self.pipeline is None:
             return messages
-        for measurement in measurements:
+        for row in rows:
             # Go on from a checkpoint, if there is one that fits the first inertial sample
-            if not self._has_sample and isinstance(measurement, ImuSample):
-                self._start_from(measurement, self.pipeline, now_ns)
+            if not self._has_sample and row[1] == Kind.IMU:
+                self._start_from(row[0], self.pipeline, now_ns)
             # Order and fuse it; the newest inertial sample gives an estimate
-            estimate = self.pipeline.process_row(measurement.row())
+            estimate = self.pipeline.process_row(row)
             if estimate is not None:
                 # Send what is due of it
                 messages += self._publish(estimate, now_ns)
@@ -143,10 +154,10 @@ class Companion:
             self._estimated_ns = None
             self.session.set_state(encode.SYSTEM_STATUS[Status.INIT], Status.INIT)
 
-    def _start_from(self, sample: ImuSample, pipeline: Pipeline, now_ns: int) -> None:
+    def _start_from(self, t_ns: int, pipeline: Pipeline, now_ns: int) -> None:
         self._has_sample = True
         if self._warm_start is not None:
-            self._warm_start.resume(pipeline, sample.t_ns, now_ns)
+            self._warm_start.resume(pipeline, t_ns, now_ns)
 
     def _publish(self, estimate: Estimate, now_ns: int) -> list[Message]:
         """Send what is due of an estimate; look at the filter's health once a second."""
@@ -191,6 +202,11 @@ class Companion:
         self.vehicle, self._family, self.estimate = vehicle, peer.family, None
         self.pipeline = self._open_pipeline(config, peer.family.value)
         self._publisher = Publisher(config, peer.family)
+        if self._reader is None:
+            # Not before: its import would delay the first heartbeat
+            from ekf_companion.mavlink.datagram import DatagramReader
+
+            self._reader = DatagramReader(self.session)
         self._health_due = Due(1.0)
         self._offer_streams()
         if self._warm_start is not None:

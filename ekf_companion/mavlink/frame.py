@@ -96,7 +96,8 @@ class Splitter:
         """Bytes that belonged to no frame."""
         self._rest = b""
         self._is_framed = True  # whether a frame should begin where the rest does
-        self._sender: Hashable = None
+        self.sender: Hashable = None
+        """Whose stream was cut last."""
         self._others: dict[Hashable, tuple[bytes, bool]] = {}  # of those who do not speak now
 
     @property
@@ -114,7 +115,7 @@ class Splitter:
 
         At most ``LARGEST_REST`` bytes wait for more from the same sender.
         """
-        if sender != self._sender:
+        if sender != self.sender:
             self._switch_to(sender)
         buffer = self._rest + data if self._rest else bytes(data)
         found: list[Frame] = []
@@ -186,8 +187,8 @@ class Splitter:
     def _switch_to(self, sender: Hashable) -> None:
         """Set one sender's stream aside and resume another's, so that neither cuts the other."""
         if self._rest or not self._is_framed:
-            self._others[self._sender] = (self._rest, self._is_framed)
-        self._sender = sender
+            self._others[self.sender] = (self._rest, self._is_framed)
+        self.sender = sender
         self._rest, self._is_framed = self._others.pop(sender, (b"", True))
         if len(self._others) > SENDERS:
             rest, _ = self._others.pop(next(iter(self._others)))

@@ -161,7 +161,8 @@ class Session:
         self._with_peer += [self.audit, self.statustext, self.autopilot_estimate]
         self.all_routes, self.peer_routes = _routes(self._with_all), _routes(self._with_peer)
         self.splitter = Splitter()
-        self._autopilot_sender: Hashable = None
+        self.autopilot_sender: Hashable = None
+        """Who sent the last frame of the autopilot."""
         self._vehicle: PeerFound | None = None
         """The one begun with last; kept when it is lost."""
 
@@ -189,7 +190,7 @@ class Session:
             # What is not admitted is not recorded either: a stranger neither fills the disk nor
             # speaks in a replay, which so needs no key
             if self.admission.is_selective or frame.message_id == SETUP_SIGNING:
-                is_beside = sender == self._autopilot_sender and self.peer is not None
+                is_beside = sender == self.autopilot_sender and self.peer is not None
                 if self.admission.refuse(frame, now_ns, is_beside_autopilot=is_beside):
                     continue
             if self.options.is_recording:
@@ -199,7 +200,7 @@ class Session:
                 if frame[1:3] == self.discovery.peer:
                     self.sequence.count_unverified(frame.sequence, now_ns)
             elif self._is_of_autopilot(frame, now_ns):
-                self._autopilot_sender = sender
+                self.autopilot_sender = sender
                 yield self._receive_from_autopilot(frame, now_ns)
             else:
                 yield []

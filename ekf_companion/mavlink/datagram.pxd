@@ -1,0 +1,18 @@
+cimport cython
+from ekf_companion.mavlink.block cimport BlockReader
+cdef class DatagramReader(BlockReader):
+    cdef object unpack, number_bytes, extra, row_buffer
+    cdef Py_ssize_t whole_size
+    cdef long long number
+    cdef bint is_recording
+    @cython.locals(end=cython.Py_ssize_t, data=bytes)
+    cpdef read_datagram(self, bytes data, object now_ns, object sender)
+    @cython.locals(
+        ax=cython.double, ay=cython.double, az=cython.double,
+        gx=cython.double, gy=cython.double, gz=cython.double,
+        mx=cython.double, my=cython.double, mz=cython.double,
+        pressure=cython.double, updated=cython.longlong, instance=cython.longlong, row=double[::1]
+    )
+    cdef fill(self, bytes payload)
+    @cython.locals(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    cdef take_rows(self)

@@ -1,0 +1,105 @@
+"""The datagram that comes most often, live: one inertial sample that plainly follows the last.
+
+It is read to the bit as the session and its decoder read it, at half of their time: on a companion
+board that is idle between two samples, every object that is touched has to be fetched again.
+Any other datagram is left to the session.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+
+import cython
+import numpy as np
+from fastcrc import crc16
+
+from ekf_companion.mavlink.block import BlockReader
+from ekf_companion.mavlink.block_columns import INERTIAL, LATEST_US
+from ekf_companion.mavlink.frame import HEADER_SIZE, STX_2
+from ekf_companion.mavlink.messages import CRC_EXTRAS, by_name
+from ekf_companion.mavlink.session import Session
+from ekf_companion.nav.buffer import EventBuffer
+from ekf_companion.nav.measurements import WIDTH, Row
+
+COLUMNS = cython.declare(cython.Py_ssize_t, WIDTH)
+LAST_US = cython.declare(cython.longlong, LATEST_US)
+START = cython.declare(cython.int, STX_2)
+AROUND = cython.declare(cython.Py_ssize_t, HEADER_SIZE)
+_crc = crc16.mcrf4xx
+
+
+class DatagramReader(BlockReader):
+    """Reads datagrams of one inertial sample for one session, as far as it can."""
+
+    def __init__(self, session: Session) -> None:
+        """Begin with nothing read."""
+        super().__init__(session)
+        layout = by_name("HIGHRES_IMU")
+        self.unpack, self.whole_size = layout.struct.unpack, layout.size
+        self.number = layout.message_id
+        self.number_bytes = layout.message_id.to_bytes(3, "little")
+        self.extra = CRC_EXTRAS[layout.message_id]
+        self.is_recording = session.options.is_recording
+        # One row, which each datagram overwrites
+        self.t_us, self.updated, self.instance = np.zeros((3, 1), dtype=np.int64)
+        self.samples = np.zeros((1, 10))
+        self.row_buffer = EventBuffer(1)
+        self.is_usable = self.kinds[self.number] == INERTIAL
+
+    def read_datagram(self, data: bytes, now_ns: int, sender: Hashable) -> list[Row] | None:
+        """Return the rows of a datagram that was read now; None: it is left to the session.
+
+        What it says is counted, and recorded, as the session would.
+        """
+        end = len(data) - 2
+        if end + 2 < AROUND or data[0] != START or data[2] != 0 or data[1] + AROUND != end + 2:
+            return None
+        session = self.session
+        if data[7:10] != self.number_bytes or session.decoder.held:
+            return None
+        if session.admission.is_selective or session.on_frame is not None:
+            return None
+        if sender != session.autopilot_sender or sender != session.splitter.sender:
+            return None
+        if not self.load(self.row_buffer):
+            return None
+        if data[5] != self.peer_system or data[6] != self.peer_component:
+            return None
+        if self.peer_system == self.our_system and self.peer_component == self.our_component:
+            return None
+        if _crc(data[1:end] + self.extra) != data[end] | data[end + 1] << 8:
+            return None
+        self.fill(data[10:end])
+        if self.t_us[0] > LAST_US or not self.read_inertial(0):
+            return None
+        self.numbers.count(data[4], now_ns)
+        self.count = self.heard = self.believed = 1
+        self.volume = end + 2
+        self.store()
+        session.received[self.number] += 1
+        if self.is_recording:
+            session.outbox.record(data, now_ns)
+        return self.take_rows()
+
+    def fill(self, payload: bytes) -> None:
+        """Read the fields, which end where only zeros would follow."""
+        whole = payload.ljust(self.whole_size, b"\0")[: self.whole_size]
+        (t_us, ax, ay, az, gx, gy, gz, mx, my, mz, pressure, _, _, _, updated, instance) = (
+            self.unpack(whole)
+        )
+        self.t_us[0] = min(t_us, LATEST_US + 1)
+        self.updated[0], self.instance[0] = updated, instance
+        row = self.samples[0]
+        row[0], row[1], row[2] = gx, gy, gz
+        row[3], row[4], row[5] = ax, ay, az
+        row[6], row[7], row[8] = mx, my, mz
+        row[9] = pressure
+
+    def take_rows(self) -> list[Row]:
+        """Return the rows of the buffer, and leave it empty."""
+        rows = []
+        for i in range(self.n):
+            values = tuple([self.out[i, j] for j in range(COLUMNS)])
+            rows.append((self.out_t[i], self.out_kind[i], values))
+        self.buffer.size = 0
+        return rows

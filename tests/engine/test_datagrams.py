@@ -1,0 +1,117 @@
+"""Datagrams of one sample are read by a way of their own, which must make the same of them."""
+
+import math
+import random
+
+import pytest
+
+from ekf_companion.engine.companion import Companion
+from ekf_companion.mavlink.codec import Sender, unpack
+from ekf_companion.mavlink.datagram import DatagramReader
+from ekf_companion.mavlink.frame import Splitter
+from ekf_companion.mavlink.messages import IDS, by_name
+from sim_autopilot.autopilot import Autopilot, Kind
+from sim_autopilot.config import SimConfig
+from sim_autopilot.flight import Flight
+from tests.engine.conversation import STREAMING
+
+HIGHRES_IMU = by_name("HIGHRES_IMU")
+NUMBER = HIGHRES_IMU.message_id.to_bytes(3, "little")
+GUARDED_NS = 5_000_000_000
+
+
+def flown(kind=Kind.PX4, duration=12.0):
+    """Yield stamp and frames of each cycle of a flight."""
+    config = SimConfig()
+    autopilot = Autopilot(config, kind)
+    autopilot.heartbeat()
+    for cycle in Flight.plan("figure-eight", config, duration=duration).cycles():
+        autopilot.cycle(cycle)
+        yield cycle.t_ns, autopilot.data_to_send()
+
+
+def disturbed(seed):
+    """Yield the same with samples that are odd: in stamp, content, sender, number and bytes."""
+    rng = random.Random(seed)
+    stranger, frozen = Sender(7, 1), None
+    for t_ns, frames in flown():
+        for data in frames:
+            (frame,) = Splitter().feed(data)
+            odd = rng.random()
+            if frame.message_id != IDS["HIGHRES_IMU"] or odd > 0.1:
+                yield t_ns, data
+                continue
+            m = unpack(frame)
+            us = m.time_usec
+            changes = [
+                {"time_usec": us + rng.choice([-300_000, -4000, 400_000, 2_000_000])},
+                {"time_usec": rng.choice([0, 1, 1 << 51, (1 << 52) + 1, (1 << 64) - 1])},
+                {rng.choice(["xacc", "zgyro"]): rng.choice([math.nan, math.inf, 1e30])},
+                {"fields_updated": rng.choice([0, 0x3F, 0x1FF, 0x23F, 0x1F])},
+                {"id": rng.choice([0, 1, 2, 255])},
+                {"xmag": 0.0, "ymag": 0.0, "zmag": 0.0},
+                {"xmag": rng.choice([1e-4, 40.0, math.nan])},
+                {"abs_pressure": rng.choice([0.0, 1.0, 1013.0, 101300.0, math.nan])},
+                {},
+            ]
+            sample = m._replace(**rng.choice(changes))
+            if odd < 0.01:
+                frozen = sample if frozen is None else None
+            if frozen is not None:
+                sample = frozen._replace(time_usec=us)
+            sender = stranger if odd > 0.09 else Sender(frame.system_id, frame.component_id)
+            sender.sequence = frame.sequence
+            data = sender.frame("HIGHRES_IMU", HIGHRES_IMU.struct.pack(*sample), t_ns)
+            if 0.08 < odd < 0.09:
+                place = rng.randrange(len(data))
+                data = data[:place] + bytes([data[place] ^ 1 << rng.randrange(8)]) + data[place + 1 :]
+            yield t_ns, data
+            if 0.07 < odd < 0.08:
+                yield t_ns, data
+
+
+def told(companion, flight, *, is_torn):
+    """Return all that a companion says of a flight, given datagrams or, torn, a stream."""
+    said = []
+    for t_ns, data in flight:
+        pieces = (data[:3], data[3:]) if is_torn else (data,)
+        for piece in pieces:
+            companion.receive(piece, t_ns)
+        companion.tick(t_ns)
+        said += companion.data_to_send()
+    return said
+
+
+def ended(companion):
+    """Return what a companion has counted, noted and estimated."""
+    session, pipeline = companion.session, companion.pipeline
+    assert pipeline is not None
+    counted = session.counters(), session.received, session.heard, session.believed
+    learnt = session.decoder.refused, session.ignored, pipeline.health(), pipeline.state().block
+    return repr((*counted, session.received_bytes, session.splitter.frames, *learnt))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_odd_samples_are_read_as_by_the_session(seed):
+    flight = list(disturbed(seed))
+    whole, torn = Companion(STREAMING, is_recording=True), Companion(STREAMING, is_recording=True)
+    assert told(whole, flight, is_torn=False) == told(torn, flight, is_torn=True)
+    assert ended(whole) == ended(torn)
+    assert whole.session.outbox.take_record() == torn.session.outbox.take_record()
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_plain_samples_are_not_left_to_the_session(kind):
+    companion, left, begin_ns = Companion(STREAMING), [], None
+    for t_ns, frames in flown(kind, duration=8.0):
+        begin_ns = begin_ns or t_ns
+        for data in frames:
+            # Until the autopilot's answers are there, the session needs each frame
+            if t_ns - begin_ns > GUARDED_NS and data[7:10] == NUMBER:
+                reader = DatagramReader(companion.session)
+                left.append(reader.read_datagram(data, t_ns, None) is None)
+            else:
+                companion.receive(data, t_ns)
+        companion.tick(t_ns)
+    assert len(left) > 500
+    assert not any(left)
