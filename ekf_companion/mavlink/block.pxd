@@ -17,7 +17,7 @@ cdef class BlockReader(RowWriter):
     cdef Dejitter dejitter
     cdef Sequence numbers
     cdef bint is_usable, is_yielding, is_idle, is_submarine, is_yaw_ours, is_begun
-    cdef bint has_field, is_new_field, has_held, is_position_plain
+    cdef bint has_field, is_new_field, is_new_pressure, has_held, is_position_plain
     cdef long long peer_system, peer_component, our_system, our_component, imu_id, last_us
     cdef long long heard, believed, echoes, strangers, count, volume
     cdef double last_pressure, heading_std, mx, my, mz
@@ -29,6 +29,7 @@ cdef class BlockReader(RowWriter):
     cdef double[:, ::1] samples, positions
     cdef bint load(self, buffer) except -1
     cdef store(self)
+    cdef store_sample(self)
     @cython.locals(kind=cython.int, number=cython.longlong)
     cdef Py_ssize_t read_on(self, Py_ssize_t i) except -1
     cdef bint read_message(self, int kind, Py_ssize_t i) except -1

@@ -148,7 +148,7 @@ class BlockReader(RowWriter):
         self.has_field = len(self.mag.last) == 3
         if self.has_field:
             self.mx, self.my, self.mz = self.mag.last
-        self.is_new_field = False
+        self.is_new_field = self.is_new_pressure = False
         self.has_held = bool(decoder.held) or bool(self.pending)
         self.heard = self.believed = self.echoes = self.strangers = self.count = self.volume = 0
         self.use(buffer)
@@ -156,17 +156,21 @@ class BlockReader(RowWriter):
 
     def store(self) -> None:
         """Store in the session what was counted and changed."""
-        self.imu.last_us, self.baro.last, self.buffer.size = (
-            self.last_us,
-            self.last_pressure,
-            self.n,
-        )
-        if self.is_new_field:
-            self.mag.last, self.mag.strange = (self.mx, self.my, self.mz), 0
+        self.buffer.size = self.n
+        self.store_sample()
         if self.count:
             self.session.pass_over(
                 self.count, self.volume, self.heard, self.believed, self.strangers, self.echoes
             )
+
+    def store_sample(self) -> None:
+        """Store in the decoder what the last samples have changed."""
+        self.imu.last_us = self.last_us
+        if self.is_new_pressure:
+            self.baro.last, self.is_new_pressure = self.last_pressure, False
+        if self.is_new_field:
+            self.mag.last, self.mag.strange = (self.mx, self.my, self.mz), 0
+            self.is_new_field = False
 
     def read_on(self, i: int) -> int:
         """Do the work of :meth:`read`."""
@@ -396,5 +400,5 @@ class BlockReader(RowWriter):
             self.baro_sources.admit(0, t_ns)
         if pressure == self.last_pressure:
             return
-        self.last_pressure = pressure
+        self.last_pressure, self.is_new_pressure = pressure, True
         self.put_height(t_ns, pressure_altitude(pressure * 100.0))

@@ -1,12 +1,14 @@
 cimport cython
 from ekf_companion.mavlink.block cimport BlockReader
 cdef class DatagramReader(BlockReader):
-    cdef object unpack, number_bytes, extra, row_buffer
+    cdef object unpack, row_buffer, sender
     cdef Py_ssize_t whole_size
-    cdef long long number
-    cdef bint is_recording
+    cdef long long number, changes
+    cdef int extra
+    cdef bint is_recording, is_open
     @cython.locals(end=cython.Py_ssize_t, data=bytes)
     cpdef read_datagram(self, bytes data, object now_ns, object sender)
+    cdef look_up(self)
     @cython.locals(
         ax=cython.double, ay=cython.double, az=cython.double,
         gx=cython.double, gy=cython.double, gz=cython.double,
@@ -16,3 +18,5 @@ cdef class DatagramReader(BlockReader):
     cdef fill(self, bytes payload)
     @cython.locals(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     cdef take_rows(self)
+@cython.locals(crc=cython.uint, mixed=cython.uint, i=cython.Py_ssize_t)
+cdef unsigned int checksum(bytes data, Py_ssize_t end, int extra) noexcept

@@ -37,8 +37,8 @@ class DatagramReader(BlockReader):
         layout = by_name("HIGHRES_IMU")
         self.unpack, self.whole_size = layout.struct.unpack, layout.size
         self.number = layout.message_id
-        self.number_bytes = layout.message_id.to_bytes(3, "little")
-        self.extra = CRC_EXTRAS[layout.message_id]
+        self.changes, self.is_open = -1, False
+        self.extra = CRC_EXTRAS[layout.message_id][0]
         self.is_recording = session.options.is_recording
         # One row, which each datagram overwrites
         self.t_us, self.updated, self.instance = np.zeros((3, 1), dtype=np.int64)
@@ -54,32 +54,39 @@ class DatagramReader(BlockReader):
         end = len(data) - 2
         if end + 2 < AROUND or data[0] != START or data[2] != 0 or data[1] + AROUND != end + 2:
             return None
-        session = self.session
-        if data[7:10] != self.number_bytes or session.decoder.held:
+        if data[7] != self.number or data[8] != 0 or data[9] != 0:
             return None
-        if session.admission.is_selective or session.on_frame is not None:
-            return None
-        if sender != session.autopilot_sender or sender != session.splitter.sender:
-            return None
-        if not self.load(self.row_buffer):
+        if self.session.changes != self.changes:
+            self.look_up()
+        if not self.is_open or sender != self.sender:
             return None
         if data[5] != self.peer_system or data[6] != self.peer_component:
             return None
-        if self.peer_system == self.our_system and self.peer_component == self.our_component:
-            return None
-        if _crc(data[1:end] + self.extra) != data[end] | data[end + 1] << 8:
+        if checksum(data, end, self.extra) != data[end] | data[end + 1] << 8:
             return None
         self.fill(data[10:end])
+        self.n = 0
         if self.t_us[0] > LAST_US or not self.read_inertial(0):
             return None
         self.numbers.count(data[4], now_ns)
-        self.count = self.heard = self.believed = 1
-        self.volume = end + 2
-        self.store()
-        session.received[self.number] += 1
+        self.store_sample()
+        self.session.note_sample(self.number, end + 2)
         if self.is_recording:
-            session.outbox.record(data, now_ns)
+            self.session.outbox.record(data, now_ns)
         return self.take_rows()
+
+    def look_up(self) -> None:
+        """Look up where the session stands, after it has done something else."""
+        session = self.session
+        self.changes = session.changes
+        self.sender = session.autopilot_sender
+        self.is_open = self.sender == session.splitter.sender and not session.decoder.held
+        self.is_open = self.is_open and session.on_frame is None
+        self.is_open = self.is_open and not session.admission.is_selective
+        self.is_open = self.is_open and self.load(self.row_buffer)
+        is_ours = self.is_open and self.peer_system == self.our_system
+        if is_ours and self.peer_component == self.our_component:
+            self.is_open = False
 
     def fill(self, payload: bytes) -> None:
         """Read the fields, which end where only zeros would follow."""
@@ -101,5 +108,14 @@ class DatagramReader(BlockReader):
         for i in range(self.n):
             values = tuple([self.out[i, j] for j in range(COLUMNS)])
             rows.append((self.out_t[i], self.out_kind[i], values))
-        self.buffer.size = 0
         return rows
+
+
+def checksum(data: bytes, end: int, extra: int) -> int:
+    """Return the checksum (CRC-16/MCRF4XX) of a frame up to a place, and of its message's byte."""
+    crc = 0xFFFF
+    for i in range(1, end + 1):
+        mixed = (data[i] if i < end else extra) ^ (crc & 0xFF)
+        mixed = (mixed ^ mixed << 4) & 0xFF
+        crc = crc >> 8 ^ mixed << 8 ^ mixed << 3 ^ mixed >> 4
+    return crc

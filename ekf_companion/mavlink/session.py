@@ -104,6 +104,8 @@ class Session:
             options.allow_systems, options.allow_components, signing, options.accept_unsigned
         )
         self.decoder = Decoder(options=options.decoder)
+        self.changes = 0
+        """Moves with all that may change what is made of the next frame, but for plain samples."""
         self.received_bytes = 0
         self.received: Counter[int] = Counter()
         """Frames of the autopilot by message id."""
@@ -180,6 +182,7 @@ class Session:
         self, data: bytes, now_ns: int, sender: Hashable = None
     ) -> Iterator[list[Measurement]]:
         """Process bytes, and yield what each frame measured once its events have happened."""
+        self.changes += 1
         self.received_bytes += len(data)
         for frame in self.splitter.feed(data, sender):
             if self.on_frame is not None:
@@ -210,6 +213,7 @@ class Session:
 
         Nothing may wait in the splitter.
         """
+        self.changes += 1
         self.received_bytes += len(frame.raw)
         self.splitter.pass_over(1)
         if self._is_of_autopilot(frame, now_ns):
@@ -233,9 +237,18 @@ class Session:
         self.splitter.pass_over(count)
         self.heard += heard
         self.believed += believed
-        for whose, number in ((STRANGERS, strangers), (ECHOES, echoes)):
-            if number:
-                self.ignored[whose] += number
+        if strangers:
+            self.ignored[STRANGERS] += strangers
+        if echoes:
+            self.ignored[ECHOES] += echoes
+
+    def note_sample(self, number: int, size: int) -> None:
+        """Count a frame of the autopilot that was processed elsewhere (:mod:`.datagram`)."""
+        self.received_bytes += size
+        self.received[number] += 1
+        self.heard += 1
+        self.believed += 1
+        self.splitter.pass_over(1)
 
     def _is_of_autopilot(self, frame: Frame, now_ns: int) -> bool:
         """Handle what anybody may say; return whether it was the autopilot who said it."""
@@ -327,6 +340,7 @@ class Session:
 
     def tick(self, now_ns: int) -> None:
         """Do what is due; call it ten times a second or more."""
+        self.changes += 1
         for service in self._with_all:
             service.tick(now_ns)
         if self.peer is not None:
@@ -335,6 +349,7 @@ class Session:
 
     def retune(self, options: SessionOptions) -> None:
         """Go on with other rates, parameters, and options of the guard and of TIMESYNC."""
+        self.changes += 1
         self.timesync.options = options.timesync
         self.requests.retune(options.rates)
         if options.guard is not None:
