@@ -3,10 +3,11 @@ from ekf_companion.mavlink.block cimport BlockReader
 cdef class DatagramReader(BlockReader):
     cdef object unpack, row_buffer, sender
     cdef Py_ssize_t whole_size
-    cdef long long number, changes
-    cdef int extra
+    cdef long long changes
+    cdef signed char[::1] kind_of
+    cdef unsigned char[::1] extra_of
     cdef bint is_recording, is_open
-    @cython.locals(end=cython.Py_ssize_t, data=bytes)
+    @cython.locals(end=cython.Py_ssize_t, number=cython.int, kind=cython.int)
     cpdef read_datagram(self, bytes data, object now_ns, object sender)
     cdef look_up(self)
     @cython.locals(

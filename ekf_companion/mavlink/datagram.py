@@ -1,8 +1,9 @@
-"""The datagram that comes most often, live: one inertial sample that plainly follows the last.
+"""The datagrams that come most often, live: a sample that plainly follows the last, and messages
+that nobody reads.
 
-It is read to the bit as the session and its decoder read it, at half of their time: on a companion
-board that is idle between two samples, every object that is touched has to be fetched again.
-Any other datagram is left to the session.
+They are taken to the bit as the session and its decoder take them, while few objects are touched:
+a processor that is idle between two samples has to fetch each of them anew, and that takes longer
+than what is done with them. Any other datagram is left to the session.
 """
 
 from __future__ import annotations
@@ -11,40 +12,45 @@ from collections.abc import Hashable
 
 import cython
 import numpy as np
-from fastcrc import crc16
 
+from ekf_companion.mavlink.autopilot_estimate import KEPT
 from ekf_companion.mavlink.block import BlockReader
-from ekf_companion.mavlink.block_columns import INERTIAL, LATEST_US
+from ekf_companion.mavlink.block_columns import INERTIAL, LATEST_US, PASSED, READ
 from ekf_companion.mavlink.frame import HEADER_SIZE, STX_2
 from ekf_companion.mavlink.messages import CRC_EXTRAS, by_name
 from ekf_companion.mavlink.session import Session
 from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.measurements import WIDTH, Row
 
+SAMPLE = cython.declare(cython.int, INERTIAL)
+UNREAD = cython.declare(cython.int, PASSED)
 COLUMNS = cython.declare(cython.Py_ssize_t, WIDTH)
 LAST_US = cython.declare(cython.longlong, LATEST_US)
 START = cython.declare(cython.int, STX_2)
 AROUND = cython.declare(cython.Py_ssize_t, HEADER_SIZE)
-_crc = crc16.mcrf4xx
 
 
 class DatagramReader(BlockReader):
-    """Reads datagrams of one inertial sample for one session, as far as it can."""
+    """Reads datagrams of one frame for one session, as far as it can."""
 
     def __init__(self, session: Session) -> None:
         """Begin with nothing read."""
         super().__init__(session)
         layout = by_name("HIGHRES_IMU")
         self.unpack, self.whole_size = layout.struct.unpack, layout.size
-        self.number = layout.message_id
         self.changes, self.is_open = -1, False
-        self.extra = CRC_EXTRAS[layout.message_id][0]
+        kinds = np.array(self.kinds)
+        kinds[list(KEPT)] = READ
+        self.kind_of = kinds
+        self.extra_of = np.zeros(len(kinds), dtype=np.uint8)
+        for number, extra in CRC_EXTRAS.items():
+            self.extra_of[number] = extra[0]
         self.is_recording = session.options.is_recording
         # One row, which each datagram overwrites
         self.t_us, self.updated, self.instance = np.zeros((3, 1), dtype=np.int64)
         self.samples = np.zeros((1, 10))
         self.row_buffer = EventBuffer(1)
-        self.is_usable = self.kinds[self.number] == INERTIAL
+        self.is_usable = True
 
     def read_datagram(self, data: bytes, now_ns: int, sender: Hashable) -> list[Row] | None:
         """Return the rows of a datagram that was read now; None: it is left to the session.
@@ -54,7 +60,11 @@ class DatagramReader(BlockReader):
         end = len(data) - 2
         if end + 2 < AROUND or data[0] != START or data[2] != 0 or data[1] + AROUND != end + 2:
             return None
-        if data[7] != self.number or data[8] != 0 or data[9] != 0:
+        number = data[7] | data[8] << 8 | data[9] << 16
+        if number >= self.kind_of.shape[0]:
+            return None
+        kind = self.kind_of[number]
+        if kind != SAMPLE and kind != UNREAD:
             return None
         if self.session.changes != self.changes:
             self.look_up()
@@ -62,15 +72,18 @@ class DatagramReader(BlockReader):
             return None
         if data[5] != self.peer_system or data[6] != self.peer_component:
             return None
-        if checksum(data, end, self.extra) != data[end] | data[end + 1] << 8:
+        if checksum(data, end, self.extra_of[number]) != data[end] | data[end + 1] << 8:
             return None
-        self.fill(data[10:end])
         self.n = 0
-        if self.t_us[0] > LAST_US or not self.read_inertial(0):
+        if kind == SAMPLE:
+            self.fill(data[10:end])
+            if self.t_us[0] > LAST_US or not self.read_inertial(0):
+                return None
+            self.store_sample()
+        elif self.clock.is_behind:
             return None
         self.numbers.count(data[4], now_ns)
-        self.store_sample()
-        self.session.note_sample(self.number, end + 2)
+        self.session.note_frame(number, end + 2)
         if self.is_recording:
             self.session.outbox.record(data, now_ns)
         return self.take_rows()

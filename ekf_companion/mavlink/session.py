@@ -242,7 +242,7 @@ class Session:
         if echoes:
             self.ignored[ECHOES] += echoes
 
-    def note_sample(self, number: int, size: int) -> None:
+    def note_frame(self, number: int, size: int) -> None:
         """Count a frame of the autopilot that was processed elsewhere (:mod:`.datagram`)."""
         self.received_bytes += size
         self.received[number] += 1
