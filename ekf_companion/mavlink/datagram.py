@@ -1,5 +1,4 @@
-"""The datagrams that come most often, live: a sample that plainly follows the last, and messages
-that nobody reads.
+"""The datagrams that come most often, live: plain samples, and messages that nobody reads.
 
 They are taken to the bit as the session and its decoder take them, while few objects are touched:
 a processor that is idle between two samples has to fetch each of them anew, and that takes longer

@@ -64,7 +64,9 @@ def disturbed(seed):
             data = sender.frame("HIGHRES_IMU", HIGHRES_IMU.struct.pack(*sample), t_ns)
             if 0.08 < odd < 0.09:
                 place = rng.randrange(len(data))
-                data = data[:place] + bytes([data[place] ^ 1 << rng.randrange(8)]) + data[place + 1 :]
+                data = (
+                    data[:place] + bytes([data[place] ^ 1 << rng.randrange(8)]) + data[place + 1 :]
+                )
             yield t_ns, data
             if 0.07 < odd < 0.08:
                 yield t_ns, data
