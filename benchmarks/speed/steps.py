@@ -92,7 +92,10 @@ def _beside(ekf2: Path, flight: Flight) -> Iterator[Result]:
     """Time EKF2 and the loop in turn, on a flight with a magnetometer and a barometer."""
     found = recordings.by_kind(flight)
     del found[Kind.HEADING]
-    events = merge(*found.values())
+    # As a table is read: what was measured with a sample goes before it
+    samples = found.pop(Kind.IMU)
+    events = merge(*found.values(), samples)
+    found[Kind.IMU] = samples
     ours, theirs = [], []
     with TemporaryDirectory() as folder:
         log = Path(folder) / "flight.csv"
