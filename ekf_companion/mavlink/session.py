@@ -233,6 +233,7 @@ class Session:
             strangers: Those that are neither ours nor the autopilot's.
             echoes: Those under our ids.
         """
+        self.changes += 1
         self.received_bytes += size
         self.splitter.pass_over(count)
         self.heard += heard
