@@ -6,25 +6,19 @@ import argparse
 import json
 import os
 import platform
+import subprocess
+import sys
 import time
-from dataclasses import asdict
-from functools import partial
 from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import Any
 
 import numpy as np
 
-from benchmarks.speed import daemon, logs, page, steps
-from benchmarks.speed.result import Result, table
 from ekf_companion import __version__
 from ekf_companion.core import kernel
 
 PARTS = {
-    "steps": steps.measure,
-    "logs": logs.measure,
-    "daemon": daemon.measure,
-    "page": page.measure,
-}
-TITLES = {
     "steps": "The filter's step (one thread, this machine)",
     "logs": "Recorded flights",
     "daemon": "The daemon over loopback UDP",
@@ -43,23 +37,30 @@ def main() -> None:
         "--ekf2", type=Path, metavar="PROGRAM", help="runs EKF2 over a .csv: benchmarks/speed/steps"
     )
     asked = parser.parse_args()
-    parts = PARTS | {"steps": partial(steps.measure, ekf2=asked.ekf2)}
-    if unknown := set(asked.parts) - set(PARTS):
+    chosen = asked.parts or list(PARTS)
+    if unknown := set(chosen) - set(PARTS):
         parser.error(f"{', '.join(sorted(unknown))}: no such part; known are {', '.join(PARTS)}")
 
     where = machine()
-    print(", ".join(f"{key} {value}" for key, value in where.items()))
-    figures: dict[str, list[Result]] = {}
-    for part in asked.parts or PARTS:
-        print(f"\n{TITLES[part]}")
-        figures[part] = list(parts[part]())
-        for line in table(figures[part]):
-            print(line, flush=True)
+    print(", ".join(f"{key} {value}" for key, value in where.items()), flush=True)
+    content: dict[str, Any] = {"machine": where}
+    for part in chosen:
+        print(f"\n{PARTS[part]}", flush=True)
+        content[part] = _measure(part, asked.ekf2)
     if asked.json is not None:
-        content = {"machine": where} | {
-            part: [asdict(one) for one in results] for part, results in figures.items()
-        }
         asked.json.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def _measure(part: str, ekf2: Path | None) -> list[dict[str, Any]]:
+    """Measure a part in a process of its own, which prints the figures; return them.
+
+    A process that is started begins with the peak memory of the one that starts it.
+    """
+    with NamedTemporaryFile(suffix=".json") as file:
+        options = [part, file.name, *([] if ekf2 is None else [str(ekf2)])]
+        subprocess.run([sys.executable, "-m", "benchmarks.speed.part", *options], check=True)
+        figures: list[dict[str, Any]] = json.loads(Path(file.name).read_bytes())
+        return figures
 
 
 def machine() -> dict[str, str]:

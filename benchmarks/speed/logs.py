@@ -20,6 +20,8 @@ MEMORY = 300.0
 """MB, whatever the length."""
 AIMS = {".tlog": 5.0, ".bin": 4.0, ".csv": 4.0, ".mcap": 8.0, ".parquet": 8.0}
 """Largest time per row wanted, us; for a .ulg, 1.2 of what pyulog takes to open it, and 3 us."""
+RATIOS = {".tlog": 5.0 / 26.7, ".csv": 4.0 / 1.0}
+"""The same as shares of what the peer took on the machine for which they were set, us by us."""
 PEERS = {
     ".tlog": (
         "mavutil, reading",
@@ -95,6 +97,12 @@ def _of_duration(folder: Path, duration: float, rounds: int) -> Iterator[Result]
     peer = costs.get(f"{what} .ulg: {PEERS['.ulg'][0]}")
     for name, cost in costs.items():
         yield from _results(name, cost, rows, peer)
+    for suffix, aim in RATIOS.items():
+        name, _ = PEERS[suffix]
+        if (its := costs.get(f"{what} {suffix}: {name}")) is not None:
+            ratio = costs[f"{what} {suffix} to .csv"].seconds / its.seconds
+            words = f"{what} {suffix} to .csv over {name}, by the clock"
+            yield Result(name=words, value=ratio, unit="", aim=aim)
     for path in folder.iterdir():
         path.unlink()
 

@@ -94,6 +94,7 @@ def test_generated_logs_are_converted_from_and_to_each_format():
         for how in ("by the clock", "processor time"):
             assert results[f"0.1 min {suffix} to .csv, {how}, per row"].value > 0.0
     assert results["0.1 min .ulg to .mcap, peak memory"].value > 10.0
+    assert results["0.1 min .tlog to .csv over mavutil, reading, by the clock"].value > 0.0
     assert results["start: a log of 2 s to CSV, processor time"].aim == 0.35
 
 
