@@ -18,7 +18,7 @@ import numpy as np
 from ekf_companion import __version__
 from ekf_companion.core import kernel
 
-PARTS = {
+PARTS = {  # by the module that measures each
     "steps": "The filter's step (one thread, this machine)",
     "logs": "Recorded flights",
     "daemon": "The daemon over loopback UDP",
@@ -57,7 +57,9 @@ def _measure(part: str, ekf2: Path | None) -> list[dict[str, Any]]:
     A process that is started begins with the peak memory of the one that starts it.
     """
     with NamedTemporaryFile(suffix=".json") as file:
-        options = [part, file.name, *([] if ekf2 is None else [str(ekf2)])]
+        options = [part, file.name]
+        if part == "steps" and ekf2 is not None:
+            options.append(str(ekf2))
         subprocess.run([sys.executable, "-m", "benchmarks.speed.part", *options], check=True)
         figures: list[dict[str, Any]] = json.loads(Path(file.name).read_bytes())
         return figures

@@ -7,25 +7,17 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
 from dataclasses import asdict
+from importlib import import_module
 from pathlib import Path
 
-from benchmarks.speed import daemon, logs, page, steps
-from benchmarks.speed.result import Result, table
-
-PARTS: dict[str, Callable[[], Iterator[Result]]] = {
-    "steps": steps.measure,
-    "logs": logs.measure,
-    "daemon": daemon.measure,
-    "page": page.measure,
-}
+from benchmarks.speed.result import table
 
 
 def main(name: str, file: str, ekf2: str = "") -> None:
-    """Measure a part; ``ekf2`` is the program beside which the filter's step is timed."""
-    is_beside = name == "steps" and ekf2
-    results = list(steps.measure(ekf2=Path(ekf2)) if is_beside else PARTS[name]())
+    """Measure the part of the module of that name; ``ekf2`` is an option of the filter's step."""
+    options = {"ekf2": Path(ekf2)} if ekf2 else {}
+    results = list(import_module(f"benchmarks.speed.{name}").measure(**options))
     for line in table(results):
         print(line, flush=True)
     Path(file).write_text(json.dumps([asdict(one) for one in results]), encoding="utf-8")

@@ -93,9 +93,7 @@ def _beside(ekf2: Path, flight: Flight) -> Iterator[Result]:
     found = recordings.by_kind(flight)
     del found[Kind.HEADING]
     # As a table is read: what was measured with a sample goes before it
-    samples = found.pop(Kind.IMU)
-    events = merge(*found.values(), samples)
-    found[Kind.IMU] = samples
+    events = merge(*(found[kind] for kind in sorted(found)))
     ours, theirs = [], []
     with TemporaryDirectory() as folder:
         log = Path(folder) / "flight.csv"

@@ -109,7 +109,7 @@ class BlockReader(RowWriter):
 
         It also ends where the buffer is full.
         """
-        if not self.load(buffer):
+        if not self.is_usable or not self.load(buffer):
             return i
         end = self.read_on(i)
         self.store()
@@ -119,7 +119,7 @@ class BlockReader(RowWriter):
         """Look up where the session stands; return whether anything can be read here."""
         session, decoder = self.session, self.session.decoder
         peer = session.discovery.peer
-        if not self.is_usable or peer is None or session.guard.is_waiting:
+        if peer is None or session.guard.is_waiting:
             return False
         if not session.splitter.is_empty:
             return False

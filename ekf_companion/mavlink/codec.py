@@ -23,8 +23,7 @@ def unpack(frame: Frame) -> Any:
     Arrays are tuples, text is bytes up to the first zero. KeyError for an unknown id.
     """
     layout = LAYOUTS[frame.message_id]
-    size = layout.size
-    values = layout.struct.unpack(frame.payload.ljust(size, b"\0")[:size])
+    values = layout.unpack(frame.payload)
     if layout.places is not None:
         values = tuple(values[place] for place in layout.places)
     if layout.has_text:

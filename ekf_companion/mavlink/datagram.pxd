@@ -1,8 +1,7 @@
 cimport cython
 from ekf_companion.mavlink.block cimport BlockReader
 cdef class DatagramReader(BlockReader):
-    cdef object unpack, row_buffer, sender
-    cdef Py_ssize_t whole_size
+    cdef object layout, row_buffer, sender
     cdef long long changes
     cdef signed char[::1] kind_of
     cdef unsigned char[::1] extra_of

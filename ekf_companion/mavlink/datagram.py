@@ -35,8 +35,7 @@ class DatagramReader(BlockReader):
     def __init__(self, session: Session) -> None:
         """Begin with nothing read."""
         super().__init__(session)
-        layout = by_name("HIGHRES_IMU")
-        self.unpack, self.whole_size = layout.struct.unpack, layout.size
+        self.layout = by_name("HIGHRES_IMU")
         self.changes, self.is_open = -1, False
         kinds = np.array(self.kinds)
         kinds[list(KEPT)] = READ
@@ -49,7 +48,6 @@ class DatagramReader(BlockReader):
         self.t_us, self.updated, self.instance = np.zeros((3, 1), dtype=np.int64)
         self.samples = np.zeros((1, 10))
         self.row_buffer = EventBuffer(1)
-        self.is_usable = True
 
     def read_datagram(self, data: bytes, now_ns: int, sender: Hashable) -> list[Row] | None:
         """Return the rows of a datagram that was read now; None: it is left to the session.
@@ -92,19 +90,19 @@ class DatagramReader(BlockReader):
         session = self.session
         self.changes = session.changes
         self.sender = session.autopilot_sender
-        self.is_open = self.sender == session.splitter.sender and not session.decoder.held
-        self.is_open = self.is_open and session.on_frame is None
-        self.is_open = self.is_open and not session.admission.is_selective
-        self.is_open = self.is_open and self.load(self.row_buffer)
-        is_ours = self.is_open and self.peer_system == self.our_system
-        if is_ours and self.peer_component == self.our_component:
-            self.is_open = False
+        self.is_open = (
+            self.sender == session.splitter.sender
+            and not session.decoder.held
+            and session.on_frame is None
+            and not session.admission.is_selective
+            and self.load(self.row_buffer)
+            and (self.peer_system, self.peer_component) != (self.our_system, self.our_component)
+        )
 
     def fill(self, payload: bytes) -> None:
         """Read the fields, which end where only zeros would follow."""
-        whole = payload.ljust(self.whole_size, b"\0")[: self.whole_size]
         (t_us, ax, ay, az, gx, gy, gz, mx, my, mz, pressure, _, _, _, updated, instance) = (
-            self.unpack(whole)
+            self.layout.unpack(payload)
         )
         self.t_us[0] = min(t_us, LATEST_US + 1)
         self.updated[0], self.instance[0] = updated, instance

@@ -49,6 +49,10 @@ class Layout:
         """Bytes of the whole payload, extensions included."""
         return self.struct.size
 
+    def unpack(self, payload: bytes) -> tuple[Any, ...]:
+        """Return the values in wire order; what the payload lacks at its end reads as zero."""
+        return self.struct.unpack(payload.ljust(self.size, b"\0")[: self.size])
+
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Field names in wire order."""

@@ -63,9 +63,9 @@ class Inertial:
 
     def highres_imu(self, frame: Frame) -> Measurements:
         """Read HIGHRES_IMU."""
-        layout, context = self._layout, self._context
+        context = self._context
         (t_us, ax, ay, az, gx, gy, gz, mx, my, mz, pressure, _, _, _, updated, instance) = (
-            layout.struct.unpack(frame.payload.ljust(layout.size, b"\0")[: layout.size])
+            self._layout.unpack(frame.payload)
         )
         out, is_sure = [], True
         if not context.clock.follow(t_us):
