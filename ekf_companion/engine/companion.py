@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable
 from functools import partial
-from typing import TYPE_CHECKING
 
 from ekf_companion.config.config import Config
 from ekf_companion.engine.announcer import Announcer
@@ -27,6 +26,7 @@ from ekf_companion.engine.tuning import Tuning
 from ekf_companion.engine.warm_start import WarmStart
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.commands import Stream
+from ekf_companion.mavlink.datagram import DatagramReader
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import GuardChanged, IntervalSet, ParameterSet, PeerFound, Rebooted
@@ -37,9 +37,6 @@ from ekf_companion.mavlink.signing import Signing
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.measurements import Kind, Row
 from ekf_companion.nav.state import Status
-
-if TYPE_CHECKING:
-    from ekf_companion.mavlink.datagram import DatagramReader
 
 UNFED_NS = 2 * SECOND_NS
 """Without an inertial sample for so long, our heartbeat no longer carries the last status."""
@@ -89,8 +86,7 @@ class Companion:
         self._open_pipeline = open_pipeline or Pipeline
         self._announcer = Announcer(self.session) if is_live else None
         self._publisher: Publisher | None = None
-        self._reader: DatagramReader | None = None
-        """Reads what comes most often, from when an autopilot is heard."""
+        self._reader = DatagramReader(self.session)
         self._family = Family.UNKNOWN
         self._health_due = Due(1.0)
         self._has_sample = False
@@ -111,10 +107,9 @@ class Companion:
             The messages about the estimates that follow from them. They wait to be sent too, but
             for an ODOMETRY that must not be.
         """
-        if self._reader is not None:
-            rows = self._reader.read_datagram(data, now_ns, sender)
-            if rows is not None:
-                return self._process(rows, now_ns)
+        rows = self._reader.read_datagram(data, now_ns, sender)
+        if rows is not None:
+            return self._process(rows, now_ns)
         messages: list[Message] = []
         for measurements in self.session.steps(data, now_ns, sender):
             messages += self._process([one.row() for one in measurements], now_ns)
@@ -202,11 +197,6 @@ class Companion:
         self.vehicle, self._family, self.estimate = vehicle, peer.family, None
         self.pipeline = self._open_pipeline(config, peer.family.value)
         self._publisher = Publisher(config, peer.family)
-        if self._reader is None:
-            # Not before: its import would delay the first heartbeat
-            from ekf_companion.mavlink.datagram import DatagramReader
-
-            self._reader = DatagramReader(self.session)
         self._health_due = Due(1.0)
         self._offer_streams()
         if self._warm_start is not None:
