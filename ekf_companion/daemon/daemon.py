@@ -46,6 +46,8 @@ TICK = 0.1
 """Seconds between two periodic runs while nothing comes."""
 LEAST_NS = 50_000_000
 """Between two periodic runs while much comes: each costs as much as several samples."""
+WAIT_NS = 30_000_000
+"""Longest time for which what was read may wait: about that between two ODOMETRYs at 30 Hz."""
 DRAIN = 0.1
 """Seconds for the last message to leave a serial port, whose closing discards what waits."""
 READING = 3.0
@@ -117,6 +119,7 @@ class Daemon:
         for words in overloads(config):
             _log.warning("%s", words)
         self._due_ns = 0
+        self._waiting: list[Received] = []
         self._is_reading = False
         self._reading_limit: asyncio.TimerHandle | None = None
         # The state of the last run is read by threads while the rest is made ready
@@ -174,13 +177,27 @@ class Daemon:
         return [self.link, *self._monitors.links]
 
     def receive(self, received: Received) -> None:
-        """Process what was read, and send what follows from it."""
-        companion, now_ns = self._companion, received.now_ns
-        deliver(received, companion.receive, companion.session, self.link)
+        """Process what was read, and send what follows from it.
+
+        What needs no answer, and after which nothing is due, waits for what comes next: a processor
+        that was idle has to fetch anew all that it needs, and does so once for them all.
+        """
+        now_ns, waiting = received.now_ns, self._waiting
+        waiting.append(received)
+        has_time = now_ns - waiting[0].now_ns < WAIT_NS
+        if has_time and self._companion.may_wait(received.data, self._monitors.due_ns):
+            return
+        self._process_waiting()
         if now_ns >= self._due_ns:
             self._run_periodic(now_ns)
         else:
             self._send(now_ns)
+
+    def _process_waiting(self) -> None:
+        companion, waiting = self._companion, self._waiting
+        self._waiting = []
+        for received in waiting:
+            deliver(received, companion.receive, companion.session, self.link)
 
     async def tick(self) -> None:
         """Run what is periodic while nothing comes."""
@@ -234,6 +251,7 @@ class Daemon:
 
     def _apply(self, read: Config | CompanionError) -> None:
         """Apply the configuration that was read, or log why there is none."""
+        self._process_waiting()
         is_wrong = isinstance(read, CompanionError)
         words = self._companion.reload(str(read) if isinstance(read, CompanionError) else read)
         level, reason = (logging.ERROR, "refused") if is_wrong else (logging.INFO, "taken")
@@ -243,6 +261,7 @@ class Daemon:
     def say_goodbye(self) -> None:
         """Send the last heartbeat, and write the last checkpoint."""
         self._systemd.notify("STOPPING=1")
+        self._process_waiting()
         now_ns = unix_clock()
         if self.link.opened:
             self._companion.close(now_ns)
@@ -256,6 +275,7 @@ class Daemon:
             self._run_periodic(unix_clock())
 
     def _run_periodic(self, now_ns: int) -> None:
+        self._process_waiting()
         self._due_ns = now_ns + LEAST_NS
         companion = self._companion
         if self.link.opened:

@@ -12,7 +12,7 @@ from ekf_companion.config.config import Config
 from ekf_companion.core.memory import as_estimate
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Estimate, Pipeline
-from ekf_companion.engine.publisher import Due, Publisher
+from ekf_companion.engine.publisher import NEVER_NS, Due, Publisher
 from ekf_companion.link.address import parse_monitor
 from ekf_companion.link.link import Link
 from ekf_companion.mavlink import encode
@@ -47,6 +47,14 @@ class Monitors:
         self._pipeline: Pipeline | None = None
         self._publisher: Publisher | None = None
         self._has_complained = False
+
+    @property
+    def due_ns(self) -> int:
+        """The stamp from which something may be due of an estimate."""
+        if not self.links:
+            return NEVER_NS
+        due_ns = self._position.pause[1]
+        return 0 if self._publisher is None else min(self._publisher.due_ns, due_ns)
 
     def unsent(self) -> dict[str, int]:
         """Return how many datagrams found no listener, by its address."""

@@ -15,6 +15,7 @@ from ekf_companion.engine.checkpoint import Clocks, Vehicle
 from ekf_companion.engine.options import session_options
 from ekf_companion.engine.pipeline import Estimate, Pipeline
 from ekf_companion.engine.publisher import (
+    NEVER_NS,
     STREAMS,
     Due,
     Publisher,
@@ -114,6 +115,18 @@ class Companion:
         for measurements in self.session.steps(data, now_ns, sender):
             messages += self._process([one.row() for one in measurements], now_ns)
         return messages
+
+    def may_wait(self, data: bytes, due_ns: int = NEVER_NS) -> bool:
+        """Return whether bytes may as well be received later, with those that come after them.
+
+        They hold one message, which nobody answers, and no estimate that follows from it is due:
+        here, or from a stamp on that is due elsewhere.
+        """
+        publisher = self._publisher
+        if publisher is None:
+            return False
+        due_ns = min(due_ns, publisher.due_ns, self._health_due.pause[1])
+        return self._reader.may_wait(data, due_ns)
 
     def receive_frame(self, frame: Frame, now_ns: int) -> list[Message]:
         """Process a whole frame of a known message, as :meth:`receive` does its bytes."""

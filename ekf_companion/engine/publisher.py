@@ -28,8 +28,10 @@ _SELDOM = 0.1
 _ANY = 1000.0
 _LOOKS = 30.0
 """Of the estimate, Hz, whether ODOMETRY is due or not: between two of them it moves smoothly."""
+NEVER_NS = 1 << 63
+"""A stamp that no estimate has."""
 _NO_PAUSE = 0, 0
-_ENDLESS_PAUSE = -(1 << 63), 1 << 63
+_ENDLESS_PAUSE = -NEVER_NS, NEVER_NS
 """From one stamp, ns, until another."""
 
 
@@ -130,6 +132,11 @@ class Publisher:
         self._was_invalid = False
         self._origin: tuple[float, float, float] | None = None
         self._offset = NO_OFFSET
+
+    @property
+    def due_ns(self) -> int:
+        """The stamp from which something may be due; until then an estimate brings no message."""
+        return self._pause[1]
 
     def use_body_velocity(self) -> None:
         """Send the velocity along the body's axes: older PX4 understands no others."""

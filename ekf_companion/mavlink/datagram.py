@@ -14,7 +14,7 @@ import numpy as np
 
 from ekf_companion.mavlink.autopilot_estimate import KEPT
 from ekf_companion.mavlink.block import BlockReader
-from ekf_companion.mavlink.block_columns import INERTIAL, LATEST_US, PASSED, READ
+from ekf_companion.mavlink.block_columns import INERTIAL, LATEST_US, PASSED, READ, TIMESYNC
 from ekf_companion.mavlink.frame import HEADER_SIZE, STX_2
 from ekf_companion.mavlink.messages import CRC_EXTRAS, by_name
 from ekf_companion.mavlink.session import Session
@@ -22,11 +22,14 @@ from ekf_companion.nav.buffer import EventBuffer
 from ekf_companion.nav.measurements import WIDTH, Row
 
 SAMPLE = cython.declare(cython.int, INERTIAL)
+READ_LATER = cython.declare(cython.int, READ)
+ANSWERED = cython.declare(cython.int, TIMESYNC)
 UNREAD = cython.declare(cython.int, PASSED)
 COLUMNS = cython.declare(cython.Py_ssize_t, WIDTH)
 LAST_US = cython.declare(cython.longlong, LATEST_US)
 START = cython.declare(cython.int, STX_2)
 AROUND = cython.declare(cython.Py_ssize_t, HEADER_SIZE)
+STAMP_SIZE = cython.declare(cython.Py_ssize_t, 8)
 
 
 class DatagramReader(BlockReader):
@@ -84,6 +87,24 @@ class DatagramReader(BlockReader):
         if self.is_recording:
             self.session.outbox.record(data, now_ns)
         return self.take_rows()
+
+    def may_wait(self, data: bytes, due_ns: int) -> bool:
+        """Return whether bytes may as well be received a moment later, with those after them.
+
+        They may if they are one frame that says what the autopilot measures or estimates, which
+        nobody answers; a sample, if its stamp is before a time at which something is due.
+        """
+        size = len(data)
+        if size < AROUND or data[0] != START or data[1] + AROUND != size:
+            return False
+        number = data[7] | data[8] << 8 | data[9] << 16
+        if number >= self.kind_of.shape[0]:
+            return False
+        kind = self.kind_of[number]
+        if kind == SAMPLE:
+            stamp_us = int.from_bytes(data[10 : 10 + STAMP_SIZE], "little")
+            return stamp_us * 1000 < due_ns
+        return bool(kind >= READ_LATER and kind != ANSWERED)
 
     def look_up(self) -> None:
         """Look up where the session stands, after it has done something else."""

@@ -118,3 +118,73 @@ def test_plain_samples_are_not_left_to_the_session(kind):
         companion.tick(t_ns)
     assert len(left) > 500
     assert not any(left)
+
+
+class Patient:
+    """Receives as the daemon does: what may wait is received with what comes next."""
+
+    def __init__(self, companion):
+        self.companion, self.waiting, self.waited = companion, [], 0
+
+    def receive(self, data, t_ns):
+        self.waiting.append((data, t_ns))
+        if self.companion.may_wait(data):
+            self.waited += 1
+        else:
+            self.catch_up()
+
+    def catch_up(self):
+        for data, t_ns in self.waiting:
+            self.companion.receive(data, t_ns)
+        self.waiting = []
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_what_may_wait_delays_no_message(kind):
+    prompt, patient = Companion(STREAMING), Patient(Companion(STREAMING))
+    said, count = [], 0
+    for t_ns, frames in flown(kind):
+        for data in frames:
+            count += 1
+            prompt.receive(data, t_ns)
+            patient.receive(data, t_ns)
+            said.append(prompt.data_to_send())
+            assert patient.companion.data_to_send() == said[-1]
+        if count % 12 == 0:
+            patient.catch_up()
+            for companion in (prompt, patient.companion):
+                companion.tick(t_ns)
+    patient.catch_up()
+    assert ended(patient.companion) == ended(prompt)
+    assert sum(map(len, said)) > 100
+    assert patient.waited > 0.5 * count
+
+
+@pytest.mark.parametrize("name", ["TIMESYNC", "COMMAND_LONG", "HEARTBEAT", "PARAM_VALUE"])
+def test_what_may_be_answered_does_not_wait(name):
+    companion = Companion(STREAMING)
+    for t_ns, frames in flown(duration=8.0):
+        for data in frames:
+            companion.receive(data, t_ns)
+        companion.tick(t_ns)
+    assert companion.may_wait(Sender(1, 1).message("ATTITUDE", time_boot_ms=t_ns // 1_000_000))
+    assert not companion.may_wait(Sender(1, 1).message(name))
+
+
+def test_nothing_waits_before_there_is_an_autopilot():
+    assert not Companion(STREAMING).may_wait(Sender(1, 1).message("HIGHRES_IMU", time_usec=1))
+
+
+def test_a_sample_waits_no_longer_than_others_allow():
+    companion = Companion(STREAMING)
+    for t_ns, frames in flown(duration=8.0):
+        for data in frames:
+            if data[7:10] == NUMBER and companion.may_wait(data):
+                (frame,) = Splitter().feed(data)
+                stamp_ns = unpack(frame).time_usec * 1000
+                assert companion.may_wait(data, stamp_ns + 1)
+                assert not companion.may_wait(data, stamp_ns)
+                return
+            companion.receive(data, t_ns)
+        companion.tick(t_ns)
+    pytest.fail("no sample may wait")
