@@ -180,7 +180,7 @@ def local_velocity(odometry: Odometry) -> Odometry:
     C_nb = from_quaternion(*numbers[_QUATERNION])
     numbers[_VELOCITY] = apply(C_nb, numbers[_VELOCITY])
     numbers[_TWIST_ROWS] = _turn_rows(numbers[_TWIST_ROWS], C_nb)
-    return odometry._replace(numbers=np.array(numbers, dtype="<f4").tobytes())
+    return odometry._replace(numbers=_NUMBERS.pack(*numbers))
 
 
 def stds(odometry: Odometry) -> tuple[float, float, float]:

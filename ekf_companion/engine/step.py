@@ -12,17 +12,10 @@ from collections.abc import Sequence
 from struct import Struct
 from typing import NamedTuple
 
-from ekf_companion.nav.matrix3 import (
-    Matrix3,
-    Vector3,
-    apply,
-    from_quaternion,
-    multiply_transposed,
-)
+from ekf_companion.core.step import unexplained_step
+from ekf_companion.nav.matrix3 import Vector3, apply, from_quaternion
 from ekf_companion.nav.state import Odometry
 
-GRAVITY = 9.81
-"""m/s^2: over a tenth of a second no place on Earth differs by more than 3 mm/s."""
 _USUAL_S = 20.0
 """Time constant of the usual step."""
 _MANY = 10.0
@@ -60,15 +53,14 @@ class Pose(NamedTuple):
     t_ns: int
     pos_n: Vector3
     q_nb: Sequence[float]
-    C_nb: Matrix3
     vel_n: Vector3
 
 
 def to_pose(odometry: Odometry) -> Pose:
     """Return position, attitude and velocity of an ODOMETRY."""
     numbers = _MOTION.unpack_from(odometry.numbers)
-    C_nb = from_quaternion(*numbers[3:7])
-    return Pose(odometry.t_ns, numbers[:3], numbers[3:7], C_nb, apply(C_nb, numbers[7:]))
+    vel_n = apply(from_quaternion(*numbers[3:7]), numbers[7:])
+    return Pose(odometry.t_ns, numbers[:3], numbers[3:7], vel_n)
 
 
 class StepMeter:
@@ -93,29 +85,9 @@ class StepMeter:
         if last is None or not samples or pose.t_ns <= last.t_ns:
             return None
         dt = (pose.t_ns - last.t_ns) * 1e-9
-        columns = list(zip(*samples, strict=True))[:6]
-        means = [math.fsum(column) / len(samples) for column in columns]
-        rate_b, force_b = means[:3], means[3:]
-        turned = multiply_transposed(last.C_nb, _rotation(*(-rate * dt for rate in rate_b)))
-        error = apply(pose.C_nb, turned[0])  # the first column of the matrix from one to two
-        forces_n = zip(apply(last.C_nb, force_b), apply(turned, force_b), strict=True)
-        accel_n = [0.5 * (before + after) for before, after in forces_n]
-        accel_n[2] += GRAVITY
-        places = zip(pose.pos_n, last.pos_n, pose.vel_n, last.vel_n, strict=True)
-        speeds = zip(pose.vel_n, last.vel_n, accel_n, strict=True)
-        return Step(
-            dt,
-            [now - was - 0.5 * dt * (v + w) for now, was, v, w in places],
-            [now - was - dt * accel for now, was, accel in speeds],
-            math.atan2(error[1], error[0]),
-        )
-
-
-def _rotation(x: float, y: float, z: float) -> Matrix3:
-    """Return the matrix of a rotation vector, rad."""
-    half = 0.5 * math.sqrt(x * x + y * y + z * z)
-    scale = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
-    return from_quaternion(math.cos(half), scale * x, scale * y, scale * z)
+        before, after = ((*one.pos_n, *one.q_nb, *one.vel_n) for one in (last, pose))
+        x, y, z, vx, vy, vz, yaw = unexplained_step(before, after, samples, dt)
+        return Step(dt, (x, y, z), (vx, vy, vz), yaw)
 
 
 class Limit(NamedTuple):
