@@ -27,7 +27,6 @@ from ekf_companion.config.service import (
     SigningConfig,
     TimesyncConfig,
 )
-from ekf_companion.config.yaml_file import read_yaml
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.errors import ConfigError, LinkError
 from ekf_companion.link.address import parse_monitor, parse_peer, parse_url
@@ -66,6 +65,9 @@ class ConfigFile:
         Raises:
             ConfigError: The file cannot be read, or a key, a type or a value is wrong.
         """
+        # A log is converted without a file: then PyYAML, a thirtieth of the start, is not needed
+        from ekf_companion.config.yaml_file import read_yaml
+
         data = read_yaml(self.path)
         config, keys = parse_config(data, str(self.path)), frozenset(_leaves(data))
         if self._last is not None:
