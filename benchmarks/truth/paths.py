@@ -144,6 +144,21 @@ def fast_and_straight(draw: Draw) -> Motion:
     return Motion(way, multirotor(swing(draw, 8.0, 20.0 * DEG)))
 
 
+def steady_and_stopping(draw: Draw) -> Motion:
+    """Return a take-off, a minute of level flight at 15 m/s, a stop, and stops and starts."""
+
+    def speed(t: Array) -> Array:
+        steady = ramp(t, 16.0, 6.0) - ramp(t, 80.0, 5.0)
+        again = (0.5 - 0.5 * np.cos(TURN * (t - 95.0) / 16.0)) * (t > 95.0)
+        return np.asarray(15.0 * (steady + again))
+
+    def turn(t: Array) -> Array:
+        return 0.1 * ramp(t, 20.0, 4.0) * np.sin(TURN * t / 20.0)
+
+    way = along(draw, turn, speed, lambda t: -20.0 * ramp(t, 6.0, 10.0))
+    return Motion(way, multirotor(swing(draw, 8.0, 20.0 * DEG)))
+
+
 def aerobatics(draw: Draw, speed: float = 25.0) -> Motion:
     """Return a loop or a full roll in turn, every 16 s from 15 s on, and a turn after each."""
     way, side = draw.angle(), draw.sign()

@@ -19,7 +19,6 @@ from cython.cimports.ekf_companion.core.enums import (
     AZIMUTH_FIELD,
     E_ATT,
     E_BA,
-    E_BARO,
     E_BG,
     E_GNSS,
     E_GNSS_VEL,
@@ -34,7 +33,12 @@ from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.rotation import rotate, rotate_body, to_dcm
 from cython.cimports.ekf_companion.core.scratch import Motion
 from cython.cimports.ekf_companion.core.state import State
-from cython.cimports.ekf_companion.core.walk import add_gyro_walk, learn_walk, note_fading
+from cython.cimports.ekf_companion.core.walk import (
+    add_baro_walk,
+    add_gyro_walk,
+    learn_walk,
+    note_fading,
+)
 from cython.cimports.libc.math import cos, sin, sqrt
 
 # WGS-84, as in nav.earth
@@ -380,8 +384,10 @@ def add_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
         x.P[E_BA + j][E_BA + j] += share * k.accel_bias_walk * k.accel_bias_walk * dt
         x.P[E_IRON + j][E_IRON + j] += k.iron_walk * k.iron_walk * dt
     speed2 = x.vel_n[0] * x.vel_n[0] + x.vel_n[1] * x.vel_n[1] + x.vel_n[2] * x.vel_n[2]
-    walk2 = k.baro_walk * k.baro_walk + k.baro_speed_walk * k.baro_speed_walk * speed2
-    x.P[E_BARO][E_BARO] += walk2 * dt
+    by_speed = k.baro_speed_walk * k.baro_speed_walk * speed2 * dt
+    if k.learn_noise != 0.0:
+        by_speed *= x.walk.speed_share
+    add_baro_walk(x, k.baro_walk * k.baro_walk * dt, by_speed, speed2)
 
 
 def fade_slow_errors(x: State, k: Parameters, m: Motion, dt: float) -> None:

@@ -141,7 +141,7 @@ class FieldNoise:
 
 @struct
 class Walk:
-    """How the gyro's biases and the heading's slow error were corrected since a stretch began."""
+    """How slow errors were corrected since a stretch began: of gyro, heading and barometer."""
 
     dt: Real
     """Its time so far, s."""
@@ -163,6 +163,21 @@ class Walk:
     """How many times larger the variance of the gyro's walk is than the doubt makes it."""
     heading_share: Real
     """Share of the configured rate at which the heading's slow error changes."""
+    baro: Real
+    """The barometer's offset at its begin, m."""
+    baro_var: Real
+    """Its variance then."""
+    baro_added: Real
+    """What its walk has added since."""
+    speed_added: Real
+    """Of that, what the speed has added."""
+    least_speed: Real
+    largest_speed: Real
+    """Of the stretch, squares, (m/s)^2."""
+    redrawn: Real
+    """How often the barometer's offset had been given a new variance."""
+    speed_share: Real
+    """Share of the configured walk of the barometer by speed, variances."""
 
 
 @struct

@@ -1,11 +1,11 @@
-"""How fast biases and the compass's error change, learnt from how they are corrected."""
+"""How fast slow errors of gyro, compass and barometer change, learnt from their corrections."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from ekf_companion.core.enums import E_BG, E_HEADING
+from ekf_companion.core.enums import E_BARO, E_BG, E_HEADING
 from ekf_companion.core.state import State
 from tests.core.interpreted import load
 
@@ -18,6 +18,12 @@ LEVEL = 0.02
 TIME = 100.0
 """Its time constant, s."""
 HEADING_NOISE = 0.004
+AIR = 0.15
+"""Walk of the barometer's offset at full speed as the filter takes it, m/sqrt(s)."""
+WEATHER = 0.02
+"""Of the offset at rest."""
+HEIGHT_NOISE = 0.1
+"""Of an offset that is observed once a second, m."""
 
 
 def begun() -> State:
@@ -116,3 +122,61 @@ def test_a_stretch_without_corrections_teaches_nothing():
             walk.add_gyro_walk(x, j, WALK**2)
         walk.learn_walk(x, 1.0)
     assert (x.walk.drift, x.walk.heading_share) == (1.0, 1.0)
+
+
+def follow_baro(
+    seed: int, true: Callable[[int], float], speed: Callable[[int], float], seconds: int = 200
+) -> tuple[float, float]:
+    """Estimate an offset observed once a second; return the share learnt and the largest error.
+
+    The speed is a share of the full one; the errors are those after ten seconds, in sigmas.
+    """
+    rng, x, walk = np.random.default_rng(seed), begun(), load().walk
+    largest = 0.0
+    for n in range(seconds):
+        speed2 = speed(n) ** 2
+        walk.add_baro_walk(x, WEATHER**2, x.walk.speed_share * AIR**2 * speed2, speed2)
+        innovation = true(n) + HEIGHT_NOISE * rng.standard_normal() - x.baro_offset
+        variance = x.P[E_BARO][E_BARO]
+        change, x.P[E_BARO][E_BARO] = corrected(variance, HEIGHT_NOISE**2, innovation)
+        x.baro_offset += change
+        walk.learn_walk(x, 1.0)
+        if n > 10:
+            largest = max(largest, abs(x.baro_offset - true(n)) / x.P[E_BARO][E_BARO] ** 0.5)
+    return x.walk.speed_share, largest
+
+
+def swinging(n: int) -> float:
+    return 0.6 - 0.4 * np.cos(n / 3.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_barometer_that_no_change_of_speed_disturbs_is_learnt(seed):
+    assert follow_baro(seed, lambda n: 0.0, swinging)[0] < 0.25
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_that_walks_with_the_speed_keeps_its_share(seed):
+    steps = np.random.default_rng(200 + seed).normal(0.0, AIR, 200)
+    offsets = (steps * [swinging(n) for n in range(200)]).cumsum()
+    assert follow_baro(seed, lambda n: offsets[n], swinging)[0] > 0.3
+
+
+def test_at_a_steady_speed_nothing_is_learnt():
+    assert follow_baro(1, lambda n: 0.0, lambda n: 1.0)[0] == 1.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_offset_that_follows_the_speed_stays_within_its_sigma(seed):
+    share, largest = follow_baro(seed, lambda n: 1.5 * swinging(n) ** 2, swinging)
+    assert share > 0.3
+    assert largest < 5.0
+
+
+def test_a_barometer_that_begins_anew_teaches_nothing():
+    x, walk = begun(), load().walk
+    walk.add_baro_walk(x, WEATHER**2, AIR**2, 0.0)
+    walk.add_baro_walk(x, WEATHER**2, AIR**2, 1.0)
+    x.baro_offset, x.redrawn[E_BARO] = 30.0, 1.0
+    walk.learn_walk(x, 5.0)
+    assert x.walk.speed_share == 1.0

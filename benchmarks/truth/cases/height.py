@@ -33,6 +33,15 @@ def baro_frozen(draw: Draw) -> Readings:
     return readings
 
 
+def baro_by_speed(draw: Draw) -> Readings:
+    """Steady flight, then stops and starts; the air makes the barometer 3 m wrong at full speed."""
+    readings = flown(draw, paths.steady_and_stopping(draw), 160.0)
+    velocity = readings.flight.vel_n[readings.flight.index(readings.baro_t)]
+    pressure = np.sum(velocity**2, axis=1) / 15.0**2
+    readings.baro += draw.about(3.0) * draw.sign() * pressure
+    return readings
+
+
 def receiver_height(draw: Draw) -> Readings:
     """Hover; the receiver's height goes about 15 m away within 60 s, and back in 60 s."""
     readings = flown(draw, paths.hover(draw), 180.0)
@@ -51,6 +60,7 @@ CASES: tuple[Case, ...] = (
     baro_drift,
     baro_step,
     baro_frozen,
+    baro_by_speed,
     receiver_height,
     vertical_velocity_biased,
 )
