@@ -244,7 +244,8 @@ class BaroSettings:
     walk: Annotated[NotNegative, Setting("m/sqrt(s)", reload=True)] = 0.05
     """Random walk of the offset: weather, wind, temperature."""
     speed_walk: Annotated[NotNegative, Setting("m/sqrt(s) per m/s", reload=True)] = 0.01
-    """Random walk of the offset for each m/s of speed: the air's pressure on the hull."""
+    """Random walk of the offset for each m/s of speed: the air's pressure on the hull. With
+    imu.learn_noise less counts where the speed changes and the offset does not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
