@@ -68,7 +68,10 @@ NEXT = cython.declare(cython.double, 3e9)
 FIRST_MEMORY = cython.declare(cython.double, 25.0)
 """Weight of the initial share, in fixes."""
 FIRST_VELOCITY_MEMORY = cython.declare(cython.double, 15.0)
-"""The same of a velocity, which has three axes to be learnt from and hardly a slow error."""
+"""The same of a velocity beside good samples: it has three axes to be learnt from, and hardly a
+slow error."""
+PROVEN_DOUBT = cython.declare(cython.double, 0.03)
+"""Doubt below which samples are good."""
 LEAST_SHARE = cython.declare(cython.double, 0.01)
 """Least white share: receivers overstate their white error at most ten times."""
 LEAST_LEVEL = cython.declare(cython.double, 1e-6)
@@ -324,8 +327,9 @@ def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> 
     seen = 0.0
     own = 0.0
     noise = 0.0
-    first = FIRST_VELOCITY_MEMORY if aid == AID_VELOCITY else FIRST_MEMORY
-    memory = first + x.nis_n[aid]
+    memory = FIRST_MEMORY + x.nis_n[aid]
+    if aid == AID_VELOCITY and x.doubt < PROVEN_DOUBT:
+        memory = FIRST_VELOCITY_MEMORY + x.nis_n[aid]
     is_next = cython.declare(cython.bint, x.t - x.last_z_t[aid] < NEXT)
     x.last_z_t[aid] = x.t
     for r in range(o.rows):
