@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core import observe
+from cython.cimports.ekf_companion.core import lever, observe
 from cython.cimports.ekf_companion.core.correct import apply_delay_update, innovate
 from cython.cimports.ekf_companion.core.enums import AID_VELOCITY, E_ATT, E_BA, E_DELAY, N
 from cython.cimports.ekf_companion.core.parameters import Parameters
@@ -34,7 +34,7 @@ LONGEST = cython.declare(cython.double, 1.6e9)
 """ns; in a longer time tilt and biases tell."""
 MEMORY = cython.declare(cython.double, 40.0)
 """Gains over which their noise is learnt."""
-FIRST_MEMORY = cython.declare(cython.double, 8.0)
+FIRST_MEMORY = cython.declare(cython.double, 3.0)
 """Weight of what the receiver states, in gains."""
 CHANGE_MEMORY = cython.declare(cython.double, 8.0)
 """Pairs of fixes over which it is judged how much of a change of acceleration is noise."""
@@ -63,6 +63,8 @@ def keep_fix(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     end.t = x.t
     for i in range(2):
         end.vel_n[i] = fix.vel_n[i] - o.arm_vel_n[i]
+        for j in range(3):
+            end.turn[i][j] = o.turn_nb[i][j]
     if x.gain.var == 0.0:
         x.gain.var = 2.0 * fix.stated_var[AID_VELOCITY]
 
@@ -98,6 +100,7 @@ def compare_gains(x: State, k: Parameters, o: Observation) -> None:
     noise = MARGIN * gain.var + doubt * k.accel_noise * k.accel_noise * span
     to_dcm(x.q_nb, o.C_nb)
     true = true_share(x)
+    turning = true * lever.true_share(x)
     for i in range(2):
         change = gain.end.accel_n[i] - begin.accel_n[i]
         observe.clear(o, 1, noise)
@@ -111,6 +114,8 @@ def compare_gains(x: State, k: Parameters, o: Observation) -> None:
         o.z[0] += change * true * (x.gnss_delay - gain.end.delay)
         nis = innovate(x, o)
         learn_noise(x, o, nis)
+        if nis < LARGEST_NIS:
+            lever.learn(x, k, o, i, turning)
         if nis < LARGEST_NIS and true > 0.0:
             gain.shown += o.H[0][E_DELAY] * o.H[0][E_DELAY] * MARGIN * gain.var / noise
             apply_delay_update(x, o)

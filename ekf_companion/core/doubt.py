@@ -3,10 +3,12 @@
 White noise shows in the samples themselves. Vibration near a multiple of their rate, a range that
 is exceeded, a sensor that sits askew do not: they show at the receiver, where what the samples add
 up to is off to the same side at one fix as at the one before. So the correlation of consecutive
-innovations raises the doubt, and innovations smaller than expected lower it. A receiver that is
+innovations raises the doubt, beyond what chance makes, and innovations smaller than expected lower
+it: the further, the more the vehicle manoeuvres. A receiver that is
 refused again and again shows it too, if its position moves as its velocity says.
 
-Source: correlated innovations of a filter that trusts its model too much, Mehra 1970.
+Source: correlated innovations of a filter that trusts its model too much, Mehra 1970; a sum that
+chance does not raise, Page 1954, "Continuous inspection schemes".
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import cython
 from cython.cimports.ekf_companion.core import force
 from cython.cimports.ekf_companion.core.enums import AID_POSITION, AID_VELOCITY, N
 from cython.cimports.ekf_companion.core.parameters import Parameters
+from cython.cimports.ekf_companion.core.past import acceleration_noise
 from cython.cimports.ekf_companion.core.rotation import wrap
 from cython.cimports.ekf_companion.core.scratch import Fix, ImuRow, Motion, Observation
 from cython.cimports.ekf_companion.core.state import State
@@ -22,7 +25,9 @@ from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
 NAN = cython.declare(cython.double, float("nan"))
 NEVER = cython.declare(cython.double, -1e18)
-LEAST_DOUBT = cython.declare(cython.double, 0.0003)
+LEAST_DOUBT = cython.declare(cython.double, 3e-5)
+QUIET_DOUBT = cython.declare(cython.double, 0.0003)
+"""The same while the vehicle does not manoeuvre."""
 LARGEST_DOUBT = cython.declare(cython.double, 1e4)
 MEMORY = cython.declare(cython.double, 60e9)
 """Time constant with which the worst doubt is forgotten, ns: vibration comes back."""
@@ -32,6 +37,10 @@ REMEMBERED = cython.declare(cython.double, 0.1)
 """Share of the worst doubt that is kept."""
 GAIN = cython.declare(cython.double, 0.4)
 """Change of the logarithm of the doubt for a correlation of one."""
+CHANCE = cython.declare(cython.double, 0.3)
+"""Correlation of two innovations that is taken for chance while there is no doubt."""
+CHANCE_DOUBT = cython.declare(cython.double, 0.02)
+"""Doubt at which half of that is."""
 SMALLNESS = cython.declare(cython.double, 0.3)
 """Weight of innovations that are smaller than expected, beside their correlation."""
 POWER_MEMORY = cython.declare(cython.double, 30.0)
@@ -63,7 +72,12 @@ LEAST_FORCE_NOISE = cython.declare(cython.double, 4e-6)
 """Likewise of its accelerometer, m^2/s^3."""
 USUAL_DOUBT = cython.declare(cython.double, 0.03)
 """Doubt at which biases walk as configured."""
-LEAST_WALK = cython.declare(cython.double, 0.03)
+LEAST_WALK = cython.declare(cython.double, 0.01)
+QUIET_WALK = cython.declare(cython.double, 0.03)
+"""The same while the vehicle does not manoeuvre."""
+QUIET = cython.declare(cython.double, 0.1)
+"""Mean square of the change of acceleration within a second, an axis, that is half a manoeuvre,
+(m/s^2)^2."""
 LARGEST_WALK = cython.declare(cython.double, 4.0)
 LARGEST_GYRO_WALK = cython.declare(cython.double, 9.0)
 """Largest variance of the gyro's walk, of the configured one: 0.14 deg/s in a minute."""
@@ -98,13 +112,33 @@ def restart(x: State) -> None:
     x.innovation_t = NEVER
 
 
+def chance(x: State) -> float:
+    """Return the correlation of two innovations that is taken for chance.
+
+    Without it the doubt wanders, and is in the mean ten times what there is to doubt. Where it
+    counts already, and where nothing moves that would lower it again, none is.
+    """
+    return CHANCE * CHANCE_DOUBT / (CHANCE_DOUBT + x.doubt) * (1.0 - quiet_share(x))
+
+
+def quiet_share(x: State) -> float:
+    """Return how little the vehicle manoeuvres, 0 to 1.
+
+    While its acceleration stays the same, tilt, biases and the receiver's slow errors cannot be
+    told apart, and innovations that are small do not show that the samples are good.
+    """
+    square = x.gain.change - 2.0 * acceleration_noise(x)
+    return QUIET / (QUIET + square) if square > 0.0 else 1.0
+
+
 def walk_share(x: State) -> float:
     """Return the share of the configured random walks of the biases that counts.
 
     A bias that changes with vibration or temperature shows as any other doubt.
     """
     share = x.doubt / USUAL_DOUBT
-    share = share if share > LEAST_WALK else LEAST_WALK
+    least = LEAST_WALK + (QUIET_WALK - LEAST_WALK) * quiet_share(x)
+    share = share if share > least else least
     return share if share < LARGEST_WALK else LARGEST_WALK
 
 
@@ -205,7 +239,7 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
     x.innovation_t = x.t
     if nis > k.gate[o.rows - 1]:  # who is wrong is not known yet
         return
-    pull = x.correlation
+    pull = x.correlation - chance(x)
     if smallness < 0.0:
         pull += SMALLNESS * smallness
     if excess > FAIR_EXCESS:
@@ -234,8 +268,9 @@ def remember_doubt(x: State) -> None:
 def bound_doubt(x: State) -> None:
     """Keep the doubt within its bounds."""
     least = REMEMBERED * (x.worst_doubt - 1.0)
-    if least < LEAST_DOUBT:
-        least = LEAST_DOUBT
+    floor = LEAST_DOUBT + (QUIET_DOUBT - LEAST_DOUBT) * quiet_share(x)
+    if least < floor:
+        least = floor
     if not x.doubt > least:
         x.doubt = least
     if x.doubt > LARGEST_DOUBT:

@@ -67,6 +67,11 @@ NEXT = cython.declare(cython.double, 3e9)
 """Longest time between innovations that are compared, ns."""
 FIRST_MEMORY = cython.declare(cython.double, 25.0)
 """Weight of the initial share, in fixes."""
+FIRST_VELOCITY_MEMORY = cython.declare(cython.double, 15.0)
+"""The same of a velocity beside good samples: it has three axes to be learnt from, and hardly a
+slow error."""
+PROVEN_DOUBT = cython.declare(cython.double, 0.03)
+"""Doubt below which samples are good."""
 LEAST_SHARE = cython.declare(cython.double, 0.01)
 """Least white share: receivers overstate their white error at most ten times."""
 LEAST_LEVEL = cython.declare(cython.double, 1e-6)
@@ -323,6 +328,8 @@ def learn_white_share(x: State, o: Observation, aid: int, stated_var: float) -> 
     own = 0.0
     noise = 0.0
     memory = FIRST_MEMORY + x.nis_n[aid]
+    if aid == AID_VELOCITY and x.doubt < PROVEN_DOUBT:
+        memory = FIRST_VELOCITY_MEMORY + x.nis_n[aid]
     is_next = cython.declare(cython.bint, x.t - x.last_z_t[aid] < NEXT)
     x.last_z_t[aid] = x.t
     for r in range(o.rows):

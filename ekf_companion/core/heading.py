@@ -71,7 +71,7 @@ NEXT = cython.declare(cython.double, 1e9)
 """Silence of the magnetometer after which its noise is learnt from a new block, ns."""
 FIELD_BLOCK = cython.declare(cython.double, 1.9e9)
 """Least length of a block, ns."""
-FIRST_MEMORY = cython.declare(cython.double, 5.0)
+FIRST_MEMORY = cython.declare(cython.double, 3.0)
 """Blocks that what is configured counts for."""
 LARGEST_MEMORY = cython.declare(cython.double, 25.0)
 """Blocks over which the noise is learnt."""

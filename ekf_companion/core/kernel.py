@@ -20,6 +20,7 @@ from cython.cimports.ekf_companion.core import (
     gate,
     gnss,
     heading,
+    lever,
     past,
     propagate,
     tape,
@@ -218,6 +219,7 @@ def start(x: State, t: float) -> None:
     x.field.declination = NAN
     doubt.restart(x)
     walk.restart(x)
+    lever.restart(x)
     heading.forget_field_noise(x)
     if x.white_share[AID_POSITION] == 0.0:
         # of a receiver that nothing is known of from before

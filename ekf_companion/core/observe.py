@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
+from cython.cimports.ekf_companion.core import lever
 from cython.cimports.ekf_companion.core.enums import (
     E_ATT,
     E_BARO,
@@ -68,6 +69,9 @@ def lever_arm(x: State, k: Parameters, o: Observation) -> None:
     vz = wx * ly - wy * lx
     to_dcm(x.q_nb, o.C_nb)
     for i in range(3):
+        o.turn_nb[i][0] = o.C_nb[i][1] * wz - o.C_nb[i][2] * wy
+        o.turn_nb[i][1] = o.C_nb[i][2] * wx - o.C_nb[i][0] * wz
+        o.turn_nb[i][2] = o.C_nb[i][0] * wy - o.C_nb[i][1] * wx
         o.arm_n[i] = o.C_nb[i][0] * lx + o.C_nb[i][1] * ly + o.C_nb[i][2] * lz
         o.arm_vel_n[i] = o.C_nb[i][0] * vx + o.C_nb[i][1] * vy + o.C_nb[i][2] * vz
 
@@ -128,11 +132,7 @@ def velocity(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     lever_arm(x, k, o)
     look_back(x, x.gnss_delay, address(o.then))
     add_timing_noise(o, k, o.then.accel_n)
-    turn = 0.0
-    for i in range(3):
-        turn += (x.gyro[i] - x.gyro_bias[i]) * (x.gyro[i] - x.gyro_bias[i])
-    for r in range(o.rows):
-        o.R[r][r] += k.lever_var * turn
+    lever.add_noise(x, k, o)
     for i in range(o.rows):
         antenna = x.vel_n[i] + o.arm_vel_n[i] - o.then.since[i]
         o.z[i] = fix.vel_n[i] - (antenna + x.gnss_vel_offset[i])

@@ -50,7 +50,7 @@ SOMIGLIANA = cython.declare(cython.double, 0.00193185265241)
 FREE_AIR = cython.declare(cython.double, 3.0877e-6)
 SMOOTH = cython.declare(cython.double, 0.05)
 """s; time constant of the acceleration, of which one sample has too much noise."""
-PROVEN_SHARE = cython.declare(cython.double, 0.5)
+PROVEN_SHARE = cython.declare(cython.double, 0.25)
 """Least share of the variance of a compass's slow error that counts: one look at it by GNSS, which
 found none, makes no more of the little that is known before."""
 SLOW_INTERVAL = cython.declare(cython.double, 0.0199)

@@ -126,6 +126,8 @@ class Observation:
     """Lever arm of the antenna, m."""
     arm_vel_n: Annotated[Vector, 3]
     """Velocity that the antenna has from the turn, m/s."""
+    turn_nb: Annotated[Vector, 3, 3]
+    """C_nb [rate x]: what velocity a lever arm in b has in n, 1/s."""
     then: Then
 
     PHt: Annotated[Vector, 3, N]

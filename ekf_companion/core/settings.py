@@ -98,7 +98,7 @@ class ImuSettings:
     ] = 3e-2
     """White noise of the specific force, likewise. EKF2: 0.35 m/s^2 at 100 Hz, which is 3.5e-2."""
     gyro_bias_walk: Annotated[NotNegative, Setting("rad/s/sqrt(s)", reload=True)] = 1e-4
-    """Random walk of the gyro bias, as EKF2 and EKF3 take it. With learn_noise 0.03 to 9 times its
+    """Random walk of the gyro bias, as EKF2 and EKF3 take it. With learn_noise 0.01 to 9 times its
     variance counts: less while fixes and samples agree, more while the bias runs one way, as it
     does while a sensor warms up."""
     accel_bias_walk: Annotated[NotNegative, Setting("m/s^2/sqrt(s)", reload=True)] = 5e-4
@@ -206,7 +206,7 @@ class HeadingSettings:
         Positive, Setting("rad", reload=True, param=Param(11, "EC_MAG_NSE", 1e-3, 1.0))
     ] = 0.02
     """One sigma of the slow error of a compass heading beside hard iron: of the declination, the
-    scale, the mounting. Where GNSS shows in motion that it is smaller, 0.7 of this counts."""
+    scale, the mounting. Where GNSS shows in motion that it is smaller, half of this counts."""
     hard_iron_std: Annotated[Positive, Setting("gauss")] = 0.01
     """One sigma per axis of the vehicle's own field that calibration leaves. Raise it where motor
     currents turn the compass. The filter finds it as soon as the vehicle turns."""

@@ -153,6 +153,8 @@ class Walk:
     """What their walk has added since."""
     last: Annotated[Vector, 3]
     """Sum of their corrections in the stretch before, sigmas."""
+    slow_dt: Real
+    """Time since the stretch of heading and barometer began, s."""
     offset: Real
     """The heading's slow error at its begin, faded since, rad."""
     offset_var: Real
@@ -390,6 +392,8 @@ class GainEnd:
     """Its velocity, m/s."""
     until: Annotated[Vector, 2]
     """What the samples had gained when it was true, m/s."""
+    turn: Annotated[Vector, 2, 3]
+    """What velocity a lever arm had, n e by b, 1/s."""
     accel_n: Annotated[Vector, 2]
     """Acceleration when it was true, m/s^2."""
 
@@ -408,6 +412,18 @@ class Gain:
     """Mean square of the change of acceleration over the last gains, an axis, (m/s^2)^2."""
     shown: Real
     """Sum of the squares of how they depend on the delay, (m/s^2)^2."""
+
+
+@struct
+class Lever:
+    """What fixes in turns have shown of the lever arm beside the one that is configured."""
+
+    arm_b: Annotated[Vector, 3]
+    """Of its configured sigma."""
+    P: Annotated[Vector, 3, 3]
+    """Its covariance, of the configured variance."""
+    change: Real
+    """Mean square of the change of rate over the last gains of velocity, all axes, (rad/s)^2."""
 
 
 @struct
@@ -469,6 +485,7 @@ class State:
     """Acceleration in n, smoothed over some samples, m/s^2."""
     past: Past
     gain: Gain
+    lever: Lever
     armed: Real
     landed: Real
     ground: Real

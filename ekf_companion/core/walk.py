@@ -20,13 +20,16 @@ from cython.cimports.ekf_companion.core.enums import E_BARO, E_BG, E_HEADING
 from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import exp, sqrt
 
-STRETCH = cython.declare(cython.double, 5.0)
-"""Time over which corrections are added up, s."""
+STRETCH = cython.declare(cython.double, 1.5)
+"""Time over which corrections are added up, s: with 5 s a gyro that runs away from the start was
+known to after a minute."""
+SLOW_STRETCH = cython.declare(cython.double, 5.0)
+"""The same for the slow errors of heading and barometer."""
 LEAST_SEEN = cython.declare(cython.double, 0.1)
 """Share of what a walk has added that must be seen in a stretch for it to tell anything."""
 DRIFT_GAIN = cython.declare(cython.double, 1.0)
 """Change of the logarithm of the gyro's share for corrections that go on as they were."""
-CHANCE = cython.declare(cython.double, 0.3)
+CHANCE = cython.declare(cython.double, 0.2)
 """Correlation of corrections that is taken for chance."""
 LARGEST_DRIFT = cython.declare(cython.double, 1000.0)
 """Largest share of the gyro: more than what takes the walk from its least to its largest."""
@@ -52,16 +55,23 @@ def restart(x: State) -> None:
     for j in range(3):
         walk.last[j] = 0.0
     begin_stretch(x)
+    begin_slow_stretch(x)
 
 
 def begin_stretch(x: State) -> None:
-    """Begin a new stretch."""
+    """Begin a new stretch of the gyro's corrections."""
     walk = address(x.walk)
     walk.dt = 0.0
     for j in range(3):
         walk.bias[j] = x.gyro_bias[j]
         walk.var[j] = x.P[E_BG + j][E_BG + j]
         walk.added[j] = 0.0
+
+
+def begin_slow_stretch(x: State) -> None:
+    """Begin a new stretch of those of heading and barometer."""
+    walk = address(x.walk)
+    walk.slow_dt = 0.0
     walk.offset = x.heading_offset
     walk.offset_var = x.P[E_HEADING][E_HEADING]
     walk.offset_added = 0.0
@@ -100,14 +110,16 @@ def note_fading(x: State, faded: float, level: float) -> None:
 
 
 def learn_walk(x: State, dt: float) -> None:
-    """Learn from the stretch, if the time dt (s) ends it."""
+    """Learn from the stretches that the time dt (s) ends."""
     x.walk.dt += dt
-    if x.walk.dt < STRETCH:
-        return
-    learn_drift(x)
-    learn_heading_share(x)
-    learn_speed_share(x)
-    begin_stretch(x)
+    x.walk.slow_dt += dt
+    if x.walk.dt >= STRETCH:
+        learn_drift(x)
+        begin_stretch(x)
+    if x.walk.slow_dt >= SLOW_STRETCH:
+        learn_heading_share(x)
+        learn_speed_share(x)
+        begin_slow_stretch(x)
 
 
 def learn_drift(x: State) -> None:

@@ -180,7 +180,7 @@ def test_a_compass_that_is_shown_to_be_right_counts_as_better_within_limits():
     # while nothing shows the error, nothing changes
     assert found["unknown"] == found["wrong"] == pytest.approx(0.02)
     assert found["part"] == pytest.approx(0.016)
-    assert found["right"] == pytest.approx(0.02 * np.sqrt(0.5))
+    assert found["right"] == pytest.approx(0.02 * np.sqrt(0.25))
 
     # another estimate's error wanders with time, whatever GNSS has found
     x.azimuth, x.heading_offset, row[E_HEADING] = Azimuth.OTHER, 0.0, 0.005**2
