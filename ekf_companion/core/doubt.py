@@ -72,7 +72,7 @@ LEAST_FORCE_NOISE = cython.declare(cython.double, 4e-6)
 """Likewise of its accelerometer, m^2/s^3."""
 USUAL_DOUBT = cython.declare(cython.double, 0.03)
 """Doubt at which biases walk as configured."""
-LEAST_WALK = cython.declare(cython.double, 0.01)
+LEAST_WALK = cython.declare(cython.double, 0.007)
 QUIET_WALK = cython.declare(cython.double, 0.03)
 """The same while the vehicle does not manoeuvre."""
 QUIET = cython.declare(cython.double, 0.1)

@@ -98,7 +98,7 @@ class ImuSettings:
     ] = 3e-2
     """White noise of the specific force, likewise. EKF2: 0.35 m/s^2 at 100 Hz, which is 3.5e-2."""
     gyro_bias_walk: Annotated[NotNegative, Setting("rad/s/sqrt(s)", reload=True)] = 1e-4
-    """Random walk of the gyro bias, as EKF2 and EKF3 take it. With learn_noise 0.01 to 9 times its
+    """Random walk of the gyro bias, as EKF2 and EKF3 take it. With learn_noise 0.007 to 9 times its
     variance counts: less while fixes and samples agree, more while the bias runs one way, as it
     does while a sensor warms up."""
     accel_bias_walk: Annotated[NotNegative, Setting("m/s^2/sqrt(s)", reload=True)] = 5e-4
