@@ -14,6 +14,6 @@ cdef void multiply_rows(State *x, Motion *m, double dt) noexcept nogil
 cdef void multiply_columns(State *x, Motion *m, double dt) noexcept nogil
 cdef void add_noise(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
 cdef void fade_slow_errors(State *x, Parameters *k, Motion *m, double dt) noexcept nogil
-cdef double heading_level(State *x) noexcept nogil
+cdef double heading_level(State *x, Parameters *k) noexcept nogil
 cdef void decay(State *x, Py_ssize_t e, double g, double level) noexcept nogil
 cdef void write_transition(Parameters *k, Motion *m, double dt, double Phi[N][N]) noexcept nogil

@@ -394,7 +394,7 @@ def fade_slow_errors(x: State, k: Parameters, m: Motion, dt: float) -> None:
     """Let the slow errors of heading and GNSS forget themselves; each is kept at its level."""
     share = x.walk.heading_share if k.learn_noise != 0.0 else 1.0
     faded = share * dt / (share * dt + k.heading_time)
-    level = heading_level(x)
+    level = heading_level(x, k)
     x.heading_offset -= faded * x.heading_offset
     decay(x, E_HEADING, faded, level)
     note_fading(x, faded, level)
@@ -409,7 +409,7 @@ def fade_slow_errors(x: State, k: Parameters, m: Motion, dt: float) -> None:
         decay(x, E_GNSS_VEL + i, faded, x.gnss_vel_offset_var)
 
 
-def heading_level(x: State) -> float:
+def heading_level(x: State, k: Parameters) -> float:
     """Return the variance that the heading's slow error has in the long run, rad^2.
 
     A compass whose error GNSS has shown to be small counts as better than expected: the level is
@@ -417,7 +417,7 @@ def heading_level(x: State) -> float:
     While nothing shows the error, its variance is the level already, and nothing changes.
     """
     level = x.heading_std * x.heading_std
-    if x.azimuth != AZIMUTH_FIELD:
+    if x.azimuth != AZIMUTH_FIELD or k.learn_noise == 0.0:
         return level
     seen = x.heading_offset * x.heading_offset + x.P[E_HEADING][E_HEADING]
     least = PROVEN_SHARE * level

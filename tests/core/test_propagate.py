@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 from ekf_companion.core.enums import E_HEADING, Azimuth, N
+from ekf_companion.core.parameters import Parameters
 from ekf_companion.core.scratch import Motion, TapeRecord
 from ekf_companion.core.state import State
 from ekf_companion.nav import earth, so3
@@ -165,8 +166,8 @@ def test_two_samples_in_a_row_show_coning_and_sculling(kind):
 
 
 def test_a_compass_that_is_shown_to_be_right_counts_as_better_within_limits():
-    x, level = a_state(3), load().propagate.heading_level
-    x.heading_std, x.azimuth = 0.02, Azimuth.FIELD
+    x, k, level = a_state(3), Parameters(), load().propagate.heading_level
+    x.heading_std, x.azimuth, k.learn_noise = 0.02, Azimuth.FIELD, 1.0
     row = array(x.P)[E_HEADING]
     found = {}
     for case, offset, std in (
@@ -176,7 +177,7 @@ def test_a_compass_that_is_shown_to_be_right_counts_as_better_within_limits():
         ("wrong", 0.03, 0.005),
     ):
         x.heading_offset, row[E_HEADING] = offset, std**2
-        found[case] = np.sqrt(level(x))
+        found[case] = np.sqrt(level(x, k))
     # while nothing shows the error, nothing changes
     assert found["unknown"] == found["wrong"] == pytest.approx(0.02)
     assert found["part"] == pytest.approx(0.016)
@@ -184,4 +185,7 @@ def test_a_compass_that_is_shown_to_be_right_counts_as_better_within_limits():
 
     # another estimate's error wanders with time, whatever GNSS has found
     x.azimuth, x.heading_offset, row[E_HEADING] = Azimuth.OTHER, 0.0, 0.005**2
-    assert level(x) == pytest.approx(0.02**2)
+    assert level(x, k) == pytest.approx(0.02**2)
+    # with learn_noise off only what is configured counts
+    x.azimuth, k.learn_noise = Azimuth.FIELD, 0.0
+    assert level(x, k) == pytest.approx(0.02**2)
