@@ -4,8 +4,8 @@ White noise shows in the samples themselves. Vibration near a multiple of their 
 is exceeded, a sensor that sits askew do not: they show at the receiver, where what the samples add
 up to is off to the same side at one fix as at the one before. So the correlation of consecutive
 innovations raises the doubt, beyond what chance makes, and innovations smaller than expected lower
-it: the further, the more the vehicle manoeuvres. A receiver that is
-refused again and again shows it too, if its position moves as its velocity says.
+it: the further, the more the vehicle manoeuvres. A receiver that is refused again and again shows
+it too, if its position moves as its velocity says.
 
 Source: correlated innovations of a filter that trusts its model too much, Mehra 1970; a sum that
 chance does not raise, Page 1954, "Continuous inspection schemes".
