@@ -1,6 +1,7 @@
 """``ekf-companion status``: against the real daemon, against nobody, and against something else."""
 
 import asyncio
+import codecs
 import contextlib
 import fcntl
 import json
@@ -295,6 +296,7 @@ class Screen:
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
         environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
         self._terminal = ours
+        self._text = codecs.getincrementaldecoder("utf-8")()
         with os.fdopen(theirs, "r+b", 0) as terminal:
             files = {"stdin": terminal, "stdout": terminal, "stderr": terminal}
             self.process = subprocess.Popen(
@@ -324,7 +326,8 @@ class Screen:
                     return plain.replace("\r", "").split("\n")
             assert time.monotonic() < end, self.shown
             if select.select([self._terminal], [], [], 1.0)[0]:
-                self.shown += os.read(self._terminal, 1 << 16).decode()
+                # A read may end within a character
+                self.shown += self._text.decode(os.read(self._terminal, 1 << 16))
 
 
 def test_what_is_watched_fits_the_terminal_scrolls_and_ends_with_a_key(daemon):
