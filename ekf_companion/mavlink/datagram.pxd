@@ -8,8 +8,10 @@ cdef class DatagramReader(BlockReader):
     cdef bint is_recording, is_open
     @cython.locals(end=cython.Py_ssize_t, number=cython.int, kind=cython.int)
     cpdef read_datagram(self, bytes data, object now_ns, object sender)
-    @cython.locals(size=cython.Py_ssize_t, number=cython.int, kind=cython.int)
+    @cython.locals(number=cython.int, kind=cython.int)
     cpdef bint may_wait(self, bytes data, object due_ns) except -1
+    @cython.locals(size=cython.Py_ssize_t, number=cython.int)
+    cdef int message_of(self, bytes data) noexcept
     cdef look_up(self)
     @cython.locals(
         ax=cython.double, ay=cython.double, az=cython.double,

@@ -58,10 +58,8 @@ class DatagramReader(BlockReader):
         What it says is counted, and recorded, as the session would.
         """
         end = len(data) - 2
-        if end + 2 < AROUND or data[0] != START or data[2] != 0 or data[1] + AROUND != end + 2:
-            return None
-        number = data[7] | data[8] << 8 | data[9] << 16
-        if number >= self.kind_of.shape[0]:
+        number = self.message_of(data)
+        if number < 0 or data[2] != 0:
             return None
         kind = self.kind_of[number]
         if kind != SAMPLE and kind != UNREAD:
@@ -94,17 +92,22 @@ class DatagramReader(BlockReader):
         They may if they are one frame that says what the autopilot measures or estimates, which
         nobody answers; a sample, if its stamp is before a time at which something is due.
         """
-        size = len(data)
-        if size < AROUND or data[0] != START or data[1] + AROUND != size:
-            return False
-        number = data[7] | data[8] << 8 | data[9] << 16
-        if number >= self.kind_of.shape[0]:
+        number = self.message_of(data)
+        if number < 0:
             return False
         kind = self.kind_of[number]
         if kind == SAMPLE:
             stamp_us = int.from_bytes(data[10 : 10 + STAMP_SIZE], "little")
             return stamp_us * 1000 < due_ns
         return bool(kind >= READ_LATER and kind != ANSWERED)
+
+    def message_of(self, data: bytes) -> int:
+        """Return the id of the message of a datagram of one frame; -1: it is none that is known."""
+        size = len(data)
+        if size < AROUND or data[0] != START or data[1] + AROUND != size:
+            return -1
+        number: int = data[7] | data[8] << 8 | data[9] << 16
+        return number if number < self.kind_of.shape[0] else -1
 
     def look_up(self) -> None:
         """Look up where the session stands, after it has done something else."""
