@@ -3,6 +3,7 @@ from ekf_companion.core.scratch cimport Observation
 from ekf_companion.core.state cimport State
 cdef void count_verdict(State *x, Py_ssize_t aid, Py_ssize_t verdict) noexcept nogil
 cdef bint is_timed_out(State *x, Py_ssize_t aid, double limit) noexcept nogil
+cdef bint is_ruled_out(State *x, Py_ssize_t aid) noexcept nogil
 cdef bint is_refused_for(State *x, Py_ssize_t aid, double limit) noexcept nogil
 cdef bint fuse(State *x, Parameters *k, Observation *o, Py_ssize_t aid) noexcept nogil
 cdef bint fuse_judged(State *x, Parameters *k, Observation *o, Py_ssize_t aid, double nis) noexcept nogil
@@ -12,4 +13,4 @@ cdef void score(State *x, Observation *o, double nis, double gate) noexcept nogi
 cdef void begin_reset(State *x, double reason) noexcept nogil
 cdef void add_to_run(State *x, Observation *o, Py_ssize_t aid) noexcept nogil
 cdef void clear_run(State *x, Py_ssize_t aid) noexcept nogil
-cdef bint is_proven(State *x, Py_ssize_t aid, Py_ssize_t rows, double stated, double drift) noexcept nogil
+cdef bint is_proven(State *x, Py_ssize_t aid, Py_ssize_t rows, double stated, double drift, double shortest) noexcept nogil

@@ -31,8 +31,6 @@ from cython.cimports.ekf_companion.core.scratch import Observation
 from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import fabs, log, sqrt
 
-SHORTEST_RUN = cython.declare(cython.double, 3.0)
-"""Least duration of a run of innovations to be tested, s."""
 LONGEST_RUN = cython.declare(cython.double, 30.0)
 """Duration after which a run that failed the test begins anew, s."""
 FEWEST = cython.declare(cython.double, 4.0)
@@ -44,6 +42,8 @@ LARGEST_SCATTER = cython.declare(cython.double, 9.0)
 LARGEST_SHARE = cython.declare(cython.double, 9.0)
 """Largest learnt share that one look may show: noise is understated at most three times."""
 SIGMAS = cython.declare(cython.double, 3.0)
+RULED_OUT = cython.declare(cython.double, 1e20)
+"""Ratio of an observation that is refused for another reason than its own distance."""
 
 
 def count_verdict(x: State, aid: int, verdict: int) -> None:
@@ -59,6 +59,11 @@ def is_timed_out(x: State, aid: int, limit: float) -> bool:
 def is_refused_for(x: State, aid: int, limit: float) -> bool:
     """Return whether all of an aid have been refused for longer than a time, s."""
     return x.refused_t[aid] > x.used_t[aid] and x.t - x.refused_t[aid] > limit * 1e9
+
+
+def is_ruled_out(x: State, aid: int) -> bool:
+    """Return whether the last of an aid was refused for what many of them show together."""
+    return x.ratio[aid] > RULED_OUT
 
 
 def fuse(x: State, k: Parameters, o: Observation, aid: int) -> bool:
@@ -166,7 +171,9 @@ def clear_run(x: State, aid: int) -> None:
         x.run[aid].tz[r] = 0.0
 
 
-def is_proven(x: State, aid: int, rows: int, stated: float, drift: float) -> bool:
+def is_proven(
+    x: State, aid: int, rows: int, stated: float, drift: float, shortest: float
+) -> bool:
     """Return whether the run of a receiver's aid is consistent, so that the state is reset to it.
 
     Args:
@@ -175,11 +182,12 @@ def is_proven(x: State, aid: int, rows: int, stated: float, drift: float) -> boo
         rows: Rows of its observations.
         stated: Variance that the receiver states for one row.
         drift: Variance of our own drift, per s^2: what slope says nothing against the aid.
+        shortest: Least duration of the run, s.
     """
     n = x.run[aid].n
     largest = 0.0
     scatter = x.run[aid].zz
-    if n < FEWEST or x.t - x.run[aid].t0 < SHORTEST_RUN * 1e9:
+    if n < FEWEST or x.t - x.run[aid].t0 < shortest * 1e9:
         return False
     spread = x.run[aid].tt - x.run[aid].t * x.run[aid].t / n
     if not spread > 0.0:

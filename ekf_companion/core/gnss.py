@@ -103,8 +103,12 @@ FEW_SIGMAS = cython.declare(cython.double, 10.0)
 """A position off by less than so many sigmas of ours may have become so by itself."""
 OWN_DRIFT = cython.declare(cython.double, 0.5)
 """Drift of our position that is possible while the velocity is fused and agrees, m/s."""
+LARGEST_DRIFT = cython.declare(cython.double, (OWN_DRIFT / 3.0) ** 2)
+"""Variance of which that is three sigma, m^2/s^2."""
 LONGEST_PATIENCE = cython.declare(cython.double, 30.0)
 """Longest time for which a position that drift cannot explain is refused, s."""
+SHORTEST_RUN = cython.declare(cython.double, 3.0)
+"""Least duration of a run of refused fixes that proves them, s."""
 SAME_CAUSE = cython.declare(cython.double, 2.0)
 """A height refused for this time when the position is reset is reset too, s."""
 
@@ -210,22 +214,34 @@ def is_used(x: State, k: Parameters, flags: int) -> bool:
 def is_frozen(x: State, values: GnssRow) -> bool:
     """Return whether the receiver repeats one position to the bit while the vehicle moves.
 
-    Found once, it stays so until the position changes: our own velocity is soon not known well.
+    It moves by our own velocity, or by the receiver's, which is repeated and not zero, unless we
+    rest. Found once, it stays so until the position changes: our velocity is soon not known well.
     """
     is_same = cython.declare(
         cython.bint,
         x.last_fix[0] == values.lat and x.last_fix[1] == values.lon and x.last_fix[2] == values.alt,
     )
+    has_same_vel = cython.declare(
+        cython.bint,
+        x.last_fix_vel[0] == values.vel_n[0] and x.last_fix_vel[1] == values.vel_n[1],
+    )
+    is_sent_moving = cython.declare(cython.bint, values.vel_n[0] != 0.0 or values.vel_n[1] != 0.0)
     x.last_fix[0] = values.lat
     x.last_fix[1] = values.lon
     x.last_fix[2] = values.alt
+    x.last_fix_vel[0] = values.vel_n[0]
+    x.last_fix_vel[1] = values.vel_n[1]
     speed = 0.0
     sigma = 0.0
     for i in range(3):
         speed += x.vel_n[i] * x.vel_n[i]
         sigma += x.P[E_VEL + i][E_VEL + i]
     x.fix_repeats = x.fix_repeats + 1.0 if is_same else 0.0
-    if x.mode == MODE_NAVIGATE and x.fix_repeats >= REPEATS and speed > 1.0 + 9.0 * sigma:
+    is_moving = cython.declare(
+        cython.bint,
+        speed > 1.0 + 9.0 * sigma or (has_same_vel and is_sent_moving and x.at_rest == 0.0),
+    )
+    if x.mode == MODE_NAVIGATE and x.fix_repeats >= REPEATS and is_moving:
         x.fix_repeats = FROZEN
     return x.fix_repeats >= FROZEN
 
@@ -390,7 +406,7 @@ def fuse_velocity(x: State, k: Parameters, w: Scratch) -> bool:
         doubt.doubt_refusal(x, k, fix, o)
     if not gate.is_timed_out(x, AID_VELOCITY, k.timeout_vel):
         return True
-    if gate.is_proven(x, AID_VELOCITY, o.rows, fix.stated_var[2], JERK):
+    if gate.is_proven(x, AID_VELOCITY, o.rows, fix.stated_var[2], JERK, SHORTEST_RUN):
         gate.begin_reset(x, RESET_VELOCITY)
         reset_velocity(x, k, w)
         return True
@@ -403,13 +419,18 @@ def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
     north = x.P[E_VEL][E_VEL]
     east = x.P[E_VEL + 1][E_VEL + 1]
     drift = north if north > east else east
+    if not gate.is_timed_out(x, AID_VELOCITY, SAME_CAUSE) and drift > LARGEST_DRIFT:
+        # more would be the receiver's position against its own velocity
+        drift = LARGEST_DRIFT
     observe.position(x, k, fix, address(w.observation))
     if fuse(x, k, w, AID_POSITION):
         x.refused_way[0] = 0.0
         x.refused_way[1] = 0.0
         return
-    if not gate.is_refused_for(x, AID_POSITION, position_patience(x, k, w)) or not gate.is_proven(
-        x, AID_POSITION, 2, fix.stated_var[0], drift
+    patience = position_patience(x, k, w)
+    shortest = 0.5 * patience if 0.5 * patience > SHORTEST_RUN else SHORTEST_RUN
+    if not gate.is_refused_for(x, AID_POSITION, patience) or not gate.is_proven(
+        x, AID_POSITION, 2, fix.stated_var[0], drift, shortest
     ):
         return
     gate.begin_reset(x, RESET_POSITION)
@@ -455,7 +476,7 @@ def fuse_height(x: State, k: Parameters, w: Scratch) -> None:
     if (
         fuse(x, k, w, AID_HEIGHT)
         or not gate.is_timed_out(x, AID_HEIGHT, k.timeout_height)
-        or not gate.is_proven(x, AID_HEIGHT, 1, fix.stated_var[1], drift)
+        or not gate.is_proven(x, AID_HEIGHT, 1, fix.stated_var[1], drift, SHORTEST_RUN)
     ):
         return
     gate.begin_reset(x, RESET_HEIGHT)

@@ -497,6 +497,8 @@ class State:
     """Between the last two, s."""
     last_fix: Annotated[Vector, 3]
     """Latitude, longitude, altitude."""
+    last_fix_vel: Annotated[Vector, 2]
+    """Its velocity north and east, m/s."""
     fix_repeats: Real
     """How often it has repeated itself to the bit."""
     heading_t: Annotated[Vector, 3]
