@@ -26,7 +26,7 @@ from cython.cimports.ekf_companion.core.enums import (
     STATUS_OK,
     VOICE_NONE,
 )
-from cython.cimports.ekf_companion.core.gate import is_ruled_out, is_timed_out
+from cython.cimports.ekf_companion.core.gate import is_timed_out
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.propagate import integrate_strapdown
 from cython.cimports.ekf_companion.core.rotation import to_dcm, wrap
@@ -63,7 +63,7 @@ def find_status(x: State, k: Parameters) -> int:
     # by the autopilot's own position, whose errors last
     if k.use_derived == 2.0 or x.fix_t > x.raw_fix_t:
         return STATUS_DEGRADED
-    if is_timed_out(x, AID_POSITION, late + 1.0) or is_ruled_out(x, AID_POSITION):
+    if is_timed_out(x, AID_POSITION, late + 1.0) or x.is_one_sided[AID_POSITION] != 0.0:
         return STATUS_DEGRADED
     for e in range(E_ATT, E_ATT + 3):
         if x.P[e][e] > VAGUE_VAR:
@@ -71,7 +71,7 @@ def find_status(x: State, k: Parameters) -> int:
     if is_timed_out(x, AID_HEADING, 5.0) and x.azimuth != 0.0:
         # where there never was a compass, turns show the heading as well
         return STATUS_DEGRADED
-    if is_timed_out(x, AID_HEIGHT, late + 1.0) or is_ruled_out(x, AID_HEIGHT):
+    if is_timed_out(x, AID_HEIGHT, late + 1.0) or x.is_one_sided[AID_HEIGHT] != 0.0:
         return STATUS_DEGRADED
     if x.voices.loser != VOICE_NONE:
         return STATUS_DEGRADED

@@ -42,8 +42,6 @@ LARGEST_SCATTER = cython.declare(cython.double, 9.0)
 LARGEST_SHARE = cython.declare(cython.double, 9.0)
 """Largest learnt share that one look may show: noise is understated at most three times."""
 SIGMAS = cython.declare(cython.double, 3.0)
-RULED_OUT = cython.declare(cython.double, 1e20)
-"""Ratio of an observation that is refused for another reason than its own distance."""
 
 
 def count_verdict(x: State, aid: int, verdict: int) -> None:
@@ -59,11 +57,6 @@ def is_timed_out(x: State, aid: int, limit: float) -> bool:
 def is_refused_for(x: State, aid: int, limit: float) -> bool:
     """Return whether all of an aid have been refused for longer than a time, s."""
     return x.refused_t[aid] > x.used_t[aid] and x.t - x.refused_t[aid] > limit * 1e9
-
-
-def is_ruled_out(x: State, aid: int) -> bool:
-    """Return whether the last of an aid was refused for what many of them show together."""
-    return x.ratio[aid] > RULED_OUT
 
 
 def fuse(x: State, k: Parameters, o: Observation, aid: int) -> bool:

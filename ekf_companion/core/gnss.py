@@ -376,9 +376,6 @@ def is_dragged(x: State, o: Observation, fix: Fix, aid: int) -> bool:
     gain = x.fix_dt / (x.fix_dt + MEAN_TIME)
     size = 0.0
     way = 0.0
-    largest = MEAN_SIGMAS * sqrt(gain / (2.0 - gain))
-    if largest < LARGEST_MEAN:
-        largest = LARGEST_MEAN
     for r in range(o.rows):
         y = o.y[r]
         y = y if y < LARGEST_TERM else LARGEST_TERM
@@ -387,9 +384,16 @@ def is_dragged(x: State, o: Observation, fix: Fix, aid: int) -> bool:
         size += x.innovation_mean[first + r] * x.innovation_mean[first + r]
         off = x.innovation_mean[first + r] * o.L[r][r]
         way += off * off
-    if size <= largest * largest:
-        return False
-    return x.doubt <= 1.0 or way > fix.stated_var[aid] or doubt.contradicts_itself(x, fix)
+    shown = MEAN_SIGMAS * MEAN_SIGMAS * gain / (2.0 - gain)
+    if x.is_one_sided[aid] != 0.0:
+        shown *= 0.25
+    x.is_one_sided[aid] = (
+        1.0
+        if size > shown
+        and (x.doubt <= 1.0 or way > fix.stated_var[aid] or doubt.contradicts_itself(x, fix))
+        else 0.0
+    )
+    return x.is_one_sided[aid] != 0.0 and size > LARGEST_MEAN * LARGEST_MEAN
 
 
 def fuse_velocity(x: State, k: Parameters, w: Scratch) -> bool:

@@ -136,6 +136,7 @@ def reset_position(x: State, k: Parameters, w: Scratch) -> None:
     apply_update(x, o)
     x.innovation_mean[0] = 0.0
     x.innovation_mean[1] = 0.0
+    x.is_one_sided[AID_POSITION] = 0.0
     note_used(x, AID_POSITION)
 
 
@@ -152,6 +153,7 @@ def reset_height(x: State, k: Parameters, w: Scratch) -> None:
     innovate(x, o)
     apply_update(x, o)
     x.innovation_mean[2] = 0.0
+    x.is_one_sided[AID_HEIGHT] = 0.0
     note_used(x, AID_HEIGHT)
 
 

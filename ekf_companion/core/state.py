@@ -605,6 +605,8 @@ class State:
     """Their times, ns."""
     innovation_mean: Annotated[Vector, 3]
     """Recent mean of the whitened innovations of its position n e d, sigmas."""
+    is_one_sided: Annotated[Vector, 2]
+    """Whether that mean of position and of height is beyond chance."""
     voices: Voices
     drag: Drag
     run: Annotated[Structs, Run, RUNS]
