@@ -28,6 +28,10 @@ NEVER = cython.declare(cython.double, -1e18)
 LEAST_DOUBT = cython.declare(cython.double, 3e-5)
 QUIET_DOUBT = cython.declare(cython.double, 0.0003)
 """The same while the vehicle does not manoeuvre."""
+USELESS = cython.declare(cython.double, 1000.0)
+"""Doubt beyond which no estimate is good."""
+RECOVERY = cython.declare(cython.double, 10e9)
+"""Time after it for which none is called good: the attitude is to be found again, ns."""
 LARGEST_DOUBT = cython.declare(cython.double, 1e4)
 MEMORY = cython.declare(cython.double, 60e9)
 """Time constant with which the worst doubt is forgotten, ns: vibration comes back."""
@@ -87,6 +91,14 @@ SCALE_VAR = cython.declare(cython.double, 2e-8)
 """Variance of the errors of scale and mounting of a calibrated sensor, over one second."""
 DOUBTED_SCALE_VAR = cython.declare(cython.double, 1e-4)
 """The same of one that is doubted."""
+USUAL_RATE = cython.declare(cython.double, 1.0)
+"""Rate up to which calibration and the usual flight show a gyro's scale, rad/s."""
+USUAL_FORCE = cython.declare(cython.double, 9.8)
+"""Likewise the acceleration, m/s^2: that of gravity."""
+SIMILAR = cython.declare(cython.double, 4.0)
+"""Square of a motion, of the largest flown, up to which that shows how good the samples are."""
+SHOWING = cython.declare(cython.double, 10.0)
+"""Time constant with which a motion shows it, s."""
 CLIPPED_RATE_VAR = cython.declare(cython.double, 0.05)
 """Variance that a gyro at the end of its range adds about its axis, rad^2/s."""
 CLIPPED_FORCE_VAR = cython.declare(cython.double, 2.0)
@@ -150,7 +162,6 @@ def gyro_walk_share(x: State, share: float) -> float:
 
 def write_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
     """Write the variance that rate and force add over dt (s) into ``m.q``, an axis each."""
-    scale = SCALE_VAR + DOUBTED_SCALE_VAR * (x.doubt if x.doubt < 1.0 else 1.0)
     rate2 = 0.0
     accel2 = 0.0
     for j in range(3):
@@ -161,13 +172,30 @@ def write_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
     for j in range(3):
         rate2 += m.rate[j] * m.rate[j]
         accel2 += x.accel_n[j] * x.accel_n[j]
+    rate_var = rate2 * scale_var(x, 0, rate2, USUAL_RATE * USUAL_RATE, dt)
+    force_var = accel2 * scale_var(x, 1, accel2, USUAL_FORCE * USUAL_FORCE, dt)
     for j in range(3):
         q = MARGIN * x.noise[j]
-        q = (q if q > LEAST_NOISE else LEAST_NOISE) + scale * rate2
+        q = (q if q > LEAST_NOISE else LEAST_NOISE) + rate_var
         m.q[j] = x.doubt * m.q[j] + (q + CLIPPED_RATE_VAR * x.is_clipped[j]) * dt
         q = MARGIN * x.noise[j + 3]
-        q = (q if q > LEAST_FORCE_NOISE else LEAST_FORCE_NOISE) + scale * accel2
+        q = (q if q > LEAST_FORCE_NOISE else LEAST_FORCE_NOISE) + force_var
         m.q[j + 3] = x.doubt * m.q[j + 3] + (q + CLIPPED_FORCE_VAR * x.is_clipped[j + 3]) * dt
+
+
+def scale_var(x: State, sensor: int, square: float, usual: float, dt: float) -> float:
+    """Return the variance of the errors of scale and mounting, relative, over one second.
+
+    Beyond what is usual, they show only in motion that is as large: until the vehicle has moved so
+    for some seconds, its rates (sensor 0) and accelerations (1) are doubted.
+    """
+    doubted = x.doubt if x.doubt < 1.0 else 1.0
+    if square > usual:
+        known = SIMILAR * x.shown[sensor]
+        hidden = 1.0 - (known if known > usual else usual) / square
+        doubted = doubted if doubted > hidden else hidden
+        x.shown[sensor] += dt / (dt + SHOWING) * (square - x.shown[sensor])
+    return SCALE_VAR + DOUBTED_SCALE_VAR * doubted
 
 
 def find_clipping(x: State, imu: ImuRow) -> None:
@@ -275,6 +303,8 @@ def bound_doubt(x: State) -> None:
         x.doubt = least
     if x.doubt > LARGEST_DOUBT:
         x.doubt = LARGEST_DOUBT
+    if x.doubt > USELESS:
+        x.proven_t = x.t + RECOVERY
 
 
 def receiver_share(x: State) -> float:

@@ -38,8 +38,6 @@ NAN = cython.declare(cython.double, float("nan"))
 DEG = cython.declare(cython.double, 57.29577951308232)
 SLOW_STREAM = cython.declare(cython.double, 0.15)
 """Usual interval beyond which a vehicle's attitude is a guess, s."""
-DOUBTED = cython.declare(cython.double, 1000.0)
-"""Doubt in the inertial samples beyond which no estimate is good: see :mod:`.doubt`."""
 VAGUE_VAR = cython.declare(cython.double, 0.0305)
 """Variance of an angle beyond which the attitude is not well known, rad^2: 10 degrees."""
 
@@ -58,7 +56,7 @@ def find_status(x: State, k: Parameters) -> int:
     late = 1.0 + (x.fix_dt if x.fix_dt < 2.0 else 2.0)
     if is_timed_out(x, AID_POSITION, late) and is_timed_out(x, AID_VELOCITY, late):
         return STATUS_DEAD_RECKONING
-    if x.dt > SLOW_STREAM or x.needs_reset != 0.0 or x.doubt > DOUBTED or x.t < x.proven_t:
+    if x.dt > SLOW_STREAM or x.needs_reset != 0.0 or x.t < x.proven_t:
         return STATUS_DEGRADED
     # by the autopilot's own position, whose errors last
     if k.use_derived == 2.0 or x.fix_t > x.raw_fix_t:

@@ -551,6 +551,9 @@ class State:
     walk: Walk
     doubt: Real
     """Share of the configured inertial noise that counts beside the learnt one."""
+    shown: Annotated[Vector, 2]
+    """Largest square of the rate and of the acceleration flown for some seconds, (rad/s)^2,
+    (m/s^2)^2; 0: none beyond the usual."""
     innovation_power: Real
     """Mean NIS a row of the receiver's velocity, up to 1."""
     worst_doubt: Real
