@@ -44,7 +44,7 @@ def write_log(path: Path, readings: Readings) -> None:
     kept = ~fixes.is_lost
     tables = [
         (inertial.t, inertial.stamp, np.hstack([inertial.gyro, inertial.accel])),
-        (fixes.t[kept], fixes.t[kept], np.hstack([place, vel_n, declared])[kept]),
+        (fixes.t[kept], fixes.t[kept], np.hstack([place, vel_n, declared])[fixes.said][kept]),
         (readings.mag_t, readings.mag_t, readings.mag),
         (readings.baro_t, readings.baro_t, readings.baro[:, None]),
     ]

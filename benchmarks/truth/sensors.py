@@ -44,6 +44,8 @@ class Fixes:
     std_v: Array
     std_vel: Array
     is_lost: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    said: np.ndarray[tuple[int], np.dtype[np.int64]]
+    """Which fix's numbers each says: its own, or an old one's."""
     lever_b: Array = field(default_factory=lambda: np.zeros(3))
     """From the inertial unit to the antenna, m."""
 
@@ -121,6 +123,7 @@ def _fixes(t: Array, delay: float, rng: np.random.Generator) -> Fixes:
         std_v=np.full(len(t), 1.36),
         std_vel=np.full(len(t), 0.1),
         is_lost=np.zeros(len(t), dtype=np.bool_),
+        said=np.arange(len(t)),
     )
 
 

@@ -65,10 +65,50 @@ def slide_2_hover(draw: Draw) -> Readings:
 
 def _sliding(draw: Draw, motion: Motion) -> Readings:
     readings = flown(draw, motion, 120.0)
-    begin, length = draw.about(60.0), draw.about(20.0)
+    _slide(draw, readings, 20.0, 2.0)
+    return readings
+
+
+def _slide(draw: Draw, readings: Readings, length: float, speed: float) -> None:
+    begin, length = draw.about(60.0), draw.about(length)
     rows = during(readings.fixes.t, begin, length)
     since = readings.fixes.t[rows] - begin
-    readings.fixes.pos_error_n[rows] += np.outer(since, draw.about(2.0) * draw.level())
+    readings.fixes.pos_error_n[rows] += np.outer(since, draw.about(speed) * draw.level())
+
+
+def slide_1_white(draw: Draw) -> Readings:
+    """Figure-eights; slides away at about 1 m/s for 40 s, of a receiver whose errors are white."""
+    return _sliding_white(draw, paths.figure_eights(draw))
+
+
+def slide_1_white_hover(draw: Draw) -> Readings:
+    """Hover; slides away at about 1 m/s for 40 s, of a receiver whose errors are white."""
+    return _sliding_white(draw, paths.hover(draw))
+
+
+def _sliding_white(draw: Draw, motion: Motion) -> Readings:
+    readings = flown(draw, motion, 150.0)
+    fixes = readings.fixes
+    declared = np.stack([fixes.std_h, fixes.std_h, fixes.std_v], axis=1)
+    fixes.pos_error_n = declared * draw.rng.standard_normal(declared.shape)
+    _slide(draw, readings, 40.0, 1.0)
+    return readings
+
+
+def frozen(draw: Draw) -> Readings:
+    """Figure-eights; the receiver repeats one fix for about 20 s."""
+    return _freezing(draw, paths.figure_eights(draw))
+
+
+def frozen_hover(draw: Draw) -> Readings:
+    """Hover; the receiver repeats one fix for about 20 s."""
+    return _freezing(draw, paths.hover(draw))
+
+
+def _freezing(draw: Draw, motion: Motion) -> Readings:
+    readings = flown(draw, motion, 120.0)
+    rows = np.flatnonzero(during(readings.fixes.t, draw.about(60.0), draw.about(20.0)))
+    readings.fixes.said[rows] = rows[0]
     return readings
 
 
@@ -107,6 +147,10 @@ CASES: tuple[Case, ...] = (
     jump_25_hover,
     slide_2,
     slide_2_hover,
+    slide_1_white,
+    slide_1_white_hover,
+    frozen,
+    frozen_hover,
     return_wrong,
     return_right,
     vertical_velocity_wild,
