@@ -4,7 +4,8 @@ White noise shows in the samples themselves. Vibration near a multiple of their 
 is exceeded, a sensor that sits askew do not: they show at the receiver, where what the samples add
 up to is off to the same side at one fix as at the one before. So the correlation of consecutive
 innovations raises the doubt, beyond what chance makes, and innovations smaller than expected lower
-it: the further, the more the vehicle manoeuvres. A receiver that is refused again and again shows
+it: the further, the more the vehicle manoeuvres. Innovations that grow until they are refused are a
+drift of the samples, a wild fix comes at once. A receiver that is refused again and again shows
 it too, if its position moves as its velocity says.
 
 Source: correlated innovations of a filter that trusts its model too much, Mehra 1970; a sum that
@@ -28,6 +29,8 @@ NEVER = cython.declare(cython.double, -1e18)
 LEAST_DOUBT = cython.declare(cython.double, 3e-5)
 QUIET_DOUBT = cython.declare(cython.double, 0.0003)
 """The same while the vehicle does not manoeuvre."""
+SUDDEN = cython.declare(cython.double, 4.0)
+"""First refused NIS of a velocity, of its gate, from which on a fix is wild and no drift."""
 USELESS = cython.declare(cython.double, 1000.0)
 """Doubt beyond which no estimate is good."""
 RECOVERY = cython.declare(cython.double, 10e9)
@@ -240,6 +243,7 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
     correlation = 0.0
     smallness = nis / o.rows - 1.0
     excess = 0.0
+    size = 0.0
     for r in range(o.rows):
         own = fix.stated_var[AID_VELOCITY]
         for j in range(N):
@@ -249,15 +253,17 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
         y = y if y < LARGEST_TERM else LARGEST_TERM
         y = y if y > -LARGEST_TERM else -LARGEST_TERM
         correlation += y * x.last_innovation[r]
+        size += y * y
         x.last_innovation[r] = y
     if o.rows < 3:
         x.last_innovation[2] = 0.0
     x.correlation = 0.0
+    has_last = cython.declare(cython.bint, is_next(x))
     seen = nis / o.rows if nis < o.rows else 1.0
     x.innovation_power += (seen - x.innovation_power) / POWER_MEMORY
     if x.innovation_power < LEAST_POWER:
         x.innovation_power = LEAST_POWER
-    if is_next(x):
+    if has_last:
         # of innovations that are all too small the correlation says as much; but what raises the
         # doubt beyond the configured noise must be larger than that explains
         power = x.doubt * x.doubt
@@ -265,8 +271,13 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
         x.correlation = correlation / (sqrt(o.rows) * (power if power < 1.0 else 1.0))
         x.worst_doubt *= exp((x.innovation_t - x.t) / MEMORY)
     x.innovation_t = x.t
-    if nis > k.gate[o.rows - 1]:  # who is wrong is not known yet
-        return
+    if nis > k.gate[o.rows - 1]:
+        if x.run[AID_VELOCITY].n == 0.0:
+            ratio = nis / k.gate[o.rows - 1]
+            is_led_up_to = cython.declare(cython.bint, has_last and ratio < SUDDEN)
+            x.is_gradual = 1.0 if is_led_up_to and correlation > 0.5 * size else 0.0
+        if x.is_gradual == 0.0:  # who is wrong is not known yet
+            return
     pull = x.correlation - chance(x)
     if smallness < 0.0:
         pull += SMALLNESS * smallness

@@ -59,6 +59,14 @@ def is_refused_for(x: State, aid: int, limit: float) -> bool:
     return x.refused_t[aid] > x.used_t[aid] and x.t - x.refused_t[aid] > limit * 1e9
 
 
+def is_running(x: State, aid: int) -> bool:
+    """Return whether the last of a receiver's aid were refused, and more than one."""
+    if x.refused_t[aid] <= x.used_t[aid]:
+        return False
+    # a long run begins anew
+    return x.run[aid].n >= 2.0 or x.refused_t[aid] < x.run[aid].t0
+
+
 def fuse(x: State, k: Parameters, o: Observation, aid: int) -> bool:
     """Fuse an observation if it passes the gate, and keep the account; return whether it did."""
     return fuse_judged(x, k, o, aid, innovate(x, o))

@@ -86,6 +86,8 @@ LARGEST_MEAN = cython.declare(cython.double, 1.5)
 """Mean of the innovations beyond which the receiver is refused, sigmas of one innovation."""
 MEAN_SIGMAS = cython.declare(cython.double, 5.5)
 """The same in sigmas of the mean itself; both must be exceeded."""
+SHOWN_SIGMAS = cython.declare(cython.double, 2.0)
+"""Way in sigmas of a fix that would have shown in the positions."""
 DRAGGED_NIS = cython.declare(cython.double, 1e29)
 REPEATS = cython.declare(cython.double, 2.0)
 """Repeats of one position after which a moving receiver counts as frozen."""
@@ -318,18 +320,21 @@ def bound_offset(x: State, o: Observation, axis: int, level: float) -> None:
 def fuse(x: State, k: Parameters, w: Scratch, aid: int) -> bool:
     """Fuse the receiver's observation if it passes the gate, and learn how white its error is."""
     o = address(w.observation)
+    fix = address(w.fix)
     nis = innovate(x, o)
     hard = k.gate[o.rows - 1]
     if x.is_force_denied != 0.0:
         nis = DRAGGED_NIS
-    if aid != AID_VELOCITY and is_dragged(x, o, address(w.fix), aid):
+    if aid == AID_VELOCITY and gate.is_running(x, aid) and is_denied_by_position(x, fix, o):
+        nis = DRAGGED_NIS
+    if aid != AID_VELOCITY and is_dragged(x, o, fix, aid):
         nis = DRAGGED_NIS
         if x.refused_t[aid] <= x.used_t[aid]:
             forget_vel_offset(x)
     if nis <= hard or aid == AID_VELOCITY:
-        learn_white_share(x, o, aid, w.fix.stated_var[aid])
+        learn_white_share(x, o, aid, fix.stated_var[aid])
     if aid == AID_VELOCITY:
-        doubt.learn_doubt(x, k, address(w.fix), o, nis)
+        doubt.learn_doubt(x, k, fix, o, nis)
     gate.score(x, o, nis, hard)
     return gate.fuse_judged(x, k, o, aid, nis)
 
@@ -408,13 +413,26 @@ def fuse_velocity(x: State, k: Parameters, w: Scratch) -> bool:
             return True
     else:
         doubt.doubt_refusal(x, k, fix, o)
-    if not gate.is_timed_out(x, AID_VELOCITY, k.timeout_vel):
+    if not gate.is_timed_out(x, AID_VELOCITY, k.timeout_vel) or is_denied_by_position(x, fix, o):
         return True
     if gate.is_proven(x, AID_VELOCITY, o.rows, fix.stated_var[2], JERK, SHORTEST_RUN):
         gate.begin_reset(x, RESET_VELOCITY)
         reset_velocity(x, k, w)
         return True
     return x.t - x.refused_t[AID_VELOCITY] <= 0.5 * k.timeout_vel * 1e9
+
+
+def is_denied_by_position(x: State, fix: Fix, o: Observation) -> bool:
+    """Return whether the receiver's positions move as our velocity says, and not as its own.
+
+    Were ours wrong, they would deviate to one side by what it is wrong in some seconds.
+    """
+    way = MEAN_TIME * MEAN_TIME * (o.z[0] * o.z[0] + o.z[1] * o.z[1])
+    return (
+        not gate.is_timed_out(x, AID_POSITION, SAME_CAUSE)
+        and x.is_one_sided[AID_POSITION] == 0.0
+        and way > SHOWN_SIGMAS * SHOWN_SIGMAS * fix.std[AID_POSITION] * fix.std[AID_POSITION]
+    )
 
 
 def fuse_position(x: State, k: Parameters, w: Scratch) -> None:

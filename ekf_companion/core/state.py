@@ -562,6 +562,8 @@ class State:
     """Time until which the attitude is to be confirmed, ns."""
     correlation: Real
     """Of the last two innovations of the receiver's velocity, one sigma if they are white."""
+    is_gradual: Real
+    """Whether the velocities that are refused were led up to."""
     innovation_t: Real
     """Time of the last of them, ns."""
     last_innovation: Annotated[Vector, 3]

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.truth import paths
 from benchmarks.truth.cases.case import Case, flown
 from benchmarks.truth.draw import DEG, TURN, Draw
+from benchmarks.truth.motion import Motion
 from benchmarks.truth.sensors import Readings
 
 G = 9.81
@@ -80,6 +81,23 @@ def bias_25_hz(draw: Draw) -> Readings:
     return readings
 
 
+def bias_step(draw: Draw) -> Readings:
+    """Figure-eights; the accelerometer's bias steps by about 0.5 m/s2, as after a shock."""
+    return _stepping(draw, paths.figure_eights(draw))
+
+
+def bias_step_hover(draw: Draw) -> Readings:
+    """Hover; the accelerometer's bias steps by about 0.5 m/s2, as after a shock."""
+    return _stepping(draw, paths.hover(draw))
+
+
+def _stepping(draw: Draw, motion: Motion) -> Readings:
+    readings = flown(draw, motion, 120.0)
+    inertial = readings.inertial
+    inertial.accel[inertial.t > draw.about(60.0)] += draw.about(0.5) * draw.unit()
+    return readings
+
+
 CASES: tuple[Case, ...] = (
     clip_accel,
     clip_gyro,
@@ -89,4 +107,6 @@ CASES: tuple[Case, ...] = (
     misaligned,
     lever_arm,
     bias_25_hz,
+    bias_step,
+    bias_step_hover,
 )

@@ -128,6 +128,23 @@ def return_right(draw: Draw) -> Readings:
     return readings
 
 
+def velocity_biased(draw: Draw) -> Readings:
+    """Figure-eights; the receiver's horizontal velocity about 0.6 m/s off for 40 s."""
+    return _drifting(draw, paths.figure_eights(draw))
+
+
+def velocity_biased_hover(draw: Draw) -> Readings:
+    """Hover; the receiver's horizontal velocity about 0.6 m/s off for 40 s."""
+    return _drifting(draw, paths.hover(draw))
+
+
+def _drifting(draw: Draw, motion: Motion) -> Readings:
+    readings = flown(draw, motion, 130.0)
+    rows = during(readings.fixes.t, draw.about(50.0), draw.about(40.0))
+    readings.fixes.vel_error_n[rows] += draw.about(0.6) * draw.level()
+    return readings
+
+
 def vertical_velocity_wild(draw: Draw) -> Readings:
     """Figure-eights; the receiver's vertical velocity about 10 m/s off for 15 s."""
     return climbing(draw, paths.figure_eights(draw), 60.0, 15.0, 10.0)
@@ -153,6 +170,8 @@ CASES: tuple[Case, ...] = (
     frozen_hover,
     return_wrong,
     return_right,
+    velocity_biased,
+    velocity_biased_hover,
     vertical_velocity_wild,
     vertical_velocity_wild_hover,
 )
