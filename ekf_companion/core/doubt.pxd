@@ -11,7 +11,7 @@ cdef double is_at_end(State *x, Py_ssize_t axis, double size, double change) noe
 cdef void learn_doubt(State *x, Parameters *k, Fix *fix, Observation *o, double nis) noexcept nogil
 cdef bint is_next(State *x) noexcept nogil
 cdef void remember_doubt(State *x) noexcept nogil
-cdef void bound_doubt(State *x) noexcept nogil
+cdef void bound_doubt(State *x, Parameters *k) noexcept nogil
 cdef double receiver_share(State *x) noexcept nogil
 cdef void doubt_refusal(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
 cdef void compare_fixes(State *x, Fix *fix) noexcept nogil

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.ekf_companion.core import force
-from cython.cimports.ekf_companion.core.enums import AID_POSITION, AID_VELOCITY, N
+from cython.cimports.ekf_companion.core.enums import AID_POSITION, AID_VELOCITY, E_BA, E_BG, N
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.past import acceleration_noise
 from cython.cimports.ekf_companion.core.rotation import wrap
@@ -35,6 +35,8 @@ USELESS = cython.declare(cython.double, 1000.0)
 """Doubt beyond which no estimate is good."""
 RECOVERY = cython.declare(cython.double, 10e9)
 """Time after it for which none is called good: the attitude is to be found again, ns."""
+REOPENED = cython.declare(cython.double, 4.0)
+"""Variance of a bias that may be new, of that at the start: what a shock did to it is worse."""
 LARGEST_DOUBT = cython.declare(cython.double, 1e4)
 MEMORY = cython.declare(cython.double, 60e9)
 """Time constant with which the worst doubt is forgotten, ns: vibration comes back."""
@@ -290,7 +292,7 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
     x.doubt *= exp(GAIN * pull)
     if pull > 0.0:
         remember_doubt(x)
-    bound_doubt(x)
+    bound_doubt(x, k)
 
 
 def is_next(x: State) -> bool:
@@ -304,8 +306,8 @@ def remember_doubt(x: State) -> None:
         x.worst_doubt = x.doubt if x.doubt < LARGEST_MEMORY else LARGEST_MEMORY
 
 
-def bound_doubt(x: State) -> None:
-    """Keep the doubt within its bounds."""
+def bound_doubt(x: State, k: Parameters) -> None:
+    """Keep the doubt within its bounds; beyond use, the biases may be new ones as well."""
     least = REMEMBERED * (x.worst_doubt - 1.0)
     floor = LEAST_DOUBT + (QUIET_DOUBT - LEAST_DOUBT) * quiet_share(x)
     if least < floor:
@@ -314,8 +316,13 @@ def bound_doubt(x: State) -> None:
         x.doubt = least
     if x.doubt > LARGEST_DOUBT:
         x.doubt = LARGEST_DOUBT
-    if x.doubt > USELESS:
-        x.proven_t = x.t + RECOVERY
+    if x.doubt <= USELESS:
+        return
+    if x.t >= x.proven_t:
+        for j in range(3):
+            x.P[E_BA + j][E_BA + j] += REOPENED * k.accel_bias_std * k.accel_bias_std
+            x.P[E_BG + j][E_BG + j] += REOPENED * k.gyro_bias_std * k.gyro_bias_std
+    x.proven_t = x.t + RECOVERY
 
 
 def receiver_share(x: State) -> float:
@@ -353,7 +360,7 @@ def doubt_refusal(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     if x.doubt < needed:
         x.doubt = needed
         remember_doubt(x)
-    bound_doubt(x)
+    bound_doubt(x, k)
 
 
 def compare_fixes(x: State, fix: Fix) -> None:

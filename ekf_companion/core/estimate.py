@@ -61,8 +61,9 @@ def find_status(x: State, k: Parameters) -> int:
     # by the autopilot's own position, whose errors last
     if k.use_derived == 2.0 or x.fix_t > x.raw_fix_t:
         return STATUS_DEGRADED
-    is_led_up_to = x.is_gradual != 0.0 and x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]
-    if is_led_up_to or is_running(x, AID_VELOCITY):
+    if is_running(x, AID_VELOCITY):
+        return STATUS_DEGRADED
+    if x.is_gradual != 0.0 and x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]:
         return STATUS_DEGRADED
     if is_timed_out(x, AID_POSITION, late + 1.0) or x.is_one_sided[AID_POSITION] != 0.0:
         return STATUS_DEGRADED

@@ -427,7 +427,11 @@ def is_denied_by_position(x: State, fix: Fix, o: Observation) -> bool:
 
     Were ours wrong, they would deviate to one side by what it is wrong in some seconds.
     """
-    way = MEAN_TIME * MEAN_TIME * (o.z[0] * o.z[0] + o.z[1] * o.z[1])
+    way = 0.0
+    for r in range(2):
+        n = x.run[AID_VELOCITY].n
+        z = (x.run[AID_VELOCITY].z[r] + o.z[r]) / (n + 1.0)
+        way += MEAN_TIME * MEAN_TIME * z * z
     return (
         not gate.is_timed_out(x, AID_POSITION, SAME_CAUSE)
         and x.is_one_sided[AID_POSITION] == 0.0

@@ -82,19 +82,19 @@ def bias_25_hz(draw: Draw) -> Readings:
 
 
 def bias_step(draw: Draw) -> Readings:
-    """Figure-eights; the accelerometer's bias steps by about 0.5 m/s2, as after a shock."""
+    """Figure-eights; the accelerometer's bias steps by about 0.25 m/s2, as after a shock."""
     return _stepping(draw, paths.figure_eights(draw))
 
 
 def bias_step_hover(draw: Draw) -> Readings:
-    """Hover; the accelerometer's bias steps by about 0.5 m/s2, as after a shock."""
+    """Hover; the accelerometer's bias steps by about 0.25 m/s2, as after a shock."""
     return _stepping(draw, paths.hover(draw))
 
 
 def _stepping(draw: Draw, motion: Motion) -> Readings:
     readings = flown(draw, motion, 120.0)
     inertial = readings.inertial
-    inertial.accel[inertial.t > draw.about(60.0)] += draw.about(0.5) * draw.unit()
+    inertial.accel[inertial.t > draw.about(60.0)] += draw.about(0.25) * draw.unit()
     return readings
 
 
