@@ -96,7 +96,9 @@ SCALE_VAR = cython.declare(cython.double, 2e-8)
 """Variance of the errors of scale and mounting of a calibrated sensor, over one second."""
 DOUBTED_SCALE_VAR = cython.declare(cython.double, 1e-4)
 """The same of one that is doubted."""
-USUAL_RATE = cython.declare(cython.double, 1.0)
+HIDDEN_SCALE_VAR = cython.declare(cython.double, 2.5e-5)
+"""The same of one that has not moved so far: half a percent, as data sheets have it."""
+USUAL_RATE = cython.declare(cython.double, 2.0)
 """Rate up to which calibration and the usual flight show a gyro's scale, rad/s."""
 USUAL_FORCE = cython.declare(cython.double, 9.8)
 """Likewise the acceleration, m/s^2: that of gravity."""
@@ -194,13 +196,13 @@ def scale_var(x: State, sensor: int, square: float, usual: float, dt: float) -> 
     Beyond what is usual, they show only in motion that is as large: until the vehicle has moved so
     for some seconds, its rates (sensor 0) and accelerations (1) are doubted.
     """
-    doubted = x.doubt if x.doubt < 1.0 else 1.0
-    if square > usual:
-        known = SIMILAR * x.shown[sensor]
-        hidden = 1.0 - (known if known > usual else usual) / square
-        doubted = doubted if doubted > hidden else hidden
-        x.shown[sensor] += dt / (dt + SHOWING) * (square - x.shown[sensor])
-    return SCALE_VAR + DOUBTED_SCALE_VAR * doubted
+    variance = SCALE_VAR + DOUBTED_SCALE_VAR * (x.doubt if x.doubt < 1.0 else 1.0)
+    if square <= usual:
+        return variance
+    known = SIMILAR * x.shown[sensor]
+    hidden = HIDDEN_SCALE_VAR * (1.0 - (known if known > usual else usual) / square)
+    x.shown[sensor] += dt / (dt + SHOWING) * (square - x.shown[sensor])
+    return variance if variance > hidden else hidden
 
 
 def find_clipping(x: State, imu: ImuRow) -> None:
