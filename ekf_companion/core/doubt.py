@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.ekf_companion.core import force
-from cython.cimports.ekf_companion.core.enums import AID_POSITION, AID_VELOCITY, E_BA, E_BG, N
+from cython.cimports.ekf_companion.core.enums import AID_POSITION, AID_VELOCITY, N
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.past import acceleration_noise
 from cython.cimports.ekf_companion.core.rotation import wrap
@@ -278,7 +278,9 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
     if nis > k.gate[o.rows - 1]:
         if x.run[AID_VELOCITY].n == 0.0:
             ratio = nis / k.gate[o.rows - 1]
-            is_led_up_to = cython.declare(cython.bint, has_last and ratio < SUDDEN)
+            is_led_up_to = cython.declare(
+                cython.bint, has_last and ratio < SUDDEN and x.t - x.gap_t > OLD
+            )
             x.is_gradual = 1.0 if is_led_up_to and correlation > 0.5 * size else 0.0
         if x.is_gradual == 0.0:  # who is wrong is not known yet
             return
@@ -294,7 +296,7 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
     x.doubt *= exp(GAIN * pull)
     if pull > 0.0:
         remember_doubt(x)
-    bound_doubt(x, k)
+    bound_doubt(x)
 
 
 def is_next(x: State) -> bool:
@@ -308,7 +310,7 @@ def remember_doubt(x: State) -> None:
         x.worst_doubt = x.doubt if x.doubt < LARGEST_MEMORY else LARGEST_MEMORY
 
 
-def bound_doubt(x: State, k: Parameters) -> None:
+def bound_doubt(x: State) -> None:
     """Keep the doubt within its bounds; beyond use, the biases may be new ones as well."""
     least = REMEMBERED * (x.worst_doubt - 1.0)
     floor = LEAST_DOUBT + (QUIET_DOUBT - LEAST_DOUBT) * quiet_share(x)
@@ -321,10 +323,15 @@ def bound_doubt(x: State, k: Parameters) -> None:
     if x.doubt <= USELESS:
         return
     if x.t >= x.proven_t:
-        for j in range(3):
-            x.P[E_BA + j][E_BA + j] += REOPENED * k.accel_bias_std * k.accel_bias_std
-            x.P[E_BG + j][E_BG + j] += REOPENED * k.gyro_bias_std * k.gyro_bias_std
+        x.has_new_biases = 1.0
     x.proven_t = x.t + RECOVERY
+
+
+def new_bias_share(x: State) -> float:
+    """Return the variance that the biases gain once, of that at the start: they may be new ones."""
+    share = REOPENED * x.has_new_biases
+    x.has_new_biases = 0.0
+    return share
 
 
 def receiver_share(x: State) -> float:
@@ -362,7 +369,7 @@ def doubt_refusal(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     if x.doubt < needed:
         x.doubt = needed
         remember_doubt(x)
-    bound_doubt(x, k)
+    bound_doubt(x)
 
 
 def compare_fixes(x: State, fix: Fix) -> None:

@@ -31,8 +31,8 @@ from cython.cimports.ekf_companion.core.scratch import Observation
 from cython.cimports.ekf_companion.core.state import State
 from cython.cimports.libc.math import fabs, log, sqrt
 
-LONGEST_RUN = cython.declare(cython.double, 30.0)
-"""Duration after which a run that failed the test begins anew, s."""
+LONGEST_RUN = cython.declare(cython.double, 40.0)
+"""Duration after which a run that failed the test begins anew, s; beyond the longest patience."""
 FEWEST = cython.declare(cython.double, 4.0)
 """Least number of innovations in a run."""
 LARGEST_SLOPE_STD = cython.declare(cython.double, 0.15)

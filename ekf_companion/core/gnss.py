@@ -425,17 +425,25 @@ def fuse_velocity(x: State, k: Parameters, w: Scratch) -> bool:
 def is_denied_by_position(x: State, fix: Fix, o: Observation) -> bool:
     """Return whether the receiver's positions move as our velocity says, and not as its own.
 
-    Were ours wrong, they would deviate to one side by what it is wrong in some seconds.
+    Were ours wrong by what its velocities have said since they are refused, the positions would
+    deviate to one side within some seconds.
     """
-    way = 0.0
+    n = x.run[AID_VELOCITY].n + 1.0
+    own = 0.0
+    now = 0.0
+    mean = 0.0
     for r in range(2):
-        n = x.run[AID_VELOCITY].n
-        z = (x.run[AID_VELOCITY].z[r] + o.z[r]) / (n + 1.0)
-        way += MEAN_TIME * MEAN_TIME * z * z
+        z = (x.run[AID_VELOCITY].z[r] + o.z[r]) / n
+        own += x.P[E_VEL + r][E_VEL + r]
+        now += o.z[r] * o.z[r]
+        mean += z * z
+    way = MEAN_TIME * MEAN_TIME * mean
     return (
         not gate.is_timed_out(x, AID_POSITION, SAME_CAUSE)
         and x.is_one_sided[AID_POSITION] == 0.0
         and way > SHOWN_SIGMAS * SHOWN_SIGMAS * fix.std[AID_POSITION] * fix.std[AID_POSITION]
+        and mean > own
+        and now > 0.1 * mean
     )
 
 

@@ -165,10 +165,7 @@ def forget_vel_offset(x: State) -> None:
 
 
 def reset_velocity(x: State, k: Parameters, w: Scratch) -> None:
-    """Set the velocity from a fix, with its slow error; an unknown vertical one: 0, sigma 2 m/s.
-
-    It is to be confirmed: positions that move otherwise show only after some seconds.
-    """
+    """Set the velocity from a fix, with its slow error; an unknown vertical one: 0, sigma 2 m/s."""
     o = address(w.observation)
     forget_vel_offset(x)
     reset_variance(x, E_VEL, 3, ANY)
@@ -183,8 +180,6 @@ def reset_velocity(x: State, k: Parameters, w: Scratch) -> None:
         x.moved.vel_n[2] -= x.vel_n[2]
         x.vel_n[2] = 0.0
         reset_variance(x, E_VEL + 2, 1, 0.04 if x.at_rest != 0.0 else 4.0)
-    if x.proven_t < x.t + PROVING:
-        x.proven_t = x.t + PROVING
     note_used(x, AID_VELOCITY)
 
 

@@ -105,6 +105,9 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
 
     # Go to each event in turn, then to the sample's own time
     find_interval_motion(x, k, address(w.motion), imu, span)
+    is_gap = cython.declare(cython.bint, span > k.gap and span > SLOW_GAP * x.dt)
+    if is_gap:
+        x.gap_t = t
     begin = x.t
     for r in range(first, last + 1):
         advance(x, k, w, rows[r].t, begin, span)
@@ -115,7 +118,7 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
                 tape.record_event(x, w)
     if span > k.gap:
         carry_on(x, k, w)
-        inflate_after_gap(x, k, span, span > SLOW_GAP * x.dt)
+        inflate_after_gap(x, k, span, is_gap)
         yaw_frame.restart(address(x.yaw_bank))
         if w.tape.is_on:
             tape.record_gap(x, w)
@@ -239,6 +242,7 @@ def start(x: State, t: float) -> None:
     x.voices.t = NEVER
     x.fake_t = t
     x.proven_t = NEVER
+    x.gap_t = NEVER
     x.restored_t = NEVER
     for i in range(3):
         x.heading_t[i] = NEVER

@@ -12,6 +12,7 @@ import cython
 from cython import address
 from cython.cimports.ekf_companion.core.doubt import (
     gyro_walk_share,
+    new_bias_share,
     walk_share,
     write_noise,
 )
@@ -375,13 +376,17 @@ def add_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
             x.P[E_POS + i][E_POS + j] += (dt * dt / 3.0) * s1
     share = 1.0
     gyro_share = 1.0
+    new = 0.0
     if k.learn_noise != 0.0:
+        new = new_bias_share(x)
         share = walk_share(x)
         gyro_share = gyro_walk_share(x, share)
         learn_walk(x, dt)
     for j in range(3):
         add_gyro_walk(x, j, gyro_share * k.gyro_bias_walk * k.gyro_bias_walk * dt)
+        x.P[E_BG + j][E_BG + j] += new * k.gyro_bias_std * k.gyro_bias_std
         x.P[E_BA + j][E_BA + j] += share * k.accel_bias_walk * k.accel_bias_walk * dt
+        x.P[E_BA + j][E_BA + j] += new * k.accel_bias_std * k.accel_bias_std
         x.P[E_IRON + j][E_IRON + j] += k.iron_walk * k.iron_walk * dt
     speed2 = x.vel_n[0] * x.vel_n[0] + x.vel_n[1] * x.vel_n[1] + x.vel_n[2] * x.vel_n[2]
     by_speed = k.baro_speed_walk * k.baro_speed_walk * speed2 * dt

@@ -525,6 +525,8 @@ class State:
     """Likewise of the specific force."""
     gaps: Real
     """Inertial gaps so far."""
+    gap_t: Real
+    """When the last of them ended, ns."""
     restored_t: Real
     """When an unsound state was last replaced by an earlier one, ns."""
     used_t: Annotated[Vector, AIDS]
@@ -551,6 +553,8 @@ class State:
     walk: Walk
     doubt: Real
     """Share of the configured inertial noise that counts beside the learnt one."""
+    has_new_biases: Real
+    """Whether samples were useless, and their biases are to be found anew."""
     shown: Annotated[Vector, 2]
     """Largest square of the rate and of the acceleration flown for some seconds, (rad/s)^2,
     (m/s^2)^2; 0: none beyond the usual."""
