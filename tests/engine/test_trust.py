@@ -213,3 +213,79 @@ def test_a_state_out_of_bounds_is_restored_from_the_last_good_one_once():
     broken.pos_n[0] = np.inf
     kernel.recover(broken, k, good, now + 1e9)
     assert broken.mode == Mode.LEVEL
+
+
+def test_a_receiver_that_repeats_one_fix_in_a_hover_is_not_believed():
+    events, truth = flight("hover", duration=70.0, noise=(1.0, 0.0))
+    frozen = np.flatnonzero(fixes(events, 45.0, 65.0))
+    values = events.values.copy()
+    values[frozen] = values[frozen[0]]
+    table, pipeline = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+    t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
+    status = table.column("status")
+    assert np.all(status[(t > 47.0) & (t < 65.0)] == Status.DEAD_RECKONING)
+    assert pipeline.health().verdicts[Aid.POSITION][Verdict.SUSPECT] > 0.9 * len(frozen)
+    assert status[-1] == Status.OK
+    off = np.abs(errors(table, truth, 0.0)["pos"][:, :2]) / table.columns(["sd_pos_n", "sd_pos_e"])
+    assert off[t > 45.0].max() < 5.0
+
+
+def test_a_receiver_that_repeats_itself_at_rest_is_heard():
+    events, _ = flight("static", duration=40.0)
+    held = np.flatnonzero(fixes(events, 10.0, 99.0))
+    values = events.values.copy()
+    values[held] = values[held[0]]
+    values[held, 3:6] = 0.0  # as receivers do that hold what stands still
+    table, _ = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+    assert np.all(table.column("status")[-2000:] == Status.OK)
+
+
+def test_a_slow_drag_is_warned_of_before_it_is_a_lie():
+    events, truth = flight("hover", duration=60.0, noise=(1.0, 0.0))
+    dragged = fixes(events, 40.0, 99.0)
+    t = (events.t_ns - events.t_ns[0]) * 1e-9
+    values = events.values.copy()
+    values[dragged, 0] += (t[dragged] - 40.0) * METRE
+    table, _ = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+    found = errors(table, truth, 0.0)
+    is_wrong = np.abs(found["pos"][:, 0]) > np.maximum(2.0, 5.0 * found["sd_pos"][:, 0])
+    assert not np.any(is_wrong & (table.column("status") == Status.OK))
+
+
+@pytest.mark.parametrize("name", ["hover", "figure-eight"])
+def test_a_velocity_that_the_positions_deny_is_held_off(name):
+    events, truth = flight(name, duration=90.0, noise=(0.5, 0.0))
+    biased = fixes(events, 40.0, 75.0)
+    table, pipeline = run(changed(events, biased, 3, 1.5))
+    t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
+    found = errors(table, truth, 0.0)
+    assert np.abs(found["vel"][t > 40.0, 0]).max() < 0.35
+    assert np.abs(found["pos"][t > 40.0, 0]).max() < 3.0
+    assert np.all(table.column("status")[(t > 41.0) & (t < 75.0)] == Status.DEGRADED)
+    assert table.column("status")[-1] == Status.OK
+
+
+def test_two_wild_velocities_are_not_held_against_the_right_ones_after_them():
+    events, _ = flight("figure-eight", duration=60.0)
+    wild = np.flatnonzero(fixes(events, 40.0, 99.0))[:3]
+    values = events.values.copy()
+    values[wild, 3] += 40.0
+    table, _ = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+    t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
+    assert np.all(table.column("status")[t > 45.0] == Status.OK)
+
+
+def test_after_a_step_of_its_bias_an_accelerometer_is_found_anew_and_called_good_by_then():
+    events, truth = flight("figure-eight", duration=120.0)
+    hit = between(events, 60.0, 999.0) & (events.kind == Kind.IMU)
+    table, pipeline = run(changed(events, hit, 3, 1.0))
+    t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
+    found = errors(table, truth, 0.0)
+    off = np.linalg.norm(found["vel"], axis=1)
+    sigma = np.linalg.norm(found["sd_vel"], axis=1)
+    assert not np.any((off > np.maximum(0.5, 5.0 * sigma)) & (table.column("status") == Status.OK))
+    bias = table.column("accel_bias_x")
+    assert bias[-1] - bias[t < 59.0][-1] == pytest.approx(1.0, abs=0.2)
+    assert np.degrees(np.abs(found["euler"][t > 100.0, :2]).max()) < 1.5
+    assert table.column("status")[-1] == Status.OK
+    assert pipeline.health().resets == 0
