@@ -172,9 +172,7 @@ def clear_run(x: State, aid: int) -> None:
         x.run[aid].tz[r] = 0.0
 
 
-def is_proven(
-    x: State, aid: int, rows: int, stated: float, drift: float, shortest: float
-) -> bool:
+def is_proven(x: State, aid: int, rows: int, stated: float, drift: float, shortest: float) -> bool:
     """Return whether the run of a receiver's aid is consistent, so that the state is reset to it.
 
     Args:

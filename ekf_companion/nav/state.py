@@ -24,8 +24,9 @@ class Status(IntEnum):
     OK = 3
     """Everything is estimated and aided."""
     DEGRADED = 4
-    """Estimated, but position, velocity, height or heading lacks its aid, or the attitude is being
-    found again after a gap and its sigma is still above 10 degrees."""
+    """Estimated, but position, velocity, height or heading lacks its aid or is contradicted by it,
+    or the attitude is being found again: after a gap while its sigma is above 10 degrees, and for
+    ten seconds after inertial samples that were of no use."""
     DEAD_RECKONING = 5
     """No position or velocity aid for a second or more: the error grows."""
     INVALID = 6

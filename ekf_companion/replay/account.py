@@ -88,7 +88,7 @@ def _why_degraded(table: Table, rows: Indices, counts: Mapping[str, tuple[int, i
     last = np.maximum(np.searchsorted(begin_ns, table.stamp_ns[rows], side="right") - 1, 0)
     if np.all(table.stamp_ns[rows] - begin_ns[last] < SETTLING_NS):
         return "it had only just begun, or jumped, and fixes had yet to confirm the attitude"
-    return "one of position, velocity, height and heading was not aided"
+    return "one of position, velocity, height and heading was not aided, or contradicted by its aid"
 
 
 def late_begin(table: Table, events: Events) -> list[str]:

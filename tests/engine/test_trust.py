@@ -256,7 +256,7 @@ def test_a_slow_drag_is_warned_of_before_it_is_a_lie():
 def test_a_velocity_that_the_positions_deny_is_held_off(name):
     events, truth = flight(name, duration=90.0, noise=(0.5, 0.0))
     biased = fixes(events, 40.0, 75.0)
-    table, pipeline = run(changed(events, biased, 3, 1.5))
+    table, _ = run(changed(events, biased, 3, 1.5))
     t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
     found = errors(table, truth, 0.0)
     assert np.abs(found["vel"][t > 40.0, 0]).max() < 0.35
