@@ -311,7 +311,11 @@ def remember_doubt(x: State) -> None:
 
 
 def bound_doubt(x: State) -> None:
-    """Keep the doubt within its bounds; beyond use, the biases may be new ones as well."""
+    """Keep the doubt within its bounds.
+
+    Beyond use no attitude is good for a while. An error that grew until velocities were refused,
+    and no gap, is that of an accelerometer whose bias may be a new one.
+    """
     least = REMEMBERED * (x.worst_doubt - 1.0)
     floor = LEAST_DOUBT + (QUIET_DOUBT - LEAST_DOUBT) * quiet_share(x)
     if least < floor:
@@ -322,15 +326,18 @@ def bound_doubt(x: State) -> None:
         x.doubt = LARGEST_DOUBT
     if x.doubt <= USELESS:
         return
-    if x.t >= x.proven_t:
-        x.has_new_biases = 1.0
+    is_drift = cython.declare(
+        cython.bint, x.is_gradual != 0.0 and x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]
+    )
+    if x.t >= x.proven_t and is_drift and x.t - x.gap_t > RECOVERY:
+        x.has_new_bias = 1.0
     x.proven_t = x.t + RECOVERY
 
 
 def new_bias_share(x: State) -> float:
-    """Return the variance that the biases gain once, of that at the start: they may be new ones."""
-    share = REOPENED * x.has_new_biases
-    x.has_new_biases = 0.0
+    """Return the variance that the accelerometer's biases gain once, of that at the start."""
+    share = REOPENED * x.has_new_bias
+    x.has_new_bias = 0.0
     return share
 
 

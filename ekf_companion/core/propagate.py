@@ -384,7 +384,6 @@ def add_noise(x: State, k: Parameters, m: Motion, dt: float) -> None:
         learn_walk(x, dt)
     for j in range(3):
         add_gyro_walk(x, j, gyro_share * k.gyro_bias_walk * k.gyro_bias_walk * dt)
-        x.P[E_BG + j][E_BG + j] += new * k.gyro_bias_std * k.gyro_bias_std
         x.P[E_BA + j][E_BA + j] += share * k.accel_bias_walk * k.accel_bias_walk * dt
         x.P[E_BA + j][E_BA + j] += new * k.accel_bias_std * k.accel_bias_std
         x.P[E_IRON + j][E_IRON + j] += k.iron_walk * k.iron_walk * dt

@@ -526,7 +526,7 @@ class State:
     gaps: Real
     """Inertial gaps so far."""
     gap_t: Real
-    """When the last of them ended, ns."""
+    """When the last of them ends, ns."""
     restored_t: Real
     """When an unsound state was last replaced by an earlier one, ns."""
     used_t: Annotated[Vector, AIDS]
@@ -553,8 +553,8 @@ class State:
     walk: Walk
     doubt: Real
     """Share of the configured inertial noise that counts beside the learnt one."""
-    has_new_biases: Real
-    """Whether samples were useless, and their biases are to be found anew."""
+    has_new_bias: Real
+    """Whether the accelerometer's bias may have changed, and is to be found anew."""
     shown: Annotated[Vector, 2]
     """Largest square of the rate and of the acceleration flown for some seconds, (rad/s)^2,
     (m/s^2)^2; 0: none beyond the usual."""

@@ -275,17 +275,13 @@ def test_two_wild_velocities_are_not_held_against_the_right_ones_after_them():
     assert np.all(table.column("status")[t > 45.0] == Status.OK)
 
 
-def test_after_a_step_of_its_bias_an_accelerometer_is_found_anew_and_called_good_by_then():
+def test_a_step_of_the_accelerometers_bias_is_doubted_before_it_is_a_lie():
     events, truth = flight("figure-eight", duration=120.0)
     hit = between(events, 60.0, 999.0) & (events.kind == Kind.IMU)
     table, pipeline = run(changed(events, hit, 3, 1.0))
-    t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
     found = errors(table, truth, 0.0)
     off = np.linalg.norm(found["vel"], axis=1)
     sigma = np.linalg.norm(found["sd_vel"], axis=1)
     assert not np.any((off > np.maximum(0.5, 5.0 * sigma)) & (table.column("status") == Status.OK))
-    bias = table.column("accel_bias_x")
-    assert bias[-1] - bias[t < 59.0][-1] == pytest.approx(1.0, abs=0.2)
-    assert np.degrees(np.abs(found["euler"][t > 100.0, :2]).max()) < 1.5
     assert table.column("status")[-1] == Status.OK
     assert pipeline.health().resets == 0
