@@ -79,7 +79,9 @@ def test_a_recorded_flight_with_clipped_samples_has_a_wide_interval(flight):
     try:
         found = delay.measure(read(flight(name), Config()), Config())
     except LogError as refusal:  # as wide as that it tells too little
-        low, high = map(float, re.findall(r"from (0\.\d\d) to (0\.\d\d) s fits", str(refusal))[0])
+        low, high = map(
+            float, re.findall(r"from (-?0\.\d\d) to (-?0\.\d\d) s fits", str(refusal))[0]
+        )
     else:
         low, high = found.low, found.high
         assert found.widening > 4.0
