@@ -16,6 +16,8 @@ from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
 MEMORY = cython.declare(cython.double, 0.5)
 """Time constant of the integrals, s."""
+SLOW_MEMORY = cython.declare(cython.double, 10.0)
+"""The same of the vertical velocity alone, s: the barometer tells who is wrong by less."""
 LONGEST = cython.declare(cython.double, 3.0)
 """Time after which a velocity that is denied is begun with anew, s."""
 GRAVITY = cython.declare(cython.double, 9.81)
@@ -42,6 +44,11 @@ def compare(x: State, fix: Fix) -> None:
         judge(x, fix, dt, faded)
         if x.is_force_denied != 0.0:
             return
+    if is_known and x.voices.is_rushing == 0.0:  # else it is known who is wrong
+        gained = fix.vel_n[2] - x.force_vel[2] - GRAVITY * dt
+        x.fall_gap = exp(-dt / SLOW_MEMORY) * (x.fall_gap + gained - x.force_sum[2])
+    else:
+        x.fall_gap = 0.0
     for i in range(3):
         x.fix_force[i] = claimed(x, fix, dt, faded, i) if is_known else 0.0
         x.felt_force[i] = faded * (x.felt_force[i] + x.force_sum[i]) if is_known else 0.0

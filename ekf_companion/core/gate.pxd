@@ -3,6 +3,7 @@ from ekf_companion.core.scratch cimport Observation
 from ekf_companion.core.state cimport State
 cdef void count_verdict(State *x, Py_ssize_t aid, Py_ssize_t verdict) noexcept nogil
 cdef bint is_timed_out(State *x, Py_ssize_t aid, double limit) noexcept nogil
+cdef bint has_run_for(State *x, Py_ssize_t aid, double limit) noexcept nogil
 cdef bint is_running(State *x, Py_ssize_t aid) noexcept nogil
 cdef bint is_refused_for(State *x, Py_ssize_t aid, double limit) noexcept nogil
 cdef bint fuse(State *x, Parameters *k, Observation *o, Py_ssize_t aid) noexcept nogil

@@ -59,6 +59,11 @@ def is_refused_for(x: State, aid: int, limit: float) -> bool:
     return x.refused_t[aid] > x.used_t[aid] and x.t - x.refused_t[aid] > limit * 1e9
 
 
+def has_run_for(x: State, aid: int, limit: float) -> bool:
+    """Return whether a receiver's aid has been heard and refused for longer than a time, s."""
+    return x.run[aid].n > 0.0 and x.t - x.run[aid].t0 > limit * 1e9
+
+
 def is_running(x: State, aid: int) -> bool:
     """Return whether the last of a receiver's aid were refused, and more than one."""
     if x.refused_t[aid] <= x.used_t[aid]:

@@ -471,7 +471,7 @@ def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
     reset_position(x, k, w)
     if gate.is_timed_out(x, AID_VELOCITY, k.timeout_pos):
         reset_unknown_velocity(x, 0, 2)
-    if x.voices.loser != VOICE_HEIGHT and gate.is_timed_out(x, AID_HEIGHT, SAME_CAUSE):
+    if gate.has_run_for(x, AID_HEIGHT, SAME_CAUSE):
         reset_height(x, k, w)
 
 
@@ -505,6 +505,7 @@ def fuse_height(x: State, k: Parameters, w: Scratch) -> None:
     drift = x.P[E_VEL + 2][E_VEL + 2]
     if x.voices.loser == VOICE_HEIGHT:
         gate.count_verdict(x, AID_HEIGHT, VERDICT_SUSPECT)
+        gate.clear_run(x, AID_HEIGHT)
         return
     observe.height(x, k, fix, address(w.observation))
     if (

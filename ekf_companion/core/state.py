@@ -602,6 +602,8 @@ class State:
     """The last fix claims what the inertial samples did not feel."""
     is_fall_denied: Real
     """Likewise of a change of the vertical velocity alone: 1 a fall, -1 a rise, 0 none."""
+    fall_gap: Real
+    """What its vertical velocity gained lately beyond what the samples felt, m/s."""
     white_share: Annotated[Vector, RUNS]
     """Learnt share of the receiver's stated variances that is white, by aid."""
     gnss_vel_offset_var: Real

@@ -48,6 +48,13 @@ RUSH_TIME = cython.declare(cython.double, 1.0)
 """Time constant over which barometer and vertical velocity are compared at once, s."""
 RUSH = cython.declare(cython.double, 2.0)
 """What gusts and rotors may change in a pressure altitude within it, m."""
+FELT = cython.declare(cython.double, 0.5)
+"""Share of the difference that the inertial samples must not have felt."""
+LARGEST_GAP = cython.declare(cython.double, 1.0)
+"""What vertical velocity and samples may disagree by, m/s: the largest bias that is left, over the
+time that they are compared."""
+CONFIRMED = cython.declare(cython.double, 0.25)
+"""Share of it up to which the barometer's difference from the velocity is its own noise."""
 LARGEST = cython.declare(cython.double, 2.0)
 """A difference is kept up to so many times its limit: it must not last when its cause is gone."""
 
@@ -78,34 +85,36 @@ def compare_climbs(x: State, fix: Fix) -> None:
     voices.baro_n = 0.0
     down = fix.vel_n[2] if has_vel else 0.0
     dt = (x.t - voices.t) * 1e-9
+    by_height = fix.alt - voices.height
+    by_velocity = -0.5 * dt * (down + voices.down)
+    by_baro = baro - voices.baro
+    is_known = cython.declare(
+        cython.bint, is_next and has_vel and had_baro and voices.has_baro != 0.0
+    )
+    find_rush(x, fix, dt, is_known, by_baro - by_velocity)
     if is_next:
         memory = LONG_MEMORY if voices.loser == VOICE_HEIGHT else MEMORY
         faded = exp(-dt / memory)
-        by_height = fix.alt - voices.height
-        by_velocity = -0.5 * dt * (down + voices.down)
-        by_baro = baro - voices.baro
         for i in range(3):
             voices.difference[i] *= faded
-        if has_vel:
+        if has_vel and voices.is_rushing == 0.0:
             voices.difference[0] += by_height - by_velocity
         if voices.has_baro != 0.0 and had_baro:
             voices.difference[1] += by_baro - by_height
-            if has_vel:
+            if has_vel and voices.is_rushing == 0.0:
                 voices.difference[2] += by_baro - by_velocity
-                voices.rush += by_baro - by_velocity
         # a receiver's height is noisy from fix to fix
         for i in range(3):
             gain = dt / (dt + SMOOTH) if i < 2 else 1.0
             voices.smooth[i] += gain * (voices.difference[i] - voices.smooth[i])
     elif x.t - voices.t < MEMORY * 1e9 and voices.has_baro != 0.0 and had_baro:
         # while there was no velocity, the two heights went on
-        voices.difference[1] += (baro - voices.baro) - (fix.alt - voices.height)
+        voices.difference[1] += by_baro - by_height
         voices.smooth[1] = voices.difference[1]
     else:
         for i in range(3):
             voices.difference[i] = 0.0
             voices.smooth[i] = 0.0
-    find_rush(x, fix, dt, is_next and had_baro and voices.has_baro != 0.0 and has_vel)
     voices.t = x.t
     voices.height = fix.alt
     voices.down = down
@@ -113,7 +122,7 @@ def compare_climbs(x: State, fix: Fix) -> None:
     find_loser(x, fix)
 
 
-def find_rush(x: State, fix: Fix, dt: float, is_known: bool) -> None:
+def find_rush(x: State, fix: Fix, dt: float, is_known: bool, difference: float) -> None:
     """Find out whether the receiver's vertical velocity runs wild, within a second or two.
 
     It does where the barometer shows nothing of it, and the inertial samples deny it: they felt no
@@ -124,20 +133,34 @@ def find_rush(x: State, fix: Fix, dt: float, is_known: bool) -> None:
         voices.rush = 0.0
         voices.is_rushing = 0.0
         return
-    voices.rush *= exp(-dt / RUSH_TIME)
+    voices.rush = (voices.rush + difference) * exp(-dt / RUSH_TIME)
     size = fabs(voices.rush) / (RUSH + SIGMAS * RUSH_TIME * sqrt(fix.stated_var[2]))
     if voices.is_rushing != 0.0:
         voices.is_rushing = 1.0 if size > BACK else 0.0
     elif size > 1.0 and (
-        voices.rush * x.is_fall_denied > 0.0 or x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]
+        voices.rush * x.is_fall_denied > 0.0
+        or FELT * voices.rush * voices.rush < RUSH_TIME * voices.rush * x.fall_gap
+        or x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]
     ):
         voices.is_rushing = 1.0
-        # what was fused until now has led us along
+        # what it said until now is no witness, and what was fused of it has led us along
+        voices.difference[0] -= voices.rush - difference
+        voices.difference[2] -= voices.rush - difference
+        voices.smooth[0] -= voices.rush - difference
         lead = voices.rush * voices.rush
         x.P[E_POS + 2][E_POS + 2] += lead
         x.P[E_VEL + 2][E_VEL + 2] += lead / (RUSH_TIME * RUSH_TIME)
     if voices.is_rushing != 0.0:
         fix.vel_n[2] = NAN
+
+
+def is_fall_denied(x: State) -> bool:
+    """Return whether the samples deny the vertical velocity, and no barometer confirms it."""
+    voices = address(x.voices)
+    gap = x.fall_gap
+    if fabs(gap) <= LARGEST_GAP:
+        return False
+    return voices.has_baro == 0.0 or voices.rush * gap > CONFIRMED * RUSH_TIME * gap * gap
 
 
 def find_loser(x: State, fix: Fix) -> None:
@@ -150,22 +173,22 @@ def find_loser(x: State, fix: Fix) -> None:
     b = compare(x, 1, fix.stated_var[1] + BARO_STD * BARO_STD)
     c = compare(x, 2, by_velocity + BARO_STD * BARO_STD)
     voices.loser = VOICE_NONE
-    if a > 1.0 or b > 1.0 or c > 1.0:
+    if voices.is_rushing != 0.0:  # it comes of the same receiver
+        voices.loser = VOICE_HEIGHT
+    elif a > 1.0 or b > 1.0 or c > 1.0:
         voices.loser = VOICE_ANY
         if voices.has_baro != 0.0 and voices.has_vel != 0.0:
             if agrees(a, b, c):
-                # height and velocity come of one receiver: the inertial samples may deny both
+                # both come of one receiver: the inertial samples may deny them
                 is_denied = cython.declare(
                     cython.bint, x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]
                 )
-                is_denied = is_denied or voices.is_rushing != 0.0
                 voices.loser = VOICE_HEIGHT if is_denied else VOICE_BARO
             elif agrees(c, a, b):
                 voices.loser = VOICE_HEIGHT
             elif agrees(b, a, c):
                 voices.loser = VOICE_VELOCITY
-    has_none = cython.declare(cython.bint, voices.loser == VOICE_NONE or voices.loser == VOICE_BARO)
-    if before == VOICE_HEIGHT and has_none and b > BACK:
+    if before == VOICE_HEIGHT and b > BACK:
         voices.loser = VOICE_HEIGHT
     if voices.loser != VOICE_NONE and before == VOICE_NONE and x.mode == MODE_NAVIGATE:
         doubt_height(x)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.truth.draw import DEG, Draw
+from benchmarks.truth.draw import DEG, TURN, Draw
 from benchmarks.truth.earth import Array
 from benchmarks.truth.motion import Motion, fly
 from benchmarks.truth.sensors import Readings, measure
@@ -52,6 +52,15 @@ def lose(readings: Readings, begin: float, length: float) -> None:
 def shift(readings: Readings, begin: float, length: float, by_n: Array) -> None:
     """Move the receiver's positions of an interval; its velocities stay true."""
     readings.fixes.pos_error_n[during(readings.fixes.t, begin, length)] += by_n
+
+
+def shake(draw: Draw, readings: Readings, accel: float, gyro: float) -> None:
+    """Add waves of about 0.4 Hz (m/s^2, rad/s), a frequency that wanders by 1 Hz."""
+    t = readings.inertial.t
+    rate = draw.about(0.4) + draw.wander(1.0, 60.0, 10.0)(t)
+    phase = TURN * np.cumsum(rate) * (t[1] - t[0])
+    for size, values in ((accel, readings.inertial.accel), (gyro, readings.inertial.gyro)):
+        values += draw.about(size) * np.sin(phase[:, None] + draw.rng.uniform(0.0, TURN, 3))
 
 
 def climbing(draw: Draw, motion: Motion, begin: float, length: float, by: float) -> Readings:

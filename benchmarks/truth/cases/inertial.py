@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.truth import paths
-from benchmarks.truth.cases.case import Case, flown
-from benchmarks.truth.draw import DEG, TURN, Draw
+from benchmarks.truth.cases.case import Case, flown, shake
+from benchmarks.truth.draw import DEG, Draw
 from benchmarks.truth.motion import Motion
 from benchmarks.truth.sensors import Readings
 
@@ -41,13 +41,8 @@ def vibration_3(draw: Draw) -> Readings:
 
 
 def _shaken(draw: Draw, accel: float, gyro: float) -> Readings:
-    """Add waves of about 0.4 Hz, a frequency that wanders by 1 Hz."""
     readings = flown(draw, paths.figure_eights(draw), 100.0)
-    t = readings.inertial.t
-    rate = draw.about(0.4) + draw.wander(1.0, 60.0, 10.0)(t)
-    phase = TURN * np.cumsum(rate) * (t[1] - t[0])
-    for size, values in ((accel, readings.inertial.accel), (gyro, readings.inertial.gyro)):
-        values += draw.about(size) * np.sin(phase[:, None] + draw.rng.uniform(0.0, TURN, 3))
+    shake(draw, readings, accel, gyro)
     return readings
 
 

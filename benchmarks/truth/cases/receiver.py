@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.truth import paths
-from benchmarks.truth.cases.case import Case, climbing, during, flown, lose, shift
+from benchmarks.truth.cases.case import Case, climbing, during, flown, lose, shake, shift
 from benchmarks.truth.draw import Draw
+from benchmarks.truth.earth import Array
 from benchmarks.truth.motion import Motion
 from benchmarks.truth.sensors import Readings
 
@@ -155,6 +156,39 @@ def vertical_velocity_wild_hover(draw: Draw) -> Readings:
     return climbing(draw, paths.hover(draw), 60.0, 15.0, 10.0)
 
 
+def receiver_wild(draw: Draw) -> Readings:
+    """Hover; for 3 s all of the receiver's velocity is wild, later its descent for 15 s; so is its
+    position, which comes back slowly; the barometer is flat."""
+    return _running_wild(draw, flown(draw, paths.hover(draw), 150.0))
+
+
+def receiver_wild_shaken(draw: Draw) -> Readings:
+    """The same; inertial rows at 40 Hz, a vibration sampled as a slow wave of about 1 m/s2."""
+    readings = flown(draw, paths.hover(draw), 150.0, imu_rate=40)
+    shake(draw, readings, 1.0, 0.02)
+    return _running_wild(draw, readings)
+
+
+def _running_wild(draw: Draw, readings: Readings) -> Readings:
+    burst = draw.about(50.0) * draw.level() + np.array([0.0, 0.0, draw.about(25.0) * draw.sign()])
+    _mislead(readings, draw.about(50.0), draw.about(3.0), burst)
+    descent = np.array([0.0, 0.0, draw.about(7.0) * draw.sign()])
+    _mislead(readings, draw.about(90.0, 0.1), draw.about(15.0), descent)
+    return readings
+
+
+def _mislead(readings: Readings, begin: float, length: float, most_n: Array) -> None:
+    """Let the velocity's error rise to ``most_n`` (m/s) and fall; the position follows it, and
+    forgets it in 5 s."""
+    t, dt, memory = readings.fixes.t, 0.2, 5.0
+    shape = np.sin(np.pi * np.clip((t - begin) / length, 0.0, 1.0)) ** 2
+    led = np.zeros_like(shape)
+    for i in range(1, len(t)):
+        led[i] = led[i - 1] * np.exp(-dt / memory) + dt * shape[i]
+    readings.fixes.vel_error_n += np.outer(shape, most_n)
+    readings.fixes.pos_error_n += np.outer(led, most_n)
+
+
 CASES: tuple[Case, ...] = (
     outage_60,
     outage_30_straight,
@@ -174,4 +208,6 @@ CASES: tuple[Case, ...] = (
     velocity_biased_hover,
     vertical_velocity_wild,
     vertical_velocity_wild_hover,
+    receiver_wild,
+    receiver_wild_shaken,
 )
