@@ -32,7 +32,7 @@ from cython.cimports.ekf_companion.core.propagate import integrate_strapdown
 from cython.cimports.ekf_companion.core.rotation import to_dcm, wrap
 from cython.cimports.ekf_companion.core.scratch import Estimate, Motion, Scratch
 from cython.cimports.ekf_companion.core.state import State
-from cython.cimports.ekf_companion.core.voices import is_fall_denied
+from cython.cimports.ekf_companion.core.voices import is_fall_unconfirmed
 from cython.cimports.libc.math import asin, atan2, cos, fabs, sin, sqrt
 
 NAN = cython.declare(cython.double, float("nan"))
@@ -76,7 +76,7 @@ def find_status(x: State, k: Parameters) -> int:
         return STATUS_DEGRADED
     if is_timed_out(x, AID_HEIGHT, late + 1.0) or x.is_one_sided[AID_HEIGHT] != 0.0:
         return STATUS_DEGRADED
-    if x.voices.loser != VOICE_NONE or is_fall_denied(x):
+    if x.voices.loser != VOICE_NONE or is_fall_unconfirmed(x):
         return STATUS_DEGRADED
     return STATUS_OK
 

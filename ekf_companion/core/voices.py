@@ -154,7 +154,7 @@ def find_rush(x: State, fix: Fix, dt: float, is_known: bool, difference: float) 
         fix.vel_n[2] = NAN
 
 
-def is_fall_denied(x: State) -> bool:
+def is_fall_unconfirmed(x: State) -> bool:
     """Return whether the samples deny the vertical velocity, and no barometer confirms it."""
     voices = address(x.voices)
     gap = x.fall_gap

@@ -157,13 +157,12 @@ def vertical_velocity_wild_hover(draw: Draw) -> Readings:
 
 
 def receiver_wild(draw: Draw) -> Readings:
-    """Hover; for 3 s all of the receiver's velocity is wild, later its descent for 15 s; so is its
-    position, which comes back slowly; the barometer is flat."""
+    """Hover; the receiver's velocity is wild for 3 s, its descent for 15 s; position follows."""
     return _running_wild(draw, flown(draw, paths.hover(draw), 150.0))
 
 
 def receiver_wild_shaken(draw: Draw) -> Readings:
-    """The same; inertial rows at 40 Hz, a vibration sampled as a slow wave of about 1 m/s2."""
+    """The same; inertial rows at 40 Hz, shaken by a slow wave of about 1 m/s2."""
     readings = flown(draw, paths.hover(draw), 150.0, imu_rate=40)
     shake(draw, readings, 1.0, 0.02)
     return _running_wild(draw, readings)
@@ -178,8 +177,7 @@ def _running_wild(draw: Draw, readings: Readings) -> Readings:
 
 
 def _mislead(readings: Readings, begin: float, length: float, most_n: Array) -> None:
-    """Let the velocity's error rise to ``most_n`` (m/s) and fall; the position follows it, and
-    forgets it in 5 s."""
+    """Let a velocity error rise to ``most_n`` (m/s) and fall; the position forgets it in 5 s."""
     t, dt, memory = readings.fixes.t, 0.2, 5.0
     shape = np.sin(np.pi * np.clip((t - begin) / length, 0.0, 1.0)) ** 2
     led = np.zeros_like(shape)
