@@ -240,6 +240,7 @@ def start(x: State, t: float) -> None:
     x.split_t = NEVER
     x.force_t = NEVER
     x.voices.t = NEVER
+    x.voices.baro_t = NEVER
     x.fake_t = t
     x.proven_t = NEVER
     x.gap_t = NEVER
@@ -339,12 +340,14 @@ def start_over(x: State, t: float, reason: float) -> None:
     raw_fix_t = x.raw_fix_t
     split_t = x.split_t
     voices_t = x.voices.t
+    baro_t = x.voices.baro_t
     start(x, t)
     x.armed = armed
     x.landed = landed
     x.raw_fix_t = raw_fix_t
     x.split_t = split_t
     x.voices.t = voices_t
+    x.voices.baro_t = baro_t
 
 
 def inflate_after_gap(x: State, k: Parameters, span: float, is_gap: bool) -> None:

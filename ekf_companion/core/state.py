@@ -192,12 +192,17 @@ class Voices:
     """Its altitude, m."""
     down: Real
     """Its vertical velocity, m/s."""
-    baro: Real
-    """Mean pressure altitude before it, m."""
-    has_baro: Real
     has_vel: Real
+    baro: Real
+    """Mean pressure altitude before the last fix that it was heard before, m."""
+    baro_t: Real
+    """Of that fix, ns."""
+    by_height: Real
+    """Climb since that fix by the receiver's height, m."""
+    by_velocity: Real
+    """The same by its vertical velocity; NaN: not known."""
     baro_sum: Real
-    """Since then, m."""
+    """Since the last fix, m."""
     baro_n: Real
     difference: Annotated[Vector, 3]
     """Of the climbs lately: height less velocity, baro less height, baro less velocity, m."""
