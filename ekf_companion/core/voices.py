@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
+from cython.cimports.ekf_companion.core import slide
 from cython.cimports.ekf_companion.core.enums import (
     AID_VELOCITY,
     E_BARO,
@@ -28,22 +29,25 @@ from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 
 NAN = cython.declare(cython.double, float("nan"))
 MEMORY = cython.declare(cython.double, 40.0)
-"""Time constant over which the climbs are compared, s."""
+"""Time constant over which the climbs are compared, s; that of a slide."""
 LONG_MEMORY = cython.declare(cython.double, 1000.0)
-"""The same while the receiver's height is not heard: it may come back from afar, s."""
+"""The same while the receiver's height is not heard, or no third voice: it may come back from
+afar, s."""
 LONGEST = cython.declare(cython.double, 3.0)
 """Longest interval between two fixes to add a velocity up over, or of a barometer's silence, s."""
 SMOOTH = cython.declare(cython.double, 2.0)
 """Time constant of what the receiver's height is compared by, s."""
 SIGMAS = cython.declare(cython.double, 3.0)
-SLOW_VELOCITY = cython.declare(cython.double, 0.3)
-"""Slow error of a velocity, as a share of its stated sigma."""
-SLOW_TIME = cython.declare(cython.double, 20.0)
-"""Its time constant, s."""
 BARO_STD = cython.declare(cython.double, 1.0)
 """One sigma of what weather, wind and rotors change in a barometer meanwhile, m."""
 BACK = cython.declare(cython.double, 0.4)
 """Share of the limit below which a height is heard again."""
+ALONE = cython.declare(cython.double, 0.8)
+"""Share of it beyond which height and velocity contradict each other, without a third voice."""
+ALONE_BACK = cython.declare(cython.double, 0.25)
+"""Share of it below which they agree again."""
+AGREED = cython.declare(cython.double, 10.0)
+"""How long they must do so, s."""
 RUSH_TIME = cython.declare(cython.double, 1.0)
 """Time constant over which barometer and vertical velocity are compared at once, s."""
 RUSH = cython.declare(cython.double, 2.0)
@@ -94,7 +98,11 @@ def compare_climbs(x: State, fix: Fix) -> None:
     # without an earlier height of both, nothing is known of their climb
     by_baro = baro - voices.baro if baro_since < MEMORY and since < MEMORY else NAN
     find_rush(x, fix, baro_since, by_baro - voices.by_velocity)
-    memory = LONG_MEMORY if voices.loser == VOICE_HEIGHT else MEMORY
+    is_kept = cython.declare(
+        cython.bint,
+        voices.loser == VOICE_HEIGHT or (voices.loser != VOICE_NONE and not hears_baro(x)),
+    )
+    memory = LONG_MEMORY if is_kept else MEMORY
     for i in range(3):
         if since >= MEMORY or (i > 0 and baro_since >= MEMORY):
             voices.difference[i] = 0.0
@@ -169,43 +177,53 @@ def is_fall_unconfirmed(x: State) -> bool:
     gap = x.fall_gap
     if fabs(gap) <= LARGEST_GAP:
         return False
-    return not hears_baro(x) or voices.rush * gap > CONFIRMED * RUSH_TIME * gap * gap
+    return voices.baro_t < voices.t or voices.rush * gap > CONFIRMED * RUSH_TIME * gap * gap
 
 
 def find_loser(x: State, fix: Fix) -> None:
     """Find the voice that contradicts two others that agree; what it said until now is doubted."""
     voices = address(x.voices)
     before = voices.loser
-    by_velocity = SLOW_VELOCITY * SLOW_VELOCITY * fix.stated_var[2] * SLOW_TIME * MEMORY
+    by_velocity = slide.led_var(fix, MEMORY)
     # of the pairs: height and velocity, baro and height, baro and velocity
     a = compare(x, 0, fix.stated_var[1] + by_velocity)
     b = compare(x, 1, fix.stated_var[1] + BARO_STD * BARO_STD)
     c = compare(x, 2, by_velocity + BARO_STD * BARO_STD)
     voices.loser = VOICE_NONE
-    if voices.is_rushing != 0.0:  # it comes of the same receiver
+    if not hears_baro(x):  # who is wrong cannot be told, until they agree again
+        if a > (ALONE if before == VOICE_NONE else ALONE_BACK) or b > 1.0 or c > 1.0:
+            voices.apart_t = x.t
+        if before != VOICE_NONE and slide.is_led(x, fix, 2):
+            voices.apart_t = x.t
+        if x.t - voices.apart_t < AGREED * 1e9:
+            voices.loser = VOICE_ANY
+    elif voices.is_rushing != 0.0:  # it comes of the same receiver
+        voices.loser = VOICE_HEIGHT
+    elif before == VOICE_HEIGHT and b > BACK:
         voices.loser = VOICE_HEIGHT
     elif a > 1.0 or b > 1.0 or c > 1.0:
-        voices.loser = VOICE_ANY
-        if hears_baro(x) and voices.has_vel != 0.0:
-            if agrees(a, b, c):
-                # both come of one receiver: the inertial samples may deny them
-                is_denied = cython.declare(
-                    cython.bint, x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]
-                )
-                voices.loser = VOICE_HEIGHT if is_denied else VOICE_BARO
-            elif agrees(c, a, b):
-                voices.loser = VOICE_HEIGHT
-            elif agrees(b, a, c):
-                voices.loser = VOICE_VELOCITY
-    if before == VOICE_HEIGHT and b > BACK and hears_baro(x):
-        voices.loser = VOICE_HEIGHT
-    if voices.loser != VOICE_HEIGHT:
+        voices.loser = find_third(x, a, b, c)
+    if hears_baro(x) and voices.loser != VOICE_HEIGHT:
         bound(x, 0, a)
-        if hears_baro(x):
-            bound(x, 1, b)
-            bound(x, 2, c)
+        bound(x, 1, b)
+        bound(x, 2, c)
     if voices.loser != VOICE_NONE and before == VOICE_NONE and x.mode == MODE_NAVIGATE:
         doubt_height(x)
+
+
+def find_third(x: State, a: float, b: float, c: float) -> int:
+    """Return the voice that contradicts two others that agree, by the shares of the pairs."""
+    if x.voices.has_vel == 0.0:
+        return VOICE_ANY
+    if agrees(a, b, c):
+        # both come of one receiver: the inertial samples may deny them
+        is_denied = cython.declare(cython.bint, x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY])
+        return VOICE_HEIGHT if is_denied else VOICE_BARO
+    if agrees(c, a, b):
+        return VOICE_HEIGHT
+    if agrees(b, a, c):
+        return VOICE_VELOCITY
+    return VOICE_ANY
 
 
 def agrees(pair: float, other: float, third: float) -> bool:
