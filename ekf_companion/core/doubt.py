@@ -21,7 +21,7 @@ from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.past import acceleration_noise
 from cython.cimports.ekf_companion.core.scratch import Fix, ImuRow, Motion, Observation
 from cython.cimports.ekf_companion.core.state import State
-from cython.cimports.libc.math import exp, fabs, isnan, sqrt
+from cython.cimports.libc.math import exp, fabs, sqrt
 
 NAN = cython.declare(cython.double, float("nan"))
 NEVER = cython.declare(cython.double, -1e18)

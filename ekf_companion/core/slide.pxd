@@ -5,6 +5,6 @@ cdef void refuse(State *x) noexcept nogil
 cdef bint has_slid(State *x, double limit) noexcept nogil
 cdef double beside(State *x, Py_ssize_t axis) noexcept nogil
 cdef void follow(State *x, Fix *fix, bint is_reset) noexcept nogil
-cdef bint is_led(State *x, Fix *fix, Py_ssize_t axis) noexcept nogil
+cdef bint is_led(State *x, Py_ssize_t axis) noexcept nogil
 cdef double led_var(Fix *fix, double span) noexcept nogil
 cdef bint contradicts_itself(State *x, Fix *fix) noexcept nogil

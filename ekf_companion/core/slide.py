@@ -37,8 +37,8 @@ BACK = cython.declare(cython.double, 0.25)
 """Share of the limit below which they agree again, but for what has led meanwhile."""
 AGREED = cython.declare(cython.double, 10.0)
 """How long they must agree until they are believed again, s."""
-OFFSET = cython.declare(cython.double, 1.5)
-"""Stated sigmas of the receiver's slow error that are no slide."""
+OFFSET = cython.declare(cython.double, 2.0)
+"""Sigmas of the receiver's slow error that are no slide."""
 
 
 def compare_fixes(x: State, fix: Fix) -> None:
@@ -102,13 +102,13 @@ def follow(x: State, fix: Fix, is_reset: bool) -> None:
         x.is_sliding = 1.0 if square > limit else 0.0
         return
     limit = BACK * BACK * limit + led_var(fix, (x.t - x.sliding_t) * 1e-9)
-    if square > limit or is_led(x, fix, 0) or is_led(x, fix, 1):
+    if square > limit or is_led(x, 0) or is_led(x, 1):
         x.apart_t = x.t
     x.is_sliding = 1.0 if x.t - x.apart_t < AGREED * 1e9 else 0.0
 
 
 def has_slid(x: State, limit: float) -> bool:
-    """Return whether a position to reset to is off, and more of it than a jump, by a limit (m^2)."""
+    """Return whether a position to reset to is off by a limit (m^2), and not by a jump alone."""
     whole = 0.0
     slid = 0.0
     for i in range(2):
@@ -125,10 +125,11 @@ def beside(x: State, axis: int) -> float:
     return x.split_pos[axis] - x.slide_pos[axis] - x.slide_way[axis]
 
 
-def is_led(x: State, fix: Fix, axis: int) -> bool:
-    """Return whether a slide is taken for a slow error of the receiver, larger than it states."""
+def is_led(x: State, axis: int) -> bool:
+    """Return whether a slide is still taken for a slow error of the receiver, that it never has."""
     offset = x.gnss_offset[axis]
-    return offset * offset > OFFSET * OFFSET * fix.stated_var[0 if axis < 2 else 1]
+    variance = x.gnss_offset_var[0 if axis < 2 else 1]
+    return variance > 0.0 and offset * offset > OFFSET * OFFSET * variance
 
 
 def led_var(fix: Fix, span: float) -> float:

@@ -193,7 +193,7 @@ def find_loser(x: State, fix: Fix) -> None:
     if not hears_baro(x):  # who is wrong cannot be told, until they agree again
         if a > (ALONE if before == VOICE_NONE else ALONE_BACK) or b > 1.0 or c > 1.0:
             voices.apart_t = x.t
-        if before != VOICE_NONE and slide.is_led(x, fix, 2):
+        if before != VOICE_NONE and slide.is_led(x, 2):
             voices.apart_t = x.t
         if x.t - voices.apart_t < AGREED * 1e9:
             voices.loser = VOICE_ANY

@@ -305,7 +305,7 @@ def led(events: Events, column: int, by: float, back: float) -> Events:
 
 @pytest.mark.parametrize("name", ["hover", "figure-eight"])
 def test_a_position_that_slides_off_slowly_is_not_called_good_until_it_is_back(name):
-    events, truth = flight(name, duration=210.0, noise=(0.3, 0.5))
+    events, truth = flight(name, duration=210.0, noise=(0.5, 0.7))
     table, _ = run(led(events, 0, 15.0 * METRE, 160.0))
     assert not np.any(is_lie(table, truth, 0))
     t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
