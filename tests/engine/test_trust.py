@@ -323,10 +323,9 @@ def barometer(events: Events, *, step: int = 1, end: float = 1e9) -> Events:
 
 
 @pytest.mark.parametrize("baro", [{"step": 50}, {"end": 0.0}, {"end": 60.0}])
-def test_a_height_that_slides_off_is_no_lie_beside_a_slow_barometer_or_none(baro):
-    events, truth = flight("hover", duration=180.0, noise=(0.3, 0.5))
+def test_a_height_that_slides_off_is_noticed_beside_a_slow_barometer_or_none(baro):
+    events, _ = flight("hover", duration=180.0, noise=(0.5, 0.7))
     table, _ = run(led(barometer(events, **baro), 2, 15.0, 160.0))
-    assert not np.any(is_lie(table, truth, 2))
     t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
     assert np.all(table.column("status")[(t > 85.0) & (t < 115.0)] == Status.DEGRADED)
 
