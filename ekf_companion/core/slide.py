@@ -18,6 +18,8 @@ from cython.cimports.libc.math import exp, fabs, isnan, sqrt
 NAN = cython.declare(cython.double, float("nan"))
 LONGEST = cython.declare(cython.double, 3.0)
 """Longest interval between two fixes to add a velocity up over, s."""
+STEADY = cython.declare(cython.double, 1.5)
+"""The same for a slide: within more, a turn is not the mean of its ends, s."""
 SIGMAS = cython.declare(cython.double, 3.0)
 SPLIT_TIME = cython.declare(cython.double, 10.0)
 """Time constant of the difference over some seconds, s."""
@@ -59,7 +61,7 @@ def compare_fixes(x: State, fix: Fix) -> None:
             x.split[i] * exp(-dt / SPLIT_TIME) + here - x.split_pos[i] - way if is_next else 0.0
         )
         if i < 2:
-            x.slide_way[i] += way if is_next and is_heard and not isnan(fix.vel_n[i]) else NAN
+            x.slide_way[i] += way if dt < STEADY and is_heard and not isnan(fix.vel_n[i]) else NAN
         x.split_pos[i] = here
         x.split_vel[i] = v
     x.split_t = x.t
