@@ -14,9 +14,7 @@ cdef void remember_doubt(State *x) noexcept nogil
 cdef void bound_doubt(State *x) noexcept nogil
 cdef double receiver_share(State *x) noexcept nogil
 cdef void doubt_refusal(State *x, Parameters *k, Fix *fix, Observation *o) noexcept nogil
-cdef void compare_fixes(State *x, Fix *fix) noexcept nogil
 cdef bint is_receivers_own(State *x, Fix *fix) noexcept nogil
-cdef bint contradicts_itself(State *x, Fix *fix) noexcept nogil
 cdef double scale_var(State *x, Py_ssize_t sensor, double square, double usual, double dt) noexcept nogil
 cdef double new_bias_share(State *x) noexcept nogil
 cdef double chance(State *x) noexcept nogil

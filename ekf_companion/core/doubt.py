@@ -15,14 +15,13 @@ chance does not raise, Page 1954, "Continuous inspection schemes".
 from __future__ import annotations
 
 import cython
-from cython.cimports.ekf_companion.core import force
+from cython.cimports.ekf_companion.core import slide
 from cython.cimports.ekf_companion.core.enums import AID_POSITION, AID_VELOCITY, N
 from cython.cimports.ekf_companion.core.parameters import Parameters
 from cython.cimports.ekf_companion.core.past import acceleration_noise
-from cython.cimports.ekf_companion.core.rotation import wrap
 from cython.cimports.ekf_companion.core.scratch import Fix, ImuRow, Motion, Observation
 from cython.cimports.ekf_companion.core.state import State
-from cython.cimports.libc.math import exp, fabs, isnan, sqrt
+from cython.cimports.libc.math import exp, fabs, sqrt
 
 NAN = cython.declare(cython.double, float("nan"))
 NEVER = cython.declare(cython.double, -1e18)
@@ -116,11 +115,6 @@ LEAST_FORCE_RANGE = cython.declare(cython.double, 11.5)
 """m/s^2."""
 SAME = cython.declare(cython.double, 1e-4)
 """Relative difference of two readings at the end of a range."""
-SPLIT_TIME = cython.declare(cython.double, 10.0)
-"""Time constant of the difference between a receiver's position and its integrated velocity, s."""
-SPLIT_SIGMAS = cython.declare(cython.double, 3.0)
-SPLIT_DRIFT = cython.declare(cython.double, 1.0)
-"""What the slow error of the velocity adds to that difference, m."""
 
 
 def restart(x: State) -> None:
@@ -379,36 +373,6 @@ def doubt_refusal(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     bound_doubt(x)
 
 
-def compare_fixes(x: State, fix: Fix) -> None:
-    """Add to what the receiver's position has moved beside the integral of its velocity."""
-    dt = (x.t - x.split_t) * 1e-9
-    force.compare(x, fix)
-    for i in range(3):
-        here = -fix.alt
-        if i == 0:
-            here = (fix.lat - x.origin.lat) * x.origin.scale_n
-        if i == 1:
-            here = wrap(fix.lon - x.origin.lon) * x.origin.scale_e
-        v = 0.0 if isnan(fix.vel_n[i]) else fix.vel_n[i]
-        if dt < OLD * 1e-9:
-            x.split[i] *= exp(-dt / SPLIT_TIME)
-            x.split[i] += here - x.split_pos[i] - 0.5 * dt * (v + x.split_vel[i])
-        else:
-            x.split[i] = 0.0
-        x.split_pos[i] = here
-        x.split_vel[i] = v
-    x.split_t = x.t
-
-
 def is_receivers_own(x: State, fix: Fix) -> bool:
     """Return whether a disagreement is the receiver's, whatever the filter is in doubt of."""
-    return contradicts_itself(x, fix) or x.is_force_denied != 0.0
-
-
-def contradicts_itself(x: State, fix: Fix) -> bool:
-    """Return whether the receiver's position lately moved otherwise than its velocity says."""
-    level = SPLIT_SIGMAS * sqrt(fix.stated_var[0]) + SPLIT_DRIFT
-    vertical = SPLIT_SIGMAS * sqrt(fix.stated_var[1]) + SPLIT_DRIFT
-    if x.split[0] * x.split[0] + x.split[1] * x.split[1] > level * level:
-        return True
-    return not isnan(fix.vel_n[2]) and fabs(x.split[2]) > vertical
+    return slide.contradicts_itself(x, fix) or x.is_force_denied != 0.0

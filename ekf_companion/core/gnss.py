@@ -13,9 +13,11 @@ from cython.cimports.ekf_companion.core import (
     align,
     delay,
     doubt,
+    force,
     gate,
     observe,
     rest,
+    slide,
     voices,
     yaw_bank,
     yaw_reset,
@@ -129,7 +131,8 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
     learn_field(x, values)
     read_fix(x, k, fix, values)
     if x.origin.is_known != 0.0:
-        doubt.compare_fixes(x, fix)
+        force.compare(x, fix)
+        slide.compare_fixes(x, fix)
     voices.compare_climbs(x, fix)
     if x.voices.loser == VOICE_VELOCITY:
         fix.vel_n[2] = NAN
@@ -395,7 +398,7 @@ def is_dragged(x: State, o: Observation, fix: Fix, aid: int) -> bool:
     x.is_one_sided[aid] = (
         1.0
         if size > shown
-        and (x.doubt <= 1.0 or way > fix.stated_var[aid] or doubt.contradicts_itself(x, fix))
+        and (x.doubt <= 1.0 or way > fix.stated_var[aid] or slide.contradicts_itself(x, fix))
         else 0.0
     )
     return x.is_one_sided[aid] != 0.0 and size > LARGEST_MEAN * LARGEST_MEAN
@@ -458,9 +461,12 @@ def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
         drift = LARGEST_DRIFT
     observe.position(x, k, fix, address(w.observation))
     if fuse(x, k, w, AID_POSITION):
+        slide.follow(x, fix, False)
         x.refused_way[0] = 0.0
         x.refused_way[1] = 0.0
         return
+    if x.refused_t[AID_POSITION] == x.t:
+        slide.refuse(x)
     patience = position_patience(x, k, w)
     shortest = 0.5 * patience if 0.5 * patience > SHORTEST_RUN else SHORTEST_RUN
     if not gate.is_refused_for(x, AID_POSITION, patience) or not gate.is_proven(

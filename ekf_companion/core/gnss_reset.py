@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core import align, observe, yaw_reset
+from cython.cimports.ekf_companion.core import align, observe, slide, yaw_reset
 from cython.cimports.ekf_companion.core.correct import apply_update, innovate, reset_variance
 from cython.cimports.ekf_companion.core.delay import forget_gain
 from cython.cimports.ekf_companion.core.enums import (
@@ -138,6 +138,7 @@ def reset_position(x: State, k: Parameters, w: Scratch) -> None:
     x.innovation_mean[1] = 0.0
     x.is_one_sided[AID_POSITION] = 0.0
     note_used(x, AID_POSITION)
+    slide.follow(x, address(w.fix), True)
 
 
 def reset_height(x: State, k: Parameters, w: Scratch) -> None:

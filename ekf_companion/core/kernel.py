@@ -238,8 +238,12 @@ def start(x: State, t: float) -> None:
     x.mag_t = NEVER
     x.innovation_t = NEVER
     x.split_t = NEVER
+    x.slide_t = NEVER
+    x.apart_t = NEVER
     x.force_t = NEVER
     x.voices.t = NEVER
+    x.voices.baro_t = NEVER
+    x.voices.apart_t = NEVER
     x.fake_t = t
     x.proven_t = NEVER
     x.gap_t = NEVER
@@ -338,13 +342,21 @@ def start_over(x: State, t: float, reason: float) -> None:
     landed = x.landed
     raw_fix_t = x.raw_fix_t
     split_t = x.split_t
+    slide_t = x.slide_t
+    apart_t = x.apart_t
     voices_t = x.voices.t
+    baro_t = x.voices.baro_t
+    height_apart_t = x.voices.apart_t
     start(x, t)
     x.armed = armed
     x.landed = landed
     x.raw_fix_t = raw_fix_t
     x.split_t = split_t
+    x.slide_t = slide_t
+    x.apart_t = apart_t
     x.voices.t = voices_t
+    x.voices.baro_t = baro_t
+    x.voices.apart_t = height_apart_t
 
 
 def inflate_after_gap(x: State, k: Parameters, span: float, is_gap: bool) -> None:

@@ -192,17 +192,24 @@ class Voices:
     """Its altitude, m."""
     down: Real
     """Its vertical velocity, m/s."""
-    baro: Real
-    """Mean pressure altitude before it, m."""
-    has_baro: Real
     has_vel: Real
+    baro: Real
+    """Mean pressure altitude before the last fix that it was heard before, m."""
+    baro_t: Real
+    """Of that fix, ns."""
+    by_height: Real
+    """Climb since that fix by the receiver's height, m."""
+    by_velocity: Real
+    """The same by its vertical velocity; NaN: not known."""
     baro_sum: Real
-    """Since then, m."""
+    """Since the last fix, m."""
     baro_n: Real
     difference: Annotated[Vector, 3]
     """Of the climbs lately: height less velocity, baro less height, baro less velocity, m."""
     smooth: Annotated[Vector, 3]
     """The same without a height's noise, m."""
+    apart_t: Real
+    """Until when height and velocity were apart, ns."""
     rush: Real
     """Climb over the last second, barometer less velocity, m."""
     is_rushing: Real
@@ -586,6 +593,24 @@ class State:
     """Its last velocity, m/s."""
     split_t: Real
     """ns."""
+    slide: Annotated[Vector, 2]
+    """What the estimate was led by over half a minute, beside that velocity, n e, m."""
+    smooth_slide: Annotated[Vector, 2]
+    """The same without a position's noise, m."""
+    slide_pos: Annotated[Vector, 2]
+    """The last position that was fused, m."""
+    slide_way: Annotated[Vector, 2]
+    """Integral of the receiver's velocity since, m; NaN: not known."""
+    slide_jump: Annotated[Vector, 2]
+    """What the first position that was refused had moved beside it, m."""
+    slide_t: Real
+    """Of that position, ns."""
+    sliding_t: Real
+    """Since when they contradict each other, ns."""
+    apart_t: Real
+    """Until when they were apart, ns."""
+    is_sliding: Real
+    """Position and velocity of the receiver contradict each other."""
     force_t: Real
     """Of the last fix that the specific force did not deny, ns."""
     force_vel: Annotated[Vector, 3]

@@ -9,7 +9,7 @@ from ekf_companion.core.memory import as_parameters, as_state
 from ekf_companion.core.settings import AlignSettings, FilterSettings, HeadingSettings
 from ekf_companion.engine.health import RESET_REASONS, Aid, Verdict
 from ekf_companion.nav.measurements import Events, Kind, merge
-from ekf_companion.nav.state import Status
+from ekf_companion.nav.state import Status, Table, Trajectory
 from tests.core.flights import between, changed, flight, without
 from tests.core.interpreted import load
 from tests.engine.estimation import KNOWN, errors, rms, run, statuses
@@ -285,3 +285,61 @@ def test_a_step_of_the_accelerometers_bias_is_doubted_before_it_is_a_lie():
     assert not np.any((off > np.maximum(0.5, 5.0 * sigma)) & (table.column("status") == Status.OK))
     assert table.column("status")[-1] == Status.OK
     assert pipeline.health().resets == 0
+
+
+def is_lie(table: Table, truth: Trajectory, axis: int) -> np.ndarray:
+    """Say where a position is called good and is not."""
+    found = errors(table, truth, 0.0)
+    is_wrong = np.abs(found["pos"][:, axis]) > np.maximum(2.0, 5.0 * found["sd_pos"][:, axis])
+    return is_wrong & (table.column("status") == Status.OK)
+
+
+def led(events: Events, column: int, by: float, back: float) -> Events:
+    """Let the fixes slide off by so much from 40 to 100 s, and back from 100 to ``back`` s."""
+    t = (events.t_ns - events.t_ns[0]) * 1e-9
+    values = events.values.copy()
+    slid = by * np.interp(t, [40.0, 100.0, back], [0.0, 1.0, 0.0])
+    values[:, column] += np.where(events.kind == Kind.GNSS, slid, 0.0)
+    return Events(t_ns=events.t_ns, kind=events.kind, values=values)
+
+
+@pytest.mark.parametrize("name", ["hover", "figure-eight"])
+def test_a_position_that_slides_off_slowly_is_not_called_good_until_it_is_back(name):
+    events, truth = flight(name, duration=210.0, noise=(0.5, 0.7))
+    table, _ = run(led(events, 0, 15.0 * METRE, 160.0))
+    assert not np.any(is_lie(table, truth, 0))
+    t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
+    status = table.column("status")
+    assert np.all(status[(t > 75.0) & (t < 130.0)] == Status.DEGRADED)
+    assert status[-1] == Status.OK
+
+
+def barometer(events: Events, *, step: int = 1, end: float = 1e9) -> Events:
+    """Leave a reading of so many, and none from a time on, s."""
+    readings = np.flatnonzero(events.kind == Kind.BARO)
+    t = (events.t_ns[readings] - events.t_ns[0]) * 1e-9
+    kept = (np.arange(len(readings)) % step == 0) & (t < end)
+    return events.take(np.setdiff1d(np.arange(len(events)), readings[~kept]))
+
+
+@pytest.mark.parametrize("baro", [{"step": 50}, {"end": 0.0}, {"end": 60.0}])
+def test_a_height_that_slides_off_is_noticed_beside_a_slow_barometer_or_none(baro):
+    events, _ = flight("hover", duration=180.0, noise=(0.5, 0.7))
+    table, _ = run(led(barometer(events, **baro), 2, 15.0, 160.0))
+    t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
+    assert np.all(table.column("status")[(t > 85.0) & (t < 115.0)] == Status.DEGRADED)
+
+
+def test_a_height_that_ran_wild_is_heard_again_though_the_barometer_is_gone():
+    events, truth = flight("hover", duration=170.0, noise=(0.3, 0.5))
+    events = barometer(events, end=48.0)
+    t = (events.t_ns - events.t_ns[0]) * 1e-9
+    wild = 30.0 * np.interp(t, [40.0, 44.0, 56.0, 60.0], [0.0, 1.0, 1.0, 0.0])
+    down = np.select([(t >= 40.0) & (t < 44.0), (t >= 56.0) & (t < 60.0)], [-7.5, 7.5], 0.0)
+    is_fix = events.kind == Kind.GNSS
+    values = events.values.copy()
+    values[is_fix, 2] += wild[is_fix]
+    values[is_fix, 5] += down[is_fix]
+    table, _ = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+    assert not np.any(is_lie(table, truth, 2))
+    assert np.abs(errors(table, truth, 150.0)["pos"][:, 2]).max() < 4.0

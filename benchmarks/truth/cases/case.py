@@ -54,6 +54,17 @@ def shift(readings: Readings, begin: float, length: float, by_n: Array) -> None:
     readings.fixes.pos_error_n[during(readings.fixes.t, begin, length)] += by_n
 
 
+def thin_baro(readings: Readings, step: int) -> None:
+    """Keep every so manyth reading of the barometer, which has 25 Hz."""
+    readings.baro_t, readings.baro = readings.baro_t[::step], readings.baro[::step]
+
+
+def end_baro(readings: Readings, end: float) -> None:
+    """Take the barometer's readings away from a time on."""
+    kept = readings.baro_t < end
+    readings.baro_t, readings.baro = readings.baro_t[kept], readings.baro[kept]
+
+
 def shake(draw: Draw, readings: Readings, accel: float, gyro: float) -> None:
     """Add waves of about 0.4 Hz (m/s^2, rad/s), a frequency that wanders by 1 Hz."""
     t = readings.inertial.t

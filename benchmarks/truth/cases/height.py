@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.truth import paths
-from benchmarks.truth.cases.case import Case, climbing, flown
+from benchmarks.truth.cases.case import Case, climbing, end_baro, flown, thin_baro
 from benchmarks.truth.draw import Draw, ramp
 from benchmarks.truth.sensors import Readings
 
@@ -15,6 +15,13 @@ def baro_drift(draw: Draw) -> Readings:
     readings = flown(draw, paths.figure_eights(draw), 150.0)
     share = np.clip((readings.baro_t - draw.about(45.0)) / draw.about(60.0), 0.0, 1.0)
     readings.baro += draw.about(20.0) * draw.sign() * share
+    return readings
+
+
+def baro_drift_1_hz(draw: Draw) -> Readings:
+    """The same, of a barometer that is slower than the receiver."""
+    readings = baro_drift(draw)
+    thin_baro(readings, 25)
     return readings
 
 
@@ -51,6 +58,20 @@ def receiver_height(draw: Draw) -> Readings:
     return readings
 
 
+def receiver_height_1_hz(draw: Draw) -> Readings:
+    """The same, beside a barometer that is slower than the receiver."""
+    readings = receiver_height(draw)
+    thin_baro(readings, 25)
+    return readings
+
+
+def receiver_height_alone(draw: Draw) -> Readings:
+    """The same; there is no barometer."""
+    readings = receiver_height(draw)
+    end_baro(readings, 0.0)
+    return readings
+
+
 def vertical_velocity_biased(draw: Draw) -> Readings:
     """Hover; the receiver's vertical velocity about 1 m/s off for 30 s."""
     return climbing(draw, paths.hover(draw), 50.0, 30.0, 1.0)
@@ -58,9 +79,12 @@ def vertical_velocity_biased(draw: Draw) -> Readings:
 
 CASES: tuple[Case, ...] = (
     baro_drift,
+    baro_drift_1_hz,
     baro_step,
     baro_frozen,
     baro_by_speed,
     receiver_height,
+    receiver_height_1_hz,
+    receiver_height_alone,
     vertical_velocity_biased,
 )

@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.truth import paths
-from benchmarks.truth.cases.case import Case, climbing, during, flown, lose, shake, shift
-from benchmarks.truth.draw import Draw
+from benchmarks.truth.cases.case import (
+    Case,
+    climbing,
+    during,
+    end_baro,
+    flown,
+    lose,
+    shake,
+    shift,
+    thin_baro,
+)
+from benchmarks.truth.draw import Draw, ramp
 from benchmarks.truth.earth import Array
 from benchmarks.truth.motion import Motion
 from benchmarks.truth.sensors import Readings
@@ -96,6 +106,24 @@ def _sliding_white(draw: Draw, motion: Motion) -> Readings:
     return readings
 
 
+def slide_slow(draw: Draw) -> Readings:
+    """Figure-eights; slides about 15 m away within 60 s and back in 60 s, velocity true."""
+    return _sliding_slowly(draw, paths.figure_eights(draw))
+
+
+def slide_slow_hover(draw: Draw) -> Readings:
+    """Hover; slides about 15 m away within 60 s and back in 60 s, velocity true."""
+    return _sliding_slowly(draw, paths.hover(draw))
+
+
+def _sliding_slowly(draw: Draw, motion: Motion) -> Readings:
+    readings = flown(draw, motion, 200.0)
+    begin, length, t = draw.about(40.0), draw.about(60.0), readings.fixes.t
+    there_and_back = ramp(t, begin, length) - ramp(t, begin + length, length)
+    readings.fixes.pos_error_n += np.outer(there_and_back, draw.about(15.0) * draw.level())
+    return readings
+
+
 def frozen(draw: Draw) -> Readings:
     """Figure-eights; the receiver repeats one fix for about 20 s."""
     return _freezing(draw, paths.figure_eights(draw))
@@ -168,6 +196,20 @@ def receiver_wild_shaken(draw: Draw) -> Readings:
     return _running_wild(draw, readings)
 
 
+def receiver_wild_1_hz(draw: Draw) -> Readings:
+    """The same as receiver-wild, beside a barometer at 1 Hz."""
+    readings = receiver_wild(draw)
+    thin_baro(readings, 25)
+    return readings
+
+
+def receiver_wild_baro_lost(draw: Draw) -> Readings:
+    """The same as receiver-wild; the barometer ends during the descent."""
+    readings = receiver_wild(draw)
+    end_baro(readings, 97.0)
+    return readings
+
+
 def _running_wild(draw: Draw, readings: Readings) -> Readings:
     burst = draw.about(50.0) * draw.level() + np.array([0.0, 0.0, draw.about(25.0) * draw.sign()])
     _mislead(readings, draw.about(50.0), draw.about(3.0), burst)
@@ -198,6 +240,8 @@ CASES: tuple[Case, ...] = (
     slide_2_hover,
     slide_1_white,
     slide_1_white_hover,
+    slide_slow,
+    slide_slow_hover,
     frozen,
     frozen_hover,
     return_wrong,
@@ -208,4 +252,6 @@ CASES: tuple[Case, ...] = (
     vertical_velocity_wild_hover,
     receiver_wild,
     receiver_wild_shaken,
+    receiver_wild_1_hz,
+    receiver_wild_baro_lost,
 )
