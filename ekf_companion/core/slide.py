@@ -85,11 +85,18 @@ def follow(x: State, fix: Fix, is_reset: bool) -> None:
         x.is_sliding = 1.0
         x.sliding_t = x.t
         x.apart_t = x.t
-    memory = MEMORY if x.is_sliding == 0.0 else LONG_MEMORY
+    if isnan(beside(x, 0)) or (is_reset and x.is_sliding == 0.0):
+        x.begun_t = x.t
+    memory = LONG_MEMORY
+    if x.is_sliding == 0.0:
+        # the noise of the position that it begins with must not last
+        memory = (x.t - x.begun_t) * 1e-9
+        memory = memory if memory > since else since
+        memory = memory if memory < MEMORY else MEMORY
     square = 0.0
     for i in range(2):
         led = beside(x, i)
-        x.slide[i] *= exp(-since / memory)
+        x.slide[i] *= exp(-since / memory) if since > 0.0 else 1.0
         if not isnan(led) and (not is_reset or x.is_sliding != 0.0):
             x.slide[i] += led
         gain = since / (since + SMOOTH)

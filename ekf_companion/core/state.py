@@ -605,6 +605,8 @@ class State:
     """What the first position that was refused had moved beside it, m."""
     slide_t: Real
     """Of that position, ns."""
+    begun_t: Real
+    """Since when they are compared, ns."""
     sliding_t: Real
     """Since when they contradict each other, ns."""
     apart_t: Real

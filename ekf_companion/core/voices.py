@@ -148,9 +148,7 @@ def find_rush(x: State, fix: Fix, dt: float, difference: float) -> None:
         voices.is_rushing = 0.0
     elif not isnan(difference):
         before = voices.rush
-        kept = exp(-dt / RUSH_TIME)
-        share = (1.0 - kept) * RUSH_TIME / dt if dt > 0.0 else 1.0
-        voices.rush = kept * before + share * difference
+        voices.rush = (before + difference) * exp(-dt / RUSH_TIME)
         size = fabs(voices.rush) / (RUSH + SIGMAS * RUSH_TIME * sqrt(fix.stated_var[2]))
         if voices.is_rushing != 0.0:
             voices.is_rushing = 1.0 if size > BACK else 0.0
