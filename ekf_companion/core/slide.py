@@ -21,6 +21,8 @@ LONGEST = cython.declare(cython.double, 3.0)
 STEADY = cython.declare(cython.double, 1.5)
 """The same for a slide: within more, a turn is not the mean of its ends, s."""
 SIGMAS = cython.declare(cython.double, 3.0)
+ALONE = cython.declare(cython.double, 2.5)
+"""Sigmas of a slide, which no third voice settles."""
 SPLIT_TIME = cython.declare(cython.double, 10.0)
 """Time constant of the difference over some seconds, s."""
 SPLIT_DRIFT = cython.declare(cython.double, 1.0)
@@ -80,7 +82,7 @@ def follow(x: State, fix: Fix, is_reset: bool) -> None:
     where the position slid before it, or while it was refused, that may go on, or back.
     """
     since = (x.t - x.slide_t) * 1e-9
-    limit = SIGMAS * SIGMAS * (fix.stated_var[0] + led_var(fix, MEMORY))
+    limit = ALONE * ALONE * (fix.stated_var[0] + led_var(fix, MEMORY))
     if is_reset and x.is_sliding == 0.0 and has_slid(x, limit):
         x.is_sliding = 1.0
         x.sliding_t = x.t
