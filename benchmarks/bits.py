@@ -6,7 +6,8 @@ the bytes that the daemon would send and record, and the status as JSON. ``recor
 ``benchmarks/bits.json``; ``check`` compares, names every case and quantity that differs, and exits
 with 1 if one does. Record before a change that must not alter results; check after each step of it.
 
-The hashes are those of one processor, C library and NumPy: sines and products of matrices differ in the last bit elsewhere.
+The hashes are those of one processor, C library and NumPy: sines and products of matrices differ in
+the last bit elsewhere.
 """
 
 from __future__ import annotations
