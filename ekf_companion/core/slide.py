@@ -9,7 +9,7 @@ until they agree again, or a position that was refused has been proven.
 from __future__ import annotations
 
 import cython
-from cython.cimports.ekf_companion.core.enums import AID_VELOCITY
+from cython.cimports.ekf_companion.core.enums import AID_POSITION, AID_VELOCITY
 from cython.cimports.ekf_companion.core.rotation import wrap
 from cython.cimports.ekf_companion.core.scratch import Fix
 from cython.cimports.ekf_companion.core.state import State
@@ -83,7 +83,8 @@ def follow(x: State, fix: Fix, is_reset: bool) -> None:
     """
     since = (x.t - x.slide_t) * 1e-9
     limit = ALONE * ALONE * (fix.stated_var[0] + led_var(fix, MEMORY))
-    if is_reset and x.is_sliding == 0.0 and has_slid(x, limit):
+    is_proven = cython.declare(cython.bint, is_reset and x.refused_t[AID_POSITION] > x.slide_t)
+    if is_proven and x.is_sliding == 0.0 and has_slid(x, fix, limit):
         x.is_sliding = 1.0
         x.sliding_t = x.t
         x.apart_t = x.t
@@ -118,15 +119,16 @@ def follow(x: State, fix: Fix, is_reset: bool) -> None:
     x.is_sliding = 1.0 if x.t - x.apart_t < AGREED * 1e9 else 0.0
 
 
-def has_slid(x: State, limit: float) -> bool:
+def has_slid(x: State, fix: Fix, limit: float) -> bool:
     """Return whether a position to reset to is off by a limit (m^2), and not by a jump alone."""
+    noise = 2.0 * SIGMAS * SIGMAS * fix.std[0] * fix.std[0]
     whole = 0.0
     slid = 0.0
     for i in range(2):
         way = x.slide[i] + beside(x, i)
         whole += way * way
         slid += (way - x.slide_jump[i]) * (way - x.slide_jump[i])
-    return whole > limit and slid > limit
+    return whole > limit + noise and slid > limit + noise
 
 
 def beside(x: State, axis: int) -> float:
