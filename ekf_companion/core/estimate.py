@@ -68,7 +68,7 @@ def find_status(x: State, k: Parameters) -> int:
         return STATUS_DEGRADED
     if is_timed_out(x, AID_POSITION, late + 1.0) or x.is_one_sided[AID_POSITION] != 0.0:
         return STATUS_DEGRADED
-    if x.is_sliding != 0.0:
+    if x.slide.is_sliding != 0.0:
         return STATUS_DEGRADED
     for e in range(E_ATT, E_ATT + 3):
         if x.P[e][e] > VAGUE_VAR:

@@ -13,6 +13,7 @@ cdef void find_interval_motion(
 ) noexcept nogil
 cdef void assume_no_motion(State *x, Parameters *k, Motion *m) noexcept nogil
 cdef void keep_sample(State *x, ImuRow *imu) noexcept nogil
+cdef void forget_sensors(State *x) noexcept nogil
 cdef void start(State *x, double t) noexcept nogil
 cdef bint is_sound(State *x) noexcept nogil
 cdef void recover(State *x, Parameters *k, State *good, double t) noexcept nogil

@@ -96,6 +96,7 @@ def step(x: State, k: Parameters, w: Scratch, rows: Structs, first: int, last: i
 
     # The first sample only says what time it is
     if x.mode == MODE_INIT:
+        forget_sensors(x)
         start(x, t)
         yaw_bank.restart(address(x.yaw_bank), k)
         keep_sample(x, imu)
@@ -214,6 +215,22 @@ def keep_sample(x: State, imu: ImuRow) -> None:
         x.accel[i] = imu.accel[i]
 
 
+def forget_sensors(x: State) -> None:
+    """Forget what the sensors have said of each other and of the vehicle.
+
+    That is not the estimate's fault: starting over keeps it.
+    """
+    x.armed = NAN
+    x.landed = NAN
+    x.raw_fix_t = NEVER
+    x.split_t = NEVER
+    x.slide.t = NEVER
+    x.slide.apart_t = NEVER
+    x.voices.t = NEVER
+    x.voices.baro_t = NEVER
+    x.voices.apart_t = NEVER
+
+
 def start(x: State, t: float) -> None:
     """Start with nothing known but the time; counts continue."""
     x.t = t
@@ -231,19 +248,10 @@ def start(x: State, t: float) -> None:
         x.white_share[AID_VELOCITY] = 1.0
     past.forget(x)
     forget_gain(x)
-    x.armed = NAN
-    x.landed = NAN
     x.fix_t = NEVER
-    x.raw_fix_t = NEVER
     x.mag_t = NEVER
     x.innovation_t = NEVER
-    x.split_t = NEVER
-    x.slide_t = NEVER
-    x.apart_t = NEVER
     x.force_t = NEVER
-    x.voices.t = NEVER
-    x.voices.baro_t = NEVER
-    x.voices.apart_t = NEVER
     x.fake_t = t
     x.proven_t = NEVER
     x.gap_t = NEVER
@@ -337,26 +345,7 @@ def start_over(x: State, t: float, reason: float) -> None:
     x.alignment.reference.is_known = 0.0
     x.resets += 1.0
     x.reset_reason = reason
-    # what the sensors have said of each other and of the vehicle is not the estimate's fault
-    armed = x.armed
-    landed = x.landed
-    raw_fix_t = x.raw_fix_t
-    split_t = x.split_t
-    slide_t = x.slide_t
-    apart_t = x.apart_t
-    voices_t = x.voices.t
-    baro_t = x.voices.baro_t
-    height_apart_t = x.voices.apart_t
     start(x, t)
-    x.armed = armed
-    x.landed = landed
-    x.raw_fix_t = raw_fix_t
-    x.split_t = split_t
-    x.slide_t = slide_t
-    x.apart_t = apart_t
-    x.voices.t = voices_t
-    x.voices.baro_t = baro_t
-    x.voices.apart_t = height_apart_t
 
 
 def inflate_after_gap(x: State, k: Parameters, span: float, is_gap: bool) -> None:

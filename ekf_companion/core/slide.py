@@ -9,6 +9,7 @@ until they agree again, or a position that was refused has been proven.
 from __future__ import annotations
 
 import cython
+from cython import address
 from cython.cimports.ekf_companion.core.enums import AID_POSITION, AID_VELOCITY
 from cython.cimports.ekf_companion.core.rotation import wrap
 from cython.cimports.ekf_companion.core.scratch import Fix
@@ -63,7 +64,7 @@ def compare_fixes(x: State, fix: Fix) -> None:
             x.split[i] * exp(-dt / SPLIT_TIME) + here - x.split_pos[i] - way if is_next else 0.0
         )
         if i < 2:
-            x.slide_way[i] += way if dt < STEADY and is_heard and not isnan(fix.vel_n[i]) else NAN
+            x.slide.way[i] += way if dt < STEADY and is_heard and not isnan(fix.vel_n[i]) else NAN
         x.split_pos[i] = here
         x.split_vel[i] = v
     x.split_t = x.t
@@ -72,7 +73,7 @@ def compare_fixes(x: State, fix: Fix) -> None:
 def refuse(x: State) -> None:
     """Note how far off the first fix is whose position is refused: a jump, or still a slide."""
     for i in range(2):
-        x.slide_jump[i] = beside(x, i)
+        x.slide.jump[i] = beside(x, i)
 
 
 def follow(x: State, fix: Fix, is_reset: bool) -> None:
@@ -81,42 +82,48 @@ def follow(x: State, fix: Fix, is_reset: bool) -> None:
     Fixes that are refused lead nowhere, and a jump that a reset makes up for has been proven. But
     where the position slid before it, or while it was refused, that may go on, or back.
     """
-    since = (x.t - x.slide_t) * 1e-9
+    slide = address(x.slide)
+    since = (x.t - slide.t) * 1e-9
     limit = ALONE * ALONE * (fix.stated_var[0] + led_var(fix, MEMORY))
-    is_proven = cython.declare(cython.bint, is_reset and x.refused_t[AID_POSITION] > x.slide_t)
-    if is_proven and x.is_sliding == 0.0 and has_slid(x, fix, limit):
-        x.is_sliding = 1.0
-        x.sliding_t = x.t
-        x.apart_t = x.t
-    if isnan(beside(x, 0)) or (is_reset and x.is_sliding == 0.0):
-        x.begun_t = x.t
+    was_refused = cython.declare(cython.bint, x.refused_t[AID_POSITION] > slide.t)
+    if is_reset and was_refused and slide.is_sliding == 0.0 and has_slid(x, fix, limit):
+        slide.is_sliding = 1.0
+        slide.onset_t = x.t
+        slide.apart_t = x.t
+    is_added = cython.declare(
+        cython.bint,
+        not isnan(beside(x, 0) + beside(x, 1)) and (not is_reset or slide.is_sliding != 0.0),
+    )
+    if not is_added:
+        slide.begin_t = x.t
     memory = LONG_MEMORY
-    if x.is_sliding == 0.0:
+    if slide.is_sliding == 0.0:
         # the noise of the position that it begins with must not last
-        memory = (x.t - x.begun_t) * 1e-9
+        memory = (x.t - slide.begin_t) * 1e-9
         memory = memory if memory > since else since
         memory = memory if memory < MEMORY else MEMORY
+    faded = exp(-since / memory) if since > 0.0 else 1.0
+    gain = since / (since + SMOOTH)
     square = 0.0
     for i in range(2):
-        led = beside(x, i)
-        x.slide[i] *= exp(-since / memory) if since > 0.0 else 1.0
-        if not isnan(led) and (not is_reset or x.is_sliding != 0.0):
-            x.slide[i] += led
-        gain = since / (since + SMOOTH)
-        x.smooth_slide[i] += gain * (x.slide[i] - x.smooth_slide[i])
-        square += x.smooth_slide[i] * x.smooth_slide[i]
-        x.slide_pos[i] = x.split_pos[i]
-        x.slide_way[i] = 0.0 if x.split_t == x.t else NAN
-    x.slide_t = x.t
-    if x.is_sliding == 0.0:
-        x.sliding_t = x.t
-        x.apart_t = x.t
-        x.is_sliding = 1.0 if square > limit else 0.0
+        slide.led[i] *= faded
+        if is_added:
+            slide.led[i] += beside(x, i)
+        slide.smooth[i] += gain * (slide.led[i] - slide.smooth[i])
+        square += slide.smooth[i] * slide.smooth[i]
+    for i in range(2):
+        slide.pos[i] = x.split_pos[i]
+        slide.way[i] = 0.0 if x.split_t == x.t else NAN
+    slide.t = x.t
+    if slide.is_sliding == 0.0:
+        slide.onset_t = x.t
+        slide.apart_t = x.t
+        slide.is_sliding = 1.0 if square > limit else 0.0
         return
-    limit = BACK * BACK * limit + led_var(fix, (x.t - x.sliding_t) * 1e-9)
+    limit = BACK * BACK * limit + led_var(fix, (x.t - slide.onset_t) * 1e-9)
     if square > limit or is_led(x, 0) or is_led(x, 1):
-        x.apart_t = x.t
-    x.is_sliding = 1.0 if x.t - x.apart_t < AGREED * 1e9 else 0.0
+        slide.apart_t = x.t
+    slide.is_sliding = 1.0 if x.t - slide.apart_t < AGREED * 1e9 else 0.0
 
 
 def has_slid(x: State, fix: Fix, limit: float) -> bool:
@@ -125,9 +132,9 @@ def has_slid(x: State, fix: Fix, limit: float) -> bool:
     whole = 0.0
     slid = 0.0
     for i in range(2):
-        way = x.slide[i] + beside(x, i)
+        way = x.slide.led[i] + beside(x, i)
         whole += way * way
-        slid += (way - x.slide_jump[i]) * (way - x.slide_jump[i])
+        slid += (way - x.slide.jump[i]) * (way - x.slide.jump[i])
     return whole > limit + noise and slid > limit + noise
 
 
@@ -135,7 +142,7 @@ def beside(x: State, axis: int) -> float:
     """Return what the position moved since one was fused, beside the velocity's integral, m."""
     if x.split_t != x.t:
         return NAN
-    return x.split_pos[axis] - x.slide_pos[axis] - x.slide_way[axis]
+    return x.split_pos[axis] - x.slide.pos[axis] - x.slide.way[axis]
 
 
 def is_led(x: State, axis: int) -> bool:

@@ -219,6 +219,32 @@ class Voices:
 
 
 @struct
+class Slide:
+    """How far the positions that are fused slide off from the receiver's own velocity, n e."""
+
+    t: Real
+    """Of the last position that was fused, ns."""
+    pos: Annotated[Vector, 2]
+    """That position, m."""
+    way: Annotated[Vector, 2]
+    """Integral of the receiver's velocity since, m; NaN: not known."""
+    jump: Annotated[Vector, 2]
+    """What the first position that was refused since had moved beside that, m."""
+    led: Annotated[Vector, 2]
+    """What the estimate was led by over half a minute, beside the velocity's integral, m."""
+    smooth: Annotated[Vector, 2]
+    """The same without a position's noise, m."""
+    begin_t: Real
+    """Since when position and velocity are compared, ns."""
+    onset_t: Real
+    """Since when they contradict each other, ns."""
+    apart_t: Real
+    """Until when they were apart, ns."""
+    is_sliding: Real
+    """They contradict each other."""
+
+
+@struct
 class RestWindow:
     """Sums over a window of inertial samples: was the vehicle at rest?"""
 
@@ -593,26 +619,7 @@ class State:
     """Its last velocity, m/s."""
     split_t: Real
     """ns."""
-    slide: Annotated[Vector, 2]
-    """What the estimate was led by over half a minute, beside that velocity, n e, m."""
-    smooth_slide: Annotated[Vector, 2]
-    """The same without a position's noise, m."""
-    slide_pos: Annotated[Vector, 2]
-    """The last position that was fused, m."""
-    slide_way: Annotated[Vector, 2]
-    """Integral of the receiver's velocity since, m; NaN: not known."""
-    slide_jump: Annotated[Vector, 2]
-    """What the first position that was refused had moved beside it, m."""
-    slide_t: Real
-    """Of that position, ns."""
-    begun_t: Real
-    """Since when they are compared, ns."""
-    sliding_t: Real
-    """Since when they contradict each other, ns."""
-    apart_t: Real
-    """Until when they were apart, ns."""
-    is_sliding: Real
-    """Position and velocity of the receiver contradict each other."""
+    slide: Slide
     force_t: Real
     """Of the last fix that the specific force did not deny, ns."""
     force_vel: Annotated[Vector, 3]

@@ -22,6 +22,13 @@ def fixes(events: Events, start: float, end: float) -> np.ndarray:
     return between(events, start, end) & (events.kind == Kind.GNSS)
 
 
+def is_lie(table: Table, truth: Trajectory, axis: int) -> np.ndarray:
+    """Return where a position is called good and is wrong beyond its own sigma."""
+    found = errors(table, truth, 0.0)
+    is_wrong = np.abs(found["pos"][:, axis]) > np.maximum(2.0, 5.0 * found["sd_pos"][:, axis])
+    return is_wrong & (table.column("status") == Status.OK)
+
+
 def test_good_measurements_meet_the_soft_gate_as_often_as_it_says():
     counts = np.zeros(3)
     for seed in (1, 2, 3):
@@ -247,9 +254,7 @@ def test_a_slow_drag_is_warned_of_before_it_is_a_lie():
     values = events.values.copy()
     values[dragged, 0] += (t[dragged] - 40.0) * METRE
     table, _ = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
-    found = errors(table, truth, 0.0)
-    is_wrong = np.abs(found["pos"][:, 0]) > np.maximum(2.0, 5.0 * found["sd_pos"][:, 0])
-    assert not np.any(is_wrong & (table.column("status") == Status.OK))
+    assert not np.any(is_lie(table, truth, 0))
 
 
 @pytest.mark.parametrize("name", ["hover", "figure-eight"])
@@ -287,15 +292,8 @@ def test_a_step_of_the_accelerometers_bias_is_doubted_before_it_is_a_lie():
     assert pipeline.health().resets == 0
 
 
-def is_lie(table: Table, truth: Trajectory, axis: int) -> np.ndarray:
-    """Say where a position is called good and is not."""
-    found = errors(table, truth, 0.0)
-    is_wrong = np.abs(found["pos"][:, axis]) > np.maximum(2.0, 5.0 * found["sd_pos"][:, axis])
-    return is_wrong & (table.column("status") == Status.OK)
-
-
 def led(events: Events, column: int, by: float, back: float) -> Events:
-    """Let the fixes slide off by so much from 40 to 100 s, and back from 100 to ``back`` s."""
+    """Shift fixes, by ``by`` more and more from 40 to 100 s, and less and less until ``back`` s."""
     t = (events.t_ns - events.t_ns[0]) * 1e-9
     values = events.values.copy()
     slid = by * np.interp(t, [40.0, 100.0, back], [0.0, 1.0, 0.0])
@@ -315,7 +313,7 @@ def test_a_position_that_slides_off_slowly_is_not_called_good_until_it_is_back(n
 
 
 def barometer(events: Events, *, step: int = 1, end: float = 1e9) -> Events:
-    """Leave a reading of so many, and none from a time on, s."""
+    """Keep one of ``step`` readings of the barometer, and none from ``end`` (s) on."""
     readings = np.flatnonzero(events.kind == Kind.BARO)
     t = (events.t_ns[readings] - events.t_ns[0]) * 1e-9
     kept = (np.arange(len(readings)) % step == 0) & (t < end)

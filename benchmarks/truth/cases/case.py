@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.truth.draw import DEG, TURN, Draw
+from benchmarks.truth.draw import DEG, TURN, Draw, ramp
 from benchmarks.truth.earth import Array
 from benchmarks.truth.motion import Motion, fly
 from benchmarks.truth.sensors import Readings, measure
@@ -54,13 +54,19 @@ def shift(readings: Readings, begin: float, length: float, by_n: Array) -> None:
     readings.fixes.pos_error_n[during(readings.fixes.t, begin, length)] += by_n
 
 
+def away_and_back(draw: Draw, t: Array) -> Array:
+    """Return a rise from 0 to 1 within about 60 s from about 40 s on, and a fall in as long."""
+    begin, length = draw.about(40.0), draw.about(60.0)
+    return ramp(t, begin, length) - ramp(t, begin + length, length)
+
+
 def thin_baro(readings: Readings, step: int) -> None:
-    """Keep every so manyth reading of the barometer, which has 25 Hz."""
+    """Keep one of ``step`` readings of the barometer, which has 25 Hz."""
     readings.baro_t, readings.baro = readings.baro_t[::step], readings.baro[::step]
 
 
 def end_baro(readings: Readings, end: float) -> None:
-    """Take the barometer's readings away from a time on."""
+    """Remove the barometer's readings from a time on."""
     kept = readings.baro_t < end
     readings.baro_t, readings.baro = readings.baro_t[kept], readings.baro[kept]
 

@@ -5,8 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.truth import paths
-from benchmarks.truth.cases.case import Case, climbing, end_baro, flown, thin_baro
-from benchmarks.truth.draw import Draw, ramp
+from benchmarks.truth.cases.case import (
+    Case,
+    away_and_back,
+    climbing,
+    end_baro,
+    flown,
+    thin_baro,
+)
+from benchmarks.truth.draw import Draw
 from benchmarks.truth.sensors import Readings
 
 
@@ -52,9 +59,8 @@ def baro_by_speed(draw: Draw) -> Readings:
 def receiver_height(draw: Draw) -> Readings:
     """Hover; the receiver's height goes about 15 m away within 60 s, and back in 60 s."""
     readings = flown(draw, paths.hover(draw), 180.0)
-    begin, length, t = draw.about(40.0), draw.about(60.0), readings.fixes.t
-    there_and_back = ramp(t, begin, length) - ramp(t, begin + length, length)
-    readings.fixes.pos_error_n[:, 2] += draw.about(15.0) * draw.sign() * there_and_back
+    share = away_and_back(draw, readings.fixes.t)
+    readings.fixes.pos_error_n[:, 2] += draw.about(15.0) * draw.sign() * share
     return readings
 
 

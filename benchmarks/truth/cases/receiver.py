@@ -7,6 +7,7 @@ import numpy as np
 from benchmarks.truth import paths
 from benchmarks.truth.cases.case import (
     Case,
+    away_and_back,
     climbing,
     during,
     end_baro,
@@ -16,7 +17,7 @@ from benchmarks.truth.cases.case import (
     shift,
     thin_baro,
 )
-from benchmarks.truth.draw import Draw, ramp
+from benchmarks.truth.draw import Draw
 from benchmarks.truth.earth import Array
 from benchmarks.truth.motion import Motion
 from benchmarks.truth.sensors import Readings
@@ -118,9 +119,8 @@ def slide_slow_hover(draw: Draw) -> Readings:
 
 def _sliding_slowly(draw: Draw, motion: Motion) -> Readings:
     readings = flown(draw, motion, 200.0)
-    begin, length, t = draw.about(40.0), draw.about(60.0), readings.fixes.t
-    there_and_back = ramp(t, begin, length) - ramp(t, begin + length, length)
-    readings.fixes.pos_error_n += np.outer(there_and_back, draw.about(15.0) * draw.level())
+    share = away_and_back(draw, readings.fixes.t)
+    readings.fixes.pos_error_n += np.outer(share, draw.about(15.0) * draw.level())
     return readings
 
 
