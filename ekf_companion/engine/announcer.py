@@ -13,6 +13,7 @@ from ekf_companion.mavlink.event import (
     Event,
     FirmwareReported,
     GuardChanged,
+    HoldChanged,
     IntervalSet,
     Noted,
     ParameterSet,
@@ -291,6 +292,17 @@ class Announcer:
                     extra=_fields("guard", "streaming" if decision.is_streaming else "withheld"),
                 )
                 self._text(Severity.WARNING if is_bad else Severity.INFO, decision.text)
+            case HoldChanged(hold=None):
+                _log.info("ODOMETRY is sent again", extra=_fields("stream", "sent"))
+                self._text(Severity.INFO, "ODOMETRY is sent again")
+            case HoldChanged(hold) if hold is not None:
+                _log.warning(
+                    "No ODOMETRY: %s%s",
+                    hold.reason,
+                    f"; {hold.remedy}" if hold.remedy else "",
+                    extra=_fields("stream", "held"),
+                )
+                self._text(Severity.WARNING, f"no ODOMETRY: {hold.text}")
             case ParameterSet(name, key, value, is_late):
                 since = " from the next start" if is_late else ""
                 _log.info("Parameter %s set to %g (%s)%s", name, value, key, since)

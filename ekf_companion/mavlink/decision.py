@@ -38,6 +38,18 @@ class Decision:
         return f"ODOMETRY is {said}: {self.reason}{remedy}"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hold:
+    """Why ODOMETRY waits although the guard would let it through."""
+
+    reason: str
+    """A sentence without its full stop."""
+    remedy: str = ""
+    """What to do about it; empty: nothing, it passes."""
+    text: str = ""
+    """For the pilot, after ``no ODOMETRY: ``; empty: it is over in a moment, and not announced."""
+
+
 def streamed(reason: str, text: str = "ODOMETRY is streamed") -> Decision:
     """Return the decision to send it."""
     return Decision(is_streaming=True, reason=reason, text=text)
@@ -96,14 +108,13 @@ def stream_state(
     decision: Decision,
     twin: tuple[int, int] | None,
     slowed: tuple[int, int, float] | None,
-    *,
-    waits: bool = False,
+    hold: Hold | None = None,
 ) -> Decision:
-    """Return the decision, all things considered: guard, clash of ids, origin, commanded rate.
+    """Return the decision, all things considered: guard, clash of ids, hold, commanded rate.
 
     ``twin`` is our system and component id where somebody else has the same; ``slowed`` is who has
     commanded a lower rate than the default (system and component id), and that rate, Hz, 0: off;
-    ``waits`` is whether the autopilot is given its origin first.
+    ``hold`` is why it waits.
     """
     if twin is not None:
         return replace(
@@ -112,9 +123,14 @@ def stream_state(
             reason=f"somebody else speaks as system {twin[0]}, component {twin[1]}",
             remedy="give one of us another link.component_id",
         )
-    if decision.is_streaming and waits:
-        reason = "it waits a moment: the autopilot has no origin yet and is given ours first"
-        return replace(decision, is_streaming=False, reason=reason)
+    if decision.is_streaming and hold is not None:
+        return replace(
+            decision,
+            is_streaming=False,
+            reason=hold.reason,
+            remedy=hold.remedy,
+            is_warning=bool(hold.text),
+        )
     if decision.is_streaming and slowed is not None:
         system_id, component_id, rate = slowed
         did = f"commanded {rate:g} Hz" if rate > 0.0 else "switched it off"

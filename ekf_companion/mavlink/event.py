@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ekf_companion.mavlink.decision import Decision
+from ekf_companion.mavlink.decision import Decision, Hold
 from ekf_companion.mavlink.decode import Family
 
 
@@ -137,6 +137,14 @@ class GuardChanged(Event):
     """ODOMETRY is sent from now on, or no longer, or for another reason."""
 
     decision: Decision
+
+
+@dataclass(frozen=True, slots=True)
+class HoldChanged(Event):
+    """ODOMETRY waits from now on, or no longer, or for another reason."""
+
+    hold: Hold | None
+    """None: it is sent again."""
 
 
 Emit = Callable[[Event], None]

@@ -28,6 +28,7 @@ from struct import Struct
 from typing import Any
 
 from ekf_companion.mavlink.codec import pack
+from ekf_companion.mavlink.decision import Hold
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import PeerFound
 from ekf_companion.mavlink.frame import Frame
@@ -47,6 +48,7 @@ _TAKING_NS = SECOND_NS // 2
 _PATIENCE_NS = 5 * SECOND_NS
 """Without an origin of its own for so long after it was given ours, it is given it again."""
 _TRIES = 3
+_WAITING = Hold(reason="it waits a moment: the autopilot has no origin yet and is given ours first")
 
 
 class OriginSetter(Service):
@@ -57,15 +59,14 @@ class OriginSetter(Service):
     ) -> None:
         """``is_flying`` returns whether the vehicle is in the air: there it is given none."""
         self.handles = {"GPS_GLOBAL_ORIGIN": self._take, "GLOBAL_POSITION_INT": self._take}
-        self.holds = False
-        """Whether ODOMETRY waits for the origin."""
         self._outbox, self._guard, self._is_flying = outbox, guard, is_flying
         self._ours: tuple[int, int] | None = None
         self._peer: PeerFound | None = None
         self._forget()
 
     def _forget(self) -> None:
-        self.holds = self._has_one = False
+        self.hold = None
+        self._has_one = False
         """Whether the autopilot has shown that it knows one."""
         self._tries = 0
         self._found_ns: int | None = None
@@ -76,7 +77,7 @@ class OriginSetter(Service):
     @property
     def is_shown(self) -> bool:
         """Whether the autopilot has shown that it knows one: to hear it again changes nothing."""
-        return self._has_one and not self.holds
+        return self._has_one and self.hold is None
 
     def begin(self, peer: PeerFound) -> None:
         """Wait for the origin of an autopilot that was found, or has rebooted."""
@@ -95,7 +96,7 @@ class OriginSetter(Service):
     def on_odometry(self, now_ns: int) -> None:
         """Learn that ODOMETRY is about to be sent; it may have to wait."""
         self.tick(now_ns)
-        if not self.holds:
+        if self.hold is None:
             self._last_ns = now_ns
 
     def tick(self, now_ns: int) -> None:
@@ -103,15 +104,15 @@ class OriginSetter(Service):
         if self._found_ns is None:
             self._found_ns = now_ns
         if not self._is_wanted():
-            self.holds = False
+            self.hold = None
             return
         given_ns = self._given_ns
         if given_ns is not None and now_ns - given_ns < _PATIENCE_NS:
-            self.holds = now_ns - given_ns < _TAKING_NS
+            self.hold = _WAITING if now_ns - given_ns < _TAKING_NS else None
             return
-        self.holds = self._tries < _TRIES
+        self.hold = _WAITING if self._tries < _TRIES else None
         was_fused = self._last_ns is not None and now_ns - self._last_ns < _QUIET_NS
-        if self.holds and not was_fused and now_ns - self._found_ns >= _LISTEN_NS:
+        if self.hold is not None and not was_fused and now_ns - self._found_ns >= _LISTEN_NS:
             self._give(now_ns)
 
     def _is_wanted(self) -> bool:
@@ -136,4 +137,4 @@ class OriginSetter(Service):
 
     def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
         self._has_one = True
-        self.holds = False
+        self.hold = None

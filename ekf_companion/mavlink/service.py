@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
+from ekf_companion.mavlink.decision import Hold
 from ekf_companion.mavlink.event import PeerFound
 from ekf_companion.mavlink.frame import Frame
 
@@ -22,6 +23,8 @@ class Service:
 
     handles: Mapping[str, Handler] = MappingProxyType({})
     """Handlers by the message's name."""
+    hold: Hold | None = None
+    """Why no ODOMETRY may be sent now, by what this conversation has shown; None: it may."""
 
     def begin(self, peer: PeerFound) -> None:
         """Begin anew: the autopilot was found or rebooted, and knows nothing of us."""

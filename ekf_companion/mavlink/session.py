@@ -23,11 +23,11 @@ from ekf_companion.mavlink.autopilot_estimate import KEPT, AutopilotEstimate
 from ekf_companion.mavlink.clock import Timesync, TimesyncOptions
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
-from ekf_companion.mavlink.decision import Decision, stream_state
+from ekf_companion.mavlink.decision import Decision, Hold, stream_state
 from ekf_companion.mavlink.decode import Decoder, DecoderOptions
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
-from ekf_companion.mavlink.event import Event, Noted, PeerFound, Rebooted
+from ekf_companion.mavlink.event import Event, HoldChanged, Noted, PeerFound, Rebooted
 from ekf_companion.mavlink.frame import JUNK, UNKNOWN, Frame, Splitter
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import ClashWatch, Heartbeat
@@ -165,6 +165,8 @@ class Session:
         self.splitter = Splitter()
         self.autopilot_sender: Hashable = None
         """Who sent the last frame of the autopilot."""
+        self._held: Hold | None = None
+        """What was announced last."""
         self._vehicle: PeerFound | None = None
         """The one begun with last; kept when it is lost."""
 
@@ -347,6 +349,15 @@ class Session:
         if self.peer is not None:
             for service in self._with_peer:
                 service.tick(now_ns)
+        self._announce_hold()
+
+    def _announce_hold(self) -> None:
+        """Emit that ODOMETRY waits, or no longer, where the guard would let it through."""
+        hold = self.hold if self.guard.decision.is_streaming else None
+        shown = hold if hold is not None and hold.text else None
+        if shown != self._held:
+            self._held = shown
+            self._emit(HoldChanged(shown))
 
     def retune(self, options: SessionOptions) -> None:
         """Go on with other rates, parameters, and options of the guard and of TIMESYNC."""
@@ -394,9 +405,17 @@ class Session:
 
     @property
     def may_stream(self) -> bool:
-        """Whether ODOMETRY may be sent: guard, a twin of ours and the origin allow it."""
-        is_free = not self.clash.is_yielding and not self.origin.holds
+        """Whether ODOMETRY may be sent: the guard, a twin of ours and every service allow it."""
+        is_free = not self.clash.is_yielding and self.hold is None
         return self.guard.decision.is_streaming and is_free
+
+    @property
+    def hold(self) -> Hold | None:
+        """Why ODOMETRY waits, by the first service that says so; None: by none."""
+        for service in self._with_peer:
+            if service.hold is not None:
+                return service.hold
+        return None
 
     def _goes_on_in_flight(self) -> bool:
         """Whether ODOMETRY is sent, in flight, and no doubt may stop it."""
@@ -409,7 +428,7 @@ class Session:
         """Whether ODOMETRY is sent, why, and what would change it."""
         twin = self.outbox.ids if self.clash.is_yielding else None
         slowed = self.commands.slowed_by("ODOMETRY")
-        return stream_state(self.guard.decision, twin, slowed, waits=self.origin.holds)
+        return stream_state(self.guard.decision, twin, slowed, self.hold)
 
     def counters(self) -> dict[str, int]:
         """Return all counts, from bytes to refusals, by name."""
