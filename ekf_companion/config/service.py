@@ -108,6 +108,9 @@ class OdometryConfig:
     """An estimate that is older when it could be sent is not sent: what waited to be read while the
     board stood still harms who flies on it. ArduPilot takes a delay of up to 0.25 s
     (VISO_DELAY_MS), PX4 0.3 s (EKF2_EV_DELAY)."""
+    not_followed: Annotated[Literal["tell", "withhold"], Setting(reload=True)] = "tell"
+    """What happens while the autopilot fuses ODOMETRY and its own estimate is not the same: it is
+    told (log, status, pilot), or nothing is sent either, so that its own failsafe acts."""
     frame: Literal["auto", "LOCAL_FRD", "LOCAL_NED", "continuous"] = "auto"
     """Frame of the pose; the numbers are the same. auto: LOCAL_NED to PX4, which takes LOCAL_FRD
     for a frame that may point anywhere: its heading stays unaligned, its global position unknown;

@@ -17,5 +17,6 @@ cdef bint is_dragged(State *x, Observation *o, Fix *fix, Py_ssize_t aid) noexcep
 cdef bint fuse_velocity(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef bint is_denied_by_position(State *x, Fix *fix, Observation *o) noexcept nogil
 cdef void fuse_position(State *x, Parameters *k, Scratch *w) noexcept nogil
+cdef bint is_settling(State *x, Py_ssize_t aid) noexcept nogil
 cdef double position_patience(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef void fuse_height(State *x, Parameters *k, Scratch *w) noexcept nogil

@@ -465,6 +465,10 @@ def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
         x.refused_way[0] = 0.0
         x.refused_way[1] = 0.0
         return
+    if is_settling(x, AID_POSITION):
+        gate.begin_reset(x, RESET_POSITION)
+        reset_position(x, k, w)
+        return
     if x.refused_t[AID_POSITION] == x.t:
         slide.refuse(x)
     patience = position_patience(x, k, w)
@@ -479,6 +483,17 @@ def fuse_position(x: State, k: Parameters, w: Scratch) -> None:
         reset_unknown_velocity(x, 0, 2)
     if gate.has_run_for(x, AID_HEIGHT, SAME_CAUSE):
         reset_height(x, k, w)
+
+
+def is_settling(x: State, aid: int) -> bool:
+    """Return whether a receiver is refused while the vehicle stands on the ground, not armed.
+
+    It is the receiver that moves, as every one does after a cold start, and its newest place is the
+    best one. Nothing is flown by ours yet, so that a reset harms nobody.
+    """
+    return (
+        x.at_rest != 0.0 and rest.is_reported_still(x) and gate.is_timed_out(x, aid, SHORTEST_RUN)
+    )
 
 
 def position_patience(x: State, k: Parameters, w: Scratch) -> float:
@@ -509,15 +524,21 @@ def fuse_height(x: State, k: Parameters, w: Scratch) -> None:
     """Fuse the height, or reset it if refused fixes are consistent."""
     fix = address(w.fix)
     drift = x.P[E_VEL + 2][E_VEL + 2]
-    if x.voices.loser == VOICE_HEIGHT:
+    if x.voices.loser == VOICE_HEIGHT and not is_settling(x, AID_HEIGHT):
         gate.count_verdict(x, AID_HEIGHT, VERDICT_SUSPECT)
         gate.clear_run(x, AID_HEIGHT)
         return
     observe.height(x, k, fix, address(w.observation))
-    if (
-        fuse(x, k, w, AID_HEIGHT)
-        or not gate.is_timed_out(x, AID_HEIGHT, k.timeout_height)
-        or not gate.is_proven(x, AID_HEIGHT, 1, fix.stated_var[1], drift, SHORTEST_RUN)
+    if fuse(x, k, w, AID_HEIGHT):
+        return
+    if is_settling(x, AID_HEIGHT):
+        gate.begin_reset(x, RESET_HEIGHT)
+        reset_height(x, k, w)
+        voices.take_height(x)
+        x.has_baro = 0.0
+        return
+    if not gate.is_timed_out(x, AID_HEIGHT, k.timeout_height) or not gate.is_proven(
+        x, AID_HEIGHT, 1, fix.stated_var[1], drift, SHORTEST_RUN
     ):
         return
     gate.begin_reset(x, RESET_HEIGHT)

@@ -2,6 +2,7 @@ from ekf_companion.core.scratch cimport Fix
 from ekf_companion.core.state cimport State
 cdef void add_baro(State *x, double alt) noexcept nogil
 cdef void compare_climbs(State *x, Fix *fix) noexcept nogil
+cdef void take_height(State *x) noexcept nogil
 cdef bint hears_baro(State *x) noexcept nogil
 cdef void find_rush(State *x, Fix *fix, double dt, double difference) noexcept nogil
 cdef bint is_fall_unconfirmed(State *x) noexcept nogil

@@ -130,6 +130,15 @@ def compare_climbs(x: State, fix: Fix) -> None:
     find_loser(x, fix)
 
 
+def take_height(x: State) -> None:
+    """Begin to compare anew with the receiver's height as it is now: it was taken for right."""
+    for i in range(2):
+        x.voices.difference[i] = 0.0
+        x.voices.smooth[i] = 0.0
+    if x.voices.loser == VOICE_HEIGHT:
+        x.voices.loser = VOICE_NONE
+
+
 def hears_baro(x: State) -> bool:
     """Return whether the barometer was heard lately."""
     return x.t - x.voices.baro_t < LONGEST * 1e9

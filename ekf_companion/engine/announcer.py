@@ -12,6 +12,7 @@ from ekf_companion.mavlink.event import (
     Clash,
     Event,
     FirmwareReported,
+    FollowingChanged,
     GuardChanged,
     HoldChanged,
     IntervalSet,
@@ -292,6 +293,18 @@ class Announcer:
                     extra=_fields("guard", "streaming" if decision.is_streaming else "withheld"),
                 )
                 self._text(Severity.WARNING if is_bad else Severity.INFO, decision.text)
+            case FollowingChanged(apart=""):
+                _log.info("The autopilot's own estimate is ours again")
+                self._text(Severity.INFO, "autopilot follows again")
+            case FollowingChanged(apart, may_be_own):
+                _log.warning(
+                    "The autopilot's own estimate is not what ODOMETRY says: %s%s",
+                    apart,
+                    "; it may be on its own receiver" if may_be_own else "",
+                    extra=_fields("following", apart),
+                )
+                what = "is" if may_be_own else "does not follow:"
+                self._text(Severity.WARNING, f"autopilot {what} {apart}")
             case HoldChanged(hold=None):
                 _log.info("ODOMETRY is sent again", extra=_fields("stream", "sent"))
                 self._text(Severity.INFO, "ODOMETRY is sent again")

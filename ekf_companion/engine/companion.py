@@ -12,6 +12,7 @@ from functools import partial
 from ekf_companion.config.config import Config
 from ekf_companion.engine.announcer import Announcer
 from ekf_companion.engine.checkpoint import Clocks, Vehicle
+from ekf_companion.engine.comparison import Comparison
 from ekf_companion.engine.options import session_options
 from ekf_companion.engine.pipeline import Estimate, Pipeline
 from ekf_companion.engine.publisher import (
@@ -30,7 +31,14 @@ from ekf_companion.mavlink.commands import Stream
 from ekf_companion.mavlink.datagram import DatagramReader
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.encode import SystemStatus
-from ekf_companion.mavlink.event import GuardChanged, IntervalSet, ParameterSet, PeerFound, Rebooted
+from ekf_companion.mavlink.event import (
+    GuardChanged,
+    IntervalSet,
+    OriginTold,
+    ParameterSet,
+    PeerFound,
+    Rebooted,
+)
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.outbox import Message, Outgoing
 from ekf_companion.mavlink.session import Session
@@ -88,6 +96,9 @@ class Companion:
         self._announcer = Announcer(self.session) if is_live else None
         self._publisher: Publisher | None = None
         self._reader = DatagramReader(self.session)
+        self._comparison = Comparison()
+        self._told = 0
+        """Resets of ODOMETRY that the autopilot was told, at the last comparison."""
         self._family = Family.UNKNOWN
         self._health_due = Due(1.0)
         self._has_sample = False
@@ -178,10 +189,30 @@ class Companion:
             if (stream := self._publisher.stream) is not None and self.session.may_stream:
                 self._announcer.on_stream(stream)
             self.session.set_state(encode.SYSTEM_STATUS[health.status], health.status)
+        self._compare(estimate, self._publisher)
         messages = self._publisher.due(estimate)
         for message in messages:
             self.session.publish(message, now_ns, estimate.t_ns)
         return messages
+
+    def _compare(self, estimate: Estimate, publisher: Publisher) -> None:
+        """Compare what the autopilot said last of itself with ours, if that is new."""
+        session, stream = self.session, publisher.stream
+        self._comparison.keep(estimate)
+        said, clock = session.autopilot_estimate, session.decoder.clock
+        if (found := self._comparison.compare(said, clock, publisher.frame)) is None:
+            return
+        height, separation = found
+        decision, is_running = session.guard.decision, stream is not None and stream.is_running
+        publisher.frame.take_height(
+            height,
+            may_follow=decision.is_fused and is_running,
+            may_choose=decision.is_alternative,
+        )
+        if stream is not None and stream.told != self._told:
+            self._told = stream.told
+            session.following.note_jump()
+        session.following.judge(separation, is_running=is_running)
 
     # What changes
 
@@ -194,8 +225,13 @@ class Companion:
                     self._begin(event)
                 case GuardChanged() if self._publisher is not None and self.session.guard.is_old:
                     self._publisher.use_body_velocity()
+                case OriginTold(lat, lon, alt) if self._publisher is not None:
+                    self._publisher.set_origin((lat, lon, alt))
                 case Rebooted():
                     self.estimate = None
+                    self._comparison.forget()
+                    if self._publisher is not None:
+                        self._publisher.frame.forget()
                 case ParameterSet(key=key, value=value):
                     self._retune(self.tuning.set(key, value))
                 case IntervalSet(message, rate) if self._publisher is not None:

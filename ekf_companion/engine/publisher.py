@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from ekf_companion.config.config import Config
+from ekf_companion.engine.autopilot_frame import AutopilotFrame, Place
 from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Estimate
 from ekf_companion.engine.residual import NO_OFFSET, local_velocity, state_covariance
@@ -126,17 +127,26 @@ class Publisher:
             None if is_monitor else OdometryStream(odometry, family, is_relative=self._is_relative)
         )
         """Which estimates are sent as ODOMETRY; None: each as it is."""
+        is_follower = self.stream is not None and not self.stream.is_continuous
+        self.frame = AutopilotFrame(family if is_follower else Family.UNKNOWN)
+        """The local frame that ODOMETRY is expressed in."""
         self._look = Due(_LOOKS)
         self._pause = _NO_PAUSE
         """From which stamp until which nothing is due."""
         self._was_invalid = False
         self._origin: tuple[float, float, float] | None = None
+        self._base: Place | None = None
+        """The autopilot's origin that what is sent counts from; None: ours."""
         self._offset = NO_OFFSET
 
     @property
     def due_ns(self) -> int:
         """The stamp from which something may be due; until then an estimate brings no message."""
         return self._pause[1]
+
+    def set_origin(self, origin: Place) -> None:
+        """Count from the origin of the autopilot's own frame from now on."""
+        self.frame.set_origin(origin)
 
     def use_body_velocity(self) -> None:
         """Send the velocity along the body's axes: older PX4 understands no others."""
@@ -181,7 +191,7 @@ class Publisher:
             return messages
         odometry = self._due_odometry(estimate)
         if due["GPS_GLOBAL_ORIGIN"].is_due(t_ns) and (origin := estimate.origin) is not None:
-            payload = encode.gps_global_origin(*origin, t_ns=t_ns)
+            payload = encode.gps_global_origin(*self.frame.counts_from(origin), t_ns=t_ns)
             messages.append(Message("GPS_GLOBAL_ORIGIN", payload))
         is_due = due[_OFFSET].is_due(t_ns)
         if is_due and self.stream is not None and self.stream.is_continuous:
@@ -212,13 +222,17 @@ class Publisher:
 
         # A new origin goes before the first ODOMETRY that counts from it, and so does an offset
         last, self._origin = self._origin, estimate.origin
-        if self._origin not in (None, last):
+        was, self._base = self._base, self.frame.origin
+        if self._origin not in (None, last) or was != self._base:
             due["GPS_GLOBAL_ORIGIN"].request()
+            if stream is not None and was != self._base and last is not None:
+                stream.move(self.frame.distance(was or last))
         climb_factor = max(1.0, 2.0 * self._climb_time * due["ODOMETRY"].rate)
         if stream is None:
             odometry = self._once_invalid(estimate.odometry)
             return odometry and state_covariance(odometry, self._is_relative, climb_factor)
         odometry = stream.send(estimate, climb_factor)
+        odometry = odometry and self.frame.express(odometry, estimate.origin)
         if stream.offset != self._offset:
             self._offset = stream.offset
             due[_OFFSET].request()

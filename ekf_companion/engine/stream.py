@@ -25,7 +25,7 @@ from ekf_companion.engine.residual import (
     std_attitude,
     stds,
 )
-from ekf_companion.engine.step import JumpDetector, Pose, Step, StepMeter, to_pose
+from ekf_companion.engine.step import POSITION, JumpDetector, Pose, Step, StepMeter, to_pose
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.state import Odometry, Status
@@ -113,6 +113,16 @@ class OdometryStream:
             self._policy = SPREAD
 
     @property
+    def is_running(self) -> bool:
+        """Whether ODOMETRY is sent, as far as the estimate decides."""
+        return self._is_begun
+
+    @property
+    def told(self) -> int:
+        """How often the counter has moved."""
+        return self._count
+
+    @property
     def offset(self) -> Offset:
         """Where the frame of what is sent lies in that of the estimates."""
         return self._residual.offset
@@ -120,6 +130,10 @@ class OdometryStream:
     def add(self, sample: tuple[float, ...]) -> None:
         """Add the inertial sample of an estimate; to be called for each."""
         self._meter.add(sample)
+
+    def move(self, distance: float) -> None:
+        """Count from a place that is so far from the last, m: a jump moves the counter."""
+        self._is_told |= distance > POSITION.least
 
     def look(self, estimate: Estimate) -> None:
         """Look at an estimate: 30 times a second or more, whether it is sent or not."""

@@ -92,6 +92,11 @@ class AutopilotEstimate(Service):
         if last is None or is_unstamped or frame.payload[_STAMP] != last[0].payload[_STAMP]:
             self._last[frame.message_id] = frame, now_ns
 
+    def frame(self, number: int) -> Frame | None:
+        """Return the newest frame of a message that is kept, by its id; None: none came."""
+        found = self._last.get(number)
+        return None if found is None else found[0]
+
     def attitude(self, now_ns: int) -> AutopilotAttitude | None:
         """Return the newest attitude; None if none came, or it is no attitude."""
         found = self._newest(("ATTITUDE_QUATERNION", "ATTITUDE"), now_ns)

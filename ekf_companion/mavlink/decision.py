@@ -25,6 +25,10 @@ class Decision:
     """Whether the autopilot fuses our estimate, or may: its own position is then partly ours."""
     is_yaw_fused: bool = False
     """Whether it fuses our yaw too, or may: its own heading is then partly ours."""
+    is_alternative: bool = False
+    """Whether the autopilot can be switched in flight, to and from a source that is not ours."""
+    is_followed_from_start: bool = False
+    """Whether its position is ours from its start on, and no receiver's of its own."""
     is_double: bool = False
     """Whether the autopilot would fuse it together with the GNSS that is in it."""
     is_settled: bool = True

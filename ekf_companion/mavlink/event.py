@@ -140,6 +140,28 @@ class GuardChanged(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class OriginTold(Event):
+    """The autopilot has told another origin of its local frame than before."""
+
+    lat: float
+    """rad."""
+    lon: float
+    """rad."""
+    alt: float
+    """Above mean sea level, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class FollowingChanged(Event):
+    """The autopilot's own estimate is no longer what it is sent, or is so again."""
+
+    apart: str
+    """What is too far off; empty: nothing any more."""
+    may_be_own: bool
+    """Whether it may as well have been switched to its own receiver."""
+
+
+@dataclass(frozen=True, slots=True)
 class HoldChanged(Event):
     """ODOMETRY waits from now on, or no longer, or for another reason."""
 

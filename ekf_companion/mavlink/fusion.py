@@ -76,7 +76,14 @@ def decide(
     decision = _decide(family, parameters, mode, independent, is_complete)
     read = {name: value for name, value in parameters.items() if value is not None}
     is_fused, is_yaw_fused = _taken(family, parameters) if decision.is_streaming else (False, False)
-    return replace(decision, parameters=read, is_fused=is_fused, is_yaw_fused=is_yaw_fused)
+    return replace(
+        decision,
+        parameters=read,
+        is_fused=is_fused,
+        is_yaw_fused=is_yaw_fused,
+        is_alternative=is_fused and _is_alternative(family, parameters),
+        is_followed_from_start=is_fused and _is_from_start(family, parameters),
+    )
 
 
 def _decide(
@@ -150,6 +157,18 @@ def _taken(family: Family, parameters: Parameters) -> tuple[bool, bool]:
         return bool(ours), _AID_EV_BITS[16] in ours
     is_unread = _VISION not in parameters
     return is_unread, is_unread
+
+
+def _is_alternative(family: Family, parameters: Parameters) -> bool:
+    """Return whether a source set of ArduPilot's that has a position has none of ours."""
+    positions = [parameters.get(names[0]) for names in _SETS.values()]
+    is_own = any(value not in (None, 0.0, _EXTERNAL) for value in positions)
+    return family is Family.ARDUPILOT and is_own
+
+
+def _is_from_start(family: Family, parameters: Parameters) -> bool:
+    """Return whether the position of the set that ArduPilot begins with is ours."""
+    return family is Family.ARDUPILOT and parameters.get(_SETS[1][0]) == _EXTERNAL
 
 
 def watched(family: Family, parameters: Parameters) -> tuple[str, ...]:

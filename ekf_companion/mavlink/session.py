@@ -28,6 +28,7 @@ from ekf_companion.mavlink.decode import Decoder, DecoderOptions
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import Event, HoldChanged, Noted, PeerFound, Rebooted
+from ekf_companion.mavlink.following import Following
 from ekf_companion.mavlink.frame import JUNK, UNKNOWN, Frame, Splitter
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import ClashWatch, Heartbeat
@@ -58,6 +59,7 @@ RATES: Mapping[str, float] = {
     "SCALED_PRESSURE": 10.0,
     "SYSTEM_TIME": 1.0,
     "EXTENDED_SYS_STATE": 1.0,
+    "GPS_GLOBAL_ORIGIN": 1.0,
 }
 """Rates to request of the autopilot, Hz. GNSS at twice its usual rate comes half as late."""
 
@@ -89,6 +91,8 @@ class SessionOptions:
     """Our own, as a ground station sees them; empty: none are served."""
     decoder: DecoderOptions = field(default_factory=DecoderOptions)
     timesync: TimesyncOptions = field(default_factory=TimesyncOptions)
+    withhold_unfollowed: bool = False
+    """Whether no ODOMETRY is sent while the autopilot does not follow it."""
     guard: GuardOptions | None = None
     """When ODOMETRY is withheld; None: this session sends none, and reads no parameter."""
 
@@ -134,7 +138,7 @@ class Session:
             return vehicle.is_flying
 
         self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, when, is_flying)
-        self.origin = OriginSetter(self.outbox, self.guard, is_flying)
+        self.origin = OriginSetter(self.outbox, self.guard, self._emit, is_flying)
         self.discovery = Discovery(
             self._emit,
             self._begin,
@@ -152,12 +156,20 @@ class Session:
         self.statustext = StatusText(self.outbox)
         self.timesync = Timesync(self.outbox, options.timesync)
         self.autopilot_estimate = AutopilotEstimate()
+        self.following = Following(
+            self._emit,
+            lambda: self.guard.decision,
+            lambda: self.may_stream,
+            withholds=options.withhold_unfollowed,
+        )
 
         # Conversations with everybody
         self._with_all: list[Service] = [self.heartbeat, self.discovery, self.clash]
         self._with_all += [self.commands, self.parameters]
         # Conversations with the autopilot only, while it is heard
-        guards: list[Service] = [] if options.guard is None else [self.guard, self.origin]
+        guards: list[Service] = (
+            [] if options.guard is None else [self.guard, self.origin, self.following]
+        )
         asked = ParameterRequest(self.outbox, lambda: self.decoder.missing)
         self._with_peer: list[Service] = [self.requests, asked, *guards, self.timesync]
         self._with_peer += [self.audit, self.statustext, self.autopilot_estimate]
@@ -364,6 +376,7 @@ class Session:
         self.changes += 1
         self.timesync.options = options.timesync
         self.requests.retune(options.rates)
+        self.following.withholds = options.withhold_unfollowed
         if options.guard is not None:
             self.guard.retune(options.guard)
         self.parameters.retune(options.parameters)

@@ -31,6 +31,8 @@ BACK = {PX4: 85.0, PASSIVE: 100.0, ARDUPILOT: 450.0}
 """When what an outage leaves is over, s since boot: half a minute or a quarter after it."""
 RETURNED = FOR_EVER | {"until": BACK[PX4]}
 OFFSET = "LOCAL_POSITION_NED_SYSTEM_GLOBAL_OFFSET"
+TOLD = {ARDUPILOT: 384.25}
+"""When that autopilot told its origin, s; today it is asked for it from the start."""
 OUTAGES = {PX4: (34.43, 54.4), PASSIVE: (60.2, 80.2), ARDUPILOT: (415.49, 435.6)}
 """When fixes ended and came again, s since boot, by the folders' README."""
 
@@ -58,6 +60,7 @@ def test_what_is_usual_is_not_told(flight):
     given, (lost, returned) = odometry(flight), OUTAGES[flight]
     told = given.t[1:][np.diff(given.count) != 0]
     quiet = (told < lost - 1.0) | (told > returned + 1.0)
+    quiet &= np.abs(told - TOLD.get(flight, np.inf)) > 0.1
     gaps = given.t[1:][np.diff(given.t) > 1.0]
     assert not [t for t in told[quiet] if np.abs(gaps - t).min() > 2.0]
 
@@ -116,7 +119,8 @@ def test_in_a_continuous_frame_nothing_steps_and_the_offset_leads_to_the_other()
             continue
         k = np.searchsorted(told.t, m.time_usec * 1e-6 - 1e-7)
         back = about_down(offset.yaw) @ [m.x, m.y, m.z] + [offset.x, offset.y, offset.z]
-        assert back == pytest.approx(told.pos_n[k], abs=1e-3)
+        # the other is in metres of PX4's sphere, 0.3 % off WGS-84
+        assert back == pytest.approx(told.pos_n[k], abs=1e-3, rel=4e-3)
         yaw = so3.to_euler(np.array(m.q))[2] + offset.yaw
         assert so3.wrap(yaw - told.yaw[k]) == pytest.approx(0.0, abs=1e-4)
         checked += 1

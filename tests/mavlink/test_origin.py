@@ -5,6 +5,7 @@ import itertools
 import pytest
 
 from ekf_companion.mavlink import encode
+from ekf_companion.mavlink.event import HoldChanged
 from ekf_companion.mavlink.guard import GuardOptions
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.outbox import Message
@@ -14,14 +15,32 @@ OURS = Message("GPS_GLOBAL_ORIGIN", encode.gps_global_origin(0.8, 0.15, 489.4, t
 ON_OURS = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0}
 
 
+PARTS = ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")
+FROM_START = {"VISO_TYPE": 1, **{f"EK3_SRC1_{part}": 6 for part in PARTS}}
+BY_CHOICE = {
+    "VISO_TYPE": 1,
+    "EK3_SRC1_POSXY": 3,
+    "EK3_SRC1_VELXY": 3,
+    "EK3_SRC1_POSZ": 1,
+    "EK3_SRC1_VELZ": 3,
+    "EK3_SRC1_YAW": 1,
+    **{f"EK3_SRC2_{part}": 6 for part in PARTS},
+}
+
+
 ODOMETRY = Message("ODOMETRY", bytes(LAYOUTS[IDS["ODOMETRY"]].size), is_replaceable=True)
+
+
+PLACES = {
+    "GPS_GLOBAL_ORIGIN": {"latitude": 458366240, "longitude": 85943670, "altitude": 489_000},
+    "GLOBAL_POSITION_INT": {"time_boot_ms": 1, "lat": 458366240, "lon": 85943670, "alt": 489_000},
+}
 
 
 def flown(parameters, family=PX4, shown=None, shown_at=0.0, seconds=20, is_known=True, **flying):
     """Return times, s, at which an autopilot gets an origin, the origins, and those of ODOMETRY.
 
-    ``shown`` is the message by which it shows, once, that it has one; ``flying`` is what its
-    heartbeat says; ``parameters`` may be a function of the time.
+    X
     """
     session, autopilot = met(family, guard=GuardOptions())
     origins, odometry = [], []
@@ -30,7 +49,7 @@ def flown(parameters, family=PX4, shown=None, shown_at=0.0, seconds=20, is_known
         if now_ns % SECOND == 0:
             session.receive(autopilot.heartbeat(**flying), now_ns)
         if shown is not None and now_ns == round(shown_at * SECOND):
-            session.receive(autopilot.say(shown), now_ns)
+            session.receive(autopilot.say(shown, **PLACES[shown]), now_ns)
         session.tick(now_ns)
         if is_known:
             session.publish(OURS, now_ns)
@@ -112,10 +131,76 @@ def test_in_flight_none_is_given_and_nothing_waits():
         ({"EKF2_EV_CTRL": 0, "EKF2_GPS_CTRL": 7}, PX4, True),
         ({"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 7}, PX4, True),
         (ON_OURS, PX4, False),
-        ({"VISO_TYPE": 1, **{f"EK3_SRC1_{p}": 6 for p in ("POSXY", "YAW")}}, ARDUPILOT, True),
+        ({"VISO_TYPE": 0}, ARDUPILOT, True),
+        ({**FROM_START, "EK3_SRC1_POSXY": 3, "EK3_SRC1_VELXY": 3}, ARDUPILOT, True),
     ],
 )
 def test_no_other_is_given_one(parameters, family, is_known):
     times, _, odometry = flown(parameters, family, is_known=is_known)
     assert times == []
     assert silences(odometry) == []
+
+
+# ArduPilot: what is sent counts from its own
+
+
+def test_an_ardupilot_that_flies_on_ours_from_its_start_is_given_our_origin_with_its_altitude():
+    times, origins, odometry = flown(FROM_START, ARDUPILOT, seconds=9)
+    assert times == pytest.approx([2.0, 7.0], abs=0.1)
+    assert odometry == []
+    assert origins[0].altitude == 489_400
+
+
+def test_an_ardupilot_is_sent_nothing_before_it_has_told_its_origin_and_its_height():
+    times, _, odometry = flown(BY_CHOICE, ARDUPILOT, shown="GPS_GLOBAL_ORIGIN", shown_at=6.0)
+    assert times == []
+    assert odometry == []  # its height did not come
+    session, autopilot = spoken(BY_CHOICE)
+    assert session.hold is not None
+    for name in ("GPS_GLOBAL_ORIGIN", "GLOBAL_POSITION_INT"):
+        session.receive(autopilot.say(name, **PLACES[name]), 7 * SECOND)
+    session.tick(7 * SECOND)
+    assert session.hold is None
+
+
+def test_an_origin_that_is_never_told_is_announced_after_half_a_minute_and_in_flight_at_once():
+    for seconds, is_flying, is_said in ((20, False, False), (40, False, True), (8, True, True)):
+        session, _ = spoken(BY_CHOICE, seconds, base_mode=128 * is_flying)
+        (held,) = [event for event in session.events() if type(event) is HoldChanged] or [None]
+        assert (held is not None) is is_said
+        assert not session.may_stream
+
+
+def test_in_flight_an_ardupilot_is_given_no_origin():
+    assert flown(FROM_START, ARDUPILOT, base_mode=128)[0] == []
+
+
+def test_an_origin_on_the_other_side_of_the_earth_is_not_counted_from():
+    session, autopilot = spoken(BY_CHOICE)
+    session.publish(OURS, 7 * SECOND)
+    far = {"latitude": 10_000_000, "longitude": 20_000_000, "altitude": 0}
+    session.receive(autopilot.say("GPS_GLOBAL_ORIGIN", **far), 7 * SECOND)
+    name = "GLOBAL_POSITION_INT"
+    session.receive(autopilot.say(name, **PLACES[name]), 7 * SECOND)
+    session.tick(7 * SECOND)
+    assert session.hold is not None
+    assert "km" in session.hold.text
+
+
+def spoken(parameters, seconds=6, **flying):
+    """Return a session that an ArduPilot with these parameters has spoken to, and the latter."""
+    session, autopilot = met(ARDUPILOT, guard=GuardOptions())
+    for now_ns in range(0, seconds * SECOND, 50 * MS):
+        if now_ns % SECOND == 0:
+            session.receive(autopilot.heartbeat(**flying), now_ns)
+        session.tick(now_ns)
+        session.publish(OURS, now_ns)
+        for message in sent(session):
+            if type(message).__name__ == "PARAM_REQUEST_READ":
+                asked = message.param_id.decode()
+                value = parameters.get(asked, 0) * 1.0
+                said = autopilot.say(
+                    "PARAM_VALUE", param_id=asked.encode(), param_value=value, param_type=9
+                )
+                session.receive(said, now_ns)
+    return session, autopilot

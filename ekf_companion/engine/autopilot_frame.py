@@ -1,0 +1,138 @@
+"""ODOMETRY in the local frame of the autopilot that follows it: its origin, its metres, its height.
+
+An autopilot takes the numbers of ODOMETRY for places in its own local frame, and turns them into
+latitude and longitude by its own projection. ArduPilot counts from the origin that it has told,
+PX4 keeps an offset to ours by itself. And ArduPilot on its own sensors takes the height from the
+barometer, above an altitude that its receiver said once: 4 m off after a cold start. It would climb
+by what ours is better at the moment it is switched to ODOMETRY. So heights are sent above its own
+datum, for as long as it is not ours anyway.
+
+Sources: ArduPilot, ``Location::get_distance_NE``, ``NavEKF3_core::getLLH``, ``getOriginLLH``,
+``selectHeightForFusion``, ``CorrectExtNavForSensorOffset``; PX4, ``MapProjection``,
+``ekf2/EKF/aid_sources/external_vision/ev_pos_control.cpp``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from struct import Struct
+from typing import NamedTuple
+
+from ekf_companion.mavlink.decode import Family
+from ekf_companion.nav import projection
+from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.projection import Projection
+from ekf_companion.nav.state import Odometry
+
+Place = tuple[float, float, float]
+"""Latitude, longitude (rad), altitude above mean sea level (m)."""
+PROJECTIONS: Mapping[Family, Projection] = {
+    Family.ARDUPILOT: projection.ARDUPILOT,
+    Family.PX4: projection.PX4,
+}
+_POSITION = Struct("<3f")
+_SMOOTH_NS = 1_000_000_000
+"""The autopilot's height is noisy by centimetres, from one message to the next."""
+_AGREED = 0.25
+"""m; half of the least jump of ODOMETRY that would be told. Who follows ours is nearer to it."""
+_PROVEN_NS = 2_000_000_000
+"""Further away for so long, it does not follow ours: EKF3 takes up a height in half a second."""
+_LEVEL = 0.5
+"""m/s; who follows ours, half a second late at most, is nearer while it climbs no faster."""
+
+
+class Height(NamedTuple):
+    """Height of the vehicle by the autopilot's own estimate, beside ours at the same time."""
+
+    t_ns: int
+    """On the autopilot's clock."""
+    theirs: float
+    """Altitude, m."""
+    ours: float
+    """Altitude, m."""
+    climb: float
+    """m/s, upwards, by ours."""
+
+
+class AutopilotFrame:
+    """The local frame of one autopilot."""
+
+    def __init__(self, family: Family) -> None:
+        self._family, self._projection = family, PROJECTIONS.get(family)
+        self.forget()
+
+    def forget(self) -> None:
+        """Count from our own origin: the autopilot has rebooted."""
+        self.origin: Place | None = None
+        """The autopilot's own; None: it has told none, and ours counts."""
+        self.datum = 0.0
+        """What the autopilot's altitudes are above ours, m."""
+        self._last_ns: int | None = None
+        """Of the last height of the autopilot."""
+        self._agreed_ns = 0
+        """When its height was last ours."""
+
+    def set_origin(self, origin: Place) -> None:
+        """Count from an origin of the autopilot."""
+        if self._family is not Family.ARDUPILOT:
+            return
+        if self.origin is None:
+            self.datum, self._last_ns = 0.0, None
+        self.origin = origin
+
+    def take_height(self, height: Height, *, may_follow: bool, may_choose: bool) -> None:
+        """Learn what the autopilot's altitudes are above ours.
+
+        Args:
+            height: Its newest, and ours.
+            may_follow: Whether it is sent ours and may fuse it: its height may then be our own.
+            may_choose: Whether it may as well be on its own sensors.
+        """
+        if self._family is not Family.ARDUPILOT or self.origin is None:
+            return
+        last_ns, self._last_ns = self._last_ns, height.t_ns
+        apart = height.theirs - height.ours - self.datum
+        if last_ns is None:
+            # nothing was sent yet that counts from this origin
+            self.datum, self._agreed_ns = self.datum + apart, height.t_ns
+            return
+        if not may_follow:
+            self._agreed_ns = height.t_ns - _PROVEN_NS
+        elif abs(apart) < _AGREED or abs(height.climb) > _LEVEL or not may_choose:
+            self._agreed_ns = height.t_ns
+        if height.t_ns - self._agreed_ns >= _PROVEN_NS:
+            dt_ns = min(max(height.t_ns - last_ns, 0), _SMOOTH_NS)
+            self.datum += apart * dt_ns / (dt_ns + _SMOOTH_NS)
+
+    def counts_from(self, own: Place) -> Place:
+        """Return the place that what is sent counts from, given the origin of the estimate.
+
+        Its altitude is the truth as we know it: the autopilot's less what its datum is above ours.
+        """
+        if self.origin is None:
+            return own
+        lat, lon, alt = self.origin
+        return lat, lon, alt - self.datum
+
+    def distance(self, place: Place) -> float:
+        """Return how far the autopilot's origin is from a place, in all axes, m; 0 without one."""
+        if self.origin is None or self._projection is None:
+            return 0.0
+        level = self._projection.to_metres(*self.origin[:2], *place[:2])
+        return math.hypot(*level, self.origin[2] - place[2])
+
+    def express(self, odometry: Odometry, own: Place | None) -> Odometry:
+        """Return an ODOMETRY with its position in the autopilot's frame; ``own`` is our origin."""
+        if self._projection is None or own is None:
+            return odometry
+        north, east, down = _POSITION.unpack_from(odometry.numbers)
+        frame = LocalFrame(*own)
+        to_north, to_east = frame.scale
+        lat, lon = own[0] + north / to_north, own[1] + east / to_east
+        lat_0, lon_0, alt_0 = self.counts_from(own)
+        x, y = self._projection.to_metres(lat, lon, lat_0, lon_0)
+        z = alt_0 - (own[2] - down)
+        return odometry._replace(
+            numbers=_POSITION.pack(x, y, z) + odometry.numbers[_POSITION.size :]
+        )
