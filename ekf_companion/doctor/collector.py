@@ -226,6 +226,7 @@ class EvidenceCollector:
             output=output_state(session, self._odometry.count, self._odometry.rate()),
             parameters=self.parameters.values,
             asked_parameters=frozenset(self._asked_parameters),
+            following=self.companion.session.following.state,
             decision=self._decision(),
             sent=Sent(
                 count=self._odometry.count,

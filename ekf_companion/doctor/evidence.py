@@ -16,6 +16,7 @@ from ekf_companion.engine.health import Health
 from ekf_companion.link.holder import Holder
 from ekf_companion.mavlink.decision import Decision
 from ekf_companion.mavlink.discovery import is_autopilot
+from ekf_companion.mavlink.following import State
 from ekf_companion.status.snapshot import (
     FrameState,
     LinkState,
@@ -167,6 +168,8 @@ class Evidence:
     parameters: Mapping[str, float]
     """The autopilot's, as far as they are known."""
     asked_parameters: frozenset[str]
+    following: State
+    """How far the autopilot's own estimate is from the ODOMETRY that it is sent."""
     decision: Decision
     """The guard's decision, or what it would be from these parameters alone."""
     sent: Sent

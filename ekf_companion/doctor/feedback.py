@@ -107,7 +107,7 @@ def fused(evidence: Evidence) -> StageResult:
     if not decision.is_fused:
         saw = f"{decision.reason}; it would with {_HOW[evidence.family]}"
         return judged(Stage.FUSED, saw, [refusal])
-    problems = [refusal, *_unfavourable(evidence), _rejects(evidence)]
+    problems = [refusal, _apart(evidence), *_unfavourable(evidence), _rejects(evidence)]
     return judged(Stage.FUSED, f"{decision.reason}{_dead_reckoning(evidence)}", problems)
 
 
@@ -123,6 +123,17 @@ def _dead_reckoning(evidence: Evidence) -> str:
         f"; so is dead reckoning (quality {ours}), for as long as "
         f"output.odometry.dead_reckoning_time and _std let it be sent: {name} = {least:g}, "
         "with 30 it is refused at once"
+    )
+
+
+def _apart(evidence: Evidence) -> Problem | None:
+    """Return that the autopilot's own estimate is not what it is sent."""
+    if not (apart := evidence.following.apart):
+        return None
+    return failed(
+        f"The autopilot does not follow ODOMETRY: its own estimate is {apart}.",
+        "See whether another component sends it a position, how long its answers to TIMESYNC take, "
+        "and its texts; until then fly on its own receiver.",
     )
 
 

@@ -36,6 +36,8 @@ _SMOOTH_NS = 1_000_000_000
 """The autopilot's height is noisy by centimetres, from one message to the next."""
 _AGREED = 0.25
 """m; half of the least jump of ODOMETRY that would be told. Who follows ours is nearer to it."""
+_NOISE = 0.05
+"""m; of a height, from one message to the next."""
 _PROVEN_NS = 2_000_000_000
 """Further away for so long, it does not follow ours: EKF3 takes up a height in half a second."""
 _LEVEL = 0.5
@@ -97,9 +99,11 @@ class AutopilotFrame:
             # nothing was sent yet that counts from this origin
             self.datum, self._agreed_ns = self.datum + apart, height.t_ns
             return
+        # One that has been found apart is followed until it is as near as its noise
+        near = _NOISE if height.t_ns - self._agreed_ns >= _PROVEN_NS else _AGREED
         if not may_follow:
             self._agreed_ns = height.t_ns - _PROVEN_NS
-        elif abs(apart) < _AGREED or abs(height.climb) > _LEVEL or not may_choose:
+        elif abs(apart) < near or abs(height.climb) > _LEVEL or not may_choose:
             self._agreed_ns = height.t_ns
         if height.t_ns - self._agreed_ns >= _PROVEN_NS:
             dt_ns = min(max(height.t_ns - last_ns, 0), _SMOOTH_NS)

@@ -206,7 +206,7 @@ def autopilot_state(session: Session, now_ns: int) -> AutopilotState | None:
         return None
     roll, pitch, yaw = map(math.degrees, (math.nan,) * 3 if attitude is None else attitude.euler)
     ages = [one.age for one in (attitude, position) if one is not None]
-    nan, decoder = math.nan, session.decoder
+    nan, decoder, following = math.nan, session.decoder, session.following.state
     return AutopilotState(
         roll_deg=roll,
         pitch_deg=pitch,
@@ -224,4 +224,11 @@ def autopilot_state(session: Session, now_ns: int) -> AutopilotState | None:
         position_age_s=nan if position is None else position.age,
         is_attitude_ours=decoder.is_yaw_ours,
         is_position_ours=decoder.is_ours,
+        is_followed=following.is_watched,
+        apart=following.apart,
+        apart_horizontal_m=following.horizontal,
+        apart_vertical_m=following.vertical,
+        apart_velocity_m_s=following.velocity,
+        apart_heading_deg=math.degrees(following.yaw),
+        lag_s=following.lag,
     )

@@ -79,7 +79,13 @@ def judge(snapshot: Snapshot) -> HealthCheck:
     ]
     trouble = snapshot.process.recording_trouble
     recording = [f"not all is recorded: {trouble}"] if trouble else []
-    return HealthCheck(True, "; ".join([line, *in_vain, *recording]), is_ok=True)
+    other = snapshot.vehicle.autopilot
+    apart = (
+        []
+        if other is None or not other.apart
+        else [f"the autopilot does not follow: {other.apart}"]
+    )
+    return HealthCheck(True, "; ".join([*apart, line, *in_vain, *recording]), is_ok=not apart)
 
 
 def _odometry(output: OutputState, link: LinkState) -> str:

@@ -265,6 +265,8 @@ def _of_position(snapshot: Snapshot, health: Health) -> Iterator[Reason | str]:
     elif not other.position_age_s <= OLDEST_S:
         age = other.position_age_s
         yield f"position not compared: the autopilot's {other.position_message} is {age:.1f} s old"
+    elif other.apart:
+        yield Reason("not followed", f"the autopilot does not follow ODOMETRY: {other.apart}")
     elif other.is_position_ours:
         yield "position not compared: the autopilot's is made of our ODOMETRY"
     else:

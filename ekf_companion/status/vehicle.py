@@ -11,6 +11,10 @@ from ekf_companion.status.metric import gauge
 
 _ATTITUDE = ("attitude_degrees", "Attitude of the vehicle; heading from true north.")
 _AUTOPILOT_ATTITUDE = ("autopilot_attitude_degrees", "The same by the autopilot's own estimate.")
+_SEPARATION = (
+    "autopilot_separation_meters",
+    "Of the autopilot's own estimate from ours at the same time.",
+)
 _ATTITUDE_STD = ("attitude_std_degrees", "One sigma.")
 _POSITION_STD = ("position_std_meters", "One sigma.")
 
@@ -82,6 +86,30 @@ class AutopilotState:
     """Whether its heading is made of our ODOMETRY, so that it proves nothing."""
     is_position_ours: bool
     """Whether its position is made of our ODOMETRY, likewise."""
+    is_followed: Annotated[
+        bool, gauge("autopilot_watched", "1 while it fuses ODOMETRY: its estimate must be ours.")
+    ]
+    apart: Annotated[
+        str,
+        gauge(
+            "autopilot_apart",
+            "1 while its estimate is not the ODOMETRY that it fuses.",
+            rows=lambda apart: {(): float(bool(apart))},
+        ),
+    ]
+    """What of it is too far from ours; empty: nothing, or it is not watched."""
+    apart_horizontal_m: Annotated[float, gauge(*_SEPARATION, ("axis=horizontal",))]
+    """m, at the same time."""
+    apart_vertical_m: Annotated[float, gauge(*_SEPARATION, ("axis=vertical",))]
+    """m, above ours."""
+    apart_velocity_m_s: float
+    """m/s."""
+    apart_heading_deg: float
+    """deg."""
+    lag_s: Annotated[
+        float, gauge("autopilot_lag_seconds", "How late its estimate follows ODOMETRY, in motion.")
+    ]
+    """s; NaN: nothing moves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
