@@ -95,6 +95,18 @@ class CompassConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SpareConfig:
+    """Sensors beside the first of their kind; faults act on the first, unless they say all."""
+
+    compasses: Annotated[int, msgspec.Meta(ge=0, le=2)] = 0
+    """Magnetometers, as good as the first, in SCALED_IMU2 and SCALED_IMU3."""
+    hard_iron: NotNegative = 0.03
+    """One sigma of what the calibration of each leaves, per axis, gauss: assumed."""
+    receivers: Annotated[int, msgspec.Meta(ge=0, le=1)] = 0
+    """Receivers, as good as the first, with an antenna in its place: GPS2_RAW."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BaroConfig:
     """A barometer in the standard atmosphere."""
 
@@ -170,6 +182,7 @@ class SimConfig:
     gnss: GnssConfig = field(default_factory=GnssConfig)
     compass: CompassConfig = field(default_factory=CompassConfig)
     baro: BaroConfig = field(default_factory=BaroConfig)
+    spare: SpareConfig = field(default_factory=SpareConfig)
     estimate: EstimateConfig = field(default_factory=EstimateConfig)
     streams: StreamConfig = field(default_factory=StreamConfig)
     parameters: dict[str, float] = field(default_factory=dict)

@@ -96,6 +96,10 @@ class Cycle(NamedTuple):
     """m/s^2."""
     has_imu: bool = True
     """Whether there is an inertial sample at all."""
+    spare_mag_b: tuple[Vector, ...] = ()
+    """Of the other magnetometers, with ``mag_b``, gauss."""
+    spare_fix: Fix | None = None
+    """Of the other receiver; None: nothing new."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -113,6 +117,8 @@ class Flight:
     imu: sensors.ImuData
     gnss: sensors.GnssData
     mag: sensors.MagData
+    spare_mag: tuple[sensors.MagData, ...]
+    spare_gnss: sensors.GnssData | None
     baro: sensors.BaroData
     estimate_error: Array
     """Of position, velocity, roll, pitch and yaw, shape (n, 9)."""
@@ -148,6 +154,14 @@ class Flight:
         fix_t = skip + np.arange(1, fix_count + 1) / config.gnss.rate
         mag_t = _every(t, period, config.compass.rate)
         baro_t = _every(t, period, config.baro.rate)
+        spare_mag = []
+        for generator in (rng["compass 2"], rng["compass 3"])[: config.spare.compasses]:
+            iron = config.spare.hard_iron * generator.standard_normal(3)
+            other = replace(config.compass, hard_iron=tuple(iron.tolist()))
+            spare_mag.append(sensors.compass(trajectory, other, generator, mag_t))
+        spare_gnss = None
+        if config.spare.receivers:
+            spare_gnss = sensors.gnss(trajectory, config.gnss, rng["gnss 2"], fix_t)
         e = config.estimate
         sigmas = np.repeat([e.position, e.velocity, e.tilt, e.yaw], [3, 3, 2, 1])
         return cls(
@@ -160,6 +174,8 @@ class Flight:
             imu=sensors.imu(trajectory, config.imu, rng["imu"], t, period),
             gnss=sensors.gnss(trajectory, config.gnss, rng["gnss"], fix_t),
             mag=sensors.compass(trajectory, config.compass, rng["compass"], mag_t),
+            spare_mag=tuple(spare_mag),
+            spare_gnss=spare_gnss,
             baro=sensors.baro(trajectory, config.baro, rng["baro"], baro_t),
             estimate_error=sensors.slow_errors(rng["estimate"], count, sigmas, period, e.time),
         )
@@ -193,7 +209,11 @@ class Flight:
         baro = _arrivals(
             t, self.baro.t, zip(self.baro.pressure.tolist(), self.baro.alt.tolist(), strict=True)
         )
-        fixes = _arrivals(t, self.gnss.t, self._fixes())
+        fixes = _arrivals(t, self.gnss.t, self._fixes(self.gnss))
+        columns = [map(tuple, one.mag_b.tolist()) for one in self.spare_mag]
+        spare_mag = _arrivals(t, self.mag.t, zip(*columns, strict=True)) if columns else {}
+        other = self.spare_gnss
+        spare_fixes = {} if other is None else _arrivals(t, other.t, self._fixes(other))
         for start in range(0, len(t), _CHUNK):
             part = slice(start, start + _CHUNK)
             truth = self.trajectory.at(t[part])
@@ -228,10 +248,11 @@ class Flight:
                     flight_ns=now_ns,
                     gyro_bias_b=tuple(gyro_bias),
                     accel_bias_b=tuple(accel_bias),
+                    spare_mag_b=spare_mag.get(number, ()),
+                    spare_fix=spare_fixes.get(number),
                 )
 
-    def _fixes(self) -> Iterator[Fix]:
-        data = self.gnss
+    def _fixes(self, data: sensors.GnssData) -> Iterator[Fix]:
         columns = (data.t, data.lat, data.lon, data.alt, data.vel_n, data.yaw)
         for t, lat, lon, alt, vel_n, yaw in zip(*(c.tolist() for c in columns), strict=True):
             yield Fix(self.to_ns(t), lat, lon, alt, tuple(vel_n), yaw)

@@ -31,7 +31,8 @@ _BIAS_GAIN = 0.1
 _BIAS_NOISE = (3e-5, 5e-3)
 """One sigma of such a step, rad/s and m/s^2: assumed."""
 _METRES_PER_RADIAN = 6371e3
-_INERTIAL = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU2")
+_SPARE_COMPASSES = ("SCALED_IMU2", "SCALED_IMU3")
+_INERTIAL = ("HIGHRES_IMU", "RAW_IMU", *_SPARE_COMPASSES)
 
 
 class FirmwareSensors:
@@ -49,6 +50,8 @@ class FirmwareSensors:
         self._bias_gyro, self._bias_accel = np.zeros(3), np.zeros(3)
         self._next_step_ns = 0
         self._mag_b: Vector | None = None
+        self._spare_mag_b: tuple[Vector, ...] = ()
+        self._spare_fix: Fix | None = None
         self._baro: tuple[float, float] | None = None
         self._ground_pressure: float | None = None
         self._updated = INERTIAL_AND_TEMPERATURE
@@ -91,8 +94,14 @@ class FirmwareSensors:
             return None
         if name == "GPS_RAW_INT":
             return self._gps_raw_int(cycle)
+        if name == "GPS2_RAW":
+            fix = self._spare_fix
+            return None if fix is None else telemetry.gps2_raw(self._config, fix)
         # The latest magnetometer and barometer samples, new or not
-        cycle = cycle._replace(mag_b=self._mag_b, baro=self._baro)
+        mag_b, spares = self._mag_b, self._spare_mag_b
+        if name in _SPARE_COMPASSES and spares:
+            mag_b = spares[_SPARE_COMPASSES.index(name)]
+        cycle = cycle._replace(mag_b=mag_b, baro=self._baro)
         if name == "HIGHRES_IMU":
             return self._highres_imu(cycle)
         return BUILDERS[name](self._config, cycle)
@@ -148,13 +157,14 @@ class FirmwareSensors:
     def _note(self, cycle: Cycle) -> None:
         """Keep new samples of the slow sensors."""
         if cycle.mag_b is not None:
-            self._mag_b = cycle.mag_b
+            self._mag_b, self._spare_mag_b = cycle.mag_b, cycle.spare_mag_b
             self._updated |= MAGNETOMETER
         if cycle.baro is not None:
             self._baro = cycle.baro
             self._updated |= BAROMETER
             if self._ground_pressure is None:
                 self._ground_pressure = cycle.baro[0]
+        self._spare_fix = cycle.spare_fix or self._spare_fix
         if self._fix_ns is None:
             self._fix_ns = cycle.flight_ns
         if cycle.fix is not None:

@@ -24,8 +24,8 @@ _LOOP_SHARE = 0.8
 """Largest rate of a stream, as a part of the loop's rate (ArduPilot)."""
 
 GROUPS: Mapping[int, tuple[str, ...]] = {
-    1: ("RAW_IMU", "SCALED_IMU2", "SCALED_PRESSURE"),
-    2: (GNSS,),
+    1: ("RAW_IMU", "SCALED_IMU2", "SCALED_IMU3", "SCALED_PRESSURE"),
+    2: (GNSS, "GPS2_RAW"),
     6: ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"),
     10: ("ATTITUDE",),
     12: ("SYSTEM_TIME",),
@@ -43,6 +43,7 @@ class Streams:
         own = personality.streams
         if own is None:
             own = {name: getattr(config.streams, name) for name in config.streams.__slots__}
+        own = {**dict.fromkeys(_spares(config), 0.0), **own}
         self._default = own
         self._rates = dict(own)
         self._personality = personality
@@ -151,3 +152,10 @@ class Streams:
         if not self._personality.link_rate or not varying:
             return 1.0
         return min(1.0, max(_SLOWEST, (budget - constant) / varying))
+
+
+def _spares(config: SimConfig) -> tuple[str, ...]:
+    """Return the messages of the sensors beside the first of their kind."""
+    spare = config.spare
+    compasses = ("SCALED_IMU2", "SCALED_IMU3")[: spare.compasses]
+    return (*compasses, *("GPS2_RAW",) * spare.receivers)

@@ -90,7 +90,7 @@ class BaroData:
 
 def generators(seed: int) -> dict[str, np.random.Generator]:
     """Return one generator for each source of noise; new ones are added at the end."""
-    names = ("imu", "gnss", "compass", "baro", "estimate")
+    names = ("imu", "gnss", "compass", "baro", "estimate", "compass 2", "compass 3", "gnss 2")
     sequences = np.random.SeedSequence(seed).spawn(len(names))
     return dict(zip(names, map(np.random.default_rng, sequences), strict=True))
 

@@ -66,6 +66,11 @@ def gps_raw_int(config: SimConfig, fix: Fix) -> Fields:
     }
 
 
+def gps2_raw(config: SimConfig, fix: Fix) -> Fields:
+    """Return GPS2_RAW of the second receiver's fix."""
+    return gps_raw_int(config, fix)
+
+
 def no_gps() -> Fields:
     """Return GPS_RAW_INT without a receiver (PX4): each number is marked as unknown."""
     unknown = dict.fromkeys(("eph", "epv", "vel", "cog"), 65535)
@@ -229,6 +234,7 @@ BUILDERS: dict[str, Builder] = {
     "ODOMETRY": _odometry,
     "RAW_IMU": _raw_imu,
     "SCALED_IMU2": _scaled_imu,
+    "SCALED_IMU3": _scaled_imu,
     "SCALED_PRESSURE": _scaled_pressure,
 }
 """Messages that depend on a reading alone."""

@@ -126,6 +126,8 @@ class Reset(IntEnum):
     MOTION = 8
     """The heading contradicted the motion."""
     RESTART = 9
+    ORIGIN = 10
+    """The receiver's first fix is far from the autopilot's own position: a new origin."""
 
 
 class Link(IntEnum):

@@ -15,10 +15,14 @@ from cython.cimports.ekf_companion.core.memory import Vector
 from cython.cimports.ekf_companion.core.scratch import VALUES, Event
 from cython.cimports.libc.math import fabs, isfinite, isnan
 
+from ekf_companion.nav.measurements import NULL_ISLAND
+
 LARGEST_RATE = cython.declare(cython.double, 200.0)
 """rad/s; no gyro of a vehicle reaches it."""
 LARGEST_FORCE = cython.declare(cython.double, 2000.0)
 """m/s^2."""
+NOWHERE = cython.declare(cython.double, NULL_ISLAND)
+DERIVED = cython.declare(cython.int, 1)
 
 
 def compare(row: Event, t: float, kind: int, values: Vector) -> int:
@@ -62,6 +66,8 @@ def is_sane(kind: int, values: Vector) -> bool:
             return False
         if not (isnan(values[12]) or 0.0 <= values[12] < 10.0):
             return False
+        if is_nowhere(values[0], values[1], cython.cast(cython.int, values[10])):
+            return False
         return fabs(values[0]) < 1.57 and fabs(values[1]) < 3.15 and fabs(values[2]) < 1e5
     if kind == KIND_HEADING:
         return fabs(values[0]) < 7.0 and 0.0 < values[1] < 10.0 and values[2] in (0.0, 1.0, 2.0)
@@ -71,7 +77,15 @@ def is_sane(kind: int, values: Vector) -> bool:
             and fabs(values[1]) < 10.0
             and fabs(values[2]) < 10.0
             and values[0] * values[0] + values[1] * values[1] + values[2] * values[2] > 1e-6
+            and 0.0 <= values[3] < 16.0
         )
     if kind == KIND_BARO:
         return fabs(values[0]) < 1e5
     return kind == KIND_VEHICLE and not isnan(values[0]) and fabs(values[3]) <= 1.0
+
+
+def is_nowhere(lat: float, lon: float, flags: int) -> bool:
+    """Return whether a place (rad) is what stands for none: 0, 0, or a derived one near it."""
+    if flags & DERIVED:
+        return fabs(lat) < NOWHERE and fabs(lon) < NOWHERE
+    return lat == 0.0 and lon == 0.0

@@ -16,6 +16,7 @@ from cython.cimports.ekf_companion.core import (
     force,
     gate,
     observe,
+    receiver,
     rest,
     slide,
     voices,
@@ -120,10 +121,15 @@ SAME_CAUSE = cython.declare(cython.double, 2.0)
 def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
     """Fuse a fix. Return False if it was refused for so long that the filter must start over."""
     fix = address(w.fix)
+    flags = cython.declare(cython.int, cython.cast(cython.int, values.flags))
     has_vel = cython.declare(cython.bint, k.use_velocity != 0.0 and not isnan(values.vel_n[0]))
+    is_first = cython.declare(cython.bint, not flags & DERIVED and x.raw_fix_t <= NEVER)
 
     # Which source, and is it usable
-    if not is_used(x, k, cython.cast(cython.int, values.flags)):
+    if not is_used(x, k, flags):
+        return True
+    if not flags & DERIVED and not receiver.is_used(x, k, w, values):
+        gate.count_verdict(x, AID_POSITION, VERDICT_SUPERSEDED)
         return True
     if is_frozen(x, values):
         gate.count_verdict(x, AID_POSITION, VERDICT_SUSPECT)
@@ -160,6 +166,8 @@ def fuse_fix(x: State, k: Parameters, w: Scratch, values: GnssRow) -> bool:
         return True
     if x.needs_reset != 0.0:
         resume_after_gap(x, k, w, has_vel)
+        return True
+    if is_first and receiver.replace_derived(x, k, w, has_vel):
         return True
     return correct_by_fix(x, k, w, has_vel)
 

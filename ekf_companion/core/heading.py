@@ -23,6 +23,7 @@ from cython.cimports.ekf_companion.core.enums import (
     CHOICE_MAG,
     E_ATT,
     E_HEADING,
+    E_IRON,
     MODE_ATTITUDE,
     MODE_LEVEL,
     RESET_HEADING,
@@ -42,7 +43,7 @@ from cython.cimports.ekf_companion.core.gate import (
 )
 from cython.cimports.ekf_companion.core.memory import Vector
 from cython.cimports.ekf_companion.core.parameters import Parameters
-from cython.cimports.ekf_companion.core.rotation import rotate, to_dcm
+from cython.cimports.ekf_companion.core.rotation import rotate, to_dcm, wrap
 from cython.cimports.ekf_companion.core.scratch import HeadingRow, Observation
 from cython.cimports.ekf_companion.core.state import Reference, State
 from cython.cimports.libc.math import asin, fabs, isnan, sqrt
@@ -75,6 +76,12 @@ FIRST_MEMORY = cython.declare(cython.double, 3.0)
 """Blocks that what is configured counts for."""
 LARGEST_MEMORY = cython.declare(cython.double, 25.0)
 """Blocks over which the noise is learnt."""
+LEAPT = cython.declare(cython.double, 0.2617993877991494)
+"""Least leap of an azimuth that no gyro saw, rad: 15 degrees, as of a yaw that is corrected."""
+LEAPT_SIGMAS = cython.declare(cython.double, 5.0)
+"""The same in sigmas of our yaw."""
+LEAP_TIME = cython.declare(cython.double, 1e9)
+"""Longest time that a leap takes, ns: in more a gyro may have drifted unnoticed."""
 LEAST_SHARE = cython.declare(cython.double, 0.05)
 """Least share of the configured variance, for the best of magnetometers."""
 NEVER = cython.declare(cython.double, -1e18)
@@ -174,11 +181,13 @@ def fuse_field(x: State, k: Parameters, o: Observation, r: Reference, mag_b: Vec
     if not is_natural(x, k, o, mag_b):
         count_verdict(x, AID_HEADING, VERDICT_DISTURBED)
         x.natural_fields = 0.0
+        note_disturbed(x)
         return
     # by chance one of many disturbed fields looks like the Earth's
     x.natural_fields += 1.0
     if x.natural_fields < CONVINCING and x.count[AID_HEADING][VERDICT_DISTURBED] > 0.0:
         count_verdict(x, AID_HEADING, VERDICT_DISTURBED)
+        note_disturbed(x)
         return
     x.mag_t = x.t
     for i in range(3):
@@ -215,6 +224,7 @@ def fuse_azimuth(
         x.heading_offset = 0.0
         x.walk.heading_share = 1.0
         reset_variance(x, E_HEADING, 1, slow * slow)
+        forget_azimuth(x)
     if not observe.azimuth(x, o, r):
         count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
         return
@@ -223,12 +233,77 @@ def fuse_azimuth(
     if x.has_yaw == 0.0:
         reset_yaw(x, o)
         count_verdict(x, AID_HEADING, VERDICT_FUSED)
-    elif (
-        not fuse_judged(x, k, o, AID_HEADING, nis)
-        and is_timed_out(x, AID_HEADING, k.timeout_heading)
+        return
+    z = o.z[0]
+    if fuse_judged(x, k, o, AID_HEADING, nis):
+        if r.has_iron != 0.0:
+            keep_azimuth(x, z)
+        return
+    if r.has_iron != 0.0:
+        look_for_leap(x, k, z)
+    if (
+        is_timed_out(x, AID_HEADING, k.timeout_heading)
         and x.t - x.refused_t[AID_HEADING] >= INSISTENCE
     ):
         yield_to_azimuth(x, o, slow)
+
+
+def use_compass(x: State, k: Parameters, compass: float) -> None:
+    """Begin with another compass: what was learnt of the one before does not hold of it.
+
+    Whoever chose it has brought its field to that of the one before, so the states go on from
+    their values, as uncertain as at first, and yaw stays.
+    """
+    if compass == x.compass:
+        return
+    x.compass = compass
+    forget_field_noise(x)
+    forget_azimuth(x)
+    if x.mode >= MODE_ATTITUDE:
+        reset_variance(x, E_IRON, 3, k.iron_std * k.iron_std)
+    if x.azimuth >= AZIMUTH_MAGNETIC:
+        x.walk.heading_share = 1.0
+        reset_variance(x, E_HEADING, 1, x.heading_std * x.heading_std)
+
+
+def forget_azimuth(x: State) -> None:
+    """Forget the magnetic azimuths that were fused."""
+    x.azimuth_t = NEVER
+    x.azimuth_t0 = NEVER
+    x.has_leapt = 0.0
+
+
+def keep_azimuth(x: State, z: float) -> None:
+    """Keep the innovation of a magnetic azimuth that was fused, to tell a leap from."""
+    if x.at_rest != 0.0 or x.azimuth_t0 <= NEVER:
+        x.azimuth_t0 = x.t
+    x.azimuth_z = z
+    x.azimuth_t = x.t
+    x.has_leapt = 0.0
+
+
+def note_disturbed(x: State) -> None:
+    """Note a disturbed field: the azimuth after it follows on the last before."""
+    if x.azimuth_t > NEVER:
+        x.azimuth_t = x.t
+
+
+def look_for_leap(x: State, k: Parameters, z: float) -> None:
+    """Look whether a refused magnetic azimuth leapt away from those that were fused in motion.
+
+    The gyro carried yaw on from one to the next. A compass that has stood still with the vehicle
+    may have been wrong before the leap.
+    """
+    leap = wrap(z - x.azimuth_z)
+    sigma = LEAPT_SIGMAS * LEAPT_SIGMAS * x.P[E_ATT + 2][E_ATT + 2]
+    if (
+        x.azimuth_t > NEVER
+        and x.t - x.azimuth_t < LEAP_TIME
+        and x.azimuth_t - x.azimuth_t0 > k.timeout_heading * 1e9
+        and x.gap_t < x.azimuth_t0
+        and leap * leap > LEAPT * LEAPT + sigma
+    ):
+        x.has_leapt = 1.0
 
 
 def innovate_field(x: State, o: Observation) -> float:
@@ -299,8 +374,10 @@ def keep_reference(x: State, r: Reference) -> None:
 
 def yield_to_azimuth(x: State, o: Observation, slow: float) -> None:
     """Resolve an azimuth that has been refused too long: reset yaw, heading offset or both."""
-    if yaw_reset.agrees(x):
-        # the compass has jumped: the motion confirms our yaw
+    is_compass = cython.declare(cython.bint, x.has_leapt != 0.0 and not yaw_reset.is_ready(x))
+    if is_compass or yaw_reset.agrees(x):
+        # the compass has jumped: the gyro saw no turn, or the motion confirms our yaw
+        forget_azimuth(x)
         reset_variance(x, E_HEADING, 1, UNKNOWN_HEADING)
         innovate(x, o)
         apply_yaw_update(x, o)

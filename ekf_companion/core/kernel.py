@@ -223,6 +223,9 @@ def forget_sensors(x: State) -> None:
     x.armed = NAN
     x.landed = NAN
     x.raw_fix_t = NEVER
+    x.receiver = 0.0
+    x.alone_t = NEVER
+    x.compass = 0.0
     x.split_t = NEVER
     x.slide.t = NEVER
     x.slide.apart_t = NEVER
@@ -250,6 +253,7 @@ def start(x: State, t: float) -> None:
     forget_gain(x)
     x.fix_t = NEVER
     x.mag_t = NEVER
+    heading.forget_azimuth(x)
     x.innovation_t = NEVER
     x.force_t = NEVER
     x.fake_t = t
@@ -407,9 +411,10 @@ def apply_event(x: State, k: Parameters, w: Scratch, event: Event) -> None:
         else:
             gate.count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
     elif event.kind == KIND_MAG:
-        add_field(x, v.mag_b)
+        add_field(x, v.mag.mag_b)
+        heading.use_compass(x, k, v.mag.compass)
         if heading.is_field_used(x, k):
-            heading.fuse_field(x, k, o, r, v.mag_b)
+            heading.fuse_field(x, k, o, r, v.mag.mag_b)
             if x.natural_fields == 0.0:
                 forget_field(x)
         else:

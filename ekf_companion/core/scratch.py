@@ -37,6 +37,14 @@ class GnssRow:
 
 
 @struct
+class MagRow:
+    """Values of a magnetic field."""
+
+    mag_b: Annotated[Vector, 3]
+    compass: Real
+
+
+@struct
 class HeadingRow:
     """Values of a heading."""
 
@@ -63,7 +71,7 @@ class Values:
     imu: ImuRow
     gnss: GnssRow
     heading: HeadingRow
-    mag_b: Annotated[Vector, 3]
+    mag: MagRow
     baro_alt: Real
     vehicle: VehicleRow
 

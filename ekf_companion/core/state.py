@@ -548,7 +548,21 @@ class State:
     """Mean strength of the measured field, gauss."""
     field_noise: FieldNoise
     raw_fix_t: Real
-    """When the receiver itself was last received, ns."""
+    """When a receiver itself was last received, ns."""
+    receiver: Real
+    """Whose fixes are used: 0 the first receiver's, 1 the second's."""
+    alone_t: Real
+    """Since when the other receiver speaks without the one in use, ns; never: it does not."""
+    compass: Real
+    """Whose magnetic field is used; 0: the first compass's."""
+    azimuth_z: Real
+    """Innovation of the last magnetic azimuth that was fused, rad."""
+    azimuth_t: Real
+    """When it was fused, or when the last disturbed field came after it, ns."""
+    azimuth_t0: Real
+    """Since when magnetic azimuths are fused in motion, ns."""
+    has_leapt: Real
+    """Whether the azimuths that are refused began with a leap that the gyro did not see."""
     fake_t: Real
     """When zero velocity was last assumed without GNSS, ns."""
     at_rest: Real

@@ -51,6 +51,9 @@ _STATUS_TEXTS = {
 _SPARE = {
     "SCALED_PRESSURE": "autopilots whose inertial message has no pressure need it",
     "GLOBAL_POSITION_INT": "autopilots without fixes of their receiver need it",
+    "GPS2_RAW": "vehicles with two receivers have it",
+    "SCALED_IMU2": "vehicles with two compasses have it",
+    "SCALED_IMU3": "vehicles with three compasses have it",
 }
 """Messages that a vehicle may do without, and who may not."""
 
@@ -78,6 +81,7 @@ class Announcer:
         self._jumps = 0
         self._silence = ""
         self._is_position_autopilots = False
+        self._receiver = self._compass = 0
         self._strays = 0
         self._next_ns: dict[str, int] = {}
         self._waiting: dict[str, Event] = {}
@@ -88,6 +92,7 @@ class Announcer:
     def on_begin(self, warnings: Iterable[str]) -> None:
         """Begin with an estimator that begins anew, and the warnings about its output."""
         self._resets, self._imu_source, self._strays = 0, "", 0
+        self._receiver = self._compass = 0
         self._jumps, self._silence = 0, ""
         for warning in warnings:
             _log.warning("%s", warning)
@@ -127,6 +132,7 @@ class Announcer:
             )
             self._text(Severity.WARNING, "position is the autopilot's own")
         self._is_position_autopilots = health.is_position_autopilots
+        self._announce_sensors(health)
         if health.status != self._status:
             _log.info(
                 "Estimate is %s, was %s",
@@ -137,6 +143,17 @@ class Announcer:
             self._status = health.status
             if health.status in _STATUS_TEXTS:
                 self._text(*_STATUS_TEXTS[health.status])
+
+    def _announce_sensors(self, health: Health) -> None:
+        """Announce that another receiver or another compass is used."""
+        for name, was, now in (
+            ("receiver", self._receiver, health.receiver),
+            ("compass", self._compass, health.compass),
+        ):
+            if was != now:
+                _log.warning("The %s in use is number %d, was %d", name, now + 1, was + 1)
+                self._text(Severity.WARNING, f"{name} {now + 1} is used, was {was + 1}")
+        self._receiver, self._compass = health.receiver, health.compass
 
     def _announce_reset(self, health: Health) -> None:
         moved, reason = health.reset_delta, health.reset_reason

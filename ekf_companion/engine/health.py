@@ -20,6 +20,7 @@ RESET_REASONS = (
     "state out of bounds",
     "heading against the motion",
     "restart",
+    "new origin",
 )
 
 REFUSALS = (Verdict.GATED, Verdict.SUSPECT, Verdict.DISTURBED)
@@ -73,6 +74,10 @@ class Health:
     start: str
     """How it began: ``cold``, ``cold: `` and why a checkpoint was refused, or ``warm: `` and what
     was lost."""
+    receiver: int = 0
+    """Whose fixes are used: 0 the first receiver's, 1 the second's."""
+    compass: int = 0
+    """Whose magnetic field is used: 0 the first compass's."""
 
     def fused(self, aid: Aid) -> int:
         """Return how many measurements of an aid were fused, with full or with less weight."""

@@ -199,6 +199,8 @@ class Pipeline:
             std_vertical=now.std_pos[2],
             is_position_autopilots=bool(x.fix_t > x.raw_fix_t),
             start=self.start,
+            receiver=int(x.receiver),
+            compass=int(x.compass),
         )
 
     @property

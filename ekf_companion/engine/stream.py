@@ -37,6 +37,9 @@ BROKEN_NS = SECOND_NS * 2 // 5
 """After such a silence EKF2 has ended its fusion (twice EV_MAX_INTERVAL), and begins anew."""
 LOST_ATTITUDE = 0.35
 """One sigma of an angle from which on an attitude is none, rad: it is being found again."""
+FARTHEST = float(2**17)
+"""m; further from the origin float32 has steps of more than a centimetre: 1/64 m."""
+BEYOND = "too far from the origin for a float32 to carry centimetres"
 WAITING = "waiting for the first fix"
 _BEST, _GOOD = QUALITY[Status.OK], QUALITY[Status.DEGRADED]
 _FAILED = QUALITY[Status.INVALID]
@@ -201,7 +204,7 @@ class OdometryStream:
         self.silence = self._reason(estimate, odometry)
         if self.silence:
             self._is_begun = False
-            if not was_begun:
+            if not was_begun or self.silence == BEYOND:
                 return None
             odometry = odometry._replace(quality=_FAILED)
         else:
@@ -233,6 +236,9 @@ class OdometryStream:
         config = self._config
         if odometry.quality < 0:
             return "the estimate is invalid"
+        assert self._looked is not None
+        if max(map(abs, self._looked[1].pos_n)) > FARTHEST:
+            return BEYOND
         # After a restart it is sent as it is: a longer silence would end the autopilot's flight
         is_lost = std_attitude(odometry) > LOST_ATTITUDE
         if is_lost and self._is_oriented:

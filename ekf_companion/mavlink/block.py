@@ -278,6 +278,8 @@ class BlockReader(RowWriter):
         place = self.positions[k]
         if not self.is_position_plain or self.is_yaw_ours or not self.is_near(stamp):
             return False
+        if not self.position.is_settled:
+            return False
         if stamp < self.main.latest_us or not is_place(place[0], place[1]):
             return False
         self.clock.advance_boot_ms(self.position_ms[k])

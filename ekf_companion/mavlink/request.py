@@ -48,6 +48,8 @@ _GROUPS = {
 """MAV_DATA_STREAM of each message, as an ArduPilot from before SET_MESSAGE_INTERVAL knows it."""
 
 
+_ARDUPILOTS = ("SCALED_IMU2", "SCALED_IMU3")
+"""Asked of ArduPilot alone: of the other compasses only their fields are used."""
 _INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 _STEPS = (100.0, 50.0, 40.0, 25.0, 10.0)
 """Hz; ArduPilot denies more than 0.8 of its loop's rate, and does not tell what that is."""
@@ -105,7 +107,12 @@ class Requests(Service):
         self.results.clear()
         self._granted.clear()
         self._timeout_ns, self._quiet_ns = _TIMEOUT_NS, 0
-        self._wanted = deque(_Request(name, rate) for name, rate in self.rates.items())
+        is_ardupilot = peer.family is Family.ARDUPILOT
+        self._wanted = deque(
+            _Request(name, rate)
+            for name, rate in self.rates.items()
+            if is_ardupilot or name not in _ARDUPILOTS
+        )
         if self._wanted:
             self._wanted.append(_Request("AUTOPILOT_VERSION", None))
 

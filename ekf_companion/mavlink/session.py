@@ -60,8 +60,12 @@ RATES: Mapping[str, float] = {
     "SYSTEM_TIME": 1.0,
     "EXTENDED_SYS_STATE": 1.0,
     "GPS_GLOBAL_ORIGIN": 1.0,
+    "GPS2_RAW": 5.0,
+    "SCALED_IMU2": 10.0,
+    "SCALED_IMU3": 10.0,
 }
-"""Rates to request of the autopilot, Hz. GNSS at twice its usual rate comes half as late."""
+"""Rates to request of the autopilot, Hz. GNSS at twice its usual rate comes half as late. The last
+three are for a second receiver and other compasses, and as slow as suffices to watch them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

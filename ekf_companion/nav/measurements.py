@@ -31,6 +31,11 @@ GNSS_POSITION, GNSS_VELOCITY, GNSS_STD = slice(0, 3), slice(3, 6), slice(6, 9)
 GNSS_DECLINATION, GNSS_FLAGS, GNSS_INCLINATION, GNSS_FIELD = 9, 10, 11, 12
 """Columns of the row of a :class:`GnssFix`."""
 
+NULL_ISLAND = math.radians(1.0)
+"""Latitude and longitude within which an autopilot's own position is none, rad. Before its first
+fix ArduPilot's fallback dead reckons from 0, 0: by 30 km in a quarter of an hour at 30 m/s. The
+nearest land is 570 km away. A receiver's own fix is refused at 0, 0 itself only."""
+
 
 class Kind(IntEnum):
     """The kind of an event. At one time they are processed in this order, the inertial last."""
@@ -64,6 +69,8 @@ class GnssFlag(IntFlag):
     """From the autopilot's fused output (GLOBAL_POSITION_INT): not an independent measurement."""
     SUSPECT = 2
     """The receiver reports jamming or spoofing."""
+    SECOND = 4
+    """Of the second receiver (GPS2_RAW), which stands by for the first."""
 
 
 def _row(t_ns: int, kind: Kind, *values: float | None) -> Row:
@@ -179,10 +186,12 @@ class MagSample:
     """gauss, right."""
     mag_z: float
     """gauss, down."""
+    compass: int = 0
+    """Which one measured it; 0: the first."""
 
     def row(self) -> Row:
-        """Return the row [mag x y z]."""
-        return _row(self.t_ns, Kind.MAG, self.mag_x, self.mag_y, self.mag_z)
+        """Return the row [mag x y z, compass]."""
+        return _row(self.t_ns, Kind.MAG, self.mag_x, self.mag_y, self.mag_z, self.compass)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -266,9 +275,10 @@ class Events:
 
 
 def of_receiver(events: Events) -> Mask:
-    """Return which events are fixes of a receiver, and no positions of an autopilot's own."""
-    is_own = events.values[:, GNSS_FLAGS] == GnssFlag.DERIVED
-    return np.asarray((events.kind == Kind.GNSS) & ~is_own)
+    """Return which events are fixes of the first receiver, and no autopilot's own position."""
+    flags = events.values[:, GNSS_FLAGS]
+    is_other = (flags == GnssFlag.DERIVED) | (flags >= GnssFlag.SECOND)
+    return np.asarray((events.kind == Kind.GNSS) & ~is_other)
 
 
 def merge(*tables: Events, arrival_ns: list[Stamps] | None = None) -> Events:

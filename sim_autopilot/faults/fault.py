@@ -130,7 +130,12 @@ _SENSOR: _Kinds = {
     "mag-disturbance": (
         "a field is added, gauss in the body",
         10.0,
-        {"forward": Number(0.3, -100.0, 100.0), "right": _GAUSS, "down": _GAUSS},
+        {
+            "forward": Number(0.3, -100.0, 100.0),
+            "right": _GAUSS,
+            "down": _GAUSS,
+            "compass": Word(("first", "all")),
+        },
     ),
     "baro-step": (
         "the barometer reads `height` metres more",

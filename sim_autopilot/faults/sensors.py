@@ -97,9 +97,15 @@ def _saturation(fault: Fault, cycle: Cycle, t: float) -> Cycle:
 def _disturbance(fault: Fault, cycle: Cycle, t: float) -> Cycle:
     if cycle.mag_b is None:
         return cycle
-    x, y, z = cycle.mag_b
-    right, down = fault.number("right"), fault.number("down")
-    return cycle._replace(mag_b=(x + fault.number("forward"), y + right, z + down))
+    added = fault.number("forward"), fault.number("right"), fault.number("down")
+    spares = cycle.spare_mag_b
+    if fault.values["compass"] == "all":
+        spares = tuple(_sum(one, added) for one in spares)
+    return cycle._replace(mag_b=_sum(cycle.mag_b, added), spare_mag_b=spares)
+
+
+def _sum(a: Vector, b: Vector) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def _step(fault: Fault, cycle: Cycle, t: float) -> Cycle:

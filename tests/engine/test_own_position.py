@@ -1,13 +1,14 @@
 """The autopilot's own position (GLOBAL_POSITION_INT), beside a receiver and without one."""
 
 import numpy as np
+import pytest
 
 from ekf_companion.core.field import FLAGS
 from ekf_companion.core.settings import FilterSettings, GnssSettings
 from ekf_companion.nav.measurements import Events, GnssFlag, Kind, merge
 from ekf_companion.nav.state import COLUMNS, GEODETIC, Status
 from tests.core.flights import between, flight, without
-from tests.engine.estimation import KNOWN, run, statuses
+from tests.engine.estimation import KNOWN, errors, run, statuses
 
 METRE = 1.0 / 6.367e6
 """Of latitude, rad."""
@@ -60,3 +61,58 @@ def test_where_it_is_the_configured_source_the_status_is_degraded_at_best():
     settings = FilterSettings(gnss=GnssSettings(source="global", delay=KNOWN.gnss.delay))
     assert Status.OK not in statuses(run(both, settings)[0])
     assert Status.OK in statuses(run(both)[0])
+
+
+def derived_until(events: Events, end: float, north: float = 0.0, place=None) -> Events:
+    """Return a flight without fixes until a time, and the autopilot's own position instead."""
+    fixes = events.take(np.flatnonzero(is_fix(events) & between(events, 0.0, end)))
+    values = fixes.values.copy()
+    values[:, 0] += north * METRE
+    if place is not None:
+        values[:, :2] = np.radians(place)
+    values[:, FLAGS] = GnssFlag.DERIVED
+    values[:, 6:8] = 4.0
+    early = Events(t_ns=fixes.t_ns, kind=fixes.kind, values=values)
+    return merge(events.take(~(is_fix(events) & between(events, 0.0, end))), early)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.001, -0.002), (-0.4, 0.7)])
+def test_a_position_near_where_none_is_is_none(place):
+    """ArduPilot's fallback begins at 0, 0 and is moved by the wind that it assumes."""
+    events, _ = flight("figure-eight", duration=30.0)
+    table, pipeline = run(derived_until(events, 15.0, place=place))
+    assert np.degrees(pipeline.origin[0]) == pytest.approx(47.4, abs=0.1)
+    assert pipeline.resets == 0
+    assert np.hypot(table.column("pos_n"), table.column("pos_e"))[-1] < 200.0
+
+
+def test_a_receiver_may_be_near_there_but_not_just_there():
+    events, _ = flight("figure-eight", duration=20.0)
+    for shift, is_placed in ((1e-5, True), (0.0, False)):
+        values = events.values.copy()
+        rows = is_fix(events)
+        values[rows, :2] = values[rows, :2] - values[rows, :2][0] + shift if is_placed else 0.0
+        _, pipeline = run(Events(t_ns=events.t_ns, kind=events.kind, values=values))
+        assert (pipeline.origin is not None) == is_placed
+
+
+@pytest.mark.parametrize("north", [5e3, 3e6])
+def test_the_first_fix_far_from_the_autopilots_position_begins_a_new_origin_at_once(north):
+    events, truth = flight("figure-eight", duration=40.0)
+    table, pipeline = run(derived_until(events, 20.0, north=north))
+    health = pipeline.health()
+    assert (health.resets, health.reset_reason) == (1, "new origin")
+    assert health.reset_delta[0] == pytest.approx(-north, rel=0.02)
+    assert np.degrees(pipeline.origin[0]) == pytest.approx(47.4, abs=0.1)
+    t = (table.stamp_ns - table.stamp_ns[0]) * 1e-9
+    late = errors(table, truth, 0.0)["pos"][t > 21.0]
+    assert np.abs(late[:, :2]).max() < 4.0
+
+
+def test_the_first_fix_nearby_resets_the_position_and_keeps_the_origin():
+    events, _ = flight("figure-eight", duration=40.0)
+    _, pipeline = run(derived_until(events, 20.0, north=200.0))
+    assert pipeline.health().reset_reason == "position"
+    assert pipeline.resets == 1
+    _, right = run(derived_until(events, 20.0))
+    assert right.resets == 0

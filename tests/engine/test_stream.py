@@ -12,14 +12,24 @@ import numpy as np
 import pytest
 
 from ekf_companion.config.config import Config
+from ekf_companion.config.service import OdometryConfig
 from ekf_companion.engine.checkpoint import Clocks
 from ekf_companion.engine.companion import Companion
+from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.engine.residual import about_down
+from ekf_companion.engine.step import to_pose
+from ekf_companion.engine.stream import OdometryStream
 from ekf_companion.engine.warm_start import WarmStart
 from ekf_companion.logs import tlog
+from ekf_companion.mavlink.decode import Family
 from ekf_companion.nav import so3
+from ekf_companion.nav.measurements import Kind
+from ekf_companion.nav.state import COLUMNS
 from ekf_companion.replay.convert import convert
+from tests.core.flights import between, changed
+from tests.core.flights import flight as simulated
 from tests.engine.conversation import SECOND_NS, as_messages, converse, cycles, named
+from tests.engine.estimation import KNOWN
 from tests.engine.recorded import OURS, Sent, configured, frames, odometry, sent
 from tests.paths import DATA
 
@@ -302,3 +312,41 @@ def test_after_a_cut_of_the_link_no_attitude_is_sent_until_it_is_known(cut):
     gaps = np.diff(t[usable])
     assert cut < gaps.max() < cut + 4.0
     assert t[usable][-1] > 50.0
+
+
+# Where it is sent from
+
+
+def test_nothing_is_sent_from_where_a_float32_has_no_centimetres():
+    """A position 200 km off is reset to once it is proven."""
+    events, _ = simulated("hover", duration=80.0)
+    fixes = (events.kind == Kind.GNSS) & between(events, 30.0, 99.0)
+    pipeline = Pipeline(KNOWN)
+    stream, sent_n = OdometryStream(OdometryConfig(), Family.PX4), []
+    moved = changed(events, fixes, 0, 200e3 / 6.367e6)
+    for t_ns, kind, values in zip(
+        moved.t_ns.tolist(), moved.kind.tolist(), moved.values.tolist(), strict=True
+    ):
+        row = (t_ns, kind, tuple(values))
+        if (estimate := pipeline.process_row(row)) is None:
+            continue
+        stream.add(estimate.sample)
+        stream.look(estimate)
+        if (message := stream.send(estimate)) is not None:
+            sent_n.append(to_pose(message).pos_n[0])
+    assert pipeline.values()[COLUMNS.index("pos_n") - 1] > 190e3
+    assert np.abs(sent_n).max() < 10.0
+    assert "too far from the origin" in stream.silence
+
+
+def test_a_daemon_that_runs_before_the_first_fix_counts_from_where_the_vehicle_is():
+    """The autopilot's own position is 17059 km off until then."""
+    name = "sitl-ap-plane-calm-no-fix-at-start"
+    origins = sent(name, "GPS_GLOBAL_ORIGIN")
+    truth = np.genfromtxt(DATA / name / "truth.csv", delimiter=",", names=True)[0]
+    places = np.array([(one.latitude, one.longitude) for one in origins]) * 1e-7
+    away = (places - [truth["lat_deg"], truth["lon_deg"]]) * 111e3
+    assert len(places) > 100
+    assert np.hypot(*away.T).max() < 10.0
+    odometry = sent(name, "ODOMETRY")
+    assert {one.reset_counter for one in odometry} == {odometry[0].reset_counter}

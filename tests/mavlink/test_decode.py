@@ -573,13 +573,55 @@ def test_heights_above_sea_and_ellipsoid_are_never_mixed(alt, ellipsoid, is_told
     assert len(peer.decoder.notes) == is_told  # once
 
 
-def test_a_second_receiver_is_counted_and_not_mixed_in():
+def test_the_fixes_of_a_second_receiver_are_told_from_the_firsts():
     """Rule 13: it has another antenna."""
     peer = with_fix()
-    for t_us in range(1_000_000, 2_000_000, 200_000):
-        second = {"time_usec": t_us, "fix_type": 6, "lat": 473977640, "lon": 85455780}
-        assert peer.say("gps2_raw", **second) == []
-    assert peer.refused["GPS2_RAW: a second receiver"] == 5
+    second = {"fix_type": 6, "lat": 473977640, "lon": 85455780, "vel": 65535, "cog": 65535}
+    assert peer.say("gps2_raw", time_usec=1_000_000, **second) == []  # as of the first
+    (fix,) = peer.say("gps2_raw", time_usec=1_200_000, **second)
+    assert fix.flags == GnssFlag.SECOND
+    (fix,) = peer.gps(1_200_000)
+    assert fix.flags == GnssFlag.NONE
+    assert peer.say("gps2_raw", time_usec=1_400_000, fix_type=1) == []
+    assert peer.refused["GPS2_RAW: no 3-D fix"] == 1
+
+
+PLACE = {"lat": 473977635, "lon": 85455780, "alt": 489307, "hdg": 65535}
+
+
+def derived(peer, first_ms, last_ms):
+    """Send positions of the autopilot's own; return the stamps (ms) of those that are used."""
+    found = []
+    for ms in range(first_ms, last_ms, 200):
+        peer.highres(ms * 1000)
+        out = only(GnssFix, peer.say("global_position_int", time_boot_ms=ms, **PLACE))
+        found += [one.t_ns // 1_000_000 for one in out]
+    return found
+
+
+@pytest.mark.parametrize("fix_type", [0, 1, 2])
+def test_while_the_receiver_has_no_fix_yet_the_autopilots_position_is_none(fix_type):
+    peer = Peer(Family.ARDUPILOT)
+    peer.highres(1_000_000)
+    assert peer.gps(1_000_000, fix_type=fix_type) == []
+    assert derived(peer, 1000, 20_000) == []
+    assert peer.refused["GLOBAL_POSITION_INT: the receiver has no fix yet"] > 50
+    for t_us in (20_000_000, 20_200_000):
+        peer.gps(t_us)
+    assert derived(peer, 20_400, 21_000)  # the filter knows that there was a fix
+
+
+def test_where_no_receiver_speaks_its_position_is_used_after_three_seconds():
+    found = derived(Peer(Family.ARDUPILOT), 1000, 8000)
+    assert found[0] == 4000
+    assert len(found) > 15
+
+
+def test_px4_without_a_receiver_has_a_position_that_is_one():
+    peer = Peer(Family.PX4)
+    peer.highres(1_000_000)
+    peer.gps(0, fix_type=0, lat=0, lon=0)
+    assert derived(peer, 1000, 8000)[0] == 4000
 
 
 def test_what_px4_sends_while_it_has_no_receiver_is_no_fix():

@@ -204,8 +204,9 @@ def answer_all(session, autopilot, now_ns, results=None):
 
 def test_every_message_is_asked_for_one_after_the_other():
     session, autopilot = met()
-    assert answer_all(session, autopilot, 0) == [(name, round(hz)) for name, hz in RATES.items()]
-    assert session.requests.results == dict.fromkeys(RATES, "accepted")
+    asked = [(name, round(hz)) for name, hz in RATES.items() if not name.startswith("SCALED_IMU")]
+    assert answer_all(session, autopilot, 0) == asked
+    assert session.requests.results == dict.fromkeys((name for name, _ in asked), "accepted")
 
 
 def test_a_request_is_repeated_twice_then_given_up_for_the_next():

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 
 from ekf_companion.mavlink.codec import unpack
+from ekf_companion.mavlink.decode.compass import Compasses
 from ekf_companion.mavlink.decode.context import Context, Measurements
 from ekf_companion.mavlink.decode.preference import Preference
 from ekf_companion.mavlink.decode.trim import Trim
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.nav.earth import pressure_altitude
+from ekf_companion.nav.matrix3 import Vector3
 from ekf_companion.nav.measurements import BaroSample, MagSample
 
 PRESSURE_SOURCES = ("HIGHRES_IMU", "SCALED_PRESSURE")
@@ -18,6 +20,8 @@ WEAKEST, STRONGEST = 0.15, 0.8
 """gauss; the Earth's field has 0.22 to 0.67, and a vehicle adds some."""
 _STRANGE = 100
 """Fields in a row that are not the Earth's, before a human is told."""
+FIRST_OTHER = 3
+"""Rank of the message from which on each has a compass of its own: SCALED_IMU2, SCALED_IMU3."""
 LOWEST, HIGHEST = 30_000.0, 120_000.0
 """Pa; from 9000 m up to below the Dead Sea."""
 
@@ -34,12 +38,55 @@ class Magnetometer:
         self.sources = Preference()
         self.last: tuple[float, ...] = ()
         self.strange = 0
+        self.compasses = Compasses()
+        self._first: tuple[float, ...] = ()
+
+    def prefer(self, rank: int) -> None:
+        """Use the source of this rank at once; one that has another compass was chosen for it."""
+        self.sources.use(rank)
+        self.compasses.used = _compass(rank)
+
+    def compare(self, rank: int, t_ns: int, field: Vector3, rate_b: Vector3 | None) -> None:
+        """Compare the field of another compass (gauss), and go to it where the first is wrong."""
+        if field == (0.0, 0.0, 0.0):
+            return
+        first = self.last if self.sources.rank < FIRST_OTHER else self._first
+        was = self.compasses.used
+        now = self.compasses.compare(
+            _compass(rank), t_ns, field, _in_gauss(first) if len(first) == 3 else None, rate_b
+        )
+        if now != was:
+            self._use(now, "its field jumps, and neither the gyro nor the others do")
+
+    def _use(self, compass: int, why: str) -> None:
+        was = self.compasses.used
+        if not was:
+            self._first = self.last
+        self.compasses.use(compass)
+        self.sources.use(compass + FIRST_OTHER - 1 if compass else 0)
+        self._context.refused["mag: compass changed"] += 1
+        self._context.notes.append(f"Compass {compass + 1} is used instead of {was + 1}: {why}")
+
+    def _is_used(self, rank: int, t_ns: int) -> bool:
+        """Whether a field is of the compass that is used instead of the first."""
+        compass = _compass(rank)
+        if compass == self.compasses.used:
+            return True
+        if not self.compasses.is_silent(t_ns):
+            return False
+        self._use(compass, "that is silent")
+        return True
 
     def add(self, out: Measurements, rank: int, t_ns: int, x: float, y: float, z: float) -> None:
         """Append a field in gauss if it may be the Earth's and is not the last one again."""
         if (x, y, z) == (0.0, 0.0, 0.0):
             return  # no magnetometer
-        if rank != self.sources.sole and not self.sources.admit(rank, t_ns):
+        if self.compasses.used:
+            if rank < FIRST_OTHER:
+                self._first = (x, y, z)
+            if not self._is_used(rank, t_ns):
+                return
+        elif rank != self.sources.sole and not self.sources.admit(rank, t_ns):
             return
         if (x, y, z) == self.last:
             return
@@ -63,8 +110,22 @@ class Magnetometer:
                 )
             return
         self.strange = 0
+        if self.compasses.used:
+            x, y, z = self.compasses.as_first((x, y, z))
         x, y, z = self._trim.to_vehicle(x, y, z)
-        out.append(MagSample(t_ns=t_ns, mag_x=x, mag_y=y, mag_z=z))
+        out.append(MagSample(t_ns=t_ns, mag_x=x, mag_y=y, mag_z=z, compass=_compass(rank)))
+
+
+def _compass(rank: int) -> int:
+    """Return which compass a message carries, by its rank; 0: the first."""
+    return max(rank - FIRST_OTHER + 1, 0)
+
+
+def _in_gauss(field: tuple[float, ...]) -> Vector3:
+    """Return a field in gauss, as ArduPilot before #32286 means it too."""
+    x, y, z = field
+    scale = 1e-6 if math.hypot(x, y, z) > 1e6 * WEAKEST else 1.0
+    return x * scale, y * scale, z * scale
 
 
 class Barometer:

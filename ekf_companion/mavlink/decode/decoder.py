@@ -125,7 +125,10 @@ class Decoder:
     def prefer(self, *ranks: int) -> None:
         """Use the sources of these ranks at once: better ones are known to be silent."""
         for reader, rank in zip(self._ranked, ranks, strict=True):
-            reader.sources.use(rank)
+            if reader is self.mag:
+                self.mag.prefer(rank)
+            else:
+                reader.sources.use(rank)
         self.inertial.begin_stream()
 
     def decode(self, frame: Frame) -> Measurements:

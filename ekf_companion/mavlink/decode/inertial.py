@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.air import Barometer, Magnetometer
+from ekf_companion.mavlink.decode.air import FIRST_OTHER, Barometer, Magnetometer
 from ekf_companion.mavlink.decode.context import Context, Family, Measurements
 from ekf_companion.mavlink.decode.preference import Preference
 from ekf_companion.mavlink.decode.repetition import Repetition, Sample
@@ -145,6 +145,7 @@ class Inertial:
         """Append the content of RAW_IMU and SCALED_IMU: milli-g, mrad/s and milligauss."""
         xacc, yacc, zacc, xgyro, ygyro, zgyro, xmag, ymag, zmag = m[1:10]
         t_ns = t_us * 1000
+        rates: tuple[float, float, float] | None = None
         if not (xacc or yacc or zacc or xgyro or ygyro or zgyro):
             self._context.refuse("SCALED_IMU: no sensor behind it")
         else:
@@ -154,6 +155,9 @@ class Inertial:
             t_ns = self._add(out, rank, t_us, rates + forces, is_sure)
             if not is_sure:
                 return
+        if rank >= FIRST_OTHER:
+            # a third compass comes without a third inertial sensor too
+            self._mag.compare(rank, t_ns, (xmag * 1e-3, ymag * 1e-3, zmag * 1e-3), rates)
         self._mag.add(out, rank, t_ns, xmag * 1e-3, ymag * 1e-3, zmag * 1e-3)
 
     def _add(self, out: Measurements, rank: int, t_us: int, sample: Sample, is_sure: bool) -> int:

@@ -6,15 +6,15 @@ import math
 from typing import Any
 
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.context import Context, Measurements
+from ekf_companion.mavlink.decode.context import Context, Family, Measurements
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, wrap
-from ekf_companion.mavlink.decode.preference import Pace
+from ekf_companion.mavlink.decode.preference import ABSENT_NS, Pace
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.timebase import LAST_US
 from ekf_companion.nav.measurements import GnssFix, GnssFlag, HeadingSample, HeadingSource
 
 _UNKNOWN_16 = 65535
-_FIX_3D = 3
+_NO_GPS, _FIX_3D = 0, 3
 _STRAY_NS = 30_000_000_000
 """A fix stamped further from the inertial samples is on another clock."""
 _UNRELATED_NS = 5_000_000_000
@@ -39,10 +39,27 @@ _DERIVED_STD_H = 3.0
 _DERIVED_STD_V = 4.5
 _DERIVED_STD_VEL = 0.9
 """Floors, m and m/s: three times a plain receiver's 1.0, 1.5 and 0.3."""
+_ALONE_NS = ABSENT_NS
+"""The autopilot's own position waits for so long for a receiver that speaks."""
+
+
+class _Receiver:
+    """What is known of one receiver."""
+
+    def __init__(self, message: str, flags: GnssFlag) -> None:
+        self.message, self.flags = message, flags
+        self.last: tuple[int, ...] = ()
+        self.fixes = 0
+        """That were new, in a row."""
+        self.is_good = False
+        """Whether the last message held a fix."""
+        self.is_heard = False
+        self.has_fix = False
+        """Whether there was one at all."""
 
 
 class Position:
-    """Reads the position of the first receiver, and of the autopilot's own estimate."""
+    """Reads the position of each receiver, and of the autopilot's own estimate."""
 
     def __init__(self, context: Context, heading: Heading) -> None:
         self._context, self._heading = context, heading
@@ -52,30 +69,24 @@ class Position:
         """Forget everything after a reboot."""
         self.derived_pace = Pace(self._context.options.derived_rate)
         """Of the autopilot's own positions."""
-        self._last: tuple[int, ...] = ()
-        self._fixes = 0
+        self._first = _Receiver("GPS_RAW_INT", GnssFlag.NONE)
+        self._second = _Receiver("GPS2_RAW", GnssFlag.SECOND)
         self._unrelated_ns: int | None = None
+        self._derived_ns: int | None = None
+        """When the autopilot's own position came first."""
+        self.is_settled = False
+        """Whether it is known whether a receiver speaks, and one that does has had a fix."""
         self.derived_std = (_DERIVED_STD_H, _DERIVED_STD_V, _DERIVED_STD_VEL)
         """One sigma of the autopilot's own position, height and velocity."""
 
     def gps_raw_int(self, frame: Frame) -> Measurements:
         """Read GPS_RAW_INT."""
         m = unpack(frame)
-        if (refusal := self._refusal(m)) is not None:
-            return self._context.refuse(f"GPS_RAW_INT: {refusal}")
-        t_ns = self._time(m.time_usec)
-        if isinstance(t_ns, str):
-            return self._context.refuse(f"GPS_RAW_INT: {t_ns}")
-        self._fixes += 1
-        if self._fixes < 2:
-            # The one message before the first fix can be 140 km off
-            return self._context.refuse("GPS_RAW_INT: first after none")
-        self._compare_heights(m)
-        out: Measurements = [self._fix(m, t_ns)]
-        if 0 < m.yaw <= NORTH_CDEG:
+        out = self._read(self._first, m)
+        if out and 0 < m.yaw <= NORTH_CDEG:
             out.append(
                 HeadingSample(
-                    t_ns=t_ns,
+                    t_ns=out[0].t_ns,
                     heading=wrap(math.radians(m.yaw * 1e-2)),
                     std=_yaw_std(m.hdg_acc),
                     source=HeadingSource.GNSS,
@@ -84,21 +95,58 @@ class Position:
         return out
 
     def gps2_raw(self, frame: Frame) -> Measurements:
-        """Count GPS2_RAW: another receiver has another antenna, so its fixes are not used."""
-        return self._context.refuse("GPS2_RAW: a second receiver")
+        """Read GPS2_RAW: a receiver that stands by, for the filter to go to."""
+        return self._read(self._second, unpack(frame))
 
-    def _refusal(self, m: Any) -> str | None:
+    def _read(self, receiver: _Receiver, m: Any) -> Measurements:
+        """Return the new fix of a receiver, if there is one."""
+        if (refusal := self._refusal(receiver, m)) is not None:
+            return self._context.refuse(f"{receiver.message}: {refusal}")
+        t_ns = self._time(receiver.message, m.time_usec)
+        if isinstance(t_ns, str):
+            return self._context.refuse(f"{receiver.message}: {t_ns}")
+        receiver.fixes += 1
+        if receiver.fixes < 2:
+            # The one message before the first fix can be 140 km off
+            return self._context.refuse(f"{receiver.message}: first after none")
+        self._compare_heights(receiver.message, m)
+        return [self._fix(m, t_ns, receiver.flags)]
+
+    def _refusal(self, receiver: _Receiver, m: Any) -> str | None:
         """Return why a message holds no new fix; None if it does."""
         key = (m.time_usec,) if m.time_usec else (0, m.lat, m.lon, m.alt, m.vel, m.cog)
+        receiver.is_heard |= m.fix_type != _NO_GPS or not self._may_lack_receiver
         if m.fix_type < _FIX_3D or not is_place(m.lat, m.lon):
-            self._fixes = 0
+            receiver.fixes, receiver.is_good = 0, False
+            self.is_settled &= self._is_alone or self._has_fix
             return "no 3-D fix" if m.fix_type < _FIX_3D else "no position"
-        if key == self._last:
+        if receiver.is_good:
+            receiver.has_fix = self.is_settled = True
+        receiver.is_good = True
+        if key == receiver.last:
             return "repeated"
-        self._last = key
+        receiver.last = key
         return None
 
-    def _time(self, stamp_us: int) -> int | str:
+    @property
+    def _has_fix(self) -> bool:
+        """Whether any receiver has had a fix."""
+        return self._first.has_fix or self._second.has_fix
+
+    @property
+    def _is_alone(self) -> bool:
+        """Whether no receiver has been heard."""
+        return not (self._first.is_heard or self._second.is_heard)
+
+    @property
+    def _may_lack_receiver(self) -> bool:
+        """Whether GPS_RAW_INT comes without a receiver too, and an own position is a position.
+
+        PX4 sends no GLOBAL_POSITION_INT before it knows where it is.
+        """
+        return self._context.family is Family.PX4
+
+    def _time(self, message: str, stamp_us: int) -> int | str:
         """Return the time of a fix, ns, or why there is none.
 
         A stamp of 0 means now. So does one on the other base where SYSTEM_TIME, which would relate
@@ -118,9 +166,9 @@ class Position:
                 self._unrelated_ns = now_ns
             if now_ns - self._unrelated_ns < _UNRELATED_NS or clock.is_in_doubt:
                 return "time base unknown"
-            self._context.refused["GPS_RAW_INT: stamp replaced by the time of arrival"] += 1
+            self._context.refused[f"{message}: stamp replaced by the time of arrival"] += 1
             self._context.note_once(
-                "GPS_RAW_INT and the inertial samples are stamped by different clocks, and no "
+                f"{message} and the inertial samples are stamped by different clocks, and no "
                 "SYSTEM_TIME relates them: fixes count as of the newest inertial sample"
             )
             return now_ns
@@ -128,26 +176,27 @@ class Position:
             return "stamp far from the inertial samples"
         return t_ns
 
-    def _compare_heights(self, m: Any) -> None:
+    def _compare_heights(self, message: str, m: Any) -> None:
         """Note where the height above the sea can only be some other height."""
         if m.alt_ellipsoid != 0 and abs(m.alt - m.alt_ellipsoid) * 1e-3 > _GEOID:
-            self._context.refused["GPS_RAW_INT: height above the sea in doubt"] += 1
+            self._context.refused[f"{message}: height above the sea in doubt"] += 1
             self._context.note_once(
-                "GPS_RAW_INT: the height above the sea and that above the ellipsoid are further "
+                f"{message}: the height above the sea and that above the ellipsoid are further "
                 "apart than anywhere on Earth; the first is used: check the receiver's driver"
             )
 
-    def _fix(self, m: Any, t_ns: int) -> GnssFix:
+    def _fix(self, m: Any, t_ns: int, flags: GnssFlag) -> GnssFix:
         std_h = m.h_acc * 1e-3 or _dilution(m.eph) or _STD_UNKNOWN
         std_v = m.v_acc * 1e-3 or _dilution(m.epv) or 1.5 * std_h
         has_velocity = m.vel != _UNKNOWN_16 and m.cog <= NORTH_CDEG
         speed, course = m.vel * 1e-2, math.radians(m.cog * 1e-2)
         std_vel = (m.vel_acc * 1e-3 or _STD_VEL) if has_velocity else None
-        self.derived_std = (
-            max(_DERIVED_STD_H, _DERIVED * std_h),
-            max(_DERIVED_STD_V, _DERIVED * std_v),
-            max(_DERIVED_STD_VEL, _DERIVED * (std_vel or 0.0)),
-        )
+        if not flags:
+            self.derived_std = (
+                max(_DERIVED_STD_H, _DERIVED * std_h),
+                max(_DERIVED_STD_V, _DERIVED * std_v),
+                max(_DERIVED_STD_VEL, _DERIVED * (std_vel or 0.0)),
+            )
         return GnssFix(
             t_ns=t_ns,
             lat=math.radians(m.lat * 1e-7),
@@ -158,6 +207,7 @@ class Position:
             std_h=std_h,
             std_v=std_v,
             std_vel=std_vel,
+            flags=flags,
         )
 
     def global_position_int(self, frame: Frame) -> Measurements:
@@ -173,6 +223,9 @@ class Position:
             return out
         if self._context.is_ours:
             self._context.refuse("GLOBAL_POSITION_INT: made of our own")
+            return out
+        if (refusal := self._derived_refusal(t_ns)) is not None:
+            self._context.refuse(f"GLOBAL_POSITION_INT: {refusal}")
             return out
         if not self.derived_pace.admit(t_ns):
             return out
@@ -193,6 +246,23 @@ class Position:
             )
         )
         return out
+
+    def _derived_refusal(self, t_ns: int) -> str | None:
+        """Return why the autopilot's own position is none yet; None if it may be one.
+
+        Before the first fix of its receiver ArduPilot sends where its dead reckoning began, moved
+        by wind that it assumes.
+        """
+        if self._derived_ns is None or t_ns < self._derived_ns:
+            self._derived_ns = t_ns
+        if self._has_fix:
+            return None
+        if not self._is_alone:
+            return "the receiver has no fix yet"
+        if t_ns - self._derived_ns < _ALONE_NS:
+            return "a receiver may still speak"
+        self.is_settled = True
+        return None
 
 
 def is_place(lat_degE7: int, lon_degE7: int) -> bool:
