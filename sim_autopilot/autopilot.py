@@ -18,7 +18,7 @@ from sim_autopilot.firmware import IDEAL
 from sim_autopilot.flight import Cycle
 from sim_autopilot.habits import FirmwareSensors
 from sim_autopilot.parameters import ParameterServer
-from sim_autopilot.personality import FAILED, UNSUPPORTED, Kind, Personality
+from sim_autopilot.personality import DENIED, FAILED, UNSUPPORTED, Kind, Personality
 from sim_autopilot.rates import ACCEPTED, GNSS, GROUPS, Streams
 
 __all__ = ["COMPONENT_ID", "Autopilot", "Kind", "Received"]
@@ -28,7 +28,7 @@ SET_MESSAGE_INTERVAL = 511
 REQUEST_MESSAGE = 512
 _ARMED, _CUSTOM_MODE = 128, 1
 _STANDBY, _ACTIVE = 3, 4
-_CRITICAL = 2
+_CRITICAL, _INFO = 2, 6
 _PLACES = ("GLOBAL_POSITION_INT", "GPS_GLOBAL_ORIGIN")
 _GCS_NS = 10_000_000_000
 """Between two requests of a ground station for its rates."""
@@ -62,6 +62,8 @@ class Autopilot:
         """
         self.personality = IDEAL[personality] if isinstance(personality, Kind) else personality
         self.parameters = {**self.personality.parameters, **config.parameters}
+        if self.personality.kind is Kind.ARDUPILOT:
+            self.parameters.setdefault("SCHED_LOOP_RATE", self.personality.loop_rate or 400.0)
         self.round_trips_ns: list[int] = []
         """Of TIMESYNC."""
         self.reception = Reception(self.personality.rules, self.parameters)
@@ -195,6 +197,9 @@ class Autopilot:
         message = LAYOUTS[int(command.param1)].name if int(command.param1) in LAYOUTS else ""
         if command.command == SET_MESSAGE_INTERVAL:
             result = self._streams.request(message, command.param2)
+            if result == DENIED and self._streams.is_too_fast(message, command.param2):
+                text = f"Requested rate for message ID {command.param1:.0f} too fast."
+                self._send("STATUSTEXT", severity=_INFO, text=text.encode()[:50])
         elif command.command == REQUEST_MESSAGE:
             result = self._request(message)
         else:

@@ -70,7 +70,7 @@ class Streams:
             rate = 1e6 / interval_us
             if self._personality.pacing is Pacing.MILLISECONDS:
                 rate = 1e3 / max(1, int(interval_us / 1e3))
-                if rate > self._fastest:
+                if self.is_too_fast(name, interval_us):
                     return DENIED
         elif interval_us < 0.0:
             rate = 0.0
@@ -78,6 +78,12 @@ class Streams:
         self._next_ns[name] = 0
         self.update()
         return ACCEPTED
+
+    def is_too_fast(self, name: str, interval_us: float) -> bool:
+        """Whether the loop is too slow for a message at this interval (ArduPilot)."""
+        if self._personality.pacing is not Pacing.MILLISECONDS or name not in self._rates:
+            return False
+        return interval_us > 0.0 and 1e3 / max(1, int(interval_us / 1e3)) > self._fastest
 
     def request_group(self, group: int, rate: float) -> None:
         """Execute REQUEST_DATA_STREAM; a rate too high becomes the highest possible."""

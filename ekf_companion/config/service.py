@@ -94,9 +94,14 @@ class OdometryConfig:
     counted twice, and auto always streams."""
     withhold_in_flight: Annotated[bool, Setting(reload=True)] = False
     """Whether what is no proof also withholds what is streamed already, in auto and in flight: the
-    heartbeat of another autopilot, parameters that are no longer answered, somebody under our ids.
+    heartbeat of another autopilot, parameters that are no longer answered, somebody under our ids,
+    somebody else who sends poses.
     Anybody on the link can forge a heartbeat. On the ground these withhold in any case; in flight a
     parameter that was read and says that GNSS would count twice does."""
+    second_source: Annotated[Literal["withhold", "send"], Setting(reload=True)] = "withhold"
+    """What becomes of it while somebody else on the link sends the autopilot poses too (ODOMETRY,
+    VISION_POSITION_ESTIMATE and their kind), which it fuses by turns with ours. withhold: none is
+    sent, but for one that it flies by already. send: it goes on. Both are told."""
     rate: Annotated[
         float,
         Meta(ge=1.0, le=1000.0),

@@ -1,14 +1,17 @@
-"""Whether the configured streams fit a serial line."""
+"""What a serial line carries, and whether the configured streams fit it."""
 
 from __future__ import annotations
 
 from ekf_companion.config.config import Config
 from ekf_companion.engine.options import session_options
 from ekf_companion.errors import LinkError
-from ekf_companion.link.address import Kind, parse_url
+from ekf_companion.link.address import Address, Kind, parse_url
 from ekf_companion.mavlink.frame import HEADER_SIZE, SIGNATURE_SIZE
 from ekf_companion.mavlink.messages import by_name
 
+_FEWEST = 10.0
+"""ODOMETRY that must fit at least, Hz: what PX4 gets more rarely it does not fuse. Above that as
+many are sent as the line carries (:mod:`~ekf_companion.mavlink.pacing`)."""
 SHARE = 0.6
 """Share of the line for the streams: parameters, commands, texts and bursts need the rest."""
 BITS = 10
@@ -39,7 +42,7 @@ def overloads(config: Config) -> list[str]:
         return []
     ours = dict(_OURS)
     if config.output.odometry.mode != "never":
-        ours["ODOMETRY"] = config.output.odometry.rate
+        ours["ODOMETRY"] = min(config.output.odometry.rate, _FEWEST)
     theirs = {**_THEIRS, **session_options(config, is_recording=False).rates}
     is_signed = bool(config.signing.key_file)
     words = []
@@ -55,6 +58,16 @@ def overloads(config: Config) -> list[str]:
                 f"{' or '.join(keys)}, or raise the baud rate at both ends"
             )
     return words
+
+
+def capacity(address: Address) -> float | None:
+    """Return the bytes/s that a link carries each way; None: only its answers show it.
+
+    Over USB the rate of a port means nothing.
+    """
+    if address.kind is not Kind.SERIAL or "ttyACM" in address.device:
+        return None
+    return address.baud / BITS
 
 
 def size(name: str, *, is_signed: bool) -> int:

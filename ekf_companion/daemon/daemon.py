@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 from ekf_companion.config.config import Config
 from ekf_companion.daemon import logging as log
-from ekf_companion.daemon.bandwidth import overloads
+from ekf_companion.daemon.bandwidth import capacity, overloads
 from ekf_companion.daemon.checkpoint_file import open_checkpoint_file, open_parameter_file
 from ekf_companion.daemon.clock import read_clocks, unix_clock
 from ekf_companion.daemon.exporters import open_exporters
@@ -142,7 +142,10 @@ class Daemon:
         if parameters is not None:
             tuning = Tuning(config, parameters.read(), str(parameters.path), parameters.write)
         self._companion = Companion(config, self._recorder is not None, warm_start, signing, tuning)
-        self._companion.session.clash.patience_ns = random.randint(*CLASH_PATIENCE_NS)
+        session = self._companion.session
+        session.delivery.pacing.capacity = capacity(self.link.address)
+        session.clash.patience_ns = random.randint(*CLASH_PATIENCE_NS)
+        session.second_source.patience_ns = random.randint(*CLASH_PATIENCE_NS)
         self._observer = Observer(
             self.link, self._companion, unix_clock, self._recorded, self._monitors.unsent
         )

@@ -36,6 +36,7 @@ _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed
 _IN_PROGRESS = 5
 _ODOMETRY, _COMMAND_LONG = IDS["ODOMETRY"], IDS["COMMAND_LONG"]
 _PARAM_REQUEST_READ, _TIMESYNC = IDS["PARAM_REQUEST_READ"], IDS["TIMESYNC"]
+_LIMITED = ("HIGHRES_IMU", "RAW_IMU")
 _STAMPS = {
     "HIGHRES_IMU": (8, 1),
     "RAW_IMU": (8, 1),
@@ -223,7 +224,9 @@ class EvidenceCollector:
             stamps=self._stamps_in_use(),
             receiver=self._reports.receiver,
             estimator=None if companion.pipeline is None else companion.pipeline.health(),
-            output=output_state(session, self._odometry.count, self._odometry.rate()),
+            output=output_state(
+                session, self._odometry.count, self._odometry.rate(), now_ns=now_ns
+            ),
             parameters=self.parameters.values,
             asked_parameters=frozenset(self._asked_parameters),
             following=self.companion.session.following.state,
@@ -239,11 +242,15 @@ class EvidenceCollector:
     def _messages(self, now_ns: int) -> dict[str, MessageState]:
         is_live = self._means is not Means.RECORDING
         answers = self.companion.session.requests.results if self._means is Means.LIVE else {}
+        # An ArduPilot whose loop is known to be slow is asked for no more than that gives
+        wanted = self._config.link.imu_rate if self._means is Means.LIVE else 0.0
         return {
             name: MessageState(
                 count=counter.count,
                 rate=counter.rate(now_ns if is_live else None),
-                asked=counter.asked,
+                asked=max(counter.asked, wanted if name in _LIMITED else 0.0)
+                if counter.asked
+                else 0.0,
                 answer=answers.get(name) or counter.answer,
             )
             for name, counter in self._counters.items()

@@ -6,8 +6,9 @@ What status and metrics read too has the types of :mod:`ekf_companion.status.sna
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from ekf_companion.config.config import Config
@@ -73,6 +74,8 @@ class Source:
     """MAV_TYPE; 6: a ground station."""
     signed: int = 0
     """Frames with a signature."""
+    poses: Counter[int] = field(default_factory=Counter)
+    """Messages that an autopilot may fuse beside our ODOMETRY, by their ids."""
 
     @property
     def is_autopilot(self) -> bool:

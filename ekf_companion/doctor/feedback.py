@@ -5,6 +5,7 @@ Sources: PX4's and ArduPilot's documentation of external position estimates.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from ekf_companion.doctor.evidence import Evidence, Means
@@ -42,6 +43,8 @@ def sent(evidence: Evidence) -> StageResult:
     if output.mode == "never":
         return judged(Stage.SENT, "nothing, for output.odometry.mode is never")
     saw = f"ODOMETRY {ours.rate:.0f} Hz, frames {frames}" if ours.count else "no ODOMETRY"
+    if not math.isnan(output.late_s):
+        saw += f", {output.late_s * 1e3:.0f} ms late at the autopilot"
     if output.withheld and not ours.count:
         saw += f", {output.withheld} withheld"
     problems = _unfit(evidence) if ours.count else [_withheld(evidence)]
@@ -75,7 +78,17 @@ def _remedy(evidence: Evidence, words: str) -> str:
 
 def _unfit(evidence: Evidence) -> Iterator[Problem]:
     """Yield why the autopilot cannot use the ODOMETRY that is sent."""
-    ours = evidence.sent
+    ours, output = evidence.sent, evidence.output
+    if output.advice:
+        yield warning(
+            f"ODOMETRY arrives {output.late_s * 1e3:.0f} ms after its state was true.",
+            f"{output.advice[:1].upper()}{output.advice[1:]}.",
+        )
+    if output.every > 1:
+        yield warning(
+            f"The line carries one ODOMETRY of {output.every}.",
+            "Raise the baud rate at both ends, or lower output.odometry.rate.",
+        )
     if evidence.family == "ardupilot" and ours.frames and _ARDUPILOT_FRAMES not in ours.frames:
         yield failed(
             "ArduPilot takes ODOMETRY in LOCAL_FRD only, and leaves any other without a word.",
@@ -183,7 +196,8 @@ def _unfavourable(evidence: Evidence) -> Iterator[Problem]:
             f"EKF2_HGT_REF = {reference:g} names a height that {name} = {value:g} does not fuse.",
             f"Set EKF2_HGT_REF = 0 (barometer), or add {bit} to {name}.",
         )
-    if (delay := parameters.get("EKF2_EV_DELAY", 0.0)) > _DELAY:
+    late = evidence.output.late_s * 1e3
+    if (delay := parameters.get("EKF2_EV_DELAY", 0.0)) > _DELAY and not delay < late + _DELAY:
         yield warning(
             f"EKF2_EV_DELAY = {delay:g} ms is taken off the stamps of our ODOMETRY, which are of "
             "the autopilot's own time already.",

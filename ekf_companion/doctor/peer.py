@@ -8,6 +8,7 @@ from ekf_companion.doctor.evidence import Evidence, Means, Source
 from ekf_companion.doctor.stage import Problem, Stage, StageResult, failed, judged, warning
 from ekf_companion.mavlink import admission, signing
 from ekf_companion.mavlink.audit import INERTIAL
+from ekf_companion.mavlink.messages import LAYOUTS
 from ekf_companion.status.snapshot import PeerState
 
 _GROUND_STATION = 6
@@ -21,7 +22,7 @@ def source(evidence: Evidence) -> StageResult:
     saw = "; ".join(
         _describe(source) + ("" if _is_let_in(evidence, source) else ", refused")
         for source in evidence.sources
-        if source.heartbeats
+        if source.heartbeats or source.poses
     )
     if evidence.peer is None:
         saw = saw or f"no heartbeat in {evidence.seconds:.0f} s"
@@ -53,6 +54,18 @@ def _disturbances(evidence: Evidence, peer: PeerState, pilots: list[Source]) -> 
             f"{link.component_id}: the daemon itself, or another program.",
             "Stop the other, or set link.component_id to a free one, 191 to 194.",
         )
+    ours = link.system_id or peer.system_id, link.component_id
+    for other in evidence.sources:
+        ids = other.system_id, other.component_id
+        if not other.poses or ids in (ours, (peer.system_id, peer.component_id)):
+            continue
+        number, count = other.poses.most_common(1)[0]
+        rate = count / max(evidence.seconds, 1.0)
+        yield warning(
+            f"System {ids[0]}, component {ids[1]} sends {LAYOUTS[number].name} at {rate:.0f} Hz, "
+            "which the autopilot may fuse by turns with our ODOMETRY.",
+            "Stop one of the two; output.odometry.second_source says what becomes of ours.",
+        )
     rivals = {pilot.system_id for pilot in pilots if _is_let_in(evidence, pilot)}
     if link.autopilot is None and len(rivals) > 1:
         yield warning(
@@ -63,7 +76,9 @@ def _disturbances(evidence: Evidence, peer: PeerState, pilots: list[Source]) -> 
 
 
 def _describe(source: Source) -> str:
-    if source.is_autopilot:
+    if source.poses and not source.is_autopilot:
+        what = f"sends {LAYOUTS[source.poses.most_common(1)[0][0]].name}"
+    elif source.is_autopilot:
         what = _KINDS.get(source.autopilot, f"autopilot of kind {source.autopilot}")
     else:
         what = "ground station" if source.type == _GROUND_STATION else "no autopilot"

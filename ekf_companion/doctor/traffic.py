@@ -8,6 +8,7 @@ from ekf_companion.doctor.evidence import Source
 from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.frame import JUNK, SIGNED, STX_1, STX_2, Frame
 from ekf_companion.mavlink.messages import CRC_EXTRAS, IDS, LAYOUTS
+from ekf_companion.mavlink.second_source import POSES
 
 _SOURCES = 64
 """Senders told apart; further ones are not counted."""
@@ -45,6 +46,8 @@ class Traffic:
         source = self.sources.setdefault(ids, Source(system_id=ids[0], component_id=ids[1]))
         source.frames += 1
         source.signed += frame.is_signed
+        if frame.message_id in POSES:
+            source.poses[frame.message_id] += 1
         if frame.message_id == _HEARTBEAT:
             heartbeat = unpack(frame)
             source.heartbeats += 1

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from ekf_companion.engine.health import DECIMATED, Arrival, Health
 from ekf_companion.engine.stream import WAITING, OdometryStream
 from ekf_companion.mavlink.event import (
+    Advised,
     Clash,
     Event,
     FirmwareReported,
@@ -333,6 +334,9 @@ class Announcer:
                     extra=_fields("stream", "held"),
                 )
                 self._text(Severity.WARNING, f"no ODOMETRY: {hold.text}")
+            case Advised(sentence, text):
+                _log.warning("%s", sentence)
+                self._text(Severity.WARNING, text)
             case ParameterSet(name, key, value, is_late):
                 since = " from the next start" if is_late else ""
                 _log.info("Parameter %s set to %g (%s)%s", name, value, key, since)

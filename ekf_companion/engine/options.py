@@ -39,6 +39,7 @@ def session_options(
             mode=odometry.mode,
             independent=odometry.independent,
             withhold_in_flight=odometry.withhold_in_flight,
+            second_source=odometry.second_source,
         ),
     )
 

@@ -21,6 +21,8 @@ discovery  which autopilot it is     heartbeat   our identity, and others under 
 request    what we request           audit       rates that come   clock       TIMESYNC
 commands   what is requested of us   parameters  what may be set   statustext  texts for the pilot
 guard      which parameters decide
+delivery   how late ODOMETRY arrives (lag: round trips; pacing: how many the line takes)
+second_source  others who send the autopilot poses
 
 Modules with a .pxd beside them are compiled; the same files run as plain Python.
 """

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,6 +72,11 @@ class Timesync(Service):
         self.refused: Counter[str] = Counter()
         """Answers refused: ``foreign`` (not asked for by us), ``no time``, ``slow`` (a round trip
         too long), ``jump`` (another clock than before)."""
+        self.watch_ns: int | None = None
+        """The longest time between two requests while the answers also tell how late our messages
+        arrive (:mod:`.delivery`); None: they do not matter."""
+        self.on_request: Callable[[int], None] = lambda _: None
+        """Called with the ``ts1`` of each request that is sent."""
         self._outstanding: deque[int] = deque(maxlen=_OUTSTANDING)
         self.reset()
 
@@ -165,6 +171,7 @@ class Timesync(Service):
         """Send a request if one is due."""
         ts1 = self.request(now_ns)
         if ts1 is not None:
+            self.on_request(ts1)
             self._send(0, ts1, now_ns)
 
     def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
@@ -186,11 +193,15 @@ class Timesync(Service):
         return now_ns + offset + round(skew * (now_ns - at))
 
     def request(self, now_ns: int) -> int | None:
-        """Return the ``ts1`` of a request if one is due: at 10 Hz until locked, then at 1 Hz."""
+        """Return the ``ts1`` of a request if one is due.
+
+        They are at 10 Hz until locked, then at 1 Hz, unless the answers are watched.
+        """
         self._notice_silence(now_ns)
         if not self.options.request or (self._next_ns is not None and now_ns < self._next_ns):
             return None
-        self._next_ns = now_ns + (_SLOW_NS if self.is_locked and not self._jumps else _FAST_NS)
+        is_settled = self.is_locked and not self._jumps
+        self._next_ns = now_ns + (self.watch_ns or (_SLOW_NS if is_settled else _FAST_NS))
         self.note_request(now_ns)
         return now_ns
 

@@ -50,6 +50,16 @@ class Noted(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class Advised(Event):
+    """Something about the link that the pilot should know of, too."""
+
+    sentence: str
+    """For the log, without its full stop."""
+    text: str
+    """For the pilot."""
+
+
+@dataclass(frozen=True, slots=True)
 class RequestAnswered(Event):
     """A request for a message was answered, or given up."""
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.decision import Decision, kept, shared, silent
@@ -62,6 +62,8 @@ class GuardOptions:
     """Whether our sensors are other ones than the autopilot's."""
     withhold_in_flight: bool = False
     """Whether a doubt that begins in flight stops what was streamed; else proof is needed."""
+    second_source: Literal["withhold", "send"] = "withhold"
+    """What becomes of ours on the ground while another source of poses is heard."""
 
 
 class Guard(Service):
@@ -144,12 +146,12 @@ class Guard(Service):
         """Request what is missing, then read again what could change."""
         if not self._is_asking:
             return
-        family, answers = self._family, self._answers
+        family, answers = self.family, self._answers
         for name in (*missing(family, answers), *helpful(family, answers)):
             if not self._is_superseded(name, now_ns):
                 self._request(name, now_ns)
         if not self.is_waiting and now_ns >= self._next_ns:
-            names = watched(self._family, self._answers)
+            names = watched(self.family, self._answers)
             self._next_ns = now_ns + min(_ROUND_NS // len(names), _SLOWEST_NS)
             self._turn += 1
             self._unanswered += 1
@@ -176,7 +178,7 @@ class Guard(Service):
     # Answers
 
     def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
-        value = value_of(message, frame, self._family)
+        value = value_of(message, frame, self.family)
         if value is not None:
             self._on_answer(message.param_id.decode("ascii", "replace"), value, now_ns)
 
@@ -185,7 +187,7 @@ class Guard(Service):
             self._on_answer(message.param_id.decode("ascii", "replace"), None, now_ns)
 
     def _on_answer(self, name: str, value: float | None, now_ns: int) -> None:
-        if not self._is_asking or name not in NAMES[self._family]:
+        if not self._is_asking or name not in NAMES[self.family]:
             return
         if name not in self._answers:
             self._learned_ns = quantise(now_ns)
@@ -228,31 +230,32 @@ class Guard(Service):
     # Decision
 
     @property
-    def _family(self) -> Family:
+    def family(self) -> Family:
+        """The autopilot's."""
         return Family.UNKNOWN if self._peer is None else self._peer.family
 
     @property
     def is_reading(self) -> bool:
         """Whether the decision depends on any parameter."""
         is_asked = self.options.mode == "auto" and not self.options.independent
-        return is_asked and bool(NAMES[self._family])
+        return is_asked and bool(NAMES[self.family])
 
     @property
     def _is_asking(self) -> bool:
         """Whether parameters are needed, for the decision or to know what the autopilot fuses."""
-        return self.options.mode != "never" and bool(NAMES[self._family])
+        return self.options.mode != "never" and bool(NAMES[self.family])
 
     @property
     def is_old(self) -> bool:
         """Whether it is a PX4 before 1.14, as far as its parameters are known."""
-        return is_old(self._family, self._answers)
+        return is_old(self.family, self._answers)
 
     def _decide(self) -> None:
         options = self.options
-        is_open = self._is_asking and bool(missing(self._family, self._answers))
+        is_open = self._is_asking and bool(missing(self.family, self._answers))
         self.is_waiting = is_open and not self._is_given_up
         decision = decide(
-            self._family,
+            self.family,
             self._answers,
             options.mode,
             options.independent,

@@ -11,6 +11,7 @@ from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
 from ekf_companion.mavlink.event import Emit, FirmwareReported, Noted, PeerFound, RequestAnswered
 from ekf_companion.mavlink.frame import Frame
+from ekf_companion.mavlink.loop_rate import LoopRate
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
@@ -52,7 +53,7 @@ _ARDUPILOTS = ("SCALED_IMU2", "SCALED_IMU3")
 """Asked of ArduPilot alone: of the other compasses only their fields are used."""
 _INERTIAL = ("HIGHRES_IMU", "RAW_IMU")
 _STEPS = (100.0, 50.0, 40.0, 25.0, 10.0)
-"""Hz; ArduPilot denies more than 0.8 of its loop's rate, and does not tell what that is."""
+"""Hz; ArduPilot denies more than 0.8 of its loop's rate, where that could not be read."""
 _NO_ANSWER = "no answer"
 
 
@@ -84,7 +85,11 @@ class Requests(Service):
     """
 
     def __init__(self, outbox: Outbox, emit: Emit, rates: Mapping[str, float]) -> None:
-        self.handles = {"COMMAND_ACK": self._take, "AUTOPILOT_VERSION": self._take_version}
+        self.handles = {
+            "COMMAND_ACK": self._take,
+            "AUTOPILOT_VERSION": self._take_version,
+            "PARAM_VALUE": self._take_parameter,
+        }
         self.results: dict[str, str] = {}
         """The last answer to the request for each message."""
         self.rates = rates
@@ -95,6 +100,7 @@ class Requests(Service):
         self._outbox = outbox
         self._emit = emit
         self._peer: PeerFound | None = None
+        self._loop_rate = LoopRate(outbox)
         self._wanted: deque[_Request] = deque()
         self._has_fallen_back = False
         self._timeout_ns = _TIMEOUT_NS
@@ -104,6 +110,7 @@ class Requests(Service):
     def begin(self, peer: PeerFound) -> None:
         """Request everything."""
         self._peer = peer
+        self._loop_rate.begin(peer)
         self.results.clear()
         self._granted.clear()
         self._timeout_ns, self._quiet_ns = _TIMEOUT_NS, 0
@@ -159,6 +166,10 @@ class Requests(Service):
             if request.sent == _TRIES:
                 self._settle(_NO_ANSWER)
                 continue
+            if request.rate is not None and not request.sent:
+                if not self._loop_rate.may_request(request.rate, now_ns):
+                    return
+                request.rate = self._loop_rate.limit(request.rate)
             self._send(request, self._peer, now_ns)
             return
         if self._peer and self._peer.family is Family.ARDUPILOT and not self._has_fallen_back:
@@ -205,6 +216,10 @@ class Requests(Service):
         took_ns = now_ns - request.first_ns
         self._timeout_ns = min(max(self._timeout_ns, took_ns * 3 // 2), _LONGEST_NS)
         self._quiet_ns = request.last_ns + took_ns * 3 // 2
+
+    def _take_parameter(self, message: Any, frame: Frame, now_ns: int) -> None:
+        if self._loop_rate.take(message, frame):
+            self.tick(now_ns)
 
     def _take_version(self, message: Any, frame: Frame, now_ns: int) -> None:
         version = ".".join(str(byte) for byte in message.flight_sw_version.to_bytes(4, "big")[:3])

@@ -25,6 +25,7 @@ from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.commands import Commands
 from ekf_companion.mavlink.decision import Decision, Hold, stream_state
 from ekf_companion.mavlink.decode import Decoder, DecoderOptions
+from ekf_companion.mavlink.delivery import Delivery
 from ekf_companion.mavlink.discovery import Discovery
 from ekf_companion.mavlink.encode import SystemStatus
 from ekf_companion.mavlink.event import Event, HoldChanged, Noted, PeerFound, Rebooted
@@ -38,6 +39,7 @@ from ekf_companion.mavlink.outbox import Message, Outbox
 from ekf_companion.mavlink.parameter_request import ParameterRequest
 from ekf_companion.mavlink.parameters import Parameter, ParameterServer
 from ekf_companion.mavlink.request import Requests
+from ekf_companion.mavlink.second_source import SecondSource
 from ekf_companion.mavlink.sequence import Sequence
 from ekf_companion.mavlink.service import Handler, Service
 from ekf_companion.mavlink.signing import Signing
@@ -159,6 +161,9 @@ class Session:
         self.audit = Audit(self.received, self.requests, self._emit)
         self.statustext = StatusText(self.outbox)
         self.timesync = Timesync(self.outbox, options.timesync)
+        self.delivery = Delivery(self.outbox, self._emit, self.guard, self.timesync, is_flying)
+        self.second_source = SecondSource(self._emit, self.guard, is_flying)
+        self.delivery.pacing.is_signed = signing is not None
         self.autopilot_estimate = AutopilotEstimate()
         self.following = Following(
             self._emit,
@@ -171,9 +176,8 @@ class Session:
         self._with_all: list[Service] = [self.heartbeat, self.discovery, self.clash]
         self._with_all += [self.commands, self.parameters]
         # Conversations with the autopilot only, while it is heard
-        guards: list[Service] = (
-            [] if options.guard is None else [self.guard, self.origin, self.following]
-        )
+        guards: list[Service] = [self.guard, self.origin, self.delivery, self.second_source]
+        guards = [] if options.guard is None else [*guards, self.following]
         asked = ParameterRequest(self.outbox, lambda: self.decoder.missing)
         self._with_peer: list[Service] = [self.requests, asked, *guards, self.timesync]
         self._with_peer += [self.audit, self.statustext, self.autopilot_estimate]
@@ -284,6 +288,7 @@ class Session:
             self.discovery.recognise(source, now_ns)
         if source != self.discovery.peer:
             self.ignored[STRANGERS] += 1
+            self.second_source.on_frame(frame, now_ns)
             return False
         return True
 
@@ -401,7 +406,7 @@ class Session:
             self.origin.note(payload)
         elif name == "ODOMETRY":
             self.origin.on_odometry(now_ns)
-        if name == "ODOMETRY" and not self.may_stream:
+        if name == "ODOMETRY" and not (self.may_stream and self.delivery.takes(now_ns)):
             self.outbox.withhold(name, payload, now_ns)
         else:
             self.outbox.send(name, payload, now_ns, is_replaceable=is_replaceable, t_ns=t_ns)

@@ -65,11 +65,13 @@ def output_state(
     rate: float,
     unheard: Mapping[str, int] | None = None,
     silence: str = "",
+    now_ns: int = 0,
 ) -> OutputState:
     """Return what is sent, and why.
 
     ``new`` and ``rate`` are those of ODOMETRY in the last seconds, Hz; ``unheard`` are the
-    datagrams that found no monitor, by its address; ``silence`` is the companion's.
+    datagrams that found no monitor, by its address; ``silence`` is the companion's; ``now_ns`` is
+    the session's clock.
     """
     decision, state = session.guard.decision, session.stream_state
     return OutputState(
@@ -85,6 +87,10 @@ def output_state(
         parameters=dict(decision.parameters),
         sent=dict(session.outbox.sent),
         withheld=session.outbox.withheld["ODOMETRY"],
+        late_s=session.delivery.lag.typical(now_ns)[0],
+        every=session.delivery.pacing.every,
+        second_source=session.second_source.words,
+        advice=session.delivery.advice(now_ns) if decision.is_fused else "",
         texts_dropped=session.statustext.dropped,
         unheard=unheard or {},
     )

@@ -91,8 +91,14 @@ def judge(snapshot: Snapshot) -> HealthCheck:
 def _odometry(output: OutputState, link: LinkState) -> str:
     if output.is_allowed:
         line = f"ODOMETRY {output.rate:.0f} Hz" if output.is_streaming else "no ODOMETRY"
+        if output.every > 1 and output.is_streaming:
+            line += ", which is what the line carries"
         if output.silence:
             line = f"no ODOMETRY: {output.silence}"
+        elif output.advice:
+            line += f", {output.advice}"
+        if output.second_source:
+            line += f"; {output.second_source} too"
         if output.unsent_rate < MANY_UNSENT:
             return line
         remedy = "lower output.odometry.rate"

@@ -373,7 +373,8 @@ class Observer:
         new = now.odometries - first.odometries
         rate = now.rate(new, first)
         companion = self._companion
-        state = output_state(companion.session, new, rate, self._unheard(), companion.silence)
+        session, unheard = companion.session, self._unheard()
+        state = output_state(session, new, rate, unheard, companion.silence, now.now_ns)
         taken = {_ODOMETRY: now.odometries} if _ODOMETRY in state.sent else {}
         return replace(
             state,

@@ -239,7 +239,18 @@ class OutputState:
     ] = 0
     unsent_rate: float = 0.0
     """Of these over the last seconds, Hz."""
-    withheld: Annotated[int, counter("odometry_withheld", "Not sent by the guard.")]
+    withheld: Annotated[
+        int, counter("odometry_withheld", "Not sent by the guard, or as the line carries fewer.")
+    ]
+    late_s: Annotated[
+        float, gauge("odometry_late_seconds", "From a state to its ODOMETRY at the autopilot.")
+    ] = math.nan
+    """By the answers to TIMESYNC over ten seconds, the median; NaN: too few."""
+    every: Annotated[int, gauge("odometry_every", "Of so many ODOMETRY the line carries one.")] = 1
+    second_source: str = ""
+    """Who else sends the autopilot poses, which, and how often; empty: nobody is heard."""
+    advice: str = ""
+    """What to set for the delay that is measured, or why nothing helps; empty: nothing need be."""
     texts_dropped: Annotated[
         int, counter("texts_dropped", "STATUSTEXT that waited behind too many others.")
     ] = 0

@@ -10,6 +10,7 @@ from ekf_companion.config.keys import with_value
 from ekf_companion.config.service import OdometryConfig, OutputConfig
 from ekf_companion.engine.companion import Companion
 from ekf_companion.logs import tlog
+from ekf_companion.mavlink import loop_rate
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.decode import Family, receiver, trim
 from ekf_companion.mavlink.frame import Splitter
@@ -107,8 +108,9 @@ class Link:
             for now_ns, frame in self.sent
             if frame.message_id == READ
         ]
-        of_sensors = {*trim.NAMES, *(name for names in receiver.NAMES.values() for name in names)}
-        return [one for one in asked if one[1] not in of_sensors]
+        others = {*trim.NAMES, *(name for names in receiver.NAMES.values() for name in names)}
+        others |= {loop_rate.NAME}
+        return [one for one in asked if one[1] not in others]
 
     def recorded(self, name):
         frames = Splitter().feed(b"".join(data for _, data in self.record))

@@ -3,10 +3,12 @@
 import pytest
 
 from ekf_companion.mavlink.event import FirmwareReported, RequestAnswered
+from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.request import ACCEPTED
 from ekf_companion.mavlink.session import RATES, Session, SessionOptions
 from sim_autopilot.autopilot import Autopilot, Kind
 from sim_autopilot.config import SimConfig
+from sim_autopilot.firmware import parse
 from sim_autopilot.flight import Flight
 from tests.mavlink.conversation import ARDUPILOT, MS, PX4, SECOND, asked, met, sent
 
@@ -162,3 +164,56 @@ def test_rule_5_a_late_answer_is_not_taken_for_that_to_the_next_request(delay_ms
     accepted = {name for name, result in session.requests.results.items() if result == "accepted"}
     assert denied == {"HIGHRES_IMU", "ATTITUDE"}
     assert accepted == {"RAW_IMU", *RATES} - denied
+
+
+@pytest.mark.parametrize(
+    ("personality", "granted"),
+    [
+        ("ardupilot", {"HIGHRES_IMU": 250.0}),
+        ("ardupilot:loop_rate=300", {"HIGHRES_IMU": 250.0}),
+        ("ardupilot:loop_rate=100", {"HIGHRES_IMU": 1e3 / 12}),
+        ("ardupilot:loop_rate=50", {"HIGHRES_IMU": 40.0}),
+        ("ardupilot-old:loop_rate=50", {"RAW_IMU": 40.0}),
+        ("ardupilot-old", {"RAW_IMU": 250.0}),
+    ],
+)
+def test_an_ardupilot_is_asked_for_no_more_than_its_loop_gives(personality, granted):
+    """It tells the pilot of each rate that is too fast: six times on a loop of 50 Hz."""
+    session, _, _ = converse(parse(personality))
+    assert session.requests.inertial == next(iter(granted))
+    rate = session.requests.expected_rate(session.requests.inertial)
+    assert rate == pytest.approx(granted[session.requests.inertial])
+    assert IDS["STATUSTEXT"] not in session.received
+
+
+def test_an_ardupilot_that_does_not_tell_its_loops_rate_is_asked_as_before():
+    session, autopilot = met(ARDUPILOT, rates={"HIGHRES_IMU": 250.0})
+    rates = []
+    for now_ns in range(0, 20 * SECOND, 100 * MS):
+        session.receive(autopilot.heartbeat(), now_ns)
+        session.tick(now_ns)
+        for message in sent(session, "COMMAND_LONG"):
+            if message.command == 511:
+                rates.append((asked(message), 1e6 / message.param2))
+                is_granted = rates[-1] == ("RAW_IMU", 40.0)
+                answer = 0 if is_granted else 2
+                data = autopilot.say("COMMAND_ACK", command=511, result=answer)
+                session.receive(data, now_ns)
+    assert rates[0] == ("HIGHRES_IMU", 250.0)
+    assert rates[:8] == [
+        (name, rate) for rate in (250.0, 100.0, 50.0, 40.0) for name in ("HIGHRES_IMU", "RAW_IMU")
+    ]
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 0.0, -50.0, 1e30])
+def test_a_loops_rate_that_none_can_have_changes_nothing(value):
+    session, autopilot = met(ARDUPILOT, rates={"HIGHRES_IMU": 250.0})
+    session.tick(0)
+    data = autopilot.say(
+        "PARAM_VALUE", param_id=b"SCHED_LOOP_RATE", param_value=value, param_type=9, param_count=1
+    )
+    session.receive(data, MS)
+    for now_ns in range(0, 2 * SECOND, 100 * MS):
+        session.tick(now_ns)
+    (message,) = [m for m in sent(session, "COMMAND_LONG") if m.command == 511][:1]
+    assert 1e6 / message.param2 == 250.0
