@@ -104,6 +104,8 @@ class Reception:
         """Messages that were accepted, and not or not wholly fused, by reason."""
         self.misplaced = 0
         """Origins that came while it fused a position: PX4 1.18 is then 5300 km off."""
+        self.is_taken = True
+        """Whether the last message was passed to the filter."""
         self._stack = Stack(rules) if rules else None
         self._parameters = parameters
         self._history = History()
@@ -125,6 +127,7 @@ class Reception:
             return ""
         judgement = judge(self._stack, odometry, self._parameters, self._history)
         self._history = judgement.history
+        self.is_taken = judgement.is_accepted
         if not judgement.is_accepted:
             _count(self.refused, judgement.reason)
             return judgement.text

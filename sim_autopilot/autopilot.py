@@ -5,6 +5,7 @@ No socket and no clock: ``now_ns`` is the autopilot's own time, passed by the ca
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -12,11 +13,14 @@ from typing import Any, NamedTuple
 from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Frame, Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
+from sim_autopilot import navigation
 from sim_autopilot.acceptance import Reception
 from sim_autopilot.config import SimConfig
+from sim_autopilot.ekf2 import Ekf2
 from sim_autopilot.firmware import IDEAL
 from sim_autopilot.flight import Cycle
 from sim_autopilot.habits import FirmwareSensors
+from sim_autopilot.navigator import Navigator
 from sim_autopilot.parameters import ParameterServer
 from sim_autopilot.personality import DENIED, FAILED, UNSUPPORTED, Kind, Personality
 from sim_autopilot.rates import ACCEPTED, GNSS, GROUPS, Streams
@@ -26,10 +30,13 @@ __all__ = ["COMPONENT_ID", "Autopilot", "Kind", "Received"]
 COMPONENT_ID = 1
 SET_MESSAGE_INTERVAL = 511
 REQUEST_MESSAGE = 512
+SET_EKF_SOURCE_SET = 42007
 _ARMED, _CUSTOM_MODE = 128, 1
 _STANDBY, _ACTIVE = 3, 4
 _CRITICAL, _INFO = 2, 6
 _PLACES = ("GLOBAL_POSITION_INT", "GPS_GLOBAL_ORIGIN")
+_OWN = ("GPS_GLOBAL_ORIGIN", "HOME_POSITION", "EKF_STATUS_REPORT")
+"""Of an autopilot that navigates by itself: sent only on request."""
 _GCS_NS = 10_000_000_000
 """Between two requests of a ground station for its rates."""
 
@@ -55,10 +62,12 @@ class Autopilot:
         *,
         is_wing: bool = False,
         seed: int = 1,
+        navigator: Navigator | None = None,
     ) -> None:
         """Start a fixed wing or a multicopter; the seed is that of its habits' random numbers.
 
-        The personality is the autopilot to imitate; of a kind the ideal one.
+        The personality is the autopilot to imitate; of a kind the ideal one. With a navigator it
+        flies by what it receives, and has an origin of its own.
         """
         self.personality = IDEAL[personality] if isinstance(personality, Kind) else personality
         self.parameters = {**self.personality.parameters, **config.parameters}
@@ -68,6 +77,7 @@ class Autopilot:
         """Of TIMESYNC."""
         self.reception = Reception(self.personality.rules, self.parameters)
         """Its verdicts on the ODOMETRY that it received."""
+        self.navigator = navigator
         self.reboots = 0
         self.loop_ns = 0
         """Time of the last iteration of the loop, when it sends, on the world's clock."""
@@ -90,6 +100,7 @@ class Autopilot:
             "REQUEST_DATA_STREAM": self._data_stream,
             "SET_GPS_GLOBAL_ORIGIN": self._set_origin,
             "TIMESYNC": self._timesync,
+            "VISION_POSITION_ESTIMATE": self._vision,
         }
         self._start()
 
@@ -105,7 +116,8 @@ class Autopilot:
     def _start(self) -> None:
         self._sender = Sender(self._config.system_id, COMPONENT_ID)
         self._splitter = Splitter()
-        self._streams = Streams(self.personality, self._config, self.parameters)
+        also = () if self.navigator is None else _OWN
+        self._streams = Streams(self.personality, self._config, self.parameters, also)
         self._sensors = FirmwareSensors(self._config, self.personality, self._seed + self.reboots)
         self._last: Cycle | None = None
         self._has_fix = self._has_origin = False
@@ -126,6 +138,7 @@ class Autopilot:
             self._stream(name, reading)
         if self._streams.is_wanted(GNSS) and (marker := self._sensors.marker(reading)) is not None:
             self._send(GNSS, **marker)
+        self._speak()
         if reading.flight_ns >= self._next_timesync_ns:
             self._next_timesync_ns = reading.flight_ns + round(1e9 / self.personality.timesync_rate)
             self._send_timesync(0, reading.t_ns, self._companion)
@@ -181,7 +194,15 @@ class Autopilot:
         return bool(int(self.parameters.get("EKF2_GPS_CTRL", 1)))
 
     def _stream(self, name: str, cycle: Cycle) -> None:
-        if name in _PLACES and not self._has_origin and not self._fuses_gnss:
+        if self.navigator is not None and name in _OWN:
+            fields = navigation.fields(name, self.navigator, cycle.t_ns)
+            if fields is not None:
+                self._send(name, **fields)
+            return
+        if self.navigator is not None and name in ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"):
+            if not navigation.is_sent(name, self.navigator):
+                return
+        elif name in _PLACES and not self._has_origin and not self._fuses_gnss:
             return  # on ODOMETRY alone it does not know where it is
         if name == "HEARTBEAT":
             self.heartbeat(is_armed=cycle.is_armed)
@@ -202,6 +223,8 @@ class Autopilot:
                 self._send("STATUSTEXT", severity=_INFO, text=text.encode()[:50])
         elif command.command == REQUEST_MESSAGE:
             result = self._request(message)
+        elif command.command == SET_EKF_SOURCE_SET and self.navigator is not None:
+            result = ACCEPTED if self.navigator.select(int(command.param1)) else DENIED
         else:
             result = UNSUPPORTED
         self._send(
@@ -234,8 +257,29 @@ class Autopilot:
     def _odometry(self, frame: Frame, odometry: Any, now_ns: int) -> None:
         if text := self.reception.take(odometry):
             self._send("STATUSTEXT", severity=_CRITICAL, text=text.encode()[:50])
+        if self.navigator is not None and self.reception.is_taken:
+            stamp_us = self.navigator.arrival.stamp_us(odometry.time_usec, now_ns // 1000)
+            self.navigator.odometry(odometry, stamp_us * 1e-6)
+
+    def _vision(self, frame: Frame, vision: Any, now_ns: int) -> None:
+        if self.navigator is not None:
+            stamp_us = self.navigator.arrival.stamp_us(vision.usec, now_ns // 1000)
+            self.navigator.vision(vision, stamp_us * 1e-6)
+
+    def _speak(self) -> None:
+        """Tell the pilot what the navigator has to say, and a new origin to all."""
+        if (own := self.navigator) is None:
+            return
+        for text in own.texts():
+            self._send("STATUSTEXT", severity=text.severity, text=text.text.encode()[:50])
+        if own.is_origin_new and self._last is not None:
+            own.is_origin_new = False
+            self._stream("GPS_GLOBAL_ORIGIN", self._last)
 
     def _set_origin(self, frame: Frame, origin: Any, now_ns: int) -> None:
+        if self.navigator is not None:
+            lat, lon = (math.radians(angle * 1e-7) for angle in (origin.latitude, origin.longitude))
+            self.navigator.set_origin(lat, lon, origin.altitude * 1e-3)
         if self._last is not None and not self._has_origin:
             self.reception.take_origin(self._last.t_ns // 1000)
             self._has_origin = True
@@ -250,6 +294,9 @@ class Autopilot:
             self._send_timesync(now_ns, sync.ts1, theirs)
         else:
             self.round_trips_ns.append(now_ns - sync.ts1)
+            if isinstance(self.navigator, Ekf2):
+                times_us = (time_ns // 1000 for time_ns in (sync.ts1, sync.tc1, now_ns))
+                self.navigator.timesync.answer(*times_us)
 
     def _send_timesync(self, tc1: int, ts1: int, target: tuple[int, int]) -> None:
         system, component = target

@@ -7,14 +7,14 @@ by time, the shift of the stamp, the least interval. Left out: wind, the magneti
 the smooth output predictor, several cores. It flies as well on a receiver of its own: the same
 filter with the same samples, to compare with.
 
-Sources of the constants, with the parameters' defaults: PX4 1.17, ``ekf2/EKF/common.h``,
-``ekf2/params_*.yaml`` and ``EKF/aid_sources/external_vision``; ArduPilot 4.7, ``AP_NavEKF3``
-(``AP_NavEKF3.h``, ``_Measurements.cpp``, ``_PosVelFusion.cpp``, ``_MagFusion.cpp``) and
-``AP_VisualOdom.cpp``. The numbers are theirs, the code is ours.
+Where it is to know places, has a barometer and is switched from one source to the other:
+:mod:`sim_autopilot.ekf3` and :mod:`sim_autopilot.ekf2`. The numbers of both are in
+:mod:`sim_autopilot.tuning`; they are theirs, the code is ours.
 """
 
 from __future__ import annotations
 
+import heapq
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,100 +24,17 @@ import numpy as np
 
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array
+from sim_autopilot.quaternion import rotated, turned
+from sim_autopilot.tuning import EKF2, EKF3, Tuning
+
+__all__ = ["EKF2", "EKF3", "Follower", "Motion", "Tuning"]
 
 ATT, VEL, POS, GYRO_BIAS, ACCEL_BIAS = (slice(k, k + 3) for k in range(0, 15, 3))
 _GRAVITY = np.array([0.0, 0.0, 9.80665])
-_NEVER = -1e9
+NEVER = -1e9
+"""s."""
 _LEAST_VAR = 1e-9
 _LOCAL_NED = 1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tuning:
-    """What distinguishes one autopilot's filter from another's."""
-
-    name: str
-    step: float
-    """Interval of prediction and fusion, s (EKF2_PREDICT_US; EKF_TARGET_DT)."""
-    horizon: float
-    """How far in the past it fuses, s (EKF2_DELAY_MAX; the largest sensor delay of EKF3)."""
-    delay: float
-    """Taken off the stamp, s (EKF2_EV_DELAY, VISO_DELAY_MS); half a step comes on top."""
-    gyro_noise: float = 0.015
-    """rad/s in one step (EKF2_GYR_NOISE, EK3_GYRO_P_NSE)."""
-    accel_noise: float = 0.35
-    """m/s^2 in one step (EKF2_ACC_NOISE, EK3_ACC_P_NSE)."""
-    gyro_bias_noise: float = 1e-3
-    """rad/s^2 (EKF2_GYR_B_NOISE, EK3_GBIAS_P_NSE)."""
-    accel_bias_noise: float
-    """m/s^3 (EKF2_ACC_B_NOISE, EK3_ABIAS_P_NSE)."""
-    accel_bias_start: float
-    """One sigma, m/s^2 (EKF2_ABIAS_INIT; ACCEL_BIAS_LIM_SCALER of EKF3)."""
-    accel_bias_limit: float
-    """m/s^2 (EKF2_ABL_LIM; ACCEL_BIAS_LIMIT of EKF3)."""
-    is_message_trusted: bool
-    """The velocity's sigma is the message's, floored (EKF2_EV_NOISE_MD 0); else the parameter's."""
-    position_floor: float
-    """m (EKF2_EVP_NOISE, VISO_POS_M_NSE)."""
-    velocity_floor: float
-    """m/s (EKF2_EVV_NOISE, VISO_VEL_M_NSE)."""
-    yaw_floor: float
-    """rad. EKF2 floors the variance by EKF2_EVA_NOISE itself: the sigma is its root."""
-    position_gate: float = 5.0
-    """Sigmas (EKF2_EVP_GATE, EK3_POS_I_GATE)."""
-    velocity_gate: float
-    """Sigmas (EKF2_EVV_GATE, EK3_VEL_I_GATE)."""
-    yaw_gate: float
-    """Sigmas (EKF2_HDG_GATE, EK3_YAW_I_GATE)."""
-    retry: float
-    """Without an accepted position for so long it is reset to the next, s (``no_aid_timeout_max``;
-    ``posRetryTimeUseVel_ms``)."""
-    least_interval: float
-    """Between messages, s: what comes sooner is dropped (``extNavIntervalMin_ms``)."""
-    longest_interval: float
-    """s: after a longer silence fusion ends (twice ``EV_MAX_INTERVAL``)."""
-    quality_min: int = 0
-    """EKF2_EV_QMIN, VISO_QUAL_MIN; 0: off."""
-
-
-EKF2 = Tuning(
-    name="EKF2",
-    step=0.010,
-    horizon=0.200,
-    delay=0.0,
-    accel_bias_noise=0.003,
-    accel_bias_start=0.2,
-    accel_bias_limit=0.4,
-    is_message_trusted=True,
-    position_floor=0.1,
-    velocity_floor=0.1,
-    yaw_floor=0.316,
-    velocity_gate=3.0,
-    yaw_gate=2.6,
-    retry=1.0,
-    least_interval=0.0,
-    longest_interval=0.4,
-)
-"""PX4's."""
-EKF3 = Tuning(
-    name="EKF3",
-    step=0.012,
-    horizon=0.220,
-    delay=0.0,
-    accel_bias_noise=0.02,
-    accel_bias_start=0.2,
-    accel_bias_limit=1.0,
-    is_message_trusted=False,
-    position_floor=0.2,
-    velocity_floor=0.1,
-    yaw_floor=0.2,
-    velocity_gate=5.0,
-    yaw_gate=3.0,
-    retry=10.0,
-    least_interval=0.020,
-    longest_interval=0.5,
-)
-"""ArduPilot's, with the VISO_DELAY_MS that our documents ask for; its default is 10."""
 
 
 @dataclass(slots=True)
@@ -163,9 +80,11 @@ class Follower:
         """Largest accelerometer bias so far, m/s^2."""
         self._sum = _Increment(0.0, 0.0, np.zeros(3), np.zeros(3))
         self._steps: deque[_Increment] = deque()
-        self._waiting: deque[tuple[float, Callable[[], None]]] = deque()
+        self._waiting: list[tuple[float, int, Callable[[], None]]] = []
+        self._count = 0
         self._t: float | None = None
-        self._last_message = self._last_stamp = self._accepted = _NEVER
+        self._horizon_t = NEVER
+        self._last_message = self._last_stamp = self._accepted = NEVER
         self._counter: int | None = None
         self._is_fusing = False
 
@@ -188,15 +107,15 @@ class Follower:
         while self._steps and self._steps[0].t < t - self.tuning.horizon:
             self._advance(self._steps.popleft())
 
-    def odometry(self, m: Any) -> None:
-        """Take an ODOMETRY message, its stamp on the samples' clock."""
-        t = m.time_usec * 1e-6
+    def odometry(self, m: Any, stamp: float | None = None) -> None:
+        """Take an ODOMETRY message, its stamp on the samples' clock, or that given instead, s."""
+        t = m.time_usec * 1e-6 if stamp is None else stamp
         own = self.tuning
         if t - self._last_stamp < own.least_interval or self._t is None:
             return
         self._last_stamp = t
         at = t - own.delay - 0.5 * own.step
-        self._waiting.append((at, lambda: self._fuse_odometry(m, at)))
+        self._later(at, lambda: self._fuse_odometry(m, at))
 
     def fix(self, t: float, pos_n: Array, vel_n: Array, stds: tuple[float, float, float]) -> None:
         """Take a fix that was true at t: sigmas of the horizontal, the height and the velocity."""
@@ -209,11 +128,11 @@ class Follower:
             place = np.square(np.maximum([horizontal, horizontal, vertical], [0.5, 0.5, 0.75]))
             self._fuse_vector(POS, pos_n - self.pos_n, place, own.position_gate)
 
-        self._waiting.append((t - 0.5 * self.tuning.step, fuse))
+        self._later(t - 0.5 * self.tuning.step, fuse)
 
     def heading(self, t: float, yaw: float, std: float) -> None:
         """Take a heading of its own magnetometer, rad from north."""
-        self._waiting.append((t, lambda: self._fuse_yaw(yaw, std, self.tuning.yaw_gate)))
+        self._later(t, lambda: self._fuse_yaw(yaw, std, self.tuning.yaw_gate))
 
     def motion(self) -> Motion:
         """Return the estimate of now."""
@@ -223,6 +142,11 @@ class Follower:
         return Motion(t=self._t or 0.0, pos_n=pos_n, vel_n=vel_n, q_nb=q_nb)
 
     # The horizon moves
+
+    def _later(self, at: float, fuse: Callable[[], None]) -> None:
+        """Fuse what was true at a time as soon as the horizon has reached it."""
+        self._count += 1
+        heapq.heappush(self._waiting, (at, self._count, fuse))
 
     def _level(self, accel: Array) -> None:
         """Begin level, by the first force, pointing north."""
@@ -235,9 +159,9 @@ class Follower:
         self, q_nb: Array, vel_n: Array, pos_n: Array, one: _Increment
     ) -> tuple[Array, Array, Array]:
         """Return the motion after one step."""
-        gain = so3.rotate(q_nb, one.gain - self.accel_bias * one.dt) + _GRAVITY * one.dt
-        turned = so3.multiply(q_nb, so3.exp(one.turn - self.gyro_bias * one.dt))
-        return so3.normalise(turned), vel_n + gain, pos_n + (vel_n + 0.5 * gain) * one.dt
+        gain = rotated(q_nb, one.gain - self.accel_bias * one.dt) + _GRAVITY * one.dt
+        q_nb = turned(q_nb, one.turn - self.gyro_bias * one.dt)
+        return q_nb, vel_n + gain, pos_n + (vel_n + 0.5 * gain) * one.dt
 
     def _advance(self, one: _Increment) -> None:
         """Predict one step, and fuse what was true by then."""
@@ -253,8 +177,9 @@ class Follower:
         noise = (own.gyro_noise * dt, own.accel_noise * dt, 0.0)
         walk = (own.gyro_bias_noise * dt, own.accel_bias_noise * dt)
         self.P = F @ self.P @ F.T + np.diag(np.repeat(np.square((*noise, *walk)), 3))
+        self._horizon_t = one.t
         while self._waiting and self._waiting[0][0] <= one.t:
-            at, fuse = self._waiting.popleft()
+            at, _, fuse = heapq.heappop(self._waiting)
             if one.t - at < 0.1:
                 fuse()
         if self._is_fusing and one.t - self._last_message > own.longest_interval:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from ekf_companion.mavlink.messages import by_name
 from sim_autopilot.config import SimConfig
@@ -37,13 +37,21 @@ class Streams:
     """The rates of one link."""
 
     def __init__(
-        self, personality: Personality, config: SimConfig, parameters: Mapping[str, float]
+        self,
+        personality: Personality,
+        config: SimConfig,
+        parameters: Mapping[str, float],
+        also: Iterable[str] = (),
     ) -> None:
-        """Begin with the default rates; ``parameters`` is read at each update, not copied."""
+        """Begin with the default rates; ``parameters`` is read at each update, not copied.
+
+        What it has also is silent until it is requested.
+        """
         own = personality.streams
         if own is None:
             own = {name: getattr(config.streams, name) for name in config.streams.__slots__}
         own = {**dict.fromkeys(_spares(config), 0.0), **own}
+        own = {**own, **dict.fromkeys(also, 0.0)}
         self._default = own
         self._rates = dict(own)
         self._personality = personality
