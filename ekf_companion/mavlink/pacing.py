@@ -34,7 +34,7 @@ _ROW_NS = SECOND_NS // 5
 """Over so long at least: what a stall held back arrives at once."""
 _FULL_NS = SECOND_NS * 15 // 100
 _GAP_NS = SECOND_NS * 3 // 10
-"""While the queue is so long the next waits for so long at most: PX4 ends its fusion after 0.4 s."""
+"""Before such a queue the next waits, for so long at most: PX4 ends its fusion after 0.4 s."""
 _CALM_NS = SECOND_NS // 20
 _STEP_NS = SECOND_NS
 """Between two steps down: a queue needs its time to drain."""
