@@ -101,9 +101,11 @@ filters: $(STAMP)
 delays: $(STAMP)
 	$(BIN)/python -m benchmarks.delay
 
-# PX4's and ArduCopter's simulators, where a built one is named; half an hour each: docs/SITL.md
+# PX4's and ArduPilot's simulators, where a built one is named; half an hour to an hour each, and
+# ONLY="cold late" flies parts: docs/SITL.md
 sitl: $(STAMP)
-	$(BIN)/python -m benchmarks.sitl $(if $(PX4),--px4 $(PX4)) $(if $(ARDUPILOT),--ardupilot $(ARDUPILOT))
+	$(BIN)/python -m benchmarks.sitl $(if $(PX4),--px4 $(PX4)) $(if $(ARDUPILOT),--ardupilot $(ARDUPILOT)) \
+		$(if $(ONLY),--only $(ONLY))
 
 # A quarter of an hour: 10^7 bytes, 10^6 messages, then what coverage leads to
 fuzz: $(STAMP)

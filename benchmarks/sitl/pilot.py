@@ -6,13 +6,16 @@ import math
 import os
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 os.environ.setdefault("MAVLINK20", "1")  # before mavutil chooses its dialect
 
 from pymavlink import mavutil
 
+from benchmarks.sitl.mission import Item
+from benchmarks.sitl.place import HOME
+from benchmarks.sitl.recording import COMPONENT_ID
 from ekf_companion.errors import CompanionError
 
 Path = Callable[[float], tuple[float, float, float, float]]
@@ -24,9 +27,12 @@ _PERIOD = 0.05
 """Of setpoints, s."""
 _PX4, _ARDUPILOT = 12, 3
 _FIX_3D = 3
-_OFFBOARD, _GUIDED, _LAND = 6 << 16, 4, 9
+_OFFBOARD, _GUIDED, _LAND, _RTL = 6 << 16, 4, 9, 6
+_PX4_LAND, _PX4_RTL = 4 << 16 | 6 << 24, 4 << 16 | 5 << 24
 _POSITION_AND_VELOCITY = 0b100111000000
-_ARM, _TAKEOFF, _SET_MODE = 400, 22, 176
+_ARM, _TAKEOFF, _SET_MODE, _RETURN = 400, 22, 176, 20
+_DEGREE = 111319.5
+"""m of latitude, on ArduPilot's sphere."""
 
 
 def square(side: float = 25.0, speed: float = 5.0) -> tuple[Path, float]:
@@ -57,6 +63,12 @@ def figure_eight(radius: float = 12.0, period: float = 25.0) -> tuple[Path, floa
     return at, 2.0 * period
 
 
+def line(north: float, speed: float = 5.0) -> tuple[Path, float]:
+    """Return a straight way north, and how long it takes, s."""
+    seconds = north / speed
+    return (lambda t: (min(speed * t, north), 0.0, speed if t < seconds else 0.0, 0.0)), seconds
+
+
 class Pilot:
     """The ground station of one vehicle."""
 
@@ -78,9 +90,17 @@ class Pilot:
         self.t = 0.0
         """The vehicle's clock, s since its boot."""
         self.texts: list[tuple[float, str]] = []
-        """STATUSTEXT, each with the time at which it came."""
+        """The autopilot's STATUSTEXT, each with the time at which it came."""
+        self.said: list[tuple[float, str]] = []
+        """The daemon's, likewise."""
         self.modes: list[tuple[float, int]] = []
         """Changes of custom_mode."""
+        self.ordered: list[int] = []
+        """Modes that were asked for."""
+        self.mission_wants: int | None = None
+        """Number of the mission's item that the autopilot asked for last; -1: it has all."""
+        self.reached: list[int] = []
+        """Items of the mission that were reached."""
         self.is_armed = False
         self.has_fix = False
         """Whether its receiver reported a fix in the last GPS_RAW_INT."""
@@ -143,6 +163,8 @@ class Pilot:
     def _take(self, message: Any) -> None:
         kind = message.get_type()
         if message.get_srcComponent() != 1:
+            if message.get_srcComponent() == COMPONENT_ID and kind == "STATUSTEXT":
+                self._read(self.said, message)
             return
         if hasattr(message, "time_boot_ms"):
             self.t = message.time_boot_ms * 1e-3
@@ -152,7 +174,13 @@ class Pilot:
             if not self.modes or self.modes[-1][1] != message.custom_mode:
                 self.modes.append((self.t, message.custom_mode))
         elif kind == "STATUSTEXT":
-            self.texts.append((self.t, message.text))
+            self._read(self.texts, message)
+        elif kind in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
+            self.mission_wants = message.seq
+        elif kind == "MISSION_ACK":
+            self.mission_wants = -1
+        elif kind == "MISSION_ITEM_REACHED":
+            self.reached.append(message.seq)
         elif kind == "GPS_RAW_INT":
             self.has_fix = message.fix_type >= _FIX_3D
         elif kind == "LOCAL_POSITION_NED":
@@ -165,7 +193,53 @@ class Pilot:
                 (value,) = struct.unpack("<i", struct.pack("<f", value))
             self.parameters[message.param_id] = float(value)
 
+    def _read(self, texts: list[tuple[float, str]], message: Any) -> None:
+        """Take a text, or the next piece of a long one."""
+        if message.id and message.chunk_seq and texts:
+            t, begun = texts[-1]
+            texts[-1] = (t, begun + message.text)
+        else:
+            texts.append((self.t, message.text))
+
     # Orders
+
+    def order_mode(self, mode: int) -> None:
+        """Ask an ArduPilot for a mode."""
+        self.ordered.append(mode)
+        self.command(_SET_MODE, 1.0, float(mode))
+
+    def upload(self, items: Sequence[Item]) -> None:
+        """Give it a mission.
+
+        Args:
+            items: The first is home.
+        """
+        to = self._link.target_system, 1
+        self.mission_wants = None
+        self._link.mav.mission_count_send(*to, len(items))
+        end = time.monotonic() + 30.0
+        while self.mission_wants != -1:
+            if time.monotonic() > end:
+                raise CompanionError("the autopilot did not take the mission")
+            if not self.wait_for(lambda: self.mission_wants is not None, 2.0):
+                self._link.mav.mission_count_send(*to, len(items))
+                continue
+            if (k := self.mission_wants) is None or k < 0:
+                continue
+            self.mission_wants = None
+            number, values, (lat, lon, height) = items[k]
+            self._link.mav.mission_item_int_send(
+                *to, k, 3 if k else 0, number, 0, 1, *values,
+                round(lat * 1e7), round(lon * 1e7), height,
+            )  # fmt: skip
+
+    def shift_receiver(self, north: float, east: float, up: float) -> None:
+        """Move what the simulated receiver says away from the truth, m."""
+        place = math.cos(math.radians(float(HOME.lat)))
+        for axis, value in (("X", north / _DEGREE), ("Y", east / _DEGREE / place), ("Z", up)):
+            self._link.mav.param_set_send(
+                self._link.target_system, 1, f"SIM_GPS1_GLTCH_{axis}".encode(), value, 9
+            )
 
     def command(self, command: int, *values: float) -> None:
         """Send a COMMAND_LONG, once."""
@@ -204,7 +278,11 @@ class Pilot:
             self._aim(0.0, 0.0, 0.0, 0.0)
             if not self.is_px4:
                 self._setpoint = None
-            self.command(_SET_MODE, 1.0, 6.0 if self.is_px4 else float(_GUIDED))
+            if self.is_px4:
+                self.ordered.append(_OFFBOARD)
+                self.command(_SET_MODE, 1.0, 6.0)
+            else:
+                self.order_mode(_GUIDED)
             self.command(_ARM, 1.0)
             self.wait_for(lambda: self.is_armed, 2.0)
         if not self.is_armed:
@@ -238,7 +316,18 @@ class Pilot:
         """Land; return whether it disarmed."""
         self._setpoint = None
         if self.is_px4:
+            self.ordered.append(_PX4_LAND)
             self.command(21)  # NAV_LAND
         else:
-            self.command(_SET_MODE, 1.0, float(_LAND))
+            self.order_mode(_LAND)
+        return self.wait_for(lambda: not self.is_armed, patience)
+
+    def return_home(self, patience: float = 120.0) -> bool:
+        """Return to home and land; return whether it disarmed."""
+        self._setpoint = None
+        if self.is_px4:
+            self.ordered.append(_PX4_RTL)
+            self.command(_RETURN)
+        else:
+            self.order_mode(_RTL)
         return self.wait_for(lambda: not self.is_armed, patience)
