@@ -21,7 +21,3 @@ cdef void reset_yaw(State *x, Observation *o) noexcept nogil
 cdef void begin_field_block(State *x) noexcept nogil
 cdef void forget_field_noise(State *x) noexcept nogil
 cdef void use_compass(State *x, Parameters *k, double compass) noexcept nogil
-cdef void forget_azimuth(State *x) noexcept nogil
-cdef void keep_azimuth(State *x, double z) noexcept nogil
-cdef void note_disturbed(State *x) noexcept nogil
-cdef void look_for_leap(State *x, Parameters *k, double z) noexcept nogil

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import cython
 from cython import address
-from cython.cimports.ekf_companion.core import observe, yaw_reset
+from cython.cimports.ekf_companion.core import leap, observe, yaw_reset
 from cython.cimports.ekf_companion.core.correct import apply_yaw_update, innovate, reset_variance
 from cython.cimports.ekf_companion.core.enums import (
     AID_HEADING,
@@ -43,7 +43,7 @@ from cython.cimports.ekf_companion.core.gate import (
 )
 from cython.cimports.ekf_companion.core.memory import Vector
 from cython.cimports.ekf_companion.core.parameters import Parameters
-from cython.cimports.ekf_companion.core.rotation import rotate, to_dcm, wrap
+from cython.cimports.ekf_companion.core.rotation import rotate, to_dcm
 from cython.cimports.ekf_companion.core.scratch import HeadingRow, Observation
 from cython.cimports.ekf_companion.core.state import Reference, State
 from cython.cimports.libc.math import asin, fabs, isnan, sqrt
@@ -76,12 +76,6 @@ FIRST_MEMORY = cython.declare(cython.double, 3.0)
 """Blocks that what is configured counts for."""
 LARGEST_MEMORY = cython.declare(cython.double, 25.0)
 """Blocks over which the noise is learnt."""
-LEAPT = cython.declare(cython.double, 0.2617993877991494)
-"""Least leap of an azimuth that no gyro saw, rad: 15 degrees, as of a yaw that is corrected."""
-LEAPT_SIGMAS = cython.declare(cython.double, 5.0)
-"""The same in sigmas of our yaw."""
-LEAP_TIME = cython.declare(cython.double, 1e9)
-"""Longest time that a leap takes, ns: in more a gyro may have drifted unnoticed."""
 LEAST_SHARE = cython.declare(cython.double, 0.05)
 """Least share of the configured variance, for the best of magnetometers."""
 NEVER = cython.declare(cython.double, -1e18)
@@ -181,13 +175,13 @@ def fuse_field(x: State, k: Parameters, o: Observation, r: Reference, mag_b: Vec
     if not is_natural(x, k, o, mag_b):
         count_verdict(x, AID_HEADING, VERDICT_DISTURBED)
         x.natural_fields = 0.0
-        note_disturbed(x)
+        leap.note_disturbed(x)
         return
     # by chance one of many disturbed fields looks like the Earth's
     x.natural_fields += 1.0
     if x.natural_fields < CONVINCING and x.count[AID_HEADING][VERDICT_DISTURBED] > 0.0:
         count_verdict(x, AID_HEADING, VERDICT_DISTURBED)
-        note_disturbed(x)
+        leap.note_disturbed(x)
         return
     x.mag_t = x.t
     for i in range(3):
@@ -224,7 +218,7 @@ def fuse_azimuth(
         x.heading_offset = 0.0
         x.walk.heading_share = 1.0
         reset_variance(x, E_HEADING, 1, slow * slow)
-        forget_azimuth(x)
+        leap.forget(x)
     if not observe.azimuth(x, o, r):
         count_verdict(x, AID_HEADING, VERDICT_SUPERSEDED)
         return
@@ -237,10 +231,10 @@ def fuse_azimuth(
     z = o.z[0]
     if fuse_judged(x, k, o, AID_HEADING, nis):
         if r.has_iron != 0.0:
-            keep_azimuth(x, z)
+            leap.keep(x, z)
         return
     if r.has_iron != 0.0:
-        look_for_leap(x, k, z)
+        leap.look(x, k, z)
     if (
         is_timed_out(x, AID_HEADING, k.timeout_heading)
         and x.t - x.refused_t[AID_HEADING] >= INSISTENCE
@@ -258,52 +252,12 @@ def use_compass(x: State, k: Parameters, compass: float) -> None:
         return
     x.compass = compass
     forget_field_noise(x)
-    forget_azimuth(x)
+    leap.forget(x)
     if x.mode >= MODE_ATTITUDE:
         reset_variance(x, E_IRON, 3, k.iron_std * k.iron_std)
     if x.azimuth >= AZIMUTH_MAGNETIC:
         x.walk.heading_share = 1.0
         reset_variance(x, E_HEADING, 1, x.heading_std * x.heading_std)
-
-
-def forget_azimuth(x: State) -> None:
-    """Forget the magnetic azimuths that were fused."""
-    x.azimuth_t = NEVER
-    x.azimuth_t0 = NEVER
-    x.has_leapt = 0.0
-
-
-def keep_azimuth(x: State, z: float) -> None:
-    """Keep the innovation of a magnetic azimuth that was fused, to tell a leap from."""
-    if x.at_rest != 0.0 or x.azimuth_t0 <= NEVER:
-        x.azimuth_t0 = x.t
-    x.azimuth_z = z
-    x.azimuth_t = x.t
-    x.has_leapt = 0.0
-
-
-def note_disturbed(x: State) -> None:
-    """Note a disturbed field: the azimuth after it follows on the last before."""
-    if x.azimuth_t > NEVER:
-        x.azimuth_t = x.t
-
-
-def look_for_leap(x: State, k: Parameters, z: float) -> None:
-    """Look whether a refused magnetic azimuth leapt away from those that were fused in motion.
-
-    The gyro carried yaw on from one to the next. A compass that has stood still with the vehicle
-    may have been wrong before the leap.
-    """
-    leap = wrap(z - x.azimuth_z)
-    sigma = LEAPT_SIGMAS * LEAPT_SIGMAS * x.P[E_ATT + 2][E_ATT + 2]
-    if (
-        x.azimuth_t > NEVER
-        and x.t - x.azimuth_t < LEAP_TIME
-        and x.azimuth_t - x.azimuth_t0 > k.timeout_heading * 1e9
-        and x.gap_t < x.azimuth_t0
-        and leap * leap > LEAPT * LEAPT + sigma
-    ):
-        x.has_leapt = 1.0
 
 
 def innovate_field(x: State, o: Observation) -> float:
@@ -377,7 +331,7 @@ def yield_to_azimuth(x: State, o: Observation, slow: float) -> None:
     is_compass = cython.declare(cython.bint, x.has_leapt != 0.0 and not yaw_reset.is_ready(x))
     if is_compass or yaw_reset.agrees(x):
         # the compass has jumped: the gyro saw no turn, or the motion confirms our yaw
-        forget_azimuth(x)
+        leap.forget(x)
         reset_variance(x, E_HEADING, 1, UNKNOWN_HEADING)
         innovate(x, o)
         apply_yaw_update(x, o)

@@ -20,6 +20,7 @@ from cython.cimports.ekf_companion.core import (
     gate,
     gnss,
     heading,
+    leap,
     lever,
     past,
     propagate,
@@ -253,7 +254,7 @@ def start(x: State, t: float) -> None:
     forget_gain(x)
     x.fix_t = NEVER
     x.mag_t = NEVER
-    heading.forget_azimuth(x)
+    leap.forget(x)
     x.innovation_t = NEVER
     x.force_t = NEVER
     x.fake_t = t

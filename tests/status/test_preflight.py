@@ -82,7 +82,8 @@ def test_the_autopilot_s_own_position_is_no_fix():
 
 def test_the_autopilot_s_own_position_will_do_where_the_configuration_names_it():
     config = Config(gnss=GnssSettings(source="global"))
-    found = verdict(stand(NO_SATELLITES, config=config))
+    # three seconds more: until then a receiver might still speak
+    found = verdict(stand(NO_SATELLITES, config=config, duration=18.0))
     assert found.sentence == (
         "ready (position not compared: ours is the autopilot's own, no receiver's)"
     )
