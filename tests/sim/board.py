@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from ekf_companion.config.config import Config
-from ekf_companion.engine.checkpoint import Clocks
+from ekf_companion.engine.checkpoint import LIMIT, Clocks
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.warm_start import WarmStart
 from sim_autopilot.closed_loop import ClosedLoop
@@ -34,6 +34,8 @@ class Board:
         self.loop, self.config, self.ways = loop, config or Config(), ways
         self.companion: Companion | None = None
         self.data: bytes | None = None
+        self.limit = LIMIT
+        """Age of a checkpoint that is too old, s."""
         self._connection = None
 
     def _clocks(self) -> Clocks:
@@ -42,7 +44,7 @@ class Board:
     def start(self) -> None:
         """Start the daemon with what is on its disk."""
         now_ns = self.loop.now_ns
-        warm_start = WarmStart(self.data, self._clocks(), now_ns)
+        warm_start = WarmStart(self.data, self._clocks(), now_ns, self.limit)
         self.companion = Companion(self.config, warm_start=warm_start)
         self._connection = self.loop.connect(self.companion, **self.ways)
 

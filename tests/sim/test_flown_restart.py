@@ -45,9 +45,11 @@ def test_with_a_checkpoint_that_is_too_old_it_goes_on_in_the_same_frame():
     board.kill()
     # A pilot goes on by the autopilot's own sensors meanwhile
     loop.switch(1)
-    loop.run(35.0)
+    board.limit = 4.0
+    loop.run(6.0)
     board.start()
-    loop.run(15.0)
+    loop.run(10.0)
+    assert board.companion.pipeline.start.startswith("cold")
     begin = loop.t
     loop.switch(2)
     loop.run(10.0)
