@@ -34,8 +34,7 @@ def parameters(
     k.gyro_bias_walk, k.accel_bias_walk = imu.gyro_bias_walk, imu.accel_bias_walk
     k.gyro_bias_std, k.accel_bias_std = imu.gyro_bias, imu.accel_bias
     k.learn_noise = imu.learn_noise
-    samples = habit.imu_samples if imu.samples == "auto" else imu.samples
-    k.mean_samples = samples == "mean"
+    k.mean_samples = has_mean_samples(settings, family)
     k.lag = imu_lag(settings, family)
     k.gap, k.gap_reset = imu.gap, imu.gap_reset
 
@@ -79,6 +78,12 @@ def imu_lag(settings: FilterSettings, family: str) -> float:
     """Return how long before its stamp an inertial sample was true, s."""
     lag = settings.imu.lag
     return HABITS[family].imu_lag if lag == "auto" else lag
+
+
+def has_mean_samples(settings: FilterSettings, family: str) -> bool:
+    """Return whether an inertial sample is the mean since the one before."""
+    samples = settings.imu.samples
+    return (HABITS[family].imu_samples if samples == "auto" else samples) == "mean"
 
 
 def gnss_delay_std(settings: FilterSettings, family: str, gnss_delay: float | None) -> float:

@@ -9,6 +9,9 @@ from cython.cimports.ekf_companion.core.state import State
 
 BLOCK_TIME = cython.declare(cython.double, 0.0095)
 """Least length of a block of samples, s: 10 ms, give or take their jitter."""
+LOST = cython.declare(cython.double, 2.5)
+"""Usual intervals without a sample after which a block begins anew: more than one is missing. An
+autopilot that thins its samples, 300 of them to 250, leaves one out again and again."""
 MEMORY = cython.declare(cython.double, 2.0)
 """Time constant of the noise learnt, s."""
 
@@ -24,7 +27,7 @@ def learn_noise(x: State, imu: ImuRow, span: float) -> None:
     if x.dt == 0.0:
         x.dt = span
     x.dt += 0.05 * ((span if span < 2.0 * x.dt else 2.0 * x.dt) - x.dt)
-    if x.samples < 2.0 or span > 1.5 * x.dt or span > 0.5 * MEMORY:
+    if x.samples < 2.0 or span > LOST * x.dt or span > 0.5 * MEMORY:
         for i in range(6):
             block.sum[i] = 0.0
         block.n = 0.0

@@ -15,18 +15,26 @@ GRAVITY = cython.declare(cython.double, 9.81)
 
 
 def unexplained_step(
-    last: Sequence[float], now: Sequence[float], samples: list[tuple[float, ...]], dt: float
+    last: Sequence[float],
+    now: Sequence[float],
+    samples: list[tuple[float, ...]],
+    dt: float,
+    before: tuple[float, ...],
+    ahead: float,
 ) -> tuple[float, ...]:
     """Return position (m) and velocity (m/s) in n, and yaw (rad), less what the motion leads to.
 
     The mean rate turns the attitude, the mean force in the first and in the last attitude
-    accelerates, and the mean of the two velocities moves.
+    accelerates, and the mean of the two velocities moves. Each estimate is ahead of the samples'
+    mean by the rate and force of its last sample.
 
     Args:
         last: Position n (m), quaternion from b to n, velocity n (m/s): ten numbers.
         now: The same, later.
         samples: Those between, at least one: angular rate (rad/s), specific force (m/s^2), b.
         dt: Time between the two, s.
+        before: The sample before those: the last of the first estimate.
+        ahead: How far ahead an estimate is of the end of its last sample, s.
     """
     rx = ry = rz = fx = fy = fz = 0.0
     for sample in samples:
@@ -40,6 +48,10 @@ def unexplained_step(
     fx, fy, fz = fx * share, fy * share, fz * share
     share *= dt
     rx, ry, rz = rx * share, ry * share, rz * share
+    end = samples[len(samples) - 1]
+    rx += ahead * (end[0] - before[0])
+    ry += ahead * (end[1] - before[1])
+    rz += ahead * (end[2] - before[2])
 
     # Turn the attitude by the samples
     half = 0.5 * sqrt(rx * rx + ry * ry + rz * rz)
@@ -55,6 +67,14 @@ def unexplained_step(
     ax = 0.5 * (rotate_x(w, x, y, z, fx, fy, fz) + rotate_x(tw, tx, ty, tz, fx, fy, fz))
     ay = 0.5 * (rotate_y(w, x, y, z, fx, fy, fz) + rotate_y(tw, tx, ty, tz, fx, fy, fz))
     az = 0.5 * (rotate_z(w, x, y, z, fx, fy, fz) + rotate_z(tw, tx, ty, tz, fx, fy, fz)) + GRAVITY
+    fx, fy, fz = before[3], before[4], before[5]
+    gx = ahead * rotate_x(w, x, y, z, fx, fy, fz)
+    gy = ahead * rotate_y(w, x, y, z, fx, fy, fz)
+    gz = ahead * rotate_z(w, x, y, z, fx, fy, fz)
+    fx, fy, fz = end[3], end[4], end[5]
+    gx = ahead * rotate_x(tw, tx, ty, tz, fx, fy, fz) - gx
+    gy = ahead * rotate_y(tw, tx, ty, tz, fx, fy, fz) - gy
+    gz = ahead * rotate_z(tw, tx, ty, tz, fx, fy, fz) - gz
 
     # North as the body should see it, and where by the estimate that is
     fx = 1.0 - 2.0 * (ty * ty + tz * tz)
@@ -68,9 +88,9 @@ def unexplained_step(
         now[0] - last[0] - half * (now[7] + last[7]),
         now[1] - last[1] - half * (now[8] + last[8]),
         now[2] - last[2] - half * (now[9] + last[9]),
-        now[7] - last[7] - dt * ax,
-        now[8] - last[8] - dt * ay,
-        now[9] - last[9] - dt * az,
+        now[7] - last[7] - dt * ax - gx,
+        now[8] - last[8] - dt * ay - gy,
+        now[9] - last[9] - dt * az - gz,
         yaw,
     )
 

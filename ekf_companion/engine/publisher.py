@@ -7,9 +7,11 @@ from dataclasses import replace
 
 from ekf_companion.config.config import Config
 from ekf_companion.engine.autopilot_frame import AutopilotFrame, Place
+from ekf_companion.core.from_settings import has_mean_samples, imu_lag
 from ekf_companion.engine.health import Aid, Health
 from ekf_companion.engine.pipeline import Estimate
 from ekf_companion.engine.residual import NO_OFFSET, local_velocity, state_covariance
+from ekf_companion.engine.step import StepMeter
 from ekf_companion.engine.stream import OdometryStream
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.decode import Family
@@ -124,7 +126,14 @@ class Publisher:
         self._is_relative = states == "relative" or (states == "auto" and is_follower)
         self._climb_time = odometry.climb_time if self._is_relative else 0.0
         self.stream = (
-            None if is_monitor else OdometryStream(odometry, family, is_relative=self._is_relative)
+            None
+            if is_monitor
+            else OdometryStream(
+                odometry,
+                family,
+                StepMeter(imu_lag(config, family), is_mean=has_mean_samples(config, family)),
+                is_relative=self._is_relative,
+            )
         )
         """Which estimates are sent as ODOMETRY; None: each as it is."""
         is_follower = self.stream is not None and not self.stream.is_continuous

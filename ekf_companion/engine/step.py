@@ -66,8 +66,17 @@ def to_pose(odometry: Odometry) -> Pose:
 class StepMeter:
     """Measures the step from one look at the estimate to the next."""
 
-    def __init__(self) -> None:
+    def __init__(self, lag: float = 0.0, *, is_mean: bool = True) -> None:
+        """Begin without a look.
+
+        Args:
+            lag: An inertial sample was true this long before its stamp, s: an estimate is carried
+                on to the stamp by its last sample, which the next samples replace.
+            is_mean: Whether a sample is the mean since the one before, not a reading at its time.
+        """
+        self._lag, self._is_mean = lag, is_mean
         self._last: Pose | None = None
+        self._before: tuple[float, ...] | None = None
         self._samples: list[tuple[float, ...]] = []
 
     def add(self, sample: tuple[float, ...]) -> None:
@@ -76,17 +85,21 @@ class StepMeter:
 
     def forget(self) -> None:
         """Forget the last look: there is no estimate now."""
-        self._last, self._samples = None, []
+        self._last, self._before, self._samples = None, None, []
 
     def measure(self, pose: Pose) -> Step | None:
         """Return the step since the last look; None if there was none, or no sample came since."""
-        last, samples = self._last, self._samples
+        last, before, samples = self._last, self._before, self._samples
         self._last, self._samples = pose, []
-        if last is None or not samples or pose.t_ns <= last.t_ns:
+        if samples:
+            self._before = samples[-1]
+        if last is None or before is None or not samples or pose.t_ns <= last.t_ns:
             return None
         dt = (pose.t_ns - last.t_ns) * 1e-9
-        before, after = ((*one.pos_n, *one.q_nb, *one.vel_n) for one in (last, pose))
-        x, y, z, vx, vy, vz, yaw = unexplained_step(before, after, samples, dt)
+        # A reading at its time is the mean of the interval around it, which it ends half of
+        ahead = self._lag if self._is_mean else self._lag - 0.5 * dt / len(samples)
+        first, second = ((*one.pos_n, *one.q_nb, *one.vel_n) for one in (last, pose))
+        x, y, z, vx, vy, vz, yaw = unexplained_step(first, second, samples, dt, before, ahead)
         return Step(dt, (x, y, z), (vx, vy, vz), yaw)
 
 

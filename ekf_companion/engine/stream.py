@@ -77,11 +77,16 @@ class OdometryStream:
     """Turns the estimates of one vehicle into what its autopilot is sent as ODOMETRY."""
 
     def __init__(
-        self, config: OdometryConfig, family: Family, *, is_relative: bool = False
+        self,
+        config: OdometryConfig,
+        family: Family,
+        meter: StepMeter,
+        *,
+        is_relative: bool = False,
     ) -> None:
         """Begin with nothing sent; the covariance may leave out the receiver's slow error."""
         self._family, self._is_relative = family, is_relative
-        self._meter, self._detector, self._residual = StepMeter(), JumpDetector(), Residual()
+        self._meter, self._detector, self._residual = meter, JumpDetector(), Residual()
         self._looked: tuple[Odometry, Pose] | None = None
         self._count = 0
         """Resets told so far."""
