@@ -151,7 +151,7 @@ class OriginSetter(Service):
         if self.theirs is not None and self._has_height:
             self.hold = self._distant()
             return
-        is_early = waited_ns < _SOON_NS and not self._is_flying()
+        is_early = waited_ns < (_LISTEN_NS if self._is_flying() else _SOON_NS)
         self.hold = _SOON if is_early else _UNTOLD
         is_due = self._given_ns is None or now_ns - self._given_ns >= _PATIENCE_NS
         if (
