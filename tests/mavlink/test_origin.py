@@ -164,12 +164,8 @@ def test_an_ardupilot_is_sent_nothing_before_it_has_told_its_origin_and_its_heig
 
 
 def test_an_origin_that_is_never_told_is_announced_after_half_a_minute_and_in_flight_soon():
-    for seconds, is_flying, is_said in (
-        (20, False, False),
-        (40, False, True),
-        (1, True, False),
-        (8, True, True),
-    ):
+    said = (20, False, False), (40, False, True), (1, True, False), (8, True, True)
+    for seconds, is_flying, is_said in said:
         session, _ = spoken(BY_CHOICE, seconds, base_mode=128 * is_flying)
         (held,) = [event for event in session.events() if type(event) is HoldChanged] or [None]
         assert (held is not None) is is_said
