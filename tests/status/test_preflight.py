@@ -107,8 +107,13 @@ def test_fixes_that_are_lost_are_told_with_since_when():
 
 
 def test_fixes_that_are_refused_are_told():
-    found = verdict(stand(f"gnss-jump:start=6,{WHOLE}", duration=11.0))
+    found = verdict(stand(f"gnss-jump:start=6,{WHOLE}", duration=8.0))
     assert found.reasons[0] == "fixes refused: outside its gate"
+
+
+def test_a_receiver_that_has_settled_elsewhere_than_the_autopilot_is_told():
+    found = verdict(stand(f"gnss-jump:start=6,{WHOLE}", duration=12.0))
+    assert found.causes == ("position differs",)
 
 
 @pytest.mark.parametrize("start", [0, 6])
