@@ -27,6 +27,7 @@ from cython.cimports.ekf_companion.core.enums import (
     E_VEL,
     MODE_ATTITUDE,
     MODE_LEVEL,
+    MODE_NAVIGATE,
     N,
 )
 from cython.cimports.ekf_companion.core.heading import reset_yaw
@@ -156,7 +157,8 @@ def start_filter(x: State, k: Parameters, w: Scratch, tilt: float, gyro_bias: fl
     for i in range(3):
         x.vel_n[i] = 0.0
         x.pos_n[i] = 0.0
-        x.gnss_offset[i] = 0.0
+        if x.mode == MODE_NAVIGATE:  # else there is none, or it was given with the origin
+            x.gnss_offset[i] = 0.0
         x.gnss_vel_offset[i] = 0.0
     reset_variance(x, E_IRON, 3, iron)
     reset_variance(x, E_HEADING, 1, x.heading_std * x.heading_std)

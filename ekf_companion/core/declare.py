@@ -6,7 +6,7 @@ and numbers.
 """
 
 import ctypes
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 from types import ModuleType
 from typing import Annotated, Any, TypeAlias, get_args, get_origin
 
@@ -58,7 +58,7 @@ def pxd(module: ModuleType) -> str:
     return "\n".join(lines) + "\n"
 
 
-def enum_member(enums: dict[str, type[IntEnum]], module: str, name: str) -> int:
+def enum_member(enums: dict[str, type[IntEnum] | type[IntFlag]], module: str, name: str) -> int:
     """Return ``PREFIX_MEMBER`` as the compiled kernel has it: a plain number.
 
     Raises:

@@ -3,11 +3,11 @@
 ``setup.py`` makes ``enums.pxd`` from it, where a member is ``PREFIX_MEMBER``: ``MODE_LEVEL``.
 """
 
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 
 from ekf_companion.core.declare import enum_member
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.nav.state import Status
+from ekf_companion.nav.state import Reason, Status
 
 
 class Aid(IntEnum):
@@ -143,9 +143,10 @@ class Link(IntEnum):
     """It does not follow: a new stretch begins."""
 
 
-ENUMS: dict[str, type[IntEnum]] = {
+ENUMS: dict[str, type[IntEnum] | type[IntFlag]] = {
     "KIND": Kind,
     "STATUS": Status,
+    "REASON": Reason,
     "ARRIVAL": Arrival,
     "MODE": Mode,
     "AID": Aid,

@@ -17,6 +17,28 @@ from cython.cimports.ekf_companion.core.enums import (
     MODE_INIT,
     MODE_LEVEL,
     MODE_NAVIGATE,
+    REASON_ATTITUDE,
+    REASON_AUTOPILOTS,
+    REASON_CLIMB_ANY,
+    REASON_CLIMB_BARO,
+    REASON_CLIMB_HEIGHT,
+    REASON_CLIMB_VELOCITY,
+    REASON_FALL,
+    REASON_GAP,
+    REASON_HEADING_MISSING,
+    REASON_HEADING_REFUSED,
+    REASON_HEIGHT_MISSING,
+    REASON_HEIGHT_OFF,
+    REASON_HEIGHT_REFUSED,
+    REASON_POSITION_MISSING,
+    REASON_POSITION_OFF,
+    REASON_POSITION_REFUSED,
+    REASON_SLIDE,
+    REASON_SLOW_SAMPLES,
+    REASON_UNAIDED,
+    REASON_UNCERTAIN,
+    REASON_UNPROVEN,
+    REASON_VELOCITY_REFUSED,
     STATUS_ALIGNING,
     STATUS_ATTITUDE,
     STATUS_DEAD_RECKONING,
@@ -24,7 +46,10 @@ from cython.cimports.ekf_companion.core.enums import (
     STATUS_INIT,
     STATUS_INVALID,
     STATUS_OK,
+    VOICE_BARO,
+    VOICE_HEIGHT,
     VOICE_NONE,
+    VOICE_VELOCITY,
 )
 from cython.cimports.ekf_companion.core.gate import is_running, is_timed_out
 from cython.cimports.ekf_companion.core.parameters import Parameters
@@ -44,43 +69,78 @@ VAGUE_VAR = cython.declare(cython.double, 0.0305)
 
 
 def find_status(x: State, k: Parameters) -> int:
-    """Return the status of the state: a :class:`~.nav.state.Status`."""
+    """Return the status of the state: a :class:`~.nav.state.Status`, the worst of its reasons."""
     if x.mode == MODE_INIT:
         return STATUS_INIT
     if x.mode == MODE_LEVEL:
         return STATUS_ALIGNING
     if x.mode == MODE_ATTITUDE:
         return STATUS_ATTITUDE
-    if not x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1] <= k.limit_pos * k.limit_pos:
+    reasons = find_reasons(x, k)
+    if reasons & REASON_UNCERTAIN:
         return STATUS_INVALID
+    if reasons & REASON_UNAIDED:
+        return STATUS_DEAD_RECKONING
+    return STATUS_DEGRADED if reasons else STATUS_OK
+
+
+def find_reasons(x: State, k: Parameters) -> int:
+    """Return why a state that navigates is not OK, as bits: a :class:`~.nav.state.Reason`."""
+    reasons = cython.declare(cython.int, 0)
+    if x.mode != MODE_NAVIGATE:
+        return reasons
+    if not x.P[E_POS][E_POS] + x.P[E_POS + 1][E_POS + 1] <= k.limit_pos * k.limit_pos:
+        reasons |= REASON_UNCERTAIN
     # one second beyond the interval at which the receiver speaks, and its delay
     late = 1.0 + (x.fix_dt if x.fix_dt < 2.0 else 2.0)
     if is_timed_out(x, AID_POSITION, late) and is_timed_out(x, AID_VELOCITY, late):
-        return STATUS_DEAD_RECKONING
-    if x.dt > SLOW_STREAM or x.needs_reset != 0.0 or x.t < x.proven_t:
-        return STATUS_DEGRADED
+        reasons |= REASON_UNAIDED
+    if x.needs_reset != 0.0:
+        reasons |= REASON_GAP
+    if x.dt > SLOW_STREAM:
+        reasons |= REASON_SLOW_SAMPLES
+    if x.t < x.proven_t:
+        reasons |= REASON_UNPROVEN
     # by the autopilot's own position, whose errors last
     if k.use_derived == 2.0 or x.fix_t > x.raw_fix_t:
-        return STATUS_DEGRADED
-    if is_running(x, AID_VELOCITY):
-        return STATUS_DEGRADED
-    if x.is_gradual != 0.0 and x.refused_t[AID_VELOCITY] > x.used_t[AID_VELOCITY]:
-        return STATUS_DEGRADED
-    if is_timed_out(x, AID_POSITION, late + 1.0) or x.is_one_sided[AID_POSITION] != 0.0:
-        return STATUS_DEGRADED
+        reasons |= REASON_AUTOPILOTS
+    if is_running(x, AID_VELOCITY) or (x.is_gradual != 0.0 and is_refused(x, AID_VELOCITY)):
+        reasons |= REASON_VELOCITY_REFUSED
+    if is_timed_out(x, AID_POSITION, late + 1.0):
+        is_wrong = is_refused(x, AID_POSITION)
+        reasons |= REASON_POSITION_REFUSED if is_wrong else REASON_POSITION_MISSING
+    if x.is_one_sided[AID_POSITION] != 0.0:
+        reasons |= REASON_POSITION_OFF
     if x.slide.is_sliding != 0.0:
-        return STATUS_DEGRADED
+        reasons |= REASON_SLIDE
     for e in range(E_ATT, E_ATT + 3):
         if x.P[e][e] > VAGUE_VAR:
-            return STATUS_DEGRADED
+            reasons |= REASON_ATTITUDE
     if is_timed_out(x, AID_HEADING, 5.0) and x.azimuth != 0.0:
         # where there never was a compass, turns show the heading as well
-        return STATUS_DEGRADED
-    if is_timed_out(x, AID_HEIGHT, late + 1.0) or x.is_one_sided[AID_HEIGHT] != 0.0:
-        return STATUS_DEGRADED
-    if x.voices.loser != VOICE_NONE or is_fall_unconfirmed(x):
-        return STATUS_DEGRADED
-    return STATUS_OK
+        is_wrong = is_refused(x, AID_HEADING)
+        reasons |= REASON_HEADING_REFUSED if is_wrong else REASON_HEADING_MISSING
+    if is_timed_out(x, AID_HEIGHT, late + 1.0):
+        is_wrong = is_refused(x, AID_HEIGHT)
+        reasons |= REASON_HEIGHT_REFUSED if is_wrong else REASON_HEIGHT_MISSING
+    if x.is_one_sided[AID_HEIGHT] != 0.0:
+        reasons |= REASON_HEIGHT_OFF
+    if x.voices.loser == VOICE_HEIGHT:
+        reasons |= REASON_CLIMB_HEIGHT
+    elif x.voices.loser == VOICE_VELOCITY:
+        reasons |= REASON_CLIMB_VELOCITY
+    elif x.voices.loser == VOICE_BARO:
+        reasons |= REASON_CLIMB_BARO
+    elif x.voices.loser != VOICE_NONE:
+        reasons |= REASON_CLIMB_ANY
+    if is_fall_unconfirmed(x):
+        reasons |= REASON_FALL
+    return reasons
+
+
+def is_refused(x: State, aid: int) -> bool:
+    """Return whether the last of an aid was refused."""
+    return x.refused_t[aid] > x.used_t[aid]
 
 
 def write_estimate(x: State, k: Parameters, y: State, w: Scratch, out: Estimate) -> int:

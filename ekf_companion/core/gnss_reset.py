@@ -47,18 +47,35 @@ ANY = cython.declare(cython.double, 1e6)
 
 
 def start_navigation(x: State, k: Parameters, w: Scratch, has_vel: bool) -> None:
-    """Begin to navigate at a fix; the first one ever is the origin of the local frame."""
+    """Begin to navigate at a fix; the first one ever is the origin of the local frame.
+
+    Where the origin was given, so was the slow error that the receiver had: by that the position
+    differs from the fix, and goes on from where it was before.
+    """
     if x.origin.is_known == 0.0:
         set_origin(x, w.fix.lat, w.fix.lon, w.fix.alt)
     x.mode = MODE_NAVIGATE
     x.has_baro = 0.0
+    north = x.gnss_offset[0]
+    east = x.gnss_offset[1]
+    down = x.gnss_offset[2]
     for i in range(3):
         x.vel_n[i] = 0.0
     reset_variance(x, E_VEL, 3, 0.04 if x.at_rest != 0.0 else 100.0)
     reset_to_fix(x, k, w, has_vel)
+    move_to_offset(x, 0, north)
+    move_to_offset(x, 1, east)
+    move_to_offset(x, 2, down)
     x.proven_t = x.t if x.at_rest != 0.0 else x.t + PROVING
     x.used_t[AID_VELOCITY] = x.t
     x.used_t[AID_BARO] = x.t
+
+
+def move_to_offset(x: State, axis: int, offset: float) -> None:
+    """Take a part of the fix along one axis, which position was set from, for its slow error."""
+    x.gnss_offset[axis] += offset
+    x.pos_n[axis] -= offset
+    x.moved.pos_n[axis] -= offset
 
 
 def start_from_yaw_bank(x: State, k: Parameters, w: Scratch) -> None:

@@ -23,7 +23,7 @@ import cython
 import numpy as np
 from cython import address
 from cython.cimports.ekf_companion.core import enums, kernel
-from cython.cimports.ekf_companion.core.estimate import write_estimate
+from cython.cimports.ekf_companion.core.estimate import find_reasons, write_estimate
 from cython.cimports.ekf_companion.core.events import compare, is_sane
 from cython.cimports.ekf_companion.core.gate import begin_reset
 from cython.cimports.ekf_companion.core.held import Held
@@ -38,6 +38,7 @@ from cython.cimports.ekf_companion.core.memory import (
     copy_state,
 )
 from cython.cimports.ekf_companion.core.odometry import write_odometry
+from cython.cimports.ekf_companion.core.propagate import set_origin
 from cython.cimports.ekf_companion.core.reboot import carry_over
 from cython.cimports.ekf_companion.core.scratch import ODOMETRY, OUT, ROW, VALUES, Scratch
 from cython.cimports.ekf_companion.core.state import BLOCK
@@ -190,6 +191,21 @@ class Timeline:
         self.epoch_ns = t_ns - self.delay[enums.KIND_IMU] - shown
         self.begin_stretch()
         self.begin_from(self.x.t, t_ns)
+
+    def set_origin(self, lat: float, lon: float, alt: float, offset: Vector) -> None:
+        """Begin with an origin that is given (rad, rad, m), not at the first fix.
+
+        Args:
+            lat: Its latitude.
+            lon: Its longitude.
+            alt: Its altitude.
+            offset: The receiver's slow error when it was last estimated in that frame, n, shape
+                (3,), m: what the first fix is expected to be off by.
+        """
+        set_origin(self.x, lat, lon, alt)
+        for i in range(3):
+            self.x.gnss_offset[i] = offset[i]
+        copy_state(address(self.snapshots[0]), self.x)
 
     def restore(self, block: np.ndarray, waiting: np.ndarray, epoch_ns: int, stamp_ns: int) -> None:
         """Go on from a state that another timeline was in; that counts as a reset.
@@ -700,6 +716,11 @@ class Timeline:
         """Latitude, longitude (rad), altitude (m) of the local frame; None before a fix."""
         origin = address(self.x.origin)
         return (origin.lat, origin.lon, origin.alt) if origin.is_known else None
+
+    @property
+    def reasons(self) -> int:
+        """Why the estimate is not OK, as bits: a :class:`~.nav.state.Reason`."""
+        return find_reasons(self.x, self.k)
 
     @property
     def resets(self) -> int:

@@ -44,6 +44,10 @@ _log = logging.getLogger(__name__)
 
 TICK = 0.1
 """Seconds between two periodic runs while nothing comes."""
+TICK_NS = round(TICK * 1e9)
+PAUSE_NS = 1_000_000_000
+"""Without a run of the loop for so long, it was stopped, or the board is overloaded: PX4 has ended
+its use of ODOMETRY then, and texts about silence would blame others."""
 LEAST_NS = 50_000_000
 """Between two periodic runs while much comes: each costs as much as several samples."""
 WAIT_NS = 30_000_000
@@ -119,6 +123,8 @@ class Daemon:
         for words in overloads(config):
             _log.warning("%s", words)
         self._due_ns = 0
+        self._ran_ns = 0
+        """When the loop last ran."""
         self._waiting: list[Received] = []
         self._is_reading = False
         self._reading_limit: asyncio.TimerHandle | None = None
@@ -186,6 +192,7 @@ class Daemon:
         that was idle has to fetch anew all that it needs, and does so once for them all.
         """
         now_ns, waiting = received.now_ns, self._waiting
+        self._notice_pause(now_ns)
         waiting.append(received)
         has_time = now_ns - waiting[0].now_ns < WAIT_NS
         if has_time and self._companion.may_wait(received.data, self._monitors.due_ns):
@@ -277,7 +284,14 @@ class Daemon:
         if is_open:
             self._run_periodic(unix_clock())
 
+    def _notice_pause(self, now_ns: int) -> None:
+        """Notice that this process did not run for a while."""
+        paused_ns, self._ran_ns = now_ns - self._ran_ns, now_ns
+        if PAUSE_NS < paused_ns < now_ns:
+            self._companion.on_pause((paused_ns - TICK_NS) * 1e-9, now_ns)
+
     def _run_periodic(self, now_ns: int) -> None:
+        self._notice_pause(now_ns)
         self._process_waiting()
         self._due_ns = now_ns + LEAST_NS
         companion = self._companion

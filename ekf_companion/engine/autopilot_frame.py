@@ -74,13 +74,33 @@ class AutopilotFrame:
         """Of the last height of the autopilot."""
         self._agreed_ns = 0
         """When its height was last ours."""
+        self._kept: float | None = None
+        """The datum of a run before, in place of the first comparison."""
+
+    @property
+    def known_datum(self) -> float:
+        """What the autopilot's altitudes are above ours, m; NaN if they were never compared."""
+        if self._kept is not None:
+            return self._kept
+        return math.nan if self.origin is None or self._last_ns is None else self.datum
+
+    def keep_datum(self, datum: float) -> None:
+        """Go on with the datum of a run before, m, whose heights the autopilot has; NaN: with none.
+
+        An estimate that begins anew in the air is metres off at first, and to compare it then would
+        keep those for the whole flight.
+        """
+        if math.isfinite(datum):
+            self._kept = datum
+            if self.origin is not None and self._last_ns is None:
+                self.datum = datum
 
     def set_origin(self, origin: Place) -> None:
         """Count from an origin of the autopilot."""
         if self._family is not Family.ARDUPILOT:
             return
         if self.origin is None:
-            self.datum, self._last_ns = 0.0, None
+            self.datum, self._last_ns = self._kept or 0.0, None
         self.origin = origin
 
     def take_height(self, height: Height, *, may_follow: bool, may_choose: bool) -> None:
@@ -96,8 +116,9 @@ class AutopilotFrame:
         last_ns, self._last_ns = self._last_ns, height.t_ns
         apart = height.theirs - height.ours - self.datum
         if last_ns is None:
-            # nothing was sent yet that counts from this origin
-            self.datum, self._agreed_ns = self.datum + apart, height.t_ns
+            # nothing was sent yet that counts from this origin, unless by a run before
+            self.datum += 0.0 if self._kept is not None else apart
+            self._kept, self._agreed_ns = None, height.t_ns
             return
         # One that has been found apart is followed until it is as near as its noise
         near = _NOISE if height.t_ns - self._agreed_ns >= _PROVEN_NS else _AGREED

@@ -5,17 +5,21 @@ so whatever does not fit is refused, with a sentence that says why. The autopilo
 Ours may have been set meanwhile (a board without a real-time clock starts wherever it stopped), so
 within one boot the time since boot is compared, and unix time only across two.
 
+Whatever becomes of the state, the frame outlives it: an autopilot that follows ODOMETRY counts from
+its origin, and in the air a new one would be a jump. So the origin goes on with a cold start too,
+as long as it is the same vehicle, and its autopilot has not rebooted.
+
 The bytes, little endian: a header, the state block, the rows that wait for a sample, a CRC-32.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 import struct
 import zlib
-from dataclasses import dataclass
-from enum import Enum
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -29,11 +33,20 @@ from ekf_companion.core.memory import as_state
 from ekf_companion.core.scratch import ROW
 from ekf_companion.core.settings import HABITS
 from ekf_companion.core.state import BLOCK, Alignment, Field
+from ekf_companion.engine.checkpoint_parts import (
+    Clocks,
+    Origin,
+    Refusal,
+    Remains,
+    Sources,
+    Vehicle,
+    Why,
+)
 from ekf_companion.nav.arrays import Array
 from ekf_companion.version import __version__
 
 MAGIC = b"\x89EKFCKPT"
-FORMAT = 2
+FORMAT = 3
 LIMIT = CheckpointConfig().limit
 """Age beyond which a checkpoint is stale unless told otherwise, s."""
 DISAGREEMENT_NS = 2_000_000_000
@@ -46,75 +59,12 @@ MOST_STARTS = 5
 """After so many restarts, each within :data:`STEADY_NS` of the last, the state may be the cause."""
 STEADY_NS = 3_000_000_000
 """What a bad state breaks, it breaks at the first samples and fixes."""
-_HEADER = struct.Struct("<8sI8s8s32s12s2B4BH5q16s2I")
+_HEADER = struct.Struct("<8sI8s8s32s12s2B4BH5q16s7d2I")
 _LARGEST_RANK = 4
-
-
-class Why(str, Enum):
-    """Why a checkpoint was refused."""
-
-    DAMAGED = "damaged"
-    VERSION = "version"
-    FOREIGN = "foreign"
-    SETTINGS = "settings"
-    ALIGNING = "aligning"
-    REBOOTED = "rebooted"
-    STALE = "stale"
-    CLOCKS = "clocks"
-    LOOP = "loop"
-
-
-@dataclass(frozen=True, slots=True)
-class Refusal:
-    """A checkpoint that is not used."""
-
-    why: Why
-    words: str
-    """Why, and what to do or why it does no harm; to be put behind a colon."""
-    resets: int = 0
-    """The count of resets to go on from all the same, as the autopilot may have received it: it
-    must see that everything has moved."""
-
-
-class Vehicle(NamedTuple):
-    """The vehicle of a state."""
-
-    family: str
-    """``px4``, ``ardupilot`` or ``unknown``."""
-    system_id: int
-    component_id: int
-
-    def __str__(self) -> str:
-        return f"{self.family}, system {self.system_id}, component {self.component_id}"
-
-
-class Clocks(NamedTuple):
-    """The companion's clocks at one moment."""
-
-    unix_ns: int
-    boot_ns: int = 0
-    """Since boot, time asleep included."""
-    boot_id: bytes = bytes(16)
-    """Of this boot, 16 bytes; zeros: not known."""
-
-    def later(self, span_ns: int) -> Clocks:
-        """Return them a span later."""
-        return self._replace(unix_ns=self.unix_ns + span_ns, boot_ns=self.boot_ns + span_ns)
-
-    def since(self, before: Clocks) -> int:
-        """Return the time passed since others, ns, by the best clock that both have."""
-        if self.boot_id == before.boot_id != bytes(16):
-            return self.boot_ns - before.boot_ns
-        return self.unix_ns - before.unix_ns
-
-
-class Sources(NamedTuple):
-    """The source of each kind of measurement, by its rank (0: the best)."""
-
-    imu: int = 0
-    mag: int = 0
-    baro: int = 0
-    heading: int = 0
+_HIGHEST = 1e5
+"""Of an origin, m, as of a fix (``core/events.py``)."""
+_FARTHEST = 1e3
+"""Slow error of a receiver, m: none that is believed comes near."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -149,41 +99,54 @@ class Checkpoint:
     clocks: Clocks
     """When it was taken, together with the state's stamp."""
     sources: Sources
+    datum: float = math.nan
+    """What the autopilot's altitudes are above ours, m; NaN: not known, or of no importance."""
     starts: int = 0
     """Restarts from checkpoints in a row, none of which lasted a minute."""
+
+    @property
+    def remains(self) -> Remains:
+        """What is left of it if its state is refused."""
+        origin = _origin(self.state.block)
+        return Remains(self.vehicle, self.clocks, self.state.stamp_ns, origin, self.datum)
 
     def refuse_vehicle(self, vehicle: Vehicle, settings: bytes) -> Refusal | None:
         """Return why it does not fit this vehicle and these settings; None if it does."""
         if self.vehicle != vehicle:
             return foreign(self.vehicle, vehicle)
         if self.state.settings != settings:
-            words = "the estimator's settings are others now; harmless: it begins with them"
-            return Refusal(Why.SETTINGS, words, self.state.next_reset)
+            words = "the estimator's settings are others now, and it begins with them"
+            return Refusal(Why.SETTINGS, words, self.state.next_reset, self.remains)
         return None
 
     def refuse_time(self, stamp_ns: int, now: Clocks, limit: float = LIMIT) -> Refusal | None:
-        """Return why it does not fit the stamp of a first inertial sample; None if it does."""
+        """Return why it does not fit the stamp of an inertial sample of now; None if it does.
+
+        One stamp proves nothing: it may have waited in a buffer. See :mod:`.warm_start`.
+        """
         lost = (stamp_ns - self.state.stamp_ns) * 1e-9
         passed = now.since(self.clocks) * 1e-9
         if lost <= 0.0:
             return Refusal(
                 Why.REBOOTED,
                 f"the autopilot's clock stands {-lost:.1f} s before it, so the autopilot has "
-                "rebooted since; harmless: a new flight begins with a new alignment",
+                "rebooted since: a new flight begins with a new alignment and a new origin",
             )
         if lost > limit:
             return Refusal(
                 Why.STALE,
                 f"it is {lost:.1f} s old by the autopilot's clock, and checkpoint.limit is "
-                f"{limit:g} s; harmless: by now the vehicle can be anywhere and lie anyhow",
+                f"{limit:g} s: by now the vehicle can be anywhere and lie anyhow",
                 self.state.next_reset,
+                self.remains,
             )
         if abs(passed - lost) * 1e9 > DISAGREEMENT_NS:
             return Refusal(
                 Why.CLOCKS,
                 f"{lost:.1f} s have passed since by the autopilot's clock, {passed:.1f} s by ours: "
-                "it has rebooted, our clock was set, or a simulator is faster than time; harmless",
+                "it has rebooted, our clock was set, or a simulator is faster than time",
                 self.state.next_reset,
+                self.remains,
             )
         return None
 
@@ -193,7 +156,7 @@ def foreign(theirs: Vehicle, ours: Vehicle) -> Refusal:
     return Refusal(
         Why.FOREIGN,
         f"it is of another vehicle ({theirs}; this is {ours}); "
-        "harmless, but two vehicles want two files (checkpoint.file)",
+        "two vehicles want two files (checkpoint.file)",
     )
 
 
@@ -229,6 +192,8 @@ def encode(checkpoint: Checkpoint) -> bytes:
         state.stamp_ns,
         state.sent_before,
         *checkpoint.clocks,
+        *_origin_numbers(_origin(state.block)),
+        checkpoint.datum,
         len(state.block),
         len(state.waiting),
     )
@@ -249,47 +214,56 @@ def decode(data: bytes) -> Checkpoint | Refusal:
     if len(data) < _HEADER.size + 4 or zlib.crc32(data[:-4]) != int.from_bytes(data[-4:], "little"):
         return Refusal(
             Why.DAMAGED,
-            "its checksum is wrong: it was cut off or altered on the disk; harmless once, "
-            "but look at the disk if it comes again",
+            "its checksum is wrong: it was cut off or altered on the disk; look at the disk if it "
+            "comes again",
         )
     (_, form, layout, settings, version, family, system_id, component_id, *rest) = (
         _HEADER.unpack_from(data)
     )
-    *sources, starts, epoch_ns, stamp_ns, before, unix_ns, boot_ns, boot_id, size, count = rest
+    *sources, starts, epoch_ns, stamp_ns, before, unix_ns, boot_ns, boot_id = rest[:11]
+    *numbers, datum, size, count = rest[11:]
+    datum = datum if abs(datum) < _HIGHEST else math.nan
+    vehicle = Vehicle(family.rstrip(b"\0").decode(errors="replace"), system_id, component_id)
+    clocks = Clocks(unix_ns, boot_ns, boot_id)
+    remains = None
+    if form == FORMAT:
+        remains = Remains(vehicle, clocks, stamp_ns, _origin_of(numbers), datum)
     wrote = version.rstrip(b"\0").decode(errors="replace")
     if (form, layout, wrote) != (FORMAT, LAYOUT, __version__[:32]):
         return Refusal(
             Why.VERSION,
             f"ekf-companion {wrote} wrote it, and this {__version__} lays its state out otherwise; "
-            "harmless: the next one takes its place",
+            "the next one takes its place",
+            remains=remains,
         )
     if size != BLOCK or len(data) != _HEADER.size + 8 * (size + count * ROW) + 4:
-        return Refusal(Why.DAMAGED, "its size does not fit its content; harmless once")
-    numbers = np.frombuffer(data[_HEADER.size : -4], dtype="<f8").astype(np.float64)
-    vehicle = Vehicle(family.rstrip(b"\0").decode(errors="replace"), system_id, component_id)
+        return Refusal(Why.DAMAGED, "its size does not fit its content")
+    content = np.frombuffer(data[_HEADER.size : -4], dtype="<f8").astype(np.float64)
     state = State(
         epoch_ns=epoch_ns,
         stamp_ns=stamp_ns,
-        block=numbers[:size],
-        waiting=numbers[size:].reshape(count, ROW),
+        block=content[:size],
+        waiting=content[size:].reshape(count, ROW),
         settings=settings,
         sent_before=before,
     )
     if max(sources) > _LARGEST_RANK or vehicle.family not in HABITS:
         return Refusal(Why.DAMAGED, "it names what there is not; please report it")
     if refusal := _refuse_state(state):
-        return refusal
+        return replace(refusal, remains=remains if refusal.why is Why.ALIGNING else None)
     if starts >= MOST_STARTS:
         return Refusal(
             Why.LOOP,
             f"{starts} restarts came within seconds of each other, and the state may be their "
-            "cause; harmless now, but look above for what ended the daemon",
+            "cause; look above for what ended the daemon",
             state.next_reset,
+            remains,
         )
     return Checkpoint(
         state=state,
         vehicle=vehicle,
-        clocks=Clocks(unix_ns, boot_ns, boot_id),
+        clocks=clocks,
+        datum=datum,
         sources=Sources(*sources),
         starts=starts,
     )
@@ -299,7 +273,8 @@ def _refuse_state(state: State) -> Refusal | None:
     """Refuse a state that no filter can be in, or that is not worth going on from."""
     x = as_state(state.block)
     if x.mode in (Mode.INIT, Mode.LEVEL):
-        return Refusal(Why.ALIGNING, "it had not found its attitude yet; harmless: nothing is lost")
+        words = "it had not found its attitude yet"
+        return Refusal(Why.ALIGNING, words, state.next_reset if x.resets else 0)
     P = np.array(x.P)
     nominal = (x.q_nb, x.vel_n, x.pos_n, x.gyro_bias, x.accel_bias, x.gnss_offset, x.hard_iron)
     motion = np.hstack(
@@ -332,6 +307,28 @@ def _refuse_state(state: State) -> Refusal | None:
     return None
 
 
+def _origin(block: Array) -> Origin | None:
+    """Return the origin in a state's block; None if there is none yet."""
+    x = as_state(block)
+    if not x.origin.is_known:
+        return None
+    north, east, down = x.gnss_offset
+    return Origin(x.origin.lat, x.origin.lon, x.origin.alt, (north, east, down))
+
+
+def _origin_numbers(origin: Origin | None) -> tuple[float, ...]:
+    return (math.nan,) * 6 if origin is None else (*origin[:3], *origin.offset)
+
+
+def _origin_of(numbers: Sequence[float]) -> Origin | None:
+    """Return the origin in a header's numbers, unless no place can be there."""
+    lat, lon, alt, *offset = numbers
+    is_place = abs(lat) < math.pi / 2 and abs(lon) <= math.pi and abs(alt) < _HIGHEST
+    if not (is_place and all(abs(one) < _FARTHEST for one in offset)):
+        return None
+    return Origin(lat, lon, alt, (offset[0], offset[1], offset[2]))
+
+
 def _is_known(block: Array) -> bool:
     """Return whether all is finite that must be."""
     known = block.copy()
@@ -339,3 +336,6 @@ def _is_known(block: Array) -> bool:
     x.field, x.alignment = Field(), Alignment()
     x.armed = x.landed = 0.0
     return bool(np.isfinite(known).all())
+
+
+__all__ = ["Clocks", "Origin", "Refusal", "Remains", "Sources", "Vehicle", "Why"]

@@ -6,12 +6,13 @@ stamps of the inertial samples, so both send the same.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Iterable
 from functools import partial
 
 from ekf_companion.config.config import Config
 from ekf_companion.engine.announcer import Announcer
-from ekf_companion.engine.checkpoint import Clocks, Vehicle
+from ekf_companion.engine.checkpoint import Clocks, Vehicle, Why
 from ekf_companion.engine.comparison import Comparison
 from ekf_companion.engine.options import session_options
 from ekf_companion.engine.pipeline import Estimate, Pipeline
@@ -25,7 +26,7 @@ from ekf_companion.engine.publisher import (
     smallest_rate,
 )
 from ekf_companion.engine.tuning import Tuning
-from ekf_companion.engine.warm_start import WarmStart
+from ekf_companion.engine.warm_start import Outcome, WarmStart
 from ekf_companion.mavlink import encode
 from ekf_companion.mavlink.commands import Stream
 from ekf_companion.mavlink.datagram import DatagramReader
@@ -47,6 +48,9 @@ from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.measurements import Kind, Row
 from ekf_companion.nav.state import Status
 
+_LOST = (Why.DAMAGED, Why.VERSION)
+"""Refusals after which the frame that the run before has sent in may be unknown. Those of the other
+kinds are of no flight that goes on, or have had no frame yet."""
 UNFED_NS = 2 * SECOND_NS
 """Without an inertial sample for so long, our heartbeat no longer carries the last status."""
 
@@ -102,6 +106,8 @@ class Companion:
         self._family = Family.UNKNOWN
         self._health_due = Due(1.0)
         self._has_sample = False
+        self._early: list[Row] = []
+        """What came before it was known what to begin with."""
         self._estimated_ns: int | None = None
         self._offer_streams()
 
@@ -152,10 +158,10 @@ class Companion:
         messages: list[Message] = []
         if self.pipeline is None:
             return messages
+        if not self._has_sample:
+            # Go on from a checkpoint, if there is one that fits the inertial samples
+            rows = self._start_from(rows, self.pipeline, now_ns)
         for row in rows:
-            # Go on from a checkpoint, if there is one that fits the first inertial sample
-            if not self._has_sample and row[1] == Kind.IMU:
-                self._start_from(row[0], self.pipeline, now_ns)
             # Order and fuse it; the newest inertial sample gives an estimate
             estimate = self.pipeline.process_row(row)
             if estimate is not None:
@@ -173,10 +179,40 @@ class Companion:
             self._estimated_ns = None
             self.session.set_state(encode.SYSTEM_STATUS[Status.INIT], Status.INIT)
 
-    def _start_from(self, t_ns: int, pipeline: Pipeline, now_ns: int) -> None:
+    def _start_from(self, rows: Iterable[Row], pipeline: Pipeline, now_ns: int) -> list[Row]:
+        """Return what can be processed by now; nothing until it is known what to begin with."""
+        self._early += rows
+        warm_start = self._warm_start
+        stamps_ns = [row[0] for row in self._early if row[1] == Kind.IMU]
+        if not stamps_ns:
+            return self._take_early() if warm_start is None or warm_start.is_empty else []
+        if warm_start is not None:
+            if not warm_start.is_judged(stamps_ns[-1], now_ns):
+                return []
+            self._begin_with(warm_start.resume(pipeline, stamps_ns, now_ns), now_ns)
         self._has_sample = True
-        if self._warm_start is not None:
-            self._warm_start.resume(pipeline, t_ns, now_ns)
+        return self._take_early()
+
+    def _take_early(self) -> list[Row]:
+        rows, self._early = self._early, []
+        return rows
+
+    def _begin_with(self, outcome: Outcome, now_ns: int) -> None:
+        """Do what follows from how the estimate begins."""
+        if self._publisher is not None:
+            self._publisher.frame.keep_datum(outcome.datum)
+            if outcome.lost is not None:
+                self._publisher.on_restart(outcome.lost)
+        if outcome.why in _LOST and not outcome.is_origin_kept:
+            self.session.new_frame.begin_anew()
+        if self._announcer is not None:
+            self._announcer.estimate.on_start(outcome, now_ns)
+
+    def on_pause(self, seconds: float, now_ns: int) -> None:
+        """Take into account that this process did not run: nobody was silent meanwhile."""
+        self.session.excuse(round(seconds * SECOND_NS))
+        if self._announcer is not None:
+            self._announcer.estimate.on_pause(seconds, now_ns)
 
     def _publish(self, estimate: Estimate, now_ns: int) -> list[Message]:
         """Send what is due of an estimate; look at the filter's health once a second."""
@@ -185,9 +221,10 @@ class Companion:
         self.estimate, self._estimated_ns = estimate, now_ns
         if self._announcer is not None and self._health_due.is_due(estimate.t_ns):
             health = estimate.health
-            self._announcer.on_health(health)
-            if (stream := self._publisher.stream) is not None and self.session.may_stream:
-                self._announcer.on_stream(stream)
+            self._announcer.estimate.on_health(health, now_ns)
+            if (stream := self._publisher.stream) is not None:
+                is_sent = self.session.stream_state.is_streaming
+                self._announcer.estimate.on_stream(stream, is_sent=is_sent, now_ns=now_ns)
             self.session.set_state(encode.SYSTEM_STATUS[health.status], health.status)
         self._compare(estimate, self._publisher)
         messages = self._publisher.due(estimate)
@@ -247,6 +284,7 @@ class Companion:
         self.pipeline = self._open_pipeline(config, peer.family.value)
         self._publisher = Publisher(config, peer.family)
         self._health_due = Due(1.0)
+        self._early = []
         self._offer_streams()
         if self._warm_start is not None:
             self._warm_start.on_vehicle(vehicle, self.pipeline, self.session.decoder)
@@ -307,10 +345,16 @@ class Companion:
         return self.session.data_to_send()
 
     def checkpoint(self, clocks: Clocks) -> bytes | None:
-        """Return what a restart could go on from; None if nothing has been estimated yet."""
-        if self.pipeline is None or self._warm_start is None:
+        """Return what a restart could go on from; None if nothing has been estimated yet.
+
+        Nor is there anything in a frame that nobody was sent: the next start is to know that the
+        one before it was lost.
+        """
+        is_lost = self.session.new_frame.hold is not None
+        if self.pipeline is None or self._warm_start is None or is_lost:
             return None
-        return self._warm_start.checkpoint(self.pipeline, self.session.decoder, clocks)
+        datum = math.nan if self._publisher is None else self._publisher.frame.known_datum
+        return self._warm_start.checkpoint(self.pipeline, self.session.decoder, clocks, datum)
 
     @property
     def silence(self) -> str:

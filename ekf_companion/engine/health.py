@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ekf_companion.core.enums import Aid, Arrival, Verdict
 from ekf_companion.nav.measurements import Kind
-from ekf_companion.nav.state import Status
+from ekf_companion.nav.state import Reason, Status
 
 RESET_REASONS = (
     "none",
@@ -78,6 +78,8 @@ class Health:
     """Whose fixes are used: 0 the first receiver's, 1 the second's."""
     compass: int = 0
     """Whose magnetic field is used: 0 the first compass's."""
+    reasons: Mapping[Reason, str] = field(default_factory=dict)
+    """Why the status is worse than OK, in words; the foremost first."""
 
     def fused(self, aid: Aid) -> int:
         """Return how many measurements of an aid were fused, with full or with less weight."""

@@ -16,11 +16,12 @@ from ekf_companion.core.settings import FilterSettings
 from ekf_companion.core.state import BLOCK
 from ekf_companion.core.state import State as FilterState
 from ekf_companion.core.timeline import COMPILED_BLOCK, Timeline
-from ekf_companion.engine.checkpoint import State, settings_fingerprint
+from ekf_companion.engine.checkpoint import Origin, State, settings_fingerprint
 from ekf_companion.engine.health import RESET_REASONS, Aid, Arrival, Health, Verdict
+from ekf_companion.engine.reasons import in_words
 from ekf_companion.nav.arrays import Array
 from ekf_companion.nav.measurements import Events, Kind, Measurement, Row
-from ekf_companion.nav.state import ODOMETRY_SIZE, Odometry, Status, Table
+from ekf_companion.nav.state import ODOMETRY_SIZE, Odometry, Reason, Status, Table
 
 QUALITY = {Status.OK: 100, Status.DEGRADED: 50, Status.DEAD_RECKONING: 20, Status.INVALID: -1}
 """Quality of an estimate by its status, as ODOMETRY carries it: per cent, -1 for failed."""
@@ -53,6 +54,7 @@ class Pipeline:
         self.family = family
         """``px4``, ``ardupilot`` or ``unknown``."""
         self._gnss_delay = gnss_delay
+        self._slow_time = settings.gnss.slow_time
         k, late = parameters(settings, family, gnss_delay), delays_ns(settings, family, gnss_delay)
         self._late = late
         self._fingerprint = settings_fingerprint(k, late)
@@ -138,6 +140,15 @@ class Pipeline:
         self.start = "warm"
         self.resets_before = int(as_state(state.block).resets)
 
+    def set_origin(self, origin: Origin, age: float = 0.0) -> None:
+        """Begin with an origin that is given, before anything is processed; ``age`` is in s.
+
+        The first fix is then a place in that frame: its position less the
+        slow error that the receiver had then, as far as that has not faded.
+        """
+        lat, lon, alt, offset = origin.later(age, self._slow_time)
+        self._timeline.set_origin(lat, lon, alt, np.array(offset))
+
     @property
     def resets(self) -> int:
         """How often the estimate has jumped on purpose."""
@@ -199,6 +210,7 @@ class Pipeline:
             std_vertical=now.std_pos[2],
             is_position_autopilots=bool(x.fix_t > x.raw_fix_t),
             start=self.start,
+            reasons=in_words(x, Reason(self._timeline.reasons)),
             receiver=int(x.receiver),
             compass=int(x.compass),
         )

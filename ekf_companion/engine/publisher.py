@@ -161,6 +161,11 @@ class Publisher:
         """Send the velocity along the body's axes: older PX4 understands no others."""
         self.label = replace(self.label, velocity=Frame.BODY_FRD)
 
+    def on_restart(self, lost: float) -> None:
+        """Learn that the estimate goes on from a run before, and that nothing was sent for s."""
+        if self.stream is not None:
+            self.stream.on_restart(lost)
+
     def retune(self, config: Config) -> None:
         """Decide by another configuration what is sent as ODOMETRY."""
         if self.stream is not None:

@@ -27,9 +27,12 @@ _VELOCITY = slice(7, 10)
 _POSE_COV, _TWIST_COV = 13, 34
 _POSE_ROWS, _TWIST_ROWS = slice(13, 28), slice(34, 49)
 """The first three rows of their triangles."""
-_POSE_BYTES, _CLIMB_BYTES = slice(52, 136), slice(180, 184)
-"""The pose's covariance, and the variance of the velocity down."""
-_NUMBERS, _SINGLE = Struct("<55f"), Struct("<f")
+_MOTION_PLACES = (0, 1, 2, 6, 7, 11)
+_MOTION_AXES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+"""Of a triangle, what its first three rows say of one another."""
+_POSE_BYTES = slice(52, 136)
+"""The pose's covariance."""
+_NUMBERS = Struct("<55f")
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
 """Of the upper triangle of a 6 x 6 matrix, row by row."""
 
@@ -156,10 +159,29 @@ def state_covariance(
     if is_relative and odometry.relative is not None:
         numbers = numbers[: _POSE_BYTES.start] + odometry.relative + numbers[_POSE_BYTES.stop :]
     if climb_factor != 1.0:
-        (variance,) = _SINGLE.unpack(numbers[_CLIMB_BYTES])
-        stated = _SINGLE.pack(variance * climb_factor)
-        numbers = numbers[: _CLIMB_BYTES.start] + stated + numbers[_CLIMB_BYTES.stop :]
+        numbers = _scale_climb(numbers, climb_factor)
     return odometry if numbers is odometry.numbers else odometry._replace(numbers=numbers)
+
+
+def _scale_climb(numbers: bytes, factor: float) -> bytes:
+    """Return the numbers of an ODOMETRY with the variance of the velocity down times a factor.
+
+    The covariance is along the axes of b, of which none points down while the vehicle is tilted:
+    what is added to it is along down, so that the velocity over ground stays as exact as it was.
+    """
+    given = list(_NUMBERS.unpack(numbers))
+    if not math.isfinite(given[_TWIST_COV]):
+        return numbers
+    down_b = from_quaternion(*given[_QUATERNION])[2]
+    xx, xy, xz, yy, yz, zz = (given[_TWIST_COV + place] for place in _MOTION_PLACES)
+    rows = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+    variance = sum(
+        a * sum(b * c for b, c in zip(row, down_b, strict=True))
+        for a, row in zip(down_b, rows, strict=True)
+    )
+    for place, (i, j) in zip(_MOTION_PLACES, _MOTION_AXES, strict=True):
+        given[_TWIST_COV + place] += (factor - 1.0) * variance * down_b[i] * down_b[j]
+    return _NUMBERS.pack(*given)
 
 
 def scale_errors(odometry: Odometry, factor: float) -> Odometry:
@@ -194,6 +216,12 @@ def stds(odometry: Odometry) -> tuple[float, float, float]:
         return math.inf, math.inf, math.inf
     velocity = math.sqrt(twist[0] + twist[6] + twist[11])
     return math.sqrt(pose[0] + pose[6]), velocity, math.sqrt(pose[20])
+
+
+def std_ground_speed(odometry: Odometry) -> float:
+    """Return one sigma of the velocity over ground, both axes, m/s; infinite if not known."""
+    twist = _NUMBERS.unpack(local_velocity(odometry).numbers)[_TWIST_COV:]
+    return math.sqrt(twist[0] + twist[6]) if math.isfinite(twist[0]) else math.inf
 
 
 def std_attitude(odometry: Odometry) -> float:

@@ -23,6 +23,7 @@ from ekf_companion.engine.residual import (
     scale_errors,
     state_covariance,
     std_attitude,
+    std_ground_speed,
     stds,
 )
 from ekf_companion.engine.step import POSITION, JumpDetector, Pose, Step, StepMeter, to_pose
@@ -31,8 +32,20 @@ from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.state import Odometry, Status
 
 WAIT_NS = 2 * SECOND_NS
-"""A first message waits no longer for the fix that makes it exact. PX4 holds out for 5 s without
-one (EKF2_NOAID_TOUT), of which a restart has taken up to three."""
+"""A first message waits no longer for the fix that makes it exact."""
+HOLDS_OUT_NS = {Family.PX4: 5 * SECOND_NS, Family.ARDUPILOT: 7 * SECOND_NS}
+"""So long an autopilot that flies on ODOMETRY holds out without: PX4 gives its position up then
+(EKF2_NOAID_TOUT), and EKF3 (``posRetryTimeNoVel_ms``). What a restart has taken is gone of it."""
+LEAST_WAIT_NS = SECOND_NS // 2
+"""Even where that is over: a fix comes five times a second, and without it the message would end
+the flight just as well."""
+_RESERVE_NS = SECOND_NS // 2
+"""For the way to the autopilot."""
+ROUGH_VELOCITY = 1.0
+"""One sigma of the velocity over ground, both axes, m/s, from which on a first message does more
+harm than a moment of silence. EKF2 takes the velocity of a moved counter with the variance stated,
+and PX4 leaves its mode beyond this (COM_VEL_FS_EVH). By a receiver that states 0.5 m/s for an axis
+it is 0.7."""
 BROKEN_NS = SECOND_NS * 2 // 5
 """After such a silence EKF2 has ended its fusion (twice EV_MAX_INTERVAL), and begins anew."""
 LOST_ATTITUDE = 0.35
@@ -97,6 +110,7 @@ class OdometryStream:
         self._since_ns: int | None = None
         """Since when there is an estimate, and none was sent yet that is worth to begin with."""
         self._sent_ns: int | None = None
+        self._wait_ns = WAIT_NS
         self._is_begun = False
         """Whether the receiver has a stream to go on from."""
         self._unaided = 0
@@ -134,6 +148,11 @@ class OdometryStream:
     def offset(self) -> Offset:
         """Where the frame of what is sent lies in that of the estimates."""
         return self._residual.offset
+
+    def on_restart(self, lost: float) -> None:
+        """Wait for the first fix as long as the follower holds out that heard nothing for s."""
+        left_ns = HOLDS_OUT_NS.get(self._family, WAIT_NS) - round(lost * SECOND_NS) - _RESERVE_NS
+        self._wait_ns = max(left_ns, LEAST_WAIT_NS)
 
     def add(self, sample: tuple[float, ...]) -> None:
         """Add the inertial sample of an estimate; to be called for each."""
@@ -250,7 +269,7 @@ class OdometryStream:
             return "the attitude is being found again"
         self._is_oriented |= not is_lost
         is_good = odometry.quality >= _GOOD
-        if not self._is_begun and self._is_waiting(estimate, is_good):
+        if not self._is_begun and self._is_waiting(estimate, odometry, is_good):
             return WAITING
         if is_good:
             return ""
@@ -261,12 +280,14 @@ class OdometryStream:
             return f"dead reckoning beyond {config.dead_reckoning_std:g} m"
         return ""
 
-    def _is_waiting(self, estimate: Estimate, is_good: bool) -> bool:
+    def _is_waiting(self, estimate: Estimate, odometry: Odometry, is_good: bool) -> bool:
         """Whether a fix that is still to come would make the first message much better."""
         if self._since_ns is None or estimate.t_ns < self._since_ns:
             self._since_ns = estimate.t_ns
-        has_waited = estimate.t_ns - self._since_ns >= WAIT_NS
-        return not has_waited and (not is_good or estimate.is_reset_due)
+        if estimate.t_ns - self._since_ns >= self._wait_ns:
+            return False
+        is_rough = std_ground_speed(odometry) > ROUGH_VELOCITY
+        return not is_good or estimate.is_reset_due or is_rough
 
 
 def _stated(odometry: Odometry) -> tuple[float, float, float]:

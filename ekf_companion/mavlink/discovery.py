@@ -134,6 +134,11 @@ class Discovery(Service):
         self.peer = sender
         self._find(expected.family, now_ns)
 
+    def excuse(self, span_ns: int) -> None:
+        """Do not count a time in which we did not listen as silence."""
+        self.heard_ns += span_ns
+        self._named_ns += span_ns
+
     def tick(self, now_ns: int) -> None:
         """Notice that the autopilot has fallen silent, or another."""
         is_late = quantise(now_ns) - self.heard_ns > _PEER_TIMEOUT_NS

@@ -34,6 +34,7 @@ from ekf_companion.mavlink.frame import JUNK, UNKNOWN, Frame, Splitter
 from ekf_companion.mavlink.guard import Guard, GuardOptions
 from ekf_companion.mavlink.heartbeat import ClashWatch, Heartbeat
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
+from ekf_companion.mavlink.new_frame import NewFrame
 from ekf_companion.mavlink.origin import OriginSetter
 from ekf_companion.mavlink.outbox import Message, Outbox
 from ekf_companion.mavlink.parameter_request import ParameterRequest
@@ -145,6 +146,7 @@ class Session:
 
         self.guard = Guard(self.outbox, self._emit, self.decoder.refuse_ours, when, is_flying)
         self.origin = OriginSetter(self.outbox, self.guard, self._emit, is_flying)
+        self.new_frame = NewFrame(self.guard, is_flying)
         self.discovery = Discovery(
             self._emit,
             self._begin,
@@ -177,7 +179,7 @@ class Session:
         self._with_all += [self.commands, self.parameters]
         # Conversations with the autopilot only, while it is heard
         guards: list[Service] = [self.guard, self.origin, self.delivery, self.second_source]
-        guards = [] if options.guard is None else [*guards, self.following]
+        guards = [] if options.guard is None else [*guards, self.following, self.new_frame]
         asked = ParameterRequest(self.outbox, lambda: self.decoder.missing)
         self._with_peer: list[Service] = [self.requests, asked, *guards, self.timesync]
         self._with_peer += [self.audit, self.statustext, self.autopilot_estimate]
@@ -391,6 +393,10 @@ class Session:
         self.parameters.retune(options.parameters)
 
     # What goes out
+
+    def excuse(self, span_ns: int) -> None:
+        """Take into account that we did not listen for a while: nobody was silent meanwhile."""
+        self.discovery.excuse(span_ns)
 
     def set_state(self, status: SystemStatus, mode: int = 0) -> None:
         """Carry this state of ours in the heartbeat from now on."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +36,56 @@ class Status(IntEnum):
     def words(self) -> str:
         """The name as it is said: ``dead reckoning``."""
         return self.name.lower().replace("_", " ")
+
+
+class Reason(IntFlag):
+    """Why an estimate with a position is not called OK: its status is the worst of the reasons."""
+
+    UNCERTAIN = 1 << 0
+    """The sigma of the position has passed its limit: INVALID."""
+    UNAIDED = 1 << 1
+    """No position and no velocity was fused for a second or more: DEAD_RECKONING. All that follow
+    make it DEGRADED."""
+    GAP = 1 << 2
+    """Inertial samples were missing, and fixes have not shown position and attitude again yet."""
+    SLOW_SAMPLES = 1 << 3
+    """Inertial samples come too rarely for the attitude of a vehicle."""
+    UNPROVEN = 1 << 4
+    """The attitude is new, and fixes are to confirm it."""
+    AUTOPILOTS = 1 << 5
+    """The position is the autopilot's own estimate, whose errors last."""
+    POSITION_REFUSED = 1 << 6
+    """The receiver's position is refused."""
+    POSITION_MISSING = 1 << 7
+    """None is fused, and none was refused."""
+    VELOCITY_REFUSED = 1 << 8
+    """The receiver's velocity is refused."""
+    POSITION_OFF = 1 << 9
+    """The receiver's positions deviate to one side, each by too little to be refused."""
+    SLIDE = 1 << 10
+    """The receiver's position moves otherwise than its velocity says."""
+    ATTITUDE = 1 << 11
+    """The attitude is not well known."""
+    HEADING_REFUSED = 1 << 12
+    """The azimuth in use, as a compass's, is refused."""
+    HEADING_MISSING = 1 << 13
+    """No azimuth is fused, and none was refused."""
+    HEIGHT_REFUSED = 1 << 14
+    """The receiver's height is refused."""
+    HEIGHT_MISSING = 1 << 15
+    """None is fused, and none was refused."""
+    HEIGHT_OFF = 1 << 16
+    """The receiver's heights deviate to one side."""
+    CLIMB_HEIGHT = 1 << 17
+    """Of three sources of the climb the receiver's height contradicts the other two."""
+    CLIMB_VELOCITY = 1 << 18
+    """Its vertical velocity does."""
+    CLIMB_BARO = 1 << 19
+    """The barometer does."""
+    CLIMB_ANY = 1 << 20
+    """They disagree, and no two agree against the third."""
+    FALL = 1 << 21
+    """The inertial samples deny the vertical velocity, and no barometer confirms it."""
 
 
 GEODETIC = ("lat_deg", "lon_deg", "alt_m")

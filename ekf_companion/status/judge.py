@@ -71,6 +71,7 @@ def judge(snapshot: Snapshot) -> HealthCheck:
         return HealthCheck(True, f"no position yet: the estimate is {health.status.name}; {why}")
     word = health.status.words
     line = "ok: the estimate is OK, " if health.status is Status.OK else f"{word}: "
+    line += "".join(f"{words}, " for words in health.reasons.values())
     line += f"{snapshot.imu.rate:.0f} Hz IMU, {_odometry(snapshot.output, snapshot.link)}"
     in_vain = [
         f"{name} at {message.rate:.0f} of {message.asked:.0f} Hz: {message.cause}"

@@ -57,6 +57,12 @@ HEALTH = {
         ("aid",),
     ),
     "reruns": counter("reruns", "Late measurements that made the filter redo."),
+    "reasons": gauge(
+        "status_reason",
+        "1 for each reason why the estimate is not ok.",
+        ("reason",),
+        rows=lambda reasons: dict.fromkeys(reasons, 1.0),
+    ),
     "std_horizontal": gauge("position_std_meters", "One sigma.", ("axis=horizontal",)),
     "std_vertical": gauge("position_std_meters", "One sigma.", ("axis=vertical",)),
     "is_position_autopilots": gauge(

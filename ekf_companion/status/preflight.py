@@ -81,7 +81,8 @@ def check(snapshot: Snapshot) -> Preflight:
         if not reasons:
             reasons += _of_beginning(snapshot.vehicle)
         if not reasons and snapshot.estimator.status is Status.DEGRADED and not notes:
-            reasons.append(Reason("degraded", "the estimate is degraded; wait, or see its sigmas"))
+            why = next(iter(snapshot.estimator.reasons.values()), "see its sigmas")
+            reasons.append(Reason("degraded", f"the estimate is degraded: {why}; wait"))
     notes += _remarks(snapshot)
     if reasons:
         words = "; ".join(reason.words for reason in reasons)

@@ -108,7 +108,9 @@ def test_rule_2_a_daemon_that_was_stopped_sends_nothing_of_the_time_that_it_miss
         daemon.kill(signal.SIGCONT)
         while odometry(pilot.wire)[-1] < last:
             time.sleep(0.1)
+        daemon.wait_for("The companion stood still for")
         assert daemon.stop() == 0
+        assert "Autopilot lost" not in daemon.words.read_text()
     missed = [t_us for t_us in odometry(pilot.wire) if first + 5e5 < t_us < last - 1e6]
     assert last - first > 2.5e6
     assert missed == []

@@ -30,7 +30,12 @@ CAUSE = "a loop of 50 Hz sends at most 40; raise SCHED_LOOP_RATE"
     [
         (PeerFound(1, 1, Family.PX4), "Autopilot found: system 1, component 1, px4", None, ""),
         (PeerLost(0), "Autopilot lost", None, ""),
-        (Rebooted(), "Autopilot rebooted", None, ""),
+        (
+            Rebooted(),
+            "Autopilot rebooted",
+            Severity.WARNING,
+            "autopilot rebooted, estimate anew",
+        ),
         (RequestAnswered("ATTITUDE", "denied"), "Request for ATTITUDE: denied", None, ""),
         (
             RequestAnswered("SCALED_PRESSURE", "failed"),

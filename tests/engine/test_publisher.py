@@ -22,8 +22,9 @@ from ekf_companion.mavlink.messages import by_name
 from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.nav.state import Odometry, Status
 
-NUMBERS = np.array([1, 2, 3, 1, 0, 0, 0, *[0.0] * 6, *np.ones(42)], dtype="<f4").tobytes()
-"""At rest, level, with its nose to the north."""
+SLOW = np.where(np.isin(np.arange(21), (0, 6)), 0.01, 1.0)
+NUMBERS = np.array([1, 2, 3, 1, 0, 0, 0, *[0.0] * 6, *np.ones(21), *SLOW], dtype="<f4").tobytes()
+"""At rest, level, with its nose to the north; the velocity over ground is known to 0.14 m/s."""
 ORIGIN = (0.1, 0.2, 300.0)
 
 

@@ -126,14 +126,12 @@ def test_a_cold_start_in_flight_counts_resets_on_where_it_knows_them(which):
 
 
 REFUSALS = {
-    "its checksum is wrong": {"data": lambda: left()[0][:-1]},
-    "it does not begin as": {"data": lambda: b"?"},
     "it had not found its attitude yet": {"data": lambda: left(0.5)[0]},
     "the estimator's settings are others": {
         "config": replace(INDEPENDENT, gnss=GnssSettings(delay=0.1))
     },
     "checkpoint.limit is 1 s": {"limit": 1.0},
-    "by the autopilot's clock, 62.1 s by ours": {"clocks": CLOCKS.later(60 * SECOND_NS)},
+    "by the autopilot's clock, 62.6 s by ours": {"clocks": CLOCKS.later(60 * SECOND_NS)},
     "5 restarts came within seconds": {
         "data": lambda: encode(replace(decode(left()[0]), starts=MOST_STARTS))
     },
