@@ -107,7 +107,7 @@ def test_fixes_that_are_lost_are_told_with_since_when():
 
 
 def test_fixes_that_are_refused_are_told():
-    found = verdict(stand(f"gnss-jump:start=6,{WHOLE}", duration=8.0))
+    found = verdict(stand(f"gnss-jump:start=12,{WHOLE}", duration=14.5))
     assert found.reasons[0] == "fixes refused: outside its gate"
 
 
