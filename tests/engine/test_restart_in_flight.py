@@ -50,7 +50,7 @@ def uninterrupted(kind):
     return np.array(list(sent)), np.array(list(sent.values())), data, companion.pipeline.origin
 
 
-def after(dead, kind=Kind.PX4, lasting=7.0):
+def after(dead, kind=Kind.PX4, lasting=9.0):
     """Return the cycles from some seconds after the end of the first companion."""
     first_ns = whole(kind)[0][0]
     begin, end = (first_ns + round((CUT + s) * SECOND_NS) for s in (dead, dead + lasting))
@@ -66,8 +66,8 @@ def offsets(sent, kind=Kind.PX4):
 
 
 def assert_same_frame(companion, sent, kind=Kind.PX4):
-    # But for the noise of the fixes that it began with, which has gone after three seconds
-    steady = [m for m in sent if m.time_usec * 1000 > sent[0].time_usec * 1000 + 3 * SECOND_NS]
+    # But for the noise of the fixes that it began with, which has gone after four seconds
+    steady = [m for m in sent if m.time_usec * 1000 > sent[0].time_usec * 1000 + 4 * SECOND_NS]
     assert np.abs(offsets(steady, kind).mean(axis=0)).max() < SAME
     assert companion.pipeline.origin == pytest.approx(uninterrupted(kind)[3], abs=1e-12)
 
