@@ -34,7 +34,7 @@ from ekf_companion.mavlink.codec import Sender, unpack
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS, LAYOUTS
 from ekf_companion.mavlink.session import RATES
-from ekf_companion.nav import so3
+from ekf_companion.nav import projection, so3
 from ekf_companion.nav.state import Status
 from ekf_companion.replay import convert
 from ekf_companion.replay import run as replay
@@ -451,13 +451,20 @@ def test_systemd_is_told_of_every_state(flown):
 
 
 def assert_same_as_its_estimates(record):
-    """Every ODOMETRY that was sent is the row of its stamp, to the bit."""
+    """Every ODOMETRY that was sent is the row of its stamp.
+
+    Attitude and velocity are so to the bit; the position is the same place, in the metres of the
+    autopilot's projection.
+    """
     with record.convert(".csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     by_stamp = {int(row["time_us"]): row for row in rows}
     assert len(by_stamp) == len(rows)
     sent = record.of("ODOMETRY")
-    for _, message in sent:
+    told = record.of("GPS_GLOBAL_ORIGIN")
+    for stamp, message in sent:
+        begun = [one for when, one in told if when <= stamp][-1]
+        origin = *np.deg2rad((begun.latitude * 1e-7, begun.longitude * 1e-7)), begun.altitude * 1e-3
         row = by_stamp[message.time_usec]
 
         def vector(names, row=row):
@@ -465,11 +472,13 @@ def assert_same_as_its_estimates(record):
 
         q_nb = vector("q_w q_x q_y q_z")
         unit = q_nb / np.sqrt(q_nb @ q_nb)
-        for ours, theirs in (
-            ((message.x, message.y, message.z), vector("pos_n pos_e pos_d")),
-            (message.q, -unit if unit[0] < 0.0 else unit),
-        ):
-            assert np.float32(ours).tobytes() == theirs.astype(np.float32).tobytes()
+        turned = -unit if unit[0] < 0.0 else unit
+        assert np.float32(message.q).tobytes() == turned.astype(np.float32).tobytes()
+        sphere = projection.PX4 if message.frame_id == LOCAL_NED else projection.ARDUPILOT
+        place = sphere.to_geodetic(message.x, message.y, *origin[:2])
+        # GPS_GLOBAL_ORIGIN has a centimetre, and a millimetre of height
+        assert place == pytest.approx(np.deg2rad(vector("lat_deg lon_deg")), abs=2e-9)
+        assert origin[2] - message.z == pytest.approx(float(row["alt_m"]), abs=2e-3)
         vel_n, said = vector("vel_n vel_e vel_d"), (message.vx, message.vy, message.vz)
         if message.child_frame_id == BODY_FRD:
             expected = (so3.to_matrix(q_nb).T @ vel_n).astype(np.float32)
