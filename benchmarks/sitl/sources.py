@@ -37,7 +37,7 @@ def second(simulator: Simulator, folder: Path) -> Iterator[Line]:
     assert isinstance(simulator, ArduPilot)
     log = fly_second(simulator, folder / "second")
     name = "second companion"
-    told = log.told_after("VISION_POSITION|component|second|another", log.marks["fault"])
+    told = log.told_after("poses|VISION_POSITION|another", log.marks["fault"])
     yield Line(name, "until the pilot reads of it", told, 5.0, " s")
     yield from _ours(name, log)
     yield pace(name, log)

@@ -16,6 +16,7 @@ How far is too far: beyond its gates an autopilot refuses ours (the table in doc
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -36,8 +37,11 @@ _LAG = 0.1
 turned in that time. EKF2 and EKF3 are late by 0.01 to 0.03 s (docs/SITL.md)."""
 _GRACE_NS = 3 * SECOND_NS
 """After ODOMETRY began or jumped: EKF3 takes a velocity beyond its gate within that."""
-_LASTS_NS = SECOND_NS
-"""So long it must be too far away before it is said."""
+_WINDOW, _MANY = 10, 4
+"""Of the comparisons of the last two seconds, so many must be too far before it is said: 0.8 s, or
+by turns, as where two sources are fused by turns."""
+_CALM_NS = 2 * SECOND_NS
+"""So long it must be near again."""
 _NEAR_NS = 5 * SECOND_NS
 """So long it must have been near before it counts as following, where it can choose."""
 _BASE_NS = 2 * SECOND_NS
@@ -121,8 +125,8 @@ class Following(Service):
         """From when on it is judged; None: ODOMETRY has not begun."""
         self._near_ns: int | None = None
         """Since when it is near."""
-        self._far_ns: int | None = None
-        """Since when it is too far."""
+        self._far: deque[bool] = deque(maxlen=_WINDOW)
+        """Which of the last comparisons were too far."""
         self._has_followed = False
         self._base: list[tuple[float, float, float]] = []
         self._base_ns: int | None = None
@@ -145,14 +149,16 @@ class Following(Service):
         decision, t_ns = self._decision(), separation.t_ns
         is_fused = decision.is_fused and bool(decision.parameters)
         if not (is_fused and is_running and (self._is_sent() or self.hold is not None)):
-            self._settled_ns = self._far_ns = self._near_ns = self._base_ns = None
+            self._settled_ns = self._near_ns = self._base_ns = None
+            self._far.clear()
             self._has_followed = False
             self._base.clear()
             self._show(replace(_measured(separation), lag=math.nan))
             self.hold = None
             return
         if self._settled_ns is None:
-            self._settled_ns, self._far_ns = t_ns + _GRACE_NS, None
+            self._settled_ns = t_ns + _GRACE_NS
+            self._far.clear()
             self._base.clear()
             self._base_ns = None
         separation = self._without_offset(separation)
@@ -169,11 +175,11 @@ class Following(Service):
             self._has_followed = True
         is_watched = t_ns >= self._settled_ns
         is_watched = is_watched and (self._has_followed or not decision.is_alternative)
-        self._far_ns = (self._far_ns or t_ns) if is_watched and excess > 1.0 else None
+        self._far.append(is_watched and excess > 1.0)
         apart = self.state.apart
-        if self._far_ns is not None and t_ns - self._far_ns >= _LASTS_NS:
+        if self._far[-1] and sum(self._far) >= _MANY:
             apart = _words(state, separation)
-        elif self._near_ns is not None and t_ns - self._near_ns >= _LASTS_NS:
+        elif self._near_ns is not None and t_ns - self._near_ns >= _CALM_NS:
             apart = ""
         self._show(replace(state, is_watched=is_watched, apart=apart))
         self.hold = self._held() if self.withholds else None
@@ -251,4 +257,4 @@ def _words(state: State, separation: Separation) -> str:
         parts.append(f"{state.velocity:.1f} m/s off")
     if not math.isnan(state.yaw) and abs(state.yaw) > _YAW:
         parts.append(f"yaw {math.degrees(abs(state.yaw)):.0f} deg off")
-    return ", ".join(parts) or "it was too far off a moment ago"
+    return ", ".join(parts)

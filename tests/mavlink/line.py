@@ -86,6 +86,7 @@ class Flown:
             now_ns = self.now_ns = self.now_ns + step_ns
             if now_ns // SECOND != (now_ns - step_ns) // SECOND:
                 self.back.send(self.autopilot.heartbeat(base_mode=self.base_mode), now_ns)
+                self.back.send(self.autopilot.place(now_ns // MS), now_ns)
             self._at_autopilot(now_ns)
             for at, data in self.back.arrived(now_ns):
                 self.session.receive(data, at)

@@ -57,6 +57,7 @@ FAULTS = {
     "its velocity is wrong": off(vel_n=(1.5, 0.0, 0.0)),
     "its yaw is wrong": off(yaw=math.radians(-40.0)),
     "it is 925 m away": off(925.0, 0.0),
+    "two sources are fused by turns": lambda t: {"pos_n": (2.8 * (round(5 * t) % 5 < 2), 0.0, 0.0)},
 }
 
 
@@ -100,7 +101,7 @@ def test_noise_and_single_outliers_are_not_named():
     rng = np.random.default_rng(3)
 
     def at(t):
-        away = 5.0 if rng.random() < 0.05 else 0.0
+        away = 5.0 if rng.random() < 0.02 else 0.0
         return {"pos_n": (*rng.normal(0.0, 0.4, 2) + away, rng.normal(0.0, 0.3))}
 
     assert Watched().fly(600.0, at).said == []

@@ -32,6 +32,7 @@ class Room:
             if self.now_ns % (500 * MS) == 0:
                 self._say("HEARTBEAT", type=2, autopilot=3, base_mode=self.base_mode)
             if self.now_ns % SECOND == 0:
+                self.session.receive(self.autopilot.place(self.now_ns // MS), self.now_ns)
                 for parameter, value in self.parameters.items():
                     self._say(
                         "PARAM_VALUE",
