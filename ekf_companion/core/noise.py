@@ -9,9 +9,9 @@ from cython.cimports.ekf_companion.core.state import State
 
 BLOCK_TIME = cython.declare(cython.double, 0.0095)
 """Least length of a block of samples, s: 10 ms, give or take their jitter."""
-LOST = cython.declare(cython.double, 2.5)
-"""Usual intervals without a sample after which a block begins anew: more than one is missing. An
-autopilot that thins its samples, 300 of them to 250, leaves one out again and again."""
+LOST = cython.declare(cython.double, 1.8)
+"""Usual intervals without a sample after which a block begins anew: one that is missing leaves two.
+An autopilot that thins its samples, 300 of them to 250, leaves out every sixth: 1.7 of the mean."""
 MEMORY = cython.declare(cython.double, 2.0)
 """Time constant of the noise learnt, s."""
 

@@ -29,6 +29,8 @@ _SMALLEST = {"ODOMETRY": 1.0}
 _SELDOM = 0.1
 """Hz; more rarely is as good as never."""
 _ANY = 1000.0
+_SHIFT = 0.1
+"""m; a datum of height that has moved further is told before the next ODOMETRY."""
 _LOOKS = 30.0
 """Of the estimate, Hz, whether ODOMETRY is due or not: between two of them it moves smoothly."""
 NEVER_NS = 1 << 63
@@ -146,6 +148,8 @@ class Publisher:
         self._origin: tuple[float, float, float] | None = None
         self._base: Place | None = None
         """The autopilot's origin that what is sent counts from; None: ours."""
+        self._datum = 0.0
+        """What the autopilot's altitudes were above ours when the origin was told last, m."""
         self._offset = NO_OFFSET
 
     @property
@@ -205,6 +209,7 @@ class Publisher:
             return messages
         odometry = self._due_odometry(estimate)
         if due["GPS_GLOBAL_ORIGIN"].is_due(t_ns) and (origin := estimate.origin) is not None:
+            self._datum = self.frame.datum
             payload = encode.gps_global_origin(*self.frame.counts_from(origin), t_ns=t_ns)
             messages.append(Message("GPS_GLOBAL_ORIGIN", payload))
         is_due = due[_OFFSET].is_due(t_ns)
@@ -237,7 +242,9 @@ class Publisher:
         # A new origin goes before the first ODOMETRY that counts from it, and so does an offset
         last, self._origin = self._origin, estimate.origin
         was, self._base = self._base, self.frame.origin
-        if self._origin not in (None, last) or was != self._base:
+        has_shifted = abs(self.frame.datum - self._datum) > _SHIFT
+        if self._origin not in (None, last) or was != self._base or has_shifted:
+            self._datum = self.frame.datum
             due["GPS_GLOBAL_ORIGIN"].request()
             if stream is not None and was != self._base and last is not None:
                 stream.move(self.frame.distance(was or last))

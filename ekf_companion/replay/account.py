@@ -114,6 +114,11 @@ def why_no_position(events: Events) -> str:
         return "no position: no fix was given; attitude is estimated, and height with a barometer"
     if len(fixes) == 1:
         return "no position: there is a single fix, and two are needed to begin; give more of them"
+    if at_zero := int(np.count_nonzero(~fixes.values[:, :2].any(axis=1))):
+        return (
+            f"no position: {at_zero} of {len(fixes)} fixes are at latitude and longitude 0, which "
+            "is written where there is no fix; look at lat_deg and lon_deg"
+        )
     span = (fixes.t_ns[-1] - fixes.t_ns[0]) * 1e-9
     what = f"no position, from {len(fixes)} fixes in {span:.1f} s: "
     if np.isin(events.kind, (Kind.HEADING, Kind.MAG)).any():

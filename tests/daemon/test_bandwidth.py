@@ -30,7 +30,7 @@ def test_odometry_that_is_sent_less_often_is_not_complained_of():
 
 
 def test_each_direction_is_judged_by_itself():
-    slow = {"link": {"imu_rate": 10.0, "gnss_rate": 5.0, "heading_rate": 2.0, "baro_rate": 5.0}}
+    slow = {"link": {"imu_rate": 8.0, "gnss_rate": 2.0, "heading_rate": 2.0, "baro_rate": 2.0}}
     (ours,) = found("serial:/dev/ttyS1:38400", **slow)
     assert "to the autopilot" in ours
     assert found("serial:/dev/ttyS1:38400", **slow, output={"odometry": {"rate": 5.0}}) == []

@@ -17,7 +17,7 @@ from ekf_companion.engine.checkpoint import Clocks
 from ekf_companion.engine.companion import Companion
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.engine.residual import about_down
-from ekf_companion.engine.step import to_pose
+from ekf_companion.engine.step import StepMeter, to_pose
 from ekf_companion.engine.stream import OdometryStream
 from ekf_companion.engine.warm_start import WarmStart
 from ekf_companion.logs import tlog
@@ -323,7 +323,7 @@ def test_nothing_is_sent_from_where_a_float32_has_no_centimetres():
     events, _ = simulated("hover", duration=80.0)
     fixes = (events.kind == Kind.GNSS) & between(events, 30.0, 99.0)
     pipeline = Pipeline(KNOWN)
-    stream, sent_n = OdometryStream(OdometryConfig(), Family.PX4), []
+    stream, sent_n = OdometryStream(OdometryConfig(), Family.PX4, StepMeter()), []
     moved = changed(events, fixes, 0, 200e3 / 6.367e6)
     for t_ns, kind, values in zip(
         moved.t_ns.tolist(), moved.kind.tolist(), moved.values.tolist(), strict=True

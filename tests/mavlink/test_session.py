@@ -188,6 +188,9 @@ def test_a_wrap_of_the_sequence_loses_nothing():
 # What we ask
 
 
+LOOP = {"param_id": b"SCHED_LOOP_RATE", "param_value": 400.0, "param_type": 4}
+
+
 def answer_all(session, autopilot, now_ns, results=None):
     """Tick and answer until nothing is asked; give (message id, rate) in order."""
     asked = []
@@ -247,6 +250,7 @@ def test_in_progress_is_waited_for():
 @pytest.mark.parametrize("result", [2, 3, 4])
 def test_an_ardupilot_without_highres_imu_is_asked_for_raw_imu(result):
     session, autopilot = met(ARDUPILOT, rates={"HIGHRES_IMU": 250.0, "ATTITUDE": 10.0})
+    session.receive(autopilot.say("param_value", **LOOP), 0)
     asked = answer_all(session, autopilot, 0, {"HIGHRES_IMU": result})
     assert asked == [("HIGHRES_IMU", 250), ("RAW_IMU", 250), ("ATTITUDE", 10)]
     session, autopilot = met(PX4, rates={"HIGHRES_IMU": 250.0})

@@ -385,7 +385,7 @@ def test_time_without_aid_and_resets_are_said(flown):
         ),
         (
             lambda f: {"gnss": f.gnss | dict.fromkeys(("lat_deg", "lon_deg"), 0.0 * f.gnss["alt"])},
-            r"degraded: position: (\d+) of (\d+) fixes refused",
+            r"no position: (\d+) of (\d+) fixes are at latitude and longitude 0",
         ),
         (
             lambda f: {"mag": f.mag | {"field": np.tile([0.2, 0.0, 0.4], (len(f.mag["time"]), 1))}},
