@@ -79,7 +79,12 @@ class Audit(Service):
         in_use = max(INERTIAL, key=lambda name: self.rates.get(name, 0.0))
         inertial = self.rates.get(in_use, 0.0)
         name = self._requests.inertial or (in_use if in_use == "RAW_IMU" else "HIGHRES_IMU")
-        self._judge_rate(name, inertial < _SHARE * self._requests.expected_rate(name), now_ns)
+        is_low = inertial < _SHARE * self._requests.expected_rate(name)
+        if is_low and self._tries[name] and self.rates.get(_GNSS, 0.0) == 0.0:
+            # What comes of it leaves no room for fixes
+            self._requests.lower(name, inertial)
+            return
+        self._judge_rate(name, is_low, now_ns)
         # The receiver decides its rate; only silence is a fault
         self._judge_rate(_GNSS, self.rates.get(_GNSS, 0.0) == 0.0, now_ns)
 

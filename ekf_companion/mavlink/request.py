@@ -103,6 +103,8 @@ class Requests(Service):
         self._loop_rate = LoopRate(outbox)
         self._wanted: deque[_Request] = deque()
         self._has_fallen_back = False
+        self._is_lowered = False
+        """Whether less is requested than is configured, so that fixes have room."""
         self._timeout_ns = _TIMEOUT_NS
         self._quiet_ns = 0
         """Until then answers to settled requests may come."""
@@ -113,6 +115,7 @@ class Requests(Service):
         self._loop_rate.begin(peer)
         self.results.clear()
         self._granted.clear()
+        self._is_lowered = False
         self._timeout_ns, self._quiet_ns = _TIMEOUT_NS, 0
         is_ardupilot = peer.family is Family.ARDUPILOT
         self._wanted = deque(
@@ -152,6 +155,19 @@ class Requests(Service):
         """Request once more a message that should come at its rate."""
         if all(request.name != name for request in self._wanted):
             self._wanted.append(_Request(name, self.expected_rate(name)))
+
+    def lower(self, name: str, measured: float) -> None:
+        """Request an inertial message of ArduPilot's at less than comes, Hz, to leave room."""
+        rate = next((step for step in _STEPS if step < 0.8 * measured), _STEPS[-1])
+        if name in self._granted and all(request.name != name for request in self._wanted):
+            self._granted[name], self._is_lowered = rate, True
+            self._wanted.append(_Request(name, rate))
+            self._emit(
+                Noted(
+                    f"{name} fills the link from the autopilot, and no fix comes through: "
+                    f"{rate:g} Hz are requested; a faster line would carry {self._rate(name):g}"
+                )
+            )
 
     def expected_rate(self, name: str) -> float:
         """Return the rate to expect of a message, Hz: the granted one, else the requested one."""
@@ -246,7 +262,7 @@ class Requests(Service):
             self._granted.pop(name, None)
         if result == ACCEPTED:
             self._granted = {name: rate}  # one message is enough
-            if rate < self._rate(name):
+            if rate < self._rate(name) and not self._is_lowered:
                 self._emit(
                     Noted(
                         f"{name} is granted at {rate:g} Hz, and {self._rate(name):g} were asked "
