@@ -49,7 +49,7 @@ class Autopilot(threading.Thread):
             now = time.monotonic()
             if now >= next_beat:
                 next_beat = now + 1.0
-                stream.sendall(self._voice.heartbeat(base_mode=128))
+                stream.sendall(self._voice.heartbeat(base_mode=128) + self._voice.place())
             if now >= next_sample:
                 next_sample = now + 0.02
                 sample = self._voice.say("RAW_IMU", time_usec=time.monotonic_ns() // 1000)
