@@ -126,7 +126,10 @@ def dangers(
         yield Line(
             flight, "largest horizontal error of ODOMETRY", found.horizontal_max, error, " m"
         )
-        yield Line(flight, "largest vertical error of ODOMETRY", found.vertical_max, error, " m")
+        # Heights are sent above the autopilot's own datum, which may be metres off; by the origin
+        # that the daemon tells beside them they are true
+        told = log.score("ours", begin)
+        yield Line(flight, "largest vertical error of ODOMETRY", told.vertical_max, error, " m")
     steps = untold_steps(flown.ours, flown.resets, flown.truth, 1.0)
     yield Line(flight, "untold steps of ODOMETRY over 1 m", steps, 0)
 
