@@ -23,7 +23,7 @@ LONGEST_TEXT = 39
 """Characters: of the 50 of a STATUSTEXT, without ``Companion: ``."""
 _PATIENCE = 5
 """Seconds until that is announced: at first an autopilot streams as it likes."""
-STEADY_NS = 10 * SECOND_NS
+STEADY_NS = 5 * SECOND_NS
 """An estimate that was degraded is called OK to the pilot when it has been so for so long: until
 then it may change to and fro."""
 RECOVERY_NS = 3 * SECOND_NS
