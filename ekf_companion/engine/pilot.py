@@ -51,6 +51,8 @@ class PilotTexts:
         """Of each subject, the key of the state that was sent last."""
         self._sent_ns: dict[tuple[str, str], int] = {}
         """When a state, or an occurrence (with an empty key), was sent last."""
+        self._renewed_ns: dict[str, int] = {}
+        """From when on a subject that is well again renews its other states without a text."""
         self._states: dict[str, _State] = {}
         self._left_out: dict[str, _LeftOut] = {}
 
@@ -81,14 +83,22 @@ class PilotTexts:
             return
         if not is_grave and not self._may_send((subject, key), now_ns):
             self._states[subject] = _State(key, severity, text, is_end)
+            if is_end and now_ns >= self._renewed_ns.get(subject, now_ns):
+                # Once a minute what comes next is news although this is not sent
+                self._renewed_ns[subject] = now_ns + MINUTE_NS
+                self._shown[subject] = key
+                self._renew(subject, key)
             return
         if is_end:
-            others = [kind for kind in self._sent_ns if kind[0] == subject and kind[1] != key]
-            for kind in others:
-                del self._sent_ns[kind]
+            self._renew(subject, key)
         self._shown[subject] = key
         self._sent_ns[subject, key] = now_ns
         self._send(severity, text)
+
+    def _renew(self, subject: str, key: str) -> None:
+        """Take any other state of a subject for news when it comes."""
+        for kind in [kind for kind in self._sent_ns if kind[0] == subject and kind[1] != key]:
+            del self._sent_ns[kind]
 
     def shown(self, subject: str) -> str:
         """Return the key of the state that was sent last of a subject; empty: none was."""

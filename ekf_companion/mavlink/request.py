@@ -157,8 +157,11 @@ class Requests(Service):
             self._wanted.append(_Request(name, self.expected_rate(name)))
 
     def lower(self, name: str, measured: float) -> None:
-        """Request an inertial message of ArduPilot's at less than comes, Hz, to leave room."""
-        rate = next((step for step in _STEPS if step < 0.8 * measured), _STEPS[-1])
+        """Request an inertial message of ArduPilot's at less than half of what comes, Hz.
+
+        On a full line all that is asked for waits, and the samples with it.
+        """
+        rate = next((step for step in _STEPS if step < 0.5 * measured), _STEPS[-1])
         if name in self._granted and all(request.name != name for request in self._wanted):
             self._granted[name], self._is_lowered = rate, True
             self._wanted.append(_Request(name, rate))

@@ -20,6 +20,7 @@ from ekf_companion.mavlink.codec import unpack
 from ekf_companion.mavlink.event import PeerLost, Rebooted
 from ekf_companion.mavlink.frame import Splitter
 from ekf_companion.mavlink.messages import IDS
+from ekf_companion.mavlink.stamp import SECOND_NS
 from ekf_companion.mavlink.statustext import CHUNK, Severity
 from ekf_companion.nav.state import Reason, Status
 from tests.engine.recorded import frames
@@ -280,3 +281,20 @@ def test_a_glitch_and_a_slide_are_named_within_five_seconds():
     assert [text[:14] for text in slide] == ["degraded: GNSS"] * 2
     assert slide[1].endswith("m off, refused")
     assert len(read) <= 10
+
+
+def test_a_fault_after_half_a_minute_of_health_is_news_though_health_was_told_lately():
+    sent = []
+    pilot = PilotTexts(lambda _, text: sent.append(text))
+    states = (
+        (0, "ok", "estimate OK"),
+        (30, "degraded", "GNSS is 60 m off"),
+        (50, "ok", "estimate OK"),
+        (55, "degraded", "GNSS is 2 m off"),
+        (56, "ok", "estimate OK"),
+        (58, "degraded", "GNSS is 3 m off"),  # once a minute only
+    )
+    for seconds, key, text in states:
+        is_end = key == "ok"
+        pilot.on_state("estimate", key, Severity.NOTICE, text, seconds * SECOND_NS, is_end=is_end)
+    assert sent == ["estimate OK", "GNSS is 60 m off", "GNSS is 2 m off"]
