@@ -340,8 +340,9 @@ def test_what_is_watched_fits_the_terminal_scrolls_and_ends_with_a_key(daemon):
         assert max(map(len, first)) <= 80
         screen.press(b"\x1b[B")
         screen.wait_for("lines 2 to 24 of ")
+        lines = re.search(r"of (\d+)", "\n".join(first))[1]
         screen.press(b"G")
-        last = screen.wait_for("of ")
+        last = screen.wait_for(f" to {lines} of {lines}")
         assert any("TIMESYNC" in line or "HIGHRES_IMU" in line for line in last)
         screen.press(b"\x1b[H")
         screen.wait_for("lines 1 to 23 of ")
