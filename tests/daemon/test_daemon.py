@@ -596,7 +596,7 @@ def wired(tmp_path_factory):
     cable = Cable(here, there)
     with Daemon(folder, config=config) as daemon:
         daemon.wait_for(": open")
-        first = fly_over(url, plan(10.0, boot=20.0), Kind.ARDUPILOT)
+        first = fly_over(url, plan(14.0, boot=16.0), Kind.ARDUPILOT)
         cable.unplug()
         daemon.wait_for("trying again")
         cable = Cable(here, there)
