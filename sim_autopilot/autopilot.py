@@ -267,7 +267,7 @@ class Autopilot:
             self.navigator.vision(vision, stamp_us * 1e-6)
 
     def _speak(self) -> None:
-        """Tell the pilot what the navigator has to say, and a new origin to all."""
+        """Send the pilot what the navigator has to say, and a new origin to all."""
         if (own := self.navigator) is None:
             return
         for text in own.texts():

@@ -76,7 +76,7 @@ class Navigator(Follower):
         return texts
 
     def tell(self, severity: int, text: str) -> None:
-        """Tell the pilot something with the next messages."""
+        """Send the pilot a text with the next messages."""
         self._texts.append(Text(severity, text))
 
     def place(self, motion: Motion) -> tuple[float, float, float] | None:

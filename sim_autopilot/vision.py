@@ -35,7 +35,7 @@ class VisionSource:
         rate: float = 30.0,
         component_id: int = COMPONENT,
     ) -> None:
-        """Say a message so many times a second.
+        """Send a message so many times a second.
 
         Args:
             motion: The truth of now.
@@ -59,7 +59,7 @@ class VisionSource:
         self.tick(now_ns)
 
     def tick(self, now_ns: int) -> None:
-        """Say what is due."""
+        """Send what is due."""
         self._begin_ns = now_ns if self._begin_ns is None else self._begin_ns
         if now_ns >= self._heartbeat_ns:
             self._heartbeat_ns = now_ns + _HEARTBEAT_NS

@@ -209,7 +209,7 @@ class Pilot:
         self.command(_SET_MODE, 1.0, float(mode))
 
     def upload(self, items: Sequence[Item]) -> None:
-        """Give it a mission.
+        """Upload a mission.
 
         Args:
             items: The first is home.

@@ -72,11 +72,11 @@ class Announcer:
         self._session.statustext.send(severity, f"Companion: {text}")
 
     def _tell(self, subject: str, severity: Severity, text: str) -> None:
-        """Tell the pilot the state of a subject, which the text itself names."""
+        """Send the pilot the state of a subject, which the text itself names."""
         self.pilot.on_state(subject, text, severity, text, self._now_ns)
 
     def _repeat(self, subject: str, severity: Severity, text: str) -> None:
-        """Tell the pilot what may come again soon, and then of several the last."""
+        """Send the pilot what may come again soon, and then of several the last."""
         self.pilot.on_occurrence(subject, severity, text, self._now_ns)
 
     def on_event(self, event: Event, now_ns: int) -> None:

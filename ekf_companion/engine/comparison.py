@@ -50,13 +50,14 @@ class Comparison:
 
     def __init__(self) -> None:
         self._kept: deque[Ours] = deque(maxlen=_KEPT)
-        self._position: Frame | None = None
-        self._attitude: Frame | None = None
-        self._yaw = math.nan
+        self.forget()
 
     def forget(self) -> None:
         """Forget our estimates: the autopilot's clock begins anew."""
-        self.__init__()  # type: ignore[misc]
+        self._kept.clear()
+        self._position: Frame | None = None
+        self._attitude: Frame | None = None
+        self._yaw = math.nan
 
     def keep(self, estimate: Estimate) -> None:
         """Keep an estimate of ours, if the last that was kept is old enough."""

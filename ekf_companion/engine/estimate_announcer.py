@@ -98,11 +98,11 @@ class EstimateAnnouncer:
         self._decimated, self._is_position_autopilots = 0, False
 
     def _tell(self, subject: str, severity: Severity, text: str) -> None:
-        """Tell the pilot the state of a subject, which the text itself names."""
+        """Send the pilot the state of a subject, which the text itself names."""
         self._pilot.on_state(subject, text, severity, text, self._now_ns)
 
     def on_start(self, outcome: Outcome, now_ns: int) -> None:
-        """Tell the pilot how a run goes on from the one before, which the log already has."""
+        """Report to the pilot how a run goes on from the one before, which the log already has."""
         self._now_ns = now_ns
         if outcome.lost is not None:
             self._recovering_ns = now_ns + RECOVERY_NS
@@ -116,7 +116,7 @@ class EstimateAnnouncer:
             self._pilot.on_occurrence("restart", Severity.WARNING, words, now_ns)
 
     def on_reboot(self, now_ns: int) -> None:
-        """Tell the pilot that the autopilot has rebooted, which the log already has."""
+        """Report to the pilot that the autopilot has rebooted, which the log already has."""
         self._pilot.on_state("estimate", "rebooted", Severity.WARNING, REBOOTED, now_ns)
 
     def on_pause(self, seconds: float, now_ns: int) -> None:

@@ -198,7 +198,7 @@ class OriginSetter(Service):
             self._give(now_ns, altitude=0)
 
     def _give(self, now_ns: int, altitude: int) -> None:
-        """Give the autopilot the place of our origin, at an altitude, mm."""
+        """Send the autopilot the place of our origin, at an altitude, mm."""
         self._given_ns, self._tries = now_ns, self._tries + 1
         latitude, longitude, _ = self._ours or (0, 0, 0)
         payload = pack(

@@ -25,7 +25,7 @@ class Voice:
         return self.say("HEARTBEAT", **({"type": 2, "autopilot": self.family} | fields))
 
     def place(self, t_ms=1000):
-        """Say where its local frame begins, and where it takes the vehicle to be."""
+        """Return the messages on its origin, and on where it takes the vehicle to be."""
         origin = {"latitude": 458366240, "longitude": 85943670, "altitude": 489_400}
         here = {"lat": 458366240, "lon": 85943670, "alt": 489_400, "time_boot_ms": t_ms}
         return self.say("GPS_GLOBAL_ORIGIN", **origin) + self.say("GLOBAL_POSITION_INT", **here)
