@@ -24,6 +24,7 @@ STREAMING = Config(output=OutputConfig(odometry=OdometryConfig(mode="always")))
 """Where nobody answers what the guard asks."""
 BEGIN = 30.0
 """Of a fault, s."""
+SCENARIOS = ["hover", pytest.param("figure-eight", marks=pytest.mark.campaign)]
 GOOD = SimConfig().gnss
 GOOD = dataclasses.replace(GOOD, noise_h=0.2, noise_v=0.3, slow_h=0.2, slow_v=0.2)
 
@@ -53,8 +54,8 @@ def is_good(companion, t, late) -> bool:
     )
 
 
-@pytest.mark.parametrize("scenario", ["hover", "figure-eight"])
-@pytest.mark.parametrize("compasses", [1, 2])
+@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.parametrize("compasses", [pytest.param(1, marks=pytest.mark.campaign), 2])
 @pytest.mark.parametrize("forward", [0.35, -0.35])
 def test_a_compass_that_is_off_at_once_is_left_for_another(scenario, compasses, forward):
     fault = f"mag-disturbance:start={BEGIN},duration=999,forward={forward}"
@@ -71,7 +72,7 @@ def test_a_field_that_is_added_to_all_compasses_makes_none_of_them_better():
     assert late[:, 2].max() < math.radians(5.0)
 
 
-@pytest.mark.parametrize("scenario", ["hover", "figure-eight"])
+@pytest.mark.parametrize("scenario", SCENARIOS)
 @pytest.mark.parametrize(
     "fault",
     [

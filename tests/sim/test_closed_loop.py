@@ -108,6 +108,7 @@ def test_a_constant_delay_is_a_lag_at_speed_that_a_parameter_takes_away():
     assert errors[210.0] < 0.3
 
 
+@pytest.mark.campaign
 def test_a_line_that_is_too_narrow_ends_in_a_failsafe_with_the_words_of_copter():
     # 30 messages of 245 bytes a second
     loop, _ = flying()

@@ -53,7 +53,8 @@ def test_after_a_cold_start_of_the_receiver_a_switch_moves_nothing_and_it_comes_
     assert loop.sent
 
 
-@pytest.mark.parametrize("away", [pytest.param(40.0, marks=LONG), 60.0])
+@LONG
+@pytest.mark.parametrize("away", [40.0, 60.0])
 def test_a_daemon_that_is_started_far_from_home_flies_on_from_there_and_comes_home(away):
     loop = ClosedLoop(Kind.ARDUPILOT, QUIET)
     board = Board(loop)
