@@ -243,7 +243,7 @@ def learn_doubt(x: State, k: Parameters, fix: Fix, o: Observation, nis: float) -
     excess = 0.0
     size = 0.0
     for r in range(o.rows):
-        own = fix.stated_var[AID_VELOCITY]
+        own = fix.stated_var[AID_VELOCITY] + o.uneven[r]
         for j in range(N):
             own += o.H[r][j] * o.PHt[r][j]
         excess += o.z[r] * o.z[r] / (o.rows * own)

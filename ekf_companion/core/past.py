@@ -18,6 +18,8 @@ from cython.cimports.ekf_companion.core.state import State
 NEVER = cython.declare(cython.double, -1e18)
 STEP = cython.declare(cython.double, 35e6)
 """Between what is kept, ns."""
+LONGEST = cython.declare(cython.double, 0.5)
+"""Of what is kept, s."""
 HALF = cython.declare(cython.double, 0.06)
 """Half the time over which an acceleration is a mean, s: one sample's noise would count as one."""
 
@@ -76,6 +78,47 @@ def gained_until(x: State, t: float, gained: Vector) -> None:
         else:
             share = (t - before) / (after - before)
             gained[i] = past.kept[first][i] + share * (end - past.kept[first][i])
+
+
+def unevenness(x: State, span: float, var: Vector) -> None:
+    """Write how far the velocity was off a straight line lately, as a variance of each axis.
+
+    Args:
+        x: The state.
+        span: Time that counts, s; of what is kept, half a second at most.
+        var: North, east, down, (m/s)^2.
+    """
+    past = address(x.past)
+    span = span if span < LONGEST else LONGEST
+    n = 1.0
+    sum_t = 0.0
+    sum_tt = 0.0
+    for j in range(PAST):
+        t = (past.kept_t[j] - x.t) * 1e-9
+        if t > -span:
+            n += 1.0
+            sum_t += t
+            sum_tt += t * t
+    spread = sum_tt - sum_t * sum_t / n
+    for i in range(3):
+        var[i] = 0.0
+        if n < 4.0 or spread <= 0.0:
+            continue
+        sum_v = 0.0
+        sum_vv = 0.0
+        sum_tv = 0.0
+        for j in range(PAST):
+            t = (past.kept_t[j] - x.t) * 1e-9
+            if t > -span:
+                v = past.kept[j][i] - past.gained[i]
+                sum_v += v
+                sum_vv += v * v
+                sum_tv += t * v
+        along = sum_tv - sum_t * sum_v / n
+        left = (sum_vv - sum_v * sum_v / n - along * along / spread) / (n - 2.0)
+        left -= span / 15.0 * (x.noise[3] + x.noise[4] + x.noise[5]) / 3.0
+        if left > 0.0:
+            var[i] = left
 
 
 def acceleration_noise(x: State) -> float:

@@ -137,6 +137,8 @@ class Observation:
     turn_nb: Annotated[Vector, 3, 3]
     """C_nb [rate x]: what velocity a lever arm in b has in n, 1/s."""
     then: Then
+    uneven: Annotated[Vector, 3]
+    """What the velocity's unevenness adds to R, (m/s)^2."""
 
     PHt: Annotated[Vector, 3, N]
     """P H', then the gains of the whitened rows."""

@@ -61,3 +61,50 @@ def test_nothing_is_kept_at_first():
     x.t += 5e7
     load().past.forget(x)
     np.testing.assert_allclose(look(x, 0.1).since, 0.1 * np.array(x.accel_n), rtol=1e-12)
+
+
+def uneven(velocities: np.ndarray, span: float, noise: float = 0.0) -> np.ndarray:
+    """Return the unevenness of velocities at RATE, shape (n, 3), over their last seconds."""
+    x, core, found = State(), load(), np.zeros(3)
+    core.past.forget(x)
+    array(x.noise)[3:] = noise
+    for n, one in enumerate(velocities):
+        x.t = n * 1e9 / RATE
+        array(x.past.gained)[:] = one
+        core.past.keep_velocity(x)
+    core.past.unevenness(x, span, found)
+    return found
+
+
+def test_a_straight_line_is_even():
+    t = np.arange(0.0, 2.0, 1.0 / RATE)
+    steady = t[:, None] * np.array([3.0, -20.0, 0.5]) + 7.0
+    np.testing.assert_allclose(uneven(steady, 0.4), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("span", [0.2, 0.4, 3.0])
+def test_unevenness_is_the_variance_about_a_straight_line(span):
+    t = np.arange(0.0, 3.0, 1.0 / RATE)
+    curved = velocity(t)
+    step = np.floor(t / 0.035 + 1e-9)
+    used = np.diff(step, prepend=-1.0) > 0.0
+    used[-1] = True  # now
+    used &= t > t[-1] - min(span, 0.5)
+    t, curved = t[used], curved[used]
+    slope, start = np.polyfit(t, curved, 1)
+    left = curved - (np.outer(t, slope) + start)
+    found = uneven(velocity(np.arange(0.0, 3.0, 1.0 / RATE)), span)
+    np.testing.assert_allclose(found, (left**2).sum(axis=0) / (len(t) - 2), rtol=1e-6)
+
+
+def test_the_noise_of_samples_is_none():
+    rng, noise = np.random.default_rng(1), 0.02
+    steps = rng.normal(0.0, np.sqrt(noise / RATE), (200, 250, 3))
+    found = [uneven(np.cumsum(one, axis=0), 0.4, noise) for one in steps]
+    raw = [uneven(np.cumsum(one, axis=0), 0.4) for one in steps]
+    assert np.mean(found) < 0.4 * np.mean(raw)
+
+
+def test_of_too_few_velocities_nothing_is_said():
+    assert uneven(velocity(np.arange(0.0, 0.06, 1.0 / RATE)), 0.4).max() == 0.0
+    assert uneven(velocity(np.arange(0.0, 2.0, 1.0 / RATE)), 0.0).max() == 0.0
