@@ -5,7 +5,7 @@ cdef void keep_fix(State *x, Parameters *k, Fix *fix, Observation *o) noexcept n
 cdef void learn_delay(State *x, Parameters *k, Scratch *w) noexcept nogil
 cdef void compare_gains(State *x, Parameters *k, Observation *o) noexcept nogil
 cdef double true_share(State *x) noexcept nogil
-cdef void learn_noise(State *x, Observation *o, double nis) noexcept nogil
+cdef void learn_noise(State *x, Observation *o, double nis, double uneven) noexcept nogil
 cdef void weigh_anew(State *x, Parameters *k) noexcept nogil
 cdef double first_variance(State *x, Parameters *k) noexcept nogil
 cdef void take_told(State *x, Parameters *k, double told) noexcept nogil

@@ -20,7 +20,7 @@ from cython.cimports.ekf_companion.core import lever, observe
 from cython.cimports.ekf_companion.core.correct import apply_delay_update, innovate
 from cython.cimports.ekf_companion.core.enums import AID_VELOCITY, E_ATT, E_BA, E_DELAY, N
 from cython.cimports.ekf_companion.core.parameters import Parameters
-from cython.cimports.ekf_companion.core.past import acceleration_noise, look_back
+from cython.cimports.ekf_companion.core.past import acceleration_noise, look_back, unevenness
 from cython.cimports.ekf_companion.core.propagate import propagate_covariance
 from cython.cimports.ekf_companion.core.rotation import to_dcm
 from cython.cimports.ekf_companion.core.scratch import Fix, Observation, Scratch
@@ -101,9 +101,11 @@ def compare_gains(x: State, k: Parameters, o: Observation) -> None:
     to_dcm(x.q_nb, o.C_nb)
     true = true_share(x)
     turning = true * lever.true_share(x)
+    unevenness(x, o.uneven)
     for i in range(2):
         change = gain.end.accel_n[i] - begin.accel_n[i]
-        observe.clear(o, 1, noise)
+        uneven = 2.0 * o.uneven[i]  # at the begin as well
+        observe.clear(o, 1, noise + uneven)
         o.H[0][E_DELAY] = -change * true
         # attitude and bias turn and move the gain of the samples: in a steady circle as a delay
         o.H[0][E_ATT + 1 - i] = k.gravity * span * (2.0 * i - 1.0)
@@ -113,7 +115,7 @@ def compare_gains(x: State, k: Parameters, o: Observation) -> None:
         o.z[0] = gain.end.vel_n[i] - begin.vel_n[i] - (north if i == 0 else east)
         o.z[0] += change * true * (x.gnss_delay - gain.end.delay)
         nis = innovate(x, o)
-        learn_noise(x, o, nis)
+        learn_noise(x, o, nis, uneven)
         if nis < LARGEST_NIS:
             lever.learn(x, k, o, i, turning)
         if nis < LARGEST_NIS and true > 0.0:
@@ -134,11 +136,11 @@ def true_share(x: State) -> float:
     return true / gain.change if true > 0.0 else 0.0
 
 
-def learn_noise(x: State, o: Observation, nis: float) -> None:
-    """Learn the noise of gains; that the delay is not known is none of it, and hides it."""
+def learn_noise(x: State, o: Observation, nis: float, uneven: float) -> None:
+    """Learn the noise of gains; the delay that is not known and what is uneven hide it."""
     gain = address(x.gain)
     expected = o.L[0][0] * o.L[0][0]
-    hidden = o.H[0][E_DELAY] * o.H[0][E_DELAY] * x.P[E_DELAY][E_DELAY]
+    hidden = o.H[0][E_DELAY] * o.H[0][E_DELAY] * x.P[E_DELAY][E_DELAY] + uneven
     share = hidden / expected if hidden < expected else 1.0
     seen = (nis if nis < LARGEST_TERM else LARGEST_TERM) * expected - hidden
     weight = (1.0 - share) * (1.0 - share) / (FIRST_MEMORY + gain.n)

@@ -33,8 +33,6 @@ from cython.cimports.libc.math import atan2, cos, fabs, isnan, sin, sqrt
 
 EARTH_RATE = cython.declare(cython.double, 7.292115e-5)
 """rad/s."""
-INTERVALS = cython.declare(cython.double, 2.0)
-"""Time over which the velocity's unevenness counts, in intervals of the receiver."""
 STEEPEST_DIP = cython.declare(cython.double, 1.5)
 """Dip beyond which the horizontal field of the model is as uncertain as it is small, rad."""
 
@@ -135,8 +133,9 @@ def velocity(x: State, k: Parameters, fix: Fix, o: Observation) -> None:
     look_back(x, x.gnss_delay, address(o.then))
     add_timing_noise(o, k, o.then.accel_n)
     lever.add_noise(x, k, o)
-    unevenness(x, INTERVALS * x.fix_dt if k.learn_noise != 0.0 else 0.0, o.uneven)
+    unevenness(x, o.uneven)
     for i in range(o.rows):
+        o.uneven[i] *= k.learn_noise  # not beside a noise that is told
         o.R[i][i] += o.uneven[i]
         antenna = x.vel_n[i] + o.arm_vel_n[i] - o.then.since[i]
         o.z[i] = fix.vel_n[i] - (antenna + x.gnss_vel_offset[i])

@@ -4,5 +4,5 @@ cdef void forget(State *x) noexcept nogil
 cdef void keep_velocity(State *x) noexcept nogil
 cdef void look_back(State *x, double late, Then *then) noexcept nogil
 cdef void gained_until(State *x, double t, double *gained) noexcept nogil
-cdef void unevenness(State *x, double span, double *var) noexcept nogil
+cdef void unevenness(State *x, double *var) noexcept nogil
 cdef double acceleration_noise(State *x) noexcept nogil

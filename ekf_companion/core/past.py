@@ -4,6 +4,10 @@ A fix is fused at the time when it was true by the configured delay; by the esti
 true some hundredths or tenths of a second earlier. Over such a time the acceleration changes, so
 the inertial samples say what the velocity was then, not its slope now. What is kept is the velocity
 that they have gained, without the corrections: these hold for the whole of so short a time.
+
+A receiver gives a velocity of its whole interval, by the phases at both ends or by a filter of its
+own. Where the motion bends within it, in gusts and steep turns, that is off by as much, and by no
+noise.
 """
 
 from __future__ import annotations
@@ -18,8 +22,10 @@ from cython.cimports.ekf_companion.core.state import State
 NEVER = cython.declare(cython.double, -1e18)
 STEP = cython.declare(cython.double, 35e6)
 """Between what is kept, ns."""
+INTERVALS = cython.declare(cython.double, 2.0)
+"""Time over which the unevenness of the velocity counts, in intervals of the receiver."""
 LONGEST = cython.declare(cython.double, 0.5)
-"""Of what is kept, s."""
+"""The same in seconds, as long as anything is kept."""
 HALF = cython.declare(cython.double, 0.06)
 """Half the time over which an acceleration is a mean, s: one sample's noise would count as one."""
 
@@ -80,15 +86,13 @@ def gained_until(x: State, t: float, gained: Vector) -> None:
             gained[i] = past.kept[first][i] + share * (end - past.kept[first][i])
 
 
-def unevenness(x: State, span: float, var: Vector) -> None:
+def unevenness(x: State, var: Vector) -> None:
     """Write how far the velocity was off a straight line lately, as a variance of each axis.
 
-    Args:
-        x: The state.
-        span: Time that counts, s; of what is kept, half a second at most.
-        var: North, east, down, (m/s)^2.
+    That is how far a receiver's velocity is off that gives a mean, (m/s)^2.
     """
     past = address(x.past)
+    span = INTERVALS * x.fix_dt
     span = span if span < LONGEST else LONGEST
     n = 1.0
     sum_t = 0.0

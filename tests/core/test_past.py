@@ -66,13 +66,14 @@ def test_nothing_is_kept_at_first():
 def uneven(velocities: np.ndarray, span: float, noise: float = 0.0) -> np.ndarray:
     """Return the unevenness of velocities at RATE, shape (n, 3), over their last seconds."""
     x, core, found = State(), load(), np.zeros(3)
+    x.fix_dt = span / 2.0
     core.past.forget(x)
     array(x.noise)[3:] = noise
     for n, one in enumerate(velocities):
         x.t = n * 1e9 / RATE
         array(x.past.gained)[:] = one
         core.past.keep_velocity(x)
-    core.past.unevenness(x, span, found)
+    core.past.unevenness(x, found)
     return found
 
 
