@@ -37,6 +37,7 @@ def test_a_delay_is_found(late):
     assert found.gain.max() == 0.0
 
 
+@pytest.mark.campaign
 def test_an_interval_covers_the_truth_where_the_inertial_sensors_are_noisy():
     noisy = ImuConfig(rate=25.0, gyro_noise=0.006, accel_noise=0.08)
     inside = 0
@@ -144,7 +145,10 @@ def test_the_keys_say_the_delay_and_how_sure_it_is():
     ("name", "late", "near", "part"),
     [
         ("sitl-arducopter-bin/flight.bin", 0.085, 0.005, (60.0, 130.0)),
-        ("sitl-arducopter-square/flight.tlog", 0.085, 0.005, (0.0, 50.0)),
+        pytest.param(
+            *("sitl-arducopter-square/flight.tlog", 0.085, 0.005, (0.0, 50.0)),
+            marks=pytest.mark.campaign,
+        ),
         # as the log declares it
         ("px4-ulg-x500-mission/x500_mission_2023.ulg", 0.110, 0.03, (0.0, 50.0)),
     ],

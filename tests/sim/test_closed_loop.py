@@ -73,6 +73,7 @@ def test_it_takes_off_flies_a_square_and_lands_at_home_on_either_source():
     assert np.abs(loop.said_error(15.0)).max() < 0.6
 
 
+@pytest.mark.campaign
 def test_a_frame_that_is_off_moves_it_as_far_in_truth_and_it_says_that_it_stood():
     loop, _ = flying((6.0, 0.0, -4.0))
     begin = loop.t
@@ -170,6 +171,7 @@ def test_an_origin_is_told_when_it_is_set_and_when_it_is_asked_for_and_another_r
     assert abs(local) < 0.3
 
 
+@pytest.mark.campaign
 def test_its_global_position_is_its_local_one_by_its_own_projection():
     loop, _ = flying()
     listener = Listener(ask=("GPS_GLOBAL_ORIGIN", "HOME_POSITION"))

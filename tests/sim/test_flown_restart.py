@@ -39,6 +39,7 @@ def test_it_stands_while_the_daemon_is_restarted(gap, age):
     assert [t for t, _ in loop.sent if t > loop.t - 0.5]
 
 
+@pytest.mark.campaign
 def test_with_a_checkpoint_that_is_too_old_it_goes_on_in_the_same_frame():
     loop, board = on_ours()
     board.save()
