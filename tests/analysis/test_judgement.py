@@ -73,6 +73,7 @@ def test_a_truth_beside_the_log_is_what_it_is_judged_by(flight, tmp_path):
         assert said(*words).startswith(("poor: 20.", "poor: 19."))
 
 
+@pytest.mark.campaign
 def test_a_truth_far_from_the_fixes_too_is_asked_about(flight, tmp_path):
     log, truth = flight
     other = shifted(truth, tmp_path / "other.csv", 118.0)

@@ -115,6 +115,7 @@ def with_outlier(review):
     return replace(review, table=table, ours=replace(review.ours, lat=lat))
 
 
+@pytest.mark.campaign
 def test_an_outlier_spoils_no_axis_and_a_switch_shows_it(flown, tmp_path):
     path = tmp_path / "wild.html"
     report_page.write(path, with_outlier(review(flown, Config())))

@@ -173,6 +173,7 @@ NOTE_TEXTS = """(() => {
 """Keeps what is written on canvases."""
 
 
+@pytest.mark.campaign
 def test_on_a_phone_everything_is_on_the_screen_and_times_of_day_have_their_hours(tmp_path, ports):
     """390 CSS pixels, of which the fonts take what they need."""
     flight = flying(f"udpout:127.0.0.1:{ports[0]}")

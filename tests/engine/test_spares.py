@@ -24,7 +24,8 @@ STREAMING = Config(output=OutputConfig(odometry=OdometryConfig(mode="always")))
 """Where nobody answers what the guard asks."""
 BEGIN = 30.0
 """Of a fault, s."""
-SCENARIOS = ["hover", pytest.param("figure-eight", marks=pytest.mark.campaign)]
+LONG = pytest.mark.campaign
+SCENARIOS = ["hover", pytest.param("figure-eight", marks=LONG)]
 GOOD = SimConfig().gnss
 GOOD = dataclasses.replace(GOOD, noise_h=0.2, noise_v=0.3, slow_h=0.2, slow_v=0.2)
 
@@ -55,8 +56,8 @@ def is_good(companion, t, late) -> bool:
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-@pytest.mark.parametrize("compasses", [pytest.param(1, marks=pytest.mark.campaign), 2])
-@pytest.mark.parametrize("forward", [0.35, -0.35])
+@pytest.mark.parametrize("compasses", [pytest.param(1, marks=LONG), 2])
+@pytest.mark.parametrize("forward", [0.35, pytest.param(-0.35, marks=LONG)])
 def test_a_compass_that_is_off_at_once_is_left_for_another(scenario, compasses, forward):
     fault = f"mag-disturbance:start={BEGIN},duration=999,forward={forward}"
     companion, t, late = flown(fault, scenario, compasses)
@@ -77,9 +78,9 @@ def test_a_field_that_is_added_to_all_compasses_makes_none_of_them_better():
     "fault",
     [
         "gnss-jump:east=60",
-        "gnss-jump:north=-25,down=10",
+        pytest.param("gnss-jump:north=-25,down=10", marks=LONG),
         "gnss-outage:how=silent",
-        "gnss-outage:how=nofix",
+        pytest.param("gnss-outage:how=nofix", marks=LONG),
         "gnss-frozen:time=same",
     ],
 )

@@ -68,6 +68,7 @@ def test_a_covariance_without_the_slow_error_lets_it_follow_in_height_and_place(
     assert ours.horizontal < (0.9 if kind is Kind.ARDUPILOT else 1.05) * whole.horizontal
 
 
+@pytest.mark.campaign
 def test_flown_on_ours_ekf2_is_as_good_as_on_its_receiver():
     ours, own = flown(EKF2, Kind.PX4)
     assert ours.velocity < own.velocity
