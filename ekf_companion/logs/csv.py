@@ -79,10 +79,11 @@ def read(path: Path, columns: Mapping[str, Any] | None = None) -> Recording:
     table = Table(path, delimiter)
     _check_separated(path, table.names, delimiter)
     entries = {key: columns[key] for key in columns if key not in OPTIONS}
-    notes: list[str] = []
+    notes = [*table.notes]
     zero_height = 0.0
     if not entries and (known := csv_known.find(table.names)) is not None:
-        where, notes = str(path), [f"header of {known.name}: read without a map"]
+        where = str(path)
+        notes.append(f"header of {known.name}: read without a map")
         entries = {key: known.columns[key] for key in known.columns if key not in OPTIONS}
         options = {key: known.columns[key] for key in OPTIONS if key in known.columns} | options
         if known.zero_height and options["origin"] == known.columns["origin"]:

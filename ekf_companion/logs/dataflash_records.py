@@ -205,7 +205,8 @@ def read_tables(path: Path, names: Wanted = None) -> tuple[Tables, list[str], se
         LogError: The file is missing, empty, or holds no FMT record; there is no room for a
             temporary file.
     """
-    found = _find_records(MappedFile(path, KIND), names)
+    file = MappedFile(path, KIND)
+    found = _find_records(file, names)
     if not found.formats:
         raise LogError(f"{path}: holds no FMT record, so it is not a {KIND}; check the file")
     tables: Tables = {}
@@ -215,7 +216,7 @@ def read_tables(path: Path, names: Wanted = None) -> tuple[Tables, list[str], se
         if kind in found.tables and len(found.tables[kind]) > len(tables.get(name, ())):
             tables[name] = found.tables[kind]
     others = {layout.name for kind, layout in found.formats.items() if found.counts[kind]}
-    notes, damage = [], Damage()
+    notes, damage = file.notes, Damage()
     if found.damaged:
         notes.append(f"{damaged_places(found.damaged)} in the file: the records there are lost")
         records = int(sum(found.counts)) + found.damaged

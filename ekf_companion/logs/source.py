@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import gzip
 import mmap
 import os
+import stat
+import tempfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,9 +16,21 @@ from ekf_companion.errors import LogError, part_of
 
 PACKED = (".gz", ".zst")
 LARGEST = 1 << 33
-"""Bytes that a packed file may hold."""
+"""Bytes that a packed file, or what comes through a pipe, may hold."""
+EXPANSION = 200
+"""Largest share of a packed file's own bytes that it may hold: rows of a vehicle that stands still
+pack to a fiftieth, what is made to fill a memory to a thousandth or less."""
 LARGE = 1 << 26
-"""Bytes from which on a file is mapped."""
+"""Bytes from which on a file is mapped, and what is unpacked lies in a temporary file; a packed
+file may hold as many, however small it is."""
+BLOCK = 1 << 20
+"""Bytes that are read or unpacked at a time."""
+PIECE = 1 << 12
+"""Bytes of a gzip file that are unpacked at once: so much goes with a damaged one."""
+HEADER = 18
+"""Largest size of what is before the blocks of a Zstandard file."""
+WINDOW = 1 << 27
+"""Largest memory that a Zstandard file may ask for, as its own program allows it."""
 
 
 def suffix_of(path: Path) -> str:
@@ -34,13 +47,9 @@ def read_bytes(path: Path, kind: str) -> bytes:
     """Return all bytes of a file, unpacked; its kind (``DataFlash .bin log``) is for messages.
 
     Raises:
-        LogError: The file is missing, empty, a folder or not readable.
+        LogError: As :class:`MappedFile`.
     """
-    with _opened(path, kind) as file:
-        data = _unpack(path, file) if path.suffix.lower() in PACKED else file.read()
-    if not data:
-        raise LogError(f"{path}: an empty file, not a {kind}; record or download it again")
-    return data
+    return bytes(MappedFile(path, kind).data)
 
 
 class MappedFile:
@@ -53,14 +62,25 @@ class MappedFile:
         """Open a file; its kind is for messages.
 
         Raises:
-            LogError: As :func:`read_bytes`.
+            LogError: The file is missing, empty, a folder or a device, not readable, or packed and
+                not to be unpacked.
         """
-        self._map: mmap.mmap | None = None
-        is_plain = path.is_file() and path.suffix.lower() not in PACKED
-        if is_plain and path.stat().st_size >= LARGE:
-            with _opened(path, kind) as file:
-                self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        self.data = memoryview(read_bytes(path, kind) if self._map is None else self._map)
+        self.notes: list[str] = []
+        """What is to be said of the file, whatever is in it."""
+        content: bytes | mmap.mmap
+        with _opened(path, kind) as file:
+            if path.suffix.lower() in PACKED:
+                content = _gather(path, _unpack(path, file, self.notes), _most(path, file))
+            elif not path.is_file():
+                content = _gather(path, _blocks(file), LARGEST)
+            elif os.fstat(file.fileno()).st_size >= LARGE:
+                content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            else:
+                content = file.read()
+        if not content:
+            raise LogError(f"{path}: an empty file, not a {kind}; record or download it again")
+        self._map = content if isinstance(content, mmap.mmap) else None
+        self.data = memoryview(content)
         """The bytes."""
 
     def release(self) -> None:
@@ -70,20 +90,23 @@ class MappedFile:
 
 
 class Source:
-    """The bytes of a file, read piece by piece; a packed one, or a pipe, is held in memory."""
+    """The bytes of a file, read piece by piece; those of a packed one, or a pipe, are kept."""
 
     def __init__(self, path: Path, kind: str) -> None:
         """Look at a file; its kind is for messages.
 
         Raises:
-            LogError: As :func:`read_bytes`.
+            LogError: As :class:`MappedFile`.
         """
         self._path, self._kind = path, kind
-        self._data: bytes | None = None
+        self.notes: list[str] = []
+        """What is to be said of the file, whatever is in it."""
+        self._data: memoryview | None = None
         if path.suffix.lower() in PACKED or (path.exists() and not path.is_file()):
-            self._data = read_bytes(path, kind)
-        with _opened(path, kind) as file:
-            self._size = file.seek(0, os.SEEK_END) if self._data is None else len(self._data)
+            file = MappedFile(path, kind)
+            self._data, self.notes = file.data, file.notes
+        with _opened(path, kind) as plain:
+            self._size = plain.seek(0, os.SEEK_END) if self._data is None else len(self._data)
         if not self._size:
             raise LogError(f"{path}: an empty file, not a {kind}; record or download it again")
 
@@ -98,7 +121,7 @@ class Source:
         """
         end = min(end, self._size)
         if self._data is not None:
-            return self._data[start:end]
+            return bytes(self._data[start:end])
         with _opened(self._path, self._kind) as file:
             file.seek(start)
             data = file.read(end - start)
@@ -112,6 +135,8 @@ def _opened(path: Path, kind: str) -> Iterator[BinaryIO]:
     """Open a file, and turn an error of the file system into one that names the remedy."""
     try:
         with path.open("rb") as file:
+            if stat.S_ISCHR(os.fstat(file.fileno()).st_mode):
+                raise LogError(f"{path}: a device, which has no end; name a {kind}")
             yield file
     except FileNotFoundError:
         raise LogError(f"{path}: no such file; check the path of the {kind}") from None
@@ -121,33 +146,90 @@ def _opened(path: Path, kind: str) -> Iterator[BinaryIO]:
         raise LogError(f"{path}: cannot be read ({error.strerror}); check its rights") from None
 
 
-def _unpack(path: Path, file: BinaryIO) -> bytes:
+def _most(path: Path, file: BinaryIO) -> int:
+    """Return how many bytes a packed file may hold."""
+    packed = os.fstat(file.fileno()).st_size if path.is_file() else LARGEST
+    return min(max(EXPANSION * packed, LARGE), LARGEST)
+
+
+def _gather(path: Path, blocks: Iterator[bytes], most: int) -> bytes | mmap.mmap:
+    """Return the bytes of all blocks: many lie in a temporary file, which goes with them."""
+    size = 0
+    with tempfile.SpooledTemporaryFile(max_size=LARGE) as spool:
+        try:
+            for block in blocks:
+                size += len(block)
+                if size > most:
+                    raise LogError(
+                        f"{path}: holds more than {most >> 20} MiB, more than a log of its size "
+                        "packs to; unpack it first"
+                    )
+                spool.write(block)
+            spool.seek(0)
+            if size < LARGE:
+                return spool.read()
+            spool.flush()
+            return mmap.mmap(spool.fileno(), size, access=mmap.ACCESS_READ)
+        except OSError as error:
+            raise LogError(
+                f"{path}: no room to unpack it in {tempfile.gettempdir()} ({error.strerror}); make "
+                "some there, or set TMPDIR to a folder that has it"
+            ) from None
+
+
+def _blocks(file: BinaryIO, size: int = BLOCK) -> Iterator[bytes]:
+    """Yield a file's bytes, so many at a time."""
+    while block := file.read(size):
+        yield block
+
+
+def _unpack(path: Path, file: BinaryIO, notes: list[str]) -> Iterator[bytes]:
+    """Yield what a packed file holds; where it is damaged that is what comes before, and a note."""
+    size = 0
     try:
-        data = _gunzip(file) if path.suffix.lower() == ".gz" else _unzstd(path, file)
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise LogError(f"{path}: cannot be unpacked ({error}); fetch it anew") from None
-    if len(data) > LARGEST:
-        raise LogError(f"{path}: holds more than {LARGEST >> 30} GiB; unpack it first")
-    return data
+        for block in _gunzip(file) if path.suffix.lower() == ".gz" else _unzstd(path, file):
+            size += len(block)
+            yield block
+    except EOFError as error:
+        if not size:
+            raise LogError(f"{path}: cannot be unpacked, it {error}; fetch it anew") from None
+        notes.append(f"the packed file {error}: what comes before that was read")
 
 
-def _gunzip(file: BinaryIO) -> bytes:
-    with gzip.GzipFile(fileobj=file) as unpacked:
-        return unpacked.read(LARGEST + 1)
+def _gunzip(file: BinaryIO) -> Iterator[bytes]:
+    """Yield what members hold, one after another; EOFError: they are damaged."""
+    member = zlib.decompressobj(wbits=31)
+    for block in _blocks(file, PIECE):
+        rest = block
+        while rest:
+            if member.eof:
+                if not (rest := rest.lstrip(b"\0")):  # a tape fills its last block
+                    break
+                member = zlib.decompressobj(wbits=31)
+            try:
+                yield member.decompress(rest, BLOCK)
+            except zlib.error:
+                raise EOFError("is damaged") from None
+            rest = member.unused_data if member.eof else member.unconsumed_tail
+    if not member.eof:
+        raise EOFError("is cut short")
 
 
-def _unzstd(path: Path, file: BinaryIO) -> bytes:
+def _unzstd(path: Path, file: BinaryIO) -> Iterator[bytes]:
+    """Yield what frames hold; EOFError: they are damaged."""
     with part_of("formats", f"{path}: unpack it (unzstd), or"):
         import zstandard
-    unpacked, frame = bytearray(), zstandard.ZstdDecompressor().decompressobj()
+    unpacker = zstandard.ZstdDecompressor(max_window_size=WINDOW)
+    size = told = 0
     try:
-        while (block := file.read(1 << 20)) and len(unpacked) <= LARGEST:
-            unpacked += frame.decompress(block)
-            while frame.unused_data:
-                rest, frame = frame.unused_data, zstandard.ZstdDecompressor().decompressobj()
-                unpacked += frame.decompress(rest)
-    except zstandard.ZstdError as error:
-        raise EOFError(error) from None
-    if not frame.eof and len(unpacked) <= LARGEST:
-        raise EOFError("it is cut short")
-    return bytes(unpacked)
+        if file.seekable():
+            told = zstandard.get_frame_parameters(file.read(HEADER)).content_size
+            file.seek(0)
+        reader = unpacker.stream_reader(file, read_across_frames=True, closefd=False)
+        while block := reader.read(BLOCK >> 4):  # what is damaged takes as much with it
+            size += len(block)
+            yield block
+    except zstandard.ZstdError:
+        raise EOFError("is damaged") from None
+    if size < told != zstandard.CONTENTSIZE_UNKNOWN:
+        raise EOFError("is cut short")

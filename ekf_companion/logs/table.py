@@ -40,6 +40,8 @@ class Table:
         self.path = path
         self._delimiter = delimiter
         self._file = MappedFile(path, KIND)
+        self.notes = self._file.notes
+        """What is to be said of the file itself."""
         head, _, _ = bytes(self._file.data[:LONGEST_LINE]).partition(b"\n")
         self._body = self._file.data[len(head) + 1 :]
         head = head.removesuffix(b"\r")

@@ -287,7 +287,7 @@ def read(path: Path) -> Tlog:
         counts=_counts(records),
         damaged=damaged,
         autopilot=_find_autopilot(source, records),
-        notes=tuple(_left_out(source, gaps)),
+        notes=(*source.notes, *_left_out(source, gaps)),
         damage=_damage(source, gaps),
     )
 

@@ -82,7 +82,9 @@ def read(path: Path) -> Recording:
         LogError: The file is not a ULog, or holds none of the topics that are used.
     """
     log = load(path)
-    notes = ["the file is damaged: what could not be read is lost"] if log.is_damaged else []
+    notes = [*log.notes]
+    if log.is_damaged:
+        notes.append("the file is damaged: what could not be read is lost")
     if log.rest:
         notes.append(cut_off(log.rest, "message"))
     if lost := sum(log.dropouts):

@@ -77,6 +77,8 @@ class Messages:
     """To any topic."""
     rest: int = 0
     """Bytes at the end that are no whole message."""
+    notes: tuple[str, ...] = ()
+    """What is to be said of the file itself."""
 
 
 class _Layout(NamedTuple):
@@ -119,7 +121,7 @@ class _Reader:
         self._data = file.data
         self._formats: Formats = {}
         self._layouts: dict[str, _Layout | None] = {}
-        self._found = Messages()
+        self._found = Messages(notes=tuple(file.notes))
         self._definitions = 0
         self._ends: list[int] = []  # of the parts of the data: more was appended later
         self._state = array("q", [0, 0])

@@ -314,8 +314,22 @@ def test_a_packed_file_is_read_with_the_map_of_the_one_within(tmp_path, suffix):
         "time: {column: millis, unit: ms}\nbaro_alt: {column: h, unit: m}\n"
     )
     assert open_log(path).events.values[:, 0].tolist() == [7.0, 8.0]
-    path.write_bytes(pack(b"millis,h\n1000,7\n2000,8\n" * 100)[:-20])
-    with pytest.raises(LogError, match=r"log\.csv\.(gz|zst): cannot be unpacked"):
+
+
+@pytest.mark.parametrize("suffix", [".gz", ".zst"])
+def test_a_packed_file_that_was_cut_gives_what_is_whole_in_it_and_says_so(tmp_path, suffix):
+    pack = {".gz": gzip.compress, ".zst": zstandard.ZstdCompressor().compress}[suffix]
+    noise = np.random.default_rng(1).normal(100.0, 20.0, 40_000)
+    rows = "".join(f"{n * 10000},{one:.9f}\n" for n, one in enumerate(noise))
+    packed = pack(b"time_us,baro_alt_m\n" + rows.encode())
+    path = tmp_path / f"log.csv{suffix}"
+    path.write_bytes(packed[: len(packed) // 2])
+    log = open_log(path)
+    np.testing.assert_allclose(log.events.values[:, 0], noise[: len(log.events)], atol=1e-9)
+    assert 0.2 * len(noise) < len(log.events) < 0.6 * len(noise)
+    assert log.notes == ("the packed file is cut short: what comes before that was read",)
+    path.write_bytes(b"none of them")
+    with pytest.raises(LogError, match=r"log\.csv\.(gz|zst): cannot be unpacked, it is damaged"):
         open_log(path)
 
 

@@ -3,8 +3,14 @@
 What was quadratic took minutes for a megabyte; here the time-out of a test tells.
 """
 
+import gzip
+import mmap
+import tempfile
+import tracemalloc
+
 import numpy as np
 import pytest
+import zstandard
 
 from ekf_companion.config.config import Config
 from ekf_companion.errors import LogError
@@ -22,6 +28,7 @@ from ekf_companion.logs.source import MappedFile, Source
 from ekf_companion.logs.table import Table
 from ekf_companion.logs.ulog_messages import HEADER, MAGIC
 from ekf_companion.replay.convert import convert
+from ekf_companion.replay.log_source import open_log
 from tests.logs import sources
 from tests.logs.test_dataflash import new_log
 from tests.logs.test_tlog import small_log as small_tlog
@@ -183,3 +190,45 @@ def test_every_checksum_is_that_of_the_library():
         begun = int(sums[first]) ^ 0xFFFF
         value = sums[first + count] ^ moves[count, begun & 0xFF] ^ moves[count, 256 + (begun >> 8)]
         assert value == crc16.mcrf4xx(data[first : first + count])
+
+
+@pytest.mark.parametrize("suffix", [".tlog", ".bin", ".ulg", ".csv", ".txt"])
+@pytest.mark.parametrize("packing", [".gz", ".zst"])
+def test_what_unpacks_to_more_than_a_flight_is_refused_in_little_memory(tmp_path, suffix, packing):
+    pack = {".gz": gzip.compress, ".zst": zstandard.ZstdCompressor().compress}[packing]
+    path = tmp_path / f"bomb{suffix}{packing}"
+    path.write_bytes(pack(bytes(4 * source.LARGE)))
+    tracemalloc.start()
+    with pytest.raises(LogError, match="holds more than 64 MiB, more than a log of its size"):
+        open_log(path)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 2.5 * source.LARGE
+
+
+@pytest.mark.parametrize("packing", ["", ".gz", ".zst"])
+def test_what_is_large_lies_in_a_file_and_reads_the_same(tmp_path, monkeypatch, packing):
+    pack = {"": bytes, ".gz": gzip.compress, ".zst": zstandard.ZstdCompressor().compress}[packing]
+    path = tmp_path / f"flight.ulg{packing}"
+    path.write_bytes(pack(MAGIC + bytes(HEADER - len(MAGIC)) + small_ulog(n=50)))
+    whole = bytes(MappedFile(path, "log").data)
+    monkeypatch.setattr(source, "LARGE", 100)
+    mapped = MappedFile(path, "log")
+    assert isinstance(mapped.data.obj, mmap.mmap)
+    assert bytes(mapped.data) == whole
+
+
+def test_a_device_has_no_end(tmp_path):
+    path = tmp_path / "flight.csv"
+    path.symlink_to("/dev/zero")
+    with pytest.raises(LogError, match="a device, which has no end"):
+        open_log(path)
+
+
+def test_without_room_to_unpack_it_says_where(tmp_path, monkeypatch):
+    path = tmp_path / "flight.csv.gz"
+    path.write_bytes(gzip.compress(CSV_HEAD + b"1,2,3,4,5,6,7\n" * 1000))
+    monkeypatch.setattr(source, "LARGE", 100)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "absent"))
+    with pytest.raises(LogError, match=r"no room to unpack it in .*absent \(No such file.*TMPDIR"):
+        open_log(path)
