@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
-import yaml
 
 from ekf_companion.errors import ConfigError
+from ekf_companion.yaml_file import read_yaml
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -197,12 +197,7 @@ def load(path: Path | None) -> SimConfig:
     """
     if path is None:
         return SimConfig()
-    try:
-        content: Any = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    content = read_yaml(path, is_watched=False)
     _refuse_unknown(path, content, SimConfig(), "")
     try:
         return msgspec.convert(content, SimConfig)

@@ -66,7 +66,7 @@ class ConfigFile:
             ConfigError: The file cannot be read, or a key, a type or a value is wrong.
         """
         # A log is converted without a file: then PyYAML, a thirtieth of the start, is not needed
-        from ekf_companion.config.yaml_file import read_yaml
+        from ekf_companion.yaml_file import read_yaml
 
         data = read_yaml(self.path)
         config, keys = parse_config(data, str(self.path)), frozenset(_leaves(data))

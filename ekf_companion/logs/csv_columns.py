@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
-from ekf_companion.errors import LogError
+from ekf_companion.errors import ConfigError, LogError
 from ekf_companion.logs.source import unpacked_name
 from ekf_companion.nav.earth import STANDARD_GRAVITY
+from ekf_companion.yaml_file import read_yaml
 
 DEGREE = float(np.pi / 180.0)
 _UNITS: dict[str, dict[str, float]] = {
@@ -66,9 +66,9 @@ def find_map(path: Path, columns: Mapping[str, Any] | None) -> tuple[str, Mappin
     if not beside.is_file():
         return str(path), {}
     try:
-        found = yaml.safe_load(beside.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise LogError(f"{beside}: not YAML: {' '.join(str(error).split())}") from None
+        found = read_yaml(beside, is_watched=False)
+    except ConfigError as error:
+        raise LogError(str(error)) from None
     if not isinstance(found, dict):
         raise LogError(f"{beside}: must be a map from quantity to {{column: NAME, unit: UNIT}}")
     return str(beside), found

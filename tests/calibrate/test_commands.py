@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from ekf_companion.cli import app
 from ekf_companion.config.config import parse_config
-from ekf_companion.config.yaml_file import YamlLoader
+from ekf_companion.yaml_file import YamlLoader
 from sim_autopilot.__main__ import app as simulator
 
 

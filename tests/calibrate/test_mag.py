@@ -4,12 +4,12 @@ import pytest
 from ekf_companion.calibrate import ellipsoid, mag
 from ekf_companion.calibrate.result import lines
 from ekf_companion.config.config import Config, parse_config
-from ekf_companion.config.yaml_file import YamlLoader
 from ekf_companion.core.settings import FilterSettings
 from ekf_companion.engine.pipeline import Pipeline
 from ekf_companion.errors import LogError
 from ekf_companion.nav import so3
 from ekf_companion.nav.measurements import Kind
+from ekf_companion.yaml_file import YamlLoader
 from sim_autopilot import events as wire
 from sim_autopilot.config import CompassConfig, SimConfig
 from sim_autopilot.flight import Flight

@@ -6,10 +6,10 @@ import pytest
 from ekf_companion.calibrate import fixes, noise, rest
 from ekf_companion.calibrate.result import lines
 from ekf_companion.config.config import Config, parse_config
-from ekf_companion.config.yaml_file import YamlLoader
 from ekf_companion.core.settings import FilterSettings, GnssSettings, ImuSettings
 from ekf_companion.errors import LogError
 from ekf_companion.nav.measurements import Kind
+from ekf_companion.yaml_file import YamlLoader
 from sim_autopilot.config import GnssConfig, ImuConfig
 from tests.calibrate.recordings import fly, without
 

@@ -1,4 +1,5 @@
 import gzip
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -181,7 +182,7 @@ def test_the_map_beside_the_file_is_found(read):
 
 
 def test_a_map_that_is_no_yaml_is_refused(read):
-    with pytest.raises(LogError, match=r"columns\.yaml: not YAML"):
+    with pytest.raises(LogError, match=r"columns\.yaml: is not YAML"):
         read("t,h\n1,2\n", beside="time: {column: t\n  x: [")
 
 
@@ -371,3 +372,28 @@ def test_columns_that_another_character_separates_are_named(tmp_path, other, wor
     map_of = tmp_path / "mine.csv.columns.yaml"
     map_of.write_text(line.partition(" in a file")[0])
     assert len(csv.read(log).events) == 3
+
+
+ALIASES = "a: &a [1, 1]\n" + "".join(f"{c}: &{c} [*{b}, *{b}]\n" for b, c in pairwise("abcdefghij"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (ALIASES, "is an alias; write the value itself"),
+        ("[" * 5000, "a list stands too deep in lists"),
+        ("# \n" * 60_000, "larger than 128 KiB"),
+        ("time: 2024-13-45", "is no timestamp; put text in quotes"),
+        ("time: {column: a, unit: s}\ntime: {column: b, unit: s}", "time stands 2 times; keep one"),
+        ("? [a]\n: b", "is not YAML"),
+        ("time: \0", "is not YAML"),
+        ("- time", "must be a map from quantity"),
+        ("", "is empty"),
+    ],
+)
+def test_a_map_of_columns_may_be_anything(tmp_path, text, words):
+    path = tmp_path / "log.csv"
+    path.write_text("t,h\n1,7\n")
+    (tmp_path / "log.csv.columns.yaml").write_text(text)
+    with pytest.raises(LogError, match=words):
+        open_log(path)

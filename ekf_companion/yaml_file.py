@@ -16,7 +16,7 @@ import yaml
 from ekf_companion.errors import ConfigError
 
 LARGEST = 1 << 17
-"""Bytes of a configuration: four times those of config/reference.yaml."""
+"""Bytes of a file: four times those of config/reference.yaml."""
 
 
 class YamlLoader(yaml.SafeLoader):
@@ -63,8 +63,12 @@ YamlLoader.add_implicit_resolver(
 )
 
 
-def read_yaml(path: Path) -> Any:
+def read_yaml(path: Path, *, is_watched: bool = True) -> Any:
     """Return what a YAML file holds; never None.
+
+    Args:
+        path: The file.
+        is_watched: Whether it may just be being written, so that its last line must have an end.
 
     Raises:
         ConfigError: It cannot be read, is empty, too large, cut off or no YAML.
@@ -78,11 +82,11 @@ def read_yaml(path: Path) -> Any:
         raise ConfigError(f"{str(path)!r}: is no name of a file; name a YAML file") from error
     if len(data) > LARGEST:
         raise ConfigError(
-            f"{path}: is larger than {LARGEST >> 10} KiB, which no configuration is; name another"
+            f"{path}: is larger than {LARGEST >> 10} KiB, too large for settings; name another"
         )
     try:
         text = data.decode("utf-8-sig")
-        if text and not text.endswith("\n"):
+        if is_watched and text and not text.endswith("\n"):
             last = text.count("\n") + 1
             raise ConfigError(
                 f"{path}: line {last} has no end: the file may be cut off, half written; end its "
