@@ -13,9 +13,10 @@ from ekf_companion.analysis.judgement import judge_log
 from ekf_companion.config.config import Config
 from ekf_companion.errors import CompanionError, ConfigError
 from ekf_companion.logs import csv_known
+from ekf_companion.logs.csv_columns import map_beside
 from ekf_companion.logs.estimate import is_estimate, of_table
 from ekf_companion.logs.recording import counted
-from ekf_companion.logs.source import suffix_of, unpacked_name
+from ekf_companion.logs.source import suffix_of
 from ekf_companion.nav.measurements import Kind
 from ekf_companion.nav.state import Status, Table
 from ekf_companion.replay import convert
@@ -107,7 +108,7 @@ def left_out(names: Sequence[str], taken: Sequence[Path]) -> str:
     ]
     if not found:
         return ""
-    shown = ", ".join(str(path) for path in found[:SHOWN])
+    shown = ", ".join(printable(path) for path in found[:SHOWN])
     more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
     return f"{counted(len(found), 'file')} left out: {shown}{more} (taken: {', '.join(SUFFIXES)})"
 
@@ -118,10 +119,13 @@ def _is_log(path: Path) -> bool:
         return False
     if path.suffix.lower() != ".csv":
         return True
-    if path.with_name(unpacked_name(path).name + ".columns.yaml").is_file():
+    if map_beside(path) is not None:
         return True
-    with path.open(encoding="utf-8", errors="replace") as file:
-        names = [name.strip() for name in file.readline(1 << 16).split(",")]
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            names = [name.strip() for name in file.readline(1 << 16).split(",")]
+    except OSError:
+        return True  # it may be one, and its row says why it cannot be read
     has_motion = any(name.startswith("gyro_x") for name in names)
     return (has_motion and not is_estimate(path)) or csv_known.find(names) is not None
 
@@ -135,14 +139,20 @@ def examine(path: Path, config: Config) -> Row:
     return {**dict.fromkeys(COLUMNS), **dict(_found(path, table, report))}
 
 
+def printable(text: object) -> str:
+    r"""Return a text that any file may hold: bytes of a name that are no UTF-8 as ``\udcff``."""
+    return str(text).encode(errors="backslashreplace").decode()
+
+
 def failed(path: Path, why: str) -> Row:
     """Return the row of a log that could not be estimated from."""
-    return {**dict.fromkeys(COLUMNS), "log": str(path), "outcome": "failed", "why": why}
+    row: Row = {"log": printable(path), "outcome": "failed", "why": printable(why)}
+    return {**dict.fromkeys(COLUMNS), **row}
 
 
 def _found(path: Path, table: Table, report: Report) -> Iterator[tuple[str, str | int | float]]:
     """Yield what is known of a log, by column."""
-    yield from {"log": str(path), "outcome": "estimated", "autopilot": report.family}.items()
+    yield from {"log": printable(path), "outcome": "estimated", "autopilot": report.family}.items()
     yield "estimates", len(table)
     yield "duration_s", round(sum(report.seconds.values()), 3)
     for kind in _RATES:

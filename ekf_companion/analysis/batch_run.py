@@ -9,6 +9,7 @@ import hashlib
 import json
 import multiprocessing
 import os
+import re
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -18,11 +19,13 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol, TextIO
 
-from ekf_companion.analysis.batch import Row, examine, failed
+from ekf_companion.analysis.batch import COLUMNS, Row, examine, failed
 from ekf_companion.config.config import Config
 from ekf_companion.errors import ConfigError
 from ekf_companion.version import __version__
 
+_BEGIN = re.compile(r'\[("[0-9a-f]{0,16}("(,( ({}?)?)?)?)?)?')
+"""A first line that was cut short: the fingerprint of the settings."""
 Task = Callable[[Path], Row]
 Progress = Callable[[int, int], None]
 """Called with how many bytes of the logs are done, of how many."""
@@ -101,7 +104,7 @@ def run(
     """Examine logs, those in the journal excepted; return their rows in the order of the logs.
 
     Raises:
-        ConfigError: The journal cannot be written.
+        ConfigError: The journal cannot be written, or what has its name is none.
     """
     keys = {log: _key(log) for log in logs}
     written = _read_journal(journal, config)
@@ -110,7 +113,7 @@ def run(
     done, total = sum(sizes[log] for log in rows), sum(sizes.values())
     left = [log for log in logs if log not in rows]
     try:
-        with journal.open("a" if written else "w", encoding="utf-8") as file:
+        with open(journal, "a" if written else "w", encoding="utf-8", opener=_own) as file:
             if not written:
                 _add_line(file, _fingerprint(config), {})
             # The largest first, so that no process ends long after the others
@@ -131,20 +134,43 @@ def _add_line(file: TextIO, key: str, row: Row) -> None:
     file.flush()
 
 
+def _own(path: str, flags: int) -> int:
+    """Open a journal, and not what a link of its name leads to."""
+    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
+
+
 def _read_journal(path: Path, config: Config) -> dict[str, Row]:
-    """Return the rows of an earlier run by key; none where its settings were others."""
+    """Return the rows of an earlier run by key; none where its settings were others.
+
+    Raises:
+        ConfigError: It is no journal, and would be lost.
+    """
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
+        with open(path, "rb", opener=_own) as file:
+            lines = file.read().decode(errors="replace").splitlines()
+    except FileNotFoundError:
         return {}
-    found: dict[str, Row] = {}
-    for line in text.splitlines():
-        try:
-            key, row = json.loads(line)
-        except ValueError:
-            continue  # the last line was cut short
-        found[key] = row
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; move it away") from error
+    found = dict(filter(None, map(_read_line, lines)))
+    # The first line may be cut short, if that is all there is
+    if lines and not found and not _BEGIN.fullmatch(lines[0]):
+        raise ConfigError(
+            f"{path}: is no journal of a batch, which would stand there; move it away, or name "
+            "another table"
+        )
     return found if _fingerprint(config) in found else {}
+
+
+def _read_line(line: str) -> tuple[str, Row] | None:
+    """Return the key and the row of a line; None: it is cut short or no line of a journal."""
+    try:
+        match json.loads(line):
+            case [str(key), dict(row)] if not row or row.keys() == COLUMNS.keys():
+                return key, row
+    except (ValueError, RecursionError):
+        pass
+    return None
 
 
 def _key(log: Path) -> str:

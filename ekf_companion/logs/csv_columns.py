@@ -62,8 +62,7 @@ def find_map(path: Path, columns: Mapping[str, Any] | None) -> tuple[str, Mappin
     """Return the name of the map for messages, and the map."""
     if columns is not None:
         return f"{path} (columns)", columns
-    beside = path.with_name(unpacked_name(path).name + ".columns.yaml")
-    if not beside.is_file():
+    if (beside := map_beside(path)) is None:
         return str(path), {}
     try:
         found = read_yaml(beside, is_watched=False)
@@ -72,6 +71,15 @@ def find_map(path: Path, columns: Mapping[str, Any] | None) -> tuple[str, Mappin
     if not isinstance(found, dict):
         raise LogError(f"{beside}: must be a map from quantity to {{column: NAME, unit: UNIT}}")
     return str(beside), found
+
+
+def map_beside(path: Path) -> Path | None:
+    """Return the map of a file's columns that stands beside it; None: there is none."""
+    beside = path.with_name(unpacked_name(path).name + ".columns.yaml")
+    try:
+        return beside if beside.is_file() else None
+    except OSError:  # the log's name is so long that none can be longer
+        return None
 
 
 def from_map(where: str, name: str, entry: Any) -> Source:

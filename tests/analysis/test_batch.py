@@ -1,6 +1,8 @@
 """Many logs at once: one row each, whatever becomes of the others."""
 
 import csv
+import json
+import os
 import shutil
 import signal
 import subprocess
@@ -225,3 +227,62 @@ def test_files_that_are_no_logs_are_counted_and_named(folder):
     both = left_out([str(folder), str(mine)], logs)
     assert both.startswith(f"2 files left out: {folder}/notes.txt, {folder}/truth.csv (taken")
     assert left_out([str(mine)], []) == ""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        f"{'n' * 238}.csv",
+        f"{'n' * 250}.csv",
+        os.fsdecode(b"\xff\xfe.tlog"),
+        "dangling.csv",
+        "a\nb.tlog",
+    ],
+)
+def test_a_file_with_an_odd_name_stops_no_other(tmp_path, folder, name):
+    logs, out = tmp_path / "logs", tmp_path / "table.csv"
+    logs.mkdir()
+    shutil.copy(folder / "a0.tlog", logs / "good.tlog")
+    if name == "dangling.csv":
+        (logs / name).symlink_to("nowhere")
+    else:
+        (logs / name).write_text("no log")
+    command = [sys.executable, "-m", "ekf_companion", "batch", str(logs), "-o", str(out)]
+    done = subprocess.run(command, capture_output=True, check=False)
+    assert b"Traceback" not in done.stderr
+    rows = {row["log"]: row for row in rows_of(out)}
+    assert rows[str(logs / "good.tlog")]["outcome"] == "estimated"
+    assert all(row["why"] for row in rows.values() if row["outcome"] == "failed")
+
+
+def test_what_is_no_journal_is_left_alone(tmp_path, folder):
+    log, journal = folder / "a0.tlog", tmp_path / "table.csv.journal"
+    for content in ("my notes\n", "[1]\n", "{}", "[[], {}]\n", "null\n", "[" * 100_000):
+        journal.write_text(content)
+        with pytest.raises(ConfigError, match="is no journal of a batch"):
+            run([log], Config(), journal, Processes(1))
+        assert journal.read_text() == content
+    journal.unlink()
+    other = tmp_path / "precious"
+    other.write_text("mine")
+    journal.symlink_to(other)
+    with pytest.raises(ConfigError, match="cannot be read"):
+        run([log], Config(), journal, Processes(1))
+    assert other.read_text() == "mine"
+
+
+def test_odd_lines_of_a_journal_are_no_rows(tmp_path, folder):
+    log, journal = folder / "a0.tlog", tmp_path / "table.csv.journal"
+    (row,) = run([log], Config(), journal, Processes(1))
+    begin, line = journal.read_text().splitlines()
+    key = json.loads(line)[0]
+    for odd in (
+        "[1]",
+        "3",
+        "[[1], {}]",
+        f'["{key}", 7]',
+        f'["{key}", {{"log": 1}}]',
+        '["' + "x" * 99,
+    ):
+        journal.write_text(f"{begin}\n{odd}\n")
+        assert run([log], Config(), journal, Processes(1)) == [row]
