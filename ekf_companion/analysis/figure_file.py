@@ -9,6 +9,7 @@ from textwrap import wrap
 from typing import Any
 
 from ekf_companion.errors import CompanionError, MissingPackageError, remedy
+from ekf_companion.logs.writer import create
 
 LETTERS = 9
 """Of a title, to an inch: as many fit in the widest case."""
@@ -64,6 +65,7 @@ def write(path: Path, title: str, draw: Draw, *, width: float = 12.0, height: fl
     draw(sheet)
     sheet.suptitle("\n".join(lines))
     try:
-        sheet.savefig(path, dpi=110)
+        with create(path) as file:
+            sheet.savefig(file, format=path.suffix[1:] or "png", dpi=110)
     except (OSError, ValueError) as error:
         raise CompanionError(f"{path}: the figure cannot be written ({error})") from None

@@ -17,8 +17,9 @@ import numpy as np
 from ekf_companion.analysis.flight_review import FlightReview
 from ekf_companion.analysis.report_sheet import POINTS, TALL, Sheet, broken, place_legend
 from ekf_companion.engine.health import Aid, Verdict
-from ekf_companion.errors import ConfigError, part_of
+from ekf_companion.errors import part_of
 from ekf_companion.logs.recording import LATEST_S
+from ekf_companion.logs.writer import create
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Stamps
 from ekf_companion.nav.earth import LocalFrame
@@ -141,13 +142,11 @@ def write(path: Path, review: FlightReview) -> None:
 
     Raises:
         CompanionError: Bokeh is not installed.
-        ConfigError: The file cannot be written.
+        LogError: The file cannot be written.
     """
     text = page(review)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
+    with create(path) as file:
+        file.write(text.encode())
 
 
 def _short(name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -35,6 +36,11 @@ WRITERS = {
 """The module by suffix: its class ``Writer``, imported when it is needed."""
 RATES = {".gpx": 5.0, ".kml": 5.0}
 """Rows per second at most where none are asked for, Hz: of a track on a map. Otherwise all."""
+
+
+LONGEST = 50
+"""Characters of a file's name in that of the one beside it: with more it might be too long."""
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 class EstimateWriter:
@@ -112,14 +118,14 @@ def create(path: Path) -> Iterator[BinaryIO]:
     What is interrupted leaves nothing, and an older file of that name as it was.
 
     Raises:
-        LogError: It cannot be opened.
+        LogError: It cannot be opened, or there is no room for it.
     """
     if path == STDOUT:
         yield sys.stdout.buffer
         sys.stdout.buffer.flush()
         return
     is_plain = path.is_file() or not path.exists()  # a pipe or a device is written as it is
-    target = path.with_name(f".{path.name}.{os.getpid()}") if is_plain else path
+    target = path.with_name(f".{path.name[:LONGEST]}.{os.getpid()}") if is_plain else path
     try:
         file = target.open("wb")
     except OSError as error:
@@ -129,9 +135,12 @@ def create(path: Path) -> Iterator[BinaryIO]:
             yield file
         if is_plain:
             target.replace(path)
-    except BaseException:
+    except BaseException as error:
         if is_plain:
             target.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            older = "; the older file of that name is as it was" if path.is_file() else ""
+            raise LogError(f"{path}: cannot be written: {error.strerror}{older}") from error
         raise
 
 
