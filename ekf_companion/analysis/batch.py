@@ -139,6 +139,11 @@ def examine(path: Path, config: Config) -> Row:
     return {**dict.fromkeys(COLUMNS), **dict(_found(path, table, report))}
 
 
+def _name(path: Path) -> str:
+    """Return the name of a log in a table, where no spreadsheet takes it for a formula."""
+    return printable(f"./{path}" if str(path)[0] in "=+-@" else path)
+
+
 def printable(text: object) -> str:
     r"""Return a text that any file may hold: bytes of a name that are no UTF-8 as ``\udcff``."""
     return str(text).encode(errors="backslashreplace").decode()
@@ -146,13 +151,13 @@ def printable(text: object) -> str:
 
 def failed(path: Path, why: str) -> Row:
     """Return the row of a log that could not be estimated from."""
-    row: Row = {"log": printable(path), "outcome": "failed", "why": printable(why)}
+    row: Row = {"log": _name(path), "outcome": "failed", "why": printable(why)}
     return {**dict.fromkeys(COLUMNS), **row}
 
 
 def _found(path: Path, table: Table, report: Report) -> Iterator[tuple[str, str | int | float]]:
     """Yield what is known of a log, by column."""
-    yield from {"log": printable(path), "outcome": "estimated", "autopilot": report.family}.items()
+    yield from {"log": _name(path), "outcome": "estimated", "autopilot": report.family}.items()
     yield "estimates", len(table)
     yield "duration_s", round(sum(report.seconds.values()), 3)
     for kind in _RATES:

@@ -68,7 +68,9 @@ def check_config(
         read = load_config(config)
         files = (("record.path", read.record.path), ("checkpoint.file", read.checkpoint.file))
         warnings = [why_not_writable(key, name) for key, name in files if name]
-        effective = describe_config(read)
+        effective = dict(describe_config(read))
+        if read.http.token:
+            effective["http"] = {**effective["http"], "token": "(set, and not shown)"}
     for warning in filter(None, warnings):
         typer.echo(f"ekf-companion: {warning}; the daemon would run without it", err=True)
-    typer.echo(yaml.safe_dump(dict(effective), sort_keys=False), nl=False)
+    typer.echo(yaml.safe_dump(effective, sort_keys=False), nl=False)

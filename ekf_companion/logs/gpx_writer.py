@@ -9,7 +9,6 @@ Source: GPX 1.1 schema documentation, topografix.com/gpx/1/1.
 from __future__ import annotations
 
 from pathlib import Path
-from xml.sax.saxutils import escape
 
 from ekf_companion.logs.map_time import UNNAMED, Label, utc
 from ekf_companion.logs.writer import EstimateWriter, with_position
@@ -29,7 +28,7 @@ class Writer(EstimateWriter):
     def __init__(self, path: Path, label: Label = UNNAMED) -> None:
         super().__init__(path)
         self._zero_ns, self.points = label.zero_ns, 0
-        self.file.write(_HEAD.format(escape(label.name)).encode())
+        self.file.write(_HEAD.format(label.text).encode())
         self._last_ns: int | None = None
 
     def write(self, table: Table) -> None:

@@ -9,7 +9,6 @@ Source: OGC 07-147r2 (KML 2.2); Google's extension gx:Track.
 from __future__ import annotations
 
 from pathlib import Path
-from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -38,7 +37,7 @@ class Writer(EstimateWriter):
         super().__init__(path)
         self._zero_ns, self.points = label.zero_ns, 0
         styles = [_STYLE.format(STATUS_NAMES[one], colour) for one, colour in _COLOURS.items()]
-        self.file.write((_HEAD.format(escape(label.name)) + "".join(styles)).encode())
+        self.file.write((_HEAD.format(label.text) + "".join(styles)).encode())
         self._last: Table | None = None  # ends one stretch and begins the next
 
     def write(self, table: Table) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
+from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -18,7 +20,14 @@ class Label(NamedTuple):
     zero_ns: int | None = None
     """UTC at which the log's clock was zero, ns since 1970; None: not known."""
 
+    @property
+    def text(self) -> str:
+        """The name as text of an XML file, which may hold no control characters."""
+        return escape(_NO_XML.sub("\ufffd", self.name))
 
+
+_NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""What no XML may hold, XML 1.0, 2.2."""
 UNNAMED = Label()
 
 

@@ -255,6 +255,15 @@ def test_a_file_with_an_odd_name_stops_no_other(tmp_path, folder, name):
     assert all(row["why"] for row in rows.values() if row["outcome"] == "failed")
 
 
+def test_no_name_is_a_formula_of_a_spreadsheet(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("=HYPERLINK(1).tlog", "+1.tlog", "-1.tlog", "@a.tlog", "good.tlog"):
+        Path(name).write_bytes(b"no log")
+        row = examine(Path(name), Config())
+        assert row["log"][0] in "./g"
+        assert Path(row["log"]).resolve() == Path(name).resolve()
+
+
 def test_what_is_no_journal_is_left_alone(tmp_path, folder):
     log, journal = folder / "a0.tlog", tmp_path / "table.csv.journal"
     for content in ("my notes\n", "[1]\n", "{}", "[[], {}]\n", "null\n", "[" * 100_000):

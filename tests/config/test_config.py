@@ -207,6 +207,15 @@ def test_the_printed_configuration_reads_back_the_same(tmp_path):
     assert set(leaves(Config())) == set(keys(msgspec.yaml.decode(printed.stdout)))
 
 
+def test_the_printed_configuration_keeps_the_token_to_itself(tmp_path):
+    path = tmp_path / "some.yaml"
+    path.write_text("http: {token: correct-horse-battery-staple}\n")
+    printed = CliRunner().invoke(app, ["check-config", str(path)])
+    assert printed.exit_code == 0
+    assert "correct-horse" not in printed.output
+    assert "token: (set, and not shown)" in printed.stdout
+
+
 def test_a_place_that_is_not_there_yet_is_said_before_the_first_flight(tmp_path):
     path = tmp_path / "some.yaml"
     path.write_text(

@@ -29,7 +29,17 @@ def test_addresses_and_own_names_are_answered(host):
     assert refusal(Host=host) is None
 
 
-@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:9331", "", "x:y:z"])
+@pytest.mark.parametrize(
+    "host",
+    [
+        "evil.example",
+        "127.0.0.1.evil.example:9331",
+        "",
+        "x:y:z",
+        "[::1].evil.example",
+        "[::1]:evil",
+    ],
+)
 def test_a_name_that_somebody_lets_point_here_is_refused(host):
     assert refusal(Host=host) is HTTPStatus.MISDIRECTED_REQUEST
 

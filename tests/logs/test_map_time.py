@@ -1,13 +1,14 @@
 """Tracks for maps: called as the log, with UTC where the log knows it."""
 
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from ekf_companion.config.config import Config
-from ekf_companion.logs.map_time import utc
+from ekf_companion.logs.map_time import Label, utc
 from ekf_companion.replay.convert import convert
 from sim_autopilot.__main__ import app as simulator
 from tests.analysis.test_report_page import with_stamps
@@ -54,3 +55,10 @@ def test_a_track_without_a_point_is_noted(tmp_path):
     log.write_text("\n".join(rows))
     report = convert(log, [tmp_path / "still.kml", tmp_path / "out.csv"], Config())
     assert "still.kml: holds no point, for no position was estimated" in report.notes
+
+
+@pytest.mark.parametrize("name", ["a\x01", "\0", "<b>&\x1f", "\udcff\ud800", "\ufffe", "Höhe 🚁\t"])
+def test_any_name_is_text_of_an_xml_file(name):
+    text = ElementTree.fromstring(f"<name>{Label(name).text}</name>").text  # ours
+    assert len(text) == len(name)
+    assert all(a == b or a == "\ufffd" for a, b in zip(text, name, strict=True))
