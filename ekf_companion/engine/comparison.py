@@ -10,12 +10,12 @@ from ekf_companion.engine.autopilot_frame import AutopilotFrame, Height
 from ekf_companion.engine.pipeline import Estimate
 from ekf_companion.mavlink.autopilot_estimate import AutopilotEstimate
 from ekf_companion.mavlink.codec import unpack
-from ekf_companion.mavlink.decode.position import is_place
 from ekf_companion.mavlink.following import Separation
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.timebase import TimeBase
 from ekf_companion.nav import projection
+from ekf_companion.nav.earth import is_place
 from ekf_companion.nav.state import COLUMNS
 
 _RATE_NS = 40_000_000
@@ -86,7 +86,11 @@ class Comparison:
         self._position = position
         m = unpack(position)
         t_ns = clock.from_boot_ms(m.time_boot_ms)
-        if t_ns is None or not is_place(m.lat, m.lon) or (ours := self._at(t_ns)) is None:
+        if (
+            t_ns is None
+            or not is_place(1e-7 * m.lat, 1e-7 * m.lon)
+            or (ours := self._at(t_ns)) is None
+        ):
             return None
         sphere = projection.ARDUPILOT
         lat, lon = math.radians(m.lat * 1e-7), math.radians(m.lon * 1e-7)

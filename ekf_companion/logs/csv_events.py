@@ -12,7 +12,7 @@ from ekf_companion.logs import series
 from ekf_companion.logs.csv_columns import DEGREE, GROUPS, Source
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Indices, Mask, Stamps
-from ekf_companion.nav.earth import LocalFrame
+from ekf_companion.nav.earth import LocalFrame, is_place
 from ekf_companion.nav.event_columns import Arrivals, EventColumns, merged
 from ekf_companion.nav.measurements import Events, GnssFlag, HeadingSource, Kind
 
@@ -57,6 +57,7 @@ class EventMaker:
         self._constant = {name for name, source in sources.items() if source.column is None}
         self._last: tuple[Stamps, Indices, Columns] | None = None
         self._repeated = 0
+        self._nowhere = 0
 
     def notes(self, total: int) -> list[str]:
         """Return what is to be said about all rows, of which there were so many."""
@@ -65,6 +66,10 @@ class EventMaker:
             if missing := [name for name in GNSS_STD if name not in self._names]:
                 said = ", ".join(f"{name} {GNSS_STD[name]:g}" for name in missing)
                 notes.append(f"accuracy not declared, so assumed (m, m/s): {said}")
+            if self._nowhere:
+                notes.append(
+                    f"{self._nowhere} rows of the receiver without a place, as 0, 0, were left out"
+                )
             if "gps" not in self._hold and self._repeated > total / 2:
                 notes.append(
                     f"{self._repeated} of {total} rows repeat the GPS values of the row before: if "
@@ -131,7 +136,9 @@ class EventMaker:
             lat, lon, alt = self._origin.to_geodetic(ned)
         elif "gps_lat" in values:
             lat, lon, alt = values["gps_lat"], values["gps_lon"], values["gps_alt"]
-            lat = np.where(np.abs(lat) <= np.pi / 2.0, lat, np.nan)
+            is_known = is_place(lat / DEGREE, so3.wrap(lon) / DEGREE)
+            self._nowhere += int(np.count_nonzero(np.isfinite(lat + lon)[part.is_new & ~is_known]))
+            lat = np.where(is_known, lat, np.nan)
         else:
             return []
         north = east = unknown = np.full(n, np.nan)

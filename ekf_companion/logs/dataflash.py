@@ -32,6 +32,7 @@ from ekf_companion.logs.series import FIX_3D, GNSS_HEADING_STD, HEADING_RATE, HE
 from ekf_companion.logs.stored_rows import Column
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, Stamps
+from ekf_companion.nav.earth import is_place
 from ekf_companion.nav.event_columns import (
     Arrivals,
     EventColumns,
@@ -179,8 +180,7 @@ def _gnss(tables: Columns) -> Arrivals:
     table, t_ns = rows
     names = names_of(table)
     n = len(table)
-    is_fix = (table["Status"] >= FIX_3D) & ((table["Lat"] != 0) | (table["Lng"] != 0))
-    is_fix &= (np.abs(table["Lat"]) <= 90) & (np.abs(table["Lng"]) <= 180)
+    is_fix = (table["Status"] >= FIX_3D) & is_place(table["Lat"], table["Lng"])
     dop = table["HDop"] if "HDop" in names else np.full(n, 1.0)
     std_h = np.maximum(GNSS_STD_MIN, dop * GNSS_STD_PER_DOP)
     std_v, std_vel = GNSS_STD_RATIO * std_h, np.full(n, GNSS_STD_VEL)

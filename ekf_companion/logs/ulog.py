@@ -46,6 +46,7 @@ from ekf_companion.logs.ulog_topics import (
 )
 from ekf_companion.nav import so3
 from ekf_companion.nav.arrays import Array, Mask, known_rows
+from ekf_companion.nav.earth import is_place
 from ekf_companion.nav.event_columns import (
     Arrivals,
     EventColumns,
@@ -231,8 +232,7 @@ def _gnss(topics: Topics, notes: list[str]) -> Arrivals:
     else:
         return []
     n = len(alt)
-    is_fix = (topic["fix_type"] >= FIX_3D) & ((lat_deg != 0.0) | (lon_deg != 0.0))
-    is_fix &= (np.abs(lat_deg) <= 90.0) & (np.abs(lon_deg) <= 180.0) & np.isfinite(alt)
+    is_fix = (topic["fix_type"] >= FIX_3D) & is_place(lat_deg, lon_deg) & np.isfinite(alt)
     velocity = [np.asarray(topic[f"vel_{axis}_m_s"], dtype=float) for axis in "ned"]
     has_vel = np.isfinite(velocity).all(axis=0)
     if "vel_ned_valid" in topic:

@@ -18,7 +18,7 @@ from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS, seconds_since
 from ekf_companion.nav import so3
-from ekf_companion.nav.earth import radii
+from ekf_companion.nav.earth import is_place, radii
 
 FRESH_NS = SECOND_NS
 """What is older is no longer compared with: the vehicle may have moved meanwhile."""
@@ -174,8 +174,8 @@ class AutopilotEstimate(Service):
 
 
 def _global(m: Any) -> tuple[float, float, float, tuple[float, float, float]] | None:
-    """Return the place that a GLOBAL_POSITION_INT means; 0, 0 is sent where there is none."""
-    if m.lat == 0 and m.lon == 0:
+    """Return the place that a GLOBAL_POSITION_INT means, if any."""
+    if not is_place(1e-7 * m.lat, 1e-7 * m.lon):
         return None
     vel_n = (m.vx * 1e-2, m.vy * 1e-2, m.vz * 1e-2)
     return math.radians(m.lat * 1e-7), math.radians(m.lon * 1e-7), m.alt * 1e-3, vel_n

@@ -20,12 +20,11 @@ from ekf_companion.mavlink.decode.air import HIGHEST, LOWEST, STRONGEST, WEAKEST
 from ekf_companion.mavlink.decode.decoder import HELD
 from ekf_companion.mavlink.decode.heading import NORTH_CDEG, wrap
 from ekf_companion.mavlink.decode.inertial import ACCEL_GYRO, MAG, PRESSURE
-from ekf_companion.mavlink.decode.position import is_place
 from ekf_companion.mavlink.messages import IDS
 from ekf_companion.mavlink.session import Session
 from ekf_companion.mavlink.timebase import BACK_US, NEAR_US, SURE_US, UNIX_FROM_US
 from ekf_companion.nav.buffer import EventBuffer
-from ekf_companion.nav.earth import pressure_altitude
+from ekf_companion.nav.earth import is_place, pressure_altitude
 
 BYTES = cython.declare(cython.int, -1)
 ANYBODYS = cython.declare(cython.int, 0)
@@ -280,7 +279,7 @@ class BlockReader(RowWriter):
             return False
         if not self.position.is_settled:
             return False
-        if stamp < self.main.latest_us or not is_place(place[0], place[1]):
+        if stamp < self.main.latest_us or not is_place(1e-7 * place[0], 1e-7 * place[1]):
             return False
         self.clock.advance_boot_ms(self.position_ms[k])
         t_ns = stamp * 1000

@@ -42,13 +42,13 @@ from typing import Any
 from ekf_companion.mavlink.codec import pack
 from ekf_companion.mavlink.decision import Hold
 from ekf_companion.mavlink.decode import Family
-from ekf_companion.mavlink.decode.position import is_place
 from ekf_companion.mavlink.event import Emit, OriginTold, PeerFound
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.guard import Guard
 from ekf_companion.mavlink.outbox import Outbox
 from ekf_companion.mavlink.service import Service
 from ekf_companion.mavlink.stamp import SECOND_NS
+from ekf_companion.nav.earth import is_place
 from ekf_companion.nav.projection import ARDUPILOT
 
 _PLACE = Struct("<3i")
@@ -212,7 +212,7 @@ class OriginSetter(Service):
 
     def _take(self, message: Any, frame: Frame, now_ns: int) -> None:
         told = message.latitude, message.longitude, message.altitude
-        if not is_place(*told[:2]):
+        if not is_place(1e-7 * told[0], 1e-7 * told[1]):
             return
         self._show()
         if told != self.theirs:
@@ -221,7 +221,7 @@ class OriginSetter(Service):
             self._emit(OriginTold(lat, lon, told[2] * 1e-3))
 
     def _take_position(self, message: Any, frame: Frame, now_ns: int) -> None:
-        if is_place(message.lat, message.lon):
+        if is_place(1e-7 * message.lat, 1e-7 * message.lon):
             self._has_height = self.theirs is not None
             self._show()
 

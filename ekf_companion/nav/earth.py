@@ -31,6 +31,13 @@ STANDARD_GRAVITY = 9.80665
 """m/s^2: the unit g of accelerometers."""
 
 
+def is_place(lat_deg: npt.ArrayLike, lon_deg: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    """Return where latitudes and longitudes can be meant: 0, 0 is said where there is none."""
+    lat, lon = np.asarray(lat_deg), np.asarray(lon_deg)
+    is_within = (np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)  # and known
+    return np.asarray(is_within & ((lat != 0.0) | (lon != 0.0)))
+
+
 def radii(lat: npt.ArrayLike) -> tuple[Array, Array]:
     """Return the meridian and the transverse radius of curvature, m, at a latitude (rad)."""
     sin2 = np.square(np.sin(np.asarray(lat, dtype=float)))

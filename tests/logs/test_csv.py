@@ -397,3 +397,15 @@ def test_a_map_of_columns_may_be_anything(tmp_path, text, words):
     (tmp_path / "log.csv.columns.yaml").write_text(text)
     with pytest.raises(LogError, match=words):
         open_log(path)
+
+
+def test_no_row_is_a_fix_where_there_is_no_place(read):
+    places = ["0,0", "0.0,-0.0", "91,8", "47,nan", "47.1,8.1", "0,8", "47.1,368.1", "-90,180"]
+    lines = ["time_us,gps_lat_deg,gps_lon_deg,gps_alt_m"]
+    lines += [f"{n * 200_000},{place},400" for n, place in enumerate(places)]
+    log = read("\n".join([*lines, ""]))
+    assert len(log.events) == 4
+    assert any(
+        "3 rows of the receiver without a place, as 0, 0, were left out" in n for n in log.notes
+    )
+    assert np.degrees(log.events.values[:, 1]) == pytest.approx([8.1, 8.0, 8.1, -180.0], abs=1e-6)

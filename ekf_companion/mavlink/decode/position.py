@@ -11,6 +11,7 @@ from ekf_companion.mavlink.decode.heading import NORTH_CDEG, Heading, wrap
 from ekf_companion.mavlink.decode.preference import ABSENT_NS, Pace
 from ekf_companion.mavlink.frame import Frame
 from ekf_companion.mavlink.timebase import LAST_US
+from ekf_companion.nav.earth import is_place
 from ekf_companion.nav.measurements import GnssFix, GnssFlag, HeadingSample, HeadingSource
 
 _UNKNOWN_16 = 65535
@@ -116,7 +117,7 @@ class Position:
         """Return why a message holds no new fix; None if it does."""
         key = (m.time_usec,) if m.time_usec else (0, m.lat, m.lon, m.alt, m.vel, m.cog)
         receiver.is_heard |= m.fix_type != _NO_GPS or not self._may_lack_receiver
-        if m.fix_type < _FIX_3D or not is_place(m.lat, m.lon):
+        if m.fix_type < _FIX_3D or not is_place(1e-7 * m.lat, 1e-7 * m.lon):
             receiver.fixes, receiver.is_good = 0, False
             self.is_settled &= self._is_alone or self._has_fix
             return "no 3-D fix" if m.fix_type < _FIX_3D else "no position"
@@ -218,7 +219,7 @@ class Position:
             return out
         if m.hdg <= NORTH_CDEG:
             self._heading.add(out, 1, t_ns, math.radians(m.hdg * 1e-2))
-        if not is_place(m.lat, m.lon):
+        if not is_place(1e-7 * m.lat, 1e-7 * m.lon):
             self._context.refuse("GLOBAL_POSITION_INT: no position")
             return out
         if self._context.is_ours:
@@ -263,15 +264,6 @@ class Position:
             return "a receiver may still speak"
         self.is_settled = True
         return None
-
-
-def is_place(lat_degE7: int, lon_degE7: int) -> bool:
-    """Whether a latitude and longitude can be meant; 0, 0 is sent where there is none."""
-    return (
-        (lat_degE7 != 0 or lon_degE7 != 0)
-        and abs(lat_degE7) <= 900_000_000
-        and abs(lon_degE7) <= 1_800_000_000
-    )
 
 
 def _dilution(dop_100: int) -> float:
