@@ -59,6 +59,7 @@ def test_innovations_have_bounds_and_looks_have_counts(data):
     assert sum(data["looks"]["fused"]["position"]) > 20
 
 
+@pytest.mark.campaign
 def test_a_disturbed_field_is_told_from_what_gates_refuse(tmp_path):
     pytest.importorskip("bokeh")
     path = tmp_path / "flight.tlog"

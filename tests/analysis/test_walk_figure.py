@@ -20,7 +20,7 @@ def test_a_walk_is_drawn(tmp_path, solution):
 
 def test_a_figure_without_a_folder_is_refused(tmp_path, solution):
     pytest.importorskip("matplotlib")
-    with pytest.raises(CompanionError, match="the figure cannot be written"):
+    with pytest.raises(CompanionError, match="cannot be written: No such file"):
         walk_figure.plot(tmp_path / "none" / "walk.png", [solution], "a walk")
 
 

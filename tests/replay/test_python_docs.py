@@ -66,6 +66,7 @@ def test_the_page_s_examples_run_in_their_order(given, tmp_path, monkeypatch, ca
     assert 0.0 < max(shown) < 3.0
 
 
+@pytest.mark.campaign
 def test_the_notebook_runs(tmp_path, monkeypatch, capsys):
     pytest.importorskip("pandas")
     mpl.use("agg")

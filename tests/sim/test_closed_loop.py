@@ -60,6 +60,7 @@ def home(loop):
     return loop.vehicle.pos_n
 
 
+@pytest.mark.campaign
 def test_it_takes_off_flies_a_square_and_lands_at_home_on_either_source():
     loop, _ = flying()
     for number in (1, 2):

@@ -35,7 +35,7 @@ LONG = pytest.mark.campaign
     "cold",
     [
         pytest.param(None, id="right", marks=LONG),
-        pytest.param(EARLY, id="early"),
+        pytest.param(EARLY, id="early", marks=LONG),
         pytest.param(LATE, id="late", marks=LONG),
     ],
 )
