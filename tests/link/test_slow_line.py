@@ -4,6 +4,7 @@ Real time: the ages are those of this machine, so that this belongs to the campa
 """
 
 import asyncio
+import contextlib
 import socket
 import threading
 import time
@@ -39,7 +40,7 @@ class Autopilot(threading.Thread):
 
     def run(self):
         stream, _ = self._server.accept()
-        with self._server, stream:
+        with self._server, stream, contextlib.suppress(ConnectionError):  # the other end is gone
             self._serve(stream)
 
     def _serve(self, stream):
