@@ -7,7 +7,7 @@ integrated navigation systems", 2nd edition, chapters 2 and 5.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,11 +31,13 @@ STANDARD_GRAVITY = 9.80665
 """m/s^2: the unit g of accelerometers."""
 
 
-def is_place(lat_deg: npt.ArrayLike, lon_deg: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-    """Return where latitudes and longitudes can be meant: 0, 0 is said where there is none."""
-    lat, lon = np.asarray(lat_deg), np.asarray(lon_deg)
-    is_within = (np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)  # and known
-    return np.asarray(is_within & ((lat != 0.0) | (lon != 0.0)))
+def is_place(lat_deg: Any, lon_deg: Any) -> Any:
+    """Return whether a latitude and longitude can be meant: 0, 0 is said where there is none.
+
+    Of numbers, for one message after another, or of arrays.
+    """
+    is_within = (abs(lat_deg) <= 90.0) & (abs(lon_deg) <= 180.0)  # and known
+    return is_within & ((lat_deg != 0.0) | (lon_deg != 0.0))
 
 
 def radii(lat: npt.ArrayLike) -> tuple[Array, Array]:
